@@ -35,7 +35,8 @@ const FRAME_COUNT: usize = 60;
 const BLOCK: [usize; 3] = [20, 15, 10];
 const ADDED_MAX: Duration = Duration::from_millis(5);
 
-/// Frames without particles, so that converting them takes a minute or two.
+/// Number of frames that are converted before the start is measured. They have no particles, so that
+/// converting all of them takes only a minute or two.
 const FINISHED_COUNT: usize = 50_000;
 const START_COUNT: usize = 7;
 const START_MAX: Duration = Duration::from_secs(1);
@@ -108,7 +109,7 @@ fn start_times() -> Vec<Duration> {
     (0..START_COUNT).map(time_start).collect()
 }
 
-/// Whether the daemon whose status page is at this address has found out about all frames.
+/// Whether the daemon whose status page is at this address reports that it is ready.
 fn is_ready(address: &str) -> bool {
     let mut stream = TcpStream::connect(address).expect("connected");
     stream.write_all(b"GET /readyz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").expect("sent");
@@ -138,7 +139,7 @@ impl Daemon {
         Daemon { _child: Running(child), log }
     }
 
-    /// Where its status page is.
+    /// The address of its status page.
     fn address(&mut self) -> String {
         let opened = |line: &Value| line["message"] == "serving the status page";
         let line = std::iter::from_fn(|| next_line(&mut self.log)).find(opened).expect("a status page");
@@ -146,7 +147,8 @@ impl Daemon {
         address.trim_start_matches("http://").trim_end_matches('/').to_owned()
     }
 
-    /// Lets a frame land, and returns what the daemon added to its skinning.
+    /// Renames a frame into the watched folder. Returns the time until its outputs exist, minus the time of
+    /// its stages according to the log.
     fn time_added(&mut self, folder: &Path, number: usize) -> Duration {
         let part = folder.join(format!("in/.{number}.part"));
         fs::write(&part, block_ply(BLOCK, 0.01 * number as f32)).expect("written");
@@ -185,7 +187,7 @@ struct Running(Child);
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // It has no work left.
+        // The daemon has no work left, so killing it loses nothing.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }

@@ -6,13 +6,13 @@
 //! ```
 //!
 //! No disk is involved. Each row is measured on one core and on all cores, alternating with a copy of as many
-//! bytes in memory by one core. MB are 10⁶ bytes of the file. For .vdb they count 4 bytes per voxel of the
-//! stored leaves; the file contains the active voxels, about a third of them. Exits with 1 if a figure is
-//! below the project's target.
+//! bytes in memory by one core. MB are 10⁶ bytes of the file. For .vdb, MB are 10⁶ bytes of the leaves, with
+//! 4 bytes per voxel: the file contains only the active voxels, about a third of the voxels of the leaves.
+//! Exits with 1 if a figure is below the project's target.
 //!
 //! ```text
 //! cargo bench --bench formats                       everything
-//! cargo bench --bench formats -- .vdb .csv          rows with one of these in their name
+//! cargo bench --bench formats -- .vdb .csv          only rows whose name contains .vdb or .csv
 //! ```
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its results")]
@@ -34,7 +34,7 @@ use twox_hash::XxHash3_128;
 
 const ROUND_COUNT: usize = 7;
 
-/// Number of particles in binary files and in text files.
+/// Number of particles in binary files, and in text files.
 const BINARY_PARTICLE_COUNT: usize = 1_000_000;
 const TEXT_PARTICLE_COUNT: usize = 300_000;
 
@@ -47,7 +47,7 @@ const SHOT_EDGE: usize = 501;
 /// Number of frames in the shot.
 const SHOT_FRAME_COUNT: u64 = 240;
 
-/// Target for the speed of a shot in .usdc, as a fraction of that of its frames in .ply.
+/// Target for the speed of writing a shot in .usdc, as a fraction of the speed of writing its frames in .ply.
 const SHOT_SPEED_MIN: f64 = 0.4;
 
 /// Radius of the ball that is written as a level set, in voxels.
@@ -56,7 +56,7 @@ const BALL_RADIUS: f32 = 220.0;
 /// A measured operation.
 struct Row<'a> {
     name: &'a str,
-    /// Number of bytes for the speed.
+    /// Number of bytes that the speed in MB/s refers to.
     size_bytes: usize,
     target: Target,
     work: Box<dyn FnMut() + Send + 'a>,
@@ -72,7 +72,7 @@ enum Cores {
 }
 
 impl Cores {
-    /// Selects the value for this number of cores.
+    /// Selects the value for one core or for all cores.
     fn of<T>(self, one: T, all: T) -> T {
         match self {
             Cores::One => one,
@@ -230,7 +230,7 @@ fn shot_rows(pool: &ThreadPool) -> bool {
     meets_target
 }
 
-/// A file that keeps only its size.
+/// A file that discards its bytes and keeps only its size.
 #[derive(Default)]
 struct Counted {
     at: u64,
@@ -260,7 +260,7 @@ impl Seek for Counted {
     }
 }
 
-/// Whether the arguments select a row: it contains one of them, or there are none.
+/// Whether the arguments select a row: its name contains one of them, or there are no arguments.
 fn is_wanted(name: &str) -> bool {
     let wanted: Vec<String> =
         std::env::args().skip(1).filter(|argument| !argument.starts_with('-')).collect();
@@ -275,7 +275,7 @@ fn measure(mut row: Row, pools: &[ThreadPool; 2]) -> bool {
     let source = vec![1_u8; row.size_bytes];
     let mut target = vec![0_u8; row.size_bytes];
     let mut seconds: [Vec<f64>; 3] = Default::default();
-    // Warm up, not measured: the first run requests memory from the system.
+    // Warm up: the first run is slower, because it requests memory from the system, and is not measured.
     pools[1].install(&mut row.work);
     for _ in 0..ROUND_COUNT {
         seconds[0].push(timed(|| black_box(&mut target).copy_from_slice(black_box(&source))));
@@ -314,7 +314,7 @@ fn timed(work: impl FnOnce()) -> f64 {
     start.elapsed().as_secs_f64()
 }
 
-/// Particles with velocities and ids, with digits that do not repeat.
+/// Particles with velocities and ids. Their values have various digits, as those of a simulation.
 fn particles(count: usize) -> ParticleFrame {
     let number = |index: usize, scale: f32| ((index as f32 * 0.618_034).fract() - 0.5) * scale;
     let vectors = |scale: f32| -> Vec<[f32; 3]> {

@@ -1,24 +1,25 @@
 //! Measures how close the kernels come to the limits of the machine.
 //!
 //! ```text
-//!   ceilings   triad     a = b + s·c        on arrays with the total size that a pass streams
+//!   ceilings   triad     a = b + s·c        on arrays with the total size that a smoothing pass streams
 //!              update    a = a + s·b        the same, without the cache lines that a triad fetches to overwrite
 //!              mul, add  x = x·m + a        in registers, twelve at a time, each rounded separately
 //!   kernels    smoothing passes over shells of several sizes; sweeps of a redistancing
 //! ```
 //!
 //! For each leaf with a free voxel, a pass reads φ, the initial φ, the previous values and both bounds, and
-//! writes one field: 12 kB per leaf. Rows with free voxels alone are less, which is printed, too. A pass
-//! takes 22 operations per free voxel: two Laplacians of 7, and 8 for the step. The roofline time is that of
-//! a machine that moves these bytes as fast as the triad, in arrays with the same total size and on the same
-//! threads, or that computes as fast as the loop in registers, whichever is longer. No kernel fuses
-//! multiplications with additions, so that all processors agree; neither does that loop.
+//! writes one field: 12 kB per leaf. The rows with a free voxel have fewer bytes; their size is printed, too.
+//! A pass takes 22 operations per free voxel: two Laplacians of 7, and 8 for the step. The roofline time of a
+//! pass is the longer of two times: to move its bytes at the bandwidth of the triad (in arrays with the same
+//! total size, on the same threads), and to do its operations at the speed of the loop in registers. No
+//! kernel fuses multiplications with additions, so that all processors give the same results; that loop does
+//! not fuse them, either.
 //!
-//! A triad moves more bytes than its usual count, because it fetches the cache lines that it overwrites. An
-//! update and a pass do not, so relative to an update a pass looks worse; that is printed, too. Fields that
-//! fit into a cache are streamed from there, so each shell is also compared with the triad of the largest,
-//! which runs from memory. Exits with 1 if the largest shell is below the required fraction of its triad's
-//! roofline.
+//! A triad moves more bytes than its usual count, because it also fetches the cache lines that it overwrites.
+//! An update and a pass do not. So the bandwidth of an update is higher, and a pass is a smaller fraction of
+//! its roofline; this fraction is printed, too. Fields that fit into a cache are streamed from the cache. So
+//! each shell is also compared with the triad of the largest shell, which runs from memory. Exits with 1 if
+//! the largest shell is below the required fraction of its triad's roofline.
 //!
 //! ```text
 //! cargo bench --bench kernels
@@ -38,8 +39,8 @@ use meniscus::surface::simd::{self, Kernel, LEVEL_VARIABLE, Lanes, SimdLevel};
 use meniscus::surface::smooth::{Integrator, SmoothConfig, SmoothContext, SmoothOp, Workspace};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-/// Radii of the shells, in voxels. Their passes stream 1, 14 and 200 MB: about a core's own cache, the shared
-/// cache, and memory.
+/// Radii of the shells, in voxels. Their passes stream 1, 14 and 200 MB: these sizes fit into a core's own
+/// cache, into the shared cache, and only into memory.
 const SHELL_RADII: [f32; 3] = [14.0, 55.0, 220.0];
 
 /// The shell for measuring sweeps and comparing SIMD levels.
@@ -52,12 +53,12 @@ const ROOF_FLOOR: f64 = 0.25;
 /// Argument with which this program runs itself to measure one SIMD level.
 const LEVEL_FIGURES: &str = "--level-figures";
 
-/// Minimum duration and number of measurements. The best counts, as in STREAM: interruptions do not lower
-/// what a machine can do, and kernels and ceilings are measured the same way.
+/// Minimum duration and number of measurements. The best measurement counts, as in STREAM: it is the one with
+/// the fewest interruptions by other processes. Kernels and ceilings are measured the same way.
 const MEASURE_S: f64 = 0.5;
 const MEASURE_COUNT: usize = 7;
 
-/// Number of passes per measurement: few, so that some measurements are not interrupted.
+/// Number of passes per measurement: few, so that at least some measurements run without an interruption.
 const TIMED_PASSES: u32 = 10;
 
 /// Number of fields that a pass streams: five are read and one is written.
@@ -122,7 +123,7 @@ fn print_passes(pools: &[ThreadPool; 2]) -> bool {
                 100.0 * part(ceilings.update),
                 100.0 * part(of_memory.triad),
             );
-            // The last shell of each pool is the largest.
+            // Only the largest shell, the last of each pool, must reach the minimum.
             meets_target &= !std::ptr::eq(ceilings, of_memory) || part(ceilings.triad) >= ROOF_FLOOR;
         }
     }
@@ -181,7 +182,7 @@ fn print_level_figures() {
     println!("{passes} {sweeps}");
 }
 
-/// The narrow band of a sphere with ripples, and bounds at the distance of those of particles.
+/// The narrow band of a sphere with ripples, and bounds as far apart as those of particles.
 struct Shell {
     band: NarrowBand,
     bounds: Bounds,
@@ -215,7 +216,7 @@ impl Shell {
             Field { leaves: sphere.leaves.iter().map(leaf).collect() }
         };
         let bounds = Bounds { lower: moved(&|_| -BOUND_DISTANCE), upper: moved(&|_| BOUND_DISTANCE) };
-        // As wide as the bounds, so that they clamp some voxels.
+        // The amplitude is that of the bounds, so that they clamp some voxels.
         let phi = moved(&|offset| BOUND_DISTANCE * (offset as f32 * 0.7).sin());
         let is_free = |phi: &&f32| phi.abs() <= FREE_WIDTH;
         let rows = phi
@@ -241,7 +242,7 @@ impl Shell {
         STREAMED_FIELDS * size_of::<Leaf>() * self.touched_count
     }
 
-    /// The bytes that it would stream if it processed only rows.
+    /// The bytes that a pass would stream if it read and wrote only the rows with a free voxel.
     fn row_bytes(&self) -> usize {
         STREAMED_FIELDS * size_of::<[f32; 8]>() * self.row_count
     }
@@ -331,12 +332,13 @@ fn sweep_rate(shell: &Shell, row_count: usize, pool: &ThreadPool) -> f64 {
     row_count as f64 / (all - none)
 }
 
-/// As after a step of the fast integrator.
+/// The parameters of the sweeps after a step of the fast integrator.
 fn sweeps(count: u32) -> Sweeps {
     Sweeps { count, second_order_within: 1.2 }
 }
 
-/// Distances within a voxel of the sphere, and a mask of these voxels; the sign for all others.
+/// The distances of the voxels within a voxel of the sphere, and a mask of these voxels. All other voxels
+/// have only the sign.
 fn pinned(shell: &Shell) -> (Field, Vec<LeafMask>) {
     let is_pinned = |phi: f32| phi.abs() < 1.0;
     let distance = |leaf: &Leaf| Leaf {

@@ -2,9 +2,10 @@
 
     newton_surface.py water|isotropic CELL PARTICLES MESHES
 
-It reads the .ply files that `examples/paper quality write=PARTICLES` writes, each with its particle spacing, and writes
-a .ply of the same name, with the seconds that the surface took. CELL is the edge of a surface voxel in spacings.
-`benches/quality` runs it in the environment that it makes for Newton.
+It reads the .ply files in PARTICLES, which `examples/paper quality write=PARTICLES` writes with the particle
+spacing in their headers. For each it writes a mesh of the same name into MESHES, with the computing time in
+its header. CELL is the edge length of a surface voxel in spacings. `benches/quality` runs this script in a
+virtual environment for Newton.
 """
 
 import re
@@ -16,8 +17,8 @@ import numpy
 import warp
 from newton.geometry import ParticleSurface
 
-# The settings of Newton's dam-break example, which has three particles along a cell of its simulation and
-# surface voxels of 0.3 cells, or 0.9 spacings. Lengths are in particle spacings.
+# The settings of Newton's dam-break example. It has three particles along the edge of a simulation cell, and
+# surface voxels of 0.3 cells, which are 0.9 spacings. Lengths are in particle spacings.
 WATER = {
     "kernel_radius": 3.0,
     "threshold": 0.25,
@@ -47,7 +48,7 @@ def main():
     meshes.mkdir(parents=True, exist_ok=True)
     frames = sorted(particles.glob("*.ply"))
     if frames:
-        surface_of(*read(frames[0]), settings)  # compiles its kernels
+        surface_of(*read(frames[0]), settings)  # Not measured: compiles Newton's kernels.
     for path in frames:
         write(meshes / path.name, *surface_of(*read(path), settings))
 

@@ -1,8 +1,8 @@
 """Runs one program and prints its costs as JSON: seconds, CPU seconds, peak memory in bytes, exit status.
 
-Until it has begun its program, a child counts as large as the process that started it. So this is started
-for each measurement, by Python without its site packages: it imports little and holds 8 MB, less than
-any program that is measured.
+Until a child process executes its program, the system counts its peak memory as that of its parent. So a
+separate process runs this script for each measurement, with Python without its site packages. The script
+imports little and uses 8 MB, less than any measured program.
 """
 
 import os

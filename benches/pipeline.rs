@@ -5,9 +5,9 @@
 //! cargo bench --bench pipeline -- 8 64 16           8 frames of 64³ particles on 16 threads
 //! ```
 //!
-//! The plain loop reads, reconstructs and writes one frame after the other, with all threads on each. Both
-//! are timed alternately, because no machine is completely quiet; the result is the ratio of the two in one
-//! round. Below 1 the pipeline is faster.
+//! The plain loop reads, reconstructs and writes one frame after the other, with all threads on each.
+//! Pipeline and loop run alternately, because other processes always disturb the times a little. The result
+//! is the time of the pipeline divided by that of the loop in the same round: below 1 the pipeline is faster.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its results")]
 

@@ -1,8 +1,8 @@
 """Runs whole processes: their costs, their inputs, and the tables of results.
 
-A process is measured from its start to its end: wall-clock seconds, the seconds of all its threads on
-processors, and the most memory it ever held, all as the system counted them. Runs that are compared take
-turns, so that each of them sees the machine as it is in that minute.
+A process is measured from its start to its end: wall-clock seconds, the CPU seconds of all its threads, and
+its peak memory, all as counted by the system. Runs that are compared alternate, so that all of them see the
+same state of the machine.
 """
 
 import argparse
@@ -20,9 +20,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")).resolve()
-# Built, unless MENISCUS names an existing program.
+# The program to measure. It is built, unless MENISCUS names an existing program.
 PROGRAM = Path(os.environ.get("MENISCUS") or TARGET / "release" / "meniscus").resolve()
-# Solids of generated particles, kept between runs.
+# The folder of the solids of generated particles, which are kept between runs.
 SOLIDS = TARGET / "solids"
 # Frames of other programs, which are not part of the project.
 DATA = Path(os.environ.get("MENISCUS_SHARED", ROOT.parent / "shared")) / "data"
@@ -49,7 +49,7 @@ def script(name):
     """Imports another benchmark as a module."""
     loader = importlib.machinery.SourceFileLoader(name, str(ROOT / "benches" / name))
     module = importlib.util.module_from_spec(importlib.util.spec_from_loader(name, loader))
-    sys.modules[name] = module  # its data classes look it up there
+    sys.modules[name] = module  # The data classes of the module look it up there.
     loader.exec_module(module)
     return module
 
@@ -66,7 +66,7 @@ def measured(command):
 
 
 def meniscus(frames, voxel_size, out, *options, threads=THREADS, preset="paper"):
-    """Returns the command that converts one frame, or the frames of a pattern."""
+    """Returns the command that converts the file `frames`, or all files if it is a pattern."""
     ours = [PROGRAM, "convert", frames, "--out", out, "--format", "glb", "--voxel-size", repr(voxel_size)]
     return [*ours, "--preset", preset, "--threads", threads, *options]
 
@@ -85,13 +85,13 @@ def solid(count):
 
 
 def particle_count(solid_path):
-    """Returns the number of particles in a solid's header."""
+    """Returns the number of particles in the header of a solid's file."""
     with solid_path.open("rb") as file:
         return int(re.search(rb"element vertex (\d+)", file.read(300))[1])
 
 
 def spread(values, form):
-    """The median, with the minimum and maximum if there are several values."""
+    """Formats the median, with the minimum and maximum if there are several values."""
     middle = format(statistics.median(values), form)
     return middle if len(values) == 1 else f"{middle} ({min(values):{form}}–{max(values):{form}})"
 

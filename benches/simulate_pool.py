@@ -2,9 +2,9 @@
 
     simulate_pool.py pool|dam FOLDER
 
-Frames are FOLDER/partio/ParticleData_Fluid_1.bgeo and so on: of the pool 10 a second, of the dam break 30. y is up.
-The scenes are that of `tests/clients/simulate_splishsplash.py`, changed. `benches/quality` runs this in the environment
-that it makes for simulators.
+Writes FOLDER/partio/ParticleData_Fluid_1.bgeo and so on: 10 frames per second of the pool, 30 of the dam
+break. y is up. Both scenes are modifications of the scene in `tests/clients/simulate_splishsplash.py`.
+`benches/quality` runs this script in a virtual environment for simulators.
 """
 
 import sys
@@ -14,8 +14,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "clients"
 import simulate_splishsplash as simulation
 
 DAM_BREAK = simulation.dam_break()
-# Deeper on one side, so that it sloshes. Simulated with position-based fluids without viscosity: the
-# particles of DFSPH come to rest in layers, and leave no bumps to smooth.
+# The pool is deeper on one side, so that it sloshes. The solver is position-based fluids without viscosity:
+# the particles of DFSPH come to rest in layers, which leave no bumps to smooth.
 POOL = DAM_BREAK | {
     "Configuration": DAM_BREAK["Configuration"] | {"simulationMethod": 2, "stopAt": 3.4, "dataExportFPS": 10},
     "Materials": [{"id": "Fluid", "density0": 1000, "viscosityMethod": 0}],

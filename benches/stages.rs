@@ -1,9 +1,9 @@
 //! Measures the time of the stages per particle and per free voxel as frames grow.
 //!
 //! ```text
-//!   one lattice, with growing pieces of the same sponge:
+//!   frames are growing pieces of the same sponge, with the same spacing, so that only the size changes:
 //!
-//!     ▒▒ ▒▒      ▒▒ ▒▒ ▒▒      ▒▒ ▒▒ ▒▒ ▒▒         so only the size changes
+//!     ▒▒ ▒▒      ▒▒ ▒▒ ▒▒      ▒▒ ▒▒ ▒▒ ▒▒
 //!     ▒▒ ▒▒      ▒▒ ▒▒ ▒▒      ▒▒ ▒▒ ▒▒ ▒▒
 //! ```
 //!
@@ -11,8 +11,8 @@
 //! smoothing per free voxel, and those of rasterization per particle, should be the same for all sizes, and
 //! two threads should smooth nearly twice as fast as one. Exits with 1 if a minimum is missed.
 //!
-//! It then measures the anisotropic shapes of 600 000 particles, compared with a plain loop that only sums
-//! their moments.
+//! Then the benchmark measures the time to compute the anisotropic shapes of 600 000 particles, compared with
+//! a plain loop that only sums the moments of their neighborhoods.
 //!
 //! ```text
 //! cargo bench --bench stages                10⁶ to 10⁷ free voxels
@@ -44,15 +44,15 @@ use sponge::Sponge;
 const FREE_MIN: f64 = 1e6;
 const FREE_MAX: f64 = 1e7;
 
-/// Free voxels per particle at h = spacing/2: 8.6 in the smallest frame, where more of the surface belongs to
-/// the ball that closes the sponge, and 7.5 at 10⁷.
+/// Approximate number of free voxels per particle at h = spacing/2: 8.6 in the smallest frame, where more of
+/// the surface belongs to the ball that closes the sponge, and 7.5 at 10⁷ free voxels.
 const FREE_PER_PARTICLE: f64 = 8.0;
 
 /// Spacings per period of the gyroid. Walls and gaps are then a dozen spacings wide, so layers of free voxels
 /// do not meet.
 const SPACINGS_PER_PERIOD: f64 = 24.0;
 
-/// The fraction of a ball of radius R + 1 that the solid fills.
+/// The fraction of a ball of radius R + 1 that the solid fills; R is the radius of the sponge.
 const FILLED_PART: f64 = 0.517;
 
 /// Number of rounds for the smallest frame; larger ones have fewer.
@@ -62,7 +62,8 @@ const ROUND_COUNT: usize = 5;
 const SPEEDUP_TARGET: f64 = 1.85;
 const SPEEDUP_FLOOR: f64 = 1.7;
 
-/// How far the seconds per free voxel, or per particle, may deviate from those of the smallest frame.
+/// Target and minimum of the relative deviation of the seconds per free voxel, or per particle, from those of
+/// the smallest frame.
 const GROWTH_TARGET: f64 = 0.15;
 const GROWTH_FLOOR: f64 = 0.30;
 

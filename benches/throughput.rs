@@ -2,7 +2,7 @@
 //! frames through the stages in a plain loop.
 //!
 //! ```text
-//!   daemon   start, scan, journal ─▶ frames overlap, each on one core if several wait ─▶ end
+//!   daemon   start, scan, journal ─▶ frames in parallel, each on one core if several wait ─▶ end
 //!   loop     start ─▶ read, rasterize, smooth, contour, write, one frame after the other ─▶ end
 //! ```
 //!
@@ -30,7 +30,7 @@ use rayon::ThreadPoolBuilder;
 
 use block::block_ply;
 
-/// A number of frames with a block of particles each.
+/// The frames to convert: their number, and the block of particles in each.
 struct Load {
     frame_count: usize,
     block: [usize; 3],
@@ -65,7 +65,7 @@ fn main() -> ExitCode {
     ExitCode::FAILURE
 }
 
-/// Measures both alternately, prints a row, and returns the median of the ratios.
+/// Measures daemon and loop alternately, prints a row, and returns the median of the ratios.
 fn measure(load: &Load) -> f64 {
     let folder = tempfile::tempdir().expect("a folder");
     let watched = folder.path().join("in");
@@ -74,7 +74,7 @@ fn measure(load: &Load) -> f64 {
         let bytes = block_ply(load.block, 0.01 * number as f32);
         fs::write(watched.join(format!("dam.{number}.ply")), bytes).expect("written");
     }
-    // Warm up, not measured. Meanwhile the files become old enough to count as stable.
+    // Warm up, not measured. Meanwhile the files become old enough for the daemon to count them as stable.
     run_plain_loop(folder.path());
     let times = (0..ROUND_COUNT).map(|_| [run_plain_loop(folder.path()), run_daemon(folder.path())]);
     let times: Vec<[f64; 2]> = times.collect();
@@ -124,7 +124,7 @@ fn run_timed(folder: &Path, mut command: Command) -> f64 {
     seconds
 }
 
-/// Each frame of `folder`/`in` through the stages, one after the other, with all threads on each.
+/// Converts the frames in `folder`/`in` one after the other, with all threads on each stage.
 fn plain_loop(folder: &Path) {
     let settings = Settings::paper(VOXEL_SIZE, &MethodOptions::default()).expect("valid");
     let pool = ThreadPoolBuilder::new().build().expect("threads");

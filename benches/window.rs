@@ -39,8 +39,8 @@ const READER_BYTES_PER_S: u64 = 100_000;
 
 const ROUND_COUNT: usize = 15;
 const FRAME_COUNT: usize = 16;
-/// Blocks of 25 000 particles, and a block whose surface is read: larger than the buffers of the system for a
-/// slow reader.
+/// Sizes of the blocks in the measured frames (25 000 particles), and of the block whose surface the slow
+/// clients read. That surface is larger than the system's socket buffers.
 const BLOCK: [usize; 3] = [50, 25, 20];
 const LARGE_BLOCK: [usize; 3] = [160, 100, 100];
 
@@ -173,7 +173,7 @@ impl Daemon {
     /// CPU time of the HTTP thread so far.
     fn http_cpu_s(&self) -> f64 {
         let tasks = fs::read_dir(format!("/proc/{}/task", self.child.id())).into_iter().flatten().flatten();
-        tasks.filter_map(|task| cpu_s(&task.path().join("stat"), "window")).sum()
+        tasks.filter_map(|task| cpu_s(&task.path().join("stat"), "http")).sum()
     }
 }
 
@@ -206,7 +206,7 @@ const TICKS_PER_SECOND: f64 = 100.0;
 /// All clients, on one thread; dropping it disconnects them.
 struct Clients {
     counts: Arc<[AtomicU64; 2]>,
-    /// Ends the thread when it is dropped.
+    /// Dropping this sender ends the thread.
     _here: oneshot::Sender<()>,
 }
 
@@ -228,13 +228,13 @@ impl Clients {
         Clients { counts, _here: here }
     }
 
-    /// The number of events that followers received, and the number of bytes read.
+    /// The number of events that subscribers received, and the number of bytes that readers read.
     fn counts(&self) -> [u64; 2] {
         [0, 1].map(|which| self.counts[which].load(Ordering::Relaxed))
     }
 }
 
-/// Follows events or reads a file; reconnects when the connection is refused or at the end.
+/// Subscribes to events or reads a file. Reconnects if the connection is refused, and after it ends.
 async fn run_client(address: SocketAddr, follows: bool, counts: Arc<[AtomicU64; 2]>) {
     loop {
         let _ = if follows { follow(address, &counts[0]).await } else { read(address, &counts[1]).await };

@@ -1,9 +1,10 @@
-//! Particles in, smooth surfaces out.
+//! Reconstructs smooth surfaces from particles.
 //!
-//! meniscus reconstructs surfaces from the particles of a simulation by the level-set method of Bhattacharya, Gao and Bargteil
-//! ("A Level-set Method for Skinning Animated Particle Data"): thin-plate flow smooths the surface, which is kept between two
-//! unions of spheres around the particles. A certificate lists the checks that the surface passed. The surface is the same to
-//! the bit on any number of threads.
+//! meniscus reconstructs surfaces from the particles of a simulation by the level-set method of Bhattacharya,
+//! Gao and Bargteil ("A Level-set Method for Skinning Animated Particle Data"): thin-plate flow smooths the
+//! surface, and two unions of spheres around the particles bound it from inside and from outside. A
+//! certificate lists the checks that the surface passed. The surface is bit-identical on any number of
+//! threads.
 //!
 //! ```
 //! use meniscus::surface::{Options, reconstruct};
@@ -22,43 +23,48 @@
 //! # Ok::<(), meniscus::surface::Error>(())
 //! ```
 //!
-//! The particle spacing is measured unless you set it; all other lengths follow from it. For a sequence of frames use a
-//! [`Reconstructor`](surface::Reconstructor), which measures once: it also takes attributes, obstacles, a memory limit, a
-//! progress callback and a cancellation token.
+//! The particle spacing is measured unless you set it; all other lengths follow from it. For a sequence of
+//! frames use a [`Reconstructor`](surface::Reconstructor), which measures the spacing only once. A
+//! `Reconstructor` also takes attributes, obstacles, a memory limit, a progress callback and a cancellation
+//! token.
 //!
 //! # Features
 //!
-//! | feature | adds | crates in all |
-//! |---|---|---|
-//! | none | [`surface`]: the method, in memory | 14 |
-//! | `render` | images of level sets | |
-//! | `pipeline` | files to files, several frames at once | |
-//! | `watch`, `http` | a daemon that follows a simulation, and its status page | |
-//! | `cli` (default) | the command line | |
+//! | feature | adds |
+//! |---|---|
+//! | none | [`surface`]: the method, in memory |
+//! | `render` | images of level sets |
+//! | `pipeline` | conversion of files, several frames at once |
+//! | `watch`, `http` | a daemon that follows a simulation, and its status page |
+//! | `cli` (default) | the command line |
 //!
-//! To embed the method, turn the default features off:
+//! To embed the method, turn the default features off. The crate then depends on 14 other crates, directly or
+//! indirectly:
 //!
 //! ```toml
 //! [dependencies]
 //! meniscus = { version = "0.1", default-features = false }
 //! ```
 //!
-//! The crate `meniscus-formats` reads particles and writes meshes and level sets. `examples/library` in the repository uses
-//! both.
+//! The crate `meniscus-formats` reads particles and writes meshes and level sets. `examples/library` in the
+//! repository uses both crates.
 //!
 //! # How it works
 //!
 //! ```text
-//!  file ──read──▶ positions ──rasterize──▶ level set, bounds ──smooth──▶ level set ──contour──▶ mesh ──write──▶ files
-//!         formats             signed distance φ, and the interval         smoothed φ    │               .glb .obj .ply
-//!                             that it may move in                                       └─────────────▶ .vdb (φ itself)
+//!  file ──read──▶ positions ──rasterize──▶ level set, bounds ──smooth──▶ level set ──contour──▶ mesh
+//!   meniscus-formats        signed distance φ, and the                   smoothed φ             │
+//!                           interval that it may move in                 │                      │
+//!                                                                        ▼ write                ▼ write
+//!                                                                        .vdb (φ itself)      .glb .obj .ply
 //! ```
 //!
-//! Signed distances φ are negative inside and, within this crate, measured **in voxels**: dividing
-//! by the voxel size h makes every stage free of units. World units appear where particles come in and
-//! where vertices go out.
+//! Signed distances φ are negative inside. Within this crate they are measured **in voxels**: after the
+//! division by the voxel size h, no stage needs units. World units appear only in the positions of particles
+//! that come in and of vertices that go out.
 //!
-//! The crate itself starts no threads: loops run in the caller's rayon pool. Features that start threads document it.
+//! The crate itself starts no threads: loops run in the caller's rayon pool. A feature that starts threads
+//! says so in its documentation.
 
 /// The vector types in this crate's API.
 pub use glam;

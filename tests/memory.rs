@@ -1,5 +1,5 @@
-//! Memory that the process takes while it converts many frames, against the limit. It is a separate test
-//! binary because the peak memory is a single number per process.
+//! Compares the peak memory of a process that converts many frames with the limit. This is a separate test
+//! binary, because a process has only one peak memory.
 
 #![cfg(target_os = "linux")]
 
@@ -21,11 +21,11 @@ use tempfile::tempdir;
 /// allocator keeps.
 const EXCESS_MAX: f64 = 0.1;
 
-/// Two of these frames together take more than that; one does not.
+/// Two of these frames together need more than the limit; one frame does not.
 #[test]
 fn memory_limit_holds() {
     let taken = taken_by_frames(8, 128 << 20, Some(1));
-    // The program also uses the memory that it may take.
+    // The program must also make use of the memory within the limit.
     assert!(taken > 0.5, "only {taken:.2} of the limit");
 }
 
@@ -33,7 +33,7 @@ fn memory_limit_holds() {
 /// have islands, cavities and parts beyond a box to remove, some an obstacle that belongs to them. Returns
 /// the memory taken as a fraction of the limit, which is at most 1.
 fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) -> f64 {
-    // The program sets this first of all.
+    // The program also makes this call first.
     meniscus::cli::give_memory_back();
     let folder = tempdir().expect("a folder");
     // The memory of a frame does not depend on the number of steps.

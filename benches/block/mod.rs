@@ -1,6 +1,6 @@
 //! Generated input frames for benchmarks.
 
-/// A block of particles, 0.1 apart, moved along x by `shift`, as binary PLY.
+/// A binary PLY file with a block of particles, 0.1 apart, moved along x by `shift`.
 pub(crate) fn block_ply(block: [usize; 3], shift: f32) -> Vec<u8> {
     let count: usize = block.iter().product();
     let header = format!(

@@ -1,14 +1,14 @@
-"""Figures of the method's paper, and of its authors' program, for comparison with ours.
+"""Numbers from the method's paper, and of its authors' program, for comparison with ours.
 
 The paper: Bhattacharya, Gao and Bargteil, *A Level-set Method for Skinning Animated Particle Data*, IEEE TVCG
-2015. Its figures 18 to 20 are drawings only. Table 2 says the same of threads, in numbers.
+2015. Its Fig. 18 to 20 are plots without numbers; Table 2 has the numbers for the speedup of threads.
 """
 
 MACHINE = "two Intel Xeon X5650, 12 cores in all, 2.8 GHz, 48 GB"
 CORES = 12
 
-# Table 1: the examples of Fig. 14, averages over their frames. Seconds without reading and writing. Basic is dense,
-# 10 000 explicit steps; OpenVDB is sparse, 5 implicit ones.
+# Table 1: the examples of Fig. 14, averages over their frames. Seconds without reading and writing. "Basic"
+# uses a dense grid and 10 000 explicit steps; "OpenVDB" uses a sparse grid and 5 implicit steps.
 EXAMPLES = ["FLIP, 217 K", "38 K", "SPH, 52 K", "elasto-plastic SPH, 40 K"]
 EXPLICIT = {
     "total": (2339.1, 2319.6, 2504.7, 946.2),
@@ -31,13 +31,13 @@ IMPLICIT = {
     "CPU, %": (1113, 1158, 1124, 1110),
 }
 
-# Table 2: processes at once, threads of each, minutes for all of them. The text says 120 jobs, the caption
-# 12; the seconds of a job in Table 3 imply 120.
+# Table 2: number of concurrent processes, threads of each, minutes for all jobs. The paper's text says 120
+# jobs and the caption 12; the seconds of a job in Table 3 imply 120.
 JOBS = 120
 PROCESSES = [(12, 1, 212), (6, 2, 216), (4, 3, 224), (3, 4, 231), (2, 6, 249), (1, 12, 283)]
 
-# Table 3: particles of the dragon; total seconds, of which rasterization; CPU in %, memory in GB, CG
-# iterations.
+# Table 3: number of particles of the dragon; total seconds, and seconds of rasterization alone; CPU in %,
+# memory in GB, iterations of conjugate gradients (CG).
 DRAGONS = [
     (0.603e6, 25.5, 3.7, 1089, 0.35, 938),
     (4.82e6, 141.2, 25.3, 1125, 1.1, 1181),
@@ -45,8 +45,9 @@ DRAGONS = [
     (309e6, 6450.2, 1551.9, 1135, 28, 2144),
 ]
 
-# Their program as it is published, on OpenVDB 10: whole processes on two threads, 5 implicit steps or 500 explicit
-# ones, in which it never computes the slope of φ. `peers` has the seconds of the implicit ones.
+# The authors' published program, built with OpenVDB 10: whole processes on two threads, with 5 implicit steps
+# or 500 explicit steps. In the explicit steps it never computes the slope of φ. The seconds of the implicit
+# steps are in `peers`.
 PROGRAM_MACHINE = "AMD EPYC (Zen 5), 2 cores"
 PROGRAM_EXPLICIT = {
     "dam break 9": 2.04,
@@ -54,14 +55,14 @@ PROGRAM_EXPLICIT = {
     "dam break 23": 8.04,
     "Hilbert curve": 16.11,
 }
-# The dragon at h = spacing, by number of particles: seconds and GB, implicit; for the first, also seconds,
-# explicit.
+# The dragon at h = spacing, by number of particles: seconds and GB with implicit steps; for the smallest
+# dragon, also the seconds with explicit steps.
 PROGRAM_DRAGONS = {0.603e6: (64.54, 0.211), 4.82e6: (350.51, 0.874)}
 PROGRAM_DRAGON_EXPLICIT = 21.28
 
 
 def speedups():
-    """The speedup for each number of threads, from Table 2: threads, speedup."""
+    """Pairs of the number of threads and the speedup, from Table 2."""
     alone = CORES * next(minutes for processes, _, minutes in PROCESSES if processes == CORES)
     return [(threads, alone / (processes * minutes)) for processes, threads, minutes in PROCESSES]
 

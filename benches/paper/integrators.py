@@ -9,17 +9,17 @@ from paper import figures
 from paper.measuring import COMPUTING, SMALL, Skinned, in_seconds, skinned
 from processes import ROOT, THREADS, Table
 
-# Names as in the tables, with the options of the program. 10 000 steps of 0.01 h⁴ cover the time of 5 steps
-# of 20 h⁴.
+# Names as in the tables, with the options of the program. 10 000 steps of 0.01 h⁴ have the same total
+# pseudo-time as 5 steps of 20 h⁴.
 INTEGRATORS = {
     "explicit, 10 000 steps": ["--integrator", "explicit", "--steps", 10_000],
     "explicit, 500 steps": ["--integrator", "explicit"],
     "implicit": ["--integrator", "implicit"],
     "fast": ["--integrator", "fast"],
 }
-LONGEST = "explicit, 10 000 steps"  # run once, not once per round
+LONGEST = "explicit, 10 000 steps"  # Runs once instead of once per round.
 
-# Half the particle spacing in examples/frames.
+# Half the particle spacing of the dam break in examples/frames.
 DAM_VOXEL_SIZE = 0.0264
 
 ABOUT = """The paper's frames are not published, so we use others: small simulations with h = half the spacing, and a solid of 600 000 particles with h = spacing.
@@ -39,7 +39,7 @@ The table may lack some of them, because `--frames` selects frames.
 
 @dataclass
 class Example:
-    """A frame, or several whose mean counts, with the seconds that the authors' program took."""
+    """One frame, or several whose mean is used, and the seconds that the authors' program took."""
 
     name: str
     paths: list
@@ -71,7 +71,7 @@ def examples():
 
 
 def by_integrator(frame, rounds):
-    """Returns the rounds of each integrator: one process for each of the frame's files."""
+    """Returns the rounds of each integrator. A round runs one process for each file of the example."""
     print(f"{frame.name} ", end="", flush=True)
     taken = {name: [] for name in INTEGRATORS}
     for index in range(rounds):
@@ -84,7 +84,7 @@ def by_integrator(frame, rounds):
 
 
 def means(rounds, figure):
-    """Returns the mean over the files of a frame for each round."""
+    """Returns the mean of a figure over the files of an example, for each round."""
     return [statistics.fmean(map(figure, files)) for files in rounds]
 
 

@@ -1,4 +1,5 @@
-"""Table 2: many frames, with many single-threaded processes or with fewer processes of more threads."""
+"""Table 2: converts many frames, with many single-threaded processes or with fewer processes of more
+threads."""
 
 import os
 import tempfile
@@ -28,7 +29,7 @@ def table(asked):
         frames = [Path(folder) / f"job.{number:04}.ply" for number in range(1, asked.jobs + 1)]
         for frame in frames:
             frame.symlink_to(path)
-        path.read_bytes()  # into the system's cache
+        path.read_bytes()  # Loads the file into the system's cache.
         for _ in range(asked.rounds):
             for way in ways:
                 taken[way].append(at_once(frames, spacing, *way))
@@ -84,7 +85,7 @@ def ours(jobs, taken, together, cores):
     rows = [*((count, threads, rounds) for (count, threads), rounds in taken.items())]
     rows.append(("1, all jobs in one command", cores, together))
     for count, threads, rounds in rows:
-        # Compared round by round, because the machine is in the same state within a round.
+        # Runs of the same round are compared, because the machine is in the same state within a round.
         beside = [seconds / other for (seconds, _), other in zip(rounds, first)]
         memory = max(size for _, size in rounds) / 1e9
         told = in_seconds([seconds for seconds, _ in rounds])

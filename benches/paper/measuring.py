@@ -1,4 +1,5 @@
-"""Shared by all tables of the paper: measures the stages of one frame, and the load of other processes meanwhile."""
+"""Shared by all tables of the paper: measures the stages of a frame, and the load of other processes
+meanwhile."""
 
 import json
 import os
@@ -18,7 +19,7 @@ COMPUTING = ("rasterize", "smooth", "contour")
 # The solids that replace the dragon: requested numbers of particles.
 SMALL, UPPER_RIGHT, LARGE, LARGEST = 0.6e6, 4.8e6, 38.6e6, 309e6
 
-# The fraction of the machine's time that other work may take before the machine counts as shared.
+# The machine counts as shared if other processes take more than this fraction of its CPU time.
 NEIGHBOURS_MAX = 0.05
 
 
@@ -67,7 +68,8 @@ class Neighbours:
         return time.perf_counter(), busy, sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
     def share(self):
-        """The fraction of CPU time since this object was created; 0 if the system does not report it."""
+        """The fraction of CPU time that other processes took since this object was created; 0 if the system
+        does not report it."""
         clock, busy, ours = (now - before for now, before in zip(self.counted(), self.start))
         return max(0, busy - ours) / (clock * os.cpu_count())
 

@@ -36,14 +36,14 @@ class Large:
     particles: str
     free_voxels: str
     stages: list
-    seconds: float | None  # only if measured in this run
+    seconds: float | None  # None if read from docs/performance.md.
     whole: str
     cpu: str
     memory: str
 
 
 def told_of_large_solid(count):
-    """Reads the output of `benches/scale` from docs/performance.md."""
+    """Reads the row of this solid from the output of `benches/scale` in docs/performance.md."""
     for line in section_of_performance("Large frames").splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         digits = cells[0].replace(",", "")

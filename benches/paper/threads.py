@@ -1,4 +1,4 @@
-"""Figures 18 to 20: the speedup of threads, and its projection by the serial share."""
+"""Fig. 18 to 20: the speedup of threads, and a projection of it from the serial share of the work."""
 
 import os
 import statistics
@@ -48,7 +48,8 @@ def table(asked):
             told,
         ),
     ]
-    # The largest of either; a shared machine allows no projection.
+    # The largest solid of each measurement. If the machine is shared, the times are too noisy for a
+    # projection.
     sources = {} if is_shared else {"now": taken[UPPER_RIGHT]}
     sources["stages"] = list(told.values())[-1]
     asked.markdown.parent.mkdir(parents=True, exist_ok=True)
@@ -60,7 +61,8 @@ def table(asked):
 
 
 def on_threads(particles, counts, rounds):
-    """Reconstructs a solid alternately on each number of threads. Returns the seconds of the stages per round for each."""
+    """Reconstructs a solid alternately on each number of threads. Returns, for each number, the seconds of
+    the stages in each round."""
     path, spacing = processes.solid(particles)
     path.read_bytes()  # into the system's cache
     taken = {threads: [] for threads in counts}
@@ -86,7 +88,7 @@ def told_of_threads():
 
 
 def with_sum(seconds):
-    """Seconds by stage, and in total."""
+    """Adds the total to the seconds of each stage."""
     stages = dict(zip(COMPUTING, seconds))
     return stages | {"all three": sum(stages.values())}
 
@@ -98,17 +100,18 @@ def serial_shares(rounds, many, stage):
 
 
 def speedups(rounds, threads, stage="all three"):
-    """The speedup over one thread, for each round."""
+    """The speedup of this number of threads over one thread, for each round."""
     return [alone[stage] / one[stage] for one, alone in zip(rounds[threads], rounds[1])]
 
 
 def amdahl(share, threads):
-    """The speedup over one thread."""
+    """The speedup of this number of threads over one thread by Amdahl's law, for this serial share."""
     return 1 / (share + (1 - share) / threads)
 
 
 def stages_on_threads(title, taken, is_shared=False):
-    """Fig. 18 and 19: seconds on each number of threads, and a projection to twelve unless the machine was shared."""
+    """Fig. 18 and 19: seconds on each number of threads; also a projection to twelve threads, unless the
+    machine was shared."""
     counts = list(next(iter(taken.values())))
     table = Table(
         title,

@@ -1,4 +1,5 @@
-"""Makes live.gif: a dam break and its surfaces, frame by frame. Runs in a Python with Pillow, from the root:
+"""Makes live.gif: a dam break and its surfaces, frame by frame. Needs Pillow; run it in the root of the
+repository:
 
     cargo build --release --bin meniscus && cargo build --release -p dam_break && python docs/images/live.py
 
@@ -29,8 +30,8 @@ def main():
         render = [TARGET / "meniscus", "render", cache, "--out", pictures, "--particles", "--size", size]
         subprocess.run(render, check=True, stdout=subprocess.DEVNULL)
         frames = [Image.open(path).convert("RGB") for path in sorted(pictures.glob("*.png"))]
-    # One palette for all frames, so that colours do not flicker. MAXCOVERAGE, because most colours are shades of the shadow, which
-    # would otherwise displace those of the water.
+    # One palette for all frames, so that colours do not flicker. MAXCOVERAGE, because most pixels are shades
+    # of the shadow: with another method they would leave no room in the palette for the colours of the water.
     shown = Image.new("RGB", (SIZE[0], SIZE[1] * len(frames[::8])))
     for place, frame in enumerate(frames[::8]):
         shown.paste(frame, (0, SIZE[1] * place))

@@ -1,9 +1,11 @@
-"""Makes obstacles.jpg: Fig. 15 and 16 of the paper. Runs in a Python with Blender (`pip install bpy`), from the root:
+"""Makes obstacles.jpg: Fig. 15 and 16 of the paper. Needs Blender as a Python module (`pip install bpy`); run
+it in the root of the repository:
 
     cargo build --release && python docs/images/obstacles.py
 
-The upper row has particles on the whole inside of a tetrahedron: the block around them is the obstacle. The lower row has a
-frame of examples/frames with a ball in the water, cut open at the centre of the ball.
+The upper row has a layer of particles on the inner walls of a hollow tetrahedron; the block around the hollow
+is the obstacle. The lower row has a frame of examples/frames with a ball in the water, cut open at the centre
+of the ball.
 """
 
 import os
@@ -13,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 import bpy
-import bmesh  # Blender's; can be imported only after bpy.
+import bmesh  # A module of Blender, which exists only after the import of bpy.
 import numpy as np
 from mathutils import Euler, Vector
 
@@ -21,7 +23,7 @@ PROGRAM = os.environ.get("MENISCUS", "target/release/meniscus")
 PANEL = (460, 400)
 PICTURE = Path("docs/images/obstacles.jpg")
 WATER, WALL = (0.10, 0.32, 0.62), (0.80, 0.36, 0.12)
-# Labels and options. By default voids narrower than 1 h are filled.
+# Labels and options of the columns. By default, voids narrower than 1 h are filled.
 WAYS = [("no obstacle", None), ("intersections removed", ["--void-threshold", "0"]), ("and voids filled", [])]
 
 
@@ -48,9 +50,9 @@ def tetrahedron(folder):
     for place in places:
         if not particles or np.square(np.array(particles) - place).sum(axis=1).min() > (3.2 * voxel_size) ** 2:
             particles.append(place)
-    # Some are a little outside, more of them inside.
+    # Displace particles: some are a little outside the tetrahedron, and more of them inside.
     particles = np.array(particles) * (1 - chance.uniform(-0.05, 0.06, (len(particles), 1)))
-    # A block with a hole as the tetrahedron: its faces look inward.
+    # A block with a hole in the shape of the tetrahedron: the faces of the hole point into it.
     block = [(x, y, z) for x in (-2, 2) for y in (-2, 2) for z in (-2, 2)]
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [face[::-1] for face in faces] + [[corner + 4 for corner in quad] for quad in quads]
@@ -66,7 +68,8 @@ def tetrahedron(folder):
 
 
 def ball(folder):
-    """A ball where the water is deep; no particle is in it, as after a simulation."""
+    """A ball where the water is deep. The particles inside it are removed, as if the simulation had the ball,
+    too."""
     voxel_size, center, radius = 0.0264, Vector((0.62, -0.3, 0.24)), 0.15
     particles = read_bgeo(Path("examples/frames/dam.0006.bgeo"))
     particles = particles[np.linalg.norm(particles - np.array(center), axis=1) > radius + 1.5 * voxel_size]
@@ -80,7 +83,8 @@ def ball(folder):
         bpy.ops.object.transform_apply()
         write_obj(wall, [v.co for v in body.data.vertices], [p.vertices for p in body.data.polygons])
         water = reconstructed(points, wall, options, voxel_size)
-        # The water's cut lies in front, so that it shows where it is in the ball.
+        # The cut plane of the water is a little in front of that of the ball, so that water inside the ball
+        # is visible.
         cut_open(body, center.y + 2e-4, WALL)
         cut_open(water, center.y, WATER)
         panels.append(rendered(folder / "panel.png", label, (-0.25, -1, 0.35), center + Vector((0.02, 0, -0.03)), 0.72))
@@ -88,7 +92,7 @@ def ball(folder):
 
 
 def cut_open(thing, depth, color):
-    """What lies before the plane y = `depth` is removed, and the cut closed in a lighter color."""
+    """Removes everything in front of the plane y = `depth`, and closes the cut in a lighter color."""
     show(thing, color)
     thing.data.materials.append(material([0.3 + 0.5 * part for part in color]))
     mesh = bmesh.new()
@@ -163,7 +167,8 @@ def material(color):
 
 
 def rendered(path, label, direction, center, distance):
-    """Renders the panel into a file, and returns its rows from the bottom, with four numbers per pixel."""
+    """Renders a panel of the picture to a file. Returns its rows of pixels from the bottom, four numbers per
+    pixel."""
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     camera.data.lens = 50
     camera.location = center + Vector(direction).normalized() * distance

@@ -4,16 +4,19 @@
     blender --python import_sequence.py                           only adds the panel: 3D view, sidebar, meniscus
     python import_sequence.py out --save dam.blend                with Blender as a module (bpy), without a window
 
-A path is a folder with one sequence, one of its files, or a pattern such as `out/dam.####.vdb`.
+A path is a folder with one sequence, a file of a sequence, or a pattern such as `out/dam.####.vdb`.
 
-    .glb    One mesh, whose geometry is replaced by the file of the current frame. Its object, materials and modifiers
-            belong to the scene and stay. The attribute `velocity` becomes motion blur in Cycles.
+    .glb    One mesh, whose geometry is replaced by that of the current frame's file. The object, its
+            materials and its modifiers belong to the scene and stay. Cycles uses the attribute `velocity`
+            for motion blur.
     .vdb    A volume with Blender's own file sequence, and a mesh object that shows it with Volume to Mesh.
 
-The frame is the number in the file's name, divided by N with `--step N`. A missing frame shows the last frame before it,
-or the first frame if there is none before it; the console and the panel say so. The script looks for files when the playhead
-reaches an unknown frame, on the button Reload, and every few seconds if Blender has a window. A frame-change handler does
-this: a .blend contains this script as a text, which must be allowed to run. Only a .vdb sequence without gaps plays without it.
+The frame is the number in the file's name, divided by N with `--step N`. In place of a missing frame, the
+sequence shows the last frame before it, or the first frame if no earlier one exists; the console and the
+panel report this. The script looks for new files when the playhead reaches an unknown frame, on the button
+Reload, and every few seconds if Blender has a window. A frame-change handler shows the frames. So a saved
+.blend contains this script as a text, which Blender must be allowed to run. Only a .vdb sequence without gaps
+plays without the script.
 """
 
 import argparse
@@ -36,14 +39,15 @@ from mathutils import Matrix, Quaternion
 
 KINDS = (".glb", ".vdb")
 NAME = re.compile(r"([^.].*)(\.(?:glb|vdb))", re.IGNORECASE)
-# Text before the number of a frame or a version, text after a count, and the end of a name with a subframe.
+# Text before the number of a frame, text before the number of a version, text after a count, and the end of a
+# name with a subframe.
 FRAME = re.compile(r"(?:^|[^a-z])(?:frame|frm|step|timestep)[._ -]?$", re.IGNORECASE)
 VERSION = re.compile(r"(?:^|[^a-z])(?:v|ver|version|rev|take|wedge)$", re.IGNORECASE)
 COUNT = re.compile(r"[._ -]?(?:particles?|points?|pts|parts|vertices|atoms|spheres)(?![a-z])", re.IGNORECASE)
 SUBFRAME = re.compile(r"(?:^|[^0-9a-z])(\d{4,})\.(\d+)$", re.IGNORECASE)
 FRAME_MAX = 1048574
 FOLLOW_SECONDS = 5.0
-# Turns Y up into Z up.
+# Rotates coordinates with Y up to Z up.
 TURN = Matrix.Rotation(math.radians(90), 4, "X")
 UPS = [("Y", "Y", "As in glTF: turned to Z up"), ("Z", "Z", "As in Blender: not turned")]
 
@@ -78,13 +82,13 @@ def ends_of(name):
         return 1 if COUNT.match(after) and not is_padded else 2
 
     numbers = list(re.finditer("[0-9]+", stem))
-    # The last number with the highest rank.
+    # If several numbers have the highest rank, the last of them.
     number = max(reversed(numbers), key=rank, default=None)
     return number and (stem[: number.start()], stem[number.end() :] + extension)
 
 
 def number_in(name, ends):
-    """The digits between these ends, or None."""
+    """The digits between these ends of a name, or None."""
     match = re.fullmatch(f"{re.escape(ends[0])}([0-9]+){re.escape(ends[1])}", name)
     return match and match[1]
 
@@ -96,7 +100,7 @@ def files_of(folder, ends):
 
 
 def sequences_in(folder):
-    """The sequences of a folder: file names by number, by the text before and after the number."""
+    """The sequences of a folder, by the text before and after the number: each maps numbers to file names."""
     found = {}
     for name in os.listdir(folder):
         ends = ends_of(name)
@@ -132,7 +136,7 @@ def pattern_of(ends):
 
 
 def read_glb(path, up):
-    """The triangles and the vertex attributes by name of a .glb that meniscus wrote, in Blender's axes.
+    """The triangles and the vertex attributes, by name, of a .glb that meniscus wrote, in Blender's axes.
 
     Blender's importer is not suitable: it makes new objects each time, which a handler must not do, and before 5.1 it
     fails on files with both vectors and single numbers.
@@ -162,7 +166,8 @@ def read_glb(path, up):
     node = document["nodes"][0]
     x, y, z, w = node.get("rotation", (0, 0, 0, 1))
     place = Matrix.LocRotScale(node.get("translation", (0, 0, 0)), Quaternion((w, x, y, z)), node.get("scale", (1, 1, 1)))
-    # With `--up z` meniscus has turned the mesh, and stored the rotation; otherwise a mesh with Z up is not turned here.
+    # With `--up z`, meniscus has rotated the mesh to Y up, and stored a rotation in the node. Without it, the
+    # coordinates of particles with Z up are in the file as they are, and need no rotation here.
     if up == "Y" or "rotation" in node:
         place = TURN @ place
     turned = np.array(place.to_3x3().normalized())
@@ -190,7 +195,8 @@ def refill(mesh, triangles, columns):
             values = np.concatenate([values, opaque], axis=1)
         if name != "POSITION":
             kind, key = ATTRIBUTES[values.shape[1]]
-            # Blender reserves some names, such as `id`: then the attribute is called `_ID`, as in the file.
+            # Blender reserves some names, such as `id`. An attribute with such a name gets the name in the
+            # file, `_ID`.
             plain = NAMES.get(name, name[1:].lower())
             attribute = mesh.attributes.new(plain, kind, "POINT") or mesh.attributes.new(name, kind, "POINT")
             attribute.data.foreach_set(key, flat(values))
@@ -198,7 +204,7 @@ def refill(mesh, triangles, columns):
 
 
 NAMES = {"NORMAL": "custom_normal", "COLOR_0": "Color"}
-# Blender's names for attributes with this many numbers per vertex.
+# Blender's attribute type and the name of its values, by the count of numbers per vertex.
 ATTRIBUTES = {1: ("FLOAT", "value"), 2: ("FLOAT2", "vector"), 3: ("FLOAT_VECTOR", "vector"), 4: ("FLOAT_COLOR", "color")}
 
 
@@ -244,9 +250,10 @@ def number_for(source, frame, files):
 
 
 def count_files(volume, source, path, number, frame):
-    """Sets Blender's own file sequence so that it shows this file.
+    """Sets the frame offset of Blender's own file sequence so that the volume shows this file.
 
-    Blender counts the frames since the first and adds an offset. Without gaps the offset is the same for all frames.
+    Blender counts files from the first frame and adds an offset. In a sequence without gaps, the offset is
+    the same for all frames.
     """
     first, last = range_of(source)
     place = min(max(frame - first + 1, 1), last - first + 1)
@@ -327,7 +334,8 @@ def import_sequence(scene, path, kind=None, up="Y", step=1, is_bare_volume=False
         setattr(source.meniscus, key, value)
     look_again(source, scene)
     scene.frame_start, scene.frame_end = range_of(source.meniscus)
-    # The handler changes meshes, which must not happen while the interface draws them.
+    # Lock the interface during a render: the handler changes meshes, which the interface must not draw
+    # meanwhile.
     scene.render.use_lock_interface = True
     scene.frame_set(min(max(scene.frame_current, scene.frame_start), scene.frame_end))
     stay_in_file()
@@ -361,10 +369,10 @@ def add_level_set(scene, name, first, up, is_bare_volume):
     modifier = mesh.modifiers.new("surface", "VOLUME_TO_MESH")
     modifier.object, modifier.grid_name, modifier.threshold = volume, "surface", 0.0
     modifier.resolution_mode, modifier.use_smooth_shade = "GRID", True
-    # The modifier assumes that values are at cell centres, as those of smoke, and so moves surfaces by half a voxel along the
-    # axes of the mesh.
+    # The modifier assumes that values are at cell centres, as those of smoke. So it moves surfaces by half a
+    # voxel along each axis of the mesh; move the volume back.
     volume.matrix_world = Matrix.Translation((-h / 2,) * 3) @ volume.matrix_world
-    # The volume follows when the mesh is moved.
+    # Parent the volume to the mesh, so that it follows when the user moves the mesh.
     volume.parent, volume.hide_viewport, volume.hide_render = mesh, True, True
     return mesh, volume
 
@@ -379,7 +387,7 @@ def summary(source):
 
 
 def stay_in_file():
-    """Stores a copy of this script in the .blend, which runs when the file is opened."""
+    """Stores a copy of this script in the .blend; Blender runs the copy when it opens the file."""
     script = Path(__file__)
     text = bpy.data.texts.get(script.name) or bpy.data.texts.new(script.name)
     if script.is_file():
@@ -534,7 +542,7 @@ def main():
     try:
         import_sequence(scene, options.path, kind, options.up.upper(), options.step, options.bare_volume)
     except (OSError, ValueError) as error:
-        # With a window the scene may contain unsaved work: keep it open.
+        # Exit only without a window: with one, the scene may contain unsaved work.
         if bpy.app.background:
             sys.exit(f"import_sequence.py: {error}")
         print(f"import_sequence.py: {error}", file=sys.stderr)
@@ -544,6 +552,6 @@ def main():
 
 
 register()
-# As a text in a .blend this script is not a file, and the command line is not meant for it.
+# When the script runs as a text in a .blend, it is not a file, and the command line is not for it.
 if __name__ == "__main__" and Path(__file__).is_file():
     main()

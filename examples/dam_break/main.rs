@@ -4,12 +4,13 @@
 //! cargo run --release -p dam_break -- out/cache 60 out/surfaces
 //! ```
 //!
-//! The simulation writes a frame into `out/cache` every fraction of a second. Meanwhile the daemon watches
+//! The simulation writes several frames per second into `out/cache`. Meanwhile the daemon watches
 //! that folder, as `meniscus watch out/cache --out out/surfaces` does, and writes each surface to
 //! `out/surfaces` as soon as it is ready. The frames are classic BGEO files with velocity, as SPlisHSPlasH
 //! and partio write them.
 //!
-//! Without a folder for surfaces it only simulates. The frames in `examples/frames` were made this way.
+//! Without a folder for surfaces, the example only simulates. The frames in `examples/frames` were made by
+//! this command:
 //!
 //! ```text
 //! cargo run --release -p dam_break -- examples/frames 8
@@ -62,7 +63,8 @@ fn simulate_and_watch(cache: &Path, frame_count: usize, surfaces: &Path) -> Resu
     });
     simulated?;
     watched.map_err(|_| "the daemon panicked")??;
-    // A second run converts the frames that the first had not started: it continues from the journal.
+    // The simulation may end before the daemon has started all frames. A second run continues from the
+    // journal of the first, and converts the frames that are left.
     let summary = watch::run(&WatchConfig { once: true, ..config }, None, &commands_rx, &mut |_| ())?;
     print_summary(&summary, end.elapsed())
 }

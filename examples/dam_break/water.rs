@@ -12,11 +12,11 @@ use glam::{IVec3, Vec3};
 
 /// Distance between particles at rest, metres.
 const SPACING: f32 = 0.05;
-/// Radius of the smoothing kernel.
+/// Radius of the smoothing kernel, metres.
 const REACH: f32 = 2.2 * SPACING;
-/// The tank, from the origin to this corner; y is up.
+/// The tank reaches from the origin to this corner, in metres; y is up.
 const TANK: Vec3 = Vec3::new(1.6, 1.2, 0.6);
-/// Particles along the edges of the block of water.
+/// Number of particles along the edges of the block of water.
 const BLOCK: IVec3 = IVec3::new(16, 16, 12);
 const GRAVITY: Vec3 = Vec3::new(0.0, -9.81, 0.0);
 const SECONDS_PER_STEP: f32 = 1.0 / 120.0;
@@ -76,7 +76,7 @@ impl Water {
         neighbors.iter().map(|&j| kernel(self.positions[i].distance(self.positions[j]))).sum()
     }
 
-    /// Displacements that bring densities above the rest density towards it (Eq. 12).
+    /// Displacements that reduce densities above the rest density towards the rest density (Eq. 12).
     fn corrections(&self, neighbors: &[Vec<usize>]) -> Vec<Vec3> {
         let multiplier = |i: usize| {
             let excess = (self.density(i, &neighbors[i]) / self.rest_density - 1.0).max(0.0);
@@ -94,7 +94,8 @@ impl Water {
         (0..self.positions.len()).map(correction).collect()
     }
 
-    /// The gradient of particle i's relative density with respect to its own position: the contribution of j.
+    /// The contribution of particle j to the gradient of particle i's relative density with respect to the
+    /// position of i.
     fn gradient(&self, i: usize, j: usize) -> Vec3 {
         let offset = self.positions[i] - self.positions[j];
         let distance = offset.length();
@@ -118,7 +119,7 @@ impl Water {
     }
 }
 
-/// Poly6, normalised.
+/// The kernel Poly6, normalised.
 fn kernel(distance: f32) -> f32 {
     let rest = (REACH * REACH - distance * distance).max(0.0);
     315.0 / (64.0 * std::f32::consts::PI * REACH.powi(9)) * rest * rest * rest

@@ -1,4 +1,5 @@
-//! Uses meniscus as a library: converts one frame to a mesh, or a folder to a folder.
+//! Uses meniscus as a library: converts one frame to a mesh, or all frames in a folder to meshes and level
+//! sets in another.
 //!
 //! ```text
 //! cargo run --release -p library -- examples/frames/dam.0001.bgeo out/dam.0001.glb
@@ -51,8 +52,8 @@ pub(crate) fn reconstruct_file(from: &Path, to: &Path) -> Result<(), Box<dyn Err
     let name = from.file_name().unwrap_or_default().to_string_lossy();
     let frame = read_particles(&fs::read(from)?, &name, &Limits::default())?;
 
-    // Without a callback and a memory limit, `meniscus::surface::reconstruct(&positions, &options)` is
-    // enough.
+    // If you need neither a callback nor a memory limit, `meniscus::surface::reconstruct(&positions,
+    // &options)` is enough.
     let mut reconstructor = Reconstructor::new(Options::default());
     reconstructor.memory_limit(4 << 30).on_progress(|progress| {
         if progress.phase == Phase::Smooth {

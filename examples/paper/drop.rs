@@ -1,12 +1,12 @@
-//! A static pool and a drop that flies over it: measures what changes in the pool.
+//! A static pool and a drop that flies over it: measures how much the surface of the pool changes.
 //!
 //! ```text
 //!        o ──▶ o ──▶ o           the drop, in 24 frames
 //!   ≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈    the pool: the same particles in each frame
 //! ```
 //!
-//! Each frame is reconstructed alone, on a grid that does not depend on the particles, and smoothing couples
-//! nothing through air. So the pool has the same bits in all frames.
+//! Each frame is reconstructed without the others, on a grid that does not depend on the particles, and
+//! smoothing does not couple surfaces through air. So the surface of the pool is bit-identical in all frames.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -40,7 +40,7 @@ The vertices of the pool are compared from one frame to the next.
 A vertex has changed if the other frame has no vertex with exactly the same bits, whether it is new or gone.
 Its movement is its distance to the surface of the other frame.";
 
-/// The pool, by each program.
+/// Measures the changes of the pool for each program.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let peer = Splashsurf::find()?;
     let mut page = Page::new(folder, "drop", "A pool and a drop");
@@ -68,12 +68,12 @@ The implicit integrator solves for all voxels of a frame together, with conjugat
 So a drop changes the whole frame a little.
 Fast and explicit steps, and splashsurf without its smoothing, have a limited reach.";
 
-/// Changes of the vertices of the pool.
+/// Changes of the pool's vertices from frame to frame.
 struct Changes {
     vertex_count: usize,
     least: usize,
     most: usize,
-    /// In units of h.
+    /// The largest movement of a vertex, in units of h.
     farthest: f64,
 }
 

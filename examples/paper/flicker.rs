@@ -1,14 +1,14 @@
 //! Flicker of a surface: its changes between frames that the flow does not explain.
 //!
-//! The flow carries points. If the surface follows the flow, too, the distance of a point to it is constant
-//! or changes steadily. So for each point and each three consecutive frames, the flicker is
+//! The flow carries points. If the surface follows the flow, too, the distance d of a point to the surface is
+//! constant or changes steadily. So for each point and any three consecutive frames, the flicker is
 //!
 //! ```text
 //!   d₀ ─── d₁ ─── d₂       the second difference d₀ − 2 d₁ + d₂, in units of h
 //! ```
 //!
-//! and the score is its root mean square over all points and times. Frames may be left out, as long as there
-//! are some runs of three consecutive frames.
+//! The score is the root mean square of the flicker over all points and times. Not all frames are needed:
+//! some runs of three consecutive frames are enough.
 
 use glam::DVec3;
 use meniscus::surface::obstacle::MeshSdf;
@@ -23,7 +23,7 @@ pub(crate) struct Flicker {
     frames: Vec<(usize, Vec<f64>)>,
 }
 
-/// The score of a sequence, in units of h.
+/// The score of a sequence: statistics of the flicker, in units of h.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Score {
     /// Root mean square.
@@ -53,7 +53,7 @@ impl Flicker {
         Ok(())
     }
 
-    /// The second differences around each frame with both neighbours, in units of h.
+    /// For each frame between two collected neighbours, the second differences of all points, in units of h.
     fn changes(&self, voxel_size: f64) -> impl Iterator<Item = (usize, Vec<f64>)> {
         self.frames.windows(3).filter_map(move |three| match three {
             [(before, first), (frame, second), (after, third)] if after - before == 2 => {
@@ -78,8 +78,8 @@ impl Flicker {
         Ok(Score { rms: rms(&changes), median: percentile(50), most: percentile(99), max, worst })
     }
 
-    /// The share of the worst twentieth of the points in the sum of squares: shows whether all of a surface
-    /// flickers, or a part.
+    /// The share of the worst twentieth of the points in the sum of squares. It shows whether the whole
+    /// surface flickers, or only a part.
     fn worst(&self, voxel_size: f64) -> f64 {
         let mut squares = Vec::new();
         for (_, changes) in self.changes(voxel_size) {

@@ -20,7 +20,8 @@ pub(crate) enum Flow {
     Zalesak,
 }
 
-/// Integration steps between two frames: 16 times as many change no position by more than 10⁻⁹.
+/// Number of integration steps between two frames. 16 times as many steps would change no position by more
+/// than 10⁻⁹.
 const STEPS: usize = 8;
 
 impl Flow {

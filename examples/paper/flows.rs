@@ -1,12 +1,13 @@
 //! Sequences with known motion: the test of Enright, and Zalesak's sphere (paper, Fig. 4).
 //!
 //! ```text
-//!   particles of the body ──flow──▶ particles of each frame ──▶ a surface by each program
-//!                                                                      │ distances
-//!   points on the first surface ──flow──▶ points at that time ─────────┘
+//!   particles of the body ───────flow──▶ particles of each frame ──▶ a surface by each program
+//!                                                                        │ distances d of the points
+//!   points on the first surface ─flow──▶ points at that time ────────────┘ from the surface: see flicker.rs
 //! ```
 //!
-//! All programs get the same particles and the same grid. The points start on the surface that is scored.
+//! All programs get the same particles and the same grid. The points of a program start on its own surface of
+//! the first frame.
 
 use std::path::Path;
 use std::time::Instant;
@@ -26,7 +27,8 @@ use crate::splashsurf::{Post, Splashsurf};
 use crate::surfaces::{Program, Scale, band_of, mesh_of};
 use crate::{Outcome, print_progress};
 
-/// Number of frames of a whole cycle. The fastest of 5 000 particles moves by a spacing and a half per frame.
+/// Number of frames of a whole cycle. With 5 000 particles, the fastest moves by one and a half spacings per
+/// frame.
 const FRAMES: usize = 300;
 
 const POINTS: usize = 4000;
@@ -34,14 +36,14 @@ const POINTS: usize = 4000;
 /// Frames that are rendered.
 const PICTURES: [usize; 4] = [0, FRAMES / 6, FRAMES / 3, FRAMES / 2];
 
-/// A body with a number of particles in a flow.
+/// A flow, and the number of particles in the body that it carries.
 struct Case {
     flow: Flow,
     count: usize,
     /// Whether to run the whole cycle. The second half of the test of Enright repeats the frames of the
     /// first.
     is_whole: bool,
-    /// Three consecutive frames are reconstructed out of this many: their score represents all.
+    /// Out of this many frames, three consecutive ones are reconstructed. Their score represents all frames.
     every: usize,
 }
 
@@ -118,7 +120,7 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
     study.publish(folder)
 }
 
-/// The same for our three integrators with their defaults.
+/// The flicker of our three integrators with their defaults.
 pub(crate) fn run_integrators(folder: &Path) -> Outcome<()> {
     let cases = [(Flow::Enright, 5_000), (Flow::Enright, 500), (Flow::Zalesak, 5_000)];
     let study = Study {
@@ -132,7 +134,7 @@ pub(crate) fn run_integrators(folder: &Path) -> Outcome<()> {
     study.publish(folder)
 }
 
-/// The same for more particles and all programs. The paper's finest set is on such a grid.
+/// The flicker of all programs with more particles. The paper's finest set of particles is on such a grid.
 pub(crate) fn run_many(folder: &Path) -> Outcome<()> {
     let study = Study {
         name: "flows_many",
@@ -287,7 +289,7 @@ fn follow(case: &Case, program: Program, peer: &Splashsurf, scale: fn(f64) -> Sc
     Ok(Sequence { particle_count: particles.len(), score, over_time, pictures })
 }
 
-/// Shows the part of the unit cube that the bodies reach.
+/// Renders the part of the unit cube that the bodies reach.
 fn picture(band: &NarrowBand, voxel_size: f64) -> Picture {
     let bounds = [DVec3::splat(0.05), DVec3::splat(0.95)];
     let view = View {

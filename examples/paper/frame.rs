@@ -15,7 +15,7 @@ use meniscus_formats::{FilePositions, Limits, read_particles};
 use crate::Outcome;
 use crate::output::{Page, Plot};
 
-/// Made by the example `dam_break`.
+/// A frame that the example `dam_break` made.
 const FRAME: &str = "examples/frames/dam.0006.bgeo";
 
 /// Half the spacing.
@@ -25,7 +25,8 @@ const SPACING: f64 = 0.05;
 
 const RATIOS: [f64; 5] = [1.0, 1.25, 1.5, 2.0, 4.0];
 
-/// In units of h⁴. The default is five implicit steps of 20, or 500 explicit ones of 0.01.
+/// Pseudo-times of the smoothing, in units of h⁴. With the preset `paper`, the time is 100 in five implicit
+/// steps of 20, or 5 in 500 explicit steps of 0.01.
 const TIMES: [f64; 7] = [0.0, 5.0, 20.0, 40.0, 60.0, 80.0, 100.0];
 
 const INTRODUCTION: &str = "\
@@ -51,7 +52,7 @@ Implicit and fast steps are 20 h⁴ long, except a shorter last one; explicit st
 With the preset `paper` a frame gets 100 h⁴ with implicit and fast steps, and 5 h⁴ with explicit ones.
 Seconds are those of the smoothing alone, the minimum of three runs.";
 
-/// Ratios, voxel sizes, and energies over time.
+/// Varies the radius ratio, the voxel size and the smoothing time; the last with the bending energy.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let mut page = Page::new(folder, "frame", "A frame under other settings");
     let particles = particles()?;
@@ -122,7 +123,7 @@ fn energies(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
     ] {
         let mut surfaces = Vec::new();
         for time in TIMES {
-            // The fastest run: others may have been slowed down by other processes.
+            // Use the fastest run: other processes may have slowed down the others.
             let mut runs = Vec::new();
             for _ in 0..3 {
                 runs.push(after(particles, integrator, time, step_size)?);
@@ -145,7 +146,7 @@ fn energies(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
         let taken = surfaces.iter().skip(1).map(|(_, s)| [seconds(s), energy(s)]);
         over_seconds.push((name.to_owned(), taken.collect()));
         let some = [0, 2, 4, 6].into_iter().filter_map(|index| surfaces.get(index));
-        // The font of contact sheets is Latin-1, which has no ⁴.
+        // Captions cannot contain ⁴: the font of contact sheets has only the characters of Latin-1.
         let shown = some.map(|(time, surface)| {
             (picture(surface, VOXEL_SIZE, [300, 200]), format!("{name}, time {time}"))
         });
@@ -165,7 +166,7 @@ fn energies(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
     page.pictures("time", "Above explicit, then implicit, then fast", pictures)
 }
 
-/// The surface after this much time, in steps of equal size, at most `step_size`.
+/// The surface after this pseudo-time, in steps of equal size, at most `step_size`.
 fn after(
     particles: &OwnedPositions,
     integrator: Integrator,
@@ -186,7 +187,7 @@ fn after(
     Ok(surface)
 }
 
-/// The frame.
+/// The particles of the frame.
 pub(crate) fn particles() -> Outcome<OwnedPositions> {
     let frame = read_particles(&std::fs::read(FRAME)?, FRAME, &Limits::default())?;
     Ok(match frame.positions {

@@ -6,7 +6,8 @@
 //! cargo run --release --example paper -- --long           including those that take hours
 //! ```
 //!
-//! Some compare with splashsurf, which `benches/peers` installs; `SPLASHSURF` can name another executable.
+//! Some experiments compare with splashsurf, which `benches/peers` installs; `SPLASHSURF` can name another
+//! executable.
 
 mod drop;
 mod flicker;
@@ -81,7 +82,7 @@ fn main() -> Outcome<()> {
         false => names.iter().any(|name| name == experiment.name),
     };
     let asked: Vec<Experiment> = EXPERIMENTS.into_iter().filter(is_asked).collect();
-    // Check for splashsurf before the first experiment, which takes minutes.
+    // Check for splashsurf before the first experiment, because experiments take minutes.
     if asked.iter().any(|experiment| !WITHOUT_SPLASHSURF.contains(&experiment.name)) {
         Splashsurf::find()?;
     }

@@ -110,13 +110,13 @@ fn conditions() -> String {
 
 /// Curves in one coordinate system.
 pub(crate) struct Plot {
-    /// What it shows.
+    /// The title above the plot.
     pub(crate) title: String,
     /// The axis labels, with units.
     pub(crate) axes: [&'static str; 2],
     /// Which axes are logarithmic.
     pub(crate) is_log: [bool; 2],
-    /// Names and points.
+    /// The curves: names, and points (x, y).
     pub(crate) curves: Vec<(String, Vec<[f64; 2]>)>,
 }
 

@@ -29,7 +29,7 @@ The first two exclude inner surfaces around gaps: triangles that face inward, or
 splashsurf is made for the even distributions of simulations.
 So the table also has it with the cell size that its authors recommend, and with a kernel twice as wide, which spans the gaps.";
 
-/// Ours at 50 000 particles, and splashsurf at 50 000 and at 1 000 000.
+/// Measures meniscus with 50 000 particles, and splashsurf with 50 000 and with 1 000 000.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let peer = Splashsurf::find()?;
     let mut page = Page::new(folder, "random_ball", "Particles at random in a ball");
@@ -118,7 +118,7 @@ struct Roughness {
 impl Roughness {
     fn of(data: &MeshData) -> Roughness {
         let place = |vertex: u32| DVec3::from(data.positions[vertex as usize]);
-        // Weighted by area: some programs produce many small triangles at rough places.
+        // Means are weighted by area: some programs produce many small triangles at rough places.
         let (mut area, mut radius, mut square, mut angle) = (0.0, 0.0, 0.0, 0.0);
         for &[a, b, c] in &data.triangles {
             let [a, b, c] = [a, b, c].map(place);
@@ -159,7 +159,7 @@ impl Roughness {
             format!("{mean_radius:.4}"),
             format!("{deviation:.5}"),
             format!("{angle_degrees:.2}"),
-            // Slivers dominate the sum, so the number is meaningless.
+            // Slivers dominate so large an energy, so its value is meaningless.
             if *energy > 1000.0 { "> 1000".into() } else { format!("{energy:.2}") },
             triangle_count.to_string(),
         ]

@@ -9,8 +9,8 @@ use super::flow::Flow;
 pub(crate) fn particles_in(flow: Flow, count: usize) -> (Vec<DVec3>, f64) {
     let mut spacing = 0.15 / 20.0;
     let mut nearest = (inside(flow, spacing), spacing);
-    // Each lattice's count gives the spacing of the next. Counts jump by layers, so the last is not always
-    // the closest.
+    // The number of points of each lattice gives the spacing of the next. The number jumps by whole layers of
+    // points, so the last lattice is not always the closest to `count`: keep the best.
     for _ in 0..20 {
         let points = inside(flow, spacing);
         let found = points.len();
@@ -39,7 +39,7 @@ fn inside(flow: Flow, spacing: f64) -> Vec<DVec3> {
     points
 }
 
-/// `count` points on a mesh, evenly by area.
+/// `count` points on a mesh, distributed evenly by area.
 pub(crate) fn on_mesh(mesh: &MeshData, count: usize) -> Vec<DVec3> {
     let corners = |triangle: &[u32; 3]| triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
     let area = |triangle: &[u32; 3]| {
@@ -67,7 +67,7 @@ pub(crate) fn on_mesh(mesh: &MeshData, count: usize) -> Vec<DVec3> {
 /// evenly.
 const SPREAD: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_2];
 
-/// Random numbers that are the same on all machines.
+/// A generator of random numbers that are the same on all machines.
 ///
 /// Melissa E. O'Neill. PCG: A Family of Simple Fast Space-Efficient Statistically Good Algorithms for Random Number
 /// Generation. 2014
@@ -76,7 +76,7 @@ pub(crate) struct Random {
 }
 
 impl Random {
-    /// Each seed gives another sequence.
+    /// A generator; each seed gives a different sequence.
     pub(crate) fn new(seed: u64) -> Random {
         let mut random = Random { state: seed };
         random.unit();

@@ -39,7 +39,7 @@ Particles on the inside of a tetrahedral mould, some slightly outside of it.
 From left to right: without the mould; without the part of the surface inside the mould's walls; and with gaps below h filled as well, which is the default.
 The distance of the outer side from the walls is measured at its vertices.";
 
-/// Pictures, with tables below them.
+/// Renders each shape, with a table below the picture.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let mut page = Page::new(folder, "shapes", "Anisotropic particles, per-particle radii, and obstacles");
     page.say(CROWN);
@@ -62,7 +62,7 @@ fn crown(page: &mut Page) -> Outcome<()> {
         let count = (TAU * radius).round() as usize;
         for index in 0..count {
             let angle = TAU * index as f64 / count as f64;
-            // Above the rim of the crown there are only threads.
+            // Above the rim of the crown, only threads of particles exist.
             if height > 13.0 + 12.0 * (12.0 * angle).cos() {
                 continue;
             }
@@ -102,7 +102,7 @@ fn crown(page: &mut Page) -> Outcome<()> {
 fn sizes(page: &mut Page) -> Outcome<()> {
     let mut random = Random::new(13);
     let (mut places, mut radii): (Vec<DVec3>, Vec<f64>) = (Vec::new(), Vec::new());
-    // The largest first: later ones fill the remaining space.
+    // The largest balls first: smaller ones fill the remaining space.
     for (radius, tries) in [(4.0, 400), (2.4, 3000), (1.5, 12_000), (0.9, 40_000)] {
         for _ in 0..tries {
             let place = random.in_ball(16.0) * DVec3::new(1.0, 0.5, 1.0);
@@ -190,7 +190,7 @@ struct Deviation {
 }
 
 impl Deviation {
-    /// Points far inside belong to the inner side of the layer of particles, and are left out.
+    /// Vertices far from the walls belong to the inner side of the layer of particles, and are left out.
     fn of(surface: &FrameSurface, wall: &MeshSdf) -> Deviation {
         let mesh = &surface.mesh;
         let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
@@ -204,10 +204,12 @@ impl Deviation {
     }
 }
 
-/// About half the thickness of the layer of particles on the walls, world units.
+/// About half the thickness of the layer of particles on the walls, world units. Vertices that are farther
+/// from the walls belong to the inner side.
 const OUTER: f64 = 0.06;
 
-/// Points on the faces, at least `apart` from each other; some are a little outside, more of them inside.
+/// Points on the faces, at a distance of at least `apart` from each other, then displaced: some are a little
+/// outside, and more of them inside.
 fn on_faces(corners: &[DVec3; 4], faces: &[[usize; 3]; 4], apart: f64) -> Vec<DVec3> {
     let mut random = Random::new(7);
     let mut places: Vec<DVec3> = Vec::new();
@@ -225,7 +227,7 @@ fn on_faces(corners: &[DVec3; 4], faces: &[[usize; 3]; 4], apart: f64) -> Vec<DV
     places.iter().map(|place| *place * (1.05 - 0.11 * random.unit())).collect()
 }
 
-/// A block with a hole in the shape of the tetrahedron: its faces look inward.
+/// A block with a hole in the shape of the tetrahedron: the faces of the hole point into the hole.
 fn mould(corners: &[DVec3; 4], faces: &[[usize; 3]; 4]) -> Obstacles {
     let mut positions: Vec<[f64; 3]> = corners.iter().map(|corner| corner.to_array()).collect();
     let side = |bit: u32, corner: u32| if corner >> bit & 1 == 0 { -2.0 } else { 2.0 };

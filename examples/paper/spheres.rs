@@ -1,8 +1,8 @@
 //! A noisy sphere under both flows (paper, Fig. 5 and 10).
 //!
 //! ```text
-//!      radius 16 ──────  upper bound of φ
-//!      radius 20 ─∿∿∿──  φ: the distance, ±1 voxel of noise at every voxel
+//!      radius 16 ──────  upper bound of φ            (radii in voxels)
+//!      radius 20 ─∿∿∿──  φ: the distance from this sphere, ±1 voxel of noise at every voxel
 //!      radius 24 ──────  lower bound of φ
 //! ```
 
@@ -34,7 +34,7 @@ const HALF_WIDTH: f32 = 9.0;
 
 const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
 
-/// Laplacian steps of 0.1 h², and explicit biharmonic steps of 0.01 h⁴.
+/// Numbers of Laplacian steps of 0.1 h², and of explicit biharmonic steps of 0.01 h⁴.
 const LAPLACIAN_STEPS: [u32; 9] = [0, 5, 15, 50, 100, 200, 400, 700, 1000];
 const BIHARMONIC_STEPS: [u32; 9] = [0, 20, 50, 150, 500, 1000, 2000, 5000, 10_000];
 
@@ -106,7 +106,7 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
     page.finish()
 }
 
-/// Fig. 10.
+/// Fig. 10: the effect of redistancing.
 fn distances(page: &mut Page) -> Outcome<()> {
     page.say(DISTANCE);
     let start = || noisy_sphere(|distance, at| distance * (1.0 + 0.4 * (-at.x).max(0.0)));
@@ -116,7 +116,7 @@ fn distances(page: &mut Page) -> Outcome<()> {
         let (mut band, bounds) = start();
         let config = explicit(10_000);
         let mut memory = Workspace::new(band.topology.len());
-        // Redistancing comes first, and would repair the distorted distances.
+        // A schedule starts with redistancing, which would repair the distorted distances: remove it.
         let schedule = schedule(&config, u32::MAX)
             .into_iter()
             .filter(|op| redistances || !matches!(op, SmoothOp::Restore | SmoothOp::Redistance));
@@ -195,7 +195,8 @@ fn relative(measures: &MeshMeasures) -> [f64; 2] {
     [measures.volume / sphere, measures.bending_energy / (4.0 * PI)]
 }
 
-/// The standard deviation of the radius on one side, in voxels. The region between the sides is left out.
+/// The standard deviation of the radius on one side of the sphere, in voxels. The region between the two
+/// sides is left out.
 fn roughness(band: &NarrowBand, side: f64) -> f64 {
     let mesh = contour(band, &LATTICE, Contouring::Dual);
     let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());

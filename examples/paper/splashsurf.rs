@@ -13,11 +13,11 @@ use crate::Outcome;
 /// The post-processing of the mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Post {
-    /// None.
+    /// No post-processing.
     Plain,
     /// Weighted Laplacian smoothing, as its authors recommend.
     Processed,
-    /// The same, with a kernel twice as wide: for particles with gaps.
+    /// The same smoothing, and a kernel that is twice as wide: for particles with gaps.
     Wide,
 }
 

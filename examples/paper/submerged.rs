@@ -24,7 +24,8 @@ The picture is cut open at the centre of the ball, and the ball itself is not dr
 From left to right: without the ball, so that the water extends into it; without the part of the surface inside the ball; and with gaps below h filled as well, which is the default. \
 The distance of the water from the ball is measured at the vertices within 2 h of it and below its centre, where water surrounds it.";
 
-/// Between the floor of the tank and the waterline, which the ball breaks through.
+/// Centre of the ball: between the floor of the tank and the waterline. The top of the ball is above the
+/// water.
 const CENTER: DVec3 = DVec3::new(0.62, 0.24, 0.3);
 
 const RADIUS: f64 = 0.15;
@@ -36,7 +37,7 @@ pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
     let positions = (0..particles.len()).map(|index| particles.position(index).to_array()).filter(is_out);
     let cloud = ParticleCloud::from(OwnedPositions::F64(positions.collect()));
     let obstacles = ball();
-    // From above and slightly from the left.
+    // The view is from above and slightly from the left.
     let bounds = [CENTER - 0.29, CENTER + 0.29];
     let placement = CameraPlacement {
         azimuth_degrees: -14.0,
@@ -96,8 +97,8 @@ fn ball() -> Obstacles {
     Obstacles { members: vec![Arc::new(obstacle)] }
 }
 
-/// The largest depth of a vertex inside the ball, and the root mean square distance from it of the vertices
-/// near it and below its centre: world units.
+/// The largest depth of a vertex inside the ball, and the root mean square distance from the ball of the
+/// vertices that are near the ball and below its centre: world units.
 fn depth_and_deviation(surface: &FrameSurface) -> [f64; 2] {
     let mesh = &surface.mesh;
     let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());

@@ -1,4 +1,4 @@
-//! The compared programs: this one with each of its integrators, and splashsurf.
+//! The compared programs: meniscus with each of its integrators, and splashsurf.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -21,9 +21,9 @@ use crate::splashsurf::{Post, Splashsurf};
 /// A program that reconstructs surfaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Program {
-    /// This program.
+    /// meniscus with this integrator.
     Meniscus(Integrator),
-    /// splashsurf.
+    /// splashsurf with this post-processing.
     Splashsurf(Post),
 }
 
@@ -37,7 +37,7 @@ impl Program {
         Program::Splashsurf(Post::Processed),
     ];
 
-    /// This program with each of its integrators.
+    /// meniscus with each of its integrators.
     pub(crate) const OURS: [Program; 3] = [
         Program::Meniscus(Integrator::Fast),
         Program::Meniscus(Integrator::Implicit),
@@ -72,7 +72,7 @@ pub(crate) struct Scale {
     pub(crate) spacing: f64,
     /// Edge length of a voxel, or of a cell, world units.
     pub(crate) voxel_size: f64,
-    /// Options that do not follow from the voxel size.
+    /// Options that do not follow from the voxel size; the function gets the spacing.
     choices: fn(f64) -> MethodOptions,
 }
 
@@ -82,8 +82,8 @@ impl Scale {
         Scale { spacing, voxel_size: 0.5 * spacing, choices: |_| MethodOptions::default() }
     }
 
-    /// Half of that, the cell that splashsurf recommends. Radii derived from this voxel size would not reach
-    /// from one particle to the next.
+    /// A quarter of the spacing, the cell that splashsurf recommends. The options set the radii, because
+    /// radii derived from this voxel size would not reach from one particle to the next.
     pub(crate) fn fine(spacing: f64) -> Scale {
         let choices = |spacing: f64| MethodOptions {
             radius_min: Some(spacing.into()),
@@ -112,7 +112,7 @@ pub(crate) fn mesh_of(
     }
 }
 
-/// The surface that this program makes from particles, with all of its data.
+/// The surface that meniscus makes from particles, with all of its data.
 pub(crate) fn reconstructed(
     particles: &[DVec3],
     scale: Scale,
@@ -122,19 +122,19 @@ pub(crate) fn reconstructed(
     Ok(reconstruct_frame(&OwnedPositions::F64(positions), &scale.settings(integrator)?))
 }
 
-/// The level set of a closed mesh, for rendering: voxels half as large as the cells of the mesh preserve its
-/// edges.
+/// The level set of a closed mesh, for rendering. Its voxels are half as large as the cells of the mesh, to
+/// preserve the edges of the mesh.
 pub(crate) fn band_of(mesh: &MeshData, voxel_size: f64) -> NarrowBand {
     let all = |_: DVec3| f64::NEG_INFINITY;
     intersection(mesh, voxel_size, leaves_near(mesh.positions.iter().copied(), voxel_size), all)
 }
 
-/// The same, without everything above z.
+/// The level set of a closed mesh without everything above z.
 pub(crate) fn cut_open(mesh: &MeshData, voxel_size: f64, z: f64) -> NarrowBand {
     let mesh_leaves = leaves_near(mesh.positions.iter().copied(), voxel_size);
     let columns: BTreeSet<[i32; 2]> = mesh_leaves.iter().map(|[x, y, _]| [*x, *y]).collect();
     let edge = voxel_size * f64::from(LEAF_EDGE);
-    // Between distant parts of the mesh above and below, the cut may still be inside.
+    // The cut may be inside even where the parts of the mesh above and below it are far away.
     let sides = [0, 1].map(|axis| {
         let along = || columns.iter().map(|column| column[axis]);
         along().min().unwrap_or(0)..=along().max().unwrap_or(0)
@@ -147,7 +147,8 @@ pub(crate) fn cut_open(mesh: &MeshData, voxel_size: f64, z: f64) -> NarrowBand {
     intersection(mesh, voxel_size, leaves, |at| at.z - z)
 }
 
-/// The leaves of these points, and their neighbours: triangles reach beyond the leaves of their corners.
+/// The leaves of these points, and the leaves next to them: triangles reach beyond the leaves of their
+/// corners.
 fn leaves_near(places: impl Iterator<Item = [f64; 3]>, voxel_size: f64) -> BTreeSet<[i32; 3]> {
     let leaf_of =
         |place: [f64; 3]| (DVec3::from(place) / (voxel_size * f64::from(LEAF_EDGE))).floor().as_ivec3();

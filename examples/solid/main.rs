@@ -6,8 +6,8 @@
 //!
 //! The shape is always the same, and the number of particles sets the spacing of the lattice. With 0.6, 4.8,
 //! 38.6 and 309 million particles it corresponds to the Stanford dragon in the method's paper. A comment in
-//! the header has the spacing: a good `--voxel-size`. Planes are written as they are made, so only a few are
-//! in memory.
+//! the header has the spacing: a good `--voxel-size`. Planes of particles are written as they are made, so
+//! only a few are in memory.
 
 mod sponge;
 
@@ -20,9 +20,9 @@ use rayon::prelude::*;
 
 use sponge::Sponge;
 
-/// R of the shape. With it, the area is 11.7 times the ⅔ power of the volume; for a ball it is 4.8. The ratio
-/// of the dragon is 12.5, but the spheres around its particles change its area, unlike here; so both have
-/// about the same number of leaves.
+/// R of the shape, see `sponge.rs`. With this R, the area is 11.7 times the ⅔ power of the volume; the factor
+/// of a ball is 4.8, and that of the dragon 12.5. The spheres around the particles change the area of the
+/// dragon, but not that of this shape, so surfaces of both have about the same number of leaves.
 const RADIUS: f64 = 6.0;
 
 /// Number of planes that are made in parallel before they are written: a few MB each at 309 million
@@ -42,7 +42,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The volume of the shape, by counting the points of a lattice.
+/// The volume of the shape, computed by counting the points of a lattice inside.
 fn volume() -> f64 {
     let coarse = Sponge::new(RADIUS, RADIUS / 60.0);
     let count: usize = (0..coarse.plane_count()).map(|x| coarse.count_in_plane(x)).sum();

@@ -7,15 +7,16 @@
 //!       ▒▒▒▒▒▒ ▒▒▒▒▒▒           gyroid(p) + ½ max(0, |p| − R)²  <  0
 //! ```
 //!
-//! Why this shape: it is one smooth piece; it bends in and out equally, so the space around it has as much
-//! surface as the solid; and along a row of the lattice it costs three products per point, because the sines
-//! come from tables.
+//! The shape has three advantages. It is one smooth piece. It curves inward as much as outward, because the
+//! solid and the space around it are alike. A point of a lattice row needs only three multiplications,
+//! because the sines come from tables.
 //!
-//! Particles are the points of a cubic lattice inside it, each displaced by up to a fifth of the spacing
-//! along each axis. The displacement depends only on the point's indices, so the particles are the same on
-//! any machine.
+//! Particles are the points of a cubic lattice inside the solid, each displaced by up to a fifth of the
+//! spacing along each axis. The displacement depends only on the point's indices, so the particles are the
+//! same on any machine.
 
-/// The solid ends closer than this beyond R: there ½ (|p| − R)² exceeds the gyroid's maximum of 1.5.
+/// The solid ends at a distance of less than R + this: there ½ (|p| − R)² exceeds 1.5, the maximum of the
+/// gyroid.
 const CLOSED_WITHIN: f64 = 1.75;
 
 /// Upper limit of a particle's displacement along each axis, in spacings.
@@ -25,9 +26,9 @@ const JITTER: f32 = 0.2;
 pub(crate) struct Sponge {
     /// Spacing of the lattice.
     pub(crate) spacing: f64,
-    /// R.
+    /// R in the formula of the shape.
     radius: f64,
-    /// Along each axis, the values for the gyroid at each lattice plane.
+    /// For each axis, the values at each of its lattice planes.
     planes: [Vec<Plane>; 3],
 }
 
@@ -40,7 +41,8 @@ struct Plane {
     cos: f32,
 }
 
-/// The phase of the gyroid along each axis: an arbitrary point without symmetry.
+/// The phase of the gyroid along each axis: arbitrary, so that the ball's centre is not at a symmetric point
+/// of the gyroid.
 const PHASE: [f64; 3] = [0.7, 1.9, 3.1];
 
 impl Sponge {

@@ -112,8 +112,8 @@ impl<F: ReadAt> ParticleBatches<F> {
 /// Locates the records, if the format has fixed-length ones.
 fn records(file: &impl ReadAt, file_name: &str, limits: &Limits) -> Result<Option<Records>> {
     let file_bytes = file.size_bytes()?;
-    // One byte more than the longest allowed header, so that the header's reader can report one that is too
-    // long.
+    // The second attempt reads one byte more than the longest allowed header, so that the header's reader can
+    // report a header that is too long.
     for head_bytes in [HEAD_BYTES, limits.header_bytes.saturating_add(1)] {
         let head = read(&file, 0..head_bytes.min(file_bytes))?;
         let may_go_on = |error: &Error| error.is_truncated() && (head.len() as u64) < file_bytes;
@@ -131,7 +131,7 @@ fn records(file: &impl ReadAt, file_name: &str, limits: &Limits) -> Result<Optio
     Ok(None)
 }
 
-/// Bytes that contain most headers.
+/// Number of bytes that the first attempt reads; most headers are shorter.
 const HEAD_BYTES: u64 = 64 << 10;
 
 /// Files with longer records are not read in batches.

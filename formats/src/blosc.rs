@@ -1,7 +1,8 @@
-//! Blosc 1 frames: OpenVDB compresses the values of a node with them, and Houdini its geometry.
+//! Blosc 1 frames, in which OpenVDB stores the values of a node and Houdini its geometry.
 //!
 //! The shuffle places byte k of all elements side by side, because sign and exponent bytes repeat while
-//! mantissa bytes do not. Each of these streams is then compressed separately with LZ4.
+//! mantissa bytes do not. The result is one stream of bytes per k, and each stream is compressed separately
+//! with LZ4.
 //!
 //! ```text
 //!   0        1        2        3         4        8           12
@@ -13,7 +14,7 @@
 //!
 //! A block is split into `typesize` streams only if the flag "not split" is clear, `typesize` ≤ 16, the block
 //! has at least 128 elements, and it is not a shorter last block. A decoder that follows these rules cannot
-//! read frames split differently, so both sides use [`is_split`].
+//! read frames split differently, so the encoder and the decoder here both use [`is_split`].
 //!
 //! This work is based on:
 //! the header description in c-blosc's README_HEADER
@@ -31,7 +32,7 @@ const CODEC_LZ4: u8 = 1;
 const CODEC_ZLIB: u8 = 3;
 
 const HEADER_BYTES: usize = 16;
-/// OpenVDB also stores frames of fewer bytes uncompressed: headers would cancel the gain.
+/// Fewer bytes than this are stored uncompressed, as in OpenVDB: the headers would cancel the gain.
 const BYTES_MIN: usize = 128;
 const SPLIT_ELEMENTS_MIN: usize = 128;
 const SPLIT_TYPESIZE_MAX: usize = 16;
@@ -124,11 +125,16 @@ pub(crate) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), BloscErro
             "the Blosc frame has version {version}; only version 2 is supported"
         )));
     }
-    if byte_count != out.len() || frame_bytes > frame.len() {
+    if byte_count != out.len() {
         return invalid(format!(
-            "the Blosc frame declares {frame_bytes} bytes that decompress to {byte_count}; expected {} and {}",
-            frame.len(),
+            "the Blosc frame declares {byte_count} decompressed bytes; expected {} bytes",
             out.len()
+        ));
+    }
+    if frame_bytes > frame.len() {
+        return invalid(format!(
+            "the Blosc frame declares {frame_bytes} compressed bytes, but has {} bytes",
+            frame.len()
         ));
     }
     if flags & STORED != 0 {
@@ -254,7 +260,8 @@ fn shuffle(bytes: &[u8], typesize: usize, out: &mut Vec<u8>) {
     out[whole..].copy_from_slice(&bytes[whole..]);
 }
 
-/// The element sizes that we write, as compile-time constants: several times faster.
+/// [`shuffle`] for the element sizes that the encoder writes. With the size as a compile-time constant, it is
+/// several times faster.
 fn shuffle_elements<const N: usize>(bytes: &[u8], count: usize, out: &mut [u8]) {
     let (elements, _) = bytes.as_chunks::<N>();
     for (k, stream) in out.chunks_exact_mut(count).take(N).enumerate() {

@@ -1,9 +1,10 @@
 //! BloscLZ, Blosc's own codec: FastLZ with longer distances.
 //!
 //! ```text
-//!   000nnnnn                    n + 1 bytes follow as they are
-//!   lllddddd [255 ..] d         repeat l + 2 bytes (l = 7 continues in the next bytes) from d + 1 bytes back;
-//!                               13 bits; if all are set, add the next 16 bits
+//!   000nnnnn                    literal: n + 1 bytes follow
+//!   lllddddd [255 ..] d         match: copy l + 2 bytes from d + 1 bytes back
+//!                               l = 7: add the next bytes to l; the first that is not 255 is the last one
+//!                               d has 13 bits; if all are set, add the next 16 bits, high byte first
 //! ```
 //!
 //! The first instruction is always a literal, so its three highest bits are ignored.
@@ -61,7 +62,7 @@ pub(crate) fn decompress_into(packed: &[u8], out: &mut [u8]) -> Option<usize> {
 mod tests {
     use super::*;
 
-    /// Output of c-blosc 1.21 for ten letters, repeated, around forty times `x`; twice.
+    /// The output of c-blosc 1.21 for the text of [`unpacked`].
     const PACKED: [u8; 40] = [
         0x29, 0x61, 0x62, 0x63, 0x64, 0x65, 0x66, 0x67, 0x68, 0x69, 0x6a, 0xe0, 0x0a, 0x09, 0x01, 0x6a, 0x78,
         0xe0, 0x1d, 0x00, 0x00, 0x78, 0xe0, 0x0a, 0x3b, 0xe0, 0x0b, 0x4f, 0xe0, 0xff, 0x1a, 0x13, 0xe1, 0xff,
@@ -85,7 +86,8 @@ mod tests {
         let mut packed = vec![31];
         let start: Vec<u8> = (0..32).collect();
         packed.extend(&start);
-        // 32 letters, and 9000 times the last one; then six from 9010 bytes back, where letters still differ.
+        // 32 different bytes, then the last one 9000 times, then six bytes from 9010 back: among the first
+        // 32.
         packed.extend([0xe0].into_iter().chain([255; 35]).chain([66, 0]));
         let far = u16::try_from(9010 - DISTANCE_MAX - 1).unwrap();
         packed.extend([0x9f, 255]);

@@ -12,7 +12,7 @@ pub enum Endian {
     Big,
 }
 
-/// A position in a file whose reads fail instead of passing the end.
+/// A read position in the bytes of a file. A read that would pass the end of the file returns an error.
 #[derive(Clone, Debug)]
 pub(crate) struct Cursor<'a> {
     format: &'static str,

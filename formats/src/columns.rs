@@ -1,8 +1,8 @@
 //! Groups columns into attributes and recognises what they mean.
 //!
-//! PLY and delimited text only have scalars: a velocity arrives as three columns, and every program spells
-//! them differently. This module splits the spellings and joins the columns. Formats with vector attributes
-//! use only the roles.
+//! PLY and delimited text have only scalar columns: a velocity is three columns, and programs name them
+//! differently. This module splits each name into a stem and a component, and joins the columns with the same
+//! stem. Formats with vector attributes use only the recognition of roles.
 //!
 //! ```text
 //!   "Points:0" "Points:1" "Points:2"       ->  the position
@@ -13,10 +13,10 @@
 //!   temperature                            ->  temperature, arity 1, no role
 //! ```
 //!
-//! Names are compared without quotes, the prefix `scalar_` (CloudCompare), a unit in brackets, and case; the
-//! attribute's name keeps the case of the file. Each role is assigned at most once: if two columns match, the
-//! one whose alias comes first in the table below gets the role and the other becomes an attribute without a
-//! role. The same applies to the position.
+//! The comparison of names ignores quotes, the prefix `scalar_` (CloudCompare), a unit in brackets, and case;
+//! the attribute's name keeps the case of the file. Each role is assigned at most once: if two attributes
+//! match, the one whose alias comes first in the table below gets the role, and the other one gets no role.
+//! The same applies to the position.
 
 use crate::data::AttributeRole;
 use crate::scalar::Scalar;
@@ -107,7 +107,8 @@ pub fn aliases(role: AttributeRole) -> &'static [&'static str] {
     ROLES.iter().find(|(named, _)| *named == role).map_or(&[], |(_, aliases)| aliases)
 }
 
-/// The rank of a name among those of a vector position, lower being better; `None` if it is not one.
+/// The rank of a name among the names of a position, lower being better; `None` if it is not one of them. For
+/// formats with vector attributes.
 pub(crate) fn position_rank(name: &str) -> Option<usize> {
     let stem = matched_part(name).to_ascii_lowercase();
     let names = POSITIONS.iter().chain(&["x", "xyz", "r"]);
@@ -278,7 +279,7 @@ impl<'a> Families<'a> {
         Families { list }
     }
 
-    /// The columns of the position: of all families that spell one, the family with the best name.
+    /// The columns of the position: of all families with a name for positions, the one with the best name.
     fn position(&mut self) -> Option<[usize; 3]> {
         let mut best: Option<(usize, [usize; 3])> = None;
         for family in &mut self.list {
@@ -337,7 +338,7 @@ const POSITIONS: &[&str] = &[
     "unwrapped",
 ];
 
-/// Families without a common stem, and the name of the resulting attribute.
+/// The name of the resulting attribute, and the component names of a family without a common stem.
 const WORDS: &[(&str, &[&str])] = &[
     ("color", &["red", "green", "blue", "alpha"]),
     ("color", &["r", "g", "b", "a"]),
@@ -379,7 +380,7 @@ const DIAMETERS: &[&str] = &["diameter", "particle_diameter", "diam", "width", "
 mod tests {
     use super::*;
 
-    /// Describes the position on the first line, then one line per attribute: `name columns role scale`.
+    /// Describes the position, then each attribute after a ` | `: `name columns role scale`.
     fn described(header: &str) -> String {
         let columns: Vec<(&str, Scalar)> = header.split(',').map(|name| (name, Scalar::F32)).collect();
         describe(&group_columns(&columns))

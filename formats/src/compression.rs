@@ -69,8 +69,8 @@ impl Codec {
         }
     }
 
-    /// Checks the first bytes for damage without keeping the decompressed data: the readable part of a
-    /// damaged file could look like any format.
+    /// Fails if the first bytes are damaged; discards what they decompress to. The readable part of a damaged
+    /// file can look like any format, so call this before you report the format as unknown.
     pub(crate) fn check_start(self, bytes: &[u8]) -> Result<()> {
         match self {
             Codec::Gzip => gzip::check_start(bytes),
@@ -82,8 +82,8 @@ impl Codec {
 /// The content of a file, decompressed if necessary.
 ///
 /// # Errors
-/// [`crate::Error::Truncated`] if the file ends too early, [`crate::Error::Invalid`] if it is damaged, both with
-/// the offset in the compressed file; [`crate::Error::TooLarge`] beyond the limits on decompression.
+/// [`crate::Error::Truncated`] if the file ends too early, [`crate::Error::Invalid`] if it is damaged, both
+/// with the offset in the compressed file; [`crate::Error::TooLarge`] beyond the limits on decompression.
 pub fn decompressed<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Cow<'a, [u8]>> {
     match Codec::of(bytes) {
         Some(codec) => codec.decompress(bytes, limits).map(Cow::Owned),

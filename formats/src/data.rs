@@ -1,6 +1,7 @@
 //! The plain data types that readers return and writers take.
 //!
-//! Everything is a public vector or a borrowed slice. The only invariants are equal lengths.
+//! All data is in public vectors or borrowed slices. The only invariants concern lengths: one value, or
+//! `arity` values, for each particle or vertex.
 
 use std::fmt;
 
@@ -36,7 +37,7 @@ impl Default for FilePositions {
     }
 }
 
-/// The meaning of an attribute for a renderer or for the reconstruction, independent of its name in the file.
+/// The meaning of an attribute for a renderer or for the reconstruction, whatever its name in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AttributeRole {
     /// World units per second, arity 3.
@@ -68,7 +69,7 @@ pub enum Values {
     U8(Vec<u8>),
     /// Integers of up to 32 bits.
     I32(Vec<i32>),
-    /// Wider integers, and unsigned 32-bit ones.
+    /// 64-bit integers, and unsigned 32-bit integers, which can exceed `I32`.
     I64(Vec<i64>),
     /// Indices into a table of strings; an index outside the table means "no string".
     Strings {
@@ -86,7 +87,7 @@ pub struct FileAttribute {
     pub name: String,
     /// Number of values per particle.
     pub arity: usize,
-    /// Its recognised meaning.
+    /// Its meaning; `None` if it is not recognised.
     pub role: Option<AttributeRole>,
     /// `arity` values per particle.
     pub values: Values,
@@ -110,7 +111,7 @@ impl FileAttribute {
             Values::I32(values) => {
                 self.values = Values::F64(values.iter().map(|&value| f64::from(value) * factor).collect());
             }
-            // The 64-bit integers here use at most 32 bits, so the conversion is exact.
+            // The conversion is exact up to ±2⁵³, more than any radius needs.
             Values::I64(values) => {
                 self.values = Values::F64(values.iter().map(|&value| value as f64 * factor).collect());
             }
@@ -178,7 +179,7 @@ impl MeshView<'_> {
 pub struct VertexAttribute<'a> {
     /// Its name, as in the particle file.
     pub name: &'a str,
-    /// Its recognised meaning.
+    /// Its meaning; `None` if it is not recognised.
     pub role: Option<AttributeRole>,
     /// Number of values per vertex, at least 1.
     pub arity: usize,
@@ -226,7 +227,7 @@ impl<'a> VertexAttribute<'a> {
     }
 }
 
-/// Whether all numbers are finite. Branch-free per number, so that it vectorises.
+/// Whether all numbers are finite. The loop has no branch per number, so that the compiler vectorises it.
 pub(crate) fn all_finite(numbers: &[f32]) -> bool {
     numbers.iter().fold(true, |all, number| all & number.is_finite())
 }
@@ -268,7 +269,7 @@ pub struct LevelSetView<'a> {
 pub struct BandGrid<'a> {
     /// Its name, as in the particle file. The grid of a velocity is always called `velocity`.
     pub name: &'a str,
-    /// Its recognised meaning.
+    /// Its meaning; `None` if it is not recognised.
     pub role: Option<AttributeRole>,
     /// Number of values per voxel: 1, or 3 for a vector.
     pub arity: usize,
@@ -276,8 +277,8 @@ pub struct BandGrid<'a> {
     pub values: &'a dyn LeafValues,
 }
 
-/// Computes the values of a grid on demand, leaf by leaf: all of them at once would take several times the
-/// memory of the level set.
+/// Computes the values of a grid on demand, leaf by leaf: the values of all leaves at once would take several
+/// times the memory of the level set.
 pub trait LeafValues: fmt::Debug + Sync {
     /// Fills in the values of the 512 voxels of a leaf, with the grid's arity for each. `leaf` is an index
     /// into [`LevelSetView::leaves`]. Values of voxels outside the band are ignored; all others must be

@@ -1,9 +1,9 @@
 //! Errors of readers and writers, with enough detail for users to fix their files.
 //!
-//! There are five kinds because they call for five reactions. `Io` may be temporary. `Short` may disappear
-//! when the program that writes the file continues. `Invalid` means that the file must change, `Unsupported`
-//! that this program must change, and `TooLarge` that a limit must change. The caller, who opened the file,
-//! adds its name.
+//! There are five kinds because they call for five reactions. `Io` may be temporary. `Truncated` may
+//! disappear when the program that writes the file continues. `Invalid` means that the file must change,
+//! `Unsupported` that this program must change, and `TooLarge` that a limit must change. The caller, which
+//! opened the file, adds the name of the file.
 
 use std::fmt;
 

@@ -1,14 +1,15 @@
 //! OpenEXR: the colours of a picture and its other layers, one part of the file per layer.
 //!
 //! ```text
-//!   beauty      R G B A      16 bits, linear; A is 1: the background is part of the picture
-//!   depth       Z            and so on: parts have their layer's name, channels conventional names
-//!   normals     N.X N.Y N.Z
+//!   part        channels
+//!   beauty      R G B A      16-bit floats, linear; A is 1: the background is part of the picture
+//!   depth       Z
+//!   normals     N.X N.Y N.Z  and so on: parts are named after their layers, channels by convention
 //! ```
 //!
-//! Values are deflated in blocks of 16 lines. All provenance is in one attribute, `meniscus`, with a line per
-//! name and value: the exr crate does not preserve the order of custom attributes, so several could be
-//! reordered.
+//! Values are compressed with deflate, in blocks of 16 lines. All provenance is in one attribute, `meniscus`,
+//! with a line per name and value. Separate attributes could be reordered, because the exr crate does not
+//! preserve the order of custom attributes.
 
 use std::io::{Cursor, Write};
 
@@ -22,6 +23,7 @@ use half::f16;
 
 use crate::bytes::{self, Endian};
 use crate::error::{Error, Position, Result};
+use crate::excerpt::excerpt;
 use crate::mesh_options::WriteOption;
 use crate::picture::{PictureView, PixelSamples};
 use crate::provenance::{GENERATOR, comments, from_comments};
@@ -58,7 +60,12 @@ fn failed(error: ExrError) -> Error {
 
 fn text(plain: &str) -> Result<Text> {
     let refused = || {
-        Error::invalid(FORMAT, Position::File, format!("the name \"{plain}\" cannot be stored in OpenEXR"))
+        let outside = plain.chars().find(|&char| char > '\u{ff}').unwrap_or_default();
+        let what = format!(
+            "the text \"{}\" cannot be stored in OpenEXR: the character {outside:?} is outside Latin-1",
+            excerpt(plain)
+        );
+        Error::invalid(FORMAT, Position::File, what)
     };
     Text::new_or_none(plain).ok_or_else(refused)
 }
@@ -175,7 +182,7 @@ fn walk(head: &[u8], mut attribute: impl FnMut(&[u8], &[u8])) -> Result<usize> {
             attribute(name, cursor.take(size, "an attribute")?);
             continue;
         }
-        // With several parts, an empty header ends the list.
+        // In a file with several parts, an empty header ends the list of headers.
         if !has_parts {
             return Ok(cursor.at());
         }
@@ -203,7 +210,7 @@ const MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
 /// The bit of the version field for files with several parts.
 const MULTIPLE_PARTS: u32 = 0x1000;
 
-/// The header of a block: its part, its first line, the size of its data.
+/// Size in bytes of the header of a block: its part, its first line, the size of its data.
 pub(crate) const BLOCK_HEAD_BYTES: u64 = 12;
 
 /// The row in the table of formats.

@@ -26,8 +26,8 @@ pub(crate) fn is_gzip(bytes: &[u8]) -> bool {
 /// Decompresses all members of the file and concatenates them.
 ///
 /// # Errors
-/// `Short` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed file;
-/// `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`.
+/// `Truncated` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed
+/// file; `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`.
 pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     let mut inflated = Vec::new();
     let mut rest = bytes;
@@ -38,7 +38,7 @@ pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     if let Some(at) = rest.iter().position(|&byte| byte != 0) {
         let place = Position::Offset((bytes.len() - rest.len() + at) as u64);
         let what = "the compressed data is followed by other bytes";
-        // Unless the remaining byte could be the start of a truncated member.
+        // A single remaining byte can be the start of another member, which is truncated.
         return Err(match MAGIC.starts_with(rest) {
             true => Error::truncated(FORMAT, place, what),
             false => Error::invalid(FORMAT, place, what),
@@ -79,11 +79,11 @@ fn damage(source: &std::io::Error, consumed: usize) -> Error {
     }
 }
 
-/// Checks the first bytes for damage without keeping the decompressed data: the readable part of a damaged
-/// file could look like any format.
+/// Fails if the first bytes are damaged; discards what they decompress to. The readable part of a damaged
+/// file can look like any format, so call this before you report the format as unknown.
 ///
 /// # Errors
-/// `Short` and `Invalid`, as from [`inflate`].
+/// `Truncated` and `Invalid`, as from [`inflate`].
 pub(crate) fn check_start(bytes: &[u8]) -> Result<()> {
     let mut start = GzDecoder::new(bytes).take(RATIO_FREE_BYTES);
     let outcome = std::io::copy(&mut start, &mut std::io::sink());

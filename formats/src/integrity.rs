@@ -1,7 +1,7 @@
 //! Checks whether a file is complete: an input that may still be being written, or an output of this crate.
 //!
-//! For a particle file, [`completeness`] compares its size with the one that its header declares, if the
-//! format allows:
+//! For a particle file, [`completeness`] compares the size of the file with the size that its header
+//! declares, if the format allows that:
 //!
 //! ```text
 //!   what the header declares      declared │      binary PLY, classic BGEO that ends with its points
@@ -11,9 +11,9 @@
 //! ```
 //!
 //! Some writers do not know the number of particles when they start: they write a number, often 0, append the
-//! records, and correct the header at the end. So a file with more data than it declares, or that declares no
-//! data, proves nothing. The size also cannot reveal bytes that were reserved and not yet filled: the caller
-//! should also check that the file no longer changes.
+//! records, and correct the header at the end. So the size proves nothing if the file has more data than its
+//! header declares, or if the header declares no data. The size also cannot reveal bytes that were reserved
+//! and not yet filled: the caller should also check that the file no longer changes.
 //!
 //! For an output, [`is_complete`] checks the end of the file: an interrupted copy or a full disk leaves the
 //! beginning of a file, which includes its provenance. Each format defines its own check in the table of
@@ -30,7 +30,7 @@ use crate::provenance::HEAD_BYTES_MAX;
 use crate::row::{Completeness, HeadCheck, Integrity, at_least};
 use crate::table::{Format, OutputFormat};
 
-/// Longer than the last line of any output.
+/// The number of bytes to read at the end of a file: the last line of any output is shorter.
 const TAIL_BYTES: u64 = 256;
 
 /// Whether an output of this crate is neither truncated nor extended. May return false for complete files of
@@ -66,9 +66,8 @@ fn piece(file: &mut (impl Read + Seek), start: u64, length: u64) -> Result<Vec<u
     Ok(piece)
 }
 
-/// Checks a file's size against its head, of which it reads at most 1 MiB. `file_name` matters only where it
-/// does for [`probe()`]. Unsupported and malformed files are `Unknown`: the reader reports what is wrong
-/// with them.
+/// Compares a file's size with its head, of which at most 1 MiB is read. `file_name` is used only for
+/// [`probe()`]. Unsupported and malformed files are `Unknown`: the reader reports what is wrong with them.
 ///
 /// # Errors
 ///
@@ -90,7 +89,7 @@ pub fn completeness(file: &mut (impl Read + Seek), file_name: &str) -> Result<Co
             true => Completeness::NeedsReading,
             false => Completeness::Unknown,
         }),
-        // No reader accepts a longer header.
+        // No reader accepts a header that exceeds the largest head.
         HeadCheck::NeedsMoreHead => Ok(Completeness::Unknown),
     }
 }
@@ -114,7 +113,7 @@ fn check_head(head: &[u8], file_bytes: u64, file_name: &str) -> HeadCheck {
     })
 }
 
-/// The signature that these bytes are a proper prefix of, if the file consists only of such a prefix.
+/// The signature of which `head` is a proper prefix, if there is one: the file ends within its signature.
 pub(crate) fn truncated_signature(head: &[u8]) -> Option<&'static [u8]> {
     let of_formats = Format::ALL.into_iter().flat_map(|format| format.row().beginnings).copied();
     let mut all = of_formats.chain(Codec::ALL.map(Codec::beginning));

@@ -15,10 +15,10 @@
 //!   ITEM: TIMESTEP                        and so on
 //! ```
 //!
-//! `UNITS` and `TIME` sections can occur as well. The position is `x y z`; else `xu yu zu`, which are not
-//! wrapped into the periodic box; else `xs ys zs` or `xsu ysu zsu`, which are fractions of the box. The rows
-//! are read like those of any other table. If the last row has no line end, a note says so: the last number
-//! of a dump that is still being written may lack digits.
+//! `UNITS` and `TIME` sections can occur as well. The position is in the columns `x y z`; else in `xu yu zu`,
+//! which are not wrapped into the periodic box; else in `xs ys zs` or `xsu ysu zsu`, which are fractions of
+//! the box. The rows are read like those of any other table. If the last row has no line end, a note says so:
+//! the last number of a dump that is still being written may lack digits.
 
 use std::ops::Range;
 
@@ -92,7 +92,8 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 pub fn steps(bytes: &[u8], limits: &Limits) -> Result<Vec<TimeStep>> {
     let mut lines = DumpLines { bytes, at: 0, number: 0 };
     let mut steps = Vec::new();
-    // Skips blank lines at the end once, instead of before each step: no step starts with one.
+    // Ends at the blank lines that may follow the last step. Before a step, the check looks at only one byte,
+    // because no step starts with a blank line.
     while lines.bytes[lines.at..].iter().any(|byte| !byte.is_ascii_whitespace()) {
         limits.check_step(FORMAT, steps.len())?;
         steps.push(step(&mut lines, limits)?);
@@ -162,7 +163,8 @@ pub fn read_step(bytes: &[u8], step: &TimeStep, limits: &Limits) -> Result<Parti
     Ok(frame)
 }
 
-/// The columns of the best position, and whether they are fractions of the box.
+/// The columns of the first position in `POSITIONS` that the dump has, and whether they are fractions of the
+/// box.
 fn position(names: &[String]) -> Option<([usize; 3], bool)> {
     const POSITIONS: [([&str; 3], bool); 4] = [
         (["x", "y", "z"], false),
@@ -176,7 +178,8 @@ fn position(names: &[String]) -> Option<([usize; 3], bool)> {
         .find_map(|([x, y, z], is_scaled)| Some(([column_of(x)?, column_of(y)?, column_of(z)?], *is_scaled)))
 }
 
-/// Returns 64-bit positions: six digits of a fraction become fewer digits of a position in a large box.
+/// Converts fractions of the box to positions. These have 64 bits, to lose no further digits: in a large box,
+/// the six digits of a fraction give few decimals of a position.
 fn unscaled(fractions: &FilePositions, space: Space) -> FilePositions {
     let position = |fraction: [f64; 3]| {
         let along = |axis: usize| {

@@ -1,9 +1,10 @@
 //! File formats of meniscus: particle, mesh, level-set and picture readers and writers.
 //!
-//! This crate knows nothing about grids, reconstruction or the pipeline. A reader turns the bytes of one file
-//! into plain vectors ([`data`]); a writer turns borrowed slices into bytes. Every reader treats its input as
-//! hostile: it compares each count with the bytes that remain before it allocates, and every failure is an
-//! [`Error`] that says where in the file it happened and what was expected there.
+//! This crate does not depend on the grids, the reconstruction or the pipeline of the main crate. A reader
+//! turns the bytes of one file into plain vectors ([`data`]); a writer turns borrowed slices into bytes.
+//! Every reader treats its input as hostile: before it allocates memory, it compares each count with the
+//! bytes that remain. Every failure is an [`Error`] that says what is wrong and, if the file is truncated
+//! or invalid, where in the file, and what was expected there.
 
 #![forbid(unsafe_code)]
 
@@ -86,7 +87,7 @@ pub use table::{Format, OutputFormat, listed, read_provenance};
 ///
 /// The content decides the format; [`probe()`] documents when `file_name` matters. A mesh in a PLY file is
 /// read as particles at its vertices, with a note. A file in a multi-frame format, such as a LAMMPS dump,
-/// must contain exactly one frame; see [`steps`] for the others.
+/// must contain exactly one frame; for files with several frames, see [`steps`].
 ///
 /// # Errors
 /// The errors of the format's reader, with offsets into the decompressed bytes; `Unsupported`, with what to

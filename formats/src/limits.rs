@@ -1,7 +1,7 @@
 //! Limits on the resources that a file can make a reader use.
 //!
-//! The bytes that a file really has bound most of what a reader allocates. These limits bound the rest: text
-//! headers, and data that grows when it is decompressed.
+//! The size of the file bounds most of what a reader allocates. These limits bound the rest: text headers,
+//! and data that grows when it is decompressed.
 
 use crate::error::{Error, Result};
 
@@ -20,8 +20,8 @@ pub struct Limits {
     pub decompressed_bytes: u64,
     /// Maximum number of decompressed bytes per compressed byte, ignoring the first 16 MiB.
     pub decompression_ratio: u64,
-    /// Memory for a level set, in bytes: its file, the data read from it, and the tables that locate its
-    /// leaves and tiles.
+    /// Maximum memory for a level set, in bytes: its file, the data read from it, and the tables that locate
+    /// its leaves and tiles.
     pub level_set_bytes: u64,
 }
 
@@ -44,7 +44,7 @@ impl Default for Limits {
 pub(crate) const RATIO_FREE_BYTES: u64 = 16 << 20;
 
 impl Limits {
-    /// Fails if a file in which `found` frames were found has reached the limit.
+    /// Fails if the limit does not allow another frame after the `found` frames found so far.
     pub(crate) fn check_step(&self, format: &'static str, found: usize) -> Result<()> {
         if found < self.step_count {
             return Ok(());

@@ -46,7 +46,7 @@ pub(crate) fn readable(others: &[Format]) -> String {
 /// Recognises a file that may be a mesh.
 pub(crate) fn probe_mesh(bytes: &[u8], file_name: &str) -> Probe {
     let Probe { mut kind, codec } = probe(bytes, file_name);
-    // Some OBJ files look like a table because of the order of their lines.
+    // Some OBJ files look like a table because of the order of their lines, so the name decides.
     let name = file_name.to_ascii_lowercase();
     let is_vague = matches!(kind, ProbedKind::Format(Format::Delimited) | ProbedKind::UnknownText);
     if is_vague && name_without_compression(&name).ends_with(".obj") {

@@ -11,7 +11,7 @@ pub enum UpAxis {
     /// As in glTF.
     #[default]
     Y,
-    /// As in Blender and many simulators. In glTF the node turns the mesh by −90° about X.
+    /// As in Blender and many simulators. In glTF, the node rotates the mesh by −90° about X.
     Z,
 }
 
@@ -96,7 +96,8 @@ impl WriteOption {
         WriteOption::Camera,
     ];
 
-    /// Its name in the provenance of a file, where the format is known.
+    /// Its name in the provenance of a file. It has no prefix such as `vdb_`, because the format is known
+    /// there.
     pub fn name(self) -> &'static str {
         match self {
             WriteOption::Quads => "quads",

@@ -70,7 +70,7 @@ fn take_mismatched(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<S
     arrays.extract_if(.., |array| !fits(array)).map(note).collect()
 }
 
-/// Takes the best-named position with three values per particle.
+/// Takes the position from the arrays with three values per particle: the array whose name ranks first.
 fn take_vector_position(arrays: &mut Vec<NamedArray>) -> Option<FilePositions> {
     let is_one = |array: &NamedArray| array.arity == 3 && !matches!(array.values, Values::Strings { .. });
     let ranked = arrays.iter().enumerate().filter(|(_, array)| is_one(array));
@@ -78,7 +78,7 @@ fn take_vector_position(arrays: &mut Vec<NamedArray>) -> Option<FilePositions> {
     number::positions(arrays.remove(index).values)
 }
 
-/// Takes the best-named position in three arrays with one value each.
+/// Takes the position from three arrays with one value per particle, chosen by their names.
 fn take_column_position(arrays: &mut Vec<NamedArray>) -> Option<FilePositions> {
     let singles: Vec<usize> = (0..arrays.len()).filter(|&index| is_column(&arrays[index])).collect();
     let columns: Vec<(&str, Scalar)> =
@@ -115,7 +115,7 @@ fn widened(values: &Values) -> Option<Values> {
     }))
 }
 
-/// Joins scalar arrays that are spelled as the components of a vector.
+/// Joins scalar arrays that have the names of the components of a vector.
 fn joined(arrays: Vec<NamedArray>) -> Vec<NamedArray> {
     let singles: Vec<usize> = (0..arrays.len()).filter(|&index| is_column(&arrays[index])).collect();
     let columns: Vec<(&str, Scalar)> =
@@ -136,8 +136,8 @@ fn joined(arrays: Vec<NamedArray>) -> Vec<NamedArray> {
     places.filter_map(|((array, vector), is_joined)| if is_joined { vector } else { Some(array) }).collect()
 }
 
-/// The scalar type that represents the values' type in memory: columns are joined only if their types are
-/// equal.
+/// A different scalar type for each type in memory, not always the type itself: columns are joined only if
+/// their scalar types are equal.
 fn type_of(values: &Values) -> Scalar {
     match values {
         Values::F32(_) => Scalar::F32,
@@ -150,7 +150,7 @@ fn type_of(values: &Values) -> Scalar {
 }
 
 fn attribute(array: NamedArray, role: Option<AttributeRole>) -> FileAttribute {
-    // A phase can be identified by strings; a velocity or a number cannot.
+    // Strings can identify a phase, but they cannot be a velocity or another quantity.
     let is_text = matches!(array.values, Values::Strings { .. });
     let role = role.filter(|&role| !is_text || role == AttributeRole::Kind);
     let mut attribute = FileAttribute { name: array.name, arity: array.arity, role, values: array.values };

@@ -1,7 +1,7 @@
 //! Decodes raw numbers of any type and byte order into [`Values`].
 //!
-//! [`crate::scalar`] has the number types of PLY. Arrays of other formats have more: 64-bit integers, which
-//! keep their type, and 16-bit floats, which become 32-bit ones. Unsigned 64-bit integers become 64-bit
+//! [`crate::scalar`] has the number types of PLY. Arrays of other formats have more types: 64-bit integers,
+//! which keep their type, and 16-bit floats, which become 32-bit ones. Unsigned 64-bit integers become 64-bit
 //! floats if one of them exceeds the signed range.
 
 use crate::bytes::Endian;
@@ -10,7 +10,7 @@ use crate::data::{FilePositions, Values};
 /// A number type as stored in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum NumberType {
-    /// A byte, zero or nonzero.
+    /// One byte: 0 is false, any other value is true.
     Bool,
     I8,
     U8,
@@ -120,8 +120,8 @@ pub(crate) fn length(values: &Values) -> usize {
     }
 }
 
-/// Values as positions, three for each; in 64 bits if 32-bit floats cannot hold them exactly. `None` for
-/// strings.
+/// Converts values to positions of three values each. The positions have 64 bits if 32-bit floats cannot hold
+/// all values of this type exactly. `None` for strings.
 pub(crate) fn positions(values: Values) -> Option<FilePositions> {
     fn thrice<T: Copy, U>(values: &[T], widen: impl Fn(T) -> U) -> Vec<[U; 3]> {
         values.as_chunks::<3>().0.iter().map(|position| position.map(&widen)).collect()

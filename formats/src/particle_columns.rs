@@ -1,8 +1,8 @@
 //! Prepares particle attributes for writing, so that a reader gets back the same values.
 //!
-//! Readers halve diameters and keep their name. A writer therefore doubles values under such a name:
-//! otherwise the next reader would halve them a second time. All other attributes are written with their
-//! values and type unchanged.
+//! Readers halve the values of an attribute with the name of a diameter, and keep its name. Writers therefore
+//! double these values: otherwise the next reader would halve them a second time. All other attributes are
+//! written with their values and type unchanged.
 
 use std::borrow::Cow;
 
@@ -24,7 +24,7 @@ pub(crate) fn check(frame: &ParticleFrame, format: &'static str) -> Result<()> {
     Ok(())
 }
 
-/// The values of an attribute as its name implies them: diameters doubled.
+/// The values of an attribute to write: doubled if its name is that of a diameter.
 pub(crate) fn written(attribute: &FileAttribute) -> Cow<'_, Values> {
     let is_diameter = attribute.role == Some(AttributeRole::Radius) && radius_scale(&attribute.name) != 1.0;
     if !is_diameter {

@@ -32,7 +32,7 @@ pub struct ColorPicture {
 pub struct PictureLayer<'a> {
     /// The layer's name, unique within the picture.
     pub name: &'a str,
-    /// The name of its channels; for vectors, `name.X`, `name.Y` and `name.Z`.
+    /// The name of its channel. For vectors, the prefix of three: `N` gives `N.X`, `N.Y` and `N.Z`.
     pub channel: &'a str,
     /// The values.
     pub samples: PixelSamples<'a>,
@@ -45,13 +45,13 @@ pub enum PixelSamples<'a> {
     Numbers(&'a [f32]),
     /// 16 bits each.
     HalfNumbers(&'a [f32]),
-    /// Three of 32 bits each.
+    /// Three components of 32 bits each.
     Vectors(&'a [[f32; 3]]),
-    /// Three of 16 bits each.
+    /// Three components of 16 bits each.
     HalfVectors(&'a [[f32; 3]]),
 }
 
-/// The camera of a picture, as matrices that are multiplied by row vectors from the left; stored row by row.
+/// The camera of a picture, as two matrices M, stored row by row. They transform a row vector v to v · M.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PictureCamera {
     /// From the world to camera space: x right, y up and z into the picture.

@@ -39,7 +39,7 @@ pub fn write(picture: &PictureView, out: &mut impl Write) -> Result<()> {
     encoder.set_source_srgb(SrgbRenderingIntent::Perceptual);
     encoder.add_text_chunk("Software".to_owned(), GENERATOR.to_owned()).map_err(failed)?;
     for (name, value) in picture.provenance {
-        // tEXt is Latin-1, and readers treat other characters differently.
+        // A tEXt chunk is Latin-1. Readers treat other characters differently, so these are escaped.
         encoder.add_text_chunk(prefixed(&escape(name)), escape(value)).map_err(failed)?;
     }
     let mut writer = encoder.write_header().map_err(failed)?;
@@ -73,8 +73,8 @@ fn linear(value: f32) -> f32 {
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] if the file is not a PNG or is damaged; [`Error::TooLarge`] if its declared size is too
-/// large.
+/// [`Error::Invalid`] if the file is not a PNG or is damaged; [`Error::Truncated`] if it ends too early;
+/// [`Error::TooLarge`] if its declared size is too large; [`Error::Unsupported`] if its palette is missing.
 pub fn read(bytes: &[u8]) -> Result<ColorPicture> {
     let limits = Limits { bytes: PIXELS_MAX * CHANNELS_MAX };
     let mut decoder = Decoder::new_with_limits(io::Cursor::new(bytes), limits);
@@ -128,7 +128,7 @@ fn unreadable(error: DecodingError) -> Error {
 /// The largest supported number of pixels.
 const PIXELS_MAX: usize = 8192 * 8192;
 
-/// The largest ratio by which deflate can expand data.
+/// The largest ratio of decompressed to compressed size that deflate can reach.
 const DEFLATE_RATIO_MAX: usize = 1032;
 
 /// Maximum number of samples per pixel.

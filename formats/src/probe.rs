@@ -1,9 +1,9 @@
 //! Recognises the format of a file by its content.
 //!
-//! File names are unreliable: `.bgeo` alone is used for three unrelated formats, each compressed or not. So
-//! the content decides, from the most to the least reliable evidence: a signature in the first bytes, then
-//! the beginning of a text, then whether its lines look like a table. The name matters only where the content
-//! is ambiguous.
+//! File names are unreliable: `.bgeo` alone is used for three unrelated formats, each compressed or not. The
+//! content therefore decides, from the most to the least reliable evidence: a signature in the first bytes,
+//! then the beginning of a text, then whether its lines look like a table. The name matters only where the
+//! content is ambiguous.
 
 use std::fmt;
 
@@ -101,9 +101,10 @@ pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
 /// Whether a file probably contains particles, judged by its first bytes. Used to list a folder in which
 /// notes, logs and scripts lie next to the frames.
 ///
-/// [`probe()`] recognises particle formats, whether or not they can be read. A text must be a table: a header
-/// that names a position and fits the row below it, or a row of at least three numbers. `head` should have 8
-/// KiB unless the file is shorter; it may be compressed.
+/// The answer is yes if [`probe()`] recognises a particle format, even if the file turns out to be invalid.
+/// Delimited text must also start like a table: with a header that names a position and fits the row below
+/// it, or with a row of at least three numbers. `head` should have 8 KiB unless the file is shorter; it may
+/// be compressed.
 pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
     match probe(head, file_name).kind {
         ProbedKind::Format(Format::Delimited) => match Codec::of(head) {
@@ -130,7 +131,7 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
         return if is_npz { ProbedKind::Format(Format::Npz) } else { ProbedKind::Foreign("ZIP archive") };
     }
     let text = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head).trim_ascii_start();
-    // Comes before the check for text, because VTK appends raw bytes to its XML.
+    // This check comes before the check for text, because VTK appends raw bytes to its XML.
     let is_named_vtk = || name.ends_with(".vtp") || name.ends_with(".vtu");
     if text.starts_with(b"<") && (contains(text, b"<VTKFile") || is_named_vtk() && !contains(text, b"<html"))
     {
@@ -183,8 +184,8 @@ fn is_text(head: &[u8]) -> bool {
     head.iter().all(|&byte| byte >= b' ' || matches!(byte, b'\t' | b'\n' | b'\r' | 0x0b | 0x0c | 0x1a))
 }
 
-/// Whether a text has the header of a `write_data` file, with its lines in any order: an atom count, and atom
-/// types or a side of the box. The first line can contain anything.
+/// Whether a text has the header of a `write_data` file, with its lines in any order: the number of atoms,
+/// and the number of atom types or the bounds of the box along x. The first line can contain anything.
 fn looks_like_lammps_data(text: &[u8]) -> bool {
     let (mut has_count, mut has_more) = (false, false);
     for line in Lines::new(text).skip(1) {
@@ -203,7 +204,8 @@ fn looks_like_lammps_data(text: &[u8]) -> bool {
     has_count && has_more
 }
 
-/// Whether every non-comment line starts with an OBJ keyword, and at least one is a vertex.
+/// Whether every non-comment line starts with an OBJ keyword, and at least one is a vertex. If the file name
+/// ends in `.obj`, no vertex is necessary.
 fn looks_like_obj(text: &[u8], name: &str) -> bool {
     let mut vertex_seen = false;
     let mut line_count = 0;
@@ -220,11 +222,12 @@ fn looks_like_obj(text: &[u8], name: &str) -> bool {
     vertex_seen || (name.ends_with(".obj") && line_count > 0)
 }
 
-/// Whether the first lines contain delimited numbers, or a header with one name per column.
+/// Whether at least half of the cells of a line are numbers, or the first line has a delimiter and can thus
+/// be a header.
 fn looks_like_table(text: &[u8]) -> bool {
     let mut lines = content_lines(text);
     let Some(header) = lines.next() else { return false };
-    // At least half of the cells must be numbers: the others may be names.
+    // At least half of the cells must be numbers; the others may be names.
     let is_numeric = |line: &[u8]| {
         let cells = line.split(|byte| b",;|\t ".contains(byte)).map(<[u8]>::trim_ascii);
         let (mut cell_count, mut number_count) = (0, 0);
@@ -238,8 +241,8 @@ fn looks_like_table(text: &[u8]) -> bool {
     is_numeric(header) || lines.any(is_numeric) || header.iter().any(|byte| b",;\t".contains(byte))
 }
 
-/// Lines that are neither empty nor comments. Skips the last line, which may be truncated, unless it is the
-/// only one.
+/// Lines that are neither empty nor comments. If the head may be only a part of the file, skips the last
+/// line, which may be truncated, unless it is the only one.
 fn content_lines(text: &[u8]) -> impl Iterator<Item = &[u8]> {
     let whole = match text.iter().rposition(|byte| matches!(byte, b'\n' | b'\r')) {
         Some(end) if text.len() + 16 > HEAD_BYTES => &text[..end],

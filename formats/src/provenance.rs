@@ -27,7 +27,7 @@ pub(crate) const GENERATOR: &str = concat!("meniscus ", env!("CARGO_PKG_VERSION"
 /// Distinguishes our entries from those of other programs.
 const PREFIX: &str = "meniscus_";
 
-/// A longer head was not written by this program.
+/// The maximum size of the head of a file with provenance: this program never writes a longer one.
 pub(crate) const HEAD_BYTES_MAX: u64 = 1 << 20;
 
 /// A key with the prefix, as stored next to the entries of other programs.
@@ -63,14 +63,14 @@ pub(crate) fn from_comments(head: &[u8], lead: &str) -> Vec<(String, String)> {
         .collect()
 }
 
-/// Our own entries among names and escaped values.
+/// Extracts our own entries from names and escaped values.
 pub(crate) fn from_entries(entries: Vec<(String, String)>) -> Vec<(String, String)> {
     let ours =
         |(key, value): (String, String)| Some((key.strip_prefix(PREFIX)?.to_string(), unescape(&value)?));
     entries.into_iter().filter_map(ours).collect()
 }
 
-/// Our own entries among names and unescaped values.
+/// Extracts our own entries from names and unescaped values.
 pub(crate) fn from_strings(strings: Vec<(String, String)>) -> Vec<(String, String)> {
     let ours = |(key, value): (String, String)| Some((key.strip_prefix(PREFIX)?.to_string(), value));
     strings.into_iter().filter_map(ours).collect()
@@ -86,7 +86,7 @@ pub(crate) fn escape(text: &str) -> String {
             _ => escaped.extend(c.escape_unicode()),
         }
     }
-    // Some programs trim lines, so spaces at either end are escaped as well.
+    // Some programs trim lines, so all spaces are escaped if the text starts or ends with one.
     let inner = escaped.trim_matches(' ').len();
     if inner == escaped.len() { escaped } else { escaped.replace(' ', "\\u{20}") }
 }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!    d ─── c
-//!    │ ╲   │     (a b d) (b c d)  ──▶  a b c d, counter-clockwise as they are
+//!    │ ╲   │     (a b d) (b c d)  ──▶  a b c d, counter-clockwise like the triangles
 //!    │   ╲ │
 //!    a ─── b
 //! ```
@@ -28,8 +28,9 @@ impl Face {
     }
 }
 
-/// The faces of these triangles. `quads` says for each triangle whether it and the next one form a quad; if
-/// empty, there are no quads. A quad takes the position of its first triangle.
+/// The faces whose first triangle is in `range`. `quads` says for each triangle whether it and the next one
+/// form a quad; if `quads` is empty, there are no quads. A quad takes the place of its first triangle in the
+/// order.
 pub(crate) fn faces<'a>(
     triangles: &'a [[u32; 3]],
     quads: &'a [bool],
@@ -64,8 +65,8 @@ pub(crate) fn check_quads(format: &'static str, triangles: &[[u32; 3]], quads: &
     }
 }
 
-/// The quad formed by two triangles, counter-clockwise like them; `None` unless they share an edge with
-/// opposite directions.
+/// The quad formed by two triangles, counter-clockwise like them; `None` unless they share an edge that they
+/// traverse in opposite directions.
 fn quad_of(one: [u32; 3], other: [u32; 3]) -> Option<[u32; 4]> {
     let turns = |[a, b, c]: [u32; 3]| [[a, b, c], [b, c, a], [c, a, b]];
     turns(one).into_iter().find_map(|[a, b, c]| {

@@ -71,7 +71,7 @@ pub(crate) struct Records {
     pub(crate) gather: Arc<GatherPositions>,
     /// Notes for the user.
     pub(crate) notes: Vec<String>,
-    /// The name of the velocity attribute.
+    /// The name of the velocity attribute, if there is one.
     pub(crate) velocity: Option<String>,
 }
 

@@ -1,4 +1,4 @@
-//! Row types of the table of formats: how a format describes itself.
+//! The types of the rows of the table of formats. A row describes a format and contains its functions.
 
 use std::io::Write;
 
@@ -16,10 +16,11 @@ pub(crate) struct FormatRow {
     pub(crate) name: &'static str,
     /// File extensions, in lower case and without the dot. Outputs use the first.
     pub(crate) extensions: &'static [&'static str],
-    /// Signatures, any of which identifies the format. `probe` recognises formats without signatures.
+    /// Signatures, any of which identifies the format. `probe` recognises formats without signatures by the
+    /// rest of their content.
     pub(crate) signatures: &'static [&'static [u8]],
-    /// Every valid file starts with one of these. A file that is a proper prefix of one is still being
-    /// written.
+    /// Every valid file starts with one of these. A shorter file that is a prefix of one of them is still
+    /// being written.
     pub(crate) beginnings: &'static [&'static [u8]],
     /// The particle reader.
     pub(crate) particles: Option<ParticleInput>,
@@ -41,8 +42,8 @@ pub(crate) type MeshReader = fn(&[u8], &Limits, &ReadExternal) -> Result<MeshDat
 pub(crate) type ProvenanceReader = fn(&[u8]) -> Result<Vec<(String, String)>>;
 
 /// Locates the records of a file from its first bytes and its size. An outer error concerns the header, and
-/// can mean that more bytes are needed; an inner error concerns the rest of the file. `None`: the file cannot
-/// be read in batches, only as a whole.
+/// can mean that the function needs more of the first bytes; an inner error concerns the rest of the file.
+/// `None` means that the file must be read whole, not in batches.
 pub(crate) type FindRecords = fn(&[u8], u64, &dyn ReadAt, &Limits) -> Result<Result<Option<Records>>>;
 
 /// How particles are read from a format.
@@ -139,14 +140,14 @@ pub struct MeshWriter {
 /// How a mesh is encoded.
 #[derive(Clone, Copy, Debug)]
 pub enum MeshEncoder {
-    /// By copying numbers: writing takes longer than encoding.
+    /// Copies numbers to a stream: writing takes longer than encoding.
     Stream(StreamWriter),
-    /// By formatting text, which takes longer than writing it, in batches of about 20 MB.
+    /// Formats text in batches of about 20 MB: encoding takes longer than writing.
     Batches {
         /// The number of batches.
         count: fn(&MeshView, &MeshOptions) -> usize,
         /// Encodes a batch as pieces of text, to be written in order. Runs in the caller's thread pool. The
-        /// first batch also checks the mesh: if it fails, discard the others.
+        /// first batch also checks the mesh: if it fails, discard the other batches.
         encode: BatchEncoder,
     },
 }
@@ -162,7 +163,7 @@ pub struct PositionRounding {
     pub positions: RoundPositions,
     /// The largest rounding error along an axis.
     pub error: fn(&[[f32; 3]], [f64; 3]) -> f64,
-    /// What a certificate of such a file describes.
+    /// What the certificate of a rounded file names as its subject.
     pub certificate_subject: &'static str,
     /// Which files are rounded, and why. Completes the warning "vertices are moved by up to 0.1 voxels in …".
     pub reason: &'static str,
@@ -201,13 +202,13 @@ impl MeshWriter {
     }
 }
 
-/// How the end of an output is checked.
+/// How the completeness of an output file is checked.
 #[derive(Clone, Copy)]
 pub(crate) enum Integrity {
     /// By its last 256 bytes, or the whole file if it is shorter.
     Tail(fn(&[u8]) -> bool),
     /// By the file size that its head declares; `None` if unknown. The second argument reads another piece of
-    /// the file, by offset and length; the piece is shorter if the file ends.
+    /// the file, by offset and length; the piece is shorter if the file ends within it.
     Length(fn(&[u8], &mut ReadPiece) -> Result<Option<u64>>),
     /// By parsing it as JSON with a final line feed.
     Json,
@@ -228,9 +229,9 @@ pub enum Completeness {
         /// The size of the file, in bytes.
         found: u64,
     },
-    /// Only reading the whole file can tell: text with a count, and compressed files.
+    /// Only reading the whole file shows whether it is complete: text with a count, and compressed files.
     NeedsReading,
-    /// The format cannot tell: a table may always get another row.
+    /// Nothing in the file shows whether it is complete: a table may always get another row.
     Unknown,
 }
 
@@ -239,17 +240,18 @@ pub(crate) enum HeadCheck {
     Known(Completeness),
     /// The header does not end within the bytes that were read so far.
     NeedsMoreHead,
-    /// Depends on whether the last number of a text is complete.
+    /// The last byte decides: without white space at the end of a text, the last number may be incomplete.
     NeedsLastByte,
 }
 
-/// For a format that declares the exact file size.
+/// The completeness of a file in a format that declares the exact file size. A larger file is `Unknown`.
 pub(crate) fn exactly(expected: u64, found: u64) -> Completeness {
     let beyond = if expected < found { Completeness::Unknown } else { Completeness::Complete };
     at_least(expected, found, beyond)
 }
 
-/// For a format that declares a minimum file size; returns `then` if the file has it.
+/// The completeness of a file in a format that declares a minimum file size: `then` if the file has this
+/// size.
 pub(crate) fn at_least(expected: u64, found: u64, then: Completeness) -> Completeness {
     if found < expected { Completeness::Incomplete { expected, found } } else { then }
 }

@@ -6,22 +6,24 @@ use std::ops::Range;
 use crate::error::Result;
 use crate::limits::Limits;
 
-/// A part of a file that contains one frame, or should.
+/// A part of a file that is treated as one frame, even if it is incomplete or damaged.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FoundStep {
-    /// The step number from the file, or else its index, starting at 0. `None` if the file should state the
-    /// number and does not.
+    /// The step number that the file states or, if the format has no step numbers, the index of the step,
+    /// from 0. `None` if the format has step numbers and this step states none.
     pub number: Option<i64>,
-    /// The byte range of this step in the uncompressed file. On its own it is a valid single-frame file.
+    /// The byte range of this step in the uncompressed file. These bytes alone are a valid single-frame file,
+    /// unless the step is damaged.
     pub range: Range<u64>,
-    /// Number of lines before it in the uncompressed file.
+    /// Number of lines before this step in the uncompressed file.
     pub lines_before: u64,
 }
 
 /// Finds the steps in the lines of a file and appends them to the known ones.
 pub(crate) type FindSteps = fn(LineHeads, &mut Vec<FoundStep>, &Limits) -> Result<()>;
 
-/// A step starts at the first `ITEM:` after rows. A truncated step ends where the next one states its number.
+/// Finds the steps of a LAMMPS dump. A step starts at the first `ITEM:` line after the rows of the previous
+/// step. If a step lacks its rows, it ends at the next `ITEM: TIMESTEP`.
 pub(crate) fn steps_of_dump(mut lines: LineHeads, steps: &mut Vec<FoundStep>, limits: &Limits) -> Result<()> {
     let known_count = steps.len();
     let (mut is_numbered, mut is_in_rows, mut is_number_next) = (false, false, false);
@@ -51,8 +53,8 @@ pub(crate) fn steps_of_dump(mut lines: LineHeads, steps: &mut Vec<FoundStep>, li
     Ok(())
 }
 
-/// A step is a count, a comment line, and that number of lines. If the count is missing, the rest of the file
-/// is one step, because the start of the next one is unknown.
+/// Finds the steps of a file of atoms. A step is a line with a count N, a comment line, and N lines of atoms.
+/// If the count is invalid, the rest of the file is one step, because the start of the next step is unknown.
 pub(crate) fn steps_of_atoms(
     mut lines: LineHeads,
     steps: &mut Vec<FoundStep>,
@@ -68,7 +70,7 @@ pub(crate) fn steps_of_atoms(
         let count: Option<u64> = std::str::from_utf8(line).ok().and_then(|count| count.parse().ok());
         let number = i64::try_from(steps.len()).ok();
         steps.push(FoundStep { number, range: start..start, lines_before: lines.count - 1 });
-        // The comment is also a line.
+        // Skips the comment line and the atoms.
         for _ in 0..count.map_or(u64::MAX, |count| count.saturating_add(1)) {
             if lines.next()?.is_none() {
                 break;
@@ -96,7 +98,7 @@ pub(crate) struct LineHeads<'a> {
     count: u64,
 }
 
-/// Longer than any text that the search looks for.
+/// Number of bytes stored of each line: more than any text that the searches look for.
 const HEAD_BYTES: usize = 64;
 
 impl<'a> LineHeads<'a> {

@@ -41,8 +41,8 @@ pub fn find_steps(kind: ProbedKind, source: impl BufRead, limits: &Limits) -> Re
     Ok(steps)
 }
 
-/// Continues [`find_steps`] after some `steps` are known. The last known step may have been truncated, so the
-/// source must start at its beginning, and it is found again.
+/// Continues [`find_steps`] after some `steps` are known. The last known step may have been truncated, so it
+/// is found again: the source must start at the beginning of this step.
 ///
 /// # Errors
 ///
@@ -95,7 +95,7 @@ mod tests {
         let text = [first.clone(), second.clone(), third.clone()].concat();
         let expected = [(Some(10), first.clone()), (Some(-20), second.clone()), (Some(30), third)];
         assert_eq!(found(ProbedKind::Format(Format::LammpsDump), &text), expected);
-        // One truncated in its header, and one without a number.
+        // A step that is truncated in its header, and a step without a number.
         let cut = "ITEM: TIMESTEP\n15\nITEM: NUMBER OF ATOMS\n".to_owned();
         let nameless = "ITEM: TIMESTEP\nten\nITEM: ATOMS x y z\n1 2 3\n".to_owned();
         let text = [cut.clone(), nameless.clone(), second.clone()].concat();

@@ -7,8 +7,8 @@
 //! ```
 //!
 //! Text STL starts with the word `solid`, so the header of a binary file must not. The format has no units,
-//! axes or shared vertices: corners are repeated. Positions have 32 bits, even if the mesh is far from the
-//! origin.
+//! axes or shared vertices: corners are repeated. Positions are 32-bit world coordinates, so they lose
+//! precision if the mesh is far from the origin.
 
 use std::io::Write;
 
@@ -28,8 +28,8 @@ const TRIANGLE_BYTES: usize = 50;
 /// Number of triangles encoded at a time.
 const PIECE: usize = 4096;
 
-/// Writes triangles, each with its face normal. Of the provenance, the title stores `input_hash`, `settings`
-/// and `obstacles`, as far as they fit.
+/// Writes triangles, each with its face normal. The title (the 80 free bytes) stores the values `input_hash`,
+/// `settings` and `obstacles` of the provenance; a value that does not fit is omitted.
 ///
 /// # Errors
 ///
@@ -89,7 +89,7 @@ fn normal_of(corners: [[f32; 3]; 3]) -> [f32; 3] {
     if length > 0.0 { normal.map(|x| (x / length) as f32) } else { [0.0; 3] }
 }
 
-/// The positions that a reader gets for a mesh, relative to the mesh's origin.
+/// The positions that a reader of the file gets, relative to the mesh's origin.
 #[expect(clippy::cast_possible_truncation, reason = "the difference fits into 32 bits")]
 pub fn rounded_positions(positions: &[[f32; 3]], origin: [f64; 3]) -> Vec<[f32; 3]> {
     if origin == [0.0; 3] {
@@ -116,7 +116,8 @@ pub fn rounding(positions: &[[f32; 3]], origin: [f64; 3]) -> f64 {
     if origin == [0.0; 3] { 0.0 } else { positions.iter().map(corner).fold(0.0, f64::max) }
 }
 
-/// A provenance name with a one-letter abbreviation, because the title is short; others are omitted.
+/// The one-letter abbreviation of a provenance name, because the title is short. Values whose names have no
+/// abbreviation are omitted.
 struct Abbreviation {
     name: &'static str,
     letter: &'static str,
@@ -190,8 +191,8 @@ fn bytes_with(triangle_count: u32) -> u64 {
     HEAD_BYTES as u64 + u64::from(triangle_count) * TRIANGLE_BYTES as u64
 }
 
-/// Reads the number of triangles that the header declares, and ignores any bytes after them, which some
-/// programs append. Triangles do not share vertices. The stored normals, which are face normals, are dropped.
+/// Reads as many triangles as the header declares. Bytes after them, which some programs append, are ignored.
+/// Triangles do not share vertices. The stored normals, which are face normals, are dropped.
 ///
 /// # Errors
 ///
@@ -208,10 +209,11 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
         let what = format!("expected {claimed} bytes, found {}", bytes.len());
         return Err(Error::truncated(FORMAT, Position::Offset(bytes.len() as u64), what));
     }
-    let corner_count = 3 * u64::from(triangle_count);
-    if corner_count > limits.particle_count.min(u64::from(u32::MAX)) {
+    let vertex_count = 3 * u64::from(triangle_count);
+    let limit = limits.particle_count.min(u64::from(u32::MAX));
+    if vertex_count > limit {
         let what =
-            format!("the file has {corner_count} corners, more than the limit of {}", limits.particle_count);
+            format!("the file has {vertex_count} vertices (3 per triangle), more than the limit of {limit}");
         return Err(Error::too_large(FORMAT, what));
     }
     let mut mesh = MeshData::default();

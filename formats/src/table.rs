@@ -1,8 +1,9 @@
 //! The table of formats: one row per format, and the only list of formats in the code.
 //!
 //! Each format describes itself in its own module, in a static row; this file lists the rows. The rest of the
-//! program derives from them which files it recognises and reads, `--format` and its help, which options have
-//! an effect, what an output records, how an output is checked for completeness, and which notes users get.
+//! program derives from the rows which files it recognises and reads, `--format` and its help, which options
+//! have an effect, what an output records, how an output is checked for completeness, and which notes users
+//! get.
 //!
 //! ```text
 //!   FormatRow    name, extensions, signatures │ reads particles? │ reads a mesh?
@@ -140,12 +141,12 @@ impl Format {
         self.row().extensions
     }
 
-    /// Whether its files can be read as meshes.
+    /// Whether files of this format can be read as meshes.
     pub fn has_mesh(self) -> bool {
         self.row().read_mesh.is_some()
     }
 
-    /// Whether its files can be read as particles.
+    /// Whether files of this format can be read as particles.
     pub fn has_particles(self) -> bool {
         self.row().particles.is_some()
     }
@@ -167,7 +168,7 @@ impl OutputFormat {
         self.row().help
     }
 
-    /// What its files contain.
+    /// What files of this format contain.
     pub fn content(self) -> &'static Content {
         &self.row().content
     }
@@ -185,27 +186,27 @@ impl OutputFormat {
         self.row().write_particles.as_ref()
     }
 
-    /// Whether its files contain a mesh.
+    /// Whether files of this format contain a mesh.
     pub fn is_mesh(self) -> bool {
         self.mesh().is_some()
     }
 
-    /// Whether its files are pictures.
+    /// Whether files of this format are pictures.
     pub fn is_picture(self) -> bool {
         matches!(self.content(), Content::Picture(_))
     }
 
-    /// Whether its files have attributes such as velocities.
+    /// Whether files of this format have attributes such as velocities.
     pub fn has_attributes(self) -> bool {
         self.row().has_attributes
     }
 
-    /// Whether this option affects its files.
+    /// Whether an option affects files of this format.
     pub fn has_option(self, option: WriteOption) -> bool {
         self.row().options.contains(&option)
     }
 
-    /// The options that affect its files.
+    /// The options that affect files of this format.
     pub fn options(self) -> &'static [WriteOption] {
         self.row().options
     }
@@ -255,8 +256,8 @@ impl<'de> Deserialize<'de> for OutputFormat {
     }
 }
 
-/// Reads the provenance that a writer of this crate stored in a file, from the first mebibyte. Returns an
-/// empty list for files of other programs.
+/// Reads the first mebibyte of a file, and returns the provenance that a writer of this crate stored there.
+/// Returns an empty list for files of other programs.
 ///
 /// # Errors
 ///

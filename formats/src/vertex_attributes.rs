@@ -15,8 +15,11 @@
 //!   .vdb     velocity    a vector grid     1 or 3 a voxel     –                      –
 //! ```
 //!
+//! A dash means that the format cannot store the attribute. `its name` is the name of the attribute itself,
+//! and `up to 4` and `1 or 3` are numbers of components.
+//!
 //! Writers store colours exactly as the particles have them, without a transfer curve. glTF defines colours
-//! as linear, so they look right if the particles' colours are linear, as those of simulations are.
+//! as linear. The colours of simulations are linear as well, so they look right.
 
 use std::collections::HashSet;
 
@@ -27,13 +30,14 @@ use crate::data::{AttributeRole, VertexAttribute, VertexValues};
 pub(crate) enum Purpose<'a> {
     /// Three numbers per vertex.
     Velocity,
-    /// Three or four numbers per vertex, with the values.
+    /// Three or four numbers per vertex; contains these numbers.
     Color(&'a [f32]),
     /// Any other attribute.
     Other,
 }
 
-/// The purpose of each attribute. If several have the same one, only the first gets it.
+/// The purpose of each attribute. If several attributes have the same special purpose, only the first gets
+/// it; the others are [`Other`](Purpose::Other).
 pub(crate) fn purposes<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<Purpose<'a>> {
     let mut found: Vec<Purpose> = Vec::with_capacity(attributes.len());
     for VertexAttribute { role, arity, values, .. } in attributes {
@@ -72,7 +76,8 @@ pub(crate) fn plain_name(name: &str) -> String {
     if plain.is_empty() { "attribute".into() } else { plain }
 }
 
-/// The names used so far in a file. Compared without case, as some readers do.
+/// The names used so far in a file. Names are compared without regard to case, because some readers compare
+/// them so.
 pub(crate) struct UsedNames(HashSet<String>);
 
 impl UsedNames {
@@ -80,8 +85,8 @@ impl UsedNames {
         UsedNames(reserved.iter().map(|name| name.to_ascii_lowercase()).collect())
     }
 
-    /// Reserves all names derived from a stem, or from the first of `stem_2`, `stem_3`, … whose names are
-    /// free.
+    /// Reserves and returns the names that `names_of` derives from a stem. If one of them is already used,
+    /// tries `stem_2`, `stem_3`, … until all derived names are free.
     pub(crate) fn take(&mut self, stem: &str, names_of: impl Fn(&str) -> Vec<String>) -> Vec<String> {
         let mut names = names_of(stem);
         let mut number = 2u64;

@@ -5,11 +5,11 @@
 //!   f32 x  f32 y  f32 z   f32 x  f32 y  f32 z   ..      12 bytes each, in the writer's byte order
 //! ```
 //!
-//! The format has no signature, so the name decides, but only if the content is not text: the `.xyz` files of
-//! other programs are space-separated tables, which [`crate::csv`] reads. The byte order is not recorded
-//! either. Nearly all machines are little-endian. If the numbers are absurd as little-endian and plausible as
-//! big-endian, the file is read as big-endian; if they are absurd in both, the file does not contain raw
-//! positions.
+//! The format has no signature, so the extension decides, but only if the content is not text: the `.xyz`
+//! files of other programs are space-separated tables, which [`crate::csv`] reads. The byte order is not
+//! recorded either. Nearly all machines are little-endian. If the numbers are absurd as little-endian and
+//! plausible as big-endian, the file is read as big-endian; if they are absurd in both, the file does not
+//! contain raw positions.
 
 use crate::bytes::Endian;
 use crate::data::ParticleFrame;
@@ -53,7 +53,9 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let positions = number::positions(NumberType::F32.decode(bytes, endian)).unwrap_or_default();
     let notes = match endian {
         Endian::Little => Vec::new(),
-        Endian::Big => vec!["the numbers are absurd as little-endian: read as big-endian".into()],
+        Endian::Big => {
+            vec!["read as big-endian, because more of the numbers are plausible in this byte order".into()]
+        }
     };
     Ok(ParticleFrame { positions, attributes: Vec::new(), notes })
 }
@@ -65,7 +67,7 @@ fn endian(bytes: &[u8]) -> Result<Endian> {
     let absurd_count =
         |decode: fn([u8; 4]) -> f32| words.iter().filter(|&&word| is_absurd(decode(word))).count();
     let (little, big) = (absurd_count(f32::from_le_bytes), absurd_count(f32::from_be_bytes));
-    // Some particles may have diverged to infinity.
+    // Up to a quarter of the numbers may be absurd, because some particles may have diverged to infinity.
     let is_good = |absurd: usize| 4 * absurd <= words.len();
     match (is_good(little), is_good(big)) {
         (true, _) if little <= big || !is_good(big) => Ok(Endian::Little),
@@ -77,8 +79,7 @@ fn endian(bytes: &[u8]) -> Result<Endian> {
     }
 }
 
-/// Whether a number is implausible in a position: not finite, or closer to or farther from zero than any
-/// scene.
+/// Whether a number is implausible in a position: not finite, or of a magnitude that occurs in no scene.
 fn is_absurd(value: f32) -> bool {
     !(value == 0.0 || (1e-20..1e12).contains(&value.abs()))
 }

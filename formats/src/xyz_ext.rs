@@ -10,11 +10,11 @@
 //! ```
 //!
 //! An atomic number can replace the element. Without `Properties`, the columns after the position have no
-//! names; they become `column_5` and so on, by their number. Lengths are usually in ångströms and are not
-//! converted. The rows are read like those of any other table.
+//! names; they are named after their number: `column_5` and so on. Lengths are usually in ångströms and are
+//! not converted. The rows are read like those of any other table.
 //!
-//! Programs that join lines omit the line end after the last one. Such a frame is read like any other table,
-//! with a note, because the last number of a file that is still being written may lack digits.
+//! Programs that put line ends only between lines omit the one after the last line. Such a frame is read like
+//! any other table, but with a note: if the file is still being written, its last number may lack digits.
 
 use crate::csv;
 use crate::data::ParticleFrame;
@@ -27,9 +27,9 @@ use crate::text::{Lines, parse_number};
 /// The format's name in errors.
 pub(crate) const FORMAT: &str = "XYZ atoms";
 
-/// Whether a text starts like a frame of atoms: a count alone on the first line, and on the third a word
-/// before three numbers. A table has no such word, and other text has no such count. If an atomic number
-/// replaces the word, stricter conditions apply.
+/// Whether a text starts like a frame of atoms: the first line is a count alone, and the third line is a word
+/// followed by three numbers. A table has no such word, and other text has no such count. If an atomic number
+/// replaces the word, [`have_atomic_numbers`] applies stricter conditions.
 pub(crate) fn looks_like_atoms(text: &[u8]) -> bool {
     let mut lines = Lines::new(text);
     let Some(count) = lines.next().and_then(count) else { return false };
@@ -44,8 +44,9 @@ pub(crate) fn looks_like_atoms(text: &[u8]) -> bool {
 }
 
 /// Whether these rows are atoms given by atomic numbers: each starts with one, followed by at least three
-/// numbers; all rows have the same number of cells; and only another frame follows them. A table below the
-/// count of its rows would also match, except that it has no comment: its first row looks like the others.
+/// numbers; all rows have the same number of cells; and only another frame follows them. A numeric table
+/// below a line with its row count is not mistaken for atoms: it has no comment, so its second line looks
+/// like the others.
 fn have_atomic_numbers(comment: &[u8], lines: Lines, text: &[u8], atom_count: u64) -> bool {
     let most = usize::try_from(atom_count).unwrap_or(usize::MAX);
     let mut rows: Vec<&[u8]> = lines.clone().take(most).collect();

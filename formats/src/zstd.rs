@@ -23,14 +23,14 @@ const MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 /// The first bytes of skippable frames, after a byte from 0x50 to 0x5f.
 const SKIPPABLE: [u8; 3] = [0x2a, 0x4d, 0x18];
 
-/// A decoder yields nothing before the end of a block. The first block ends within this many bytes: the
-/// headers of its frame and its own, 128 KiB of data, and space for a skippable frame.
+/// The first block ends within this many bytes: a skippable frame of up to about 4 KiB, the headers of the
+/// frame and of the block, and at most 128 KiB of data. A decoder yields nothing before the end of a block.
 pub(crate) const FIRST_BLOCK_BYTES_MAX: u64 = 132 << 10;
 
 /// Bytes decompressed between checks of the limits.
 const PIECE_BYTES: usize = 256 << 10;
 
-/// The largest window of a small file: more than compression levels up to 19 need.
+/// The largest window that is accepted for a small file. Compression levels up to 19 need less.
 const WINDOW_BYTES: u64 = 16 << 20;
 
 /// Whether the file is compressed with Zstandard.
@@ -45,8 +45,8 @@ fn is_skippable(bytes: &[u8]) -> bool {
 /// Decompresses all frames of the file and concatenates them.
 ///
 /// # Errors
-/// `Short` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed file;
-/// `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`, or if the window is too large.
+/// `Truncated` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed
+/// file; `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`, or if the window is too large.
 pub(crate) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     let mut decompressed = Vec::new();
     let mut rest = bytes;
@@ -107,8 +107,8 @@ fn decoder_of(bytes: &[u8], at: usize) -> Result<StreamingDecoder<&[u8], FrameDe
         WindowSizeTooBig { requested, max } => Error::too_large(
             FORMAT,
             format!(
-                "the window of {requested} bytes exceeds the limit of {max} for a file of {}: \
-                 compress it at level 19 or lower",
+                "the window of {requested} bytes exceeds the limit of {max} bytes for a file of {} bytes: \
+                 compress the file at level 19 or lower",
                 bytes.len()
             ),
         ),
@@ -152,7 +152,7 @@ fn is_end(error: &std::io::Error) -> bool {
 /// Checks the first bytes for damage without keeping the decompressed data.
 ///
 /// # Errors
-/// `Short`, `Invalid` and `TooLarge`, as from [`decompress`].
+/// `Truncated`, `Invalid` and `TooLarge`, as from [`decompress`].
 pub(crate) fn check_start(bytes: &[u8]) -> Result<()> {
     let at = frame_start(bytes)?;
     let mut start = decoder_of(bytes, at)?.take(crate::limits::RATIO_FREE_BYTES);
@@ -160,7 +160,7 @@ pub(crate) fn check_start(bytes: &[u8]) -> Result<()> {
     outcome.map(drop).map_err(|source| damage(&source, bytes.len() - start.get_ref().get_ref().len()))
 }
 
-/// The offset of the first frame with content, or of the last one if all are empty.
+/// The offset of the first frame with content, or of the last frame if all frames are empty.
 fn frame_start(bytes: &[u8]) -> Result<usize> {
     let mut rest = bytes;
     loop {

@@ -1,5 +1,5 @@
-//! Meshes written as .abc and read back: exact to the last bit. tests/clients reads them with the Alembic
-//! library.
+//! Meshes written as .abc and read back with our own reader: exact to the last bit. `tests/clients` reads
+//! .abc files with the Alembic library.
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
@@ -75,7 +75,7 @@ fn abc_round_trips_exactly() {
     }
     let options = MeshOptions { quads: QUADS.into(), ..MeshOptions::default() };
     let mesh = abc::read_mesh(&written([0.0; 3], &options, &[]), &Limits::default()).expect("read");
-    // The quad is cut along the other diagonal, or from another corner.
+    // The reader may split the quad along the other diagonal, or start at another corner.
     assert_eq!(mesh.triangles[2..], TRIANGLES[2..]);
     let mut corners = mesh.triangles[..2].concat();
     corners.sort_unstable();
@@ -93,7 +93,7 @@ fn abc_becomes_the_glb_of_the_same_mesh() {
         abc::read_mesh(&bytes, &Limits::default()).expect("our own file"),
     ];
     assert_eq!(mesh.triangles, expected.triangles);
-    // glTF has a quaternion for the axes, which is not exact.
+    // The .glb stores the rotation of the axes as a quaternion, which is not exact.
     let pairs = mesh.positions.as_flattened().iter().zip(expected.positions.as_flattened());
     assert!(mesh.positions.len() == 5 && pairs.into_iter().all(|(a, b)| (a - b).abs() < 1e-9));
     assert_eq!(read_provenance(OutputFormat::Glb, &glb[..]).expect("our own file"), provenance());

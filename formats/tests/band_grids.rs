@@ -1,4 +1,4 @@
-//! Additional grids in a .vdb, read by our own reader and by another one.
+//! Additional grids in a .vdb, read by our own reader and by another reader.
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
@@ -23,7 +23,7 @@ fn to_bytes(view: &LevelSetView, compression: Compression, half: bool) -> Vec<u8
     bytes
 }
 
-/// The value of a voxel, exact in 16 bits.
+/// The value of a component at a voxel. 16 bits represent it exactly.
 fn value_at(voxel: [i32; 3], component: usize) -> f32 {
     let [x, y, z] = voxel.map(|c| (c & 63) as f32);
     [x + y / 8.0, y - 2.0 * z, -1.5][component]

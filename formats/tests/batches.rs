@@ -37,7 +37,7 @@ fn read_in_batches(
     Ok(Some(frame))
 }
 
-/// Compares both ways of reading; returns whether the file can be read in batches.
+/// Compares reading in batches with reading the whole file. Returns whether the file can be read in batches.
 fn check(name: &str, bytes: &[u8], limits: &Limits) -> bool {
     let whole = read_particles(bytes, "f", limits);
     let mut is_streamed = false;
@@ -46,7 +46,7 @@ fn check(name: &str, bytes: &[u8], limits: &Limits) -> bool {
             (Ok(None), _) => {}
             (Ok(Some(frame)), Ok(whole)) => {
                 is_streamed = true;
-                // Compared as bits, because NaN is not equal to itself.
+                // The positions are compared as bits, because NaN is not equal to itself.
                 assert!(bits(&frame.positions) == bits(&whole.positions), "{name}: {batch_bytes} bytes");
                 assert_eq!(frame.notes, whole.notes, "{name}");
             }

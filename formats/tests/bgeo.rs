@@ -168,7 +168,11 @@ fn invalid_files_are_errors_that_say_what_was_expected() {
         ("nothing", Vec::new(), "expected 5 bytes of the signature, found 0"),
         ("another file", b"\x7fNSJb.....".to_vec(), "expected the signature BgeoV"),
         ("version", version_6, "version 6; only version 5 is supported"),
-        ("negative count", Layout::new(-1, 0).end(), "at byte 9: expected the number of points, found -1"),
+        (
+            "negative count",
+            Layout::new(-1, 0).end(),
+            "at byte 9: expected the number of points to be at least 0, found -1",
+        ),
         (
             "points missing",
             Layout::new(1000, 0).end(),
@@ -267,7 +271,7 @@ fn shared(path: &str) -> Option<PathBuf> {
     path.exists().then_some(path)
 }
 
-/// Decompresses a file if it is gzipped, as most programs write them.
+/// The contents of a file, decompressed if it is gzipped: most programs write .bgeo files with gzip.
 fn inflated(path: &PathBuf) -> Vec<u8> {
     let bytes = std::fs::read(path).unwrap();
     if !bytes.starts_with(&[0x1f, 0x8b]) {

@@ -55,7 +55,7 @@ fn check_position(frame: &ParticleFrame, index: usize, expected: &str, bits: &st
         FilePositions::F32(positions) => {
             assert_eq!(bits, "32", "of {name}");
             #[expect(clippy::cast_possible_truncation, reason = "written from 32 bits")]
-            // Nine digits identify a 32-bit number uniquely.
+            // The table has nine digits, which identify a 32-bit number uniquely.
             let expected: Vec<f32> = expected.iter().map(|&x| x as f32).collect();
             assert_eq!(positions[index][..], expected, "of {name}");
         }

@@ -1,9 +1,9 @@
 //! Readers survive damaged files: they return a result or an error, never panic, and never allocate memory
 //! for data that is not in the file.
 //!
-//! Every file of the corpus is truncated at many places and gets random bit flips. A reader may return
-//! anything, but it must return, and it must never use more than 64 MiB in addition to the size of its input:
-//! the files have a few kilobytes, so more memory means that it trusted a count.
+//! Every file of the corpus is truncated at many lengths, and gets random bit flips. A reader may return any
+//! result, but it must return, and it must never use more than 64 MiB in addition to the size of its input.
+//! The files have a few kilobytes, so a reader that uses more memory trusted a count in the file.
 
 #![allow(clippy::cast_possible_truncation, reason = "sizes and small random numbers")]
 
@@ -23,7 +23,7 @@ use peak_alloc::PeakAlloc;
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
 
-/// Bytes that a reader may use in addition to the size of its input.
+/// Number of bytes of memory that a reader may use in addition to the size of its input.
 const ALLOWED_BYTES: usize = 64 << 20;
 /// Number of lengths to which each file is truncated.
 const CUT_COUNT: usize = 200;
@@ -168,7 +168,7 @@ fn worst_case_files_are_errors_with_little_memory() {
     }
 }
 
-/// Blank space at the end must not be scanned again for each step.
+/// A reader must not scan the blank space at the end of the file again for each step.
 #[test]
 fn blanks_after_many_steps_are_scanned_once() {
     let _alone = alone();
@@ -179,7 +179,7 @@ fn blanks_after_many_steps_are_scanned_once() {
     check("blank.dump", text.as_bytes(), &count);
 }
 
-/// A decompression bomb must be rejected early, whatever format its content has.
+/// A decompression bomb must be rejected early, whatever the format of its contents is.
 #[test]
 fn decompression_bombs_are_errors() {
     let _alone = alone();
@@ -249,7 +249,7 @@ fn overlapping_grids_are_an_error() {
     let error = vdb::grids(&bytes, &Limits::default()).unwrap_err().to_string();
     assert!(error.contains("the value of a metadata entry"), "{error}");
     let mut stream = bytes;
-    stream[20] = 0; // no offsets: one grid directly after the other
+    stream[20] = 0; // no offsets: each grid directly follows the one before
     check("stream.vdb", &stream, &|bytes| vdb::grids(bytes, &Limits::default()));
 }
 
@@ -338,7 +338,7 @@ fn damaged_obstacles_do_not_panic() {
     }
 }
 
-/// Memory is measured for the whole process, so only one test runs at a time.
+/// Held by a running test: memory is measured for the whole process, so only one test may run at a time.
 fn alone() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
     TURN.lock().unwrap_or_else(PoisonError::into_inner)

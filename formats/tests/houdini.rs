@@ -1,4 +1,4 @@
-//! Houdini geometry: the same document in all its forms, and errors.
+//! Houdini geometry: the same document in all forms of the format, and errors.
 
 use crate::fixtures;
 
@@ -121,7 +121,7 @@ fn invalid_documents_are_errors_with_their_location() {
     assert!(error.contains("expected the end of the file"), "{error}");
 }
 
-/// Constant pages are a form of compression, so a small file could expand enormously.
+/// A constant page stores one value for all its points, so a small file could expand enormously.
 #[test]
 fn constant_pages_are_limited() {
     let pages = "1,".repeat(100_000);
@@ -134,7 +134,7 @@ fn constant_pages_are_limited() {
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
 }
 
-/// Nested arrays must not use stack or memory.
+/// Deeply nested arrays must overflow neither the stack nor the memory.
 #[test]
 fn deeply_nested_arrays_are_skipped() {
     let deep = |bytes: &[u8], signature: &[u8]| [signature, &b"[".repeat(4 << 20), bytes].concat();

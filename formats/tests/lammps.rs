@@ -45,7 +45,7 @@ fn diameters_are_halved_with_a_note() {
 #[test]
 fn scaled_positions_are_multiplied_by_the_box() {
     let straight = "pp pp pp\n0 10\n-1 1\n2 22\n";
-    // A box from (0, 0, 0) with the edges (4, 0, 0), (1, 2, 0), (-2, 0.5, 8).
+    // A tilted box with a corner at (0, 0, 0) and the edges (4, 0, 0), (1, 2, 0) and (-2, 0.5, 8).
     let tilted = "xy xz yz pp pp pp\n-2 5 1\n0 2.5 -2\n0 8 0.5\n";
     let general = "abc origin pp pp pp\n4 0 0 0\n1 2 0 0\n-2 0.5 8 0\n";
     let table = [

@@ -1,11 +1,12 @@
-//! The tests of the file formats as a single program: separate ones would each link everything again. Only
-//! `hostile` is separate, because it measures the memory of the whole process.
+//! The tests of the file formats, as a single program: with a program for each module, each would be linked
+//! separately, which takes long. Only `hostile` is a separate program, because it measures the memory of the
+//! whole process.
 
 mod alembic; // .abc
 mod band_grids; // additional grids in .vdb files
 mod batches; // reading in batches matches reading whole files
 mod bgeo; // classic BGEO
-mod corpus; // files of other programs, and invalid ones
+mod corpus; // files of other programs, and invalid files
 mod delimited; // text tables
 mod fixtures; // small valid files, built byte by byte
 mod houdini; // Houdini geometry
@@ -28,7 +29,7 @@ mod vertex_attributes; // vertex attributes
 mod vtk; // VTK files
 mod xyz_ext; // extended XYZ
 
-/// A file that is missing here would not be compiled, and its tests would not run.
+/// If a file is missing in this list of modules, it is not compiled, and its tests do not run.
 #[test]
 fn every_test_file_is_listed_in_main() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests");

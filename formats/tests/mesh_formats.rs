@@ -23,8 +23,8 @@ pub(crate) fn provenance() -> Vec<(String, String)> {
     .to_vec()
 }
 
-/// A torus of quads, each written as two triangles, where the first vertex of one is the last of the other;
-/// followed by a single triangle.
+/// A torus of quads, followed by a single triangle. Each quad is two triangles, where the first vertex of one
+/// is the last vertex of the other.
 pub(crate) struct Mesh {
     pub(crate) positions: Vec<[f32; 3]>,
     pub(crate) normals: Vec<[f32; 3]>,
@@ -227,7 +227,7 @@ fn stl_round_trips_in_32_bits() {
         let corners: Vec<[f64; 3]> =
             mesh.triangles.as_flattened().iter().map(|&i| world[i as usize]).collect();
         assert_eq!(found.positions, corners);
-        // Each normal is that of the triangle's plane, pointing outward.
+        // Each normal is the outward normal of the triangle's plane.
         for (record, triangle) in bytes[84..].as_chunks::<50>().0.iter().zip(&mesh.triangles) {
             let normal =
                 |at: usize| f32::from_le_bytes(record[4 * at..4 * at + 4].try_into().expect("four bytes"));
@@ -275,7 +275,7 @@ fn quantization_error_is_at_most_half_a_step() {
                 let world: [f64; 3] =
                     std::array::from_fn(|axis| mesh.origin[axis] + f64::from(promised[axis]));
                 let world = turn(world);
-                // A reader computes in 64 bits instead of 32, which can differ by half a step of 32-bit
+                // A reader computes in 64 bits instead of 32. Its result may differ by half a step of 32-bit
                 // numbers.
                 assert!((0..3).all(|axis| (found[axis] - world[axis]).abs() < 0.01 * error + 1e-9));
             }
@@ -352,7 +352,7 @@ fn files() -> [(OutputFormat, Vec<u8>); 4] {
 #[test]
 fn provenance_is_read_from_the_head() {
     for (kind, bytes) in files() {
-        // An STL title of 80 bytes only has space for the generator and the abbreviated names.
+        // The 80 bytes of an STL title only have space for the generator and abbreviated names.
         let expected = if kind == OutputFormat::Stl { provenance()[..1].to_vec() } else { provenance() };
         assert_eq!(read_provenance(kind, &bytes[..]).expect("our own file"), expected, "{kind:?}");
         assert_eq!(read_provenance(kind, &bytes[..2500]).expect("a head"), expected, "{kind:?}");
@@ -448,7 +448,7 @@ fn damaged_meshes_are_errors_without_panics() {
     assert!(matches!(text, Err(Error::Unsupported { .. })), "{text:?}");
 }
 
-/// A square of four points above another one.
+/// The eight points of two squares, one above the other.
 const VTK_POINTS: &str = "POINTS 8 float\n0 0 0 1 0 0 1 1 0 0 1 0 0 0 1 1 0 1 1 1 1 0 1 1\n";
 
 fn legacy_mesh(rest: &str) -> meniscus_formats::Result<MeshData> {

@@ -36,7 +36,7 @@ fn counts_agree_with_the_gltf_crate() {
     }
 }
 
-/// The same mesh twice, apart from normals at seams and the decimals of the text.
+/// Two files have the same mesh, except for normals at seams, and the number of decimals in the text.
 #[test]
 fn quantized_and_plain_glb_agree() {
     let (Some(plain), Some(quantized)) = (shared("hand.glb"), shared("hand_quant.glb")) else { return };
@@ -93,7 +93,7 @@ fn unsupported_and_excessive_documents_are_errors() {
     assert!(error.contains("KHR_draco_mesh_compression"), "{error}");
     let circle = br#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{"children":[1]},{"children":[0]}]}"#;
     assert!(matches!(gltf::read_mesh(circle, &limits), Err(Error::Invalid { .. })));
-    // A small mesh placed by many nodes must not become a huge one.
+    // A small mesh that many nodes use must not become a huge mesh.
     let nodes = vec![r#"{"mesh":0}"#; 20_000].join(",");
     let roots: Vec<String> = (0..20_000).map(|node| node.to_string()).collect();
     let triangles = "AAAA".repeat(3_000); // 9000 zero bytes: 250 triangles at one point

@@ -156,7 +156,7 @@ fn obj_round_trips_exactly() {
                 |&i: &u32| (positions[i as usize].map(f64::to_bits), normals[i as usize].map(f32::to_bits));
             triangles.as_flattened().iter().map(corner).collect()
         };
-        // Without an origin, numbers are the shortest text that parses back to the same 32-bit value.
+        // If the origin is zero, each number is the shortest text that parses back to the same 32-bit value.
         let narrow = mesh.origin == [0.0; 3];
         let positions =
             found.positions.iter().map(|p| if narrow { p.map(|c| f64::from(c as f32)) } else { *p });
@@ -308,7 +308,7 @@ fn faces(text: &[u8]) -> Vec<Vec<u32>> {
 
 #[test]
 fn obj_quads_are_written_as_quads() {
-    // Enough quads that, after a single triangle, some lie across the boundaries of tasks.
+    // A single triangle, then so many quads that some of them cross the boundary between two parallel tasks.
     let mut mesh = ball(60, 150, [0.0; 3]);
     mesh.triangles.insert(0, mesh.triangles[0]);
     let count = mesh.triangles.len();
@@ -321,7 +321,8 @@ fn obj_quads_are_written_as_quads() {
     assert_eq!(faces.len(), 1 + count / 2);
     assert_eq!(faces[0].len(), 3);
     for (face, halves) in faces[1..].iter().zip(mesh.triangles[1..].chunks(2)) {
-        // The quad contains both triangles: all edges but the diagonal once, in their direction.
+        // The quad consists of both triangles: it has all their edges except the diagonal, once and in the
+        // same direction.
         let edges = |corners: &[u32]| -> Vec<[u32; 2]> {
             (0..corners.len()).map(|k| [corners[k], corners[(k + 1) % corners.len()]]).collect()
         };

@@ -72,7 +72,7 @@ fn obj_errors_have_the_line_number() {
             "{text}: {error}"
         );
     }
-    // Absolute indices can refer to later vertices, so they are checked at the end.
+    // Absolute indices can refer to later vertices, so the reader checks them at the end of the file.
     for (text, line, what) in [
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9", 4, "vertex 9, but the file has 3"),
         ("f 1 2 3\nf 1 2 4\nf 1 2 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\n", 2, "vertex 4, but the file has 3"),
@@ -89,7 +89,7 @@ fn obj_errors_have_the_line_number() {
     assert!(nothing.contains("no triangles"), "{nothing}");
 }
 
-/// A document with one buffer that consists of these parts, each with its own view.
+/// A glTF document with one buffer that consists of these parts, each with its own buffer view.
 fn gltf(parts: &[&[u8]], rest: &str, uri: impl Fn(&[u8]) -> String) -> (String, Vec<u8>) {
     let (mut buffer, mut views) = (Vec::new(), Vec::new());
     for part in parts {

@@ -38,8 +38,8 @@ fn frames() -> Vec<(String, ParticleFrame)> {
     frames.collect()
 }
 
-/// The values that are read back: strings become indices, wide integers become floats if the format lacks
-/// their type.
+/// The values that are expected when a file is read back: strings become indices, and wide integers become
+/// floats if the format lacks their type.
 fn narrowed(attribute: &FileAttribute, is_ply: bool) -> Values {
     match &attribute.values {
         Values::Strings { table, indices } => Values::I32(

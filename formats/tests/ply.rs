@@ -198,7 +198,7 @@ fn ply_rs_bw_reads_the_same_values() {
 struct Vertices {
     columns: Vec<(String, Scalar)>,
     rows: Vec<Vec<f64>>,
-    /// Whether there is a list between the properties, and an element with a list before the vertices.
+    /// Whether a list is between the vertex properties, and an element with a list is before the vertices.
     lists: bool,
     line_end: &'static str,
 }

@@ -1,4 +1,4 @@
-//! Sequences assembled from the .glb files of frames, read by other readers; and errors.
+//! Sequences that are assembled from the .glb files of frames, read by other readers; and errors.
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
@@ -148,8 +148,8 @@ fn glb_sequence_contains_the_data_of_every_frame() {
             });
             assert!(data[0] == data[1] && data[0].len() >= 4, "{}", frame.code);
         }
-        // A frame is visible from half a frame before its time (for the first, one frame) until the next one
-        // starts.
+        // A frame is visible from half a frame before its time (the first: from one frame before) until the
+        // next frame is visible.
         let animation = shot.animations().next().expect("an animation");
         let keys: Vec<(usize, Vec<f32>, Vec<f32>)> = animation
             .channels()
@@ -176,7 +176,8 @@ fn glb_sequence_contains_the_data_of_every_frame() {
     }
 }
 
-/// The numbers of the samples: a frame before missing ones has two.
+/// The samples in a .abc: the frame number of the time, and the index of the frame. A frame before missing
+/// frames has two samples.
 const ABC_SAMPLES: [(u64, usize); 5] = [(5, 0), (6, 1), (8, 1), (9, 2), (10, 3)];
 
 #[test]
@@ -257,10 +258,11 @@ fn usda_sequence_has_a_sample_per_frame() {
                 numbers(found.unwrap_or_else(|| panic!("no sample at {code}")).1)
             };
             let (found, origin) = (numbers(points[index].1), at(&origins, &code));
-            // Before missing frames, here 7 and 8, the last value is held until the next frame.
+            // During missing frames (here 7 and 8), the last value is held until the next frame.
             assert_eq!(at(&origins, "8"), at(&origins, "6"));
             assert_eq!(origins.len(), frames().len() + 1);
-            // A quantized frame has coordinates in a cube from (−1, −1, 0), 2 wide; the others are unchanged.
+            // The tolerance is the rounding of a quantized frame, whose coordinates are in a cube from (−1,
+            // −1, 0) with an edge length of 2. The other frames must be unchanged.
             let tolerance = if frame.quantize { 2.0 / 65535.0 / 2.0 * 1.001 + 1e-6 } else { 0.0 };
             assert_eq!(found.len(), 3 * positions.len());
             for (found, expected) in found.as_chunks::<3>().0.iter().zip(&positions) {
@@ -280,7 +282,7 @@ fn usda_sequence_has_a_sample_per_frame() {
                 assert!((0..3).all(|axis| extent[axis] <= point[axis] && point[axis] <= extent[axis + 3]));
             }
         }
-        // The attribute that not every frame has.
+        // The note names the attribute that one frame lacks.
         assert!(notes.len() == 1 && notes[0].starts_with("_HEAT is missing in the sequence"), "{notes:?}");
         let info = usda::read_layer_info(text.as_bytes()).expect("our own file").expect("figures");
         assert_eq!((info.frames, info.faces), (Some(4), 70_008));
@@ -371,7 +373,7 @@ fn other_and_damaged_files_are_not_frames() {
             broken[at] =
                 if below(2) == 0 { broken[at] ^ 1 << below(8) } else { b"0123456789-e. [{\"]}"[below(19)] };
         }
-        // A file accepted as a frame may or may not be usable in a sequence, but nothing may panic.
+        // A file that is accepted as a frame may be invalid in a sequence, but nothing may panic.
         if let Ok(file) = read(&broken) {
             let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
             let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&broken)) };
@@ -396,7 +398,7 @@ fn triangle(attributes: &[VertexAttribute]) -> Vec<u8> {
     bytes
 }
 
-/// The sequence of one frame, and its notes.
+/// The .usda sequence of this single frame, and its notes.
 fn usda_of(bytes: &[u8]) -> Result<(String, Vec<String>), Error> {
     let file = GlbFrame::read(&mut Cursor::new(bytes))?;
     let shot = [SequenceFrame { name: "a".into(), code: 1, file }];

@@ -1,5 +1,5 @@
-//! Files of other programs, too many and too large for this repository. If they are found next to it, every
-//! file with points must be read, or rejected for the reason listed here.
+//! Files of other programs, which are too many and too large for this repository. If they are found next to
+//! the repository, every file with points must be read, or rejected for the reason in a list here.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -95,7 +95,7 @@ fn counts_and_bounds_match_other_programs() {
     }
 }
 
-/// The same geometry in binary and text form.
+/// Files with the same geometry in binary and text form give the same frame.
 #[test]
 fn binary_and_text_forms_are_equal() {
     let Some(data) = data() else { return };
@@ -118,7 +118,7 @@ fn binary_and_text_forms_are_equal() {
     }
 }
 
-/// Parts of paths, and words of the expected error.
+/// Files that must be rejected: parts of their paths, and words of the expected error.
 const REFUSED: &[(&str, &str)] = &[
     ("laika/packed_points_simple_16_5", "packed primitives (PackedGeometry): its 2 points are their pivots"),
     ("laika/psoup_simple_16", "surfaces or curves (PolySoup): its 8 points belong to them"),
@@ -126,10 +126,11 @@ const REFUSED: &[(&str, &str)] = &[
     ("sidefxlabs/delete_small_parts", "surfaces or curves (Poly): its 464 points belong to them"),
 ];
 
-/// Number of files that match.
+/// Number of files that match the list above.
 const REFUSED_COUNT: usize = 6;
 
-/// Number of points and their bounds, as reported by VTK's own readers and by the text form of Houdini files.
+/// Part of a path, number of points, minimum and maximum corner. VTK's own readers, and the text form of
+/// Houdini files, give these values.
 type Bounds = (&'static str, usize, [f64; 3], [f64; 3]);
 const BOUNDS: &[Bounds] = &[
     ("third-party/partio/test.geo", 5, [0.0, 0.1, 0.2], [0.4, 0.5, 0.6]),

@@ -1,8 +1,8 @@
 //! A truncated file is distinguished from an invalid one, because it may be the beginning of a valid file.
 //!
-//! While a simulation writes its frames, each is incomplete for some time. So every valid file is truncated
-//! at many lengths: the rest must either be read or be reported as short. Text is an exception where that is
-//! impossible: the beginning of a number is a number, and the beginning of a table is a table.
+//! While a simulation writes a frame, the file is incomplete for some time. So every valid file is truncated
+//! at many lengths. The reader must read the remaining part, or report that it is short. Text is an
+//! exception: the beginning of a number is a number, and the beginning of a table is a table.
 
 use crate::fixtures;
 
@@ -40,8 +40,8 @@ fn read(bytes: &[u8], name: &str) -> Result<usize, Error> {
     read_particles(bytes, name, &Limits::default()).map(|frame| frame.positions.len())
 }
 
-/// Checks that every truncated file is short or contains all particles, and that its format never calls it
-/// complete.
+/// Checks that every truncated file is reported as short or gives all particles, and that the format's own
+/// check never reports it as complete.
 fn check_all_cuts(name: &str, bytes: &[u8]) {
     let count = read(bytes, name).unwrap_or_else(|error| panic!("{name}: {error}"));
     for cut in cuts(bytes.len()) {
@@ -116,12 +116,12 @@ fn truncated_files_of_other_formats_are_short() {
     }
 }
 
-/// The beginning of a table is a table or short, never invalid.
+/// The beginning of a table is read as a table or reported as short, never as invalid.
 #[test]
 fn truncated_tables_are_never_invalid() {
     let text = "x,y,z,\"a b\",n\n1.5,-2e-3,3,0.25,7\n-1,.5,nan,1e5,8\n0.125,1,2,3,9\n";
     for separated in [text.to_string(), text.replace(',', ";"), text.replace(',', "\t")] {
-        // Before the end of the header, nothing shows that there is one.
+        // Before the end of the header line, nothing shows that the table has a header.
         for cut in separated.find('\n').unwrap()..separated.len() {
             match csv::read(&separated.as_bytes()[..cut], &Limits::default()) {
                 Ok(_) => {}
@@ -131,12 +131,12 @@ fn truncated_tables_are_never_invalid() {
     }
 }
 
-/// Files of other programs are complete according to their format, if it can tell.
+/// Files of other programs are reported as complete if their format allows such a check.
 #[test]
 fn valid_files_are_complete() {
     for (name, bytes) in valid_files("") {
         let found = completeness(&mut std::io::Cursor::new(&bytes), &name).unwrap();
-        // These formats can always have more rows.
+        // Files in these formats could always have more rows.
         let is_table = name.ends_with(".csv") || name.ends_with(".vtk");
         let expected = if is_table { found == Completeness::Unknown } else { found != Completeness::Unknown };
         assert!(expected && !matches!(found, Completeness::Incomplete { .. }), "{name}: {found:?}");

@@ -141,7 +141,7 @@ fn usdc_round_trips_exactly() {
             }
             assert_eq!(values("displayColor", 3), Values::F32(colors));
             assert_eq!(values("displayOpacity", 1), Values::F32(opacities));
-            // No value needs 64 bits if there are no values.
+            // An empty array needs no 64-bit type.
             let ids =
                 if mesh.ids.is_empty() { Values::I32(Vec::new()) } else { Values::I64(mesh.ids.clone()) };
             assert_eq!(values("id", 1), ids);
@@ -201,7 +201,7 @@ fn truncated_and_damaged_usdc_is_an_error() {
         assert!(length < 8 || error.is_truncated(), "{length}: {error}");
         assert!(error.to_string().starts_with("USD, at byte "), "{length}: {error}");
     }
-    // Any result will do, as long as nothing panics.
+    // Any result is valid, as long as nothing panics.
     for at in 0..bytes.len() {
         for damage in [0x01, 0x10, 0x80, 0xff] {
             let mut damaged = bytes.clone();

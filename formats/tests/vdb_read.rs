@@ -1,4 +1,4 @@
-//! .vdb files written by other programs, and damaged ones.
+//! .vdb files written by other programs, and damaged files.
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 #![allow(clippy::print_stderr, reason = "reports missing files")]
@@ -113,7 +113,7 @@ fn damaged_files_are_errors_without_panics() {
             }
             for round in 0..3000 {
                 let mut broken = bytes.clone();
-                // Half of the flips are in the head, where the counts are.
+                // Half of the flips are near the start of the file, where the counts are.
                 let range = if round % 2 == 0 { 1200 } else { broken.len() };
                 for _ in 0..1 + dice.below(3) {
                     let at = dice.below(range);

@@ -1,5 +1,5 @@
-//! Level sets written as .vdb, read by our own and two other readers, and rules of the format that readers do
-//! not check.
+//! Level sets written as .vdb: read by our own reader and two others, and checked for rules of the format
+//! that readers do not check.
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
@@ -187,7 +187,7 @@ fn openvdb_rs_accepts_the_level_set() {
 
 fn assert_openvdb_rs(name: &str, solid: &Solid, grid: &vdb::FloatGrid, data: &LevelSetData) {
     if !data.origins.is_empty() {
-        // The background, rounded to a half, may be slightly below three voxels.
+        // The background, rounded to a half float, may be slightly less than three voxels.
         let checks = if grid.save_float_as_half() { [4..4, 5..9] } else { [1..9, 0..0] };
         let mut check = vdb::tools::diagnostics::CheckLevelSet::new(grid);
         for n in checks.into_iter().flatten() {
@@ -257,7 +257,7 @@ fn uuid_depends_on_content() {
     assert_eq!(read(&moved).transform.voxel_size(), [0.05; 3]);
 }
 
-/// Walks through the bytes with knowledge of the format but independent of our reader.
+/// Walks through the bytes by the rules of the format, without our reader.
 struct Walk<'a>(&'a [u8]);
 
 impl Walk<'_> {
@@ -289,7 +289,7 @@ impl Walk<'_> {
         assert!(self.take(slots / 8).iter().all(|byte| *byte == 0), "an active tile");
         children
     }
-    /// Skips the values of an internal node when only active ones are stored: it has none.
+    /// Skips the values of an internal node. Only active values are stored, and it has none.
     fn values(&mut self, slots: usize, prefix: usize) {
         match self.take(1)[0] {
             0 | 1 => {}
@@ -302,7 +302,7 @@ impl Walk<'_> {
 
 #[test]
 fn output_follows_rules_that_readers_do_not_check() {
-    // Eight root children around the origin, with negative and positive coordinates.
+    // The solid has eight root children around the origin, with negative and positive coordinates.
     let solid = solids::sphere([0.5, 0.5, 0.5], 30.0);
     for compression in [Compression::ActiveMask, Compression::Blosc] {
         for half in [false, true] {

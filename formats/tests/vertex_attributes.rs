@@ -17,7 +17,7 @@ fn triangles() -> Vec<[u32; 3]> {
     (0..VERTEX_COUNT as u32 - 2).map(|v| [v, v + 1, v + 2]).collect()
 }
 
-/// A number for each component of each vertex.
+/// A different number for each component of each vertex.
 fn numbers(arity: usize, scale: f32) -> Vec<f32> {
     (0..VERTEX_COUNT * arity).map(|n| ((n * 37 % 101) as f32 / 100.0) * scale).collect()
 }

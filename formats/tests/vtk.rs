@@ -31,7 +31,8 @@ fn all_xml_encodings_give_the_same_frame() {
     }
 }
 
-/// Line breaks in data, a separately encoded header, an empty piece, and arrays that differ between pieces.
+/// Reads files with line breaks in data, a separately encoded header, an empty piece, and arrays that differ
+/// between pieces.
 #[test]
 fn unusual_xml_is_read() {
     let file = |pieces: &str| {
@@ -66,8 +67,8 @@ fn unusual_xml_is_read() {
             "{letters}"
         );
     }
-    // A single value of one byte: header and data in one run, which ends with less padding than the header
-    // alone.
+    // A single value of one byte. Header and data are encoded together, with less base64 padding than the
+    // header alone.
     let points = "<Points><DataArray type=\"UInt8\" NumberOfComponents=\"3\" format=\"ascii\">1 2 3</DataArray></Points>";
     let data =
         "<PointData><DataArray type=\"UInt8\" Name=\"a\" format=\"binary\">AQAAAAc=</DataArray></PointData>";
@@ -102,7 +103,7 @@ fn invalid_xml_is_an_error() {
         (good.replace("<Points>", "<Pts>"), "a piece has no array of points"),
         (
             good.replace("\"Points\" NumberOfComponents=\"3\"", "\"Points\" NumberOfComponents=\"2\""),
-            "the points are not three numbers",
+            "the array of points has 2 components per point; expected 3",
         ),
         (
             good.replace("format=\"binary\"", "format=\"appended\" offset=\"7\""),
@@ -120,7 +121,7 @@ fn invalid_xml_is_an_error() {
     assert!(vtk::read_xml(deep.as_bytes(), &Limits::default()).is_err());
 }
 
-/// Overlapping arrays would turn a file of some megabytes into gigabytes.
+/// With overlapping arrays, a file of some megabytes would give gigabytes of data.
 #[test]
 fn overlapping_arrays_are_an_error() {
     let array = |name: usize| {
@@ -140,7 +141,7 @@ fn overlapping_arrays_are_an_error() {
     assert!(error.contains("have more bytes in total than the file"), "{error}");
 }
 
-/// If the last block were larger than the others, the account would be too small.
+/// If the last block could be larger than the others, the memory in the account would be too small.
 #[test]
 fn last_block_larger_than_the_others_is_an_error() {
     for (compressor, packed) in
@@ -212,7 +213,7 @@ fn polygons_add_a_single_note() {
     }
 }
 
-/// A line with only this word would start a section to skip.
+/// Only a line that consists of the word METADATA starts a section to skip, so an array may have this name.
 #[test]
 fn array_can_be_named_metadata() {
     let text = format!(

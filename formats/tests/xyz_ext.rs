@@ -30,7 +30,7 @@ fn atomic_numbers_are_read_as_elements() {
     assert_eq!(frame.attributes[0].values, Values::I32(vec![8, 1]));
 }
 
-/// The head can end anywhere, even within the last atom.
+/// The first bytes of a file, from which its format is detected, can end anywhere, even within the last atom.
 #[test]
 fn frame_is_recognised_by_its_head() {
     for (count, row) in [(2, "8 0.5 0.25 1\n"), (700, "1 0.5 0.25 1\n"), (3, "O 0.5 0.25 1\n")] {
@@ -48,7 +48,7 @@ fn frame_is_recognised_by_its_head() {
     }
 }
 
-/// In a table, the line in place of the comment is a row like the others.
+/// In a plain table, the line where XYZ has its comment is a row like the others.
 #[test]
 fn table_below_a_count_is_not_xyz() {
     let tables = ["1\n1 2 3 4\n5 6 7 8\n", "1\n1 2 3 4\n5 6 7 8", "4\n1 0 0 1\n2 1 0 0\n3 0 1 0\n4 1 1 0\n"];
@@ -73,7 +73,8 @@ fn columns_after_the_position_are_kept() {
     assert_eq!(frame.attributes[2].values, Values::F64(vec![1.0, 2.5, 3.0]));
 }
 
-/// `"\n".join` writes files like this; but a file that is still being written can end in the same way.
+/// Python's `"\n".join` writes files without a final line end, but an incomplete file can end in the same
+/// way.
 #[test]
 fn missing_last_line_end_adds_a_note() {
     let ended = read("2\nwater\nO 0 0 0\nH 1 0 0.25\n");

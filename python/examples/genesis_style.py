@@ -1,7 +1,7 @@
-"""What a loop such as Genesis' needs: each particle with its own radius, one call for each frame, memory that
-does not grow.
+"""Reconstructs surfaces in a loop such as that of Genesis: each particle has its own radius, each frame needs
+one call, and the memory does not grow.
 
-No simulator is needed: particles of two sizes fall and bounce.
+It needs no simulator: particles of two sizes fall and bounce.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""A surface from arrays, and what can be done with it."""
+"""Makes a surface from arrays, checks its certificate, and writes it to files."""
 
 import sys
 from pathlib import Path
@@ -9,7 +9,7 @@ import pymeniscus
 
 
 def ball(count: int) -> np.ndarray:
-    """Particles of a ball, at random."""
+    """Random particles in a ball."""
     points = np.random.default_rng(0).uniform(-1, 1, (2 * count, 3))
     return points[np.linalg.norm(points, axis=1) < 1][:count].astype(np.float32)
 

@@ -1,4 +1,5 @@
-"""pySPlisHSPlasH with surfaces from a callback in its process, and no file of particles.
+"""Reconstructs surfaces during a simulation by pySPlisHSPlasH: in its process, from a callback, without
+particle files.
 
 usage: python splishsplash.py SCENE.json [OUT]
 """
@@ -13,7 +14,7 @@ import pymeniscus
 
 
 class Surfaces:
-    """Makes a surface every so often while the simulation runs."""
+    """Makes surfaces at regular intervals while the simulation runs."""
 
     def __init__(self, out: Path, every: float, stop_at: float, save=None) -> None:
         self.out, self.every, self.stop_at, self.save = out, every, stop_at, save
@@ -26,11 +27,11 @@ class Surfaces:
         simulation = sph.Simulation.getCurrent()
         model = simulation.getFluidModel(0)
         count = model.numActiveParticles()
-        # The buffers of the simulation are borrowed, and not copied, for the time of the call.
+        # A view of the simulation's buffer, not a copy: valid only until this callback returns.
         points = np.asarray(model.getFieldBuffer("position"))[:count]
         velocity = np.asarray(model.getFieldBuffer("velocity"))[:count]
         if self.sequence is None:
-            # The simulation has the radius in 32 bits.
+            # The radius is a 32-bit float: round it, to remove the digits beyond its precision.
             self.sequence = pymeniscus.Sequence(spacing=round(2 * simulation.getParticleRadius(), 6))
         surface = self.sequence.reconstruct(points, velocity=velocity)
         if self.save is not None:
@@ -41,7 +42,7 @@ class Surfaces:
 
 
 def main(scene: Path, out: Path, every: float = 1 / 24, stop_at: float = 1.0, save=None) -> None:
-    """Run a scene, and write a .glb for each frame of film."""
+    """Run a scene, and write a .glb every `every` seconds of simulated time."""
     base = sph.Exec.SimulatorBase()
     base.init(sceneFile=str(scene.resolve()), useGui=False, stopAt=stop_at, outputDir=str(out.resolve() / "simulation"))
     base.initSimulation()

@@ -1,6 +1,8 @@
-"""A material point simulation in Taichi, with a surface of each frame and no file of particles.
+"""Simulates with the material point method in Taichi, and makes a surface of each frame without particle
+files.
 
-After mpm88 of Taichi's examples, in three dimensions: a block of weakly compressible fluid falls into a box.
+The simulation is Taichi's example mpm88 in three dimensions: a block of weakly compressible fluid falls into
+a box.
 """
 
 import sys
@@ -16,7 +18,7 @@ GRID, COUNT, STEP = 32, 8192, 2e-4
 
 @ti.data_oriented
 class Fluid:
-    """The particles and the grid."""
+    """The particles and the grid of the simulation."""
 
     def __init__(self) -> None:
         self.x = ti.Vector.field(3, ti.f32, COUNT)
@@ -73,7 +75,7 @@ class Fluid:
 
 
 def main(out: Path, frames: int = 24, save=None) -> None:
-    """Simulate, and write a .glb of each frame; `save` gets the particles of each frame too."""
+    """Simulate, and write a .glb of each frame; `save` gets the particles and the surface of each frame."""
     ti.init(arch=ti.cpu, random_seed=0)
     fluid = Fluid()
     sequence = pymeniscus.Sequence(preset="noisy", spacing=0.02)

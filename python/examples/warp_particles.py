@@ -1,6 +1,7 @@
-"""Particles of Warp or Newton: arrays on the CPU are used where they are, those on a GPU are copied once.
+"""Reconstructs particles of Warp or Newton: arrays on the CPU are used without a copy, those on a GPU are
+copied once.
 
-Particles move along a vortex in a Warp kernel; a surface is made of each frame.
+A Warp kernel moves the particles in a vortex; each frame gets a surface.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""Smooth surfaces from the particles of a simulation.
+"""Reconstructs smooth surfaces from the particles of a simulation.
 
 >>> import numpy as np, pymeniscus
 >>> points = np.stack(np.meshgrid(*[np.arange(8) * 0.1] * 3), -1).reshape(-1, 3)
@@ -6,9 +6,9 @@
 >>> surface.certificate.holds
 True
 
-`reconstruct` makes the surface of one frame; a `Sequence` makes those of many with the same settings. `read`
-reads particles from files. `convert`, `render` and `watch` run the command line, which is also ``python -m
-pymeniscus``.
+`reconstruct` makes the surface of one frame. A `Sequence` makes the surfaces of many frames with the same
+settings. `read` reads particles from files. `convert`, `render` and `watch` run the command line, which you
+can also run as ``python -m pymeniscus``.
 
 Lengths are in the unit of the particles. An option that is a length also takes text: ``"0.4d"`` is 0.4
 particle spacings and ``"5h"`` is 5 voxels.

@@ -9,7 +9,7 @@ from . import _native
 def main() -> None:
     """Run the command line with the arguments of this process, and exit with its status."""
     status = _native.run_command(["meniscus", *sys.argv[1:]])
-    # Nothing of Python has to end in order: the command has flushed its output.
+    # Skip Python's own shutdown: the command has flushed its output, and nothing else needs it.
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)

@@ -1,4 +1,4 @@
-"""Arrays of any library as NumPy arrays, without a copy where the layout allows it."""
+"""Converts arrays of any library to NumPy arrays, without a copy if the layout allows it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: The device type of DLPack that is main memory.
+#: DLPack's device type for main memory.
 _CPU = 1
 
 
@@ -20,17 +20,17 @@ def as_array(values: Any, name: str) -> NDArray[Any]:
         A NumPy array, or anything with ``__dlpack__``, ``__array_interface__``, ``__array__`` or the buffer
         protocol, or a nested sequence of numbers.
     name : str
-        What the values are, for error messages.
+        A name for the values in error messages.
 
     Returns
     -------
     numpy.ndarray
-        A view of the same memory, unless the values are a sequence.
+        A view of the same memory, or a copy if the values are a sequence.
 
     Raises
     ------
     TypeError
-        If the values are in the memory of a device, or are no array.
+        If the values are in the memory of a device, or are not an array.
     """
     if isinstance(values, np.ndarray):
         return values
@@ -44,7 +44,8 @@ def as_array(values: Any, name: str) -> NDArray[Any]:
         try:
             return np.from_dlpack(values)
         except (BufferError, RuntimeError, TypeError):
-            # Read-only memory has no form in older versions of DLPack, and some libraries refuse tensors that record gradients.
+            # Older versions of DLPack cannot represent read-only memory, and some libraries refuse tensors
+            # that record gradients. Try the other protocols.
             pass
     try:
         array = np.asarray(values)
@@ -56,7 +57,7 @@ def as_array(values: Any, name: str) -> NDArray[Any]:
 
 
 def as_points(values: Any, name: str = "points") -> NDArray[Any]:
-    """Points (N, 3) as a C-contiguous array of float32 or float64 in the machine's byte order.
+    """Points, shape (N, 3), as a C-contiguous array of float32 or float64 in the machine's byte order.
 
     float32 and float64 keep their precision, float16 becomes float32, and integers become float64.
 
@@ -87,15 +88,15 @@ def as_points(values: Any, name: str = "points") -> NDArray[Any]:
 def as_attribute(
     values: Any, count: int, name: str
 ) -> tuple[int, NDArray[Any], list[str] | None]:
-    """An attribute of `count` particles: its values per particle, the values, flat, and of text the distinct
-    words.
+    """An attribute of `count` particles: the number of values per particle, the values as a flat array, and
+    for text the distinct words, which the values then index.
 
     Raises
     ------
     TypeError
         If the values are neither numbers nor text.
     ValueError
-        If there are not `count` of them, or integers do not fit into 64 bits with a sign.
+        If the number of particles is not `count`, or integers do not fit into signed 64 bits.
     """
     array = as_array(values, f"the attribute `{name}`") if not _is_text(values) else np.asarray(values)
     if array.ndim not in (1, 2) or array.shape[0] != count:

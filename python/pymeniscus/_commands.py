@@ -1,7 +1,8 @@
 """The commands of meniscus for files and folders.
 
-Each runs in a process of its own, because a command takes over signals and the standard streams. So it has
-exactly the options, the results and the bytes of the command line, and a crash or its memory stays there.
+Each command runs in a separate process, because it handles signals and uses the standard streams. So a
+command has exactly the options and the output bytes of the command line, and neither a crash nor its use of
+memory affects the caller's process.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from ._options import option_table
 
 Paths: TypeAlias = "str | os.PathLike[str] | Iterable[str | os.PathLike[str]]"
 
-#: Options that may be given more than once, once for each value; lists of others are separated by commas.
+#: Options that the command line repeats for each value of a list. Values of other lists are separated by
+#: commas.
 _REPEATED = frozenset({"obstacle"})
 
 
@@ -34,11 +36,11 @@ class CommandError(MeniscusError):
     Attributes
     ----------
     status : int
-        The exit status: 1 if some frames failed, 2 if nothing was done.
+        The exit status: 1 if some frames failed, 2 if the command did nothing.
     messages : str
         What the command wrote to the standard error.
     report : dict or None
-        The report, where there is one.
+        The report, if the command wrote one.
     """
 
     def __init__(self, status: int, messages: str, report: dict[str, Any] | None = None) -> None:
@@ -59,24 +61,27 @@ def convert(
     inputs : path-like or iterable of path-like
         Files, folders, globs, or numbered patterns such as ``dam.####.bgeo``.
     out : path-like
-        The folder for the results; for a single frame also a file.
+        The folder for the results; for a single frame, it may be a file.
     allow_failures : bool
-        Whether to return the report though some frames failed or failed validation, instead of raising.
+        Whether to return the report instead of raising an exception if some frames failed, or failed
+        validation.
     **options
         The options of the command with ``_`` for ``-``: ``format=["glb", "vdb"]``, ``preset="splash"``,
-        ``skip_done=True``, ``obstacle="ship.obj"``, ``frames="1-240x2"`` and so on. None leaves one out.
+        ``skip_done=True``, ``obstacle="ship.obj"``, ``frames="1-240x2"`` and so on. An option that is None is
+        left out.
 
     Returns
     -------
     dict
-        The report: docs/report.md explains its entries.
+        The report; see docs/report.md for its entries.
 
     Raises
     ------
     CommandError
-        If a frame failed, or no frame could be converted. The other frames are converted.
+        If some frames failed (the others are converted), or no frame could be converted.
     KeyboardInterrupt
-        On Ctrl-C. Existing files are complete; ``skip_done=True`` continues.
+        On Ctrl-C. Files that exist then are complete; a call with ``skip_done=True`` continues the
+        conversion.
     """
     with tempfile.TemporaryDirectory(prefix="pymeniscus-") as folder:
         report_path = options.pop("report", None) or os.path.join(folder, "report.json")
@@ -91,14 +96,14 @@ def convert(
 
 
 def render(inputs: Paths, output: str | os.PathLike[str], **options: Any) -> Path:
-    """Render pictures of particles or level sets in files: ``meniscus render``.
+    """Render pictures of level sets, or of the surfaces of particles, in files: ``meniscus render``.
 
     Parameters
     ----------
     inputs : path-like or iterable of path-like
         Level sets in .vdb, or anything that `convert` takes.
     output : path-like
-        A .png or .exr for one frame, or the folder for the pictures of any number of frames.
+        A .png or .exr file for one frame, or the folder for the pictures of any number of frames.
     **options
         The options of the command with ``_`` for ``-``: ``size="1920x1080"``, ``camera="azimuth=60"``,
         ``particles=True`` and so on.
@@ -123,20 +128,20 @@ def render(inputs: Paths, output: str | os.PathLike[str], **options: Any) -> Pat
 
 @dataclass(frozen=True)
 class FinishedFrame:
-    """A frame that `watch` is done with.
+    """A frame that `watch` has finished.
 
     Attributes
     ----------
     path : pathlib.Path
-        The file of the particles.
+        The particle file.
     state : str
-        ``"converted"``, ``"already_done"`` by an earlier run, or ``"failed"``.
+        ``"converted"``, ``"already_done"`` (by an earlier run), or ``"failed"``.
     outputs : tuple of pathlib.Path
-        Its results.
+        The files with the results.
     particles : int or None
-        The number of particles, of converted frames.
+        The number of particles; None unless the frame was converted now.
     message : str
-        What the log says of it; of failed frames the reason.
+        The message in the log; for a failed frame, the reason.
     """
 
     path: Path
@@ -156,7 +161,8 @@ def watch(folders: Paths, out: str | os.PathLike[str], **options: Any) -> Watch:
     out : path-like
         The folder for the results.
     **options
-        The options of the command with ``_`` for ``-``: ``once=True`` ends when everything is converted.
+        The options of the command with ``_`` for ``-``. With ``once=True``, the command ends when everything
+        is converted.
 
     Returns
     -------
@@ -175,8 +181,8 @@ def watch(folders: Paths, out: str | os.PathLike[str], **options: Any) -> Watch:
 class Watch:
     """A running ``meniscus watch``: a context manager, and an iterator of `FinishedFrame`.
 
-    The iteration ends when the command does: after `stop`, or when everything is converted with
-    ``once=True``. Leaving the context stops the command, which finishes the frames under way.
+    The iteration ends when the command ends: after `stop`, or with ``once=True`` when everything is
+    converted. Leaving the context stops the command, which first finishes the frames in progress.
 
     Attributes
     ----------
@@ -200,7 +206,8 @@ class Watch:
     def __enter__(self) -> Watch:
         if self._process is not None:
             raise RuntimeError("this watch was started before: call watch() again")
-        # Not in the group of this process: Ctrl-C is for the caller, who then leaves the context.
+        # The command is in a process group of its own, so that Ctrl-C reaches only the caller, who then
+        # leaves the context.
         self._process = subprocess.Popen(
             _command(self._arguments),
             stdin=subprocess.DEVNULL,
@@ -232,8 +239,8 @@ class Watch:
             raise CommandError(self.status, "\n".join(self._last_lines))
 
     def stop(self) -> None:
-        """Ask the command to finish the frames under way and to end. Safe to call repeatedly, and from any
-        thread."""
+        """Ask the command to finish the frames in progress and to end. You may call it repeatedly, and from
+        any thread."""
         process = self._started()
         if process.poll() is None and not getattr(process, "_is_stopping", False):
             process._is_stopping = True  # type: ignore[attr-defined]
@@ -245,7 +252,7 @@ class Watch:
         process = self._started()
         self.stop()
         try:
-            # What is left in the pipe must not keep the command from ending.
+            # Read the rest of the log: a full pipe would block the command.
             if process.stderr is not None:
                 for _ in process.stderr:
                     pass
@@ -274,8 +281,8 @@ class Watch:
         return None
 
     def _outputs(self, path: Path) -> tuple[Path, ...]:
-        """The results of a frame: files of its name, or of the beginning of its name, with the extension of a
-        format."""
+        """The results of a frame: files with the extension of an output format, whose stem is the frame's
+        name up to the end or to one of its dots."""
         from . import _native
 
         folder = self._out
@@ -301,7 +308,7 @@ def _command(arguments: list[str]) -> list[str]:
 
 
 def _run(arguments: list[str]) -> tuple[int, str]:
-    """Run a command to its end. Returns its exit status and what it wrote to the standard error."""
+    """Run a command until it ends. Returns its exit status and its standard error."""
     process = subprocess.Popen(
         _command(arguments),
         stdin=subprocess.DEVNULL,

@@ -4,26 +4,27 @@
 class MeniscusError(Exception):
     """The base class of the package's own exceptions.
 
-    Failures of the system are `OSError` as usual, and arguments of the wrong type are `TypeError`.
+    As usual, failures of the system raise `OSError`, and arguments of the wrong type raise `TypeError`.
     """
 
 
 class OptionError(MeniscusError, ValueError):
-    """An option is unknown or out of its range, two contradict each other, or the particle spacing cannot be
-    measured."""
+    """An option is unknown or out of its range, two options contradict each other, or the particle spacing
+    cannot be measured."""
 
 
 class ParticleError(MeniscusError, ValueError):
-    """The particles have no surface: there are none, a needed attribute is missing, or the voxels are too
-    small for the frame."""
+    """The particles cannot have a surface: there are no particles, a required attribute is missing, or the
+    voxels are too small for the extent of the frame."""
 
 
 class MemoryLimitError(MeniscusError, MemoryError):
-    """The frame needs more memory than the limit. The message has both."""
+    """The frame needs more memory than the limit. The message has both numbers."""
 
 
 class FormatError(MeniscusError, ValueError):
-    """A file cannot be read, or a format cannot hold the data. The message has the position in the file."""
+    """A file cannot be read, or a format cannot store the data. For a file, the message has the position of
+    the fault."""
 
 
 class CancelledError(MeniscusError):

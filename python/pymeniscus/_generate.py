@@ -1,7 +1,6 @@
-"""Writes what follows from the core's options: ``_option_values.py``, and the table of options in
-``docs/python.md``.
+"""Generates ``_option_values.py``, and the table of options in ``docs/python.md``, from the core's options.
 
-Run it in a clone of the repository after an option was added: ``python -m pymeniscus._generate``.
+After you add an option, run it in a clone of the repository: ``python -m pymeniscus._generate``.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ def _annotation(row: _native._OptionRow) -> str:
 
 
 def _help(row: _native._OptionRow) -> str:
-    """The help, with keywords in place of flags, and without clauses about the flag itself."""
+    """The help of an option, with keywords in place of flags, and without clauses about the flag itself."""
     own = "--" + row["name"].replace("_", "-")
     text = re.sub(rf"; {own}\b[^;\[]*", " ", " ".join(row["help"].split())).strip()
     return re.sub(r"--([a-z][a-z-]*)", lambda flag: f"`{flag[1].replace('-', '_')}`", text)
 
 
 def _rows() -> list[_native._OptionRow]:
-    # The functions have a keyword of their own for attributes.
+    # The functions have a separate keyword for attributes.
     return [row for row in _native.option_table() if row["name"] != "attributes"]
 
 
@@ -75,14 +74,14 @@ def option_docs() -> str:
 
 
 def with_options(page: str) -> str:
-    """A page of the documentation with the table of options between its marks."""
+    """A page of the documentation, with a new table of options between its two marks."""
     before, rest = page.split(_BEGIN)
     _, after = rest.split(_END)
     return f"{before}{_BEGIN}\n{option_docs()}\n{_END}{after}"
 
 
 def main() -> None:
-    """Write the files, where they differ."""
+    """Write the files that differ."""
     package = Path(sys.argv[1]) / "python" / "pymeniscus" if len(sys.argv) > 1 else Path(__file__).parent
     page = package.parent.parent / "docs" / "python.md"
     (package / "_option_values.py").write_text(option_values(), encoding="utf-8")

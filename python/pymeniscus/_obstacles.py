@@ -11,27 +11,29 @@ import numpy as np
 from . import _native
 from ._arrays import as_array, as_points
 
-#: A file, a mesh as vertices and triangles, an object with ``vertices`` and ``faces`` such as ``trimesh.Trimesh``, or an `Obstacle`.
+#: A file, a mesh as a pair of vertices and triangles, an object with ``vertices`` and ``faces`` such as
+#: ``trimesh.Trimesh``, or an `Obstacle`.
 ObstacleLike: TypeAlias = Union["Obstacle", "str", "os.PathLike[str]", tuple[Any, Any], Any]
 
 
 class Obstacle:
     """A body that the surface does not enter, such as a ship or a vessel.
 
-    Keep the obstacle of a static body for all frames of a sequence: it caches its distances.
+    Use the same object for all frames of a sequence if the body is static: it caches the distances from the
+    body.
 
     Parameters
     ----------
     vertices : array_like, shape (V, 3)
         Vertex positions in world units.
     triangles : array_like, shape (T, 3)
-        Vertex indices, integers. The mesh may have holes, repeated vertices and triangles that face the wrong
-        way.
+        Vertex indices, integers. The mesh may have holes, repeated vertices, and triangles with the wrong
+        orientation.
 
     Raises
     ------
     TypeError, ValueError
-        If the arrays have other shapes or types, or a triangle names a vertex that does not exist.
+        If the arrays have other shapes or types, or a triangle has the index of a vertex that does not exist.
     """
 
     __slots__ = ("_native",)
@@ -58,14 +60,14 @@ class Obstacle:
         path : path-like
             The file.
         memory : int, optional
-            Bytes that reading a level set may take; half of the machine's memory by default.
+            Limit of the memory for reading a level set, in bytes; by default, half of the machine's memory.
 
         Raises
         ------
         OSError
             If the file cannot be opened.
         FormatError
-            If it holds neither a mesh nor a level set.
+            If the file contains neither a mesh nor a level set.
         """
         obstacle = cls.__new__(cls)
         obstacle._native = _native.Obstacle.from_file(path, memory or _native.default_memory())
@@ -73,7 +75,7 @@ class Obstacle:
 
 
 def as_obstacles(obstacles: ObstacleLike | Iterable[ObstacleLike] | None) -> list[_native.Obstacle]:
-    """The obstacles of a call."""
+    """The obstacles that a caller passed: none, one or several."""
     if obstacles is None:
         return []
     several: Any = [obstacles] if _is_one(obstacles) else obstacles
@@ -83,7 +85,7 @@ def as_obstacles(obstacles: ObstacleLike | Iterable[ObstacleLike] | None) -> lis
 
 
 def _is_one(value: Any) -> bool:
-    """Whether this is an obstacle, and not several. A pair is a mesh unless it is a pair of obstacles."""
+    """Whether this is one obstacle instead of several. A pair is a mesh unless it is a pair of obstacles."""
     if isinstance(value, tuple) and len(value) == 2:
         return not any(isinstance(part, tuple) or _is_one(part) for part in value)
     return isinstance(value, (Obstacle, str, os.PathLike)) or _is_mesh(value)

@@ -20,9 +20,9 @@ class OptionValues(TypedDict, total=False):
     voxel_size : float | str
         Voxel edge length h, positive, in world units or particle spacings [default: 0.4d; depends on the preset]
     radius_min : float | str
-        Radius r_min of the sphere around each particle that the surface encloses, positive; particles in sheets and filaments get a flattened ellipsoid instead (`anisotropy`) [default: 1.15d, but no less than √3·h]
+        Radius r_min of the sphere around each particle, positive; the surface encloses these spheres, but particles in sheets and filaments get a flattened ellipsoid instead (`anisotropy`) [default: 1.15d, but no less than √3·h]
     radius_ratio : float
-        Ratio r_max / r_min, at least 1; no point of the surface is farther than r_max from all particles, and r_max is at most 64h [default: 2]
+        Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h [default: 2]
     radius_init : float | str
         Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.26 r_min]
     offset : float | str
@@ -44,7 +44,7 @@ class OptionValues(TypedDict, total=False):
     position_smoothing : float
         Move particles near the surface toward the mean of their neighbours by this fraction, 0 to 1 [default: 0.7]
     velocity_gain : float
-        Stretch particles by their movement in this time, positive, for `anisotropy` velocity [default: 0.01]
+        Stretch particles along their velocity: the farther they move in this time, the more; positive, for `anisotropy` velocity [default: 0.01]
     void_threshold : float
         Fill gaps narrower than this between the surface and obstacles, in voxels, 0 to 4 [default: 1]
     drop_islands : int
@@ -66,7 +66,7 @@ class OptionValues(TypedDict, total=False):
     laplacian_steps : int
         Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are recomputed instead [default: 10, more on a finer grid]
     steps : int
-        Number of biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: as many as give the same total pseudo-time]
+        Number of biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: a larger number of smaller steps with the same total pseudo-time]
     step_size : float
         Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.25 (d/h)⁴; explicit, adaptive: 0.01]
     redistance_every : int

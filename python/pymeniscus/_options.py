@@ -1,8 +1,8 @@
 """The options of the method.
 
-The core defines them, and this module asks it for them: a new option needs no code here. `OptionValues`,
-which type checkers read, is in `_option_values.py`; ``python -m pymeniscus._generate`` writes that file, and
-a test compares it with the core.
+The core defines the options, and this module gets them from the core: a new option needs no code here.
+`OptionValues`, which type checkers read, is in `_option_values.py`. ``python -m pymeniscus._generate`` writes
+that file, and a test compares it with the core.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ._option_values import OptionValues
 
 __all__ = ["OptionInfo", "OptionValues", "Options", "as_pairs", "option_table"]
 
-#: The functions have keywords of their own for these.
+#: Options for which the functions have separate keywords.
 RESERVED = frozenset({"attributes"})
 
 
@@ -31,17 +31,17 @@ class OptionInfo:
     Attributes
     ----------
     name : str
-        Its keyword.
+        The keyword of the option.
     group : str
-        The heading that it is under in the help of the command line.
+        The heading above the option in the help of the command line.
     kind : str
-        What its value is: ``"number"``, ``"count"``, ``"switch"``, ``"length"`` or ``"text"``.
+        The kind of value: ``"number"``, ``"count"``, ``"switch"``, ``"length"`` or ``"text"``.
     range : str or None
-        The allowed values, such as ``"0 to 4"``, where they do not depend on other options.
+        The allowed values, such as ``"0 to 4"``; None if they depend on other options.
     choices : tuple of str
         The allowed words; empty for other values.
     help : str
-        What it does, with its unit and its default.
+        The effect of the option, with its unit and its default.
     """
 
     name: str
@@ -69,12 +69,12 @@ def option_table() -> tuple[OptionInfo, ...]:
 
 
 def as_pairs(options: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Options as text by name, for the core. Those that are None are left out.
+    """Options as pairs of name and text, for the core. Options that are None are left out.
 
     Raises
     ------
     TypeError
-        For a name that is not one of an option, and for a value of the wrong type.
+        If no option has the name, or the value has the wrong type.
     """
     known = {info.name: info for info in option_table()}
     pairs = []
@@ -89,8 +89,8 @@ def as_pairs(options: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _text(name: str, value: Any) -> str:
-    """A value as the command line has it. Numbers have the shortest digits that read back as the same
-    number."""
+    """The text of a value on the command line. A number gets as few digits as suffice to read the same number
+    back."""
     if isinstance(value, str):
         return value
     if isinstance(value, (bool, np.bool_)):
@@ -107,7 +107,7 @@ def _text(name: str, value: Any) -> str:
 
 
 class Options(Mapping[str, Any]):
-    """Options of the method, checked: to be given to several calls, compared, or pickled.
+    """Checked options of the method, which you can pass to several calls, compare, or pickle.
 
     Parameters
     ----------
@@ -117,9 +117,9 @@ class Options(Mapping[str, Any]):
     Raises
     ------
     TypeError
-        For a name that is not one of an option.
+        If no option has the name.
     OptionError
-        For text that is not a value of its option. Ranges are checked by the call that uses the options.
+        If a text is not a value of its option. The call that uses the options checks the ranges.
 
     Examples
     --------
@@ -136,7 +136,7 @@ class Options(Mapping[str, Any]):
         self._values = {name: value for name, value in options.items() if value is not None}
 
     def replace(self, **options: Any) -> Options:
-        """The same options with these in addition or instead; None removes one."""
+        """A copy with these options added or replaced; None removes an option."""
         return Options(**{**self._values, **options})
 
     def __getitem__(self, name: str) -> Any:

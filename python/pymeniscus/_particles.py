@@ -1,4 +1,4 @@
-"""Particles of files."""
+"""Particles from files."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from . import _native
 class Particles(Mapping[str, NDArray[Any]]):
     """A frame of particles: positions, and other attributes by name.
 
-    It is a mapping from the names of attributes to arrays (N,) or (N, K). The arrays belong to the caller and
-    may be changed.
+    It is a mapping from the names of attributes to arrays, shape (N,) or (N, K). The arrays belong to the
+    caller, who may change them.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class Particles(Mapping[str, NDArray[Any]]):
     notes : tuple of str
         Remarks about the file, such as skipped rows.
     path : str or None
-        The file.
+        The file that the particles were read from.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class Particles(Mapping[str, NDArray[Any]]):
         return iter(self._attributes)
 
     def __len__(self) -> int:
-        """The number of attributes; ``len(particles.positions)`` is that of particles."""
+        """The number of attributes. The number of particles is ``len(particles.positions)``."""
         return len(self._attributes)
 
     def __repr__(self) -> str:
@@ -77,7 +77,7 @@ def read(path: str | os.PathLike[str]) -> Particles:
     Returns
     -------
     Particles
-        Positions in the precision of the file, and all attributes with the types that they have there.
+        Positions in the precision of the file, and all attributes with their types in the file.
 
     Raises
     ------

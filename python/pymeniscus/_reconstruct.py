@@ -1,4 +1,4 @@
-"""Particles to surfaces."""
+"""Reconstruction of surfaces from particles."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from ._options import OptionValues, as_pairs
 from ._particles import Particles
 from ._surface import Surface
 
-#: Attributes of the particles: arrays by name; of `Particles` also their names, or all.
+#: Attributes of the particles: arrays by name. For `Particles` also names of their attributes, or "all".
 Attributes = Mapping[str, Any] | Iterable[str] | str | None
 
-#: Is called with the name of the phase and the fraction of it that is done.
+#: A function that is called with the name of the phase and the fraction of the phase that is done.
 Progress = Callable[[str, float], object]
 
 _UNITS = {"": 1, "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}
@@ -48,9 +48,10 @@ def reconstruct(
 ) -> Surface:
     """The surface of one frame of particles.
 
-    It is the smoothest surface that stays between two unions of spheres around the particles. The same
-    particles and options give the same bytes on any number of threads. The call releases the interpreter's
-    lock while it computes, and Ctrl-C interrupts it. Do not change the arrays during the call.
+    The method smooths the surface as far as two unions of spheres around the particles allow: the surface
+    stays between them. The same particles and options give the same bytes on any number of threads. The call
+    releases the interpreter's lock while it computes, and Ctrl-C interrupts it. Do not change the arrays
+    during the call.
 
     Parameters
     ----------
@@ -59,35 +60,35 @@ def reconstruct(
         ``__array_interface__``, ``__array__`` or the buffer protocol are used without a copy if they are
         C-contiguous. Positions that are not finite are left out and counted in the report.
     radii : array_like, shape (N,), optional
-        Each particle's own radius, in the unit of the positions. It sets the option `radius_attribute` to
-        ``"radius"``.
+        Each particle's own radius, in the unit of the positions. This argument sets the option
+        `radius_attribute` to ``"radius"``.
     velocity : array_like, shape (N, 3), optional
-        Velocities in units of length per second. The surface gets them too; ``anisotropy="velocity"``
-        stretches particles by them.
+        Velocities in units of length per second. The surface gets velocities, too. With
+        ``anisotropy="velocity"``, they stretch the particles.
     attributes : mapping of str to array_like, iterable of str, or "all", optional
-        Attributes that the surface gets: arrays (N,) or (N, K) of numbers or text, by name. Real numbers are
-        averaged over the particles around a vertex; integers and text are those of the nearest particle. Of
-        `Particles`: names, or ``"all"``.
+        Attributes that the surface gets: arrays of numbers or text by name, shape (N,) or (N, K). A vertex
+        gets the mean of real numbers over the particles around it, and the integers and text of the nearest
+        particle. If `points` are `Particles`, names of their attributes, or ``"all"``.
     obstacles : Obstacle, path-like, (vertices, triangles), or an iterable of these, optional
         Bodies that the surface does not enter.
     formats : iterable of str, optional
-        Extensions of the files to write with `Surface.write`. They matter in two cases: ``"vdb"`` and
-        ``"exr"`` get attributes at voxels, and the mesh is checked at the positions that ``"stl"`` and a
-        quantized ``"glb"`` round to.
+        Extensions of the files that you will write with `Surface.write`. They have two effects. For ``"vdb"``
+        and ``"exr"``, attributes are also computed at voxels. For ``"stl"`` and a quantized ``"glb"``, the
+        mesh is also checked with the rounded positions of these formats.
     quantize : bool, optional
         Whether the .glb of `formats` will be quantized.
     threads : int, optional
         Number of threads, 1 to 1024; one for each core by default. Concurrent calls use separate threads.
     memory : int or str, optional
-        Memory that the frame may take, in bytes or as text such as ``"8GiB"``; half of the machine's by
-        default.
+        Limit of the memory for the frame, in bytes or as text such as ``"8GiB"``; by default, half of the
+        machine's memory.
     scratch : path-like, optional
-        A folder for temporary files of frames that need more memory. Without it such a frame raises
-        `MemoryLimitError`.
+        A folder for the temporary files of a frame that needs more memory than the limit. Without it, such a
+        frame raises `MemoryLimitError`.
     progress : callable, optional
         Called as ``progress(phase, fraction)`` on the thread of the caller. Phases are ``"prepare"``,
-        ``"rasterize"``, ``"smooth"``, ``"contour"`` and ``"interpolate"``. An exception ends the computation
-        and is raised.
+        ``"rasterize"``, ``"smooth"``, ``"contour"`` and ``"interpolate"``. If it raises an exception, the
+        computation ends, and the caller gets the exception.
     **options
         Every option of the method: see `OptionValues`, or `option_table` for their ranges and defaults.
 
@@ -102,12 +103,13 @@ def reconstruct(
     ValueError
         For arrays of a wrong shape.
     OptionError
-        If an option is out of its range, or the particle spacing cannot be measured. It is a `ValueError`.
+        If an option is out of its range, or the particle spacing cannot be measured. A subclass of
+        `ValueError`.
     ParticleError
-        If there is no particle, a needed attribute is missing, or the voxels are too small for the frame. It
-        is a `ValueError`.
+        If there are no particles, a required attribute is missing, or the voxels are too small for the extent
+        of the frame. A subclass of `ValueError`.
     MemoryLimitError
-        If the frame needs more memory than the limit. It is a `MemoryError`.
+        If the frame needs more memory than the limit. A subclass of `MemoryError`.
     OSError
         If scratch files cannot be written.
     KeyboardInterrupt
@@ -116,7 +118,7 @@ def reconstruct(
     Warns
     -----
     UserWarning
-        About options without effect, a likely wrong resolution, and particles that were left out.
+        About options without effect, a resolution that is probably wrong, and particles that were left out.
 
     Examples
     --------
@@ -135,22 +137,22 @@ def reconstruct(
 class Sequence:
     """Reconstructs the frames of a sequence with the settings of the first one.
 
-    A particle spacing that is measured anew for each frame makes the surface flicker. A sequence measures it
-    once, and uses the same voxel size and the same radii for all frames.
+    If each frame had its own measured particle spacing, the surface would flicker. A sequence measures the
+    spacing once, and uses the same voxel size and the same radii for all frames.
 
     Parameters
     ----------
     first_frame : array_like, shape (N, 3), or Particles, optional
-        The frame to measure the spacing on; by default the first one that is reconstructed. Its surface is
-        not reconstructed here.
+        The frame to measure the spacing on; by default, the first frame that you reconstruct. The constructor
+        does not reconstruct its surface.
     memory, scratch, **options
         As for `reconstruct`. With `spacing` the settings do not depend on any frame.
 
     Notes
     -----
-    Several threads may use one sequence; one frame is computed at a time. Use a sequence for each thread,
-    with the same ``spacing``, to compute several frames at once. ``meniscus convert`` measures the spacing on
-    the first, middle and last frame: pass its result as `spacing` to get the same bytes.
+    Several threads may use one sequence, but it computes one frame at a time. To compute several frames in
+    parallel, use a sequence for each thread, with the same ``spacing``. ``meniscus convert`` measures the
+    spacing on the first, middle and last frame: pass its result as `spacing` to get the same bytes.
 
     Examples
     --------
@@ -178,14 +180,14 @@ class Sequence:
             self._measure(first_frame, radii)
 
     def _measure(self, first_frame: Any, radii: Any) -> None:
-        """Resolve the settings: every option in numbers."""
+        """Resolve the settings on a frame, so that all lengths are numbers in world units."""
         given = _Given(first_frame, radii, None, None)
         resolved = dict(_native.resolve(given.pairs(self._options), given.points, given.attributes))
         self._resolved = resolved
 
     @property
     def settings(self) -> dict[str, str] | None:
-        """The settings of the sequence as text by name, lengths in world units; None before the first
+        """The settings of the sequence as text by name, with lengths in world units; None before the first
         frame."""
         return None if self._resolved is None else dict(self._resolved)
 
@@ -210,7 +212,8 @@ class Sequence:
             _warn_of_ignored(given.pairs(self._options), bodies)
         options: Mapping[str, Any] = self._options if self._resolved is None else self._resolved
         pairs = given.pairs(options)
-        # The method keeps the settings and the distances to obstacles in its reconstructor. One with other attributes is another one.
+        # A native reconstructor keeps the settings and the distances from obstacles. A frame with other
+        # options or attributes needs a new one.
         key = (tuple(pairs), given.selects_all, tuple(given.selected))
         native = self._natives.get(key)
         if native is None:
@@ -270,20 +273,20 @@ class _Given:
             raise TypeError("attributes must be arrays by name: only Particles have attributes of their own")
 
     def _add(self, name: str, role: str | None, values: Any, count: int) -> None:
-        # Keywords replace attributes of the particles.
+        # An attribute that the caller passes by keyword replaces that of the particles with the same name.
         self.attributes = [attribute for attribute in self.attributes if attribute[0] != name]
         arity, flat, table = as_attribute(values, count, name)
         self.attributes.append((name, role, arity, flat, table))
 
     def pairs(self, options: Mapping[str, Any]) -> list[tuple[str, str]]:
-        """The options as text, with those that follow from what is given."""
+        """The options as text, with the option `radius_attribute` if the caller passed radii."""
         if self.has_radii and options.get("radius_attribute") is None:
             options = {**options, "radius_attribute": "radius"}
         return as_pairs(options)
 
 
 def _warn_of_ignored(pairs: list[tuple[str, str]], obstacles: list[_native.Obstacle]) -> None:
-    """Warn about options that have no effect, at the caller of the public function."""
+    """Warn about options that have no effect. The warning points to the caller of the public function."""
     for warning in _native.option_warnings(pairs, bool(obstacles)):
         text = re.sub(r"--([a-z][a-z-]*)", lambda flag: f"`{flag[1].replace('-', '_')}`", warning)
         warnings.warn(text, stacklevel=3)
@@ -311,7 +314,7 @@ def _run(
 
 
 def _bytes_of(memory: int | str | None) -> int:
-    """A number of bytes.
+    """The number of bytes in a memory limit.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Surfaces: their arrays, their level sets, their files, and other libraries' meshes."""
+"""Surfaces: their arrays, their level sets, their files, and conversions to the meshes of other libraries."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from ._particles import Particles
 
 
 class Certificate(Mapping[str, Any]):
-    """What was checked of a surface.
+    """The checks that a surface passed or failed.
 
     It is a mapping with the entries of ``certificate`` in a report, which docs/report.md explains.
 
     Attributes
     ----------
     holds : bool
-        Whether everything that was checked holds: every particle is inside, the surface is within its bounds
-        at every voxel, and the mesh is closed and 2-manifold.
+        Whether all checks passed: every particle is inside, the surface is within its bounds at every voxel,
+        and the mesh is closed and 2-manifold.
     fault : str
-        What does not hold; empty where all does.
+        The checks that failed; empty if all passed.
     """
 
     def __init__(self, entries: dict[str, Any], fault: str) -> None:
@@ -71,19 +71,20 @@ class LevelSet:
 
     @property
     def half_width(self) -> float:
-        """The largest distance that is stored, in voxels. Beyond the stored leaves a point is farther from
-        the surface."""
+        """The largest stored distance, in voxels. Points outside the stored leaves are farther from the
+        surface."""
         return self._native.half_width
 
     @property
     def origins(self) -> NDArray[np.int32]:
-        """The least voxel of each stored leaf of 8 × 8 × 8 voxels: (L, 3) int32, read-only, not copied."""
+        """The voxel with the least indices in each stored leaf of 8 × 8 × 8 voxels: (L, 3) int32, read-only,
+        not copied."""
         return self._native.leaf_origins()
 
     @property
     def values(self) -> NDArray[np.float32]:
-        """Signed distances of the leaves in voxels: (L, 8, 8, 8) float32 by x, y and z; read-only, not
-        copied."""
+        """Signed distances in the leaves, in voxels: (L, 8, 8, 8) float32, indexed by leaf, x, y and z;
+        read-only, not copied."""
         return self._native.leaf_values()
 
     def dense(
@@ -94,8 +95,8 @@ class LevelSet:
         Parameters
         ----------
         box : pair of array_like, shape (3,), optional
-            Least and greatest corner in world units; the voxels whose centres are inside or on its faces are
-            returned. All stored leaves by default.
+            Least and greatest corner of the box in world units; by default, the box around all stored leaves.
+            The result has the voxels whose centres are in the box or on its faces.
 
         Returns
         -------
@@ -118,7 +119,7 @@ class LevelSet:
             corners = np.asarray([box[0], box[1]], np.float64)
             if corners.shape != (2, 3) or not np.isfinite(corners).all():
                 raise ValueError("a box is two corners of three finite numbers")
-            # Corners that are meant to be voxels may miss them by a rounding.
+            # A corner at the centre of a voxel may miss it by a rounding error: tolerate that.
             indices = corners / self.voxel_size
             if np.abs(indices).max() >= 2**30:
                 raise ValueError("the box is too large")
@@ -134,7 +135,7 @@ class LevelSet:
         Parameters
         ----------
         points : array_like, shape (N, 3)
-            World units.
+            Positions in world units.
 
         Returns
         -------
@@ -154,7 +155,8 @@ class LevelSet:
 class Surface:
     """The surface of a frame: a mesh, its level set, a report and a certificate.
 
-    Arrays borrow the memory of the surface and keep it alive. They are read-only: copy one to change it.
+    Arrays are views of the memory of the surface, which they keep alive. They are read-only: copy an array to
+    change it.
     """
 
     def __init__(self, native: _native.Surface, source: tuple[str, str] | None = None) -> None:
@@ -171,8 +173,8 @@ class Surface:
     def origin(self) -> tuple[float, float, float]:
         """The world position that `vertices` are relative to.
 
-        It is (0, 0, 0) unless the frame is more than 16384 voxels from the world's origin: 32-bit world
-        positions would be too coarse.
+        It is (0, 0, 0) unless the frame is more than 16384 voxels from the world's origin. There, 32-bit
+        world positions would be too coarse.
         """
         x, y, z = self._native.origin()
         return x, y, z
@@ -193,8 +195,8 @@ class Surface:
 
     @property
     def quads(self) -> NDArray[np.uint32]:
-        """Pairs of triangles that dual contouring made of one quad: (Q, 4) uint32. See `loose_triangles` for
-        the others."""
+        """The quads of dual contouring, each of which is two of the `triangles`: (Q, 4) uint32. The other
+        triangles are in `loose_triangles`."""
         return self._quads[0]
 
     @property
@@ -205,7 +207,7 @@ class Surface:
 
     @cached_property
     def attributes(self) -> dict[str, NDArray[Any]]:
-        """Attributes of the vertices by name: (V,) or (V, K) of float32 or int64, or text.
+        """Attributes of the vertices by name: arrays (V,) or (V, K) of float32, int64 or text.
 
         Real numbers are means over the particles around the vertex; integers and text are those of the
         nearest particle. Values of colours are from 0 to 1.
@@ -221,7 +223,8 @@ class Surface:
 
     @property
     def velocities(self) -> NDArray[np.float32] | None:
-        """Velocities of the vertices: (V, 3) float32, world units per second; None without them."""
+        """Velocities of the vertices: (V, 3) float32, world units per second; None if the surface has no
+        velocities."""
         for index, (_, meaning, arity, _) in enumerate(self._native.attributes()):
             if meaning == "velocity" and arity == 3:
                 return self._native.attribute(index)
@@ -234,25 +237,24 @@ class Surface:
 
     @cached_property
     def report(self) -> dict[str, Any]:
-        """What was measured, as an entry of ``frames`` in the command's report, without files and times: see
-        docs/report.md."""
+        """Measurements of the surface: the same entries as those of a frame in the command's report
+        (``frames``), without files and times. See docs/report.md."""
         report: dict[str, Any] = json.loads(self._native.report_json())
         return report
 
     @property
     def certificate(self) -> Certificate:
-        """What was checked."""
+        """The checks that the surface passed or failed."""
         return Certificate(self.report["certificate"], self._native.fault())
 
     @cached_property
     def settings(self) -> dict[str, str]:
-        """The options in numbers, as text by name. Lengths are in world units."""
+        """The resolved options as text by name. Lengths are numbers in world units."""
         return dict(self._native.settings())
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """What to know of the surface though it was made, a sentence each. `reconstruct` also issues them as
-        `UserWarning`."""
+        """Warnings about the surface, a sentence each. `reconstruct` also issues them as `UserWarning`."""
         return tuple(self._native.warnings())
 
     def write(
@@ -269,12 +271,11 @@ class Surface:
         size: tuple[int, int] = (1280, 720),
         camera: str = "auto",
     ) -> None:
-        """Write the surface to a file. The file appears when it is complete, and replaces an existing one.
+        """Write the surface to a file. The file appears when it is complete, and replaces an existing file.
 
-            The file has the same bytes as that of ``meniscus convert`` with the same options, if it names the
-            same `source`. For formats that round
-        positions (``stl``, a quantized ``glb``) and attributes at voxels (``vdb``, ``exr``), `reconstruct`
-        must be given the same `formats`.
+        The file has the same bytes as that of ``meniscus convert`` with the same options and the same
+        `source`. If the format rounds positions (``stl``, a quantized ``glb``) or has attributes at voxels
+        (``vdb``, ``exr``), you must also pass it to `reconstruct`, in the argument `formats`.
 
         Parameters
         ----------
@@ -284,29 +285,29 @@ class Surface:
             The format; by default the extension of `path`: ``glb``, ``gltf``, ``vdb``, ``obj``, ``ply``,
             ``vtp``, ``stl``, ``usda``, ``usdc``, ``abc``, ``png`` or ``exr``.
         source : path-like or Particles, optional
-            The file that the particles came from: its name and hash are recorded. Known for surfaces of
-            `Particles` from `read`.
+            The file that the particles came from; the output records its name and hash. By default, the file
+            that `read` read the `Particles` from.
         up : {"y", "z"}
-            The axis of the particles that points up, for glTF, USD and pictures.
+            The up axis of the particles, for glTF, USD and pictures.
         meters_per_unit : float
-            Metres in a unit of length, 1e-9 to 1e9, for USD.
+            Length of a world unit in metres, 1e-9 to 1e9, for USD.
         quantize : bool
-            Whether positions in .glb are small integers.
+            Whether .glb files store positions as 16-bit integers.
         vdb_half : bool
-            Whether .vdb has 16-bit values.
+            Whether .vdb files store values in 16 bits.
         vdb_compression : {"none", "active", "blosc"}
-            How values are packed in .vdb.
+            Compression of the values in .vdb files.
         size : tuple of int
             Width and height of a picture in pixels, 16 to 8192.
         camera : str
-            Where a picture is taken from, as ``meniscus render --camera`` has it.
+            The camera of a picture, in the form of ``meniscus render --camera``.
 
         Raises
         ------
         ValueError
             For an unknown format or choice.
         FormatError
-            If the format has no place for the mesh.
+            If the format cannot store the mesh.
         OSError
             If the file cannot be written.
         """
@@ -340,16 +341,16 @@ class Surface:
         size : tuple of int
             Width and height in pixels, 16 to 8192.
         camera : str
-            Where it is taken from, as ``meniscus render --camera`` has it, such as ``"azimuth=60,zoom=2"``.
+            The camera, in the form of ``meniscus render --camera``, such as ``"azimuth=60,zoom=2"``.
         up : {"y", "z"}
-            The axis that points up, unless the camera says it.
+            The up axis, unless the camera sets one.
         format : {"png", "exr"}
             The format; .exr also has depth, normals, positions and curvature.
 
         Returns
         -------
         bytes
-            The content of the file.
+            The contents of the file.
 
         Raises
         ------
@@ -365,7 +366,8 @@ class Surface:
         Returns
         -------
         trimesh.Trimesh
-            Positions are float64 copies; ``process=False`` keeps vertices and their order.
+            A mesh with float64 copies of the positions. It is made with ``process=False``, which keeps all
+            vertices and their order.
         """
         import trimesh
 
@@ -401,8 +403,8 @@ class Surface:
         return mesh
 
     def to_blender(self, name: str = "surface") -> Any:
-        """A Blender mesh data-block of this name; an existing one is replaced in place. Needs Blender's
-        ``bpy``.
+        """A Blender mesh data-block of this name. The contents of an existing data-block are replaced. Needs
+        Blender's ``bpy``.
 
         Velocities become the attribute ``velocity``, which Cycles reads for motion blur; other numbers become
         point attributes.
@@ -441,7 +443,7 @@ class Surface:
         return mesh
 
     def _world_vertices(self) -> NDArray[Any]:
-        """Positions in the world: float32 and not copied where the origin is zero, else float64."""
+        """Positions in world space: float32 and not copied if the origin is zero, otherwise float64."""
         if self.origin == (0.0, 0.0, 0.0):
             return self.vertices
         world: NDArray[np.float64] = self.vertices.astype(np.float64) + np.asarray(self.origin)

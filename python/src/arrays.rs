@@ -1,4 +1,4 @@
-//! NumPy arrays as the method takes them.
+//! Converts NumPy arrays to the types that the method takes.
 
 use meniscus_formats::columns::roles_of;
 use meniscus_formats::{AttributeRole, FileAttribute, Values};
@@ -6,13 +6,13 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
-/// Positions that are borrowed from an array for the time of a call.
+/// Positions that are borrowed from an array for the duration of a call.
 pub(crate) enum Positions<'py> {
     F32(PyReadonlyArray2<'py, f32>),
     F64(PyReadonlyArray2<'py, f64>),
 }
 
-/// The same without the interpreter.
+/// The same positions as slices, which threads can use without the interpreter's lock.
 #[derive(Clone, Copy)]
 pub(crate) enum PositionSlice<'a> {
     F32(&'a [[f32; 3]]),
@@ -21,7 +21,7 @@ pub(crate) enum PositionSlice<'a> {
 
 impl<'py> Positions<'py> {
     /// # Errors
-    /// When it is not a C-contiguous array (N, 3) of float32 or float64.
+    /// When `array` is not an array (N, 3) of float32 or float64.
     pub(crate) fn new(array: &Bound<'py, PyAny>) -> PyResult<Positions<'py>> {
         let positions =
             match array.extract::<PyReadonlyArray2<'py, f32>>() {
@@ -40,7 +40,7 @@ impl<'py> Positions<'py> {
         }
     }
 
-    /// The positions, not copied.
+    /// The positions, without a copy.
     ///
     /// # Errors
     /// When the array is not C-contiguous.
@@ -52,14 +52,15 @@ impl<'py> Positions<'py> {
     }
 }
 
-/// An attribute as the Python layer passes it: its name, its role if that is known, its values per particle,
-/// and the values, flat; of text the distinct words, to which the values are indices.
+/// An attribute as the Python layer passes it: name, role if it is known, number of values per particle, and
+/// the values as a flat array. For text, the values are indices into the last item, the distinct strings.
 pub(crate) type Given<'py> = (String, Option<String>, usize, Bound<'py, PyAny>, Option<Vec<String>>);
 
-/// Attributes as a file would have them. Roles that are not given follow from the names, as in files.
+/// Converts attributes to the type that readers of files return. Roles that are not given are recognised by
+/// name, as in files.
 ///
 /// # Errors
-/// When values have another type than the Python layer gives them.
+/// When values have a type that the Python layer never passes.
 pub(crate) fn attributes(given: Vec<Given<'_>>) -> PyResult<Vec<FileAttribute>> {
     let names: Vec<(String, usize)> =
         given.iter().map(|(name, _, arity, ..)| (name.clone(), *arity)).collect();
@@ -81,8 +82,8 @@ fn values_of(array: &Bound<'_, PyAny>, table: Option<Vec<String>>) -> PyResult<V
         Some(array.as_slice().map(<[T]>::to_vec).map_err(PyErr::from))
     }
     if let Some(table) = table {
-        let indices =
-            vector::<i32>(array).ok_or_else(|| PyTypeError::new_err("indices of words must be int32"))??;
+        let indices = vector::<i32>(array)
+            .ok_or_else(|| PyTypeError::new_err("the indices of strings must be int32"))??;
         return Ok(Values::Strings { table, indices });
     }
     let values = vector(array).map(|values| values.map(Values::F32));
@@ -94,7 +95,7 @@ fn values_of(array: &Bound<'_, PyAny>, table: Option<Vec<String>>) -> PyResult<V
         .ok_or_else(|| PyTypeError::new_err("attributes must be float32, float64, uint8, int32 or int64"))?
 }
 
-/// The words of roles.
+/// The names of roles in Python.
 const ROLES: [(AttributeRole, &str); 8] = [
     (AttributeRole::Velocity, "velocity"),
     (AttributeRole::Normal, "normal"),
@@ -106,7 +107,7 @@ const ROLES: [(AttributeRole, &str); 8] = [
     (AttributeRole::Kind, "kind"),
 ];
 
-/// The word of a role.
+/// The name of a role in Python.
 pub(crate) fn word_of_role(role: AttributeRole) -> Option<&'static str> {
     ROLES.iter().find(|(known, _)| *known == role).map(|(_, word)| *word)
 }

@@ -1,4 +1,4 @@
-//! Computes without the interpreter's lock: thread pools, Ctrl-C and progress.
+//! Computes without the interpreter's lock (GIL): thread pools, Ctrl-C and progress.
 //!
 //! ```text
 //!   Python's thread   ── releases the lock ── waits ── every 50 ms: signals ── progress: callback ── takes the lock ──▶
@@ -21,14 +21,14 @@ use crate::float_mode;
 /// Interval between checks for signals. Ctrl-C must take effect within 0.2 s.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Maximum number of idle pools. Programs use few thread counts, and few calls at once.
+/// Maximum number of idle pools. Programs use few different numbers of threads, and make few calls at once.
 const IDLE_POOLS_MAX: usize = 4;
 
-/// A thread pool that computes for one call at a time, so that its token cancels nothing else.
+/// A thread pool that computes for one call at a time, so that its token cancels only this call.
 struct CallPool {
     /// The process that started the threads: they do not exist in a forked child.
     process: u32,
-    /// The number of threads that the caller asked for; 0 is one for each core.
+    /// The number of threads that the caller requested; 0 means one for each core.
     threads: usize,
     token: CancelToken,
     pool: ThreadPool,
@@ -66,7 +66,8 @@ impl CallPool {
         Ok(CallPool { process, threads, token, pool })
     }
 
-    /// Keeps the pool for the next call. A cancelled token stays cancelled, so its pool ends.
+    /// Keeps the pool for the next call. If its token was cancelled, the pool is dropped instead: a cancelled
+    /// token stays cancelled.
     fn put_back(self) {
         if self.token.is_cancelled() {
             return;
@@ -91,9 +92,9 @@ pub(crate) fn run<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> P
     run_with_progress(py, None, None, |_, _| work())
 }
 
-/// The same with a number of threads and a progress callback. `work` gets the token that cancels it, and
-/// where to send progress. Signals and progress are handled on the caller's thread: an exception cancels the
-/// token, and is raised when `work` has ended.
+/// Like [`run`], with a number of threads and a progress callback. `work` gets the token that cancels it, and
+/// the channel for progress. The caller's thread handles signals and progress: an exception there cancels the
+/// token, and is raised after `work` has ended.
 ///
 /// # Errors
 /// Those of [`run`], the exception of the callback, or `ValueError` for the number of threads.
@@ -157,7 +158,7 @@ fn phase_name(phase: Phase) -> &'static str {
     }
 }
 
-/// A panic as an exception: a bug of this package, and not of its caller.
+/// Converts a panic to an exception: a panic is a bug of this package, not of its caller.
 fn error_of_panic(panic: Box<dyn std::any::Any + Send>) -> PyErr {
     let text = panic.downcast_ref::<&str>().map(ToString::to_string);
     match text.or_else(|| panic.downcast_ref::<String>().cloned()) {

@@ -1,4 +1,4 @@
-//! Errors as the Python package declares them, in `pymeniscus._errors`.
+//! Converts errors to the exceptions that the Python package declares in `pymeniscus._errors`.
 
 use meniscus::surface::Error;
 use pyo3::exceptions::{PyOSError, PyRuntimeError};
@@ -41,7 +41,7 @@ pub(crate) fn error(class: Class, message: impl Into<String>) -> PyErr {
     })
 }
 
-/// Why there is no surface.
+/// The exception for an error of the reconstruction.
 pub(crate) fn of_method(failure: Error) -> PyErr {
     let message = failure.to_string();
     match failure {
@@ -57,7 +57,8 @@ pub(crate) fn of_method(failure: Error) -> PyErr {
     }
 }
 
-/// Why a file cannot be read or written. The system's refusals keep their class, such as `FileNotFoundError`.
+/// The exception for a file that cannot be read or written. Errors of the operating system keep their class,
+/// such as `FileNotFoundError`.
 pub(crate) fn of_format(path: &std::path::Path, failure: meniscus_formats::Error) -> PyErr {
     match failure {
         meniscus_formats::Error::Io(failure) => of_io(path, &failure),
@@ -65,10 +66,10 @@ pub(crate) fn of_format(path: &std::path::Path, failure: meniscus_formats::Error
     }
 }
 
-/// A refusal of the system, with the file that it is about.
+/// The exception for an error of the operating system, with the path of the file.
 pub(crate) fn of_io(path: &std::path::Path, failure: &std::io::Error) -> PyErr {
     match failure.raw_os_error() {
-        // Python chooses the subclass by the number.
+        // Python chooses the subclass of `OSError` by the error number.
         Some(number) => PyOSError::new_err((number, failure.to_string(), path.display().to_string())),
         None => PyOSError::new_err(format!("{}: {failure}", path.display())),
     }

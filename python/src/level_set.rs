@@ -1,8 +1,11 @@
 //! Values of a level set between and beyond its stored voxels.
 //!
 //! ```text
-//!   a row of leaves along x      ·  ·  [+ + −]  ·  ·  [− − +]  ·        · is not stored: it has the sign of the voxel
-//!                                +  +           −  −           +          before it in the row, and the half width
+//!   a row of leaves along x      ·  ·  [+ + −]  ·  ·  [− − +]  ·
+//!   sign                         +  +           −  −           +
+//!
+//!   · is not stored: |φ| is the half width, and the sign is that of the last stored voxel before it in the
+//!     row, or + before the first leaf
 //! ```
 //!
 //! A surface is always within stored leaves, so the sign cannot change between them.
@@ -14,7 +17,7 @@ use rustc_hash::FxHashMap;
 
 /// The leaves of a level set by rows along x.
 pub(crate) struct Rows {
-    /// For y and z of a leaf: x and index of each leaf of the row, in order.
+    /// For each row, by the y and z of its leaves: x and index of each leaf, in order of x.
     rows: FxHashMap<(i32, i32), Vec<(i32, u32)>>,
 }
 
@@ -54,7 +57,7 @@ impl Rows {
                 let step = IVec3::new(corner >> 2 & 1, corner >> 1 & 1, corner & 1);
                 let weight = |part: f32, step: i32| if step == 1 { part } else { 1.0 - part };
                 let weight = weight(part.x, step.x) * weight(part.y, step.y) * weight(part.z, step.z);
-                // A point on a voxel has exactly its value.
+                // A point at a voxel has exactly the value of that voxel.
                 if weight == 0.0 { sum } else { sum + weight * self.at(band, least + step) }
             })
         };

@@ -9,13 +9,13 @@ use pyo3::types::PyDict;
 
 use crate::errors::{Class, error};
 
-/// Options by name, as text.
+/// Names of options, and their values as text.
 pub(crate) type Pairs = Vec<(String, String)>;
 
 /// The options with these names and values.
 ///
 /// # Errors
-/// For a name that is not one of an option, and for text that is not a value of it.
+/// `OptionError` for an unknown name, or for text that is not a valid value of the option.
 pub(crate) fn parse(pairs: &[(String, String)]) -> PyResult<Options> {
     let mut options = Options::default();
     for (name, text) in pairs {
@@ -38,18 +38,18 @@ fn why_not(name: &str, kind: ValueKind, text: &str) -> String {
             text.parse::<Length>().err().unwrap_or_else(|| format!("`{text}` is not a length"))
         }
         ValueKind::Number => format!("`{text}` is not a number"),
-        ValueKind::Count => format!("`{text}` is not a whole number from 0"),
+        ValueKind::Count => format!("`{text}` is not a whole number of at least 0"),
         ValueKind::Switch => format!("`{text}` is not True or False"),
         ValueKind::Text => format!("`{text}` is not a value of this option"),
     }
 }
 
-/// The options as the command line has them: their help and their choices are known there.
+/// The options as the command line defines them, with their help and their choices.
 fn command() -> clap::Command {
     <Options as Args>::augment_args(clap::Command::new("options"))
 }
 
-/// The words that an option takes; empty for other values.
+/// The words that an option accepts; empty if its values are not words.
 fn choices(name: &str) -> Vec<String> {
     let command = command();
     let is_switch = Options::info(name).is_some_and(|info| info.kind == ValueKind::Switch);
@@ -88,8 +88,8 @@ pub(crate) fn option_table(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
     Ok(table)
 }
 
-/// The same options in their shortest form, in the order of the table. Raises `OptionError` for what is not
-/// an option.
+/// The given options with values in their shortest form, in the order of `option_table`. Raises `OptionError`
+/// for unknown names and invalid values.
 #[pyfunction]
 pub(crate) fn check_options(pairs: Pairs) -> PyResult<Vec<(&'static str, String)>> {
     Ok(parse(&pairs)?.to_pairs())
@@ -110,7 +110,7 @@ pub(crate) fn option_warnings(pairs: Pairs, has_obstacles: bool) -> PyResult<Vec
     Ok(deprecated.into_iter().chain(ignored).collect())
 }
 
-/// Which attributes the surface gets: `None`, all of them, or those with these names.
+/// The attributes that the surface gets: all, or those with these names; `None` if neither is given.
 pub(crate) fn selection(all: bool, names: Vec<String>) -> Option<AttributeSelection> {
     match (all, names.is_empty()) {
         (true, _) => Some(AttributeSelection::All),

@@ -29,7 +29,7 @@ pub(crate) fn version() -> &'static str {
     pipeline::GENERATOR_AND_VERSION.split(' ').next_back().unwrap_or_default()
 }
 
-/// Half of the machine's memory, in bytes: what a frame may take by default.
+/// The memory that a frame may take by default, in bytes: half of the machine's memory.
 #[pyfunction]
 pub(crate) fn default_memory() -> u64 {
     default_memory_bytes()
@@ -58,9 +58,9 @@ pub(crate) fn format_table() -> Vec<(&'static str, &'static str, bool, bool, boo
 
 /// Why a file was not written.
 pub(crate) enum WriteError {
-    /// A choice is not valid.
+    /// An option has an invalid value.
     Choice(String),
-    /// The format or the system refused.
+    /// The writer of the format, or the operating system, reported an error.
     Format(meniscus_formats::Error),
 }
 
@@ -138,7 +138,7 @@ impl WriteOptions {
     }
 }
 
-/// A surface, and what its files say of their making.
+/// A surface, and the provenance that its files record.
 pub(crate) struct Embedded<'a> {
     pub(crate) surface: &'a FrameSurface,
     pub(crate) settings: &'a Arc<Settings>,
@@ -160,7 +160,7 @@ impl Embedded<'_> {
         let format = format_of(format)?;
         let mut outputs = options.outputs(format)?;
         if format.is_picture() {
-            // Pictures record the camera in numbers.
+            // The provenance of a picture has the camera in numbers, so the camera is computed first.
             outputs = self.with_camera(outputs);
         }
         let hash = |(path, hash): (PathBuf, String)| match u128::from_str_radix(&hash, 16) {
@@ -193,7 +193,7 @@ impl Embedded<'_> {
     }
 }
 
-/// What a reconstruction prepares for files in these formats.
+/// What a reconstruction prepares for files in these formats: see [`in_memory_parts`].
 pub(crate) fn prepared(formats: &[String], quantize: bool) -> PyResult<(Vec<PositionFormat>, Option<f32>)> {
     let formats: Result<Vec<OutputFormat>, WriteError> =
         formats.iter().map(|format| format_of(format)).collect();
@@ -209,7 +209,7 @@ pub(crate) fn needed_attributes(
     in_memory_attributes(attributes, options).map_err(|what| error(Class::Particles, what))
 }
 
-/// An obstacle; its distances are cached in it.
+/// An obstacle, with a cache of its distances.
 #[pyclass(frozen, module = "pymeniscus._native")]
 pub(crate) struct Obstacle {
     shared: Arc<meniscus::surface::Obstacle>,
@@ -229,7 +229,7 @@ impl Obstacle {
 
 #[pymethods]
 impl Obstacle {
-    /// What a mesh encloses: vertices (V, 3) float64 in world units, triangles (T, 3) uint32.
+    /// The volume that a mesh encloses: vertices (V, 3) float64 in world units, triangles (T, 3) uint32.
     #[staticmethod]
     fn from_mesh(
         py: Python<'_>,
@@ -270,13 +270,15 @@ impl Obstacle {
         Ok(Obstacle { shared, recorded })
     }
 
-    /// Edges at which its mesh is open, and triangles that were left out or turned; `None` for a level set.
+    /// The problems of its mesh: open edges, and triangles that were omitted or flipped; `None` for a level
+    /// set.
     fn findings(&self) -> Option<String> {
         self.shared.mesh_findings().map(|findings| format!("{findings:?}"))
     }
 }
 
-/// An attribute of a file: name, role, values per particle, the values, and of text the distinct words.
+/// An attribute of a file: name, role, number of values per particle, and the values. For text, the values
+/// are indices into the last item, the distinct strings.
 type ReadAttribute<'py> = (String, Option<&'static str>, usize, Bound<'py, PyAny>, Option<Vec<String>>);
 
 /// Positions (N, 3), attributes, notes, and the hash of the file.

@@ -1,4 +1,4 @@
-//! Particles to a surface, called from Python.
+//! Reconstructs surfaces from particles, for Python.
 
 use std::fs::File;
 use std::io;
@@ -26,8 +26,9 @@ pub(crate) struct Reconstructor {
 
 #[pymethods]
 impl Reconstructor {
-    /// With these options as text by name; the attributes that the surface gets (all, or by name); the memory
-    /// that a frame may take, in bytes; and the folder for scratch files of larger frames.
+    /// `pairs` are the names and values of options. The surface gets all attributes, or those in
+    /// `attribute_names`. A frame may take `memory` bytes; larger frames use scratch files in the folder
+    /// `scratch`.
     #[new]
     fn new(
         pairs: Pairs,
@@ -81,19 +82,19 @@ impl Reconstructor {
                 PositionSlice::F32(positions) => inner.reconstruct_parts(positions, &attributes, wanted),
                 PositionSlice::F64(positions) => inner.reconstruct_parts(positions, &attributes, wanted),
             };
-            // Drops the sender: its end is what the caller waits for.
+            // Drops the sender: the caller's thread waits until the channel is closed.
             inner.on_progress(|_| {});
             inner.obstacles([]);
             made
         })?;
         let (surface, settings) = made.map_err(of_method)?;
         if surface.report.particle_count == 0 {
-            warnings.push("no particle was left".to_owned());
+            warnings.push("no particles are left, so the surface is empty".to_owned());
         }
         Ok(Surface::new(surface, Arc::new(settings), recorded, prepared.1.is_some(), warnings))
     }
 
-    /// The settings in numbers, as text by name; `None` before the first frame.
+    /// The resolved settings, as names and values in text; `None` before the first frame.
     fn settings(&self, py: Python<'_>) -> Option<Vec<(&'static str, String)>> {
         let settings = py.detach(|| {
             self.inner.lock().unwrap_or_else(PoisonError::into_inner).settings().map(Settings::to_options)
@@ -102,7 +103,7 @@ impl Reconstructor {
     }
 }
 
-/// Waits for another thread that uses the same sequence.
+/// Locks a sequence, and waits if another thread uses it, until the token is cancelled.
 fn lock_unless_cancelled<'a, T>(
     mutex: &'a Mutex<T>,
     token: &CancelToken,
@@ -117,10 +118,11 @@ fn lock_unless_cancelled<'a, T>(
     }
 }
 
-/// Interval between attempts to lock a sequence that another thread uses: short beside a frame.
+/// Interval between attempts to lock a sequence that another thread uses: short compared with a frame's time.
 const LOCK_INTERVAL: Duration = Duration::from_millis(2);
 
-/// The settings in numbers, as text by name; what the options leave open is measured on these particles.
+/// The resolved settings, as names and values in text. Lengths that the options leave open are measured on
+/// these particles.
 #[pyfunction]
 pub(crate) fn resolve(
     py: Python<'_>,
@@ -144,7 +146,7 @@ pub(crate) fn resolve(
     Ok(resolved.map_err(of_method)?.to_pairs())
 }
 
-/// A file without a name, which is gone when it is closed.
+/// A file without a name, which the system deletes when it is closed.
 struct ScratchFile(File);
 
 #[cfg(unix)]
@@ -158,7 +160,8 @@ impl Storage for ScratchFile {
     }
 }
 
-/// Where reading at an offset moves the file's own position: tiles are read one after the other.
+/// On these systems, reading at an offset moves the file's position. That is safe because tiles are read one
+/// after the other.
 #[cfg(not(unix))]
 impl Storage for ScratchFile {
     fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {

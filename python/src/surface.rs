@@ -1,4 +1,4 @@
-//! A surface as Python holds it: the memory of the method, and views of it.
+//! A surface for Python: it owns the memory of the result, of which Python gets views.
 
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
@@ -16,7 +16,7 @@ use crate::level_set::Rows;
 use crate::program::{self, WriteOptions};
 use crate::views::view;
 
-/// A surface. It is never changed: arrays borrow its memory.
+/// A surface. It never changes, because arrays borrow its memory.
 #[pyclass(frozen, module = "pymeniscus._native")]
 pub(crate) struct Surface {
     surface: FrameSurface,
@@ -30,7 +30,7 @@ pub(crate) struct Surface {
 /// Faces as rows of vertex indices.
 type Faces<'py> = Bound<'py, PyArray2<u32>>;
 
-/// Name, role, values per vertex, and the distinct words of text.
+/// Name, role, number of values per vertex, and for text the distinct strings.
 type AttributeInfo = (String, Option<&'static str>, usize, Option<Vec<String>>);
 
 impl Surface {
@@ -83,7 +83,7 @@ impl Surface {
         self.surface.mesh.origin.to_array()
     }
 
-    /// Quads (Q, 4) and the triangles (L, 3) that are not halves of one, uint32.
+    /// Quads (Q, 4), and the triangles (L, 3) that are not halves of a quad, both uint32.
     fn quads<'py>(&self, py: Python<'py>) -> PyResult<(Faces<'py>, Faces<'py>)> {
         let (quads, loose) = run(py, || {
             let is_first = self.surface.mesh.quads();
@@ -127,7 +127,7 @@ impl Surface {
         self.surface.attributes.vertices.iter().map(info).collect()
     }
 
-    /// The values of an attribute, (V, arity): float32, int64, or int32 indices of words.
+    /// The values of an attribute, (V, arity): float32, int64, or for text int32 indices of strings.
     fn attribute<'py>(slf: &Bound<'py, Self>, index: usize) -> PyResult<Bound<'py, PyAny>> {
         let all = &slf.get().surface.attributes.vertices;
         let attribute = all.get(index).ok_or_else(|| PyIndexError::new_err("no such attribute"))?;
@@ -157,13 +157,13 @@ impl Surface {
         }
     }
 
-    /// (L, 3) int32: the least voxel of each leaf.
+    /// (L, 3) int32: the index of the voxel with the least x, y and z in each leaf.
     fn leaf_origins<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray2<i32>>> {
         let count = slf.get().band().topology.len();
         view(slf, [count, 3], |this| bytemuck::cast_slice(this.band().topology.origins()))
     }
 
-    /// (L, 8, 8, 8) float32, in voxels.
+    /// (L, 8, 8, 8) float32: φ at the voxels of each leaf, in units of voxels.
     fn leaf_values<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray4<f32>>> {
         let (count, edge) = (slf.get().band().phi.leaves.len(), LEAF_EDGE as usize);
         view(slf, [count, edge, edge, edge], |this| this.band().phi.as_arrays().as_flattened())
@@ -180,7 +180,7 @@ impl Surface {
         self.band().half_width
     }
 
-    /// Values at the voxels of a box, in voxels.
+    /// φ at the voxels of a box, in units of voxels.
     fn dense<'py>(
         &self,
         py: Python<'py>,
@@ -200,7 +200,7 @@ impl Surface {
         Ok(values.into_pyarray(py))
     }
 
-    /// Values at points (N, 3) float64 in world units, in voxels.
+    /// φ in units of voxels, at points (N, 3) float64 in world units.
     fn sample<'py>(
         &self,
         py: Python<'py>,
@@ -215,7 +215,7 @@ impl Surface {
         Ok(Array1::from(values).into_pyarray(py))
     }
 
-    /// The settings in numbers, as text by name.
+    /// The resolved settings, as names and values in text.
     fn settings(&self) -> Vec<(&'static str, String)> {
         self.settings.to_options().to_pairs()
     }
@@ -235,7 +235,7 @@ impl Surface {
         self.warnings.iter().cloned().chain(self.embedded().warnings()).collect()
     }
 
-    /// Whether it has attributes at voxels, as .vdb and .exr hold them.
+    /// Whether the surface has attributes at voxels, which .vdb and .exr need.
     #[getter]
     fn has_voxel_attributes(&self) -> bool {
         self.has_voxel_attributes

@@ -2,8 +2,8 @@
 //!
 //! An array keeps the surface that it borrows from alive, and cannot be written to. Nothing else can write to
 //! that memory either: a surface is a frozen class, so that Python code only ever gets shared references to
-//! it, and its vectors have no interior mutability. So the memory is neither moved, freed nor changed while
-//! the array exists.
+//! it, and its vectors have no interior mutability. So the memory is not moved, freed or changed while the
+//! array exists.
 #![expect(unsafe_code, reason = "rust-numpy has no safe way to borrow memory from a Python object")]
 
 use numpy::ndarray::{ArrayView, IntoDimension};
@@ -24,12 +24,13 @@ pub(crate) fn view<'py, T: Element, I: IntoDimension>(
 ) -> PyResult<Bound<'py, PyArray<T, I::Dim>>> {
     let values = ArrayView::from_shape(shape.into_dimension(), data(owner.get()))
         .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
-    // SAFETY: `data` is given a reference of any lifetime, so what it returns lives in the surface (or in a
-    // static) and is valid for as long as the surface exists. The array holds a reference to `owner`, which
-    // therefore outlives it. `Surface` is frozen and its vectors have no interior mutability, so they are not
-    // reallocated or changed before the surface is dropped.
+    // SAFETY: `data` must accept a reference of any lifetime, so the slice that it returns lives in the
+    // surface (or in a static) and is valid for as long as the surface exists. The array holds a reference to
+    // `owner`, so the surface outlives the array. `Surface` is frozen and its vectors have no interior
+    // mutability, so they are not reallocated or changed before the surface is dropped.
     let array = unsafe { PyArray::borrow_from_array(&values, owner.clone().into_any()) };
-    // Python code cannot undo this: the array does not own its memory, and its base offers none to write to.
+    // Python code cannot make the array writeable again: NumPy allows that only for an array that owns its
+    // memory or whose base has a writeable buffer.
     drop(array.readwrite().make_nonwriteable());
     Ok(array)
 }

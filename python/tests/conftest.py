@@ -1,4 +1,4 @@
-"""Particles that tests share."""
+"""Particles that several tests use."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 usage: python simulate.py EXAMPLE FOLDER
 
-A process of its own: simulators change their process (Taichi the floating-point mode, SPlisHSPlasH the
-libraries of OpenGL).
+It runs in a separate process, because simulators change their process: Taichi the floating-point mode,
+SPlisHSPlasH the libraries of OpenGL.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ def load(name: str) -> ModuleType:
 
 
 class Comparison:
-    """Exports each frame and writes its surface; then compares these files with those of the command."""
+    """Exports each frame, and writes its surface. Then compares the surface files with those that the command
+    writes."""
 
     def __init__(self, folder: Path, spacing: float, **options: Any) -> None:
         self.folder, self.options = folder, {"spacing": spacing, **options}
@@ -57,13 +58,13 @@ class Comparison:
             (folder / name).mkdir(parents=True)
 
     def save(self, number: int, points: Any, velocity: Any, surface: pm.Surface) -> None:
-        """Called by the example for each frame."""
+        """The callback for the example, which calls it for each frame."""
         path = self.folder / "exported" / f"fluid.{number:04}.npz"
         np.savez(path, position=points, velocity=velocity)
         surface.write(self.folder / "in_process" / f"fluid.{number:04}.glb", source=path)
 
     def check(self, frames_min: int) -> None:
-        """Convert the exported frames by the command, and compare."""
+        """Convert the exported frames with the command, and compare the files."""
         options = {"format": "glb", "attributes": "velocity", **self.options}
         pm.convert(self.folder / "exported", self.folder / "command", **options)
         names = sorted(path.name for path in (self.folder / "in_process").iterdir())
@@ -83,7 +84,8 @@ def taichi(folder: Path) -> None:
 
 def splishsplash(folder: Path) -> None:
     """A falling block in SPlisHSPlasH, with surfaces from its callback."""
-    # The wheel contains a libGLdispatch, and crashes on import unless that of the system is loaded first.
+    # The wheel contains a libGLdispatch, and crashes on import unless the system's libGLdispatch is loaded
+    # first.
     try:
         ctypes.CDLL("libGL.so.1", mode=ctypes.RTLD_GLOBAL)
     except OSError:

@@ -1,4 +1,4 @@
-"""The commands, as functions and as a program."""
+"""Tests of the commands, as functions and as a program."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Examples and documentation run. Those of simulators run where the simulator is installed."""
+"""Runs the examples and the code in the documentation. Examples for a simulator run only if it is
+installed."""
 
 from __future__ import annotations
 

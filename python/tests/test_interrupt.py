@@ -1,4 +1,4 @@
-"""Ctrl-C, threads at import, and memory over many calls: each in a process of its own."""
+"""Tests of Ctrl-C, of threads at import, and of memory over many calls, each in a separate process."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ def start(script: str) -> subprocess.Popen[str]:
     )
 
 
-#: Ctrl-C takes effect within 0.2 s on an idle machine. Others, such as those that run these tests, get more time.
+#: Limit of the time until Ctrl-C takes effect: 0.2 s on an idle machine, and more on a busy machine, such as
+#: one that runs many tests.
 DELAY_MAX = 0.2 if os.environ.get("PYMENISCUS_STRICT_TIMES") else 2.0
 
 

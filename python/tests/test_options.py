@@ -1,4 +1,4 @@
-"""Options: one definition, and everything that follows from it."""
+"""Tests that everything about options agrees with their definition in the core."""
 
 from __future__ import annotations
 

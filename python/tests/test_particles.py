@@ -1,4 +1,4 @@
-"""Particles of files."""
+"""Tests of particles from files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reconstruction: inputs of every kind, options, errors, threads and progress."""
+"""Tests of reconstruction: all kinds of inputs, options, errors, threads and progress."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ def test_errors_have_the_usual_classes():
 
 
 def test_every_option_changes_something_or_is_refused(block):
-    """No option is ignored: each of them is in the settings of the surface."""
+    """No option is ignored: each is in the settings of the surface, and a preset changes them."""
     values = {"number": 0.5, "count": 3, "switch": True, "length": "2h"}
     special = {"preset": "splash", "radius_min": "1.2d", "radius_ratio": 2.5, "radius_init": "1.5d", "spacing": 0.1,
                "voxel_size": "0.5d", "clip": (0, 0, 0, 0.5, 0.5, 0.5), "radius_attribute": "r", "max_stretch": 3.0,
@@ -285,7 +285,7 @@ def test_several_threads_at_once(block, surface):
         ticks.append(None)
         threading.Event().wait(0.001)
     assert all(same(one, surface) for one in made)
-    # This thread ran meanwhile: the lock was released.
+    # This thread ran during the reconstruction, so the interpreter's lock was released.
     assert len(ticks) > 3
 
 

@@ -1,4 +1,4 @@
-"""Files of surfaces have the bytes of the command."""
+"""Tests that `Surface.write` writes the same bytes as the command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Surfaces: views, lifetimes, level sets, files and conversions."""
+"""Tests of surfaces: views, lifetimes, level sets, files and conversions."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_quads_and_loose_triangles_are_the_whole_mesh(surface):
     directed = edges(surface.triangles)
     of_faces = edges(quads) | edges(loose)
     assert of_faces <= directed
-    # Closed: each edge is there in both directions.
+    # The mesh is closed: each edge occurs in both directions.
     assert all((b, a) in of_faces for a, b in of_faces)
 
 

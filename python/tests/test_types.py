@@ -1,4 +1,4 @@
-"""Types and documentation of the public names."""
+"""Tests of the types and docstrings of the public names."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PACKAGE = Path(pm.__file__).parent
 def test_package_is_typed():
     assert (PACKAGE / "py.typed").exists()
     pytest.importorskip("mypy")
-    # The sources, because mypy reports nothing about installed packages.
+    # Check the sources, because mypy reports nothing about installed packages.
     folder = Path(__file__).parents[1]
     command = [sys.executable, "-m", "mypy", "--strict", "--no-error-summary", "--cache-dir", os.devnull, "-p", "pymeniscus"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=folder)

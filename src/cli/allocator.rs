@@ -47,7 +47,7 @@ const CHOSEN_BY: [&str; 4] =
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const MMAP_THRESHOLD: std::ffi::c_int = 1 << 20;
 
-/// Free memory at the end of an arena is returned from 4 MiB on.
+/// Free memory at the end of an arena is returned once it reaches 4 MiB.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const TRIM_THRESHOLD: std::ffi::c_int = 4 << 20;
 

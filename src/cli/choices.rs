@@ -58,10 +58,10 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
     let is_of_stage = |name: &&str| formats.stage.is_some() && of_stage.contains(name);
     let given = method.given().into_iter().chain(formats.given()).filter(|name| !is_of_stage(name));
     let idle = given.filter_map(|name| {
-        // --quantize without effect is an error, and reported elsewhere.
+        // --quantize without effect is an error, which `FormatArgs::outputs` reports.
         let changed = formats_changed_by(name).filter(|_| name != WriteOption::Quantize.key())?;
         let is_idle = !written.iter().any(|format| changed.contains(format));
-        is_idle.then(|| format!("{} changes no file: it is for {} only", option_name(name), kinds(&changed)))
+        is_idle.then(|| format!("{} is ignored: it affects {} only", option_name(name), kinds(&changed)))
     });
     deprecated.into_iter().chain(ignored).chain(idle).collect()
 }
@@ -97,7 +97,7 @@ fn kinds(formats: &[OutputFormat]) -> String {
 /// an input.
 ///
 /// # Errors
-/// The correct spelling.
+/// If there is such a number. The message states the correct spelling.
 pub(super) fn refuse_stray_rounds(args: &MethodArgs, inputs: &[PathBuf]) -> Result<()> {
     let is_stray = |input: &&PathBuf| {
         input.to_str().is_some_and(|text| text.parse::<u32>().is_ok()) && input.symlink_metadata().is_err()

@@ -33,7 +33,7 @@ impl Console {
         self.out_is_taken = true;
     }
 
-    /// Prints a line of results, with control characters [`escaped`] that could forge a line or control the
+    /// Prints a line of results. Control characters are [`escaped`]: they could forge a line or control the
     /// terminal.
     pub(super) fn say(&mut self, line: impl Display) {
         self.print(escaped(line));
@@ -72,7 +72,7 @@ impl Console {
         }
     }
 
-    /// Prints an error or a warning on one line, with control characters [`escaped`] that could forge a line
+    /// Prints an error or a warning on one line. Control characters are [`escaped`]: they could forge a line
     /// or control the terminal.
     pub(super) fn warn(&self, line: impl Display) {
         print_error(self.bar.as_ref(), line);
@@ -88,19 +88,20 @@ impl Console {
         self.warn(format_args!("error: {what}"));
     }
 
-    /// Prints an error that makes the command fail even if all frames succeed: part of the input is missing.
+    /// Prints an error about a missing part of the input. The command then fails even if all frames succeed.
     pub(super) fn fail(&mut self, what: impl Display) {
         self.error(what);
         self.failed_count += 1;
     }
 
-    /// The number of such errors.
+    /// The number of errors that [`fail`](Console::fail) printed.
     pub(super) fn failed_count(&self) -> usize {
         self.failed_count
     }
 
     /// Shows a progress bar for this number of frames if the standard error is a terminal; for a single
-    /// frame, only its stage. Returns whether the bar replaces the lines about each frame.
+    /// frame, only its stage. Returns true if the bar replaces the line that is otherwise printed for each
+    /// frame.
     pub(super) fn show_bar(&mut self, frame_count: usize) -> bool {
         if frame_count == 0 || !io::IsTerminal::is_terminal(&io::stderr()) {
             return false;
@@ -116,7 +117,7 @@ impl Console {
             }
         });
         let bar = ProgressBar::with_draw_target(Some(frame_count as u64), ProgressDrawTarget::stderr());
-        // The time left counts down while a long frame is computed.
+        // Without ticks, the time left would stand still while a long frame is computed.
         bar.enable_steady_tick(TICK);
         self.bar = Some(bar.with_style(style));
         frame_count > 1
@@ -140,7 +141,8 @@ impl Console {
         }
     }
 
-    /// Whether everything was printed, or the reader closed the output on purpose.
+    /// Returns the error if writing to the standard output failed. A reader that closes the output is not an
+    /// error.
     pub(super) fn finish(self) -> io::Result<()> {
         self.failure.map_or(Ok(()), Err)
     }
@@ -151,7 +153,7 @@ pub(super) fn json_text(record: &impl Serialize) -> serde_json::Result<String> {
     Ok(escaped_json(&serde_json::to_string_pretty(record)?))
 }
 
-/// JSON with escapes for the characters that could control the terminal and that Serde leaves in strings as they are.
+/// Escapes the characters of JSON text that could control the terminal, and that Serde does not escape.
 pub(super) fn escaped_json(json: &str) -> String {
     let mut text = String::with_capacity(json.len());
     for char in json.chars() {
@@ -171,7 +173,7 @@ fn suspended<T>(bar: Option<&ProgressBar>, print: impl FnOnce() -> T) -> T {
     }
 }
 
-/// Prints an error or a warning on one line, with control characters [`escaped`] that could forge a line or
+/// Prints an error or a warning on one line. Control characters are [`escaped`]: they could forge a line or
 /// control the terminal.
 pub(super) fn print_error(bar: Option<&ProgressBar>, line: impl Display) {
     print_on_error(bar, escaped(line));

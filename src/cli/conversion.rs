@@ -52,7 +52,7 @@ impl Conversion {
     /// other. Inputs that are not selected are protected, too.
     ///
     /// # Errors
-    /// Which file would replace which.
+    /// If a file would replace another one; the error names both.
     pub(super) fn refuse_conflicts(&self, other: Option<(&'static str, &Path)>) -> Result<()> {
         if let Some((what, path)) = other {
             check_output_path(what, path)?;
@@ -62,7 +62,7 @@ impl Conversion {
         Ok(check_outputs(&planned, &self.found, &self.obstacles, &self.outputs, other)?)
     }
 
-    /// The settings shared by the frames of a sequence, or why they cannot be converted.
+    /// The settings shared by the frames of a sequence, or why the frames cannot be converted.
     ///
     /// # Errors
     /// If the options are invalid for every frame.
@@ -105,23 +105,23 @@ pub(super) struct Resolved {
     pub(super) outputs: Arc<OutputOptions>,
 }
 
-/// Warns about options without effect, and about missing kernels.
+/// Warns about options without effect, and about missing SIMD kernels.
 pub(super) fn warn_before(method: &MethodArgs, formats: &FormatArgs, console: &Console) {
     warn_of_ignored(method, formats, console);
     warn_of_level(console);
 }
 
-/// Warns about requested kernels that are missing on this machine.
+/// Warns about requested SIMD kernels that are missing on this machine.
 pub(super) fn warn_of_level(console: &Console) {
     if let Some(warning) = level_warning() {
         console.warning(warning);
     }
 }
 
-/// Refuses options that cannot be combined with another one, except for the allowed ones.
+/// Refuses given options, except for the allowed ones, because they cannot be combined with another option.
 ///
 /// # Errors
-/// Which options, and why.
+/// If options are refused; the error names them, and says why.
 pub(super) fn refuse_beside(given: &[&str], allowed: &[&str], why: &str) -> Result<()> {
     let refused: Vec<&str> = given.iter().copied().filter(|name| !allowed.contains(name)).collect();
     if !refused.is_empty() {

@@ -32,7 +32,8 @@ use super::wording::pluralize;
 /// Converts the selected frames.
 ///
 /// # Errors
-/// If nothing can be done at all. A failed frame is not an error here: it is reported and counted.
+/// If the conversion cannot start, for example because an option is invalid. A failed frame is not an error
+/// here: it is reported and counted.
 pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<CommandOutcome> {
     let start = Instant::now();
     if let Some(plan) = &args.plan {
@@ -65,7 +66,8 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         Job::Particles
     } else {
         let job = surface_job(&selection, args.band_slack, &args.method)?;
-        // USD of the whole sequence uses the unit, too.
+        // --meters-per-unit also affects a USD sequence file: with such a file, the option is not reported as
+        // ignored.
         let has_usd = args.shot.sequence_usda.is_some() || args.shot.sequence_usdc.is_some();
         let meters_per_unit = formats.meters_per_unit.filter(|_| !has_usd);
         warn_before(&args.method, &FormatArgs { meters_per_unit, ..formats }, console);
@@ -241,8 +243,9 @@ fn convert_shard(
         let record = SequenceRecord::new(&sequence.name, &sequence.job, &sequence.settings, measured, files);
         batch.add_sequence(&sequence.name, record);
     }
-    // `plan` checked already, by name, that no result replaces another shard's input. Checking all files of a
-    // shot from every shard would overload a file server.
+    // Only the inputs of this shard are checked: `plan` checked already, by name, that no result replaces
+    // another shard's input. If every shard checked all files of the sequence, it would overload a file
+    // server.
     let inputs: Vec<_> = frames.iter().map(|frame| frame.input.clone()).collect();
     let planned: Vec<_> = frames.iter().map(|frame| (frame.input.clone(), frame.stem.clone())).collect();
     if let Some(sequence) = plan.sequences.first() {
@@ -292,8 +295,8 @@ fn add_planned(batch: &mut Batch, planned: &PlannedFrame, frame: Frame, console:
     }
 }
 
-/// For a frame whose input or obstacle is gone and whose outputs are done, as `verify` judges it: `Some` with
-/// the reason if it failed validation. `None` for any other frame.
+/// `Some` if an input or obstacle of the frame no longer exists, and its outputs are done by the criteria of
+/// `verify`. The inner value is the reason if the outputs failed validation, or else `None`.
 fn done_without_inputs(frame: &Frame) -> Option<Option<String>> {
     let is_absent = matches!(file_of(&frame.input).try_exists(), Ok(false));
     let is_gone = is_absent || !frame.obstacles.exist(frame.number);

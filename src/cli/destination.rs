@@ -44,7 +44,7 @@ impl Destination {
     /// The destination that `--out` names, with the folder to write to, and the formats.
     ///
     /// # Errors
-    /// If it contradicts other options.
+    /// If `--out` contradicts other options.
     pub(super) fn of(
         args: &ConvertArgs,
         console: &mut Console,
@@ -63,7 +63,8 @@ impl Destination {
             (Destination::Folder, out, args.particles_only.then_some(OutputFormat::Ply))
         };
         let mut formats = args.formats.clone();
-        // A format given with a file or the standard output must be its format.
+        // If --format is given, it takes precedence. For a file or the standard output, it was checked above
+        // to name the same format.
         formats.format = formats.format.or(format.map(|format| vec![format]));
         Ok((destination, folder, formats))
     }
@@ -124,10 +125,10 @@ impl Destination {
         Ok(())
     }
 
-    /// Copies the file to the standard output, if that is the destination.
+    /// Copies the result to the standard output, if that is the destination.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If the result cannot be read, or the standard output cannot be written.
     pub(super) fn send(self, verdict: CommandOutcome) -> Result<CommandOutcome> {
         let Destination::Stdout { folder, extension } = self else { return Ok(verdict) };
         if verdict == CommandOutcome::NothingDone {
@@ -153,7 +154,7 @@ pub(super) fn private_folder() -> Result<TempDir> {
     Ok(folder)
 }
 
-/// Refuses a file where a folder is needed for several frames.
+/// Refuses the name of a file where a folder is needed, because there may be several frames.
 ///
 /// # Errors
 /// If the path has the extension of a result and is not a folder.

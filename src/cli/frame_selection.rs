@@ -37,14 +37,15 @@ impl fmt::Display for StepRange {
     }
 }
 
-/// The missing numbers between the first and the last of these, and their count; `None` if none are missing,
-/// or if most of the numbers are not evenly spaced.
+/// The numbers that are missing between the smallest and the largest of `numbers`, as text, and their count.
+/// `None` if no number is missing, or if most of the numbers are not evenly spaced.
 pub(super) fn gaps(numbers: impl IntoIterator<Item = u64>) -> Option<(String, u64)> {
     let numbers: Vec<u64> = BTreeSet::from_iter(numbers).into_iter().collect();
     let pairs = || numbers.windows(2).map(|pair| (pair[0], pair[1]));
     let step = pairs().map(|(low, high)| high - low).min()?;
     let even_count = pairs().filter(|(low, high)| high - low == step).count();
-    // Steps of a simulation may have any spacing; frame numbers differ by one.
+    // Step numbers of a simulation may have any spacing, so a gap is meaningful only if most differences are
+    // equal. Frame numbers usually differ by one, so for a difference of one, slightly fewer are sufficient.
     let is_even = 2 * even_count + usize::from(step == 1) >= numbers.len();
     if !is_even || !pairs().all(|(low, high)| (high - low).is_multiple_of(step)) {
         return None;
@@ -66,7 +67,7 @@ const GAPS_NAMED: usize = 8;
 const SEARCHED_MAX: u64 = 100_000;
 
 impl FrameSelection {
-    /// The ranges that contain numbers other than `numbers`, and the count of those missing numbers.
+    /// The selected ranges with numbers that are missing in `numbers`, and the count of the missing numbers.
     pub(super) fn missing(&self, numbers: &HashSet<u64>) -> Vec<(String, u64)> {
         let missing = |range: &StepRange| {
             let named = (range.last - range.first) / range.step + 1;
@@ -99,11 +100,12 @@ fn parse_range(text: &str) -> Result<StepRange, String> {
     let what = "a selection of frames: give a number such as 12, a range such as 1-240, every other frame of a range as in 1-240x2, \
                 or several of these with commas between";
     let range = expected(text, StepRange::parse(text), what)?;
-    if range.last < range.first {
-        return Err(format!("`{text}` runs backwards"));
-    }
     if range.step == 0 {
         return Err(format!("`{text}` has a step of 0; at least 1 is needed"));
+    }
+    if range.last < range.first {
+        let ascending = StepRange { first: range.last, last: range.first, ..range };
+        return Err(format!("`{text}` ends before it starts: use {ascending}"));
     }
     Ok(range)
 }

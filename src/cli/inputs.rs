@@ -3,7 +3,7 @@
 //! ```text
 //!   dam.0012.bgeo      an existing file           that file
 //!   frames             an existing folder         the frames in it
-//!   dam.####.bgeo      a number in the name        dam.0012.bgeo, dam.10000.bgeo
+//!   dam.####.bgeo      a number of ≥ 4 digits     dam.0012.bgeo, dam.10000.bgeo
 //!   dam.%04d.bgeo      the same
 //!   dam.{}.bgeo        a number of any width       dam.7.bgeo
 //!   shots/*/dam*.ply   anything else with * ? []   the matching files
@@ -35,7 +35,7 @@ use super::console::Console;
 pub(super) struct MatchedInputs {
     /// Without duplicates.
     pub(super) files: Vec<FrameFile>,
-    /// Files in folders that are not frames: the first by path, and their number.
+    /// Files in folders that are not frames: the first of them by path, and their count.
     pub(super) skipped: Option<(PathBuf, usize)>,
     /// Paths that could not be examined and may be or contain frames, each with the reason.
     pub(super) unreadable: Vec<(PathBuf, String)>,
@@ -82,14 +82,14 @@ pub(super) fn find_with_others(
     Ok(all)
 }
 
-/// Finds the files. Folders without frames are refused unless they may be empty.
+/// Finds the files. Folders without frames are refused unless `may_be_empty` is set.
 fn search(inputs: &[PathBuf], may_be_empty: bool) -> Result<MatchedInputs> {
     let mut found = MatchedInputs::default();
     for input in inputs {
         match input.metadata() {
             Ok(metadata) if metadata.is_dir() => found.add_folder(input, may_be_empty)?,
             Ok(_) => found.files.push(FrameFile::new(input.clone())),
-            // Reading the file later reports the error.
+            // A link that cannot be followed: reading it later reports the error.
             Err(_) if input.symlink_metadata().is_ok() => found.files.push(FrameFile::new(input.clone())),
             Err(_) if step_of(input).is_some_and(|(file, _)| file.is_file()) => {
                 size_bytes(input).map_err(|error| anyhow!("{}: {error}", shown(input)))?;
@@ -117,8 +117,8 @@ fn search(inputs: &[PathBuf], may_be_empty: bool) -> Result<MatchedInputs> {
 /// is: reading it reports the error.
 ///
 /// # Errors
-/// If it exceeds a limit, such as the maximum number of steps: otherwise it would be read as one large frame,
-/// only to fail.
+/// If the file exceeds a limit, such as the maximum number of steps. Without this error, the whole file would
+/// be read as one frame, and fail then.
 fn frames_of(file: FrameFile) -> Result<Vec<FrameFile>, Error> {
     if step_of(&file.path).is_some() {
         return Ok(vec![file]);
@@ -142,7 +142,8 @@ impl MatchedInputs {
         self.warnings.extend(found.warnings);
     }
 
-    /// Prints the warnings, and an error for each path that could not be examined: then the command fails.
+    /// Prints the warnings, and an error for each path that could not be examined. Such an error makes the
+    /// command fail.
     pub(super) fn report(&self, console: &mut Console) {
         for warning in &self.warnings {
             console.warning(warning);
@@ -251,9 +252,9 @@ impl MatchedInputs {
         Ok(paths)
     }
 
-    /// The paths that match a glob, sorted. `**` matches nested folders. Each folder is listed once, under
-    /// its own name and not that of a link, because links may form cycles. Folders that cannot be listed are
-    /// recorded.
+    /// The paths that match a glob, sorted. `**` matches nested folders. Below `**`, each folder is listed
+    /// only once, because links may form cycles. Links are followed last, so a folder is listed under its own
+    /// name and not that of a link. Folders that cannot be listed are recorded as unreadable.
     fn matching(&mut self, pattern: &str) -> Result<Vec<PathBuf>> {
         let pattern = if cfg!(windows) { pattern.replace('\\', "/") } else { pattern.to_owned() };
         let glob = Glob::new(&pattern)?;
@@ -283,7 +284,7 @@ impl MatchedInputs {
                     Ok(metadata) if !metadata.is_dir() => {}
                     Ok(_) if is_link => linked.push((path, depth + 1)),
                     Ok(_) => pending.push((path, depth + 1)),
-                    // A match is treated as a file, so reading it fails with an error.
+                    // The path matches, so it is treated as a file: reading it later reports the error.
                     Err(_) if glob.takes(&path, depth) => {}
                     Err(error) if leads_nowhere(&error) => {}
                     Err(error) => self.note_unreadable(&path, &error),
@@ -294,7 +295,7 @@ impl MatchedInputs {
         Ok(found)
     }
 
-    /// Records a path that may contain frames and cannot be examined. A missing path contains none.
+    /// Records a path that cannot be examined and may contain frames. A missing path is not recorded.
     fn note_unreadable(&mut self, path: &Path, error: &io::Error) {
         if error.kind() != io::ErrorKind::NotFound {
             self.unreadable.push((path.to_owned(), error.to_string()));
@@ -307,7 +308,7 @@ struct Glob<'p> {
     whole: Pattern,
     /// The folder where the search starts: the part before the first wildcard.
     base: PathBuf,
-    /// The patterns for the names below it.
+    /// The patterns for the names below `base`, one per level.
     parts: Vec<(&'p str, Pattern)>,
     with_hidden: bool,
 }
@@ -362,7 +363,7 @@ impl<'p> Glob<'p> {
 /// The characters that make text a glob.
 const WILDCARDS: [char; 3] = ['*', '?', '['];
 
-/// Whether a path can be a pattern: its name has a place for a number, or it contains wildcards.
+/// Whether a path can be a pattern: its name has a placeholder for a number, or it contains wildcards.
 fn is_pattern(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     NumberPattern::find(name).is_some() || path.to_string_lossy().contains(WILDCARDS)
@@ -386,14 +387,14 @@ fn entries_of(folder: &Path, with_hidden: bool) -> io::Result<Vec<(OsString, boo
     Ok(entries)
 }
 
-/// Whether a file of a folder is a frame, by its content or by a name that promises one: a broken frame must
-/// be an error, and not be skipped.
+/// Whether a file in a folder is a frame, by its name or by its content. A name that promises a frame is
+/// sufficient: a broken frame must be reported as an error, and not be skipped.
 ///
 /// # Errors
 /// If only the content can decide, and it cannot be read.
 fn is_frame(path: &Path) -> io::Result<bool> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    // A folder may also contain the results of an earlier run, and a .ply may be a frame or a result.
+    // A folder may also contain results of an earlier run, such as a .ply, which can be a frame or a result.
     Ok((promises_particles(&name) || head_is_of_particles(path, &name)?) && !is_own_output(path))
 }
 

@@ -29,12 +29,12 @@ pub(super) fn clean_up_when_interrupted() {
                 // The process exits, so a failure cannot be retried.
                 let _ = fs::remove_dir_all(folder);
             }
-            // The exit status of a shell for a signal: 130 for Ctrl-C.
+            // The exit status that shells use for a process that a signal ended: 130 for Ctrl-C.
             std::process::exit(128 + signal);
         }
     });
 }
 
-/// Other systems end the process in their own way.
+/// On other systems there is no handler: the system ends the process.
 #[cfg(not(unix))]
 pub(super) fn clean_up_when_interrupted() {}

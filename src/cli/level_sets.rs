@@ -51,13 +51,14 @@ pub(super) enum Use {
 /// Refuses options that do not apply to a level set.
 ///
 /// # Errors
-/// Which of the options, and why.
+/// If such an option is given. The message names it, and states why it does not apply.
 pub(super) fn refuse_options(method: &MethodArgs, reason: Use) -> Result<()> {
     let solver_has_no_use = match reason {
         Use::Picture => "a picture shows the file unchanged",
         Use::AsItIs | Use::Smoothed => "without --band-slack it is not smoothed",
     };
-    // Its voxel size is known only when it is read, and it has no particle spacing.
+    // Offsets in voxels or spacings cannot be resolved: the voxel size of a level set is known only when it
+    // is read, and a level set has no particle spacing.
     if method.options.offset.is_some_and(|offset| offset.unit != LengthUnit::World) {
         bail!("--offset must be in world units for a level set in .vdb, such as --offset 0.01");
     }
@@ -77,7 +78,8 @@ pub(super) fn refuse_options(method: &MethodArgs, reason: Use) -> Result<()> {
     Ok(())
 }
 
-/// The group of an option with respect to level sets, which can be offset, but not for pictures.
+/// The group of an option with respect to level sets. `--offset` is allowed (`None`), except for pictures,
+/// which show the level set unchanged.
 fn group_of(name: &str, reason: Use) -> Option<OptionGroup> {
     match name {
         "particle_radius" => Some(OptionGroup::General),

@@ -81,14 +81,15 @@ fn write_page(command: clap::Command, folder: &Path) -> Result<()> {
     write_file(&path, |out| out.write_all(page.as_bytes()))
 }
 
-/// The title line with an empty date. The generator would omit it, and the next field would move into its
-/// place.
+/// The title line with an empty date. The generator would omit an empty date, and the next field would take
+/// its place.
 fn title(name: &str) -> String {
     let version = env!("CARGO_PKG_VERSION");
     format!(".TH {} 1 \"\" \"{PROGRAM} {version}\" \"{PROGRAM} manual\"\n", name.to_uppercase())
 }
 
-/// The synopsis from the help: a list of all options would be longer than the descriptions that follow.
+/// The synopsis: the usage line of the help, because a list of all options would be longer than the
+/// descriptions that follow.
 fn synopsis(usage: &str) -> Roff {
     let mut roff = Roff::new();
     roff.control("SH", ["SYNOPSIS"]);
@@ -125,8 +126,8 @@ fn see_also() -> Roff {
     roff
 }
 
-/// Between the paragraphs of an option the generator writes an empty line between two line breaks, which
-/// gives three breaks; and it ends lines with blanks. This removes both.
+/// Corrects two faults of the generator. Between the paragraphs of an option it writes an empty line between
+/// two line breaks, which gives three breaks. It also ends lines with blanks.
 fn without_doubled_breaks(page: &str) -> String {
     let lines: Vec<&str> = page.lines().map(str::trim_end).collect();
     let page = lines.join("\n").replace(".br\n\n.br\n", ".sp\n");

@@ -68,8 +68,8 @@ enum CommandOutcome {
 }
 
 impl CommandOutcome {
-    /// The outcome of a number of finished and failed frames. Results that fail validation exist, but count
-    /// as a partial failure.
+    /// The outcome for these numbers of finished and failed frames. Results that fail validation exist, but
+    /// count as a partial failure.
     fn of(done_count: usize, failed_count: usize, has_violations: bool) -> CommandOutcome {
         match (failed_count, done_count) {
             (0, _) if !has_violations => CommandOutcome::Done,
@@ -106,8 +106,8 @@ pub fn check_config(text: &str) -> anyhow::Result<()> {
     config_file::check(text)
 }
 
-/// Parses the arguments again, with escaped control characters, so that the message of the error is safe to
-/// print: shell globs may have inserted any file name.
+/// Parses the arguments again with control characters escaped, so that the error message, which quotes
+/// arguments, is safe to print: a shell glob may have inserted a file name with control characters.
 fn printable(error: clap::Error, arguments: &[OsString]) -> clap::Error {
     let escaped = arguments.iter().map(|argument| escaped(argument.to_string_lossy()).to_string());
     // The escaped arguments may parse: then the original error was about bytes that are not UTF-8. Its message
@@ -121,7 +121,7 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode
     ExitCode::from(status_of(arguments))
 }
 
-/// The same for programs that end otherwise than by an [`ExitCode`].
+/// Like [`run()`], but returns the exit status as a number, for programs that do not end with an [`ExitCode`].
 #[doc(hidden)]
 pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8 {
     let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();

@@ -24,7 +24,8 @@ pub(super) fn write_file(path: &Path, content: impl FnOnce(&mut dyn Write) -> io
         .with_context(|| format!("{}: cannot write", path.display()))
 }
 
-/// An existing, writable folder. Folders that were created for it are removed again unless it is kept.
+/// An existing, writable folder. If [`keep`](OutFolder::keep) is not called, the folders that were created
+/// for it are removed again when it is dropped, as far as they are empty.
 #[derive(Debug)]
 pub(super) struct OutFolder {
     /// The created folders, the innermost first.
@@ -32,7 +33,8 @@ pub(super) struct OutFolder {
 }
 
 impl OutFolder {
-    /// Creates a folder and its parents, and recovers from interrupted commands in it.
+    /// Creates a folder and its parents, and restores the files in it that an interrupted command had partly
+    /// replaced.
     ///
     /// # Errors
     /// If it cannot be created, is not writable, or files cannot be restored.
@@ -42,7 +44,7 @@ impl OutFolder {
         let missing = folder
             .ancestors()
             .take_while(|part| !part.as_os_str().is_empty() && part.symlink_metadata().is_err())
-            // A path that ends in `..` exists under another name.
+            // A path that ends in `..` is another name of a folder further up.
             .filter(|part| part.file_name().is_some());
         let made = OutFolder { made: missing.map(Path::to_owned).collect() };
         make_out_folder(folder)?;
@@ -56,8 +58,8 @@ impl OutFolder {
     }
 }
 
-/// Restores the files that an interrupted command had partly replaced, and prints a warning about each record
-/// that remains.
+/// Restores the files that an interrupted command had partly replaced, and prints the warnings about files
+/// that were left in place.
 ///
 /// # Errors
 /// If files cannot be restored.

@@ -21,7 +21,7 @@ pub(super) struct OutputRecords {
 /// The save interval: an interrupted run loses at most the records since the last save.
 const SAVED_EVERY: Duration = Duration::from_secs(5);
 
-/// Saving takes at most one part in this many of the run time.
+/// Saving takes at most 1 / `SAVING_SHARE` of the run time.
 const SAVING_SHARE: u32 = 20;
 
 impl OutputRecords {
@@ -38,7 +38,7 @@ impl OutputRecords {
     }
 
     /// Saves the records after a finished frame if the interval has passed, so that an interrupted run keeps
-    /// them. Errors are ignored here, and reported at the end.
+    /// them. Errors are ignored here: [`save`](OutputRecords::save) reports them at the end.
     pub(super) fn frame_finished(&self) {
         let start = Instant::now();
         if start < self.next_save.get() {

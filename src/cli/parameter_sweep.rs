@@ -1,8 +1,9 @@
 //! The parameter sweep of `meniscus tune`: `ratio=1.5,2,3,time,h=0.5x,1x`.
 //!
 //! ```text
-//!   ratio   --radius-ratio     1.5    the number as the option takes it
-//!   time    --steps            2x     a multiple of the base value
+//!   name    option             value
+//!   ratio   --radius-ratio     1.5    a value of the option
+//!   time    --steps            2x     a multiple of the base value, the value without --vary
 //!   h       --voxel-size
 //! ```
 
@@ -34,7 +35,8 @@ pub(super) struct Parameter {
     pub(super) name: &'static str,
     /// The option.
     option: &'static str,
-    /// Its meaning, for titles. For whole numbers, the counted noun is the part before the first ` of `.
+    /// Its meaning, for titles. For whole numbers, the part before the first ` of ` is the counted noun, such
+    /// as `steps` in `steps of smoothing`.
     pub(super) meaning: &'static str,
     /// The default values, shown beside the base value.
     amounts: (SweepUnit, &'static [f64]),
@@ -64,9 +66,9 @@ use SweepUnit::{Plain, Times};
 static PARAMETERS: [Parameter; 14] = [
     // From the most faithful to the smoothest.
     parameter("ratio", "radius_ratio", "r_max / r_min", Plain, &[1.25, 2.0, 3.0, 4.0]),
-    // None to twice as long.
+    // From no smoothing to twice as long.
     parameter("time", "steps", "steps of smoothing", Times, &[0.0, 0.5, 2.0]),
-    // A quick look to four times the work. The coarsest is first: it is the quickest.
+    // From a quick look to four times the work. The coarsest voxels come first: they take the least time.
     parameter("h", "voxel_size", "voxel size h", Times, &[1.5, 0.75, 0.5]),
     parameter("smoothing", "position_smoothing", "position smoothing", Plain, &[0.0, 0.5, 0.7, 0.9]),
     parameter("min", "radius_min", "r_min", Times, &[0.75, 0.875, 1.25]),
@@ -78,7 +80,7 @@ static PARAMETERS: [Parameter; 14] = [
     parameter("laplacian", "laplacian_steps", "Laplacian steps", Times, &[0.0, 0.5, 2.0, 4.0]),
     parameter("step", "step_size", "size of a step, h\u{2074}", Times, &[0.25, 4.0, 16.0]),
     parameter("redistance", "redistance_every", "steps between redistancings", Plain, &[1.0, 2.0, 4.0]),
-    // A multiple of 0 is 0, so values must be given.
+    // Without default values: the base value is usually 0, and its multiples are 0 as well.
     parameter("offset", "offset", "offset", Plain, &[]),
 ];
 
@@ -95,7 +97,7 @@ const fn parameter(
 /// The section that `meniscus tune --help` prints below the options.
 pub(super) fn tuning_help() -> String {
     let mut text =
-        "Parameters for --vary, with the values that are shown, beside the base value, if you give none:\n"
+        "Parameters for --vary. If you give no values for one, the sheet shows its base value and these:\n"
             .to_owned();
     for Parameter { name, option, meaning, amounts: (unit, numbers) } in &PARAMETERS {
         let x = if *unit == Times { "x" } else { "" };
@@ -176,7 +178,7 @@ impl Parameter {
         MethodOptions::info(self.option).is_some_and(|info| info.kind == ValueKind::Count)
     }
 
-    /// Its value in settings; `None` if they do not use it.
+    /// The parameter's value in the settings; `None` if they do not use the parameter.
     fn value_in(&self, settings: &Settings) -> Option<f64> {
         let pairs = settings.to_options().to_pairs();
         let found = pairs.iter().find(|(name, _)| *name == self.option);
@@ -184,7 +186,7 @@ impl Parameter {
         found.and_then(|(_, text)| text.parse().ok()).or_else(|| (self.option == "offset").then_some(0.0))
     }
 
-    /// The base value.
+    /// The base value; NaN if the settings do not use the parameter.
     fn without(&self, settings: &Settings) -> f64 {
         self.value_in(settings).unwrap_or(f64::NAN)
     }
@@ -195,14 +197,14 @@ impl Parameter {
             (Times, 1.0) => None,
             (Plain, number) => Some(number),
             (Times, factor) if !self.is_counted() => Some(short(factor * without)),
-            // Half of a step is one.
+            // A positive multiple is at least one step.
             (Times, factor) if factor > 0.0 => Some((factor * without).round().max(1.0)),
             (Times, _) => Some(0.0),
         };
         SweepValue { parameter: self, number }
     }
 
-    /// Parses an amount.
+    /// Parses a value: a plain number, or a multiple with an `x`.
     fn amount(&self, text: &str) -> Result<AxisValue, String> {
         let parsed = match text.strip_suffix('x') {
             Some(factor) => factor.parse().ok().filter(|factor| *factor >= 0.0).map(|factor| (Times, factor)),
@@ -232,8 +234,9 @@ impl SweepValue {
         let Parameter { name, option, .. } = self.parameter;
         let is_set = options.set(option, &number.to_string());
         debug_assert!(is_set.is_some(), "{option} takes numbers");
-        // With smaller voxels, the radii of the paper's method would shrink, too, until the spheres come
-        // apart. With larger voxels the radii must grow.
+        // With the paper's preset, radii follow the voxel size. With smaller voxels they would shrink, until
+        // the spheres of neighbouring particles no longer overlap, so r_min keeps its value. With larger
+        // voxels they must grow.
         let follows_voxel_size = options.preset.unwrap_or_default().follows_voxel_size();
         let is_finer = *name == "h" && number < settings.voxel_size;
         if follows_voxel_size && is_finer && options.radius_min.is_none() {
@@ -263,10 +266,10 @@ fn short(number: f64) -> f64 {
     format!("{number:.3e}").parse().unwrap_or(number)
 }
 
-/// Rows, columns and blocks.
+/// The maximum number of parameters: one each for rows, columns and blocks.
 const PARAMETERS_MAX: usize = 3;
 
-/// Larger floating-point numbers may not represent whole numbers of steps.
+/// The largest plain number of steps: the options are 32-bit integers.
 const STEPS_TYPED_MAX: f64 = u32::MAX as f64;
 
 impl FromStr for ParameterSweep {
@@ -347,7 +350,7 @@ mod tests {
             ..MethodOptions::default()
         };
         let granular = Settings::paper(0.1, &granular).expect("sound");
-        // Half of a step is one.
+        // Half of one step counts as one step.
         assert_eq!(values("time", &granular)[0], [Some(0.0), None, Some(2.0)]);
         assert_eq!(values("ratio", &granular)[0], [Some(1.25), None, Some(2.0), Some(3.0), Some(4.0)]);
     }

@@ -1,4 +1,4 @@
-//! `meniscus plan`: determines once how many machines convert a sequence.
+//! `meniscus plan`: determines settings and shards once, for all machines that convert a sequence.
 
 use std::path::{Path, PathBuf, absolute};
 
@@ -21,7 +21,8 @@ use super::wording::{counted_are, pluralize};
 /// Writes the plan.
 ///
 /// # Errors
-/// If a sequence has no settings, results would replace inputs, or the file cannot be written.
+/// If the settings of a sequence cannot be determined, results would replace inputs, or the file cannot be
+/// written.
 pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutcome> {
     refuse_file_name(&args.out)?;
     let mut outputs = args.formats.outputs(absolute_path(&args.out)?)?;
@@ -78,8 +79,8 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutc
     }
     plan.shards = partition(plan.frames.len(), args.shards);
     plan.write(&args.output).with_context(|| args.output.display().to_string())?;
-    // The folder is kept, and shards do not create it: if a shard does not find it, a file system is not
-    // mounted.
+    // The folder is kept, and shards do not create it: a shard that does not find it runs on a machine where
+    // the file system is not mounted.
     conversion.folder.keep();
     print_summary(&plan, args, console);
     Ok(CommandOutcome::Done)
@@ -108,7 +109,12 @@ fn planned(file: &FrameFile, sequence: usize) -> Result<PlannedFrame> {
     }
     let stem = file.stem();
     if stem.len() > STEM_BYTES {
-        bail!("{}: the name is too long by {} bytes for its results", name(), stem.len() - STEM_BYTES);
+        bail!(
+            "{}: the name has {} bytes without its extension, more than the limit of {STEM_BYTES} bytes, \
+             because the names of the results are longer: rename the file",
+            name(),
+            stem.len()
+        );
     }
     Ok(PlannedFrame {
         input: absolute_path(&file.path)?,
@@ -119,8 +125,8 @@ fn planned(file: &FrameFile, sequence: usize) -> Result<PlannedFrame> {
     })
 }
 
-/// The maximum length of a name before `.certificate.json` on common file systems, with room for the
-/// temporary name.
+/// The maximum length of a stem, in bytes. Common file systems limit names to 255 bytes, and
+/// `.certificate.json` and the additions of a temporary name must fit as well.
 const STEM_BYTES: usize = 200;
 
 /// The absolute path.

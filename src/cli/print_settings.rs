@@ -26,7 +26,7 @@ use super::select::SelectedSequence;
 /// a voxel size is given.
 ///
 /// # Errors
-/// If the options are invalid, or lengths cannot be compared with the spacing.
+/// If the options are invalid, or lengths in world units are given and the spacing is unknown.
 pub(super) fn print_settings_of_any(
     method: &MethodArgs,
     outputs: &OutputOptions,
@@ -43,7 +43,7 @@ pub(super) fn print_settings_of_any(
         );
     }
     if needs_spacing {
-        console.say("# these follow the particle spacing, here 1:");
+        console.say("# the particle spacing is unknown; the lengths in comments are for a spacing of 1:");
     } else if options.needs_spacing() {
         console.say("# the particle spacing is derived from the voxel size, because no INPUT was given to measure it on:");
     }
@@ -99,7 +99,7 @@ fn keys(
         }
     }
     if !has_spacing {
-        // With it, lengths follow the spacing that will be measured.
+        // With the preset, lengths follow the spacing that the daemon will measure.
         keys.push(format!("preset = {}", quoted(&options.preset.unwrap_or_default().to_string())));
     }
     if !obstacles.is_empty() {
@@ -114,7 +114,7 @@ fn keys(
         keys.push(match given {
             // Lengths in spacings or voxels fit any spacing.
             Some((_, given)) => format!("{name} = {}", quoted(given)),
-            // Other lengths without a spacing are only shown, as comments.
+            // Other lengths without a spacing, and options that are not keys, are only shown as comments.
             None if !is_key || is_length && !has_spacing => format!("#{name} = {value}"),
             None if kind == Some(ValueKind::Text) => format!("{name} = {}", quoted(&value)),
             None => format!("{name} = {value}"),

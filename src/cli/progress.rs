@@ -36,7 +36,7 @@ struct ProgressState {
 struct ActiveFrame {
     input: PathBuf,
     stage: Stage,
-    /// Of the stage, from 0 to 1.
+    /// The finished part of the stage, from 0 to 1.
     fraction: f64,
     /// The amount of computation, as by [`work_gib`].
     work_gib: f64,
@@ -49,19 +49,20 @@ struct FrameEstimate {
     seconds: f64,
 }
 
-/// Estimates are printed from this size on.
+/// An estimate is printed if it exceeds one of these values.
 const ANNOUNCED_FROM: FrameEstimate = FrameEstimate { bytes: 1 << 30, seconds: 60.0 };
 
-/// The estimate of a later frame is printed if it is larger than the last one by this factor.
+/// The estimate of a later frame is printed if it exceeds the last printed one by this factor.
 const ANNOUNCED_AGAIN: f64 = 1.5;
 
 const GIB: f64 = (1_u64 << 30) as f64;
 
 /// Seconds of computing per GiB of [`work_gib`] on one thread with the default integrator: a third more than
-/// for the large frames of docs/performance.md. Frames finished in the same run replace it.
+/// for the large frames of docs/performance.md. Once the run has finished a frame, measured values replace
+/// this one.
 const S_PER_GIB: f64 = 45.0;
 
-/// The slowdown in tiles: some parts are computed twice, and data goes through files.
+/// How many times longer a frame takes in tiles: some parts are computed twice, and data goes through files.
 const TILED: f64 = 3.0;
 
 /// The shares of a frame's time: read, rasterize, smooth, contour, write, preview.
@@ -108,7 +109,7 @@ impl ProgressDisplay {
         FrameEstimate { bytes, seconds: work_gib(plan) * per_gib }
     }
 
-    /// A panic during an update leaves at worst a wrong number.
+    /// A poisoned lock is still used: a panic during an update leaves at worst a wrong number.
     fn lock(&self) -> MutexGuard<'_, ProgressState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -12,10 +12,11 @@ use crate::pipeline::FRAME_RATES;
 use crate::surface::options::expected;
 use crate::watch::Poll;
 
-/// The longest time: longer than anyone waits, and short enough for arithmetic with times.
+/// The longest duration: longer than anyone waits, and short enough that arithmetic with times does not
+/// overflow.
 const DURATION_MAX: Duration = Duration::from_secs(30 * 24 * 3600);
 
-/// The shortest scan interval: with shorter ones the machine would do nothing else.
+/// The shortest scan interval: with shorter ones the machine would do nothing but scan.
 const POLL_MIN: Duration = Duration::from_millis(50);
 
 /// Width and height of a picture in pixels.

@@ -1,4 +1,4 @@
-//! Suggests options that help against a warning.
+//! Suggests options that correct the cause of a warning.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use crate::pipeline::Warning;
 
 use super::wording::{rounded_down, significant};
 
-/// A warning, followed by the options that help.
+/// A warning, followed by the options that correct its cause.
 pub(super) fn with_remedy(warning: &Warning) -> impl fmt::Display {
     match remedy(warning) {
         Some(remedy) => format!("{warning}; {remedy}"),

@@ -1,8 +1,8 @@
 //! `meniscus render`: pictures of frames.
 //!
 //! ```text
-//!   INPUT ──▶ sequences ──▶ a camera for each ──▶ frame ─┬─ .vdb: read ─────────────┬─▶ pictures: one, or once around
-//!                                                        └─ particles: reconstruct ─┘
+//!   INPUT ──▶ sequences ──▶ a camera for each ──▶ frame ─┬─ .vdb: read ─────────────┬─▶ one picture,
+//!                                                        └─ particles: reconstruct ─┘   or a turntable
 //! ```
 
 use std::path::PathBuf;
@@ -30,7 +30,8 @@ use super::{CommandOutcome, DoneCounts};
 /// Renders the requested pictures.
 ///
 /// # Errors
-/// If nothing can be done at all. A failed frame is reported and counted.
+/// If rendering cannot start, for example because an option is invalid. A failed frame is not an error here:
+/// it is reported and counted.
 pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<CommandOutcome> {
     refuse_stray_rounds(&args.pictures.method, &args.inputs)?;
     let found = find_render_sources(&args.inputs)?;
@@ -61,7 +62,7 @@ struct RequestedPictures<'a> {
     args: &'a RenderArgs,
     session: RenderSession<'a>,
     format: OutputFormat,
-    /// The name of the picture of the only frame, if the user gave one.
+    /// The name of the picture of the only frame, if `--output` gives one.
     stem: Option<String>,
 }
 
@@ -141,7 +142,8 @@ impl<'a> RequestedPictures<'a> {
         }
     }
 
-    /// For two pictures side by side, the right one.
+    /// The size of the picture of the surface, in pixels. If particles are shown beside it, it is the right
+    /// half of the whole picture.
     fn picture_size(&self) -> [usize; 2] {
         let [width, height] = self.session.outputs.picture.size;
         [if self.args.particles { width - width / 2 } else { width }, height]

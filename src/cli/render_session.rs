@@ -66,7 +66,7 @@ pub(super) fn measured_settings(
     console: &Console,
 ) -> Result<(Settings, Option<MeasuredSpacing>)> {
     let measured = measured_spacing(sequence, options, console).map_err(|none| match none.sparse_count {
-        // Errors of reading a file begin with its name.
+        // An error of reading a file already begins with the file's name.
         0 => Error::from(none),
         _ => Error::from(none).context(sequence.name.clone()),
     })?;
@@ -210,7 +210,8 @@ impl<'a> RenderSession<'a> {
 }
 
 impl RenderSource {
-    /// A picture of the surface, with metadata for its pixels if requested.
+    /// A picture of the surface, with the data of its pixels, such as depths and normals, if `has_data` is
+    /// set.
     pub(super) fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], has_data: bool) -> Picture {
         match self {
             RenderSource::LevelSet(level_set) => level_set.scene().picture(viewpoint, size, has_data),
@@ -236,7 +237,7 @@ impl RenderSource {
         side_by_side(&[render_particles(reconstructed.frame.particles(), radius, &view), right])
     }
 
-    /// The metadata of a picture of it.
+    /// The provenance to store in a picture of this surface.
     pub(super) fn provenance(&self, input: &Path, options: &PictureOptions) -> Vec<(String, String)> {
         match self {
             RenderSource::LevelSet(level_set) => picture_provenance(input, level_set.hash, None, options),
@@ -248,12 +249,12 @@ impl RenderSource {
     }
 }
 
-/// Processes a file; a panic becomes an error of this file, and the others continue.
+/// Processes a file; a panic becomes an error of this file, so that the command continues with the others.
 pub(super) fn catch_panic<T>(file: &Path, work: impl FnOnce() -> Result<T>) -> Result<T> {
     FrameError::catch(file, Stage::Write, work)?
 }
 
-/// A picture of a surface, with metadata for its pixels if requested.
+/// A picture of a surface, with the data of its pixels, such as depths and normals, if `has_data` is set.
 pub(super) fn picture_of_reconstruction(
     made: &Reconstruction,
     settings: &Settings,

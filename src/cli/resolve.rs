@@ -35,7 +35,7 @@ pub(super) fn warn_of(sequence: &Sequence, settings: &Settings, console: &Consol
 }
 
 /// Measures the particle spacing of a sequence if the options need it, and prints warnings about it. `None`
-/// if it is not needed, or cannot be measured and follows from the given voxel size.
+/// if the options do not need it, or if it cannot be measured and is derived from the given voxel size.
 ///
 /// # Errors
 /// If it cannot be measured, and no voxel size was given.
@@ -49,7 +49,7 @@ pub(super) fn measured_spacing(
     }
     let warn = |what: &dyn fmt::Display| console.warning(format_args!("{}: {what}", sequence.name));
     let paths = sequence.frames.iter().map(|file| &*file.path);
-    // An invalid scale is refused with the settings.
+    // An invalid radius scale is ignored here: `Settings::resolve` reports it.
     let per_particle_radius = choices.per_particle_radius().ok().flatten();
     match (measure_spacing(paths, per_particle_radius.as_ref()), choices.voxel_size.and_then(Length::world)) {
         (Ok(measured), _) => {
@@ -86,8 +86,8 @@ pub(super) fn outputs_of(
     Ok(outputs.with_camera_around(bounds.unwrap_or(EMPTY_BOUNDS)))
 }
 
-/// Warns about a single frame of a sequence: its spacing is measured on this frame only, so frames converted
-/// one by one have different settings, and the sequence flickers.
+/// Warns if the input is a single frame of a longer sequence. The spacing is then measured on this frame
+/// only, so frames that are converted one by one have different settings, and the sequence flickers.
 pub(super) fn warn_of_siblings(sequence: &Sequence, console: &Console) {
     let [frame] = &sequence.frames[..] else { return };
     if frame.number().is_none() {
@@ -106,7 +106,7 @@ pub(super) fn warn_of_siblings(sequence: &Sequence, console: &Console) {
     }
 }
 
-/// The number of frames of its sequence in the folder of a frame.
+/// The number of files in the frame's folder that belong to the same sequence, including the frame itself.
 fn sibling_count(frame: &FrameFile) -> usize {
     let folder = folder_of(&frame.path);
     let Ok(entries) = std::fs::read_dir(folder) else { return 0 };

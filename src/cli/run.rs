@@ -25,7 +25,7 @@ use super::wording::{FRAMES_IN_VIEW, described, failed_validation, pluralize};
 /// A frame of a batch.
 struct BatchItem {
     input: PathBuf,
-    /// Its sequence's index in the record.
+    /// The index of the frame's sequence in the record.
     sequence_index: usize,
     state: ItemState,
 }
@@ -33,7 +33,8 @@ struct BatchItem {
 /// What to do with a frame.
 enum ItemState {
     Convert(Frame),
-    /// Skip it: its outputs are done, and its inputs are gone. The reason if it failed validation.
+    /// Skip it: its outputs exist, and its inputs are gone. The string is the reason if the frame failed
+    /// validation.
     Done(Frame, Option<String>),
     /// Report a failure: its sequence has no settings, for this reason.
     Impossible(String),
@@ -57,8 +58,8 @@ pub(super) struct RunOptions {
 }
 
 impl RunOptions {
-    /// The run options of a command that started at `start`. Frames of a plan are certified, and skipped if
-    /// they are done.
+    /// The run options of a command that started at `start`. With `--plan`, frames get certificates, and
+    /// frames that are done are skipped.
     ///
     /// # Errors
     /// If the memory limit is too small, or threads cannot be started.
@@ -91,14 +92,14 @@ pub(super) struct Batch<'a> {
 /// The outcomes of frames.
 #[derive(Default)]
 struct Outcomes {
-    /// The number of frames with an outcome so far: the first ones of the batch.
+    /// The number of frames with an outcome so far. These are the first frames of the batch.
     noted_count: usize,
     done_count: usize,
     /// Frames that were converted but failed validation.
     broken_count: usize,
     not_started_count: usize,
     failures: Vec<String>,
-    /// The number of outcomes before the first failure.
+    /// The value of `noted_count` at the first failure.
     failed_first: Option<usize>,
     /// The warnings that were printed for each sequence, and the number of similar ones that were suppressed.
     printed: HashMap<usize, ReportedWarnings>,
@@ -146,7 +147,7 @@ impl<'a> Batch<'a> {
         let items = std::mem::take(&mut self.items);
         let begin_count = match on_error {
             OnError::Continue => items.len(),
-            // With --on-error stop, no frame after one that is known to fail is started.
+            // With --on-error stop, the frames after the first one that is known to fail are not started.
             OnError::Stop => {
                 let is_impossible = |item: &BatchItem| matches!(item.state, ItemState::Impossible(_));
                 items.iter().position(is_impossible).unwrap_or(items.len())
@@ -209,7 +210,7 @@ impl<'a> Batch<'a> {
                     // The reason is the same for all frames of a sequence.
                     if printed.replace(*sequence_index) != Some(*sequence_index) {
                         let name = &self.sequence_names[*sequence_index];
-                        // Errors of reading a file begin with its path already.
+                        // An error of reading a file already contains the path.
                         let of = if why.contains(&**name) { String::new() } else { format!("{name}: ") };
                         console.error(format_args!("{of}{why}"));
                     }
@@ -296,7 +297,7 @@ impl<'a> Batch<'a> {
         }
     }
 
-    /// Counts a frame that was done before.
+    /// Counts a frame that an earlier run converted.
     fn note_done(&mut self, input: &Path, fault: Option<&str>, console: &Console) {
         self.outcomes.done_count += 1;
         if let Some(fault) = fault {
@@ -333,7 +334,7 @@ impl<'a> Batch<'a> {
             }
         }
         console.say(format_args!("{summary}, in {seconds:.2} s"));
-        // An error that was just printed is not repeated; an older one has scrolled away.
+        // If the first error has scrolled out of view, all errors are printed again.
         if self.outcomes.failed_first.is_some_and(|first| self.outcomes.noted_count - first > FRAMES_IN_VIEW)
         {
             for failure in &self.outcomes.failures {
@@ -342,11 +343,12 @@ impl<'a> Batch<'a> {
         }
         if self.outcomes.suppressed_count > 0 {
             let more = pluralize(self.outcomes.suppressed_count, "more warning");
-            console
-                .warn(format_args!("{more} like those of earlier frames suppressed: --report has them all"));
+            console.warn(format_args!(
+                "{more} not shown, because earlier frames had similar ones: --report FILE has all warnings"
+            ));
         }
         if let Some(path) = report
-            // For a link, its target is replaced, and not the link.
+            // If the path is a symbolic link, the report replaces the link's target, not the link.
             && let Err(error) =
                 self.record.write(&path.canonicalize().unwrap_or_else(|_| path.to_owned()), seconds)
         {

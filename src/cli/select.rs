@@ -124,8 +124,9 @@ pub(super) fn selected_files(sequences: &[SelectedSequence]) -> impl Iterator<It
 }
 
 /// Leaves out frames whose outputs would have the same names as those of an earlier frame in the same folder,
-/// as with `dam.1.ply` and `dam.1.bgeo`. The daemon converts the one that is complete first. Using the full
-/// names of both would make output names depend on the other files in the folder.
+/// as with `dam.1.ply` and `dam.1.bgeo`. (The daemon converts whichever of the two is complete first.) Adding
+/// the extensions to the names of such outputs is no alternative: the name of an output would then depend on
+/// the other files in the folder.
 fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Vec<SelectedSequence> {
     let mut owner_of: HashMap<(PathBuf, String), PathBuf> = HashMap::new();
     let mut kept = Vec::new();
@@ -139,16 +140,20 @@ fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Ve
             !is_rival
         });
         if let Some((owner, rival)) = rivals.first() {
-            let others = match rivals.len() - 1 {
-                0 => String::new(),
-                count => format!(" and {} of {}", pluralize(count, "more frame"), selected.sequence.name),
+            let left_out = match rivals.len() - 1 {
+                0 => "is left out: convert it".to_owned(),
+                count => format!(
+                    "and {} of {} are left out: convert them",
+                    pluralize(count, "more frame"),
+                    selected.sequence.name
+                ),
             };
             console.fail(format_args!(
-                "{} and {} would both become {}.*: converting only the first; convert the second{others} into another \
-                 folder",
+                "{} and {rival} would both become {}.*: \
+                 {rival} {left_out} with a separate command and another --out",
                 owner.display(),
-                rival.display(),
-                FrameFile::new(rival.clone()).stem()
+                FrameFile::new(rival.clone()).stem(),
+                rival = rival.display()
             ));
         }
         kept.extend((!selected.selected.is_empty()).then_some(selected));
@@ -156,8 +161,8 @@ fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Ve
     kept
 }
 
-/// Warns about folders whose files look like one sequence but form many: each of these gets a voxel size of
-/// its own.
+/// Warns about folders whose files look like one sequence but form many: each of these sequences gets a voxel
+/// size of its own.
 fn warn_of_single_frames(sequences: &[Sequence], console: &Console) {
     for (folder, count) in single_frame_sequences(sequences) {
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { &folder };
@@ -215,8 +220,8 @@ pub(super) fn check_output_path(what: &str, path: &Path) -> Result<()> {
     check_writable(what, path)
 }
 
-/// Refuses a path where no file can be created. For a link this shows only on writing, because some outputs
-/// replace the link, and others its target.
+/// Refuses a path where no file can be created. A symbolic link is not checked: some outputs replace the link
+/// and others its target, so an error shows only on writing.
 ///
 /// # Errors
 /// The reason.

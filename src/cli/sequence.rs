@@ -1,5 +1,5 @@
-//! `meniscus sequence`, and the same at the end of `meniscus convert`: combines the frames of a sequence into
-//! one file.
+//! Combines the frames of a sequence into one file: `meniscus sequence`, and `meniscus convert` with
+//! `--sequence-glb`, `--sequence-usda`, `--sequence-usdc` or `--sequence-abc`.
 
 use std::path::{Path, PathBuf};
 
@@ -47,8 +47,8 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
     Ok(if shot.left_out.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
 }
 
-/// The inputs, with folders replaced by their .glb files, or by their .abc files if there is no .glb. Existing
-/// sequence files are not frames.
+/// The inputs, with folders replaced by their .glb files, or by their .abc files if there is no .glb.
+/// Sequence files in a folder are left out.
 fn frames_of_folders(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut frames = Vec::new();
     for input in inputs {
@@ -70,8 +70,11 @@ fn frames_of_folders(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
     Ok(frames)
 }
 
-/// The frames among these files. A pattern may match an existing sequence file, which the new one replaces;
-/// if the new one would replace any other file, that is an error.
+/// These files without `output`: a pattern may match the old sequence file, which the new one replaces.
+///
+/// # Errors
+/// If `output` is among the files but is not a sequence file, so that the new file would replace an input; or
+/// if no frame remains.
 fn without_old_sequence_file(files: Vec<FrameFile>, output: &Path) -> Result<Vec<FrameFile>> {
     let (old, frames): (Vec<_>, Vec<_>) =
         files.into_iter().partition(|file| are_same_file(&file.path, output));
@@ -84,7 +87,7 @@ fn without_old_sequence_file(files: Vec<FrameFile>, output: &Path) -> Result<Vec
     }
     if frames.is_empty() {
         bail!(
-            "{}: this is a sequence file, and there is no frame to combine: give the .glb files of the frames",
+            "{}: this is a sequence file, and there is no frame to combine: give the .glb or .abc files of the frames",
             output.display()
         );
     }
@@ -113,15 +116,15 @@ fn report_sequence(path: &Path, shot: &SequenceReport, console: &mut Console) {
 pub(super) struct SequenceOutputs {
     files: Vec<(PathBuf, SequenceFormat)>,
     options: SequenceOptions,
-    /// Whether only some of the frames were selected: then the others need not exist.
+    /// Whether only some of the frames were selected. Gaps in the frame numbers then cause no warning.
     are_picked: bool,
 }
 
 impl SequenceOutputs {
-    /// The requested sequence files, which may be none; refused if they cannot be made.
+    /// The requested sequence files, possibly none.
     ///
     /// # Errors
-    /// The reason.
+    /// If the files cannot be made with these options.
     pub(super) fn new(
         (args, fps): (&SequenceFileArgs, Option<f64>),
         outputs: &OutputOptions,
@@ -149,7 +152,8 @@ impl SequenceOutputs {
             }
             if sequence_count > 1 {
                 bail!(
-                    "{option}: a sequence file holds one sequence, and these are {sequence_count}: convert them separately"
+                    "{option}: a sequence file holds one sequence, but the inputs form \
+                     {sequence_count} sequences: convert each of them with its own command"
                 );
             }
             files.push((path.clone(), format));
@@ -169,8 +173,8 @@ impl SequenceOutputs {
         self.files.iter().map(|(path, _)| &**path)
     }
 
-    /// Combines the finished frames, out of `frame_count`. An existing sequence file is not replaced by
-    /// one with missing frames.
+    /// Combines the finished frames of a conversion of `frame_count` frames. If some frames are not finished,
+    /// an existing sequence file is not replaced.
     pub(super) fn write(
         &self,
         (frames, frame_count): (&[SequenceSource], usize),

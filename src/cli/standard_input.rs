@@ -84,7 +84,7 @@ fn is_pipe(input: &Path) -> bool {
     is_stdin(input) || is_descriptor() && input.metadata().is_ok_and(|metadata| !metadata.is_file())
 }
 
-/// Parses the extension of a format, with or without its dot.
+/// Checks the value of --input-format, an extension with or without its dot, and returns it without the dot.
 fn extension_of(format: &str) -> Result<&str> {
     let extension = format.strip_prefix('.').unwrap_or(format);
     let is_plain = extension.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'.');

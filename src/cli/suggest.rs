@@ -10,7 +10,7 @@ use strsim::jaro;
 use super::args::Cli;
 
 /// Returns the error. If the argument resembles `--output` and the command only has `--out`, the error
-/// suggests `--out`: clap's own measure finds other options closer, as `--up` for `--ouput`.
+/// suggests `--out`: clap's own measure of similarity prefers other options, such as `--up` for `--ouput`.
 pub(super) fn with_suggestion(mut error: Error, arguments: &[OsString]) -> Error {
     let Some(ContextValue::String(typed)) = error.get(ContextKind::InvalidArg) else { return error };
     let nearness = |option: &str| jaro(typed, option);

@@ -28,7 +28,8 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     if !folder.is_dir() {
         bail!("{}: folder not found", args.folder.display());
     }
-    // The path of a folder inside itself resolves, which is all that reading files needs.
+    // `folder/.` can be resolved only with the permission to search the folder, and reading the files in it
+    // requires no other permission of the folder.
     folder
         .join(".")
         .metadata()
@@ -54,7 +55,7 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     }
     if let Some(path) = &args.report {
         let record = VerificationReport::new(&plan, &verdicts, &args.plan, &folder);
-        // For a link, its target is replaced, and not the link.
+        // If the path is a symbolic link, the report replaces the link's target, not the link.
         let path = path.canonicalize().unwrap_or_else(|_| path.clone());
         record.write(&path).with_context(|| format!("{}: cannot write the report", path.display()))?;
     }
@@ -62,7 +63,7 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     Ok(CommandOutcome::of(done_count, verdicts.frames.len() - done_count, false))
 }
 
-/// The problems of a shard: a line for each frame, or one for all if the shard has not run.
+/// The problems of a shard: a line for each frame, or a single line if the shard has not run.
 fn describe_shard(shard: &[(&PlannedFrame, &FrameCheck)]) -> Vec<String> {
     let is_missing = |(_, verdict): &(_, &FrameCheck)| {
         matches!(verdict.state, InspectedState::Missing { are_all: true, .. })
@@ -89,7 +90,7 @@ fn summarize(verdicts: &PlanVerification, seconds: f64, console: &mut Console) {
     let [(_, done), others @ ..] = verdicts.counts();
     let mut summary = format!("{}: {done} done", pluralize(verdicts.frames.len(), "frame"));
     for (status, count) in others.into_iter().filter(|&(_, count)| count > 0) {
-        // `uncertified` is the name in JSON.
+        // The JSON report calls this state `uncertified`.
         let state = if status == "uncertified" { "failed validation" } else { status };
         summary += &format!(", {count} {state}");
     }

@@ -22,7 +22,7 @@ use super::console::Console;
 use super::status::{Holder, journal_folder, read_journal};
 use super::watch::make_plan;
 
-/// Prints every fact that decides about a frame, and the decision.
+/// Prints every fact on which the decision about a frame depends, and the decision.
 ///
 /// # Errors
 /// If there is neither such a file nor a record of it, or something cannot be read.
@@ -32,7 +32,8 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
         Some(file) => DaemonSettings::of_file(file, args)?,
         None => DaemonSettings::of_journal(args, &frame)?,
     };
-    // A journal belongs to one folder of outputs, so no choice among several is necessary.
+    // Only a configuration file may name several output folders, among which `--out` selects. A journal
+    // belongs to one output folder.
     let output = args.out.as_deref().filter(|_| args.config.is_some());
     let watch = asked.watch_of(&frame, output)?;
     let frame = below(&watch.input, &frame).unwrap_or(frame);
@@ -76,7 +77,10 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
     }
     let is_to_come = matches!(explanation.verdict, Fate::Waits(_) | Fate::Converted(_));
     if is_to_come && matches!(Holder::of(output)?, Holder::Unlocked) {
-        console.say(format_args!("No daemon is at work in {}.", output.display()));
+        console.say(format_args!(
+            "No daemon is running for {}: start one to convert the frame.",
+            output.display()
+        ));
     }
     Ok(CommandOutcome::Done)
 }
@@ -97,7 +101,7 @@ const UNKNOWN: &str = "The journal does not record the daemon's settings, so thi
 struct DaemonSettings {
     watches: Vec<Watch>,
     timeouts: StabilityTimeouts,
-    /// Its journal folder, if it is not beside the outputs.
+    /// The daemon's journal folder; `None` means the default, which is in the output folder.
     journal: Option<PathBuf>,
     /// The journal, if it was read to find the settings.
     state: Option<JournalState>,
@@ -133,8 +137,9 @@ impl DaemonSettings {
         Ok(DaemonSettings { watches, timeouts, journal: Some(journal), state: Some(state), is_known })
     }
 
-    /// The watch that the frame belongs to: of those whose folder contains it, one whose pattern matches its
-    /// name, or else the innermost. If `output` is given, only watches that write into it.
+    /// The watch that the frame belongs to. Candidates are the watches whose folder contains the frame and,
+    /// if `output` is given, that write into `output`. A watch that selects the frame by its name comes
+    /// before one that does not; otherwise the watch with the innermost folder comes first.
     fn watch_of(&self, frame: &Path, output: Option<&Path>) -> Result<&Watch> {
         let output = output.map(canonical_path).transpose().context("--out has no name")?;
         let is_meant = |watch: &&Watch| {
@@ -171,7 +176,7 @@ fn lines(
             match content {
                 SniffedContent::Particles => "particles",
                 SniffedContent::OwnOutput => "made by this program",
-                SniffedContent::NotParticles => "no particles",
+                SniffedContent::NotParticles => "not particles",
             },
         );
         line("complete", &readiness.to_string());
@@ -193,8 +198,8 @@ fn lines(
             line(
                 "settings",
                 match settings_hold {
-                    None if is_known => "not compared: that needs a particle spacing that is known",
-                    None => "not compared: that needs --config, and a particle spacing that is known",
+                    None if is_known => "not compared, because the particle spacing is not known yet",
+                    None => "not compared, because the daemon's settings are unknown: give --config",
                     Some(true) => "as recorded",
                     Some(false) => "not as recorded",
                 },

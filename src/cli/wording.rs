@@ -3,7 +3,7 @@
 use crate::pipeline::{FrameReport, Job};
 pub(in crate::cli) use crate::surface::words::{pluralize, rounded_down, significant};
 
-/// Output from before this many frames has probably scrolled away.
+/// Lines that were printed more than this many frames ago have probably scrolled out of view.
 pub(super) const FRAMES_IN_VIEW: usize = 20;
 
 /// An option as the user types it.
@@ -54,7 +54,7 @@ pub(super) fn failed_validation(broken_count: usize, frame_count: usize, details
     format!("{broken_count} of {frames} failed validation{details}; outputs were kept")
 }
 
-/// `3 frames are`.
+/// Such as `1 frame is` and `3 frames are`.
 pub(super) fn counted_are(count: u64) -> String {
     if count == 1 { "1 frame is".into() } else { format!("{count} frames are") }
 }

@@ -8,13 +8,13 @@
 //!
 //! The plan contains all values that are computed once for a sequence (the voxel size, the camera of
 //! pictures), so any number of shards writes the same bytes as a single process. Shards share neither a
-//! journal nor a lock. A shard finds out from the outputs themselves which frames are done
-//! ([`crate::pipeline::inspect`]): outputs appear by rename, complete, and every shard writes the same bytes
-//! for a frame. So a shard may be killed and run again, or run twice at the same time, and any scheduler that
-//! can count can run a plan.
+//! journal nor a lock. Instead, a shard inspects the outputs to find out which frames are done
+//! ([`crate::pipeline::inspect`]). An output appears complete, by a rename, and every shard writes the same
+//! bytes for a frame. So a shard may be killed and run again, or run twice at the same time. A scheduler only
+//! has to start one job for each shard number.
 //!
-//! Plans are parsed as strictly as any input: a plan names the files to read, and all outputs are in one
-//! folder.
+//! A plan is not trusted: it names the files to read, so it is parsed as strictly as any input, and all
+//! outputs must be in one folder.
 
 mod partition;
 mod plan;

@@ -2,11 +2,12 @@
 
 use std::ops::Range;
 
-/// A larger number is probably a mistake: Slurm does not support larger arrays either.
+/// Upper limit of the number of shards. A larger number is probably a mistake: it is far above the default
+/// limit of Slurm's job arrays (`MaxArraySize`, about 1000).
 pub const SHARDS_MAX: usize = 100_000;
 
 /// Partitions `frame_count` frames into contiguous chunks for `shard_count` shards (at least one). The sizes
-/// of the chunks differ by one at most. If there are more shards than frames, the last ones are empty.
+/// of the chunks differ by one at most. If there are more shards than frames, the last chunks are empty.
 pub fn partition(frame_count: usize, shard_count: usize) -> Vec<Range<usize>> {
     let (each, more) = (frame_count / shard_count, frame_count % shard_count);
     let first_of = |shard: usize| shard * each + shard.min(more);

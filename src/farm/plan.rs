@@ -33,9 +33,9 @@ pub struct PlannedSequence {
     pub name: String,
     /// The kind of conversion.
     pub job: Job,
-    /// The settings; for level sets, they apply to any voxel size.
+    /// The settings. For level sets, they apply to any voxel size.
     pub settings: Arc<Settings>,
-    /// The source of the voxel size, unless it was given.
+    /// The measurement that the voxel size follows from; `None` if nothing was measured.
     pub measured: Option<MeasuredSpacing>,
     /// The output options. The folder is absolute, and the same for all sequences; a camera, if there is one,
     /// is fixed.
@@ -50,9 +50,9 @@ pub struct PlannedFrame {
     pub input: PathBuf,
     /// The base name of its outputs: a file name without folder and extension.
     pub stem: String,
-    /// Its number, if it has one.
+    /// The frame number, if the frame has one.
     pub number: Option<u64>,
-    /// The size of the file when the plan was made.
+    /// The size of the particle file when the plan was made.
     pub size_bytes: u64,
     /// An index into the sequences.
     pub sequence: usize,
@@ -82,7 +82,7 @@ impl ShardPlan {
         let folder = self.out().and_then(|folder| folder.canonicalize().ok());
         let is_input = |planned: &PlannedFrame| {
             let input = file_of(&planned.input);
-            // A stat call for every file of a shot would load a file server.
+            // Names are compared first: a stat call for every file of a shot would load a file server.
             input.file_name() == path.file_name() && are_same_file(input, &path)
         };
         let stage = self.sequences.first().and_then(|sequence| sequence.outputs.stage.as_ref());
@@ -91,7 +91,7 @@ impl ShardPlan {
             || (folder.as_deref() == path.parent() && self.frames.iter().any(is_output))
     }
 
-    /// The files that a frame writes: its outputs, and its certificate.
+    /// The files that are written for a frame: its outputs, and its certificate.
     pub(super) fn outputs(&self, planned: &PlannedFrame) -> impl Iterator<Item = PathBuf> {
         let OutputOptions { folder, formats, .. } = &*self.sequences[planned.sequence].outputs;
         let outputs = formats.iter().map(|&format| output_path(folder, &planned.stem, format));

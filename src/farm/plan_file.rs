@@ -3,8 +3,9 @@
 //! The structs here mirror the file. Numbers that affect results are text, in the shortest form that reads
 //! back as the same number, because many programs that rewrite JSON change the last digits of numbers.
 //!
-//! A plan is not trusted. Anything unknown is an error with the line or a JSON pointer; missing values have
-//! no defaults; and every output has a plain name in one folder, so a plan cannot write a file elsewhere.
+//! A plan is not trusted. An unknown key or an invalid value is an error, which gives its line or a JSON
+//! pointer to it. Missing settings have no defaults. Every output has a plain file name in one folder, so a
+//! plan cannot write a file elsewhere.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fmt;
@@ -28,13 +29,13 @@ use crate::surface::reconstruction::SLACK_MAX_VOXELS;
 use super::partition::SHARDS_MAX;
 use super::plan::{PlannedFrame, PlannedSequence, ShardPlan};
 
-/// Increase it when the file's format changes.
+/// The version of the file format. Increase it when the format changes.
 const VERSION: u64 = 1;
 
-/// A larger file is not a plan: a million frames take a third of it.
+/// Maximum size of a plan; a plan of a million frames takes a third of it.
 const SIZE_MAX_BYTES: u64 = 1 << 30;
 
-/// The allowed edges of pictures, pixels.
+/// The allowed width and height of pictures, in pixels.
 const PICTURE_EDGES: std::ops::RangeInclusive<usize> = 16..=8192;
 
 #[derive(Serialize, Deserialize)]
@@ -89,7 +90,7 @@ struct SequenceEntry {
     /// For level sets: by how many voxels smoothing may move their surfaces.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     band_slack: Option<String>,
-    /// Only with pictures.
+    /// The camera, if there are pictures.
     camera: Option<String>,
     /// The source of the measured particle spacing.
     measured: Option<PlannedSpacing>,
@@ -114,7 +115,8 @@ struct ShardEntry {
 /// An error in a plan.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PlanError {
-    /// A JSON pointer, empty for the whole file; syntax errors have their line in the message.
+    /// A JSON pointer to the invalid value; empty for the whole file. The message of a syntax error contains
+    /// its line.
     pub pointer: String,
     /// The message.
     pub message: String,
@@ -185,7 +187,8 @@ pub fn parse(bytes: &[u8]) -> Result<ShardPlan, PlanError> {
             ));
         }
     }
-    // Another version may write other bytes, and all shards of a plan must write the same.
+    // Another version of the program may write other bytes for the same frame, but all shards of a plan must
+    // write the same ones.
     let generator = head.generator.unwrap_or_default();
     if generator != GENERATOR_AND_VERSION {
         return Err(PlanError::at(
@@ -235,7 +238,10 @@ impl PlanFile {
             obstacles: obstacles.collect::<Result<_, _>>()?,
         };
         match replaced_input(&plan) {
-            Some(index) => Err(PlanError::at(format!("/frames/{index}/input"), "it is also an output")),
+            Some(index) => Err(PlanError::at(
+                format!("/frames/{index}/input"),
+                "an output of the plan would overwrite this input",
+            )),
             None => Ok(plan),
         }
     }
@@ -377,14 +383,17 @@ impl SequenceEntry {
         }
         let settings = Settings::resolve(&options, None)
             .map_err(|error| PlanError::at(format!("{place}/settings"), error.to_string()))?;
-        // The default of a missing setting may be different for another shard.
+        // A missing setting is not replaced by its default, which may differ from the value that was planned.
         let needed = settings.to_options().to_pairs();
         let place = |name: &str| format!("{place}/settings/{}", escaped(name));
         if let Some((name, _)) = needed.iter().find(|(name, _)| !self.settings.contains_key(*name)) {
             return Err(PlanError::at(place(name), "missing: a plan has every setting"));
         }
         match self.settings.keys().find(|key| needed.iter().all(|(name, _)| name != key)) {
-            Some(name) => Err(PlanError::at(place(name), "it has no effect with the other settings")),
+            Some(name) => Err(PlanError::at(
+                place(name),
+                "not allowed, because it has no effect with the other settings of the sequence: remove it",
+            )),
             None => Ok(settings),
         }
     }
@@ -429,13 +438,14 @@ fn with_camera(
     };
     let camera: CameraChoice = camera.parse().map_err(|why: String| PlanError::at(&*place, why))?;
     if camera.needs_bounds() {
-        return Err(PlanError::at(place, "it must be fixed: this camera depends on the frame"));
+        let what = "expected eye, target and ground: without them the camera depends on the frame's bounds";
+        return Err(PlanError::at(place, what));
     }
     let picture = PictureOptions { camera, ..outputs.picture };
     Ok(OutputOptions { picture, ..outputs.clone() })
 }
 
-/// Checks that the chunks are contiguous and cover all frames.
+/// Checks that the shards are contiguous and cover all frames, and returns their ranges.
 fn shards(entries: &[ShardEntry], frame_count: usize) -> Result<Vec<Range<usize>>, PlanError> {
     if !(1..=SHARDS_MAX).contains(&entries.len()) {
         return Err(PlanError::at(
@@ -451,8 +461,8 @@ fn shards(entries: &[ShardEntry], frame_count: usize) -> Result<Vec<Range<usize>
             PlanError::at(
                 format!("/shards/{index}"),
                 format!(
-                    "{count} frames from {first}: it must begin at {next} and end within the plan's {frame_count} \
-                     frames"
+                    "`first` is {first} and `count` is {count}: `first` must be {next}, so that no frame is \
+                     skipped or repeated, and `first` + `count` at most {frame_count}, the number of frames"
                 ),
             )
         })?;
@@ -461,7 +471,9 @@ fn shards(entries: &[ShardEntry], frame_count: usize) -> Result<Vec<Range<usize>
     }
     match next == frame_count {
         true => Ok(shards),
-        false => Err(PlanError::at("/shards", format!("no shard has the frames from {next} on"))),
+        false => {
+            Err(PlanError::at("/shards", format!("the shards cover only {next} of the {frame_count} frames")))
+        }
     }
 }
 
@@ -489,14 +501,14 @@ fn check_frames(frames: &[PlannedFrame], sequence_count: usize) -> Result<(), Pl
     Ok(())
 }
 
-/// Whether a name stays in its folder, on any system.
+/// Whether this is a plain file name on every operating system, so that the file stays in its folder.
 fn is_plain_name(stem: &str) -> bool {
     !stem.is_empty() && !stem.contains(['/', '\\', ':', '\0']) && stem != "." && stem != ".."
 }
 
 fn absolute(place: &str, text: &str) -> Result<PathBuf, PlanError> {
     let path = PathBuf::from(text);
-    // Each shard could resolve a relative path differently.
+    // A relative path depends on the working directory, which may differ from shard to shard.
     match path.is_absolute() && !text.contains('\0') {
         true => Ok(path),
         false => Err(PlanError::at(place, format!("`{text}` is not an absolute path"))),

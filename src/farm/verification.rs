@@ -25,7 +25,7 @@ pub struct FrameCheck {
     pub shard: usize,
     /// The state of its outputs.
     pub state: InspectedState,
-    /// Whether its input exists, and so was compared with the provenance of the outputs.
+    /// Whether its input exists. Only then was it compared with the provenance of the outputs.
     pub input_exists: bool,
     /// Whether all its obstacles exist.
     pub obstacles_exist: bool,

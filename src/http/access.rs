@@ -1,9 +1,9 @@
 //! Access control: the host name of a request, and the token.
 //!
 //! A page on any web site can make a browser send requests to this machine, and can even let its own domain
-//! name resolve to this address (DNS rebinding). But the browser then sends that domain name as the host. So
-//! the host must be a name of this machine. A server that listens on more than the loopback address also
-//! requires a token.
+//! name resolve to this address (DNS rebinding). But the browser then sends that domain name in the `Host`
+//! header. So the header must contain a name of this machine. A server that listens on more than the loopback
+//! address also requires a token.
 
 use std::fmt;
 use std::hint::black_box;
@@ -71,7 +71,7 @@ fn cookie_name(port: u16) -> String {
 
 impl fmt::Debug for AccessToken {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Token")
+        f.write_str("AccessToken")
     }
 }
 
@@ -92,8 +92,9 @@ pub(super) fn is_for_this_host<B>(request: &Request<B>, local: IpAddr) -> bool {
     in_uri && host.to_str().is_ok_and(is_ours)
 }
 
-/// Whether this is a name of this machine: the loopback, or the local address, with or without a port. Any
-/// port is accepted, because a tunnel has another one, which does no harm.
+/// Whether this is a name of this machine, with or without a port: `localhost`, a loopback address, or the
+/// local address. Any port is accepted: a client that connects through a tunnel sends the tunnel's port, and
+/// this does no harm.
 fn is_name_of(authority: &str, local: IpAddr) -> bool {
     let Ok(uri) = authority.parse::<Uri>() else { return false };
     let (Some(host), Some(parsed)) = (uri.host(), uri.authority()) else { return false };
@@ -147,7 +148,7 @@ mod tests {
         for text in ["short", "0123456789abcde;", "0123456789abcde f", &"x".repeat(257)] {
             assert_eq!(AccessToken::new(text), Err(TokenError), "{text}");
         }
-        assert_eq!(format!("{token:?}"), "Token");
+        assert_eq!(format!("{token:?}"), "AccessToken");
     }
 
     #[test]

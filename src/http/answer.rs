@@ -28,7 +28,7 @@ pub(super) struct ResponseBody {
 
 #[derive(Debug)]
 enum BodySource {
-    /// All of it; `None` once it is sent.
+    /// The whole body; `None` if it is empty, or once it is sent.
     Whole(Option<Bytes>),
     /// Pieces from a task, which waits while the client does not read; and the number of bytes left, if
     /// known.
@@ -49,7 +49,7 @@ impl ResponseBody {
         ResponseBody { source: BodySource::Pieces(pieces, size_bytes), _answering: None }
     }
 
-    /// The same body; its connection counts as busy until it is dropped.
+    /// The same body; the connection counts as busy until the body is dropped.
     pub(super) fn during(self, answering: Answering) -> ResponseBody {
         ResponseBody { _answering: Some(answering), ..self }
     }
@@ -95,7 +95,7 @@ const POLICY: &str = "default-src 'self'; img-src 'self' blob: data:; object-src
 const OPENER: HeaderName = HeaderName::from_static("cross-origin-opener-policy");
 const RESOURCE: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 
-/// A response of this content type, which must not be cached.
+/// A response with this content type, whose headers forbid caching; [`cached`] allows it.
 pub(super) fn answer(status: StatusCode, content_type: &'static str, content: ResponseBody) -> Answer {
     let mut answer = Response::new(content);
     *answer.status_mut() = status;

@@ -80,7 +80,7 @@ pub(super) fn health(store: &StatusStore) -> Answer {
     }
 }
 
-/// 200 once the first scans are complete and the daemon takes frames.
+/// 200 if the first scans are complete, and the daemon is neither stopping nor stuck.
 pub(super) fn readiness(store: &StatusStore) -> Answer {
     let (status, _) = store.status();
     match (store.is_ready(), status.stopping, store.is_alive()) {

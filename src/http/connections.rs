@@ -7,7 +7,7 @@
 //! ```
 //!
 //! A connection whose request head is incomplete counts as idle, so slow senders cannot occupy slots. A
-//! connection whose response is in progress, such as a subscriber of events, is never closed for others.
+//! connection whose response is in progress, such as a subscriber of events, is never closed for a new one.
 
 use std::collections::BTreeMap;
 use std::future::{Future, poll_fn};
@@ -31,7 +31,8 @@ pub(super) struct Connections {
 
 #[derive(Debug, Default)]
 struct Idle {
-    /// The signal that closes each idle connection; the key grows with the time at which it became idle.
+    /// The signals that close the idle connections. Keys ascend in the order in which connections became
+    /// idle.
     by_age: BTreeMap<u64, Arc<Notify>>,
     next_key: u64,
     busy_count: usize,
@@ -48,7 +49,7 @@ pub(super) struct Connection {
 
 #[derive(Clone, Copy, Debug)]
 enum ConnectionState {
-    /// Waiting for a request, under this key.
+    /// Waiting for a request. The number is the connection's key in `Idle::by_age`.
     Idle(u64),
     /// A request is being answered.
     Busy,
@@ -107,7 +108,7 @@ impl Connections {
         let _ = self.room.acquire_many(u32::try_from(self.connections_max).unwrap_or(u32::MAX)).await;
     }
 
-    /// Returns whether there was an idle connection.
+    /// Requests the connection that has been idle for longest to close, and returns whether there was one.
     fn close_oldest_idle(&self) -> bool {
         let oldest = self.lock().by_age.pop_first();
         if let Some((_, closing)) = &oldest {
@@ -132,7 +133,7 @@ impl Idle {
 }
 
 impl Connection {
-    /// A request has arrived.
+    /// Marks the connection as busy, because a request has arrived.
     pub(super) fn begin(self: &Arc<Self>) -> Answering {
         let mut state = self.state();
         let mut all = self.all.lock();
@@ -145,7 +146,8 @@ impl Connection {
         Answering(Arc::clone(self))
     }
 
-    /// All data produced so far is handed to the system.
+    /// Records that all data produced so far is handed to the system. If the response is complete, the
+    /// connection becomes idle.
     pub(super) fn flushed(&self) {
         let mut state = self.state();
         if matches!(*state, ConnectionState::Flushing) {
@@ -205,7 +207,7 @@ mod tests {
     fn new_connection_closes_the_longest_idle_one_when_all_slots_are_taken() {
         let all = Arc::new(Connections::new(3, 2));
         let [first, second, third] = [(); 3].map(|()| add(&all));
-        // The first connection is busy; when its response is sent, it becomes the most recent idle one.
+        // The first connection is busy; when its response is sent, it is the one that became idle last.
         let answering = first.begin();
         let mut fourth = Box::pin(all.add());
         assert!(now(fourth.as_mut()).is_none(), "no slot is free until another connection has ended");

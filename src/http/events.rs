@@ -1,8 +1,8 @@
 //! Server-sent events: streams the changes of the status store.
 //!
 //! The server buffers nothing for a subscriber. Each subscriber has a position in the log of changes of the
-//! status store, and receives the changes since then as fast as it reads. A subscriber that falls behind the
-//! end of the log gets a `resync` event and must reload.
+//! status store, and receives the changes since then as fast as it reads. A subscriber that falls so far
+//! behind that the log no longer holds its next change gets a `resync` event and must reload.
 //!
 //! All subscribers read the store at the same ticks. Those that keep up are then at the same position, and
 //! the event for it is serialized once for all of them.
@@ -37,7 +37,7 @@ pub(super) struct Subscribers {
 /// The event that was serialized last.
 #[derive(Clone, Debug)]
 struct LastEvent {
-    /// It holds the changes after this version.
+    /// The event holds the changes after this version.
     after: u64,
     /// The version of the store when the event was serialized.
     store_version: u64,
@@ -55,7 +55,7 @@ const SUBSCRIBERS_MAX: usize = 256;
 /// The interval of ticks: the maximum delay of a change.
 const EVERY: Duration = Duration::from_millis(100);
 
-/// How often a comment is sent to detect clients that are gone.
+/// The interval at which a comment is sent to detect clients that have disconnected.
 const PULSE: Duration = Duration::from_secs(15);
 
 /// Maximum number of changes in one event.
@@ -80,9 +80,11 @@ pub(super) fn follow<B>(shared: &Arc<ServerState>, request: &Request<B>) -> Answ
 async fn send_events(subscriber: Subscriber, seen: Option<String>, sender: mpsc::Sender<io::Result<Bytes>>) {
     let ServerState { store, closing, subscribers, .. } = &*subscriber.0;
     let mut version = match seen.as_deref() {
-        // So that a client that loses the connection at once can resume.
+        // The `hello` event below contains this version, so a client that loses the connection at once can
+        // resume.
         None => store.version(),
-        // An id of another run is not a position in this one: it counts as beyond the end.
+        // An id of another run is not a position in this run. It counts as beyond the end of the log: the
+        // client gets a `resync` event.
         Some(id) => position(id, store.run()).unwrap_or(u64::MAX),
     };
     let hello = format!("retry: 1000\nid: {}-{version}\nevent: hello\ndata: {{}}\n\n", store.run());
@@ -106,7 +108,7 @@ async fn send_events(subscriber: Subscriber, seen: Option<String>, sender: mpsc:
                 return;
             }
         }
-        // Detects at the next event that the client is gone.
+        // The body, which holds the receiver, is dropped when the connection ends.
         if sender.is_closed() {
             return;
         }
@@ -133,7 +135,8 @@ fn event(store: &StatusStore, version: u64) -> (u64, String) {
         }
     };
     let mut text = String::new();
-    // Writing to a string cannot fail; JSON contains no line breaks.
+    // Writing to a string cannot fail. A `data` line must not contain line breaks, and this JSON contains
+    // none.
     let _ = write!(text, "id: {}-{version}\nevent: {kind}\ndata: {data}\n\n", store.run());
     (version, text)
 }

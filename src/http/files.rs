@@ -16,7 +16,7 @@ use crate::watch::status_store::StatusStore;
 
 use super::answer::{Answer, ResponseBody, answer, cached, not_found, not_modified, text, with};
 
-/// Size of a read, in bytes; each client holds up to two in memory.
+/// Maximum size of a piece that is read at once, in bytes. Up to two pieces for each client are in memory.
 const PIECE_BYTES: usize = 64 << 10;
 
 /// An open file.
@@ -68,7 +68,7 @@ fn open(path: &Path) -> io::Result<Opened> {
         io::ErrorKind::InvalidInput | io::ErrorKind::IsADirectory => io::ErrorKind::NotFound.into(),
         _ => error,
     })?;
-    // Of the open file; another one may be at the path by now.
+    // The metadata of the open file: another file may be at the path by now.
     let metadata = file.metadata()?;
     let since = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
     let tag = format!("\"{}-{}\"", metadata.len(), since.unwrap_or_default().as_nanos());
@@ -130,7 +130,7 @@ enum Range {
     Beyond,
 }
 
-/// Parses a `Range` header; `None` unless it is a single range of bytes, and then the whole file is sent.
+/// Parses a `Range` header. If it is not a single range of bytes, returns `None`, and the whole file is sent.
 fn parse_range(text: &str, size_bytes: u64) -> Option<Range> {
     let (first, last) = text.strip_prefix("bytes=")?.split_once('-')?;
     let (first, last) = match (first, last) {

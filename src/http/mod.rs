@@ -11,9 +11,9 @@
 //!                                        assets    the page
 //! ```
 //!
-//! One thread serves all clients, so clients never cost frames more than the time of that thread. The server
-//! only reads. It builds no path from a request: it looks names up in the status store, and serves nothing
-//! else. `docs/window.md` describes the interface for users.
+//! One thread serves all clients, so clients never take more than the time of one thread from the conversion
+//! of frames. The server only reads. It builds no path from a request: it looks names up in the status store,
+//! and serves nothing else. `docs/window.md` describes the interface for users.
 
 mod access;
 mod answer;
@@ -66,10 +66,11 @@ struct ServerState {
     subscribers: events::Subscribers,
 }
 
-/// The thread has no deep call chains.
+/// Stack size of the server's threads, which have no deep call chains.
 const STACK_BYTES: usize = 512 << 10;
 
-/// Files are read on separate threads, so that the disk does not block the server's thread.
+/// Maximum number of threads that read files. They are separate so that the disk does not block the server's
+/// thread.
 const READERS_MAX: usize = 2;
 
 impl HttpServer {
@@ -94,12 +95,12 @@ impl HttpServer {
             .max_blocking_threads(READERS_MAX)
             .thread_stack_size(STACK_BYTES)
             .build()?;
-        let thread = thread::Builder::new().name("window".to_owned()).stack_size(STACK_BYTES);
+        let thread = thread::Builder::new().name("http".to_owned()).stack_size(STACK_BYTES);
         let thread = thread.spawn(move || {
             if let Err(error) = runtime.block_on(serve::serve(listener, shared)) {
                 tracing::error!("the status page and the API have stopped: {error}; the daemon continues");
             }
-            // Threads that still read a file do not delay the end.
+            // Does not wait for threads that still read a file.
             runtime.shutdown_background();
         })?;
         Ok(HttpServer { address, closing, thread: Some(thread) })

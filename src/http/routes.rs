@@ -25,7 +25,8 @@ pub(super) async fn answer_to<B: Body>(
     }
 }
 
-/// Answers a request when few slots are free: only health checks. The connection closes afterwards.
+/// Answers a request while few slots are free: refuses all requests except health checks. The connection
+/// closes afterwards.
 pub(super) async fn answer_when_busy<B: Body>(
     shared: &Arc<ServerState>,
     request: &Request<B>,
@@ -41,7 +42,8 @@ fn is_about_health<B>(request: &Request<B>) -> bool {
     matches!(request.uri().path(), "/healthz" | "/readyz")
 }
 
-/// The error response to a request that is not allowed; `None` if it is.
+/// The response to a request that is not dispatched: an error, or the redirect after a login with
+/// `/?token=…`. `None` if the request is allowed.
 fn refusal<B: Body>(shared: &ServerState, request: &Request<B>, local: SocketAddr) -> Option<Answer> {
     if !is_for_this_host(request, local.ip()) {
         return Some(closing(text(
@@ -102,7 +104,7 @@ fn unauthorized() -> Answer {
     with(text(StatusCode::UNAUTHORIZED, what), WWW_AUTHENTICATE, "Bearer")
 }
 
-/// Stores the token as a cookie, and redirects to an address without it.
+/// Stores the token as a cookie, and redirects to an address without the token.
 fn with_cookie(cookie: &str) -> Answer {
     with(with(text(StatusCode::SEE_OTHER, ""), LOCATION, "/"), SET_COOKIE, cookie)
 }

@@ -1,10 +1,10 @@
-//! Accepts connections and enforces limits: how many connections, how large requests, and how slow clients
-//! may be.
+//! Accepts connections, and enforces limits on the number of connections, the size of requests, and the
+//! slowness of clients.
 //!
 //! A client that reads its response too slowly would occupy its slot forever. So each connection has a time
-//! budget that runs while the client reads nothing, and is refilled as it reads. When all slots are taken,
-//! the connection that has been idle for longest is closed. While nearly all are busy, only health checks are
-//! answered.
+//! budget, which decreases while the client reads nothing, and increases as it reads. When all slots are
+//! taken, the connection that has been idle for longest is closed. While nearly all are busy, only health
+//! checks are answered.
 
 use std::convert::Infallible;
 use std::future::{Future, poll_fn};
@@ -115,8 +115,8 @@ async fn answer_all(
 ) {
     let Ok(local) = stream.local_addr() else { return };
     if SystemTime::now() < UNIX_EPOCH {
-        // hyper cannot write the date header. A new socket is not known to be writable until this has waited
-        // for it.
+        // For such a time hyper cannot write the `date` header, so this bypasses hyper. A new socket is not
+        // known to be writable until `writable` has waited for it.
         if let Ok(Ok(())) = timeout(CLOSING_TIMEOUT, stream.writable()).await {
             let _ = stream.try_write(CLOCK_IS_WRONG);
         }
@@ -169,13 +169,14 @@ impl StallTimeout {
         StallTimeout { stream, budget: STALL_TIMEOUT, stalled: None, connection }
     }
 
-    /// The client has read this many bytes.
+    /// Updates the time budget after the client has read this many bytes.
     fn on_read(&mut self, count: usize) {
         let held = self.stalled.take().map_or(Duration::ZERO, |(since, _)| since.elapsed());
         self.budget = budget_after(self.budget, held, count);
     }
 
-    /// The client reads nothing; returns whether its time budget is used up.
+    /// Called while the client reads nothing: returns whether its time budget is used up, and otherwise wakes
+    /// the task when it is.
     fn is_over(&mut self, context: &mut Context<'_>) -> bool {
         let patience = self.budget;
         let (_, end) = self.stalled.get_or_insert_with(|| (Instant::now(), Box::pin(sleep(patience))));
@@ -214,8 +215,8 @@ impl AsyncWrite for StallTimeout {
     }
 
     fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        // A socket has no buffer to flush: written data is already with the system. The caller flushes after
-        // the last byte.
+        // A socket has no buffer to flush: written data is already with the system. hyper flushes after the
+        // last byte of a response.
         let this = self.get_mut();
         this.connection.flushed();
         Pin::new(&mut this.stream).poll_flush(context)
@@ -240,7 +241,7 @@ mod tests {
     use super::super::events::Subscribers;
     use crate::watch::status_store::StatusStore;
 
-    /// How many pieces of 20 kB a client receives that reads one every `every_s` seconds.
+    /// The number of pieces of 20 kB that a client receives if it reads one piece every `every_s` seconds.
     fn pieces_taken(every_s: u64) -> usize {
         let every = Duration::from_secs(every_s);
         let mut patience = STALL_TIMEOUT;
@@ -256,8 +257,8 @@ mod tests {
     fn slow_reader_is_disconnected() {
         assert_eq!(pieces_taken(1), 1000, "twice the minimum rate");
         assert_eq!(pieces_taken(2), 1000, "exactly the minimum rate");
-        // The client takes five seconds for two seconds' worth: it loses three of its thirty seconds each
-        // time.
+        // At the minimum rate a piece takes two seconds. This client takes five, so each piece costs it three
+        // of its thirty seconds.
         assert_eq!(pieces_taken(5), 9);
         assert_eq!(pieces_taken(30), 0);
     }
@@ -285,7 +286,7 @@ mod tests {
             stream.set_read_timeout(Some(Duration::from_secs(600))).expect("set");
             stream
         };
-        // Half of them send nothing, the others half a request.
+        // Half of the clients send nothing; the others send half a request.
         let idle: Vec<Client> = (0..limits.connections_max)
             .map(|number| {
                 let mut stream = connect();

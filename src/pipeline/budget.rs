@@ -1,19 +1,22 @@
 //! The memory budget of the frames in flight.
 //!
 //! ```text
-//!   reserve_input    before reading: about the size of the file        waits for room, or for an empty budget
-//!   resize           after reading: the input
-//!   reserve_compute  before computing: the peak of the frame           waits for room, or for other frames
-//!   resize           after computing: the surface
-//!   drop             after writing
+//!   call             when, and how much memory                         waits until
+//!   reserve_input    before reading: about the size of the file        it fits, or nothing is reserved
+//!   resize           after reading: the size of the input
+//!   reserve_compute  before computing: the peak of the frame           it fits, or no other frame computes
+//!   resize           after computing: the size of the surface
+//!   drop             after writing: releases everything
 //! ```
 //!
 //! Every wait ends. A frame that computes never waits for memory again, so it finishes and releases its
-//! memory; when no frame computes, a waiting one may start. For that, one thread reserves for input and one
-//! for computing: then at most two frames hold memory without computing, and the earlier one is next.
+//! memory. When no frame computes, a waiting frame may start. This holds if only one thread reserves for
+//! input and only one for computing: then at most two frames hold memory without computing, and the earlier
+//! of them starts next.
 //!
-//! So a plan that is larger than the whole budget runs alone, next to at most the particles of the next
-//! frame. The method makes no such plan: it uses tiles for frames that do not fit, or returns an error.
+//! So a frame that plans to use more than the whole budget computes alone. Beside it, at most the particles
+//! of the next frame are in memory. The method makes no such plan: it uses tiles for frames that do not fit,
+//! or returns an error.
 
 use std::collections::HashMap;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -27,7 +30,7 @@ pub(super) struct Budget {
 
 #[derive(Default)]
 struct Reserved {
-    /// Wide enough for any sum of 64-bit sizes.
+    /// 128 bits, because they hold any sum of 64-bit sizes.
     bytes: u128,
     admitted_count: usize,
     /// Memory that all frames share, by owner, in bytes.
@@ -54,8 +57,9 @@ impl Budget {
         Reservation { budget: self, bytes, is_admitted: false }
     }
 
-    /// Sets the memory that `owner` shares with all frames, while there are any. The smaller remaining budget
-    /// cannot cause a deadlock: waiting frames still wait only for other frames.
+    /// Sets the size of memory that belongs to `owner` and is shared by all frames, such as static obstacles.
+    /// It counts against the limit until the budget is dropped. The smaller remaining budget cannot cause a
+    /// deadlock: waiting frames still wait only for other frames.
     pub(super) fn set_shared(&self, owner: usize, bytes: u64) {
         self.reserved().aside.insert(owner, bytes);
         self.released.notify_all();
@@ -71,7 +75,7 @@ impl Budget {
         waited.unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Both numbers are consistent at any time, even if the lock is poisoned.
+    /// The fields are consistent at any time, so a poisoned lock is used like any other.
     fn reserved(&self) -> MutexGuard<'_, Reserved> {
         self.reserved.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -115,7 +119,7 @@ mod tests {
     #[test]
     fn shared_memory_reduces_the_budget() {
         let budget = Budget::new(10);
-        // A frame that is alone never waits.
+        // The only frame never waits, even if the shared memory exceeds the limit.
         budget.set_shared(1, 20);
         drop(budget.reserve_input(30));
         for (owner, bytes) in [(1, 3), (2, 1)] {

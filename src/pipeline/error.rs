@@ -45,7 +45,8 @@ impl fmt::Display for Stage {
 #[derive(Debug)]
 pub struct FrameError {
     /// The file that caused the error: the input, or the output that could not be written. For
-    /// [`Cause::Scratch`], the outputs without their extension: scratch files go into the same folder.
+    /// [`Cause::Scratch`], the path of the outputs without an extension, because scratch files are in their
+    /// folder.
     pub path: PathBuf,
     /// The stage that failed.
     pub during: Stage,
@@ -56,11 +57,11 @@ pub struct FrameError {
 /// The cause of an error.
 #[derive(Debug)]
 pub enum Cause {
-    /// The file: its content, or an error of the system.
+    /// The file is invalid, or the system reports an error.
     File(meniscus_formats::Error),
     /// The input was written, replaced or removed while it was read.
     Changed,
-    /// An obstacle.
+    /// An obstacle cannot be read.
     Obstacle(Box<ObstacleError>),
     /// The particles lack an attribute that the settings require, or its values are unusable.
     Missing(String),
@@ -77,7 +78,7 @@ pub enum Cause {
 /// An error in an obstacle of a frame.
 #[derive(Debug)]
 pub struct ObstacleError {
-    /// Its file; for a moving obstacle, the one for this frame.
+    /// The obstacle's file; for a moving obstacle, the file for this frame.
     pub path: PathBuf,
     /// Why it cannot be read; `None` if it was written during the read.
     pub source: Option<meniscus_formats::Error>,
@@ -113,9 +114,10 @@ impl FrameError {
     /// Runs `work` on the frame at `path`; a panic becomes an error of this frame.
     ///
     /// # Errors
-    /// The panic's message.
+    /// If `work` panics, with the panic's message.
     pub fn catch<T>(path: &Path, during: Stage, work: impl FnOnce() -> T) -> Result<T, FrameError> {
-        // All state of the work is dropped with the frame, so no other code sees it broken.
+        // All state that `work` changes is dropped with the frame, so no other code sees it in an
+        // inconsistent state.
         catch_unwind(AssertUnwindSafe(work)).map_err(|payload| FrameError {
             path: path.to_owned(),
             during,

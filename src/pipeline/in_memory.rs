@@ -1,7 +1,7 @@
 //! Files and reports for surfaces that another program reconstructs in memory, such as the Python package.
 //!
-//! The files have the same bytes as those of `meniscus convert` if both have the same options, particles, and
-//! file that the particles came from.
+//! The files have the same bytes as those of `meniscus convert` if the options, the particles and the source
+//! file of the particles are the same.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -34,7 +34,7 @@ use super::target::picture::{PictureScene, encode_picture, up_of, velocities};
 use super::target::stored::stored;
 use super::target::viewpoint::Viewpoint;
 
-/// A surface in memory, with what its files record.
+/// A surface in memory, with the settings and obstacles that its files record.
 #[derive(Clone, Copy, Debug)]
 pub struct EmbeddedSurface<'a> {
     /// The surface.
@@ -46,8 +46,8 @@ pub struct EmbeddedSurface<'a> {
 }
 
 impl EmbeddedSurface<'_> {
-    /// Writes the file at `path` atomically. `source` is the file of the particles with its XXH3 hash;
-    /// without it, the output does not name its input.
+    /// Writes the file at `path` atomically. `source` is the source file of the particles and its XXH3 hash;
+    /// if it is `None`, the output does not name its input.
     ///
     /// # Errors
     /// If the format cannot hold this amount of data, or the file cannot be written.
@@ -112,7 +112,7 @@ impl EmbeddedSurface<'_> {
         PictureScene { band: &self.surface.band, lattice, origin: DVec3::ZERO, velocity: None }.bounds()
     }
 
-    /// The measurements as JSON: an entry of `frames` in a report, without files, times and memory.
+    /// The measurements as JSON, like an entry of `frames` in a report, but without files, times and memory.
     pub fn report_json(&self) -> String {
         let report = FrameReport {
             reconstruction: self.surface.report.clone(),
@@ -137,15 +137,15 @@ impl EmbeddedSurface<'_> {
     }
 }
 
-/// What a reconstruction has to prepare for these outputs: the formats of positions that the mesh is checked
-/// in, and the half width of the band with attributes, in voxels.
+/// The parts that a reconstruction has to prepare for these outputs: the number formats of positions in which
+/// the mesh is checked, and the half width of the band with attributes, in voxels.
 pub fn in_memory_parts(outputs: &OutputOptions) -> (Vec<PositionFormat>, Option<f32>) {
     let has_voxels = |format: &OutputFormat| !format.is_mesh() && format.has_attributes();
     (stored(outputs), outputs.formats.iter().any(has_voxels).then_some(VDB_HALF_WIDTH_VOXELS))
 }
 
-/// The same, as [`Reconstructor::reconstruct_parts`](crate::surface::Reconstructor::reconstruct_parts) takes
-/// it.
+/// Converts the result of [`in_memory_parts`] to the argument of
+/// [`Reconstructor::reconstruct_parts`](crate::surface::Reconstructor::reconstruct_parts).
 impl<'a> From<&'a (Vec<PositionFormat>, Option<f32>)> for PartsWanted<'a> {
     fn from((stored, band_half_width_voxels): &'a (Vec<PositionFormat>, Option<f32>)) -> PartsWanted<'a> {
         PartsWanted { stored, band_half_width_voxels: *band_half_width_voxels }
@@ -160,7 +160,8 @@ pub fn in_memory_attributes(
     of_file: Vec<FileAttribute>,
     options: &MethodOptions,
 ) -> Result<(Vec<Attribute>, Vec<String>), String> {
-    // Which attributes are needed depends on these options only: the spacing may not be known yet.
+    // The needed attributes depend only on the options that are copied here. The spacing may not be known
+    // yet, and any value will do.
     let options = MethodOptions {
         spacing: Some(1.0),
         radius_attribute: options.radius_attribute.clone(),
@@ -174,8 +175,8 @@ pub fn in_memory_attributes(
     Ok((attributes, warnings.iter().map(ToString::to_string).collect()))
 }
 
-/// Loads a static obstacle from a file, with the text that outputs record: its name and hash. Loading a level
-/// set may take `memory_bytes`.
+/// Loads a static obstacle from a file. Also returns its name and hash, as the text that outputs record.
+/// `memory_bytes` limits the memory for loading a level set.
 ///
 /// # Errors
 /// If the file cannot be read, or contains no obstacle.

@@ -2,20 +2,20 @@
 
 use std::path::{Path, PathBuf};
 
-/// The peak resident size of this process; `None` if the system does not report it.
+/// The peak resident set size of this process, in bytes; `None` if the system does not report it.
 pub(super) fn peak_memory_bytes() -> Option<u64> {
-    // Linux only: elsewhere the file does not exist.
+    // Only Linux has this file.
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     parse_peak(&status)
 }
 
-/// The resident size of this process; `None` if the system does not report it.
+/// The resident set size of this process, in bytes; `None` if the system does not report it.
 pub fn resident_memory_bytes() -> Option<u64> {
     parse_kibibytes(&std::fs::read_to_string("/proc/self/status").ok()?, "VmRSS:")
 }
 
-/// The default memory for frames in flight: half of the memory of this machine, or of the limit of this
-/// process's control groups. 4 GiB if the system reports neither.
+/// The default memory for frames in flight, in bytes: half of the memory of this machine or of the smallest
+/// limit of this process's control groups, whichever is less. 4 GiB if the system reports neither.
 pub fn default_memory_bytes() -> u64 {
     let read = |path: &Path| std::fs::read_to_string(path).ok();
     let machine = read(Path::new("/proc/meminfo")).and_then(|text| parse_total(&text));
@@ -31,8 +31,9 @@ fn parse_total(meminfo: &str) -> Option<u64> {
     parse_kibibytes(meminfo, "MemTotal:")
 }
 
-/// The files that may contain the limits of a process's control groups, according to its `/proc/self/cgroup`.
-/// The limits of parent groups apply to a group as well; in a container the path may be the one outside.
+/// The files that may contain the memory limits of a process's control groups, according to its
+/// `/proc/self/cgroup`. Includes the files of all parents: their limits apply to a group as well, and in a
+/// container the path of a group may be its path outside of the container.
 fn limit_files(groups: &str) -> Vec<PathBuf> {
     let mut files = Vec::new();
     for line in groups.lines() {
@@ -51,7 +52,7 @@ fn limit_files(groups: &str) -> Vec<PathBuf> {
     files
 }
 
-/// A limit in bytes; `None` for `max`, or for a number that exceeds any machine.
+/// A limit in bytes; `None` for `max`, or for a number that exceeds the memory of any machine.
 fn parse_limit(text: &str) -> Option<u64> {
     text.trim().parse().ok().filter(|&bytes: &u64| bytes < 1 << 60)
 }

@@ -20,7 +20,7 @@ use crate::pipeline::output::writing::VDB_HALF_WIDTH_VOXELS;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions};
 use crate::pipeline::target::stored::stored;
 
-/// The three stages of the method. Tests replace them by quick or failing ones.
+/// The three stages of the method. Tests replace them by stages that are quick or fail.
 ///
 /// # Errors
 /// Each call fails if the particles are on disk and cannot be read or have changed, if there is too little
@@ -39,8 +39,8 @@ pub trait Method: Sync {
         settings: &Settings,
         allowed_bytes: u64,
     ) -> Result<MemoryPlan, Cause>;
-    /// The first stage, with obstacles. Data that do not fit into memory may go into unnamed files in
-    /// `scratch`.
+    /// The first stage: rasterizes particles and obstacles. May write data that do not fit into memory to
+    /// unnamed files in the folder `scratch`.
     fn rasterize(
         &self,
         particles: FrameInput,
@@ -49,14 +49,14 @@ pub trait Method: Sync {
         plan: &MemoryPlan,
         scratch: &Path,
     ) -> Result<Self::Rasterized, Cause>;
-    /// The second stage; `advanced` receives its progress, from 0 to 1.
+    /// The second stage: smooths the level set. `advanced` receives the progress, from 0 to 1.
     fn smooth(
         &self,
         rasterized: Self::Rasterized,
         settings: &Settings,
         advanced: &mut dyn FnMut(f64),
     ) -> Result<Self::Smoothed, Cause>;
-    /// The third stage, for the outputs that are written.
+    /// The third stage: computes the mesh, and the attributes that the outputs need.
     fn contour(
         &self,
         smoothed: Self::Smoothed,
@@ -71,9 +71,9 @@ pub struct LevelSetMethod;
 
 /// A frame between two stages: in memory, or in tiles on disk.
 pub enum StagedSurface<T> {
-    /// In one piece, with its particles if their attributes are needed later.
+    /// In memory, with its particles if their attributes are needed later.
     InMemory(T, Option<ShapedSource<FrameInput>>),
-    /// In tiles.
+    /// In tiles on disk.
     Tiled(Box<TiledFrame<ShapedSource<FrameInput>>>),
     /// From a level-set file.
     OfLevelSet(Box<BoundedBand>),
@@ -147,7 +147,8 @@ impl Method for LevelSetMethod {
         let storages = storages.map_err(Cause::Scratch)?;
         let mut frame = tiled::rasterize(particles, settings, shape_stats, obstacles, tile_leaves, storages)?;
         frame.report_mut().seconds.rasterize = started.elapsed().as_secs_f64();
-        // It will be read again, but the next steps take a while.
+        // Contouring reads the file again and repeats this check. But smoothing takes a while, so a change is
+        // detected now.
         frame.source().given().check_unchanged()?;
         Ok(StagedSurface::Tiled(Box::new(frame)))
     }
@@ -233,7 +234,7 @@ impl From<TiledError<Cause>> for Cause {
     }
 }
 
-/// An unnamed file, which disappears when it is closed: also when the process ends, in whatever way.
+/// An unnamed file, which disappears when it is closed. The system closes it even if the process is killed.
 struct ScratchFile(File);
 
 impl ScratchFile {
@@ -255,8 +256,8 @@ impl Storage for ScratchFile {
     }
 }
 
-/// On systems where a positioned read moves the file's cursor: tiles are read in sequence, so that does not
-/// matter.
+/// Seeks before each access, for systems without reads and writes at a position. Seeking moves the file's
+/// cursor, which does not matter: tiles are accessed one after the other.
 #[cfg(not(unix))]
 impl Storage for ScratchFile {
     fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {

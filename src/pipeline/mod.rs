@@ -16,8 +16,9 @@
 //!   in_memory    files and reports for surfaces that another program reconstructs in memory
 //! ```
 //!
-//! `convert`, for one file or a sequence, and the daemon use the same pipeline; they differ only in the source
-//! of frames. The pipeline knows nothing of flags, terminals or how the method works.
+//! `convert`, for one file or a sequence, and the daemon use the same pipeline; they differ only in the
+//! source of frames. The pipeline does not depend on command-line flags, terminals, or the inner workings of
+//! the method.
 //!
 //! To convert files, pass them to [`sequences`], resolve the settings of each sequence, create a [`Frame`]
 //! for each file, and call [`run`]; [`stream`] takes frames one at a time, as they arrive.

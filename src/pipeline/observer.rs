@@ -1,4 +1,4 @@
-//! Progress notifications for frames in flight: the stages themselves know neither clocks nor terminals.
+//! Progress notifications for frames in flight: the stages themselves use neither clocks nor terminals.
 
 use std::fmt;
 
@@ -7,9 +7,10 @@ use crate::surface::reconstruction::MemoryPlan;
 use crate::pipeline::error::Stage;
 use crate::pipeline::input::frame::Frame;
 
-/// Receives the progress of frames, on the threads of the stages: it must return quickly.
+/// Receives the progress of frames. The calls come from the threads of the stages, so they must return
+/// quickly.
 pub trait Observer: fmt::Debug + Sync {
-    /// A frame was read, and has this plan. Its particles take `given_bytes` in addition.
+    /// A frame was read, and `plan` is its memory plan. Its input takes `given_bytes` in addition.
     fn planned(&self, frame: &Frame, plan: &MemoryPlan, given_bytes: u64) {
         let _ = (frame, plan, given_bytes);
     }

@@ -18,7 +18,7 @@ impl PhaseTimer {
         self.current = Some((phase, Instant::now()));
     }
 
-    /// Ends the last phase and returns the seconds of each.
+    /// Ends the last phase and returns the seconds of each phase.
     pub fn finish(mut self) -> StageSeconds {
         self.end();
         self.seconds

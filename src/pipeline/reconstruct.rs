@@ -41,7 +41,8 @@ pub struct Reconstruction {
 }
 
 impl LoadedFrame {
-    /// Reads the frame in a file, with the attributes that the settings require.
+    /// Reads the frame at `path`, with the attributes that the settings require. `number` is its frame
+    /// number.
     ///
     /// # Errors
     /// When the system reports an error, or the file has no readable particles.
@@ -59,7 +60,7 @@ impl LoadedFrame {
         })
     }
 
-    /// Its file.
+    /// The path of its file.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -69,14 +70,14 @@ impl LoadedFrame {
         &self.cloud.positions
     }
 
-    /// A hash of its file.
+    /// The hash of its bytes.
     pub fn hash(&self) -> u128 {
         self.hash
     }
 
-    /// Reconstructs the surface on the current thread pool, within the memory limit if possible. A frame that
-    /// does not fit writes scratch files into the folder of the outputs. The settings must not require
-    /// attributes that were not requested when the frame was read.
+    /// Reconstructs the surface on the current thread pool, within the memory limit if possible. For a frame
+    /// that does not fit into memory, writes scratch files into the folder of the outputs. The settings must
+    /// not require attributes that the settings for reading did not require.
     ///
     /// # Errors
     /// Those of every stage.

@@ -11,9 +11,9 @@
 //! ```
 //!
 //! `ThreadPool::install` for each stage would not be enough. While a thread waits for a part of its loop that
-//! another thread has stolen, rayon makes it run other jobs. It would start another frame's stage, nested on
-//! the stack of its own, and within that yet another. That way, the first of 10 frames on 2 threads sometimes
-//! finished last. Here, a thread within a task takes no second task.
+//! another thread has stolen, rayon makes it run other jobs. The thread would start a stage of another frame
+//! on top of its own stack, and within that stage yet another. That way, the first of 10 frames on 2 threads
+//! sometimes finished last. Here, a thread within a task takes no second task.
 
 use std::cell::Cell;
 use std::cmp::Reverse;
@@ -75,13 +75,13 @@ impl<'a, 'scope, 'env: 'scope> Scheduler<'a, 'scope, 'env> {
     }
 }
 
-/// Wakes every thread to check the queue as soon as it is idle.
+/// Makes every thread of the pool check the queue as soon as the thread is idle.
 fn call<'scope, 'env: 'scope>(scope: &Scope<'scope>, tasks: &'scope TaskQueue<'env>) {
     scope.spawn_broadcast(|scope, _| run_next(scope, tasks));
 }
 
 thread_local! {
-    /// The task queue whose task this thread is running: its address, or zero.
+    /// The address of the task queue whose task this thread is running; zero if it is running none.
     static WITHIN: Cell<usize> = const { Cell::new(0) };
 }
 
@@ -95,7 +95,7 @@ fn run_next<'scope, 'env: 'scope>(scope: &Scope<'scope>, tasks: &'scope TaskQueu
     (task.work)();
     WITHIN.set(outer);
     // Threads that were woken within a task did not check the queue. This thread must not run a second task
-    // here: it may have interrupted a part of another frame's loop for this task, and that frame waits for
+    // here: it may have interrupted a part of another frame's loop to run this task, and that frame waits for
     // the part.
     if !tasks.waiting().is_empty() {
         call(scope, tasks);

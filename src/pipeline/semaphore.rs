@@ -2,7 +2,7 @@
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 
-/// Permits that are acquired, and released when they are dropped.
+/// A counting semaphore: [`Semaphore::acquire`] returns a permit, and dropping the permit releases it.
 #[derive(Clone)]
 pub(super) struct Semaphore {
     acquired: Sender<()>,
@@ -21,7 +21,7 @@ impl Semaphore {
 
     /// Waits for a permit.
     pub(super) fn acquire(&self) -> Permit {
-        // This fails only without a receiver, and `self` has one.
+        // Sending fails only if there is no receiver, and `self` has one.
         let _ = self.acquired.send(());
         Permit(self.released.clone())
     }

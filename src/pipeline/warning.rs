@@ -24,37 +24,37 @@ pub enum Warning {
     MissingAttribute { name: String, available: Vec<String> },
     /// The file has more grids than the one that was read.
     OtherGrids { count: usize },
-    /// The level set had signs without distances in places, and was rebuilt.
+    /// In places the level set stored only signs, so its distances were rebuilt.
     Rebuilt(RebuildReason),
     /// The velocities of a level set cannot be used.
     VelocitiesNotShown(String),
-    /// Positions that are infinite or NaN were copied.
+    /// Positions that are infinite or NaN were copied to the output.
     PositionsNotFinite { count: usize, particle_count: usize },
-    /// The frame was reconstructed in tiles.
+    /// The frame was reconstructed in tiles; in one piece it would need `whole_bytes` of memory.
     Tiled { whole_bytes: u64 },
     /// A likely mistake in an obstacle.
     Obstacle { path: PathBuf, finding: ObstacleFinding },
     /// The surface is completely outside the clip box.
     ClippedAway,
-    /// Every island was dropped.
+    /// Every piece of the surface had too few particles and was dropped.
     IslandsDropped,
     /// All of the surface is inside obstacles.
     SurfaceInsideObstacles,
-    /// The particles are so small that no voxel is inside a ball. Lengths in world units.
+    /// The particles are so small that no voxel is inside any of their spheres. Lengths are in world units.
     BetweenVoxels { voxel_size: f64, radius_min: f64, radius_max: f64 },
     /// Most pieces of the surface come from a single particle.
     Spray { particle_count: usize, piece_count: usize, voxel_size: f64 },
     /// The surface has many holes.
     Holes { particle_count: usize, hole_count: usize, voxel_size: f64 },
-    /// The surface is in many pieces, and none of them has most of it.
+    /// The surface is in many pieces, none of which has half of the volume.
     Fragmented { particle_count: usize, piece_count: usize, voxel_size: f64 },
-    /// All particles are within this many voxels.
+    /// All particles are within `width_voxels` voxels: the voxels are too large.
     Blob { particle_count: usize, width_voxels: f64, voxel_size: f64 },
-    /// A format rounds positions; `storage` describes how it stores them.
+    /// A format moves vertices by up to `voxels` voxels; `storage` describes how it stores positions.
     RoundedPositions { voxels: f64, storage: &'static str },
     /// An attribute that a .vdb cannot hold.
     UnsupportedInVdb { name: String },
-    /// Radii too small for the grid; r_min of the smallest one in world units.
+    /// Radii too small for the grid. `radius_min` is r_min of the smallest one, in world units.
     SmallRadii { count: usize, radius_min: f64 },
     /// Radii that are not positive numbers.
     InvalidRadii { count: usize },
@@ -82,13 +82,13 @@ pub enum Warning {
     ParticlesOutside { count: usize, particle_count: usize },
     /// Failed validation: φ leaves its bounds.
     OutOfBounds { voxel_count: usize },
-    /// Failed validation: vertices nearer to particles than r_min.
+    /// Failed validation: vertices nearer to a particle than r_min, by more than half a voxel.
     VerticesTooNear { count: usize, nearest_voxels: f64 },
-    /// Failed validation: vertices farther from particles than r_max.
+    /// Failed validation: vertices farther from all particles than r_max, by more than half a voxel.
     VerticesTooFar { count: usize, farthest_voxels: f64 },
     /// Failed validation: particles that the surface does not enclose.
     NotEnclosed { count: usize },
-    /// Failed validation: the mesh has these faults.
+    /// Failed validation: the mesh is not closed and manifold; its measures count the faults.
     NotClosed(Box<MeshMeasures>),
 }
 
@@ -109,9 +109,10 @@ pub enum ObstacleFinding {
     Flat,
     /// Its level set had no distances in places.
     Rebuilt(RebuildReason),
-    /// Its level set has a narrow band.
+    /// The narrow band of its level set is too narrow: distances are known up to `known_voxels` voxels.
     NarrowBand { known_voxels: f64 },
-    /// It is out of reach of the whole frame: minimum and maximum corners, world units.
+    /// It is out of reach of all particles. The fields are the bounding boxes of both: minimum and maximum
+    /// corners, world units.
     OutOfReach { obstacle: [DVec3; 2], particles: [DVec3; 2] },
 }
 
@@ -216,7 +217,7 @@ impl fmt::Display for Warning {
 }
 
 impl Warning {
-    /// The count, the noun and the rest of the sentence, for warnings of that form.
+    /// The count, the noun and the rest of the sentence, for warnings that begin with a count.
     fn counted(&self) -> Option<(usize, &'static str, &'static str)> {
         Some(match *self {
             Warning::SmallRadii { count, .. } => {
@@ -230,7 +231,7 @@ impl Warning {
             }
             Warning::NotStretched { count } => (count, "particle", "not stretched: no finite velocity"),
             Warning::ValuesNotFinite { count } => {
-                (count, "value", "of particle attributes ignored: not finite")
+                (count, "value", "of particle attributes ignored: infinite or NaN")
             }
             Warning::VerticesWithoutAttributes { count } => {
                 (count, "vertex", "without a particle in range: attributes are 0 or missing")
@@ -246,7 +247,7 @@ impl Warning {
         })
     }
 
-    /// Whether its count, if it has one, is not 0.
+    /// False for a warning whose sentence begins with a count of 0.
     pub(crate) fn is_about_any(&self) -> bool {
         self.counted().is_none_or(|(count, ..)| count > 0)
     }
@@ -255,7 +256,7 @@ impl Warning {
     fn fmt_surface(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Warning::ClippedAway => {
-                f.write_str("the clip box holds nothing of the surface: the mesh is empty")
+                f.write_str("the clip box contains no part of the surface: the mesh is empty")
             }
             Warning::IslandsDropped => f.write_str(
                 "every piece of the surface was dropped because all have too few particles: the mesh is empty",
@@ -319,7 +320,8 @@ impl Warning {
             Warning::ParticlesInObstacles { count, are_most } => {
                 let particles = pluralize(count, "particle");
                 write!(f, "{particles} inside obstacles: the surface does not follow them there")?;
-                // The mesh of a container may be only its inner side.
+                // If the mesh of a container is only its inner side, the whole inside of the container is
+                // solid.
                 match are_most {
                     true => f.write_str(
                         "; if the obstacle is a container, give its walls a thickness: otherwise all of it is solid",
@@ -383,9 +385,11 @@ impl fmt::Display for ObstacleFinding {
                      close them in the model for an exact obstacle"
                 )
             }
-            ObstacleFinding::Flipped { triangle_count } => {
-                write!(f, "{triangle_count} triangles were flipped because they faced the other way")
-            }
+            ObstacleFinding::Flipped { triangle_count } => write!(
+                f,
+                "{} flipped: facing inwards, or oriented opposite to adjacent triangles",
+                pluralize(*triangle_count, "triangle")
+            ),
             ObstacleFinding::PossiblyInverted { part_count } => write!(
                 f,
                 "{part_count} parts seem to face inwards and were not flipped: too many parts to detect cavities"
@@ -401,7 +405,11 @@ impl fmt::Display for ObstacleFinding {
             ),
             ObstacleFinding::OutOfReach { obstacle, particles } => {
                 let [obstacle, particles] = [*obstacle, *particles].map(box_text);
-                write!(f, "touches nothing of the frame: it spans {obstacle}, and the particles {particles}")
+                write!(
+                    f,
+                    "too far from the particles to have an effect: it spans {obstacle}, and the particles span \
+                     {particles}; check its position, unit of length and up axis"
+                )
             }
         }
     }

@@ -20,7 +20,8 @@ impl Up {
         }
     }
 
-    /// The direction of azimuth 0: towards a viewer whose viewing direction is −z with y up, or y with z up.
+    /// The direction from the box towards a camera of azimuth 0, which looks along −z if y is up, and along y
+    /// if z is up.
     fn front(self) -> DVec3 {
         match self {
             Up::Y => DVec3::Z,
@@ -47,7 +48,7 @@ pub struct Camera {
 /// The placement of a camera relative to a box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraPlacement {
-    /// Azimuth of the camera to the right, degrees.
+    /// Azimuth, degrees; positive values place the camera farther to the right.
     pub azimuth_degrees: f64,
     /// Elevation above the horizon, degrees.
     pub elevation_degrees: f64,
@@ -60,7 +61,8 @@ pub struct CameraPlacement {
 }
 
 impl CameraPlacement {
-    /// From the right and a little above: flat surfaces look flat, and the scene does not hide itself.
+    /// From the right and a little above. From there, flat surfaces look flat, and the front of the scene
+    /// hides little of the rest.
     pub const AUTO: CameraPlacement = CameraPlacement {
         azimuth_degrees: 32.0,
         elevation_degrees: 22.0,
@@ -94,7 +96,7 @@ impl CameraPlacement {
     }
 }
 
-/// Upper limit of the fraction of the picture that a box fills, from the middle to an edge.
+/// The box fills at most this fraction of the distance from the middle of the picture to each edge.
 const MARGIN: f64 = 0.88;
 
 impl Camera {

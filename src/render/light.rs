@@ -16,7 +16,7 @@ pub(super) struct Lighting<'a> {
 /// The light that arrives at a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Light {
-    /// From the hemisphere around the normal; 1 if it is unoccluded.
+    /// The light from the hemisphere around the normal, with occlusion, by colour channel.
     pub(super) ambient: Vec3,
     /// The visible fraction of the sun.
     pub(super) sun: f32,
@@ -34,7 +34,7 @@ impl Light {
     }
 }
 
-/// Colours are linear.
+/// The colour of front faces. All colours here are linear.
 const WATER: Vec3 = Vec3::new(0.105, 0.34, 0.66);
 /// The colour of back faces.
 const INSIDE: Vec3 = Vec3::new(0.85, 0.25, 0.03);
@@ -43,8 +43,8 @@ const ZENITH: Vec3 = Vec3::new(0.70, 0.78, 0.90);
 const HORIZON: Vec3 = Vec3::new(0.74, 0.76, 0.79);
 const FROM_BELOW: Vec3 = Vec3::new(0.36, 0.35, 0.34);
 const BACKGROUND: Vec3 = Vec3::new(0.80, 0.82, 0.845);
-/// Tangents of half the opening angle of a cone of ambient light (30°) and of the sun's (5°), which blurs
-/// shadows with distance.
+/// Tangents of half the opening angles of a cone of ambient light (30°) and of the sun's cone (5°). The sun's
+/// width blurs shadows with distance.
 const AMBIENT_TANGENT: f32 = 0.577;
 const SUN_TANGENT: f32 = 0.09;
 /// Cosine and sine of the angle between the middle cone and the five cones around it.
@@ -60,7 +60,7 @@ impl<'a> Lighting<'a> {
         Lighting { sky, up: up.as_vec3(), sun: sun.normalize().as_vec3() }
     }
 
-    /// The light at a point, in voxels, on a surface with this normal.
+    /// The light that arrives at a point on a surface with this normal. The position is in voxels.
     pub(super) fn incoming(&self, point: DVec3, normal: Vec3) -> Light {
         let (aside, across) = normal.any_orthonormal_pair();
         let mut ambient = MIDDLE_WEIGHT * self.light_from(point, normal);
@@ -98,7 +98,7 @@ impl<'a> Lighting<'a> {
         let glint = normal.dot(half).max(0.0).powi(90) * light.sun;
         let edge = (1.0 - normal.dot(toward).clamp(0.0, 1.0)).powi(5);
         let mirrored = self.radiance(2.0 * normal.dot(toward) * normal - toward);
-        // Whatever occludes the sky also occludes its reflection.
+        // The reflection of the sky is occluded as much as the ambient light.
         let open = (light.ambient.y / HORIZON.y).min(1.0);
         albedo * (light.ambient + SUN * facing) + (0.02 + 0.5 * edge) * open * mirrored + 0.55 * glint * SUN
     }

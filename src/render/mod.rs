@@ -2,14 +2,16 @@
 //!
 //! ```text
 //!   camera ──ray──▶ surface, ground or nothing ──▶ incoming light ──▶ colour
-//!     every pixel         the cubic in a cell         every fourth pixel          edges: eight more rays
+//!    every pixel      first root of a cubic in a cell    one pixel of 4 × 4     edges: mean of eight rays
 //! ```
 //!
 //! Smooth features are sampled sparsely: light is computed for one pixel of sixteen and interpolated between
-//! points in one plane. Sharp features are sampled densely: where neighbouring pixels show different things,
-//! a pixel is the mean of eight rays. Each pixel depends on the frame and the view only, not on threads.
+//! points in one plane. Sharp features are sampled densely: where neighbouring pixels show different
+//! surfaces, a pixel is the mean of eight rays. Each pixel depends only on the frame and the view, not on the
+//! number of threads.
 //!
-//! The inside of the surface is orange. It is visible only if φ has a wrong sign or a hole.
+//! The back side of the surface is orange. It is visible only if φ has a wrong sign, or if the surface has a
+//! hole.
 
 mod camera;
 mod light;
@@ -67,7 +69,7 @@ pub struct Picture {
 /// Data at the centre of each pixel.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PictureData {
-    /// Distance along the camera's axis, world units; [`FAR`] if the pixel shows no surface.
+    /// Distance from the camera along its axis, world units; [`FAR`] if the pixel shows no surface.
     pub depth: Vec<f32>,
     /// Outward unit normals in world space; 0 if the pixel shows no surface.
     pub normals: Vec<[f32; 3]>,
@@ -87,7 +89,7 @@ pub const FAR: f32 = 1e10;
 pub struct Layers<'a> {
     /// Whether to fill in [`Picture::data`].
     pub data: bool,
-    /// Velocities at the voxels of the band, x, y and z, world units per second.
+    /// The x, y and z components of the velocities at the voxels of the band, world units per second.
     pub velocity: Option<&'a [Field; 3]>,
 }
 

@@ -18,7 +18,7 @@ pub struct Plot {
     pub size: [usize; 2],
     /// Points farther apart than this along x are not connected.
     pub step: f64,
-    /// In drawing order.
+    /// The lines, in drawing order: later lines cover earlier ones.
     pub lines: Vec<Line>,
 }
 
@@ -29,26 +29,27 @@ pub struct Line {
     pub name: String,
     /// Linear colour with the primaries of sRGB.
     pub color: [f32; 3],
-    /// x and y, with ascending x. If y is not positive, the line is at the lower edge.
+    /// x and y, with ascending x. A point whose y is not positive is drawn at the lower edge.
     pub points: Vec<[f64; 2]>,
 }
 
 const GROUND: [f32; 3] = [0.97, 0.97, 0.98];
 const RULE: [f32; 3] = [0.74, 0.75, 0.77];
 
-/// Margins of the plot area, pixels: for the scale on the left, the names above, and the frames below.
+/// Margins of the plot area, pixels. They hold the scale on the left, the legend above, and the frame numbers
+/// below.
 const LEFT: usize = 64;
 const TOP: usize = 24;
 const RIGHT: usize = 12;
 const BOTTOM: usize = 24;
 
-/// Upper limit of half the thickness of a line, pixels.
+/// Edge of the squares that a line is drawn with, pixels.
 const THICKNESS: usize = 2;
 
 /// Smallest distance between labels along x, pixels.
 const LABEL_PIXELS: f64 = 60.0;
 
-/// Smallest and largest number of decades of the scale.
+/// Smallest and largest number of decades (powers of ten) on the scale.
 const DECADES: [i32; 2] = [1, 5];
 
 impl Plot {
@@ -117,7 +118,7 @@ impl Area {
     /// Converts x to a pixel column.
     fn x(&self, x: f64) -> usize {
         let width = self.range[1] - self.range[0];
-        // A single frame is in the middle.
+        // A single frame is drawn in the middle.
         let part = if width > 0.0 { (x - self.range[0]) / width } else { 0.5 };
         LEFT + (part * self.size[0].saturating_sub(THICKNESS) as f64).round() as usize
     }

@@ -3,15 +3,15 @@
 //! ```text
 //!   dam: 60 of 240 frames
 //!   ┌──────┐ ┌──────┐ ┌──────┐
-//!   │      │ │      │ │ why  │      a block: cells in rows; a cell without a picture
-//!   └──────┘ └──────┘ │ not  │      contains text
+//!   │      │ │      │ │ why  │      a group: cells in rows; a cell without a picture
+//!   └──────┘ └──────┘ │ not  │      contains text that says why
 //!   dam.0001 dam.0002 └──────┘
 //!   1.2 s    1.3 s    dam.0003
 //!
 //!   1  meniscus convert …           the footer, wrapped at the width of the sheet
 //! ```
 //!
-//! No line is cut: long lines are wrapped.
+//! Long lines are wrapped. Only the text in place of a picture is cut if it is too long for the picture area.
 
 use std::convert::Infallible;
 
@@ -26,13 +26,13 @@ use super::Picture;
 /// A sheet to draw.
 #[derive(Clone, Debug)]
 pub struct Sheet {
-    /// Text above everything; may be empty.
+    /// Text at the top of the sheet; may be empty.
     pub title: String,
     /// Width and height of a cell's picture area, pixels. No picture is larger.
     pub picture_size: [usize; 2],
-    /// From top to bottom.
+    /// The groups, from top to bottom.
     pub blocks: Vec<CellGroup>,
-    /// Paragraphs below everything.
+    /// Paragraphs at the bottom of the sheet.
     pub footer: Vec<String>,
 }
 
@@ -41,7 +41,7 @@ pub struct Sheet {
 pub struct CellGroup {
     /// Text above the cells; may be empty.
     pub title: String,
-    /// Row by row.
+    /// The cells, row by row.
     pub cells: Vec<Cell>,
     /// Number of cells per row.
     pub columns: usize,
@@ -61,7 +61,7 @@ pub struct Cell {
 pub enum CellPicture {
     /// A picture.
     Picture(Picture),
-    /// Text instead of a picture: why it is missing.
+    /// Text instead of a picture: the reason why the picture is missing.
     Text(String),
 }
 
@@ -204,7 +204,7 @@ impl<'h> TextLines<'h> {
         if self.lines.is_empty() { 0 } else { self.height() + GAP }
     }
 
-    /// Cuts the text to a height in pixels; dots mark the cut.
+    /// Cuts the text to a height in pixels. Dots mark the cut.
     fn within(mut self, height: usize) -> TextLines<'h> {
         let line_count = height / self.style.line_height;
         if self.lines.len() > line_count {
@@ -220,7 +220,7 @@ impl<'h> TextLines<'h> {
 
 const DOTS: &str = "...";
 
-/// Wraps text at this many letters, between words if possible.
+/// Wraps text at `letters` characters per line, between words if possible.
 fn wrapped(text: &str, letters: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     let mut line_letters = 0;
@@ -247,12 +247,12 @@ fn wrapped(text: &str, letters: usize) -> Vec<String> {
 const GAP: usize = 10;
 /// Gap between a picture and the text below it, pixels.
 const LABEL_GAP: usize = 3;
-/// Smallest width of a sheet, so that titles fit, pixels.
+/// Smallest width of a sheet, pixels: leaves room for titles.
 const MIN_WIDTH: usize = 240;
-/// Smallest width of a sheet with a footer, so that commands fit, pixels.
+/// Smallest width of a sheet with a footer, pixels: leaves room for commands.
 const MIN_WIDTH_WITH_FOOTER: usize = 720;
 
-/// Linear colours.
+/// The colours of the background, of a picture area without a picture, and of text; linear.
 const PAPER: [f32; 3] = [0.87, 0.88, 0.9];
 const EMPTY: [f32; 3] = [0.68, 0.69, 0.71];
 const INK: [f32; 3] = [0.03, 0.04, 0.05];
@@ -285,7 +285,7 @@ impl Canvas {
         }
     }
 
-    /// Writes lines with the upper left corner at this pixel.
+    /// Writes lines of text. The upper left corner of the text is at this pixel.
     pub(super) fn write(&mut self, words: &TextLines, [left, top]: [usize; 2]) {
         let style = MonoTextStyle::new(&words.style.font, BinaryColor::On);
         for (index, line) in words.lines.iter().enumerate() {

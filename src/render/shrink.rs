@@ -1,12 +1,13 @@
 //! Scales a picture down.
 //!
-//! Each pixel is the mean of the pixels that it covers, weighted by the covered area. Nothing is skipped, so
-//! filaments and drops stay visible.
+//! Each pixel of the result is the mean of the original pixels that it covers, weighted by the covered area.
+//! No pixel is skipped, so filaments and drops stay visible.
 
 use super::Picture;
 
 impl Picture {
-    /// Scales the picture to fit into `room`, with the same aspect ratio. A picture that fits is unchanged.
+    /// Scales the picture down to fit into `room` (width and height, pixels), with the same aspect ratio.
+    /// Keeps the size of a picture that fits. The result has no [`data`](Picture::data).
     pub fn scaled_to_fit(&self, room: [usize; 2]) -> Picture {
         let scale = [0, 1].map(|axis| room[axis] as f64 / self.size[axis].max(1) as f64);
         let scale = scale[0].min(scale[1]);

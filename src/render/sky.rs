@@ -1,10 +1,10 @@
-//! Occlusion of the sky: the fluid as a fog on a pyramid of coarse cells, through which a cone is traced with
-//! as few samples as its width allows.
+//! Occlusion of the sky, by cone tracing: the fluid is approximated by a fog, whose density is stored in a
+//! pyramid of coarse cells.
 //!
 //! ```text
-//!     ·  ╱           Each cell stores the fraction that is inside. Twice as far away,
-//!      ╱───╮         cells with twice the edge are sampled: a cone takes a handful of samples,
-//!    ╱──╮  │         and shadows are soft, without noise.
+//!     ·  ╱           Each cell stores the fraction of its volume that is inside the fluid. Twice as
+//!      ╱───╮         far away, a cone is twice as wide and samples cells with twice the edge. So a cone
+//!    ╱──╮  │         takes few samples, and shadows are soft, without noise.
 //!   •───┴──┴──
 //! ```
 //!
@@ -34,7 +34,7 @@ struct DensityLevel {
     density: Vec<f32>,
 }
 
-/// The finest cells, in voxels: half a leaf.
+/// The edge of the finest cells, in voxels: half the edge of a leaf.
 const FINEST_EDGE: i32 = 4;
 
 /// Upper limit of the number of finest cells: large frames have larger cells.
@@ -67,8 +67,8 @@ impl Sky {
         Sky { origin: least.as_dvec3(), levels, edge: edge as f32 }
     }
 
-    /// The fraction of the light that passes through a cone: from a point, in voxels, along a direction, with
-    /// the tangent of half its opening angle.
+    /// The fraction of the light that arrives at a point, in voxels, through a cone along a direction.
+    /// `tangent` is the tangent of half the cone's opening angle.
     pub(super) fn transmittance(&self, point: DVec3, direction: Vec3, tangent: f32) -> f32 {
         let Some(coarsest) = self.levels.last() else { return 1.0 };
         let extent = self.edge * (1 << (self.levels.len() - 1)) as f32;
@@ -84,8 +84,8 @@ impl Sky {
         clear
     }
 
-    /// The inside fraction around a point, in units of the finest cells, on the level whose cells have an
-    /// edge of 2^`power`.
+    /// The inside fraction around a point, interpolated between the two levels whose cells have about the
+    /// edge 2^`power`. Point and edge are in units of the finest cells.
     fn density(&self, point: Vec3, power: f32) -> f32 {
         let power = power.clamp(0.0, (self.levels.len() - 1) as f32);
         let finer = power.floor();
@@ -97,7 +97,8 @@ impl Sky {
 }
 
 impl DensityLevel {
-    /// Trilinear interpolation, in cells; 0 outside of all cells.
+    /// The density at a point, by trilinear interpolation; 0 outside of all cells. The unit is the edge of a
+    /// cell.
     fn at(&self, point: Vec3) -> f32 {
         let point = point - 0.5;
         let is_near = point.cmpge(Vec3::NEG_ONE).all() && point.cmple(self.size.as_vec3()).all();
@@ -150,7 +151,7 @@ fn floor(point: Vec3) -> IVec3 {
     toward_zero - IVec3::select(above, IVec3::ONE, IVec3::ZERO)
 }
 
-/// Fills in the inside fraction of each cell; stray leaves outside of all cells are ignored.
+/// Fills in the inside fraction of each cell. Ignores stray leaves, which are outside of all cells.
 fn fill(level: &mut DensityLevel, band: &NarrowBand, least: IVec3, edge: i64) {
     let per_voxel = (1.0 / edge as f32).powi(3);
     let negative = negative_masks(&band.phi);
@@ -174,7 +175,7 @@ fn fill(level: &mut DensityLevel, band: &NarrowBand, least: IVec3, edge: i64) {
             let cell_index = level.index(((first + aside.as_i64vec3()) / edge).as_ivec3());
             level.density[cell_index] += count as f32 * per_voxel;
         }
-        // The gap between two leaves of a column is inside if the first leaf ends inside.
+        // Between two leaves of a column along z, all voxels are inside if the first leaf ends inside.
         let Some(&(next, _)) = columns.get(index + 1) else { continue };
         let is_column = next.truncate() == first.truncate();
         let ends_inside = negative[leaf].rows_with(0x80).count_ones() > 32;
@@ -199,7 +200,7 @@ mod tests {
     use crate::surface::grid::{Field, Topology, voxel_in_leaf};
     use std::sync::Arc;
 
-    /// A ball of this radius, in voxels, around the origin.
+    /// The level set of a ball of this radius, in voxels, around the origin.
     fn ball(radius: f32) -> NarrowBand {
         let reach = (radius as i32 + 8) / 8 * 8;
         let mut origins = Vec::new();
@@ -266,7 +267,7 @@ mod tests {
         }
     }
 
-    /// Two halves of the scene, as far apart as possible: neither counts as stray.
+    /// With two leaves as far apart as possible, neither counts as stray: each is half of the scene.
     #[test]
     fn leaves_at_both_ends_of_the_grid_share_one_sky() {
         let origins = [IVec3::splat(-(1 << 30)), IVec3::splat((1 << 30) - 8)];

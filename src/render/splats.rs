@@ -1,4 +1,4 @@
-//! Renders particles as balls, and coloured marks on a surface.
+//! Renders particles as balls, and marks on a surface as coloured balls.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -20,12 +20,12 @@ struct Splat {
     index: u32,
 }
 
-/// A ball in camera space, in rays from the upper left corner of the picture.
+/// A ball, projected to the picture. x and y count rays from the upper left corner of the picture.
 #[derive(Clone, Copy)]
 struct Disc {
     x: f64,
     y: f64,
-    /// Its radius, in rays.
+    /// Its radius, as a number of rays.
     edge: f64,
     /// Its depth, world units.
     depth: f64,
@@ -50,13 +50,13 @@ pub(super) fn render_marks(marks: &[Mark], radius: f64, view: &View) -> Picture 
     shade(&splats, view, |lighting, Splat { index, .. }, toward| {
         let Mark { normal, color, .. } = marks[index as usize];
         let normal = normal.as_vec3();
-        // Shade a sheet from behind, too.
+        // A sheet that is seen from behind is shaded like one seen from the front.
         let normal = if normal.dot(toward) < 0.0 { -normal } else { normal };
         lighting.matte(Vec3::from(color), lighting.unoccluded(normal), normal)
     })
 }
 
-/// The results of the rays of a picture of balls.
+/// Traces all rays of a picture of balls, and returns their results row by row.
 fn draw(count: usize, position: impl Fn(usize) -> DVec3 + Sync, radius: f64, view: &View) -> Vec<Splat> {
     let [columns, rows] = view.size.map(|size| size * SAMPLES);
     let count = u32::try_from(count).unwrap_or(u32::MAX);
@@ -122,7 +122,7 @@ impl RowBand<'_> {
     }
 }
 
-/// Averages the rays of each pixel; `color_of` returns the colour of a ball towards the camera.
+/// Averages the rays of each pixel. `color_of` returns the colour of a ball, as seen from the camera.
 fn shade(splats: &[Splat], view: &View, color_of: impl Fn(&Lighting, Splat, Vec3) -> Vec3 + Sync) -> Picture {
     let [width, height] = view.size;
     let sky = Sky::empty();
@@ -172,7 +172,7 @@ mod tests {
         // The box spans 0.88 of half the height: 0.8 is just under 14 pixels from the middle.
         assert_eq!([at(27), at(53)], [[true, false, false], [false, true, false]]);
         assert_eq!(picture.coverage[20 * 80 + 40], 0.0);
-        // From behind they are shaded as from the front.
+        // Marks that are seen from behind are shaded like marks seen from the front.
         let turned = marks.map(|mark| Mark { normal: -mark.normal, ..mark });
         assert_eq!(render_marks(&turned, 0.3, &view), picture);
     }

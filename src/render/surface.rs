@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Inside a cell φ is trilinear, so along a ray it is a cubic polynomial. The intersection is therefore exact
-//! for the stored values, however thin the surface; marching with fixed steps could miss it.
+//! for the stored values, even if the fluid is very thin. Marching with fixed steps could miss thin fluid.
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
@@ -20,17 +20,17 @@ use crate::surface::space::{CoordBox, box_of, joined};
 /// A level set prepared for ray intersection.
 pub(super) struct RaySurface<'a> {
     band: &'a NarrowBand,
-    /// Leaves with a crossing, by node; [`NO_LEAF`] if a leaf has none.
+    /// For each node, the indices of its leaves in `crossed`; [`NO_LEAF`] for a leaf without a crossing.
     nodes: FxHashMap<IVec3, Box<[u32; NODE_LEAVES]>>,
     crossed: Vec<CrossedLeaf>,
-    /// The box of cells with a crossing.
+    /// The bounding box of the cells with a crossing.
     pub(super) cells: CoordBox,
 }
 
 /// A leaf with cells that the surface passes through.
 struct CrossedLeaf {
     origin: IVec3,
-    /// These cells, by their lower corners.
+    /// The cells that the surface passes through, by their lower corners.
     cells: LeafMask,
     /// Its neighbour leaves, as in [`Topology::neighborhood`].
     around: [u32; 27],
@@ -43,7 +43,7 @@ pub(super) struct Hit {
     /// Whether the ray came from outside.
     pub(super) is_front: bool,
     leaf: u32,
-    /// Relative to the leaf.
+    /// The lower corner of the cell, relative to the leaf.
     cell: IVec3,
 }
 
@@ -52,7 +52,7 @@ const NODE_EDGE: i32 = 16;
 
 const NODE_LEAVES: usize = (NODE_EDGE * NODE_EDGE * NODE_EDGE) as usize;
 
-/// Upper limit of the nodes along a ray, which are two million voxels: beyond that, pixels are larger than
+/// Upper limit of the number of nodes along a ray: two million voxels. Farther away, pixels are larger than
 /// voxels.
 const NODES_MAX: usize = 1 << 14;
 
@@ -80,7 +80,7 @@ impl<'a> RaySurface<'a> {
         RaySurface { band, nodes, crossed, cells }
     }
 
-    /// The first intersection of a ray with the surface, from `t_min` to `t_max`.
+    /// The first intersection of a ray with the surface; `span` is the interval of t that is searched.
     pub(super) fn intersect(&self, ray: &Ray, span: [f64; 2]) -> Option<Hit> {
         if self.cells.is_empty() {
             return None;
@@ -126,7 +126,7 @@ impl<'a> RaySurface<'a> {
             } else {
                 *side == SurfaceSide::Outside
             };
-            // Rounding between two cells may hide a crossing on their common face.
+            // Rounding may hide a crossing on the common face of two cells: then the sides differ there.
             let root =
                 if *side != SurfaceSide::Unknown && *side != entry { Some(0.0) } else { along.first_root() };
             if let Some(root) = root {
@@ -151,8 +151,8 @@ impl<'a> RaySurface<'a> {
         })
     }
 
-    /// φ at a voxel relative to a leaf, up to one leaf away. If no leaf is stored there, φ of the nearest
-    /// voxel of the leaf itself: it has the right sign, and the surface is far.
+    /// φ at a voxel, given relative to a leaf, in the leaf itself or in a neighbour leaf. If the neighbour is
+    /// not stored, φ at the nearest voxel of the leaf itself: its sign is right, and the surface is far away.
     fn value(&self, leaf: &CrossedLeaf, voxel: IVec3) -> f32 {
         let step = voxel.div_euclid(IVec3::splat(LEAF_EDGE)) + 1;
         let (index, voxel) = match leaf.around[(9 * step.x + 3 * step.y + step.z) as usize] {
@@ -172,7 +172,8 @@ impl<'a> RaySurface<'a> {
         Stencil { values, at, leaf: leaf.around[13], cell: hit.cell }
     }
 
-    /// A field on the same leaves, trilinear at a hit. If no leaf is stored, the value of the nearest voxel.
+    /// The value of a field on the same leaves at a hit, by trilinear interpolation. Reads only the leaf of
+    /// the hit: the last voxels of the leaf replace those of the next leaves.
     pub(super) fn interpolate(&self, field: &[Leaf], around: &Stencil) -> f32 {
         let values = &field[around.leaf as usize].values;
         let corner = |corner: i32| {
@@ -184,7 +185,8 @@ impl<'a> RaySurface<'a> {
     }
 }
 
-/// The box of rendered leaves: all leaves, except stray ones if the scene is too wide for rays.
+/// The bounding box of the leaves to render: all leaves. If the scene is wider than a ray can be, excludes
+/// stray leaves.
 fn rendered_box(leaves: &[CrossedLeaf]) -> CoordBox {
     let corner = |index: usize| [leaves[index].origin.as_dvec3(); 2];
     let all = (0..leaves.len()).map(corner).reduce(joined);
@@ -196,7 +198,7 @@ fn rendered_box(leaves: &[CrossedLeaf]) -> CoordBox {
     }
 }
 
-/// The node of a leaf, given by its origin divided by its edge, and the index in the node.
+/// The node of a leaf, and the leaf's index in the node. `leaf` is the leaf's origin divided by its edge.
 fn node_of(leaf: IVec3) -> (IVec3, usize) {
     (leaf.div_euclid(IVec3::splat(NODE_EDGE)), index_in_node(leaf))
 }
@@ -206,10 +208,10 @@ fn index_in_node(leaf: IVec3) -> usize {
     ((local.x * NODE_EDGE + local.y) * NODE_EDGE + local.z) as usize
 }
 
-/// The cells of a leaf, by their lower corners, that have corners on both sides.
+/// The cells of a leaf that have corners on both sides of the surface, by their lower corners.
 fn crossed_cells(around: &[u32; 27], negative: &[LeafMask]) -> LeafMask {
     let row_at = |x: usize, y: usize| -> u16 {
-        // Outside of stored leaves, use the nearest stored voxel.
+        // If a neighbour leaf is not stored, the nearest voxel of the leaf itself replaces its voxels.
         let mask = |x: usize, y: usize, z: usize| around[13 + 9 * (x / 8) + 3 * (y / 8) + z];
         let own = match mask(x, y, 0) {
             NO_LEAF => negative[around[13] as usize].row(x.min(7) * 8 + y.min(7)),
@@ -249,7 +251,7 @@ impl SurfaceSide {
 
 /// φ along a ray through a cell, parametrized from 0 to 1.
 struct Cubic {
-    /// The values at 0, 1/3, 2/3 and 1.
+    /// φ at the parameters 0, 1/3, 2/3 and 1.
     values: [f32; 4],
 }
 
@@ -272,11 +274,11 @@ impl Cubic {
         ]
     }
 
-    /// The first sign change.
+    /// The parameter of the first sign change.
     fn first_root(&self) -> Option<f32> {
         let [a, b, c, d] = self.coefficients();
         let at = |x: f32| ((d * x + c) * x + b) * x + a;
-        // Between its extremes the polynomial is monotonic.
+        // Between its local extrema the polynomial is monotonic.
         let mut ends = [0.0, 1.0, 1.0, 1.0];
         let (quadratic, half, constant) = (3.0 * d, c, b);
         let discriminant = half * half - quadratic * constant;
@@ -308,7 +310,7 @@ impl Cubic {
     }
 }
 
-/// Steps of false position: the remaining error is far below the size of a pixel.
+/// Number of steps of the false position method. The remaining error is far below the size of a pixel.
 const ROOT_STEPS: usize = 4;
 
 fn trilinear(corners: [f32; 8], at: Vec3) -> f32 {
@@ -327,7 +329,7 @@ pub(super) struct Stencil {
 }
 
 impl Stencil {
-    /// φ at an offset of whole voxels from the point.
+    /// φ at an offset of whole voxels from the point, by trilinear interpolation.
     fn phi(&self, x: i32, y: i32, z: i32) -> f32 {
         let first = ((x + 1) * 16 + (y + 1) * 4 + z + 1) as usize;
         trilinear([0, 1, 4, 5, 16, 17, 20, 21].map(|step| self.values[first + step]), self.at)

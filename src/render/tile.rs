@@ -1,4 +1,5 @@
-//! A tile of a picture, with a border of pixels for comparisons with its own.
+//! A tile of a picture, with a border. The border contains the pixels outside of the tile that its own pixels
+//! are compared with, or whose light is interpolated.
 
 use glam::{DVec2, DVec3, Vec3};
 
@@ -11,7 +12,7 @@ use crate::surface::space::Lattice;
 /// Edge of a tile, pixels.
 pub(super) const TILE_EDGE: usize = 64;
 
-/// Border of a tile, pixels: it contains the next points with computed light.
+/// Border of a tile, pixels: wide enough to contain the nearest points with computed light outside the tile.
 const BORDER: usize = 4;
 
 const TRACED_EDGE: usize = TILE_EDGE + 2 * BORDER;
@@ -21,7 +22,7 @@ const LIGHT_STEP: usize = 4;
 
 const LIGHT_EDGE: usize = TRACED_EDGE / LIGHT_STEP;
 
-/// Traces rays through pixels, in voxels.
+/// Traces rays through pixels. Lengths are in voxels.
 pub(super) struct Tracer<'a> {
     surface: &'a RaySurface<'a>,
     view: &'a View,
@@ -69,8 +70,8 @@ impl<'a> Tracer<'a> {
 
     fn trace(&self, place: DVec2) -> (RayHit, Option<Stencil>) {
         let ray = self.ray(place);
-        // The ground only receives shadows and hides nothing: fluid may be below it, and rests on it without
-        // a gap.
+        // The ground only receives shadows. It hides nothing, because fluid may be below it, or rest on it
+        // without a gap.
         if let Some(hit) = self.surface.intersect(&ray, [0.0, f64::INFINITY]) {
             let around = self.surface.around(&ray, &hit);
             let outward = around.gradient().normalize_or(-ray.direction.as_vec3());
@@ -101,11 +102,11 @@ impl<'a> Tracer<'a> {
 pub(super) struct PixelTile<'a> {
     tracer: &'a Tracer<'a>,
     lighting: &'a Lighting<'a>,
-    /// The first pixel; with the border, it may be outside of the picture.
+    /// The first pixel, including the border. It may be outside of the picture.
     first: [isize; 2],
     seen: Vec<RayHit>,
     arounds: Vec<Option<Stencil>>,
-    /// The computed light, if a ray hit something.
+    /// The light at one pixel of every `LIGHT_STEP` × `LIGHT_STEP`; `None` if its ray hit nothing.
     lights: Vec<Option<Light>>,
 }
 
@@ -180,7 +181,8 @@ impl<'a> PixelTile<'a> {
         finished
     }
 
-    /// The light at a pixel, interpolated from the four surrounding points that lie in its plane.
+    /// The light at a pixel, interpolated from those of the four surrounding points with computed light that
+    /// lie in the plane of the pixel's surface.
     fn light_at(&self, x: usize, y: usize) -> Light {
         let seen = self.seen[y * TRACED_EDGE + x];
         if seen.what == HitKind::Nothing {
@@ -226,7 +228,7 @@ impl<'a> PixelTile<'a> {
         }
     }
 
-    /// Whether a neighbouring pixel shows something else.
+    /// Whether there is an edge between the pixel and one of its four neighbours.
     fn is_edge(&self, x: usize, y: usize) -> bool {
         let seen = self.seen[y * TRACED_EDGE + x];
         let position = seen.position;
@@ -268,7 +270,8 @@ impl<'a> PixelTile<'a> {
         (color, coverage)
     }
 
-    /// The light for a ray within a pixel: that of the pixel, or of a neighbour, that shows the same thing.
+    /// The light for a ray within a pixel: the light of the pixel itself, or of a neighbour, if it shows the
+    /// same surface. Otherwise the light is computed.
     fn light_of(&self, seen: &RayHit, lit: &[Light], x: usize, y: usize) -> Light {
         if seen.what == HitKind::Nothing {
             return Light::NONE;
@@ -323,22 +326,24 @@ impl<'a> PixelTile<'a> {
     }
 }
 
-/// Points count as in a pixel's plane if their offset from it is less than this fraction of their distance.
+/// A point counts as in the plane of a pixel's surface if its offset from the plane is less than this
+/// fraction of the distance between points with computed light.
 const PLANE_TOLERANCE: f64 = 0.7;
 
-/// Ground closer to the fluid than this gets its own light: at the contact, light fades within a voxel.
+/// Ground that is closer to the fluid than the larger of these limits, in voxels and in pixels, gets computed
+/// light instead of interpolated light: where ground and fluid touch, light fades within a voxel.
 const CONTACT_VOXELS: f64 = 6.0;
 const CONTACT_PIXELS: f64 = 3.0 * LIGHT_STEP as f64;
 
-/// With a smaller weight of interpolated points, the light is computed for the pixel.
+/// If the weights of the interpolated points have a smaller sum, the light is computed for the pixel itself.
 const MIN_WEIGHT: f32 = 0.3;
 
-/// Neighbouring pixels are an edge if their depths differ by more than this many pixels, or if the cosine
-/// between their normals is smaller than this.
+/// There is an edge between two neighbouring pixels if their points are more than `EDGE_STEP` pixel edges
+/// apart along the normal, or if the cosine of the angle between their normals is less than `EDGE_COSINE`.
 const EDGE_STEP: f64 = 1.5;
 const EDGE_COSINE: f32 = 0.94;
 
-/// Eight points in a pixel, no two in the same row or column of eight.
+/// Eight points in a pixel. On a grid of 8 × 8 in the pixel, no two points share a row or a column.
 const OFFSETS: [DVec2; 8] = [
     DVec2::new(0.0625, 0.4375),
     DVec2::new(0.1875, 0.8125),

@@ -1,8 +1,8 @@
 //! Traverses the cells of a cubic lattice along a ray.
 //!
 //! ```text
-//!   ·──┬───┬───┬──      A ray leaves each cell by the nearest of three planes; the next ones
-//!   ╲  │   │   │        on each axis are a fixed step of t apart.
+//!   ·──┬───┬───┬──      A ray leaves a cell through the nearest of three planes, one for each axis.
+//!   ╲  │   │   │        Successive planes of an axis are a fixed step of t apart.
 //!   ──╲┼───┼───┼──
 //!      ╲   │   │
 //! ```
@@ -30,8 +30,8 @@ impl Ray {
         self.origin + self.direction * t
     }
 
-    /// The interval of t in which the ray is inside a box, between `t_min` and `t_max`. `None` if it misses
-    /// the box or is not finite.
+    /// The interval of t, between `t_min` and `t_max`, in which the ray is inside a box. `None` if the ray
+    /// misses the box or is not finite.
     pub(super) fn within(&self, least: DVec3, greatest: DVec3, [t_min, t_max]: [f64; 2]) -> Option<[f64; 2]> {
         if !(self.origin.is_finite() && self.direction.is_finite()) {
             return None;
@@ -52,13 +52,14 @@ impl Ray {
     }
 }
 
-/// The cells along a part of a ray, each with the interval of t in it.
+/// Iterates over the cells along a part of a ray, each with the interval of t in which the ray is in the
+/// cell.
 pub(super) struct Cells {
     cell: IVec3,
     step: IVec3,
-    /// Where the ray leaves the cell on each axis, in t.
+    /// For each axis, the t at which the ray reaches the next plane.
     exits: DVec3,
-    /// The length of a cell on each axis, in t.
+    /// For each axis, the step of t between successive planes.
     strides: DVec3,
     t: f64,
     last: f64,
@@ -67,8 +68,8 @@ pub(super) struct Cells {
 }
 
 impl Cells {
-    /// Cells of this edge, in voxels, from the first t to the last. Cells outside `least` to `greatest`,
-    /// which only rounding can produce, are left out.
+    /// Cells of this edge, in voxels, from the first t to the last. Leaves out cells outside of `least` to
+    /// `greatest`, which only rounding can produce.
     pub(super) fn along(
         ray: &Ray,
         edge: f64,

@@ -12,13 +12,13 @@ use crate::surface::interrupt;
 use crate::surface::particles::{ParticleSource, Positions, Shapes};
 use crate::surface::reconstruction::Storage;
 
-/// Cancels a [`Reconstructor`](crate::surface::Reconstructor) from another thread, a signal handler or its
-/// progress callback. Clones cancel the same work. A cancelled token stays cancelled: create a new one for
-/// the next frame.
+/// Cancels the work of a [`Reconstructor`](crate::surface::Reconstructor) from another thread, a signal
+/// handler or the progress callback. Clones of a token cancel the same work. A cancelled token stays
+/// cancelled: create a new one for the next frame.
 ///
 /// The reconstruction checks the token between batches of particles while it rasterizes, between steps while
-/// it smooths, and between making and checking the mesh while it contours. It does not interrupt any of these
-/// parts, unless the threads that compute [belong to the token](Self::interrupt_this_thread).
+/// it smooths, and between making and checking the mesh while it contours. The parts between these checks are
+/// not interrupted, unless the threads that compute [belong to the token](Self::interrupt_this_thread).
 #[derive(Clone, Debug, Default)]
 pub struct CancelToken(Arc<AtomicBool>);
 
@@ -39,12 +39,13 @@ impl CancelToken {
         self.0.load(Ordering::Relaxed)
     }
 
-    /// Lets the token also interrupt the parts that this thread computes, within milliseconds, for the rest
-    /// of the thread's life. Call it in the start handler of a rayon pool that computes only for this token.
+    /// Lets the token also interrupt what this thread computes between two checks, within milliseconds, for
+    /// the rest of the thread's life. Call it in the start handler of a rayon pool that computes only for
+    /// this token.
     ///
-    /// Everything that the pool computes for this crate unwinds once the token is cancelled.
-    /// [`Reconstructor`](crate::surface::Reconstructor) returns [`Error::Cancelled`] for it; other functions
-    /// pass it to their caller like a panic.
+    /// Once the token is cancelled, everything that the pool computes for this crate unwinds.
+    /// [`Reconstructor`](crate::surface::Reconstructor) catches that and returns [`Error::Cancelled`]; other
+    /// functions unwind into their caller, as after a panic.
     ///
     /// ```
     /// use meniscus::surface::{CancelToken, Error, Options, Reconstructor};
@@ -70,7 +71,7 @@ impl CancelToken {
         if self.is_cancelled() { Err(Error::Cancelled) } else { Ok(()) }
     }
 
-    /// The same check, for callbacks.
+    /// Like [`check`](Self::check), for callbacks that return a [`ControlFlow`].
     pub(super) fn flow(&self) -> ControlFlow<Error> {
         self.check().map_or_else(ControlFlow::Break, ControlFlow::Continue)
     }

@@ -2,11 +2,11 @@
 //!
 //! A program that wants a frame to stop within milliseconds computes it in a rayon pool whose threads
 //! [watch](watch_on_this_thread) a flag. [`checkpoint`] runs before every kernel and in the other long loops.
-//! Once the flag is set, it unwinds its thread, rayon unwinds the other threads of the computation, and
-//! [`catch`] ends the unwinding.
+//! Once the flag is set, the next checkpoint unwinds its thread, rayon unwinds the other threads of the
+//! computation, and [`catch`] ends the unwinding.
 //!
-//! The alternative is that every loop of every stage returns a `Result`. Unwinding keeps the stages free of
-//! that, and costs one load per kernel. rust-analyzer cancels its queries in the same way.
+//! Alternatively, every loop of every stage could return a `Result`. Unwinding keeps the stages free of
+//! results, and costs one load per kernel. rust-analyzer cancels its queries in the same way.
 
 use std::cell::RefCell;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -23,7 +23,7 @@ thread_local! {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Interrupted;
 
-/// Lets the flag interrupt computations on this thread, for the rest of its life.
+/// Lets the flag interrupt computations on this thread, for the rest of the thread's life.
 pub(super) fn watch_on_this_thread(flag: Arc<AtomicBool>) {
     FLAG.with(|watched| watched.replace(Some(flag)));
 }
@@ -40,7 +40,7 @@ pub(super) fn checkpoint() {
 
 #[cold]
 fn interrupt() {
-    // A second unwinding would abort the process. Unlike a panic, this calls no panic hook.
+    // A second unwinding would abort the process. Unlike a panic, `resume_unwind` calls no panic hook.
     if !thread::panicking() {
         resume_unwind(Box::new(Interrupted));
     }

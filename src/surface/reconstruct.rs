@@ -171,16 +171,17 @@ impl<'a> Reconstructor<'a> {
     }
 
     /// Limits the memory that a frame may take in addition to its particles, in bytes. An upper bound of the
-    /// need is computed before anything is allocated; frames take about two thirds of it. A frame that needs
-    /// more fails with an [error](Error::MemoryLimit), or uses [scratch storage](Self::scratch).
+    /// memory is computed before anything is allocated; frames take about two thirds of this bound. A frame
+    /// that needs more fails with an [error](Error::MemoryLimit), or uses [scratch storage](Self::scratch).
     pub fn memory_limit(&mut self, bytes: u64) -> &mut Self {
         self.memory_limit = bytes;
         self
     }
 
     /// Sets where to store what does not fit into the memory limit. For such a frame, `make` is called eight
-    /// times, usually to create temporary files, which are dropped with the frame. The surface is the same to
-    /// the bit. The integrators [`Implicit`](crate::surface::Integrator::Implicit) and
+    /// times, usually to create temporary files, which are dropped with the frame. The surface is
+    /// bit-identical to that computed in memory. The integrators
+    /// [`Implicit`](crate::surface::Integrator::Implicit) and
     /// [`Adaptive`](crate::surface::Integrator::Adaptive) cannot use scratch storage.
     pub fn scratch(&mut self, make: impl FnMut() -> io::Result<Box<dyn Storage>> + Send + 'a) -> &mut Self {
         self.scratch = Some(Box::new(make));
@@ -236,8 +237,8 @@ impl<'a> Reconstructor<'a> {
         Ok(with_absolute_positions(surface, settings))
     }
 
-    /// The same, with the mesh in 32 bits relative to its origin, for programs that write the same files as
-    /// the command.
+    /// Like [`reconstruct_with`](Self::reconstruct_with), but the mesh has 32-bit positions relative to its
+    /// origin. For programs that write the same files as the command line.
     ///
     /// # Errors
     /// Those of [`reconstruct_with`](Self::reconstruct_with).
@@ -249,7 +250,7 @@ impl<'a> Reconstructor<'a> {
         wanted: PartsWanted<'_>,
     ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
         let positions = positions.into();
-        // An interruption leaves the settings unchanged or unknown; all else belongs to the frame.
+        // An interruption leaves the settings unchanged or `None`; all other state belongs to the frame.
         interrupt::catch(|| self.reconstruct_frame(positions, attributes, wanted))
             .unwrap_or(Err(Error::Cancelled))
     }
@@ -294,11 +295,11 @@ impl<'a> Reconstructor<'a> {
         Ok((surface, settings))
     }
 
-    /// The settings of the sequence. Before the first frame, what the options leave open is measured on these
-    /// particles.
+    /// The settings of the sequence. The first call resolves the options, and measures on these particles
+    /// what the options leave open.
     ///
     /// # Errors
-    /// Those of [`reconstruct_with`](Self::reconstruct_with) that are about options.
+    /// The errors of [`reconstruct_with`](Self::reconstruct_with) that concern options.
     #[doc(hidden)]
     pub fn resolve_on<'p>(
         &mut self,

@@ -44,7 +44,7 @@ pub struct ReconstructionReport {
     pub convergence: Option<Convergence>,
     /// Number of explicit steps that exceeded the CFL bound (Eq. 8).
     pub cfl_exceeded_count: usize,
-    /// Seconds in each stage, if the caller measured them: the method reads no clock.
+    /// Seconds in each stage, if the caller measured them: the method itself does not measure time.
     pub seconds: StageSeconds,
     /// The checks of the result.
     pub certificate: Certificate,
@@ -72,7 +72,7 @@ pub struct TransferReport {
     pub vertices: TransferCounts,
     /// Counts for the positions in the band from which the voxels take their values.
     pub band: TransferCounts,
-    /// Seconds that it took, if the caller measured them.
+    /// Seconds that the interpolation took, if the caller measured them.
     pub seconds: f64,
 }
 
@@ -114,7 +114,8 @@ pub struct ShapeStats {
     /// The longest semi-axis, in units of the settings' radii.
     #[cfg_attr(feature = "serde", serde(serialize_with = "as_f64"))]
     pub longest: f32,
-    /// Seconds that it took, if the caller measured them; the seconds of rasterization include them.
+    /// Seconds that computing the shapes took, if the caller measured them; the seconds of rasterization
+    /// include them.
     pub seconds: f64,
 }
 
@@ -164,9 +165,9 @@ pub enum Phase {
 
 /// Wall-clock seconds in each stage of the method, if the caller measured them; else 0.
 ///
-/// If several frames run in one thread pool, each gets only a share of it, and a stage that waits for part of
-/// its work may also wait for another frame's stage. The seconds are the cost of a frame only if it runs
-/// alone.
+/// If several frames run in one thread pool, each frame gets only a share of the threads, and a stage that
+/// waits for part of its work may also wait for another frame's stage. The seconds are the cost of a frame
+/// only if it runs alone.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct StageSeconds {

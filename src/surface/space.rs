@@ -67,9 +67,9 @@ impl CoordBox {
     }
 }
 
-/// The bounding box of `count` small boxes, given by minimum and maximum corner. Ignores strays: boxes
-/// farther from nearly all others than these extend. Ignores boxes that are not finite; `None` if there are
-/// no others.
+/// The bounding box of `count` small boxes, given by minimum and maximum corner. Ignores strays: boxes that
+/// are farther from nearly all other boxes than the extent of those. Ignores boxes that are not finite;
+/// `None` if there are no others.
 pub fn box_of(count: usize, small: impl Fn(usize) -> [DVec3; 2]) -> Option<[DVec3; 2]> {
     let finite = |index: usize| Some(small(index)).filter(|ends| ends.iter().all(|end| end.is_finite()));
     let all = (0..count).filter_map(finite).reduce(joined)?;

@@ -22,7 +22,7 @@ pub struct WatchConfig {
     pub threads: usize,
     /// Maximum number of frames between the start of their reading and the end of their writing.
     pub in_flight: usize,
-    /// Memory limit, in bytes, for all frames in progress together. A frame that needs more alone is
+    /// Memory limit, in bytes, for all frames in progress together. A frame that exceeds the limit alone is
     /// reconstructed out of core, in tiles kept on disk; if that is impossible, it fails with a message that
     /// says how much memory it needs.
     pub memory_bytes: u64,
@@ -58,7 +58,7 @@ pub struct Watch {
     pub sentinel: Option<String>,
     /// What to write, and where.
     pub outputs: OutputOptions,
-    /// All other options of the method.
+    /// The options of the method.
     #[serde(with = "by_name")]
     pub choices: MethodOptions,
     /// Absolute paths of obstacles. A path with a placeholder for the frame number, such as `body.####.obj`,
@@ -92,26 +92,26 @@ pub fn names_level_sets(pattern: Option<&str>) -> bool {
 pub enum Order {
     /// By name, in natural order: frame.2 before frame.10
     Natural,
-    /// The one written last
+    /// By modification time: the most recently written frame first
     Latest,
 }
 
 /// How long a file must be unchanged before it is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StabilityTimeouts {
-    /// A file whose format says that it is complete, or whose reader detects truncation.
+    /// For a file whose format says that it is complete, or whose reader detects truncation.
     pub settle: Duration,
-    /// A file whose format cannot show whether it is complete.
+    /// For a file whose format cannot show whether it is complete.
     #[serde(rename = "unproven")]
     pub unverifiable: Duration,
-    /// A file whose format says that it is incomplete. It is then read, to report the error.
+    /// For a file whose format says that it is incomplete. The file is then read anyway, to report the error.
     pub stalled: Duration,
 }
 
 /// When to poll folders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Poll {
-    /// Where the system reports no changes, that is, on network file systems.
+    /// Where the operating system sends no file-system events, as on network file systems.
     Auto,
     /// Everywhere, at this interval.
     Every(Duration),

@@ -54,7 +54,7 @@ struct EventLoop<'a> {
 /// The interval of heartbeats.
 const TICK: Duration = Duration::from_secs(1);
 
-/// Maximum number of events to handle before their consequences are decided.
+/// Maximum number of events in a batch. After each batch, the core decides what follows from it.
 const BATCH: usize = 4096;
 
 /// How long shutdown waits for a worker that hangs.
@@ -129,7 +129,9 @@ impl<'a> EventLoop<'a> {
                 Event::PipelineEnded { pipeline } => {
                     let is_wanted = self.pipelines.remove(pipeline).flatten().is_some();
                     if is_wanted && !self.core.is_stopping() {
-                        return Err(DaemonError::Threads("the pipeline has ended unexpectedly".to_owned()));
+                        let what = "a pipeline ended unexpectedly, which is a bug: restart the daemon, and \
+                                    report the bug with the log";
+                        return Err(DaemonError::Threads(what.to_owned()));
                     }
                 }
                 Event::JournalSynced => self.unsynced_count = self.unsynced_count.saturating_sub(1),
@@ -149,7 +151,7 @@ impl<'a> EventLoop<'a> {
 
     fn carry_out(&mut self) -> Result<(), DaemonError> {
         self.core.publish(self.context.store.as_deref());
-        // Workers live as long as the loop, so a failed send means that it is ending.
+        // Workers live as long as the loop, so a failed send means that the loop is ending.
         for effect in self.core.take_effects() {
             match effect {
                 Effect::Root(root, request) => drop(self.workers.roots[root].send(request)),
@@ -278,7 +280,7 @@ impl<'a> EventLoop<'a> {
     fn finish(mut self, ended: EndReason) -> Result<WatchSummary, DaemonError> {
         self.end()?;
         let summary = self.core.summary(ended);
-        // The next run needs the locks that these threads hold.
+        // Wait until the workers' threads end: they hold locks that the next run needs.
         let has_stalled = self.core.has_stalled();
         let wait = if has_stalled { GRACE } else { self.context.config.stop_deadline };
         let EventLoop { workers, context, pipelines, notices, .. } = self;

@@ -130,7 +130,8 @@ pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
     let settings_hold = record.zip(question.settings).map(|(record, settings)| record.settings == settings);
     let output_missing = record.and_then(first_missing_output);
     let seen = look(frame, trust_clock(frame))?;
-    // A file that cannot be searched for steps may have this one: reading it reports why it fails.
+    // A file that cannot be searched for steps may contain this step; reading the file reports why the search
+    // fails.
     let seen = seen.filter(|_| !is_missing_step(frame).unwrap_or(false));
     let (file, verdict) = match seen {
         None => (None, FrameExplanation::Gone),
@@ -143,7 +144,8 @@ pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
     Ok(Explanation { is_selected, file, settings_hold, output_missing, verdict })
 }
 
-/// The order of the loop: first the record, then whether the file is complete, then its kind.
+/// Combines the checks in the order of the loop: first the record, then whether the file is complete, then
+/// its kind.
 fn verdict(file: &FileFacts, decision: Decision) -> FrameExplanation {
     match (decision, file.readiness, file.content) {
         (Decision::Skip(reason), _, _) => FrameExplanation::Skipped(reason),
@@ -178,7 +180,7 @@ fn facts(
     let now = Instant::now();
     let readiness = readiness_of(file_of(frame), &Candidate::new(now, seen, false), now, watch, timeouts);
     let is_same = |record: &JournaledFrame| record.stamp.still_holds(&seen.stamp);
-    // Only a file with the same size and another time must be read to compare its content.
+    // Only a file with the same size and another stamp must be read to compare its content.
     let is_to_read = |record: &&JournaledFrame| {
         record.hash.is_some() && record.stamp.size == seen.stamp.size && !is_same(record)
     };
@@ -219,9 +221,11 @@ impl fmt::Display for FrameExplanation {
             FrameExplanation::Skipped(reason) => write!(f, "is not converted because {reason}"),
             FrameExplanation::Waits(why) => write!(f, "is not converted yet because {why}"),
             FrameExplanation::NotAFrame(SniffedContent::OwnOutput) => {
-                f.write_str("is not converted because this program made it")
+                f.write_str("is not converted because it is an output of this program")
             }
-            FrameExplanation::NotAFrame(_) => f.write_str("is not converted because it holds no particles"),
+            FrameExplanation::NotAFrame(_) => {
+                f.write_str("is not converted because it is not a particle file")
+            }
             FrameExplanation::Found(outputs) => {
                 let names: Vec<_> =
                     outputs.iter().filter_map(|path| path.file_name()).map(OsStr::to_string_lossy).collect();
@@ -233,7 +237,8 @@ impl fmt::Display for FrameExplanation {
                     names.join(", ")
                 )
             }
-            // The record says that the files existed; whether they still do is not checked here.
+            // The record says that other files blocked the frame. Whether they still exist is not checked
+            // here.
             FrameExplanation::Converted(Decision::Convert(ConvertReason::WasRefused)) => {
                 f.write_str("will be converted as soon as the files that blocked it are gone")
             }

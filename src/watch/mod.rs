@@ -4,16 +4,17 @@
 //! ```text
 //!   core         decides: state and events in, effects out; no files, clocks or threads
 //!   event_loop   one thread: passes events to the core, carries out its effects, sends heartbeats
-//!   io           threads that may block: one for each watched folder and each folder of outputs, and the pipelines
-//!   journal      the memory that survives a restart
+//!   io           threads that may block: one per watched folder and per folder of outputs, and the pipelines
+//!   journal      the records that survive a restart
 //!   status_store what users see: frames, status, counters
 //!   explain      why a frame is, or is not, converted       waiting   which files are not complete
 //! ```
 //!
 //! A file system that hangs delays only the frames of its own folder.
 //!
-//! The daemon may be killed at any moment. Its memory is an append-only journal, and even that may be lost,
-//! because each output records what it was made from. Outputs appear by rename.
+//! The daemon may be killed at any moment. Its persistent state is an append-only journal. Even the journal
+//! may be lost, because each output records what it was made from. Outputs are renamed into place when they
+//! are complete.
 
 mod api;
 mod config;

@@ -1,15 +1,16 @@
 //! Lists the files whose writers have not finished them.
 //!
 //! ```text
-//!   files in the watched folders ──▶ minus those in the journal ──▶ minus complete files ──▶ minus files that are not frames
+//!   files in the watched folders ──▶ minus those in the journal ──▶ minus complete files
+//!                                                               ──▶ minus files that are not frames
 //! ```
 //!
 //! The journal records only complete files, because a growing file would fill it. So this search runs on
-//! request, by the rules of the event loop, and does not disturb a running daemon. It does not have the
-//! daemon's memory. A file that was renamed into place therefore counts as waiting for a moment, although the
-//! daemon accepts it at once. If no clock here can show the age of a file, as on a network file system, the
-//! file is reported only if it lacks its sentinel or its end: only the daemon knows how long it has been
-//! unchanged.
+//! request, by the rules of the event loop, and does not disturb a running daemon. It does not know what the
+//! daemon has seen. A file that was renamed into place therefore counts as waiting for a moment, although the
+//! daemon accepts it at once. If this machine's clock does not set the times of a file, as on a network file
+//! system, the age of the file is unknown. Then the file is reported only if its sentinel or its end is
+//! missing: only the daemon knows how long it has been unchanged.
 //!
 //! A folder may hang, or hold too many files. So a thread searches within a time limit, and the search
 //! returns the files found by then.
@@ -42,7 +43,7 @@ pub struct Waiting {
 /// Time limit of the search.
 const TIME_MAX: Duration = Duration::from_secs(3);
 
-/// Maximum number of files to inspect that are not in the journal: each is opened.
+/// Maximum number of files outside the journal to inspect: each of them is opened.
 const FILES_MAX: usize = 10_000;
 
 /// The files that a daemon with this journal would take for frames but does not read yet, each with the
@@ -100,7 +101,7 @@ fn search(
     for watch in &plan.watches {
         let selection = FileFilter::new(watch.pattern.as_deref(), watch.recursive, output_folders.clone());
         let Ok(selection) = selection else { continue };
-        // As a rule, all files in the folder have the same clock.
+        // One check per folder suffices: usually the same clock sets the times of all its files.
         let is_trusted = trust_clock(&watch.input.join("any"));
         let Ok(found) = scan(&watch.input, &watch.input, &selection, is_trusted) else { continue };
         for (path, seen) in found.files {
@@ -118,7 +119,7 @@ fn search(
             }
         }
     }
-    // Here, too.
+    // The receiver may have been dropped here, too.
     let _ = tell.send(None);
 }
 

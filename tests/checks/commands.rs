@@ -1,9 +1,11 @@
-//! Runs every command in the README, the tutorials and other pages as it stands there, in a folder with the files that it names.
+//! Runs every command in the README, the tutorials and other pages exactly as written, in a folder with the
+//! files that it names.
 //!
-//! Commands are the lines of code blocks in `sh`, up to their remarks: two blanks or more. `meniscus` runs in a shell, must
-//! exit with status 0 (or with 1, where the remark says so), and must make the files that it names. For commands that begin with
-//! `cargo`, the program or the example runs with the same arguments, in the build of these tests. A command of another kind
-//! must be in `RUN_ELSEWHERE`, so that no page has a command that was never run.
+//! Commands are the lines of code blocks in `sh`. Text after two or more blanks is a remark. A `meniscus`
+//! command runs in a shell. It must exit with status 0 (or with 1 if the remark says so), and must make the
+//! files that it names. For a command that begins with `cargo`, the program or the example runs with the same
+//! arguments, as built for these tests. Any other command must be in `RUN_ELSEWHERE`, so that every command
+//! on the pages is run by some check.
 
 #![cfg(target_os = "linux")]
 
@@ -28,9 +30,11 @@ use tempfile::{TempDir, tempdir};
 use crate::scene::{block, meniscus, write_ply};
 
 /// The pages whose commands run here, each in a separate folder, from top to bottom.
-const PAGES: [(&str, &str); 7] = [
+const PAGES: [(&str, &str); 9] = [
     ("README.md", include_str!("../../README.md")),
     ("docs/commands.md", include_str!("../../docs/commands.md")),
+    ("docs/howto-blender.md", include_str!("../../docs/howto-blender.md")),
+    ("docs/howto-houdini.md", include_str!("../../docs/howto-houdini.md")),
     ("docs/library.md", include_str!("../../docs/library.md")),
     ("docs/tutorial-first-surface.md", include_str!("../../docs/tutorial-first-surface.md")),
     ("docs/tutorial-live.md", include_str!("../../docs/tutorial-live.md")),
@@ -41,10 +45,10 @@ const PAGES: [(&str, &str); 7] = [
 /// A timeout far longer than any command here takes.
 const TIMEOUT: Duration = Duration::from_secs(120);
 
-/// Frames of `cache/` and of the same name beside it.
+/// Numbers of the frames in `cache/`, and of those with the same names in the folder above.
 const FRAMES: [usize; 3] = [11, 12, 13];
 
-/// Frames of `shot/`: with 60 shards, shard 17 of docs/commands.md is the last that has a frame.
+/// Number of frames in `shot/`: with 60 shards, shard 17 in docs/commands.md is the last shard with a frame.
 const SHOT_FRAMES: usize = 18;
 
 #[test]
@@ -57,7 +61,7 @@ fn every_command_runs_and_makes_the_files_it_names() {
             command_count += 1;
         }
         if page == "README.md" {
-            // The README names the first outputs of the first command.
+            // The README lists the first outputs of its first command.
             let out = scene.path().join("out");
             assert!(out.join("dam.0001.glb").is_file() && out.join("dam.0001.vdb").is_file());
         }
@@ -158,7 +162,7 @@ fn commands_that_run_elsewhere_are_in_a_page_and_in_their_check() {
     }
 }
 
-/// Commands within sentences: the file of the check that runs each, and the text in it that does.
+/// Commands within sentences: the file of the check that runs each command, and the text there that runs it.
 const IN_SENTENCES: [(&str, &str, &str); 6] = [
     ("meniscus flicker", "docs/commands.md", "\nmeniscus flicker 'surfaces"),
     ("meniscus help COMMAND", "tests/meniscus/manual.rs", "--help"),
@@ -188,7 +192,7 @@ fn commands_in_sentences_run_elsewhere() {
 /// The files and folders that a command makes.
 fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
     match words[..] {
-        // It writes frames of particles only, if no folder for surfaces follows their number.
+        // Without a folder for surfaces after the number of frames, it writes only frames of particles.
         [.., "dam_break", "--", cache, _] => return vec![cache],
         // Examples take no options: their output comes last.
         ["cargo", .., output] if words.contains(&"-p") => return vec![output],
@@ -197,9 +201,9 @@ fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
     }
     let options: &[&str] = match words[..] {
         [_, "status" | "why", ..] => &[],
-        // Its `--out` is where shards will write.
+        // The folder of `plan --out` is for the outputs of the shards.
         [_, "plan", ..] => &["-o"],
-        _ => &["--out", "-o", "--report", "--sequence-glb"],
+        _ => &["--out", "-o", "--report", "--sequence-glb", "--sequence-usdc", "--sequence-abc"],
     };
     words.windows(2).filter(|pair| options.contains(&pair[0])).map(|pair| pair[1]).collect()
 }
@@ -267,7 +271,7 @@ impl Scene {
             write_bgeo(&path.join("cache").join(&name), 6, number);
             write_bgeo(&path.join(&name), 6, number);
         }
-        // As SPlisHSPlasH names them.
+        // Frames with the names that SPlisHSPlasH uses.
         for number in 1..=FRAMES.len() {
             let name = format!("simulation/partio/ParticleData_Fluid_{number}.bgeo");
             write_bgeo(&path.join(name), 6, number);
@@ -305,12 +309,12 @@ impl Scene {
         shell
     }
 
-    /// Runs a command to its end, which must have this exit status.
+    /// Runs a command until it ends, and asserts its exit status.
     fn runs(&self, command: &str, exit_status: i32) {
         let Output { status, stdout, stderr } = self.shell(command).output().expect("the shell starts");
         let (out, err) = (String::from_utf8_lossy(&stdout), String::from_utf8_lossy(&stderr));
         assert_eq!(status.code(), Some(exit_status), "{command}\n{out}{err}");
-        assert!(!err.contains("changes no file"), "{command}\n{err}");
+        assert!(!err.contains("is ignored: it affects"), "{command}\n{err}");
     }
 
     /// The files at these paths, and below these folders.
@@ -339,7 +343,7 @@ impl Scene {
         fs::remove_file(socket).expect("removed");
     }
 
-    /// Runs all shards of the plan in docs/commands.md but the last, which the page runs itself.
+    /// Runs all shards of the plan in docs/commands.md except the last, which a command on the page runs.
     fn runs_other_shards(&self) {
         for shard in 0..SHOT_FRAMES - 1 {
             let ran =

@@ -1,4 +1,4 @@
-//! Checks the dependencies: a reason for each direct one, and no C code.
+//! Checks that the manifest has a reason for each direct dependency, and that no dependency has C code.
 
 use std::process::Command;
 
@@ -46,7 +46,7 @@ fn reasons_are_found() {
     assert!(!has_reason("c = \"2\" # "));
 }
 
-/// For this system; `.ci/supply_chain` checks all systems, and the build scripts.
+/// Checks the dependencies on this system. `.ci/supply_chain` checks all systems, and the build scripts.
 #[test]
 fn the_product_needs_no_c() {
     let words = "tree --package meniscus --edges normal,build --prefix none --format {p} --locked --offline";

@@ -109,7 +109,7 @@ fn every_test_named_in_a_page_exists_and_runs() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// `tests/clients/run` runs the checks in Python, by the part of their name after `check_`.
+/// Whether `tests/clients/run` runs a check in Python: it names checks by the part after `check_`.
 fn is_run(file: &Path) -> bool {
     let name = file.file_stem().and_then(|stem| stem.to_str()?.strip_prefix("check_"));
     let checks = fs::read_to_string(root().join("tests/clients/run")).expect("readable");
@@ -149,7 +149,7 @@ fn every_feature_in_the_comparison_links_to_a_test() {
     assert!(cells.iter().any(|cell| is_no(cell)), "expected at least one cell with no");
 }
 
-/// The second column of the tables in which it has our name.
+/// The cells of the second column, in the tables where this column has our name.
 fn cells_of_ours(text: &str) -> Vec<&str> {
     let mut is_ours = false;
     let mut cells = Vec::new();

@@ -2,12 +2,12 @@
 //!
 //! `cargo test` skips these tests (`test = false` in Cargo.toml); `cargo test --test checks` and `.ci/run` run them.
 
-mod commands; // every command in the README and the tutorials, run as it stands there
-mod dependencies; // a reason for each crate, and nothing in C
+mod commands; // every command in the README and the tutorials runs as written
+mod dependencies; // each crate has a reason, and no crate has C code
 mod docs; // every link has a target, and every test named in a page exists
 mod formats; // the table of formats is complete
 mod options; // the help, the example configuration and the page of options have the same options
-mod report; // the page of the report has each field
+mod report; // the page of the report has every field
 #[path = "../meniscus/scene.rs"]
 #[expect(dead_code, reason = "other tests use the rest")]
 mod scene; // small frames of particles, and a way to run the command

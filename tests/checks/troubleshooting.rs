@@ -5,7 +5,7 @@ use std::path::Path;
 
 const PAGE: &str = include_str!("../../docs/troubleshooting.md");
 
-/// Shorter pieces occur everywhere.
+/// Minimum length of a piece of a message to search for: shorter pieces occur everywhere.
 const PIECE_MIN: usize = 4;
 
 #[test]

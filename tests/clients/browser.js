@@ -1,6 +1,6 @@
 // Headless Chromium, with a page whose console messages and requests are recorded.
 //
-// The processor renders WebGL, so that pictures are the same with and without a graphics card.
+// The CPU renders WebGL, so that pictures are the same with and without a graphics card.
 
 const path = require("path");
 
@@ -13,7 +13,7 @@ const OPTIONS = [
   "--use-angle=swiftshader",
   "--enable-unsafe-swiftshader",
   "--hide-scrollbars",
-  // Whatever else there might be in the world has no address.
+  // Host names cannot be resolved: the page reaches only this machine.
   "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 ];
 
@@ -24,7 +24,7 @@ async function startBrowser(modules) {
   return { browser, version: await browser.version(), close: () => browser.close() };
 }
 
-/** Opens an address, and keeps what should not have happened in `faults`. */
+/** Opens an address, and collects errors and requests to other hosts in `faults`. */
 async function openPage({ browser }, address, { width = 1440, height = 900 } = {}) {
   const page = await browser.newPage();
   const faults = [];
@@ -37,14 +37,14 @@ async function openPage({ browser }, address, { width = 1440, height = 900 } = {
     const url = request.url();
     if (!/^(data|blob):/.test(url) && new URL(url).origin !== own) faults.push(`asks elsewhere: ${url}`);
   });
-  // A machine that has other work takes its time.
+  // A long limit, because a busy machine is slow.
   page.setDefaultTimeout(PATIENCE_MS);
   await page.setViewport({ width, height });
   await page.goto(address);
   return { page, faults };
 }
 
-/** Pictures, as they are seen: how many colours there are, and how much of two differs. */
+/** Measures pictures: the number of colours, and the difference of two pictures. */
 class Darkroom {
   constructor(page) {
     this.page = page;

@@ -1,9 +1,9 @@
-"""The Alembic library opens each .abc, and finds the arrays of the .ply of the same frame.
+"""Checks that the Alembic library opens each .abc, and finds the arrays of the .ply of the same frame.
 
     frame       one sample: positions, faces, normals, velocities, and the program's name
-    shot.abc    a sample for each frame, at its time; the frame before a missing one has two
+    shot.abc    a sample for each frame, at its time; the frame before a missing frame has two samples
 
-Runs in a separate Python: the bindings bring libraries of their own.
+Runs in a separate Python, because the bindings contain their own copies of libraries.
 """
 
 import numpy as np
@@ -14,7 +14,8 @@ from mesh_files import read_ply, read_vertices
 from project import OUT, Check
 
 FPS = 24
-# A frame is missing: the one before it has a second sample, just before the next.
+# The samples of a shot: the frame number of the sample's time, and the frame whose mesh it has. Frame 3 is
+# missing, so frame 2 has a second sample at the time of frame 3.
 NUMBERS = ((1, 1), (2, 2), (3, 2), (4, 4))
 
 
@@ -53,8 +54,8 @@ class Archive:
         return self.schema.getTopologyVariance() == MeshTopologyVariance.kHeterogenousTopology
 
     def sample(self, index):
-        """Its arrays: positions and triangles as in the .ply, normals, and velocities."""
-        # By its time: the bindings take an integer for a time as well.
+        """The arrays of a sample: positions and triangles as in the .ply, normals, and velocities."""
+        # Select by time: the bindings treat an integer as a time, too.
         selector = ISampleSelector(self.times()[index])
         value = self.schema.getValue(selector)
         counts, corners = np.array(value.getFaceCounts()), np.array(value.getFaceIndices())
@@ -80,18 +81,18 @@ def vectors(array):
     return np.array(memoryview(array)).reshape(-1, 3)
 
 
-# The particles have z up, and Alembic has y.
+# The particles have z up, and Alembic has y up.
 TURNED = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
 def faults_of(sample, ply, is_exact):
-    """Compares the arrays with those of the .ply of a frame."""
+    """Compares the arrays with those of a frame's .ply."""
     positions, triangles = read_ply(ply)
     vertices = read_vertices(ply)
     columns = lambda names: np.stack([vertices[name] for name in names.split()], axis=1)
     off = lambda found, expected: abs(found - expected).max() if len(found) == len(expected) else np.inf
     faults = []
-    # A quantized .glb, which shots are made from, has rounded positions and normals.
+    # Shots are made from quantized .glb files, which have rounded positions and normals.
     step, turn = (0, 0) if is_exact else (2e-5 * np.ptp(positions, axis=0).max(), 0.02)
     if off(sample["positions"] + sample["matrix"][3, :3] @ TURNED.T, positions) > step:
         faults.append("its positions are others")
@@ -111,7 +112,7 @@ def faults_of(sample, ply, is_exact):
 
 
 def same_triangles(faces, fans, triangles):
-    """Exactly, or for quads by their corners."""
+    """Whether two meshes have the same triangles: exactly, or for quads the same corners."""
     if all(len(face) == 3 for face in faces):
         return np.array_equal(np.array(faces), triangles)
     return len(fans) == len(triangles) and set(np.concatenate(faces)) == set(triangles.ravel())

@@ -1,15 +1,17 @@
-"""Blender imports the .glb, .obj, .ply and .vdb of one frame, and renders two pictures of it.
+"""Checks that Blender imports the .glb, .obj, .ply and .vdb of one frame, and renders two pictures of it.
 
-    imported      as many vertices, the same bounds in Blender's axes, outward, normals that agree
+    imported      the number of vertices, the bounds in Blender's axes, outward triangles, and normals that
+                  agree with the triangles
     rendered      blender_glb.png     the mesh, with the normals that we wrote
                   blender_vdb.png     the grid, through Blender's Volume to Mesh modifier
-                  both show something, and the same
+                  neither is empty, and both show the same
     attributes    velocity and colour of the .glb and the .ply are attributes with the particles' values
     blurred       blender_still.png, blender_blurred.png
-                  the same grid at rest, and moved by the grid `velocity`: smeared along x, sharp across
+                  the same grid at rest, and with motion blur by the grid `velocity`: blurred along x, sharp
+                  along y
 
-Blender has Z up. Its importers turn .glb and .obj, which have Y up, and leave .ply and .vdb alone:
-so all are brought to the axes of the particles before they are compared.
+Blender has Z up. Its importers rotate .glb and .obj, which have Y up, and do not rotate .ply and .vdb. So the
+check rotates all of them to the axes of the particles before it compares them.
 
 Runs in a separate Python, with Blender as a module.
 """
@@ -30,9 +32,9 @@ from project import DAM_BREAK, DATA, OUT, OWN, WORK, Check, frame_of
 
 SIZE = (640, 480)
 SAMPLES = 32
-# What a different mesher may change in a picture: means over all pixels, colours from 0 to 1.
+# Largest difference of two pictures by different meshers: the mean over all pixels, of colours from 0 to 1.
 PICTURE_DIFFERENCE_MAX = 0.01
-# Turns Z-up coordinates back to those of a file with Y up.
+# Rotates Z-up coordinates back to those of a file with Y up.
 TO_Y_UP = Matrix.Rotation(math.radians(-90), 4, "X")
 
 
@@ -61,7 +63,7 @@ def main():
 
 
 def to_log(path):
-    """Redirects the output of Blender to a file, and keeps that of this check."""
+    """Redirects the output of Blender to a file, but not the output of this check."""
     sys.stdout.flush()
     sys.stdout = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644), 1)
@@ -69,7 +71,7 @@ def to_log(path):
 
 
 def frame_files():
-    """The files of the dam break, or of the project's own frame if they are missing."""
+    """The files of the dam break, or if they are missing, those of the project's own frame."""
     folder = OUT / "third-party" / "splashsurf" / f"{DAM_BREAK}.bgeo"
     if not (DATA.is_dir() and folder.is_dir()):
         folder = OUT / "own"
@@ -125,7 +127,7 @@ def examined_mesh(obj, kind, frame, low, high):
 
 
 def normals_agree(mesh):
-    """The share of the corners whose normal points to the same side as that of the triangle."""
+    """The fraction of corners whose normal points to the same side as the normal of the triangle."""
     corner_normals = np.empty(3 * len(mesh.loops), np.float32)
     mesh.corner_normals.foreach_get("vector", corner_normals)
     face_normals = np.empty(3 * len(mesh.polygons), np.float32)
@@ -148,8 +150,8 @@ def examined_volume(obj, _kind, frame, low, high):
     if max(abs(edge.length - h) for edge in edges) > 1e-6 * h:
         faults.append(f"its voxels are {[edge.length for edge in edges]}, not {h}")
     bounds = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
-    # Blender shows the bounds of the leaves, from first to last voxel; the band goes three voxels
-    # beyond the surface, and a leaf up to seven beyond the band.
+    # Blender's bounds are those of the leaves, from the first to the last voxel. The band reaches three
+    # voxels beyond the surface, and a leaf reaches up to seven voxels beyond the band.
     margins = np.concatenate([low - bounds.min(axis=0), bounds.max(axis=0) - high]) / h
     if margins.min() < 2 or margins.max() > 11:
         faults.append(f"its bounds are {margins.round(2)} voxels outside the mesh's")
@@ -160,13 +162,13 @@ def examined_volume(obj, _kind, frame, low, high):
 
 
 def examined_attributes(kind):
-    """Compares the attributes at the vertices in Blender with the fields of the particles."""
+    """Compares the vertex attributes in Blender with the fields that the particles have."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    # Until 5.1 Blender's importer of glTF fails, by chance, where numbers and vectors are together.
+    # Before 5.1, Blender's importer of glTF sometimes fails on files with both vectors and single numbers.
     folder = OUT / ("flowing-vectors" if kind == "glb" else "flowing")
     mesh = imported(kind, folder / f"flowing.{kind}").data
     there = {attribute.name: f"{attribute.data_type} {attribute.domain}" for attribute in mesh.attributes}
-    # The importer turns positions, but not what it does not know.
+    # The importer rotates positions, but not attributes that it does not know.
     points = positions_of(mesh)
     faults = []
     if kind == "glb":
@@ -180,13 +182,13 @@ def examined_attributes(kind):
     if abs(velocity[:, 0] - 3).max() != 0:
         faults.append(f"a constant is {velocity[:, 0].min()} to {velocity[:, 0].max()}")
     colors, corners = colors_of(mesh)
-    # Bytes, in the .glb's case on the curve of sRGB.
+    # Colours are bytes; those of the .glb have sRGB encoding.
     faults += flow.faults_of("colour", points[corners], colors, flow.color, rounding=0.01)
     return f"{len(points)} vertices, {', '.join(f'{name}: {there[name]}' for name in sorted(there) if name[0] != '.')}", faults
 
 
 def numbers_of(mesh, name):
-    """The values of a scalar or vector attribute at the vertices."""
+    """The values of a scalar or vector attribute at the vertices, as rows."""
     attribute = mesh.attributes[name]
     width, key = (3, "vector") if attribute.data_type == "FLOAT_VECTOR" else (1, "value")
     numbers = np.empty(width * len(attribute.data), np.float32)
@@ -195,7 +197,7 @@ def numbers_of(mesh, name):
 
 
 def colors_of(mesh):
-    """Red, green and blue of the mesh's colours, and the vertex of each."""
+    """The colours of a mesh (red, green, blue), and the vertex that each belongs to."""
     layer = mesh.color_attributes[0]
     colors = np.empty(4 * len(layer.data), np.float32)
     layer.data.foreach_get("color", colors)
@@ -207,7 +209,7 @@ def colors_of(mesh):
 
 
 def blurred():
-    """Renders the grid as smoke, at rest and in motion. Seen along z, x is to the right."""
+    """Renders the grid as smoke, at rest and in motion. The camera looks along z; x is to the right."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     volume = imported("vdb", OUT / "flowing" / "flowing.vdb")
     volume.data.velocity_grid = "velocity"
@@ -222,14 +224,15 @@ def blurred():
     for obj in (camera, light):
         scene.collection.objects.link(obj)
     scene.camera = camera
-    # Two voxels before and after: voxels farther from the surface have no velocity.
+    # The motion during the exposure is two voxels before and after the frame: voxels farther from the surface
+    # have no velocity.
     scene.render.fps = 15
     scene.render.motion_blur_shutter = 1.0
     steepest = {}
     for name, motion in (("still", False), ("blurred", True)):
         scene.render.use_motion_blur = motion
         picture = render(WORK / f"blender_{name}.png").mean(axis=1).reshape(SIZE[1], SIZE[0])
-        # Through the middle of the ball, along x and along y: there nothing moves up or down.
+        # Profiles through the middle of the ball, along x and along y. Nothing moves up or down there.
         pixels = SIZE[0] / camera.data.ortho_scale
         column, row = SIZE[0] // 2, int(SIZE[1] / 2 + (1 - camera.location[1]) * pixels)
         profiles = picture[row - 8 : row + 8].mean(axis=0), picture[row:, column - 8 : column + 8].mean(axis=1)
@@ -245,7 +248,7 @@ def blurred():
 
 
 def smoke():
-    """A material that is dense where the level set is negative."""
+    """A volume material that is dense where the level set is negative."""
     material = bpy.data.materials.new("smoke")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -268,13 +271,14 @@ def smoke():
 
 
 def rendered(surfaces, h, low, high):
-    """Renders the mesh and the volume from one place; their figures, and how the pictures differ."""
+    """Renders the mesh and the volume from the same camera. Returns figures, and the faults of the
+    pictures."""
     for name in ("obj", "ply"):
         bpy.data.objects.remove(surfaces[name])
     mesh, volume = surfaces["glb"], surfaces["vdb"]
-    # Blender turned the mesh, not the grid: turn the grid the same way. Half a voxel takes back that
-    # Volume to Mesh moves every surface to meet Blender's fog volumes, whose values it takes to be in
-    # the middle of cells.
+    # Blender rotated the mesh, not the grid: rotate the grid the same way. Volume to Mesh assumes that values
+    # are at cell centres, as those of Blender's fog volumes, and so moves surfaces by half a voxel: move the
+    # grid back.
     volume.matrix_world = Matrix.Translation((-h / 2,) * 3) @ TO_Y_UP.inverted() @ volume.matrix_world
     volume.hide_render = True
     through = as_mesh(volume)
@@ -298,7 +302,7 @@ def rendered(surfaces, h, low, high):
 
 
 def as_mesh(volume):
-    """An object that shows a volume, where it is, through Blender's own mesher."""
+    """An object that shows a volume, at its position, through Blender's own mesher."""
     obj = bpy.data.objects.new("through_volume", bpy.data.meshes.new("through_volume"))
     bpy.context.scene.collection.objects.link(obj)
     modifier = obj.modifiers.new("mesh", "VOLUME_TO_MESH")
@@ -311,7 +315,8 @@ def as_mesh(volume):
 
 
 def bounds_away(obj, low, high):
-    """The largest distance between the bounds of what an object shows and those of the particles' mesh."""
+    """The largest distance between the bounds of the mesh that an object shows and these bounds, `low` and
+    `high`."""
     bpy.context.view_layer.update()
     shown = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
     points = transformed(positions_of(shown.to_mesh()), TO_Y_UP @ obj.matrix_world)
@@ -320,7 +325,7 @@ def bounds_away(obj, low, high):
 
 
 def clay():
-    """A smooth coloured material, with enough gloss to show every fold and step."""
+    """A coloured material, with enough gloss to show every fold and step of the surface."""
     material, shader = new_material("clay")
     shader.inputs["Base Color"].default_value = (0.10, 0.35, 0.60, 1)
     shader.inputs["Roughness"].default_value = 0.3
@@ -339,7 +344,8 @@ def new_material(name):
 
 
 def stage(turn, low, high):
-    """Camera, sun, sky and ground around a box in the particles' axes; `turn` takes it to Blender's."""
+    """Adds camera, sun, sky and ground around a box. The box is in the axes of the particles; `turn` rotates
+    it to Blender's axes."""
     scene = bpy.context.scene
     corners = np.array([turn @ Vector(corner) for corner in itertools.product(*zip(low, high))])
     bottom, top = corners.min(axis=0), corners.max(axis=0)
@@ -375,7 +381,7 @@ def stage(turn, low, high):
 
 
 def render(path, size=SIZE, samples=SAMPLES):
-    """Renders to a file, and returns the picture that it holds."""
+    """Renders to a file, and returns the picture in the file."""
     scene = bpy.context.scene
     prepare_render(scene, size, samples)
     path.unlink(missing_ok=True)

@@ -1,15 +1,15 @@
-"""examples/blender/import_sequence.py shows the right file at each frame, also while a sequence grows, and in a saved
-.blend that is opened again.
+"""Checks that examples/blender/import_sequence.py shows the right file at each frame, also while a sequence
+grows, and in a saved .blend that is opened again.
 
     frames        numbers without padding and with a gap; vertices, bounds, velocities and normals are those of the file;
                   the panel lists missing frames; the material stays
     grown         a new frame is shown and extends the scene; a rewritten frame is shown, too
-    attributes    of one width and another in one .glb, and colours
-    chosen        a folder, a file, a pattern; several sequences are named; steps; Z up; quantized
-    command line  frames per second; the saved scene plays in a Blender without the script
-    rendered      example_glb.png, example_vdb.png: one frame, the same by both ways
-                  example_glb_0003.png and so on: an animation of either, each frame with its own surface
-                  example_blurred.png: the attribute `velocity` smears the mesh
+    attributes    scalars and vectors in one .glb, and colours
+    chosen        a folder, a file, a pattern; the error lists several sequences; steps; Z up; quantized
+    command line  frames per second; the saved scene plays in a Blender that has only the .blend
+    rendered      example_glb.png, example_vdb.png: one frame, with the same picture from both formats
+                  example_glb_0003.png and so on: an animation from each format, each frame with its surface
+                  example_blurred.png: the attribute `velocity` blurs the mesh
 
 Runs in a separate Python, with Blender as a module.
 """
@@ -71,7 +71,7 @@ def main():
 
 
 def loaded():
-    """The script, as a module."""
+    """The script, loaded as a module."""
     spec = importlib.util.spec_from_file_location("import_sequence", SCRIPT)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -88,7 +88,7 @@ def own(number, kind):
 
 
 def put(number, folder, kind, as_number):
-    """A frame of ours appears in a folder as meniscus' outputs do, whole, under another number."""
+    """Puts one of our frames into a folder under another number, with a rename, as meniscus does."""
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copy(own(number, kind), folder / ".coming")
     os.replace(folder / ".coming", folder / f"dam.{as_number}.{kind}")
@@ -99,7 +99,7 @@ def voxel_size():
 
 
 def faults_of(obj, number, turn=TURN):
-    """What an object shows at this time, against the mesh of one of our frames."""
+    """Compares the mesh that an object shows at the current frame with the mesh of one of our frames."""
     graph = bpy.context.evaluated_depsgraph_get()
     evaluated = obj.evaluated_get(graph)
     mesh = evaluated.to_mesh()
@@ -112,7 +112,7 @@ def faults_of(obj, number, turn=TURN):
     if len(points) != len(expected):
         faults.append(f"{len(points)} vertices instead of {len(expected)}")
     else:
-        # Blender's mesher puts vertices elsewhere in their cells, and bounds with them.
+        # Blender's mesher puts vertices at other positions in their cells, so the bounds differ, too.
         allowed = (0.3 if is_level_set else 1e-4) * h
         off = max(abs(getattr(points, end)(axis=0) - getattr(expected, end)(axis=0)).max() for end in ("min", "max"))
         if not off <= allowed:
@@ -146,7 +146,7 @@ def vertex_faults(mesh, points, expected, number, turn):
 
 
 def read_column(number, name):
-    """A property of the vertices of a binary .ply, all of whose properties are floats."""
+    """A vertex property of a binary .ply in which all vertex properties are floats."""
     data = own(number, "ply").read_bytes()
     head, _, body = data.partition(b"end_header\n")
     lines = head.decode().split("element face")[0].splitlines()
@@ -157,7 +157,8 @@ def read_column(number, name):
 
 
 def frames(kind):
-    """Our frames 1, 2, 3 and 5 as 8, 9, 10 and 12; then 6 as 13; then 8 in its place."""
+    """Checks a growing sequence: our frames 1, 2, 3 and 5 are its frames 8, 9, 10 and 12. Then our frame 6
+    becomes frame 13, and our frame 8 replaces it; our frame 4 fills the gap at 11."""
     folder = FOLDER / f"growing-{kind}"
     for number in (1, 2, 3, 5):
         put(number, folder, kind, number + 7)
@@ -173,7 +174,8 @@ def frames(kind):
         scene.frame_set(frame)
         faults.extend(f"frame {frame}: {fault}" for fault in faults_of(obj, number))
 
-    # A frame that is not there shows the last before it, and before the first the first; in any order.
+    # In place of a missing frame, the object shows the last frame before it, or the first frame if no earlier
+    # one exists. The order of the visits must not matter.
     for frame, number in ((8, 1), (9, 2), (10, 3), (11, 3), (12, 5), (13, 5), (3, 1), (9, 2), (13, 5)):
         look(frame, number)
         if frame == 11:
@@ -194,7 +196,7 @@ def frames(kind):
 
 
 def panel_faults(words):
-    """The panel without a window: it draws on what takes everything."""
+    """Whether the panel has this label. Without a window, it draws on a mock layout."""
     layout = MagicMock()
     example.MENISCUS_PT_sequences.draw(SimpleNamespace(layout=layout), bpy.context)
     labels = [call.kwargs["text"] for call in layout.box().label.call_args_list]
@@ -202,7 +204,7 @@ def panel_faults(words):
 
 
 def attributes():
-    """Fields that are known, in the axes of the particles: Z is up."""
+    """Checks attributes against the known fields of `flow.py`, in the axes of the particles: Z is up."""
     folder = FOLDER / "flowing"
     folder.mkdir()
     flow.write_particles(folder / "flowing.7.ply")
@@ -275,7 +277,8 @@ def choices():
 
 
 def turned():
-    """With `--up z` the .glb records the axis, and the script sets it for a .vdb; both lie where the particles are."""
+    """Checks Z up: with `--up z` the .glb records the axis, and the script sets it for a .vdb. Both must be
+    at the positions of the particles."""
     out = FOLDER / "turned"
     options = ["--format", "glb", "--up", "z", "--quantize", "--voxel-size", repr(voxel_size())]
     status, said, _ = convert([OWN / "dam.0005.bgeo"], out, *options)
@@ -292,7 +295,7 @@ def turned():
 
 
 def command_line():
-    """A saved scene, opened by a separate Blender: the script runs as one of its texts."""
+    """Checks a saved scene in a separate Blender, where the script runs as a text of the .blend."""
     seen, faults = [], []
     for kind in ("glb", "vdb"):
         scene = FOLDER / f"{kind}.blend"
@@ -311,7 +314,7 @@ def command_line():
         seen.append(expected)
         if expected not in said:
             faults.append(f"{scene.name}: {said}")
-    # Blender's own counting needs no script.
+    # A .vdb sequence without gaps needs no script: Blender's own file sequence shows it.
     return f"{seen[0]}; the .vdb without the script", faults
 
 
@@ -322,7 +325,8 @@ def run(*words):
 
 
 def placed(path, frame):
-    """A sequence in an otherwise empty scene, with a material, in a place for pictures of our fifth frame."""
+    """A sequence with a material in an otherwise empty scene, with a camera for pictures of our fifth
+    frame."""
     scene = empty_scene()
     obj = example.import_sequence(scene, path)
     obj.data.materials.append(clay())
@@ -346,7 +350,7 @@ def pictures():
 
 
 def animation(kind):
-    """Three frames rendered in one go, from the first on: the handler runs in the render, too."""
+    """Renders an animation of three frames: the handler must also run during a render."""
     scene, _ = placed(own(1, kind), 1)
     prepare_render(scene, SIZE, 2)
     scene.frame_start, scene.frame_end = 3, 5
@@ -368,7 +372,8 @@ def animation(kind):
 
 
 def blurred():
-    """The fifth frame in motion and at rest: water rises fast at the right, and at the left it hardly moves."""
+    """Renders our fifth frame with and without motion blur: at the right, the water rises fast; at the left,
+    it hardly moves."""
     scene, _ = placed(own(1, "glb"), 5)
     still = render(WORK / "example_glb.png", SIZE, SAMPLES)
     scene.render.use_motion_blur = True

@@ -1,8 +1,8 @@
-"""Every frame listed in convert.txt becomes .glb, .obj, .ply and .vdb, closed and certified; the
-error for an unreadable file names its format or fault.
+"""Checks that every frame in convert.txt is converted to .glb, .obj, .ply and .vdb, with a closed mesh and a
+certificate that holds, and that the error for an unreadable file names its format or fault.
 
-The check also makes a few difficult frames: no particles, one particle, far from the
-origin, up along z. All outputs stay in target/clients/out for the other checks.
+The check also makes a few difficult frames: without particles, with one particle, far from the origin, and
+with z up. All outputs stay in target/clients/out for the other checks.
 """
 
 import json
@@ -39,7 +39,7 @@ def main():
 
 
 def reads(check, label, inputs, options, formats=FORMATS):
-    """Converts all frames of a file or folder, and checks the report of each."""
+    """Converts all frames of a file or folder, and checks the report of each frame."""
     out = OUT / label.replace("*", "all")
     paths = sorted(inputs.parent.glob(inputs.name))
     if not paths:
@@ -83,7 +83,7 @@ def outcome(frame, out, formats):
 
 
 def refuses(check, label, words):
-    """Files that are not read: the error names file and kind, and nothing is written."""
+    """Checks files that cannot be read: the error names the file and its kind, and no output is written."""
     paths = sorted(DATA.glob(label))
     if not paths:
         check.line(label, "no such file", [f"{DATA / label}: no file"])
@@ -105,7 +105,7 @@ def refuses(check, label, words):
 
 
 def awkward(check):
-    """Frames that no simulator writes on a good day."""
+    """Checks frames that simulators rarely write."""
     folder = WORK / "awkward"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -122,12 +122,12 @@ def awkward(check):
 
 
 def flowing(check):
-    """A frame whose particles know more than where they are; see flow.py for what."""
+    """Converts a frame whose particles have attributes; see flow.py."""
     flow.write_particles(WORK / "awkward" / "flowing.ply")
     for label, attributes, options in (
         ("flowing", "all", []),
         ("flowing-half", "all", ["--vdb-half"]),
-        # What Blender 4.5 can be given in a .glb.
+        # Only vectors: Blender 4.5 sometimes fails on a .glb that also has single numbers.
         ("flowing-vectors", "velocity,Cd", []),
     ):
         options = ["--voxel-size", str(flow.VOXEL_SIZE), "--attributes", attributes, *options]
@@ -142,7 +142,8 @@ def flowing(check):
 
 
 def moving(check):
-    """A sequence of a block that grows, for programs that take meshes in other formats; and as one animated file."""
+    """Converts a sequence of a growing block to all mesh formats, and to files that contain the whole
+    sequence."""
     folder = WORK / "awkward" / "moving"
     folder.mkdir(parents=True, exist_ok=True)
     for frame in MOVING:
@@ -160,7 +161,7 @@ def moving(check):
         check.line(f"{label} shots", f"{len(MOVING)} frames", faults)
 
 
-# Numbers of frames; one is missing.
+# Numbers of the frames; frame 3 is missing.
 MOVING = (1, 2, 4)
 
 

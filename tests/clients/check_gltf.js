@@ -1,4 +1,4 @@
-// Khronos' own validator finds no issue of any severity in any .glb or .gltf that was written.
+// Checks that Khronos' glTF validator finds no issue of any severity in any .glb or .gltf.
 
 const fs = require("fs");
 const path = require("path");
@@ -27,7 +27,7 @@ async function main() {
 async function examined(name) {
   try {
     const bytes = new Uint8Array(fs.readFileSync(path.join(OUT, name)));
-    // No resources from outside: a file that refers to any is at fault.
+    // The validator gets no external resources: a file that refers to any is invalid.
     const report = await validator.validateBytes(bytes, { uri: name, maxIssues: 10 });
     const faults = report.issues.messages.map(({ code, message, pointer }) => `${code} ${pointer}: ${message}`);
     if (SEVERITIES.some((severity) => report.issues[severity]) && !faults.length) {

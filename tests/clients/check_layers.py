@@ -1,11 +1,13 @@
-"""Blender and OpenEXR open the picture of a ball as .exr: every layer exists, with the values of a ball.
+"""Checks that Blender and OpenEXR open the .exr picture of a ball, and that every layer exists with the
+ball's values.
 
-    OpenEXR    a part for each layer, channels with the usual names
-    Blender    type MULTILAYER; its compositor has an output for each layer, with the same numbers
+    OpenEXR    a part of the file for each layer, channels with the usual names
+    Blender    image type MULTILAYER; the compositor has an output for each layer, with the same values
 
-The ball has radius 1, lies at the origin, and flies. The camera stands 5 before it on the z axis: so at the middle of
-the picture the depth is 4, the normal points at the camera, and everywhere the normal is the position, and the mean
-curvature is 1. In the corner there is nothing.
+The ball has radius 1, is at the origin, and has a velocity. The camera is on the z axis, at a distance of 5
+from the origin. So in the middle of the picture, the depth is 4, and the normal points at the camera.
+Everywhere on the ball, the normal equals the position, and the mean curvature is 1. The corners of the
+picture are empty.
 """
 
 import logging
@@ -27,7 +29,8 @@ FLIGHT = (1.0, 2.0, 3.0)
 EYE_Z = 5.0
 CAMERA = f"eye=0:0:{EYE_Z:g},target=0:0:0,view=40,up=y"
 
-# Of each layer, its channels, the output of Blender's image node (its layer, and its name), and a type.
+# For each layer: its channels; the layer and the name of the output of Blender's image node; the type of its
+# values.
 LAYERS = {
     "beauty": ("RGBA", ("", "beauty"), np.float16),
     "coverage": (["Y"], ("", "coverage"), np.float16),
@@ -37,7 +40,8 @@ LAYERS = {
     "velocity": (["V.X", "V.Y", "V.Z"], ("velocity", "V"), np.float32),
     "curvature": (["Y"], ("", "curvature"), np.float32),
 }
-# Largest allowed errors: of distances, in units of a voxel; of curvature, which is a second derivative.
+# Largest allowed errors: distances in voxels; components of normals; curvature, which has a larger limit
+# because it is a second derivative.
 DISTANCE_VOXELS = 0.05
 NORMAL_OFF = 0.02
 CURVATURE_OFF = 0.1
@@ -64,13 +68,13 @@ def main():
 
 
 def to_log(path):
-    """What Blender says of its work goes to a file."""
+    """Redirects the output of Blender to a file."""
     os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644), 1)
     logging.disable(logging.INFO)
 
 
 def render():
-    """One particle whose least and greatest radius are 1: its surface is a ball."""
+    """Renders one particle whose r_min and r_max are 1: its surface is a ball."""
     shutil.rmtree(FOLDER, ignore_errors=True)
     FOLDER.mkdir(parents=True)
     columns = ["x", "y", "z", "vx", "vy", "vz"]
@@ -86,7 +90,7 @@ def render():
 
 
 def by_openexr(picture):
-    """Each layer as rows of pixels, the channels last; and faults of names and types."""
+    """Returns each layer as an array (rows, columns, channels), and faults of names and types."""
     faults, read = [], {}
     parts = {part.name(): part.channels for part in OpenEXR.File(str(picture), separate_channels=True).parts}
     if set(parts) != set(LAYERS):
@@ -103,7 +107,7 @@ def by_openexr(picture):
 
 
 def wrong_of_a_ball(read):
-    """What of these layers is not true of the ball."""
+    """Compares these layers with the values of the ball, and returns the faults."""
     faults = []
 
     def expect(what, found, expected, off):
@@ -112,7 +116,8 @@ def wrong_of_a_ball(read):
             faults.append(f"{what} is off by {away:.4g}")
 
     on_ball = read["coverage"][..., 0] == 1
-    # Near the rim, one ray goes through the middle of the pixel: it may just miss what the others hit.
+    # Near the rim, the ray through the middle of a pixel may miss the ball although other rays of the pixel
+    # hit it: leave these pixels out.
     inner = on_ball & (np.isfinite(read["depth"][..., 0]))
     middle = (SIZE[1] // 2, SIZE[0] // 2)
     share = on_ball.mean()
@@ -137,11 +142,12 @@ def wrong_of_a_ball(read):
 
 
 def by_blender(picture, read):
-    """The layers that Blender finds, and faults: wrong names, and numbers that differ from those of `read`."""
+    """Returns the layers that Blender finds, and faults: wrong names, and values that differ from those in
+    `read`."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     image = bpy.data.images.load(str(picture))
     faults = []
-    # Its type is known once a node has looked into it.
+    # Blender sets the type of the image only after a node has read the image.
     outputs, found = passed_on(image)
     if image.type != "MULTILAYER":
         faults.append(f"its type is {image.type}")
@@ -150,14 +156,14 @@ def by_blender(picture, read):
             faults.append(f"{name} is not there")
             continue
         away = np.abs(found[name] - read[name]).max()
-        # Halves and floats alike go through as they are.
+        # The compositor changes neither 16-bit nor 32-bit values.
         if not away <= 1e-6:
             faults.append(f"{name} is off by {away:.3g} from what OpenEXR reads")
     return f"{image.type}: {', '.join(outputs)}", faults
 
 
 def passed_on(image):
-    """The outputs of an image node, and each layer as it comes out of the compositor."""
+    """Returns the outputs of an image node, and each layer as the compositor writes it."""
     scene = bpy.context.scene
     scene.use_nodes = True
     scene.render.resolution_x, scene.render.resolution_y = SIZE
@@ -187,7 +193,7 @@ def passed_on(image):
 
 
 def blenders(name, count):
-    """A layer as Blender wrote it: one channel, or the first few of R, G, B, A."""
+    """A layer that Blender wrote: one channel, or as many of R, G, B and A as `count`."""
     (path,) = FOLDER.glob(f"{name}_*.exr")
     channels = OpenEXR.File(str(path), separate_channels=True).channels()
     ordered = next(names for names in ("RGBA", "RGB", "XYZ", "V", "Y") if set(names) <= set(channels))

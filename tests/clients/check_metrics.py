@@ -1,4 +1,5 @@
-"""Prometheus' promtool finds no fault in /metrics before, during and after the conversion of frames.
+"""Checks that Prometheus' promtool finds no fault in /metrics before, during and after the conversion of
+frames.
 
     before      no frame is converted yet
     working     at least one frame is in its stages, and at least one is done
@@ -17,7 +18,7 @@ from project import OWN, PROGRAM, WORK, Check
 
 STAGES = ("read", "rasterize", "smooth", "contour", "write")
 ROUNDS = 4
-# Debian's, unpacked: see `install`.
+# The program from Debian's package, which `install` unpacks.
 PROMTOOL = WORK / "prometheus" / "usr" / "bin" / "promtool"
 
 
@@ -46,7 +47,7 @@ def main():
 
 
 def put_frames(folder):
-    """Puts frames next to the watched folder, and one invalid file; returns the number of valid frames."""
+    """Writes frames and one invalid file next to the watched folder. Returns the number of valid frames."""
     (folder / "beside").mkdir()
     frames = sorted(OWN.glob("*.bgeo"))
     for turn in range(ROUNDS):
@@ -62,7 +63,7 @@ def hand_over(folder):
 
 
 class Watching:
-    """A daemon with its window, until the end of the block."""
+    """A daemon with an HTTP server, which runs until the end of the `with` block."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -118,7 +119,7 @@ def values_of(text):
 
 
 def promtool(text):
-    """What promtool has to say: every line is a fault, also where it takes it for a matter of taste."""
+    """The lines that promtool prints. Each counts as a fault, even if promtool only recommends a change."""
     ran = subprocess.run([PROMTOOL, "check", "metrics"], input=text, capture_output=True, text=True, timeout=60)
     said = (ran.stdout + ran.stderr).splitlines()
     return said or ([f"promtool ends with {ran.returncode}"] if ran.returncode else [])

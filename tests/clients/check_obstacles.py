@@ -1,12 +1,14 @@
-"""Dam breaks around an obstacle, and a tetrahedron covered with particles (paper, Fig. 15 and 16): trimesh
-checks the guarantees of meniscus.
+"""Checks the guarantees of meniscus for obstacles with trimesh: dam breaks around an obstacle, and a
+tetrahedron covered with particles (paper, Fig. 15 and 16).
 
     clear       no vertex is deeper in the obstacle than a quarter of a voxel
-    no void     wherever the first surface reaches the obstacle, the mesh lies on it, to a quarter of a voxel
-    certified   the frame's certificate holds, and the report has the same depth
+    no void     wherever the initial surface reaches the obstacle, the mesh is within a quarter of a voxel of
+                the obstacle
+    certified   the frame's certificate holds, and the report states the same depth of the deepest vertex
 
-The obstacle is splashsurf's icosphere, scaled and put where most of the water is; the particles in it are removed, as
-a simulation would have none there. Runs in a separate Python, with trimesh.
+The obstacle in the dam breaks is splashsurf's icosphere, scaled and moved to where most of the water is. The
+particles in it are removed, as if the simulation had the obstacle, too. Runs in a separate Python, with
+trimesh.
 """
 
 import gzip
@@ -21,12 +23,14 @@ from mesh_files import read_ply
 from project import DATA, WORK, Check, convert, data_is_there
 
 FOLDER = WORK / "obstacles"
-# Vertices may be so deep, and so far from the wall where there is fluid, in voxels.
+# Largest depth of a vertex in the obstacle, and largest distance of the mesh from a wet wall, in voxels.
 DEPTH_MAX = 0.25
-# Wet are places of the obstacle that are no farther beyond r_init of a particle, in voxels: where this is negative, the
-# first surface covers them; where it is positive, a void of less than the threshold of two voxels was between.
+# A point of the obstacle is wet if its distance from a particle is less than r_init plus this margin, in
+# voxels. With the negative margin, the initial surface covers the wet points. With the positive margin, a
+# void may be between, which is narrower than the threshold of two voxels and so gets filled.
 COVERED, APART = -0.5, 1.0
-# An edge that is sharper than the grid is round within this, in voxels.
+# The mesh rounds sharp edges of the obstacle up to this distance, in voxels: wet points near them are not
+# checked.
 EDGE_WIDTH = 1.0
 FRAMES = {
     "dam_break_frame_23_24389_particles.bgeo": 0.025,
@@ -47,7 +51,7 @@ def main():
 
 
 def dam_break(name, voxel_size):
-    """An icosphere in the water."""
+    """Checks an icosphere in a dam break."""
     folder = DATA / "third-party" / "splashsurf"
     particles = (read_bgeo if name.endswith("bgeo") else read_csv)(folder / name)
     obstacle = trimesh.load_mesh(folder / "icosphere.obj", process=True)
@@ -61,7 +65,7 @@ def dam_break(name, voxel_size):
 
 
 def tetrahedron(name, lift, wet_margin):
-    """Particles over the faces of a tetrahedron, as the paper has them."""
+    """Checks a tetrahedron with particles at a distance of `lift` from its faces, as in the paper."""
     corners = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)], float)
     faces = [(0, 1, 2), (0, 3, 1), (0, 2, 3), (1, 3, 2)]
     obstacle = trimesh.Trimesh(corners, faces, process=False)
@@ -105,15 +109,16 @@ def measured(name, particles, obstacle, voxel_size, wet_margin=COVERED):
 
 
 def deepest(obstacle, vertices, voxel_size):
-    """How deep the deepest vertex is in the obstacle, in voxels."""
+    """The largest depth of a vertex in the obstacle, in voxels."""
     low, high = obstacle.bounds
     near = ((vertices > low - voxel_size) & (vertices < high + voxel_size)).all(axis=1)
-    # Positive inside.
+    # trimesh's signed distances are positive inside.
     return max(trimesh.proximity.signed_distance(obstacle, vertices[near]).max(), 0.0) / voxel_size
 
 
 def widest_gap(obstacle, particles, surface, settings, wet_margin):
-    """How far the surface is from the obstacle at its wet places, at most, in voxels; and how many these are."""
+    """The largest distance of the surface from a wet point of the obstacle, in voxels; and the number of wet
+    points."""
     voxel_size, radius_init = settings["voxel_size"], settings["radius_init"]
     places, _ = trimesh.sample.sample_surface(obstacle, 3000, seed=1)
     distances, _ = cKDTree(particles).query(places)
@@ -125,7 +130,7 @@ def widest_gap(obstacle, particles, surface, settings, wet_margin):
 
 
 def edge_distances(obstacle, places):
-    """How far places are from the edges where faces meet at more than 60 degrees."""
+    """The distances of points from the nearest edge whose faces have normals more than 60 degrees apart."""
     sharp = obstacle.face_adjacency_edges[obstacle.face_adjacency_angles > np.pi / 3]
     nearest = np.full(len(places), np.inf)
     for start, end in obstacle.vertices[sharp]:
@@ -136,12 +141,12 @@ def edge_distances(obstacle, places):
 
 
 def read_csv(path):
-    """Positions of a file with a line of names."""
+    """The positions in a .csv file whose first line has names."""
     return np.genfromtxt(path, delimiter=",", skip_header=1)[:, :3]
 
 
 def read_bgeo(path):
-    """Positions of a gzipped classic BGEO file whose attributes are numbers of four bytes."""
+    """The positions in a gzipped classic BGEO file whose attributes are four-byte numbers."""
     data = gzip.decompress(path.read_bytes())
     point_count, _, _, _, attribute_count, *_ = struct.unpack(">8i", data[9:41])
     at, words = 41, 4

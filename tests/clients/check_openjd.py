@@ -1,6 +1,8 @@
-"""A plan by an Open Job Description: the template is checked, and run here, by the command of the project that defines it.
+"""Checks that a plan runs as an Open Job Description. The command `openjd` of that project validates the
+template and runs it on this machine.
 
-Five shards in chunks of two are three tasks; the step after them looks at the whole. Run again, every frame is done already.
+Five shards in chunks of two are three tasks. The next step verifies all outputs. In a second run, every frame
+is done already.
 """
 
 import filecmp
@@ -36,7 +38,7 @@ def main():
     command = [OPENJD, "run", TEMPLATE, *(word for name, value in given.items() for word in ("-p", f"{name}={value}"))]
     for label, already in (("openjd run", 0), ("openjd run again", FRAME_COUNT)):
         status, said = run(command)
-        # Three of the first step, and the one that looks at the whole.
+        # Three tasks of the first step, and the task that verifies all outputs.
         task_count = said.count("Running Task")
         found = [task_count == 4, f"{FRAME_COUNT} frames: {FRAME_COUNT} done" in said, said.count(": done already") == already]
         for shard in range(SHARD_COUNT):

@@ -1,16 +1,16 @@
-"""OpenVDB 10 reads every .vdb that was written, and finds a level set in it.
+"""Checks that OpenVDB 10 reads every .vdb, and finds a level set in it.
 
-Of each file:
+For each file, it checks these properties:
 
     class, name, background 3 h, transform, the counts and bounds in its metadata
-    active exactly where |φ| < background, and exactly ± background elsewhere
-    no leak of sign: φ changes sign only between two active voxels, also where tiles meet leaves
-    the inside is inside: every voxel's sign is the winding number of our mesh around it
-    |∇φ| near 1 in the band
-    OpenVDB's own mesher makes the same surface of it as our .ply and .glb, within 0.1 h in the mean
-    requested other grids exist: active where the level set is, with the particles' values
+    a voxel is active exactly if |φ| < background; other voxels are exactly ± background
+    no sign leaks: φ changes sign only between two active voxels, also where tiles meet leaves
+    every voxel's sign agrees with the winding number of our mesh around the voxel
+    |∇φ| is near 1 in the band
+    the surface by OpenVDB's own mesher is within 0.1 h of our .ply and .glb in the mean
+    other requested grids exist: they are active where the level set is, with the particles' values
 
-Runs in Debian's own Python, for which Debian builds OpenVDB's module.
+Runs in Debian's own Python, because Debian's build of OpenVDB's Python module is for that Python.
 """
 
 import math
@@ -26,19 +26,22 @@ from mesh_files import read_glb, read_ply
 from project import OUT, Check, frame_of
 from surface import distances, openvdb_surface, piece_sizes
 
-# Of two frames of a long sequence that are alike, one is enough for the surfaces' distance.
+# The distance between surfaces is measured only for every eighth frame of a long sequence, because its frames
+# are alike.
 SEQUENCE_STRIDE = 8
 GRADIENT_TOLERANCE = 0.05
 DISTANCE_MAX_VOXELS = 0.1
-# A piece around a single particle is 3.5 voxels across. Our vertices lie on it within 0.02 h (φ interpolated
-# by cubic splines); OpenVDB's mesher, which averages where edges are crossed, cuts 0.13 h off.
+# A piece of surface that is smaller than this counts as a droplet: one around a single particle is 3.5 voxels
+# across. Our vertices are within 0.02 h of its exact surface (φ interpolated by cubic splines). OpenVDB's
+# mesher averages the crossings of edges, and so its surface is 0.13 h smaller.
 DROPLET_VOXELS = 5
 DROPLET_DISTANCE_MAX_VOXELS = 0.2
-# Differences over a voxel do not resolve such a sphere: of its exact distances they make 0.90.
+# Differences over a voxel do not resolve so small a sphere: with its exact distances, they give |∇φ| = 0.90.
 DROPLET_GRADIENT_TOLERANCE = 0.12
-# Outside, voxels of the band have the values of the surface, so far away.
+# Voxels of the band have the attributes of the nearest surface, which is up to this many voxels away.
 BAND_VOXELS = 3
-# A leaf around all leaves shows what tiles and background are beyond them.
+# Margin around all leaves, in voxels: one leaf, so that the tiles and the background outside are checked,
+# too.
 MARGIN = 8
 
 
@@ -52,7 +55,7 @@ def main():
 
 
 def examined(path):
-    """The line of one file."""
+    """The figures and the faults of one file."""
     label = str(path.relative_to(OUT))
     try:
         return (label, *examine(path))
@@ -120,7 +123,7 @@ def header_faults(grid, frame, h):
 
 
 def dense(grid):
-    """All values around the leaves, and the coordinate of the first."""
+    """All values in the box of the leaves with the margin, and the coordinate of the first value."""
     low, high = grid.evalLeafBoundingBox()
     first = [x - MARGIN for x in low]
     phi = np.empty([b - a + 2 * MARGIN + 1 for a, b in zip(low, high)], np.float32)
@@ -129,10 +132,10 @@ def dense(grid):
 
 
 def band_faults(grid, phi):
-    """Active exactly where |φ| < background, exactly ± background elsewhere.
+    """Checks that a voxel is active exactly if |φ| < background, and that others are exactly ± background.
 
-    All active values lie within the background, and there are as many of them as there are such
-    values: so they are the same voxels.
+    All active values are within ± background, and the number of active voxels is the number of values within
+    ± background. So these are the same voxels.
     """
     faults = []
     background = np.float32(grid.background)
@@ -151,7 +154,8 @@ def band_faults(grid, phi):
 
 
 def attribute_faults(grid, surface, field):
-    """A grid beside the level set: active where that is, and the values of the particles near by."""
+    """Checks another grid of the file: it is active where the level set is, and has the values of nearby
+    particles."""
     faults = []
     active = {item.min for item in surface.citerOnValues()}
     found = {item.min: item.value for item in grid.citerOnValues()}
@@ -170,7 +174,8 @@ def attribute_faults(grid, surface, field):
 
 
 def sign_faults(grid, phi):
-    """Leaks: a sign that changes without an interface, or an outside that is not outside."""
+    """Finds sign leaks: sign changes far from the surface, and values other than the background around the
+    leaves."""
     background = np.float32(grid.background)
     leaks = 0
     for axis in range(3):
@@ -185,7 +190,7 @@ def sign_faults(grid, phi):
 
 
 def side_faults(grid, phi, first, mesh):
-    """Voxels a voxel or more from the surface that are on the wrong side of our mesh."""
+    """Finds voxels on the wrong side of our mesh, among those that are at least a voxel from the surface."""
     h = grid.transform.voxelSize()[0]
     inside = winding_numbers(to_index(mesh[0], grid) - np.array(first), mesh[1], phi.shape)
     sure = abs(phi) >= h
@@ -196,14 +201,15 @@ def side_faults(grid, phi, first, mesh):
 
 
 def to_index(points, grid):
-    """World points in the grid's own coordinates, in double precision."""
+    """World points in the index coordinates of the grid, in double precision."""
     return points / grid.transform.voxelSize()[0]
 
 
 def winding_numbers(points, triangles, shape):
-    """How often a closed mesh winds around each point of a lattice: crossings along x, by their sense.
+    """The winding number of a closed mesh around each point of a lattice: the sum of signed crossings along
+    x.
 
-    The rays are a little beside the lattice, so that they meet no vertex of a symmetrical mesh.
+    The rays are displaced a little from the lattice, so that they meet no vertex of a symmetrical mesh.
     """
     corners = points[triangles] - [0, 0.0137, 0.0071]
     crossings = np.zeros(shape, np.int8)
@@ -216,7 +222,7 @@ def winding_numbers(points, triangles, shape):
         weights = [cross(q[:, 1:] - ray, r[:, 1:] - ray) for q, r in ((b, c), (c, a), (a, b))]
         hit = np.logical_and.reduce([weight * np.sign(area) > 0 for weight in weights])
         x = sum(weight[hit] * corner[hit, 0] for weight, corner in zip(weights, (a, b, c))) / area[hit]
-        # Entering, seen along x, is where the normal points back.
+        # A ray along x enters the mesh where the normal points to −x.
         np.add.at(crossings, (np.ceil(x).astype(int), *ray[hit].T), -np.sign(area[hit]).astype(np.int8))
     return np.cumsum(crossings, axis=0, dtype=np.int8)
 
@@ -226,10 +232,10 @@ def cross(a, b):
 
 
 def gradient_lengths(phi, background):
-    """|∇φ| of all active voxels by upwind differences, as the eikonal equation has it.
+    """|∇φ| at all active voxels by upwind differences, the usual discretization of the eikonal equation.
 
-    Central differences would find ridges wherever a sheet is thinner than the band: there distances
-    have a kink, and no gradient.
+    Central differences would be wrong in sheets that are thinner than the band: in their middle, distances
+    have a ridge without a gradient.
     """
     core = tuple([slice(1, -1)] * 3)
     sign = np.where(phi[core] < 0, -1, 1)
@@ -248,13 +254,13 @@ def is_compared(path):
 
 
 def compared(path, grid, phi, first, ours, h):
-    """How far OpenVDB's surface is from our meshes, both ways."""
+    """Compares OpenVDB's surface with our meshes: distances in both directions."""
     faults = []
     grid, origin = near_origin(grid, phi, first)
     theirs = openvdb_surface(grid)
     ours = (ours[0] - origin, ours[1])
     figures = []
-    # The whole surface; and separately its droplets, which OpenVDB's mesher makes smaller.
+    # Compare the whole surface, and separately its droplets, which OpenVDB's mesher makes smaller.
     only_droplets = piece_sizes(*ours).max() < DROPLET_VOXELS * h
     for name, parts, limit in (
         ("", (ours, theirs), DROPLET_DISTANCE_MAX_VOXELS if only_droplets else DISTANCE_MAX_VOXELS),
@@ -276,9 +282,9 @@ def compared(path, grid, phi, first, ours, h):
 
 
 def near_origin(grid, phi, first):
-    """The grid, and where its origin is: moved, if the vertices of its mesh, which are floats in
-    world space, would be rounded to a visible part of a voxel.
-    """
+    """The grid, and the world position of its origin. A grid far from the origin is moved there: the vertices
+    of its mesh are single-precision world positions, whose rounding would otherwise be a visible part of a
+    voxel."""
     if np.abs(first).max() < 1 << 16:
         return grid, np.zeros(3)
     moved = vdb.FloatGrid(grid.background)
@@ -289,7 +295,7 @@ def near_origin(grid, phi, first):
 
 
 def droplets(mesh, h):
-    """The pieces of a mesh that are droplets."""
+    """The droplets of a mesh: its small pieces."""
     positions, triangles = mesh
     small = piece_sizes(positions, triangles)[triangles[:, 0]] < DROPLET_VOXELS * h
     used, renumbered = np.unique(triangles[small], return_inverse=True)

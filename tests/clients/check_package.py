@@ -1,11 +1,13 @@
-"""The Debian package, from its build to its removal.
+"""Checks the Debian package, from its build to its removal.
 
-`.debian/build` makes it twice, with the same bytes. Debian's own checks find no fault in it.
-Installed, the program converts frames, also as the service and under the service's account; man shows its
-pages without a warning; every link in the documentation has a target; bash, zsh and fish complete its commands; systemd takes its unit, which is not
-enabled. After removal no file of it is left. The check restores the machine also after a failure.
+    built       `.debian/build` makes the package twice, with the same bytes; lintian finds no fault
+    installed   the program converts frames, also as the service under the service's account
+                man shows the pages without a warning; every link in the documentation has a target
+                bash, zsh and fish complete the commands; systemd accepts the unit, which is not enabled
+    removed     no file of the package is left
 
-The check stops if a meniscus is installed already, because it must not remove that one.
+The check restores the machine, also after a failure. It stops if a meniscus is installed already, because it
+must not remove that one.
 """
 
 import contextlib
@@ -30,13 +32,13 @@ CONFIG = Path("/etc/meniscus/meniscus.toml")
 UNIT = "/usr/lib/systemd/system/meniscus.service"
 PAGES = Path("/usr/share/man/man1")
 DOCS = Path("/usr/share/doc/meniscus")
-# The text before the tab, and completions that must be offered.
+# The typed text, and a completion that the shell must offer for it.
 TYPED = {"conv": "convert", "convert --vox": "--voxel-size", "convert --preset gra": "granular"}
-# Where systemd's helpers would remember the unit.
+# Folders where systemd's helpers would record that the unit is enabled.
 HELPERS = [Path("/var/lib/systemd/deb-systemd-helper-enabled"), Path("/etc/systemd/system")]
-# Of a page: it holds no date, so that the same program makes the same pages.
+# The only expected warning about a page. Pages have no date, so that the same program makes the same pages.
 EXPECTED_OF_PAGES = re.compile(r'WARNING: missing date, using ""')
-# What lintian finds, and why that is as it should be.
+# Lintian's expected findings, with the reasons.
 EXPECTED_BY_LINTIAN = {
     "initial-upload-closes-no-bugs": "the package is not submitted to Debian",
 }
@@ -48,7 +50,7 @@ def main():
     if there:
         check.line("machine", "there is a meniscus already", [f"{each} would not survive" for each in there])
         check.end()
-    # So that SIGTERM also removes the installed package.
+    # Exit normally on SIGTERM, so that the package is removed, too.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     package = made(check)
     if package:
@@ -61,7 +63,7 @@ def main():
 
 
 def made(check):
-    """Makes the package; its path, unless that failed."""
+    """Makes the package. Returns its path, or None after a failure."""
     environment = {**os.environ, "PATH": f"{TOOLS}:{os.environ['PATH']}"}
     packages, said = [], ""
     for _ in range(2):
@@ -80,7 +82,7 @@ def made(check):
 
 
 def changelog_is_of_this_version(package):
-    """The package, and Debian's changelog, are of the version in Cargo.toml."""
+    """Whether the package and Debian's changelog have the version in Cargo.toml."""
     version = re.search(r'^version = "(.+)"$', (ROOT / "Cargo.toml").read_text(), re.MULTILINE)[1]
     first = (ROOT / ".debian" / "changelog").read_text().split()[1].strip("()")
     faults = [] if first.rpartition("-")[0] == version else [f"the changelog is of {first}"]
@@ -99,8 +101,8 @@ def lintian(package):
 
 
 def installed(check, package):
-    """Installs it; returns whether the program exists."""
-    # Images of small machines leave out what they take for documentation.
+    """Installs the package; returns whether the program then exists."""
+    # Minimal images of Debian exclude manuals and documentation from installation: include them.
     include = ["--path-include=/usr/share/man/*", "--path-include=/usr/share/doc/*"]
     ran = run(*AS_ROOT, "dpkg", *include, "--install", package)
     faults = ran.stderr.splitlines()[-5:] if ran.returncode else []
@@ -138,7 +140,7 @@ def converts(out):
 
 
 def links_lead_somewhere():
-    """Of all that is installed of the documentation."""
+    """Checks the links in the installed documentation."""
     faults, count = [], 0
     for page in DOCS.rglob("*.md"):
         code_aside = re.sub(r"```.*?```|`[^`]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
@@ -153,7 +155,8 @@ def links_lead_somewhere():
 
 
 def serves(folder):
-    """The configuration as it is installed, with other folders, under the account of the service."""
+    """Runs the program with the installed configuration, except the folders, under the account of the
+    service."""
     folder.chmod(0o755)
     surfaces = folder / "surfaces"
     surfaces.mkdir()
@@ -173,7 +176,8 @@ def serves(folder):
 
 
 def pages_are_clean():
-    """Neither groff nor mandoc has anything to say of a page, and every command has one."""
+    """Checks that neither groff nor mandoc prints a warning about a page, and that every command has a
+    page."""
     pages = sorted(PAGES.glob("meniscus*.1.gz"))
     faults = []
     for page in pages:
@@ -195,7 +199,7 @@ def commands_of_the_help():
 
 
 def completes(ask):
-    """Asks a shell for completions, as the tab key does."""
+    """Checks the completions that a shell offers for the Tab key."""
     faults = []
     for words, wanted in TYPED.items():
         typed = words.split()
@@ -217,7 +221,7 @@ def ask_bash(typed):
 
 
 def ask_fish(typed):
-    """Fish writes into the home folder of its user: here it has a temporary one."""
+    """Asks fish for completions. It writes into the home folder of its user, so it gets a temporary one."""
     with tempfile.TemporaryDirectory(prefix="meniscus-package-") as home:
         environment = {name: value for name, value in os.environ.items() if not name.startswith("XDG_")}
         ask = f"cd {home}; complete --do-complete 'meniscus {' '.join(typed)}'"
@@ -225,7 +229,8 @@ def ask_fish(typed):
 
 
 def ask_zsh(typed):
-    """Zsh completes on a terminal only: it gets one, and a tab, once it reads keys; then it shows its line."""
+    """Asks zsh for completions. It completes only in a terminal: it gets one, and a tab as soon as it reads
+    keys."""
     setup = """
         PS1= PS2=; autoload -Uz compinit; compinit -u -D
         begun() { print BEG''UN }; zle -N zle-line-init begun
@@ -251,14 +256,14 @@ def unit_is_sound():
 
 
 def removed(check):
-    """Removes it with its configuration, whatever state it is in."""
+    """Purges the package, including its configuration, also if it is only partly installed."""
     ran = run(*AS_ROOT, "dpkg", "--purge", NAME)
     faults = ran.stderr.splitlines()[-5:] if ran.returncode else []
     check.line("remove", "nothing is left", faults + [f"{each} is left" for each in leftovers()])
 
 
 def leftovers():
-    """The state of a package on this machine."""
+    """Files and accounts of the package that are left on this machine."""
     places = [PROGRAM, CONFIG.parent, Path(UNIT), Path("/usr/share/doc/meniscus"), *PAGES.glob("meniscus*")]
     places += [path for folder in HELPERS for path in folder.rglob("meniscus*")]
     places += [path for path in Path("/usr/share").glob("*/*completion*/*meniscus*")]
@@ -273,7 +278,7 @@ def leftovers():
 
 
 def run(*words, env=None):
-    """Runs a program to its end, with what it says kept."""
+    """Runs a program until it ends, and captures its output."""
     command = [str(word) for word in words]
     return subprocess.run(command, capture_output=True, text=True, env=env, stdin=subprocess.DEVNULL, timeout=1800)
 

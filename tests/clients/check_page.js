@@ -1,16 +1,17 @@
-// The daemon's page in a real browser: Chromium, controlled by the DevTools protocol.
+// Checks the daemon's page in a real browser: Chromium, controlled by the DevTools protocol.
 //
-//   frames      appear while a producer writes them, without a reload; their states pass, their pictures load
+//   frames      appear while a producer writes them, without a reload; states change, and pictures load
 //   failed      a failed frame shows its error
-//   surface     the 3D view draws the surface, and the mouse turns it
-//   play        continues while the sequence still grows; slider and keys choose frames
+//   surface     the 3D view draws the surface, and the mouse rotates it
+//   play        playback continues while the sequence still grows; slider and keys choose frames
 //   order       the names have the daemon's order
-//   restart     the daemon restarts while the page plays: the page continues with the new daemon's frames
-//   figures     of a frame, of its stages, of the settings: equal to those of /api; the chart is drawn
+//   restart     the daemon restarts during playback: the page continues with the new daemon's frames
+//   figures     the figures of a frame, of its stages and of the settings equal those of /api; the chart is
+//               drawn
 //   many        10 000 frames: few elements, smooth scrolling, the right names at the end
 //   silence     no error in the console, and no request to another host
 //
-// Four screenshots are worth a look: target/clients/page/{desk,phone}_{light,dark}.png.
+// Four screenshots are for review by eye: target/clients/page/{desk,phone}_{light,dark}.png.
 
 const fs = require("fs");
 const path = require("path");
@@ -23,7 +24,7 @@ const OWN = fs.readdirSync(FRAMES).sort();
 const SCREENS = { desk: [1440, 900], phone: [390, 844] };
 
 const MANY = 10_000;
-// Of the time from one picture of the screen to the next, 95 of 100, with the processor drawing them.
+// Limit of the 95th percentile of the time from one animation frame to the next, when the CPU renders.
 const SCROLL_MS_MAX = 50;
 const ELEMENTS_MAX = 600;
 
@@ -87,7 +88,7 @@ const BAD = nameOf(FIRST_COUNT + 1);
 async function framesAppear(watching, page) {
   await page.evaluate(() => {
     window.stayed = true;
-    // Every state that any frame was seen in.
+    // Every state that the page showed for any frame.
     window.states = new Set();
     const look = () => document.querySelectorAll(".frame").forEach((cell) => window.states.add(cell.classList[1]));
     new MutationObserver(look).observe(document.getElementById("strip"), { subtree: true, childList: true, attributes: true });
@@ -308,7 +309,7 @@ async function figuresAreRight(watching, page) {
 }
 
 async function chartIsDrawn(page, darkroom) {
-  // It is drawn anew every five seconds.
+  // The page redraws the chart every five seconds.
   await page.waitForFunction(() => /\d+ frames a minute/.test(document.getElementById("flow-rate").textContent));
   const chart = await pictureOf(page, "#chart");
   const { colours } = await darkroom.compare(chart, chart);
@@ -324,7 +325,7 @@ async function chartIsDrawn(page, darkroom) {
 }
 
 async function screenshots(page) {
-  // Beside the one that failed.
+  // The first frame after the failed one.
   await choose(page, nameOf(FIRST_COUNT));
   const faults = [];
   for (const [name, [width, height]] of Object.entries(SCREENS)) {
@@ -364,7 +365,7 @@ async function restartIsSurvived(watching, page, faults) {
   const late = nameOf(FIRST_COUNT + 5);
   watching.put(late, frameBytes(FIRST_COUNT + 5));
   await page.waitForFunction(() => window.links.includes("bad") && window.links.at(-1) === "good", { timeout: 120_000 });
-  // Paused and played at once, twice: one goes on, and not three.
+  // Click pause and play twice without a delay: one playback must continue, instead of three.
   await page.evaluate(() => {
     for (let turn = 0; turn < 4; turn++) document.getElementById("play").click();
     document.getElementById("strip").scrollTo({ left: 1e9 });

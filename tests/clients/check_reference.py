@@ -1,11 +1,12 @@
-"""The surfaces of the method's authors, against ours at their settings.
+"""Compares the surfaces of the authors' program with ours at the same settings.
 
-For both implicit integrators, on each frame: the mean distance of the surfaces, both ways, is at
-most 0.15 h (two correct integrations of the flow differ by 0.06 to 0.15 h), and the bending energy
-∫H² at most theirs. Curvature depends on the mesher, so ours is measured on what OpenVDB's mesher
-makes of our .vdb: theirs was made so. Of both, vertices that all but coincide are made one first.
+For our integrators `fast` and `implicit` and each frame, the mean distance between the surfaces, in both
+directions, must be at most 0.15 h: two correct integrations of the flow differ by 0.06 to 0.15 h. Our bending
+energy ∫H² must be at most theirs. Curvature depends on the mesher. OpenVDB's mesher made their mesh, so ∫H²
+is measured on the mesh that it makes from our .vdb. In both meshes, vertices that almost coincide are merged
+first.
 
-Runs in Debian's own Python, for which Debian builds OpenVDB's module.
+Runs in Debian's own Python, because Debian's build of OpenVDB's Python module is for that Python.
 """
 
 import shutil
@@ -49,7 +50,7 @@ def main():
 
 
 def compared(path, seconds):
-    """The figures of one frame, and which of them are too large."""
+    """The figures of one frame, and the faults: figures that are too large."""
     grid = vdb.read(str(path), "surface")
     ours, theirs = openvdb_surface(grid), read_ply(DATA / "reference" / f"{path.stem}.authors_implicit.ply")
     ways = [distances(*pair) / VOXEL_SIZE for pair in ((ours, theirs), (theirs, ours))]

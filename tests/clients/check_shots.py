@@ -1,9 +1,10 @@
-"""Blender imports meshes in the formats of other programs, and plays whole sequences in one file.
+"""Checks that Blender imports meshes in the formats of other programs, and plays whole sequences in one file.
 
-    frame         the quantized .glb, the .stl, the .usda and the .abc of one frame: its vertices or triangles, bounds and volume
-    shot.glb      one object for each frame, of which one has a size at a time, the one that belongs there
-    shot.usda     one object, whose mesh is that of the frame
-    shot.abc      the same, with velocities
+    frame         the quantized .glb, the .stl, the .usda and the .abc of one frame: number of vertices or
+                  triangles, bounds and volume
+    shot.glb      one object for each frame; only the object of the current frame has a scale other than 0
+    shot.usda     one object, whose mesh is that of the current frame
+    shot.abc      one object, whose mesh is that of the current frame, with velocities
     rendered      shots_glb.png, shots_usda.png, shots_abc.png: the last frame of each shot; all show the same
 
 Runs in a separate Python, with Blender as a module.
@@ -61,7 +62,7 @@ def imported(path):
 
 
 def shown(objects):
-    """The vertices that are to be seen at this time, where they are, and the volume inside."""
+    """The world positions of the vertices that are visible at the current frame, and the volume inside."""
     graph = bpy.context.evaluated_depsgraph_get()
     points, volume = [], 0.0
     for obj in objects:
@@ -81,7 +82,8 @@ def shown(objects):
 
 
 def faults_of(objects, ply):
-    """Compares the visible surface at this time with the mesh of a frame. Blender has Z up, and so have the frames."""
+    """Compares the surface that is visible at the current frame of the scene with the mesh in a .ply. Both
+    have Z up."""
     points, volume = shown(objects)
     expected, _ = read_ply(ply)
     report = frame_of(ply)
@@ -91,7 +93,7 @@ def faults_of(objects, ply):
     size = np.ptp(expected, axis=0).max()
     for bound in ("min", "max"):
         off = abs(getattr(points, bound)(axis=0) - getattr(expected, bound)(axis=0)).max() if len(points) else np.inf
-        # Half a step of a quantized mesh is less.
+        # The rounding of a quantized mesh, half a step, is smaller than this.
         if off > 2e-5 * size:
             faults.append(f"its {bound} is off by {off / size:.2g} of its size")
     if abs(volume / report["volume"] - 1) > 1e-3:
@@ -116,12 +118,12 @@ def shot(folder, kind):
     codes = [int(ply.stem.split(".")[1]) for ply in plys]
     faults, seen = [], []
     for code, ply in zip(codes, plys):
-        # Frame 1 of the scene is the first frame of a .glb; in USD and Alembic frames have their numbers.
+        # A .glb starts at frame 1 of the scene; in USD and Alembic, frames keep their numbers.
         bpy.context.scene.frame_set(code - codes[0] + 1 if kind == "glb" else code)
         faults += [f"frame {code}: {fault}" for fault in faults_of(objects, ply)]
         seen.append(len(shown(objects)[0]))
     if kind != "usda":
-        # The frame before a missing one stays visible for its time.
+        # The frame before a missing frame stays visible at the time of the missing one.
         bpy.context.scene.frame_set(3 - codes[0] + 1 if kind == "glb" else 3)
         faults += [f"frame 3: {fault}" for fault in faults_of(objects, plys[1])]
     if kind == "abc" and "velocity" not in evaluated_attributes(objects[0]):
@@ -136,7 +138,7 @@ def evaluated_attributes(obj):
 
 
 def pictures(folder):
-    """The last frame of each shot, taken from one place."""
+    """Renders the last frame of each shot, all with the same camera."""
     points, _ = read_ply(sorted(folder.glob("moving.*.ply"))[-1])
     images = {}
     for kind, time in (("glb", 4), ("usda", 4), ("abc", 4)):

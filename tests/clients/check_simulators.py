@@ -1,11 +1,11 @@
-"""Surfaces appear while the simulators run.
+"""Checks that surfaces appear while simulators run.
 
-SPlisHSPlasH and Taichi write frames as they always do, in place and as fast as they come, into a
-folder that `meniscus watch` watches. Every frame becomes a .glb and a .vdb, each complete from
-the moment its name appears. The last one appears within the conversion time of its frame plus one
-second after the simulator ended. On SIGTERM the daemon succeeds and leaves only the surfaces and
-its journal. `meniscus convert` makes the same bytes of the same frames with the
-spacing that the daemon measured on the first of them.
+SPlisHSPlasH and Taichi write frames with their own writers, under the final names and without pauses, into a
+folder that `meniscus watch` watches. Every frame becomes a .glb and a .vdb, each complete from the moment its
+name appears. After the end of the simulator, the last output appears within the conversion time of its frame
+plus one second. On SIGTERM, the daemon exits with status 0, and leaves only the surfaces and its journal.
+`meniscus convert` writes the same bytes for the same frames, with the spacing that the daemon measured on the
+first frame.
 """
 
 import hashlib
@@ -22,18 +22,19 @@ from project import PROGRAM, WORK, Check, convert
 HERE = Path(__file__).resolve().parent
 PYTHON = WORK / "simulators" / "bin" / "python"
 LIVE = WORK / "live"
-# Where each simulator puts its frames within its folder, and how many there must be.
+# For each simulator: the subfolder and the pattern of its frames, and the minimum number of frames.
 SIMULATORS = {"splishsplash": ("partio", "*.bgeo", 25), "taichi": ("", "*.ply", 30)}
 FORMATS = ["glb", "vdb"]
-# Beyond the skinning of the last frame, which is settled first.
+# Largest delay of the last surface after the end of the simulator, without the time to convert the last
+# frame. It includes the wait until the file of the frame is stable.
 LATE_MAX_SECONDS = 1.0
 LOOK_EVERY_SECONDS = 0.005
-# Far longer than a simulation and the conversions after it take.
+# Far longer than a simulation and its conversions take.
 GIVE_UP_SECONDS = 300
 WAIT_SECONDS = 30
-# The daemon's own, in the folder of the surfaces.
+# The daemon's folder for its own files, in the folder of the surfaces.
 STATE_FOLDER = ".meniscus"
-# Taichi asks the network for its newest version otherwise.
+# Without this, Taichi looks for a newer version on the network.
 QUIET = {"TI_SKIP_VERSION_CHECK": "ON"}
 
 
@@ -58,7 +59,8 @@ def main():
 
 
 def simulate(name, folder, observer):
-    """Runs a simulator, and polls for surfaces meanwhile; returns its duration and its exit status."""
+    """Runs a simulator, and meanwhile polls for surfaces. Returns the duration and the exit status of the
+    simulator."""
     start = time.monotonic()
     command = [str(PYTHON), str(HERE / f"simulate_{name}.py"), str(folder / "cache")]
     with (folder / "simulator.log").open("w") as said:
@@ -81,7 +83,7 @@ def simulated(paths, count, seconds, status):
 
 
 def ended_well(daemon, surfaces, wanted):
-    """The daemon ends on SIGTERM, and leaves only surfaces and its journal."""
+    """Checks that the daemon ends on SIGTERM, and leaves only surfaces and its journal."""
     status, seconds = daemon.end()
     left = {path.name for path in surfaces.glob("*")} - wanted - {STATE_FOLDER}
     faults = [f"left behind: {name}" for name in sorted(left)]
@@ -91,7 +93,7 @@ def ended_well(daemon, surfaces, wanted):
 
 
 def in_time(paths, end, observer, daemon):
-    """Every frame has its surfaces, and the last of them soon after the simulator's end."""
+    """Checks that every frame has its surfaces, and that the last appeared soon after the simulator's end."""
     wanted = outputs(paths)
     missing = sorted(wanted - observer.appeared.keys())
     if missing or not wanted:
@@ -111,7 +113,8 @@ def in_time(paths, end, observer, daemon):
 
 
 def same_as_converted(paths, folder, observer, daemon):
-    """Every output has the bytes that `convert` makes of the frame, at its first appearance and at the end."""
+    """Checks that every output has the bytes that `convert` writes for the frame, when it first appears and
+    at the end."""
     again = folder / "converted"
     options = ["--format", ",".join(FORMATS), "--spacing", daemon.spacing()]
     status, said, _ = convert(paths, again, *options)
@@ -145,7 +148,7 @@ class Daemon:
             self.process.wait()
 
     def end(self):
-        """Asks it to end; returns its exit status or fault, and the time that it took."""
+        """Sends SIGTERM. Returns the exit status or a fault, and the time until the daemon ended."""
         start = time.monotonic()
         self.process.send_signal(signal.SIGTERM)
         try:
@@ -155,7 +158,7 @@ class Daemon:
         return status, time.monotonic() - start
 
     def skinning_seconds(self):
-        """The time of each frame in all stages together, by stem."""
+        """The total time of each frame in all stages, by stem."""
         seconds = {}
         for fields in self.entries():
             stages = [value for name, value in fields.items() if name.endswith("_s")]
@@ -164,18 +167,18 @@ class Daemon:
         return seconds
 
     def spacing(self):
-        """The particle spacing that it measured."""
+        """The particle spacing that the daemon measured."""
         return next(fields["spacing"] for fields in self.entries() if "spacing" in fields)
 
     def entries(self):
-        """Its log, a dictionary for each line."""
+        """The daemon's log, a dictionary for each line."""
         for line in self.log.read_text().splitlines():
             entry = json.loads(line)
             yield {**entry, **entry.get("fields", {})}
 
 
 class Observer:
-    """Opens every output as its name appears."""
+    """Opens every output as soon as its name appears."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -191,7 +194,7 @@ class Observer:
                 self.digests[path.name] = digest(path)
 
     def wait_for(self, names):
-        """Polls until all of them exist, or far too much time has passed."""
+        """Polls until files with all these names exist, or the time limit has passed."""
         until = time.monotonic() + WAIT_SECONDS
         while not names <= self.appeared.keys() and time.monotonic() < until:
             self.look()

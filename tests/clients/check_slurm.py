@@ -1,12 +1,14 @@
-"""A plan on a real Slurm: a job array of its shards, one of them with a broken frame, and one that is killed.
+"""Checks a plan on a real Slurm: a job array with a task for each shard. One shard has an invalid frame, and
+another is killed.
 
     one process  ──────────────────────────────────────────────▶  one/   ┐
     plan ──▶ 0  1  2  3   tasks of an array, two at a time                ├ the same bytes
-                │  └─ SIGKILL in the middle ──▶ queued again ──▶  out/   ┘
-                └─ a broken frame ──▶ queued again, and mended meanwhile
+                │  └─ SIGKILL during the task ──▶ requeued ─────▶  out/   ┘
+                └─ an invalid frame ──▶ requeued, and repaired meanwhile
                                         └──▶ verify, after all
 
-Both are queued again by the script of the array, as examples/farm has it, and repeats no finished frame.
+The array's script, which is that of examples/farm, requeues both tasks. A requeued task does not repeat
+finished frames.
 """
 
 import filecmp
@@ -25,7 +27,7 @@ FRAME_COUNT = 8
 SHARD_COUNT = 4
 BROKEN_SHARD = 1
 KILLED_SHARD = 2
-# So fine that a frame takes a while, and a shard can be killed between two.
+# The voxels are so small that a frame takes long enough to kill a shard between two frames.
 OPTIONS = ["--format", "glb,vdb", "--preset", "paper", "--voxel-size", "0.008", "--radius-min", "0.0277", "--radius-init", "0.0416"]
 DEADLINE_SECONDS = 200
 
@@ -53,7 +55,7 @@ def main():
 
 
 class Run:
-    """Runs the array, and kills one of its tasks."""
+    """A run of the array, with one task that is killed."""
 
     def __init__(self, work, plan, environment):
         self.work, self.environment = work, environment
@@ -61,7 +63,7 @@ class Run:
         stems = [frame["stem"] for frame in planned["frames"]]
         first = [stems[shard["first"]] for shard in planned["shards"]]
         self.killed_first = first[KILLED_SHARD]
-        # What the shard had done when it was killed, and what that was then.
+        # The identities of the shard's first outputs at the time when the shard was killed.
         self.before_kill = None
         self.is_mended = False
         self.broken = work / "in" / f"{first[BROKEN_SHARD]}.bgeo"
@@ -73,7 +75,7 @@ class Run:
         self.seconds = time.monotonic()
 
     def to_the_end(self):
-        """Kills a shard, mends a frame, and waits until the last job has ended."""
+        """Kills a shard, repairs a frame, and waits until the last job has ended."""
         deadline = self.seconds + DEADLINE_SECONDS
         while not self.has_ended():
             if time.monotonic() > deadline:
@@ -118,7 +120,7 @@ class Run:
 
 
 def is_program(pid):
-    """Whether a process is the program, and not the script that runs it."""
+    """Whether a process is meniscus instead of the script that runs it."""
     try:
         return os.readlink(f"/proc/{pid}/exe") == str(PROGRAM.resolve())
     except OSError:
@@ -126,13 +128,13 @@ def is_program(pid):
 
 
 def fields(text):
-    """Names and values of a line of scontrol."""
+    """Names and values in a line of scontrol's output."""
     words = (word.partition("=") for word in text.split())
     return {name: value for name, _, value in words}
 
 
 def check_tasks(check, run):
-    """The final states of the tasks according to Slurm."""
+    """Checks the final states of the tasks according to Slurm."""
     for shard in range(SHARD_COUNT):
         task = run.task(shard)
         found = [task.get(name) for name in ("JobState", "ExitCode", "Restarts")]
@@ -147,7 +149,7 @@ def check_tasks(check, run):
 
 
 def check_outputs(check, work):
-    """Compares the files with those of one process."""
+    """Compares the files with those of a single process."""
     summary = json.loads((work / "plan.json.verified.json").read_text())["summary"]
     faults = [str(summary)] if summary["done"] != FRAME_COUNT else []
     check.line("frames", f"{summary['done']} of {FRAME_COUNT} done", faults)

@@ -1,12 +1,12 @@
-"""VTK, which is what ParaView reads with, reads the .vtp and .stl of a shot; OpenUSD reads its .usda, its .usdc, and
-the shot.
+"""Checks that VTK, ParaView's library, reads the .vtp and .stl files of a sequence, and that OpenUSD reads
+its .usda and .usdc files, and the whole sequence in one file.
 
-    .vtp          as many points and polygons, the points of the .ply to the last bit, normals that point outward, the
-                  attributes, the generator of the file; quads if requested
-    .stl          as many triangles, the bounds and the volume of the .ply
-    .usda         the same points; axis, unit, extent, normals and velocities as USD knows them
-    .usdc         the same; every value is that of the .usda, and the file is at most a tenth larger than OpenUSD makes it
-    shot.usda     a sample for each frame, with its mesh; shot.usdc likewise
+    .vtp          the number of points and polygons, the points of the .ply to the last bit, outward normals,
+                  the attributes, the generator of the file; quads if requested
+    .stl          the number of triangles, the bounds and the volume of the .ply
+    .usda         the same points; up axis, unit, extent, normals and velocities in USD's own properties
+    .usdc         every value is that of the .usda; the file is at most a tenth larger than the one by OpenUSD
+    shot.usda     a sample for each frame, with its mesh; the same for shot.usdc
 """
 
 import numpy as np
@@ -113,7 +113,8 @@ def usdc(path, frame, points, triangles):
 
 
 def layer_faults(path, is_frame=False):
-    """What a binary layer has that its text does not have, what OpenUSD's checker says, and how large it is."""
+    """Faults of a .usdc: differences from the .usda, messages of OpenUSD's validators, and a size that is too
+    large."""
     layer, text = Sdf.Layer.FindOrOpen(str(path)), Sdf.Layer.FindOrOpen(str(path.with_suffix(".usda")))
     found, expected = values_of(layer), values_of(text)
     faults = sample_faults(found) if is_frame else []
@@ -123,7 +124,7 @@ def layer_faults(path, is_frame=False):
         found = {name: value for name, value in found.items() if not is_extra(name)}
     faults += [f"{name} is not that of the .usda" for name in sorted(found.keys() | expected.keys())
               if name not in found or name not in expected or not is_same(found[name], expected[name])]
-    # What the command usdchecker does, which the package does not have.
+    # The validators of the command `usdchecker`, which the Python package does not contain.
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     errors = UsdValidation.ValidationContext(validators).Validate(Usd.Stage.Open(layer))
     faults += [error.GetErrorAsString() for error in errors]
@@ -131,7 +132,7 @@ def layer_faults(path, is_frame=False):
     layer.Export(str(exported))
     size, usual = path.stat().st_size, exported.stat().st_size
     exported.unlink()
-    # A small file has mostly names, and the provenance twice.
+    # The constant allows for small files, which consist mostly of names and contain the provenance twice.
     return faults if size < 1.1 * usual + 4096 else [*faults, f"it has {size} bytes, and OpenUSD writes {usual}"]
 
 
@@ -147,7 +148,7 @@ def sample_faults(values):
 
 
 def values_of(layer):
-    """Every field of a layer, and every time sample."""
+    """Every field of a layer and every time sample, by path and name."""
     found = {}
 
     def add(path):
@@ -161,7 +162,7 @@ def values_of(layer):
                 found[f"{path} at {time}"] = layer.QueryTimeSample(path, time)
 
     layer.Traverse("/", add)
-    # The provenance of each file names its own format.
+    # The provenance contains the format of the file: ignore it.
     found["/ customLayerData"] = found["/ customLayerData"]["meniscus_mesh"]
     return found
 
@@ -171,7 +172,7 @@ def is_same(one, other):
 
 
 def mesh_under_root(stage):
-    """The mesh, which a stage that references the layer gets with the Xform above it."""
+    """The mesh below the root prim, an Xform, so that a stage that references the layer gets both."""
     root = stage.GetDefaultPrim()
     if not UsdGeom.Xform(root):
         raise ValueError("its default prim is not an Xform")
@@ -217,7 +218,7 @@ def shot(folder, name):
     for code, path in zip(codes, frames):
         points, triangles = read_ply(path)
         local = np.array(mesh.ComputeLocalToWorldTransform(code)) if shift else np.eye(4)
-        # The coordinates of quantized frames lie in a separate cube.
+        # Quantized frames round coordinates to a fraction of their size.
         rounding = 2e-5 * np.ptp(points, axis=0).max() if "quantized" in folder.name else 0.0
         moved = points - local[3, :3].astype(points.dtype) if shift else points
         faults += [f"frame {code}: {fault}" for fault in mesh_faults(mesh, code, moved, triangles, rounding)]

@@ -1,11 +1,11 @@
-"""A frame of particles whose attributes are known fields, for the checks that look for them on surfaces.
+"""A frame of particles whose attributes are known fields, for checks of the attributes of surfaces.
 
-A ball that flies along x and a sheet that shears under it:
+The particles form a ball that moves along x, and a sheet below it, which shears:
 
     velocity     (3, 2 x, −z)      constant along one axis, linear along the others
     colour       (0.25, ramp, 0.75) ramp: x from 0 to 1
     temperature  10 + y
-    id           which particle
+    id           the index of the particle
 """
 
 import numpy as np
@@ -13,9 +13,10 @@ import numpy as np
 VOXEL_SIZE = 0.05
 SPACING = 2 * VOXEL_SIZE
 NAMES = ["v", "color", "temperature", "id"]
-# A mean is the field a little inside of the surface: so far from there, at most.
+# An attribute of the surface is a mean over nearby particles, which are inside of the surface: the mean is
+# the value of the field at a point no farther away than this.
 REACH = 6 * VOXEL_SIZE
-# The steepest of the fields.
+# The largest gradient of the fields.
 SLOPE = 2.0
 
 
@@ -42,7 +43,7 @@ def temperature(points):
     return 10 + points[:, 1]
 
 
-# What the grids of the .vdb are called, beside the level set.
+# The fields by the names of their grids in the .vdb.
 GRIDS = {"velocity": velocity, "color": color, "temperature": temperature}
 
 
@@ -61,9 +62,9 @@ def write_particles(path):
 
 
 def faults_of(what, points, found, field, rounding=0.0, reach=REACH):
-    """Faults of values at some points of a field that is linear, or constant: they are those of particles
-    within reach, to so much rounding.
-    """
+    """Finds faults of the values of a linear or constant field at some points. The values must be within the
+    range of the particles, and differ from the field by no more than it changes within `reach`, plus
+    `rounding`."""
     found, expected = np.asarray(found, float), field(points)
     particles = field(positions().astype(float))
     faults = []

@@ -1,6 +1,6 @@
 """Reads the .ply and .glb that meniscus writes, without any of the programs under test.
 
-A mesh is two arrays: positions, and the three corners of each triangle.
+A mesh is two arrays: the positions of vertices, and the three vertex indices of each triangle.
 """
 
 import json
@@ -17,12 +17,12 @@ def read_ply(path):
 
 
 def read_vertices(path):
-    """All properties of the vertices of such a PLY, by name."""
+    """All vertex properties of a PLY as read by `read_ply`, by name."""
     return tables_of(path)[0]
 
 
 def tables_of(path):
-    """The vertices and faces of such a PLY, as structured arrays."""
+    """The vertices and faces of a PLY as read by `read_ply`, as structured arrays."""
     data = path.read_bytes()
     end = data.index(b"end_header\n") + len(b"end_header\n")
     rows, counts, element = {"vertex": [], "face": []}, {}, None
@@ -53,7 +53,7 @@ PLY_TYPES = {
 
 
 def read_glb(path):
-    """Positions, in world space, and triangles of the one mesh of a GLB."""
+    """Positions in world space and triangles of a GLB with one mesh."""
     data = path.read_bytes()
     json_length = struct.unpack_from("<I", data, 12)[0]
     document = json.loads(data[20 : 20 + json_length])
@@ -79,7 +79,7 @@ def read_glb(path):
 
 
 def rotated(points, quaternion):
-    """Points turned by a quaternion x, y, z, w."""
+    """Points rotated by a quaternion x, y, z, w."""
     axis, w = quaternion[:3], quaternion[3]
     twice = 2 * np.cross(axis, points)
     return points + w * twice + np.cross(axis, twice)

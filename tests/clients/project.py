@@ -14,9 +14,9 @@ ROOT = Path(__file__).resolve().parents[2]
 TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")).resolve()
 PROGRAM = TARGET / "release" / "meniscus"
 WORK = TARGET / "clients"
-# What check_convert.py and check_reference.py wrote; the other checks read it.
+# The outputs of check_convert.py and check_reference.py, which the other checks read.
 OUT = WORK / "out"
-# Frames of other programs. They are not part of the project: where they are absent, so are their checks.
+# Frames of other programs. They are not part of the project; if they are missing, their checks are skipped.
 DATA = Path(os.environ.get("MENISCUS_SHARED", ROOT.parent / "shared")) / "data"
 # The project's own frames.
 OWN = ROOT / "examples" / "frames"
@@ -67,7 +67,7 @@ class Check:
         print(title, flush=True)
 
     def line(self, label, figures, faults=()):
-        """One file: its measurements and its faults."""
+        """Prints the line of a file: its measurements and its faults."""
         faults = list(faults)
         print(f"  {'FAILED' if faults else 'ok    '} {label}: {figures}", flush=True)
         for fault in faults:
@@ -84,5 +84,5 @@ class Check:
             print(f"  failed: {failed}", file=sys.stderr)
         sys.stdout.flush()
         sys.stderr.flush()
-        # Not sys.exit: modules of large programs crash now and then while they are torn down.
+        # Skip the cleanup of sys.exit: the modules of large programs sometimes crash in it.
         os._exit(1 if self.failed or not self.passed else 0)

@@ -1,8 +1,8 @@
-"""A dam break by SPlisHSPlasH, without a window.
+"""Simulates a dam break with SPlisHSPlasH, without a window.
 
     simulate_splishsplash.py FOLDER
 
-Its own exporter writes FOLDER/partio/ParticleData_Fluid_1.bgeo and so on, gzipped, each in place
+The exporter of SPlisHSPlasH writes FOLDER/partio/ParticleData_Fluid_1.bgeo and so on, gzipped, each directly
 under its final name.
 """
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 SECONDS = 3.0
 FRAMES_PER_SECOND = 8
-# Distances in metres; the tank stands on y = 0, and its middle is above the origin.
+# Distances are in metres. The floor of the tank is at y = 0, and its middle is at the origin.
 PARTICLE_RADIUS = 0.025
 TANK = [2.0, 2.0, 1.0]
 BLOCK = {"denseMode": 0, "start": [-0.95, 0.05, -0.45], "end": [-0.35, 0.95, 0.45]}
@@ -25,7 +25,7 @@ def main():
     folder.mkdir(parents=True, exist_ok=True)
     scene = folder / "scene.json"
     scene.write_text(json.dumps(dam_break(), indent=2))
-    # Its threads sleep while they wait for each other: they are not alone on this machine.
+    # Threads that wait for each other sleep instead of spinning, because other programs use the machine, too.
     os.environ["OMP_WAIT_POLICY"] = "passive"
     simulator = splishsplash().Exec.SimulatorBase()
     simulator.init(
@@ -35,7 +35,8 @@ def main():
 
 
 def splishsplash():
-    """The wheel brings its own libGLdispatch and crashes on import next to the system's, unless that is loaded first."""
+    """Imports SPlisHSPlasH. Its wheel contains a libGLdispatch, and crashes on import unless that of the
+    system is loaded first."""
     ctypes.CDLL("libGL.so.1", mode=ctypes.RTLD_GLOBAL)
     import pysplishsplash
 
@@ -43,7 +44,7 @@ def splishsplash():
 
 
 def dam_break():
-    """A block of water in a corner of a tank, as SPlisHSPlasH's scene files say it."""
+    """A block of water in a corner of a tank, in the format of SPlisHSPlasH's scene files."""
     return {
         "Configuration": {
             "particleRadius": PARTICLE_RADIUS,

@@ -1,4 +1,4 @@
-"""A column of water that collapses in a tank, by the material point method in Taichi.
+"""Simulates a column of water that collapses in a tank, with the material point method in Taichi.
 
     simulate_taichi.py FOLDER
 
@@ -18,7 +18,8 @@ import taichi as ti
 FRAMES = 30
 STEPS_PER_FRAME = 180
 SECONDS_PER_STEP = 2e-4
-# The grid is a cube with edges of 1, and y is up. The tank lies within these cells of it.
+# The grid is a cube with edge length 1, and y is up. The tank is a part of the grid, given by its first and
+# last cells.
 CELLS = 32
 CELL = 1.0 / CELLS
 TANK_FROM = (3, 3, 12)
@@ -26,7 +27,7 @@ TANK_TO = (29, 29, 20)
 GRAVITY = 9.81
 # Pressure at twice the density, for a density of 1.
 STIFFNESS = 300.0
-# The particles along the edges of the column, two to a cell. It stands in a corner of the tank.
+# Number of particles along the edges of the column, two per cell. The column is in a corner of the tank.
 COLUMN = (16, 22, 16)
 COUNT = COLUMN[0] * COLUMN[1] * COLUMN[2]
 PARTICLE_VOLUME = (0.5 * CELL) ** 3
@@ -35,7 +36,7 @@ ti.init(arch=ti.cpu, log_level=ti.WARN, offline_cache=False)
 positions = ti.Vector.field(3, ti.f32, COUNT)
 velocities = ti.Vector.field(3, ti.f32, COUNT)
 velocity_gradients = ti.Matrix.field(3, 3, ti.f32, COUNT)
-# How much larger than at rest the water around a particle is.
+# The volume of the water around each particle, divided by its volume at rest.
 expansions = ti.field(ti.f32, COUNT)
 grid_momenta = ti.Vector.field(3, ti.f32, (CELLS, CELLS, CELLS))
 grid_masses = ti.field(ti.f32, (CELLS, CELLS, CELLS))
@@ -84,7 +85,8 @@ def clear_grid():
 
 @ti.func
 def stencil(position):
-    """The first of 27 nodes around a position, where the position is from it, and the weights along each axis."""
+    """The first of the 27 grid nodes around a position, the offset of the position from that node in cells,
+    and the weights along each axis."""
     base = ti.cast(position / CELL - 0.5, ti.i32)
     offset = position / CELL - base
     weights = [0.5 * (1.5 - offset) ** 2, 0.75 - (offset - 1.0) ** 2, 0.5 * (offset - 0.5) ** 2]

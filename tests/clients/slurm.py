@@ -1,8 +1,8 @@
-"""A Slurm cluster of one machine, for as long as a check needs it.
+"""A temporary Slurm cluster of one machine, for a check.
 
-Slurm runs as on a large cluster: munge, slurmctld and slurmd are processes of this check, with their files in one folder
-and free ports. The check neither starts nor uses a service of the system. It needs root, because slurmd switches to the
-users of jobs.
+The cluster has the same daemons as a large one: munge, slurmctld and slurmd. They are processes of this
+check, use free ports, and have their files in one folder. The check neither starts nor uses a service of the
+system. It needs root, because slurmd switches to the users of jobs.
 """
 
 import os
@@ -46,7 +46,7 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=10 State=UP
 
 @contextmanager
 def cluster(folder):
-    """Starts the cluster, and ends all its processes at the end. Yields the environment of its commands."""
+    """Starts the cluster, yields the environment for its commands, and then ends all its processes."""
     folder.mkdir(parents=True)
     for name in ("state", "spool"):
         (folder / name).mkdir()
@@ -55,10 +55,10 @@ def cluster(folder):
     key = folder / "munge.key"
     key.write_bytes(os.urandom(1024))
     key.chmod(0o600)
-    # Debian keeps daemons where only root looks.
+    # Debian installs daemons in folders that are in the PATH of root only.
     path = f"{os.environ['PATH']}:/usr/sbin:/sbin"
     environment = {**os.environ, "PATH": path, "SLURM_CONF": str(folder / "slurm.conf")}
-    # A check that receives SIGTERM ends its daemons.
+    # Exit normally on SIGTERM, so that the daemons are ended, too.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     munged = ["munged", "--foreground", "--force", f"--key-file={key}", f"--socket={folder}/munge.socket"]
     munged += [f"--{name}-file={folder}/munge.{name}" for name in ("pid", "log", "seed")]
@@ -90,7 +90,7 @@ def ask(environment, *command):
 
 
 def wait_until(is_so, seconds, what):
-    """Waits until a condition holds, or fails."""
+    """Waits until a condition holds; raises an error after this time."""
     deadline = time.monotonic() + seconds
     while not is_so():
         if time.monotonic() > deadline:
@@ -99,7 +99,7 @@ def wait_until(is_so, seconds, what):
 
 
 def free_ports(count):
-    """Free ports."""
+    """Returns the numbers of free TCP ports."""
     sockets = [socket.socket() for _ in range(count)]
     for each in sockets:
         each.bind(("127.0.0.1", 0))
@@ -118,7 +118,8 @@ def end(daemons, folder):
         except subprocess.TimeoutExpired:
             daemon.kill()
             daemon.wait()
-    # Jobs outlive slurmd by design. Only they have this configuration in their environment.
+    # Jobs continue by design when slurmd ends. Only they have this configuration in their environment, so it
+    # finds them.
     mark = f"SLURM_CONF={folder}/slurm.conf".encode()
     for pid in pids():
         if pid != os.getpid() and mark in environment_of(pid):
@@ -129,7 +130,7 @@ def end(daemons, folder):
 
 
 def pids():
-    """All running processes."""
+    """The ids of all running processes."""
     return [int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdigit()]
 
 

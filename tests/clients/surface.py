@@ -1,8 +1,8 @@
-"""Triangle meshes, as positions and corners of triangles: measured and compared.
+"""Measures and compares triangle meshes, given as positions and vertex indices of triangles.
 
-Distances are exact: from points spread over one surface to the nearest triangle of the other. The
-curvature is the cotangent one with barycentric areas; its square depends on the mesh as much as on
-the surface, so compare it only between meshes of one mesher.
+Distances are exact: from points spread over one surface to the nearest triangle of the other. The curvature
+comes from the cotangent formula with barycentric areas. Its square depends on the mesh as much as on the
+surface, so compare it only between meshes of the same mesher.
 """
 
 import numpy as np
@@ -12,12 +12,13 @@ from scipy.spatial import cKDTree
 
 
 def openvdb_surface(grid):
-    """The mesh of a level set by OpenVDB's mesher: outward, quads cut along one diagonal."""
+    """The mesh of a level set by OpenVDB's mesher: triangles face outward, and quads are split along a
+    diagonal."""
     positions, triangles, quads = grid.convertToPolygons()
     parts = [part.astype(np.int64) for part in (quads[:, [0, 1, 2]], quads[:, [0, 2, 3]])] if len(quads) else []
     if len(triangles):
         parts.append(triangles.astype(np.int64))
-    # It winds them clockwise, seen from outside.
+    # The mesher's triangles are clockwise seen from outside: reverse them.
     faces = np.concatenate(parts)[:, ::-1] if parts else np.zeros((0, 3), np.int64)
     return positions.astype(float).reshape(-1, 3), faces
 
@@ -31,10 +32,11 @@ def volume(positions, triangles):
 
 
 def without_slivers(positions, triangles, distance):
-    """The mesh with vertices nearer than this made one, and without the triangles that vanish.
+    """Merges vertices that are closer than `distance`, and removes the triangles that vanish.
 
-    Where φ is all but 0 at a voxel, a mesher puts several vertices all but there. They change no
-    surface, but such a vertex has no area, and its curvature can be anything.
+    If φ is almost 0 at a voxel, a mesher makes several vertices that almost coincide with the voxel. They
+    hardly change the surface, but the triangles around such a vertex have almost no area, so its curvature is
+    meaningless.
     """
     pairs = cKDTree(positions).query_pairs(distance, output_type="ndarray")
     links = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), (len(positions), len(positions)))
@@ -78,7 +80,8 @@ def piece_sizes(positions, triangles):
 
 
 def distances(from_surface, to_surface):
-    """The distances of samples of one surface from the other: its vertices, and a point of each triangle."""
+    """The distances from samples of one surface (its vertices, and a point of each triangle) to the other
+    surface."""
     positions, triangles = from_surface
     corners = positions[triangles]
     random = np.random.default_rng(1)
@@ -92,8 +95,9 @@ def distances(from_surface, to_surface):
 def distances_to_surface(points, positions, triangles):
     """The distance of each point to the nearest triangle.
 
-    The nearest triangles by their centroids are tried first. A triangle reaches no farther from its
-    centroid than `reach`: points for which an untried one could be nearer get more candidates.
+    The triangles with the nearest centroids are the first candidates. A triangle reaches no farther from its
+    centroid than `reach`. So it is known for which points another triangle could be nearer; these get more
+    candidates.
     """
     corners = positions[triangles]
     centroids = corners.mean(axis=1)

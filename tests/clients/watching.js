@@ -1,4 +1,4 @@
-// The daemon with its page, in a temporary folder, and a producer that writes frames there.
+// A daemon with its page, in a temporary folder, and functions that write frames there.
 
 const fs = require("fs");
 const path = require("path");
@@ -18,7 +18,7 @@ async function until(what, is, patienceMs = PATIENCE_MS) {
 }
 
 class Watching {
-  /** Starts `meniscus watch` on the folder `in` of an empty folder; with these options beside. */
+  /** Starts `meniscus watch` with these options on the subfolder `in` of an empty folder. */
   static async start(program, folder, options) {
     fs.mkdirSync(path.join(folder, "in"), { recursive: true });
     const watching = new Watching();
@@ -27,7 +27,7 @@ class Watching {
     return watching;
   }
 
-  /** Starts the daemon with its window there, and waits until it is ready. */
+  /** Starts the daemon with its page at this address, and waits until it is ready. */
   async begin(listen) {
     this.log = "";
     const words = ["watch", "in", "--out", "out", "--listen", listen, ...this.options];
@@ -41,13 +41,13 @@ class Watching {
     await until("the daemon is ready", async () => (await fetch(`${this.address}readyz`)).ok);
   }
 
-  /** Ends the daemon, and starts another at the same address. */
+  /** Stops the daemon, and starts a new one at the same address. */
   async restart() {
     await this.stop();
     await this.begin(new URL(this.address).host);
   }
 
-  /** Writes a frame beside the folder, and renames it into place. */
+  /** Writes a frame next to the watched folder, and renames it into this folder. */
   put(name, bytes) {
     const beside = path.join(this.folder, `${name}.part`);
     fs.writeFileSync(beside, bytes);

@@ -7,7 +7,7 @@ use rustix::process::Signal;
 
 use crate::scene::{Line, NO_SCANS, Scene, Watching, by_length, csv, names_in, ply};
 
-/// Settings that make a frame of few particles cheap. The last two are options of `watch` only.
+/// Settings with which a frame of few particles takes little time. Only `watch` has the last two options.
 const CHEAP: [&str; 12] = [
     "--preset",
     "paper",
@@ -42,7 +42,7 @@ fn frames_whose_events_were_lost_are_found() {
     let scene = Scene::new();
     let daemon = scene.watch(&[&CHEAP[..], &NO_SCANS].concat());
     daemon.signal(Signal::STOP);
-    // Each produces two events: one for the old name and one for the new name.
+    // Each rename produces two events: one for the old name and one for the new name.
     let [here, there] = ["in/here", "in/there"].map(|name| scene.path(name));
     scene.write("in/here", "");
     for _ in 0..=events_kept_max() / 4 {
@@ -95,7 +95,7 @@ fn watch_recursively(scene: &Scene) -> Watching {
     scene.watch(&[&CHEAP[..], &NO_SCANS, &["--recursive"]].concat())
 }
 
-/// Fills a folder before the daemon can watch it. Repeated, because the test depends on a race.
+/// Fills a folder before the daemon can watch it. The test repeats this, because it depends on a race.
 #[test]
 fn new_folders_with_files_in_them_lose_no_frame() {
     let folder_count = by_length(60, 600);
@@ -124,8 +124,8 @@ fn new_folders_with_files_in_them_lose_no_frame() {
     }
 }
 
-/// When a tree arrives by one rename, the kernel reports its topmost folder only. Frames that arrive in the
-/// tree later are converted too, also after a second rename.
+/// When a tree of folders arrives by one rename, the kernel reports only its topmost folder. Frames that
+/// arrive in the tree later are converted, too, also after a second rename.
 #[test]
 fn tree_renamed_into_place_is_converted_and_watched() {
     let scene = Scene::new();
@@ -142,7 +142,7 @@ fn tree_renamed_into_place_is_converted_and_watched() {
     daemon.await_converted("retake/deep/er/dam.3.ply");
     scene.write("in/retake/deep/dam.4.ply", ply(&few(4)));
     daemon.await_converted("retake/deep/dam.4.ply");
-    // The old name is free. Another folder that gets this name is watched as well.
+    // After the rename, the daemon also watches another folder that gets the old name.
     scene.write("in/take/dam.5.ply", ply(&few(5)));
     daemon.await_converted("take/dam.5.ply");
     daemon.assert_no_complaints();
@@ -157,7 +157,7 @@ fn tree_renamed_into_place_is_converted_and_watched() {
 #[test]
 fn folder_removed_and_created_again_is_watched() {
     let scene = Scene::new();
-    // Nothing else in the folder changes.
+    // Apart from this frame and the subfolder, nothing in the folder changes.
     scene.put("in/dam.0.ply", ply(&few(0)));
     let daemon = watch_recursively(&scene);
     for number in 1..=by_length(5, 50) {

@@ -4,7 +4,7 @@ use crate::scene::{Line, NO_SCANS, Scene, csv, moving, names_in, ply, told as to
 
 const QUICK: [&str; 4] = ["--settle", "20ms", "--unproven", "50ms"];
 
-/// The outputs have names of particle files, and lie in the watched folder.
+/// The outputs have names that particle files may have, and are in the watched folder.
 #[test]
 fn outputs_in_a_subfolder_of_the_watched_folder_are_not_inputs() {
     let scene = Scene::new();
@@ -19,7 +19,7 @@ fn outputs_in_a_subfolder_of_the_watched_folder_are_not_inputs() {
     daemon.await_ready();
     scene.put_moving([3]);
     daemon.await_converted("dam.3.ply");
-    // If the daemon took its outputs for inputs, it would have done so by the time this frame is done.
+    // A daemon that mistook its outputs for inputs would have read them by the time this frame is done.
     scene.put_moving([4]);
     daemon.await_converted("dam.4.ply");
     assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
@@ -31,7 +31,7 @@ fn outputs_in_a_subfolder_of_the_watched_folder_are_not_inputs() {
     assert_eq!(names_in(&scene.path("in/out/sub")), ["dam.1.obj", "dam.1.ply"]);
 }
 
-/// When outputs lie next to the frames, the daemon recognizes them by their content.
+/// If outputs are next to the frames, the daemon recognizes them by their contents.
 #[test]
 fn outputs_next_to_the_frames_are_not_inputs() {
     let scene = Scene::new();
@@ -61,7 +61,7 @@ fn output_folder_that_is_not_writable_is_refused() {
     scene.write("taken", "a file");
     let mut places = vec![("taken", "this is a file"), ("taken/deep", "taken is a file")];
     #[cfg(target_os = "linux")]
-    // No user may write there, not even root.
+    // No user can write there, not even root.
     places.push(("/proc", "nothing can be written into it: "));
     for (out, why) in places {
         let ran = scene.run(&["watch", "in", "--out", out, "--once"]);
@@ -76,7 +76,7 @@ fn output_folder_that_is_not_writable_is_refused() {
     }
 }
 
-/// Also if the obstacle does not exist yet, or belongs to another frame.
+/// This also holds if the obstacle does not exist yet, or belongs to another frame.
 #[test]
 fn output_does_not_replace_an_obstacle() {
     let scene = Scene::new();
@@ -106,7 +106,7 @@ fn output_does_not_replace_an_obstacle() {
 fn output_does_not_replace_a_frame() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
-    // This includes files in the output folder that the daemon does not watch.
+    // This also holds for a file in the output folder, which the daemon does not watch.
     scene.write("out/dam.1.ply", ply(&moving(7)));
     let in_place = ["watch", "in", "--out", "in", "--format", "ply", "--once", "--log", "json"];
     let onto_others = ["watch", "in", "--out", "out", "--format", "obj,ply", "--once", "--log", "json"];
@@ -122,7 +122,7 @@ fn output_does_not_replace_a_frame() {
     }
 }
 
-/// The first frame keeps its outputs. The error for the second one names both.
+/// The first frame keeps its outputs. The error for the second frame names both frames.
 #[test]
 fn error_names_both_frames_with_the_same_output() {
     let scene = Scene::new();
@@ -143,7 +143,7 @@ fn error_names_both_frames_with_the_same_output() {
     assert!(once.converted().is_empty(), "{:?}", once.converted());
     assert!(scene.bytes("out/dam.1.obj") == before);
 
-    // When the first frame is removed, the second one may use the outputs.
+    // When the first frame is removed, the second frame may use the outputs' names.
     scene.remove("in/dam.1.ply");
     scene.write("in/dam.1.csv", csv(&moving(8)));
     let once = scene.once(&arguments);

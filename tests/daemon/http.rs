@@ -1,4 +1,4 @@
-//! The HTTP server, tested by plain sockets: contents, access, and misbehaving clients.
+//! The HTTP server, tested with plain sockets: contents, access, and misbehaving clients.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -46,7 +46,7 @@ fn connect(address: &str) -> TcpStream {
 /// Sends these bytes, and reads the response until the server closes the connection.
 fn exchange(address: &str, bytes: &[u8]) -> Answer {
     let mut stream = connect(address);
-    // A server that has refused the request already does not read the rest.
+    // Writing fails if the server has refused the request already, and does not read the rest.
     let _ = stream.write_all(bytes);
     let mut all = Vec::new();
     // The server may reset the connection if the client sent more than the server read.
@@ -144,7 +144,7 @@ fn frames_appear_while_a_producer_writes() {
     let settings = get(&address, "/api/settings").json();
     let sequence = &settings["sequences"][0];
     assert_eq!(sequence["sequence"], "dam.{}.ply");
-    // By default, two voxels to the spacing.
+    // The default voxel size is 0.4 spacings.
     assert_eq!(sequence["spacing"].as_f64(), sequence["voxel_size"].as_f64().map(|size| 2.5 * size));
     assert!(sequence["spacing_measured_on"].as_str().is_some_and(|path| path.ends_with("dam.1.ply")));
     assert!(get(&address, "/metrics").text().contains("\nmeniscus_frames_converted_total 4\n"));
@@ -445,7 +445,7 @@ fn other_protocols_and_smuggled_requests_are_refused() {
         let answer = exchange(&address, request.as_bytes());
         assert!(!(200..400).contains(&answer.status), "{what}: {}", answer.headers);
         let text = answer.text();
-        // The server does not take the bytes after a refused request for another request.
+        // The server does not treat the bytes after a refused request as another request.
         assert!(!text.contains("HTTP/1.1 200") && !text.contains("sequences"), "{what}: {text}");
     }
     for number in 1..=2 {
@@ -468,7 +468,8 @@ fn clients_that_never_read_do_not_block_others() {
             let mut stream = connect(&address);
             let path = ["/files/dam.1.glb", "/events?after=0-0", "/vendor/three.core.min.js"][number % 3];
             let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n");
-            // One after the other, so that the socket buffers for slow clients are soon full.
+            // Requests without a pause: the responses soon fill the socket buffers, because the client is
+            // slow.
             stream.write_all(request.repeat(20).as_bytes()).expect("sent");
             stream
         })
@@ -488,8 +489,8 @@ fn idle_connections_beyond_the_limit_do_not_block_others() {
     let scene = Scene::new();
     let (watching, address) = watch(&scene, &[]);
     let mut following: Vec<Following> = (0..200).map(|_| Following::from_now(&address)).collect();
-    // Half of them send nothing, the others half a request. The server closes all but 312 of them to serve
-    // others.
+    // Half of the clients send nothing, and the others send half a request. The server closes all but 312 of
+    // these connections, to serve other clients.
     let idle: Vec<TcpStream> = (0..800)
         .map(|number| {
             let mut stream = connect(&address);
@@ -499,7 +500,7 @@ fn idle_connections_beyond_the_limit_do_not_block_others() {
             stream
         })
         .collect();
-    // The unit tests of the limits check that this does not depend on idle clients that disconnect.
+    // The unit tests of the limits check that this also holds if idle clients do not disconnect.
     for path in ["/healthz", "/readyz", "/api/frames"] {
         assert_eq!(get(&address, path).status, 200, "{path}");
     }

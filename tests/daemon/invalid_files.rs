@@ -65,8 +65,8 @@ fn make_pipe(scene: &Scene, within: &str) {
     mknodat(CWD, scene.path(within), FileType::Fifo, Mode::from_raw_mode(0o644), 0).expect("a pipe");
 }
 
-/// Puts everything that may have the name of a frame without being one into the folder, before the daemon
-/// starts and while it runs.
+/// Puts files of all kinds that have the name of a frame, but are not frames, into the folder: before the
+/// daemon starts, and while it runs.
 #[test]
 fn files_that_are_not_frames_are_ignored() {
     let scene = Scene::new();
@@ -123,7 +123,7 @@ fn empty_file_fails_after_a_while() {
     daemon.await_converted("dam.3.ply");
     daemon.finish();
     scene.once(&[&QUICK[..], &FORMATS].concat()).assert_status(1);
-    // Then the writer fills it.
+    // Then the writer fills the file.
     scene.write("in/dam.2.ply", ply(&moving(2)));
     scene.once(&[&QUICK[..], &FORMATS].concat()).assert_status(0);
     assert_eq!(names_in(&scene.path("out")).len(), 5);
@@ -147,8 +147,8 @@ fn frame_without_read_permission_is_logged_and_retried() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// At the path of an output lies a folder, which the daemon cannot replace, or a pipe, which it can. A daemon
-/// that opened the pipe first would wait forever.
+/// The path of an output is a folder, which the daemon cannot replace, or a pipe, which it can replace. A
+/// daemon that opened the pipe first would wait forever.
 #[test]
 fn folder_at_the_path_of_an_output_fails_that_frame_only() {
     let scene = Scene::new();

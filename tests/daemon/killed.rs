@@ -16,8 +16,8 @@ use crate::scene::{Scene, by_length, moving, ply, text_ply};
 
 const FORMATS: [&str; 2] = ["--format", "glb,vdb,obj,ply"];
 
-/// Kills the daemon and restarts it at once while frames are written. The first half of the frames exists
-/// from the beginning. In one of the runs the daemon measures the voxel size.
+/// Kills the daemon and restarts it at once, again and again, while frames are written. The first half of the
+/// frames exists from the beginning. In one variant of the test, the daemon measures the voxel size.
 #[test]
 fn killed_daemon_loses_no_frame_and_shows_no_incomplete_output() {
     let (frame_count, kill_count) = by_length((40, 25), (300, 200));
@@ -88,7 +88,7 @@ fn produce(scene: &Scene, number: usize) {
     }
 }
 
-/// An output as it was when it appeared.
+/// An output, with its contents when it appeared.
 struct Sight {
     name: String,
     bytes: Vec<u8>,
@@ -106,7 +106,7 @@ fn observe(folder: &Path, is_over: &AtomicBool) -> Vec<Sight> {
     let mut seen = Vec::new();
     let mut inodes: HashMap<PathBuf, u64> = HashMap::new();
     loop {
-        // After the end, it checks the final files once more.
+        // After the end, the observer reads the final files once more.
         let is_last = is_over.load(Ordering::SeqCst);
         for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
             let name = entry.file_name().to_string_lossy().into_owned();
@@ -134,7 +134,7 @@ fn kind(name: &str) -> OutputFormat {
     }
 }
 
-/// Numbers that look random and are the same in every run (SplitMix64).
+/// A generator of pseudo-random numbers (SplitMix64), the same in every run.
 struct Random(u64);
 
 impl Random {
@@ -147,7 +147,7 @@ impl Random {
     }
 }
 
-/// Killed repeatedly during one frame, the daemon does not convert the others again.
+/// A daemon that is killed repeatedly while it converts one frame does not convert the other frames again.
 #[test]
 fn frames_done_before_a_kill_are_not_converted_again() {
     let scene = Scene::new();
@@ -159,6 +159,6 @@ fn frames_done_before_a_kill_are_not_converted_again() {
     let next = scene.once(&FORMATS);
     next.assert_status(0);
     assert_eq!(next.converted(), ["dam.9.ply"]);
-    // Frames that the journal records need not even be read.
+    // The daemon does not even read frames that the journal records as done.
     assert!(next.found_done().is_empty());
 }

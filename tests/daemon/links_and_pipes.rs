@@ -1,5 +1,5 @@
-//! Symbolic links and named pipes at paths that the daemon opens: it does not write through links, and does
-//! not wait for pipes. A command that waits fails the test after `PATIENCE`.
+//! Symbolic links and named pipes at paths that the daemon opens: it must not write through links, and must
+//! not wait for pipes. If a command waits longer than `PATIENCE`, the test fails.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -68,7 +68,8 @@ fn state_folder_that_is_a_link_is_refused() {
     assert_eq!(scene.bytes("away/journal"), before);
 }
 
-/// A folder that the user names may be a link: other users cannot predict its name.
+/// A folder that the user names may be a link: other users cannot predict its name, and so cannot put a link
+/// there.
 #[test]
 fn journal_and_output_folders_named_by_the_user_may_be_links() {
     let scene = Scene::new();
@@ -151,7 +152,7 @@ fn pipes_do_not_block_verify_and_convert() {
     }
     scene.remove("in/dam.1.ply");
     make_pipe(&scene, "in/dam.1.ply");
-    // The results cannot be compared with a pipe, and nothing proves that the user removed the input on
+    // The outputs cannot be compared with a pipe, and nothing proves that the user removed the input on
     // purpose.
     let verified = verify();
     assert_eq!(verified.status, Some(1), "{}", verified.err);
@@ -178,7 +179,7 @@ fn pipes_do_not_block_verify_and_convert() {
     assert_ne!(verify().status, Some(0));
 }
 
-/// A process that opened the pipe would hang and ignore further signals.
+/// A process that opened the pipe would hang, and ignore further signals.
 #[test]
 fn daemon_ends_although_its_configuration_is_a_pipe() {
     let scene = Scene::new();

@@ -17,7 +17,7 @@ fn why(scene: &Scene, within: &str) -> String {
     ran.out
 }
 
-/// Two good frames, one that is corrupt, and one that stays incomplete.
+/// A scene with two valid frames, a corrupt frame, and a frame that stays incomplete.
 fn scene() -> (Scene, Watching) {
     let scene = Scene::new();
     scene.put_moving(1..=2);
@@ -63,7 +63,7 @@ fn status_describes_running_and_stopped_daemons() {
     assert_eq!(stopped["counts"], running["counts"]);
     assert_eq!(stopped["failed"], running["failed"]);
     assert_eq!(stopped["waiting"], serde_json::json!([]), "no frame waits");
-    // A killed daemon cannot record that it ends. The commands still do not report it as running.
+    // A killed daemon cannot record its end, but the commands must not report it as running.
     let daemon = scene.watch(&FORMATS);
     await_that("it is running", || status(&scene)["daemon"]["running"] == true);
     daemon.kill();

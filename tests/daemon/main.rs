@@ -1,8 +1,8 @@
-//! Tests the guarantees of the daemon from outside: they run the program, write and remove files, and kill
-//! it.
+//! Tests the guarantees of the daemon from outside: the tests run the program, write and remove files, and
+//! kill the program.
 //!
-//! The tests run in a short form by default; `MENISCUS_LONG=1` selects the long one. They need Linux for its
-//! events, its signals and its named pipes.
+//! The tests run in a short form by default; `MENISCUS_LONG=1` selects the long form. They need Linux for its
+//! file-system events, its signals and its named pipes.
 #![cfg(target_os = "linux")]
 
 mod bursts; // bursts that overflow the event queue; folders that arrive with files

@@ -49,7 +49,7 @@ fn damaged_journal_loses_no_frame() {
     let before = inodes(&scene);
     let journal = scene.bytes(JOURNAL);
     let mut flipped = journal.clone();
-    // In the last third, where the records are, and not in the header line.
+    // Flip a bit in the last third of the journal, where the records are, not in the header line.
     let place = flipped.len() * 2 / 3;
     flipped[place] ^= 0x20;
     let damages: [(&str, Vec<u8>); 6] = [
@@ -65,7 +65,7 @@ fn damaged_journal_loses_no_frame() {
         let again = once(&scene);
         assert!(again.converted().is_empty(), "{damage}: {:?}", again.converted());
         assert_eq!(inodes(&scene), before, "{damage}");
-        // The daemon records again what it found out.
+        // The daemon has recorded again which frames are done.
         let then = once(&scene);
         assert!(then.converted().is_empty() && then.found_done().is_empty(), "{damage}");
     }
@@ -87,7 +87,7 @@ fn journal_removed_while_the_daemon_runs_is_written_again() {
     assert!(again.converted().is_empty() && again.found_done().is_empty(), "{:?}", again.found_done());
 }
 
-/// With `--journal`, the journal lies elsewhere, and only the lock stays with the outputs.
+/// With `--journal`, the journal is at another path, and only the lock stays in the output folder.
 #[test]
 fn journal_folder_is_separate_with_the_option() {
     let scene = Scene::new();
@@ -103,7 +103,7 @@ fn journal_folder_is_separate_with_the_option() {
     assert_eq!(status.status, Some(0));
 }
 
-/// The daemon accepts outputs of `convert` with the same settings as its own, and no others.
+/// The daemon accepts outputs of `convert` as done if the settings are the same as its own, and only then.
 #[test]
 fn frames_converted_by_convert_are_done() {
     let scene = Scene::new();
@@ -116,7 +116,7 @@ fn frames_converted_by_convert_are_done() {
     assert_eq!(next.found_done(), ["dam.1.ply", "dam.2.ply"]);
 }
 
-/// A frame of one particle has no spacing. It waits for a frame with more particles, also over restarts.
+/// A frame of one particle has no spacing. It waits for a frame with more particles, also after restarts.
 #[test]
 fn single_particle_frame_waits_for_the_spacing_of_another_over_restarts() {
     let scene = Scene::new();
@@ -145,7 +145,7 @@ fn refused_frame_is_converted_when_the_conflict_is_gone() {
     assert_eq!(once.converted(), ["dam.1.csv"]);
 }
 
-/// A frame that does not fit into the memory of one run may fit into that of the next.
+/// A frame that does not fit into the memory limit of one run may fit into that of the next run.
 #[test]
 fn frame_that_was_too_large_is_retried_after_a_restart() {
     let scene = Scene::new();
@@ -179,7 +179,7 @@ fn missing_folder_ends_the_run() {
     assert!(ran.err.contains("nowhere"), "{}", ran.err);
 }
 
-/// A path through other folders or through links names the same frames.
+/// A path through other folders or through links refers to the same frames.
 #[test]
 fn frame_is_recognized_by_any_of_its_paths() {
     let scene = Scene::new();

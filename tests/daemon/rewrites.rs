@@ -9,7 +9,7 @@ use crate::scene::{
     Line, NO_SCANS, Scene, Watching, await_that, block, by_length, moving, ply, text_ply, told,
 };
 
-/// With a fixed voxel size, because these tests change the frames that it would be measured on.
+/// The voxel size is fixed, because these tests change the frames on which it would be measured.
 const FORMATS: [&str; 6] = ["--format", "obj,vdb", "--preset", "paper", "--voxel-size", "0.06"];
 
 fn watch(scene: &Scene, more: &[&str]) -> Watching {
@@ -36,7 +36,7 @@ fn rewritten_frame_is_converted_again() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// Another modification time with the same bytes, and another file with the same bytes.
+/// A frame gets another modification time, or is replaced by another file; the bytes stay the same.
 #[test]
 fn touched_frame_is_not_converted_again() {
     let scene = Scene::new();
@@ -47,7 +47,7 @@ fn touched_frame_is_not_converted_again() {
     scene.put_moving([2]);
     daemon.await_lines(2, "both are found done", Line::is_found_done);
     assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
-    // The same while no daemon runs. The daemon checks the content only once.
+    // The same change while no daemon runs. The next daemon checks the contents only once.
     touch(&scene, "in/dam.1.ply");
     let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
     once.assert_status(0);
@@ -77,7 +77,7 @@ fn frame_rewritten_with_its_old_size_time_and_inode_is_converted_again() {
     rewrite_unseen(&scene, "in/dam.1.ply", &ply(&block(6, 0.11, 0.4)));
     daemon.await_lines(3, "the first is converted again", Line::is_converted);
     daemon.finish();
-    // The same while no daemon runs.
+    // The same change while no daemon runs.
     rewrite_unseen(&scene, "in/dam.2.ply", &ply(&block(6, 0.1, 0.45)));
     let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
     once.assert_status(0);
@@ -97,7 +97,7 @@ fn frame_whose_status_alone_changed_is_found_done_by_its_content() {
     let again = once();
     again.assert_status(0);
     assert_eq!((again.converted().len(), again.found_done().len()), (0, 2));
-    // The daemon recorded what it found, so it does not read the frame again.
+    // The daemon recorded the result of its check, so it does not read the frame again.
     let again = once();
     assert_eq!((again.converted().len(), again.found_done().len()), (0, 0));
 }
@@ -124,7 +124,7 @@ fn output_with_a_flipped_byte_is_made_again() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// Replaces a file by one that differs in the middle.
+/// Replaces a file by a file that differs in one byte in the middle.
 fn flip_byte(scene: &Scene, within: &str) {
     let mut bytes = scene.bytes(within);
     let middle = bytes.len() / 2;
@@ -148,7 +148,7 @@ fn root_that_is_a_link_to_another_folder_now_is_scanned_again() {
     daemon.await_lines(1, "the first take is converted", Line::is_converted);
     point_to("take2");
     daemon.await_lines(3, "the second take is converted", Line::is_converted);
-    // Changes in the second one are heard.
+    // The daemon notices changes in the second folder.
     scene.write("take2/dam.3.ply", ply(&moving(4)));
     daemon.await_converted("dam.3.ply");
     daemon.finish();
@@ -186,21 +186,21 @@ fn frame_overwritten_while_it_is_read_is_read_again() {
     await_that("the last version is converted", is_as_expected);
     let log = daemon.finish();
     assert!(log.iter().all(|line| line.level != "ERROR"), "{}", crate::scene::told(&log));
-    // And the outputs stay the same.
+    // Another run does not change the outputs.
     let once = scene.once(&[&["--settle", "1ms"], &arguments[..]].concat());
     once.assert_status(0);
     assert!(once.converted().is_empty());
     scene.assert_as_converted(&arguments);
 }
 
-/// Does not truncate the file: at every moment it has its full length, with bytes of one version, the other,
-/// or both.
+/// Overwrites a file without truncating it: at every moment it has its full length, with bytes of the old
+/// version, the new version, or both.
 fn overwrite(scene: &Scene, within: &str, bytes: &[u8]) {
     let options = OpenOptions::new().write(true).create(true).truncate(false).clone();
     let mut file: File = options.open(scene.path(within)).expect("opened");
     for part in bytes.chunks(1 << 15) {
         file.write_all(part).expect("written");
-        // The pause makes the daemon read during the writing, and not before or after it.
+        // The pause makes the daemon read while the file is written, instead of before or after.
         thread::sleep(Duration::from_micros(300));
     }
 }
@@ -234,7 +234,7 @@ fn frames_removed_while_they_wait_do_not_fail() {
     assert!(once.converted().is_empty());
 }
 
-/// The only frame is removed before the daemon could read it. Then the daemon waits for nothing more, also
+/// The only frame is removed before the daemon has read it. The daemon must not wait for this frame, also
 /// when it ends.
 #[test]
 fn unfinished_frame_may_be_removed() {
@@ -249,7 +249,7 @@ fn unfinished_frame_may_be_removed() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// An output that a user removes is made again.
+/// The daemon makes an output again that a user removed.
 #[test]
 fn removed_output_is_made_again() {
     let scene = Scene::new();
@@ -268,7 +268,7 @@ fn removed_output_is_made_again() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// A box with its top at this height, below the moving cubes or in them.
+/// A box whose top is at this height, below the moving cubes or in them.
 fn floor(top: f32) -> String {
     let corners = (0..8).map(|index| {
         let at = |axis: usize, low: f32, high: f32| if index >> axis & 1 == 1 { high } else { low };
@@ -278,8 +278,8 @@ fn floor(top: f32) -> String {
     corners.collect::<String>() + faces
 }
 
-/// An obstacle in the range of all frames, and a file that belongs to one frame. Removing or touching an
-/// obstacle converts nothing again.
+/// An obstacle for all frames, and an obstacle that belongs to one frame. Removing or touching an obstacle
+/// does not cause a conversion.
 #[test]
 fn rewritten_obstacle_converts_its_frames_again() {
     let around = ["--obstacle", "floor.obj", "--obstacle", "body.#.obj"];
@@ -313,7 +313,7 @@ fn rewritten_obstacle_converts_its_frames_again() {
     assert!(once.converted().is_empty() && once.found_done().is_empty());
 }
 
-/// A missing obstacle, and one that cannot be read.
+/// One obstacle is missing, and another cannot be read.
 #[test]
 fn frames_are_converted_when_their_obstacle_becomes_valid() {
     let scene = Scene::new();

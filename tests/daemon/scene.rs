@@ -21,7 +21,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// Longer than any event that the tests wait for takes, also on a machine with many more jobs than
+/// A time limit that is longer than any wait of the tests, also on a machine with many more jobs than
 /// processors.
 pub(crate) fn patience() -> Duration {
     Duration::from_secs(by_length(600, 1800))
@@ -30,7 +30,7 @@ pub(crate) fn patience() -> Duration {
 /// Settings without periodic scans: the daemon finds changes by events alone.
 pub(crate) const NO_SCANS: [&str; 2] = ["--rescan", "1h"];
 
-/// An HTTP server at a free port.
+/// Options for an HTTP server at a free port.
 pub(crate) const WINDOW: [&str; 2] = ["--listen", "127.0.0.1:0"];
 
 /// Chooses the first value in the short form of a test, and the second in the long one.
@@ -49,8 +49,9 @@ pub(crate) fn block(edge_count: usize, spacing: f32, shift: f32) -> Vec<[f32; 3]
         .collect()
 }
 
-/// The frame of this number in a sequence of small moving cubes. The first one has a slightly larger spacing,
-/// which rounds to that of the others: whichever frames are measured, the voxel size is the same.
+/// The frame of this number in a sequence of small moving cubes. The first frame has a slightly larger
+/// spacing, which rounds to that of the others. So the voxel size does not depend on which frames are
+/// measured.
 pub(crate) fn moving(number: usize) -> Vec<[f32; 3]> {
     block(6, if number == 1 { 0.104 } else { 0.1 }, 0.025 * number as f32)
 }
@@ -149,7 +150,7 @@ impl Scene {
         Ran { status: status.code(), out, err }
     }
 
-    /// `watch --once`, from `in` to `out`.
+    /// Runs `watch --once`, from `in` to `out`.
     pub(crate) fn once(&self, arguments: &[&str]) -> Once {
         let ran = self.run(&[&WATCH[..], &["--once"], arguments].concat());
         Once { log: ran.err.lines().map(line).collect(), status: ran.status }
@@ -199,14 +200,14 @@ impl Scene {
         command
     }
 
-    /// Asserts that `out` holds what `convert` makes of `in`, and no other visible file. The only hidden
-    /// folder is the daemon's own.
+    /// Asserts that `out` contains the same files as `convert` makes from `in`, and no other visible file.
+    /// The only hidden folder is the daemon's own.
     #[track_caller]
     pub(crate) fn assert_as_converted(&self, arguments: &[&str]) {
         self.assert_folder_as_converted("in", "out", arguments);
     }
 
-    /// The same of one folder of frames and its outputs.
+    /// Asserts the same for one folder of frames and the folder of its outputs.
     #[track_caller]
     pub(crate) fn assert_folder_as_converted(&self, input: &str, output: &str, arguments: &[&str]) {
         let _ = fs::remove_dir_all(self.path("expected"));
@@ -280,7 +281,7 @@ impl Once {
         sorted(self.converted_in_order())
     }
 
-    /// The same, in the order of the log.
+    /// The names of the converted frames, in the order of the log.
     pub(crate) fn converted_in_order(&self) -> Vec<String> {
         frames_that(&self.log, Line::is_converted)
     }
@@ -352,7 +353,7 @@ fn line(text: &str) -> Line {
     }
 }
 
-/// The log as a failing test prints it.
+/// The log in the form that a failing test prints.
 pub(crate) fn told(log: &[Line]) -> String {
     log.iter().fold(String::new(), |text, line| text + &line.fields.to_string() + "\n")
 }
@@ -382,7 +383,7 @@ impl Log {
         self.changed.notify_all();
     }
 
-    /// A service manager that does not read would block the daemon.
+    /// Reads the daemon's notifications: a service manager that does not read them would block the daemon.
     fn listen_for_notices(&self, socket: &UnixDatagram) {
         let mut buffer = [0; 4096];
         while !self.lock().has_ended {
@@ -395,8 +396,8 @@ impl Log {
         }
     }
 
-    /// Waits until `find` finds something in the state; `None` if the time runs out. Every line of the log
-    /// restarts the time.
+    /// Waits until `find` returns something; `None` after the time limit. Every line of the log restarts the
+    /// time.
     fn await_found<T>(&self, find: impl Fn(&LogState) -> Option<T>) -> Option<T> {
         let mut state = self.lock();
         let (mut line_count, mut since) = (state.lines.len(), Instant::now());
@@ -515,7 +516,7 @@ impl Watching {
         kill_process(Pid::from_child(&self.child), signal).expect("the daemon runs");
     }
 
-    /// Whether it runs.
+    /// Whether the daemon runs.
     pub(crate) fn is_alive(&mut self) -> bool {
         self.child.try_wait().expect("a status").is_none()
     }
@@ -571,7 +572,7 @@ fn drain(mut pipe: impl Read + Send + 'static) -> JoinHandle<String> {
     })
 }
 
-/// The status of a child process that ends within this time.
+/// The status of a child process; `None` if it does not end within this time.
 fn ends(child: &mut Child, patience: Duration) -> Option<ExitStatus> {
     let start = Instant::now();
     loop {

@@ -4,7 +4,7 @@ use crate::scene::{Line, NO_SCANS, Scene, csv, moving, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj"];
 
-/// The usual sentinel names are optional, but the daemon trusts a file that has one.
+/// Sentinels with the usual names are optional, but if a frame has one, the daemon treats it as complete.
 #[test]
 fn usual_sentinel_ends_the_wait() {
     let scene = Scene::new();
@@ -21,8 +21,8 @@ fn usual_sentinel_ends_the_wait() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// With `--sentinel`, the daemon waits for the file, also for a frame that was renamed into place, and also
-/// after the frame is written again.
+/// With `--sentinel`, the daemon waits for the sentinel file, also if the frame was renamed into place, and
+/// also after the frame is written again.
 #[test]
 fn frame_waits_for_its_required_sentinel() {
     let scene = Scene::new();
@@ -33,7 +33,7 @@ fn frame_waits_for_its_required_sentinel() {
     scene.write("in/dam.1.done", "");
     scene.put_moving([3]);
     scene.write("in/dam.3.ply.ok", "");
-    // The daemon would measure the voxel size on another first frame, so this frame waits for that one, too.
+    // The voxel size is measured on the first frame, which is another one, so this frame also waits for it.
     daemon.await_line("it is ready", |line| line.message.starts_with("ready") && line.is_about("dam.3.ply"));
     for number in [1, 2] {
         daemon.await_waiting(&format!("dam.{number}.ply"), ply(&moving(number)).len(), "sentinel");
@@ -46,7 +46,7 @@ fn frame_waits_for_its_required_sentinel() {
     scene.write("in/dam.2.ply.ok", "");
     daemon.await_converted("dam.2.ply");
 
-    // The sentinel that exists belongs to an earlier version.
+    // The existing sentinel belongs to an earlier version of the frame.
     scene.write("in/dam.2.ply", &ply(&moving(5))[..1000]);
     daemon.await_waiting("dam.2.ply", 1000, "sentinel");
     assert_eq!(daemon.converted_count("dam.2.ply"), 1);
@@ -63,7 +63,7 @@ fn frame_waits_for_its_required_sentinel() {
 fn once_skips_frames_without_their_sentinel() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
-    // Not even started: the voxel size is that of the first frame, which is not complete.
+    // This frame is not started: the voxel size is measured on the first frame, which is incomplete.
     scene.write("in/dam.2.ply.ok", "");
     let arguments = [&["--settle", "10ms", "--sentinel", "{name}.ok"], &FORMATS[..]].concat();
     let once = scene.once(&arguments);

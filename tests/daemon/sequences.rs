@@ -23,8 +23,8 @@ fn put_shrinking(scene: &Scene, numbers: impl IntoIterator<Item = usize>) {
     }
 }
 
-/// The first frames have another spacing than the others. One of them is removed before the daemon restarts,
-/// and the voxel size stays the same.
+/// The first frames have a different spacing. One of them is removed before the daemon restarts, and the
+/// voxel size stays the same.
 #[test]
 fn voxel_size_stays_after_a_restart_without_its_frame() {
     let scene = Scene::new();
@@ -37,7 +37,7 @@ fn voxel_size_stays_after_a_restart_without_its_frame() {
     }
     once(&scene, &[]);
     scene.remove("in/dam.1.ply");
-    // Frames arrive while no daemon runs, and while one does.
+    // Frames arrive while no daemon runs, and while a daemon runs.
     put_shrinking(&scene, [3]);
     let daemon = scene.watch(&[&QUICK[..], &FORMATS, &NO_SCANS].concat());
     daemon.await_converted("dam.3.ply");
@@ -52,13 +52,14 @@ fn voxel_size_stays_after_a_restart_without_its_frame() {
 fn frames_wait_for_the_first_one() {
     let scene = Scene::new();
     let daemon = scene.watch(&[&QUICK[..], &FORMATS, &NO_SCANS].concat());
-    // With the first and the last frame the spacing rounds to 0.11, without the first to 0.1.
+    // If the first frame is measured, the spacing rounds to 0.11; without it, to 0.1.
     let frame = |spacing: f32, number: usize| ply(&block(6, spacing, 0.025 * number as f32));
     let first = frame(0.108, 1);
     scene.write("in/dam.1.ply", &first[..1000]);
     scene.put("in/dam.2.ply", frame(0.1, 2));
     scene.put("in/dam.3.ply", frame(0.108, 3));
-    // Another sequence is independent. When it is done, the waiting frames would have had enough time, too.
+    // Another sequence does not wait. When it is done, a daemon that did not wait would have converted the
+    // frames of the first sequence, too.
     scene.put("in/drop.1.ply", ply(&block(5, 0.1, 0.0)));
     daemon.await_converted("drop.1.ply");
     assert_eq!(daemon.lines(Line::is_converted).len(), 1, "{}", daemon.told());
@@ -118,7 +119,8 @@ fn newest_first_gives_the_same_outputs() {
     assert!(latest_first_count >= 7, "{converted:?}");
 }
 
-/// Other settings make another sequence. With the first settings again, the outputs are the first ones.
+/// With other settings, the sequence is converted again. With the first settings again, the outputs are the
+/// same as at first.
 #[test]
 fn other_settings_convert_all_frames_again() {
     let scene = Scene::new();

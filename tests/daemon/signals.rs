@@ -9,7 +9,7 @@ use crate::scene::{Line, NO_SCANS, Scene, WINDOW, Watching, block, contents, mov
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 
-/// Minutes of smoothing of a small frame.
+/// Settings with which a small frame takes minutes of smoothing.
 const ENDLESS: [&str; 8] =
     ["--integrator", "explicit", "--steps", "1000000", "--preset", "paper", "--voxel-size", "0.03"];
 
@@ -17,14 +17,14 @@ const ENDLESS: [&str; 8] =
 /// converts the rest.
 #[test]
 fn frames_in_flight_are_finished_after_a_signal() {
-    // On a busy machine all frames may be converted before this test sees the first one: then it repeats with
-    // more of them.
+    // On a busy machine, all frames may be converted before this test notices the first one. Then the test
+    // repeats with more frames.
     let is_tested = [60, 240, 960].into_iter().any(finishes_frames_under_way);
     assert!(is_tested, "all frames were converted before it was asked to end");
 }
 
-/// Asks the daemon to end while it converts this number of frames; false if it had already converted all of
-/// them.
+/// Asks the daemon to end while it converts this number of frames. Returns false if it had already converted
+/// all frames.
 fn finishes_frames_under_way(frame_count: usize) -> bool {
     let scene = Scene::new();
     scene.put_moving(1..=frame_count);
@@ -74,7 +74,7 @@ fn second_signal_ends_the_daemon_at_once() {
         daemon.await_line("it is stopping", |line| line.message.contains("stopping on request"));
         assert!(daemon.is_alive());
         daemon.signal(second);
-        // The frame would take minutes, so it is not finished.
+        // The frame would take minutes, so the daemon ends before it is finished.
         assert_eq!(daemon.await_end().code(), Some(status), "{}", daemon.told());
         assert!(contents(&scene.path("out")).is_empty());
     }
@@ -84,9 +84,9 @@ fn second_signal_ends_the_daemon_at_once() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// After the deadline the daemon gives up a frame that takes minutes. The log says so; the test measures time
-/// only to check that the daemon does not end earlier. [`Watching::await_end`] fails if the daemon does not
-/// end at all.
+/// After the deadline, the daemon aborts a frame that takes minutes. The test reads this in the log. It
+/// measures time only to check that the daemon does not end earlier. If the daemon does not end at all,
+/// [`Watching::await_end`] fails.
 #[test]
 fn frame_beyond_the_deadline_is_given_up() {
     let scene = Scene::new();

@@ -38,7 +38,8 @@ fn appended_steps_are_converted() {
     daemon.await_converted("d.dump/step=1");
     append(&scene, &steps([30]));
     daemon.await_converted("d.dump/step=30");
-    // The last of the others might have been cut off, and is found done; the first is not even read.
+    // The last of the earlier steps might have been incomplete, so it is read again, and found done. The step
+    // before it is not read.
     daemon.await_line("step=2 is found done", |line| line.is_found_done() && line.is_about("d.dump/step=2"));
     // A truncated step fails, and is converted when the rest of it arrives.
     let cut = steps([40]);
@@ -51,14 +52,14 @@ fn appended_steps_are_converted() {
     assert_eq!(log.iter().filter(|line| line.is_converted()).count(), 4);
     scene.assert_as_converted(&CONVERT);
 
-    // What it had not looked at again when it ended is found done; and then nothing is read any more, but for which
-    // steps there are.
+    // The next run finds the steps done that the daemon had not read again before it ended. The run after
+    // that reads the file only to list its steps.
     let once = scene.once(&ARGUMENTS);
     once.assert_status(0);
     assert_eq!(once.converted(), [""; 0]);
     let once = scene.once(&ARGUMENTS);
     assert_eq!((once.converted(), once.found_done()), (vec![], vec![]));
-    // Removed outputs are made again.
+    // The daemon makes removed outputs again.
     scene.remove("out/d.30.obj");
     let once = scene.once(&ARGUMENTS);
     assert_eq!(once.converted(), ["step=30"]);
@@ -104,7 +105,7 @@ fn status_lists_failed_steps() {
     scene.put("in/d.dump", steps([1, 3]));
     let status = scene.run(&["status", "--out", "out"]);
     assert!(status.out.contains("2 done, 0 queued, 0 to retry, 0 failed"), "{}", status.out);
-    // The same if the file is now larger, whether or not the daemon has examined it since.
+    // The same holds if the file is larger now, whether or not the daemon has examined it since.
     let bad = steps([9]).replacen('.', "?", 1);
     scene.put("in/d.dump", [&steps([1]), &*bad].concat());
     scene.once(&ARGUMENTS).assert_status(1);
@@ -171,7 +172,7 @@ fn rewritten_dump_replaces_its_steps() {
     assert_eq!(done_count(&daemon.finish()), 1, "the steps are not frames any more");
 }
 
-/// How many frames were done when the daemon ended.
+/// The number of frames that were done when the daemon ended.
 fn done_count(log: &[Line]) -> u64 {
     let ended = log.iter().find(|line| line.message.starts_with("ended")).expect("it has ended");
     ended.fields["done"].as_u64().expect("a count")

@@ -8,13 +8,13 @@ use crate::scene::{Line, NO_SCANS, Scene, Watching, block, csv, moving, names_in
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 
-/// The daemon reads a frame soon after the last write. No periodic scan finds frames by chance, and none
-/// times out.
+/// Starts a daemon that reads a frame soon after the last write. It has no periodic scans, which could find
+/// frames by chance, and no frame times out.
 fn watch(scene: &Scene, more: &[&str]) -> Watching {
     scene.watch(&[&["--settle", "100ms", "--stalled", "1h"], &NO_SCANS[..], &FORMATS, more].concat())
 }
 
-/// The log says that this number of particles was read.
+/// The number of particles that were read, according to this line of the log.
 fn particle_count(line: &Line) -> u64 {
     line.fields["particles"].as_u64().expect("a number")
 }
@@ -25,12 +25,12 @@ fn frame_renamed_into_place_is_converted_at_once() {
     let daemon = scene.watch(&[&["--settle", "1h"], &NO_SCANS[..], &FORMATS].concat());
     scene.put("in/dam.1.ply", ply(&moving(1)));
     daemon.await_converted("dam.1.ply");
-    // Written next to its final path, under a hidden name.
+    // A frame that is written next to its final path, under a hidden name.
     scene.write("in/.dam.2.ply.part", text_ply(&moving(2)));
     fs::rename(scene.path("in/.dam.2.ply.part"), scene.path("in/dam.2.ply")).expect("renamed");
     daemon.await_converted("dam.2.ply");
-    // Written next to its final path, under a name that frames cannot have. Also a table, whose format does
-    // not show whether it is complete.
+    // A frame that is written next to its final path, under a name that frames cannot have. It is a table,
+    // whose format does not show whether it is complete.
     scene.write("in/dam.3.csv.part", csv(&moving(3)));
     fs::rename(scene.path("in/dam.3.csv.part"), scene.path("in/dam.3.csv")).expect("renamed");
     daemon.await_converted("dam.3.csv");
@@ -71,7 +71,8 @@ fn symbolic_link_to_a_frame_is_a_frame() {
     assert!(scene.path("in/dam.1.ply").is_symlink());
 }
 
-/// Folders with links to themselves: a frame has every path that does not repeat a folder.
+/// Folders contain links to themselves. The daemon finds a frame under every path that does not repeat a
+/// folder.
 #[test]
 fn folder_cycles_end() {
     let scene = Scene::new();
@@ -93,8 +94,8 @@ fn folder_cycles_end() {
     scene.assert_folder_as_converted("in/a", "out/a", &FORMATS);
 }
 
-/// Writes a header, then the body in parts, each after the daemon has found that the file is idle. At every
-/// moment the file would be a complete file of fewer particles, but the header has their number.
+/// Writes a header, then the body in parts. Each part follows after the daemon has found that the file does
+/// not change. At every moment, only the number of particles in the header shows that more will follow.
 #[test]
 fn slow_writer_is_waited_for() {
     let scene = Scene::new();
@@ -113,7 +114,8 @@ fn slow_writer_is_waited_for() {
             (&*file).write_all(&bytes[place(bytes, part)..place(bytes, part + 1)]).expect("written");
         }
         for ((_, bytes), name) in files.iter().zip(["dam.1.ply", "dam.2.ply"]) {
-            // The header does not give the length of text: mostly only reading shows whether it is complete.
+            // The header of a text file does not determine its length: mostly, only reading shows whether it
+            // is complete.
             if part < 3 || (part < 5 && name == "dam.1.ply") {
                 daemon.await_waiting(name, place(bytes, part + 1), "complete");
             }
@@ -150,7 +152,7 @@ fn writer_that_closes_and_reopens_is_waited_for() {
     append(&scene, "in/dam.1.ply", &binary[2000..]);
     append(&scene, "in/dam.2.csv", more_rows.as_bytes());
     daemon.await_waiting("dam.2.csv", table.len(), "");
-    // The format does not show whether the table is complete, but the writer can.
+    // The format does not show whether the table is complete, but the writer can, by a sentinel.
     scene.write("in/dam.2.done", "");
     for name in ["dam.1.ply", "dam.2.csv"] {
         assert_eq!(particle_count(&daemon.await_converted(name)), 216);
@@ -160,7 +162,7 @@ fn writer_that_closes_and_reopens_is_waited_for() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// A table that grows after the daemon took it for complete is converted again with the new rows.
+/// If a table grows after the daemon considered it complete, it is converted again, with the new rows.
 #[test]
 fn late_rows_are_converted() {
     let scene = Scene::new();
@@ -197,7 +199,7 @@ fn frame_restarted_by_another_producer_is_converted() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// The file has its final length from the beginning, and is filled bit by bit. Its format says that it is
+/// The file has its final length from the beginning, and is filled gradually. According to its format it is
 /// complete; only the continuing writes show that it is not.
 #[test]
 fn preallocated_file_is_waited_for() {

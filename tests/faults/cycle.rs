@@ -32,12 +32,12 @@ struct Cycle<'a> {
     way: Way,
     scene: Scene,
     references: &'a References,
-    /// Whether outputs of an earlier version of the frames existed.
+    /// Whether outputs of an earlier version of the frames existed before the runs with faults.
     has_old: bool,
     random: Random,
 }
 
-/// One cycle.
+/// Runs one cycle.
 pub(crate) fn run(seed: u64, shim: &Path, references: &References) -> Figures {
     let mut random = Random(seed);
     let way = [Way::Convert, Way::Watch, Way::Farm][usize::try_from(seed % 3).expect("small")];
@@ -109,7 +109,8 @@ impl Cycle<'_> {
         was_killed
     }
 
-    /// Runs without faults make all outputs, and remove everything that failed and killed runs left.
+    /// Asserts that runs without faults make all outputs, and remove all files that failed or killed runs
+    /// left.
     fn assert_all_is_made(&self, version: Version) {
         let about = |ran: &Ran| {
             let log = self.scene.fault_log();
@@ -145,12 +146,12 @@ impl Cycle<'_> {
         assert!(more.is_empty(), "{more:?} are left: {}", about(&last));
     }
 
-    /// Whether this command makes a file of this name.
+    /// Whether a command makes a file of this name.
     fn is_made(&self, name: &str) -> bool {
         self.way == Way::Farm || !name.ends_with(".certificate.json")
     }
 
-    /// Every visible file with the name of an output is a complete output.
+    /// Asserts that every visible file with the name of an output is a complete output.
     fn assert_whole(&self, found: &Files, about: &dyn Fn() -> String) {
         for (name, bytes) in found.iter().filter(|(name, _)| !name.starts_with('.')) {
             let is_known = |version: Version| self.references.of(version).get(name) == Some(bytes);
@@ -159,8 +160,8 @@ impl Cycle<'_> {
         }
     }
 
-    /// A frame that had all its outputs still has them, all of one version. If the program was killed, or
-    /// several operations failed, some may have hidden names, which the next run finds.
+    /// Asserts that a frame that had all its outputs still has them, all of the same version. If the program
+    /// was killed, or several operations failed, some outputs may have hidden names; the next run finds them.
     fn assert_nothing_lost(
         &self,
         before: &Files,
@@ -205,7 +206,7 @@ impl Cycle<'_> {
         FORMATS.iter().map(|format| format!("{}.{format}", stem(number))).collect()
     }
 
-    /// Frames that the command reports as done are done.
+    /// Asserts that all frames that the command reports as done are done.
     fn assert_no_wrong_success(
         &self,
         arguments: &[&str],

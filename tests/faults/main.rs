@@ -1,4 +1,5 @@
-//! Fails file operations and kills the program: it reports no false success, and loses no result.
+//! Makes file operations of the program fail, and kills it: it must not report a false success or lose a
+//! result.
 //!
 //! ```text
 //!   shim.c, loaded into the program ──▶ ENOSPC, EIO, ESTALE, EACCES, short reads and writes, SIGKILL
@@ -12,7 +13,7 @@
 
 #![cfg(target_os = "linux")]
 
-mod cycle; // the commands of a cycle, and the conditions afterwards
+mod cycle; // the commands of a cycle, and the conditions that must hold afterwards
 mod scene; // frames, their expected outputs, and the program with faults
 
 use std::env;

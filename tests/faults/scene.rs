@@ -16,7 +16,7 @@ pub(crate) const FRAME_COUNT: usize = 3;
 /// The output formats of each frame.
 pub(crate) const FORMATS: [&str; 2] = ["obj", "vdb"];
 
-/// Settings that make a frame cheap.
+/// Settings with which a frame takes little time.
 pub(crate) const CHEAP: [&str; 12] = [
     "--format",
     "obj,vdb",
@@ -32,10 +32,10 @@ pub(crate) const CHEAP: [&str; 12] = [
     "2",
 ];
 
-/// A run that takes longer hangs.
+/// Time limit of a run: a run that takes longer hangs.
 const PATIENCE: Duration = Duration::from_secs(300);
 
-/// Prints a line also if the test passes.
+/// Prints a line, also if the test passes.
 pub(crate) fn tell(text: &str) {
     writeln!(io::stderr(), "{text}").expect("standard error is open");
 }
@@ -55,7 +55,7 @@ pub(crate) fn build_shim() -> Option<PathBuf> {
     Some(shim)
 }
 
-/// Numbers that look random, and are the same in every run (SplitMix64).
+/// A generator of pseudo-random numbers (SplitMix64), the same in every run.
 pub(crate) struct Random(pub(crate) u64);
 
 impl Random {
@@ -157,11 +157,11 @@ pub(crate) struct Faults<'a> {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum FaultKind {
-    /// This number of 1000 calls fails.
+    /// Of 1000 calls, this number fails on average.
     Rate(u64),
-    /// Exactly one call fails.
+    /// Only the call with this number fails.
     Nth(u64),
-    /// The program kills itself at this change.
+    /// The program kills itself at the change of the file system with this number.
     Kill(u64),
 }
 
@@ -208,12 +208,12 @@ impl Scene {
         fs::read_to_string(self.log_path()).unwrap_or_default()
     }
 
-    /// The log lies outside the folder, so that the faults do not affect it.
+    /// The path of the log: outside the folder of the scene, so that the faults do not affect it.
     fn log_path(&self) -> PathBuf {
         self.folder.path().with_extension("faults")
     }
 
-    /// Runs the program to its end.
+    /// Runs the program until it ends.
     pub(crate) fn run(&self, arguments: &[&str], faults: Option<&Faults<'_>>) -> Ran {
         let [out, err] = ["out", "err"].map(|name| self.folder.path().with_extension(name));
         let file = |path: &Path| fs::File::create(path).expect("created");

@@ -1,4 +1,4 @@
-//! The requirement on every target: it returns, and holds little more memory than its input has bytes.
+//! The requirement on every target: it returns, and uses memory in proportion to the size of its input.
 
 use meniscus_formats::Limits;
 use peak_alloc::PeakAlloc;
@@ -12,7 +12,7 @@ static MEMORY: PeakAlloc = PeakAlloc;
 const HELD_PER_BYTE: u64 = 4;
 const HELD_BESIDES_BYTES: u64 = 64 << 20;
 
-/// Bytes that a packed file may yield before the limits check its ratio.
+/// Number of bytes that a compressed file may unpack to before the limits check its ratio.
 const RATIO_FREE_BYTES: u64 = 16 << 20;
 
 /// Runs a target with these bytes.
@@ -25,7 +25,7 @@ pub(crate) fn hold(target: &Target, bytes: &[u8]) {
     assert!(held <= most, "{}: {held} bytes were held, and {most} may be for {}", target.name, bytes.len());
 }
 
-/// Packed data counts as its largest unpacked size.
+/// The allowed bytes of memory. Compressed data counts with its largest unpacked size.
 fn held_bytes_max(target: &Target, length: u64) -> u64 {
     let unpacked = match target.content {
         Content::Plain => 0,

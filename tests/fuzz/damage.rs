@@ -7,7 +7,7 @@ pub(crate) struct Damage(u64);
 const EXTREMES: [u64; 8] =
     [0, 1, 0x7f, 0xff, 0x7fff_ffff, 0xffff_ffff, 0x7fff_ffff_ffff_ffff, 0xffff_ffff_ffff_ffff];
 
-/// The same as text, and characters of structure.
+/// Extreme numbers as text, and characters that have a meaning in text formats.
 const WORDS: [&[u8]; 16] = [
     b"0",
     b"-1",
@@ -28,12 +28,12 @@ const WORDS: [&[u8]; 16] = [
 ];
 
 impl Damage {
-    /// Another name gives other damage.
+    /// A generator of damage; each name gives different damage.
     pub(crate) fn new(name: &str) -> Damage {
         Damage(name.bytes().fold(1, |seed, byte| seed * 31 % 1_000_003 + u64::from(byte)))
     }
 
-    /// One of the files, damaged in up to four ways.
+    /// A copy of one of the files, damaged in up to four ways.
     pub(crate) fn done_to(&mut self, files: &[Vec<u8>]) -> Vec<u8> {
         let mut bytes = files[self.below(files.len())].clone();
         for _ in 0..=self.below(4) {
@@ -46,7 +46,7 @@ impl Damage {
         if bytes.is_empty() {
             return bytes.push(0);
         }
-        // Headers matter most, so at least half of the damage is in the first 512 bytes.
+        // Damage to headers has the largest effect, so at least half of the damage is in the first 512 bytes.
         let ranges = [bytes.len(), bytes.len().min(512)];
         let range = ranges[self.below(2)];
         let at = self.below(range);

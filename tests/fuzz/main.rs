@@ -2,15 +2,15 @@
 //! The inputs are the bytes in `corpus`, and damaged copies of them.
 //!
 //! ```text
-//!   corpus/TARGET/*                  small files of each kind, and all that was ever found
-//!   ../../formats/tests/corpus/*     those that the readers' own tests have        each given to every reader
-//!   damage                           cut off, bits flipped, pieces moved, numbers that are extreme
+//!   corpus/TARGET/*                  small files of each kind, and all inputs that ever caused a fault
+//!   ../../formats/tests/corpus/*     files of the readers' own tests, each given to every reader
+//!   damage                           truncation, flipped bits, moved pieces, extreme numbers
 //! ```
 //!
-//! No target may panic, take more than ten seconds, or hold more than 64 MiB plus four bytes per byte of
-//! input; packed data counts with the size that the limits allow. `long/run` searches with libFuzzer for
-//! inputs that break this: they are added to `corpus`, and so become tests. docs/trials.md lists the runs so
-//! far.
+//! No target may panic, take more than ten seconds, or use more than 64 MiB of memory plus four bytes per
+//! byte of input. Compressed data counts with the unpacked size that the limits allow. `long/run` searches
+//! with libFuzzer for inputs that violate this requirement. Such inputs are added to `corpus`, and so become
+//! tests. docs/trials.md lists the runs so far.
 
 mod bar;
 mod damage;
@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 use damage::Damage;
 use targets::{TARGETS, Target};
 
-/// Inputs made from the files of each target: fewer for targets that need a connection or a folder per input.
+/// Number of damaged inputs for a target: fewer for targets that need a connection or a folder per input.
 fn damaged_count(target: &Target) -> usize {
     match target.name {
         "window" | "journal" => 100,
@@ -31,10 +31,10 @@ fn damaged_count(target: &Target) -> usize {
     }
 }
 
-/// A longer run is a hang. (A busy machine may take longer than the ten seconds.)
+/// A longer run counts as a hang. (On a busy machine, a run may take longer than ten seconds.)
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Memory is counted for the whole program, so one target runs after the other.
+/// Memory is measured for the whole process, so one target runs after the other.
 #[test]
 fn damaged_inputs_break_no_target() {
     let shared: Vec<Vec<u8>> = SHARED.iter().flat_map(|folder| files(&root().join(folder))).collect();
@@ -57,7 +57,7 @@ const SHARED: [&str; 4] = [
     "formats/tests/corpus/delimited/invalid",
 ];
 
-/// A folder without a target has a misspelt name.
+/// Every folder in `corpus` must have the name of a target: otherwise its name is misspelt.
 #[test]
 fn every_folder_of_the_corpus_has_a_target() {
     for entry in fs::read_dir(root().join("tests/fuzz/corpus")).expect("the corpus") {

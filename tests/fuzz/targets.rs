@@ -1,13 +1,13 @@
-//! Every part of meniscus that reads bytes from elsewhere: one function for each, with any result allowed.
+//! Every part of meniscus that reads bytes from outside: a function for each, which may return any result.
 //!
 //! ```text
 //!   files      particles, meshes, level sets, pictures; checks before reading a file
 //!   ours       the configuration, the journal, the plan: text that a user or a disk may have damaged
-//!   window     bytes from a socket
+//!   window     the HTTP server: bytes from a socket
 //! ```
 //!
 //! A target panics if a condition fails that must hold for any bytes. Two programs call the targets: the test
-//! next to this file, and `long`, in which libFuzzer searches for bytes that reach new code.
+//! next to this file, and `long`, which uses libFuzzer to search for bytes that reach new code.
 
 use std::io::{self, Cursor, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpStream};
@@ -26,24 +26,25 @@ use meniscus_formats::{
 };
 use twox_hash::XxHash3_64;
 
-/// One of them.
+/// A target: a part of meniscus that reads bytes.
 pub(crate) struct Target {
-    /// Also the name of its folder in `corpus`.
+    /// The name of the target, and of its folder in `corpus`.
     pub(crate) name: &'static str,
-    /// The largest result of its bytes.
+    /// The largest result that the bytes may have.
     pub(crate) content: Content,
-    /// Runs it with these bytes.
+    /// Runs the target with these bytes.
     pub(crate) run: fn(&[u8]),
 }
 
 /// The largest result of an input.
 #[derive(Clone, Copy)]
 pub(crate) enum Content {
-    /// As large as the input.
+    /// The result is at most as large as the input.
     Plain,
-    /// The size of a packed file that the limits allow.
+    /// The result is at most as large as the limits allow for the contents of a compressed file.
     Packed,
-    /// The pixels of a picture, as many as its header states and its packed bytes could hold.
+    /// The result is the pixels of a picture: at most as many as its header states and its compressed bytes
+    /// could contain.
     Picture,
 }
 
@@ -94,12 +95,12 @@ const fn packed(name: &'static str, run: fn(&[u8])) -> Target {
     Target { name, content: Content::Packed, run }
 }
 
-/// Those that the program has.
+/// The limits of the program.
 fn limits() -> Limits {
     Limits::default()
 }
 
-/// The arrays that were read have the stated lengths.
+/// Checks that the arrays of a frame have the stated lengths.
 fn checked(frame: Result<ParticleFrame>) {
     let Ok(frame) = frame else { return };
     for attribute in &frame.attributes {
@@ -147,7 +148,7 @@ fn particles(bytes: &[u8], name: &str) {
     checked(read_particles(bytes, name, &limits()));
 }
 
-/// Batches hold the same particles as the whole file.
+/// Checks that batches contain the same particles as the whole file.
 fn batches(bytes: &[u8], name: &str) {
     let Ok(Some(batches)) = ParticleBatches::open(bytes, name, &limits(), 256) else { return };
     let mut batch = ParticleBatch::default();
@@ -167,10 +168,10 @@ fn obstacle(bytes: &[u8], name: &str) {
     let _ = read_obstacle(bytes, name, &limits(), &|_| Ok(vec![7; 96]));
 }
 
-/// A file that may have several steps: as a whole, and each step alone.
+/// Reads a file that may have several steps: as a whole, and each step alone.
 fn steps(kind: ProbedKind, bytes: &[u8], read: fn(&[u8], &Limits) -> Result<ParticleFrame>) {
     checked(read(bytes, &limits()));
-    // Bytes can always be read, but the limits may allow fewer steps.
+    // Reading bytes never fails, but the limits may allow fewer steps than the file has.
     for step in find_steps(kind, bytes, &limits()).unwrap_or_default() {
         let range =
             [step.range.start, step.range.end].map(|at| usize::try_from(at).expect("within the bytes"));
@@ -190,15 +191,15 @@ fn gltf_parts(bytes: &[u8]) {
     let _ = gltf::read_camera(bytes);
 }
 
-/// The first two meshes of an archive, and what is known without them.
+/// Reads the first two meshes of an archive, and the information that needs no mesh.
 fn alembic(bytes: &[u8]) {
     let _ = (abc::read_mesh(bytes, &limits()), abc::read_sequence_info(bytes), abc::read_times(bytes));
     let _ = (abc::read_sample(bytes, 0, &limits()), abc::read_sample(bytes, 1, &limits()));
     let _ = abc::to_glb(bytes, &limits());
 }
 
-/// A frame of a sequence file: its columns and triangles are read for the .usda, the .usdc and the .abc, its
-/// data is copied for the .glb.
+/// Reads a frame of a sequence. For the .usda, the .usdc and the .abc, its columns and triangles are read;
+/// for the .glb, its data is copied.
 fn gltf_frame(bytes: &[u8]) {
     let Ok(file) = gltf::GlbFrame::read(&mut Cursor::new(bytes)) else { return };
     let frame = |code| gltf::SequenceFrame { name: "f".into(), code, file: file.clone() };
@@ -209,7 +210,7 @@ fn gltf_frame(bytes: &[u8]) {
     let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut std::io::sink());
 }
 
-/// The first frames of a file.
+/// Reads the first frames of a file.
 fn usdc_frames(bytes: &[u8]) {
     let Ok(layer) = usdc::UsdcLayer::read(bytes, &limits()) else { return };
     for index in 0..layer.codes().map_or(1, <[f64]>::len).min(4) {
@@ -246,8 +247,8 @@ fn config(bytes: &[u8]) {
     }
 }
 
-/// A journal as found on disk: opening and rewriting it keeps its records. A second pass corrects the
-/// checksums, because random bytes never have correct ones.
+/// Checks that opening and rewriting a journal keeps its records. A second pass corrects the checksums first,
+/// because random bytes never have correct checksums.
 fn journal(bytes: &[u8]) {
     let lines = bytes.split_inclusive(|&byte| byte == b'\n');
     let with_checksums: Vec<u8> = lines.flat_map(with_checksum).collect();
@@ -284,10 +285,10 @@ fn window(bytes: &[u8]) {
     });
     store.pulse();
     let mut stream = connect(window.address());
-    // A server that has refused the request already does not read the rest.
+    // Writing fails if the server has refused the request already, and does not read the rest.
     let _ = stream.write_all(bytes);
     let _ = stream.shutdown(Shutdown::Write);
-    // Any response is allowed, and so is a reset.
+    // Any response and a reset are valid.
     let _ = await_end(stream);
     let mut stream = connect(window.address());
     stream.write_all(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").expect("sent");
@@ -304,8 +305,9 @@ fn connect(address: SocketAddr) -> TcpStream {
 /// Longer than the server waits for the rest of a request.
 const WINDOW_PATIENCE: Duration = Duration::from_secs(60);
 
-/// Reads until the server closes the connection, and returns how it did: a reset is possible if the client
-/// sent more than the server read. Event streams have no end; only their beginning is read.
+/// Reads until the server closes the connection. Returns the response, and whether the connection was reset:
+/// a reset is possible if the client sent more than the server read. Event streams have no end, so only their
+/// beginning is read.
 fn await_end(mut stream: TcpStream) -> (Vec<u8>, io::Result<()>) {
     let (mut answer, mut piece) = (Vec::new(), [0; 4096]);
     loop {
@@ -315,7 +317,7 @@ fn await_end(mut stream: TcpStream) -> (Vec<u8>, io::Result<()>) {
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                 panic!("the window did not end its answer: {}", answer.escape_ascii())
             }
-            // The fuzzer's own clock.
+            // A signal of the fuzzer's own timer interrupted the call.
             Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
             Err(error) => return (answer, Err(error)),
         }
@@ -325,5 +327,5 @@ fn await_end(mut stream: TcpStream) -> (Vec<u8>, io::Result<()>) {
     }
 }
 
-/// The header of a response without an end has this.
+/// Part of the header of a response without an end.
 const EVENTS: &[u8] = b"text/event-stream";

@@ -1,4 +1,4 @@
-//! Small files that unpack to huge ones: ten gigabytes out of ten megabytes. They are refused early.
+//! Decompression bombs: ten megabytes that unpack to ten gigabytes. The program must refuse them early.
 
 use std::io::Write;
 
@@ -7,20 +7,20 @@ use flate2::write::{DeflateEncoder, GzEncoder, ZlibEncoder};
 
 use crate::scene::{Scene, is_long, ply_header};
 
-/// Bytes of a piece, and the number of pieces: together 10 GiB, or a tenth of it.
+/// Number of bytes of a piece. All pieces together have 10 GiB, or a tenth of that in the short form.
 const PIECE_BYTES: usize = 64 << 20;
 
 fn piece_count() -> usize {
     if is_long() { 160 } else { 16 }
 }
 
-/// Memory of the program, of the good frames, and of unpacked data before the limit on its ratio applies,
-/// while the buffer grows.
+/// Limit of the memory: for the program, for the valid frames, and for unpacked data in a growing buffer
+/// until the limit on the compression ratio applies.
 const MOST_BYTES: u64 = 256 << 20;
 
 const RATIO: &str = "more than 200 times its compressed size";
 
-/// Zeros, packed.
+/// Compressed zeros.
 fn zeros<W: Write>(mut encoder: W, finish: impl Fn(W) -> Vec<u8>) -> Vec<u8> {
     let piece = vec![0; 1 << 20];
     (0..PIECE_BYTES >> 20).for_each(|_| encoder.write_all(&piece).expect("packed"));
@@ -94,7 +94,7 @@ pub(crate) fn archive(names: &[String], packed: &[u8], length: u32, method: u8) 
     bytes
 }
 
-/// Blocks of VTK, each packed by zlib.
+/// VTK data in blocks that zlib compressed.
 #[test]
 fn vtk_bombs_are_refused() {
     let scene = Scene::new();
@@ -120,7 +120,7 @@ fn vtk_bombs_are_refused() {
     scene.assert_costs_itself_alone("bomb.1.vtp", RATIO, MOST_BYTES);
 }
 
-/// Blosc blocks of LZ4 in Houdini's container: LZ4 cannot exceed a ratio of 255.
+/// Blosc blocks with LZ4 in Houdini's container. The compression ratio of LZ4 is at most 255.
 #[test]
 fn houdini_bombs_are_refused() {
     let scene = Scene::new();

@@ -1,4 +1,4 @@
-//! Headers that promise missing data, and headers without end.
+//! Headers that declare data which the file does not have, and headers without an end.
 //!
 //! Files of gigabytes are sparse: they take no disk space, and reading them gives zeros.
 
@@ -25,12 +25,12 @@ fn attribute_count() -> usize {
 /// Memory of the program itself and of the good frames.
 const OWN_BYTES: u64 = 128 << 20;
 
-/// Memory for a file that a reader may load whole.
+/// Limit of the memory for a file that a reader may load as a whole.
 fn most_of(length: u64) -> u64 {
     OWN_BYTES + (64 << 20) + 4 * length
 }
 
-/// A count of more particles than the file can hold allocates no memory.
+/// A header declares more particles than the file can contain: the reader must not allocate memory for them.
 #[test]
 fn counts_beyond_the_file_allocate_nothing() {
     let scene = Scene::new();
@@ -52,7 +52,7 @@ fn counts_beyond_an_array_allocate_no_more_than_the_file() {
     scene.assert_costs_itself_alone("huge.1.npy", "expected", most_of(hole_bytes()));
 }
 
-/// A file of zeros is not text, which its first bytes show.
+/// The first bytes of a file of zeros show that it is not text.
 #[test]
 fn tables_of_zeros_are_refused() {
     let scene = Scene::new();
@@ -66,7 +66,7 @@ fn tables_of_zeros_are_refused() {
     scene.assert_costs_itself_alone("huge.1.geo", "", most_of(hole_bytes()));
 }
 
-/// One line, one comment, or one text without end.
+/// A line, a comment or a text has no end.
 #[test]
 fn headers_without_end_are_refused() {
     let filling = |byte: u8| vec![byte; header_bytes()];

@@ -14,7 +14,7 @@ fn set(scene: &Scene, within: &str, time: SystemTime) {
     file.set_modified(time).expect("set");
 }
 
-/// Modification times that a disk may return.
+/// Extreme modification times that a file system may return.
 fn times() -> [SystemTime; 5] {
     let start = SystemTime::UNIX_EPOCH;
     [
@@ -86,7 +86,7 @@ fn run_at(scene: &Scene, clock: &[&str]) -> Option<Ran> {
         return None;
     }
     let mut command = Command::new("faketime");
-    // Durations use the monotonic clock, which nothing sets.
+    // The program measures durations with the monotonic clock, which cannot be set.
     command
         .env("FAKETIME_DONT_FAKE_MONOTONIC", "1")
         .args(clock)

@@ -1,4 +1,4 @@
-//! Small .vdb files whose nodes are full of tiles: memory stays within `--memory`.
+//! Small .vdb files whose nodes are full of tiles: the memory must stay within `--memory`.
 
 use crate::scene::{Scene, tell};
 use crate::vdb_file::{grid_head, vdb_file};
@@ -9,7 +9,7 @@ const BACKGROUND: f32 = 0.3;
 /// Voxels along an edge of an upper node.
 const NODE_EDGE: i32 = 4096;
 
-/// Memory of the program itself, and memory that the allocator keeps.
+/// Allowance for the memory of the program itself, and for memory that the allocator keeps.
 const BESIDE_BYTES: u64 = 40 << 20;
 
 /// A level set with `node_count` upper nodes along z, each of 32³ tiles of 128³ voxels; `value` returns the
@@ -17,7 +17,7 @@ const BESIDE_BYTES: u64 = 40 << 20;
 /// tile with these coordinates (0 to 31). A node whose tiles all have the same value takes 8 kB.
 fn tiles(node_count: i32, value: impl Fn([usize; 3]) -> f32) -> Vec<u8> {
     let values: Vec<f32> = (0..32_768).map(|slot| value([slot / 1024, slot / 32 % 32, slot % 32])).collect();
-    // 2: only active values are stored.
+    // Compression 2: only active values are stored.
     let mut grid = grid_head(2, VOXEL_SIZE, BACKGROUND, node_count as u32);
     for node in 0..node_count {
         [0, 0, node * NODE_EDGE].iter().for_each(|at| grid.extend(at.to_le_bytes()));
@@ -43,7 +43,7 @@ fn convert(scene: &Scene, is_obstacle: bool, memory: &str) -> crate::scene::Ran 
     scene.run(&[&common[..], inputs].concat())
 }
 
-/// The MiB that an error message requires.
+/// The MiB of memory that are necessary according to an error message.
 fn asked_mebibytes(err: &str) -> u64 {
     let asked = err.split("use --memory ").nth(1).and_then(|rest| rest.split("MiB").next());
     asked.and_then(|asked| asked.parse().ok()).unwrap_or_else(|| panic!("{err}"))

@@ -1,23 +1,24 @@
-//! Hostile and accidental folder contents: the tests run the command on them, and observe it from outside.
+//! Files that are hostile, or in the folder by accident: the tests run the command on them, and observe it
+//! from outside.
 //!
 //! ```text
-//!   in/dam.1.ply      good            converted, whatever lies next to it
-//!   in/hostile.*      not good        one failed frame with its reason, or done if possible
-//!   in/dam.2.ply      good            converted
+//!   in/dam.1.ply      valid           converted, whatever other files are in the folder
+//!   in/hostile.*      not valid       a failed frame with a reason, or a done frame if possible
+//!   in/dam.2.ply      valid           converted
 //! ```
 //!
-//! For every one of them, the command ends normally, takes no more memory than the file could need, and never
-//! panics. With `MENISCUS_LONG=1` the files have their full size (gigabytes, most of them sparse); without,
-//! they are smaller.
+//! For every such file, the command ends normally, does not panic, and uses no more memory than a valid file
+//! of this size could need. With `MENISCUS_LONG=1`, the files have their full size (gigabytes, most of them
+//! sparse). Without it, they are smaller.
 #![cfg(target_os = "linux")]
 
-mod bombs; // small files that unpack to huge ones
-mod claims; // headers that promise missing data, and headers without end
+mod bombs; // decompression bombs
+mod claims; // headers that declare missing data, and headers without an end
 mod clocks; // files from the past and the future, clocks that change
 mod grids; // small volumes that are full of tiles
 mod names; // names that are not Unicode
 mod scene; // a folder with good frames, and the command in it
-mod sizes; // many steps, many leaves: memory in proportion
+mod sizes; // many steps, many leaves: memory in proportion to the file
 mod trees; // cycles of links, and unreadable files
 #[path = "../meniscus/vdb_file.rs"]
-mod vdb_file; // what small .vdb files share
+mod vdb_file; // common parts of small .vdb files

@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use crate::scene::{Scene, block_ply};
 
-/// Latin 1, as on old disks. As displayed text, the two frames have the same name.
+/// A name in Latin 1, as on old disks. In messages, the names of the two frames look the same.
 const FOLDER: &[u8] = b"caf\xe9";
 const FRAMES: [&[u8]; 2] = [b"gr\xf6\xdfe.1", b"gr\xfc\xdfe.1"];
 const OUT: &[u8] = b"aus\xff";
@@ -80,7 +80,7 @@ fn folders_with_names_that_are_not_unicode_are_watched() {
     assert!(!again.err.contains("converted 2"), "{}", again.err);
 }
 
-/// A plan is text: the command reports the name, and writes no plan.
+/// A plan is Unicode text and cannot contain such a name: the command reports the name, and writes no plan.
 #[test]
 fn plan_refuses_names_that_are_not_unicode() {
     let scene = scene();

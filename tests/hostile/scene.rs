@@ -22,7 +22,7 @@ pub(crate) fn tell(text: &str) {
     writeln!(io::stderr(), "{text}").expect("standard error is open");
 }
 
-/// A command that runs longer hangs.
+/// Time limit of a command: one that runs longer hangs.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A temporary folder with `in`.
@@ -89,8 +89,8 @@ impl Scene {
         self.run(&["convert", "in", "--out", "out", "--voxel-size", "0.1", "--format", "obj"])
     }
 
-    /// Converts the folder with an unreadable file next to the good frames. Asserts one failed frame whose
-    /// message has these words, and at most this memory.
+    /// Converts the folder with an unreadable file next to the valid frames. Asserts that one frame failed,
+    /// that its message contains these words, and that the peak memory is at most this.
     #[track_caller]
     pub(crate) fn assert_costs_itself_alone(&self, name: &str, words: &str, most_bytes: u64) {
         let ran = self.convert();

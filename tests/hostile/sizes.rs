@@ -1,4 +1,4 @@
-//! Valid files with very many elements: each takes memory in proportion to its size.
+//! Valid files with very many elements: the memory must be in proportion to the size of the file.
 
 use std::fmt::Write as _;
 
@@ -7,10 +7,10 @@ use meniscus_formats::vdb::{WriteOptions, write};
 
 use crate::scene::{Scene, tell};
 
-/// Enough steps to make the memory per step visible.
+/// Number of steps: enough to measure the memory per step.
 const STEPS: usize = 20_000;
 
-/// Memory of the program, of the file, and of the data per step.
+/// Limit of the memory: for the program, the file, and the data per step.
 const INFO_BYTES_MAX: u64 = 32 << 20;
 
 fn steps(count: usize) -> String {
@@ -35,8 +35,8 @@ fn info_of_many_steps_takes_little_memory() {
     }
 }
 
-/// Four times the steps may need four times the reading. If each step read the file from its start, it would
-/// be 16 times.
+/// With four times as many steps, the program may read four times as many bytes. If it read the file from the
+/// start for each step, it would read 16 times as many.
 #[test]
 fn reading_many_steps_is_linear_in_the_file_size() {
     let scene = Scene::new();
@@ -53,7 +53,7 @@ fn reading_many_steps_is_linear_in_the_file_size() {
     }
 }
 
-/// A file with a voxel inside in each of this many leaves, none of which are neighbours.
+/// A level set with `edge_count`³ leaves that are not neighbours; each has one voxel inside.
 fn scattered(edge_count: i32) -> Vec<u8> {
     let mut origins = Vec::new();
     for x in 0..edge_count {
@@ -75,7 +75,7 @@ fn scattered(edge_count: i32) -> Vec<u8> {
     bytes
 }
 
-/// Memory of the program itself, and memory that the allocator keeps.
+/// Allowance for the memory of the program itself, and for memory that the allocator keeps.
 const BESIDE_BYTES: u64 = 40 << 20;
 
 #[test]

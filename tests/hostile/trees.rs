@@ -28,7 +28,7 @@ fn link_cycles_do_not_stop_conversion() {
     let ran = scene.convert();
     assert!(matches!(ran.status, Some(0 | 1)), "{}", ran.err);
     scene.assert_good_frames_are_there();
-    // A glob through all folders ends, too.
+    // A glob through all folders must end, too.
     let arguments = ["convert", "in/**/*.ply", "--out", "globbed", "--voxel-size", "0.1", "--format", "obj"];
     let ran = scene.run(&arguments);
     assert!(matches!(ran.status, Some(0 | 1)), "{}", ran.err);
@@ -52,8 +52,8 @@ fn link_cycles_do_not_stop_the_daemon() {
 /// Runs the command as a user without root's rights; `None` if that is impossible.
 fn run_as_nobody(scene: &Scene, arguments: &[&str]) -> Option<Ran> {
     let program = scene.path("meniscus");
-    // Another process copies it: a test that starts a program at this moment would inherit our descriptor, and a file that
-    // is open for writing cannot be run.
+    // A separate process copies the program. If this process copied it, a test that starts a child at this
+    // moment would pass on the open descriptor, and a file that is open for writing cannot be executed.
     let copied = Command::new("cp").arg(env!("CARGO_BIN_EXE_meniscus")).arg(&program).status();
     assert!(copied.is_ok_and(|status| status.success()));
     fs::set_permissions(scene.path(""), Permissions::from_mode(0o777)).expect("changed");
@@ -105,7 +105,7 @@ fn unreadable_subfolder_fails_the_run() {
     let scene = Scene::new();
     fs::create_dir(scene.path("in/closed")).expect("made");
     forbid(&scene, "in/closed");
-    // Named without a wildcard, a closed folder is an error with its reason as well.
+    // A closed folder in a path without a wildcard is also an error with a reason.
     for (input, status) in [("in/**/dam.*.ply", 1), ("in/*/../dam.*.ply", 2), ("in/closed/dam.#.ply", 2)] {
         let arguments = ["convert", input, "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
         let Some(ran) = run_as_nobody(&scene, &arguments) else { return };
@@ -129,7 +129,7 @@ fn unreadable_subfolder_fails_the_run() {
     assert!(ran.err.contains("in/closed") && scene.path("out3/dam.2.obj").is_file(), "{}", ran.err);
 }
 
-/// A folder that can be listed but not entered: the names of its frames are known, and nothing else.
+/// A folder can be listed but not entered: only the names of its frames are known.
 #[test]
 fn frames_in_a_folder_without_the_right_to_enter_fail() {
     let scene = Scene::new();

@@ -1,10 +1,11 @@
-//! Explicit steps as large as may be (paper, §3.5): the same time, and so the same surface, in fewer steps.
+//! The adaptive integrator: explicit steps as large as stability allows (paper, §3.5). They have the same
+//! total pseudo-time, and so the same surface, in fewer steps.
 
 use meniscus::surface::smooth::{Integrator, SmoothConfig, smooth};
 
 use crate::shapes::{ball_with_finger, bending_energy, default_config, rasterized, sheet_and_drops, voxels};
 
-/// 5 h⁴ in steps of 0.0125 h⁴, where all are as large as stability allows.
+/// Number of steps for 5 h⁴ if all steps are as large as stability allows: 0.0125 h⁴.
 const FEWEST_STEPS: usize = 400;
 
 #[test]
@@ -38,7 +39,7 @@ fn adaptive_steps_give_the_result_of_explicit_ones() {
     }
 }
 
-/// Only the total time matters, also if the given steps would not be stable.
+/// Only the total pseudo-time affects the result, also if the given steps would be unstable.
 #[test]
 fn total_time_is_the_number_of_steps_times_their_size() {
     let (start, bounds) = rasterized(&ball_with_finger());

@@ -63,11 +63,11 @@ fn every_format_has_the_attributes_that_it_supports() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     write_frame(folder, 8);
-    // Identities are those of the nearest particle, as it is moved: here none is.
+    // Ids are those of the nearest particle after position smoothing, which is off here.
     let ran = convert(folder, "out", &["--attributes", "all", "--position-smoothing", "0"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
     for note in [
-        "1 value of particle attributes ignored: not finite",
+        "1 value of particle attributes ignored: infinite or NaN",
         "id is not in the .vdb",
         "fluid is not in the .vdb",
         "v is missing in the .obj",
@@ -207,7 +207,7 @@ fn tiled_conversion_gives_the_same_attributes() {
     assert!(files(folder, "whole") == files(folder, "tiles"));
 }
 
-/// With half the spacing as voxel size, all particles of that radius would be enlarged.
+/// If the voxel size were half the spacing, all particles with that radius would be enlarged.
 #[test]
 fn voxel_size_is_small_enough_for_radii_from_a_column() {
     let folder = tempdir().expect("a folder");
@@ -237,7 +237,7 @@ fn voxel_size_is_small_enough_for_radii_from_a_column() {
     assert_eq!(report["frames"][0]["shapes"]["small_radii"], 20);
     assert!(ran.err.contains("20 particles too small for the grid"), "{}", ran.err);
     assert!(ran.err.contains("--voxel-size 0.0173 or less resolves all of them"), "{}", ran.err);
-    // The voxel size that the warning names is small enough; the daemon measures the same.
+    // The voxel size in the warning is small enough. The daemon (below) measures the same.
     let ran = meniscus(folder, &[&typed[..], &["--voxel-size", "0.0173"]].concat());
     assert_eq!(ran.status, 0);
     // Position smoothing would move the particles by more than the radius of such small balls.
@@ -249,8 +249,8 @@ fn voxel_size_is_small_enough_for_radii_from_a_column() {
     assert!(ran.status == 0 && ran.err.contains("\"voxel_size\":0.0288675"), "{}", ran.err);
 }
 
-/// If only some particles have a radius, the others get the smallest one, with a warning. If none has, the
-/// command fails.
+/// If only some particles have a radius, the others get the smallest radius, with a warning. If no particle
+/// has a radius, the command fails.
 #[test]
 fn frame_without_any_radius_fails() {
     let folder = tempdir().expect("a folder");
@@ -347,7 +347,7 @@ fn unused_velocity_is_mentioned_once() {
     assert_eq!(count(&["--format", "glb"]), 1);
     assert_eq!(count(&["--format", "glb", "--attributes", "vel"]), 0);
     assert_eq!(count(&["--format", "glb", "--attributes", "all"]), 0);
-    // These formats cannot hold it.
+    // These formats cannot store attributes.
     assert_eq!(count(&["--format", "obj,stl"]), 0);
     let ran =
         meniscus(folder.path(), &["convert", "f.bgeo", "--out", "p", "--particles-only", "--format", "ply"]);

@@ -1,5 +1,5 @@
-//! The certificate describes the written mesh: with fewer triangles, with rounded positions, and with
-//! particles that have escaped far away.
+//! The certificate describes the written mesh, also if the mesh has fewer triangles or rounded positions, or
+//! if particles have escaped far away.
 
 use std::collections::HashSet;
 use std::fs;
@@ -53,12 +53,13 @@ fn quarters(positions: &[[f32; 3]], _: [f64; 3]) -> Vec<[f32; 3]> {
     positions.iter().map(|position| position.map(|x| (x * 4.0).round() / 4.0)).collect()
 }
 
-/// As coarse as 32-bit positions are where particles are left out.
+/// Rounds positions to eighths: as coarse as 32-bit positions are at a distance where particles are left out.
 fn eighths(positions: &[[f32; 3]], _: [f64; 3]) -> Vec<[f32; 3]> {
     positions.iter().map(|position| position.map(|x| (x * 8.0).round() / 8.0)).collect()
 }
 
-/// With radii this small some particles are outside of the mesh and of φ, and some of one of them only.
+/// With radii this small, some particles are outside both the mesh and the zero set of φ, and some are
+/// outside only one of them.
 #[test]
 fn every_particle_outside_the_written_mesh_is_counted() {
     let mut outside_in_all = 0;
@@ -108,7 +109,7 @@ fn rounded_mesh_is_closed_and_within_its_bounds() {
         removed_count += surface.report.flat_triangles_removed;
         assert_eq!(measures.degenerate_triangle_count, 0, "seed {seed}: {measures:?}");
         assert!(certificate.holds(), "seed {seed}: {certificate:?} {measures:?}");
-        // The figures of the vertices describe those in the file.
+        // The figures about vertices describe the vertices in the file.
         let written = surface.mesh.rounded(eighths);
         let nearest = |vertex: &Vec3| {
             let distances =
@@ -129,8 +130,8 @@ fn rounded_mesh_is_closed_and_within_its_bounds() {
     assert!(removed_count > 0, "rounding made no triangle flat");
 }
 
-/// Drops this far from all others are still closed meshes, because degenerate triangles at 32-bit precision
-/// are removed.
+/// The meshes of drops this far away are still closed, because triangles that are degenerate at 32-bit
+/// precision are removed.
 #[test]
 fn drops_at_the_limit_of_precision_are_closed() {
     let settings = Settings::paper(0.1, &MethodOptions::default()).expect("sound");
@@ -203,8 +204,8 @@ fn escaped_particle_causes_a_warning_and_exit_status_0() {
     assert_eq!(frame["certificate"]["holds"], true);
 }
 
-/// A shard whose frames violate a guarantee fails in every run, and prints their number. The spheres are so
-/// small that they fall between the voxels.
+/// Options with spheres so small that they fall between the voxels: the frames violate a guarantee. A shard
+/// with such frames fails in every run, and prints their number.
 const SMALL: [&str; 8] =
     ["--out", "out", "--voxel-size", "0.05", "--preset", "paper", "--radius-min", "0.001"];
 
@@ -231,7 +232,7 @@ fn shards_with_broken_frames_exit_1_unless_violations_are_allowed() {
     assert!(verified.status != 0 && verified.err.contains("failed validation"), "{}", verified.err);
 }
 
-/// With and without `--skip-done` in the first run.
+/// The result is the same with and without `--skip-done` in the first run.
 #[test]
 fn skipped_frame_that_failed_validation_fails_again() {
     let convert = [&["convert", "a.1.ply"], &SMALL[..]].concat();
@@ -300,7 +301,7 @@ fn frame_that_failed_validation_before_a_kill_fails_again() {
     assert!(ran.status == 1 && ran.err.contains("1 of 1 frame failed validation"), "{}", ran.err);
 }
 
-/// A quantized .glb and a .ply have one certificate, which says for each file how it was checked.
+/// A quantized .glb and a .ply have a common certificate, which states for each file how it was checked.
 #[test]
 fn certificate_lists_the_checks_of_each_file() {
     let folder = tempdir().expect("a folder");

@@ -36,7 +36,7 @@ fn contradictory_arguments_are_refused() {
         (&["a*.ply"], &["a*.ply", "no file matches"]),
         (&["a.####.ply"], &["a.####.ply", "no file matches"]),
         (&["empty"], &["empty", "no frames"]),
-        (&["dam.1.ply", "--frames", "5-1"], &["backwards"]),
+        (&["dam.1.ply", "--frames", "5-1"], &["`5-1` ends before it starts: use 1-5"]),
         (&["dam.1.ply", "--frames", "7"], &["--frames selects none of the 1"]),
         (&["dam.1.ply", "--threads", "0"], &["--threads"]),
         (&["dam.1.ply", "--format", "fbx"], &["fbx"]),
@@ -64,8 +64,8 @@ fn contradictory_arguments_are_refused() {
     }
 }
 
-/// Every command that writes into a folder reports at once that it cannot: before it reads any frame, and
-/// without leaving files behind.
+/// If a command cannot write into its output folder, it reports this before it reads any frame, and leaves no
+/// files behind.
 #[test]
 fn unwritable_output_folder_is_refused() {
     let folder = folder();
@@ -105,7 +105,7 @@ fn unwritable_output_folder_is_refused() {
     assert_eq!(names_in(path), ["dam.1.ply", "dam.2.ply", "taken"]);
 }
 
-/// The same for files that a command writes in addition to the results of frames.
+/// A command also reports at once if it cannot write a file in addition to the results of frames.
 #[test]
 #[cfg(target_os = "linux")]
 fn unwritable_folder_for_a_report_plan_or_sequence_file_is_refused() {
@@ -135,8 +135,8 @@ fn unwritable_folder_for_a_report_plan_or_sequence_file_is_refused() {
     assert_eq!(names_in(&path.join("planned")), [""; 0]);
 }
 
-/// Root may write everywhere, so this test then checks nothing. The test above covers folders in which not
-/// even root may write.
+/// Root may write everywhere, so this test checks nothing if it runs as root. The test above covers folders
+/// in which not even root can write.
 #[test]
 #[cfg(unix)]
 #[expect(clippy::print_stderr, reason = "a test that did not run must say so")]
@@ -229,9 +229,9 @@ fn inputs_are_never_replaced() {
     refused(&["dam.#.ply", "--out", "out/.."]);
     refused(&["dam.#.ply", "--out", "new/.."]);
     refused(&["dam.2.ply", "--report", "dam.2.ply", "--out", "out"]);
-    // Also a frame of the sequence that is not selected.
+    // A frame of the sequence is protected even if it is not selected.
     refused(&["dam.#.ply", "--frames", "1", "--report", "dam.3.ply", "--out", "out"]);
-    // Also a named input of another sequence whose number is not selected.
+    // A named input of another sequence is protected even if its number is not selected.
     for (from, to) in [("dam.1.ply", "a3_9.ply"), ("dam.2.ply", "a3_9.csv")] {
         fs::copy(path.join(from), path.join(to)).expect("copied");
     }
@@ -262,7 +262,7 @@ fn input_behind_a_link_is_not_replaced() {
         let arguments = ["convert", "dam.1.ply", "--format", "ply", "--out", out];
         assert_refused(path, &arguments, &["would replace the input"]);
     }
-    // The other way round: the input is a link into the output folder.
+    // In the opposite case, the input is a link into the output folder.
     fs::create_dir(path.join("out")).expect("made");
     fs::rename(path.join("dam.1.ply"), path.join("out/dam.1.ply")).expect("moved");
     link(&path.join("out/dam.1.ply"), "in.1.ply");
@@ -454,7 +454,7 @@ fn invalid_option_is_an_error_and_not_ignored() {
     assert!(ran.status == 2 && ran.err.contains("memory limit of 5 bytes"), "{}", ran.err);
 }
 
-/// Options for output formats that are not selected. No warning appears when the format is selected.
+/// An option for an output format that is not selected causes a warning, and none if the format is selected.
 #[test]
 fn options_of_formats_that_are_not_written_cause_a_warning() {
     let folder = folder();
@@ -480,7 +480,7 @@ fn options_of_formats_that_are_not_written_cause_a_warning() {
             let arguments = ["convert", "dam.1.ply", "--print-settings", "--format", format, &typed];
             let ran = meniscus(folder.path(), &arguments);
             assert_eq!(ran.status, 0, "{}", ran.err);
-            let line = format!("warning: {option} changes no file: it is for ");
+            let line = format!("warning: {option} is ignored: it affects ");
             assert_eq!(ran.err.contains(&line), told.contains(option), "{format} {option}: {}", ran.err);
         }
     }
@@ -502,7 +502,7 @@ fn other_files_in_the_folder_are_skipped() {
     for (name, text) in others {
         fs::write(path.join(name), text).expect("written");
     }
-    // Tables count as frames under any name that implies no other content.
+    // A table counts as a frame under any name that does not imply other contents.
     fs::write(path.join("table.txt"), "x,y,z\n0,0,0\n1,0,0\n").expect("written");
     fs::write(path.join("bare"), "0 0 0\n1 0 0\n").expect("written");
     let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--spacing", "0.1"]);
@@ -561,7 +561,7 @@ fn interrupted_run_leaves_no_incomplete_file() {
     let path = folder.path();
     write_ply(&path.join("dam.1.ply"), &block(20, 0.0));
     for signal in ["INT", "TERM"] {
-        // This number of voxels takes minutes.
+        // A frame with this number of voxels takes minutes.
         let arguments =
             ["convert", "dam.1.ply", "--out", "o", "--integrator", "explicit", "--steps", "100000"];
         let mut command = crate::scene::command(path, &arguments);

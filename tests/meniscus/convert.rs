@@ -1,4 +1,4 @@
-//! The command on real frames: names, the same bytes, reports, and frames that are done.
+//! The command on real frames: names, bit-identical outputs, reports, and frames that are done.
 
 use std::fs;
 use std::path::Path;
@@ -47,7 +47,7 @@ fn range_of_frames_gives_the_same_bytes_as_all() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 6);
-    // The first frame has another spacing. It sets the voxel size, whichever frames are converted.
+    // The first frame has a different spacing, and determines the voxel size, whichever frames are converted.
     write_ply(&path.join("dam.1.ply"), &block(7, 0.0));
     converted(path, &["dam.#.ply", "--out", "whole", "--threads", "1"]);
     converted(path, &["dam.#.ply", "--out", "part", "--frames", "2-6x2", "--threads", "2"]);
@@ -159,7 +159,7 @@ fn sequence_without_settings_does_not_stop_others() {
             expected.iter().filter(|(_, s)| *s == "converted").map(|(n, _)| *n).collect();
         assert_eq!(names_in(&path.join(on_error)), written);
     }
-    // An earlier frame that fails ends the run before that.
+    // An earlier frame fails and ends the run before that.
     fs::write(path.join("a.ply"), "ply\nformat nonsense 1.0\n").expect("written");
     let arguments = ["a.ply", "b.1.ply", "c.ply", "--out", "o", "--on-error", "stop", "--voxel-size", "0.1"];
     let ran = convert(path, &[&arguments[..], &["--report", "report.json"]].concat());
@@ -190,7 +190,7 @@ fn skip_done_converts_nothing_again() {
     assert_eq!(convert(path, &tolerance).out.matches("done already").count(), 2);
 }
 
-/// A killed run wrote outputs and no records, as a run without --skip-done does.
+/// A killed run wrote outputs, but no records: they are like the outputs of a run without --skip-done.
 #[test]
 fn skip_done_ignores_records_of_outputs_that_another_run_replaced() {
     let folder = tempdir().expect("a folder");
@@ -202,7 +202,8 @@ fn skip_done_ignores_records_of_outputs_that_another_run_replaced() {
     converted(path, &changed);
     let skipping = [&changed[..], &["--skip-done"]].concat();
     assert_eq!(converted(path, &skipping).matches("done already").count(), 2);
-    // A second run replaces the outputs and is killed before it writes records: as above, one frame earlier.
+    // Imitate a second run that replaces the outputs, and is killed before it writes records: the records are
+    // those of the first run.
     let records = path.join("o/.meniscus/outputs.json");
     let before = fs::read(&records).expect("records");
     let other = ["dam.#.ply", "--out", "o", "--skip-done", "--laplacian-steps", "2"];
@@ -223,7 +224,7 @@ fn skip_done_makes_an_output_with_a_flipped_byte_again() {
     let mut bytes = whole.clone();
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
-    // A new file: its stamp differs even where the clock of the file system has not moved on.
+    // Make a new file: its stamp differs even if the clock of the file system has not advanced.
     fs::remove_file(&damaged).expect("removed");
     fs::write(&damaged, bytes).expect("written");
     // The same bytes in a new file count as undamaged.
@@ -288,7 +289,7 @@ fn incomplete_sequence_causes_a_warning() {
     assert!(picked.err.contains("--frames 9: 1 frame is missing"), "{}", picked.err);
 }
 
-/// A report replaces an earlier report, and nothing but regular files.
+/// A report replaces an earlier report, but only a regular file.
 #[cfg(unix)]
 #[test]
 fn report_replaces_only_regular_files() {

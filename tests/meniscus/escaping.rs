@@ -1,4 +1,4 @@
-//! Names and contents of files neither forge lines nor control the terminal.
+//! Names and contents of files can neither forge lines of output nor control the terminal.
 
 use std::fs;
 use std::path::Path;
@@ -8,10 +8,11 @@ use tempfile::{TempDir, tempdir};
 
 use crate::scene::{Ran, block, meniscus, write_ply};
 
-/// A file name that forges a line, sets a window title in both ways and turns the text around.
+/// A file name with a forged line, an escape sequence for the window title, an 8-bit control sequence, and a
+/// character that reverses the direction of text.
 const NAME: &str = "dam\nerror: forged\u{1b}]0;title\u{7}\u{9b}31m\u{202e}.1.ply";
 
-/// The same as it is printed.
+/// The name as it is printed.
 const SHOWN: &str = "dam\\nerror: forged\\u{1b}]0;title\\u{7}\\u{9b}31m\\u{202e}.1.ply";
 
 /// A folder `in` with a good frame and a damaged one, both with such names.
@@ -24,7 +25,7 @@ fn folder() -> TempDir {
     folder
 }
 
-/// Runs a command, and asserts that it prints nothing but lines of text, none of them forged.
+/// Runs a command, and asserts that it prints only lines of text, without a forged line.
 #[track_caller]
 fn run(folder: &Path, arguments: &[&str], status: i32) -> Ran {
     let ran = meniscus(folder, arguments);
@@ -95,7 +96,7 @@ fn names_and_strings_from_files_are_escaped_by_info() {
     run(path, &["info", "--json", "a.ply"], 0);
 }
 
-/// A file that lies in the folder by mistake may hold secrets: messages quote little of it.
+/// A file that is in the folder by mistake may contain secrets, so messages quote little of it.
 #[test]
 fn messages_quote_little_of_a_file_that_is_not_what_it_should_be() {
     let folder = tempdir().expect("a folder");
@@ -119,7 +120,7 @@ fn messages_quote_little_of_a_file_that_is_not_what_it_should_be() {
         let printed = ran.out + &ran.err;
         assert!(!printed.contains("hunter2"), "{printed}");
     }
-    // The first line is still shown, so that its owner finds it.
+    // Messages still show the first line, so that the owner can identify the file.
     let printed = meniscus(path, &["convert", "c.csv", "--out", "out", "--voxel-size", "0.5"]).err;
     assert!(printed.contains("\"password=…\""), "{printed}");
 }

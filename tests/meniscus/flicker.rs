@@ -1,4 +1,5 @@
-//! The command that scores the flicker of surfaces, on spheres of known motion in meshes of every format.
+//! The command `flicker`, which scores the flicker of surfaces: spheres with a known motion, as meshes of
+//! every format.
 
 #![allow(clippy::cast_possible_truncation, reason = "numbers of tests are small")]
 
@@ -108,7 +109,7 @@ fn write_particles(path: &Path, x: f64, columns: &str) {
     fs::write(path, text).expect("written");
 }
 
-/// How far the ball moves in a frame.
+/// Distance that the ball moves per frame.
 const STEP: f64 = 0.5;
 
 /// Frames of a moving ball: `dam.N.obj` with these radii, and `p.N.csv`, from 1 on.
@@ -168,7 +169,7 @@ fn moving_ball_scores_zero_in_every_format_by_ids_and_by_velocities() {
             meniscus(folder.path(), &["flicker", &format!("dam.#.{extension}"), "--particles", "p.#.csv"]);
         assert_eq!((ran.status, &*ran.err), (0, ""), "{extension}: {}", ran.out);
         assert!(
-            ran.out.contains("dam.2: flicker 0.0000 (") && ran.out.contains("carried by ids"),
+            ran.out.contains("dam.2: flicker 0.0000 (") && ran.out.contains("tracked by ids"),
             "{}",
             ran.out
         );
@@ -177,7 +178,8 @@ fn moving_ball_scores_zero_in_every_format_by_ids_and_by_velocities() {
 
 #[test]
 fn breathing_ball_scores_its_change_of_radius_with_place_and_time() {
-    // Frames 2 to 4 differ from their neighbours by two hundredths, 5 has steady neighbours, 6 is steady.
+    // The radii of frames 2 to 4 differ from those of both neighbours by 0.02, that of frame 5 differs from
+    // one neighbour, and that of frame 6 from none.
     let folder = scene(&[1.05, 1.07, 1.05, 1.07, 1.05, 1.05, 1.05], ",id");
     let outputs = ["--csv", "s.csv", "--points", "p.csv", "--picture", "p.png", "--spacing", "0.1"];
     let ran = run(&folder, &outputs);
@@ -205,7 +207,7 @@ fn breathing_ball_scores_its_change_of_radius_with_place_and_time() {
     let sizes: Vec<f64> = column(&points, "flicker").iter().map(|value| value.abs()).collect();
     assert!(sizes.is_sorted_by(|one, other| one >= other) && sizes[999] > 0.3, "{sizes:?}");
     assert!(fs::read(folder.path().join("p.png")).expect("a picture").starts_with(b"\x89PNG"));
-    // The same on one thread, to the last byte.
+    // The output on one thread is the same to the last byte.
     let files =
         || ["s.csv", "p.csv", "p.png"].map(|name| fs::read(folder.path().join(name)).expect("written"));
     let before = files();
@@ -332,7 +334,7 @@ fn inputs_without_a_score_are_refused_with_a_remedy() {
     let names = ["flicker", "dam.1.obj", "--particles", "lone.ply"];
     write_ply(&folder.path().join("lone.ply"), &[[0.0; 3]]);
     refused(&meniscus(folder.path(), &names), &["lone.ply: the name has no frame number"]);
-    // Too few particles to measure their spacing.
+    // These frames have too few particles to measure their spacing.
     (1..=3).for_each(|n| write_ply(&folder.path().join(format!("few.{n}.ply")), &[[f64::from(n); 3]]));
     let few = ["flicker", "dam.#.obj", "--particles", "few.#.ply"];
     refused(&meniscus(folder.path(), &few), &["no frame has two particles in different places", "--spacing"]);
@@ -350,7 +352,7 @@ fn sequences_of_simulators_have_plausible_scores() {
         assert_eq!(made.status, 0, "{}", made.err);
         let ran = meniscus(folder.path(), &["flicker", "s/*.ply", "--particles", &particles]);
         assert_eq!(ran.status, 0, "{}{}", ran.out, ran.err);
-        assert!(ran.out.contains("carried by ids"), "{}", ran.out);
+        assert!(ran.out.contains("tracked by ids"), "{}", ran.out);
         let line = ran.out.lines().find(|line| line.ends_with("spacings, 2 frames")).expect("a summary");
         let score = line.split("flicker ").nth(1).and_then(|rest| rest.split(' ').next()).expect("a score");
         let score: f64 = score.parse().expect("a number");

@@ -1,4 +1,4 @@
-//! Changes of the input that must keep the surface to the last bit, and properties of every surface.
+//! Changes of the input that must leave the surface bit-identical, and properties of every surface.
 
 #![expect(clippy::print_stdout, reason = "tests print measurements, visible with --nocapture")]
 
@@ -57,7 +57,7 @@ fn the_number_of_threads_does_not_matter() {
     }
 }
 
-/// Powers of two, so that the division by the voxel size rounds nothing.
+/// The scales are powers of two, so that the division by the voxel size causes no rounding.
 #[test]
 fn unit_of_length_does_not_matter() {
     let positions = two_balls();
@@ -74,9 +74,9 @@ fn unit_of_length_does_not_matter() {
 /// When all particles move by whole voxels, the surface moves with them, although it then lies in other
 /// leaves.
 ///
-/// Leaves are stored around the band, and differ: what must be equal is every value that a step may
-/// change. Where one grid stores a voxel and the other does not, the voxel must be beyond the band.
-/// (The dot products of the implicit integrator are summed leaf by leaf: it may differ in last bits.)
+/// The stored leaves around the band differ, but every value that a step may change must be equal. If only
+/// one of the grids stores a voxel, the voxel must be beyond the band. (The implicit integrator sums dot
+/// products leaf by leaf, so its results may differ in the last bits.)
 #[test]
 fn moving_all_particles_by_whole_voxels_moves_the_surface() {
     const VOXEL_SIZE: f64 = 1.0 / 32.0;
@@ -108,7 +108,7 @@ fn assert_same_band(here: &NarrowBand, there: &NarrowBand, shift: IVec3) -> usiz
     free().count()
 }
 
-/// A change of one particle changes nothing farther away than the report says.
+/// A change of one particle does not change the surface at a larger distance than the report states.
 #[test]
 fn far_changes_keep_the_surface() {
     let reach = {
@@ -142,7 +142,7 @@ fn far_changes_keep_the_surface() {
     assert!(changed > 0);
 }
 
-/// A distant particle adds its drop and changes no bit of the rest.
+/// A distant particle adds its drop, and does not change a bit of the rest.
 #[test]
 fn isolated_particle_changes_nothing_else() {
     let positions = ball_with_finger();
@@ -181,15 +181,14 @@ fn particles_between_voxels_are_counted_as_outside() {
     assert!(!lost.certificate.holds());
     let caught = reconstruct_frame(&OwnedPositions::F64(vec![[0.1, 0.0, 0.0]]), &settings).report.certificate;
     assert_eq!(caught.particles_outside.count, 0, "{caught:?}");
-    // Deep inside nothing is stored either.
+    // No leaf is stored deep inside, either.
     let block = (0..18 * 18 * 18).map(|i| [i / 324, i / 18 % 18, i % 18].map(|side| f64::from(side) * 2.0));
     let settings = Settings::paper(1.0, &MethodOptions::default()).unwrap();
     let inside = reconstruct_frame(&OwnedPositions::F64(block.collect()), &settings).report.certificate;
     assert!(inside.holds(), "{inside:?}");
 }
 
-/// Most particles of a solid are never stored. The certificate covers the vertices and particles of all of
-/// them.
+/// Most particles of a solid have no stored voxels around them. The certificate covers these particles, too.
 #[test]
 fn culled_particles_are_certified_too() {
     let mut random = Random::new(73);

@@ -29,7 +29,7 @@ fn succeeded(ran: &Ran) {
     assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
 }
 
-/// What a file is like.
+/// The output of `info` for a file.
 fn info(folder: &Path, file: &str) -> Value {
     let ran = meniscus(folder, &["info", "--json", file]);
     let json: Value = serde_json::from_str(&ran.out).unwrap_or_else(|error| panic!("{file}: {error}"));
@@ -53,7 +53,7 @@ fn level_set_is_contoured_unchanged() {
     assert_eq!(again["boundary_edges"], 0);
     let [expected, found] = [&from_particles, &again].map(|mesh| number(&mesh["volume"]));
     assert!((found / expected - 1.0).abs() < 1e-4, "{found} {expected}");
-    // The values that were written are those that were read.
+    // The output has the values of the input.
     let [one, other] = ["in/block.vdb", "out/block.vdb"].map(|file| info(folder, file)["grids"][0].clone());
     assert_eq!(one["active_voxels"], other["active_voxels"], "{one}");
     let ran = convert(folder, &["--format=obj,glb,vdb", "--skip-done"]);
@@ -72,7 +72,7 @@ fn skip_done_writes_a_contoured_level_set_with_a_flipped_byte_again() {
     let mut bytes = whole.clone();
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
-    // A new file: its stamp differs even where the clock of the file system has not moved on.
+    // Make a new file: its stamp differs even if the clock of the file system has not advanced.
     fs::rename(&damaged, folder.join("old")).expect("moved");
     fs::write(&damaged, bytes).expect("written");
     let ran = convert(folder, &["--format=glb", "--skip-done"]);
@@ -94,10 +94,10 @@ fn smoothing_stays_within_the_band_slack() {
     let smooth = info(folder, "out/block.obj")["mesh"].clone();
     assert!(number(&smooth["area"]) < 0.99 * rough, "{smooth} {rough}");
     assert_eq!(smooth["boundary_edges"], 0);
-    // Nowhere farther than a voxel, so the volume is within that of the shell.
+    // The surface moves by at most a voxel everywhere, so the volume changes by at most that of such a shell.
     let moved = (number(&smooth["volume"]) - volume).abs();
     assert!(moved < 0.05 * rough, "{moved}");
-    // On any number of threads.
+    // The bytes are the same on any number of threads.
     let bytes = |threads: &str| {
         succeeded(&convert(folder, &["--format=obj", "--band-slack=1", threads]));
         fs::read(folder.join("out/block.obj")).expect("there")
@@ -246,7 +246,7 @@ fn watch_converts_foreign_level_sets_that_a_pattern_names() {
         let ran = watch(more);
         assert!(!folder.join("in/ball.1.obj").exists(), "{more:?} {}", ran.err);
     }
-    // `block.vdb` and its mesh are outputs of this program, and stay as they are.
+    // `block.vdb` and its mesh are outputs of this program, and must not change.
     let before = fs::read(folder.join("in/block.obj")).expect("there");
     let ran = watch(&["--pattern=*.vdb", "--preview=png", "--preview-size=64x64"]);
     assert_eq!(ran.status, 0, "{} {}", ran.out, ran.err);
@@ -363,7 +363,7 @@ fn obstacle_without_a_band_leaves_no_hole() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     write_ply(&folder.join("block.ply"), &block(12, 0.0125));
-    // As the block of particles is small, so is the ball: 0.3 units around (0.64, 0.64, 0.64).
+    // The block of particles is small, so the ball is small, too: radius 0.3, centre (0.64, 0.64, 0.64).
     for value in NO_BAND {
         let bytes = raw_level_set(0.01, 0.03, |cell| {
             Cell::Leaf(Box::new(std::array::from_fn(|offset| {
@@ -387,7 +387,7 @@ fn level_set_beyond_the_memory_fails_and_says_how_much_would_do() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     fs::create_dir(folder.join("in")).expect("made");
-    // A voxel inside in every eighth leaf, so that all of the cube is near to some surface.
+    // Every eighth leaf has a voxel inside, so that every part of the cube is near a surface.
     let bytes = raw_level_set(0.1, 0.3, |cell| match cell.iter().all(|at| at % 2 == 1) {
         true => Cell::Leaf(Box::new(std::array::from_fn(|offset| if offset == 292 { -0.05 } else { 0.05 }))),
         false => Cell::Tile(0.3),

@@ -1,13 +1,13 @@
 //! Tests the guarantees of the program from outside, through the command and through the library.
 
-mod adaptive; // explicit steps as large as may be (paper, §3.5)
+mod adaptive; // explicit steps as large as stability allows (paper, §3.5)
 mod attributes; // attributes of particles, from an input file to the surface in the outputs
 mod certified; // certificates describe the written mesh
 mod cli; // the command: exit statuses, messages, names, refused arguments
 mod convert; // the command on real frames: same bytes, reports, frames that are done
 #[cfg(unix)]
 mod escaping; // names and contents of files neither forge lines nor control the terminal
-mod flicker; // how much surfaces flicker: spheres that are known, in meshes of every format
+mod flicker; // the flicker of surfaces: known spheres, in meshes of every format
 mod info; // the command that describes files
 mod invariance; // changes of the input that keep the surface bit for bit; bounds
 mod layers; // layers: modules import lower rows only, and never in a cycle
@@ -17,18 +17,18 @@ mod manual; // man pages and shell completions cover every command and option
 mod names; // names of frames and results: frame numbers, single files, pipes, clashes
 mod obstacles; // obstacles: contact without gaps, from meshes to reports (paper, Fig. 15 and 16)
 mod offset; // surface offset: position and guarantees
-mod oracle; // the method against the paper's algorithms on a plain dense grid, in double precision
+mod oracle; // the method, compared with the paper's algorithms on a plain dense grid, in double precision
 mod particles_only; // particles from one format to another, without a surface
 mod per_particle_shapes; // per-particle radii and shapes (paper, Fig. 11 and 13)
 mod pictures; // pictures of balls with known geometry; picture files, and the command
-mod pipeline; // frames through the stages, with a quick method in place of the real one
+mod pipeline; // frames in the stages of the pipeline, with a quick method in place of the real one
 mod plans; // frames divided among machines: plans, shards, verification
-mod random_ball; // 50 000 random particles in a ball come out nearly spherical (paper, Fig. 12)
-mod raw_vdb; // level sets that no program writes
+mod random_ball; // the surface of 50 000 random particles in a ball is nearly spherical (paper, Fig. 12)
+mod raw_vdb; // writes unusual level sets
 mod same_bytes;
 mod scene; // small frames of particles, and a way to run the command
 mod sequence_files; // meshes in other programs' formats, and all frames of a sequence in one file
-mod service; // the daemon as a service: what systemd hears, and what signals do
+mod service; // the daemon as a service: notifications to systemd, and signals
 mod shapes; // shapes of particles, the method with its defaults, values of level sets
 mod shared; // files of real programs are converted, or refused with the expected reason
 mod sheets; // sheets of pictures: contents, and the commands that they print
@@ -37,10 +37,10 @@ mod sphere_flow; // a noisy sphere under both flows (paper, Fig. 5)
 mod stages; // stages that play the files of the frames
 mod steps; // files with several frames: LAMMPS dumps and atoms
 mod stream; // frames that arrive over time: order, limits, failures
-mod surface; // is the mesh sound, and in the right place?
-mod union_of_spheres; // rasterization against the geometry of spheres
+mod surface; // meshes are sound, and in the right position
+mod union_of_spheres; // rasterization, compared with the geometry of spheres
 #[cfg(target_os = "linux")]
-mod unreadable; // frames without metadata fail and are not dropped
-mod vdb_file; // what small .vdb files share
+mod unreadable; // frames with unreadable metadata fail, instead of being ignored
+mod vdb_file; // common parts of small .vdb files
 mod voxel_sizes; // voxel sizes and radii that do not fit the particles: errors and warnings
 mod watch; // the commands `watch`, `status` and `why`: arguments and output

@@ -1,4 +1,4 @@
-//! The man pages and shell completions cover the whole command line, and nothing else.
+//! The man pages and shell completions have all commands and options of the command line, and no others.
 
 use std::fs;
 

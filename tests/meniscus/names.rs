@@ -15,8 +15,8 @@ fn folder_with(names: &[&str]) -> TempDir {
     let folder = tempdir().expect("a folder");
     fs::create_dir(folder.path().join("in")).expect("made");
     for (index, name) in names.iter().enumerate() {
-        // The frames have different spacings, and the third one rounds to another voxel size: settings per
-        // frame would show.
+        // The frames have different spacings, and that of the third rounds to another voxel size. So a test
+        // would notice if each frame had its own settings.
         let points: Vec<[f64; 3]> =
             block(6, 0.0).iter().map(|point| point.map(|x| x * (1.0 + 0.04 * index as f64))).collect();
         write_ply(&folder.path().join("in").join(name), &points);
@@ -28,14 +28,15 @@ fn convert(folder: &Path, arguments: &[&str]) -> Ran {
     meniscus(folder, &[&["convert"], arguments, &QUICK].concat())
 }
 
-/// Runs `convert` with these bytes on its standard input; what it writes is bytes, too.
+/// Runs `convert` with these bytes on its standard input. Returns the status, the bytes of the standard
+/// output, and the messages.
 fn pipe(folder: &Path, arguments: &[&str], input: &[u8]) -> (i32, Vec<u8>, String) {
     let mut command = command(folder, &[&["convert"], arguments].concat());
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = command.spawn().expect("it starts");
     let mut stdin = child.stdin.take().expect("piped");
     let input = input.to_vec();
-    // A command that refuses its arguments does not read its input.
+    // Writing fails if the command refuses its arguments, and does not read its input.
     let writer = std::thread::spawn(move || drop(stdin.write_all(&input)));
     let output = child.wait_with_output().expect("it ends");
     writer.join().expect("written");
@@ -176,7 +177,7 @@ fn standard_input_and_output_carry_one_frame() {
         let (status, out, err) = pipe(path, &[input, output, &voxels].concat(), &bytes);
         assert_eq!(status, 0, "{err}");
         assert!(err.contains("1 frame: 1 done"), "{err}");
-        // The same as with files of these names.
+        // The output is the same as for files with these names.
         let same = tempdir().expect("a folder");
         let name = if input.len() > 1 { "stdin.ply" } else { "stdin" };
         fs::write(same.path().join(name), &bytes).expect("written");
@@ -204,7 +205,7 @@ fn standard_input_and_output_carry_one_frame() {
     }
 }
 
-/// Messages never name the temporary copy of a pipe.
+/// Messages never contain the name of the temporary copy of a pipe.
 #[test]
 fn errors_and_reports_of_a_pipe_name_the_standard_input() {
     let folder = folder_with(&["dam.7.ply"]);
@@ -236,7 +237,7 @@ fn device_names_of_pipes_are_read() {
     assert_eq!(names_in(folder.path()), ["in", "x.obj"]);
 }
 
-/// A reader that closes the pipe causes an error, and no frame is written in part.
+/// A reader that closes the pipe causes an error, and no frame is written partly.
 #[test]
 fn closed_standard_output_is_an_error() {
     let folder = folder_with(&["dam.7.ply"]);
@@ -274,13 +275,13 @@ fn one_of_two_files_for_one_result_is_converted() {
     assert_eq!(ran.status, 1, "{}", ran.err);
     for words in [
         "in/dam.1.csv and in/dam.1.ply would both become dam.1.*",
-        "1 more frame of dam.{}.ply",
-        "converting only the first",
+        "in/dam.1.ply and 1 more frame of dam.{}.ply are left out: convert them",
     ] {
         assert!(ran.err.contains(words), "{words}: {}", ran.err);
     }
     assert!(ran.err.contains("in/dam.1.csv and in/dam.1.ply.gz would both become"), "{}", ran.err);
-    // The daemon gives the name to the file that is complete first, and a table takes longer by default.
+    // The daemon gives the output name to the file that is complete first. By default, it waits longer until
+    // it considers a table complete.
     let watch = ["watch", "in", "--once", "--out", "watched", "--format", "obj"];
     let patience = ["--settle", "10ms", "--unproven", "10ms"];
     let watched = meniscus(path, &[&watch[..], &patience, &QUICK].concat());

@@ -47,7 +47,8 @@ impl Body {
     }
 }
 
-/// A rotated tetrahedron. Inside, and next to its faces, the distance is that to the planes.
+/// A rotated tetrahedron. The distance is exact inside and next to its faces: that to the planes of the
+/// faces.
 fn tetrahedron(size: f64) -> Body {
     let turn = DQuat::from_euler(EulerRot::XYZ, 0.3, 0.2, 0.5);
     let corners = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
@@ -105,12 +106,12 @@ fn ball(center: DVec3, radius: f64) -> Body {
     Body { positions, triangles, distance: Box::new(move |point| point.distance(center) - radius) }
 }
 
-/// From 0 to 1, of a number.
+/// A pseudo-random number from 0 to 1.
 fn random(seed: usize) -> f64 {
     (seed as f64 * 12.9898).sin().mul_add(43758.5453, 0.0).rem_euclid(1.0)
 }
 
-/// A block of particles about 2 apart, irregular, restricted to those for which `is_kept` holds.
+/// The particles of an irregular block, about 2 apart, for which `is_kept` holds.
 fn fluid(counts: [i32; 3], center: DVec3, is_kept: impl Fn(DVec3) -> bool) -> Vec<[f64; 3]> {
     let mut particles = Vec::new();
     for x in 0..counts[0] {
@@ -151,8 +152,8 @@ fn skinned_and_moved(
     reconstruct_cloud(cloud, &settings, &body.obstacles())
 }
 
-/// Nothing is deeper than a quarter of a voxel; the mesh is closed; the certificate holds. Returns the distances of
-/// vertices to the obstacle.
+/// Checks that no vertex is deeper in the obstacle than a quarter of a voxel, that the mesh is closed, and
+/// that the certificate holds. Returns the distances of the vertices from the obstacle.
 fn check(name: &str, surface: &FrameSurface, body: &Body) -> Vec<f64> {
     let world = |position: &glam::Vec3| surface.mesh.origin + position.as_dvec3();
     let distances: Vec<f64> =
@@ -164,7 +165,8 @@ fn check(name: &str, surface: &FrameSurface, body: &Body) -> Vec<f64> {
     distances
 }
 
-/// How many voxels there are next to the obstacle where `is_wet`, and how many of these are not fluid.
+/// The number of voxels next to the obstacle for which `is_wet` holds, and the number of these that are
+/// outside the fluid.
 fn dry_voxels(surface: &FrameSurface, body: &Body, is_wet: impl Fn(DVec3) -> bool) -> (usize, usize) {
     let (mut count, mut dry_count) = (0, 0);
     for (leaf, &origin) in surface.band.phi.leaves.iter().zip(surface.band.topology.origins()) {
@@ -179,7 +181,8 @@ fn dry_voxels(surface: &FrameSurface, body: &Body, is_wet: impl Fn(DVec3) -> boo
     (count, dry_count)
 }
 
-/// Particles on the faces of a tetrahedron, or a little off them: the fluid lies on these without a gap (Fig. 15).
+/// Particles on the faces of a tetrahedron, or at a small distance: the fluid touches the faces without a gap
+/// (Fig. 15).
 #[test]
 fn film_touches_all_faces_of_a_tetrahedron() {
     let body = tetrahedron(24.0);
@@ -196,14 +199,14 @@ fn film_touches_all_faces_of_a_tetrahedron() {
         }
         let surface = skinned(particles.clone(), &body, 2.0);
         let distances = check("film", &surface, &body);
-        // The faces, without the surroundings of the edges.
+        // Vertices on the faces, without those near edges.
         let contact = distances.iter().filter(|distance| distance.abs() < 1.0).count();
         let flat = distances.iter().filter(|distance| distance.abs() < 0.25).count();
         assert!(contact > 5000 && flat * 1000 > contact * 995, "{off}: {flat} of {contact}");
         let (count, dry_count) = dry_voxels(&surface, &body, |_| true);
         assert!(dry_count * 500 < count, "{off}: {dry_count} of {count}");
         assert_eq!(surface.report.contact.particle_count > 0, off < 1.0, "{off}");
-        // Without filling, the gap below particles off the faces stays.
+        // If voids are not filled, the gap below particles at a distance from the faces stays.
         if off > 3.0 {
             let open = skinned(particles, &body, 0.0);
             let flat = |distances: Vec<f64>| distances.iter().filter(|d| d.abs() < 0.25).count();
@@ -215,7 +218,7 @@ fn film_touches_all_faces_of_a_tetrahedron() {
     }
 }
 
-/// A drop on a floor wets a flat disc and nothing else.
+/// A drop on a floor touches the floor in a flat disc, and nowhere else.
 #[test]
 fn drop_lies_flat_on_the_floor() {
     let body = cuboid(DVec3::new(-50.0, -50.0, -20.0), DVec3::new(50.0, 50.0, 0.27));
@@ -225,7 +228,7 @@ fn drop_lies_flat_on_the_floor() {
         let surface = skinned(fluid([20, 20, 20], center, is_kept), &body, 2.0);
         let distances = check("drop", &surface, &body);
         let from_axis = |place: DVec3| (place - center).truncate().length();
-        // The disc is 27 voxels wide; its middle part is surely wet.
+        // The disc is 27 voxels wide, so its middle part must be wet.
         let (count, dry_count) = dry_voxels(&surface, &body, |place| from_axis(place) < 11.0);
         assert!(count > 300 && dry_count == 0, "{gap}: {dry_count} of {count}");
         let (_, wide_count) = dry_voxels(&surface, &body, |place| from_axis(place) > 19.0);
@@ -266,7 +269,8 @@ fn ball_in_fluid_leaves_a_hole_of_its_size() {
     }
 }
 
-/// A plate much thinner than a particle, deep in fluid where no level set would be stored otherwise.
+/// A plate that is much thinner than a particle, deep in the fluid, where no leaf would be stored without the
+/// plate.
 #[test]
 fn thin_plate_deep_in_fluid_is_resolved() {
     let (min, max) = (DVec3::new(-12.0, -12.0, 0.4), DVec3::new(12.0, 12.0, 1.7));
@@ -278,11 +282,13 @@ fn thin_plate_deep_in_fluid_is_resolved() {
     assert_eq!(surface.report.mesh.component_count, 2);
 }
 
-/// An offset moves the free surface and not the part on a wall. A plate thinner than the offset remains.
+/// An offset moves the free surface, but not the part on a wall. A plate thinner than the offset remains in
+/// the surface.
 #[test]
 fn moved_surface_rests_on_the_wall() {
     let floor = cuboid(DVec3::new(-50.0, -50.0, -20.0), DVec3::new(50.0, 50.0, 0.27));
-    // The lowest particles are half a spacing above the floor: what an offset leaves below them is narrow enough to be filled.
+    // The lowest particles are half a spacing above the floor: the gap below them after an offset is narrow
+    // enough to be filled.
     let center = DVec3::new(0.2, -0.3, 8.3);
     let particles = fluid([14, 14, 8], center, |place| place.z > 0.27);
     let height = |offset: f64| {
@@ -361,7 +367,7 @@ fn command_clips_at_obstacles_and_reports_them() {
     assert!(again.out.contains("done already"), "{}", again.out);
     assert_eq!(run(&["--threads", "2"]).status, 0);
     assert!(glb() == before, "other bytes on two threads");
-    // Another obstacle gives another output, and so does none at all.
+    // Another obstacle changes the output, and so does its removal.
     dipping(path, 0.1);
     let moved = run(&["--skip-done"]);
     assert!(!moved.out.contains("done already") && glb() != before, "{}", moved.out);
@@ -376,7 +382,7 @@ fn obstacle_gives_the_same_surface_in_every_format() {
     let path = folder.path();
     dipping(path, 0.0);
     let body = ball(DVec3::new(0.9, 0.35, 0.35), 0.3);
-    // The ball as a surface of particles makes a mesh and a level set of it, by the program itself.
+    // The program makes a mesh and a level set of the ball from particles on its surface.
     let shell: Vec<[f64; 3]> = body.positions.clone();
     write_ply(&path.join("shell.ply"), &shell);
     let made = convert(
@@ -388,7 +394,8 @@ fn obstacle_gives_the_same_surface_in_every_format() {
     for extension in ["glb", "gltf", "ply", "vdb"] {
         let obstacle = format!("made/shell.{extension}");
         let out = format!("out_{extension}");
-        // The mesh of a .glb has y up, and so has a scene that is made with it; ours has z up.
+        // The mesh of a .glb has y up, and so have the scenes that use it as an obstacle; this scene has z
+        // up.
         let report_name = format!("{extension}.json");
         let ran = convert(
             path,
@@ -481,7 +488,7 @@ fn invalid_obstacle_is_an_error() {
     assert!(report(&path.join("r.json"))["frames"][0]["obstacles"]["open_edges"].as_u64() > Some(0));
 }
 
-/// Other units or axes are valid, but probably a mistake.
+/// An obstacle with other units or axes is valid, but probably a mistake.
 #[test]
 fn obstacle_out_of_reach_causes_a_warning() {
     let folder = tempdir().expect("a folder");
@@ -496,19 +503,19 @@ fn obstacle_out_of_reach_causes_a_warning() {
         let ran = convert(path, &[&arguments[..], &["--preset", "paper", "--obstacle", name]].concat());
         assert_eq!(ran.status, 0, "{}", ran.err);
         let notes = |frame: usize| {
-            report(&path.join("r.json"))["frames"][frame]["notes"].to_string().contains("touches nothing")
+            report(&path.join("r.json"))["frames"][frame]["notes"].to_string().contains("too far from")
         };
         assert_eq!(notes(0), notes(1), "each frame has it in the report");
-        (ran.err.matches("touches nothing of the frame").count(), ran.err)
+        (ran.err.matches("too far from the particles to have an effect").count(), ran.err)
     };
-    // Just in reach, and just beyond it: r_max is 2√3 voxels.
+    // Obstacles just within reach of the particles, and just beyond it: r_max is 2√3 voxels.
     let at = |x: f64| cuboid(DVec3::new(x, -1.0, -1.0), DVec3::new(x + 1.0, 1.0, 1.0));
     assert_eq!(told("near.obj", &at(0.4 + 0.05 * (12f64.sqrt() + 3.9))).0, 0);
     let (count, err) = told("far.obj", &at(0.4 + 0.05 * (12f64.sqrt() + 4.1)));
     assert_eq!(count, 1, "once for a sequence: {err}");
     assert!(
-        err.contains("dam.1.ply: obstacle far.obj: touches")
-            && err.contains("the particles (0.1, 0, 0) to (0.4,"),
+        err.contains("dam.1.ply: obstacle far.obj: too far")
+            && err.contains("the particles span (0.1, 0, 0) to (0.4,"),
         "{err}"
     );
     let mut plane = at(0.3);
@@ -530,11 +537,11 @@ fn empty_surface_causes_a_warning_with_the_reason() {
     let box_beyond = ["--clip", "5,5,5,6,6,6"];
     let ball = ["--obstacle", "ball.obj"];
     for (more, word) in [
-        (&box_beyond[..], "the clip box holds nothing of the surface"),
+        (&box_beyond[..], "the clip box contains no part of the surface"),
         (&["--drop-islands", "100"], "every piece of the surface was dropped"),
         (&ball, "all of the surface is inside obstacles"),
         (&[ball, box_beyond].concat(), "all of the surface is inside obstacles"),
-        (&["--memory", "2MiB", "--clip", "5,5,5,6,6,6"], "the clip box holds nothing"),
+        (&["--memory", "2MiB", "--clip", "5,5,5,6,6,6"], "the clip box contains no part"),
     ] {
         let ran = convert(path, &[&arguments, more].concat());
         assert_eq!(ran.status, 0, "{}", ran.err);
@@ -547,7 +554,7 @@ fn empty_surface_causes_a_warning_with_the_reason() {
         assert!(path.join("o/dam.1.obj").exists());
     }
     let all = convert(path, &[&arguments[..], &["--clip", "-5,-5,-5,0.1,5,5"]].concat());
-    assert!(!all.err.contains("nothing of the surface"), "{}", all.err);
+    assert!(!all.err.contains("no part of the surface"), "{}", all.err);
 }
 
 /// A second run of `watch --once` converts nothing until the obstacle changes.

@@ -1,7 +1,8 @@
-//! The finished surface moved by a constant distance: its position, its guarantees, and the particles left
-//! outside.
+//! Moving the finished surface by a constant distance: its position, its guarantees, and the particles that
+//! are outside afterwards.
 
 use std::fs;
+use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use meniscus::surface::obstacle::Obstacles;
@@ -37,7 +38,7 @@ fn vertices(surface: &FrameSurface) -> impl Iterator<Item = DVec3> + '_ {
     surface.mesh.positions.iter().map(|position| surface.mesh.origin + position.as_dvec3())
 }
 
-/// How high the top of a surface is over the middle of a block, on average.
+/// The mean height of the top of a surface above the middle of a block.
 fn top(surface: &FrameSurface, middle: DVec3) -> f64 {
     let above = vertices(surface)
         .filter(|vertex| (*vertex - middle).truncate().abs().max_element() < 5.0 && vertex.z > middle.z);
@@ -46,7 +47,7 @@ fn top(surface: &FrameSurface, middle: DVec3) -> f64 {
     heights.iter().sum::<f64>() / heights.len() as f64
 }
 
-/// A lone particle's sphere of √(r_init² − 6h²) is larger or smaller by the offset.
+/// The sphere of a lone particle, whose radius is √(r_init² − 6h²), is larger or smaller by the offset.
 #[test]
 fn lone_particle_has_the_radius_of_its_sphere_and_the_offset() {
     let center = DVec3::new(0.31, -0.17, 0.43);
@@ -70,7 +71,7 @@ fn lone_particle_has_the_radius_of_its_sphere_and_the_offset() {
     }
 }
 
-/// A pool's top stays flat, and is higher or lower by the offset. So are its sides.
+/// The top of a pool stays flat and moves by the offset; its sides move, too.
 #[test]
 fn flat_top_of_a_pool_moves_by_the_offset() {
     let positions = lattice([14, 14, 8]);
@@ -147,8 +148,8 @@ fn particles_that_an_inward_offset_leaves_outside_are_counted() {
     assert!(body.deepest < 1.0, "{body:?}");
 }
 
-/// For every position of a lone particle between the voxels, the particle stays inside as long as the
-/// certificate requires it.
+/// At every position between the voxels, a lone particle stays inside as long as the certificate requires
+/// this.
 #[test]
 fn particles_stay_inside_where_the_offset_leaves_room_for_them() {
     for (radius_min, offset, is_sure) in [(1.733, -0.3, false), (1.733, -1.6, false), (3.0, -1.2, true)] {
@@ -243,10 +244,11 @@ fn command_moves_the_surface_and_reports_it() {
     let limit = certificate["distance_limits"][0].as_f64().expect("a length");
     assert!((limit - (3f64.sqrt() * 0.05 - 0.06)).abs() < 1e-6, "{certificate}");
     assert!(certificate["particles_outside"]["deepest"].is_number(), "{certificate}");
-    // Rounded edges take less of a smaller block.
+    // The edges of the surface are rounded, which removes less from a smaller block.
     let shrunk = edge("plain/block.obj") - edge("out/block.obj");
     assert!((shrunk - 0.12).abs() < 0.02, "{shrunk}");
-    // The level set of the surface as it was, moved by as much, is about the same surface; it is recorded as another one.
+    // The level set without an offset, moved by the same distance, gives about the same surface. Its records
+    // differ, so `--skip-done` converts it.
     let ran = convert("plain/block.vdb", &["--format=obj", "--offset=-0.06", "--skip-done"]);
     assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
     let again = edge("plain/block.obj") - edge("out/block.obj");
@@ -255,4 +257,20 @@ fn command_moves_the_surface_and_reports_it() {
     assert!(!ran.out.contains("done already"), "{}", ran.out);
     let ran = convert("plain/block.vdb", &["--format=obj", "--offset=-0.2"]);
     assert!(ran.status != 0 && ran.err.contains("the offset is -0.2"), "{} {}", ran.status, ran.err);
+}
+
+/// With the default settings, particles are flattened. Near the centre of such a particle, a first-order
+/// distance to its surface is far too large.
+#[test]
+fn inward_offsets_of_flattened_particles_pass_validation() {
+    let folder = tempdir().expect("a folder");
+    let frames = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/frames");
+    let frames = frames.to_str().expect("text");
+    for offset in ["-0.75d", "-1d"] {
+        let ran = meniscus(
+            folder.path(),
+            &["convert", frames, "--out=out", "--frames=3-8", "--offset", offset, "--overwrite"],
+        );
+        assert_eq!(ran.status, 0, "{offset}: {}", ran.err);
+    }
 }

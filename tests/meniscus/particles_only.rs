@@ -1,4 +1,5 @@
-//! Particles from one format to another, without a surface: attributes, provenance, and refused options.
+//! Conversion of particles from one format to another, without a surface: attributes, provenance, and refused
+//! options.
 
 use std::fs;
 use std::path::Path;
@@ -8,7 +9,7 @@ use tempfile::{TempDir, tempdir};
 
 use crate::scene::{Ran, meniscus, names_in};
 
-/// More digits than 32-bit reals have, a velocity, numbers and words.
+/// A table with positions of more digits than 32-bit numbers have, a velocity, numbers and words.
 const TABLE: &str = "\
 x,y,z,vx,vy,vz,id,temperature
 0.123456789012,1,2,0,0,-1,7,293.25
@@ -50,7 +51,8 @@ fn particles_keep_their_attributes() {
     assert_eq!(ply.positions, expected.positions);
     assert_eq!(ply.attributes[0], expected.attributes[0]);
 
-    // They are particles: a folder of them is a sequence. And from the one to the other nothing is lost.
+    // The outputs are particles, so a folder of them is a sequence. Converting them to another format loses
+    // nothing.
     let again = meniscus(folder, &["convert", "out", "--out=two", "--particles-only", "--format=vtp"]);
     assert_eq!(again.status, 1, "{}", again.err);
     assert!(again.err.contains("would both become"), "{}", again.err);
@@ -69,7 +71,7 @@ fn skip_done_writes_particles_with_a_flipped_byte_again() {
     let whole = fs::read(&damaged).expect("written");
     let mut bytes = whole.clone();
     *bytes.last_mut().expect("bytes") ^= 1;
-    // A new file: its stamp differs even where the clock of the file system has not moved on.
+    // Make a new file: its stamp differs even if the clock of the file system has not advanced.
     fs::rename(&damaged, folder.join("old")).expect("moved");
     fs::write(&damaged, bytes).expect("written");
     let ran = convert(folder, "in", &["--skip-done"]);

@@ -47,17 +47,17 @@ fn by_neighbors() -> MethodOptions {
     MethodOptions { anisotropy: Some(AnisotropyKind::Neighbors), ..MethodOptions::default() }
 }
 
-/// Vertices in the world.
+/// The vertices in world space.
 fn vertices(surface: &FrameSurface) -> impl Iterator<Item = DVec3> {
     surface.mesh.positions.iter().map(|position| surface.mesh.origin + position.as_dvec3())
 }
 
-/// Fig. 13: lone spheres keep their own radii, but for what 15 Laplacian steps of 0.1 h² take off any sphere. The
-/// biharmonic steps change none of them.
+/// Fig. 13: lone spheres keep their own radii, except that 15 Laplacian steps of 0.1 h² shrink any sphere a
+/// little. The biharmonic steps do not change them.
 #[test]
 fn lone_spheres_have_the_radii_of_their_particles() {
     let radii: Vec<f32> = (0..12).map(|index| 1.2 + 1.1 * index as f32).collect();
-    // Where implicit steps could round off the centre.
+    // Radii at which implicit steps could round off the level set at the centre.
     let more = [1.0, 1.5, 1.74, 2.0, 2.2, 2.4, 2.5, 2.6, 2.8, 3.0, 3.2, 3.4, 3.7, 3.9, 4.2, 5.0, 17.0];
     let rows = [
         (Integrator::Explicit, radii.clone()),
@@ -70,7 +70,7 @@ fn lone_spheres_have_the_radii_of_their_particles() {
     }
 }
 
-/// The source of a radius does not matter.
+/// The result does not depend on the source of a radius.
 #[test]
 fn lone_spheres_keep_a_radius_that_was_chosen() {
     for (radius_min, ratio) in [(1.74, 2.0), (1.74, 3.0), (2.5, 2.0), (3.0, 2.0), (3.4, 1.5), (5.0, 2.0)] {
@@ -92,7 +92,7 @@ fn lone_spheres_keep_a_radius_that_was_chosen() {
     }
 }
 
-/// How far lone spheres of these radii are from those that they should have.
+/// The differences between the surfaces of lone spheres with these radii and the expected spheres.
 fn sphere_errors(radii: &[f32], choices: &MethodOptions) -> Vec<f64> {
     let centers: Vec<DVec3> =
         (0..radii.len()).map(|index| DVec3::new(90.3 * index as f64, 0.4, -0.2)).collect();
@@ -113,7 +113,7 @@ fn sphere_errors(radii: &[f32], choices: &MethodOptions) -> Vec<f64> {
     centers.iter().zip(radii).map(error).collect()
 }
 
-/// A distant particle of any size changes no bit of the surface here.
+/// A distant particle of any size does not change a bit of the surface here.
 #[test]
 fn far_particles_of_any_size_change_nothing() {
     let mut random = Random::new(5);
@@ -167,7 +167,7 @@ fn the_number_of_threads_does_not_matter() {
     }
 }
 
-/// Root mean square of how far the upper side of a sheet is from its mean, away from its rim.
+/// The root mean square deviation of a sheet's upper side from its mean height, away from the rim.
 fn roughness(surface: &FrameSurface, half_edge: f64) -> f64 {
     let heights: Vec<f64> = vertices(surface)
         .filter(|vertex| vertex.z > 0.0 && vertex.x.abs().max(vertex.y.abs()) < half_edge)
@@ -178,8 +178,8 @@ fn roughness(surface: &FrameSurface, half_edge: f64) -> f64 {
     (heights.iter().map(|height| (height - mean).powi(2)).sum::<f64>() / heights.len() as f64).sqrt()
 }
 
-/// Fig. 11, in the middle: flat particles make a flat sheet. In the plane these are as irregular as can be without
-/// holes between balls.
+/// Fig. 11, in the middle: flat particles make a flat sheet. In the plane, the particles are as irregular as
+/// possible without holes between balls.
 #[test]
 fn particles_stretched_by_their_neighbors_make_a_flat_sheet() {
     let mut random = Random::new(7);
@@ -208,8 +208,9 @@ fn particles_stretched_by_their_neighbors_make_a_flat_sheet() {
     assert!(splash < moved && splash < balls / 2.0, "{splash} of {balls}");
 }
 
-/// Without stretch, too, positions are smoothed: of two particles 2 apart each is moved to 0.126 from their middle, by the weights
-/// 1 and 1 − (2/R)³ of itself and of the other one, and by 0.9 of the way, with R = 3√3.
+/// Positions are also smoothed without stretch. Two particles are 2 apart. Each is moved by 0.9 of the way to
+/// the mean of both, with the weight 1 for itself and 1 − (2/R)³ for the other, where R = 3√3. So each is
+/// then 0.126 from their middle.
 #[test]
 fn position_smoothing_moves_a_pair_of_spheres_together() {
     let pair = [DVec3::new(-1.0, 0.2, 0.3), DVec3::new(1.0, 0.2, 0.3)];

@@ -20,7 +20,7 @@ use tempfile::tempdir;
 
 use crate::scene::{block, meniscus, names_in, write_ply, write_sequence};
 
-/// World units.
+/// Edge length of a voxel, world units.
 const VOXEL_SIZE: f64 = 0.05;
 
 const RADIUS: f64 = 1.0;
@@ -58,7 +58,7 @@ fn picture_of(band: &NarrowBand, origin: DVec3, viewpoint: &Viewpoint) -> Pictur
 #[test]
 fn picture_of_a_ball_matches_its_geometry() {
     let picture = picture_of(&ball(1.0), DVec3::ZERO, &viewpoint(AWAY));
-    // Seen from 5 its edge is at the angle whose sine is 1/5.
+    // From a distance of 5, the ball's silhouette is at the angle whose sine is RADIUS/5.
     let edge = (RADIUS / 5.0).asin().tan() / 20f64.to_radians().tan() * SIZE[1] as f64 / 2.0;
     let area = std::f64::consts::PI * edge * edge;
     let covered: f64 = picture.coverage.iter().map(|&part| f64::from(part)).sum();
@@ -79,7 +79,7 @@ fn picture_of_a_ball_matches_its_geometry() {
     assert!((f64::from(count) / area - 1.0).abs() < 0.05, "{count} of {area}");
 }
 
-/// A picture does not depend on where the voxels of its level set begin.
+/// A picture does not depend on the world position of the level set's origin, if the camera moves with it.
 #[test]
 fn picture_does_not_depend_on_the_origin_of_the_level_set() {
     let origin = DVec3::new(10.0, -3.0, 0.5);
@@ -118,7 +118,7 @@ fn files_do_not_depend_on_threads() {
     assert!(of_threads(1) == of_threads(2));
 }
 
-/// Names of layers and of their channels.
+/// The names of the layers in a file, and of their channels.
 fn layers_of(path: &Path) -> Vec<(String, Vec<String>)> {
     let file = BufReader::new(File::open(path).expect("there"));
     let image = read().no_deep_data().largest_resolution_level().all_channels().all_layers().all_attributes();
@@ -199,7 +199,7 @@ fn particles_and_level_sets_become_pictures() {
     assert_ne!(camera_in(&path.join("turn/drop.000.exr")), camera_in(&path.join("turn/drop.001.exr")));
     assert_eq!(layers_of(&path.join("turn/drop.001.exr")).len(), 6);
 
-    // A level set with velocities has them in its pictures, too.
+    // The picture of a level set with velocities has a layer for them.
     let with_velocities =
         ["convert", "drop.csv", "--out", "v", "--format", "vdb", "--attributes", "velocity"];
     assert_eq!(meniscus(path, &with_velocities).status, 0);
@@ -266,7 +266,7 @@ fn previews_of_a_sequence_have_one_camera() {
     let camera = camera_in(&picture("dam.1.png"));
     assert!(camera.starts_with("eye=") && camera == camera_in(&picture("dam.3.png")), "{camera}");
     let first = fs::read(picture("dam.2.png")).expect("there");
-    // A part of the sequence has the camera of the whole.
+    // A part of the sequence is rendered with the camera of the whole sequence.
     fs::remove_file(picture("dam.2.png")).expect("removed");
     let ran = meniscus(path, &[&convert[..], &["--frames", "2"]].concat());
     assert_eq!(ran.status, 0, "{}", ran.err);
@@ -281,7 +281,7 @@ fn splash_that_leaves_the_picture_of_watch_is_not_cropped() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     fs::create_dir(path.join("in")).expect("made");
-    // A splash, whose second frame is far outside the first one's picture.
+    // A splash: its second frame is far outside the picture of the first.
     let frame = |number: usize, shift: f64| {
         let moved = block(6, shift).into_iter().map(|[x, y, z]| [x, y + 2.0 * shift, z]);
         let moved: Vec<[f64; 3]> = moved.collect();
@@ -343,8 +343,8 @@ fn daemon_keeps_its_camera() {
     }
 }
 
-/// How far a picture may be from the one that is kept, in levels of 255: numbers are the same on every machine but for
-/// the functions of angles, and an edge that falls otherwise moves a pixel.
+/// Limit of the mean difference of a picture from its reference, in levels of 255. Only the trigonometric
+/// functions differ between machines, which can move the edge of a shape by a pixel.
 const MEAN_OFF_MAX: f64 = 0.1;
 /// Of all channels of all pixels, at most this number per thousand may differ by more than [`OFF_MAX`].
 const FAR_OFF_THOUSANDTHS_MAX: f64 = 1.0;
@@ -420,7 +420,7 @@ fn wrong_pictures_differ_from_the_reference() {
     };
     let right = picture(&ball(1.0), AWAY);
     let mut holed = ball(1.0);
-    // A few voxels in front, turned.
+    // Make a hole: a few voxels in front are outside.
     let topology = holed.topology.clone();
     for (leaf, origin) in holed.phi.leaves.iter_mut().zip(topology.origins()) {
         for (offset, value) in leaf.values.iter_mut().enumerate() {

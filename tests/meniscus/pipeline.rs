@@ -1,4 +1,4 @@
-//! Frames through the stages, with a quick method in place of the real one.
+//! Frames in the stages of the pipeline, with a quick method in place of the real one.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -21,8 +21,8 @@ use tempfile::{TempDir, tempdir};
 
 use crate::scene::{block, names_in, write_ply};
 
-/// A tetrahedron as large as the frame has particles. Panics in `broken_stage` at frames of
-/// [`BROKEN_COUNT`] particles.
+/// A method whose surface is a tetrahedron with a size that is the number of particles. Panics in
+/// `broken_stage` for frames of [`BROKEN_COUNT`] particles.
 struct Quick {
     broken_stage: Option<Stage>,
 }
@@ -184,7 +184,7 @@ impl Bench {
         letters(&self.run_with(method, on_error, false, 2))
     }
 
-    /// The numbers of the frames that have all outputs, none of the others having any.
+    /// The numbers of the frames that have all outputs. Asserts that the other frames have none.
     pub(crate) fn written(&self) -> Vec<usize> {
         let names = names_in(&self.out());
         let count = |number: usize| names.iter().filter(|n| n.starts_with(&format!("f.{number}."))).count();
@@ -235,7 +235,7 @@ fn frames_are_converted_in_order() {
     let size_bytes = |path: &PathBuf| fs::metadata(path).expect("there").len();
     assert_eq!(report.output_bytes, report.outputs.iter().map(size_bytes).collect::<Vec<_>>());
     assert_eq!(report.input.stamp, FileStamp::of_path(&bench.frames[1].input).expect("there"));
-    // The report describes the file of a frame that is done by its content and its stamp.
+    // The report has the hash and the stamp of the file, also for a frame that was done already.
     let again = bench.run_with(&quick, OnError::Continue, true, 2);
     let Outcome::AlreadyDone { input, .. } = &again[1] else { panic!("not done already") };
     assert_eq!((input, report.input.hash != 0), (&report.input, true));
@@ -259,7 +259,7 @@ fn failed_frame_does_not_stop_others() {
     }
 }
 
-/// Rasterization may write scratch files into the folder of the outputs.
+/// Rasterization may write scratch files into the output folder.
 #[cfg(unix)]
 #[test]
 fn linked_output_folder_is_refused_before_rasterization() {
@@ -329,20 +329,20 @@ fn done_frames_are_kept_and_all_others_are_converted() {
     let run = |bench: &Bench| letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2));
     assert_eq!(run(&bench), "cccc");
     assert_eq!(run(&bench), "dddd");
-    // An input that changed, an output that is gone, one that is damaged.
+    // A frame's input has changed, another's output is missing, another's output is damaged.
     write_ply(&bench.folder.path().join("f.0.ply"), &block(3, 0.0));
     fs::remove_file(bench.out().join("f.2.obj")).expect("removed");
     fs::write(bench.out().join("f.3.glb"), "glTF").expect("written");
     assert_eq!(run(&bench), "cdcc");
     assert_eq!(run(&bench), "dddd");
-    // Options of one format.
+    // An option of one format has changed.
     bench.change_outputs(|outputs| outputs.vdb_half = true);
     assert_eq!(run(&bench), "cccc");
     bench.change_outputs(|outputs| outputs.up = gltf::UpAxis::Z);
     assert_eq!(run(&bench), "cccc");
     bench.change_outputs(|outputs| outputs.quantize = true);
     assert_eq!(run(&bench), "cccc");
-    // Settings.
+    // Settings have changed.
     let choices = MethodOptions { laplacian_steps: Some(14), ..MethodOptions::default() };
     bench.frames[2].settings = Arc::new(Settings::paper(0.05, &choices).expect("valid"));
     assert_eq!(run(&bench), "ddcd");
@@ -393,7 +393,7 @@ fn bytes_do_not_depend_on_threads_or_other_frames() {
         assert_eq!(found.len(), 16);
         assert!(*expected.get_or_insert_with(|| found.clone()) == found, "{threads} threads");
     }
-    // Neither a host's paths nor a clock: the folders above had different names.
+    // The outputs contain neither paths of this machine nor times: the folders above had different names.
 }
 
 #[test]

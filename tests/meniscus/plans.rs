@@ -54,7 +54,7 @@ fn identities(folder: &Path) -> Vec<(String, u64, i64)> {
     names_in(folder).into_iter().map(identity).collect()
 }
 
-/// Two sequences of different spacing in separate folders, a moving obstacle, and a fixed one.
+/// Two sequences with different spacings in separate folders, a moving obstacle, and a fixed obstacle.
 fn write_scene(folder: &Path) {
     for (name, scale) in [("dam", 1.0), ("foam", 0.5)] {
         let frames = folder.join("in").join(name);
@@ -95,8 +95,8 @@ fn shards_make_the_same_bytes_as_one_process() {
         &[&["plan", "--out=out", "--shards=3", "-o=plan.json"][..], &asked].concat(),
     ));
     assert!(names_in(&folder.join("out")).is_empty(), "created, because shards require it");
-    // The last shard first, from another folder, with different numbers of threads, and one of them twice at
-    // the same time.
+    // Run the last shard first, from another folder, with different numbers of threads, and one shard twice
+    // at the same time.
     let elsewhere = tempdir().expect("a folder");
     let plan = folder.join("plan.json").display().to_string();
     let mut running: Vec<_> = [(2, "1"), (1, "3"), (1, "2"), (0, "2")]
@@ -152,7 +152,7 @@ fn done_frames_do_not_need_their_inputs() {
     let ran = shard(folder, 0);
     succeeded(&ran);
     assert!(ran.out.contains("dam.2: done already"), "{}", ran.out);
-    // A frame that is done and has no input keeps its place in the report.
+    // A frame that is done keeps its entry in the report, even if its input is missing.
     let plan = ["convert", "--plan=plan.json", "--shard=0", "--report=r.json"];
     let ran = meniscus(folder, &plan);
     succeeded(&ran);
@@ -202,7 +202,7 @@ fn plan_whose_outputs_replace_inputs_is_refused() {
     fs::write(&path, plan.to_string()).expect("written");
     let ran = shard(folder.path(), 1);
     assert_eq!(ran.status, 2);
-    assert!(ran.err.contains("/frames/0/input: it is also an output"), "{}", ran.err);
+    assert!(ran.err.contains("/frames/0/input: an output of the plan would overwrite"), "{}", ran.err);
 }
 
 #[test]
@@ -263,7 +263,7 @@ fn killed_shard_continues_with_the_unfinished_frames() {
     #[cfg(unix)]
     {
         let after = identities(&folder.join("out"));
-        // A frame with only some of its files is made again.
+        // A frame is made again if only some of its files exist.
         let is_whole = |name: &str| {
             let stem = name.split('.').take(2).collect::<Vec<_>>().join(".");
             before.iter().any(|(other, ..)| *other == format!("{stem}.certificate.json"))
@@ -276,8 +276,8 @@ fn killed_shard_continues_with_the_unfinished_frames() {
     assert!(out.eq(outputs(&folder.join("one"))));
 }
 
-/// A user may have removed an input on purpose. If an input exists and cannot be read, the results cannot be
-/// compared with it.
+/// A missing input may have been removed on purpose, so `verify` accepts the outputs. If an input exists but
+/// cannot be read, the outputs cannot be compared with it.
 #[cfg(unix)]
 #[test]
 fn verify_fails_for_an_input_that_exists_and_cannot_be_read() {
@@ -296,7 +296,7 @@ fn verify_fails_for_an_input_that_exists_and_cannot_be_read() {
     assert!(verified.err.contains("cannot be compared with their input"), "{}", verified.err);
 }
 
-/// The same for obstacles: `verify` skips only removed ones.
+/// The same holds for obstacles: `verify` skips only removed obstacles.
 #[cfg(unix)]
 #[test]
 fn obstacle_that_exists_and_cannot_be_read_fails_verify_and_shard() {
@@ -527,7 +527,7 @@ fn gaps_and_shards_that_never_ran_are_one_line_each() {
     ];
     assert_eq!(lines, expected);
 
-    // One file shows that the shard has run, so each of its frames has a line.
+    // One existing file shows that the shard was started, so `verify` prints a line for each of its frames.
     assert_eq!(shard(path, 1).status, 0);
     let out = path.join("out");
     for stem in ["dam.5.", "dam.6."] {
@@ -602,9 +602,9 @@ fn edits() -> Vec<(&'static str, Value, &'static str)> {
         ("/shards", json!([]), "/shards: there are 0"),
         ("/shards/1/first", json!(0), "/shards/1: "),
         ("/shards/1/count", json!(u64::MAX), "/shards/1: "),
-        ("/shards/1/count", json!(0), "/shards: no shard has the frames from 2 on"),
+        ("/shards/1/count", json!(0), "/shards: the shards cover only 2 of the 4 frames"),
         ("/shards/1/count", json!(-1), "invalid value"),
-        ("/frames", json!([]), "end within the plan's 0 frames"),
+        ("/frames", json!([]), "`first` + `count` at most 0, the number of frames"),
         ("/frames/0/stem", json!("../dam"), "/frames/0/stem: `../dam` is not a plain file name"),
         ("/frames/0/stem", json!("/tmp/dam"), "/frames/0/stem: `/tmp/dam` is not a plain file name"),
         ("/frames/1/stem", json!("dam.1"), "/frames/1/stem: `dam.1` is already the stem of frame 0"),
@@ -636,7 +636,7 @@ fn edited_plan_is_refused() {
     refused(&serde_json::to_vec(&plan).expect("JSON"), "unknown field `voxel_size`");
     let mut plan: Value = serde_json::from_str(&text).expect("JSON");
     plan["sequences"][0]["settings"]["cg_tolerance"] = json!("0.1");
-    refused(&serde_json::to_vec(&plan).expect("JSON"), "/sequences/0/settings/cg_tolerance: it has no");
+    refused(&serde_json::to_vec(&plan).expect("JSON"), "/sequences/0/settings/cg_tolerance: not allowed");
     for end in [1, text.len() / 2, text.len() - 3] {
         refused(&text.as_bytes()[..end], "EOF while parsing");
     }
@@ -646,7 +646,7 @@ fn edited_plan_is_refused() {
     refused(b"{}", "/meniscus_plan: missing");
     refused(&[br#"{"a":"#.to_vec(), b"[".repeat(100_000)].concat(), "at line 1");
     assert!(names_in(&folder.join("out")).is_empty(), "nothing is written");
-    // The original plan is valid; and a missing input makes only its frame fail.
+    // The original plan is valid, and a missing input makes only its own frame fail.
     fs::write(folder.join("plan.json"), &text).expect("written");
     fs::remove_file(folder.join("in/dam.1.ply")).expect("there");
     let ran = shard(folder, 0);

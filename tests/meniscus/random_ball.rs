@@ -1,4 +1,4 @@
-//! 50 000 particles at random in a ball come out nearly spherical (paper, Fig. 12).
+//! The surface of 50 000 random particles in a ball is nearly spherical (paper, Fig. 12).
 
 #![expect(clippy::print_stdout, reason = "tests print measurements, visible with --nocapture")]
 
@@ -10,7 +10,7 @@ use meniscus::surface::reconstruction::reconstruct_frame;
 
 use crate::shapes::{Random, crossings};
 
-/// In voxels: so that the mean spacing of the particles is two of them.
+/// Radius of the ball, in voxels: the mean spacing of the particles is then two voxels.
 const RADIUS: f64 = 45.0;
 const PARTICLE_COUNT: usize = 50_000;
 

@@ -1,7 +1,7 @@
-//! A plain writer of OpenVDB files with one float grid, which knows nothing of narrow bands: it writes what it is given.
+//! A plain writer of OpenVDB files with one float grid. The values need not be a valid narrow band.
 //!
-//! All leaves and tiles are in the cube of 128 voxels from the origin on, in a single lower node. Nothing is compressed, so each
-//! value of the file is written out.
+//! All leaves and tiles are in a single lower node: a cube of 128 voxels that starts at the origin. Values
+//! are not compressed.
 
 use crate::vdb_file::{grid_head, vdb_file};
 
@@ -23,11 +23,11 @@ pub(crate) fn raw_level_set(voxel_size: f64, background: f32, cell: impl Fn([i32
     vdb_file(&head, &buffers)
 }
 
-/// Everything up to the buffers of the leaves, and these.
+/// The bytes of the grid before the buffers of the leaves, and the buffers.
 fn grid(voxel_size: f64, background: f32, cell: impl Fn([i32; 3]) -> Cell) -> (Vec<u8>, Vec<u8>) {
     let mut head = grid_head(0, voxel_size, background, 1); // no compression
     head.extend([0; 12]);
-    // The upper node has one child, the first.
+    // The upper node has one child, in its first slot.
     push_mask(32_768, |slot| slot == 0, &mut head);
     push_mask(32_768, |_| false, &mut head);
     push_values((0..32_768).map(|slot| if slot == 0 { 0.0 } else { background }), &mut head);

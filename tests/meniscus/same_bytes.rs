@@ -1,5 +1,5 @@
-//! The same bytes for one frame by different code paths: with any SIMD instructions, whole or in tiles, from
-//! a file that is read whole or in batches.
+//! Different code paths give the same bytes for a frame: with any SIMD instructions, as a whole or in tiles,
+//! and from a file that is read as a whole or in batches.
 
 use std::fs;
 use std::path::Path;
@@ -17,7 +17,7 @@ fn convert(folder: &Path, out: &str, arguments: &[&str]) -> Ran {
     meniscus(folder, &[&typed(out)[..], arguments].concat())
 }
 
-/// Converts with instructions of this name, and returns the output.
+/// Converts with the SIMD instructions of this name, and returns the output.
 fn converted_by(folder: &Path, out: &str, level: &str) -> String {
     let mut command = command(folder, &typed(out));
     let output = command.env("MENISCUS_SIMD", level).output().expect("the command starts");
@@ -39,7 +39,7 @@ fn write_rod(folder: &Path, length: usize) {
     write_ply(&folder.join("rod.ply"), &(0..length).flat_map(slice).collect::<Vec<_>>());
 }
 
-/// Asserts that two folders hold the same files, to the last byte, and nothing else.
+/// Asserts that two folders contain the same files, to the last byte.
 fn assert_same(folder: &Path, outs: [&str; 2]) {
     for out in outs {
         assert_eq!(names_in(&folder.join(out)), ["rod.glb", "rod.vdb"], "{out}");
@@ -50,7 +50,7 @@ fn assert_same(folder: &Path, outs: [&str; 2]) {
     }
 }
 
-/// The number of mebibytes that a frame needs at least, from the message.
+/// The number of mebibytes that a frame needs at least, according to the message.
 fn mebibytes_needed(ran: &Ran) -> u64 {
     let after = ran.err.split("the frame needs ").nth(1).unwrap_or_else(|| panic!("{}", ran.err));
     after.split(' ').next().and_then(|number| number.parse().ok()).expect("a number")
@@ -93,7 +93,8 @@ fn smallest_stated_memory_gives_the_same_bytes() {
     let least = mebibytes_needed(&refused);
     let short = convert(path, "tiled", &["--memory", &format!("{}MiB", least - 1)]);
     assert_eq!((short.status, mebibytes_needed(&short)), (2, least), "{}", short.err);
-    // What takes this little is in tiles: whole it would take more than half of what implicit takes.
+    // A frame within this limit must be in tiles: as a whole, it would take more than half of the memory that
+    // the implicit integrator takes.
     let coupled = convert(path, "tiled", &["--memory", "1MiB", "--integrator", "implicit"]);
     assert_eq!(coupled.status, 2, "{}", coupled.out);
     assert!(coupled.err.contains("implicit and adaptive cannot work in tiles"), "{}", coupled.err);
@@ -105,11 +106,11 @@ fn smallest_stated_memory_gives_the_same_bytes() {
     assert_same(path, ["whole", "tiled"]);
 }
 
-/// From this size on files are read in batches where their records have one length.
+/// Files of at least this size are read in batches if all their records have the same length.
 const STREAMED_FROM_BYTES: u64 = 16 << 20;
 
-/// Writes particles as binary PLY. With `has_list` each has an empty list, too: such records may differ in
-/// length, and the file is read whole.
+/// Writes particles as binary PLY. With `has_list`, each particle also has an empty list. Records with lists
+/// may differ in length, so such a file is read as a whole.
 fn write_binary_ply(path: &Path, particles: &[[f64; 3]], has_list: bool) {
     let list = if has_list { "property list uchar int extra\n" } else { "" };
     let mut bytes = format!(
@@ -125,7 +126,7 @@ fn write_binary_ply(path: &Path, particles: &[[f64; 3]], has_list: bool) {
     fs::write(path, bytes).expect("the frame is written");
 }
 
-/// The surface in an .obj, without the comments: they say what it was made from.
+/// The surface in an .obj, without the comments, which contain the provenance.
 fn surface_in(obj: &Path) -> Vec<String> {
     let text = fs::read_to_string(obj).expect("readable");
     text.lines().filter(|line| !line.starts_with('#')).map(str::to_owned).collect()
@@ -135,7 +136,7 @@ fn surface_in(obj: &Path) -> Vec<String> {
 fn file_read_in_batches_gives_the_same_bytes() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
-    // Many particles in few voxels.
+    // The file has many particles, but the surface has few voxels.
     let particles: Vec<_> = block(113, 0.0).into_iter().map(|at| at.map(|along| along * 0.1)).collect();
     let files = [("batches.ply", false), ("whole.ply", true)];
     files.iter().for_each(|&(name, has_list)| write_binary_ply(&path.join(name), &particles, has_list));
@@ -143,7 +144,7 @@ fn file_read_in_batches_gives_the_same_bytes() {
     assert!(file_bytes >= STREAMED_FROM_BYTES, "{file_bytes} bytes are read whole");
     let smoothing = ["--position-smoothing", "0.9"];
     let mut surfaces = Vec::new();
-    // In voxels as large as these the default flattens none.
+    // With voxels this large, the defaults do not flatten particles.
     let flat = ["--anisotropy", "neighbors"];
     for more in [&[][..], &smoothing, &[&smoothing[..], &flat].concat(), &["--preset", "paper"]] {
         for (name, has_list) in files {

@@ -1,5 +1,5 @@
-//! Meshes for other programs, and a whole sequence in one file: the same bytes whichever command made the
-//! frames, and no files that the user did not request.
+//! Meshes for other programs, and a whole sequence in one file: the bytes do not depend on the command that
+//! made the frames, and no command writes a file that the user did not request.
 
 use std::fs;
 use std::path::Path;
@@ -47,7 +47,7 @@ fn outputs_for_other_programs_record_the_generator() {
     let path = folder.path();
     let tetrahedron = "v 0 0 0\nv 0.3 0 0\nv 0 0.3 0\nv 0 0 0.3\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
     fs::write(path.join("rock.obj"), tetrahedron).expect("written");
-    // With obstacles, the title of an .stl has its greatest length.
+    // With obstacles, the title of an .stl has its maximum length.
     let all = [&EVERY_MESH[..], &["--quads", "--obstacle", "rock.obj", "--skip-done"]].concat();
     succeeded(&meniscus(path, &all));
     let again = meniscus(path, &all);
@@ -106,7 +106,8 @@ fn quantizing_changes_only_glb() {
         quantized.into_iter().map(|word| if word == "out" { "small" } else { word }).collect();
     succeeded(&meniscus(path, &quantized));
     let [plain, small] = ["out", "small"].map(|folder| path.join(folder));
-    // All files of a frame have one mesh, without the triangles that 16 bits would flatten: each records this.
+    // All files of a frame have the same mesh, without the triangles that 16-bit positions would flatten:
+    // each file records this.
     for name in ["dam.1.abc", "dam.1.usda", "dam.1.usdc", "dam.1.vtp"] {
         let is_recorded = |folder: &Path| {
             let bytes = fs::read(folder.join(name)).expect("readable");
@@ -130,7 +131,7 @@ fn quantizing_a_wide_frame_causes_a_warning() {
     let arguments =
         ["convert", "wide.ply", "--out", "o", "--voxel-size", "0.05", "--format", "glb", "--quantize"];
     let ran = meniscus(path, &arguments);
-    // 500 / 65535 / 2, in voxels of 0.05.
+    // Half a step of the quantization, 500 / 65535 / 2, is 0.076 voxels of 0.05.
     assert!(ran.err.contains("moved by up to 0.076 voxels in the quantized .glb"), "{}", ran.err);
     write_ply(&path.join("wide.ply"), &block(3, 0.0));
     assert_eq!(meniscus(path, &arguments).err, "");
@@ -179,10 +180,10 @@ fn sequence_file_is_the_same_from_every_command() {
         succeeded(&meniscus(path, &["sequence", "farm/dam.#.glb", "-o", name, "--fps", "25"]));
         assert!(read(name) == *expected, "{name}");
     }
-    // The .abc of the frames hold as much as their .glb.
+    // The .abc files of the frames contain as much as their .glb files.
     succeeded(&meniscus(path, &["sequence", "farm/dam.#.abc", "-o", "again.abc", "--fps", "25"]));
     assert!(read("again.abc") == abc);
-    // In the folder of the frames, the command does not take the sequence file for a frame.
+    // If the sequence file is in the folder of the frames, the command does not mistake it for a frame.
     for _ in 0..2 {
         succeeded(&meniscus(path, &["sequence", "farm", "-o", "farm/shot.glb", "--fps", "25"]));
         assert!(read("farm/shot.glb") == glb);
@@ -286,7 +287,8 @@ fn sequence_file_shows_each_frame_at_its_time() {
     assert_eq!(codes, ["1", "2", "4"]);
     assert!(points.lines().nth(1) == Some("            2: [],"));
 
-    // Without particles frame 2 is empty, and it has a second sample instead of the missing frame 3.
+    // Frame 2 has no particles, so its sample is empty. It has a second sample in place of the missing frame
+    // 3.
     let archive = fs::read(path.join("shot.abc")).expect("readable");
     let times = abc::read_times(&archive).expect("times");
     assert_eq!(times, [1.0, 2.0, 3.0, 4.0].map(|number| number / 25.0));
@@ -433,7 +435,7 @@ fn sequence_file_replaces_only_an_earlier_one() {
         }
     }
     assert!(fs::read(path.join("out/dam.2.glb")).expect("there") == frame);
-    // Next to its frames it may have a similar name, and the command may write it again.
+    // A sequence file next to its frames may have a similar name, and the command may write it again.
     let mut made = Vec::new();
     for inputs in ["out", "out/*.glb", "out/dam.#.glb", "out"] {
         let ran = meniscus(path, &["sequence", inputs, "-o", "out/dam.4.glb"]);
@@ -469,7 +471,8 @@ fn time_codes_are_frame_numbers() {
     let shot = document(&path.join("shot.glb"));
     let recorded = &shot["asset"]["extras"]["meniscus"];
     assert_eq!((&recorded["first"], &recorded["last"]), (&"0".into(), &"300".into()));
-    // At this rate a hundred time codes are one frame, and the fourth frame ends half a frame after its time.
+    // At this frame rate, a frame has a hundred time codes. The fourth frame ends half a frame after its
+    // time.
     let input = shot["animations"][0]["samplers"][2]["input"].as_u64().expect("an accessor") as usize;
     let last = &shot["accessors"][input]["max"][0];
     assert!((last.as_f64().expect("a number") - 4.5 / 25.0).abs() < 1e-6, "{last}");

@@ -12,10 +12,10 @@ use tempfile::{TempDir, tempdir};
 
 use crate::scene::{command, meniscus, names_in, write_sequence};
 
-/// Far longer than anything here takes.
+/// A time limit far longer than any step of these tests.
 const PATIENCE: Duration = Duration::from_secs(300);
 
-/// A daemon with a service manager.
+/// A daemon, and a socket that plays the part of its service manager.
 struct Service {
     folder: TempDir,
     manager: UnixDatagram,
@@ -23,7 +23,7 @@ struct Service {
 }
 
 impl Service {
-    /// Starts one that watches `in`.
+    /// Starts a daemon that watches `in`.
     fn start() -> Service {
         let folder = tempdir().expect("a folder");
         fs::create_dir(folder.path().join("in")).expect("made");
@@ -46,7 +46,7 @@ impl Service {
         self.folder.path()
     }
 
-    /// Waits for a message that begins so.
+    /// Waits for a message that begins with this text.
     fn hears(&self, start: &str) -> String {
         let mut bytes = [0; 4096];
         loop {
@@ -70,7 +70,7 @@ impl Service {
 
 impl Drop for Service {
     fn drop(&mut self) {
-        // It has ended, unless the test has failed.
+        // The daemon has ended already, unless the test has failed.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

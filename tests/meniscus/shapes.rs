@@ -1,6 +1,6 @@
 //! Shapes of particles, the method with its defaults, and values of level sets.
 //!
-//! Shapes are in units of voxels: particles about two voxels apart, as the method requires.
+//! Shapes are in units of voxels: particles are about two voxels apart, as the method requires.
 
 use glam::{DMat3, DVec3, IVec3, Vec3};
 use meniscus::surface::grid::{LEAF_VOXELS, offset_in_leaf, voxel_in_leaf};
@@ -45,14 +45,14 @@ pub(crate) fn rasterized(positions: &[DVec3]) -> (NarrowBand, Bounds) {
     (band, bounds)
 }
 
-/// The surface of particles given in voxels, and the bounds it was kept in.
+/// The surface of particles given in voxels, and its bounds.
 pub(crate) fn skinned(positions: &[DVec3], integrator: Integrator) -> (NarrowBand, Bounds, SmoothReport) {
     let (mut band, bounds) = rasterized(positions);
     let report = smooth(&mut band, &bounds, &default_config(integrator));
     (band, bounds, report)
 }
 
-/// φ at a voxel, where it is stored.
+/// φ at a voxel, if it is stored.
 pub(crate) fn value_at(band: &NarrowBand, voxel: IVec3) -> Option<f32> {
     let (leaf, local) = band.topology.find_voxel(voxel)?;
     Some(band.phi.leaves[leaf].values[offset_in_leaf(local)])
@@ -65,7 +65,7 @@ pub(crate) fn voxels(band: &NarrowBand) -> impl Iterator<Item = (IVec3, f32)> + 
     })
 }
 
-/// φ at a position in voxels by trilinear interpolation, where all eight voxels are stored.
+/// φ at a position in voxels by trilinear interpolation, if all eight voxels are stored.
 pub(crate) fn interpolated(band: &NarrowBand, position: DVec3) -> Option<f64> {
     let base = position.floor();
     let t = position - base;
@@ -78,7 +78,7 @@ pub(crate) fn interpolated(band: &NarrowBand, position: DVec3) -> Option<f64> {
     Some(sum)
 }
 
-/// Where φ changes sign on the edges between neighbouring voxels, by linear interpolation.
+/// The points on the edges between neighbouring voxels where φ changes sign, by linear interpolation.
 pub(crate) fn crossings(band: &NarrowBand) -> Vec<Vec3> {
     let mut found = Vec::new();
     for (voxel, here) in voxels(band) {
@@ -100,8 +100,8 @@ pub(crate) fn same_bits(one: &NarrowBand, other: &NarrowBand) -> bool {
     one.topology.origins() == other.topology.origins() && bits(one) == bits(other)
 }
 
-/// The volume that the zero set encloses, in voxels: along z, surfaces that are left less those that
-/// are entered.
+/// The volume that the zero set encloses, in voxels. Along each line in z, it adds the positions where the
+/// line leaves the volume, and subtracts those where the line enters it.
 pub(crate) fn volume(band: &NarrowBand) -> f64 {
     let crossing = |(voxel, here): (IVec3, f32)| {
         let there = value_at(band, voxel + IVec3::Z)?;
@@ -111,7 +111,7 @@ pub(crate) fn volume(band: &NarrowBand) -> f64 {
     voxels(band).filter_map(crossing).sum()
 }
 
-/// ∫ H² over the zero set, H half the divergence of the normal: ∫ H² δ(φ) |∇φ| over the voxels.
+/// ∫ H² over the zero set, where H is half the divergence of the normal, as ∫ H² δ(φ) |∇φ| over the voxels.
 pub(crate) fn bending_energy(band: &NarrowBand) -> f64 {
     const WIDTH: f64 = 1.5;
     let share = |(voxel, phi): (IVec3, f32)| {
@@ -127,7 +127,7 @@ pub(crate) fn bending_energy(band: &NarrowBand) -> f64 {
     voxels(band).filter(|(_, phi)| f64::from(phi.abs()) < WIDTH).filter_map(share).sum()
 }
 
-/// Gradient and second derivatives of φ by central differences, where all neighbours are stored.
+/// Gradient and second derivatives of φ by central differences, if all neighbours are stored.
 fn derivatives(band: &NarrowBand, voxel: IVec3) -> Option<(DVec3, DMat3)> {
     let at = |step: IVec3| value_at(band, voxel + step).map(f64::from);
     let here = at(IVec3::ZERO)?;
@@ -142,7 +142,7 @@ fn derivatives(band: &NarrowBand, voxel: IVec3) -> Option<(DVec3, DMat3)> {
     Some((gradient, hessian))
 }
 
-/// A ball of particles off a jittered lattice, with a finger one or two particles thick.
+/// A ball of particles on a jittered lattice, with a finger that is one or two particles thick.
 pub(crate) fn ball_with_finger() -> Vec<DVec3> {
     let mut random = Random::new(1);
     jittered_lattice(&mut random, 36, |p| {
@@ -151,14 +151,14 @@ pub(crate) fn ball_with_finger() -> Vec<DVec3> {
     })
 }
 
-/// Two balls with a gap that the outer bound closes and the inner one does not.
+/// Two balls with a gap that the outer bound closes and the inner bound does not.
 pub(crate) fn two_balls() -> Vec<DVec3> {
     let mut random = Random::new(2);
     let centers = [DVec3::new(-11.0, 0.3, 0.0), DVec3::new(11.7, 0.0, 0.8)];
     jittered_lattice(&mut random, 24, |p| centers.iter().any(|center| (p - center).length() < 9.0))
 }
 
-/// A sheet one particle thick, drops above it, and single particles.
+/// A sheet that is one particle thick, drops above it, and single particles.
 pub(crate) fn sheet_and_drops() -> Vec<DVec3> {
     let mut random = Random::new(3);
     let mut positions = jittered_lattice(&mut random, 24, |p| p.z.abs() < 0.1 && p.x.hypot(p.y) < 24.0);
@@ -171,7 +171,7 @@ pub(crate) fn sheet_and_drops() -> Vec<DVec3> {
     positions
 }
 
-/// Every lattice point in a box of this size about the origin for which `holds` is true, then moved a little.
+/// The lattice points in a box of this size around the origin for which `holds` is true, each moved a little.
 pub(crate) fn jittered_lattice(
     random: &mut Random,
     half_edge: i32,
@@ -193,7 +193,7 @@ pub(crate) fn jittered_lattice(
     positions
 }
 
-/// Numbers that look random and are the same in every run (splitmix64).
+/// A generator of pseudo-random numbers (SplitMix64), the same in every run.
 pub(crate) struct Random {
     state: u64,
 }
@@ -211,17 +211,17 @@ impl Random {
         mixed ^ mixed >> 31
     }
 
-    /// Uniform in 0 .. 1.
+    /// A number with a uniform distribution from 0 to 1.
     pub(crate) fn unit(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Uniform in a box.
+    /// A point with a uniform distribution in a box.
     pub(crate) fn in_box(&mut self, min: DVec3, max: DVec3) -> DVec3 {
         min + DVec3::new(self.unit(), self.unit(), self.unit()) * (max - min)
     }
 
-    /// Uniform in a ball about the origin.
+    /// A point with a uniform distribution in a ball around the origin.
     pub(crate) fn in_ball(&mut self, radius: f64) -> DVec3 {
         loop {
             let position = self.in_box(DVec3::splat(-radius), DVec3::splat(radius));
@@ -231,7 +231,7 @@ impl Random {
         }
     }
 
-    /// Puts a list in another order.
+    /// Shuffles a list.
     pub(crate) fn shuffle<T>(&mut self, list: &mut [T]) {
         for last in (1..list.len()).rev() {
             list.swap(last, (self.bits() % (last as u64 + 1)) as usize);

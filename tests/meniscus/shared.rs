@@ -1,5 +1,5 @@
-//! Files of real programs, too many and too large for this repository. If they lie next to the sources, every
-//! file with points is converted, or refused with the reason listed here.
+//! Files of real programs, which are too many and too large for this repository. If they are next to the
+//! repository, every file with points must be converted, or refused with the reason listed here.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use tempfile::tempdir;
 
 use crate::scene::{meniscus, names_in};
 
-/// The folder of the files, or a message that the test was skipped.
+/// The folder of the files. If it is missing, prints a message that the test is skipped.
 pub(crate) fn data() -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared");
     let data = std::env::var_os("MENISCUS_SHARED").map_or_else(beside, PathBuf::from).join("data");
@@ -27,7 +27,7 @@ fn files_below(folder: &Path, files: &mut Vec<PathBuf>) {
     }
 }
 
-/// Files of points, but of each sequence only the first and the last: the others are similar.
+/// Files of points; of each sequence only the first and the last file, because the others are similar.
 fn files(data: &Path) -> Vec<PathBuf> {
     let mut files = Vec::new();
     for folder in ["ours", "third-party"] {
@@ -53,7 +53,7 @@ fn converted(path: &Path) -> Result<(), String> {
         meniscus(folder.path(), &[&["convert", &typed, "--out=out", "--format=glb,vdb"], more].concat())
     };
     let mut ran = convert(&[]);
-    // One point has no spacing.
+    // A single point has no spacing, which is not a fault of the file.
     if ran.err.contains("two particles in different places") {
         ran = convert(&["--spacing=0.1"]);
     }
@@ -117,7 +117,7 @@ fn level_sets_are_contoured() {
     assert!(surprises.is_empty() && files.len() >= 10, "{}", surprises.join("\n"));
 }
 
-/// Parts of names, and words of the reason.
+/// Volumes that must be refused: parts of names, and words of the reason.
 const REFUSED_VOLUMES: &[(&str, &str)] = &[
     ("fog_tiles", "fog volume"),
     ("points", "background 0"),
@@ -125,7 +125,7 @@ const REFUSED_VOLUMES: &[(&str, &str)] = &[
     ("types_", "is not \"level set\""),
 ];
 
-/// Parts of paths, and words of the reason.
+/// Files that must be refused: parts of paths, and words of the reason.
 const REFUSED: &[(&str, &str)] = &[
     ("laika/packed_points_simple_16_5", "packed primitives (PackedGeometry): its 2 points are their pivots"),
     ("laika/psoup_simple_16", "surfaces or curves (PolySoup): its 8 points belong to them"),
@@ -133,5 +133,5 @@ const REFUSED: &[(&str, &str)] = &[
     ("sidefxlabs/delete_small_parts", "surfaces or curves (Poly): its 464 points belong to them"),
 ];
 
-/// Files that these are.
+/// Number of files that match the list above.
 const REFUSED_COUNT: usize = 6;

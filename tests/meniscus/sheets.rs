@@ -10,18 +10,18 @@ use tempfile::tempdir;
 
 use crate::scene::{Ran, block, meniscus, names_in, write_ply, write_sequence};
 
-/// Pixels of the cells that tests ask for.
+/// Size of a cell in the tests, in pixels.
 const CELL: [usize; 2] = [112, 84];
 
 const SIZE: &str = "112x84";
 
-/// Between cells and around them, pixels.
+/// Gap between cells and around them, in pixels.
 const GAP: usize = 10;
 
-/// Where cells begin: below one line of title.
+/// Height above the first cells, in pixels: one line of title, with gaps.
 const HEAD: usize = GAP + 22 + GAP;
 
-/// A sheet as decoded pixels.
+/// A decoded sheet.
 struct Seen {
     width: usize,
     pixels: Vec<[u8; 3]>,
@@ -84,7 +84,7 @@ fn sheet_of_a_sequence_shows_a_picture_of_each_frame() {
     assert!(title.is_some_and(|title| title.ends_with(" s")), "{}", ran.out);
     let seen = Seen::read(&path.join("sheet.png"));
     assert_eq!(seen.width, GAP + 4 * (CELL[0] + GAP));
-    // The name, and the number of particles.
+    // Below each picture are the name and the number of particles.
     let line_count = 2;
     for index in 0..6 {
         let (column, row) = (index % 4, index / 4);
@@ -126,10 +126,10 @@ fn sheet_uses_the_cheapest_source() {
     assert!((0..3).all(|column| has_fluid(&seen.cell(column, 0, 1))), "pictures are shrunk");
     from(&["o", "--camera", "azimuth=90"], "level sets");
     from(&["in"], "particles");
-    // One picture is missing; and a sheet in the folder, which is not a frame.
+    // One picture is missing, and in its place is a sheet, which is not a picture of a frame.
     fs::rename(path.join("sheet.png"), path.join("o/dam.2.png")).expect("moved");
     from(&["o"], "level sets");
-    // A picture from another program.
+    // A picture with a different camera.
     let ran = meniscus(path, &["render", "o/dam.2.vdb", "-o", "o/dam.2.png", "--camera", "azimuth=90"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
     from(&["o"], "level sets");

@@ -1,5 +1,5 @@
-//! The measured spacing of particles against known values: the constant of a lattice, the cube root of the
-//! volume per random particle, and twice the radius of the particles of a simulation.
+//! Compares the measured spacing of particles with known values: the constant of a lattice, the cube root of
+//! the volume per random particle, and twice the radius of the particles of a simulation.
 
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use tempfile::tempdir;
 
 use crate::scene::{block, meniscus, write_ply};
 
-/// Numbers from 0 to 1, the same on every machine.
+/// A generator of pseudo-random numbers from 0 to 1, the same on every machine.
 struct Random(u64);
 
 impl Random {
@@ -63,7 +63,7 @@ fn tap(radius: f64, layer_count: usize) -> Vec<DVec3> {
     points
 }
 
-/// The points, and others at random around them, in a cube of this edge.
+/// The points, and additional random points around them, in a cube with this edge length.
 fn with_spray(mut points: Vec<DVec3>, count: usize, edge: f64) -> Vec<DVec3> {
     let greatest = points.iter().copied().fold(DVec3::ZERO, DVec3::max);
     let mut random = Random(11);
@@ -94,7 +94,7 @@ fn cube_root_of_share(volume: f64, count: usize) -> f64 {
 /// One test: its name, the true spacing, and the particles.
 type Set = (String, f64, Vec<DVec3>);
 
-/// Sets whose spacing is estimated to within a twentieth.
+/// Sets whose estimated spacing is within 5 % of the true one.
 fn near() -> Vec<Set> {
     [lattices(), at_random(), bodies(), mixed()].concat()
 }
@@ -213,7 +213,7 @@ fn mixed() -> Vec<Set> {
     sets
 }
 
-/// Sets whose spacing is estimated to within a tenth.
+/// Sets whose estimated spacing is within 10 % of the true one.
 fn farther() -> Vec<Set> {
     let mut sets: Vec<Set> = Vec::new();
     // With this few points, the distances depend on chance.
@@ -222,10 +222,10 @@ fn farther() -> Vec<Set> {
     for count in [50, 100] {
         sets.push((format!("random {count}"), cube_root_of_share(1.0, count), Random(29).points(count)));
     }
-    // If points are random in one direction only, a few large gaps hold most of the distance.
+    // If points are random in only one direction, a few large gaps make up most of the length.
     let line = Random(31).points(5000).into_iter().map(|point| DVec3::new(point.x, 0.1, 0.3));
     sets.push(("random line".into(), 1.0 / 5000.0, line.collect()));
-    // A round shell of cubes has steps.
+    // A round shell on a cubic lattice has steps.
     let mut shell = ball(20.5);
     let middle = shell.iter().sum::<DVec3>() / shell.len() as f64;
     shell.retain(|point| point.distance(middle) > 19.5);
@@ -237,7 +237,7 @@ fn estimate(points: &[DVec3]) -> Option<SpacingEstimate> {
     estimate_spacing(OwnedPositions::F64(points.iter().map(DVec3::to_array).collect()))
 }
 
-/// The sets whose estimated spacing is off by more than this share, with the estimates.
+/// The sets whose estimated spacing has a relative error above `tolerance`, with the estimates.
 fn wrong(sets: Vec<Set>, tolerance: f64) -> Vec<String> {
     let ratios = sets.into_iter().map(|(name, truth, points)| {
         let found = estimate(&points).unwrap_or_else(|| panic!("{name}: nothing was measured"));
@@ -308,7 +308,7 @@ fn frames_of_a_dam_break_agree() {
     let sequence = combine_estimates(&[1, 31, 61].map(frame)).expect("frames");
     assert!((0.95..1.05).contains(&(sequence.spacing / 0.05)), "{sequence:?}");
     assert!(!sequence.frames_disagree() && sequence.confidence > 0.7, "{sequence:?}");
-    // Where the splash is strongest, single frames differ more.
+    // During the strongest splashing, single frames differ more.
     for number in (1..=61).step_by(4) {
         let ratio = frame(number).spacing / 0.05;
         assert!((0.9..1.1).contains(&ratio), "frame {number}: {ratio}");
@@ -328,7 +328,7 @@ fn write_frames(folder: &Path, spacings: &[f64]) {
 fn sequence_is_measured_on_its_first_middle_and_last_frame() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
-    // Rounding to two digits makes 0.05 of 0.0498.
+    // 0.0498 is rounded to two digits: 0.05.
     write_frames(path, &[0.0498, 0.2, 0.0502, 0.3, 0.0498]);
     let arguments = [
         "convert",
@@ -373,7 +373,7 @@ fn frames_that_cannot_be_measured_are_replaced_by_their_neighbours() {
     write_ply(&path.join("dam.1.ply"), &[[0.0; 3]]);
     std::fs::write(path.join("dam.7.ply"), "ply\nformat nonsense 1.0\n").expect("written");
     write_ply(&path.join("dam.4.ply"), &[]);
-    // 2, 3 and 6.
+    // The spacing is measured on frames 2, 3 and 6.
     let ran = meniscus(path, &["convert", "dam.#.ply", "--frames", "2", "--out", "out", "--format", "obj"]);
     assert!(ran.out.contains("spacing 0.05 (measured on dam.2.ply)"), "{}", ran.out);
     assert!(ran.err.contains("0.05 apart in dam.2.ply but 0.3 in dam.3.ply"), "{}", ran.err);

@@ -1,5 +1,5 @@
-//! A sphere with noise under both flows (paper, Fig. 5): thin-plate smoothing gives the sphere back,
-//! Laplacian smoothing shrinks it until the bound stops it.
+//! A sphere with noise under both flows (paper, Fig. 5). Thin-plate smoothing restores the sphere; Laplacian
+//! smoothing shrinks it until it reaches the bound.
 //!
 //! ```text
 //!      radius 16 ──────  upper bound of φ
@@ -22,7 +22,7 @@ use crate::shapes::{Random, bending_energy, volume};
 const RADIUS: f32 = 20.0;
 const BOUND_RADII: [f32; 2] = [16.0, 24.0];
 
-/// Values that a step reads, and how far the surface may move.
+/// Half width of the band, in voxels: the stencil of a step plus the movement of the surface.
 const HALF_WIDTH: f32 = 9.0;
 
 /// The noisy sphere and its bounds.
@@ -92,7 +92,7 @@ fn laplacian_smoothing_shrinks_a_noisy_sphere_onto_its_bound() {
     smooth_laplacian_only(&mut band, &bounds, 1000);
     assert_eq!(bounds.violation_count(&band.phi), 0);
     let volume = volume(&band) / ball_volume(BOUND_RADII[0]);
-    // Where the surface meets the bound: φ just below its upper bound, and nowhere far below it.
+    // The surface has reached the bound: φ is near its upper bound everywhere, and never far below it.
     let pairs = band.phi.as_arrays().as_flattened().iter().zip(bounds.upper.as_arrays().as_flattened());
     let gaps: Vec<f32> = pairs.filter(|(phi, _)| phi.abs() < 1.0).map(|(phi, upper)| upper - phi).collect();
     let held = gaps.iter().filter(|gap| **gap == 0.0).count() as f64 / gaps.len() as f64;

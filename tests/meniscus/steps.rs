@@ -63,7 +63,7 @@ fn surface(path: &Path) -> String {
     text.lines().filter(|line| !line.starts_with('#')).collect::<Vec<_>>().join("\n")
 }
 
-/// The source that a mesh records.
+/// The name of the source in the provenance of a mesh.
 fn input_of(path: &Path) -> String {
     let pairs = read_provenance(OutputFormat::Obj, fs::File::open(path).expect("there")).expect("readable");
     pairs.into_iter().find(|(name, _)| name == "input").expect("recorded").1
@@ -81,7 +81,7 @@ fn each_step_is_a_frame() {
     assert_eq!(names_in(&folder.join("out")), expected);
     assert!(ran.out.contains("d.lammpstrj/step={}: 3 frames"), "{}", ran.out);
     for (number, index) in [(0, 0), (5, 1), (20, 2)] {
-        // The same decimals: text is read with 64 bits.
+        // The table has the same decimals as the dump, because text is read with 64 bits.
         let row = |[x, y, z]: &[f64; 3]| format!("{},{},{}\n", *x as f32, *y as f32, *z as f32);
         let rows: String = particles(number).iter().map(row).collect();
         fs::write(folder.join("alone.csv"), format!("x,y,z\n{rows}")).expect("written");
@@ -111,7 +111,7 @@ fn steps_are_selected_by_their_numbers_and_named_one_by_one() {
     let ran = convert(folder, &["d.lammpstrj/step=7"]);
     assert_eq!(ran.status, 2);
     assert_eq!(ran.err.matches("there is no step 7").count(), 1, "{}", ran.err);
-    // The spacing is that of the whole dump, whichever step is converted.
+    // The spacing is measured on the whole dump, whichever step is converted.
     let measured =
         |more: &[&str]| meniscus(folder, &[&["convert", "d.lammpstrj", "--out=m"], more].concat()).out;
     let [all, one] = [measured(&[]), measured(&["--frames=20"])];
@@ -129,7 +129,7 @@ fn done_steps_are_kept_when_steps_are_appended() {
     let ran = convert(folder, &["d.lammpstrj", "--skip-done"]);
     succeeded(&ran);
     assert_eq!(ran.out.matches("done already").count(), 2, "{}", ran.out);
-    // The records lie next to the outputs.
+    // Hidden names are the records of the outputs.
     let names = names_in(&folder.join("out")).into_iter().filter(|name| !name.starts_with('.'));
     assert_eq!(names.collect::<Vec<_>>(), ["d.0.obj", "d.20.obj", "d.5.obj"]);
     let after = fs::metadata(folder.join("out/d.5.obj")).and_then(|m| m.modified()).expect("there");

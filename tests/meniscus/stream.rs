@@ -1,5 +1,5 @@
-//! Frames that arrive one by one: when the pipeline requests them, which run concurrently, and when it
-//! reports them.
+//! Frames that arrive one by one: when the pipeline requests them, which of them run concurrently, and when
+//! the pipeline reports them.
 
 use std::collections::HashSet;
 use std::fs::{self, File};
@@ -106,7 +106,7 @@ fn source_may_wait_for_results_of_earlier_frames() {
     let mut outcomes = Vec::new();
     let next = move || {
         let (number, frame) = frames.next()?;
-        // All frames requested before are finished.
+        // All frames that were requested before are finished.
         for _ in 0..number.min(1) {
             told.recv_timeout(Duration::from_secs(300)).expect("the frame before is finished");
         }
@@ -139,7 +139,8 @@ fn frames_are_requested_only_when_there_is_room() {
             }
             frames.next()
         };
-        // At least this many frames arrive, although none has ended: one is in each lane, and one is read.
+        // At least this many frames are requested before one has ended: one for each lane, and one that is
+        // read.
         let method = Told(|stage, _| {
             if stage == Stage::Rasterize {
                 full.wait()
@@ -186,7 +187,7 @@ fn slow_frame_is_overtaken_and_still_reported_in_order() {
     assert_eq!(order, [0, 1, 2]);
 }
 
-/// Three frames are in three stages at once; each waits until all are.
+/// Three frames are in three stages at once: each stage waits until all three run.
 #[test]
 fn stages_of_different_frames_overlap() {
     for on_error in [OnError::Continue, OnError::Stop] {
@@ -234,7 +235,8 @@ fn slow_stage_holds_back_the_stages_before_it() {
         scope.spawn(|| {
             all_wait.wait();
             thread::sleep(Duration::from_millis(300));
-            // One frame is being smoothed, one waits for that, and one was read and waits behind it.
+            // One frame is being smoothed, another waits for smoothing, and a third one has been read and
+            // waits for rasterization.
             assert_eq!(rasterized.load(Ordering::SeqCst), 2);
             assert_eq!(asked.load(Ordering::SeqCst), 3);
             go_on.give();
@@ -244,7 +246,7 @@ fn slow_stage_holds_back_the_stages_before_it() {
     assert_eq!(count, 20);
 }
 
-/// The frames that run together, by the mebibytes that each takes: one per particle.
+/// The frames that run concurrently, and the mebibytes that they take: one per particle.
 #[derive(Default)]
 struct Together {
     running: Mutex<Vec<usize>>,
@@ -272,7 +274,7 @@ impl Together {
 
 #[test]
 fn concurrent_frames_stay_within_the_memory_limit() {
-    // 8, 27, 64 and 125 MiB, in an order in which small ones wait behind large ones.
+    // Frames of 8, 27, 64 and 125 MiB, in an order in which small frames wait behind large frames.
     let edges = [5, 2, 2, 4, 3, 3, 2, 5, 4, 4, 2, 3, 2, 2, 4, 2, 3, 3, 3, 5];
     let bench = Bench::new(&edges);
     let pool = pool(4);
@@ -323,7 +325,7 @@ fn file_written_during_reading_is_an_error_and_readable_later() {
             if is_last {
                 return None;
             }
-            // After the error, the writer leaves the file alone.
+            // After the error, the writer no longer changes the file.
             if is_over.load(Ordering::SeqCst) {
                 is_last = true;
                 if let Some(writer) = writer.take() {
@@ -341,7 +343,8 @@ fn file_written_during_reading_is_an_error_and_readable_later() {
             letters_told += &letters(&[outcome]);
         });
     });
-    // Sometimes a busy machine does not run the writer while the file is read.
+    // On a busy machine, the writer sometimes does not run while the file is read, and the frame is
+    // converted.
     assert!(letters_told.trim_start_matches('c').starts_with("xc"), "{letters_told}");
 }
 
@@ -350,7 +353,7 @@ fn nested_loops_of_two_streams_in_one_pool_end() {
     for threads in [1, 2, 3] {
         let pool = pool(threads);
         let benches = [Bench::new(&[2; 40]), Bench::new(&[3; 40])];
-        // Parallel loops whose tasks wait for tasks that they start.
+        // The method runs parallel loops whose tasks start other tasks and wait for them.
         let method = Told(|_, count| {
             let sum: usize = (0..64usize)
                 .into_par_iter()

@@ -1,4 +1,4 @@
-//! Rasterization against the geometry of spheres.
+//! Compares rasterization with the geometry of spheres.
 
 #![expect(clippy::print_stdout, reason = "tests print measurements, visible with --nocapture")]
 
@@ -10,14 +10,14 @@ use meniscus::surface::space::{INDEX_LIMIT, Lattice};
 
 use crate::shapes::{Random, default_config, default_radii, rasterized, same_bits, value_at, voxels};
 
-/// Signed distance to the union of spheres outside of it, from the nearest centre.
+/// The distance of a voxel outside from the union of spheres, computed from the nearest centre.
 fn outside_distance(positions: &[DVec3], voxel: IVec3, radius: f64) -> f64 {
     let voxel = voxel.as_dvec3();
     positions.iter().map(|position| position.distance(voxel)).fold(f64::INFINITY, f64::min) - radius
 }
 
-/// Checks all voxels outside and within two voxels of r_max, where values are not swept. Returns their
-/// number.
+/// Checks all voxels outside and within two voxels of the spheres with r_max, where values do not come from
+/// sweeping. Returns the number of these voxels.
 fn assert_exact_outside(positions: &[DVec3]) -> usize {
     let (band, bounds) = rasterized(positions);
     let radii = default_radii();
@@ -57,7 +57,7 @@ fn distances_outside_are_exact() {
     }
 }
 
-/// Inside, and far outside, values are swept: nearly distances.
+/// Inside and far outside, values come from sweeping: they are approximate distances.
 #[test]
 fn swept_distances_of_a_sphere_are_near() {
     let center = DVec3::new(0.4, 0.1, -0.3);
@@ -74,7 +74,8 @@ fn swept_distances_of_a_sphere_are_near() {
     assert!(worst < 0.1, "{worst}");
 }
 
-/// The particles of a lattice leave no cavity between them, and depth is measured from the outer surface.
+/// The particles of a lattice leave no cavity between them, so inside values are distances from the outer
+/// surface.
 #[test]
 fn dense_lattice_is_solid() {
     let positions: Vec<DVec3> =
@@ -88,7 +89,7 @@ fn dense_lattice_is_solid() {
             continue;
         }
         assert!(phi < 0.0, "a cavity at {voxel}: {phi}");
-        // Away from the edges the surface is flat, but for dents of 0.42 voxels between the particles.
+        // Away from the edges, the surface is flat except for dents of 0.42 voxels between the particles.
         let is_at_face = from_center.to_array().iter().filter(|axis| **axis > 3.0).count() <= 1;
         let depth = (radius + 8.0 - from_center.max_element()).min(f64::from(band.half_width));
         assert!(!is_at_face || (f64::from(phi) + depth).abs() < 0.6, "{voxel}: {phi} {depth}");
@@ -104,7 +105,7 @@ fn no_particles_make_no_surface() {
     }
 }
 
-/// As far out as the grid has indices, a particle makes the same values as at the origin.
+/// Even at the largest indices of the grid, a particle gives the same values as at the origin.
 #[test]
 fn particle_far_from_the_origin_gives_the_same_values() {
     let offset = DVec3::new(0.28125, 5.5, 7.96875);

@@ -1,8 +1,8 @@
-//! Frames whose metadata the system does not return: each fails with its reason, and so does the run.
+//! Frames whose metadata cannot be read: each such frame fails with a reason, and so does the run.
 //!
-//! Links take the place of broken disks and missing permissions, because root may read everything: a link to
-//! itself (ELOOP), a link through a file (ENOTDIR), a link to a name that is too long (ENAMETOOLONG), and a
-//! link to a missing file (ENOENT).
+//! The tests use links instead of broken disks and missing permissions, because root may read everything: a
+//! link to itself (ELOOP), a link through a file (ENOTDIR), a link to a name that is too long (ENAMETOOLONG),
+//! and a link to a missing file (ENOENT).
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -12,7 +12,7 @@ use tempfile::{TempDir, tempdir};
 
 use crate::scene::{meniscus, names_in, write_sequence};
 
-/// Frames 1 and 2 are good; 3 to 6 are such links.
+/// A folder in which frames 1 and 2 are valid, and frames 3 to 6 are such links.
 fn folder() -> TempDir {
     let folder = tempdir().expect("a folder");
     let frames = folder.path().join("in");
@@ -93,7 +93,7 @@ fn unreadable_frames_fail_watch_once() {
     assert!(folder.path().join("out/dam.2.obj").is_file());
 }
 
-/// Without an extension only the content says whether it is a frame.
+/// If a file has no extension, only its contents show whether it is a frame.
 #[test]
 fn unreadable_file_of_unknown_kind_fails_the_conversion_and_the_plan() {
     let folder = tempdir().expect("a folder");
@@ -132,7 +132,7 @@ fn obstacle_that_cannot_be_read_is_not_called_missing() {
     }
 }
 
-/// Globs find what they found: names, hidden names, folders within folders, literal parts after wildcards.
+/// Globs match plain names, hidden names, nested folders, and literal parts after wildcards.
 #[test]
 fn globs_match_as_documented() {
     let folder = tempdir().expect("a folder");
@@ -158,7 +158,7 @@ fn globs_match_as_documented() {
         let arguments = ["convert", pattern, "--out", "out", "--format", "obj", "--voxel-size", "0.1"];
         let ran = meniscus(path, &arguments);
         if pattern.starts_with(".*") {
-            // A hidden file needs its own dot.
+            // A pattern matches a hidden file only if the pattern has the dot.
             assert_eq!(ran.status, 2, "{pattern}: {}", ran.err);
             continue;
         }
@@ -168,7 +168,7 @@ fn globs_match_as_documented() {
     }
 }
 
-/// Only the content of a .txt shows whether it is a frame.
+/// Only the contents of a .txt show whether it is a frame.
 #[test]
 fn unreadable_file_beside_level_sets_fails_render_and_contact_sheet() {
     let folder = tempdir().expect("a folder");

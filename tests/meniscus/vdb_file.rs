@@ -1,6 +1,7 @@
-//! The parts that small hand-made .vdb files with one level set share: everything around the tree's nodes.
+//! The common parts of small hand-made .vdb files with one level set: everything except the nodes of the
+//! tree.
 
-/// The bytes of a file whose grid has this head and these buffers of leaves.
+/// The bytes of a file whose grid has this header and these buffers of leaves.
 pub(crate) fn vdb_file(head: &[u8], buffers: &[u8]) -> Vec<u8> {
     let mut file = vec![0x20, 0x42, 0x44, 0x56, 0, 0, 0, 0];
     for number in [224u32, 10, 0] {
@@ -20,7 +21,8 @@ pub(crate) fn vdb_file(head: &[u8], buffers: &[u8]) -> Vec<u8> {
     [&file, head, buffers].concat()
 }
 
-/// The head of a grid before its upper nodes, with their number; `compression` is the file's field.
+/// The header of a grid, up to the number of its upper nodes; `compression` is the value of the field in the
+/// file.
 pub(crate) fn grid_head(compression: u32, voxel_size: f64, background: f32, node_count: u32) -> Vec<u8> {
     let mut head = compression.to_le_bytes().to_vec();
     head.extend(1u32.to_le_bytes());

@@ -1,5 +1,5 @@
-//! Voxel sizes and radii that do not fit the particles: impossible ones are errors, doubtful ones cause
-//! warnings, and sensible ones neither.
+//! Voxel sizes and radii that do not fit the particles: impossible values are errors, doubtful values cause
+//! warnings, and sensible values cause neither.
 
 use std::f64::consts::TAU;
 use std::fs;
@@ -15,8 +15,8 @@ use tempfile::tempdir;
 
 use crate::scene::{Ran, block, meniscus, names_in, write_ply};
 
-/// The plan for these particles, whose spacing is 0.1, with voxels of this many spacings; with r_min at 0.87
-/// spacings if the radii would be smaller.
+/// The plan for these particles, whose spacing is 0.1, with a voxel size in spacings. If the voxel size gives
+/// a smaller r_min than 0.87 spacings, r_min is 0.87 spacings.
 fn planned(particles: &[[f64; 3]], spacings: f64) -> Result<MemoryPlan, MemoryPlanError> {
     let voxel_size = 0.1 * spacings;
     let radius_min = (0.02..0.5).contains(&spacings).then_some(0.087);
@@ -64,17 +64,17 @@ fn escaped_particles_do_not_make_voxels_too_small() {
     let cloud = block(6, 0.0);
     let with = |others: &[[f64; 3]]| [&cloud[..], others].concat();
     let astray = [1e7, -1e12, f64::NAN].map(|x| [x, 1.0, -x]);
-    // The same number of particles again, scattered everywhere, or in a second cloud.
+    // Add as many particles again, scattered everywhere or in a second cloud.
     let sprayed: Vec<[f64; 3]> =
         (0..200).map(|index| [1e6, 3e5, -7e5].map(|step| step * f64::from(index))).collect();
     for others in [&astray[..], &vec![[f64::NAN; 3]; 1000], &block(5, 1e7), &sprayed] {
         assert!(!is_too_fine(&with(others), 0.5), "{:?}", others[0]);
         assert!(is_too_fine(&with(others), 1e-8), "{:?}", others[0]);
     }
-    // One alone has no spacing.
+    // A single particle has no spacing.
     assert!(!is_too_fine(&sprayed[..1], 0.5));
     assert!(is_too_fine(&sprayed[..40], 0.5));
-    // Wherever it is; but not where the grid has no indices.
+    // The result does not depend on the position, as long as the grid has indices there.
     assert!(!is_too_fine(&block(6, 1e7), 0.5));
     assert!(is_too_fine(&block(6, 1e9), 0.5));
 }
@@ -176,7 +176,7 @@ fn only_a_torn_surface_causes_a_warning() {
     let shaken = shaken_block();
     let mut spray = shaken.clone();
     spray.extend((0..150).map(|i| [1.0 + 0.7 * f64::from(i), f64::from(i % 7), f64::from(i % 5)]));
-    // A ring has a hole, and a bubble a hollow, that belong to their shapes.
+    // A ring has a hole and a bubble has a hollow, which are parts of their shapes.
     let ring: Vec<[f64; 3]> = (0..48).map(|i| on_circle(i, 48, 0.76)).collect();
     let bubble: Vec<[f64; 3]> = (0..6)
         .flat_map(|row| {

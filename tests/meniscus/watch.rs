@@ -45,7 +45,8 @@ fn contradictory_arguments_are_refused_before_any_output() {
     assert!(!path.join("out").exists());
 }
 
-/// The docs and the help give the same range for every number. The error for a value outside has that range.
+/// The docs and the help state the same range for every number, and so does the error for a value outside of
+/// the range.
 #[test]
 fn numbers_have_the_documented_ranges() {
     let folder = tempdir().expect("a folder");
@@ -84,7 +85,8 @@ fn numbers_have_the_documented_ranges() {
             Some((least, most)) => {
                 let [low, high]: [f64; 2] = [least, most].map(|bound| bound.parse().expect(range));
                 let below = if low > 0.0 && low < 1.0 { 0.5 * low } else { low - 1.0 };
-                // The upper limit is more threads than a test should start.
+                // For threads, only the lower limit: the upper limit is more threads than a test should
+                // start.
                 let good = if option == "--threads" { vec![least] } else { vec![least, most] };
                 let bad = vec![below.to_string(), (2.0 * high).to_string()];
                 (bad, good.into_iter().map(str::to_owned).collect())
@@ -137,7 +139,7 @@ fn status_reads_the_journal_and_the_lock() {
     let status = |more: &[&str]| -> Ran { meniscus(path, &[&["status", "--out", "out"], more].concat()) };
     let nothing = status(&[]);
     assert_eq!(nothing.status, 2);
-    assert!(nothing.err.contains("out: no daemon has worked here"), "{}", nothing.err);
+    assert!(nothing.err.contains("out: no record of a daemon"), "{}", nothing.err);
     assert!(!path.join("out").exists());
 
     write_sequence(path, 1, 2);
@@ -158,7 +160,7 @@ fn status_reads_the_journal_and_the_lock() {
     assert_eq!(json["last_done"][0]["particles"], 216);
     drop(lock);
     let elsewhere = status(&["--journal", "nowhere"]);
-    assert!(elsewhere.err.contains("as far as nowhere says"), "{}", elsewhere.err);
+    assert!(elsewhere.err.contains("the journal in nowhere is missing"), "{}", elsewhere.err);
 }
 
 #[test]
@@ -178,7 +180,7 @@ fn why_lists_everything_that_decides() {
         }
     };
     let typed = ["--out", "out"];
-    // The file is new: whether it counts as stable depends on half a second.
+    // The file is new: it counts as stable only after half a second.
     let unknown = "The journal does not record the daemon's settings";
     tells("in/dam.1.ply", &typed, &["journal   nothing", "content   particles", "It ", unknown]);
     tells("in/notes.md", &typed, &["not selected as a frame", "It is not converted because its path"]);
@@ -238,7 +240,7 @@ fn why_recognizes_outputs_of_convert() {
     assert!(done.contains("dam.1.glb, dam.1.ply were made from its current content"), "{done}");
     assert!(!done.contains("will be") && !done.contains("No daemon"), "{done}");
     assert!(settled("in/dam.2.ply").contains("It will be converted because"));
-    // `why` does not list damaged outputs as made from the frame.
+    // `why` does not list a damaged output as made from the frame.
     let cut = |name: &str| {
         let whole = fs::read(path.join(name)).expect("there");
         fs::write(path.join(name), &whole[..whole.len() / 2]).expect("written");
@@ -276,14 +278,14 @@ fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
     tells("in/dam.1.ply", &["name      selected as a frame", "settings  as recorded", "because it is done"]);
     tells("in/spray.1.ply", &["name      not selected as a frame", "It is not converted because its path"]);
     write_sequence(&path.join("in"), 2, 2);
-    tells("in/dam.2.ply", &["It is not converted yet because its sentinel", "No daemon is at work"]);
+    tells("in/dam.2.ply", &["It is not converted yet because its sentinel", "No daemon is running"]);
     let elsewhere = meniscus(path, &["why", "out/dam.1.glb", "--out", "out"]);
     assert!(elsewhere.err.contains("not in a folder that is watched"), "{}", elsewhere.err);
     let status = meniscus(path, &["status", "--out", "out"]);
     let watched = format!("{}, only dam.*.ply, each when its {{stem}}.ok exists", path.join("in").display());
     assert!(status.out.contains(&watched), "{}", status.out);
 
-    // As after a restart of the daemon with other settings.
+    // Imitate a restart of the daemon with other settings.
     let ask = |change: &dyn Fn(&mut Watch)| {
         let mut journal = Journal::open(&path.join("out/.meniscus")).expect("a journal");
         let mut plan = journal.state().plan.clone().expect("a plan");
@@ -291,7 +293,7 @@ fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
         journal.note_plan(plan).expect("noted");
     };
     ask(&|watch| watch.choices.radius_ratio = Some(1.25));
-    tells("in/dam.1.ply", &["settings  not compared: that needs a particle spacing that is known"]);
+    tells("in/dam.1.ply", &["settings  not compared, because the particle spacing"]);
     ask(&|watch| watch.choices.spacing = Some(0.05));
     tells("in/dam.1.ply", &["settings  not as recorded", "because its settings or obstacles have changed"]);
     // The configuration file takes precedence.
@@ -371,7 +373,7 @@ fn printed_settings_are_keys_of_a_file() {
             assert!(printed.out.contains(key), "{options:?}: no {key} in {}", printed.out);
         }
         let (watched, converted) = (format!("watched{index}"), format!("converted{index}"));
-        // The folder of the file does not matter.
+        // The folder of the configuration file does not affect the result.
         let config = path.join(format!("etc{index}/meniscus.toml"));
         fs::create_dir(config.parent().expect("a folder")).expect("made");
         let blocks = format!("[[watch]]\ninput = \"../in\"\noutput = \"../{watched}\"\n{}", printed.out);

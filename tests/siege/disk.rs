@@ -1,9 +1,9 @@
-//! A disk that fills up, or is too full from the start.
+//! A disk that fills up during a run, or is too full from the start.
 //!
 //! ```text
-//!   in/     frames                                        as much room as there is
-//!   out/    outputs, the journal, and a ballast file      a small separate disk
-//!   wanted/ what the one-shot command makes of the frames
+//!   in/     frames                                          on the usual disk
+//!   out/    outputs, the journal, and a ballast file        on a small separate disk
+//!   wanted/ outputs of the one-shot command for comparison
 //! ```
 
 use std::fs::{self, File};
@@ -24,7 +24,7 @@ struct Siege {
     frames: Vec<String>,
 }
 
-/// Space for about a hundred of the frames here.
+/// Size of the small disk: space for about a hundred of the frames in these tests.
 const DISK_BYTES: u64 = 8 << 20;
 
 impl Siege {
@@ -137,7 +137,7 @@ fn journal_on_a_full_disk_continues_later() {
         daemon.until_converted(first);
         daemon.until("all is written down", |daemon| daemon.has_status("4 done"));
         siege.fill_up();
-        // More frames than the last page of the journal has space for.
+        // More frames than fit into the last page of the journal.
         move_in(second);
         daemon.until("it says that it is paused", is_paused);
         daemon.until("all frames wait", |daemon| daemon.has_status("4 done, 20 queued; paused"));
@@ -166,7 +166,7 @@ fn outputs_that_fill_the_disk_stop_at_the_floor() {
         daemon.until("it says that it is paused", is_paused);
         let converted = daemon.converted();
         assert!(!converted.is_empty() && converted.len() < siege.frames.len(), "{converted:?}");
-        // The frames are small: none of them takes the disk from above the minimum to zero.
+        // The frames are small: no frame uses up all of the minimum free space of the disk.
         assert_eq!(daemon.count_logged("No space"), 0);
         siege.outputs();
         siege.make_room();

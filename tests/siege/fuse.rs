@@ -25,7 +25,7 @@ const MOUNTED: &str = "the file system is mounted";
 pub(crate) struct Mount {
     server: Child,
     at: PathBuf,
-    /// The output of the server. The server would end if the pipe were closed.
+    /// The output of the server: kept open, because the server would end if the pipe were closed.
     _said: Lines<BufReader<ChildStdout>>,
 }
 

@@ -1,4 +1,4 @@
-//! A file server that stops responding during a run: only the folder on it waits.
+//! A file server that stops responding during a run: only the folder on this server waits.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -12,8 +12,8 @@ use crate::fuse::Mount;
 use crate::mounts::with_own_mounts;
 use crate::scene::{Daemon, block_ply, frame_names, land, land_sequence, message, tell};
 
-/// Two folders. The daemon receives events for the second one, and scans the first one often, as all folders
-/// of its kind.
+/// Two folders. The first is on a file system without events, so the daemon scans it often; the daemon
+/// receives events for the second.
 const CONFIG: &str = r#"
 [daemon]
 log = "json"
@@ -33,7 +33,7 @@ input = "sound"
 output = "out/sound"
 "#;
 
-/// The most time that a blocked folder may take from others.
+/// Time limit of the other folder: a blocked folder must not delay it longer than this.
 const SOON: Duration = Duration::from_secs(60);
 
 #[test]
@@ -45,7 +45,7 @@ fn unresponsive_file_system_blocks_only_its_folder() {
             fs::create_dir(path).expect("made");
         }
         fs::write(folder.path().join("meniscus.toml"), CONFIG).expect("written");
-        // Declared before the mount, so dropped after it: a blocked process does not end.
+        // Declared before the mount, so that it is dropped after the mount: a blocked process does not end.
         let mut daemon;
         let Some(mount) = Mount::new(&disk, &hanging) else {
             return tell("a file system that hangs: SKIPPED, /dev/fuse is missing");
@@ -57,7 +57,7 @@ fn unresponsive_file_system_blocks_only_its_folder() {
         daemon.until_converted(&drops(1, 2));
         let address = daemon.window_address();
 
-        // During the run: some of these are being read, others wait.
+        // Frames arrive during the run: some of them are being read when the server stops, others wait.
         land_sequence(&disk, 4, 60, 12);
         daemon.until_converted(&frame_names(4, 4));
         mount.stop();
@@ -82,21 +82,21 @@ fn unresponsive_file_system_blocks_only_its_folder() {
         wanted.sort();
         assert_eq!(converted, wanted, "each once");
 
-        // The daemon ends on request, also while frames in flight are blocked.
+        // The daemon must end on request, also while frames in flight are blocked.
         land_sequence(&disk, 61, 90, 12);
         daemon.until_converted(&frame_names(61, 61));
         mount.stop();
         daemon.listen_for(Duration::from_secs(1));
         daemon.signal("TERM");
         daemon.until_exited(SOON);
-        // The calls that block fail, so the kernel can remove the process.
+        // After the unmount, the blocked calls fail, so the kernel can remove the process.
         drop(mount);
         daemon.until_ended();
         assert!(!daemon.log.iter().any(|line| message(line).contains("panicked")));
     });
 }
 
-/// The names of frames of the folder that responds.
+/// The names of frames in the folder that responds.
 fn drops(first: usize, last: usize) -> Vec<String> {
     (first..=last).map(|number| format!("drop.{number}.ply")).collect()
 }

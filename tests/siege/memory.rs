@@ -1,4 +1,5 @@
-//! Large frames with little memory: as many at once as fit, and in tiles if a whole frame does not fit.
+//! Large frames with little memory: as many frames run at once as fit, and a frame that does not fit is
+//! reconstructed in tiles.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -12,13 +13,13 @@ use crate::scene::{
     memory_bytes, meniscus, message, names_in, stage_seconds, tell,
 };
 
-/// The edge of a block of 250 047 particles.
+/// Number of particles along the edge of a block, which has 250 047 particles.
 const EDGE_COUNT: usize = 63;
 
-/// The edges of a beam of which a tile holds a small part.
+/// Number of particles along the edges of a beam: a tile contains only a small part of it.
 const BEAM_COUNTS: [usize; 3] = [1000, 6, 6];
 
-/// Frames `1..=last` of what moves from the first place to the second.
+/// Writes frames `1..=last`: they alternate between a shape and the same shape moved.
 fn write_frames(folder: &Path, [frame, moved]: [Vec<u8>; 2], last: usize) {
     let inside = folder.join("in");
     fs::create_dir(&inside).expect("made");
@@ -79,7 +80,7 @@ fn frame_larger_than_the_memory_is_converted_in_tiles() {
     ));
 }
 
-/// The number of mebibytes that the largest frame in `in` needs at least, from the message.
+/// The number of mebibytes that the largest frame in `in` needs at least, according to the message.
 fn mebibytes_needed(folder: &Path) -> u64 {
     let arguments = ["convert", "in", "--out", "refused", "--memory", "1MiB"];
     let output = meniscus(folder).args(arguments).output().expect("it starts");
@@ -90,8 +91,9 @@ fn mebibytes_needed(folder: &Path) -> u64 {
     needs.map(|after| number(after).expect("a number")).max().unwrap_or_else(|| panic!("{err}"))
 }
 
-/// How many frames had done a good part of their work before the one before them was in place. Waiting between stages is not
-/// in their seconds: so they began at the latest so long before they were in place themselves.
+/// The number of frames that had done a good part of their work before the outputs of the frame before them
+/// were in place. The seconds of the stages do not include waiting. So a frame began at least this long
+/// before its own outputs were in place.
 fn overlap_count(folder: &Path, lines: &[Value]) -> usize {
     let overlaps = |pair: &&[Value]| {
         let computing_seconds = stage_seconds(&pair[1]) - pair[1]["read_s"].as_f64().expect("seconds");
@@ -101,7 +103,8 @@ fn overlap_count(folder: &Path, lines: &[Value]) -> usize {
     lines.windows(2).filter(overlaps).count()
 }
 
-/// When the outputs of a frame got their names, in seconds: the log may be written later on a busy machine.
+/// The time at which the outputs of a frame got their names, in seconds. (On a busy machine, the log may be
+/// later.)
 fn in_place_at(folder: &Path, line: &Value) -> f64 {
     let name = frame_name(line);
     let stem = name.strip_suffix(".ply").expect("a .ply");

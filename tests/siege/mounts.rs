@@ -1,8 +1,8 @@
 //! Mount namespaces for tests that mount file systems.
 //!
 //! Such a test runs a second time in a child process with a private mount namespace. It may mount file
-//! systems there, and the kernel removes them when the process ends. Root may create a namespace, and other
-//! users may where the system allows user namespaces. If neither applies, the test is skipped with a message.
+//! systems there, and the kernel removes them when the process ends. Root may create a namespace, and so may
+//! other users if the system allows user namespaces. Otherwise the test is skipped with a message.
 
 use std::env;
 use std::path::Path;
@@ -62,7 +62,7 @@ fn mount(arguments: &[&str], folder: &Path) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// Unmounts it, even while it is in use.
+/// Unmounts a file system, even while it is in use.
 pub(crate) fn unmount(folder: &Path) {
     let output = Command::new("umount").arg("--lazy").arg(folder).output().expect("umount runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

@@ -1,4 +1,4 @@
-//! Periodic scans, without file-system events.
+//! Tests that periodic scans find frames without file-system events.
 
 use std::fs;
 

@@ -1,7 +1,7 @@
 //! Folders that vanish, return, return empty, or appear late.
 //!
-//! In all tests, done frames stay done. To check that no other frame was queued, a test adds a frame whose
-//! name sorts last and which the daemon converts last.
+//! In all tests, done frames must stay done. To check that no other frame was queued, a test adds a frame
+//! whose name sorts last, so that the daemon converts it last.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -24,7 +24,7 @@ fn begun(last: usize) -> (TempDir, Daemon) {
     (folder, daemon)
 }
 
-/// Without frequent scans: the daemon must find changes by events or by waiting for the folder.
+/// Arguments without frequent scans: the daemon must find changes by events, or by waiting for the folder.
 const ARGUMENTS: [&str; 7] = ["in", "--out", "out", "--settle", "50ms", "--rescan", "1h"];
 
 /// Asserts that frames `1..=last` were converted once each, and that their outputs exist.

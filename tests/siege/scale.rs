@@ -1,8 +1,8 @@
 //! Many frames that are already converted: the daemon recognizes them quickly, and then is nearly idle.
 //!
-//! The frames have no particles, so that a real run makes the outputs and the journal of 50 000 of them in a
-//! minute or two. The daemon does not read done files again. The test prints the time that this takes, and
-//! sets no limit for it.
+//! The frames have no particles, so that a real run makes the outputs and the journal of 50 000 frames in a
+//! minute or two. The daemon must not read the files of done frames again. The test prints the time until the
+//! daemon has recognized all frames, but has no limit for this time.
 
 use std::fs;
 use std::path::Path;
@@ -46,7 +46,7 @@ fn done_frames_cost_little() {
     let mut daemon = Daemon::start_ready(path, &arguments(&["--rescan", "5s"]));
     let wall_seconds = start.elapsed().as_secs_f64();
     let start_seconds = cpu_seconds(daemon.pid());
-    // The daemon reads the journal, and no output.
+    // The daemon must read only the journal, and no output.
     let journal_bytes = path.join("out/.meniscus/journal").metadata().expect("a journal").len();
     let start_bytes = bytes_read(daemon.pid());
     assert!(start_bytes < 2 * journal_bytes + SMALL_FILES_BYTES, "{start_bytes} read of {journal_bytes}");
@@ -70,14 +70,14 @@ fn done_frames_cost_little() {
     ));
 }
 
-/// Bytes of other files that the daemon reads: files in /proc, the lock, the configuration.
+/// Allowance for other files that the daemon reads: files in /proc, the lock, the configuration.
 const SMALL_FILES_BYTES: u64 = 1 << 20;
 
 /// This number of frames arrives one after the other; the daemon scans the folder a few times for each.
 const LANDING_COUNT: usize = 60;
 
-/// When a thread finishes its part, the allocator returns free memory beyond this amount. If each scan leaked
-/// twenty bytes per frame, the growth would reach this amount.
+/// Limit of the growth of memory. When a thread finishes its part, the allocator returns free memory beyond
+/// this amount. A leak of twenty bytes per frame and scan would reach this amount.
 const KEPT_BYTES: u64 = 4 << 20;
 
 #[test]
@@ -85,7 +85,7 @@ fn repeated_scans_do_not_grow_the_memory() {
     let folder = converted_folder();
     let path = folder.path();
     let mut daemon = Daemon::start_ready(path, &arguments(&["--poll", "50ms"]));
-    // A new frame that the daemon finds shows that it has scanned the folder once more.
+    // When the daemon finds a new frame, it has scanned the folder once more.
     let mut look_again = |number: usize| {
         land_one(path, number);
         daemon.until_converted(&frame_names(number, number));
@@ -107,7 +107,7 @@ fn land_one(folder: &Path, number: usize) {
     land(&folder.join("in"), &frame_names(number, number)[0], &block_ply(0, 0.0));
 }
 
-/// The bytes that a process has read from files so far, without the names in folders.
+/// The bytes that a process has read from files so far, without the entries of folders.
 fn bytes_read(pid: u32) -> u64 {
     let io = fs::read_to_string(format!("/proc/{pid}/io")).expect("it runs");
     let count = io.lines().find_map(|line| line.strip_prefix("rchar: ")).expect("a line");
@@ -125,5 +125,5 @@ fn cpu_seconds(pid: u32) -> f64 {
     (ticks(11) + ticks(12)) / TICKS_PER_SECOND
 }
 
-/// What Linux counts in for programs, whatever it counts in itself.
+/// The clock ticks that Linux reports to programs, whatever its internal rate.
 const TICKS_PER_SECOND: f64 = 100.0;

@@ -15,7 +15,7 @@ use crossbeam::channel::{Receiver, Sender, unbounded};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// An event that does not happen within this time will not happen.
+/// Time limit of a wait: an event that has not happened by then will not happen.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// Whether the tests use the full number of frames.
@@ -54,7 +54,7 @@ impl Daemon {
         Daemon::start_as(meniscus(folder).arg("watch").args(arguments).args(["--log", "json"]))
     }
 
-    /// The same with a watchdog that expects a message every two seconds.
+    /// Starts `meniscus watch` with a watchdog that expects a message every two seconds.
     pub(crate) fn start_watched(folder: &Path, arguments: &[&str]) -> Daemon {
         Daemon::start_as(meniscus(folder).arg("watch").args(arguments).env("WATCHDOG_USEC", "2000000"))
     }
@@ -80,7 +80,7 @@ impl Daemon {
         Daemon { child, heard, log: Vec::new(), notices: Vec::new(), socket_folder, has_ended: false }
     }
 
-    /// The same, and waits until the first scan is finished.
+    /// Starts `meniscus watch`, and waits until the first scan is finished.
     pub(crate) fn start_ready(folder: &Path, arguments: &[&str]) -> Daemon {
         let mut daemon = Daemon::start(folder, arguments);
         daemon.until("it is ready", Daemon::is_ready);
@@ -136,7 +136,7 @@ impl Daemon {
         self.log.iter().filter(|line| message(line) == "converted").map(frame_name).collect()
     }
 
-    /// Whether this is the last status sent to the service manager.
+    /// Whether the last status message to the service manager contains this text.
     pub(crate) fn has_status(&self, text: &str) -> bool {
         let mut statuses = self.notices.iter().filter(|notice| notice.contains("STATUS="));
         statuses.next_back().is_some_and(|status| status.contains(text))
@@ -161,8 +161,8 @@ impl Daemon {
         self.child.wait().expect("it ended");
     }
 
-    /// Waits until the daemon has ended, or is a zombie: a process that has exited stays one while the kernel
-    /// waits for a file server in one of its threads, which no signal can end.
+    /// Waits until the daemon has ended, or is a zombie. A process that has exited stays a zombie while one
+    /// of its threads waits for a file server in the kernel: no signal can end this wait.
     pub(crate) fn until_exited(&mut self, within: Duration) {
         let deadline = Instant::now() + within;
         let stat = format!("/proc/{}/stat", self.pid());
@@ -183,7 +183,7 @@ impl Daemon {
         assert!(!self.log.iter().any(|line| line["level"] == "ERROR"), "{}", self.everything());
     }
 
-    /// Ends the daemon, and asserts a normal end; frames may have failed.
+    /// Ends the daemon, and asserts that it ends normally; frames may have failed.
     pub(crate) fn end(&mut self) {
         self.signal("TERM");
         self.until("it ends", |daemon| daemon.has_ended);
@@ -285,8 +285,8 @@ pub(crate) fn status(folder: &Path) -> Value {
         .unwrap_or_else(|_| panic!("no JSON: {}", String::from_utf8_lossy(&output.stderr)))
 }
 
-/// Waits until `meniscus status` gives `expected` for what `read` takes from it. The daemon appends to its
-/// journal, which the command reads, a moment after it logs.
+/// Waits until `read` returns `expected` for the output of `meniscus status`. It may not do so at once,
+/// because the command reads the journal, and the daemon writes the journal a moment after the log.
 pub(crate) fn assert_status<T: PartialEq + Debug>(folder: &Path, expected: &T, read: impl Fn(&Value) -> T) {
     let deadline = Instant::now() + Duration::from_secs(10);
     while read(&status(folder)) != *expected && Instant::now() < deadline {
@@ -351,7 +351,7 @@ pub(crate) fn land_sequence(folder: &Path, first: usize, last: usize, edge_count
     }
 }
 
-/// A file appears by rename.
+/// Puts a file into a folder by a rename.
 pub(crate) fn land(folder: &Path, name: &str, bytes: &[u8]) {
     let part = folder.join(format!(".{name}.part"));
     fs::write(&part, bytes).expect("written");
@@ -363,7 +363,7 @@ pub(crate) fn block_ply(edge_count: usize, shift: f32) -> Vec<u8> {
     box_ply([edge_count; 3], shift)
 }
 
-/// The same with a different edge on each axis.
+/// A box of particles with a different number along each axis, 0.1 apart, moved along x, as binary PLY.
 pub(crate) fn box_ply([x_count, y_count, z_count]: [usize; 3], shift: f32) -> Vec<u8> {
     let count = x_count * y_count * z_count;
     let header = format!(
@@ -380,7 +380,7 @@ pub(crate) fn box_ply([x_count, y_count, z_count]: [usize; 3], shift: f32) -> Ve
     bytes
 }
 
-/// A figure of a process from /proc/PID/status, in bytes.
+/// A value from /proc/PID/status, in bytes.
 pub(crate) fn memory_bytes(pid: u32, figure: &str) -> u64 {
     let status = fs::read_to_string(format!("/proc/{pid}/status")).expect("the process runs");
     let line = status.lines().find_map(|line| line.strip_prefix(figure)).expect("the file has the figure");

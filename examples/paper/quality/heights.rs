@@ -32,7 +32,7 @@ pub(super) struct Rays {
 }
 
 impl Rays {
-    /// Rays into a pool with walls at x0, y0, x1, y1 on the ground.
+    /// Rays into a pool between the walls x0, y0, x1, y1, which are ground positions.
     pub(super) fn new([x0, y0, x1, y1]: [f64; 4], up: Up, spacing: f64) -> Rays {
         let corner = DVec2::new(x0, y0) + 3.0 * spacing;
         let steps = ((DVec2::new(x1, y1) - 3.0 * spacing - corner) / (0.5 * spacing)).floor().as_ivec2();
@@ -41,10 +41,10 @@ impl Rays {
 
     /// The mean height of the highest particle of each column, plus half a spacing.
     ///
-    /// Columns are 1.25 spacings wide. With irregular particles, some narrower columns have no particle in
+    /// Columns are 1.25 spacings wide. If particles are irregular, some narrower columns have no particle in
     /// the uppermost layer. With columns of one spacing, the level of the simulated pool is 0.28 spacings
-    /// below the level that its particles would have at their mean density; with these columns it is 0.04
-    /// below, and in the jittered pool 0.04 above.
+    /// below the level that its particles would have at their mean density. With columns of 1.25 spacings, it
+    /// is 0.04 below, and that of the jittered pool is 0.04 above.
     pub(super) fn true_level(&self, points: &[DVec3]) -> f64 {
         let size = 0.5 * self.spacing * DVec2::new(self.columns as f64 - 1.0, self.rows as f64 - 1.0);
         let width = size / (size / (1.25 * self.spacing)).floor().max(DVec2::ONE);
@@ -90,8 +90,8 @@ impl Rays {
         heights
     }
 
-    /// The difference of each height from the mean of the 7 × 7 heights around it, for rays with three others
-    /// on all sides.
+    /// The difference of each height from the mean of the 7 × 7 heights around it. Rays with fewer than three
+    /// other rays on some side have no result.
     pub(super) fn bumps(&self, heights: &[f64]) -> Vec<f64> {
         let at = |x: usize, y: usize| heights[y * self.columns + x];
         let mut bumps = Vec::new();

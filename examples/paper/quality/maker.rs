@@ -17,7 +17,7 @@ use crate::splashsurf::{Post, Splashsurf};
 use crate::surfaces::data;
 
 pub(super) enum Maker {
-    /// This program, with these settings.
+    /// meniscus, with these settings.
     Ours(Vec<(String, String)>),
     /// splashsurf, with this cell size in spacings.
     Splashsurf { peer: Box<Splashsurf>, post: Post, cell: f64 },
@@ -66,7 +66,7 @@ impl Maker {
     }
 }
 
-/// Names that end in `/d` are lengths in spacings.
+/// Settings from text. Names that end in `/d` are lengths in spacings.
 fn settings_of(pairs: &[(String, String)], spacing: f64) -> Outcome<Settings> {
     let mut texts = Vec::new();
     for (name, value) in pairs {

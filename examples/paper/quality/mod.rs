@@ -3,16 +3,17 @@
 //! ```text
 //! cargo run --release --example paper -- quality preset=fluid               ours, on generated particles
 //! cargo run --release --example paper -- quality splashsurf=plain cell=0.25
-//! cargo run --release --example paper -- quality preset=fluid 'only=Enright 5000,jittered pool'   some of them
+//! cargo run --release --example paper -- quality preset=fluid 'only=Enright 5000,jittered pool'   some sets
 //! cargo run --release --example paper -- quality preset=fluid only= frame=dam.ply:0.05   a file, with its spacing
-//! cargo run --release --example paper -- quality spacings                   estimated spacings over the true ones
+//! cargo run --release --example paper -- quality spacings                   estimated / true spacings
 //!
-//! cargo run --release --example paper -- quality write=particles            for another program: writes .ply files
-//! cargo run --release --example paper -- quality meshes=surfaces            and reads .ply meshes of the same names
+//! for another program: write the particles as .ply files; then read and score its meshes of the same names:
+//! cargo run --release --example paper -- quality write=particles
+//! cargo run --release --example paper -- quality meshes=surfaces
 //! ```
 //!
 //! Settings are `name=value` as in a settings file; names that end in `/d` are lengths in particle spacings.
-//! All scores are in particle spacings d, so that they can be compared for any grid.
+//! All lengths in scores are in particle spacings d, so that scores on different grids are comparable.
 
 mod heights;
 mod maker;
@@ -32,7 +33,7 @@ use crate::{Outcome, print_progress};
 use maker::Maker;
 use sets::{Set, Sets};
 
-/// Runs what the arguments ask for.
+/// Runs the action that the arguments select.
 pub(crate) fn run(words: &[String]) -> Outcome<()> {
     let Arguments { task, sets } = Arguments::new(words)?;
     sets.visit(|set| {
@@ -54,7 +55,8 @@ struct Arguments {
 }
 
 enum Task {
-    /// Makes the surfaces and scores them. A single frame is made several times, for the shortest time.
+    /// Makes the surfaces and scores them. The surface of a single frame is made several times; the shortest
+    /// time counts.
     Score { maker: Maker, repeats: usize },
     /// Writes the particles of each frame into a folder.
     Write(PathBuf),

@@ -36,8 +36,8 @@ pub(super) fn score(maker: &Maker, repeats: usize, set: &Set) -> Outcome<Map<Str
 /// Number of points on a mesh at which flicker is measured.
 const POINTS: usize = 4000;
 
-/// Surfaces of a flow are measured at multiples of this frame: finding particles outside takes longer than
-/// the surface.
+/// Surfaces of a flow are measured only at frames that are multiples of this number: finding the particles
+/// outside takes longer than the reconstruction.
 const MEASURED_EVERY: usize = 50;
 
 /// The flicker of a flow, as in the experiment `flows`.
@@ -68,7 +68,7 @@ fn in_flow(maker: &Maker, set: &Set, flow: Flow, measures: &mut Measures) -> Out
     })))
 }
 
-/// The flicker of a simulation, from the motion of its particles: docs/flicker.md.
+/// The flicker of a simulation, from the motion of its particles: see docs/flicker.md.
 fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Outcome<Map<String, Value>> {
     let mut frames = Vec::new();
     for frame in &set.frames {
@@ -98,7 +98,7 @@ fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Ou
     })))
 }
 
-/// A single frame.
+/// The scores of a single frame.
 fn still(maker: &Maker, repeats: usize, set: &Set, measures: &mut Measures) -> Outcome<Map<String, Value>> {
     for frame in &set.frames {
         let mut made = maker.make(set, frame)?;
@@ -174,7 +174,8 @@ impl Measures {
         self.deepest = self.deepest.max(deepest);
     }
 
-    /// Means; for volumes the smallest and the largest, for particles outside the largest fraction.
+    /// The scores of all surfaces: means, except the smallest and the largest volume, and the largest
+    /// fraction of particles outside.
     fn scores(self) -> Map<String, Value> {
         let mean = |values: &[f64]| match values {
             [] => None,
@@ -202,7 +203,7 @@ fn outside_fraction_and_depth(solid: &MeshSdf, points: &[DVec3], spacing: f64) -
     (outside as f64 / points.len().max(1) as f64, depths.iter().copied().fold(0.0, f64::max))
 }
 
-/// Our mesh type, for its measures.
+/// Converts to meniscus' mesh type, which has the functions that measure meshes.
 fn mesh_of(data: &MeshData) -> Mesh {
     let origin = data.positions.first().map_or(DVec3::ZERO, |at| DVec3::from(*at));
     let positions = data.positions.iter().map(|at| (DVec3::from(*at) - origin).as_vec3()).collect();

@@ -18,7 +18,7 @@ pub(super) struct Set {
     pub(super) name: String,
     /// The distance between neighbouring particles at rest, world units.
     pub(super) spacing: f64,
-    /// At least one.
+    /// The frames: at least one.
     pub(super) frames: Vec<Frame>,
     pub(super) kind: Kind,
 }
@@ -45,7 +45,7 @@ pub(super) enum Kind {
     Flow(Flow),
     /// The particles have ids, or velocities and this time between two frames.
     Moving { seconds: f64 },
-    /// A pool at rest, or nearly.
+    /// A pool that is at rest, or nearly.
     Pool { rays: Rays },
 }
 
@@ -64,7 +64,8 @@ impl Set {
 /// Frames of a whole cycle of a flow, as in the experiment `flows`.
 pub(super) const FRAMES: usize = 300;
 
-/// Flows with a lattice of particles, and with randomly displaced particles.
+/// Flows of a lattice of particles, and of randomly displaced particles: name, flow, number of particles,
+/// displacement in spacings.
 const FLOWS: [(&str, Flow, usize, f64); 8] = [
     ("Enright 500", Flow::Enright, 500, 0.0),
     ("Enright 5000", Flow::Enright, 5_000, 0.0),
@@ -89,7 +90,7 @@ type Generate = fn() -> (Vec<DVec3>, f64);
 pub(super) struct Sets {
     /// Names of generated sets; `None` for all except slow ones.
     only: Option<Vec<String>>,
-    /// For flows, three consecutive frames around the multiples of this number.
+    /// Of a flow, three consecutive frames around each multiple of this number are used.
     every: usize,
     /// Files with their spacing.
     files: Vec<(PathBuf, f64)>,
@@ -246,7 +247,7 @@ fn random_ball() -> (Vec<DVec3>, f64) {
     (points, spacing)
 }
 
-/// A wavy sheet of 40 by 40 particles, each 1 from its neighbours along the sheet.
+/// A wavy sheet of 40 by 40 particles, at a distance of 1 from their neighbours along the sheet.
 fn sheet() -> (Vec<DVec3>, f64) {
     const COUNT: usize = 40;
     const STEPS: usize = 64;
@@ -264,7 +265,7 @@ fn sheet() -> (Vec<DVec3>, f64) {
     (points, 1.0)
 }
 
-/// A helix of 200 particles, each 1 from its neighbours along the thread.
+/// A helix of 200 particles, at a distance of 1 from their neighbours along the thread.
 fn thread() -> (Vec<DVec3>, f64) {
     let (radius, rise_per_radian) = (6.0, 1.0);
     let step = 1.0 / f64::hypot(radius, rise_per_radian);

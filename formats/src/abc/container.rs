@@ -1,4 +1,4 @@
-//! Reads groups, data and property headers of an archive, all bounds checked.
+//! Reads the groups, data and property headers of an archive, and checks all bounds.
 
 use crate::error::{Error, Position, Result};
 
@@ -7,7 +7,7 @@ use super::digest::DIGEST_BYTES;
 use super::document::{OBJECT_HASH_BYTES, Pod, bits};
 use super::ogawa::{DATA, EMPTY_GROUP, Reference};
 
-/// More than the attributes of any mesh that this program writes.
+/// The limit of properties in a compound: more than any mesh that this program writes has.
 const PROPERTY_COUNT_MAX: usize = 1 << 16;
 
 /// The bytes of a file.
@@ -20,14 +20,14 @@ pub(super) struct Container<'a> {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct PropertyHeader {
     pub(super) name: String,
-    /// The index of its time sampling.
+    /// The index of the property's time sampling.
     pub(super) sampling: u32,
     pub(super) metadata: String,
     word: u32,
 }
 
 impl PropertyHeader {
-    /// The type of its numbers; `None` for a compound.
+    /// The type of the property's numbers; `None` for a compound.
     pub(super) fn pod(&self) -> Option<u32> {
         (self.word & bits::KIND != 0).then_some(self.word >> bits::POD_SHIFT & 0xf)
     }
@@ -64,10 +64,11 @@ impl<'a> Container<'a> {
         Ok(u64::from_le_bytes(*number))
     }
 
-    /// The bytes of data.
+    /// The bytes of the data at a reference.
     pub(super) fn data(&self, reference: Reference, what: &str) -> Result<&'a [u8]> {
         if reference & DATA == 0 {
-            return Err(Error::invalid(FORMAT, Position::Offset(reference), format!("{what} must be data")));
+            let found = format!("expected a data block for {what}, found a group");
+            return Err(Error::invalid(FORMAT, Position::Offset(reference), found));
         }
         let at = reference & !DATA;
         if at == 0 {
@@ -82,8 +83,8 @@ impl<'a> Container<'a> {
     /// The children of a group.
     pub(super) fn group(&self, reference: Reference, what: &str) -> Result<Vec<Reference>> {
         if reference & DATA != 0 {
-            let at = Position::Offset(reference & !DATA);
-            return Err(Error::invalid(FORMAT, at, format!("{what} must be a group")));
+            let found = format!("expected a group for {what}, found a data block");
+            return Err(Error::invalid(FORMAT, Position::Offset(reference & !DATA), found));
         }
         if reference == EMPTY_GROUP {
             return Ok(Vec::new());
@@ -109,10 +110,11 @@ impl<'a> Container<'a> {
         }
     }
 
-    /// The child of an object with this name.
+    /// The child object named `name`.
     pub(super) fn child_object(&self, object: Reference, name: &str) -> Result<Reference> {
         let children = self.group(object, "an object")?;
-        // The properties come first, and the names last.
+        // The first child is the compound of properties, the last one the data with the names of child
+        // objects.
         let [_, objects @ .., headers] = &*children else { return Err(missing(object, name)) };
         let (at, headers) = (headers & !DATA, self.data(*headers, "the names of objects")?);
         let mut rest = Words {
@@ -133,7 +135,7 @@ impl<'a> Container<'a> {
         Err(missing(object, name))
     }
 
-    /// The properties in the compound with this name of an object.
+    /// The properties in the object's compound property named `name`.
     pub(super) fn schema(&self, object: Reference, name: &str) -> Result<Vec<(PropertyHeader, Reference)>> {
         let properties = self.group(object, "an object")?.first().copied().unwrap_or(EMPTY_GROUP);
         let found = self.properties(properties)?.into_iter().find(|(header, _)| header.name == name);
@@ -160,10 +162,10 @@ fn missing(object: Reference, name: &str) -> Error {
     Error::invalid(FORMAT, Position::Offset(object), format!("the object has no {name}"))
 }
 
-/// Numbers and names, one after the other.
+/// Reads headers, which are numbers and names one after the other.
 struct Words<'a> {
     bytes: &'a [u8],
-    /// The offset of the data that they are in.
+    /// The offset of the headers in the file, for errors.
     at: u64,
 }
 
@@ -177,7 +179,7 @@ impl<'a> Words<'a> {
         Ok(taken)
     }
 
-    /// A number with this number of bytes, up to four.
+    /// Reads a number of `width` bytes, at most four.
     fn number(&mut self, width: usize) -> Result<u32> {
         let mut number = [0; 4];
         number[..width].copy_from_slice(self.take(width)?);
@@ -197,7 +199,8 @@ impl<'a> Words<'a> {
         };
         let mut sampling = 0;
         if word & bits::KIND != 0 {
-            // The number of samples, and the first and last that change: the writer stores all samples.
+            // Skip the number of samples, and the first and last sample that change: our writer stores all
+            // samples.
             self.number(width)?;
             if word & bits::HAS_CHANGES != 0 {
                 self.number(width)?;

@@ -1,5 +1,5 @@
-//! MurmurHash3, the 128-bit variant for 64-bit machines with seed 0, as a stream: Alembic identifies samples
-//! by it.
+//! MurmurHash3 of a stream, in the 128-bit variant for 64-bit machines with seed 0: Alembic identifies
+//! samples by this hash.
 
 use std::io::{self, Write};
 
@@ -51,7 +51,7 @@ impl Hasher {
     /// The digest of all bytes so far.
     pub(super) fn finish(&self) -> SampleKey {
         let [mut a, mut b] = self.state;
-        // The unused bytes of the last block are zero, which changes nothing.
+        // The unused bytes of the last block are zero. A block of zeros does not change the state.
         let mut last = [0; DIGEST_BYTES];
         last[..self.pending_count].copy_from_slice(&self.pending[..self.pending_count]);
         let [low, high] = words(&last);

@@ -1,4 +1,4 @@
-//! Writes what Alembic stores in the container: an archive of objects with properties.
+//! Writes the content of the container: an archive of objects with properties.
 //!
 //! ```text
 //!   archive    file version │ library version │ top object │ metadata │ times │ shared metadata, none here
@@ -19,10 +19,10 @@ use crate::provenance::{GENERATOR, escape, prefixed};
 use super::digest::{Hasher, SampleKey};
 use super::ogawa::{Ogawa, Reference, Sample};
 
-/// The version of the storage of properties.
+/// The version of Alembic's layout of archives in the container.
 const FILE_VERSION: i32 = 0;
 
-/// The version of the library whose files these are like, 1.8.0.
+/// The version of the Alembic library whose files have the same layout as ours: 1.8.0.
 const LIBRARY_VERSION: i32 = 10_800;
 
 /// The metadata key of the program that wrote an archive.
@@ -30,10 +30,10 @@ pub(super) const APPLICATION: &str = "_ai_Application";
 
 const FPS: &str = "_ai_DCC_FPS";
 
-/// The time per cycle of samples at listed times.
+/// Alembic's value of the time per cycle for acyclic sampling, which lists the time of each sample.
 pub(super) const ACYCLIC: f64 = f64::MAX / 32.0;
 
-/// The type of a number, as numbered by Alembic.
+/// A type of values ("plain old data"), with Alembic's code for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub(super) enum Pod {
@@ -52,7 +52,7 @@ pub(super) mod bits {
     pub(crate) const SCALAR: u32 = 1;
     pub(crate) const ARRAY: u32 = 2;
     pub(crate) const KIND: u32 = 3;
-    /// The width of the numbers that follow: 8 bits, 16, or 32.
+    /// The width of the numbers after this word: 0 for 8 bits, 1 for 16, 2 for 32.
     pub(crate) const WIDTH_SHIFT: u32 = 2;
     pub(crate) const POD_SHIFT: u32 = 4;
     pub(crate) const HAS_TIMES: u32 = 0x100;
@@ -61,16 +61,16 @@ pub(super) mod bits {
     pub(crate) const IS_CONSTANT: u32 = 0x800;
     pub(crate) const EXTENT_SHIFT: u32 = 12;
     pub(crate) const METADATA_SHIFT: u32 = 20;
-    /// The metadata follow the name.
+    /// The value of the metadata bits if the metadata follow the name.
     pub(crate) const METADATA_FOLLOW: u32 = 0xff;
 }
 
 /// The times of the samples.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Times {
-    /// One sample for all times.
+    /// One sample, valid at all times.
     Static,
-    /// A sample per number, at number / fps seconds. Numbers increase, and there is at least one.
+    /// One sample per frame number, at number / fps seconds. The numbers increase; there is at least one.
     Frames { numbers: Vec<u64>, fps: f64 },
 }
 
@@ -83,7 +83,7 @@ impl Times {
         }
     }
 
-    /// The index of the time sampling: the first one is always that of static properties.
+    /// The index of the time sampling. Index 0 is always the sampling of static properties.
     fn index(&self) -> u32 {
         match self {
             Times::Static => 0,
@@ -91,7 +91,8 @@ impl Times {
         }
     }
 
-    /// The time samplings as stored: number of samples, time per cycle, the times of a cycle.
+    /// The time samplings as stored. Each has its number of samples, the time per cycle, the number of times
+    /// in a cycle, and these times.
     #[expect(clippy::cast_possible_truncation, reason = "there are fewer than 2³² frames")]
     #[expect(clippy::cast_precision_loss, reason = "the caller refuses numbers beyond 2⁵³")]
     fn stored(&self) -> Vec<u8> {
@@ -123,7 +124,7 @@ pub(super) struct AbcObject {
     pub(super) children: Vec<AbcObject>,
 }
 
-/// A property of an object. Its samples are written already.
+/// A property of an object, whose samples are already written.
 pub(super) struct AbcProperty {
     name: String,
     metadata: String,
@@ -132,7 +133,7 @@ pub(super) struct AbcProperty {
 
 enum PropertyContent {
     Compound(Vec<AbcProperty>),
-    /// The samples are either one for all times, or one per time.
+    /// There is either one sample for all times, or one per time.
     Values {
         is_array: bool,
         pod: Pod,
@@ -279,8 +280,8 @@ fn write_object(object: &AbcObject, times: &Times, ogawa: &mut Ogawa) -> Result<
 /// The number of children of the root group.
 pub(super) const ROOT_CHILDREN: u64 = 6;
 
-/// Writes an archive with one object at the top. The metadata come first, where they are found in the head of
-/// a file.
+/// Writes an archive with one object under the top object. The metadata come first, so that readers find them
+/// in the head of the file.
 ///
 /// # Errors
 /// Those of `object` and `out`.
@@ -315,7 +316,7 @@ fn metadata(provenance: &Provenance, times: &Times) -> String {
     entries.join(";")
 }
 
-/// A key or value without the characters that separate them.
+/// Escapes a key or a value, including the separators `;` and `=`.
 fn entry(text: &str) -> String {
     escape(text).replace(';', "\\u{3b}").replace('=', "\\u{3d}")
 }

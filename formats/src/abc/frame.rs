@@ -1,4 +1,5 @@
-//! Turns an archive with one frame into the `.glb` that the same mesh has, from which sequences are made.
+//! Converts an archive with one frame to a `.glb` of the same mesh: sequences are assembled from `.glb`
+//! files.
 
 use crate::data::{AttributeRole, MeshView, VertexAttribute, VertexValues};
 use crate::error::{Error, Position, Result};
@@ -39,7 +40,7 @@ impl FrameValues {
         }
     }
 
-    /// The size of the values in the file, at least.
+    /// A lower bound of the size of the values in the file, in bytes.
     fn byte_count(&self) -> usize {
         match self {
             FrameValues::Strings { table, .. } => 4 * self.len() + table.len(),
@@ -90,7 +91,7 @@ pub fn to_glb(bytes: &[u8], limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
     Ok((glb, attribute_notes(mesh.attributes)))
 }
 
-/// The axes and the origin of a transform.
+/// The up axis and the origin from which [`to_world`] computes this transform.
 fn placement(matrix: &Matrix) -> Result<(UpAxis, [f64; 3])> {
     let [x, y, z, _] = matrix[3];
     for (up, origin) in [(UpAxis::Y, [x, y, z]), (UpAxis::Z, [x, 0.0 - z, y])] {
@@ -119,7 +120,7 @@ fn attributes(archive: &MeshArchive) -> Result<Vec<FrameAttribute>> {
         };
         byte_count += values.byte_count();
         if byte_count > archive.container.bytes.len() {
-            let what = "attributes share their data, which this program does not write";
+            let what = "several attributes share their data; files of this program never do";
             return Err(Error::invalid(FORMAT, Position::Offset(*reference), what));
         }
         let is_color = header.metadata.contains(";interpretation=rgb");
@@ -151,7 +152,8 @@ fn numbers(archive: &MeshArchive, name: &str, pod: u32, reference: Reference) ->
     }
 }
 
-/// Strings and their indices; the last string is for values without one.
+/// The table of strings, and the index of each value. The last string of the file marks missing values: it is
+/// removed, and its index becomes −1.
 fn strings(archive: &MeshArchive, compound: Reference) -> Result<FrameValues> {
     let properties = archive.container.properties(compound)?;
     let bytes = |name: &str| -> Result<&[u8]> {

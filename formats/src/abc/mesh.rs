@@ -7,7 +7,7 @@
 //!                                        .arbGeomParams: the other attributes, each under its name
 //! ```
 //!
-//! Alembic has Y up, and faces that are clockwise seen from outside.
+//! In Alembic, Y is up, and faces are clockwise seen from outside.
 
 use std::io::Write;
 
@@ -29,7 +29,8 @@ pub(super) type Matrix = [[f64; 4]; 4];
 pub(super) const IDENTITY: Matrix =
     [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 
-/// The transform of positions relative to `origin`, with this axis up, into a world with Y up.
+/// The transform of positions into a world with Y up. The positions are relative to `origin`; both use axes
+/// in which `up` points up.
 pub(super) fn to_world(up: UpAxis, [x, y, z]: [f64; 3]) -> Matrix {
     match up {
         UpAxis::Y => [IDENTITY[0], IDENTITY[1], IDENTITY[2], [x, y, z, 1.0]],
@@ -39,7 +40,7 @@ pub(super) fn to_world(up: UpAxis, [x, y, z]: [f64; 3]) -> Matrix {
     }
 }
 
-/// The names of the properties of the mesh that the reader needs, too.
+/// The names of properties that both the writer and the reader use.
 pub(super) mod names {
     pub(crate) const GEOMETRY: &str = ".geom";
     pub(crate) const POSITIONS: &str = "P";
@@ -64,7 +65,7 @@ pub(super) struct ParamType {
 }
 
 impl ParamType {
-    /// Single numbers, or a vector of two or three; wider values are several numbers per vertex.
+    /// Floats: a vector if the arity is 2 or 3, else `arity` separate numbers per vertex.
     pub(super) fn numbers(arity: usize) -> ParamType {
         let vector = |extent| ParamType { extent, interpretation: "vector", ..ParamType::many(Pod::F32, 1) };
         match arity {
@@ -74,13 +75,13 @@ impl ParamType {
         }
     }
 
-    /// A colour with three numbers, or four.
+    /// A colour: RGBA if the arity is 4, else RGB.
     pub(super) fn color(arity: usize) -> ParamType {
         let (extent, interpretation) = if arity == 4 { (4, "rgba") } else { (3, "rgb") };
         ParamType { extent, interpretation, ..ParamType::many(Pod::F32, 1) }
     }
 
-    /// Values without a meaning as a vector.
+    /// `elements` separate numbers per vertex, which are not components of a vector.
     pub(super) fn many(pod: Pod, elements: usize) -> ParamType {
         ParamType { pod, extent: 1, elements, interpretation: "" }
     }
@@ -121,7 +122,7 @@ pub(super) struct FrameSamples {
     pub(super) matrix: Matrix,
     pub(super) bounds: Sample,
     pub(super) positions: Sample,
-    /// The corners of the faces, and their numbers of corners.
+    /// The vertex indices at the faces' corners, and the number of corners of each face.
     pub(super) faces: [Sample; 2],
     pub(super) normals: Sample,
     pub(super) velocities: Option<Sample>,
@@ -152,7 +153,8 @@ impl MeshSamples {
         self.velocities.extend(frame.velocities);
     }
 
-    /// The objects, whose other attributes are `params`.
+    /// The transform with the mesh under it. `params` are the attributes without a property of their own in
+    /// the schema.
     pub(super) fn object(self, params: Vec<AbcProperty>, ogawa: &mut Ogawa) -> Result<AbcObject> {
         let real = (Pod::F32, 3);
         let mut geometry = vec![
@@ -194,7 +196,7 @@ impl MeshSamples {
     }
 }
 
-/// The code of a transform that is a matrix.
+/// Alembic's code for a transform that is given as a matrix.
 const MATRIX_OPERATION: u8 = 0x30;
 
 /// The transforms of a mesh.
@@ -204,7 +206,7 @@ struct MatrixSamples {
 }
 
 impl MatrixSamples {
-    /// The properties of the transform; one that never changes has one sample, and none if it changes nothing.
+    /// The properties of the transform. A transform that never changes has one sample; the identity has none.
     fn properties(mut self, ogawa: &mut Ogawa) -> Result<Vec<AbcProperty>> {
         let yes = ogawa.small_sample(1, &[1])?;
         let mut properties = vec![AbcProperty::scalar(".inherits", "", (Pod::Bool, 1), vec![yes])];
@@ -228,7 +230,7 @@ impl MatrixSamples {
     }
 }
 
-/// The smallest and largest corner; zeros without vertices.
+/// The minimum and maximum corner of the bounding box; zeros without vertices.
 pub(super) fn bounds(positions: &[[f32; 3]]) -> [[f64; 3]; 2] {
     let first = positions.first().copied().unwrap_or_default();
     let [low, high] = positions.iter().fold([first, first], |[low, high], position| {
@@ -249,13 +251,13 @@ fn real_bytes(numbers: &[f64]) -> Vec<u8> {
     numbers.iter().flat_map(|number| number.to_le_bytes()).collect()
 }
 
-/// Writes vectors, or single numbers, as a sample of `count` elements of `extent` numbers.
+/// Writes vectors or single numbers as a sample: `count` elements, each of `extent` numbers.
 pub(super) fn real_sample(values: &[f32], (count, extent): (u64, u64), ogawa: &mut Ogawa) -> Result<Sample> {
     let byte_count = 4 * count * extent;
     ogawa.sample(count, byte_count, &mut |mut out| write_f32s(values, &mut out))
 }
 
-/// Writes the corners of triangles in Alembic's order, and their numbers of corners.
+/// Writes the vertex indices of triangles, in Alembic's order, and the number of corners of each.
 pub(super) fn triangle_samples(triangles: &[[u32; 3]], count: u64, ogawa: &mut Ogawa) -> Result<[Sample; 2]> {
     let corners = ogawa.sample(3 * count, 12 * count, &mut |mut out| {
         let reversed = |[a, b, c]: [u32; 3]| {

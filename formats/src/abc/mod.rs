@@ -1,13 +1,13 @@
-//! Alembic, `.abc`: writes meshes, of one frame or of a sequence, and reads those that it wrote.
+//! Alembic, `.abc`: writes meshes of one frame or of a sequence, and reads the files that this crate wrote.
 //!
 //! ```text
 //!   archive ── surface: Xform ── surfaceShape: PolyMesh
 //!      └ metadata: provenance
 //! ```
 //!
-//! The format is defined by its library, which stores an archive in a container called Ogawa; an older
-//! container, in HDF5, is not supported. A mesh may have another number of vertices and faces at each time.
-//! Programs that play such a mesh blur its motion by its velocities, which are in units per second.
+//! The Alembic library defines the format. It stores an archive in a container called Ogawa; the older
+//! container, HDF5, is not supported. The number of vertices and faces of a mesh may change from sample to
+//! sample. Programs compute the motion blur of such a mesh from its velocities, in units per second.
 
 use crate::mesh_options::WriteOption;
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};

@@ -1,7 +1,7 @@
 //! Writes the container of an archive: a tree of groups whose leaves are data.
 //!
 //! ```text
-//!   0    "Ogawa", 0xff: complete, 0, 1: the version        8 bytes
+//!   0    "Ogawa" │ 0xff if complete │ 0, 1: the version    8 bytes
 //!   8    offset of the root group                          64 bits, like all numbers here
 //!   16   data, groups ..
 //!
@@ -9,9 +9,9 @@
 //!   data    number of bytes │ bytes
 //! ```
 //!
-//! The container starts with the offset of the root group, which is written last. The size of everything is
-//! known before any number is read, so the writer first measures: it makes all calls once without writing and
-//! without asking for the numbers. The output need not support seeking, and a frame need not be held.
+//! The container starts with the offset of the root group, which is written last. To know this offset, the
+//! writer first measures: it makes all calls once without writing, which needs sizes but no values. So the
+//! output need not support seeking, and a frame need not be held in memory.
 
 use std::io::{self, Write};
 
@@ -31,27 +31,27 @@ pub(super) const HEADER_BYTES: u64 = 16;
 /// A child of a group, as stored.
 pub(super) type Reference = u64;
 
-/// The bit of a reference to data; alone, the data are empty.
+/// The bit that marks a reference to data. A reference with only this bit means empty data.
 pub(super) const DATA: Reference = 1 << 63;
 
-/// A group without children.
+/// The reference to a group without children.
 pub(super) const EMPTY_GROUP: Reference = 0;
 
 /// A stored sample of a property.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Sample {
     pub(super) data: Reference,
-    /// The dimensions; empty if they follow from the number of bytes.
+    /// The data with the dimensions; empty data if the dimensions follow from the number of bytes.
     pub(super) dimensions: Reference,
     pub(super) digest: SampleKey,
-    /// The number of elements, each of the extent of its property.
+    /// The number of elements. Each has as many numbers as the property's extent.
     pub(super) elements: u64,
 }
 
 /// Writes the numbers of a sample as bytes.
 pub(super) type Emit<'a> = dyn FnMut(&mut dyn Write) -> Result<()> + 'a;
 
-/// The writer, or the measurer, of a container.
+/// Writes or measures a container.
 pub(super) struct Ogawa<'a> {
     /// `None` while measuring.
     out: Option<&'a mut dyn Write>,
@@ -59,7 +59,7 @@ pub(super) struct Ogawa<'a> {
 }
 
 impl Ogawa<'_> {
-    /// Writes an archive whose groups and data are written by `build`. It is called twice, first to measure,
+    /// Writes an archive, whose groups and data `build` writes. `build` is called twice, first to measure,
     /// and must make the same calls both times. It returns the children of the root group.
     ///
     /// # Errors
@@ -82,7 +82,7 @@ impl Ogawa<'_> {
         Ok(())
     }
 
-    /// Whether nothing is written, so that no numbers are needed.
+    /// Whether this container only measures, which needs no values.
     pub(super) fn is_measuring(&self) -> bool {
         self.out.is_none()
     }
@@ -111,11 +111,11 @@ impl Ogawa<'_> {
         Ok(DATA | at)
     }
 
-    /// Writes a sample of `elements` elements with this number of bytes. `emit` is called twice, for the
-    /// digest and for the bytes, and not at all while measuring.
+    /// Writes a sample of `elements` elements that take `byte_count` bytes in all. `emit` is called twice,
+    /// for the digest and for the bytes, and not at all while measuring.
     ///
     /// # Errors
-    /// Those of `emit` and the output; [`Error::Invalid`] if it emits another number of bytes.
+    /// Those of `emit` and the output; [`Error::Invalid`] if `emit` writes another number of bytes.
     pub(super) fn sample(&mut self, elements: u64, byte_count: u64, emit: &mut Emit) -> Result<Sample> {
         let mut sample = Sample { data: DATA, dimensions: DATA, digest: SampleKey::default(), elements };
         if byte_count == 0 {

@@ -1,7 +1,7 @@
-//! Reads archives of this crate: their provenance, the times of their samples, and the mesh at each.
+//! Reads archives of this crate: their provenance, the times of their samples, and the mesh at each time.
 //!
-//! Every reference is an offset, so the reader checks that what it refers to is in the file. It follows a
-//! fixed path, and so terminates whatever the references are.
+//! Every reference is an offset, so the reader checks that the target is inside the file. The reader follows
+//! a fixed path from the root, so it terminates even if references form a cycle.
 
 use crate::data::MeshData;
 use crate::error::{Error, Position, Result};
@@ -15,22 +15,22 @@ use super::document::{ACYCLIC, APPLICATION, Pod, ROOT_CHILDREN};
 use super::mesh::{IDENTITY, MESH, Matrix, TRANSFORM, names};
 use super::ogawa::{DATA, HEADER_BYTES, MAGIC, Reference, START};
 
-/// The children of the root group.
+/// Indices of children of the root group.
 const TOP_OBJECT: usize = 2;
 const SAMPLINGS: usize = 4;
 
-/// Reads the provenance from the first bytes of a file: the metadata come first.
+/// Reads the provenance from the first bytes of a file, where our writer puts the metadata.
 pub(super) fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
     check_start(head)?;
     Ok(own_metadata(first_data(head).unwrap_or_default()).unwrap_or_default())
 }
 
-/// The first data of a file, which are its metadata if it is ours.
+/// The first data of a file. In files of this crate, they are the metadata.
 fn first_data(bytes: &[u8]) -> Result<&[u8]> {
     Container { bytes }.data(DATA | HEADER_BYTES, "the metadata")
 }
 
-/// The provenance in an archive of this crate; `None` in others.
+/// The provenance in the metadata of an archive; `None` if another program wrote the archive.
 fn own_metadata(metadata: &[u8]) -> Option<Vec<(String, String)>> {
     let text = std::str::from_utf8(metadata).ok()?;
     let mut entries = text.split(';').filter_map(|entry| entry.split_once('='));
@@ -39,7 +39,7 @@ fn own_metadata(metadata: &[u8]) -> Option<Vec<(String, String)>> {
     Some(entries.filter_map(pair).collect())
 }
 
-/// The size of a file with this head. The root group comes last.
+/// The size of a complete file with this head: the root group comes last. `None` for files of other programs.
 pub(super) fn bytes_declared(head: &[u8]) -> Result<Option<u64>> {
     check_start(head)?;
     if own_metadata(first_data(head).unwrap_or_default()).is_none() {
@@ -93,7 +93,7 @@ pub fn read_sequence_info(bytes: &[u8]) -> Result<Option<SequenceInfo>> {
     let (positions, counts) = (archive.references(names::POSITIONS)?, archive.references(names::COUNTS)?);
     let pairs: Vec<[Reference; 2]> = positions.into_iter().zip(counts).map(Into::into).collect();
     for (index, [positions, counts]) in pairs.iter().enumerate() {
-        // A frame that is shown for longer has two samples with the same data.
+        // A frame before missing frames has two samples, which refer to the same data.
         if index > 0 && pairs[index - 1] == [*positions, *counts] {
             continue;
         }
@@ -106,7 +106,7 @@ pub fn read_sequence_info(bytes: &[u8]) -> Result<Option<SequenceInfo>> {
     Ok(Some(info))
 }
 
-/// The times of the samples of an archive, in seconds. A frame before missing ones has two samples.
+/// The times of the samples of an archive, in seconds. A frame before missing frames has two samples.
 ///
 /// # Errors
 ///
@@ -129,7 +129,7 @@ pub(super) struct MeshArchive<'a> {
     pub(super) container: Container<'a>,
     pub(super) provenance: Vec<(String, String)>,
     root: Vec<Reference>,
-    /// The number of frames in a sequence; `None` with one frame.
+    /// The number of frames of a sequence; `None` for an archive with one frame.
     frames: Option<u64>,
     /// The properties of the mesh, and of its transform.
     geometry: Vec<(PropertyHeader, Reference)>,
@@ -166,7 +166,7 @@ impl<'a> MeshArchive<'a> {
         })
     }
 
-    /// Fails for a sequence: which of its meshes to use is unknown.
+    /// Fails for a sequence, because it is unknown which of its meshes to use.
     pub(super) fn check_single_frame(&self) -> Result<()> {
         let Some(frames) = self.frames else { return Ok(()) };
         let what = format!(
@@ -180,7 +180,7 @@ impl<'a> MeshArchive<'a> {
         self.geometry.iter().any(|(header, _)| header.name == name)
     }
 
-    /// The attributes without a property of their own.
+    /// The attributes for which the schema has no property, from `.arbGeomParams`.
     pub(super) fn params(&self) -> Result<Vec<(PropertyHeader, Reference)>> {
         match self.has(names::PARAMS) {
             true => self.container.properties(self.property(names::PARAMS)?.1),
@@ -202,7 +202,7 @@ impl<'a> MeshArchive<'a> {
         Ok(children.chunks(2).map(|sample| sample[0]).collect())
     }
 
-    /// The numbers of a sample of an array, each of `N` bytes.
+    /// The elements of a sample of an array, each of `N` bytes.
     pub(super) fn array<const N: usize>(
         &self,
         name: &str,
@@ -259,7 +259,8 @@ impl<'a> MeshArchive<'a> {
         })
     }
 
-    /// The triangles of a sample. Faces are clockwise in the file; larger ones become fans.
+    /// The triangles of a sample, counterclockwise. Faces are clockwise in the file; those with more than
+    /// three corners become triangle fans.
     pub(super) fn triangles(&self, index: usize, vertex_count: usize) -> Result<Vec<[u32; 3]>> {
         let invalid = |what: String| Error::invalid(FORMAT, Position::File, what);
         let corners = self.array::<4>(names::CORNERS, (Pod::I32, 1), index)?;
@@ -272,7 +273,8 @@ impl<'a> MeshArchive<'a> {
         for bytes in self.array::<4>(names::COUNTS, (Pod::I32, 1), index)? {
             let count = u32::from_le_bytes(*bytes) as usize;
             let Some((face, others)) = rest.split_at_checked(count).filter(|_| count >= 3) else {
-                let what = format!("a face has {count} corners, and the faces {} in all", corners.len());
+                let what =
+                    format!("a face has {count} corners, but all faces together have {}", corners.len());
                 return Err(invalid(what));
             };
             let last = face[count - 1];
@@ -291,7 +293,7 @@ impl<'a> MeshArchive<'a> {
         let Some((header, reference)) = property else { return Ok(IDENTITY) };
         header.check_type((Pod::F64, 16))?;
         let samples = self.container.group(*reference, names::MATRIX)?;
-        // One that never changes has one sample.
+        // A transform that never changes has one sample.
         let sample = samples.get(index).or_else(|| samples.first()).copied().unwrap_or(DATA);
         let (bytes, at) = self.container.sample(sample, names::MATRIX)?;
         let (numbers, _) = bytes.as_chunks::<8>();
@@ -323,7 +325,8 @@ impl<'a> MeshArchive<'a> {
             }
             sampling
         };
-        // Each sampling has at least 16 bytes, so a wrong index ends the search soon.
+        // Each sampling has at least 16 bytes, so the search for a wrong index soon reaches the end of the
+        // data.
         let Some((per_cycle, times)) = next(header.sampling) else {
             let what = format!("the time sampling {} is missing or incomplete", header.sampling);
             return Err(Error::invalid(FORMAT, Position::File, what));

@@ -1,15 +1,15 @@
-//! Writes a sequence as one mesh with samples per frame.
+//! Writes a sequence as one mesh with a sample per frame, and another one where frames are missing.
 //!
 //! ```text
 //!   frames    5    6    9    10          6 is shown until 9
 //!   samples   5    6  8 9    10          8 refers to the data of 6
 //! ```
 //!
-//! Programs take the mesh of the sample before a time between samples, and some blend transforms, which the
-//! additional sample prevents. Frame n is at n / fps seconds.
+//! At a time between two samples, programs show the mesh of the earlier one, but some blend the two
+//! transforms. The additional sample prevents this blending. Frame n is at n / fps seconds.
 //!
-//! The data of a frame are read from its file, a `.glb` of this crate, when they are written, so that at any
-//! time one array of one frame is in memory.
+//! The writer reads each array of a frame from the frame's file, a `.glb` of this crate, just before writing
+//! the array. So only one array of one frame is in memory at a time.
 
 use std::io::{self, Read, Seek, Write};
 
@@ -27,7 +27,7 @@ use super::mesh::{
 use super::ogawa::{Ogawa, Sample};
 use super::write::check_vertex_count;
 
-/// Numbers beyond this have no exact time.
+/// The limit of frame numbers: larger ones are not exact as 64-bit floats.
 const NUMBER_MAX: u64 = 1 << 53;
 
 const POSITION: &str = "POSITION";
@@ -36,7 +36,7 @@ const VELOCITY: &str = "_VELOCITY";
 const COLOR: &str = "COLOR_0";
 
 /// Writes a sequence of frames, whose numbers must increase. `open` opens the file of a frame, by its index.
-/// Returns notes on attributes that are omitted because the frames differ in them.
+/// Returns notes on attributes that are renamed, or omitted because the frames differ in them.
 ///
 /// # Errors
 ///
@@ -59,7 +59,7 @@ pub fn write_sequence<R: Read + Seek>(
 
 /// A vertex attribute to write.
 struct AbcAttribute {
-    /// Its name in the frames.
+    /// Its name in the frames' `.glb` files.
     semantic: String,
     name: String,
     kind: ParamType,
@@ -69,12 +69,12 @@ struct AbcSequence<'a> {
     frames: &'a [SequenceFrame],
     /// The transform of each frame.
     matrices: Vec<Matrix>,
-    /// Including the velocities.
+    /// All attributes to write, including the velocities.
     attributes: Vec<AbcAttribute>,
 }
 
 impl AbcSequence<'_> {
-    /// The numbers of the samples.
+    /// The frame numbers of the samples, in order.
     fn numbers(&self) -> Result<Vec<u64>> {
         if let Some(pair) = self.frames.windows(2).find(|pair| pair[1].code <= pair[0].code) {
             let [a, b] = [0, 1].map(|index| (&pair[index].name, pair[index].code));
@@ -98,7 +98,7 @@ impl AbcSequence<'_> {
         Ok(numbers.collect())
     }
 
-    /// The number of the additional sample of a frame, if frames are missing after it.
+    /// The frame number of the additional sample of a frame, if frames are missing after it.
     fn held_number(&self, index: usize) -> Option<u64> {
         let next = self.frames.get(index + 1)?.code - 1;
         (next > self.frames[index].code).then_some(next)
@@ -124,7 +124,7 @@ impl AbcSequence<'_> {
         samples.object(params, ogawa)
     }
 
-    /// Writes the arrays of a frame, and returns its samples and those of the attributes.
+    /// Writes the arrays of a frame. Returns the samples of the mesh, and those of the attributes.
     fn frame<R: Read + Seek>(
         &self,
         index: usize,
@@ -183,7 +183,7 @@ fn place(frame: &SequenceFrame) -> Result<Option<FramePlacement>> {
     frame.file.has_mesh().then(|| frame.file.placement()).transpose()
 }
 
-/// The transforms of the frames. One without a mesh keeps that of the frame before it.
+/// The transforms of the frames. A frame without a mesh has the transform of the frame before it.
 fn matrices(frames: &[SequenceFrame]) -> Result<Vec<Matrix>> {
     let places: Vec<Option<FramePlacement>> = frames.iter().map(place).collect::<Result<_>>()?;
     let matrix = |place: &FramePlacement| to_world(place.up, place.origin);
@@ -226,7 +226,7 @@ fn attributes(frames: &[SequenceFrame]) -> Result<(Vec<AbcAttribute>, Vec<String
         };
         let (kind, wanted) = match (semantic.as_str(), arity) {
             (COLOR, 3 | 4) => (ParamType::color(arity), "Cd".to_owned()),
-            // In the frames, names start with an underscore and are in upper case.
+            // In the `.glb` files, names start with an underscore and are in upper case.
             _ => {
                 let name = plain_name(semantic.strip_prefix('_').unwrap_or(semantic)).to_ascii_lowercase();
                 (ParamType::numbers(arity), name)

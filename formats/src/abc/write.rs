@@ -1,9 +1,10 @@
-//! Writes the mesh of one frame.
+//! Writes the mesh of one frame. Each vertex attribute becomes a property, which has the attribute's name
+//! except for velocities:
 //!
 //! ```text
-//!   velocity   .velocities, units per second        colour     its name, rgb or rgba
-//!   others     its name, with as many numbers       integers   32 bits, or 64 if a value needs them
-//!   strings    its name: the distinct strings, and indices
+//!   velocity   .velocities, units per second        colour     rgb or rgba
+//!   floats     as many numbers per vertex           integers   32 bits, or 64 if a value needs them
+//!   strings    the distinct strings, and indices
 //! ```
 
 use std::io::Write;
@@ -147,7 +148,7 @@ fn strings(
     ogawa: &mut Ogawa,
 ) -> Result<AbcProperty> {
     let kind = ParamType::many(Pod::String, arity);
-    // A null character ends a string.
+    // A null character ends a string, so null characters inside a string become spaces.
     let mut text: Vec<u8> = Vec::new();
     for string in table.iter().map(String::as_str).chain([""]) {
         text.extend(string.replace('\0', " ").as_bytes());
@@ -178,7 +179,8 @@ fn last_index(table: &[String]) -> u32 {
 /// Number of triangles encoded at a time.
 const PIECE: usize = 4096;
 
-/// The corners of triangles and quads in Alembic's order, and their numbers of corners.
+/// Writes the vertex indices of triangles and quads, in Alembic's order, and the number of corners of each
+/// face.
 fn polygon_samples(
     triangles: &[[u32; 3]],
     quads: &[bool],
@@ -186,7 +188,7 @@ fn polygon_samples(
     ogawa: &mut Ogawa,
 ) -> Result<[Sample; 2]> {
     let (triangle_count, quad_count) = (triangles.len() as u64, quad_count as u64);
-    // A quad has four corners instead of the six of its triangles.
+    // A quad has four corners instead of the six of its two triangles.
     let (face_count, corner_count) = (triangle_count - quad_count, 3 * triangle_count - 2 * quad_count);
     let emit = |out: &mut dyn Write, put: &dyn Fn(&[u32], &mut Vec<u8>)| {
         let mut bytes = Vec::new();

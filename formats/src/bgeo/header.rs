@@ -186,7 +186,7 @@ fn count(cursor: &mut Cursor, things: &str) -> Result<usize> {
     let offset = cursor.at() as u64;
     let count = i32::from_le_bytes(cursor.array(things)?);
     usize::try_from(count).map_err(|_| {
-        let what = format!("expected the number of {things}, found {count}");
+        let what = format!("expected the number of {things} to be at least 0, found {count}");
         Error::invalid(FORMAT, Position::Offset(offset), what)
     })
 }

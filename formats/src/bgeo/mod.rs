@@ -48,7 +48,7 @@ const MAGIC: &[u8; 5] = b"BgeoV";
 /// The only version of the classic format found in use.
 const VERSION: i32 = 5;
 
-/// The end of a file: no further section, end.
+/// The last two bytes of a file: no further section (00), end of the file (ff).
 const TRAILER: [u8; 2] = [0x00, 0xff];
 
 /// Words of a point record before its attributes: x, y, z, w.

@@ -14,8 +14,8 @@ use crate::{
     AttributeRole, Error, FileAttribute, FilePositions, Limits, ParticleFrame, Position, Result, Values,
 };
 
-/// Bytes per block of records, from which all attributes are gathered: less than a first-level cache, so that
-/// only the first attribute waits for memory.
+/// Bytes per block of records, from which all attributes are gathered. A block fits into the first-level
+/// cache, so that only the first attribute waits for memory.
 const BLOCK_BYTES: usize = 16 << 10;
 
 /// Reads the points of an uncompressed classic BGEO file.
@@ -40,11 +40,11 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 }
 
 /// Locates the points of a file of `file_bytes`, so that they can be read in batches. `rest` is the data
-/// after them; it only matters if it has the length of a trailer.
+/// after the points; the caller may pass an empty slice unless this data is exactly as long as the trailer.
 ///
 /// # Errors
 ///
-/// Those of [`read`], after the header.
+/// Those of [`read`] that do not concern the header.
 pub(super) fn records(header: &BgeoHeader, file_bytes: u64, rest: &[u8]) -> Result<Records> {
     checked_points_bytes(header, file_bytes)?;
     Ok(Records {
@@ -179,8 +179,8 @@ fn words<const N: usize, T: Copy + Default>(record: &[u8], decode: impl Fn([u8; 
     std::array::from_fn(|index| decode(quads[index]))
 }
 
-/// Replaces string indices outside the table by −1. The usual mark for "no string" is replaced silently;
-/// others add a note.
+/// Replaces string indices outside the table by −1, and adds a note if there are any other than −1 itself,
+/// the usual mark for "no string".
 fn clear_strings_outside(column: &mut WordColumn, attribute: &AttributeHeader, notes: &mut Vec<String>) {
     let (WordColumn::Integers(indices), AttributeKind::Strings(table)) = (column, &attribute.kind) else {
         return;
@@ -211,7 +211,7 @@ fn attributes(headers: Vec<AttributeHeader>, columns: Vec<WordColumn>) -> Vec<Fi
         }
         let (values, role) = match (header.kind, column) {
             (AttributeKind::Strings(table), WordColumn::Integers(indices)) => {
-                // A phase can be identified by strings; a velocity or a number cannot.
+                // Strings can identify a phase, but they cannot be a velocity or another quantity.
                 (Values::Strings { table, indices }, role.filter(|&role| role == AttributeRole::Kind))
             }
             (_, WordColumn::Integers(values)) => (Values::I32(values), role),

@@ -6,7 +6,7 @@
 //!   NPointGroups 0 NPrimGroups 0
 //!   NPointAttrib 2 NVertexAttrib 0 NPrimAttrib 1 NAttrib 0
 //!   PointAttrib
-//!   life 2 float 0 0                          name, size, type, defaults; for `index` the count and the strings
+//!   life 2 float 0 0                          name, size, type, defaults; or, for `index`, count and strings
 //!   id 1 int 0
 //!   0 0.1 0.2 1 (-1.2 10    0)                x y z w, then the values of all attributes in brackets
 //!   ..                                        primitives and everything else: not read
@@ -50,13 +50,17 @@ pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
             _ => {}
         }
     }
-    if point_count as u64 > limits.particle_count || attribute_count > limits.attribute_count {
-        return Err(Error::too_large(
-            FORMAT,
-            format!(
-                "the file has {point_count} points with {attribute_count} attributes, more than the limit"
-            ),
-        ));
+    if point_count as u64 > limits.particle_count {
+        let what =
+            format!("the file has {point_count} points, more than the limit of {}", limits.particle_count);
+        return Err(Error::too_large(FORMAT, what));
+    }
+    if attribute_count > limits.attribute_count {
+        let what = format!(
+            "the file has {attribute_count} point attributes, more than the limit of {}",
+            limits.attribute_count
+        );
+        return Err(Error::too_large(FORMAT, what));
     }
     let mut columns = dictionary(&mut words, attribute_count, limits)?;
     let positions = points(&mut words, point_count, &mut columns)?;
@@ -127,7 +131,8 @@ fn column(words: &mut WordReader, limits: &Limits) -> Result<TextColumn> {
         b"int" => TextValues::Integers(Vec::new()),
         b"index" => {
             let count: u32 = words.number("the number of strings")?;
-            // Each string needs some dozens of bytes of memory, but as little as two in the file.
+            // A string takes dozens of bytes of memory, but as few as two in the file: without this limit, a
+            // small file could use much memory.
             let most = (1 << 16) + words.bytes.len() / 16;
             if count as usize > most {
                 return Err(Error::too_large(

@@ -4,8 +4,8 @@ use super::{FORMAT, MAGIC, TRAILER, VERSION, narrow};
 use crate::{AttributeRole, Error, FileAttribute, FilePositions, ParticleFrame, Position, Result, Values};
 use std::io::Write;
 
-/// Writes `frame` in the format's narrower types: 64-bit floats become 32-bit ones, and bytes become 32-bit
-/// integers.
+/// Writes `frame`. The format has only 32-bit types: 64-bit floats become 32-bit floats, and bytes and 64-bit
+/// integers become 32-bit integers.
 ///
 /// Houdini reads `.bgeo` as its newer format; the extension `.bhclassic` selects the right reader.
 ///
@@ -40,7 +40,7 @@ pub fn write(frame: &ParticleFrame, out: &mut impl Write) -> Result<()> {
     Ok(())
 }
 
-/// Fails if the file would be invalid.
+/// Fails if the attribute has the wrong number of values, or the format cannot store them.
 fn check(attribute: &FileAttribute, point_count: usize) -> Result<()> {
     let (name, arity) = (&attribute.name, attribute.arity);
     let value_count = match &attribute.values {

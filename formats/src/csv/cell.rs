@@ -52,7 +52,7 @@ pub(super) fn cells(line: &[u8], delimiter: Delimiter) -> impl Iterator<Item = &
     })
 }
 
-/// Whether a line has `count` cells, or one more empty cell because of a delimiter at its end.
+/// Whether a line has `count` cells, not counting an empty cell after a delimiter at the end of the line.
 pub(super) fn has_cells(line: &[u8], delimiter: Delimiter, count: usize) -> bool {
     let mut cells = cells(line, delimiter).skip(count.saturating_sub(1));
     cells.next().is_some() && cells.next().is_none_or(|cell| cell.is_empty() && cells.next().is_none())
@@ -129,7 +129,7 @@ pub(super) fn has_decimal_comma(text: &[u8]) -> bool {
     commas == 1 && matches!(parse_cell(&with_point), CellValue::Number(_))
 }
 
-/// Whether `text` is an integer that a 64-bit float cannot represent.
+/// Whether `text` is an integer that a 64-bit float cannot represent exactly.
 #[inline]
 pub(super) fn is_rounded_integer(text: &[u8]) -> bool {
     const DIGITS_ALWAYS_EXACT: usize = 15;
@@ -141,7 +141,7 @@ fn is_rounded_long_integer(text: &[u8]) -> bool {
     let text = text.trim_ascii();
     let digits = text.strip_prefix(b"-").or(text.strip_prefix(b"+")).unwrap_or(text);
     let magnitude = std::str::from_utf8(digits).ok().filter(|_| digits.iter().all(u8::is_ascii_digit));
-    // An integer beyond 128 bits is almost certainly not representable.
+    // An integer beyond 128 bits is almost certainly not representable exactly.
     magnitude.is_some_and(|digits| digits.parse().map_or(!digits.is_empty(), is_rounded))
 }
 

@@ -4,10 +4,13 @@
 //!   no value yet ──text──▶ texts
 //!        │ integer
 //!        ▼
-//!     integers ──another number or a missing value──▶ floats     text in one of these is an error
+//!     integers ──a number that is not an integer, or a missing value──▶ floats
 //! ```
 //!
-//! Columns of parts that were read in parallel are joined if the result equals that of reading sequentially.
+//! Text in a column of integers or floats is an error.
+//!
+//! Parts of a table can be read in parallel. Their columns are joined if the result equals that of sequential
+//! reading.
 
 use super::cell::{is_rounded, is_rounded_integer};
 use std::collections::HashMap;
@@ -18,17 +21,17 @@ pub(super) struct Column {
     pub(super) values: ColumnValues,
     /// Whether any cell had a value; until then the column may still become text.
     has_value: bool,
-    /// Whether the column has an integer that may be read differently as a float: −0, +5, or one with many
-    /// digits.
+    /// Whether the column has an integer whose text may give another result when it is read as a float: −0,
+    /// +5, or one with many digits.
     has_odd_integer: bool,
-    /// Whether the column has an integer that a 64-bit float cannot represent.
+    /// Whether the column has an integer that a 64-bit float cannot represent exactly.
     pub(super) has_rounded_integer: bool,
 }
 
 #[derive(Debug)]
 pub(super) enum ColumnValues {
     Integers(Vec<i64>),
-    /// NaN where the cell is empty.
+    /// NaN for a missing value.
     Reals(Vec<f64>),
     Texts(Texts),
 }
@@ -48,7 +51,7 @@ impl Column {
         Column { values, has_value: false, has_odd_integer: false, has_rounded_integer: false }
     }
 
-    /// Appends a number that is not an integer; `text` is its spelling.
+    /// Appends a number as a float, and converts a column of integers. `text` is the number in the file.
     #[inline]
     pub(super) fn push_real(&mut self, value: f64, text: &[u8]) {
         self.has_value = true;
@@ -58,7 +61,7 @@ impl Column {
         }
     }
 
-    /// Appends an integer to an integer column.
+    /// Appends an integer. In a column of floats, it becomes a float.
     #[inline]
     pub(super) fn push_integer(&mut self, value: i64, text: &[u8]) {
         self.has_value = true;
@@ -97,7 +100,7 @@ impl Column {
         Ok(())
     }
 
-    /// Whether every cell is text, even those that look like numbers.
+    /// Whether this is a column of text, in which even cells that look like numbers are text.
     pub(super) fn is_text(&self) -> bool {
         matches!(self.values, ColumnValues::Texts(_))
     }
@@ -129,8 +132,8 @@ impl Column {
         }
     }
 
-    /// Whether `next`, which was parsed separately from the rows after this column, can be appended with the
-    /// same result as sequential parsing.
+    /// Whether appending `next`, which was parsed separately from the rows after those of this column, gives
+    /// the same result as sequential parsing.
     pub(super) fn can_append(&self, next: &Column) -> bool {
         match (&self.values, &next.values) {
             (ColumnValues::Texts(texts), ColumnValues::Texts(more)) => {
@@ -185,10 +188,11 @@ impl Texts {
         Ok(index)
     }
 
-    /// Appends texts whose total number is within the limit.
+    /// Appends texts. [`Column::can_append`] has checked that the total number of distinct texts fits into 31
+    /// bits.
     fn append(&mut self, next: &Texts) {
-        // Added in order of appearance and compared as bytes, because different bytes can have the same lossy
-        // string.
+        // The texts are added in order of appearance. They are compared as bytes, because the lossy
+        // conversion to strings can make different bytes equal.
         let mut texts: Vec<(i32, &[u8])> = next.index_of.iter().map(|(text, &i)| (i, &text[..])).collect();
         texts.sort_unstable();
         let places: Vec<i32> = texts.into_iter().flat_map(|(_, text)| self.index_of(text)).collect();
@@ -203,7 +207,8 @@ impl Texts {
 #[derive(Debug)]
 pub(super) struct NotAText;
 
-/// Exact up to 2⁵³; [`has_rounded_integer`](Column::has_rounded_integer) records rounding beyond.
+/// Exact up to 2⁵³; [`has_rounded_integer`](Column::has_rounded_integer) records that a larger one was
+/// rounded.
 fn integer_as_real(value: i64) -> f64 {
     value as f64
 }

@@ -48,13 +48,13 @@ fn positions(columns: &mut [Column], position: [usize; 3], row_count: usize) -> 
     FilePositions::F64((0..row_count).map(|row| [x[row], y[row], z[row]]).collect())
 }
 
-/// Makes a separate attribute of each text column, because their tables differ.
+/// Makes a separate attribute of each text column, because each column has its own table of strings.
 fn take_texts(group: &Group, names: &[String], columns: &mut [Column], attributes: &mut Vec<FileAttribute>) {
     for &index in &group.columns {
         let empty = ColumnValues::Reals(Vec::new());
         if let ColumnValues::Texts(texts) = std::mem::replace(&mut columns[index].values, empty) {
             let values = Values::Strings { table: texts.table, indices: texts.indices };
-            // A phase can be identified by strings; a velocity or a number cannot.
+            // Strings can identify a phase, but they cannot be a velocity or another quantity.
             let role = group.role.filter(|&role| role == AttributeRole::Kind);
             attributes.push(FileAttribute { name: without_unit(&names[index]), arity: 1, role, values });
         }
@@ -65,7 +65,7 @@ fn take_texts(group: &Group, names: &[String], columns: &mut [Column], attribute
 fn numbers(group: &Group, columns: &mut [Column], row_count: usize) -> Values {
     if let Some(range) = integer_range(group, columns) {
         let all = |low: i64, high: i64| range.is_none_or(|(min, max)| low <= min && max <= high);
-        // A colour with only 0 and 1 consists of floats printed without decimals.
+        // A colour with only the values 0 and 1 probably has floats that were printed without decimals.
         let are_reals = match group.role {
             Some(
                 AttributeRole::Velocity
@@ -96,7 +96,7 @@ fn numbers(group: &Group, columns: &mut [Column], row_count: usize) -> Values {
 }
 
 /// The smallest and largest value of a group, if all its columns are integers. The inner option is `None` if
-/// it has no values.
+/// the group has no values.
 fn integer_range(group: &Group, columns: &[Column]) -> Option<Option<(i64, i64)>> {
     let mut range: Option<(i64, i64)> = None;
     for &index in &group.columns {
@@ -133,7 +133,7 @@ fn take_integers(column: &mut Column) -> Vec<i64> {
     }
 }
 
-/// A name without its unit, as used for the attribute.
+/// The name of an attribute: that of the column, without quotes and unit.
 fn without_unit(name: &str) -> String {
     let name = columns::unquoted(name);
     match columns::unit_of(name) {

@@ -57,8 +57,8 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<TableLayout> {
 
 /// Whether a text starts like a table: with a header that fits the line below it, or with a row.
 ///
-/// Stricter than [`layout()`], which gets files that must be tables: a sequence of words can name a position
-/// by chance.
+/// This test is stricter than [`layout()`], whose callers expect a table: in other text, a sequence of words
+/// can name a position by chance.
 pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
     let limits = Limits::default();
     let mut lines = HeadLines::new(head, &limits);
@@ -101,12 +101,14 @@ fn headers(line: &[u8], limits: &Limits) -> impl Iterator<Item = (Delimiter, Col
 struct TableHead<'a> {
     /// Number of lines that are neither comment nor header.
     text_line_count: u64,
-    /// The first and the last of them.
+    /// The first of these lines.
     text_first: Option<HeadLine<'a>>,
+    /// The last of these lines.
     text_last: Option<HeadLine<'a>>,
     /// The last comment that names a position.
     comment: Option<&'a [u8]>,
-    /// The first line that names a position, although the next line has a different number of cells.
+    /// The first line that names a position although the next line has a different number of cells: the
+    /// header, its delimiter, and the offset and line number of the next line.
     doubtful: Option<(ColumnNames, Delimiter, usize, u64)>,
 }
 
@@ -137,8 +139,8 @@ impl<'a> TableHead<'a> {
         limits: &Limits,
     ) -> Result<TableLayout> {
         if let Some((header, header_delimiter, rows_offset, rows_line)) = self.doubtful {
-            // Names may be delimited differently from numbers. If that was not the problem, the reader will
-            // report the row that does not fit.
+            // The names may have another delimiter than the numbers. If the header has a name for each cell
+            // of the row, use the delimiter of the row. Otherwise the row reader reports the row as invalid.
             let delimiter = if header.names.len() == count { delimiter } else { header_delimiter };
             return Ok(header.into_layout(delimiter, rows_offset, rows_line, Vec::new()));
         }
@@ -241,7 +243,7 @@ fn header(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Option<C
         check_column_count(names.len(), limits)?;
         let name = String::from_utf8_lossy(&unquoted(cell)).trim().to_string();
         match names.last_mut() {
-            // A separate unit belongs to the name before it.
+            // With blanks as delimiter, the unit of `x [m]` is a cell of its own. It belongs to the name.
             Some(last) if delimiter == Delimiter::Blanks && name.starts_with('[') && name.ends_with(']') => {
                 *last = format!("{last} {name}");
             }
@@ -252,7 +254,7 @@ fn header(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Option<C
         names.pop();
     }
     if delimiter == Delimiter::Byte(b'\t') && names.iter().skip(1).any(String::is_empty) {
-        return Ok(None); // columns lined up by several tabs
+        return Ok(None); // several tabs in a row align the columns: blanks are the delimiter
     }
     for (index, name) in names.iter_mut().enumerate() {
         if name.is_empty() {
@@ -301,7 +303,7 @@ fn has_enough_cells(line: &[u8], delimiter: Delimiter) -> bool {
     cells(line, delimiter).nth(2).is_some()
 }
 
-/// Whether the line must be a header: the same number of cells as the row below it, and no numbers.
+/// Whether the line can only be a header: it has as many cells as the row below it, and all of them are text.
 fn is_header_like(line: &[u8], delimiter: Delimiter, count: usize) -> bool {
     let is_text = |cell| matches!(parse_cell(&unquoted(cell)), CellValue::Text);
     has_cells(line, delimiter, count) && cells(line, delimiter).take(count).all(is_text)
@@ -350,7 +352,7 @@ struct HeadLines<'a> {
     bytes: &'a [u8],
     at: usize,
     number: u64,
-    /// Lines must end before this offset.
+    /// The limit of the header: a line must end before this offset, unless it ends with the file.
     end: usize,
 }
 
@@ -389,7 +391,7 @@ impl<'a> HeadLines<'a> {
         Ok(None)
     }
 
-    /// The next line that is not a comment, without advancing.
+    /// The next line that is neither blank nor a comment, without advancing.
     fn peek_row(&self) -> Result<Option<&'a [u8]>> {
         let mut ahead = HeadLines { ..*self };
         while let Some(line) = ahead.next_line()? {

@@ -9,14 +9,14 @@
 //! ```
 //!
 //! The delimiter is a comma, a semicolon, a vertical bar, a tab or blanks: the one with which the header
-//! names a position and the next line has the same number of cells. A comment directly above the rows can be
-//! the header. Without a header, the first three columns are the position. Any line can end with a delimiter;
-//! any cell can be quoted, within one line.
+//! names a position and the next line has the same number of cells. A comment above the rows can be the
+//! header. Without a header, the first three columns are the position. Any line can end with a delimiter. Any
+//! cell can be quoted, but cannot span several lines.
 //!
-//! A column's type follows from its values: text if the first value cannot be a number; otherwise integers if
-//! all values are; otherwise floats. Floats have 64 bits, regardless of the number of digits: the digits of
-//! one particle must not change how another is read. Integers that are rounded to floats, because they exceed
-//! 64 bits or share a column with other numbers, get a note.
+//! A column's type follows from its values. It is text if the first value cannot be a number; otherwise
+//! integer if all values are integers; otherwise float. Floats have 64 bits, regardless of the number of
+//! digits: the digits of one particle must not change how another is read. A note names the columns with
+//! integers that are rounded to floats, because they exceed 64 bits or share the column with other numbers.
 //!
 //! Not supported: decimal commas, several tables in one file, quoted line breaks. For LAMMPS dumps see
 //! [`crate::lammps`].
@@ -41,9 +41,9 @@ const FORMAT: &str = "delimited text";
 /// # Errors
 ///
 /// [`Error::Invalid`], with the line, if a row has the wrong number of cells, a numeric column contains text,
-/// or no position is found, but [`Error::Truncated`] if nothing follows that line, not even a line end;
-/// [`Error::Unsupported`] for dialects that are recognised but not supported; [`Error::TooLarge`] beyond
-/// `limits`.
+/// or no position is found; [`Error::Truncated`] in these cases if the file ends within that line, without a
+/// line end; [`Error::Unsupported`] for dialects that are recognised but not supported; [`Error::TooLarge`]
+/// beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     if bytes.is_empty() {
         return Err(Error::truncated(FORMAT, Position::File, "expected text, found an empty file"));
@@ -54,8 +54,8 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     Ok(frame::frame(layout, table))
 }
 
-/// The note on rows whose number a header states (LAMMPS, XYZ) if neither a line end nor a blank follows the
-/// last number.
+/// A note if neither a line end nor a blank follows the last number. For formats whose header states the
+/// number of rows (LAMMPS, XYZ).
 pub(crate) fn open_end_note(rows: &[u8]) -> Option<String> {
     let is_open = !rows.last().is_some_and(u8::is_ascii_whitespace);
     is_open.then(|| {
@@ -78,7 +78,8 @@ pub(crate) struct CountedRows {
     pub(crate) count: u64,
 }
 
-/// Reads rows up to the end of `bytes`; `None` if the names imply another position.
+/// Reads rows up to the end of `bytes`; `None` if the names imply other position columns than
+/// `rows.position`.
 ///
 /// # Errors
 ///
@@ -105,9 +106,9 @@ pub(crate) fn read_rows(bytes: &[u8], rows: CountedRows, limits: &Limits) -> Res
     Ok(Some(frame::frame(layout, table)))
 }
 
-/// Detects binary data by its first bytes, so that it is not reported as a bad number.
+/// Detects binary data by its first bytes. Without this check, the error would be that of an invalid number.
 fn refuse_binary(bytes: &[u8]) -> Result<()> {
-    const SAMPLE_BYTES: usize = 64 << 10; // binary data has a control byte in the first few dozen
+    const SAMPLE_BYTES: usize = 64 << 10; // binary data has a control byte in the first few dozen bytes
     if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
         return Err(Error::unsupported(FORMAT, "this is UTF-16 text: save it as UTF-8"));
     }

@@ -5,10 +5,10 @@
 //!              └ each read as a separate table by any free thread, then joined in order
 //! ```
 //!
-//! The meaning of a cell depends on the cells above it: whether `-0` is an integer, whether `7` is text. So a
-//! part that was read separately is used only if that made no difference and it contains no error. Otherwise
-//! the part is read again, following the rows already joined. Thus the table, and any error with its line,
-//! are the same as those of a sequential reader.
+//! The meaning of a cell depends on the cells above it: `-0` may be an integer or a float, and `7` a number
+//! or text. So a part that was read separately is used only if it contains no error and the cells above do
+//! not change the result. Otherwise the part is read again, as a continuation of the rows already joined.
+//! Thus the table, and any error with its line, are the same as those of a sequential reader.
 
 use std::ops::Range;
 
@@ -19,7 +19,7 @@ use super::layout::TableLayout;
 use super::rows::Table;
 use crate::{Limits, Result};
 
-/// Large enough to make the cost of starting a part negligible, small enough to share the work.
+/// Size of a part: large enough to make the cost of starting one negligible, small enough to share the work.
 const PART_BYTES: usize = 1 << 20;
 
 /// Parts per thread held in memory at a time.
@@ -59,13 +59,14 @@ fn read_rows_in_parts(
     Ok(table)
 }
 
-/// Splits the bytes from `start` on at line ends. A part can be longer to include a whole line.
+/// Splits the bytes from `start` on at line ends. A part extends to the end of its last line, so it can be
+/// longer than `part_bytes`.
 fn parts(bytes: &[u8], start: usize, part_bytes: usize) -> Vec<Range<usize>> {
     let mut parts = Vec::new();
     let mut at = start;
     while at < bytes.len() {
         let rest = bytes.get(at + part_bytes..).unwrap_or_default();
-        // Only LF is certain to end a line: an LF may follow a CR.
+        // Parts end only at an LF, because an LF may follow a CR.
         let end = rest
             .iter()
             .position(|&byte| byte == b'\n')

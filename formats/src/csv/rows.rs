@@ -1,9 +1,10 @@
 //! Reads the rows in a single pass over the bytes.
 //!
-//! A number is parsed in place. Only if its cell does not end right after it is the whole cell examined:
-//! quotes, words for missing values, text. Lines and cells are not located beforehand.
+//! The reader parses a number in place, without locating lines and cells first. If the cell does not end
+//! after the number, or does not start with one, the reader examines the whole cell: it can be quoted, a word
+//! for a missing value, or text.
 //!
-//! Large tables are read in parts, see [`super::parts`]; each part is such a pass.
+//! Large tables are read in parts (see [`super::parts`]), each in a single pass.
 
 use super::FORMAT;
 use super::cell::{
@@ -37,8 +38,8 @@ impl Table {
         }
     }
 
-    /// Reads the rows from offset `start` to the end of `bytes`. The table's line count must cover exactly
-    /// the lines before `start`.
+    /// Reads the rows from offset `start` to the end of `bytes`. `line_count` must be the number of lines
+    /// from the first row up to `start`.
     pub(super) fn read_more(
         &mut self,
         bytes: &[u8],
@@ -75,7 +76,8 @@ impl Table {
     }
 }
 
-/// Estimates the number of rows from the first ones; never more than the size allows.
+/// Estimates the number of rows from the length of the first ones. The estimate never exceeds what the size
+/// of the text allows.
 fn row_count_estimate(rows: &[u8], column_count: usize) -> usize {
     const SAMPLE_BYTES: usize = 64 << 10;
     let sample = &rows[..rows.len().min(SAMPLE_BYTES)];
@@ -85,7 +87,7 @@ fn row_count_estimate(rows: &[u8], column_count: usize) -> usize {
     (probable + probable / 32).min(possible)
 }
 
-/// The position in the rows.
+/// A read position in the rows.
 struct RowReader<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -131,7 +133,7 @@ impl<'a> RowReader<'a> {
                 if self.is_at_line_end() {
                     return Err(self.wrong_cell_count(start));
                 }
-                self.at += 1; // a cell ends at a delimiter or a line end
+                self.at += 1; // skips the delimiter: a cell ends at one or at a line end
             }
         }
         if !self.is_at_line_end() {
@@ -187,7 +189,7 @@ impl<'a> RowReader<'a> {
         }
         let text = unquoted(cell);
         match parse_cell(&text) {
-            // More likely a truncated number than a mark for a missing value.
+            // At the end of the file, `-` is more likely a truncated number than a mark for a missing value.
             CellValue::Missing if is_position && &*text == b"-" && self.at + length == self.bytes.len() => {
                 return Err(self.not_a_number(&text, index));
             }
@@ -270,7 +272,7 @@ impl<'a> RowReader<'a> {
 fn integer(text: &[u8]) -> Option<(i64, usize)> {
     const DIGITS_MAX: usize = 18; // always fits
     let sign = usize::from(matches!(text.first(), Some(b'-' | b'+')));
-    // Accumulates negative values, because their range has one more.
+    // Accumulates the negated value: the range of i64 has one more negative value than positive ones.
     let mut value = 0i64;
     let mut length = sign;
     while let Some(digit @ b'0'..=b'9') = text.get(length) {

@@ -1,7 +1,7 @@
 //! Reads typed numbers from the buffers of a glTF document, with all bounds checked.
 //!
 //! The crate gltf iterates over the elements, including sparse ones, but trusts what the document declares.
-//! So every declaration is compared with the available bytes first.
+//! This module therefore first compares every declaration with the available bytes.
 use std::rc::Rc;
 
 use ::gltf::accessor::{DataType, Dimensions, Item, Iter, sparse};
@@ -26,7 +26,7 @@ impl Buffers {
             )));
         }
         let scale = match accessor.data_type() {
-            // The flag has no meaning for floats, but some exporters set it.
+            // `normalized` has no meaning for floats, but some exporters set it.
             DataType::F32 => None,
             _ if !accessor.normalized() => None,
             DataType::I8 => Some(f64::from(i8::MAX)),
@@ -97,7 +97,7 @@ impl Buffers {
         Ok(elements.take(accessor.count()).collect())
     }
 
-    /// Checks that all data of an accessor exists.
+    /// Checks that the buffers contain all data of an accessor.
     fn check(&self, accessor: &Accessor) -> Result<()> {
         let (count, size) = (accessor.count(), accessor.size());
         if let Some(view) = accessor.view() {
@@ -112,7 +112,8 @@ impl Buffers {
         }
     }
 
-    /// Sparse elements must be in ascending order without repetition, as the iterator requires.
+    /// Checks that the data of sparse elements exists, and that their indices are in bounds and ascend
+    /// without repetition, as the iterator of the crate requires.
     fn check_sparse(&self, sparse: &sparse::Sparse, count: usize, size: usize) -> Result<()> {
         let sparse_count = sparse.count();
         if sparse_count == 0 || sparse_count > count {

@@ -1,4 +1,4 @@
-//! The chunks of a GLB file, and JSON as types.
+//! Splits a GLB file into its chunks, and parses JSON into types.
 
 use serde::Deserialize;
 
@@ -11,7 +11,7 @@ pub(super) fn parse<'a, T: Deserialize<'a>>(json: &'a [u8]) -> Result<T> {
         .map_err(|error| Error::invalid(FORMAT, Position::Line(error.line() as u64), error.to_string()))
 }
 
-/// The JSON chunk and, if present, the binary chunk.
+/// The JSON chunk and, if present, the binary chunk. A file without the GLB signature is JSON as a whole.
 pub(super) fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>)> {
     let error = |offset: u64, what: &str| Err(Error::invalid(FORMAT, Position::Offset(offset), what));
     if !bytes.starts_with(&GLB_MAGIC) {

@@ -69,7 +69,7 @@ pub(super) fn is_data(uri: &str) -> bool {
 pub(super) struct ExternalReader<'a> {
     read_external: Option<&'a ReadExternal<'a>>,
     read: BTreeMap<String, Rc<Vec<u8>>>,
-    /// Their total size in bytes.
+    /// Total size in bytes of the files read so far.
     pub(super) size_bytes: u64,
 }
 

@@ -1,5 +1,5 @@
-//! Opens a single-frame `.glb` of this crate: parses the document and locates the data. A sequence can thus
-//! be assembled without holding all frames in memory.
+//! Opens a single-frame `.glb` of this crate: parses the document and locates the data, but does not read the
+//! data. A sequence can thus be assembled without holding all frames in memory.
 
 use std::io::{Read, Seek, SeekFrom};
 
@@ -15,15 +15,16 @@ use crate::mesh_options::UpAxis;
 pub struct GlbFrame {
     /// The document, which is small compared to the data.
     pub(crate) document: Value,
-    /// Offset and size of the data in the file.
+    /// Offset of the data in the file.
     pub(crate) bin_at: u64,
+    /// Size of the data in bytes.
     pub(crate) bin_bytes: u64,
 }
 
-/// Limit for the JSON text of our frames, in bytes.
+/// Limit for the JSON text of a frame, in bytes.
 const JSON_BYTES_MAX: u64 = 64 << 20;
 
-/// Location and type of numbers that belong to the vertices of a frame.
+/// Location and type of the numbers of an accessor: a vertex attribute, or the indices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct VertexColumn {
     component: u32,
@@ -40,7 +41,7 @@ pub(crate) struct FramePlacement {
     pub(crate) up: UpAxis,
     /// The point that positions are relative to, in the axes of the particles.
     pub(crate) origin: [f64; 3],
-    /// The scale of quantized positions.
+    /// The scale of the node: the edge length of the cube of quantized positions, otherwise 1.
     pub(crate) scale: f64,
 }
 
@@ -49,8 +50,9 @@ impl GlbFrame {
     ///
     /// # Errors
     ///
-    /// [`Error::Io`] if reading fails; [`Error::Truncated`] if the file is truncated; [`Error::Unsupported`] if
-    /// another program wrote the file, or if it is already a sequence; [`Error::Invalid`] if it is damaged.
+    /// [`Error::Io`] if reading fails; [`Error::Truncated`] if the file is truncated; [`Error::Unsupported`]
+    /// if another program wrote the file, or if it is already a sequence; [`Error::Invalid`] if it is
+    /// damaged.
     pub fn read(file: &mut (impl Read + Seek)) -> Result<GlbFrame> {
         let file_bytes = file.seek(SeekFrom::End(0))?;
         file.seek(SeekFrom::Start(0))?;
@@ -208,12 +210,18 @@ impl GlbFrame {
         let up = match vector("rotation").as_deref() {
             None => UpAxis::Y,
             Some([x, y, z, w]) if *y == 0.0 && *z == 0.0 && *w > 0.0 && (x + w).abs() < 1e-9 => UpAxis::Z,
-            Some(_) => return Err(invalid("the node has a rotation that does not belong to its up axis")),
+            Some(_) => {
+                return Err(invalid(
+                    "expected the node to have no `rotation`, or one of -90 degrees about the x axis",
+                ));
+            }
         };
         let translation = vector("translation").unwrap_or_else(|| vec![0.0; 3]);
         let scale = vector("scale").unwrap_or_else(|| vec![1.0; 3]);
         let (&[x, y, z], &[scale, ..]) = (&*translation, &*scale) else {
-            return Err(invalid("the node is not one that this program writes"));
+            return Err(invalid(
+                "expected the `translation` and the `scale` of the node to have three numbers each",
+            ));
         };
         let origin = match up {
             UpAxis::Y => [x, y, z],

@@ -5,10 +5,10 @@
 //!   .gltf   JSON with the same buffer as a base64 data URI
 //! ```
 //!
-//! A `.gltf` with a separate `.bin` would be two files, and two files cannot be replaced atomically. Hence
-//! the data URI, which is a third larger. The written document is a few structs serialised by serde_json:
-//! they show exactly what is written, and node translations keep 64 bits, so that scenes far from the origin
-//! stay exact.
+//! A `.gltf` with a separate `.bin` would be two files, and two files cannot be replaced atomically. The
+//! buffer is therefore in a data URI, which is a third larger than the bytes. A few structs define the
+//! written document, and serde_json serialises them, so that the code shows exactly what is written. Node
+//! translations keep 64 bits, so that scenes far from the origin stay exact.
 //!
 //! This work is based on:
 //! The Khronos 3D Formats Working Group. glTF 2.0 Specification. 2021
@@ -111,7 +111,8 @@ static QUANTIZED: PositionRounding = PositionRounding {
     reason: "the quantized .glb: the frame is too wide for 65536 steps",
 };
 
-/// Rejects sequences: they have a mesh per frame, and which one to use is unknown.
+/// Reads the mesh of a `.glb`. Rejects a sequence: it has a mesh per frame, and nothing says which one to
+/// use.
 fn read_one_mesh(bytes: &[u8], limits: &Limits, read_external: &ReadExternal) -> Result<MeshData> {
     if let Some(shot) = read_sequence_info(bytes)? {
         let what = format!(

@@ -1,7 +1,8 @@
-//! Meshes with small integers, using the extension KHR_mesh_quantization.
+//! Quantized meshes: positions and normals as small integers q, with the extension KHR_mesh_quantization.
 //!
 //! ```text
-//!   position   3 × u16, 2 bytes of padding     low + size · q / 65535: low is in the node's translation, size is its scale
+//!   position   3 × u16, 2 bytes of padding     low + size · q / 65535: the node's translation includes low,
+//!                                              the node's scale is size
 //!   normal     3 × i8, 1 byte of padding       q / 127
 //! ```
 //!
@@ -20,7 +21,7 @@ pub(super) const EXTENSION: &str = "KHR_mesh_quantization";
 /// The largest integer of a quantized coordinate.
 const STEPS: f64 = u16::MAX as f64;
 
-/// The cube that contains the positions.
+/// A cube that contains all positions.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cube {
     /// Its minimum corner.

@@ -1,8 +1,8 @@
 //! Reads the triangles of a glTF file, as placed by its default scene.
 //!
-//! The crate gltf parses the document: scenes, nodes, meshes, accessors, and whether their references are
-//! valid. This module adds the bytes of the file, and the transforms of nodes in 64 bits: the crate keeps
-//! only 32, too few for a scene far from the origin.
+//! The crate gltf parses the document (scenes, nodes, meshes, accessors) and checks that references are
+//! valid. This module adds the bytes of the buffers, and the transforms of nodes in 64 bits: the crate keeps
+//! only 32 bits, too few for a scene far from the origin.
 //!
 //! Materials, skins, morphs and animations are ignored. Quantized meshes are supported.
 
@@ -25,7 +25,7 @@ use crate::error::{Error, Result};
 use crate::limits::Limits;
 
 /// Reads all triangles of the default scene (or of the first scene, or of all meshes if there is no scene) as
-/// one mesh in world space. Normals are kept if every part has them.
+/// one mesh in world space. Keeps normals if every primitive has them.
 ///
 /// # Errors
 ///
@@ -99,14 +99,14 @@ pub(super) fn document(json: &[u8]) -> Result<Document> {
             format!("the file requires the extension {extension}: export without it"),
         ));
     }
-    // Checked first, because the crate's validation goes on to use such an index.
+    // Checks the accessors of attributes before the crate's validation, which would use an invalid index.
     let attributes = root.meshes.iter().flat_map(|mesh| &mesh.primitives).flat_map(|part| &part.attributes);
     if let Some((_, index)) = attributes.into_iter().find(|(_, index)| root.get(**index).is_none()) {
         return Err(invalid(format!("there is no accessor {}", index.value())));
     }
     let mut wrong = None;
     validation::Validate::validate(&root, &root, json::Path::new, &mut |path, error| {
-        // Missing items, such as the bounds of positions, are not needed here.
+        // Ignores missing items: this reader needs none of them, such as the bounds of positions.
         if !matches!(error, validation::Error::Missing | validation::Error::Unsupported) && wrong.is_none() {
             wrong = Some(format!("{}: {error}", path()));
         }
@@ -158,7 +158,7 @@ fn placed_meshes<'a>(
     placed(&scene, places, |node| node.mesh())
 }
 
-/// Everything that `pick` returns for the nodes of a scene, with its world transform.
+/// Everything that `pick` returns for the nodes of a scene, each with the world transform of its node.
 pub(super) fn placed<'a, T>(
     scene: &::gltf::Scene<'a>,
     places: &NodeTransforms,
@@ -297,7 +297,7 @@ impl Collector {
         Ok(())
     }
 
-    /// Reserves memory for a part in the budget before allocating it.
+    /// Subtracts the memory for a primitive from the budget, before the caller allocates it.
     fn spend(&mut self, vertex_count: usize, index_count: usize) -> Result<()> {
         let cost = (vertex_count as u64).checked_mul(36).zip((index_count as u64).checked_mul(12));
         let cost = cost.and_then(|(vertices, indices)| vertices.checked_add(indices));

@@ -10,8 +10,8 @@ use crate::limits::Limits;
 
 use super::FORMAT;
 
-/// Reads the attributes of all meshes, with their names in the file, except positions and normals. Attributes
-/// with the same name and type in several parts are joined. Integers are not normalized.
+/// Reads the attributes of all meshes, with their names in the file, except positions and normals. Joins the
+/// values of several primitives if their attributes have the same name and type. Does not normalize integers.
 ///
 /// # Errors
 ///
@@ -42,7 +42,7 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribut
     Ok(found)
 }
 
-/// The largest supported arity: matrices are not vertex attributes.
+/// The largest arity that is read: that of a vector. Wider elements are matrices, which are skipped.
 const ARITY_MAX: usize = 4;
 
 /// Maximum memory per value, in bytes.

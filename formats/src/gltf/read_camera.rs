@@ -16,7 +16,7 @@ pub struct CameraData {
     pub eye: [f64; 3],
     /// Viewing direction.
     pub forward: [f64; 3],
-    /// Up direction of its pictures.
+    /// Up direction of the picture.
     pub up: [f64; 3],
     /// Vertical field of view, in radians.
     pub view_radians: f64,
@@ -58,7 +58,7 @@ pub fn read_camera(bytes: &[u8]) -> Result<CameraData> {
     })
 }
 
-/// The parts of cameras that the crate does not validate.
+/// The fields of cameras that the crate gltf does not validate.
 #[derive(Deserialize)]
 struct Cameras {
     #[serde(default)]
@@ -113,7 +113,7 @@ mod tests {
         let orthographic =
             scene(r#"{"type":"orthographic","orthographic":{"xmag":1,"ymag":1,"znear":0.1,"zfar":9}}"#);
         let none = r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{}]}"#;
-        // The type of one kind, with the parameters of the other.
+        // Cameras with the parameters of the other type, or without any.
         let crossed = [
             scene(r#"{"type":"perspective","orthographic":{"xmag":1,"ymag":1,"znear":0.1,"zfar":9}}"#),
             scene(r#"{"type":"orthographic","perspective":{"yfov":0.5,"znear":0.1}}"#),

@@ -35,7 +35,7 @@ pub(crate) fn glb_bytes_declared(head: &[u8]) -> Result<Option<u64>> {
     Ok(length.map(|&length| u64::from(u32::from_le_bytes(length))))
 }
 
-/// The entries that our writer stores in `asset.extras`. `json` can be truncated anywhere after them.
+/// The provenance that this crate stores in `asset.extras`. `json` can be truncated anywhere after it.
 pub(crate) fn read_provenance(json: &[u8]) -> Result<Vec<(String, String)>> {
     let mut asset = None;
     let mut deserializer = serde_json::Deserializer::from_slice(json);
@@ -87,7 +87,7 @@ impl<'de> Deserialize<'de> for ReadEntries {
     }
 }
 
-/// Deserializes a document up to its `asset`, and stores that in the option.
+/// Deserializes a document up to its `asset`, and stores the asset in the option.
 struct AssetOf<'a>(&'a mut Option<ReadAsset>);
 
 impl<'de> DeserializeSeed<'de> for AssetOf<'_> {

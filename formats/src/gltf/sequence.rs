@@ -1,25 +1,27 @@
-//! Writes a sequence as a single `.glb`: a node per frame, and an animation that shows one after the other.
+//! Writes a sequence as a single `.glb`: a node per frame, and an animation that shows one node after the
+//! other.
 //!
 //! ```text
-//!   node      scale          0   1.5  2.5  3.5           frames; STEP: each value holds until the next key
+//!   node      scale          0   1.5  2.5  3.5         in frames; STEP: each value holds until the next key
 //!   frame 1   1 → 0          1    0
 //!   frame 2   0 → 1 → 0      0    1    0
 //!   frame 3   0 → 1          0         1    1
 //! ```
 //!
-//! A program that shows whole frames, as Blender does, counts them from 1 and evaluates the animation at n /
-//! fps seconds. For its frame n to show frame n of the sequence, frame n lasts from n − ½ to n + ½, so
-//! rounding cannot select a neighbour. The first frame also fills the time before it.
+//! A program that plays frame by frame, such as Blender, counts frames from 1 and evaluates the animation of
+//! its frame n at n / fps seconds. Frame n of the sequence is therefore visible from n − ½ to n + ½ frames,
+//! so that rounding cannot select a neighbour. The first frame is also visible before, from time 0.
 //!
 //! A node scaled to zero is invisible. There are extensions for visibility, but Blender and three.js do not
-//! read them yet, while every program that plays glTF supports scaling. Without animation, the first frame is
-//! shown.
+//! read them yet, while every program that plays glTF supports scaling. A program that ignores the animation
+//! shows only the first frame.
 //!
-//! The data of each frame is copied from its own file, byte for byte; only the indices by which a document
-//! refers to its parts change. So nothing is lost or computed, and only one copy buffer of data is in memory.
+//! The data of each frame is copied from its own file, byte for byte; only the JSON documents are combined,
+//! with new indices and offsets. The data is therefore neither decoded nor rounded, and memory holds only one
+//! copy buffer of it.
 //!
-//! The provenance of a sequence includes its [number of frames](SEQUENCE_FRAMES), which distinguishes it from a
-//! single mesh.
+//! The provenance of a sequence includes its [number of frames](SEQUENCE_FRAMES), which distinguishes it from
+//! a single mesh.
 
 use std::io::{self, Read, Seek, SeekFrom, Write};
 
@@ -75,7 +77,8 @@ pub fn read_sequence_info(bytes: &[u8]) -> Result<Option<SequenceInfo>> {
     for mesh in document["meshes"].as_array().into_iter().flatten() {
         let primitive = &mesh["primitives"][0];
         let counts = count(&primitive["attributes"]["POSITION"]).zip(count(&primitive["indices"]));
-        let (vertices, corners) = counts.ok_or_else(|| invalid("a frame has no counts"))?;
+        let (vertices, corners) =
+            counts.ok_or_else(|| invalid("a mesh lacks its number of vertices or of indices"))?;
         info.vertices = info.vertices.saturating_add(vertices);
         info.triangles = info.triangles.saturating_add(corners / 3);
     }
@@ -87,7 +90,7 @@ pub fn read_sequence_info(bytes: &[u8]) -> Result<Option<SequenceInfo>> {
 pub struct SequenceFrame {
     /// Its name.
     pub name: String,
-    /// The frame number. The first frame is visible at rest; a frame is shown until the next existing one.
+    /// The frame number. Numbers can be missing: a frame is shown until the next one that exists.
     pub code: u64,
     /// Its file.
     pub file: GlbFrame,
@@ -153,16 +156,16 @@ fn too_large(frame_count: usize, bin_bytes: u64) -> Error {
     Error::too_large(FORMAT, what)
 }
 
-/// A key of a node's scale: seconds, and the factor.
+/// A key of a node's scale: time in seconds, and the factor.
 type ScaleKey = (f32, f32);
 
-/// A time, and a scale along three axes.
+/// Size of a key in the file: a time, and a scale along three axes.
 const KEY_BYTES: u64 = 16;
 
 /// The keys of each frame; empty for a frame without a mesh.
 fn keys(frames: &[SequenceFrame], fps: f64) -> Result<Vec<Vec<ScaleKey>>> {
     let first = frames.first().map_or(0, |frame| frame.code);
-    // A frame starts half a frame before its own time; the first frame has number 1.
+    // A frame starts half a frame before its own time. The first frame counts as number 1.
     #[expect(clippy::cast_possible_truncation, reason = "times have 32 bits")]
     let seconds = |code: u64| ((code.saturating_sub(first) as f64 + 0.5) / fps) as f32;
     let mut all = Vec::with_capacity(frames.len());
@@ -187,7 +190,7 @@ fn keys(frames: &[SequenceFrame], fps: f64) -> Result<Vec<Vec<ScaleKey>>> {
     Ok(all)
 }
 
-/// Writes the times of all keys, then the scales of all.
+/// Writes the times of all keys, then the scales of all keys.
 fn write_keys(keys: &[Vec<ScaleKey>], out: &mut impl Write) -> Result<()> {
     for (time, _) in keys.iter().flatten() {
         out.write_all(&time.to_le_bytes())?;
@@ -211,7 +214,7 @@ struct SequenceDocument {
 }
 
 impl SequenceDocument {
-    /// Adds the keys of all frames: two views, and two accessors for each frame.
+    /// Adds the keys of all frames: two buffer views, and two accessors for each frame.
     fn add_animation(
         &mut self,
         frames: &[SequenceFrame],
@@ -262,18 +265,18 @@ impl SequenceDocument {
             self.buffer_views.push(view);
         }
         for mut accessor in list("accessors") {
-            shift(accessor.get_mut("bufferView"), first_view)?;
+            shift(accessor.get_mut("bufferView"), first_view, "`bufferView` of an accessor")?;
             self.accessors.push(accessor);
         }
         let mut mesh =
             list("meshes").into_iter().next().ok_or_else(|| invalid("the document has no mesh"))?;
         let primitive =
             mesh.pointer_mut("/primitives/0").ok_or_else(|| invalid("the mesh has no primitive"))?;
-        shift(primitive.get_mut("indices"), first_accessor)?;
+        shift(primitive.get_mut("indices"), first_accessor, "`indices` of a mesh")?;
         for index in
             primitive.get_mut("attributes").map(object).transpose()?.into_iter().flat_map(Map::values_mut)
         {
-            shift(Some(index), first_accessor)?;
+            shift(Some(index), first_accessor, "an attribute of a mesh")?;
         }
         object(&mut mesh)?.insert("name".into(), frame.name.as_str().into());
         let mut node = list("nodes").into_iter().next().ok_or_else(|| invalid("the document has no node"))?;
@@ -319,10 +322,11 @@ fn object(value: &mut Value) -> Result<&mut Map<String, Value>> {
     value.as_object_mut().ok_or_else(|| invalid("a part of the document is not an object"))
 }
 
-/// Increases an index by the number of items that precede it in the combined document.
-fn shift(index: Option<&mut Value>, by: usize) -> Result<()> {
-    let index = index.ok_or_else(|| invalid("a part of the document has no index"))?;
-    let number = index.as_u64().ok_or_else(|| invalid("an index is not a number"))?;
+/// Increases an index by the number of items that precede it in the combined document. `property` names it in
+/// errors.
+fn shift(index: Option<&mut Value>, by: usize, property: &str) -> Result<()> {
+    let index = index.ok_or_else(|| invalid(format!("{property} is missing")))?;
+    let number = index.as_u64().ok_or_else(|| invalid(format!("{property} is not an index")))?;
     *index = (number + by as u64).into();
     Ok(())
 }

@@ -4,12 +4,12 @@
 //!   colour     COLOR_0      three or four floats, linear according to the specification
 //!   velocity   _VELOCITY    three floats, in the axes of the positions
 //!   others     _NAME        one to four floats; integers of up to 24 bits are exact
-//!   strings    _NAME        the index of each in `extras.strings._NAME` of the mesh; −1 for none
+//!   strings    _NAME        an index into the list `extras.strings._NAME` of the mesh; −1 for none
 //! ```
 //!
-//! All values are 32-bit floats: the size of an element must be a multiple of four bytes, and nothing is
-//! rounded. The format has no 32-bit integers for vertices. A wrong identity is worse than a missing one, so
-//! attributes that would be inexact are omitted with a note.
+//! All values are 32-bit floats, because the format requires elements of a multiple of four bytes and has no
+//! 32-bit integers for vertices. Floats are stored exactly. An attribute with integers that would be rounded
+//! is omitted with a note: a wrong identity is worse than a missing one.
 
 use std::io::Write;
 

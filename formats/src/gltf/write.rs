@@ -1,7 +1,7 @@
 //! Writes a triangle mesh as glTF.
 //!
-//! Vertices are written unchanged. The node stores the placement: its translation is the mesh's origin in 64
-//! bits, and its rotation turns Z up into glTF's Y up.
+//! Vertices are written unchanged, unless they are quantized. The node stores the placement: its translation
+//! is the mesh's origin in 64 bits, and its rotation turns Z up into glTF's Y up.
 
 use std::io::Write;
 
@@ -73,7 +73,7 @@ pub fn write_gltf(
         return Err(too_large(mesh));
     }
     let json = to_json(&Document::new(mesh, &layout, options, provenance, Some(URI)))?;
-    // The URI is the document's last string and still has no data, which is inserted here.
+    // The URI is the last string of the document. Its data is still missing, and is inserted at `end`.
     let end = match layout.byte_count() {
         0 => json.len(),
         _ => json
@@ -110,7 +110,7 @@ fn too_large(mesh: &MeshView) -> Error {
 }
 
 pub(super) fn write_chunk_head(byte_count: u64, kind: [u8; 4], out: &mut impl Write) -> Result<()> {
-    let length = u32::try_from(byte_count).unwrap_or(u32::MAX); // smaller than the file, whose size fits
+    let length = u32::try_from(byte_count).unwrap_or(u32::MAX); // fits, because the size of the file does
     out.write_all(&length.to_le_bytes())?;
     out.write_all(&kind)?;
     Ok(())
@@ -144,7 +144,7 @@ impl ColumnLayout {
         ColumnLayout { arity, component: component::F32, stride_bytes: 4 * arity as u64 }
     }
 
-    /// Whether integers represent −1 ..= 1.
+    /// Whether the values are integers that represent −1 ..= 1, or 0 ..= 1 if unsigned.
     fn is_normalized(self) -> bool {
         self.component != component::F32
     }
@@ -324,7 +324,7 @@ struct Buffer {
     uri: Option<&'static str>,
 }
 
-/// Our own entries, under a separate name among those of other programs.
+/// The entries of this program. Their name separates them from entries that other programs may add.
 #[derive(Serialize)]
 struct Extras<'a> {
     meniscus: Entries<&'a str, &'a str>,
@@ -407,8 +407,8 @@ impl<'a> Document<'a> {
     }
 }
 
-/// The node places the mesh: it adds the mesh's origin, then turns Z up into Y up. glTF rotates before it
-/// translates, so the translation is the rotated origin. Quantized positions are scaled first.
+/// The node that places the mesh: it scales quantized positions, adds the mesh's origin, and turns Z up into
+/// Y up. glTF rotates before it translates, so the translation is the rotated origin.
 fn node<'a>(name: &'a str, origin: [f64; 3], up: UpAxis, cube: Option<&Cube>) -> WrittenNode<'a> {
     const HALF_SQRT: f64 = std::f64::consts::FRAC_1_SQRT_2;
     let low = cube.map_or([0.0; 3], |cube| cube.low);

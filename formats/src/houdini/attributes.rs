@@ -19,7 +19,7 @@ pub(super) enum PointAttribute {
     LeftOut { name: String, kind: String },
 }
 
-/// Reads the definition and the body of an attribute: the rest of a list whose start was consumed.
+/// Reads the definition and the body of an attribute: a list whose start the caller has consumed.
 pub(super) fn point_attribute(walk: &mut TokenWalk, count: usize, limits: &Limits) -> Result<PointAttribute> {
     let (mut name, mut kind) = (String::new(), String::new());
     walk.object("definition", |walk, key| {
@@ -46,16 +46,18 @@ pub(super) fn point_attribute(walk: &mut TokenWalk, count: usize, limits: &Limit
     }
 }
 
-/// The longest name of an attribute. Any number of attributes can refer to a single word of the file.
+/// Maximum length in bytes of the name or type of an attribute. The binary form stores a repeated string
+/// once, as a word: without this limit, many attributes could each copy the same long word.
 const NAME_BYTES_MAX: usize = 1024;
 
 fn short_text(walk: &mut TokenWalk) -> Result<String> {
     let text = walk.text()?;
     match text.len() <= NAME_BYTES_MAX {
         true => Ok(text.into_owned()),
-        false => {
-            Err(Error::too_large(FORMAT, format!("a name has {} bytes, more than the limit", text.len())))
-        }
+        false => Err(Error::too_large(
+            FORMAT,
+            format!("a name has {} bytes, more than the limit of {NAME_BYTES_MAX} bytes", text.len()),
+        )),
     }
 }
 
@@ -109,10 +111,11 @@ fn texts(walk: &mut TokenWalk) -> Result<Vec<String>> {
         return Err(walk.unexpected("a list of strings", &token));
     }
     loop {
-        if texts.len() > text_count_max(walk.file_bytes()) {
+        let most = text_count_max(walk.file_bytes());
+        if texts.len() > most {
             return Err(Error::too_large(
                 FORMAT,
-                format!("a list has {} or more strings, more than the limit", texts.len()),
+                format!("a list has {} or more strings, more than the limit of {most}", texts.len()),
             ));
         }
         match walk.next()? {
@@ -130,12 +133,12 @@ fn texts(walk: &mut TokenWalk) -> Result<Vec<String>> {
     }
 }
 
-/// Fails if the strings need too much memory: any number of them can refer to a single word of the file.
+/// Fails if the strings need too much memory: in the binary form, many strings can refer to the same word.
 fn check_texts(walk: &mut TokenWalk, texts: &[Cow<str>]) -> Result<()> {
     walk.check_widened(texts.iter().map(|text| size_of::<String>() + text.len()).sum())
 }
 
-/// Converts the attribute `P` to positions: three values, or four, of which the last divides the others.
+/// Converts the attribute `P` to positions. Of four floats per point, the fourth divides the first three.
 pub(super) fn positions(array: NamedArray) -> Option<FilePositions> {
     match (array.arity, array.values) {
         (3, values) => number::positions(values),

@@ -1,14 +1,15 @@
 //! Tokens of the binary form.
 //!
 //! ```text
-//!   7f  4e 53 4a 62                     the signature; the last four in the writer's byte order
-//!   00 null   30 31 false true   10 bool u8   11..14 int8..64   18 19 1a real16..64   21 22 uint8 16
+//!   7f  4e 53 4a 62                     the signature; the last four bytes in the byte order of the writer
+//!   00 null   30 31 false true   10 bool: u8   11..14 int8..64   18 19 1a real16..64   21 22 uint8..16
 //!   27 string: length, bytes            5b 5d array   7b 7d map
-//!   2b a word: id, length, bytes        26 the word of an id     2d releases an id
+//!   2b defines a word: id, length, bytes   26 uses a word: id   2d deletes a word: id
 //!   40 uniform array: the type of its items, length, items
 //! ```
 //!
-//! A length or an id is a byte up to 0xf0, or 0xf2, 0xf4 or 0xf8 followed by 2, 4 or 8 bytes.
+//! A word is a string that is stored once and then used by its id. A length or an id is one byte up to 0xf0,
+//! or the byte 0xf2, 0xf4 or 0xf8 followed by an integer of 2, 4 or 8 bytes.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -21,7 +22,7 @@ use crate::number::NumberType;
 use super::FORMAT;
 use super::token::{JsonToken, text_count_max, widened_bytes_max};
 
-/// The signature of files from little-endian machines, which are almost all.
+/// The signature of files from little-endian machines: almost all files.
 const SIGNATURE: [u8; 5] = *b"\x7fNSJb";
 
 const SIGNATURE_BIG: [u8; 5] = *b"\x7fbJSN";
@@ -29,8 +30,8 @@ const SIGNATURE_BIG: [u8; 5] = *b"\x7fbJSN";
 /// Limit on defined words; geometry has a few dozen.
 const WORD_COUNT_MAX: usize = 1 << 16;
 
-/// Number of booleans exempt from the limit on widened arrays: in memory they take eight times their size in
-/// the file.
+/// Number of booleans that an array may have beyond one per byte of the file. In memory, booleans take eight
+/// times their size in the file.
 const BOOL_COUNT_FREE: usize = 1 << 22;
 
 /// Whether the file is in binary form, in either byte order.
@@ -169,23 +170,25 @@ impl<'a> Binary<'a> {
                 let bit = |index: usize| words[index / 32] >> (index % 32) & 1 == 1;
                 Ok(JsonToken::Bools((0..length).map(bit).collect()))
             }
-            // Each string has at least one byte.
+            // Each string takes at least one byte of the file.
             0x26 | 0x27 if length <= self.cursor.remaining() => {
                 check_kept(text_count_max(self.file_bytes), "strings")?;
                 let mut texts = Vec::new();
                 let mut text_bytes = 0;
+                let most = widened_bytes_max(self.file_bytes);
                 for _ in 0..length {
                     let text = match code {
                         0x26 => self.word()?,
                         _ => String::from_utf8_lossy(self.bytes("a string")?),
                     };
-                    // The array can contain the same word any number of times.
+                    // Counts each use of a word: the array can contain the same word any number of times.
                     text_bytes += text.len();
-                    if text_bytes > widened_bytes_max(self.file_bytes) {
+                    if text_bytes > most {
                         return Err(Error::too_large(
                             FORMAT,
                             format!(
-                                "the strings of an array have {text_bytes} bytes or more, more than the limit"
+                                "the strings of an array have {text_bytes} bytes or more, \
+                                 more than the limit of {most} bytes"
                             ),
                         ));
                     }

@@ -1,10 +1,11 @@
-//! The container of `.sc` files: Blosc frames with an index for seeking.
+//! The container of `.sc` files: Blosc frames with an index for seeking. Each frame contains one block of
+//! data.
 //!
 //! ```text
-//!   scf1 │ u64 M │ M bytes of metadata │ frame frame frame .. │ index │ u64 its bytes │ 1fcs
+//!   scf1 │ u64 M │ M bytes of metadata │ frame frame frame .. │ index │ u64 bytes of the index │ 1fcs
 //!
-//!   index   u64 × (frames − 1): offset of each frame but the first, relative to the first
-//!           u64 decompressed bytes of a block │ u64 bytes of the last one
+//!   index   u64 × (frames − 1): offset of each frame but the first, relative to the first frame
+//!           u64 decompressed bytes of a block │ u64 decompressed bytes of the last block
 //! ```
 //!
 //! Integers are big-endian, except within frames, where they are little-endian. The last four bytes show that
@@ -21,7 +22,7 @@ const FORMAT: &str = "Houdini geometry (.sc)";
 const START: &[u8; 4] = b"scf1";
 const END: &[u8; 4] = b"1fcs";
 
-/// Size of a frame without data.
+/// Size in bytes of a frame without data: the Blosc header.
 const FRAME_BYTES_MIN: usize = 16;
 
 /// Decompresses the content into one buffer.
@@ -115,7 +116,7 @@ fn index(bytes: &[u8]) -> Result<Index<'_>> {
     Ok(Index { frames, block_bytes, bytes })
 }
 
-/// Reads a number of bytes. Saturates: a size beyond the address space is invalid anyway.
+/// Reads a size or an offset in bytes. Saturates: a value beyond the address space is invalid anyway.
 fn length(cursor: &mut Cursor) -> Result<usize> {
     let length = u64::from_le_bytes(cursor.array("a length")?);
     Ok(usize::try_from(length).unwrap_or(usize::MAX))

@@ -105,7 +105,7 @@ fn primitive(walk: &mut TokenWalk, token: &JsonToken, primitives: &mut BTreeMap<
     let mut kind = String::new();
     walk.object("primitive", |walk, key| {
         match key {
-            // A run states the type of its primitives.
+            // A run of primitives states their type as `runtype`, which takes precedence.
             "type" if kind.is_empty() => kind = long_name(&walk.text()?).to_owned(),
             "runtype" => kind = long_name(&walk.text()?).to_owned(),
             _ => walk.skip()?,

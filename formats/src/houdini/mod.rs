@@ -1,14 +1,15 @@
 //! Houdini's geometry since version 12: `.bgeo`, `.geo` and `.bgeo.sc`.
 //!
-//! A JSON document, as text or in Houdini's own binary encoding, which can be compressed in blocks:
+//! A JSON document, as text or in Houdini's own binary encoding. Both can be compressed in blocks:
 //!
 //! ```text
 //!   .geo        [ "fileversion", "19.5", "pointcount", 10, .. ]          text
-//!   .bgeo       7f 4e 53 4a 62 5b ..                                     tokens: a byte and its payload
+//!   .bgeo       7f 4e 53 4a 62 5b ..                                     tokens: a type byte and a payload
 //!   .bgeo.sc    scf1 .. (the above, in Blosc frames) .. index 1fcs       see `container`
 //! ```
 //!
-//! Most of its objects are flat lists of keys and values. Particles only need the point attributes:
+//! Most objects of the document are flat lists of keys and values. Only the point attributes describe
+//! particles:
 //!
 //! ```text
 //!   ["pointcount", 10, "attributes", ["pointattributes", [
@@ -17,8 +18,9 @@
 //!    "primitives", [[["type", "Part"], ..]]]
 //! ```
 //!
-//! Points without primitives are particles, and so are those of particle systems. All other points are
-//! corners of polygons, or locations of packed geometry or volumes: the reader rejects such files.
+//! Points without primitives are particles, and so are the points of particle systems. All other points are
+//! corners of polygons, or locations of packed geometry or volumes; the reader rejects files with such
+//! points.
 //!
 //! The layout was derived from files of Houdini 13 to 18.5 and their text versions.
 
@@ -47,8 +49,8 @@ const FORMAT: &str = "Houdini geometry";
 ///
 /// # Errors
 ///
-/// [`crate::Error::Truncated`] if the document ends too early, [`crate::Error::Invalid`] if it is malformed or
-/// inconsistent, [`crate::Error::Unsupported`] if the points are not particles, [`crate::Error::TooLarge`]
+/// [`crate::Error::Truncated`] if the document ends too early, [`crate::Error::Invalid`] if it is malformed
+/// or inconsistent, [`crate::Error::Unsupported`] if the points are not particles, [`crate::Error::TooLarge`]
 /// beyond `limits`.
 pub fn read_binary(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     geometry::read(TokenWalk::new(Lexer::Binary(Binary::new(bytes)?)), limits)

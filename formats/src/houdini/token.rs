@@ -1,4 +1,4 @@
-//! A token of JSON, in text or binary form, and limits for what tokens may take in memory.
+//! A token of JSON, in text or binary form, and limits of the memory that tokens may take.
 
 use std::borrow::Cow;
 
@@ -34,7 +34,7 @@ pub(super) fn text_count_max(file_bytes: usize) -> usize {
     (1 << 16) + file_bytes / 16
 }
 
-/// The maximum size in memory of items that are smaller in the file, for a file of this size.
+/// The maximum size in memory, in bytes, of items that take less space in the file; for a file of this size.
 pub(super) fn widened_bytes_max(file_bytes: usize) -> usize {
     (16 << 20) + 2 * file_bytes
 }

@@ -1,7 +1,7 @@
-//! Tokens of either form, and a walk through them.
+//! Reads the tokens of either form, binary or text, one after the other.
 //!
-//! The walk keeps nothing that it has passed: skipped data costs no memory, regardless of its depth and
-//! length.
+//! [`TokenWalk`] does not keep the tokens that it has passed: skipped data costs no memory, regardless of its
+//! depth and length.
 
 use std::borrow::Cow;
 
@@ -46,13 +46,13 @@ impl<'a> Lexer<'a> {
     }
 }
 
-/// A cursor over the tokens. It tracks its location: the offset, and the keys on the path to it.
+/// A cursor over the tokens. It tracks its location for errors: the offset, and the keys on the path to it.
 pub(super) struct TokenWalk<'a> {
     lexer: Lexer<'a>,
     path: Vec<String>,
-    /// Total size that constant pages have been expanded to, in bytes.
+    /// Total size of expanded constant pages (see [`super::values`]), in bytes.
     spread_bytes: u64,
-    /// Total size in memory of items that are smaller in the file, in bytes.
+    /// Total size in memory of items that take less space in the file, in bytes.
     widened_bytes: usize,
 }
 
@@ -65,15 +65,16 @@ impl<'a> TokenWalk<'a> {
         self.lexer.file_bytes()
     }
 
-    /// Fails if this and all previous constant pages expand to too many bytes for the file: constant pages
-    /// are a form of compression.
+    /// Adds `bytes` of expanded constant pages to the total, and fails if the total is too large for the size
+    /// of the file: constant pages are a form of compression.
     pub(super) fn check_spread(&mut self, bytes: u64, limits: &Limits) -> Result<()> {
         self.spread_bytes = self.spread_bytes.saturating_add(bytes);
         limits.check_decompressed(FORMAT, self.spread_bytes, self.lexer.file_bytes() as u64)
     }
 
-    /// Fails if this and all previous items that are smaller in the file take too much memory for the file:
-    /// writers rarely store numbers narrower than declared.
+    /// Adds `bytes` of memory for items that take less space in the file to the total, and fails if the total
+    /// is too large for the size of the file. Valid files stay below: writers rarely store numbers narrower
+    /// than declared.
     pub(super) fn check_widened(&mut self, bytes: usize) -> Result<()> {
         self.widened_bytes = self.widened_bytes.saturating_add(bytes);
         let most = widened_bytes_max(self.lexer.file_bytes());
@@ -102,8 +103,8 @@ impl<'a> TokenWalk<'a> {
         }
     }
 
-    /// Enters the next value, an array or a map, and leaves it at its end. Calls `inside` with each key; it
-    /// must consume the value that follows.
+    /// Reads the next value, an array or a map of keys and values, up to its end. Calls `inside` with each
+    /// key; `inside` must consume the value that follows.
     pub(super) fn object(
         &mut self,
         name: &str,
@@ -122,7 +123,7 @@ impl<'a> TokenWalk<'a> {
     }
 
     /// Iterates over the items of the next value, an array. Calls `inside` with the first token of each item;
-    /// it must consume the rest of the item.
+    /// `inside` must consume the rest of the item.
     pub(super) fn items(
         &mut self,
         name: &str,
@@ -139,7 +140,7 @@ impl<'a> TokenWalk<'a> {
         })
     }
 
-    /// Calls `inside` with `key` appended to the path.
+    /// Calls `inside` with `name` appended to the path that errors show.
     pub(super) fn within<T>(
         &mut self,
         name: &str,

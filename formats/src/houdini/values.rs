@@ -3,11 +3,14 @@
 //! ```text
 //!   "tuples", [[x, y, z], [x, y, z], ..]             point by point
 //!   "arrays", [[a, a, a, ..], ..]                    component by component
-//!   "rawpagedata", [..]                              page by page, see below; the only layout of the binary form
+//!   "rawpagedata", [..]                              page by page, see below; the only binary layout
 //!
 //!   pages of 1024 points, "packing" [3, 1]:          x y z  x y z ..  w w w ..  │  x y z  x y z ..  w w w ..
-//!   of "constantpageflags" [[0, 1], []]:             the second page stores its x y z once for all of its points
+//!   with "constantpageflags" [[0, 1], []]:           the second page stores x y z once, for all its points
 //! ```
+//!
+//! The packing divides the components of a point into parts: x y z and w. A page stores one part of all its
+//! points, then the next part. The flags of a part say for each page whether the part is constant there.
 
 use crate::bytes::Endian;
 use crate::data::Values;
@@ -70,6 +73,7 @@ pub(super) struct Tuples {
 /// The layout of pages.
 struct Pages {
     page_points: usize,
+    /// The number of components of each part; empty if all components form one part.
     packing: Vec<usize>,
     /// For each part of the packing, the flags of constant pages; empty if no page is constant.
     constant: Vec<Vec<bool>>,
@@ -142,10 +146,12 @@ fn storage_of(walk: &mut TokenWalk) -> Result<StorageType> {
     StorageType::of(&name).ok_or_else(|| walk.invalid(format!("unknown storage \"{}\"", excerpt(&*name))))
 }
 
-/// Reads the next value, an array of at most `most` numbers, or of arrays of numbers, and flattens it.
+/// Reads the next value, an array of numbers or of arrays of numbers, and flattens it. Fails if it has more
+/// than `most` numbers.
 fn numbers(walk: &mut TokenWalk, name: &str, storage: StorageType, most: usize) -> Result<Values> {
     walk.within(name, |walk| {
-        // In text, each number takes at least two bytes; in binary form, only uniform arrays take fewer.
+        // The capacity to reserve: a number takes at least two bytes of the file. Only uniform arrays of the
+        // binary form can take fewer.
         let room = most.min(walk.remaining() / 2);
         let mut list = List(storage.empty());
         let mut depth = 0usize;
@@ -218,7 +224,8 @@ impl List {
         }
     }
 
-    /// Appends a uniform array. Converts other types in chunks, to limit the additional memory.
+    /// Appends a uniform array. An array of another type is converted in chunks, to limit the additional
+    /// memory.
     fn append(&mut self, number: NumberType, endian: Endian, payload: &[u8]) {
         const PART_COUNT: usize = 4096;
         let is_same = std::mem::discriminant(&self.0) == std::mem::discriminant(&number.decode(&[], endian));
@@ -299,7 +306,7 @@ fn flags(walk: &mut TokenWalk, page_count: usize, limits: &Limits) -> Result<Vec
     Ok(all)
 }
 
-/// Converts component arrays to tuples.
+/// Converts values from component by component to point by point.
 fn by_points(all: Values, count: usize, size: usize) -> Values {
     if size == 1 || number::length(&all) != count * size {
         return all;
@@ -309,7 +316,7 @@ fn by_points(all: Values, count: usize, size: usize) -> Values {
     interleaved(&columns.iter().collect::<Vec<_>>()).unwrap_or(all)
 }
 
-/// Converts pages to tuples.
+/// Converts values from page by page to point by point.
 fn unpaged(
     walk: &mut TokenWalk,
     raw: Values,

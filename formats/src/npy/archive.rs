@@ -3,12 +3,12 @@
 //! ```text
 //!   local header, name, bytes   ×  members
 //!   central directory: sizes, checksum and offset of each member
-//!   (the next record in 64 bits)
+//!   (ZIP64: the following record, with 64-bit values)
 //!   end of the central directory: the directory's offset
 //! ```
 //!
-//! Only the central directory is used. Members of a hostile archive can overlap, so the total size of all
-//! members, and of what they decompress to, is limited by the size of the archive.
+//! The reader finds members by the central directory only. Members of a hostile archive can overlap, so the
+//! size of the archive limits the total size of all members, compressed and decompressed.
 
 use std::borrow::Cow;
 use std::io::Read;
@@ -44,7 +44,7 @@ pub(super) struct ArchiveMember {
     local_offset: u64,
 }
 
-/// Total sizes of the members decompressed so far.
+/// Total sizes of the members read so far.
 #[derive(Default)]
 pub(super) struct ArchiveTotals {
     packed_bytes: u64,
@@ -106,7 +106,7 @@ fn end_of_directory(bytes: &[u8]) -> Result<usize> {
     })
 }
 
-/// Turns `Short` into `Invalid`: the archive's end is present, so nothing more will be appended.
+/// Turns `Truncated` into `Invalid`: the archive's end is present, so nothing more will be appended.
 fn as_invalid(error: Error) -> Error {
     match error {
         Error::Truncated { format, place, what } => Error::Invalid { format, place, what },
@@ -142,7 +142,8 @@ fn member(cursor: &mut Cursor) -> Result<ArchiveMember> {
     Ok(ArchiveMember { name, method, checksum, packed_bytes, bytes, local_offset })
 }
 
-/// Values beyond 32 bits are in the extra field, in this order.
+/// Replaces numbers that do not fit into 32 bits: the entry has `u32::MAX` instead, and the ZIP64 field of
+/// `extra` has the 64-bit values, in the order of `numbers`.
 fn widened(numbers: [u32; 3], mut extra: &[u8]) -> [u64; 3] {
     let mut wide: &[u8] = &[];
     while let [a, b, c, d, rest @ ..] = extra {
@@ -163,7 +164,7 @@ fn widened(numbers: [u32; 3], mut extra: &[u8]) -> [u64; 3] {
 }
 
 impl ArchiveMember {
-    /// The member's content, decompressed and verified. `totals` tracks the total output of the archive.
+    /// The member's content, decompressed and verified. Adds its sizes to `totals`, and checks them.
     pub(super) fn content<'a>(
         &self,
         archive: &'a [u8],

@@ -12,7 +12,7 @@ use super::literal::{Literal, parse};
 /// The signature.
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
 
-/// NumPy itself allows 10 000 bytes by default.
+/// Maximum size of the header, in bytes. NumPy itself allows 10 000 by default.
 const HEADER_BYTES_MAX: u64 = 256 << 10;
 
 /// The header of an array.
@@ -76,7 +76,7 @@ impl ArrayHeader {
         bytes.filter(|bytes| *bytes <= i64::MAX as u64).ok_or_else(|| self.too_many())
     }
 
-    /// The number of elements; for a structured array, of rows.
+    /// The number of elements. In a structured array, an element is a row.
     pub(super) fn element_count(&self) -> Result<u64> {
         let count = self.shape.iter().try_fold(1u64, |count, &length| count.checked_mul(length));
         count.ok_or_else(|| self.too_many())
@@ -98,8 +98,8 @@ impl ArrayHeader {
         }
     }
 
-    /// The number of rows: the product of all dimensions but the last. Not more than the number of elements,
-    /// which was checked.
+    /// The number of rows: the product of all dimensions but the last, or the only dimension. The product
+    /// does not overflow, because `element_count` was checked before.
     pub(super) fn row_count(&self) -> u64 {
         let rows = if self.shape.len() < 2 { &self.shape[..] } else { &self.shape[..self.shape.len() - 1] };
         rows.iter().fold(1, |count: u64, &length| count.saturating_mul(length))
@@ -199,7 +199,8 @@ fn layout_of(descr: &Literal, limits: &Limits) -> std::result::Result<ElementLay
     }
 }
 
-/// Adds the fields of a structure at `offset`, with names after `prefix`. Returns the offset of its end.
+/// Adds the fields of a structure at `offset`, with `prefix` before their names. Returns the offset of its
+/// end.
 fn add_fields(
     descr: &Literal,
     prefix: &str,
@@ -238,7 +239,8 @@ fn add_fields(
             nested => {
                 let before = fields.len();
                 let end = add_fields(nested, &full, at, fields, limits)?;
-                // Of a repeated structure, only the first gets fields.
+                // Only the first repetition of a structure gets fields; a structure without repetitions has
+                // none.
                 fields.truncate(if repeats == 0 { before } else { fields.len() });
                 (end - at).checked_mul(repeats).and_then(|bytes| at.checked_add(bytes))
             }
@@ -268,7 +270,7 @@ fn repeats_of(shape: &Literal) -> std::result::Result<usize, Refusal> {
     repeats.ok_or_else(|| Refusal::Invalid("the shape of a field is invalid".into()))
 }
 
-/// The meaning of a type code for one element.
+/// A parsed type code: the size of an element, and its number type if it is numeric.
 struct ElementType {
     bytes: usize,
     number: Option<(NumberType, Endian)>,

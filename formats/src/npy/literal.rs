@@ -16,7 +16,7 @@ pub(super) enum Literal {
     Dictionary(Vec<(Literal, Literal)>),
 }
 
-/// Nesting limit for lists: a structured type has four levels, plus one per nested structure.
+/// Nesting limit for lists: the header of a structured type has four levels, plus two per nested structure.
 const DEPTH_MAX: usize = 32;
 
 /// Parses all of `text`, which starts at offset `offset` of the file, as one literal.
@@ -91,7 +91,7 @@ impl Parser<'_> {
         Ok(Literal::List(items))
     }
 
-    /// Quotes and escapes in field names are kept as spelled.
+    /// Parses a string. Keeps escapes as spelled, such as that of a quote.
     fn text(&mut self, quote: u8) -> Result<Literal> {
         let rest = &self.text[self.at + 1..];
         let mut is_escaped = false;

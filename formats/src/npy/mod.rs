@@ -2,14 +2,14 @@
 //!
 //! ```text
 //!   93 N U M P Y  1 0  u16        signature, version 1.0 to 3.0, length of the header (u32 from 2.0 on)
-//!   {'descr': '<f4', 'fortran_order': False, 'shape': (1000, 3), }     a Python dictionary, padded with blanks
+//!   {'descr': '<f4', 'fortran_order': False, 'shape': (1000, 3), }   a Python dictionary, padded with blanks
 //!   numbers                       row by row, or column by column in Fortran order
 //! ```
 //!
-//! An array of shape (N, 3) contains the positions; if it has more columns, the first three do. A structured
-//! array has a name per field, and an archive one per array. The names are interpreted as in all formats:
-//! `pos` or `x`, `y`, `z` for the position, `vel`, `radius` and so on. Arrays without a value per particle,
-//! such as a time step saved along with the rest, are skipped with a note.
+//! An array of shape (N, 3) contains the positions. If it has more columns, the first three are the position.
+//! A structured array has a name per field, and an archive has a name per array. The names are interpreted as
+//! in all formats: `pos` or `x`, `y`, `z` for the position, `vel`, `radius` and so on. Arrays without a value
+//! per particle, such as a time step saved along with the rest, are skipped with a note.
 
 mod archive;
 mod header;
@@ -36,8 +36,9 @@ const ARCHIVE: &str = "NumPy archive";
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] for a malformed header or an array that is not a list of positions, [`Error::Truncated`] if
-/// data is missing, [`Error::Unsupported`] for non-numeric types, [`Error::TooLarge`] beyond `limits`.
+/// [`Error::Invalid`] for a malformed header or an array that is not a list of positions,
+/// [`Error::Truncated`] if data is missing, [`Error::Unsupported`] for non-numeric types, [`Error::TooLarge`]
+/// beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = header::read(bytes, limits)?;
     let data = header.data(bytes)?;
@@ -147,7 +148,7 @@ fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<
     }
 }
 
-/// A frame from an array without names: the positions in the first three columns, and any further columns.
+/// A frame from an array without names: its first three columns are the position, all others are attributes.
 fn unnamed_frame(array: NamedArray) -> ParticleFrame {
     let NamedArray { arity, values, .. } = array;
     if arity == 3 {
@@ -168,7 +169,7 @@ fn unnamed_frame(array: NamedArray) -> ParticleFrame {
     frame
 }
 
-/// The frame of the arrays that have a value for each particle.
+/// The frame of an archive. Skips arrays that do not have a value for each particle, with a note.
 fn frame_of_archive(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result<ParticleFrame> {
     let is_vector = |array: &&NamedArray| array.arity == 3 && position_rank(&array.name).is_some();
     let named = arrays.iter().filter(is_vector).min_by_key(|array| position_rank(&array.name));
@@ -191,7 +192,7 @@ fn frame_of_archive(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Res
     frame_of(None, arrays).ok_or(no_position)
 }
 
-/// The frame of an archive with a single array, which is used whatever its name.
+/// The frame of an archive with a single array: the array is used as the position, whatever its name.
 fn frame_of_only(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result<ParticleFrame> {
     let array = match arrays.pop() {
         Some(array) if arrays.is_empty() && array.arity >= 3 => array,

@@ -3,14 +3,15 @@
 //! This adapter sits between the file and the tobj crate, which parses the result:
 //!
 //! ```text
+//!   in the file               for the parser
 //!   v 1 2 3 0.5 0.5 0.5       v 1 2 3              vertex colours are dropped
-//!   vt 0 1                                         also textures, materials, objects, groups, comments
+//!   vt 0 1                                         dropped, as are materials, objects, groups, comments
 //!   f 1/1/1 2/2/2 \           f 1//1 2//2 3//3     a continued line is joined
 //!   3/3/3
 //! ```
 //!
-//! Indices are checked here, because relative ones can only be resolved at their line, and so that the error
-//! can name the line. Text that is not valid UTF-8, which old programs write into names, is ignored.
+//! This module checks indices, because relative indices can only be resolved at their line, and so that an
+//! error can name the line. It ignores text that is not valid UTF-8, which old programs write into names.
 
 use crate::excerpt::excerpt;
 use std::io::{self, BufRead, Read};
@@ -18,14 +19,15 @@ use std::io::{self, BufRead, Read};
 /// The normalised lines, as the parser sees them.
 pub(super) struct MeshLines<'a> {
     rest: &'a [u8],
-    /// The current line, and how much of it has been consumed.
+    /// The current line.
     line: Vec<u8>,
+    /// Number of bytes of the current line that the parser has consumed.
     read: usize,
     line_number: u64,
     vertex_count: u64,
     normal_count: u64,
-    /// Forward references to vertices and normals: for each kind, the line and the index of each reference
-    /// that is larger than all before. So they include the first one that exceeds the final count.
+    /// Forward references, to vertices and to normals: the line and the index of each reference whose index
+    /// is larger than all before. They include the first reference that exceeds the final count.
     awaited: [Vec<(u64, u64)>; 2],
     is_at_end: bool,
     /// The error in the current line.
@@ -47,8 +49,8 @@ impl<'a> MeshLines<'a> {
         }
     }
 
-    /// The line number of an error, starting at 1, and its message if it was found here: the last line read
-    /// or, at the end of the file, the first with an unresolved forward reference.
+    /// The line number of an error, starting at 1, and its message if this module found the error. The line
+    /// is the last line read or, at the end of the file, the first with an unresolved forward reference.
     pub(super) fn place(&mut self) -> (u64, Option<String>) {
         if !self.is_at_end {
             return (self.line_number, self.error.take());
@@ -126,7 +128,7 @@ impl<'a> MeshLines<'a> {
         }
     }
 
-    /// Three numbers, optionally followed by a weight or a colour.
+    /// Appends the three numbers of a position or normal. Drops a weight or a colour after them.
     fn numbers<'t>(&mut self, keyword: &str, words: impl Iterator<Item = &'t [u8]>) -> Result<(), String> {
         self.line.extend_from_slice(keyword.as_bytes());
         for word in words.take(3) {
@@ -139,7 +141,7 @@ impl<'a> MeshLines<'a> {
         Ok(())
     }
 
-    /// The corner of a face: its vertex and, optionally, its normal.
+    /// Appends the corner of a face: its vertex and, if present, its normal.
     fn corner(&mut self, corner: &[u8]) -> Result<(), String> {
         let mut parts = corner.split(|&byte| byte == b'/');
         let vertex = index(parts.next().unwrap_or_default(), self.vertex_count, corner)?;
@@ -163,8 +165,8 @@ fn await_element(awaited: &mut Vec<(u64, u64)>, line: u64, number: u64, count: u
     }
 }
 
-/// Converts an index, which can be relative to the last element before the line, to one that starts at 1.
-/// Whether that element exists is checked at the end of the file.
+/// Converts an index to one that counts from 1. A negative index counts backwards from the last element
+/// before the line. Only the end of the file shows whether the element exists: see [`MeshLines::place`].
 fn index(text: &[u8], count: u64, corner: &[u8]) -> Result<u64, String> {
     let wrong = || format!("a face has an invalid corner `{}`", excerpt(corner));
     let number: i64 = std::str::from_utf8(text).ok().and_then(|text| text.parse().ok()).ok_or_else(wrong)?;

@@ -2,13 +2,13 @@
 //!
 //! Numbers are the shortest decimals that parse back to the same value. Lines are formatted in parallel, a
 //! range of elements per task, and written in order. The last line is a comment with the element counts,
-//! because nothing else in the format distinguishes a complete file from a truncated one. Of the vertex
-//! attributes, only the colour can be stored, after the position: an unofficial extension that most readers
-//! support.
+//! because nothing else in the format distinguishes a complete file from a truncated one. The only vertex
+//! attribute that can be stored is the colour. It follows the position, an unofficial extension that most
+//! readers support.
 //!
 //! ```text
 //!   batch 0: header │ batch 1: v v ‥ v vn ‥ vn │ batch 2: vn ‥ vn f ‥ f │ f ‥ f, last line
-//!                              └┴ one task each
+//!                              └┴ one task each, up to 8192 lines
 //! ```
 //!
 //! Each batch can be encoded independently, so the writer need not hold the whole text.
@@ -25,8 +25,9 @@ use crate::provenance::{GENERATOR, comments};
 use crate::quads::{Face, check_quads, faces, quad_count};
 use crate::vertex_attributes::{Purpose, clamp_note, purposes};
 
-/// Elements formatted per task, and tasks whose text is held at a time.
+/// Elements formatted per task.
 const ELEMENTS_PER_TASK: usize = 1 << 13;
+/// Tasks per batch. The writer holds the text of one batch at a time.
 const TASKS_AT_ONCE: usize = 64;
 
 /// The beginning of the last line.
@@ -37,8 +38,8 @@ pub(super) fn batch_count(mesh: &MeshView, _options: &MeshOptions) -> usize {
     1 + task_counts(mesh).iter().sum::<usize>().div_ceil(TASKS_AT_ONCE).max(1)
 }
 
-/// Encodes a batch: positions, with colours if there are any, normals and faces. If the mesh has an origin,
-/// it is added in 64 bits and the sums are printed. Axes are not converted.
+/// Encodes a batch: positions, with colours if there are any, normals and faces. If the mesh has an
+/// origin, adds it to the positions in 64 bits. Does not convert axes.
 ///
 /// # Errors
 ///
@@ -114,8 +115,8 @@ fn world(origin: [f64; 3], position: &[f32; 3]) -> [f64; 3] {
     std::array::from_fn(|axis| origin[axis] + f64::from(position[axis]))
 }
 
-/// Red, green and blue of a vertex, clamped to 0 to 1, the only range that readers support; `None` if there
-/// is no colour.
+/// Returns a function that gives red, green and blue of a vertex, clamped to 0 to 1, the only range that
+/// readers support; `None` if there is no colour.
 fn colors_of<'a>(mesh: &MeshView<'a>) -> Option<impl Fn(usize) -> [f32; 3] + 'a> {
     let found =
         purposes(mesh.attributes).into_iter().zip(mesh.attributes).find_map(|(purpose, attribute)| {
@@ -211,7 +212,7 @@ impl LineWriter {
     }
 }
 
-/// One line per element.
+/// Formats one line per element.
 fn lines_of<T>(elements: &[T], format: impl Fn(&mut LineWriter, &T)) -> Vec<u8> {
     const LINE_BYTES: usize = 48; // few lines are longer
     let text = Vec::with_capacity(elements.len() * LINE_BYTES);

@@ -2,11 +2,11 @@
 //!
 //! A line with fewer or more values than the header declares is an error: taking values from the next line
 //! instead would silently shift all that follow. An error in the last value of the file is reported as
-//! `Short`, because the value may be truncated.
+//! `Truncated`, because the value may be incomplete.
 //!
 //! Since each record is a line, a long body is split at line ends. First the records before each part are
-//! counted; then all parts are read in parallel, each into its own range of the vectors. If there are errors,
-//! that of the first part that has one is returned, which is the first in the file.
+//! counted; then all parts are read in parallel, each into its own range of the vectors. If several parts
+//! have errors, the error of the first of them is returned: it is the first error in the file.
 
 use rayon::prelude::*;
 
@@ -18,7 +18,7 @@ use super::header::{Element, PropertyType};
 use super::rows::RecordReader;
 use super::target::{Slots, Target};
 
-/// Large enough to make the cost of starting a part negligible, small enough to share the work.
+/// Size of a part: large enough to make the cost of starting one negligible, small enough to share the work.
 const PART_BYTES: usize = 1 << 20;
 
 /// Reads the next `count` records into the targets, in the caller's thread pool.
@@ -47,8 +47,8 @@ struct RecordPart<'a, 't> {
     targets: Vec<Target<'t>>,
 }
 
-/// Splits records into parts of about `part_bytes` bytes. The last part gets all declared records that the
-/// file lacks.
+/// Splits records into parts of about `part_bytes` bytes. The last part includes the records that the header
+/// declares but the file lacks, so that reading this part reports the error.
 fn parts<'a, 't>(
     lines: BodyLines<'a>,
     count: usize,
@@ -102,7 +102,8 @@ impl RecordPart<'_, '_> {
                 let scalar = columns[component].1;
                 match slots {
                     Slots::F32(out) => out[slot] = lines.float(scalar, &property.name)?,
-                    // A value declared as 32 bits is read as such, even if it has more digits.
+                    // A value declared as a 32-bit float is rounded to 32 bits, even if its text has more
+                    // digits.
                     Slots::F64(out) if scalar == Scalar::F32 => {
                         out[slot] = f64::from(lines.float::<f32>(scalar, &property.name)?);
                     }
@@ -118,7 +119,8 @@ impl RecordPart<'_, '_> {
     }
 }
 
-/// For each property, the target and the component that it is written to.
+/// For each property, the target and the component that it is written to; `None` for a property that is
+/// skipped.
 fn places(element: &Element, targets: &[Target<'_>]) -> Vec<Option<(usize, usize)>> {
     let mut places = vec![None; element.properties.len()];
     for (target, Target { columns, .. }) in targets.iter().enumerate() {

@@ -16,8 +16,8 @@ use super::read::{VertexElement, fits_f32, note_on_faces, notes, scalar_of, vert
 use super::rows::{check_limit, checked_binary_count};
 use super::target::{Slots, Target};
 
-/// Locates the vertices of a file of `file_bytes`; `None` if their offsets cannot be computed: in text, and
-/// after lists.
+/// Locates the vertices in a file of `file_bytes` bytes. `None` if their offsets cannot be computed: in an
+/// ASCII file, or if the vertices or an earlier element have lists.
 ///
 /// # Errors
 /// Those of [`super::read`], after the header.
@@ -56,7 +56,7 @@ struct PositionColumns {
 }
 
 impl PositionColumns {
-    /// Appends the positions of `count` records.
+    /// Replaces `positions` with the positions of `count` records.
     fn gather(
         &self,
         records: &[u8],

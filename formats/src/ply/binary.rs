@@ -18,14 +18,15 @@ use super::header::{Element, PropertyType};
 use super::rows::RecordReader;
 use super::target::{Slots, Target};
 
-/// Bytes of records per block: they fit into the second-level cache along with the targets.
+/// Bytes of records per block: a block and the values copied from it fit into the L2 cache.
 const BLOCK_BYTES: usize = 128 << 10;
 
-/// Bytes of records per task: most of the time is spent on the first access to the destination memory.
+/// Bytes of records per task. Most of a task's time is spent on page faults, at the first access to the
+/// destination memory.
 const PART_BYTES: usize = 2 << 20;
 
-/// Fills the targets from records of `stride` bytes, in the caller's thread pool. `offsets` are those of the
-/// properties within a record.
+/// Fills the targets from records of `stride` bytes, in the caller's thread pool. `offsets` has the offset of
+/// each property within a record.
 pub(super) fn gather(
     records: &[u8],
     stride: usize,
@@ -66,8 +67,8 @@ pub(super) fn gather_part(
     }
 }
 
-/// The offset of each property in a record with only the scalar properties, and that record's length. A list
-/// has the offset of the property after it.
+/// The offset of each property in a record without its lists, and the length of this record. A list has the
+/// offset of the property after it.
 pub(super) fn scalar_offsets(element: &Element) -> (Vec<usize>, usize) {
     let mut at = 0;
     let mut offsets = Vec::with_capacity(element.properties.len());
@@ -169,7 +170,8 @@ impl RecordBlock<'_> {
         }
     }
 
-    /// The copy loop. With `A` components at a time, `A` is the arity and `component` is 0.
+    /// The copy loop. It copies all components of a record at a time (`A` is the arity, and `component` is
+    /// 0), or only the given component (`A` is 1).
     fn copy<T, const N: usize, const A: usize>(
         &self,
         offsets: [usize; A],

@@ -8,7 +8,7 @@ use crate::text::{line_number, parse_number};
 
 use super::FORMAT;
 
-/// A position in the body.
+/// A read position in the body.
 #[derive(Clone, Copy)]
 pub(super) struct BodyLines<'a> {
     pub(super) bytes: &'a [u8],
@@ -81,7 +81,7 @@ impl<'a> BodyLines<'a> {
         Err(self.wrong_value(format!("`{what}` must be an integer from {least} to {most}, found {value}")))
     }
 
-    /// Parses the next value as a float, or as an integer that is stored as a float.
+    /// Parses the next value as a float. If the declared type is an integer, checks its range first.
     pub(super) fn float<T: FastFloat>(&mut self, scalar: Scalar, what: &str) -> Result<T> {
         if !matches!(scalar, Scalar::F32 | Scalar::F64) {
             let start = self.at;
@@ -123,7 +123,7 @@ impl<'a> BodyLines<'a> {
         }
     }
 
-    /// An error in the value at the current position, which may be truncated.
+    /// An error in the value at the current position: `Truncated` if the value ends with the file.
     fn wrong_value(&self, what: String) -> Error {
         match self.bytes[self.at..].iter().any(u8::is_ascii_whitespace) {
             true => self.invalid(what),

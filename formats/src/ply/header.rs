@@ -1,7 +1,7 @@
 //! The text header of a PLY file: the encoding of the body and the layout of its records.
 //!
-//! Lines can end in LF, CR LF or CR, even if the body is binary: a program that opens its file in text mode
-//! for the header and appends the body writes CR LF on Windows. The body starts exactly one line end after
+//! Lines can end in LF, CR LF or CR, even if the body is binary: on Windows, a program that writes the header
+//! in text mode and then appends the body writes CR LF. The body starts exactly one line end after
 //! `end_header`, of the same kind as that of the first line.
 
 use crate::bytes::Endian;
@@ -150,9 +150,8 @@ impl PlyHeader {
 /// Reads only the header.
 ///
 /// # Errors
-/// `Short` if the file ends before `end_header`; `Invalid` if the header is malformed; `TooLarge` beyond
-/// `header_bytes` or
-/// `attribute_count`.
+/// `Truncated` if the file ends before `end_header`; `Invalid` if the header is malformed; `TooLarge` beyond
+/// the limits `header_bytes` or `attribute_count`.
 pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<PlyHeader> {
     let capped = usize::try_from(limits.header_bytes).map_or(bytes, |most| &bytes[..bytes.len().min(most)]);
     let mut lines = Lines::new(capped);
@@ -195,7 +194,7 @@ struct PartialHeader {
 }
 
 impl PartialHeader {
-    /// Parses one line. The inner result is the error in the line itself.
+    /// Parses one line. The inner error is one in the line itself; the outer error is an exceeded limit.
     fn line(
         &mut self,
         keyword: &str,

@@ -50,8 +50,8 @@ pub fn read_mesh_and_vertices(bytes: &[u8], limits: &Limits) -> Result<(MeshData
     Ok((mesh, frame))
 }
 
-/// The size of a binary file whose header is in `head` and whose lists are all triangles, as in every file of
-/// [`super::write::write_mesh`]; `None` for text, or beyond 2⁶⁴.
+/// The size of a binary file with the header in `head`, if all of its lists are triangles, as in every file
+/// that [`super::write::write_mesh`] writes; `None` for text, or beyond 2⁶⁴.
 pub(crate) fn mesh_bytes_declared(head: &[u8], limits: &Limits) -> Result<Option<u64>> {
     let header = read_header(head, limits)?;
     let mut size = Some(header.body_offset as u64);

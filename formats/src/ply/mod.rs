@@ -10,9 +10,9 @@
 //!   x y z vx vy vz id | x y z vx ..       packed records, or one line each
 //! ```
 //!
-//! The format does not define the meaning of properties; [`crate::columns`] recognises it. Positions and
-//! attributes keep the precision of the file; integers become the next wider type of [`crate::Values`]. A
-//! colour of 16-bit integers has the range 0..=65535.
+//! The format does not define the meaning of properties; [`crate::columns`] recognises it by their names.
+//! Positions and attributes keep the precision of the file. Integer types that [`crate::Values`] lacks become
+//! the next wider type. A colour of 16-bit integers has the range 0..=65535.
 //!
 //! This work is based on:
 //! Greg Turk. The PLY polygon file format. 1994

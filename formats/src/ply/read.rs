@@ -15,8 +15,8 @@ use super::{FORMAT, ascii, binary};
 /// Reads the vertices of a PLY file as particles, with all their scalar properties.
 ///
 /// # Errors
-/// `Short` if the file ends too early; `Invalid` if it is malformed or has no positions; `TooLarge` beyond
-/// the limits.
+/// `Truncated` if the file ends too early; `Invalid` if it is malformed or has no positions; `TooLarge`
+/// beyond the limits.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = read_header(bytes, limits)?;
     let mut frame = read_vertices(bytes, &header, limits)?;
@@ -119,7 +119,7 @@ pub(super) fn scalar_of(element: &Element, property: usize) -> Scalar {
     }
 }
 
-/// The position and attributes of the frame as targets.
+/// The position and attributes of the frame as targets into which values are read.
 fn targets<'a>(
     element: &Element,
     columns: &Columns,

@@ -1,6 +1,6 @@
 //! Reads the records of a body value by value, in any encoding.
 //!
-//! This is the slow path: for faces, skipped elements and records with lists.
+//! This is the slow path, for faces, skipped elements and records with lists.
 
 use crate::bytes::Cursor;
 use crate::error::{Error, Position, Result};
@@ -11,7 +11,7 @@ use super::FORMAT;
 use super::body_lines::BodyLines;
 use super::header::{Element, PlyHeader, Property, PropertyType};
 
-/// A position in the body.
+/// A read position in the body.
 pub(super) enum RecordReader<'a> {
     Binary(Cursor<'a>),
     Ascii(BodyLines<'a>),
@@ -94,7 +94,7 @@ impl<'a> RecordReader<'a> {
     pub(super) fn skip_element(&mut self, element: &Element) -> Result<()> {
         let count = checked_count(self, element)?;
         if let (RecordReader::Binary(cursor), false) = (&mut *self, element.has_list()) {
-            // The product was compared with the remaining bytes.
+            // `checked_count` has compared the product with the remaining bytes.
             cursor.take(count * element.record_size_min(), &element.name)?;
             return Ok(());
         }
@@ -136,7 +136,7 @@ pub(super) fn checked_count(rows: &RecordReader<'_>, element: &Element) -> Resul
     }
 }
 
-/// [`checked_count`] for a binary element at offset `at` with `remaining` bytes after it.
+/// [`checked_count`] for a binary element at offset `at`, from which on `remaining` bytes follow.
 pub(super) fn checked_binary_count(element: &Element, at: u64, remaining: u64) -> Result<usize> {
     checked(element, at, remaining, remaining, element.record_size_min(), "bytes")
 }
@@ -160,7 +160,7 @@ fn checked(
             "the header declares {count} `{name}` records of at least {record} {kind}, but only {remaining} bytes follow",
         );
         let place = Position::Offset(at);
-        // No file ever grows to such a size.
+        // A size beyond 2⁶⁴ is invalid: no file that is still being written will reach it.
         match count.checked_mul(record as u64) {
             None => Error::invalid(FORMAT, place, what),
             Some(_) => Error::truncated(FORMAT, place, what),

@@ -3,9 +3,9 @@
 //! ```text
 //!   colour     red green blue [alpha]   bytes: supported by all readers of coloured PLY
 //!   velocity   vx vy vz                 floats
-//!   others     name, or name_x name_y ..  or name_0 name_1 ..: floats
-//!   integers   the same: int where all fit, else double
-//!   strings    the same: int, the index of a string listed in a comment; −1 for none
+//!   others     name                     floats; 2 to 4 values: name_x name_y .., more: name_0 name_1 ..
+//!   integers   names as for others      int if all values fit, else double
+//!   strings    names as for others      int: the index of a string listed in a comment; −1 for none
 //! ```
 
 use crate::data::{VertexAttribute, VertexValues};

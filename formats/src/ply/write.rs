@@ -12,8 +12,8 @@ const FORMAT: &str = "PLY";
 /// Number of vertices or faces encoded at a time.
 const PIECE: usize = 4096;
 
-/// Writes positions, normals, attributes and faces. Positions are floats; if the mesh has an origin, it is
-/// added and they are doubles. Axes are not converted.
+/// Writes positions, normals, attributes and faces. Positions are floats. If the mesh has an origin, the
+/// origin is added, and positions are doubles. Axes are not converted.
 ///
 /// # Errors
 ///
@@ -62,7 +62,7 @@ fn header(mesh: &MeshView, attributes: &[PlyAttribute], far: bool, provenance: &
     header + "end_header\n"
 }
 
-/// Encodes items with `append` and writes them, many at a time.
+/// Encodes items with `append`, and writes them in pieces of [`PIECE`] items.
 fn write_pieces<T>(
     items: impl Iterator<Item = T>,
     out: &mut impl Write,

@@ -2,11 +2,11 @@
 //!
 //! ```text
 //!   positions    x y z                      float, or double for 64-bit positions
-//!   scalars      name                       their own type
-//!   vectors      name_x name_y name_z ..    the same; with more than four values name_0 name_1 ..
-//!   "color"      red green blue [alpha]     readers map this name back to "color"
-//!   integers     int, uint, or double if these are too narrow
-//!   strings      int, the index of a string listed in a comment; −1 for none
+//!   scalars      name                       the type of the attribute
+//!   vectors      name_x name_y name_z ..    the type of the attribute; five or more values: name_0 name_1 ..
+//!   "color"      red green blue [alpha]     readers join these columns to "color" again
+//!   integers     names as above             int, uint, or double if these are too narrow
+//!   strings      names as above             int: the index of a string listed in a comment; −1 for none
 //! ```
 
 use std::borrow::Cow;
@@ -102,7 +102,7 @@ fn header(frame: &ParticleFrame, columns: &[PlyColumn], provenance: &Provenance)
     header + "end_header\n"
 }
 
-/// The columns of an attribute.
+/// An attribute as columns of one type.
 struct PlyColumn<'a> {
     names: Vec<String>,
     values: Cow<'a, Values>,

@@ -1,9 +1,10 @@
-//! The properties of the mesh of one frame.
+//! The properties of the mesh of one frame. Its vertex attributes become these properties:
 //!
 //! ```text
 //!   velocity   velocities, for motion blur     colour     primvars:displayColor, displayOpacity
-//!   others     primvars:name, vectors of up to four           integers   int, or int64 if a value needs it
-//!   strings    primvars:name, the distinct strings, and primvars:name:indices
+//!   floats     primvars:NAME, as vectors if a vertex has two to four values
+//!   integers   the same with the type int, or single values of the type int64 if a value needs it
+//!   strings    primvars:NAME, the distinct strings, and primvars:NAME:indices
 //! ```
 
 use crate::data::{MeshView, VertexAttribute, VertexValues};
@@ -15,7 +16,7 @@ pub(crate) const ROOT: &str = "root";
 /// The property with the origin of the mesh.
 pub(crate) const TRANSLATE: &str = "xformOp:translate";
 
-/// The summary of the content in a file of this crate.
+/// A summary of the content of a file that this crate wrote.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LayerInfo {
     /// Number of vertices, in all frames.
@@ -30,32 +31,19 @@ pub struct LayerInfo {
 #[derive(Clone, Copy)]
 pub(crate) enum Elements<'a> {
     /// `arity` numbers starting at `first` in each group of `stride`.
-    Reals {
-        values: &'a [f32],
-        stride: usize,
-        first: usize,
-        arity: usize,
-    },
+    Reals { values: &'a [f32], stride: usize, first: usize, arity: usize },
     Integers {
         values: &'a [i64],
         arity: usize,
-        /// Whether all values fit into 32 bits; otherwise the array has 64.
+        /// Whether all values fit into 32 bits; otherwise the array has 64-bit values.
         is_narrow: bool,
     },
     /// Indices into a table of strings; a missing string gets the index after the last one.
-    Strings {
-        table: &'a [String],
-        indices: &'a [i32],
-    },
-    /// The number of corners of each face, and the vertices of the corners.
-    FaceCounts {
-        triangles: &'a [[u32; 3]],
-        quads: &'a [bool],
-    },
-    FaceCorners {
-        triangles: &'a [[u32; 3]],
-        quads: &'a [bool],
-    },
+    Strings { table: &'a [String], indices: &'a [i32] },
+    /// The number of corners of each face.
+    FaceCounts { triangles: &'a [[u32; 3]], quads: &'a [bool] },
+    /// The vertex indices of the faces' corners.
+    FaceCorners { triangles: &'a [[u32; 3]], quads: &'a [bool] },
 }
 
 impl<'a> Elements<'a> {
@@ -73,7 +61,7 @@ pub(crate) struct MeshProperty<'a> {
     pub(crate) value: PropertyValue<'a>,
     /// Whether its interpolation is `vertex`.
     pub(crate) is_per_vertex: bool,
-    /// Values of the array for each vertex.
+    /// Number of elements of the array per vertex.
     pub(crate) element_size: usize,
 }
 
@@ -87,9 +75,9 @@ pub(crate) enum PropertyValue<'a> {
     /// The minimum and maximum corner.
     Extent([[f32; 3]; 2]),
     Double3([f64; 3]),
-    /// A uniform word.
+    /// A token with uniform variability.
     Token(&'static str),
-    /// A uniform list of one word.
+    /// A list of one token, with uniform variability.
     TokenList(&'static str),
     /// The table of an indexed primvar, to which the writer adds an empty string for missing values.
     Strings(&'a [String]),
@@ -168,10 +156,10 @@ enum UsdProperty {
     Primvar(String),
 }
 
-/// Names with a meaning for renderers.
+/// Names of primvars that have a meaning for renderers, so other attributes cannot have them.
 pub(super) const RESERVED: [&str; 3] = ["displayColor", "displayOpacity", "normals"];
 
-/// The widest vector type.
+/// The number of components of the widest vector type.
 const TUPLE_MAX: usize = 4;
 
 /// The property of each attribute.

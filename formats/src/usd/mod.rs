@@ -1,4 +1,5 @@
-//! What a mesh and a sequence consist of in USD: the properties that the text and the binary writer encode.
+//! The content of a mesh and of a sequence in USD: the properties that both the text writer and the binary
+//! writer encode.
 //!
 //! ```text
 //!   def Xform "root"

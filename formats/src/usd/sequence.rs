@@ -11,13 +11,13 @@ use super::mesh::{LayerInfo, RESERVED, identifier, vector};
 /// The name of the mesh.
 pub(crate) const PRIM: &str = "surface";
 
-/// The name of positions in the frames.
+/// The name of positions in the frames' `.glb` files.
 pub(crate) const POSITION: &str = "POSITION";
 
-/// Time codes are 64-bit floats, which cannot distinguish integers beyond this.
+/// The largest time code. Time codes are 64-bit floats, which cannot distinguish larger integers.
 pub(crate) const CODE_MAX: u64 = 1 << 53;
 
-/// The frames and their placements, `None` for frames without a mesh.
+/// The frames of a sequence and their placements; the placement of a frame without a mesh is `None`.
 pub(crate) struct UsdSequence<'a> {
     pub(crate) frames: &'a [SequenceFrame],
     pub(crate) places: Vec<Option<FramePlacement>>,
@@ -26,12 +26,12 @@ pub(crate) struct UsdSequence<'a> {
 
 /// A vertex attribute to write.
 pub(crate) struct SequenceAttribute {
-    /// Its name in the frames.
+    /// Its name in the frames' `.glb` files.
     pub(crate) semantic: String,
     /// Its type and name in USD.
     pub(crate) kind: String,
     pub(crate) name: String,
-    /// The range of its components to write: the first, and their number.
+    /// The components to write: the index of the first, and their number.
     pub(crate) first: usize,
     pub(crate) arity: usize,
     /// Whether its interpolation is `vertex`.
@@ -109,7 +109,7 @@ impl<'a> UsdSequence<'a> {
                 }
                 _ => {
                     let kind = format!("{}[]", vector("float", arity));
-                    // In the frames, names start with an underscore and are in upper case.
+                    // In the `.glb` files, names start with an underscore and are in upper case.
                     let wanted = identifier(name.strip_prefix('_').unwrap_or(&name)).to_ascii_lowercase();
                     let plain = taken.take(&wanted, |stem| vec![stem.to_owned()]).concat();
                     if plain != wanted {
@@ -157,8 +157,8 @@ impl<'a> UsdSequence<'a> {
         }))
     }
 
-    /// The origin of each frame, or `None` if all are zero. A frame without a mesh keeps that of the previous
-    /// one.
+    /// The origin of each frame, or `None` if all are zero. A frame without a mesh has the origin of the
+    /// previous frame.
     pub(crate) fn origins(&self) -> Option<Vec<[f64; 3]>> {
         let mut last = [0.0; 3];
         let origin = |place: &Option<FramePlacement>| {
@@ -169,15 +169,16 @@ impl<'a> UsdSequence<'a> {
         origins.iter().any(|origin| *origin != [0.0; 3]).then_some(origins)
     }
 
-    /// The time codes at which a frame needs a sample of a value that is the same for all vertices.
+    /// The [time codes](held_codes) at which a frame needs a sample of a value that is the same for all
+    /// vertices, such as its extent.
     pub(crate) fn held_codes(&self, index: usize) -> impl Iterator<Item = u64> {
         held_codes(self.frames[index].code, self.frames.get(index + 1).map(|next| next.code))
     }
 }
 
-/// The time codes at which the frame `code` needs a sample so that it is held until the frame `next`: its
-/// own, and the one before the next frame if frames are missing in between, because USD interpolates between
-/// samples of the same shape.
+/// The time codes at which the frame at time code `code` needs a sample: its own and, if frames are missing
+/// before the frame at `next`, the time code just before that. The second sample keeps the value constant until
+/// then, because USD interpolates between samples of the same shape.
 pub(crate) fn held_codes(code: u64, next: Option<u64>) -> impl Iterator<Item = u64> {
     let held = next.map(|next| next.saturating_sub(1)).filter(|&held| held > code);
     [code].into_iter().chain(held)

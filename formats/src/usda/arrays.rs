@@ -14,7 +14,7 @@ use super::numbers::NumberWriter;
 const ELEMENTS_PER_TASK: usize = 1 << 13;
 
 impl Elements<'_> {
-    /// The number of elements; for faces, of triangles.
+    /// The number of elements; for faces, the number of triangles.
     fn count(&self) -> usize {
         match self {
             Elements::Reals { values, stride, .. } => values.len() / stride,
@@ -43,7 +43,7 @@ impl Elements<'_> {
         let range = start..(start + ELEMENTS_PER_TASK).min(self.count());
         let mut numbers = NumberWriter::with_capacity(range.len() * ELEMENT_BYTES);
         self.append(range, &mut numbers);
-        // Each element but the very first is preceded by its separator.
+        // A separator precedes each element, except the first one of the array.
         match task {
             0 => numbers.text.split_off(SEPARATOR_BYTES.min(numbers.text.len())),
             _ => numbers.text,

@@ -71,7 +71,8 @@ fn head_text(head: &[u8]) -> Result<String> {
     if !head.starts_with(b"#usda 1.0") {
         return Err(Error::invalid(FORMAT, Position::Offset(0), "expected #usda 1.0"));
     }
-    // The prim, which can be long, starts with `def`. The head may end in the middle of a character.
+    // The prim, which can be long, starts with `def`. `head` may end in the middle of a UTF-8 character,
+    // hence the lossy conversion.
     let end = head.windows(5).position(|window| window == b"\ndef ").unwrap_or(head.len());
     Ok(String::from_utf8_lossy(&head[..end]).into_owned())
 }

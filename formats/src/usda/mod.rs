@@ -16,12 +16,12 @@
 //!   # end: 642 vertices, 1280 faces
 //! ```
 //!
-//! Every program that reads USD reads its text form; the [binary form](crate::usdc) takes a third of the size.
-//! A sequence is a single mesh whose attributes all have a
-//! sample per frame, rather than a file per frame and another that lists them: a single file can be moved,
-//! and can be replaced atomically. A [stage](UsdStage) is the alternative, for frames that still arrive.
+//! Every program that reads USD reads its text form; the [binary form](crate::usdc) takes a quarter to a
+//! third of the size. A sequence is one file with a single mesh, whose attributes all have a sample per
+//! frame, so it is easy to move and can be replaced atomically. A [stage](UsdStage) is the alternative: a file
+//! that lists those of the frames, which may still be arriving.
 //!
-//! This crate reads nothing from USD files except the head that it wrote itself.
+//! This crate does not read meshes from `.usda`: it reads only the heads of the files that it wrote.
 
 use crate::mesh_options::WriteOption;
 use crate::row::Integrity;

@@ -7,13 +7,14 @@
 //!   }
 //! ```
 //!
-//! The samples of an attribute are contiguous, so the writer visits all frames once per attribute. It reads
-//! only the required data from their files, which are `.glb` files of this crate. At any time, only one
-//! attribute of one frame and its text are in memory.
+//! The samples of an attribute are contiguous, so the writer visits all frames once per attribute. From the
+//! files of the frames, which are `.glb` files of this crate, it reads only the required data. At any time,
+//! only one attribute of one frame and its text are in memory.
 //!
-//! USD allows samples with different numbers of vertices, and holds each until the next. Programs that
-//! evaluate times between frames get blends of samples that happen to have the same number of vertices, so
-//! they should not do that; for motion blur they can use `velocities`.
+//! USD allows samples with different numbers of vertices, and holds such a sample until the next. But if two
+//! consecutive samples happen to have the same number of vertices, USD blends them at times between the
+//! frames, although their vertices do not correspond. So programs should evaluate the mesh only at the times
+//! of frames; for motion blur they can use `velocities`.
 
 use std::io::{self, Read, Seek, Write};
 
@@ -27,7 +28,8 @@ use super::numbers::triple;
 use super::write::about;
 
 /// Writes a sequence of frames, whose numbers become the time codes and must increase. `open` opens the file
-/// of a frame, by its index. Returns notes on attributes that are omitted because the frames differ in them.
+/// of the frame with the given index. Returns notes on attributes that are omitted because the frames differ
+/// in them.
 ///
 /// # Errors
 ///

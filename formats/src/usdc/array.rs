@@ -1,9 +1,11 @@
 //! Encodes arrays.
 //!
 //! ```text
-//!   u64 count │ elements                         vectors, and fewer than 16 numbers
-//!   u64 count │ u64 size, compressed integers    integers
-//!   u64 count │ i or t, the same                 single floats, if that is shorter
+//!   u64 count │ elements                                              vectors, and fewer than 16 numbers
+//!   u64 count │ u64 size, compressed integers                         integers
+//!   u64 count │ i │ u64 size, compressed integers                     single floats that are integers
+//!   u64 count │ t │ i32 length, table │ u64 size, compressed indices  single floats with few distinct values
+//!   u64 count │ elements                                              other single floats
 //! ```
 
 use std::borrow::Cow;
@@ -23,10 +25,10 @@ use super::value::{ValueRep, ValueType};
 /// Arrays with fewer numbers are not compressed.
 pub(super) const COMPRESSED_MIN: usize = 16;
 
-/// All arrays start at a multiple of this, so that programs can map them.
+/// The offset of every array is a multiple of this, so that programs can map arrays into memory.
 pub(super) const ALIGNMENT: u64 = 8;
 
-/// The bytes of an array.
+/// An encoded array.
 pub(super) struct CrateArray<'a> {
     kind: ValueType,
     is_compressed: bool,
@@ -37,7 +39,7 @@ pub(super) struct CrateArray<'a> {
 /// What follows the number of elements.
 enum Body<'a> {
     Bytes(Vec<u8>),
-    /// Floats that are copied when the file is written.
+    /// Floats, which are converted to bytes when the file is written.
     Floats(Cow<'a, [f32]>),
 }
 
@@ -169,7 +171,7 @@ impl<'a> CrateArray<'a> {
         if self.count == 0 { 0 } else { 8 + body as u64 }
     }
 
-    /// Its representation, if it is written at this offset.
+    /// The value representation of the array, if it is written at this offset.
     pub(super) fn rep(&self, offset: u64) -> ValueRep {
         match self.count {
             0 => ValueRep::array(self.kind, 0, false),
@@ -190,7 +192,7 @@ impl<'a> CrateArray<'a> {
     }
 }
 
-/// Appends the size of compressed integers, and the integers.
+/// Compresses integers, and appends the compressed size and the compressed bytes.
 pub(super) fn append_compressed<T: Integer>(
     values: impl ExactSizeIterator<Item = T> + Clone,
     out: &mut Vec<u8>,
@@ -198,7 +200,7 @@ pub(super) fn append_compressed<T: Integer>(
     append_lz4(&if values.len() == 0 { Vec::new() } else { encode(values) }, out)
 }
 
-/// Appends the size of compressed bytes, and the bytes.
+/// Compresses bytes, and appends the compressed size and the compressed bytes.
 pub(super) fn append_lz4(bytes: &[u8], out: &mut Vec<u8>) -> Result<()> {
     let packed = compressed(bytes).ok_or_else(too_large)?;
     out.extend_from_slice(&(packed.len() as u64).to_le_bytes());
@@ -206,7 +208,7 @@ pub(super) fn append_lz4(bytes: &[u8], out: &mut Vec<u8>) -> Result<()> {
     Ok(())
 }
 
-/// An index that must fit into 31 bits.
+/// Converts an index; fails if it does not fit into 31 bits.
 pub(super) fn index(index: usize) -> Result<i32> {
     i32::try_from(index).map_err(|_| too_large())
 }

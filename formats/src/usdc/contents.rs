@@ -4,16 +4,16 @@ use crate::error::{Error, Position, Result};
 use crate::row::ReadPiece;
 use crate::usd::FORMAT;
 
-/// The first bytes of every file in the crate format.
+/// The first bytes of every file in Crate, the binary format of USD.
 pub(super) const MAGIC: &[u8] = b"PXR-USDC";
 
-/// The version that this crate writes, which OpenUSD has read since 2019 (v19.11).
+/// The version of the format that the writer uses. OpenUSD reads it since v19.11 (2019).
 const VERSION: [u8; 3] = [0, 8, 0];
 
 /// The size of the bootstrap.
 pub(super) const BOOTSTRAP_BYTES: usize = 88;
 
-/// Where the bootstrap has the offset of the table of contents.
+/// The offset, within the bootstrap, of the field that holds the offset of the table of contents.
 pub(super) const CONTENTS_AT: usize = 16;
 
 /// The sections, in the order of the file.
@@ -82,14 +82,14 @@ pub(super) fn read_contents(table: &[u8], at: u64) -> Result<[(u64, u64); SECTIO
     };
     let (count, entries) = table.split_at(8);
     if count != (SECTIONS.len() as u64).to_le_bytes() {
-        return Err(Error::unsupported(FORMAT, format!("unknown sections: {NOT_OURS}")));
+        return Err(Error::unsupported(FORMAT, format!("this file has unknown sections: {NOT_OURS}")));
     }
     let mut found = [(0, 0); SECTIONS.len()];
     for (index, entry) in entries.as_chunks::<ENTRY_BYTES>().0.iter().enumerate() {
         let (name, place) = entry.split_at(NAME_BYTES);
         let name = String::from_utf8_lossy(name);
         if name.trim_end_matches('\0') != SECTIONS[index] {
-            return Err(Error::unsupported(FORMAT, format!("unknown sections: {NOT_OURS}")));
+            return Err(Error::unsupported(FORMAT, format!("this file has unknown sections: {NOT_OURS}")));
         }
         let [start, size] = [0, 8].map(|at| {
             let mut number = [0; 8];
@@ -97,8 +97,10 @@ pub(super) fn read_contents(table: &[u8], at: u64) -> Result<[(u64, u64); SECTIO
             u64::from_le_bytes(number)
         });
         if start < BOOTSTRAP_BYTES as u64 || start.checked_add(size).is_none_or(|end| end > at) {
-            let what =
-                format!("section {} with {size} bytes at {start} is not before this table", SECTIONS[index]);
+            let what = format!(
+                "section {} has {size} bytes from {start}; expected it between the bootstrap and this table",
+                SECTIONS[index]
+            );
             return Err(Error::invalid(FORMAT, position, what));
         }
         found[index] = (start, size);
@@ -106,7 +108,8 @@ pub(super) fn read_contents(table: &[u8], at: u64) -> Result<[(u64, u64); SECTIO
     Ok(found)
 }
 
-/// The size of a file of this crate, which ends with its table of contents; `None` if the table is missing.
+/// The size that a file of our writer has when it is complete: it ends with its table of contents. `None` if
+/// the bootstrap is incomplete, or the table is missing, incomplete or invalid.
 pub(super) fn claimed_bytes(head: &[u8], read: &mut ReadPiece) -> Result<Option<u64>> {
     let Some(head) = head.first_chunk::<BOOTSTRAP_BYTES>() else { return Ok(None) };
     let at = contents_at(head)?;

@@ -2,19 +2,19 @@
 
 use std::collections::HashMap;
 
-/// Says that the floats are integers.
+/// The code of an array of floats that is stored as integers.
 pub(super) const AS_INTEGERS: u8 = b'i';
 
-/// Says that a table of floats and indices into it follow.
+/// The code of an array of floats that is stored as a table and indices into it.
 pub(super) const AS_TABLE: u8 = b't';
 
 /// The most entries of a table.
 const TABLE_MAX: usize = 1024;
 
-/// The floats as integers, if all of them are.
+/// The floats as integers; `None` unless all floats are integers.
 #[expect(clippy::cast_possible_truncation, reason = "compared with the value afterwards")]
 pub(super) fn as_integers(values: &[f32]) -> Option<Vec<i32>> {
-    // The comparison of bits excludes −0, and saturated integers: 2³¹ is not an i32.
+    // The comparison of bits excludes −0. The limit excludes 2³¹, which the cast saturates to `i32::MAX`.
     let integer = |&value: &f32| {
         let integer = value as i32;
         (integer < i32::MAX && (integer as f32).to_bits() == value.to_bits()).then_some(integer)
@@ -22,8 +22,8 @@ pub(super) fn as_integers(values: &[f32]) -> Option<Vec<i32>> {
     values.iter().map(integer).collect()
 }
 
-/// The distinct floats in the order of their first occurrence, and an index for each; `None` if a table would
-/// not save enough.
+/// The distinct floats in the order of their first occurrence, and the index of each value among them; `None`
+/// if a table would not save enough.
 pub(super) fn as_table(values: &[f32]) -> Option<(Vec<f32>, Vec<i32>)> {
     let most = (values.len() / 4).min(TABLE_MAX);
     let (mut table, mut places) = (Vec::new(), HashMap::new());

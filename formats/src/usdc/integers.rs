@@ -1,9 +1,9 @@
-//! The coding of integers, before LZ4: differences, the most common of which takes two bits.
+//! Encodes integers before LZ4 compresses them: as differences, of which the most common one takes two bits.
 //!
 //! ```text
 //!   values        123, 124, 125, 100125, 100125
-//!   differences   123, 1, 1, 100000, 0                         the first one from 0
-//!   encoded       1 │ 01 00 00 11 01 │ 123, 100000, 0          common, 2-bit codes, the others
+//!   differences   123, 1, 1, 100000, 0                         the first one is relative to 0
+//!   encoded       1 │ 01 00 00 11 01 │ 123, 100000, 0          most common │ 2-bit codes │ other differences
 //!
 //!   code          0 common    1 narrow     2 medium     3 wide
 //!   32 bits                   8 bits       16 bits      32 bits
@@ -14,12 +14,12 @@
 
 use std::ops::Range;
 
-/// An integer type, by the size of its codes. All arithmetic is modulo its size.
+/// An integer type that can be encoded. All arithmetic wraps around at the size of the type.
 pub(super) trait Integer: Copy {
-    /// The bytes of a narrow, a medium and a wide number.
+    /// The sizes of a narrow, a medium and a wide difference, in bytes.
     const CODE_BYTES: [usize; 3];
     fn widened(self) -> i64;
-    /// The lowest bits.
+    /// The lowest bits of `value`.
     fn lowest(value: i64) -> Self;
 }
 
@@ -44,13 +44,13 @@ impl Integer for i64 {
     }
 }
 
-/// The most bytes that `count` encoded integers take; `None` if that is too large a number.
+/// The maximum size of `count` encoded integers, in bytes; `None` if it exceeds `usize`.
 pub(super) fn encoded_bytes_max<T: Integer>(count: usize) -> Option<usize> {
     let wide = T::CODE_BYTES[2];
     count.checked_mul(wide)?.checked_add(wide)?.checked_add(count.div_ceil(4))
 }
 
-/// The bytes of a difference in memory.
+/// The size of a difference in memory, in bytes.
 const WHOLE_BYTES: usize = size_of::<i64>();
 
 /// The differences that are counted to find the most common one: those of 16 bits.
@@ -82,7 +82,8 @@ pub(super) fn encode<T: Integer>(values: impl ExactSizeIterator<Item = T> + Clon
             (3, wide)
         };
         out[wide + index / 4] |= code << (2 * (index % 4));
-        // The next number overwrites what is too much: copying a constant number of bytes is faster.
+        // Copies eight bytes, because copying a constant number is faster. The next difference overwrites the
+        // excess.
         out[end..end + WHOLE_BYTES].copy_from_slice(&difference.to_le_bytes());
         end += length;
     }
@@ -96,7 +97,7 @@ fn fits(value: i64, bytes: usize) -> bool {
     (value << unused) >> unused == value
 }
 
-/// The most common difference; of several the largest, which saves most.
+/// The most common difference. If several are equally common, the largest of them, which saves most.
 fn most_common(differences: impl Iterator<Item = i64>) -> i64 {
     let mut counts = vec![0_u32; 1 << 16];
     for difference in differences.filter(|difference| COUNTED.contains(difference)) {
@@ -156,7 +157,7 @@ mod tests {
     #[test]
     fn encoding_is_the_documented_one() {
         let encoded = encode([123_i32, 124, 125, 100_125, 100_125, 100_126, 100_126].into_iter());
-        // Codes 1 0 0 3, then 1 0 1; 1 occurs three times and 0 twice.
+        // The codes are 1 0 0 3, then 1 0 1: the most common difference is 1, which occurs three times.
         let expected =
             [&1_i32.to_le_bytes()[..], &[0b1100_0001, 0b0001_0001, 123], &100_000_i32.to_le_bytes(), &[0, 0]];
         assert_eq!(encoded, expected.concat());

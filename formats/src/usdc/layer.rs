@@ -1,4 +1,5 @@
-//! What both writers have in common: the beginning of a file, and the prims that refer to its arrays.
+//! The parts that the writers of one frame and of a sequence share: the beginning of a file, and the prims
+//! that refer to its arrays.
 
 use crate::data::Provenance;
 use crate::error::Result;
@@ -34,7 +35,7 @@ pub(super) struct LayerHead<'a> {
     pub(super) info: LayerInfo,
     pub(super) up: UpAxis,
     pub(super) meters_per_unit: f64,
-    /// The first and last time code, and the time codes per second.
+    /// The first and last time code, and the time codes per second; `None` for one frame.
     pub(super) times: Option<([u64; 2], f64)>,
     /// The name of the mesh.
     pub(super) prim: &'a str,
@@ -71,7 +72,7 @@ impl LayerEnd {
     /// Starts at this offset of the file.
     pub(super) fn at(base: u64) -> LayerEnd {
         let mut tables = Tables::default();
-        tables.token(ROOT); // the first word must not be a property
+        tables.token(ROOT); // no property may be named by token 0: see `Tables::append_paths`
         LayerEnd { base, values: Vec::new(), tables }
     }
 
@@ -79,7 +80,7 @@ impl LayerEnd {
         self.base + self.values.len() as u64
     }
 
-    /// A number, inside its representation if 32 bits hold it exactly.
+    /// The representation of a number, which is inlined if a 32-bit float holds it exactly.
     #[expect(clippy::cast_possible_truncation, reason = "compared with the value afterwards")]
     fn double(&mut self, value: f64) -> ValueRep {
         if f64::from(value as f32) == value {
@@ -135,7 +136,8 @@ impl LayerEnd {
         rep
     }
 
-    /// The offset of the next value, relative to itself, and the value. OpenUSD has nested values in between.
+    /// Appends an offset and the value that it leads to. The offset is relative to its own position: it is 8,
+    /// because nothing is in between. OpenUSD stores nested values in between.
     fn append_here(&mut self, value: ValueRep) {
         self.values.extend_from_slice(&8_i64.to_le_bytes());
         self.values.extend_from_slice(&value.0.to_le_bytes());

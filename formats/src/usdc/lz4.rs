@@ -1,4 +1,4 @@
-//! LZ4 blocks as the crate format stores them: a count of chunks, and the chunks.
+//! LZ4 blocks as the crate format stores them: the number of chunks in one byte, and the chunks.
 //!
 //! ```text
 //!   0   LZ4 block                                    one block
@@ -13,7 +13,7 @@ const BLOCK_BYTES_MAX: usize = 0x7e00_0000;
 /// The most chunks.
 const CHUNKS_MAX: usize = 127;
 
-/// Compresses bytes; `None` if they are more than the chunks hold, 250 GB.
+/// Compresses bytes; `None` if they are more than all chunks hold, 250 GiB.
 pub(super) fn compressed(bytes: &[u8]) -> Option<Vec<u8>> {
     if bytes.len() <= BLOCK_BYTES_MAX {
         let mut out = vec![0];
@@ -40,7 +40,8 @@ fn append_block(bytes: &[u8], out: &mut Vec<u8>) -> Option<()> {
     Some(())
 }
 
-/// Decompresses into `out` and returns the number of bytes; `None` if the data are invalid or longer.
+/// Decompresses into `out` and returns the number of bytes; `None` if the data are invalid or longer than
+/// `out`.
 pub(super) fn decompress(bytes: &[u8], out: &mut [u8]) -> Option<usize> {
     let (&chunk_count, mut rest) = bytes.split_first()?;
     if chunk_count == 0 {

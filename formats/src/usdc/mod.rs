@@ -4,19 +4,22 @@
 //! ```text
 //!   0    bootstrap     PXR-USDC, version 0.8.0, offset of the table of contents
 //!   88   comment       the provenance, in the same form as in .ply
-//!        arrays        points, normals, indices .., each at a multiple of 8
+//!        arrays        points, normals, indices .., each at an offset that is a multiple of 8
 //!        values        lists of names, dictionaries, time samples: refer to arrays by their offsets
 //!        TOKENS STRINGS FIELDS FIELDSETS PATHS SPECS     what the layer contains: refer to values
 //!        table of contents
 //! ```
 //!
-//! No part of the format refers to the comment. It is there because the provenance in `customLayerData` is in
-//! compressed tables at the end of the file, which may have gigabytes, and `--skip-done` reads only heads.
+//! No part of the format refers to the comment. The provenance is also in `customLayerData`, but this is in
+//! compressed tables at the end of the file, which may have gigabytes, and `--skip-done` reads only the head
+//! of a file.
 //!
-//! The tables are at the end because OpenUSD, when it saves a file that it opened, overwrites everything from
-//! the first of them on. So a sequence can be written with one attribute of one frame in memory.
+//! The tables are at the end, because OpenUSD overwrites everything from the first table on when it saves a
+//! file that it opened. With this order, the writer of a sequence needs only one attribute of one frame in
+//! memory.
 //!
-//! Integers are compressed, as OpenUSD compresses them; vectors are not, so that programs can map them.
+//! Integers are compressed in the same way as by OpenUSD. Vectors are not compressed, so that programs can
+//! map them into memory.
 //!
 //! The file of a frame has each value twice, as the default and as a time sample, which refer to one array.
 //! [Stages](crate::usda::UsdStage) see only time samples; programs that know no times find the default.

@@ -66,12 +66,15 @@ impl<'a> UsdcLayer<'a> {
         let tables = LayerTables::read(&source)?;
         let info = layer_info(&source, &tables)?;
         if tables.word(tables.specs[2].field("typeName"), "the prim's type")? != "Mesh" {
-            return Err(Error::unsupported(FORMAT, format!("other prims than one mesh: {NOT_OURS}")));
+            return Err(Error::unsupported(
+                FORMAT,
+                format!("this file has prims other than one mesh: {NOT_OURS}"),
+            ));
         }
         let mut properties = Vec::new();
         for (index, spec) in tables.specs.iter().enumerate().skip(3) {
             if spec.kind != SpecType::Attribute as i32 {
-                return Err(Error::unsupported(FORMAT, format!("relationships: {NOT_OURS}")));
+                return Err(Error::unsupported(FORMAT, format!("this file has relationships: {NOT_OURS}")));
             }
             properties.push((index, values_of(&source, spec)?));
         }
@@ -133,7 +136,7 @@ impl<'a> UsdcLayer<'a> {
         found.map(|(place, values)| (&self.tables.specs[*place], values))
     }
 
-    /// The value of a property that has a sample for each frame.
+    /// The value of a property in a frame. In a sequence, the property must have a sample for each frame.
     fn value(&self, name: &str, index: usize) -> Result<ValueRep> {
         match (self.values(name), &self.codes) {
             (Some((_, PropertyValues::Always(value))), None) if index == 0 => Ok(*value),
@@ -162,7 +165,7 @@ impl<'a> UsdcLayer<'a> {
         Ok(origin)
     }
 
-    /// The attribute in a property, if there is one.
+    /// The vertex attribute that is stored in a property; `None` for other properties.
     fn attribute(&self, spec: &Spec, index: usize, vertex_count: usize) -> Result<Option<FileAttribute>> {
         let name = &*spec.name;
         let (plain, role) = match (name, name.strip_prefix("primvars:")) {
@@ -188,13 +191,13 @@ impl<'a> UsdcLayer<'a> {
         let arity = width.saturating_mul(size);
         if arity == 0 || vertex_count.checked_mul(arity) != Some(found) {
             return Err(invalid(format!(
-                "{found} values of {name} for {vertex_count} points with {arity} each"
+                "{name} has {found} values, but the mesh has {vertex_count} points with {arity} values each"
             )));
         }
         Ok(Some(FileAttribute { name: plain.to_owned(), arity, role, values }))
     }
 
-    /// The numbers of an element, and all of them.
+    /// The number of values per element of the array, and all values.
     fn attribute_values(
         &self,
         name: &str,
@@ -232,7 +235,7 @@ impl<'a> UsdcLayer<'a> {
     }
 }
 
-/// The end of the name of an indexed primvar's indices.
+/// The suffix in the name of the property that has the indices of an indexed primvar.
 const INDICES: &str = ":indices";
 
 fn layer_info(source: &Source, tables: &LayerTables) -> Result<LayerInfo> {
@@ -276,7 +279,7 @@ fn values_of(source: &Source, spec: &Spec) -> Result<PropertyValues> {
     let times = times.offset(ValueType::DoubleVector).ok_or_else(|| unexpected(name))?;
     let mut cursor = source.at(times)?;
     if count(&mut cursor, "times")? != sample_count {
-        return Err(at.invalid(format!("{name} has {sample_count} samples, and another number of times")));
+        return Err(at.invalid(format!("{name} has {sample_count} samples, but a different number of times")));
     }
     let times = cursor.take(sample_count.saturating_mul(8), "times")?.as_chunks().0;
     source.claim(sample_count, size_of::<(f64, ValueRep)>())?;
@@ -290,20 +293,20 @@ fn values_of(source: &Source, spec: &Spec) -> Result<PropertyValues> {
     }
 }
 
-/// The sample at a time.
+/// The sample at exactly this time code.
 fn sample(samples: &[(f64, ValueRep)], code: f64) -> Option<ValueRep> {
     let place = samples.binary_search_by(|(time, _)| time.total_cmp(&code)).ok()?;
     Some(samples[place].1)
 }
 
-/// The triangle fans of faces.
+/// Splits faces into triangle fans.
 fn fans(counts: &[i32], corners: &[i32], vertex_count: usize) -> Result<Vec<[u32; 3]>> {
     let mut triangles = Vec::new();
     let mut rest = corners;
     for &count in counts {
         let face = usize::try_from(count).ok().filter(|&count| count >= 3);
         let Some((face, others)) = face.and_then(|count| rest.split_at_checked(count)) else {
-            return Err(invalid(format!("a face has {count} corners, and {} are left", rest.len())));
+            return Err(invalid(format!("a face has {count} corners, but only {} are left", rest.len())));
         };
         rest = others;
         let is_vertex = |index: i32| usize::try_from(index).is_ok_and(|index| index < vertex_count);

@@ -1,4 +1,4 @@
-//! Reads arrays, and counts what they need.
+//! Reads arrays, and limits the memory that they need.
 
 use std::cell::Cell;
 
@@ -13,8 +13,8 @@ use super::integers::{Integer, decode, encoded_bytes_max};
 use super::lz4::decompress;
 use super::value::{ValueRep, ValueType};
 
-/// The bytes of a file. Several values can refer to the same bytes, so everything that is read counts as
-/// decompressed, until [`Source::start_anew`].
+/// The bytes of a file, and the number of bytes that were read since [`Source::start_anew`]. Several values
+/// can refer to the same bytes, so all that is read counts towards the limit of decompressed bytes.
 pub(super) struct Source<'a> {
     pub(super) bytes: &'a [u8],
     limits: Limits,
@@ -26,7 +26,7 @@ impl<'a> Source<'a> {
         Source { bytes, limits: *limits, unpacked: Cell::new(0) }
     }
 
-    /// Forgets what was read so far.
+    /// Sets the count of decompressed bytes to 0.
     pub(super) fn start_anew(&self) {
         self.unpacked.set(0);
     }
@@ -35,20 +35,20 @@ impl<'a> Source<'a> {
     pub(super) fn at(&self, offset: u64) -> Result<Cursor<'a>> {
         let place = usize::try_from(offset).ok().filter(|&place| place <= self.bytes.len());
         let place = place.ok_or_else(|| {
-            let what = format!("a value at {offset} is behind the end, at {}", self.bytes.len());
+            let what = format!("a value would be at {offset}, but the file ends at {}", self.bytes.len());
             Error::invalid(FORMAT, Position::Offset(offset), what)
         })?;
         Ok(Cursor::new(FORMAT, Endian::Little, self.bytes, place))
     }
 
-    /// Counts bytes that are about to be allocated.
+    /// Counts bytes that are about to be allocated; fails if the sum exceeds the limit.
     pub(super) fn claim(&self, count: usize, bytes_each: usize) -> Result<()> {
         let bytes = (count as u64).saturating_mul(bytes_each as u64);
         self.unpacked.set(self.unpacked.get().saturating_add(bytes));
         self.limits.check_decompressed(FORMAT, self.unpacked.get(), self.bytes.len() as u64)
     }
 
-    /// Reads a size and as many compressed bytes, which have at most `bytes_max` bytes.
+    /// Reads a size and as many compressed bytes, and decompresses them to at most `bytes_max` bytes.
     pub(super) fn lz4(&self, cursor: &mut Cursor, bytes_max: usize, what: &str) -> Result<Vec<u8>> {
         let size = count(cursor, what)?;
         let at = cursor.clone();
@@ -61,7 +61,7 @@ impl<'a> Source<'a> {
         Ok(out)
     }
 
-    /// Reads a size and compressed integers.
+    /// Reads a size and `count` compressed integers.
     pub(super) fn integers<T: Integer>(
         &self,
         cursor: &mut Cursor,
@@ -70,10 +70,10 @@ impl<'a> Source<'a> {
     ) -> Result<Vec<T>> {
         let at = cursor.clone();
         let bytes_max = encoded_bytes_max::<T>(count)
-            .ok_or_else(|| at.invalid(format!("{count} {what} are more than any file has")))?;
+            .ok_or_else(|| at.invalid(format!("{count} {what} are more than a file can hold")))?;
         self.claim(count, T::CODE_BYTES[2])?;
         let encoded = self.lz4(cursor, bytes_max, what)?;
-        decode(&encoded, count).ok_or_else(|| at.invalid(format!("the compressed {what} are not {count}")))
+        decode(&encoded, count).ok_or_else(|| at.invalid(format!("expected {count} compressed {what}")))
     }
 
     /// The start of an array of this type, and whether it is compressed; `None` if it is empty.
@@ -132,7 +132,7 @@ impl<'a> Source<'a> {
                 let indices: Vec<i32> = self.integers(&mut cursor, count, what)?;
                 let value = |index: i32| table.get(usize::try_from(index).ok()?).copied();
                 let values: Option<Vec<f32>> = indices.into_iter().map(value).collect();
-                values.ok_or_else(|| at.invalid(format!("an index of {what} is behind its table")))
+                values.ok_or_else(|| at.invalid(format!("an index of {what} is beyond the end of its table")))
             }
             [code] => Err(at.invalid(format!("unknown compression {code} of {what}"))),
         }
@@ -151,25 +151,25 @@ impl<'a> Source<'a> {
         Ok(bytes)
     }
 
-    /// The indices of an array of words or strings.
+    /// The indices of an array of tokens or strings.
     pub(super) fn read_indices(&self, rep: ValueRep, kind: ValueType, what: &str) -> Result<Vec<u32>> {
         let indices: Vec<i32> = self.read_integers(rep, (kind, 1), what)?;
         Ok(indices.into_iter().map(i32::cast_unsigned).collect())
     }
 }
 
-/// A count of 64 bits.
+/// Reads a 64-bit count.
 pub(super) fn count(cursor: &mut Cursor, what: &str) -> Result<usize> {
     let at = cursor.clone();
     let count = u64::from_le_bytes(cursor.array(what)?);
-    usize::try_from(count).map_err(|_| at.invalid(format!("{count} {what} are more than any file has")))
+    usize::try_from(count).map_err(|_| at.invalid(format!("{count} {what} are more than a file can hold")))
 }
 
 fn floats(bytes: &[u8]) -> Vec<f32> {
     bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
 }
 
-/// The error for a value of another type.
+/// The error for a value that is missing or has another type.
 pub(super) fn unexpected(what: &str) -> Error {
     Error::invalid(FORMAT, Position::File, format!("the value of {what} is missing, or has another type"))
 }

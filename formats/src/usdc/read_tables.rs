@@ -9,7 +9,7 @@ use super::read_array::{Source, count, unexpected};
 use super::tables::{JUMP_CHILD, JUMP_END, JUMP_SIBLING, SET_END, SpecType};
 use super::value::{ValueRep, ValueType};
 
-/// The words, prims and properties of a layer.
+/// The tokens, strings, prims and properties of a layer.
 pub(super) struct LayerTables {
     tokens: Vec<String>,
     strings: Vec<u32>,
@@ -35,7 +35,7 @@ impl LayerTables {
     ///
     /// # Errors
     ///
-    /// [`Error::Truncated`] if the file is truncated; [`Error::Unsupported`] if another program arranged it;
+    /// [`Error::Truncated`] if the file is truncated; [`Error::Unsupported`] if another program wrote it;
     /// [`Error::Invalid`] if it is damaged; [`Error::TooLarge`] if it exceeds the limits.
     pub(super) fn read(source: &Source) -> Result<LayerTables> {
         let at = contents_at(source.bytes)?;
@@ -56,17 +56,17 @@ impl LayerTables {
         Ok(LayerTables { tokens, strings, specs })
     }
 
-    /// A word.
+    /// The token with this index.
     pub(super) fn token(&self, index: u32) -> Option<&str> {
         self.tokens.get(index as usize).map(String::as_str)
     }
 
-    /// A string.
+    /// The string with this index.
     pub(super) fn string(&self, index: u32) -> Option<&str> {
         self.token(*self.strings.get(index as usize)?)
     }
 
-    /// The word that a value is.
+    /// The token in a value of this type.
     pub(super) fn word(&self, value: Option<ValueRep>, what: &str) -> Result<&str> {
         value.and_then(|value| self.token(value.value(ValueType::Token)?)).ok_or_else(|| unexpected(what))
     }
@@ -88,31 +88,31 @@ impl LayerTables {
     }
 }
 
-/// A value behind its own offset, with nothing in between.
+/// Reads an offset, which must lead to the bytes just after it, and the value there.
 pub(super) fn value_here(cursor: &mut Cursor, what: &str) -> Result<ValueRep> {
     no_gap(cursor, what)?;
     Ok(ValueRep(u64::from_le_bytes(cursor.array(what)?)))
 }
 
-/// Skips an offset that leads to the bytes behind it.
+/// Skips an offset, which must lead to the bytes just after it.
 pub(super) fn no_gap(cursor: &mut Cursor, what: &str) -> Result<()> {
     match i64::from_le_bytes(cursor.array(what)?) {
         8 => Ok(()),
-        _ => Err(Error::unsupported(FORMAT, format!("nested {what}: {NOT_OURS}"))),
+        _ => Err(Error::unsupported(FORMAT, format!("this file has nested {what}: {NOT_OURS}"))),
     }
 }
 
 fn read_tokens(source: &Source, mut cursor: Cursor) -> Result<Vec<String>> {
     let at = cursor.clone();
-    let token_count = count(&mut cursor, "words")?;
-    let byte_count = count(&mut cursor, "bytes of words")?;
-    let text = source.lz4(&mut cursor, byte_count, "words")?;
-    let text = String::from_utf8(text).map_err(|_| at.invalid("the words are not UTF-8"))?;
+    let token_count = count(&mut cursor, "tokens")?;
+    let byte_count = count(&mut cursor, "bytes of tokens")?;
+    let text = source.lz4(&mut cursor, byte_count, "tokens")?;
+    let text = String::from_utf8(text).map_err(|_| at.invalid("the tokens are not UTF-8"))?;
     source.claim(text.bytes().filter(|&byte| byte == 0).count(), size_of::<String>())?;
     let words = text.strip_suffix('\0').map(|text| text.split('\0').map(str::to_owned).collect::<Vec<_>>());
     words
         .filter(|words| words.len() == token_count)
-        .ok_or_else(|| at.invalid(format!("expected {token_count} words")))
+        .ok_or_else(|| at.invalid(format!("expected {token_count} tokens")))
 }
 
 fn read_strings(source: &Source, mut cursor: Cursor) -> Result<Vec<u32>> {
@@ -144,7 +144,7 @@ fn read_fields(source: &Source, mut cursor: Cursor, tokens: &[String]) -> Result
 
 fn word<'a>(tokens: &'a [String], index: u32, at: &Cursor) -> Result<&'a str> {
     let word = tokens.get(index as usize);
-    word.map(String::as_str).ok_or_else(|| at.invalid(format!("there is no word {index}")))
+    word.map(String::as_str).ok_or_else(|| at.invalid(format!("there is no token {index}")))
 }
 
 fn read_field_sets(source: &Source, mut cursor: Cursor) -> Result<Vec<u32>> {
@@ -153,7 +153,8 @@ fn read_field_sets(source: &Source, mut cursor: Cursor) -> Result<Vec<u32>> {
     Ok(sets.into_iter().map(i32::cast_unsigned).collect())
 }
 
-/// The names of the paths: the layer, prims that are each a child of the one before, and properties.
+/// The last name of each path: of the layer, of the prims, each a child of the one before, and of the
+/// properties.
 fn read_paths(source: &Source, mut cursor: Cursor, tokens: &[String]) -> Result<Vec<String>> {
     let at = cursor.clone();
     let path_count = count(&mut cursor, "paths")?;
@@ -171,7 +172,10 @@ fn read_paths(source: &Source, mut cursor: Cursor, tokens: &[String]) -> Result<
         i32::try_from(index) == Ok(indices[index]) && jumps[index] == jump
     };
     if encoded_count != path_count || !(0..path_count).all(is_ours) {
-        return Err(Error::unsupported(FORMAT, format!("other prims than one mesh: {NOT_OURS}")));
+        return Err(Error::unsupported(
+            FORMAT,
+            format!("this file has prims other than one mesh: {NOT_OURS}"),
+        ));
     }
     let mut found = Vec::new();
     for name in names {
@@ -182,7 +186,7 @@ fn read_paths(source: &Source, mut cursor: Cursor, tokens: &[String]) -> Result<
     Ok(found)
 }
 
-/// The fields of each path.
+/// The name, the type and the fields of each path.
 fn read_specs(
     source: &Source,
     mut cursor: Cursor,
@@ -217,6 +221,8 @@ fn read_specs(
     let kinds = specs.iter().take(3).map(|spec| spec.kind);
     match kinds.eq(expected) {
         true => Ok(specs),
-        false => Err(Error::unsupported(FORMAT, format!("other prims than one mesh: {NOT_OURS}"))),
+        false => {
+            Err(Error::unsupported(FORMAT, format!("this file has prims other than one mesh: {NOT_OURS}")))
+        }
     }
 }

@@ -1,10 +1,10 @@
 //! Writes a sequence as one mesh whose attributes have a sample per frame.
 //!
-//! The frames are visited once, in order: their arrays are written one after the other, and the time samples,
-//! which refer to them, at the end. At any time, only one attribute of one frame is in memory. The attributes
-//! of a frame have the same time codes, so `velocities` are valid for its `points`.
+//! The writer visits the frames once, in order. It writes their arrays one after the other, and at the end
+//! the time samples, which refer to the arrays. At any time, only one attribute of one frame is in memory.
+//! The attributes of a frame have the same time codes, so its `velocities` are valid for its `points`.
 //!
-//! USD allows samples with different numbers of vertices, and holds each until the next.
+//! USD allows samples with different numbers of vertices, and holds each of them until the next sample.
 
 use std::io::{self, Read, Seek, SeekFrom, Write};
 
@@ -19,8 +19,8 @@ use super::layer::{LayerEnd, LayerHead, PropertySpec, SpecValue, head, padding};
 use super::value::{ValueRep, ValueType};
 
 /// Writes a sequence of frames, whose numbers become the time codes and must increase. `open` opens the file
-/// of a frame, by its index; `out` starts where the file starts. Returns notes on attributes that are omitted
-/// because the frames differ in them.
+/// of a frame, by its index; position 0 of `out` is the start of the file. Returns notes on attributes that
+/// are renamed, or omitted because the frames differ in them.
 ///
 /// # Errors
 ///
@@ -81,7 +81,7 @@ pub fn write_sequence<R: Read + Seek>(
     Ok(notes)
 }
 
-/// Writes the number of corners of each face, and the vertices of the corners.
+/// Writes the number of corners of each face, and the vertex indices of the corners.
 fn write_faces(
     frame: &SequenceFrame,
     file: &mut (impl Read + Seek),
@@ -93,7 +93,7 @@ fn write_faces(
     Ok([counts, arrays.write(Elements::FaceCorners { triangles, quads })?])
 }
 
-/// Writes arrays, and knows their offsets.
+/// Writes arrays, and keeps track of their offsets.
 struct ArrayWriter<'a, W> {
     at: u64,
     out: &'a mut W,
@@ -111,7 +111,7 @@ impl<W: Write> ArrayWriter<'_, W> {
     }
 }
 
-/// The values of an attribute in a frame, and how many a vertex has.
+/// The number of values per vertex of an attribute in a frame, and the values.
 fn read_attribute(
     shot: &UsdSequence,
     index: usize,
@@ -137,7 +137,7 @@ fn sampled(kind: &str, name: &str, samples: Vec<(f64, ValueRep)>) -> PropertySpe
     }
 }
 
-/// A property that is the same word in all frames.
+/// A property that has the same token in all frames.
 fn word(name: &str, word: &str, end: &mut LayerEnd) -> PropertySpec {
     let value = SpecValue::Always(end.tables.token_value(word));
     PropertySpec { is_uniform: true, value, ..sampled("token", name, Vec::new()) }

@@ -1,7 +1,7 @@
-//! Builds the tables of a layer: its words, paths and fields.
+//! Builds the tables of a layer: its tokens, paths and fields.
 //!
 //! ```text
-//!   spec       path │ fields from here on │ type         one per prim and property
+//!   spec       path │ first field in the sets │ type     one per prim and property
 //!   field sets field, field, .., end │ field, ..
 //!   field      name │ value
 //! ```
@@ -23,7 +23,7 @@ pub(super) enum SpecType {
     PseudoRoot = 7,
 }
 
-/// The end of a field set.
+/// Marks the end of a field set.
 pub(super) const SET_END: u32 = u32::MAX;
 
 /// The jumps of a path, which say what follows it in the list: its only child, or its sibling, or nothing.
@@ -42,15 +42,15 @@ pub(super) struct Tables {
     fields: Vec<(u32, ValueRep)>,
     field_places: HashMap<(u32, ValueRep), u32>,
     field_sets: Vec<u32>,
-    /// The name of the last element of each path, its type, and its first field in the sets.
+    /// For each path: the name of its last element, its type, and the index of its first field in the sets.
     specs: Vec<(u32, SpecType, u32)>,
 }
 
 impl Tables {
-    /// The index of a word.
+    /// The index of a token, which is added if it is new.
     #[expect(clippy::cast_possible_truncation, reason = "a layer has fewer words than vertices")]
     pub(super) fn token(&mut self, word: &str) -> u32 {
-        // Words end with NUL in the file, so none may contain it.
+        // Tokens end with NUL in the file, so no token may contain NUL.
         let word = word.replace('\0', "\\x00");
         let next = self.tokens.len() as u32;
         *self.token_places.entry(word).or_insert_with_key(|word| {
@@ -59,7 +59,7 @@ impl Tables {
         })
     }
 
-    /// The index of a string.
+    /// The index of a string, which is added if it is new.
     #[expect(clippy::cast_possible_truncation, reason = "a layer has fewer strings than vertices")]
     pub(super) fn string(&mut self, text: &str) -> u32 {
         let token = self.token(text);
@@ -70,7 +70,7 @@ impl Tables {
         })
     }
 
-    /// A value that is a word.
+    /// The representation of a token.
     pub(super) fn token_value(&mut self, word: &str) -> ValueRep {
         ValueRep::inlined(ValueType::Token, self.token(word))
     }
@@ -151,7 +151,7 @@ impl Tables {
         append_count(self.specs.len(), out);
         append_count(self.specs.len(), out); // the number of encoded paths: all of them
         append_compressed(0..count, out)?;
-        // The names of properties are negative, so a property must not be the first word.
+        // The token index is negative for the name of a property, so token 0 must not be such a name.
         let name = |&(name, kind, _): &(u32, SpecType, u32)| match kind {
             SpecType::Attribute => name.cast_signed().wrapping_neg(),
             SpecType::Prim | SpecType::PseudoRoot => name.cast_signed(),

@@ -43,7 +43,7 @@ const FLAGS: u64 = 0xff << 56;
 const PAYLOAD: u64 = (1 << 48) - 1;
 
 impl ValueRep {
-    /// The value itself, in 32 bits.
+    /// An inlined value of 32 bits.
     pub(super) fn inlined(kind: ValueType, value: u32) -> ValueRep {
         ValueRep(INLINED | Self::code(kind) | u64::from(value))
     }
@@ -69,7 +69,7 @@ impl ValueRep {
         (self.0 & !PAYLOAD == INLINED | Self::code(kind)).then_some((self.0 & PAYLOAD) as u32)
     }
 
-    /// The offset of a value that is not inlined and of this type.
+    /// The offset of the value, if it is of this type and not inlined.
     pub(super) fn offset(self, kind: ValueType) -> Option<u64> {
         (self.0 & !PAYLOAD == Self::code(kind)).then_some(self.0 & PAYLOAD)
     }

@@ -1,7 +1,8 @@
 //! Writes the mesh of one frame.
 //!
-//! The file starts with the offset of its last part. So all integers are compressed before the first byte is
-//! written; they are small compared with the vectors, which are copied from the mesh.
+//! The file starts with the offset of its last part, the table of contents. So the sizes of all arrays must
+//! be known, and all integers compressed, before the first byte is written. The compressed integers take
+//! little memory compared with the vectors, which are written directly from the mesh.
 
 use std::io::Write;
 
@@ -81,7 +82,7 @@ fn array_of<'a>(property: &MeshProperty<'a>) -> Result<Option<CrateArray<'a>>> {
     }
 }
 
-/// The value of a property that refers to words, or has only a few numbers.
+/// The value of a property that refers to tokens, or has only a few numbers.
 fn value_of(property: &MeshProperty, end: &mut LayerEnd) -> Result<ValueRep> {
     match &property.value {
         PropertyValue::Array(elements) => end.array(&CrateArray::of(*elements)?),

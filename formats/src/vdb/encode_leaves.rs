@@ -38,7 +38,7 @@ pub(super) struct LeafEncoding {
 pub(super) struct LeafSummary {
     /// The active voxels. A leaf without active voxels is not written.
     pub(super) active: [u64; 8],
-    /// Whether most of its voxels, most at z = 0, and most at z = 7 are negative.
+    /// Whether most voxels are negative: of all its voxels, of those at z = 0, and of those at z = 7.
     pub(super) inside: bool,
     pub(super) low_inside: bool,
     pub(super) high_inside: bool,
@@ -65,7 +65,8 @@ pub(super) struct Packed {
 }
 
 impl Packed {
-    /// Copies the bytes: encoded leaves wait in memory for each other, so none should keep excess capacity.
+    /// Copies the bytes without excess capacity, because a batch stays in memory until all batches are
+    /// encoded.
     pub(super) fn new(bytes: &[u8]) -> Packed {
         Packed { bytes: bytes.into(), digest: digest(bytes) }
     }
@@ -215,8 +216,9 @@ fn mask_of(values: &[f32; 64], test: impl Fn(f32) -> bool) -> u64 {
     bytes.as_chunks::<8>().0.iter().rev().fold(0, |mask, row| mask << 8 | bits(row))
 }
 
-/// The stored distance of a value in voxels. The background is computed in the same way: rounding is
-/// monotonic, so a value beyond the half width cannot come out below the background.
+/// Converts a distance in voxels to the stored distance, in world units. The background is computed in the
+/// same way: rounding is monotonic, so the result for a value beyond the half width cannot be below the
+/// background.
 pub(super) fn to_world(value: f32, scale: f64) -> f32 {
     #[expect(clippy::cast_possible_truncation, reason = "rounded to the precision of the file")]
     let world = (f64::from(value) * scale) as f32;

@@ -6,7 +6,8 @@ pub(super) const MAGIC: [u8; 8] = *b"\x20BDV\0\0\0\0";
 pub(super) const VERSION_WRITTEN: u32 = 224;
 /// The file versions that the reader supports.
 pub(super) const VERSIONS_READ: std::ops::RangeInclusive<u32> = 222..=225;
-/// The version of OpenVDB whose layout the writer uses.
+/// The version of the OpenVDB library, major and minor, that the writer records in the header: it writes the
+/// layout of OpenVDB 10.0.
 pub(super) const LIBRARY_VERSION: [u32; 2] = [10, 0];
 pub(super) const UUID_BYTES: usize = 36;
 
@@ -24,7 +25,7 @@ pub(super) const COMPRESS_BLOSC: u32 = 4;
 
 /// The first byte of a block of values: it encodes the values of inactive slots.
 pub(super) mod inactive {
-    /// All are + background, or there are none.
+    /// All are + background, or there are no inactive slots.
     pub(in crate::vdb) const PLUS_BACKGROUND: u8 = 0;
     /// All are − background.
     pub(in crate::vdb) const MINUS_BACKGROUND: u8 = 1;
@@ -40,23 +41,26 @@ pub(super) mod inactive {
     pub(in crate::vdb) const ALL_VALUES: u8 = 6;
 }
 
-/// Log2 of the slots along an edge of a leaf, a lower and an upper internal node.
+/// Log2 of the number of slots along an edge: of a leaf (LEAF), a lower internal node (NODE4) and an upper
+/// internal node (NODE5).
 pub(super) const LEAF_LOG2: u32 = 3;
 pub(super) const NODE4_LOG2: u32 = 4;
 pub(super) const NODE5_LOG2: u32 = 5;
 
-/// Log2 of the voxels along an edge of a lower and an upper internal node.
+/// Log2 of the number of voxels along an edge: of a lower and of an upper internal node.
 pub(super) const NODE4_VOXELS_LOG2: u32 = LEAF_LOG2 + NODE4_LOG2;
 pub(super) const NODE5_VOXELS_LOG2: u32 = NODE4_VOXELS_LOG2 + NODE5_LOG2;
 
-/// The slot of a child in its parent, z fastest; `coord` counts children from the world's origin.
+/// The index of a child's slot in its parent, with z varying fastest. `coord` is the child's position in the
+/// world, in units of its edge length; the parent has 2^`log2` slots along an edge.
 pub(super) fn slot_of(coord: [i32; 3], log2: u32) -> usize {
     let mask = (1 << log2) - 1;
     let [x, y, z] = coord.map(|c| (c & mask) as usize);
     x << (2 * log2) | y << log2 | z
 }
 
-/// The child in a slot, relative to its parent.
+/// The position of the child in a slot, from the minimum corner of the parent, in units of the child's edge
+/// length.
 pub(super) fn slot_coord(slot: usize, log2: u32) -> [i32; 3] {
     let mask = (1 << log2) - 1;
     #[expect(clippy::cast_possible_truncation, reason = "masked to five bits at most")]

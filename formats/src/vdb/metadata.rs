@@ -70,9 +70,11 @@ pub(super) fn read_metadata(cursor: &mut VdbCursor) -> Result<Vec<(String, MetaV
     const ENTRY_COUNT_MAX: usize = 1 << 16; // real files have a few dozen
     let count = cursor.u32("the number of metadata entries")? as usize;
     if count > cursor.remaining() / ENTRY_BYTES_MIN {
-        return Err(
-            cursor.error(format!("the file declares {count} metadata entries, more than fit into it"))
-        );
+        return Err(cursor.error(format!(
+            "the file declares {count} metadata entries of at least {ENTRY_BYTES_MIN} bytes each, \
+             but only {} bytes follow",
+            cursor.remaining()
+        )));
     }
     if count > ENTRY_COUNT_MAX {
         return Err(Error::too_large(

@@ -10,13 +10,13 @@
 //!   voxels across:  root child 4096 = 32 · 128,   128 = 16 · 8,   leaf 8
 //! ```
 //!
-//! A node stores one value per slot. Where a slot has no child, that value, a *tile*, applies to all its
-//! voxels. A level set is a float grid whose background is the half width of its band, whose voxels are
-//! active exactly where |φ| is less than that, and whose inactive voxels and tiles are exactly + background
-//! outside and − background inside.
+//! A node stores one value per slot. If a slot has no child, its value applies to all voxels of the slot:
+//! this is a *tile*. A level set is a float grid. Its background is the half width of its band. A voxel is
+//! active exactly if |φ| is less than the background. Inactive voxels and tiles are exactly the positive
+//! background outside, and the negative background inside.
 //!
-//! The writer is our own, because the only crates that write these files are first releases. The reader is
-//! our own, because the one older crate loses the sign of inactive voxels.
+//! This crate has its own writer, because the other crates that write these files are first releases. It has
+//! its own reader, because the one older crate loses the sign of inactive voxels.
 //!
 //! This work is based on:
 //! the file format of OpenVDB 10, <https://www.openvdb.org>

@@ -1,7 +1,7 @@
 //! Lists the grids of an OpenVDB file, and finds the one to read.
 //!
-//! Grids of any type are listed if their location in the file is known. A file with offsets records where
-//! each grid ends. A stream without offsets does not, and only float and vector grids can be skipped there.
+//! A file with offsets records where each grid ends, so grids of any type can be listed. A stream has no
+//! offsets: the reader must parse a grid to find the next one, and it can parse only float and vector grids.
 
 use std::io::{Read, Seek, SeekFrom};
 
@@ -26,7 +26,7 @@ use crate::provenance::HEAD_BYTES_MAX;
 pub struct GridInfo {
     /// The name shown to users.
     pub name: String,
-    /// The name, followed by `[n]` if several grids have the same one: this identifies the grid.
+    /// The name, followed by `[n]` if several grids have this name. Identifies the grid.
     pub unique_name: String,
     /// The type of the tree, such as `Tree_float_5_4_3`.
     pub type_name: String,
@@ -34,13 +34,14 @@ pub struct GridInfo {
     pub half: bool,
     /// `level set`, `fog volume`, `staggered` or another class from the file; empty if the file has none.
     pub class: String,
-    /// From voxels to the world; `None` for unsupported kinds of maps.
+    /// Maps voxel coordinates to world positions; `None` if the file uses an unsupported kind of map.
     pub transform: Option<Transform>,
-    /// The minimum and maximum active voxel, if the file has them and any voxel is active.
+    /// The minimum and maximum coordinates of the active voxels; `None` if the file does not state them, or
+    /// no voxel is active.
     pub active_bounds: Option<([i32; 3], [i32; 3])>,
-    /// The number of active voxels, if the file has it.
+    /// The number of active voxels, if the file states it.
     pub active_voxel_count: Option<u64>,
-    /// All metadata of the grid, including the source of the above.
+    /// All metadata of the grid, including the entries that the fields above were read from.
     pub metadata: Vec<(String, MetaValue)>,
 }
 
@@ -60,8 +61,8 @@ pub fn grids(bytes: &[u8], limits: &Limits) -> Result<Vec<GridInfo>> {
 /// # Errors
 ///
 /// Those of [`grids`]; [`Error::Unsupported`] also if there is no such grid, or if its type or codec is not
-/// supported; [`Error::TooLarge`] if it needs more memory than `limits` allow. The reader counts the leaves
-/// and tiles first, so it fails before it allocates memory for them.
+/// supported; [`Error::TooLarge`] if the grid needs more memory than `limits` allow. The reader counts the
+/// leaves and tiles first, so it fails before it allocates memory for them.
 pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Result<LevelSetData> {
     let entries = entries(bytes, limits)?;
     let entry = find_level_set(&entries, name)?;
@@ -174,9 +175,9 @@ pub fn has_velocity(file: &mut (impl Read + Seek)) -> Result<bool> {
     Ok(found)
 }
 
-/// The offset of the end of a file's last grid. `read_at` returns the bytes at the end of each grid, where
-/// the next descriptor starts, except after the last grid. `None` if there are no grids, if a stream has no
-/// offsets, or if a grid ends before it starts.
+/// The offset of the end of a file's last grid. `read_at` returns the bytes at an offset: it is called with
+/// the end of each grid except the last, where the next descriptor starts. Returns `None` if there are no
+/// grids, if the file is a stream without offsets, or if a grid ends before it starts.
 pub(crate) fn last_grid_end(head: &[u8], read_at: impl FnMut(u64) -> Result<Vec<u8>>) -> Result<Option<u64>> {
     walk_grids(head, read_at, |_| {})
 }
@@ -210,7 +211,7 @@ fn walk_grids(
 #[derive(Clone, Copy)]
 struct TreeLocation {
     position: usize,
-    /// The end of the grid, or of the file if unknown.
+    /// The end of the grid; the end of the file if the end of the grid is unknown.
     end: usize,
     storage: ValueStorage,
 }
@@ -303,7 +304,11 @@ fn read_header(cursor: &mut VdbCursor) -> Result<FileHeader> {
     read_metadata(cursor)?;
     let grid_count = cursor.u32("the number of grids")? as usize;
     if grid_count > cursor.remaining() / DESCRIPTOR_BYTES_MIN {
-        return Err(cursor.error(format!("the file declares {grid_count} grids, more than fit into it")));
+        return Err(cursor.error(format!(
+            "the file declares {grid_count} grids of at least {DESCRIPTOR_BYTES_MIN} bytes each, \
+             but only {} bytes follow",
+            cursor.remaining()
+        )));
     }
     if grid_count > GRID_COUNT_MAX {
         return Err(Error::too_large(
@@ -351,7 +356,7 @@ fn read_entry(cursor: &mut VdbCursor, descriptor: Descriptor) -> Result<GridEntr
     if half != has_suffix && [TYPE_FLOAT, TYPE_VEC3S].contains(&type_name.as_str()) {
         return Err(cursor.error("the type and metadata of a grid disagree on half floats"));
     }
-    // Programs append a separator and a number to duplicate names.
+    // Programs append the separator 0x1e and a number to duplicate names.
     let (stem, number) = match descriptor_name.split_once('\x1e') {
         Some((stem, number)) => (stem, Some(number)),
         None => (descriptor_name.as_str(), None),
@@ -385,7 +390,8 @@ fn find<'a>(metadata: &'a [(String, MetaValue)], name: &str) -> Option<&'a MetaV
     metadata.iter().find(|(key, _)| key == name).map(|(_, value)| value)
 }
 
-/// `None` if the kind of map is unknown; then its size is unknown as well.
+/// `None` if the kind of map is unknown. Its size is then unknown as well, so the grid cannot be read
+/// further.
 fn read_transform(cursor: &mut VdbCursor) -> Result<Option<Transform>> {
     let kind = cursor.string("the map of a grid")?;
     let mut numbers =

@@ -1,8 +1,8 @@
 //! Reads the tree of a grid of floats or of three-component vectors.
 //!
 //! The topology comes first: the root's background, tiles and children, depth first down to the masks of the
-//! leaves. Then come the values of the leaves in the same order. Values that a block omits are restored:
-//! inactive voxels are + or − background, or one or two other values.
+//! leaves. Then come the values of the leaves in the same order. A block of values may omit those of inactive
+//! voxels, which are + or − background, or one or two values that the block states. The reader restores them.
 use half::f16;
 
 use super::FORMAT;
@@ -30,7 +30,7 @@ pub struct GridData<V> {
     pub name: String,
     /// `level set`, `fog volume`, …; empty if the file has no class.
     pub class: String,
-    /// From voxels to the world.
+    /// Maps voxel coordinates to world positions.
     pub transform: Transform,
     /// The value outside the stored voxels; in a level set, half the thickness of the band.
     pub background: V,
@@ -40,15 +40,15 @@ pub struct GridData<V> {
     pub leaves: Vec<[V; 512]>,
     /// Active voxels of each leaf: bit `y·8 + z` of word x.
     pub masks: Vec<[u64; 8]>,
-    /// Cubes with a constant value, except inactive ones with the background.
+    /// Cubes with a constant value. Inactive cubes whose value is the background are omitted.
     pub tiles: Vec<ConstantTile<V>>,
     /// The metadata of the grid.
     pub metadata: Vec<(String, MetaValue)>,
 }
 
 impl GridData<f32> {
-    /// Memory needed to read and use this grid, in bytes: [`Limits::level_set_bytes`] limits it together with
-    /// the file.
+    /// Memory needed to read and use this grid, in bytes. [`Limits::level_set_bytes`] limits the sum of this
+    /// and the size of the file.
     pub fn memory_bytes(&self) -> u64 {
         TreeSize { leaf_count: self.origins.len(), tile_count: self.tiles.len() }.memory_bytes()
     }
@@ -67,8 +67,8 @@ impl TreeSize {
     }
 }
 
-/// Memory for a leaf of floats: its values while reading and afterwards, its location, and the mask of inside
-/// voxels.
+/// Memory for a leaf of floats: its values twice (as read, and in the level set that is built from them), its
+/// location, and the mask of inside voxels.
 const LEAF_BYTES: u64 = 2 * 2048 + 400;
 
 /// Memory for a tile: an entry in two lists, which may have twice the needed capacity, and in one or two hash
@@ -84,7 +84,7 @@ pub struct ConstantTile<V> {
     pub size: i32,
     /// The value of all its voxels.
     pub value: V,
-    /// Whether they are active.
+    /// Whether its voxels are active.
     pub active: bool,
 }
 
@@ -135,7 +135,7 @@ pub(super) struct ValueStorage {
     pub(super) half: bool,
 }
 
-/// The memory that a file can still use.
+/// The memory that reading a file may still allocate.
 pub(super) struct TreeBudget {
     bytes: u64,
 }
@@ -247,7 +247,7 @@ struct TreeReader<'a, V> {
 }
 
 impl<'a, V: VoxelValue> TreeReader<'a, V> {
-    /// A reader that has read the topology and is at the values of the leaves.
+    /// Reads the topology. The cursor is then at the values of the leaves.
     fn of_topology(
         cursor: &mut VdbCursor,
         storage: ValueStorage,
@@ -388,7 +388,7 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
     fn read_chunk(&mut self, cursor: &mut VdbCursor, out: &mut [f32]) -> Result<()> {
         let ValueStorage { compression, half } = self.storage;
         if half && out.is_empty() {
-            return Ok(()); // the only chunk without a size
+            return Ok(()); // such a chunk is not stored at all, not even its size
         }
         let byte_count = out.len() * if half { 2 } else { 4 };
         self.scratch.resize(byte_count, 0);
@@ -441,7 +441,8 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
     }
 }
 
-/// The minimum voxel of the child in a slot. Wraps only for origins outside the coordinate range.
+/// The minimum voxel of the child in a slot. The addition never wraps, because `origin` is a multiple of the
+/// node's size.
 fn child_origin(origin: [i32; 3], slot: usize, log2: u32, child_log2: u32) -> [i32; 3] {
     let local = slot_coord(slot, log2);
     std::array::from_fn(|axis| origin[axis].wrapping_add(local[axis] << child_log2))

@@ -14,9 +14,9 @@
 //! without leaves there, so for a closed surface the two faces agree. For a surface with holes, a gap where
 //! they disagree stays outside, so the error stays within one row instead of flooding the world.
 //!
-//! The same rule applies at all levels of the tree. A row that leaves a parent counts as one vote for that
-//! parent's face; then the parents are the cells of the next level. No level visits voxels or cells that are
-//! not stored, so the time depends on the number of leaves and not on the volume.
+//! The same rule applies at all levels of the tree. An inside gap that crosses a face of a parent counts as
+//! one vote that this face is inside; then the parents are the cells of the next level. No level visits
+//! voxels or cells that are not stored, so the time depends on the number of leaves and not on the volume.
 
 use super::layout::slot_of;
 
@@ -72,7 +72,8 @@ impl Parent {
     }
 }
 
-/// The parents of `cells`, with their inside gaps; both sorted by x, then y, then z.
+/// The parents of `cells`, with the slots in inside gaps. The cells must be sorted by x, then y, then z; the
+/// parents have the same order.
 pub(super) fn parents(cells: &[FloodCell], log2: u32) -> Vec<Parent> {
     let edge = 1 << log2;
     let mut coords: Vec<[i32; 3]> = cells.iter().map(|cell| cell.coord.map(|c| c >> log2)).collect();

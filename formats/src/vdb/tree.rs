@@ -35,8 +35,8 @@ impl InternalNode {
         InternalNode { children: vec![0; parent.inside.len()], parent }
     }
 
-    /// If the node has no children and is entirely inside or outside, it is a tile of its parent: returns
-    /// whether it is inside.
+    /// Whether the node is an inside tile of its parent; `None` if it is not a tile. It is a tile if it has
+    /// no children and is entirely inside or outside.
     fn tile(&self) -> Option<bool> {
         let inside = &self.parent.inside;
         let uniform = inside.iter().all(|&word| word == 0) || inside.iter().all(|&word| word == u64::MAX);
@@ -74,8 +74,8 @@ impl GridTree {
         GridTree::of(leaves.iter().map(cell_of).collect())
     }
 
-    /// Builds a tree from the cells of leaves, each with whether it is stored and, if not, whether it is
-    /// inside.
+    /// Builds a tree from leaves as cells. Each cell comes with two flags: whether the leaf is stored, and
+    /// whether the leaf is inside. The second flag is used only if the leaf is not stored.
     fn of(mut cells: Vec<(FloodCell, bool, bool)>) -> GridTree {
         cells.par_sort_unstable_by_key(|(cell, ..)| cell.coord);
         let (cells4, mut nodes4) = level(cells, NODE4_LOG2);
@@ -132,10 +132,10 @@ impl GridTree {
     }
 }
 
-/// The nodes above some cells, and those nodes as cells of the next level.
+/// Returns the parents of `cells`: first as cells of the next level, then as nodes.
 ///
-/// Each cell comes with whether it is a child and, if not, whether it is an inside tile. Both results are
-/// sorted by x, y, z, as the cells must be.
+/// Each cell comes with two flags: whether it is a child, and whether it is an inside tile. The second flag
+/// is used only if the cell is not a child. The cells must be sorted by x, y, z; both results are, too.
 fn level(
     cells: Vec<(FloodCell, bool, bool)>,
     log2: u32,
@@ -223,7 +223,8 @@ mod tests {
         assert_eq!(tree.tiles, [[-4096, 0, 0], [-4096, 0, 4096]]);
         let coords: Vec<[i32; 3]> = tree.nodes5.iter().map(|node| node.parent.coord).collect();
         assert_eq!(coords, [[-1, 0, -1], [-1, 0, 2]]);
-        // 800 voxels below the boundary: six whole nodes of 128, and 32 voxels in the seventh.
+        // The block extends 800 voxels below the boundary: six whole nodes of 128, and 32 voxels in the
+        // seventh.
         let below = &tree.nodes5[0];
         assert_eq!(count_ones(&below.children), 32 * 32);
         assert_eq!(count_ones(&below.parent.inside), 32 * 32 * 6);

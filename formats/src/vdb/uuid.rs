@@ -1,8 +1,8 @@
 //! Derives the UUID of a file from its content.
 //!
 //! OpenVDB gives every file a random UUID. Ours is computed from the bytes, so that equal inputs produce
-//! equal files. Two files with the same content have the same UUID, which is the purpose of a UUID.
-/// A digest of bytes. To combine digests, digest them again.
+//! equal files. Two files with the same content have the same UUID: the UUID identifies the content.
+/// A digest of bytes. To combine digests, compute the digest of their bytes.
 pub(super) type Digest = [u64; 2];
 
 /// A 128-bit digest with two multiplicative lanes, eight bytes per step. Not collision-resistant against
@@ -11,7 +11,7 @@ pub(super) fn digest(bytes: &[u8]) -> Digest {
     let (words, rest) = bytes.as_chunks::<8>();
     let mut last = [0; 8];
     last[..rest.len()].copy_from_slice(rest);
-    let mut lanes: Digest = [0x243f_6a88_85a3_08d3, 0x1319_8a2e_0370_7344]; // the fraction of pi
+    let mut lanes: Digest = [0x243f_6a88_85a3_08d3, 0x1319_8a2e_0370_7344]; // the fractional bits of pi
     let tail = [u64::from_le_bytes(last), bytes.len() as u64];
     for word in words.iter().map(|&word| u64::from_le_bytes(word)).chain(tail) {
         lanes[0] = (lanes[0] ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(29);

@@ -8,13 +8,17 @@
 //!            └────────────── the level set ─────────────────────────────┘ └ the next grid
 //! ```
 //!
-//! The buffers come last in the file, but their sizes come first, so all of them are encoded before anything
-//! is written. Then the file is written sequentially.
+//! A descriptor states the offsets of the buffers and of the grid's end, and comes before the buffers. So all
+//! buffers are encoded before anything is written; then the file is written sequentially.
 //!
-//! Invariants of the output: children of the root are in ascending order (readers sort them and read the
-//! buffers in that order, so any other order silently mixes up the leaves); each leaf has an active voxel;
-//! every inactive value is exactly + or − background; both the type's suffix and the metadata declare half
-//! floats, because OpenVDB cannot load files with only one of the two.
+//! Invariants of the output:
+//!
+//! - The children of the root are in ascending order. Readers sort them and read the buffers in that order,
+//!   so any other order silently mixes up the leaves.
+//! - Each leaf has an active voxel.
+//! - Every inactive value is exactly + or − background.
+//! - The type's suffix and the metadata both declare half floats: OpenVDB cannot load files with only one of
+//!   the two declarations.
 
 use std::io::Write;
 
@@ -66,7 +70,7 @@ pub struct EncodedVdb {
     grids: Vec<EncodedGrid>,
 }
 
-/// One of its grids.
+/// One grid of an encoded file.
 struct EncodedGrid {
     descriptor: Vec<u8>,
     /// Everything between descriptor and buffers.
@@ -93,7 +97,8 @@ impl EncodedVdb {
     }
 }
 
-/// Writes `levels` as a file: a float grid of class "level set", followed by its other grids.
+/// Writes `levels` as a file: a float grid of class "level set", followed by the additional grids of
+/// `levels`.
 ///
 /// # Errors
 ///
@@ -108,8 +113,8 @@ pub fn write(
 }
 
 /// Encodes `levels` as a file, in the caller's thread pool: a float grid of class "level set", followed by
-/// its other grids with the same active voxels. With 16-bit floats, a grid with values beyond ± 65504 keeps
-/// 32 bits.
+/// the additional grids of `levels`, which have the same active voxels. With 16-bit floats, a grid with
+/// values beyond ± 65504 keeps 32 bits.
 ///
 /// # Errors
 ///
@@ -169,7 +174,7 @@ pub fn grid_notes(grids: &[BandGrid], name: &str) -> Vec<String> {
     renamed.map(|(grid, name)| format!("{} is named {name} in the .vdb", grid.name)).collect()
 }
 
-/// The unique names of grids. Programs find a velocity by its name.
+/// The unique names of the grids. A velocity gets the name by which programs find it.
 fn grid_names(grids: &[BandGrid], surface: &str) -> Vec<String> {
     let mut taken = UsedNames::new(&[surface]);
     let name_of = |grid: &BandGrid| {
@@ -193,7 +198,7 @@ struct GridParts<'a> {
 }
 
 impl GridParts<'_> {
-    /// Encodes the grid; its descriptor still lacks the offsets at its end.
+    /// Encodes the grid. Its descriptor still lacks the three offsets, which [`assembled`] appends.
     fn finish(
         self,
         levels: &LevelSetView,
@@ -242,7 +247,8 @@ fn assembled(mut grids: Vec<EncodedGrid>) -> EncodedVdb {
     EncodedVdb { header, grids }
 }
 
-/// The leaves' indices in tree order: by root child, lower node and leaf, each by x, y, z.
+/// The leaves' indices in tree order: sorted by root child, then by lower node, then by leaf. Each level is
+/// sorted by x, then y, then z.
 fn tree_order(levels: &LevelSetView) -> Result<Vec<u32>> {
     let LevelSetView { origins, leaves, .. } = levels;
     let invalid = |what: String| Err(Error::invalid(FORMAT, Position::File, what));

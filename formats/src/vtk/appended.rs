@@ -6,7 +6,7 @@
 //!       <FieldData>  <Array type="String" Name="meniscus_radius" ..> 48 46 .. 0 </Array>    provenance, string tables
 //!       <Piece NumberOfPoints="642" ..>
 //!         <PointData> <DataArray Name="v" offset="0"/>      ┐
-//!         <Points>    <DataArray Name="Points" offset=../>  ├ in this order below
+//!         <Points>    <DataArray Name="Points" offset=../>  ├ appended below in this order
 //!         <Polys>     or <Verts>: connectivity, offsets     ┘
 //!     <AppendedData encoding="raw"> _ [bytes] data  [bytes] data ..
 //! ```
@@ -140,7 +140,7 @@ struct DocumentParts<N> {
 
 struct XmlSection {
     name: &'static str,
-    /// Further attributes of its tag.
+    /// XML attributes of the section's tag, as text.
     about: String,
     array_count: usize,
 }

@@ -5,7 +5,7 @@
 //!   uncompressed  [bytes] data
 //!   compressed    [blocks] [block size] [size of the last, or 0] [compressed size] × blocks   block block ..
 //!
-//!   base64        header and data in one run of letters; if compressed, a run for the header and one for the data
+//!   base64        header and data in one run of characters; if compressed, a run for each of them
 //! ```
 //!
 //! Numbers in the header have 32 or 64 bits. A block is a zlib stream, an LZ4 block without frame, or an .xz
@@ -50,8 +50,8 @@ pub(super) struct EncodedArray<'a> {
     pub(super) offset: u64,
 }
 
-/// Total sizes of the arrays decoded so far. Limits overlapping arrays, which could turn a small file into
-/// large data.
+/// Total sizes of the arrays decoded so far. They are limited because arrays may overlap, so that a small
+/// file could decode to very large data.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ArrayTotals {
     encoded_bytes: u64,
@@ -77,7 +77,7 @@ impl ArrayTotals {
     }
 }
 
-/// Memory limit of an LZMA decoder in KiB: the largest window that its presets use.
+/// Memory limit of an LZMA decoder in KiB: the largest dictionary of the presets, 64 MiB, and 256 KiB more.
 const LZMA_MEMORY_KB: u32 = (64 << 10) + 256;
 
 /// The largest ratio by which LZ4 can expand data.
@@ -117,7 +117,7 @@ fn decode_plain<'a>(
     }
     let length = usize::try_from(length).unwrap_or(usize::MAX);
     let header_letters = letters_of(word_bytes);
-    // Some writers encode the header separately, which then ends with padding.
+    // Some writers encode the header separately from the data; its base64 then ends with padding.
     let padding = &b"=="[..header_letters / 4 * 3 - word_bytes];
     if length != 0 && encoded.bytes.get(..header_letters).is_some_and(|run| run.ends_with(padding)) {
         return encoded.take(header_letters, length, name);
@@ -175,8 +175,9 @@ fn decode_blocks(
     Ok(decompressed)
 }
 
-/// Appends the `length` decompressed bytes of a block; returns false if it is invalid. Memory grows with the
-/// output.
+/// Appends the `length` decompressed bytes of a block; returns false if it is invalid. A false `length`
+/// cannot allocate much memory: zlib and LZMA extend `out` while they decode, and the length of an LZ4 block
+/// is first compared with its largest ratio.
 fn decompress(compression: BlockCompression, block: &[u8], length: u64, out: &mut Vec<u8>) -> bool {
     match compression {
         BlockCompression::Zlib => {
@@ -224,7 +225,7 @@ impl<'a> EncodedArray<'a> {
     }
 }
 
-/// Decodes base64. A run can end within the requested range, followed by padding.
+/// Decodes whole groups of four base64 characters; the last group may contain padding.
 fn base64_decoded(letters: &[u8]) -> Option<Vec<u8>> {
     STANDARD.decode(letters).ok()
 }

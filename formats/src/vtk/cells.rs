@@ -32,8 +32,8 @@ pub(super) struct Points {
     pub(super) count: u64,
 }
 
-/// Adds the cells that end at these offsets in `corners`. Polygons with more than three corners become fans;
-/// points and lines are skipped.
+/// Adds the triangles of cells. `ends` has the end of each cell in `corners`. Polygons with more than three
+/// corners become triangle fans; points and lines are skipped.
 ///
 /// # Errors
 /// [`Error::Invalid`] for cells with missing points, [`Error::Unsupported`] for volumetric cells.
@@ -75,7 +75,7 @@ pub(super) fn add_cells(
                     add([a, b, three[2]])?;
                 }
             }
-            // The corners of a pixel are stored row by row.
+            // The corners of a pixel (VTK's axis-aligned rectangle) are stored row by row.
             (8, &[a, b, c, d]) => [[a, b, d], [a, d, c]].into_iter().try_for_each(add)?,
             (5 | POLYGON | 8 | 9, _) => {
                 return Err(invalid(format!("a cell of type {} has {} corners", type_of(index), cell.len())));

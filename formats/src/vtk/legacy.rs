@@ -35,7 +35,7 @@ use super::xml_arrays::decimals;
 /// The longest line of text.
 const LINE_BYTES_MAX: usize = 64 << 10;
 
-/// Reads the points.
+/// Reads the points and their arrays, as particles.
 ///
 /// # Errors
 ///
@@ -55,8 +55,8 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     Ok(joined(vec![VtkPiece { positions, arrays: found.arrays }], found.notes))
 }
 
-/// Reads the points and the polygons, without normals. Polygons with more than three corners become fans. A
-/// file without polygons gives a mesh without triangles.
+/// Reads the points and the polygons, without normals. Polygons with more than three corners become triangle
+/// fans. A file without polygons gives a mesh without triangles.
 ///
 /// # Errors
 ///
@@ -113,7 +113,7 @@ struct LegacyData {
     cell_types: Vec<i64>,
 }
 
-/// The position in the file.
+/// A file, and the current position in it.
 struct File<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -254,7 +254,7 @@ impl<'a> File<'a> {
         Ok(())
     }
 
-    /// Reads the cells of a section, or skips them unless a mesh is read.
+    /// Reads the cells of a section if a mesh is read; otherwise skips them.
     fn cell_section(&mut self, line: &LegacyLine, found: &mut LegacyData) -> Result<()> {
         let (count, size) = (line.count(1, "the number of cells")?, line.count(2, "the size of the cells")?);
         // If OFFSETS follow, the count is one more than the number of cells.
@@ -316,8 +316,8 @@ impl<'a> File<'a> {
         integers(self.values(line, number, count)?).ok_or_else(no_integers)
     }
 
-    /// Skips the data of cells, up to POINT_DATA or the end of the file. It comes after the points, so it need not
-    /// be valid.
+    /// Skips the data of cells, up to POINT_DATA or the end of the file. The points were read before, so this
+    /// data is not validated.
     fn cells(&mut self, line: &LegacyLine) -> Result<()> {
         line.count(1, "the number of cells")?;
         let rest = &self.bytes[self.at..];
@@ -351,7 +351,8 @@ impl<'a> File<'a> {
         let count = line.count(2, "the number of arrays")?;
         for index in 0..count {
             let mut next = self.line()?;
-            // An array can also have the name METADATA.
+            // METADATA alone on a line starts a section to skip. With more words, the line declares an array
+            // of this name.
             while next.as_ref().is_some_and(|next| next.words.len() == 1 && next.keyword() == "METADATA") {
                 self.skip_metadata()?;
                 next = self.line()?;
@@ -423,7 +424,7 @@ impl<'a> File<'a> {
         }
     }
 
-    /// Checks that there can be one more array, whether it is read or skipped with a note.
+    /// Checks that the limit allows one more array. An array that is skipped with a note counts as well.
     fn check_array_count(&self, found: &LegacyData) -> Result<()> {
         if found.arrays.len() + found.notes.len() >= self.limits.attribute_count {
             let what = format!("the file has more arrays than the limit of {}", self.limits.attribute_count);
@@ -485,7 +486,8 @@ impl<'a> File<'a> {
         Ok(data)
     }
 
-    /// The count as a length, if at most `most` remain.
+    /// The count as a length. Fails if the count exceeds `most`, the maximum number of values in the rest of
+    /// the file.
     fn fitting(&self, line: &LegacyLine, count: u64, most: usize) -> Result<usize> {
         usize::try_from(count).ok().filter(|&count| count <= most).ok_or_else(|| {
             self.truncated(format!("expected {count} numbers of {}, but at most {most} remain", line.word(0)))
@@ -535,7 +537,7 @@ impl<'a> File<'a> {
         }
     }
 
-    /// The next line, which must have a line end unless only blanks remain.
+    /// The next line. A line without a line end is an error, unless it contains only blanks.
     fn raw_line(&mut self) -> Result<Option<&'a [u8]>> {
         let rest = &self.bytes[self.at..];
         let searched = &rest[..rest.len().min(LINE_BYTES_MAX)];

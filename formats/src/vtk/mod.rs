@@ -1,8 +1,8 @@
 //! VTK files: the legacy format, and the XML formats `.vtp` and `.vtu`.
 //!
 //! All contain points, cells and data, in several pieces and encodings. Particles are the points, with the
-//! arrays that have a value for each point. Cells are skipped, except flat ones when a mesh is read. Meshes
-//! are written as `.vtp`.
+//! arrays that have a value for each point. Cells are skipped when particles are read. When a mesh is read,
+//! the flat cells become its triangles. Meshes are written as `.vtp`.
 //!
 //! The layouts were derived from files of VTK, meshio, PyVista and SPlisHSPlasH.
 

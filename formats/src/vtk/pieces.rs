@@ -54,7 +54,7 @@ pub(super) fn joined(pieces: Vec<VtkPiece>, mut notes: Vec<String>) -> ParticleF
             is_kept
         });
     }
-    // With positions given, a frame is always returned.
+    // `frame_of` always returns a frame if it gets positions.
     let mut frame = frame_of(Some(all.positions), all.arrays).unwrap_or_default();
     frame.notes.append(&mut notes);
     frame

@@ -11,7 +11,7 @@ use super::XML;
 pub(crate) fn field_strings(head: &[u8]) -> Result<Vec<(String, String)>> {
     let text = match std::str::from_utf8(head) {
         Ok(text) => text,
-        // The head can end in the middle of a character, or in the data.
+        // The head can end in the middle of a character, or contain the start of the appended data.
         Err(error) => std::str::from_utf8(&head[..error.valid_up_to()]).unwrap_or_default(),
     };
     let mut reader = Reader::from_str(text);

@@ -7,8 +7,8 @@
 //! ```
 //!
 //! Floats have 32 bits; integers have 32 bits if all fit, else 64. Positions are 64-bit floats if the mesh
-//! has an origin. Axes are not converted, because VTK has no notion of up. See [`super::appended`] for the
-//! document around the data.
+//! has an origin other than zero. Axes are not converted, because VTK has no notion of up. See
+//! [`super::appended`] for the document around the data.
 
 use std::io::Write;
 
@@ -81,7 +81,7 @@ fn document<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> VtpDocument<MeshArray
     }
 }
 
-/// The stored type and the source of the values.
+/// The source of an array's values. The variant determines the stored type.
 enum MeshArray<'a> {
     FarPositions {
         positions: &'a [[f32; 3]],
@@ -184,7 +184,7 @@ impl ArrayData for MeshArray<'_> {
 /// Number of elements encoded at a time.
 const PIECE: usize = 4096;
 
-/// Writes the numbers that `append` returns for each face.
+/// Writes the numbers that `append` adds for each face.
 fn write_faces(
     triangles: &[[u32; 3]],
     quads: &[bool],

@@ -6,14 +6,13 @@
 //!     <Piece NumberOfPoints="64" ..>                                 repeated
 //!      <PointData> <DataArray type="Float32" Name="velocity" NumberOfComponents="3" format="appended" offset="0"/>
 //!      <Points>    <DataArray type="Float32" NumberOfComponents="3" format="ascii"> 0.5 0.25 1 .. </DataArray>
-//!      <Verts> ..                                                    skipped, like all other cells, except Polys,
-//!                                                                     Strips and Cells when a mesh is read
+//!      <Verts> ..                                                    cells: skipped; if a mesh is read, only
+//!                                                                     Polys, Strips and Cells are used
 //!    <AppendedData encoding="raw"> _.............................    bytes that are not XML
 //!   </VTKFile>
 //! ```
 //!
-//! The text is cut before the appended data, so that the parser never sees it. The last tag shows whether the
-//! file is complete.
+//! The parser gets only the text before the appended data. A file is complete if it ends with the last tag.
 
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
@@ -89,8 +88,8 @@ fn split_appended(bytes: &[u8]) -> Result<(&[u8], Option<Appended<'_>>)> {
     Ok((&bytes[..at], Some(data)))
 }
 
-/// Limit on the pieces of a file, and on the arrays of all pieces: a few bytes of text describe one, but it
-/// takes more memory.
+/// Limit on the number of pieces of a file, and on the number of arrays in all pieces: each takes more memory
+/// than the few bytes of text that describe it.
 const PART_COUNT_MAX: usize = 1 << 16;
 
 /// The parsed elements.
@@ -148,7 +147,7 @@ enum PieceSection {
 
 fn document<'a>(text: &'a str, limits: &Limits) -> Result<XmlDocument<'a>> {
     let mut reader = Reader::from_str(text);
-    // The parser would store the names of all open elements, which nothing needs.
+    // To check the names of end tags, the parser would store the names of all open elements.
     reader.config_mut().check_end_names = false;
     let mut document: Option<XmlDocument<'a>> = None;
     let mut section = PieceSection::Other;
@@ -257,7 +256,7 @@ fn described<'a>(tag: &BytesStart, at: u64, limits: &Limits) -> Result<Described
         checked_count(XML, count, limits)
     };
     let points = attribute(tag, "NumberOfPoints", at)?.unwrap_or_default();
-    // PolyData has polygons and strips, an UnstructuredGrid cells.
+    // A missing count means 0: a PolyData has only polygons and strips, an UnstructuredGrid only cells.
     let cells = |name: &str, what: &str| -> Result<CellArrays<'a>> {
         let text = attribute(tag, name, at)?.unwrap_or_else(|| "0".to_owned());
         count(name, what, text).map(|count| CellArrays { count, arrays: Vec::new() })
@@ -361,7 +360,7 @@ fn number_of(kind: &str) -> Option<NumberType> {
     })
 }
 
-/// Stores the text of an array. Texts between its other children are blank.
+/// Stores the text of an array. Blank text, such as that between child elements, is ignored.
 fn set_content<'a>(document: &mut XmlDocument<'a>, section: PieceSection, text: &'a [u8], at: u64) {
     let Some(piece) = document.pieces.last_mut() else { return };
     let array = match section {
@@ -423,7 +422,10 @@ pub(super) fn points_of(described: &Described, decoder: &mut Decoder) -> Result<
     let points = described.points.as_ref().ok_or_else(no_points)?;
     let number = points
         .number
-        .filter(|_| points.arity == 3)
-        .ok_or_else(|| malformed(points.offset, "the points are not three numbers each"))?;
+        .ok_or_else(|| malformed(points.offset, "the array of points has a type that is not numeric"))?;
+    if points.arity != 3 {
+        let what = format!("the array of points has {} components per point; expected 3", points.arity);
+        return Err(malformed(points.offset, &what));
+    }
     positions_of(XML, decoder.values(points, number, described.point_count)?)
 }

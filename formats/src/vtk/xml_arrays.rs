@@ -35,7 +35,7 @@ pub(super) enum ArrayForm {
     Appended(u64),
 }
 
-/// The data after all elements.
+/// The content of the last element, `AppendedData`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Appended<'a> {
     pub(super) bytes: &'a [u8],
@@ -98,7 +98,7 @@ impl DataArray<'_> {
 
     fn decimals(&self, number: NumberType, expected: usize) -> Result<Values> {
         let words = self.content.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
-        // Each number takes a digit and a separator.
+        // Each number takes at least a digit and a separator.
         if expected > self.content.len().div_ceil(2) {
             let what = format!("expected {expected} values, found {} bytes of text", self.content.len());
             return Err(self.invalid(&what));
@@ -122,8 +122,8 @@ impl DataArray<'_> {
     }
 }
 
-/// Parses the first `count` words as values of the type that [`NumberType::decode`] gives. An invalid word is the
-/// error.
+/// Parses the first `count` words as values of the type that [`NumberType::decode`] returns. The error is the
+/// beginning of the first invalid word.
 pub(super) fn decimals<'a>(
     words: impl Iterator<Item = &'a [u8]>,
     number: NumberType,

@@ -10,7 +10,7 @@ use super::pieces::checked_count;
 use super::xml::{CellArrays, Decoder, malformed, open, points_of};
 
 /// Reads the points and the polygons of all pieces, without normals. Polygons with more than three corners
-/// become fans. A file without polygons gives a mesh without triangles.
+/// become triangle fans. A file without polygons gives a mesh without triangles.
 ///
 /// # Errors
 ///
@@ -41,7 +41,7 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     Ok(mesh)
 }
 
-/// Adds cells, which are all of the given type or have their own types.
+/// Adds cells. All of them have the type `kind`; if it is `None`, the array `types` has the type of each.
 fn add(
     cells: &CellArrays,
     kind: Option<i64>,

@@ -5,7 +5,7 @@
 
 use meniscus_formats::LevelSetView;
 
-/// A narrow band, including values beyond it, as a rasterizer produces them.
+/// A narrow band in leaves, which also have values beyond the band, as a rasterizer produces them.
 pub struct Solid {
     pub origins: Vec<[i32; 3]>,
     pub leaves: Vec<[f32; 512]>,
@@ -15,8 +15,8 @@ pub struct Solid {
 }
 
 impl Solid {
-    /// The leaves of a box of voxels in which at least one voxel lies within the band; and one in a hundred
-    /// of the other leaves, as an example of leaves that need not be stored.
+    /// Makes the leaves of a box of voxels: all leaves with a voxel in the band, and one in a hundred of the
+    /// other leaves, as examples of leaves that need not be stored.
     pub fn new(
         min: i32,
         max: i32,
@@ -35,7 +35,8 @@ impl Solid {
         for z in range() {
             for y in range() {
                 for x in range() {
-                    // Distances change by at most one per voxel, and corners are 7 √3 / 2 from the centre.
+                    // Distances change by at most one per voxel, and the corner voxels of a leaf are at most
+                    // 4 √3 from this centre.
                     let centre = (solid.distance)([x + 4, y + 4, z + 4]).abs();
                     odd += 1;
                     if centre < f64::from(half_width_voxels) + 8.0 || odd % 100 == 0 {

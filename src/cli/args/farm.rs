@@ -73,11 +73,11 @@ pub(in crate::cli) struct VerifyArgs {
 pub(in crate::cli) enum ShardChoice {
     /// The shard with this index, from 0.
     Number(u64),
-    /// The index in Slurm's environment variable.
+    /// The shard whose index is in Slurm's environment variable `SLURM_ARRAY_TASK_ID`.
     Slurm,
 }
 
-/// A shard index, or where to find it.
+/// Parses a shard index, or `slurm`.
 pub(in crate::cli) fn parse_shard(text: &str) -> Result<ShardChoice, String> {
     if text == "slurm" {
         return Ok(ShardChoice::Slurm);

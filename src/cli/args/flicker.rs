@@ -11,7 +11,8 @@ use crate::surface::options::ranged;
 #[derive(Debug, Args)]
 #[command(after_long_help = DEFINITION)]
 pub(in crate::cli) struct FlickerArgs {
-    /// The surfaces, from any program: meshes in .glb, .gltf, .obj, .ply, .stl, .vtk, .vtp or .vtu
+    /// The surfaces, from any program: meshes in .glb, .gltf, .obj, .ply, .stl, .vtk, .vtp, .vtu, .usdc or
+    /// .abc
     ///
     /// Files, globs, or a numbered pattern such as dam.####.glb, of one sequence.
     #[arg(required = true, value_name = "MESHES")]

@@ -1,6 +1,7 @@
 //! The output options, shared by all commands that convert and by the configuration file.
 //!
-//! No option has a default here, so that options on the command line can override those of a file.
+//! No option has a default here: a default on the command line would look like a given option, and override
+//! the file.
 
 use std::path::PathBuf;
 
@@ -83,7 +84,7 @@ option_set! {
     }
 }
 
-/// The heading of the options after the first.
+/// The help heading of all options except `--format`.
 const FORMATS: &str = "Formats";
 
 /// The heading of the options for all frames together.

@@ -1,14 +1,15 @@
-//! Operations on every struct of options: list the given ones, and merge those of the command line with those
-//! of a file.
+//! Operations on every struct of options: list the options that are given, and merge the options of the
+//! command line with those of a file.
 
 use crate::surface::options::MethodOptions;
 
 /// Options that may be absent.
 pub(in crate::cli) trait OptionSet: Sized {
-    /// These options, completed by those of `below`.
+    /// These options, and those of `below` where `self` has none.
     fn over(self, below: Self) -> Self;
 
-    /// Adds the names of the options that are given, such as `up`; `name` is that of the field that holds these.
+    /// Adds the names of the options that are given, such as `up`; `name` is the name of the field that
+    /// contains this option or set of options.
     fn add_given(&self, name: &'static str, given: &mut Vec<&'static str>);
 
     /// The names of the options that are given.

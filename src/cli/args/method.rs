@@ -1,7 +1,7 @@
 //! The reconstruction options, shared by all commands that convert and by the configuration file.
 //!
-//! No option has a default here, so that options on the command line can override those of a file, and those
-//! of a file can override a preset.
+//! No option has a default here: a default would look like a given option. On the command line it would
+//! override the file, and in the file it would override the preset.
 
 use std::path::PathBuf;
 
@@ -32,7 +32,7 @@ option_set! {
 }
 
 impl MethodArgs {
-    /// The reconstruction options, with the spacing in whichever way it was given.
+    /// The reconstruction options. If only `--particle-radius` is given, `spacing` is twice its value.
     pub(in crate::cli) fn to_options(&self) -> MethodOptions {
         let spacing = self.options.spacing.or(self.particle_radius.map(|radius| 2.0 * radius));
         MethodOptions { spacing, ..self.options.clone() }

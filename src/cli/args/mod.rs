@@ -200,7 +200,7 @@ fn on_error() -> impl TypedValueParser<Value = OnError> {
     ])
 }
 
-/// A slack in voxels, limited by the width of the narrow band.
+/// Parses the value of `--band-slack` in voxels. The width of the narrow band limits it.
 fn slack() -> impl TypedValueParser<Value = f64> {
     ranged::<f64>(0.0..=SLACK_MAX_VOXELS.into())
 }
@@ -219,9 +219,9 @@ Choosing the spacing, the voxel size and the radii:
   coarse grid radii are raised to √3·h, the diagonal of a voxel, so that no particle falls between the
   voxels.
 
-  Smoothing keeps a sphere of radius r_min around every particle inside the surface, and no point of
-  the surface is farther than r_max from all particles. Particles in sheets and filaments are
-  flattened instead (--thin-radius), and particles without neighbours are smaller (--lone-radius).
+  The smoothed surface encloses a sphere of radius r_min around every particle, and each of its points
+  is within r_max of some particle. Particles in sheets and filaments are flattened instead
+  (--thin-radius), and particles without neighbours are smaller (--lone-radius).
 
   --radius-ratio  r_max / r_min: how far smoothing may move the surface. More is smoother, less
                   follows the particles more closely.

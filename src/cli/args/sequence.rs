@@ -71,7 +71,8 @@ Frame n of a scene shows frame n of the .glb if the scene has the same frames pe
 rate (24 by default) before importing. At a lower rate the scene skips frames.
 
 A .glb has a node for each frame, and shows one after the other by animating their scales in steps; it must stay below
-4 GiB. USD and .abc have no such limit: each is one mesh with time samples, which should not be blended between frames.
+4 GiB. USD and .abc have no such limit: each is one mesh with time samples. Do not blend between the samples: vertices
+with the same index in two frames are different points of the surface.
 
 Exit status:
   0    all frames are in the sequence file

@@ -59,7 +59,8 @@ pub(in crate::cli) struct TuneArgs {
     #[arg(short, long, value_name = "FILE")]
     pub(in crate::cli) output: PathBuf,
 
-    /// What differs from cell to cell: one, two or three of the names below, with or without values
+    /// What differs from cell to cell: one, two or three of the parameters that --help lists below the
+    /// options, with or without values
     #[arg(long, value_name = "LIST", default_value = "smoothing,min")]
     pub(in crate::cli) vary: ParameterSweep,
 
@@ -71,7 +72,7 @@ pub(in crate::cli) struct TuneArgs {
     #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "480x360")]
     pub(in crate::cli) size: PictureSize,
 
-    /// Folder for the results in the printed commands; it is not created here
+    /// The value of --out in the printed commands, the folder for their results; tune does not create it
     #[arg(long, value_name = "DIR", default_value = "surfaces")]
     pub(in crate::cli) out: PathBuf,
 

@@ -62,7 +62,7 @@ fn table(heading: Option<&str>) -> String {
     table
 }
 
-/// The page with its tables as the definition has them.
+/// The page, with tables generated from the definition.
 fn generated(page: &str) -> String {
     let mut written = String::new();
     let mut is_table = false;

@@ -1,7 +1,7 @@
 //! The options of the daemon.
 //!
-//! All options but the folders are also keys of `meniscus.toml`, with underscores in their names. So none has
-//! a default here, and options on the command line override the file.
+//! All options but the folders are also keys of `meniscus.toml`, with underscores in their names. None has a
+//! default here: a default on the command line would look like a given option, and override the file.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -118,18 +118,18 @@ option_set! {
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) unproven: Option<Duration>,
 
-        /// How long an incomplete file may stay unchanged before the daemon reads it to report its frame as
-        /// failed [default: 30s; with --once: the value of --unproven]
+        /// How long an incomplete file may stay unchanged before its frame fails; the daemon then reads the
+        /// file, to report what is missing [default: 30s; with --once: the value of --unproven]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) stalled: Option<Duration>,
 
-        /// Find changes by scanning the folders at this interval; auto does so only where the system reports
-        /// no changes, as on network file systems [default: auto]
+        /// Find changes by scanning the folders at this interval; auto does so only where the operating
+        /// system sends no file-system events, as on network file systems [default: auto]
         #[arg(long, value_name = "TIME", value_parser = parse_poll)]
         pub(in crate::cli) poll: Option<Poll>,
 
-        /// Where the system reports changes: approximate interval between full scans, which find changes that
-        /// it did not report [default: 60s]
+        /// Where the operating system sends file-system events: approximate interval between full scans,
+        /// which find changes whose event was lost [default: 60s]
         #[arg(long, value_name = "TIME", value_parser = parse_rescan)]
         pub(in crate::cli) rescan: Option<Duration>,
 
@@ -168,8 +168,8 @@ pub(in crate::cli) enum LogChoice {
 }
 
 impl FrameArgs {
-    /// These options, completed by those of a file. If `self` determines the spacing (by `--spacing` or
-    /// `--particle-radius`), both of these options in the file are ignored.
+    /// These options, and those of a file where `self` has none. If `self` determines the spacing (by
+    /// `--spacing` or `--particle-radius`), both of these options in the file are ignored.
     pub(in crate::cli) fn over_file(&self, file: &FrameArgs) -> FrameArgs {
         let mut file = file.clone();
         if self.method.to_options().spacing.is_some() {

@@ -22,7 +22,7 @@ use crate::cli::wording::option_name;
 use crate::surface::options::Length;
 use crate::watch::Poll;
 
-/// The file.
+/// The path and the text of a configuration file.
 pub(super) struct ConfigSource<'a> {
     pub(super) path: &'a Path,
     pub(super) text: &'a str,
@@ -44,7 +44,7 @@ impl ConfigSource<'_> {
 pub(super) struct ConfigTable<'a> {
     source: &'a ConfigSource<'a>,
     table: &'a DeTable<'a>,
-    /// Its start in the file.
+    /// The offset of the block in the file, in bytes.
     pub(super) start: usize,
 }
 
@@ -55,7 +55,7 @@ impl<'a> ConfigTable<'a> {
     /// The block called `name`, which starts at `start`.
     ///
     /// # Errors
-    /// The first unknown key, and the most similar known one.
+    /// If a key is unknown. The message names the first unknown key and the most similar known one.
     pub(super) fn new(
         source: &'a ConfigSource<'a>,
         name: &str,
@@ -99,7 +99,8 @@ impl<'a> ConfigTable<'a> {
     /// The options that the keys of the block set.
     ///
     /// # Errors
-    /// The first invalid value in the order of the file, and the valid values.
+    /// If a value is invalid. The message is about the first invalid value in the file, and states the valid
+    /// ones.
     pub(super) fn options<O: Args + OptionSet>(&self) -> Result<O> {
         let command = command::<O>();
         let parsed = |words: &[OsString]| {
@@ -114,7 +115,8 @@ impl<'a> ConfigTable<'a> {
             let Some(option) = command.get_arguments().find(|option| key_of(option) == *key) else {
                 continue;
             };
-            // Each key is parsed alone: two keys may set the same thing, unlike two options.
+            // Each key is parsed alone: the parser rejects two options that set the same quantity, such as
+            // --spacing and --particle-radius, but a file may have both keys.
             let set = parsed(&self.words(key, option, value)?).map_err(|error| {
                 self.source.error(value.span().start, format_args!("`{key}`: {}", reason(&error, option)))
             })?;
@@ -218,7 +220,7 @@ fn is<T: 'static>(option: &Arg) -> bool {
     option.get_value_parser().type_id() == TypeId::of::<T>()
 }
 
-/// The kind of value that the file must have for an option.
+/// The kind of value that an option needs in the file, as text for messages.
 fn wanted(option: &Arg) -> String {
     let words = option.get_possible_values();
     let words: Vec<String> = words.iter().map(|word| format!("\"{}\"", word.get_name())).collect();
@@ -238,7 +240,7 @@ fn wanted(option: &Arg) -> String {
     wanted.to_owned()
 }
 
-/// Why an option does not accept a value: the message of its parser, or the list of its words.
+/// Why an option does not accept a value: the message of its parser, or the list of accepted words.
 fn reason(error: &clap::Error, option: &Arg) -> String {
     match (error.source(), error.get(ContextKind::InvalidValue)) {
         (Some(source), _) => source.to_string(),
@@ -275,5 +277,5 @@ fn nearest<'k>(key: &str, known: &'k [String]) -> Option<&'k str> {
     (likeness(nearest) >= LIKENESS_MIN).then_some(nearest)
 }
 
-/// A suggestion with less similarity would confuse; 1 means equal.
+/// The minimum similarity of a suggestion, from 0 to 1 (equal): a less similar one would confuse.
 const LIKENESS_MIN: f64 = 0.75;

@@ -7,8 +7,8 @@
 //!
 //! Keys are the command-line options with underscores, and the options' own parsers check the values.
 //! Relative paths are relative to the file's folder, so that the file can be moved together with the folders
-//! that it names. Anything unknown is an error with its line: silently ignoring a misspelt key could waste a
-//! night of computation.
+//! that it names. An unknown key is an error that states its line: silently ignoring a misspelt key could
+//! waste a night of computation.
 
 mod block;
 
@@ -52,7 +52,7 @@ pub(super) fn read_config_file(path: &Path) -> Result<ConfigFile> {
     parse(&ConfigSource { path, text: &text })
 }
 
-/// Parses the text of a file without a path.
+/// Checks the text of a configuration file.
 pub(super) fn check(text: &str) -> Result<()> {
     parse(&ConfigSource { path: Path::new("meniscus.toml"), text }).map(drop)
 }
@@ -90,7 +90,7 @@ option_set! {
     }
 }
 
-/// The keys that each block may have; the top level is the block without a name.
+/// The keys that a block may have. An empty name means the top level of the file.
 fn keys_of(block: &str) -> Vec<String> {
     match block {
         "watch" => keys::<WatchKeys>(),

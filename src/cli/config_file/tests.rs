@@ -145,7 +145,7 @@ fn mention(key: &str) -> Option<String> {
     let command = WatchKeys::augment_args(clap::Command::new("watch"));
     let option = command.get_arguments().find(|option| option.get_id() == key)?;
     let value = match kind {
-        // A range such as `0 to 4` begins with a value that is allowed.
+        // A range such as `0 to 4` begins with a valid value.
         ValueKind::Length | ValueKind::Number | ValueKind::Count => MethodOptions::range(key)
             .and_then(|range| Some(range.split_once(" to ")?.0.to_owned()))
             .unwrap_or_else(|| "1".to_owned()),

@@ -3,8 +3,8 @@
 //! ```text
 //!   meshes      1     3     5  6              7
 //!   particles   1  2  3  4  5     6  7        the frames with both: 1, 3, 5, 6, 7
-//!                                             one step is their greatest common distance: 1
-//!                                             6 is scored, between 5 and 7
+//!                                             step: the greatest common divisor of their differences, 1
+//!                                             frame 6 is scored, because 5 and 7 are in the list
 //! ```
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -35,9 +35,10 @@ pub(super) struct FlickerFrames {
     pub(super) name: String,
     /// The frames that have both files, by number.
     pub(super) files: BTreeMap<u64, FrameFiles>,
-    /// The difference between consecutive frame numbers.
+    /// The greatest common divisor of the differences between the numbers of `files`.
     pub(super) step: u64,
-    /// The same for all particle files, with or without meshes.
+    /// The greatest common divisor of the differences between the numbers of all particle files, with or
+    /// without meshes.
     particle_step: u64,
     /// The selected frames that have both neighbours.
     pub(super) scored: Vec<u64>,
@@ -173,7 +174,7 @@ fn listed(numbers: &[u64]) -> String {
     format!("{} {}", if distinct.len() == 1 { "frame" } else { "frames" }, names.join(", "))
 }
 
-/// The numbers of frames, followed by the text for one or for several.
+/// The numbers of frames as text, followed by `one` if there is one frame, or else by `several`.
 fn listed_with(numbers: &[u64], [one, several]: [&str; 2]) -> String {
     format!("{} {}", listed(numbers), if numbers.len() == 1 { one } else { several })
 }

@@ -1,9 +1,11 @@
 //! `meniscus flicker`: scores how much a sequence of surfaces from any program flickers.
 //!
 //! ```text
-//!   frames    match meshes with particles; frames with both neighbours
-//!   reading   a frame from its two files             tally    scores of all frames; the worst frames and points
-//!   tables    CSV                                    picture  the scores over the frames, and the worst frames
+//!   frames    matches meshes with particles, and finds the frames that have both neighbours
+//!   reading   reads a frame from its two files
+//!   tally     collects the scores of all frames, and the worst frames and points
+//!   tables    writes the scores and the worst points as CSV
+//!   picture   plots the scores over the frames, and shows the worst frames
 //! ```
 
 mod frames;
@@ -32,7 +34,8 @@ use super::wording::{pluralize, significant, with_causes};
 use frames::FlickerFrames;
 use tally::{FlickerTotals, ScoredFrame};
 
-/// If more than this share of points has no particles, mesh and particles probably do not belong together.
+/// If more than this share of the points has no particle in range, the mesh and the particles probably do not
+/// belong together.
 const UNCARRIED_MOST: f64 = 0.5;
 
 /// Scores the frames that the arguments name.
@@ -91,14 +94,14 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
     Ok(if failed_count > 0 { CommandOutcome::SomeFailed } else { CommandOutcome::Done })
 }
 
-/// Reads the frames in order.
+/// The state while frames are read and scored in order.
 struct Scoring<'a> {
     args: &'a FlickerArgs,
     frames: &'a FlickerFrames,
     spacing: f64,
-    /// What moves the points, known once the first frame was read.
+    /// How points are followed from frame to frame. The first frame with particles determines it.
     carrier: Option<Carrier>,
-    /// Frames that may be needed again; `None` for unreadable ones.
+    /// The frames read so far that may be needed again, by number; `None` for unreadable ones.
     ready: BTreeMap<u64, Option<FlickerFrame>>,
     failed_count: usize,
     /// Whether the first open mesh was reported.
@@ -106,10 +109,11 @@ struct Scoring<'a> {
 }
 
 impl Scoring<'_> {
-    /// The scores of a frame; `None` if it or a neighbour cannot be read.
+    /// The scores of a frame; `None` if its mesh is empty, or if it or a neighbour cannot be read.
     ///
     /// # Errors
-    /// If the particles have neither ids nor velocities.
+    /// If the particles have neither ids nor velocities, or have only velocities and the time between frames
+    /// is unknown.
     fn score(&mut self, number: u64, console: &mut Console) -> Result<Option<ScoredFrame>> {
         let numbers = [number - self.frames.step, number, number + self.frames.step];
         self.ready.retain(|known, _| *known >= numbers[0]);
@@ -141,7 +145,7 @@ impl Scoring<'_> {
         Ok(Some(ScoredFrame::new(number, name, found)))
     }
 
-    /// A frame; `None` if it cannot be read, which is reported.
+    /// Reads a frame. If it cannot be read, prints the error and returns `None`.
     fn read(&mut self, number: u64, console: &mut Console) -> Result<Option<FlickerFrame>> {
         let Some(files) = self.frames.files.get(&number) else { return Ok(None) };
         let spacing = self.spacing;
@@ -157,14 +161,14 @@ impl Scoring<'_> {
             && !std::mem::replace(&mut self.has_warned_of_open_mesh, true)
         {
             console.warning(format_args!(
-                "{}: the mesh is open at {}: a point that moves beyond its rim counts by its distance to the rim",
+                "{}: the mesh is open at {}: beyond the boundary of the mesh, the distance to the boundary is used",
                 shown(&files.mesh),
                 pluralize(frame.surface().open_edge_count(), "edge")
             ));
         }
         let carrier = match self.carrier {
             Some(carrier) => carrier,
-            // A frame without particles does not determine what moves the points.
+            // A frame without particles does not determine how points are followed.
             None if !frame.has_particles() => return Ok(Some(frame)),
             None => {
                 let carrier = self.carrier_of(&frame, &files.particles)?;
@@ -175,18 +179,18 @@ impl Scoring<'_> {
             return Ok(Some(frame));
         }
         self.failed_count += 1;
-        let lacking = match carrier {
-            Carrier::Ids => "no ids, or share most of them",
-            Carrier::Velocities { .. } => "no velocities",
+        let (lacking, attribute) = match carrier {
+            Carrier::Ids => ("most particles lack a unique id", "id"),
+            Carrier::Velocities { .. } => ("the particles have no velocities", "velocity"),
         };
         console.error(format_args!(
-            "{}: the particles have {lacking}, unlike those of the first frame",
+            "{}: {lacking}, unlike those of the first frame: write `{attribute}` with the particles of every frame",
             shown(&files.particles)
         ));
         Ok(None)
     }
 
-    /// What moves the points: ids if possible, or else velocities.
+    /// How points are followed: by ids if possible, or else by velocities.
     fn carrier_of(&self, frame: &FlickerFrame, particles: &Path) -> Result<Carrier> {
         let seconds = self.args.dt.or_else(|| self.args.fps.map(f64::recip));
         // A step of the meshes may span several steps of the particles.
@@ -215,7 +219,9 @@ fn line_of(frame: &ScoredFrame) -> String {
     let ScoredFrame { name, summary, untracked_count: uncarried_count, clamped_count: left_count, .. } =
         frame;
     if summary.count == 0 {
-        return format!("{name}: not scored: no point on the surface is carried by particles");
+        return format!(
+            "{name}: not scored: no point on the surface can be tracked to both neighbouring frames"
+        );
     }
     let mut line = format!("{name}: {}", numbers_of(summary));
     if *left_count > 0 {
@@ -245,7 +251,7 @@ fn report(
         Carrier::Ids => "ids".to_owned(),
         Carrier::Velocities { seconds } => format!("velocities, {} s between frames", significant(seconds)),
     };
-    console.say(format_args!("spacing {}; points are carried by {carrier}", significant(spacing)));
+    console.say(format_args!("spacing {}; points are tracked by {carrier}", significant(spacing)));
     if let Some(worst) = tally.worst_points.first() {
         let [x, y, z] = worst.position.map(significant);
         let value = worst.value;
@@ -256,7 +262,7 @@ fn report(
     }
 }
 
-/// Refuses files that cannot be written, or would replace an input or each other.
+/// Refuses output files that cannot be written, or would replace an input or each other.
 fn refuse_outputs(args: &FlickerArgs, frames: &FlickerFrames) -> Result<()> {
     let outputs = [("--csv", &args.csv), ("--points", &args.points), ("--picture", &args.picture)];
     let mut paths: Vec<&Path> = Vec::new();

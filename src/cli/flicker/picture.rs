@@ -18,7 +18,7 @@ const PLACE: [usize; 2] = [480, 320];
 
 const COLUMNS: usize = 3;
 
-/// The gap between the cells of a sheet in pixels: the plot is as wide as a row of cells.
+/// The gap between the cells of a sheet, in pixels. It makes the plot as wide as a row of cells.
 const GAP: usize = 10;
 
 const PLOT: [usize; 2] = [COLUMNS * (PLACE[0] + GAP) - GAP, 280];
@@ -32,7 +32,7 @@ const LEGEND: &str = "Colours: grey does not flicker; yellow 0.1 spacings, red 0
 /// The bytes of the picture.
 ///
 /// # Errors
-/// If the format cannot store it.
+/// If the format cannot store the picture.
 pub(super) fn encoded(
     frames: &FlickerFrames,
     tally: &FlickerTotals,
@@ -135,8 +135,8 @@ fn color(size: f64) -> [f32; 3] {
     [0, 1, 2].map(|channel| from[channel] + part * (to[channel] - from[channel]))
 }
 
-/// A radius in world units at which marks hide the marks behind them: a multiple of the mean distance to the
-/// nearest mark.
+/// The radius of the marks, in world units: a multiple of the mean distance from a mark to the nearest other
+/// one, so that marks on the front of the surface hide those on its back.
 fn mark_radius(points: &[ScoredPoint]) -> f64 {
     let every = points.len().div_ceil(MEASURED).max(1);
     let nearest = |point: &ScoredPoint| {
@@ -145,15 +145,16 @@ fn mark_radius(points: &[ScoredPoint]) -> f64 {
     };
     let distances: Vec<f64> =
         points.iter().step_by(every).map(nearest).filter(|distance| distance.is_finite()).collect();
-    // For random points the mean distance to the nearest one is half of that on a grid.
+    // For random points, the mean distance to the nearest one is half the spacing of a grid of the same
+    // density.
     let mean = distances.iter().sum::<f64>() / distances.len().max(1) as f64;
     MARK_RADIUS * mean.max(f64::MIN_POSITIVE)
 }
 
-/// The number of marks whose nearest neighbours are searched.
+/// The maximum number of marks whose nearest neighbours are searched for the mean distance.
 const MEASURED: usize = 64;
 
-/// The radius of a mark, in mean distances to the nearest.
+/// The radius of a mark, in units of the mean distance to the nearest other mark.
 const MARK_RADIUS: f64 = 1.8;
 
 #[cfg(test)]

@@ -36,7 +36,7 @@ fn read_moving(path: &Path) -> Result<MovingParticles> {
     Ok(MovingParticles { positions: particles(positions), ids, velocities })
 }
 
-/// The values of an attribute as integers. Reals are converted if they are integers and fit.
+/// The values of an attribute as integers. Floats are converted if all of them are integers up to ±2⁵³.
 fn integers(attribute: &FileAttribute) -> Option<Vec<i64>> {
     const EXACT: f64 = 9_007_199_254_740_992.0; // 2⁵³
     let whole = |value: f64| (value.fract() == 0.0 && value.abs() <= EXACT).then_some(value as i64);

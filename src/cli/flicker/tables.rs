@@ -6,8 +6,8 @@ use crate::surface::flicker::Distribution;
 
 use super::tally::{ScoredFrame, WorstPoint};
 
-/// A row for each frame. Lengths are in particle spacings, and positions in world units. Without carried
-/// points, the numbers of a frame are empty.
+/// Writes a row for each frame. Lengths are in particle spacings, and positions in world units. The scores of
+/// a frame are empty if none of its points could be carried to the neighbouring frames.
 pub(super) fn write_frames(frames: &[ScoredFrame], out: &mut dyn Write) -> Result<()> {
     writeln!(out, "frame,points,uncarried,left,rms,median,p99,max,max_x,max_y,max_z")?;
     for frame in frames {
@@ -32,7 +32,7 @@ pub(super) fn write_frames(frames: &[ScoredFrame], out: &mut dyn Write) -> Resul
     Ok(())
 }
 
-/// A row for each point, the worst first.
+/// Writes a row for each point, the worst first.
 pub(super) fn write_points(points: &[WorstPoint], out: &mut dyn Write) -> Result<()> {
     writeln!(out, "frame,x,y,z,flicker")?;
     for WorstPoint { frame, position: [x, y, z], value } in points {

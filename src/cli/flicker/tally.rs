@@ -12,13 +12,13 @@ pub(super) struct ScoredFrame {
     pub(super) summary: Distribution,
     pub(super) untracked_count: usize,
     pub(super) clamped_count: usize,
-    /// The point with the most flicker; `None` if no point is carried.
+    /// The point with the most flicker; `None` if no point could be carried to the neighbouring frames.
     pub(super) worst: Option<ScoredPoint>,
     /// All points, until they are no longer needed.
     points: Vec<ScoredPoint>,
 }
 
-/// A point that flickers, in spacings.
+/// A point with its position in world units and its flicker in particle spacings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct WorstPoint {
     pub(super) frame: u64,
@@ -26,7 +26,7 @@ pub(super) struct WorstPoint {
     pub(super) value: f64,
 }
 
-/// Maximum number of points kept over all frames.
+/// Maximum number of worst points that are kept, over all frames.
 const WORST_POINTS: usize = 1000;
 
 /// The number of frames whose points are kept for the picture.
@@ -69,7 +69,7 @@ pub(super) struct FlickerTotals {
 }
 
 impl FlickerTotals {
-    /// An empty tally. If a picture is to be drawn, it keeps the points of the worst frames.
+    /// Empty totals. With `keeps_points`, they keep all points of the worst frames, for a picture.
     pub(super) fn new(keeps_points: bool) -> FlickerTotals {
         FlickerTotals { frames: Vec::new(), worst_points: Vec::new(), values: Vec::new(), keeps_points }
     }

@@ -25,7 +25,8 @@ pub(super) struct MeshInfo {
     /// Signed: negative if triangles are clockwise seen from outside. Meaningless for a mesh with boundary
     /// edges.
     volume: f64,
-    /// Vertices at one position count as one here: many formats repeat them for their normals.
+    /// Vertices at the same position count as one here: many formats store a vertex once for each of its
+    /// normals.
     boundary_edges: usize,
     non_manifold_edges: usize,
     /// Attributes of the vertices beyond positions and normals.
@@ -36,8 +37,9 @@ pub(super) struct MeshInfo {
 impl MeshInfo {
     pub(super) fn of(mesh: &MeshData) -> MeshInfo {
         let bounds = BoundingBox::of(mesh.positions.iter().copied());
-        // Measured from the centre of the mesh: far from the origin, the volumes of the tetrahedra would
-        // cancel badly.
+        // The volume is the sum of signed tetrahedra whose apex is the centre of the mesh. With the origin as
+        // the apex, large volumes of opposite sign would cancel if the mesh is far from it, and precision
+        // would be lost.
         let center = bounds.map_or(DVec3::ZERO, |b| 0.5 * (DVec3::from(b.min) + DVec3::from(b.max)));
         let corner = |index: u32| {
             let position = mesh.positions.get(index as usize);

@@ -112,8 +112,8 @@ pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<CommandOutc
     Ok(tally.outcome())
 }
 
-/// The files that the arguments name. A file with several steps yields each step; one whose steps cannot be
-/// listed is reported as unreadable.
+/// The files that the arguments name. A file with several steps yields each step; a file whose steps cannot
+/// be listed is returned as it is, and reading it reports the error.
 fn files_of(path: &Path, console: &Console) -> Box<dyn Iterator<Item = PathBuf>> {
     let alone = Box::new(iter::once(path.to_owned()));
     if path.symlink_metadata().is_ok() || step_of(path).is_some() {
@@ -216,7 +216,7 @@ impl FileInfo {
             ProbedKind::Format(Format::Vtp) if codec.is_none() && holds_polys(&bytes) => {
                 let mesh = vtk::read_mesh(&bytes, &limits)?;
                 let vertices = read_particles(&bytes, &name, &limits)?;
-                // The polygons are reported here.
+                // The polygons are reported as a mesh, so the note that they are ignored is omitted.
                 let notes = vertices.notes.iter().filter(|note| *note != vtk::POLYGONS_NOTE);
                 self.notes = notes.cloned().collect();
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
@@ -246,7 +246,7 @@ impl FileInfo {
     }
 }
 
-/// Why a step cannot be read, without its name: the caller prints that.
+/// Why a step cannot be read, without the name of the step, which the caller prints.
 fn reason(error: &FrameError) -> anyhow::Error {
     error.source().map_or_else(|| anyhow!("{error}"), |source| anyhow!("{source}"))
 }
@@ -259,12 +259,13 @@ fn holds_mesh(bytes: &[u8], limits: &Limits) -> Result<bool> {
         let mut elements = header.elements.iter();
         elements.find(|element| element.name.eq_ignore_ascii_case(name)).map(|element| element.count)
     };
-    // The mesh reader refuses strips of triangles, with a message that says what to do.
+    // Strips of triangles count as faces, so that the mesh reader refuses them with a message that says what
+    // to do.
     let faces = [count("face"), count("tristrips").filter(|&count| count > 0)].into_iter().flatten().max();
     Ok(faces.is_some_and(|faces| faces > 0 || count("vertex") == Some(0)))
 }
 
-/// Whether a VTK XML file contains points and polygons.
+/// Whether the first piece of a VTK XML file has polygons.
 fn holds_polys(bytes: &[u8]) -> bool {
     const HEAD_BYTES: usize = 1 << 20; // the description of the first piece is in here
     let head = String::from_utf8_lossy(&bytes[..bytes.len().min(HEAD_BYTES)]);
@@ -335,7 +336,7 @@ impl BoundingBox {
         })
     }
 
-    /// The same for bounds of 32-bit positions: printed with the digits of a 32-bit number.
+    /// The same box for 32-bit positions: its numbers are printed with the digits of 32-bit numbers.
     fn short(self) -> BoundingBox {
         BoundingBox { min: self.min.map(short), max: self.max.map(short) }
     }

@@ -83,7 +83,7 @@ pub(super) fn attributes_of(attributes: &[FileAttribute]) -> Vec<AttributeInfo> 
     attributes.iter().map(attribute_info).collect()
 }
 
-/// The lines that describe them.
+/// Writes a line for each attribute.
 pub(super) fn fmt_attributes(attributes: &[AttributeInfo], f: &mut fmt::Formatter<'_>) -> fmt::Result {
     attributes.iter().try_for_each(|attribute| row(f, "attribute", attribute))
 }
@@ -120,12 +120,13 @@ fn attribute_info(attribute: &FileAttribute) -> AttributeInfo {
     }
 }
 
-/// The conversions of values for the ranges of reals.
+/// The value of a real number in a range; `None` if it is not finite, and thus does not count.
 fn real_range(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
-/// Minimum and maximum of each component.
+/// Minimum and maximum of each component. `counts` returns a value as a number, or `None` if it does not
+/// count.
 fn ranges<T, N: Copy + PartialOrd>(
     values: &[T],
     arity: usize,

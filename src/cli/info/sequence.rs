@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::row;
 
-/// All frames in one file, as meniscus combines them.
+/// A file with all frames of a sequence, as meniscus writes it.
 #[derive(Debug, Serialize)]
 pub(super) struct SequenceFileRecord {
     pub(super) frames: u64,

@@ -1,4 +1,5 @@
-//! The command line that each cell of `meniscus tune` corresponds to, for all frames of INPUT.
+//! The command line for a cell of a sheet of `meniscus tune`: it converts all frames of INPUT with the cell's
+//! options.
 
 use std::path::Path;
 
@@ -16,7 +17,8 @@ pub(super) struct CommandLine {
 }
 
 impl CommandLine {
-    /// The command that converts the inputs of `tune` with these options, and otherwise as the arguments say.
+    /// The command that converts the inputs of `tune` with these options. The output folder, the obstacles
+    /// and the up axis are those given to `tune`.
     pub(super) fn convert(
         TuneArgs { inputs, out, pictures, .. }: &TuneArgs,
         options: &MethodOptions,
@@ -30,7 +32,7 @@ impl CommandLine {
         for (name, value) in options.to_pairs() {
             match name {
                 "quads" if value == "true" => line.add("--quads"),
-                // Their values are optional, so they must follow a =.
+                // The values of these options are optional, so they must follow a =.
                 "quads" | "smooth_normals" => line.add(&format!("{}={value}", option_name(name))),
                 _ => line.add_option(name, &value),
             }
@@ -79,7 +81,7 @@ impl CommandLine {
     }
 }
 
-/// A path, abbreviated to its last name if it is long.
+/// A path, abbreviated to its last component if it is long.
 fn abbreviated(text: &str, path: &Path) -> String {
     match path.file_name() {
         Some(name) if text.chars().count() > PATH_LETTERS => format!(".../{}", name.to_string_lossy()),
@@ -87,7 +89,7 @@ fn abbreviated(text: &str, path: &Path) -> String {
     }
 }
 
-/// Longer paths are abbreviated on sheets.
+/// Paths with more characters are abbreviated on sheets.
 const PATH_LETTERS: usize = 40;
 
 /// Quotes a word for the shell.

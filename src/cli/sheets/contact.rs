@@ -1,4 +1,4 @@
-//! `meniscus contact-sheet`: a sequence at a glance.
+//! `meniscus contact-sheet`: an overview of a sequence on one picture.
 
 use std::time::Instant;
 
@@ -22,7 +22,7 @@ use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 /// Puts the selected frames on a sheet.
 ///
 /// # Errors
-/// If nothing can be done at all. A frame that fails is reported and counted.
+/// If no frame can be attempted. A frame that fails is reported and counted.
 pub(in crate::cli) fn contact_sheet(
     args: &ContactSheetArgs,
     console: &mut Console,
@@ -54,8 +54,8 @@ pub(in crate::cli) fn contact_sheet(
     Ok(tally.outcome())
 }
 
-/// The kinds of files that the sheet may be made from: with surface options, only particles, which are still
-/// to be converted; with camera options, no existing pictures.
+/// The kinds of files that the sheet may be made from. Surface options require particles, because level sets
+/// and pictures already contain a surface. Camera options exclude pictures, which already have a camera.
 fn kinds(PictureArgs { camera, camera_from, up, method, .. }: &PictureArgs) -> &'static [SourceKind] {
     if *method != MethodArgs::default() {
         &[SourceKind::Particles]
@@ -90,7 +90,7 @@ fn select_frames(strips: Vec<Strip>, args: &ContactSheetArgs) -> Result<Vec<Sele
     Ok(selected_strips)
 }
 
-/// At most `most` of `count` indices, evenly spaced, including the first and the last.
+/// The indices of at most `most` out of `count` items, evenly spaced, including the first and the last.
 fn evenly(count: usize, most: usize) -> Vec<usize> {
     if count <= most {
         return (0..count).collect();
@@ -129,7 +129,7 @@ impl SequenceRows {
         }
     }
 
-    /// The number of frames, and the kind of files they were made from.
+    /// The number of frames, the kind of files that they are made from, and the voxel size if it is known.
     fn what(&self) -> String {
         let SelectedStrip { strip, selected_count, frames } = &self.selected_strip;
         let frames = match frames.len() == *selected_count {
@@ -154,7 +154,7 @@ impl SequenceRows {
     }
 }
 
-/// The resources for making sheets.
+/// What all sequences of a sheet share.
 struct Contact<'a> {
     args: &'a ContactSheetArgs,
     session: RenderSession<'a>,
@@ -193,7 +193,7 @@ impl Contact<'_> {
         SequenceRows { selected_strip, cells, settings, options, seconds: start.elapsed().as_secs_f64() }
     }
 
-    /// What all pictures of a sequence share, if they are still to be rendered.
+    /// The settings and the camera that all pictures of a sequence share. Existing pictures need neither.
     fn prepared(&self, strip: &Strip, console: &Console) -> Result<(Option<Settings>, Option<Viewpoint>)> {
         if strip.kind == SourceKind::Pictures {
             return Ok((None, None));
@@ -238,13 +238,13 @@ impl Contact<'_> {
             sequences.into_iter().map(|part| block(part.title(), part.cells)).collect();
         let of_singles = match &singles[..] {
             [part] => part.title(),
-            parts => format!("{}, each by itself", pluralize(parts.len(), "file")),
+            parts => pluralize(parts.len(), "single file"),
         };
         let cells: Vec<Cell> = singles.into_iter().flat_map(|part| part.cells).collect();
         if !cells.is_empty() {
             blocks.push(block(of_singles, cells));
         }
-        // A single part has its title on the sheet.
+        // If there is only one block, its title becomes that of the sheet.
         let title = match &mut blocks[..] {
             [block] => std::mem::take(&mut block.title),
             _ => counts.join(" and "),

@@ -1,7 +1,7 @@
 //! `meniscus contact-sheet` and `meniscus tune`: many pictures on one sheet.
 //!
 //! ```text
-//!   contact   a sequence at a glance           sources  which file represents a frame
+//!   contact   an overview of a sequence        sources  which file represents a frame
 //!   tune      a frame under many settings      command  the command for each
 //! ```
 
@@ -38,7 +38,8 @@ struct SheetFile {
 
 impl SheetFile {
     /// Creates its folder, checks that no input is replaced, and starts a session for pictures of this size.
-    /// Warns about options that have no effect on these formats, by default those of the sheet.
+    /// Warns about options that have no effect on the formats `written`, which by default are those of the
+    /// sheet.
     fn prepare<'a>(
         output: &Path,
         args: &'a PictureArgs,
@@ -82,27 +83,28 @@ fn refuse_large(cell_count: usize, [width, height]: PictureSize) -> Result<()> {
     Ok(())
 }
 
-/// A sheet of this size takes a gigabyte while it is assembled, and its cells another.
+/// Maximum number of pixels of a sheet. Such a sheet takes 1 GB while it is assembled, and its cells another.
 const PIXELS_MAX: usize = 64_000_000;
 
-/// The number of columns for about as many rows, with few empty cells.
+/// The number of columns of an approximately square sheet with few empty cells.
 fn even_columns(cell_count: usize) -> usize {
     let least = (cell_count as f64).sqrt().ceil() as usize;
     let empty = |columns: &usize| columns * cell_count.div_ceil(*columns) - cell_count;
     (least.max(1)..=least + EXTRA_COLUMNS).min_by_key(empty).unwrap_or(1)
 }
 
-/// Sheets are preferably wide: by up to this many more columns.
+/// A sheet may have up to this many columns more than a square one, to have fewer empty cells.
 const EXTRA_COLUMNS: usize = 2;
 
-/// Why a frame has no picture, without the name of its file, which is written beside it.
+/// The reason why a frame has no picture, as text for its cell. The path of the frame's file is removed,
+/// because the cell names the frame already.
 fn reason(error: &anyhow::Error, path: &Path) -> String {
     let told = with_causes(error);
     let bare = told.strip_prefix(&format!("{}: ", path.display()));
     format!("failed: {}", bare.unwrap_or(&told))
 }
 
-/// The camera of existing pictures that share one.
+/// The picture options of the session, with this viewpoint as the camera.
 fn fixed(session: &RenderSession, viewpoint: Viewpoint) -> PictureOptions {
     PictureOptions { camera: CameraChoice::from(viewpoint), ..session.outputs.picture }
 }

@@ -1,15 +1,15 @@
 //! Chooses which file represents each frame on a contact sheet.
 //!
 //! ```text
-//!   dam.0001.png   dam.0001.vdb   dam.0001.bgeo      the same frame: a picture is cheapest, then a level set,
-//!   dam.0002.png   dam.0002.vdb   dam.0002.bgeo      then particles, which must be converted
+//!   dam.0001.png   dam.0001.vdb   dam.0001.bgeo     the same frame: a picture is cheapest, then a level set,
+//!   dam.0002.png   dam.0002.vdb   dam.0002.bgeo     then particles, which must be converted
 //!                  dam.0003.vdb   dam.0003.bgeo
 //!                       ▲
 //!                       one kind for the whole sequence: the one with the most frames, then the cheapest
 //! ```
 //!
-//! All cells of a sequence have one camera. Existing pictures with several cameras are used only if there is
-//! nothing else.
+//! All cells of a sequence share one camera. Existing pictures with different cameras are used only if the
+//! sequence has no other files.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -122,7 +122,7 @@ pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[SourceKind]) -> Result<S
     Ok(Sources { strips, files, found })
 }
 
-/// The level sets and meniscus pictures in a folder; empty if the path is not a folder.
+/// The level sets in a folder, and the pictures that meniscus rendered; empty if the path is not a folder.
 fn level_sets_and_pictures_in(folder: &Path) -> Result<Vec<FrameFile>> {
     let mut others = level_sets_in(folder);
     if folder.is_dir() {
@@ -132,14 +132,14 @@ fn level_sets_and_pictures_in(folder: &Path) -> Result<Vec<FrameFile>> {
     Ok(others)
 }
 
-/// The sequence with the most frames, and of those the cheapest.
+/// The sequence with the most frames; of several such sequences, the cheapest.
 fn cheapest(strips: Vec<Strip>) -> Option<Strip> {
     let is_only_one = strips.len() == 1;
     let of_use = strips.into_iter().filter(|strip| is_only_one || has_one_camera(strip));
     of_use.min_by_key(|strip| (usize::MAX - strip.sequence.frames.len(), strip.kind))
 }
 
-/// Whether all existing pictures share a camera; pictures still to be rendered will.
+/// Whether all pictures of this strip share a camera. Pictures that are still to be rendered always do.
 fn has_one_camera(strip: &Strip) -> bool {
     if strip.kind != SourceKind::Pictures {
         return true;
@@ -159,7 +159,7 @@ pub(super) fn without_extension(name: &str, kind: SourceKind) -> String {
     }
 }
 
-/// `dam` of `dam.{}`.
+/// The name without the placeholder of the frame number: `dam` for `dam.{}`.
 fn common_name(base: &str) -> String {
     let name = base.replace("{}", "");
     let name = name.trim_matches(['.', '_', '-']);

@@ -38,7 +38,7 @@ use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 /// Shows one frame under the requested settings.
 ///
 /// # Errors
-/// If nothing can be done at all. A cell that fails is reported and counted.
+/// If no cell can be attempted. A cell that fails is reported and counted.
 pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<CommandOutcome> {
     refuse_stray_rounds(&args.pictures.method, &args.inputs)?;
     let found = find_inputs(&args.inputs)?;
@@ -127,7 +127,7 @@ impl Grid {
 /// Maximum number of cells that can reasonably be compared.
 const CELLS_MAX: usize = 100;
 
-/// Maximum number of cells of a single axis that form one row.
+/// With a single axis, up to this many cells form one row; more are arranged in several rows.
 const ROW_MAX: usize = 6;
 
 /// A frame, and what all cells share.
@@ -135,7 +135,7 @@ struct Tuning<'a> {
     args: &'a TuneArgs,
     session: RenderSession<'a>,
     frame: LoadedFrame,
-    /// The spacing measured on its sequence.
+    /// The spacing measured on the frame's sequence.
     measured: Option<SequenceSpacing>,
     /// The settings without --vary.
     without: Settings,
@@ -160,7 +160,7 @@ impl<'a> Tuning<'a> {
             |bounds| picture.camera.viewpoint(bounds, picture.aspect(), up_of(session.outputs.up));
         let whole = viewpoint(bounds);
         let viewpoint = match picture.camera == CameraChoice::default() {
-            // The default camera shows well how settings differ.
+            // If the user chose no camera, a close-up shows best how the settings differ.
             true => close_up(frame.particles(), without.spacing, whole.eye - whole.target)
                 .map_or(whole, |part| Viewpoint { ground: whole.ground, ..viewpoint(part) }),
             false => whole,
@@ -267,7 +267,7 @@ impl<'a> Tuning<'a> {
     }
 }
 
-/// The computing time.
+/// The computing time of a reconstruction, in seconds.
 fn seconds(made: &Reconstruction) -> f64 {
     let seconds = &made.surface.report.seconds;
     seconds.rasterize + seconds.smooth + seconds.contour

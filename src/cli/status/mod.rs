@@ -36,7 +36,7 @@ struct StatusRecord {
     journal: String,
     /// Null if no daemon is known.
     daemon: Option<DaemonStatus>,
-    /// Null if the journal does not say.
+    /// Null if the journal does not record them.
     watches: Option<Vec<WatchStatus>>,
     counts: StatusCounts,
     /// In natural order.
@@ -62,7 +62,7 @@ struct DaemonStatus {
     held_by: Option<String>,
     state: &'static str,
     paused_because: Option<String>,
-    /// The following fields are from the journal, about the daemon that wrote it last.
+    /// This field and the following ones are from the journal, and describe the daemon that last wrote it.
     pid: Option<u32>,
     host: Option<String>,
     started_ms: Option<u64>,
@@ -129,7 +129,12 @@ pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<Command
     let state = read_journal(&journal)?;
     let holder = Holder::of(&args.out)?;
     if state == JournalState::default() && !matches!(holder, Holder::Daemon(_)) {
-        bail!("{}: no daemon has worked here, as far as {} says", args.out.display(), journal.display());
+        bail!(
+            "{}: no record of a daemon, because the journal in {} is missing or empty: \
+             check --out and --journal",
+            args.out.display(),
+            journal.display()
+        );
     }
     let record = StatusRecord::new(&args.out, &journal, &state, holder);
     if args.json {
@@ -155,7 +160,7 @@ pub(super) fn read_journal(folder: &Path) -> Result<JournalState> {
     Journal::read(folder).with_context(|| format!("cannot read the journal in {}", folder.display()))
 }
 
-/// Which process holds a folder of outputs.
+/// Which process holds the lock of an output folder.
 #[derive(Debug)]
 pub(super) enum Holder {
     Daemon(String),
@@ -232,7 +237,7 @@ impl StatusRecord {
 
 /// The input files of the journaled frames.
 struct Files<'a> {
-    /// Each file as the daemon read it, without its status change time.
+    /// The path of each file, and its stamp when the daemon read it, without the status change time (ctime).
     taken: HashSet<(&'a Path, FileStamp)>,
     has_daemon: bool,
 }
@@ -248,7 +253,7 @@ impl<'a> Files<'a> {
     }
 
     /// Whether the frame can never be converted: its file was removed from its folder, or rewritten without
-    /// this step.
+    /// the frame's step.
     fn are_without(&self, input: &Path, frame: &JournaledFrame) -> bool {
         if frame.status == JournaledStatus::Done {
             return false;
@@ -262,8 +267,9 @@ impl<'a> Files<'a> {
         }
     }
 
-    /// Whether a file has grown, and a running daemon has not read it since: a simulation may be appending to
-    /// it. Its steps are then still in it, and checking would take minutes for each query.
+    /// Whether a file has grown since a running daemon last read it: a simulation may be appending to it. The
+    /// recorded steps are then still in the file, and a check of this would take minutes at each call of
+    /// `status`.
     fn may_be_growing(&self, file: &Path, stamp: FileStamp, frame: &JournaledFrame) -> bool {
         self.has_daemon
             && stamp.size > frame.stamp.size
@@ -285,7 +291,8 @@ impl DaemonStatus {
         let (state, paused_because) = match (record.map(|record| &record.state), running) {
             (None | Some(DaemonState::Stopped), Some(true)) => ("starting", None),
             (Some(DaemonState::Stopped) | None, _) => ("stopped", None),
-            // A killed daemon cannot have recorded this state itself.
+            // The journal says that a daemon is running or paused, but no process holds the lock: the daemon
+            // was killed before it could record its end.
             (Some(_), Some(false)) => ("killed", None),
             (Some(DaemonState::Running), _) => ("running", None),
             (Some(DaemonState::Paused(why)), _) => ("paused", Some(why.clone())),

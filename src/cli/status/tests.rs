@@ -27,7 +27,7 @@ fn daemon(state: DaemonState) -> DaemonRecord {
     DaemonRecord { pid: 12, host: "render-04".into(), started_ms: 1000, state, at_ms: 60_000 }
 }
 
-/// A journal of 30 finished frames, 25 failed ones, and others.
+/// The state of a journal with 30 finished frames, 25 failed frames, and others.
 fn state() -> JournalState {
     let mut state = JournalState { daemon: Some(daemon(DaemonState::Running)), ..JournalState::default() };
     let mut add =
@@ -56,7 +56,7 @@ fn state() -> JournalState {
     state
 }
 
-/// Two watched folders: one with every condition, and one with none.
+/// The plan of two watched folders: one has every condition, and the other has none.
 fn plan() -> PlanRecord {
     let watch = Watch {
         input: "/sim".into(),

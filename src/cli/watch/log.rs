@@ -34,8 +34,8 @@ pub(super) fn start(choice: LogChoice) -> Result<()> {
         .with_target(false)
         .with_writer(io::stderr)
         .with_ansi(choice == LogChoice::Text && io::stderr().is_terminal())
-        // The formatter reports its write errors on the standard error, which is what has just failed; a
-        // panic would follow.
+        // By default the formatter reports a failed write with `eprintln!`. Here the standard error itself
+        // has failed, so `eprintln!` would panic.
         .log_internal_errors(false);
     let started = match choice {
         LogChoice::Text => log.fmt_fields(EscapedFields).try_init(),

@@ -49,7 +49,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
     if let Some(warning) = level_warning() {
         warn!("{warning}");
     }
-    // Each command is sent once at most, so a sender never blocks.
+    // Each of the two commands is in the channel at most once, so a sender never blocks.
     let (sender, commands) = bounded(2);
     let control = Arc::new(Control::new(args.clone(), (plan.log, plan.listen.clone()), sender));
     signals::listen(Arc::clone(&control))?;
@@ -63,7 +63,8 @@ pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
         }
         *lock(&control.stop_deadline) = plan.config.stop_deadline;
         let mut notices = |notice: Notice| match notice {
-            // The loop ends only to restart: clients and the service manager see one continuous run.
+            // During a reload the loop ends only to start again: for clients and the service manager, the run
+            // continues.
             Notice::Stopping | Notice::Overdue if control.is_reloading() => {}
             Notice::Overdue => exit_immediately(args.once),
             notice => service.notify(&notice),
@@ -107,12 +108,13 @@ fn open_http_server(listen: Option<&Listen>, store: Option<&Arc<StatusStore>>) -
 /// Exits immediately. The next run converts the unfinished frames.
 fn exit_immediately(once: bool) {
     stop_writing();
-    // A daemon exits with 0, because it was told to stop. With `--once`, exiting early is a failure.
+    // A daemon exits with status 0, because a signal has requested its end. With `--once`, an early exit is a
+    // failure.
     std::process::exit(i32::from(once));
 }
 
-/// Logs how the run ended, and returns the exit status. `once` is `None` for a daemon; with `--once`, it is
-/// whether validation failures are allowed.
+/// Logs how the run ended, and returns the exit status. `once` is `None` without `--once`; with it, `once` is
+/// the value of `--allow-violations`.
 fn log_summary(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) -> CommandOutcome {
     let WatchSummary { ended, done_count, broken_count, failed, left_count } = summary;
     if has_scrolled_away(failed) {
@@ -141,7 +143,8 @@ fn log_summary(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) ->
     }
 }
 
-/// Names the level sets in the folders, which were not converted.
+/// The number of level sets in the watched folders, which were not converted, as text; empty if there are
+/// none.
 fn level_sets_left(watches: &[Watch]) -> String {
     match watches.iter().map(|watch| level_sets_in(&watch.input).len()).sum() {
         0 => String::new(),
@@ -152,7 +155,8 @@ fn level_sets_left(watches: &[Watch]) -> String {
     }
 }
 
-/// Whether some failures were last logged long ago or never. Recent ones need no repetition.
+/// Whether some failures were last logged long ago or never. If all are recent, the summary does not repeat
+/// them.
 fn has_scrolled_away(failed: &[FailedFrame]) -> bool {
     failed.iter().any(|failure| failure.frames_since.is_none_or(|count| count > FRAMES_IN_VIEW))
 }

@@ -1,9 +1,10 @@
 //! Converts signals into requests to the daemon.
 //!
-//! SIGTERM ends the process even if the loop hangs. The loop has some time to finish the in-flight frames;
-//! then a watchdog thread, which touches no files but those of unfinished outputs, exits the process. For the
-//! same reason a separate thread reads the configuration again: it may lie on a file system that does not
-//! respond. These threads log only through yet another thread, because the standard error may be a full pipe.
+//! SIGTERM ends the process even if the loop hangs. The loop has some time to finish the in-flight frames.
+//! Then another thread exits the process; the only files that this thread touches are those of unfinished
+//! outputs. On SIGHUP, a separate thread reads the configuration file, because that may be on a file system
+//! that does not respond. The threads that end the process log through yet another thread, because the
+//! standard error may be a full pipe, which blocks its writers.
 
 use std::sync::Arc;
 #[cfg(unix)]
@@ -73,8 +74,9 @@ fn end_when_overdue(control: &Arc<Control>) -> io::Result<()> {
     waiting.map(|_| ())
 }
 
-/// Logs from another thread. The receiver gets a message or is disconnected when the line is written, which
-/// may be never: a standard error that is a full pipe blocks its writer.
+/// Logs from another thread. The returned receiver gets a message when the line is written, and is
+/// disconnected if the thread cannot be started. If the standard error is a full pipe, which blocks its
+/// writer, neither happens.
 #[cfg(unix)]
 fn log_detached(log: impl FnOnce() + Send + 'static) -> Receiver<()> {
     let (done, is_done) = channel();
@@ -91,11 +93,12 @@ fn log_detached(log: impl FnOnce() + Send + 'static) -> Receiver<()> {
 #[cfg(unix)]
 const LOG_PATIENCE: Duration = Duration::from_secs(1);
 
-/// The loop ends before the deadline unless it hangs.
+/// How long after the deadline the process exits. The loop itself ends at the deadline unless it hangs.
 #[cfg(unix)]
 const GRACE: Duration = Duration::from_secs(5);
 
-/// The exit status of a shell for a signal: 130 for Ctrl-C.
+/// Exits the process with this status, after it has waited for the log line for at most `LOG_PATIENCE`. For a
+/// signal, callers pass the status that a shell reports: 128 + signal, such as 130 for Ctrl-C.
 #[cfg(unix)]
 fn end_at_once(status: i32, log: impl FnOnce() + Send + 'static) -> ! {
     crate::pipeline::stop_writing();
@@ -103,7 +106,7 @@ fn end_at_once(status: i32, log: impl FnOnce() + Send + 'static) -> ! {
     std::process::exit(status)
 }
 
-/// Other systems end the process in their own way.
+/// Other systems have no such signals, and end the process in their own way.
 #[cfg(not(unix))]
 pub(super) fn listen(_control: Arc<Control>) -> Result<()> {
     Ok(())

@@ -66,12 +66,12 @@ fn reload_reads_the_current_file() {
     let path = folder.path().join("meniscus.toml");
     let (control, commands) = control(Some(&path));
     let write = |text: &str| fs::write(&path, text).expect("written");
-    // Invalid or missing: nothing happens.
+    // If the file is invalid or missing, the loop gets no command.
     control.reload();
     write("[[watch]]\ninputt = \"in\"\n");
     control.reload();
     assert!(commands.is_empty() && !control.is_reloading());
-    // Valid, twice: the loop gets one command, and the last plan counts.
+    // After two reloads of a valid file, the loop gets one command, and uses the last plan.
     for output in ["first", "last"] {
         write(&format!("[[watch]]\ninput = \"in\"\noutput = \"{output}\"\n"));
         control.reload();
@@ -107,7 +107,7 @@ fn shutdown_overrides_pending_reload() {
 #[cfg(unix)]
 const CHILD: &str = "MENISCUS_TEST_SIGNALS";
 
-/// The loop never takes the command, as when it waits for a file system that does not respond.
+/// The loop never receives the command, as if it waited for a file system that does not respond.
 #[test]
 #[cfg(target_os = "linux")]
 fn sigterm_ends_a_daemon_that_hangs() {

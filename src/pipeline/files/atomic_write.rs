@@ -7,9 +7,9 @@
 //!   dam.0012.glb             never visible half written, whatever stops the program
 //! ```
 //!
-//! Files that belong together are all written before the first of them is renamed; then all are renamed, and
+//! All files of a set are written before the first of them is renamed. Then all are renamed, and
 //! [`file_set`](super::file_set) ensures that a failure leaves all the old files or all the new ones.
-//! [`stop_writing`] removes the temporary files of a program that is about to be stopped.
+//! [`stop_writing`] removes the temporary files of a program that is about to exit.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter};
@@ -36,8 +36,8 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -
     Ok(())
 }
 
-/// Writes a file of this program that has a well-known name: like [`write_atomically`], but never into a folder
-/// that a link has replaced. Returns the result of `write`.
+/// Writes a file of this program that has a well-known name, like [`write_atomically`]. Refuses to write into
+/// a folder that a link has replaced. Returns the result of `write`.
 ///
 /// # Errors
 /// The error of `write`, or of the system. Then nothing is left behind, and an existing file at `path` is
@@ -54,7 +54,7 @@ pub fn replace_own<T>(
     Ok(written)
 }
 
-/// Stages a file, which appears at `path` when it is [published](commit).
+/// Stages a file: writes it under a temporary name, until [`commit`] renames it to `path`.
 ///
 /// # Errors
 /// The error of `write`, or of the system. Then nothing is left behind.
@@ -66,7 +66,8 @@ pub(crate) fn stage(
     StagedFile::write(path, write)
 }
 
-/// Holds the lock, so that a stop comes before or after the rename.
+/// Renames a file under the lock, so that [`stop_writing`] runs before or after the rename, but not during
+/// it.
 fn rename_locked(from: &Path, to: &Path) -> io::Result<()> {
     let under_way = active_temporaries();
     let renamed = fs::rename(from, to);
@@ -74,13 +75,13 @@ fn rename_locked(from: &Path, to: &Path) -> io::Result<()> {
     renamed
 }
 
-/// Renames the files of one folder to their final names, one after the other, and replaces existing files.
+/// Renames staged files of one folder to their final names, one after the other, and replaces existing files.
 /// Returns their paths.
 ///
 /// # Errors
-/// The path that cannot be replaced, and why; then no new file appears, and all existing files are as before.
+/// The path that cannot be replaced, and why. Then no new file appears, and all existing files are as before.
 pub(crate) fn commit(files: Vec<StagedFile>) -> std::result::Result<Vec<PathBuf>, (PathBuf, io::Error)> {
-    // Failures that can be predicted are found before anything is replaced.
+    // A folder at a final path is a failure that can be predicted: it is found before anything is replaced.
     if let Some(file) = files.iter().find(|file| file.path().symlink_metadata().is_ok_and(|m| m.is_dir())) {
         return Err((file.path().to_owned(), io::ErrorKind::IsADirectory.into()));
     }
@@ -93,9 +94,9 @@ pub(crate) fn commit(files: Vec<StagedFile>) -> std::result::Result<Vec<PathBuf>
     Ok(files.iter().map(|file| file.path().to_owned()).collect())
 }
 
-/// Removes all temporary files and blocks all other writes and renames: for a process that exits at once.
-/// Every thread that writes waits from now on. This function does not wait for a file system that hangs: the
-/// next start sweeps what is left there.
+/// Removes all temporary files, and blocks all further writes and renames. For a process that exits right
+/// afterwards: every thread that writes waits forever. This function does not wait for a file system that
+/// hangs: the next start of the program removes the temporary files that are left there.
 pub fn stop_writing() {
     let (done, is_done) = channel();
     let stop = move || {
@@ -108,13 +109,13 @@ pub fn stop_writing() {
         std::mem::forget(under_way);
         let _ = done.send(());
     };
-    // Without a thread, or after the time limit, files stay.
+    // If no thread can be started, or after the time limit, temporary files stay.
     if thread::Builder::new().name("stop".into()).spawn(stop).is_ok() {
         let _ = is_done.recv_timeout(STOP_PATIENCE);
     }
 }
 
-/// Longer than any file system takes that still responds.
+/// Time limit for removing temporary files: longer than any file system takes that still responds.
 const STOP_PATIENCE: Duration = Duration::from_secs(5);
 
 #[cfg(test)]
@@ -183,8 +184,8 @@ mod tests {
         assert_eq!(files[1].size_bytes(), 5);
         assert_eq!(commit(files).expect("published"), names.map(path));
         assert_eq!(names_in(folder.path()).len(), 3);
-        // A folder at the path of an output is found before anything is replaced; a failure that only the
-        // rename shows leaves the other files as they were.
+        // A folder at the path of an output is found before anything is replaced. A failure that only the
+        // rename reveals leaves the other files unchanged.
         fs::write(path("a.glb"), "old").expect("written");
         fs::remove_file(path("a.vdb")).expect("removed");
         fs::create_dir(path("a.vdb")).expect("made");
@@ -227,7 +228,7 @@ mod tests {
     fn stop_does_not_wait_for_a_writer_that_hangs() {
         let name = "stop_does_not_wait_for_a_writer_that_hangs";
         if std::env::var_os(CHILD).is_some() {
-            // Like a writer in a rename on a file system that hangs.
+            // Holds the lock, like a writer whose rename hangs in the file system.
             let _held = active_temporaries();
             thread::spawn(|| {
                 stop_writing();

@@ -1,16 +1,19 @@
 //! Finds the frame number in a file name.
 //!
 //! ```text
-//!   dam_0001_v003        0001    a version (v, ver, version, rev, take, wedge before the digits) is not a frame
-//!   dam.0001.50          0001    frame 1, subframe .50; a subframe has fewer digits than its frame, which has 4 or more
-//!   shot.010.1              1    a shot and its frame
-//!   hilbert2_7954_points    2    a count (particles, points, pts, .. after the digits) is not a frame
-//!   frame_12_particles     12    a number after frame, frm or step is the frame
-//!   take2_dam7              7    otherwise: the last number
+//!   name                   number
+//!   dam_0001_v003           0001    not a version: v, ver, version, rev, take or wedge before the digits
+//!   dam.0001.50          0001.50    frame 1, subframe .50: a frame with a subframe has 4 digits or more, and
+//!                                   its subframe has fewer digits than the frame
+//!   shot.010.1                 1    a shot and its frame
+//!   hilbert2_7954_points       2    not a count: particles, points, pts, .. after the digits
+//!   frame_12_particles        12    a number after frame, frm, step or timestep
+//!   take2_dam7                 7    otherwise: the last number
 //! ```
 //!
-//! These rules use only the name itself. Versions and counts are frames if a name has no other number. After
-//! that, [`varying_number`] and [`numbers_behind_shots`] compare names that differ only in numbers.
+//! These rules use only the name itself. If a name has only versions and counts, one of them is the frame
+//! number. Then [`varying_number`] and [`numbers_behind_shots`] correct the number: they compare names that
+//! differ only in numbers.
 
 use std::collections::HashSet;
 use std::ops::Range;
@@ -34,10 +37,11 @@ const VERSION_WORDS: [&str; 6] = ["v", "ver", "version", "rev", "take", "wedge"]
 const COUNT_WORDS: [&str; 9] =
     ["particle", "particles", "point", "points", "pts", "parts", "vertices", "atoms", "spheres"];
 
-/// A number with fewer digits has no subframe: `take.2.1` and `shot.010.1` are frame 1.
+/// Minimum number of digits of a frame that has a subframe: `take.2.1` and `shot.010.1` are frame 1.
 const SUBFRAME_OF_DIGITS_MIN: usize = 4;
 
-/// The range of the frame's number in the stem of a file name, with its subframe, if it has one: `0001.50`.
+/// The range of the frame number in the stem of a file name. It includes the subframe, if there is one:
+/// `0001.50`.
 pub(crate) fn frame_number(stem: &str) -> Option<Range<usize>> {
     let numbers = numbers(stem);
     let of_role = |role| numbers.iter().rev().find(|number| role_of(stem, number) == role);
@@ -48,8 +52,8 @@ pub(crate) fn frame_number(stem: &str) -> Option<Range<usize>> {
     Some(with_subframe(stem, &numbers, &found).unwrap_or(found))
 }
 
-/// The frame's number and the subframe after it, if the stem ends in both and `found` is one of them. The
-/// first of the two is the frame if a word such as `frame` precedes it.
+/// The range of a frame number and the subframe after it, if the stem ends in them and `found` is one of the
+/// two numbers. (`found` is the first of them if a word such as `frame` precedes it.)
 fn with_subframe(stem: &str, numbers: &[Range<usize>], found: &Range<usize>) -> Option<Range<usize>> {
     let [.., frame, last] = numbers else { return None };
     let follows_separator = stem[..frame.start].chars().next_back().is_none_or(|c| !c.is_alphanumeric());
@@ -61,9 +65,9 @@ fn with_subframe(stem: &str, numbers: &[Range<usize>], found: &Range<usize>) -> 
     is_subframe.then_some(frame.start..last.end)
 }
 
-/// The ranges of the frame's numbers in stems that differ only in numbers, if [`frame_number`] chose a number
-/// that is the same in all of them, and exactly one other number varies. Never a version; a count only if
-/// three or more values have equal differences, as frames have.
+/// The ranges of the frame numbers in stems that differ only in numbers: the ranges of the only number that
+/// varies, whichever number [`frame_number`] chose. `None` if no number varies, or several. A version is
+/// never the frame number, and a count only if three or more values have equal differences, as frames have.
 pub(crate) fn varying_number(stems: &[&str]) -> Option<Vec<Range<usize>>> {
     let all: Vec<Vec<Range<usize>>> = stems.iter().map(|stem| numbers(stem)).collect();
     let (first, first_numbers) = (stems.first()?, all.first()?);
@@ -81,12 +85,16 @@ pub(crate) fn varying_number(stems: &[&str]) -> Option<Vec<Range<usize>>> {
 }
 
 /// The ranges of the last numbers of stems, if [`frame_number`] mistook the frames of a shot for subframes,
-/// as in `shot.0100.1` to `shot.0100.120`. The stems differ only in numbers, and `spans` has the ranges that
-/// it found.
+/// as in `shot.0100.1` to `shot.0100.120`. The stems differ only in numbers, and `spans` contains the ranges
+/// that [`frame_number`] returned.
 ///
-/// Subframes are fractions, so 1 and 10 would be the same. They also have fewer digits than their frame, and
-/// do not count up, as 1 and 2 do, behind a single frame. `is_shot_possible` is false if a whole frame proves
-/// that there are subframes.
+/// The last numbers are not subframes in any of these cases:
+/// - Two of them are the same fraction, as 1 and 10 are, behind the same frame.
+/// - One of them cannot be a subframe, for example because it has as many digits as the number before it.
+/// - There is only one number before them, and they count up, as 1 and 2 do.
+///
+/// `is_shot_possible` is false if the sequence also has a whole frame, which proves that the other frames
+/// have subframes.
 pub(crate) fn numbers_behind_shots(
     stems: &[&str],
     spans: &[Range<usize>],
@@ -121,7 +129,7 @@ fn are_even(numbers: impl Iterator<Item = u64>) -> bool {
     numbers.len() >= 3 && numbers.windows(3).all(|three| three[1] - three[0] == three[2] - three[1])
 }
 
-/// The text with `#` in place of each number: equal for names that differ only in numbers.
+/// The text with `#` in place of each number. The result is equal for names that differ only in numbers.
 pub(crate) fn without_numbers(text: &str) -> String {
     let mut shared = String::with_capacity(text.len());
     let mut end = 0;

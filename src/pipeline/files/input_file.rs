@@ -1,4 +1,4 @@
-//! A file that other processes may write during a read: its stamp is checked again after the read.
+//! An input file. Other processes may write it during a read, so its stamp is checked again after the read.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -12,7 +12,8 @@ use twox_hash::xxhash3_128::Hasher;
 use super::open::{open_regular, require_regular};
 use super::stamp::FileStamp;
 
-/// Reads a file, and returns its bytes and stamp; `None` if it was written, replaced or removed meanwhile.
+/// Reads a file, and returns its bytes and stamp; `None` if the file was written, replaced or removed
+/// meanwhile.
 ///
 /// # Errors
 /// When the system reports an error.
@@ -24,12 +25,12 @@ pub(crate) fn read_unchanged(path: &Path) -> io::Result<Option<(Vec<u8>, FileSta
     })
 }
 
-/// Reads the first `most` bytes of a file, and returns them with its stamp; `None` if it was written,
+/// Reads the first `most` bytes of a file, and returns them with its stamp; `None` if the file was written,
 /// replaced or removed meanwhile.
 ///
 /// # Errors
-/// When the system reports an error; `InvalidInput` if the file is not a regular file, for example a pipe,
-/// which may have no end.
+/// When the system reports an error; `InvalidInput` if the file is not a regular file. For example, a pipe
+/// may have no end.
 pub(crate) fn read_start_unchanged(path: &Path, most: u64) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
     require_regular(&path.metadata()?)?;
     read_start_between_stamps(path, most, |file| {
@@ -39,7 +40,7 @@ pub(crate) fn read_start_unchanged(path: &Path, most: u64) -> io::Result<Option<
     })
 }
 
-/// Reads between two checks of the file's stamp.
+/// Calls `read` between two checks of the file's stamp.
 fn read_between_stamps(
     path: &Path,
     read: impl FnOnce(&mut &File) -> io::Result<Vec<u8>>,
@@ -69,7 +70,7 @@ pub struct InputFile {
     file: File,
     path: PathBuf,
     stamp: FileStamp,
-    /// Whether it is a regular file: a pipe has no positions, and no state to compare.
+    /// Whether it is a regular file. A pipe cannot be read at a position, and has no state to compare.
     is_regular: bool,
     /// The hash of the whole file, once it is computed.
     known_hash: OnceLock<u128>,
@@ -92,14 +93,14 @@ impl InputFile {
         self.stamp
     }
 
-    /// Whether it can be read at any position, unlike a pipe.
+    /// Whether it is a regular file. Unlike a pipe, a regular file can be read at any position.
     pub fn is_regular(&self) -> bool {
         self.is_regular
     }
 
-    /// Whether the file has not been written, replaced or removed since it was opened, according to the open
-    /// file and its path. If only the status change time differs, and [`hash`](InputFile::hash) was called
-    /// before, compares the bytes.
+    /// Whether the file is unchanged: not written, replaced or removed since it was opened. Compares the
+    /// stamps of the open file and of its path with the first stamp. If only the status change time differs,
+    /// compares the bytes, provided that [`hash`](InputFile::hash) was called before.
     ///
     /// # Errors
     /// When the system reports an error.
@@ -110,8 +111,8 @@ impl InputFile {
         })
     }
 
-    /// Like [`is_unchanged`](InputFile::is_unchanged), but `has_same_bytes` compares the bytes: it reads the
-    /// open file again, and is called if only the status change time differs. `chmod` and new hard links
+    /// Like [`is_unchanged`](InputFile::is_unchanged), but if only the status change time differs, calls
+    /// `has_same_bytes`, which reads the open file again and compares its bytes. `chmod` and new hard links
     /// change that time, and so does a write whose modification time was set back.
     ///
     /// # Errors
@@ -138,7 +139,7 @@ impl InputFile {
         Ok(self.stamp_now()? == Some(seen))
     }
 
-    /// The current stamp; `None` if the path leads to another file, or to none.
+    /// The current stamp; `None` if the path now leads to another file, or does not exist.
     fn stamp_now(&self) -> io::Result<Option<FileStamp>> {
         let at_name = match FileStamp::of_path(&self.path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -148,7 +149,8 @@ impl InputFile {
         Ok((open == at_name).then_some(open))
     }
 
-    /// The hash of the whole file, equal to that of its bytes in memory. Reads the file piece by piece.
+    /// The hash of the whole file. It equals the hash of its bytes in memory, but the file is read piece by
+    /// piece.
     ///
     /// # Errors
     /// When the system reports an error; `UnexpectedEof` if the file has become shorter.

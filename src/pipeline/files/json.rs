@@ -1,10 +1,11 @@
 //! Serializes values that JSON cannot represent, or that readers may round. For `#[serde(with = …)]`.
 //!
-//! - [`text`]: the shortest text that reads back as the same value; a JSON parser may round the last bit of a number;
+//! - [`text`]: the shortest text that reads back as the same value, because JSON parsers may round the last
+//!   bit of a number;
 //! - [`hex`]: a hash as 32 hexadecimal digits;
 //! - [`path`]: text, or, where a path is not Unicode, a list of its bytes (on Windows, of its 16-bit units).
 //!
-//! The inner modules are for optional fields, and for lists.
+//! The inner modules `option` and `list` are for optional fields and for lists.
 
 use std::io::{self, Write};
 

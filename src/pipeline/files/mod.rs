@@ -1,13 +1,13 @@
 //! Files: names, identity, and atomic writes.
 //!
 //! ```text
-//!   names, number_pattern, frame_number   names, and the numbers in them    shown  paths as users see them
-//!   stamp       detects that a file was written again    open         opens files without blocking on pipes
-//!   input_file  a file that may change during a read     path_identity  whether two paths are the same file
-//!   temporary   a file until it is complete              staged_file  complete, but without its final name
-//!   file_set    replaces several files, or none          sink         atomic writes
-//!   sweep       cleans up after killed processes         out_folder   checks the output folder before a run
-//!   json        values that JSON cannot represent
+//!   names, number_pattern, frame_number   names, and the numbers in them
+//!   shown         paths as users see them                open         opens files without blocking on pipes
+//!   stamp         detects that a file was written again  input_file   a file that may change during a read
+//!   path_identity  whether two paths are the same file   json         values that JSON cannot represent
+//!   temporary     a file that is not complete yet        staged_file  complete, without its final name
+//!   file_set      replaces all files of a set, or none   atomic_write  writes files atomically
+//!   sweep         cleans up after killed processes       out_folder   checks the output folder before a run
 //! ```
 
 pub(super) mod atomic_write;

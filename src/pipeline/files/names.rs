@@ -6,14 +6,15 @@
 //!   gr\xf6\xdfe.1.obj     the name of the output: the same bytes
 //! ```
 //!
-//! So different names become different texts, and code can cut and join names as text. A character of that
-//! range that is already in a name is encoded byte by byte, so that the conversion back is unambiguous.
+//! So different names become different texts, and code can cut and join names as text. If a name already
+//! contains a character of that private-use range, each byte of the character is encoded, so that the
+//! conversion back is unambiguous.
 
 use std::ffi::{OsStr, OsString};
 
 /// The text of a name.
 pub(crate) fn text_of_name(name: &OsStr) -> String {
-    // Nearly all names are ASCII, and copied as a whole.
+    // Nearly all names are ASCII: they are copied as a whole.
     if let Some(name) = name.to_str().filter(|name| name.is_ascii()) {
         return name.to_owned();
     }
@@ -55,7 +56,7 @@ fn escape(byte: u8) -> char {
     char::from_u32(ESCAPES_START + u32::from(byte)).unwrap_or(char::REPLACEMENT_CHARACTER)
 }
 
-/// The byte that a character encodes.
+/// The byte that a character encodes; `None` if the character is not an encoded byte.
 fn byte_of(letter: char) -> Option<u8> {
     u8::try_from(u32::from(letter).checked_sub(ESCAPES_START)?).ok()
 }

@@ -12,7 +12,7 @@ pub struct NumberPattern<'a> {
     pub before: &'a str,
     /// The text after the number.
     pub after: &'a str,
-    /// Shorter numbers are padded with zeros.
+    /// The minimum number of digits: shorter numbers are padded with zeros.
     pub width_min: usize,
 }
 
@@ -22,7 +22,7 @@ impl<'a> NumberPattern<'a> {
         (0..name.len()).rev().filter(|&start| name.is_char_boundary(start)).find_map(|start| {
             let (length, width_min) = placeholder_at(&name[start..])?;
             let before = name[..start].trim_end_matches('#');
-            // The search found the last # of a run, which begins earlier.
+            // The search found the last # of a run; `before` ends where the run begins.
             let run = start - before.len();
             let is_hashes = name[start..].starts_with('#');
             let (before, width_min) =
@@ -47,7 +47,7 @@ impl<'a> NumberPattern<'a> {
         if self.width_min > 1 || is_there {
             return Ok(is_there.then_some(padded));
         }
-        // A number may have any number of leading zeros if the width is not fixed.
+        // If the width is not fixed, a number may have any number of leading zeros in the file name.
         let is_it = |path: &PathBuf| {
             let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
             let digits = self.span_in(name).and_then(|span| name.get(span));
@@ -60,7 +60,7 @@ impl<'a> NumberPattern<'a> {
     pub fn span_in(&self, name: &str) -> Option<Range<usize>> {
         let digits = name.strip_prefix(self.before)?.strip_suffix(self.after)?;
         let plain = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
-        // As printf does: padded to the width, and wider only if the number needs it.
+        // As printf formats numbers: padded to the width, and wider only if the number has more digits.
         let padded = digits.len() == self.width_min || !digits.starts_with('0');
         let any_width = self.width_min <= 1;
         (plain && digits.len() >= self.width_min && (padded || any_width))
@@ -102,9 +102,10 @@ pub fn files_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Whether a path is a regular file, or its type is unknown: a file behind EACCES, EIO or ESTALE, a dangling
-/// link. Opening the latter fails with the reason, so that such a frame is reported and not dropped. The
-/// result is false only if the path does not exist, or is known to be something else.
+/// Whether a path is a regular file, or its type is unknown, because `stat` fails with EACCES, EIO or ESTALE
+/// or because it is a dangling link. Opening a file of unknown type fails with the reason, so such a frame is
+/// reported and not skipped. The result is false only if the path does not exist, or is known to be something
+/// else.
 pub fn may_be_file(path: &Path) -> bool {
     match path.metadata() {
         Ok(metadata) => metadata.is_file(),
@@ -112,7 +113,7 @@ pub fn may_be_file(path: &Path) -> bool {
     }
 }
 
-/// Whether an error of `stat` means that no file has this name. A link whose target is missing does exist.
+/// Whether an error of `stat` means that no file has this name. A dangling link is a file with this name.
 pub fn is_absent(path: &Path, error: &io::Error) -> bool {
     let is_missing =
         |error: &io::Error| matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory);

@@ -6,9 +6,9 @@
 //!   lock, journal                       open_own       nor is the folder that contains it
 //! ```
 //!
-//! Opening a named pipe waits until a process opens its other end, which may be never. Opening a file for writing through a
-//! link that another account has made overwrites a file of the account that this program runs as. So every path that another
-//! process can change is opened by one of these.
+//! Opening a named pipe waits until a process opens its other end, which may be never. Opening a file for
+//! writing through a link that another account has made overwrites a file of the account that this program
+//! runs as. So this program uses one of these functions to open any path that another process can change.
 
 use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{self, Read};
@@ -23,11 +23,12 @@ pub fn open_regular(path: &Path) -> io::Result<File> {
     if is_own_descriptor(path) {
         return File::open(path);
     }
-    // Checked first, because opening a pipe lets the process at its other end continue, and opening a device
-    // may act on it.
+    // The type is checked before the file is opened, because opening a pipe lets the process at its other end
+    // continue, and opening a device may act on it.
     require_regular(&path.metadata()?)?;
     let file = match without_waiting(File::options().read(true)).open(path) {
-        // A file server is recalling the file from another client, which takes a moment.
+        // An open with `O_NONBLOCK` fails while a file server recalls the file from another client. That
+        // takes a moment, for which a blocking open waits.
         Err(error) if error.kind() == io::ErrorKind::WouldBlock => File::open(path),
         file => file,
     }?;
@@ -70,7 +71,7 @@ pub fn read_regular_text(path: &Path) -> io::Result<String> {
 pub fn open_itself(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     match path.symlink_metadata() {
         Ok(metadata) => require_regular(&metadata)?,
-        // The options may create it.
+        // The options may create the file.
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
         Err(error) => return Err(error),
     }

@@ -13,7 +13,7 @@ use super::temporary::Temporary;
 /// Why a folder cannot take results.
 #[derive(Debug)]
 pub enum OutFolderError {
-    /// A file has its path, or the path of one of its parent folders.
+    /// A file has the path of the folder, or of one of its parent folders.
     File {
         /// The folder.
         folder: PathBuf,
@@ -56,13 +56,15 @@ pub fn make_out_folder(folder: &Path) -> Result<(), OutFolderError> {
 /// Interprets the result of an attempt to create a folder.
 fn made(folder: &Path, result: io::Result<()>) -> Result<(), OutFolderError> {
     match result {
-        // Not every system reports an existing folder as such.
+        // Some systems report an existing folder by another error than `AlreadyExists`. So only a missing
+        // folder is an error.
         Err(source) if !folder.is_dir() => Err(OutFolderError::Make { folder: folder.to_owned(), source }),
         _ => check_out_folder(folder),
     }
 }
 
 /// Refuses a path that cannot become a folder because it or one of its parents is a file. Creates nothing.
+///
 /// # Errors
 /// The file.
 pub fn refuse_file_for_folder(folder: &Path) -> Result<(), OutFolderError> {
@@ -74,7 +76,7 @@ pub fn refuse_file_for_folder(folder: &Path) -> Result<(), OutFolderError> {
 }
 
 /// Checks that files can be written into an existing folder, as [`make_out_folder`] does. A full disk is not
-/// an error here: space may become free in time.
+/// an error here: space may become free before the first output is written.
 ///
 /// # Errors
 /// When no file can be written.
@@ -105,7 +107,8 @@ pub fn recover_out_folder(folder: &Path) -> Result<Vec<String>, OutFolderError> 
     }
 }
 
-/// No file ever gets this name.
+/// The final name of the temporary file by which [`check_out_folder`] tests a folder. No file ever gets this
+/// name.
 const TRIED: &str = "tried";
 
 /// Whether the disk or a quota is full: the operation can succeed once there is space.
@@ -201,7 +204,7 @@ mod tests {
     #[test]
     #[cfg(target_os = "linux")]
     fn folders_that_take_no_files_are_told() {
-        // Nobody may make anything there, not even root.
+        // No account can create anything in /proc, not even root.
         let error = make_out_folder(Path::new("/proc")).expect_err("no file can be made there");
         assert!(matches!(&error, OutFolderError::Write { .. }), "{error}");
         let error = make_out_folder(Path::new("/proc/deep/down")).expect_err("no folder can be made there");

@@ -1,8 +1,9 @@
 //! Checks whether two paths are the same file.
 //!
-//! Paths are compared after links are resolved, in two ways: the directory entry that a rename would replace,
-//! and the file that the path leads to. On Unix the device and inode are compared as well, which also detects
-//! hard links, bind mounts and file systems that ignore case.
+//! A path has two canonical forms: the directory entry that a rename would replace (only links in the
+//! folder's path are resolved), and the file that the path leads to (all links are resolved). Two paths are
+//! the same file if they have a form in common. On Unix the device and inode are compared as well, which also
+//! detects hard links, bind mounts and file systems that ignore case.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -10,7 +10,8 @@ pub const STANDARD_INPUT: &str = "standard input";
 /// A file that is shown under another name.
 static COPY: OnceLock<(PathBuf, String)> = OnceLock::new();
 
-/// Sets the name of this file in all messages and reports of this process. Only one file can have one.
+/// Sets the name of this file in all messages and reports of this process. Only one file can have such a
+/// name.
 pub fn show_as(copy: &Path, name: &str) {
     COPY.get_or_init(|| (copy.to_owned(), name.to_owned()));
 }

@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use super::stamp::FileStamp;
 use super::temporary::Temporary;
 
-/// Large enough that the cost of the system call does not matter.
+/// Size of the write buffer: large enough that the cost of system calls does not matter.
 pub(crate) const BUFFER_BYTES: usize = 1 << 18;
 
-/// Writes a temporary file beside `path` and syncs it to disk. Also returns the result of `write`.
+/// Writes a temporary file beside `path` and syncs it to disk. Returns the file and the result of `write`.
 ///
 /// # Errors
 /// The error of `write`, or of the system. Then nothing is left behind.
@@ -23,13 +23,14 @@ pub(crate) fn write_temporary<T, E: From<io::Error>>(
     let written = write(&mut out)?;
     out.flush()?;
     drop(out);
-    // Otherwise a crash of the machine could leave the name without the bytes.
+    // Without this, after a rename and a crash of the machine, the final name could lead to a file without
+    // its bytes.
     temporary.file().sync_all()?;
     Ok((temporary, written))
 }
 
-/// A complete file on disk that does not have its final name yet. It is removed on drop unless it is
-/// published.
+/// A complete file on disk that does not have its final name yet. It is removed on drop unless it was renamed
+/// before.
 pub(crate) struct StagedFile {
     temporary: Temporary,
     path: PathBuf,
@@ -37,7 +38,7 @@ pub(crate) struct StagedFile {
 }
 
 impl StagedFile {
-    /// Writes the file that will appear at `path`.
+    /// Writes a file under a temporary name; its final name is `path`.
     ///
     /// # Errors
     /// The error of `write`, or of the system. Then nothing is left behind.
@@ -71,8 +72,8 @@ impl StagedFile {
     }
 }
 
-/// Syncs the names in a folder to disk, if the system supports that. If not, or if it fails, a crash of the
-/// machine may lose new names, but it never leaves half a file.
+/// Syncs the names in a folder to disk, if the system supports that. Without this sync, or if it fails, a
+/// crash of the machine may lose new names, but it never leaves half a file.
 pub(crate) fn sync_folder(folder: &Path) {
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let _ = File::open(folder).and_then(|folder| folder.sync_all());

@@ -19,10 +19,11 @@ pub struct FileStamp {
     /// The inode number; 0 on systems without one.
     #[serde(default)]
     pub inode: u64,
-    /// The status change time (ctime) in nanoseconds since 1970. A program can set the modification time
-    /// back, but not this one, so it reveals a file that was rewritten under its old modification time.
-    /// `chmod`, new hard links and restored backups change it, too, so if only this time differs, the
-    /// contents have to be compared. `None` on systems without it, and in journals of older versions.
+    /// The status change time (ctime) in nanoseconds since 1970. A program can set back the modification
+    /// time, but not the status change time, which therefore reveals a rewritten file with its old
+    /// modification time. `chmod`, new hard links and restored backups change this time, too. So if only this
+    /// time differs, the contents have to be compared. `None` on systems without ctime, and in journals of
+    /// older versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub changed_ns: Option<i64>,
 }
@@ -48,8 +49,8 @@ impl FileStamp {
         }
     }
 
-    /// Whether a file with this stamp is unchanged if its stamp is now `now`. The status change time is
-    /// compared only if both have it.
+    /// Whether a file that had this stamp is unchanged, given its current stamp `now`. The status change time
+    /// is compared only if both stamps have it.
     pub fn still_holds(&self, now: &FileStamp) -> bool {
         let changes = self.changed_ns.zip(now.changed_ns);
         self.without_status_change() == now.without_status_change()

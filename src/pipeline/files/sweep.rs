@@ -74,9 +74,9 @@ fn is_gone(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::StaleNetworkFileHandle)
 }
 
-/// Removes the abandoned temporary files in a folder, of any process or machine. Before that, completes or
-/// undoes each set of files whose process was killed. On a file system without locks, a file counts as
-/// abandoned if it was not written for a day. Leaves files that it may not remove.
+/// Removes the abandoned temporary files in a folder, whichever process or machine created them. Before that,
+/// completes or undoes each set of files whose process was killed. On a file system without locks, a file
+/// counts as abandoned if it was not written for a day. Leaves files that it may not remove.
 ///
 /// # Errors
 /// When the folder cannot be read, or a partial replacement cannot be undone.
@@ -88,7 +88,7 @@ pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
             entry => entry.map_err(SweepError::Folder)?,
         };
         let name = entry.file_name().to_string_lossy().into_owned();
-        // An entry of unknown type has disappeared, or cannot be opened either.
+        // An entry whose type cannot be read has disappeared, or cannot be opened either.
         let is_file = || entry.file_type().is_ok_and(|kind| kind.is_file());
         if let Some(record) = record_of_old_file(&entry.path()) {
             old_files.push((entry.path(), record));
@@ -114,7 +114,7 @@ pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
             Err(source) => failure = Some(SweepError::Recover { record: path, source }),
         }
     }
-    // The process that completes a set needs its temporary files.
+    // Whichever process recovers the remaining sets needs their temporary files.
     if !is_other_at_it && failure.is_none() {
         swept.count += temporaries.iter().filter(|path| sweep(path).unwrap_or(false)).count();
     }
@@ -127,7 +127,8 @@ pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
 /// Removes an abandoned temporary file.
 fn sweep(path: &Path) -> io::Result<bool> {
     let Some(_locked) = lock_abandoned(path)? else { return Ok(false) };
-    // The lock is held until the file is removed, so that a process that has just created it notices.
+    // The lock is held until the file is removed, so that a process that has just created the file cannot
+    // lock it, and uses another name.
     fs::remove_file(path)?;
     Ok(true)
 }

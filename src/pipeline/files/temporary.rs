@@ -27,7 +27,7 @@ use std::time::{Duration, SystemTime};
 use super::open::open_itself;
 use super::stamp::FileStamp;
 
-/// A file that is removed when dropped unless it is renamed, also when the writer panics.
+/// A temporary file. Dropping it, also in a panic, removes the file unless it was renamed.
 pub(crate) struct Temporary {
     path: PathBuf,
     file: File,
@@ -115,7 +115,7 @@ pub(crate) fn remove_if_exists(path: &Path) -> io::Result<()> {
 /// Files of this process that could not be removed.
 fn left_behind() -> MutexGuard<'static, HashSet<PathBuf>> {
     static LEFT_BEHIND: LazyLock<Mutex<HashSet<PathBuf>>> = LazyLock::new(Mutex::default);
-    // As in `active_temporaries`.
+    // A poisoned set is consistent, as in `active_temporaries`.
     LEFT_BEHIND.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -148,7 +148,7 @@ fn create_locked(path: &Path) -> io::Result<Option<File>> {
     match file.try_lock() {
         Err(TryLockError::WouldBlock) => return Ok(None),
         Ok(()) => {}
-        // The file system has no locks; then sweeps go by the age of the file.
+        // The file system has no locks. Sweeps then judge by the age of the file.
         Err(TryLockError::Error(_)) => {}
     }
     Ok(is_still_at(path, &file).then_some(file))
@@ -160,7 +160,8 @@ fn is_still_at(path: &Path, file: &File) -> bool {
     stamps.is_ok_and(|(there, ours)| there.inode == ours.inode)
 }
 
-/// Locks a file that a process has abandoned; `None` while that process still runs.
+/// Locks a file that a process has abandoned. Returns `None` if the file is still in use, or no longer
+/// exists.
 ///
 /// # Errors
 /// When the system reports an error.
@@ -191,7 +192,7 @@ pub(crate) fn temporary_name(name: &str, number: u64) -> String {
     format!(".{}{suffix}", &name[..kept_bytes.unwrap_or(0)])
 }
 
-/// Whether only temporary files of this program have such a name.
+/// Whether this is the name of a temporary file of this program.
 pub(crate) fn is_temporary_name(name: &str) -> bool {
     let is_digit = |byte: u8| matches!(byte, b'0'..=b'9' | b'a'..=b'f');
     let number = name.strip_prefix('.').and_then(|name| name.rsplit_once(TEMPORARY_MARK));
@@ -204,16 +205,17 @@ pub(crate) fn random_number() -> u64 {
     RandomState::new().hash_one(std::process::id())
 }
 
-/// The text before the number.
+/// The part of a temporary file's name before its number.
 const TEMPORARY_MARK: &str = ".tmp-";
 
 /// The longest file name on most file systems.
 const NAME_BYTES_MAX: usize = 255;
 
-/// If this many random names are taken, something else is wrong.
+/// Maximum number of names to try: if this many random names are taken, something else is wrong.
 const ATTEMPTS_MAX: usize = 16;
 
-/// No frame takes this long to write.
+/// On a file system without locks, a temporary file older than this is abandoned: no frame takes so long to
+/// write.
 const UNLOCKED_AGE_MAX: Duration = Duration::from_secs(24 * 60 * 60);
 
 #[cfg(test)]

@@ -32,7 +32,7 @@ struct RequiredAttribute {
 }
 
 impl RequiredAttribute {
-    /// The error if it is not one of these attributes.
+    /// The error message if none of these attributes meets the requirement.
     fn why_missing(&self, all: &[Attribute]) -> String {
         let RequiredAttribute { name, arity, option, .. } = self;
         let kind = if *arity == 1 { "one number" } else { "a vector of three numbers" };
@@ -58,7 +58,7 @@ impl RequiredAttribute {
         attribute.matches(&self.name) && attribute.has_numbers(self.arity)
     }
 
-    /// The error if it exists, but has no usable value for any particle.
+    /// The error message if this attribute has no usable value for any particle.
     fn why_useless(&self, attribute: &Attribute) -> Option<String> {
         let numbers = attribute.values.numbers().unwrap_or_default();
         let is_useful = |number: &f32| number.is_finite() && *number > 0.0;
@@ -98,7 +98,7 @@ impl AttributeRequest {
         AttributeRequest { needed: own.map(needed).into_iter().collect(), selected: None }
     }
 
-    /// These, and the particles' radii if there are any.
+    /// The same request, which also selects the particles' radii if the file has any.
     pub(crate) fn and_radius(self) -> AttributeRequest {
         AttributeRequest { selected: Some(AttributeSelection::Named(vec!["radius".to_owned()])), ..self }
     }
@@ -159,7 +159,7 @@ impl AttributeRequest {
         Ok((kept.collect(), missing))
     }
 
-    /// Whether to transfer the particles' velocities, which have this name, to the surface.
+    /// Whether to transfer the particles' velocities to the surface; `name` is their name in the file.
     pub(crate) fn has_velocity(&self, name: &str) -> bool {
         let asked = |asked: &String| {
             let is = |other: &str| asked.eq_ignore_ascii_case(other);
@@ -238,7 +238,8 @@ mod tests {
         AttributeRequest::for_settings(&Settings::paper(1.0, &choices).expect("sound"))
     }
 
-    /// The method knows no formats, so it has a separate list of names, which must match the readers' list.
+    /// The method does not depend on file formats, so it has its own list of names, which must match the
+    /// readers' list.
     #[test]
     fn names_of_velocities_and_colors_match_the_readers() {
         for (role, surface_role) in

@@ -1,8 +1,8 @@
 //! Bounding boxes for cameras: of one frame, and of a sequence.
 //!
 //! The box of a sequence covers its first, middle and last frame. A fluid seldom leaves that box, and a part
-//! of a sequence gets the same camera as the whole. The box excludes outliers: otherwise a single drop that
-//! flew off would make everything else tiny.
+//! of a sequence gets the same camera as the whole. The box excludes outliers: otherwise a single drop far
+//! from the rest would make everything else tiny in the picture.
 
 use std::path::Path;
 
@@ -21,7 +21,8 @@ use crate::surface::space::{CoordBox, box_of, joined};
 pub const EMPTY_BOUNDS: [DVec3; 2] = [DVec3::NEG_ONE, DVec3::ONE];
 
 /// The bounding box of the first, the middle and the last of these files: minimum and maximum corner in world
-/// units, or `None` if they are empty. Particles are balls of this radius. Skips files that cannot be read.
+/// units, or `None` if the files contain nothing. Particles are balls of this radius. Skips files that cannot
+/// be read. If none of the three can be read, uses the first file that can.
 ///
 /// # Errors
 /// The error of the first file, if no file can be read.
@@ -45,13 +46,13 @@ pub fn sequence_bounds(paths: &[&Path], radius: f64) -> Result<Option<[DVec3; 2]
         }
     }
     match failed {
-        // Any frame is better than none.
+        // None of the three can be read: the box of any other frame is better than an error.
         Some(error) if !is_read => paths.iter().find_map(|path| read(path).ok()).ok_or(error),
         _ => Ok(bounds),
     }
 }
 
-/// The bounding box of the contents of a file: of a level set in a .vdb, or of particles.
+/// The bounding box of the contents of a file: the level set of a .vdb, or particles.
 fn file_bounds(path: &Path, radius: f64) -> Result<Option<[DVec3; 2]>, FrameError> {
     if is_level_set(path) {
         return Ok(LevelSetFile::read(path, false)?.scene().bounds());
@@ -61,15 +62,15 @@ fn file_bounds(path: &Path, radius: f64) -> Result<Option<[DVec3; 2]>, FrameErro
     Ok(bounds_of_particles(&read.cloud.positions, radius))
 }
 
-/// The bounding box of balls of this radius at the particles, without outliers; world units, `None` without
-/// particles.
+/// The bounding box of balls of this radius at the particles, without outliers, in world units; `None`
+/// without particles.
 pub fn bounds_of_particles(particles: &OwnedPositions, radius: f64) -> Option<[DVec3; 2]> {
     let place = |index: usize| [particles.position(index); 2];
     box_of(particles.len(), place).map(|[least, greatest]| [least - radius, greatest + radius])
 }
 
 impl PictureScene<'_> {
-    /// The bounding box of the inside, without outliers; world units, `None` if the inside is empty.
+    /// The bounding box of the inside, without outliers, in world units; `None` if the inside is empty.
     pub fn bounds(&self) -> Option<[DVec3; 2]> {
         let inside = negative_masks(&self.band.phi);
         let leaves: Vec<(&LeafMask, _)> =

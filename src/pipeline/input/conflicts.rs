@@ -79,8 +79,8 @@ impl fmt::Display for Conflict {
 impl std::error::Error for Conflict {}
 
 /// Checks that the outputs of all planned frames (input and stem), and all other written files (description
-/// and path), do not replace one of `inputs`, an obstacle, or each other. The folder must exist, because only
-/// then can its path be resolved.
+/// and path), do not replace one of `inputs`, an obstacle, or each other. The output folder must exist,
+/// because only then can its path be resolved.
 ///
 /// # Errors
 /// The first conflict found.

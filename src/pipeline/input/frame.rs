@@ -26,24 +26,25 @@ pub enum Job {
     /// Particles become a surface.
     #[default]
     Surface,
-    /// The level set in a .vdb becomes a surface. Reading sets the voxel size in the frame's settings.
+    /// The level set in a .vdb becomes a surface. When the file is read, its voxel size replaces that of the
+    /// frame's settings.
     LevelSet {
-        /// By how much smoothing may move the surface, in voxels; 0 leaves it unchanged.
+        /// The distance by which smoothing may move the surface, in voxels; 0 leaves the surface unchanged.
         slack_voxels: f64,
-        /// The position of voxel (0, 0, 0) in world units: known once the file is read.
+        /// The position of voxel (0, 0, 0) in world units, set when the file is read.
         origin: DVec3,
     },
-    /// Particles are written unchanged, in formats that hold particles. The settings do not matter.
+    /// Particles are written unchanged, in particle formats. The settings do not matter.
     Particles,
 }
 
 impl Job {
-    /// The level set in a .vdb becomes a surface that is at most this many voxels away from it.
+    /// The conversion of a level set to a surface that smoothing moves by at most this many voxels.
     pub fn level_set(slack_voxels: f64) -> Job {
         Job::LevelSet { slack_voxels, origin: DVec3::ZERO }
     }
 
-    /// The conversion of a file to a surface, by the file's name; a level set is not smoothed.
+    /// The conversion of a file to a surface, chosen by the file's name. A level set is not smoothed.
     pub fn of(path: &Path) -> Job {
         if is_level_set(path) { Job::level_set(0.0) } else { Job::Surface }
     }
@@ -71,12 +72,12 @@ pub struct Frame {
     pub settings: Arc<Settings>,
     /// The outputs, and their folder.
     pub outputs: Arc<OutputOptions>,
-    /// Its number, if it has one: a frame uses the files of moving obstacles with the same number.
+    /// Its number, if it has one. A frame uses the files of moving obstacles that have the same number.
     pub number: Option<u64>,
     /// Its obstacles.
     pub obstacles: Arc<ObstacleFiles>,
-    /// The camera of its sequence, if frames that are not known yet may change it; else the camera of the
-    /// outputs is used.
+    /// The camera of its sequence, if later frames may still change it; `None` if the camera in `outputs` is
+    /// used.
     pub framing: Option<Arc<Framing>>,
 }
 
@@ -101,7 +102,7 @@ impl Frame {
         Frame { outputs: Arc::new(OutputOptions { picture, ..(*self.outputs).clone() }), ..self.clone() }
     }
 
-    /// Whether a picture of it is written.
+    /// Whether pictures of the frame are written.
     pub(crate) fn has_pictures(&self) -> bool {
         self.outputs.has_pictures()
     }
@@ -145,8 +146,8 @@ pub enum Outcome {
         /// all passed, or neither exists.
         fault: Option<String>,
     },
-    /// The file was written while it was read, so the bytes are neither the old file nor the new one. The
-    /// caller has to read it again later.
+    /// The input was written while it was read, so the bytes are neither those of the old file nor those of
+    /// the new one. The caller has to read it again later.
     Changed,
     /// No output was written.
     Failed(FrameError),
@@ -154,9 +155,9 @@ pub enum Outcome {
     NotStarted,
 }
 
-/// Wall-clock seconds in each stage. Frames overlap: each of several frames has one thread, and a single
-/// frame has all threads. So the seconds may add up to more than the run took, and only show the cost of a
-/// frame that is converted alone.
+/// Wall-clock seconds in each stage. Several frames are converted at once, each on one thread; a frame alone
+/// uses all threads. So the seconds may add up to more than the run took, and they show the cost of a frame
+/// only if it is converted alone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Seconds {
     /// Reading and parsing.
@@ -197,15 +198,16 @@ pub struct FrameReport {
     pub obstacles: String,
     /// The number of boundary edges of the obstacle meshes.
     pub obstacle_open_edge_count: usize,
-    /// The voxel size of a level set, in world units; `None` if the frame's settings have it.
+    /// The voxel size of a level set, in world units; `None` for other inputs, whose settings contain it.
     pub voxel_size: Option<f64>,
     /// Seconds in each stage.
     pub seconds: Seconds,
-    /// The peak memory of this process until the frame was written; `None` if the system does not report it.
+    /// The peak memory of this process until the frame was written, in bytes; `None` if the system does not
+    /// report it.
     pub peak_memory_bytes: Option<u64>,
     /// The files that were written.
     pub outputs: Vec<PathBuf>,
-    /// The size of each of them.
+    /// The size of each file in `outputs`.
     pub output_bytes: Vec<u64>,
     /// Warnings about the frame, without those from [measurements](FrameReport::all_warnings).
     pub warnings: Vec<Warning>,
@@ -221,7 +223,7 @@ mod tests {
     use crate::pipeline::OutputFormat;
     use crate::surface::options::MethodOptions;
 
-    /// The retry after a full disk checks the folder of this path.
+    /// After a full disk, the daemon checks the folder of the error's path before it retries.
     #[test]
     fn scratch_error_names_the_path_of_the_outputs() {
         let settings = Settings::paper(0.1, &MethodOptions::default()).expect("settings");

@@ -27,7 +27,7 @@ use crate::pipeline::warning::Warning;
 /// The input of a frame.
 #[derive(Debug)]
 pub enum FrameInput {
-    /// All of its particles.
+    /// All particles of the frame.
     InMemory(ParticleCloud),
     /// The particles in a file whose records can be read one by one.
     OnDisk(Box<FileParticles>),
@@ -55,8 +55,8 @@ impl LevelSetInput {
     }
 }
 
-/// Reads the level set in the bytes of a frame's file, within a memory limit. Returns it with the frame,
-/// which gets the voxel size and the origin of the file.
+/// Reads the level set in the bytes of a frame's file, within a memory limit. Returns the level set, and the
+/// frame with the voxel size and the origin of the file.
 ///
 /// # Errors
 /// When the file has no readable level set, or its surface cannot be made with the settings or written in a
@@ -93,7 +93,7 @@ pub struct FileParticles {
 const BATCH_BYTES: usize = 512 << 10;
 
 impl FileParticles {
-    /// The particles in an open file; `None` if it has to be read whole.
+    /// The particles in an open file; `None` if the file has to be read whole.
     ///
     /// # Errors
     /// Those of the format's reader.
@@ -130,7 +130,7 @@ impl FrameInput {
         self.len() == 0
     }
 
-    /// The memory of the input while it waits, in bytes.
+    /// The memory that the input takes while the frame waits for its next stage, in bytes.
     pub(crate) fn size_bytes(&self) -> u64 {
         match self {
             FrameInput::InMemory(cloud) => cloud.size_bytes() as u64,
@@ -139,7 +139,7 @@ impl FrameInput {
         }
     }
 
-    /// The size of the selected attributes of a particle, in bytes.
+    /// The size of the selected attributes, in bytes per particle.
     pub(crate) fn attribute_bytes(&self, settings: &Settings) -> f64 {
         let (FrameInput::InMemory(cloud), Some(selection)) = (self, &settings.attributes) else {
             return 0.0;
@@ -169,12 +169,12 @@ impl FrameInput {
                 let (cloud, shape_stats) = reconstruction::shape_by_attributes(cloud, settings);
                 (FrameInput::InMemory(cloud), shape_stats)
             }
-            // What needs attributes is never read in batches.
+            // A file is read in batches only if the settings need no attributes.
             FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => (self, ShapeStats::default()),
         }
     }
 
-    /// Fails if the file was written meanwhile. Call it after the last batch.
+    /// Fails if the file was written since it was opened. Call it after the last batch.
     ///
     /// # Errors
     /// [`Cause::Changed`], or an error of the system.
@@ -243,7 +243,8 @@ impl ParticleSource for FrameInput {
 }
 
 impl FileParticles {
-    /// A file that was complete when it was opened and cannot be read now has usually changed.
+    /// The cause of a read error. A file that was complete when it was opened and cannot be read now has
+    /// usually changed.
     fn cause(&self, error: meniscus_formats::Error) -> Cause {
         let is_changed = |unchanged: io::Result<bool>| unchanged.is_ok_and(|unchanged| !unchanged);
         if is_changed(self.file.is_unchanged()) { Cause::Changed } else { Cause::File(error) }

@@ -33,7 +33,7 @@ pub struct LevelSetFile {
     class: String,
     /// The XXH3 hash of the file, 128 bits.
     pub hash: u128,
-    /// Warnings about a file that could be read.
+    /// Warnings from reading the file.
     pub warnings: Vec<Warning>,
 }
 
@@ -87,10 +87,10 @@ impl LevelSetFile {
         self.lattice.voxel_size
     }
 
-    /// Fails if the file says that the class of its grid is not a level set.
+    /// Fails if the grid has another class than "level set".
     ///
     /// # Errors
-    /// The remedy.
+    /// The message, which says what to do.
     pub(crate) fn require_level_set(&self) -> Result<(), String> {
         match &*self.class {
             "level set" => Ok(()),
@@ -106,7 +106,7 @@ impl LevelSetFile {
         self.origin
     }
 
-    /// The scene for a picture of it.
+    /// The scene for a picture of the level set.
     pub fn scene(&self) -> PictureScene<'_> {
         PictureScene {
             band: &self.band,
@@ -201,20 +201,22 @@ fn velocities(
 ) -> Result<[Field; 3], String> {
     if vectors.class == "staggered" {
         return Err(
-            "their grid is staggered: resample it to a collocated grid (values at voxel centres)".to_owned()
+            "the velocity grid is staggered: resample it to a collocated grid (values at voxel centres)"
+                .to_owned(),
         );
     }
     if vectors.transform != *transform {
         return Err(
-            "their grid has another transform than the level set: resample it to the same voxels".to_owned()
+            "the velocity grid has another transform than the level set: resample it to the same voxels"
+                .to_owned(),
         );
     }
     if !vectors.leaves.iter().flatten().flatten().all(|number| number.is_finite()) {
-        return Err("some of them are not finite".to_owned());
+        return Err("some velocities are infinite or NaN".to_owned());
     }
     let mut fields = vectors.background.map(|number| Field::splat(band.topology.len(), number));
     for (&origin, values) in vectors.origins.iter().zip(&vectors.leaves) {
-        // No code reads velocities far from the surface.
+        // Velocities outside the band are skipped: no code reads those far from the surface.
         let Some(leaf) = band.topology.find(IVec3::from(origin)) else { continue };
         for (axis, field) in fields.iter_mut().enumerate() {
             field.leaves[leaf] = Leaf { values: values.map(|value| value[axis]) };
@@ -232,9 +234,10 @@ fn voxel_size(transform: &Transform) -> Option<f64> {
     (VOXEL_SIZES.contains(&x) && is_straight && is_even && is_placed).then_some(x)
 }
 
-/// World units; values outside this range are accidental.
+/// The accepted voxel sizes and coordinates, in world units. Other values are mistakes in the file.
 const VOXEL_SIZES: RangeInclusive<f64> = 1e-15..=1e15;
 const COORDINATE_MAX: f64 = 1e15;
 
-/// A larger relative difference between the steps means that the voxels are not axis-aligned cubes.
+/// How far the axes of the transform may deviate from those of axis-aligned cubes, as a fraction of the voxel
+/// size.
 const SKEW_MAX: f64 = 1e-4;

@@ -97,7 +97,7 @@ impl fmt::Display for NoSpacing {
 
 impl std::error::Error for NoSpacing {}
 
-/// Measures the spacing of the particles in these frames of a sequence, given in its order.
+/// Measures the spacing of the particles in these frames, which are in the order of their sequence.
 ///
 /// # Errors
 /// When no frame can be measured. Skips frames that cannot be read, or lack the radii: their conversion

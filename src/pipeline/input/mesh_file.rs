@@ -8,7 +8,7 @@ use meniscus_formats::{Limits, MeshData, gltf, read_mesh};
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::open::{open_regular, read_regular};
 
-/// Reads the mesh in a file of any supported mesh format. It may be empty.
+/// Reads the mesh in a file of any supported mesh format. The mesh may be empty.
 ///
 /// # Errors
 /// When the file cannot be read, or holds no mesh.

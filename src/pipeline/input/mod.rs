@@ -2,13 +2,13 @@
 //!
 //! ```text
 //!   source      groups files into sequences of frames    steps        files with several frames
-//!   frame       frames to convert, and their outcomes    frame_input  particles or a level set, in memory or
-//!   on disk
+//!   frame       frames to convert, and their outcomes    bounds       bounding boxes of frames and sequences
+//!   frame_input  particles in memory or on disk, or a level set
 //!   reading     reads files and parses particles         attributes   the attributes that a frame needs
 //!   level_set_file  level sets from .vdb                 mesh_file    meshes of any supported format
-//!   obstacles   the obstacles of a frame                 obstacle_warnings, out_of_reach  likely mistakes in these
-//!   measured_spacing  the spacing of a sequence          bounds       the box of a frame, and of a sequence
-//!   conflicts   outputs that would replace inputs
+//!   measured_spacing  the spacing of a sequence          conflicts    outputs that would replace inputs
+//!   obstacles   the obstacles of a frame
+//!   obstacle_warnings, out_of_reach   likely mistakes in obstacles
 //! ```
 
 pub(super) mod attributes;

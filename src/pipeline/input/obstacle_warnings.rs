@@ -5,7 +5,8 @@ use crate::surface::options::Settings;
 
 use crate::pipeline::warning::ObstacleFinding;
 
-/// A level set with a narrower band than this, in units of h, hardly shows where its surface is.
+/// Minimum band width of a level set, less one of its own voxels, in units of the frame's voxel size h. A
+/// narrower band hardly shows where the surface of the obstacle is.
 const KNOWN_MIN: f64 = 1.0;
 
 /// The likely mistakes in an obstacle.

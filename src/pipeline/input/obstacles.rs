@@ -64,7 +64,7 @@ struct LoadedObstacle {
 
 impl fmt::Debug for LoadedObstacle {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Known").field("hash", &self.hash).finish_non_exhaustive()
+        f.debug_struct("LoadedObstacle").field("hash", &self.hash).finish_non_exhaustive()
     }
 }
 
@@ -74,14 +74,14 @@ pub(crate) struct FoundObstacles {
     found: Vec<FoundObstacle>,
 }
 
-/// One of these files.
+/// An obstacle of a frame, found and hashed.
 struct FoundObstacle {
     path: PathBuf,
     /// The file and its buffer files, with their stamps.
     files: Vec<(PathBuf, FileStamp)>,
     hash: u128,
     content: ObstacleShape,
-    /// The index of its path, if the obstacle does not move.
+    /// The index of the obstacle's path; `None` if the obstacle moves.
     still: Option<usize>,
 }
 
@@ -105,7 +105,7 @@ pub struct FrameObstacles {
     pub(crate) recorded: String,
     /// The number of boundary edges of the meshes.
     pub(crate) open_edge_count: usize,
-    /// The memory of the obstacles that only this frame has, and of all of them, in bytes.
+    /// The memory of the obstacles that only this frame has, and of all its obstacles, in bytes.
     pub(crate) own_bytes: u64,
     pub(crate) all_bytes: u64,
 }
@@ -172,7 +172,7 @@ impl ObstacleFiles {
         stamps
     }
 
-    /// The buffer files of an obstacle, as far as it can be read now.
+    /// The buffer files of an obstacle; empty if the obstacle cannot be read at present.
     fn external_files(&self, path: &Path) -> Vec<PathBuf> {
         if !is_gltf_text(path) {
             return Vec::new();
@@ -288,7 +288,7 @@ impl ObstacleFiles {
 }
 
 impl LoadedObstacle {
-    /// Whether none of its files has changed since.
+    /// Whether none of its files has changed since it was loaded.
     fn is_as_it_was(&self) -> bool {
         self.files.iter().all(|(path, stamp)| stamp_of(path) == Some(*stamp))
     }
@@ -307,7 +307,7 @@ fn pattern_of(path: &Path) -> Option<NumberPattern<'_>> {
     NumberPattern::find(path.file_name()?.to_str()?)
 }
 
-/// The file of a path for the frame with this number.
+/// The obstacle file for the frame with this number: `path` itself, or the file of its pattern.
 fn file_of(path: &Path, number: Option<u64>) -> Result<PathBuf, ObstacleError> {
     let missing =
         |path: &Path, what: String| Err(failed(path, io::Error::new(io::ErrorKind::NotFound, what).into()));

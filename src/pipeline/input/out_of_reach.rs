@@ -1,12 +1,12 @@
 //! Finds obstacles that are too far away to affect a frame.
 //!
-//! An obstacle in other units, or with another up axis, is not an error: the surface simply does not meet it.
-//! Bounding boxes show that:
+//! An obstacle in wrong units, or with a wrong up axis, causes no error: the surface simply does not touch
+//! it. Bounding boxes reveal such an obstacle:
 //!
 //! ```text
-//!   ┌────────────┐               ┌───┐
-//!   │ particles  │◀── reach ──▶  │   │     beyond the reach of every part of the frame: has no effect
-//!   └────────────┘               └───┘
+//!   ┌────────────┐               ┌──────────┐
+//!   │ particles  │◀── reach ──▶  │ obstacle │     farther than the reach: it has no effect
+//!   └────────────┘               └──────────┘
 //! ```
 
 use glam::DVec3;
@@ -20,7 +20,7 @@ use super::obstacles::FrameObstacles;
 use crate::pipeline::error::Cause;
 use crate::pipeline::warning::{ObstacleFinding, Warning};
 
-/// A warning for each obstacle that is out of reach of every part of a frame.
+/// A warning for each obstacle that is out of reach of all particles of a frame.
 ///
 /// # Errors
 /// Those of reading the particles.
@@ -47,7 +47,7 @@ pub(crate) fn out_of_reach(
     Ok(warnings.collect())
 }
 
-/// The largest distance from a particle at which anything is computed, in world units.
+/// The largest distance from a particle at which values of the level set are computed, in world units.
 fn reach(settings: &Settings) -> f64 {
     let h = settings.voxel_size;
     let radius = match settings.per_particle_radius {

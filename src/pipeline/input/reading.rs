@@ -23,13 +23,13 @@ use crate::pipeline::warning::Warning;
 pub struct ReadFrame {
     /// The particles.
     pub cloud: ParticleCloud,
-    /// Warnings about a file that could be read.
+    /// Warnings about the file, which could be read nevertheless.
     pub warnings: Vec<Warning>,
-    /// The name of the velocities, if the file has some that were not requested.
+    /// The name of the velocity attribute, if the file has one that was not requested.
     pub unused_velocity: Option<String>,
 }
 
-/// The bytes of a file, or of a step of one.
+/// The bytes of a file, or of a step of a file.
 ///
 /// # Errors
 /// When the system reports an error.
@@ -75,7 +75,7 @@ fn refuse_large_foreign(path: &Path) -> meniscus_formats::Result<()> {
     check_supported(&head, &path.file_name().unwrap_or_default().to_string_lossy())
 }
 
-/// From this size on, the head of a file is checked first.
+/// From this size on, the format of a file is checked by its head before the file is read.
 const LARGE_BYTES: u64 = 1 << 20;
 
 /// More bytes than any format needs to be recognized.

@@ -6,7 +6,7 @@
 //!       └──┘                     the frame's number (`frame_number.rs` finds it)
 //!   dam.{}.bgeo.gz               the name without the number is the name of the sequence
 //!
-//!   dump.lammpstrj/step=1000     a step of a file with several: outputs dump.1000, number 1000
+//!   dump.lammpstrj/step=1000     one of the steps of a file: outputs dump.1000, number 1000
 //!   dump.lammpstrj/step={}       the steps of one file form a sequence
 //! ```
 //!
@@ -32,7 +32,7 @@ pub struct FrameFile {
     pub path: PathBuf,
     /// The bytes of [`FrameFile::name`] with the frame's number and subframe.
     number_span: Option<Range<usize>>,
-    /// Whether a pattern defines the number, and not the name.
+    /// Whether the caller gave the position of the number, so that comparing names does not change it.
     is_number_given: bool,
     /// The base name of its outputs, if it differs from the file's.
     output_stem: Option<String>,
@@ -114,8 +114,8 @@ impl FrameFile {
         number.split_once('.').map_or("", |(_, digits)| digits.trim_end_matches('0')).to_owned()
     }
 
-    /// The folder and the name without its numbers, which files have in common if they differ only in
-    /// numbers. `None` if a pattern defines the number, for steps, and for names without a number.
+    /// The key of all files whose names differ only in numbers: the folder, and the name without its numbers.
+    /// `None` if the position of the number was given, for steps, and for names without a number.
     pub fn kin(&self) -> Option<(PathBuf, String)> {
         if self.is_number_given || self.number_span.is_none() || self.is_step {
             return None;
@@ -139,7 +139,7 @@ impl FrameFile {
     }
 }
 
-/// The base name of the outputs of a frame, by its path alone.
+/// The base name of the outputs of a frame, derived from the frame's path only.
 pub(crate) fn output_stem(frame: &Path, is_step: bool) -> String {
     match step_in(frame, is_step) {
         Some((file, step)) => format!("{}.{step}", stem(&name_of(file, false))),
@@ -160,8 +160,8 @@ pub struct Sequence {
     pub frames: Vec<FrameFile>,
 }
 
-/// Groups files into sequences, in natural order. The other names determine which number of a name is the
-/// frame's: see `use_varying_numbers`.
+/// Groups files into sequences, in natural order. If names contain several numbers, comparing the names shows
+/// which one is the frame's: see `use_varying_numbers`.
 pub fn sequences(mut files: Vec<FrameFile>) -> Vec<Sequence> {
     use_varying_numbers(&mut files);
     files.sort_by(|a, b| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
@@ -184,7 +184,7 @@ pub fn sequences(mut files: Vec<FrameFile>) -> Vec<Sequence> {
     sequences
 }
 
-/// Moves the subframes of a sequence in natural order behind their frames.
+/// Sorts a sequence that is in natural order so that subframes follow their frame.
 pub fn order_subframes<T>(frames: &mut [T], file: impl Fn(&T) -> FrameFile) {
     if frames.iter().any(|frame| !file(frame).subframe().is_empty()) {
         frames.sort_by_cached_key(|frame| {
@@ -194,9 +194,9 @@ pub fn order_subframes<T>(frames: &mut [T], file: impl Fn(&T) -> FrameFile) {
     }
 }
 
-/// Corrects the frame numbers that [`FrameFile::new`] found by comparing the names in a folder. If another
-/// number is the only one that varies, that one is the frame's: the first in `dam_0001_b7.ply` and
-/// `dam_0002_b7.ply`. If apparent subframes are the frames of a shot, the last number is the frame's: as in
+/// Compares the names in a folder, and corrects the frame numbers that [`FrameFile::new`] found. If another
+/// number is the only one that varies, that number is the frame's, such as the first in `dam_0001_b7.ply` and
+/// `dam_0002_b7.ply`. If apparent subframes are the frames of a shot, the last number is the frame's, as in
 /// `shot.0100.9.ply` and `shot.0100.10.ply`.
 fn use_varying_numbers(files: &mut [FrameFile]) {
     let mut kin: HashMap<(PathBuf, String), Vec<usize>> = HashMap::new();
@@ -223,7 +223,7 @@ fn use_varying_numbers(files: &mut [FrameFile]) {
         }
         for (index, span) in members.iter().zip(varying_number(&stems).unwrap_or_default()) {
             let span_now = &mut files[*index].number_span;
-            // A subframe may vary within one frame.
+            // If only the subframe varies, the number that was found contains it already.
             if span_now.as_ref().is_none_or(|now| !(now.start <= span.start && span.end <= now.end)) {
                 *span_now = Some(span);
             }
@@ -231,7 +231,8 @@ fn use_varying_numbers(files: &mut [FrameFile]) {
     }
 }
 
-/// Folders in which most sequences with names that differ only in numbers have one frame, and how many do.
+/// Folders in which most of the sequences whose names differ only in numbers have a single frame, and the
+/// number of these single-frame sequences.
 pub fn single_frame_sequences(sequences: &[Sequence]) -> Vec<(PathBuf, usize)> {
     let mut counts: BTreeMap<(PathBuf, String), (usize, usize)> = BTreeMap::new();
     for sequence in sequences {
@@ -245,7 +246,8 @@ pub fn single_frame_sequences(sequences: &[Sequence]) -> Vec<(PathBuf, usize)> {
     fallen_apart.map(|((folder, _), (_, single_count))| (folder, single_count)).collect()
 }
 
-/// Whether too many of `count` sequences with names that differ only in numbers have a single frame.
+/// Whether at least two, and more than half, of `count` sequences whose names differ only in numbers have a
+/// single frame.
 pub fn are_single_frames(count: usize, single_count: usize) -> bool {
     single_count > 1 && 2 * single_count > count
 }
@@ -285,8 +287,9 @@ pub fn has_particle_extension(name: &str) -> bool {
     stem(name).len() < name.len()
 }
 
-/// Whether the extension is specific to particles, so that a file without any is broken. Readme files and
-/// logs share the other extensions, so only their content shows what they are.
+/// Whether the extension is used only for particle files, so that such a file without particles is invalid.
+/// Readme files and logs may have the other extensions, such as `.txt`: only their content shows what they
+/// are.
 pub fn promises_particles(name: &str) -> bool {
     let name_without_suffix = name_without_compression(name).to_ascii_lowercase();
     let may_be_any_text =
@@ -326,8 +329,8 @@ fn without_zeros(digits: &[u8]) -> &[u8] {
     &digits[zeros..]
 }
 
-/// Longer ones come before their suffixes. The content of a file determines its format; these extensions only
-/// determine where the stem ends, and which files in a folder are frames.
+/// If an extension ends in another one, the longer one comes first. The content of a file determines its
+/// format; these extensions only determine where the stem ends, and which files in a folder are frames.
 const PARTICLE_EXTENSIONS: [&str; 21] = [
     ".bgeo.sc",
     ".geo.sc",

@@ -28,8 +28,9 @@ fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<Warni
     if report.particle_count == 0 || report.mesh.vertex_count > 0 {
         return None;
     }
-    // Obstacles act first, then islands are removed, then the box clips. The last of them that removed
-    // something is the cause, because it still had a surface to remove; so it is checked first.
+    // Obstacles act first, then islands are removed, then the box clips. The last of these steps that removed
+    // something is the cause, because a surface was left before it. So the steps are checked in reverse
+    // order.
     Some(if edits.clipped_voxel_count > 0 {
         Warning::ClippedAway
     } else if edits.island_count > 0 {
@@ -44,8 +45,8 @@ fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<Warni
     })
 }
 
-/// Detects voxels that do not fit the particles: most particles are isolated drops, the surface is torn, or
-/// all of it is one blob.
+/// Detects voxels that do not fit the particles: most particles are isolated drops, the surface has too many
+/// holes or pieces, or all of it is one blob.
 fn misfit(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<Warning> {
     let ReconstructionReport { edits, contact, .. } = report;
     let particle_count = report.particle_count;
@@ -70,12 +71,13 @@ fn misfit(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option
     })
 }
 
-/// The fault of a surface whose spheres seem not to overlap.
+/// The warning about a surface whose spheres seem not to overlap: it has too many holes or pieces.
 fn fragmented(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<Warning> {
     let (particle_count, measures) = (report.particle_count, &report.mesh);
     let few_pieces = particle_count / HOLED_ONE_IN;
     let few_holes = few_pieces.max(FEW_HOLES);
-    // The total for all components; meaningless for an open mesh.
+    // The number of handles (the genus) of all components together, from the Euler characteristic.
+    // Meaningless for an open mesh.
     let handle_count = (2 * measures.component_count as i64 - measures.euler_characteristic) / 2;
     let handle_count = usize::try_from(handle_count).unwrap_or(0);
     let is_whole = measures.component_count <= few_pieces && handle_count <= few_holes;
@@ -95,7 +97,7 @@ fn fragmented(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Op
     is_torn.then_some(Warning::Fragmented { particle_count, piece_count, voxel_size })
 }
 
-/// Whether all particles are in one blob of the size of one particle's ball.
+/// Whether all particles are in one blob that is hardly larger than the ball of a single particle.
 fn is_blob(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> bool {
     if mesh.positions.is_empty() || mesh.positions.len() > BLOB_VERTICES {
         return false;
@@ -106,17 +108,18 @@ fn is_blob(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> bool 
     width - 2.0 * report.certificate.vertex_distance_min <= BLOB_VOXELS
 }
 
-/// Frames with fewer particles get none of these warnings: they may well be separate drops, or a single drop.
+/// Frames with fewer particles get none of these warnings: such particles may well be separate drops, or a
+/// single drop.
 const CROWD: usize = 33;
 
-/// A surface with one hole for this number of particles is torn. If the voxel size is half the spacing, even
-/// random particles have a surface without holes.
+/// A surface with more than one hole per this number of particles has too many. For comparison: if the voxel
+/// size is half the spacing, even randomly placed particles have a surface without holes.
 const HOLED_ONE_IN: usize = 50;
 
-/// Rings, shells and jugs have a few holes by design.
+/// A surface with up to this number of holes never has too many: rings, shells and jugs have a few by design.
 const FEW_HOLES: usize = 8;
 
-/// A surface with more than one piece per this number of particles is torn if no piece has half of the
+/// A surface with more than one piece per this number of particles is fragmented if no piece has half of the
 /// volume.
 const PIECES_ONE_IN: usize = 8;
 

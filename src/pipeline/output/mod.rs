@@ -3,7 +3,7 @@
 //! ```text
 //!   writing           surfaces, one file for each format
 //!   particle_files    particles without a surface
-//!   diagnostics       voxels and radii that do not fit the particles
+//!   diagnostics       warns about voxel sizes and radii that do not suit the particles
 //! ```
 
 pub(super) mod diagnostics;

@@ -153,9 +153,9 @@ fn encode_levels(
     encode_level_set(surface, &frame.settings, &options, provenance)
 }
 
-/// Encodes the level set of a surface as a .vdb, with the attributes that are known in its band;
-/// [write](vdb::EncodedVdb::write) the result. `settings` must be those of the reconstruction, because the
-/// values of the level set are in units of their voxel size.
+/// Encodes the level set of a surface as a .vdb, with the attributes that are known in its band. To write the
+/// file, call [`write`](vdb::EncodedVdb::write) of the result. `settings` must be those of the
+/// reconstruction, because the values of the level set are in units of their voxel size.
 ///
 /// # Errors
 /// When the format cannot hold this amount of data.

@@ -8,9 +8,9 @@
 //! ```
 //!
 //! An output cannot record the checks of its own final bytes, and the log of a run may be lost or belong to
-//! another run. The hashes bind the certificate to the exact bytes that were checked, so later
-//! readers need neither the run nor its machine to trust them. The certificate appears after the outputs: if
-//! it exists, they do.
+//! another run. The hashes bind the certificate to the exact bytes that were checked, so later readers need
+//! neither the run nor its machine to trust them. The certificate appears after the outputs: if it exists,
+//! they do.
 //!
 //! Like all outputs, it depends only on the input, the settings and the version of this program.
 
@@ -32,10 +32,10 @@ use crate::pipeline::files::names::name_of_text;
 use crate::pipeline::files::staged_file::StagedFile;
 use crate::pipeline::input::steps::frame_name;
 
-/// Increase it when the file's format changes.
+/// The version of the file format. Increase it when the format changes.
 const VERSION: u32 = 3;
 
-/// A larger file is not a certificate.
+/// Maximum size of a certificate; a larger file is not one.
 const SIZE_MAX_BYTES: u64 = 1 << 20;
 
 /// The certificate of a frame, as it was read.
@@ -63,7 +63,8 @@ pub(crate) struct CertifiedOutput {
     pub(crate) checked: String,
 }
 
-/// The file. Anything that this program does not write is an error, so that no certificate is ambiguous.
+/// The contents of the file. A field that this program does not write is an error, so that no certificate is
+/// ambiguous.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CertificateFile {
@@ -151,7 +152,7 @@ impl CertifiedFrame {
     /// Checks that these files have exactly the certified bytes.
     ///
     /// # Errors
-    /// A description of the first file that has not.
+    /// A description of the first file that has other bytes, or cannot be read.
     pub(crate) fn check_bytes(&self, paths: &[PathBuf]) -> Result<(), String> {
         for path in paths {
             let name = name_of(path);

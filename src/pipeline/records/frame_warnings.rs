@@ -38,8 +38,8 @@ impl FrameReport {
     }
 }
 
-/// The number of particles outside the surface, if an offset or smoothed positions leave more than a few
-/// there.
+/// A warning about particles outside the surface, if an offset or position smoothing leaves more than a few
+/// outside.
 fn outside(report: &ReconstructionReport) -> Option<Warning> {
     let certificate = &report.certificate;
     let of_offset = certificate.may_leave_particles_outside.then_some(certificate.particles_outside);
@@ -49,21 +49,21 @@ fn outside(report: &ReconstructionReport) -> Option<Warning> {
         .then_some(Warning::ParticlesOutside { count, particle_count })
 }
 
-/// A smaller fraction of particles outside gives no warning.
+/// There is a warning if more than this fraction of the particles is outside.
 const OUTSIDE_REPORTED_FROM: f64 = 0.02;
 
-/// A smaller rounding error gives no warning, in voxels.
+/// There is a warning if the rounding error of positions is greater than this, in voxels.
 const ROUNDING_REPORTED_FROM: f64 = 1.0 / 256.0;
 
-/// The particles that are not in the surface, if any.
+/// A warning about particles that the surface leaves out, if there are any.
 pub(crate) fn left_out(report: &ReconstructionReport) -> Option<Warning> {
     let count = report.dropped_count;
     (count > 0).then_some(Warning::ParticlesIgnored { count, near: report.stray_position })
 }
 
-/// Warnings about the shapes of particles. There is no warning about thin ellipsoids that are widened to the
-/// grid's resolution, because at the default radii nearly all are, nor about a few unstretched particles:
-/// drops are isolated.
+/// Warnings about the shapes of particles. Thin ellipsoids that are widened to the grid's resolution cause no
+/// warning, because at the default radii nearly all are. A few particles that are not stretched cause none
+/// either, because isolated drops are not.
 fn shape_warnings(report: &ReconstructionReport) -> impl Iterator<Item = Warning> {
     let shape_stats = &report.shapes;
     // If the neighbour search found near particles, isolated ones are normal.

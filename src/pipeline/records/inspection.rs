@@ -170,7 +170,7 @@ fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> InspectedState {
     state.err().unwrap_or(InspectedState::Done)
 }
 
-/// Inspects one file: its end, and its provenance.
+/// Inspects one file: whether it is complete, and its provenance.
 fn look_at(
     frame: &Frame,
     made_from: &MadeFrom,
@@ -201,7 +201,8 @@ fn difference(
 ) -> Option<String> {
     let is_level_set = matches!(job, Job::LevelSet { .. });
     let is_compared = |name: &str| match name {
-        // The input file has it; and .stl has a single hash of all settings.
+        // The voxel size of a level set comes from its file, so it is compared only if that could be read. An
+        // .stl has a single hash of all settings, with the voxel size among them.
         "voxel_size" | "settings" if is_level_set => made_from.input_hash.is_some(),
         "input_hash" => made_from.input_hash.is_some(),
         "obstacles" | "void_threshold" => made_from.obstacles.is_some(),

@@ -1,11 +1,11 @@
 //! Records: provenance in outputs, certificates beside them, states of outputs, and the report of a run.
 //!
 //! ```text
-//!   provenance        the origin of an output, in it     certificate_file  the checks of a frame, beside it
+//!   provenance        written into each output           certificate_file  written beside a frame's outputs
 //!   inspection        the state of a frame's outputs     output_states     finds outputs with damaged bytes
 //!   record            the report of a run                frame_warnings    warnings from measurements
 //!   sequence_file     all frames in one file             stage_file        plays the files of the frames
-//!   picture_file      pictures from .png
+//!   picture_file      reads pictures from .png
 //! ```
 
 pub(super) mod certificate_file;

@@ -10,12 +10,14 @@
 //! computed when an output is written and when its stamp differs from the recorded one.
 //!
 //! The daemon keeps these records in its journal. `convert --skip-done` keeps them in
-//! `.meniscus/outputs.json` in the folder of the outputs, together with failed checks, so that a skipped
-//! frame that failed validation fails it again. A plain `convert` records the outputs of frames that failed
-//! validation, and outputs that have a record already. Without that file there are no such comparisons.
+//! `.meniscus/outputs.json` in the folder of the outputs, together with failed checks, so that a frame that
+//! failed validation still counts as failed when it is skipped. A plain `convert` records the outputs of
+//! frames that failed validation, and outputs that have a record already. Without that file, hashes are not
+//! compared.
 //!
-//! `watch` and older versions replace outputs without this file. So each record has the hash of the output's provenance,
-//! which names the input and the settings: a record of other provenance is of an earlier file, and is ignored.
+//! `watch` and older versions of this program replace outputs without an update of this file. So each record
+//! has the hash of the output's provenance, which names the input and the settings. A record with another
+//! provenance describes an earlier file, and is ignored.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, OpenOptions, TryLockError};
@@ -84,7 +86,8 @@ pub struct OutputStates {
 struct Record {
     #[serde(flatten)]
     state: OutputState,
-    /// The hash of the output's provenance, in hexadecimal digits; empty if the caller has compared it.
+    /// The hash of the output's provenance, in hexadecimal digits; empty if the caller compares the
+    /// provenance itself.
     made_from: String,
     /// The failed checks of its frame; `None` if all passed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -139,7 +142,7 @@ impl OutputStates {
 
     /// Compares the outputs of a frame with their records. `None`: the bytes of an output differ from its
     /// record. `Some`: they match; contains the failed checks of the frame, if any. If an output has no
-    /// record, or one of a file with other provenance, records its current state.
+    /// record, or a record with another provenance, records its current state.
     pub(crate) fn recorded_fault(&self, paths: &[PathBuf]) -> Option<Option<String>> {
         let mut faults = Vec::new();
         for path in paths {
@@ -222,7 +225,7 @@ impl OutputStates {
         drop(lock);
         let mut known = self.known();
         for (path, saved) in own {
-            // One that changed meanwhile is saved next time.
+            // A record that changed meanwhile is saved next time.
             if let Some(record) = known.get_mut(&path)
                 && record.state == saved.state
                 && record.fault == saved.fault
@@ -234,12 +237,12 @@ impl OutputStates {
     }
 }
 
-/// How often to retry a lock that another process holds.
+/// How many times to try to lock records that another process has locked, and the pause after each attempt.
 const LOCK_ATTEMPTS_MAX: usize = 100;
 const LOCK_PAUSE: Duration = Duration::from_millis(20);
 
-/// Locks the records of a folder against other processes until the file is dropped. A file system without
-/// locks is used without one.
+/// Locks the records of a folder against other processes, until the returned file is dropped. On a file
+/// system without locks, returns the file unlocked.
 ///
 /// # Errors
 /// When the system reports an error; [`io::ErrorKind::WouldBlock`] if another process has held the lock for
@@ -286,10 +289,10 @@ fn read_records(folder: &Path) -> BTreeMap<String, Record> {
     loaded.map(|NamedRecord { file, record }| (file, Record { is_loaded: true, ..record })).collect()
 }
 
-/// A larger file is not written by this program.
+/// Maximum size of the file; this program does not write a larger one.
 const SIZE_MAX_BYTES: u64 = 1 << 30;
 
-/// Increase it when the file's format changes.
+/// The version of the file format. Increase it when the format changes.
 const VERSION: u32 = 2;
 
 fn records_path(folder: &Path) -> PathBuf {
@@ -361,7 +364,7 @@ mod tests {
         let earlier = OutputStates::default();
         earlier.record(std::slice::from_ref(&path), Some(FAULT));
         earlier.save(folder.path()).expect("saved");
-        // Another program run wrote the file again and recorded nothing.
+        // Another run of the program wrote the file again, and recorded nothing.
         write_output(&path, "22", "v 1 1 1");
         assert_ne!(made_from(&path), known, "another provenance");
         let loaded = OutputStates::default();
@@ -391,7 +394,7 @@ mod tests {
             assert_eq!(loaded.recorded_fault(&paths), Some(Some(FAULT.to_owned())), "round {round}");
             loaded.save(folder.path()).expect("saved");
         }
-        // Records of versions before the field have none.
+        // Records of older versions have no field `fault`.
         let records = fs::read_to_string(records_path(folder.path())).expect("records");
         let old = records.replace(&format!(",\"fault\":\"{FAULT}\""), "");
         assert_ne!(old, records);

@@ -24,7 +24,8 @@ pub fn read_picture(path: &Path) -> Result<Picture, FrameError> {
     Ok(Picture { size, coverage: vec![1.0; color.len()], color, data: None })
 }
 
-/// The viewpoint of the picture of a frame; `None` for a sheet, or a picture of another program.
+/// The viewpoint of a frame's picture, as its provenance records it; `None` for a sheet, or a picture of
+/// another program.
 pub fn camera_of_picture(path: &Path) -> Option<String> {
     let is_png = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
     if !is_png {

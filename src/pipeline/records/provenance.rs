@@ -1,8 +1,8 @@
 //! The provenance that an output records: the version of this program, the settings, and the input.
 //!
 //! Provenance does not depend on the time, the folder or the machine: the same input and settings give the
-//! same bytes. An output is up to date if it records exactly what this run would record. With any other
-//! record, or none, the frame must be converted again.
+//! same bytes. An output is up to date if it records exactly what this run would record. If an output has
+//! another provenance, or none, its frame must be converted again.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -19,14 +19,14 @@ use crate::pipeline::target::framing::Framed;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, output_path};
 use crate::pipeline::target::picture::PictureOptions;
 
-/// The prefix of the generator in an output; the version follows.
+/// The value of `generator` in provenance begins with this text; the version follows.
 const GENERATOR: &str = "meniscus ";
 
 /// The provenance is within this many bytes from the start of an output, unless the input's name is very
 /// long.
 pub(crate) const HEAD_BYTES: u64 = 16 << 10;
 
-/// This program and its version, as in outputs.
+/// This program and its version: the value of `generator` in provenance.
 pub const GENERATOR_AND_VERSION: &str = concat!("meniscus ", env!("CARGO_PKG_VERSION"));
 
 /// A hash as text in provenance.
@@ -34,8 +34,8 @@ pub(crate) fn hash_text(hash: u128) -> String {
     format!("xxh3-128:{hash:032x}")
 }
 
-/// The provenance (names and values) of an output in `format`, from the frame's input with this hash and
-/// these obstacles.
+/// The provenance (names and values) of an output of the frame in `format`. `hash` is that of the frame's
+/// input; `obstacles` are the names and hashes of its obstacle files.
 pub(crate) fn provenance(
     frame: &Frame,
     (hash, obstacles): (u128, &str),
@@ -57,7 +57,8 @@ pub(crate) fn provenance(
     owned(if format == OutputFormat::Stl { condensed(pairs) } else { pairs })
 }
 
-/// Shortens provenance to 80 characters: hashes replace the input, the obstacles, and everything else.
+/// Shortens provenance to the 80 characters that an .stl has for it: keeps the generator and the hash of the
+/// input. One hash replaces the obstacles, and another one everything else.
 fn condensed(pairs: Pairs) -> Pairs {
     const OF_OBSTACLES: [&str; 2] = ["void_threshold", "obstacles"];
     let hash = |pairs: &[&(&str, String)], digits: usize| {
@@ -72,7 +73,7 @@ fn condensed(pairs: Pairs) -> Pairs {
     kept.into_iter().cloned().chain([("settings", hash(&settings, 12))]).chain(obstacles).collect()
 }
 
-/// The settings that affect the surface of a level set if it may move by this many voxels.
+/// The settings that affect the output of a level set whose surface may move by `slack_voxels`.
 pub(crate) fn level_set_pairs(settings: &Settings, slack_voxels: f64, format: OutputFormat) -> Pairs {
     let has_say = |name: &str| match MethodOptions::info(name).map(|info| info.group) {
         Some(OptionGroup::Mesh) => true,
@@ -83,8 +84,8 @@ pub(crate) fn level_set_pairs(settings: &Settings, slack_voxels: f64, format: Ou
     [("band_slack", slack_voxels.to_string())].into_iter().chain(pairs).collect()
 }
 
-/// The provenance of a picture of a file with this hash; with the settings and obstacles of the
-/// reconstruction, if there was one.
+/// The provenance of a picture of a file with this hash. Includes the settings and obstacles of the
+/// reconstruction, if the file was reconstructed for the picture.
 pub fn picture_provenance(
     input: &Path,
     hash: u128,
@@ -109,7 +110,7 @@ pub struct SheetPart {
     pub hash: Option<u128>,
     /// What the part shows, such as `60 of 240 frames, from pictures`.
     pub what: String,
-    /// The settings of the reconstruction, if all of it has the same.
+    /// The settings of the reconstruction, if all frames of the part have the same settings.
     pub settings: Option<Settings>,
     /// The options of its pictures, if they were rendered for the sheet.
     pub options: Option<PictureOptions>,
@@ -177,14 +178,15 @@ pub(crate) fn records(
     format: OutputFormat,
     wanted: &[(String, String)],
 ) -> meniscus_formats::Result<bool> {
-    // An option that was set then and is not set now has a name that is not in `wanted`.
+    // If an option was set when the file was written and is not set now, the file records a name that is not
+    // in `wanted`.
     let is_wanted = |(name, _): &(String, String)| wanted.iter().any(|(wanted, _)| wanted == name);
     is_whole_and(path, format, |recorded| {
         recorded.iter().all(is_wanted) && wanted.iter().all(|pair| recorded.contains(pair))
     })
 }
 
-/// Whether a file is complete, and its provenance is as `is_meant` requires.
+/// Whether a file is complete, and `is_meant` accepts its provenance.
 fn is_whole_and(
     path: &Path,
     format: OutputFormat,
@@ -196,7 +198,8 @@ fn is_whole_and(
 }
 
 /// The files in a folder that have this stem and an output format, are complete, and record an input with the
-/// hash that `hash` returns; `hash` is not called without such files. Ignores the settings.
+/// hash that `hash` returns. Ignores the settings. Calls `hash` only if there are files with this stem and an
+/// output format.
 pub fn outputs_made_from<E>(
     folder: &Path,
     stem: &str,
@@ -215,8 +218,8 @@ pub fn outputs_made_from<E>(
     Ok(outputs.into_iter().filter(is_made_from).map(|(_, path)| path).collect())
 }
 
-/// Whether a file is an output of this program, of any version, according to its provenance; `false` for a
-/// file that cannot be read. Reads only the head of the file.
+/// Whether a file is a surface or a picture that any version of this program wrote, according to its
+/// provenance; `false` for particles, and for a file that cannot be read. Reads only the head of the file.
 pub fn is_own_output(path: &Path) -> bool {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let Some(format) = OutputFormat::from_extension(&extension) else { return false };
@@ -227,17 +230,17 @@ pub fn is_own_output(path: &Path) -> bool {
     recorded.is_ok_and(|pairs| pairs.iter().any(is_generator) && !are_particles(&pairs))
 }
 
-/// Whether a file with this provenance holds particles, and so may be an input.
+/// Whether a file with this provenance contains particles, and so may be an input.
 pub fn are_particles(recorded: &[(String, String)]) -> bool {
     recorded.iter().any(|(name, value)| name == CONTENTS && value == PARTICLES)
 }
 
-/// The name whose value marks an output that holds particles and not a surface.
+/// The name in provenance whose value [`PARTICLES`] marks an output that contains particles, not a surface.
 const CONTENTS: &str = "contents";
 const PARTICLES: &str = "particles";
 
 /// A hash of everything that outputs depend on except the input: the settings, the formats and their options,
-/// and the version of this program. If it is unchanged, an output need not be written again.
+/// and the version of this program. If the hash is unchanged, outputs of unchanged inputs are up to date.
 pub fn settings_fingerprint(settings: &Settings, options: &OutputOptions) -> String {
     let mut formats = options.formats.clone();
     formats.sort_by_key(|format| format.extension());
@@ -261,7 +264,8 @@ fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Pairs {
     };
     let of_format = format.options().iter().copied().filter(is_recorded);
     let mut pairs: Pairs = of_format.map(|option| (option.name(), options.value(option))).collect();
-    // The meshes of all formats lack the triangles that have no area in 16 bits.
+    // If one of the formats is quantized, the meshes of all formats lack the triangles that have no area in
+    // 16 bits.
     if format.is_mesh() && options.quantize && options.has_option(WriteOption::Quantize) {
         pairs.push((WriteOption::Quantize.name(), options.value(WriteOption::Quantize)));
     }
@@ -276,17 +280,17 @@ fn picture_pairs(options: &PictureOptions) -> Pairs {
 
 const OF_PICTURES: [WriteOption; 2] = [WriteOption::Size, WriteOption::Camera];
 
-/// The name whose value is the kind of a sheet of pictures.
+/// The name in provenance whose value is the kind of a sheet of pictures.
 pub(crate) const SHEET: &str = "sheet";
 
-/// The name whose value is the viewpoint of a picture.
+/// The name in provenance whose value is the viewpoint of a picture.
 pub const CAMERA: &str = "camera";
 
-/// The output options that are not default, and the options of pictures.
+/// The output options that do not have their default value, and the options of pictures.
 pub(crate) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Pairs {
     let is_chosen = |option: WriteOption| match option {
         WriteOption::Quads => settings.quads && options.has_option(option),
-        // Pictures record it in their camera.
+        // Pictures record the up axis as part of their camera.
         WriteOption::Up => {
             let has_up = |format: &OutputFormat| !format.is_picture() && format.has_option(option);
             options.formats.iter().any(has_up) && !options.is_default(option)
@@ -299,7 +303,7 @@ pub(crate) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Pa
     chosen.map(|option| (name(option), options.value(option))).collect()
 }
 
-/// The settings that affect an output in `format`. A level set is written before it becomes a mesh; obstacles
+/// The settings that affect an output in `format`. Options of the mesh do not affect level sets. Obstacles
 /// have [separate pairs](obstacle_pairs).
 fn settings_pairs(settings: &Settings, format: OutputFormat) -> Pairs {
     settings.pairs(|name| match MethodOptions::info(name).map(|info| info.group) {

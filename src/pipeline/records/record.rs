@@ -45,7 +45,7 @@ pub struct SequenceRecord {
     spacing: Option<f64>,
     /// From 0 to 1; null if the spacing was given, or is not needed.
     spacing_confidence: Option<f64>,
-    /// Null in the same cases.
+    /// Null if `spacing_confidence` is null.
     spacing_measured_on: Option<String>,
     /// The median of per-particle radii, if the spacing was measured; else null.
     radius_median: Option<f64>,
@@ -78,7 +78,7 @@ enum OutcomeStatus {
 struct MeasuredRecord {
     outputs: Vec<String>,
     notes: Vec<String>,
-    /// For level sets, from their file.
+    /// The voxel size of a level set, from its file.
     #[serde(skip_serializing_if = "Option::is_none")]
     voxel_size: Option<f64>,
     particles: usize,
@@ -116,7 +116,7 @@ struct ObstaclesRecord {
     particles_inside: usize,
     /// Voxels that were filled because the gap to an obstacle was too narrow.
     void_voxels_filled: u64,
-    /// Inner voxels of particles that obstacles removed.
+    /// Voxels that obstacles removed from the inner spheres of particles.
     voxels_taken: u64,
     /// How deep the deepest vertex is in an obstacle; 0 if none is inside.
     deepest_vertex_voxels: f64,
@@ -129,7 +129,7 @@ struct ObstaclesRecord {
 #[serde(deny_unknown_fields)]
 pub(crate) struct CertificateRecord {
     holds: bool,
-    /// How far the surface was moved outward after the check of its bounds, a length; negative inward.
+    /// How far the surface was moved outward after the check of its bounds, a length; negative if inward.
     offset: f64,
     /// The required minimum and maximum distance from a vertex to the nearest particle, lengths. Null for
     /// surfaces of level sets.
@@ -141,24 +141,25 @@ pub(crate) struct CertificateRecord {
     vertex_distance_max_voxels: Option<f64>,
     vertices_inside_min: usize,
     vertices_outside_max: usize,
-    /// Particles that are not finite or are too far from the others: the surface is of the rest.
+    /// Particles that are not finite, or are too far from the others: the surface is made from the rest.
     particles_left_out: usize,
     /// The positions that were checked.
     positions: CheckedPositions,
     particles_outside: ParticlesOutside,
-    /// The offset is so far inward that particles outside are not a violation.
+    /// Whether the surface was moved inward so far that particles outside are not a violation.
     particles_may_be_outside: bool,
-    /// Null if the particles have their given positions.
+    /// The particles whose positions in the file are outside the surface. Null unless position smoothing
+    /// moved the particles.
     given_outside: Option<ParticlesOutside>,
-    /// Particles that were not checked: in a dropped island, beyond or beside a box's faces, in or beside an
-    /// obstacle.
+    /// Particles that were not checked, because they are in a dropped island, beyond or beside the faces of a
+    /// box, or in or beside an obstacle.
     particles_exempt: usize,
     /// Vertices that were out of their bounds, and were moved back.
     vertices_returned: usize,
     /// Triangles that were removed because they have no area at the written positions.
     flat_triangles_removed: usize,
-    /// Every edge is in two triangles, the triangles around every vertex form one ring, and every triangle
-    /// has an area.
+    /// Whether every edge is in two triangles, the triangles around every vertex form one ring, and every
+    /// triangle has an area.
     closed_manifold: bool,
     position_rounding_voxels: f64,
 }
@@ -201,7 +202,7 @@ impl RunRecord {
         self.settings.len() - 1
     }
 
-    /// Adds a frame that was found done without looking at its input.
+    /// Adds a frame that is done, and whose input was not read.
     pub fn add_done(&mut self, frame: &Frame, sequence_index: usize) {
         self.add(&frame.input, sequence_index, OutcomeStatus::AlreadyDone, None, None);
     }
@@ -309,7 +310,7 @@ impl Serialize for Object {
     }
 }
 
-/// The settings for particles: some as numbers, and the other ones that were given as text, by name.
+/// The settings for particles: some as numbers, and the others, if they were given, as text by name.
 fn settings_of_particles(
     settings: &Settings,
     (outputs, obstacles): (&OutputOptions, &ObstacleFiles),
@@ -327,7 +328,7 @@ fn settings_of_particles(
         ("cg_tolerance", json!(settings.cg_tolerance)),
         ("contour", json!(settings.contouring.name())),
     ];
-    // These depend on the outputs, and on the obstacles.
+    // `quads` depends on the outputs, and `void_threshold` on the obstacles, so they are added below.
     let is_other = |name: &str| name == "quads" || name == "void_threshold";
     let more = settings.pairs(|name| !is_other(name) && named.iter().all(|(named, _)| *named != name));
     let mut more: BTreeMap<&str, String> = more.into_iter().collect();
@@ -339,7 +340,8 @@ fn settings_of_particles(
     Object(named)
 }
 
-/// The settings for level sets, each of which has a voxel size of its own file.
+/// The settings that all level sets of a sequence share. The voxel size is not among them: each file has its
+/// own.
 fn settings_of_level_sets(settings: &Settings, slack_voxels: f64, outputs: &OutputOptions) -> Object {
     let pairs = level_set_pairs(settings, slack_voxels, OutputFormat::Glb);
     let is_shared = |(name, _): &(&str, String)| !["band_slack", "voxel_size"].contains(name);
@@ -400,7 +402,7 @@ impl CertificateRecord {
     /// A description of the failed checks; `None` if all hold.
     ///
     /// # Errors
-    /// When its verdict contradicts its counts.
+    /// When `holds` contradicts the counts, or other fields contradict each other.
     pub(crate) fn fault(&self) -> Result<Option<String>, String> {
         let certificate = Certificate {
             bound_violation_count: self.bound_violations,

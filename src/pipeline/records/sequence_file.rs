@@ -8,14 +8,14 @@
 //! ```
 //!
 //! Frames are read only from their files. So a sequence file is the same whether one process converted its
-//! frames, many machines did, or they were converted on different days; and its memory does not depend on the
-//! number of frames.
+//! frames, many machines did, or they were converted on different days; and the memory for writing it does
+//! not depend on the number of frames.
 //!
-//! The number of a frame determines when it is shown. In USD it is the time code, because other
-//! programs use it too, and in an `.abc` its time is that of the frame in a scene. In a `.glb`, which has
-//! seconds and no numbers, the greatest common divisor of the differences between numbers is one frame of the
-//! animation: a simulation that writes every hundredth step plays like one that writes every step. The frame
-//! before a missing frame is shown in its place.
+//! The number of a frame determines when it is shown. In USD the number is the time code, as other programs
+//! write it. In an `.abc`, as in the scenes of 3D programs, frame n is at n / fps seconds. In a `.glb`, which
+//! has seconds and no numbers, the greatest common divisor of the differences between numbers is one frame of
+//! the animation: a simulation that writes every hundredth step plays like one that writes every step. In
+//! place of a missing frame, the frame before it is shown.
 
 use std::cell::RefCell;
 use std::fmt;
@@ -176,7 +176,7 @@ struct SourceFrame<'a> {
     notes: Vec<String>,
 }
 
-/// An `.abc` of a frame as `.glb`.
+/// The `.abc` of a frame, converted to `.glb`.
 struct ConvertedFrame {
     /// The index of the frame.
     index: usize,
@@ -192,8 +192,8 @@ enum FrameReader {
 }
 
 impl FrameReader {
-    /// Opens the file of a frame. One that is converted is kept in `last`, because each of its arrays is read
-    /// by itself.
+    /// Opens the file of a frame. An `.abc` is converted to `.glb`, and the result is kept in `last`, because
+    /// the file is opened again for each of its arrays.
     fn open(path: &Path, index: usize, last: &RefCell<Option<ConvertedFrame>>) -> io::Result<FrameReader> {
         if let Some(frame) = &*last.borrow()
             && frame.index == index
@@ -257,7 +257,8 @@ fn read_frames(sources: &[SequenceSource]) -> (Vec<SourceFrame<'_>>, Vec<(PathBu
     (there, left_out)
 }
 
-/// The data of a frame are read long after their layout, so the file must not change in between.
+/// Fails if the file of a frame was written since it was opened. The data of a frame are read long after
+/// their layout, so the file must not change in between.
 fn refuse_written(opened: &[(&PathBuf, FileStamp)]) -> io::Result<()> {
     for (path, stamp) in opened {
         if FileStamp::of_path(path)? != *stamp {
@@ -311,9 +312,10 @@ pub(super) fn increasing(numbers: &[Option<u64>]) -> Vec<u64> {
     increasing.unwrap_or_else(|| (1..=numbers.len() as u64).collect())
 }
 
-/// The positions in the animation of frames with these increasing numbers: the numbers themselves if any two
-/// neighbours differ by one, and otherwise the numbers divided by the greatest common divisor of their
-/// differences.
+/// The positions in the animation of frames with these increasing numbers. The greatest common divisor of the
+/// differences between the numbers becomes one frame of the animation. If it is 1, the positions are the
+/// numbers themselves. Otherwise they are the numbers divided by it or, if that leaves a remainder, counted
+/// from the first number on.
 fn in_steps(numbers: &[u64]) -> Vec<u64> {
     let step = numbers.windows(2).map(|pair| pair[1] - pair[0]).fold(0, common_divisor).max(1);
     let Some(&first) = numbers.first() else { return Vec::new() };

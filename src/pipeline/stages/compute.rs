@@ -1,5 +1,5 @@
-//! The three compute stages of the method: one thread each, which starts frames in the pool and computes
-//! nothing itself.
+//! The three compute stages of the method. Each has one thread, which starts frames in the thread pool and
+//! computes nothing itself.
 
 use crossbeam::channel::{Receiver, Sender};
 use meniscus_formats::{Limits, read_particles};
@@ -15,7 +15,8 @@ use super::shared::{
 };
 
 impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
-    /// Turns particles, or a level set, into a level set and its bounds. Reserves the memory of a frame.
+    /// Rasterizes particles, or bounds a level set: both result in a level set and its bounds. Reserves the
+    /// memory for computing a frame.
     pub(super) fn rasterize<K: Send + 'env>(
         &self,
         from: &Receiver<WorkItem<'env, K, Read>>,
@@ -68,7 +69,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         }
     }
 
-    /// Turns level sets into surfaces. Releases the memory that only computing needs.
+    /// Contours level sets. Then releases the memory that only computing needs.
     pub(super) fn contour<K: Send + 'env>(
         &self,
         from: &Inlet<WorkItem<'env, K, Staged<M::Smoothed>>>,
@@ -95,7 +96,8 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         }
     }
 
-    /// Runs a stage of a frame in the pool and sends the result on, or reports the failure.
+    /// Runs a stage of a frame in the thread pool. Sends the result to the next stage, or reports the
+    /// failure.
     fn start<K: Send + 'env, A: Send + 'env, B: Send + 'env>(
         &self,
         stage: Stage,
@@ -131,5 +133,6 @@ fn parsed<T>(bytes: &[u8], frame: &Frame) -> Result<Staged<T>, FrameError> {
     Ok(Staged::Particles(Box::new(particles)))
 }
 
-/// The memory for writing a surface, as a multiple of its size: the surface, and its encoded level set.
+/// The memory for writing a surface, as a multiple of the surface's size: the surface itself, and its encoded
+/// level set.
 const WRITING_MEMORY: u64 = 2;

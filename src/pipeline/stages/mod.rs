@@ -8,8 +8,8 @@
 //!
 //! Several frames are in flight at once, in different stages or in the same one. A stage starts a frame only
 //! when the channel after it has a free slot, so a slow stage blocks the stages before it. This backpressure
-//! reaches the caller: it is asked for the next frame only when there is room for one, so it can choose that
-//! frame at the last moment.
+//! reaches the caller: the pipeline asks for the next frame only when there is room for one, so the caller
+//! can choose that frame at the last moment.
 //!
 //! Reading has one thread and writing has several, which wait for the disk. Rasterizing, smoothing and
 //! contouring have one thread each, which only decides when a frame may start. All computing happens in the
@@ -63,7 +63,7 @@ pub struct PipelineOptions<'a> {
     /// The thread pool for all computing.
     pub pool: &'a ThreadPool,
     /// What to do when a frame fails, or changes while it is read. With `Stop`, frames keep their order: each
-    /// stage has one at a time.
+    /// stage handles one frame at a time.
     pub on_error: OnError,
     /// Skip frames whose outputs exist, from the same input with the same settings and the same version of
     /// this program.
@@ -76,8 +76,8 @@ pub struct PipelineOptions<'a> {
     /// The approximate limit on the memory of all frames in flight, in bytes. A frame that alone needs more
     /// is reconstructed in tiles on disk; if that is impossible, it fails with the amount that it needs.
     pub memory_bytes: u64,
-    /// Who indexes a file with several frames after it changed. If it is another thread, reading never waits
-    /// for the index.
+    /// Which thread indexes a file with several frames after the file has changed. If it is not the reading
+    /// thread, reading never waits for the index.
     pub index_policy: IndexPolicy,
     /// Output folders that mirror input folders: the pipeline does not write through links below them,
     /// because other accounts may have created those.
@@ -110,7 +110,8 @@ impl<'a> PipelineOptions<'a> {
     }
 
     /// Compares the outputs of a frame with their records. `None`: the bytes of an output differ from its
-    /// record. `Some`: they match, or no records are kept; it contains the failed checks of the frame, if any.
+    /// record. `Some`: they match, or no records are kept; it contains the failed checks of the frame, if
+    /// any.
     pub(super) fn recorded_fault(&self, outputs: &[PathBuf]) -> Option<Option<String>> {
         self.output_states.map_or(Some(None), |states| states.recorded_fault(outputs))
     }
@@ -138,7 +139,8 @@ pub fn default_in_flight(threads: usize) -> usize {
     threads + writer_count(threads) + 1
 }
 
-/// Encoding takes little time compared to computing; more threads would only wait for the disk.
+/// The number of threads that write. Encoding takes little time compared to computing, so more threads would
+/// only wait for the disk.
 fn writer_count(thread_count: usize) -> usize {
     thread_count / 2 + 1
 }
@@ -162,7 +164,7 @@ pub fn run<M: Method>(
         |index, _, outcome| {
             early.insert(index, outcome);
             while let Some(outcome) = early.remove(&finished_count) {
-                // A frame after the failed one may have failed first.
+                // Frames after the failed one may have failed even earlier. They are reported as not started.
                 let outcome = if is_stopped { Outcome::NotStarted } else { outcome };
                 is_stopped |= options.on_error == OnError::Stop && is_failure(&outcome);
                 finished(finished_count, outcome);
@@ -203,7 +205,8 @@ fn drive<'scope, 'env: 'scope, M: Method, K: Send + 'env>(
         OnError::Continue => options.pool.current_num_threads().min(in_flight),
     };
     let (room, no_room) = bounded(in_flight);
-    // A thread of the pool never waits to report an outcome.
+    // The channel has room for all frames in flight, so that a thread of the pool never waits to report an
+    // outcome.
     let (done, outcomes) = bounded(in_flight);
     let (to_rasterize, to_rasterize_from) = bounded(0);
     let (to_smooth, to_smooth_from) = link(width);

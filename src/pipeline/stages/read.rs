@@ -59,7 +59,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         if shared.is_stopped_before(number) {
             return Err(Outcome::NotStarted);
         }
-        // A file without readable metadata cannot be read later either.
+        // This is 0 if the metadata cannot be read: then the file cannot be read later either.
         let file_bytes = reading_bytes(&frame.input, shared.options.index_policy);
         let obstacle_bytes = frame.obstacles.loading_bytes(frame.number);
         let bytes = file_bytes.saturating_mul(reading_memory(&frame.job)).saturating_add(obstacle_bytes);
@@ -77,9 +77,9 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             let (needed_bytes, obstacles) = (bytes, <(String, usize)>::default());
             return Ok((read, InputInfo { input, read_seconds, noted, obstacles, needed_bytes, memory }));
         };
-        // Static obstacles are shared with later frames. The address of the `Arc` identifies them; it does not
-        // change while this pipeline has frames. Until `resize` below, this frame's reservation still includes
-        // their memory, so no other frame can reserve it in between.
+        // Static obstacles are shared with later frames. The address of the `Arc` identifies them; it does
+        // not change while this pipeline has frames. Until `resize` below, this frame's reservation still
+        // includes their memory, so no other frame can reserve it in between.
         let standing_bytes = obstacles.all_bytes - obstacles.own_bytes;
         shared.budget.set_shared(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
         let given_bytes = given.size_bytes().saturating_add(obstacles.own_bytes);
@@ -233,9 +233,9 @@ fn needs_positions_only(settings: &Settings) -> bool {
 fn reading_memory(job: &Job) -> u64 {
     match job {
         Job::Surface => 2,
-        // With all attributes.
+        // The parsed data include all attributes.
         Job::Particles => 3,
-        // Its values are compressed, to about a quarter.
+        // The values in the file are compressed to about a quarter.
         Job::LevelSet { .. } => 5,
     }
 }

@@ -30,7 +30,7 @@ pub(super) struct StageContext<'env, M> {
     failed_first: AtomicUsize,
 }
 
-/// The stages of one call of [`stream`](super::stream): their threads borrow it.
+/// The stages of one call of [`stream`](super::stream). The threads of the stages borrow this.
 pub(super) struct Stages<'a, 'scope, 'env, M> {
     pub(super) shared: &'env StageContext<'env, M>,
     pub(super) scheduler: Scheduler<'a, 'scope, 'env>,
@@ -48,7 +48,7 @@ pub(super) struct WorkItem<'env, K, T> {
     pub(super) content: T,
 }
 
-/// Facts about a frame that are known since it was read.
+/// What reading a frame determines, for the later stages.
 pub(super) struct InputInfo<'env> {
     pub(super) input: ReadInput,
     pub(super) read_seconds: f64,

@@ -27,7 +27,7 @@ use crate::surface::space::Lattice;
 use super::shared::{FinishedFrame, Inlet, InputInfo, Noted, StageContext, Staged, Stages, WorkItem};
 
 impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
-    /// Writes frames until there are no more; discards them once the caller is gone.
+    /// Writes frames until there are no more. Once the caller no longer receives outcomes, discards frames.
     pub(super) fn write<K>(
         &self,
         from: &Inlet<WorkItem<'env, K, Staged<FrameSurface>>>,
@@ -35,13 +35,12 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
     ) {
         let mut is_abandoned = false;
         while let Some(WorkItem { number, key, frame, info, content }) = from.receive() {
-            // The stages before wait for slots, so frames are taken from the channel even if the caller is
-            // gone.
+            // Discarded frames are still taken from the channel: the earlier stages wait for free slots.
             if is_abandoned {
                 continue;
             }
-            // If frames keep their order, all earlier frames have passed the other stages, so the frames
-            // written before a stop do not depend on timing.
+            // With `OnError::Stop`, frames keep their order, and all earlier frames have passed the other
+            // stages. So timing does not affect which frames are written before a stop.
             let outcome = match content {
                 _ if self.shared.is_stopped_before(number) => Outcome::NotStarted,
                 Staged::Surface(surface) => self.write_one((number, &frame), info, surface),
@@ -87,7 +86,7 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
         let made_from = (info.input.hash, info.obstacles.0.as_str());
         let surface = Arc::new(surface);
         let preview_time = Mutex::new(Duration::ZERO);
-        // The whole write is covered: a panic in the framing also fails only this frame.
+        // Everything runs within `catch`, so that a panic in the framing, too, fails only this frame.
         let asked = frame;
         let written = FrameError::catch(&asked.input, Stage::Write, || {
             self.shared.refuse_links(&asked.outputs.folder)?;
@@ -134,7 +133,8 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
 }
 
 impl<M> StageContext<'_, M> {
-    /// Refuses a folder below a mirrored output folder if the path to it contains a link.
+    /// Refuses a folder inside a mirrored output folder if any part of its path below that output folder is a
+    /// link.
     pub(super) fn refuse_links(&self, folder: &Path) -> Result<(), FrameError> {
         let within = self.options.mirrors.iter().filter_map(|mirror| folder.strip_prefix(mirror).ok());
         let depth = within.map(|within| within.components().count()).min().unwrap_or(0);
@@ -144,7 +144,7 @@ impl<M> StageContext<'_, M> {
     }
 }
 
-/// The part of a frame's report that does not depend on its files.
+/// The part of a frame's report that is the same for particles and surfaces.
 fn report(
     frame: &Frame,
     info: InputInfo<'_>,

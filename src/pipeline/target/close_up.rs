@@ -7,8 +7,8 @@
 //!   ▒▒▒▒▒└──────┘▒▒▒▒▒▒
 //! ```
 //!
-//! The count of a box is the sum over its visible cells of their free faces minus one: a cell at the surface
-//! of calm water has one free face, and so adds nothing.
+//! The count of a box is a sum over its visible cells: each adds the number of its free faces (those without
+//! a neighbour cell), minus one. A cell at the surface of calm water has one free face, and so adds nothing.
 
 use std::collections::BTreeMap;
 
@@ -18,13 +18,14 @@ use rayon::prelude::*;
 use crate::surface::grid::FACE_STEPS;
 use crate::surface::particles::OwnedPositions;
 
-/// Edge of a cell, in particle spacings: wide enough that the cells of a body have no gaps.
+/// Edge of a cell, in particle spacings: wide enough that the cells of a body of liquid have no gaps between
+/// them.
 const CELL_SPACINGS: f64 = 2.0;
 
 /// Edge of the box, in cells. Boxes overlap by half.
 const BOX_CELLS: i32 = 8;
 
-/// The distance up to which a cell in front hides a cell, in cells.
+/// A cell hides the cells behind it up to this distance, in cells.
 const HIDING_CELLS: i32 = 3 * BOX_CELLS;
 
 /// The box of a close-up of these particles, seen from the direction `to_eye`: minimum and maximum corner in
@@ -80,7 +81,7 @@ pub fn close_up(particles: &OwnedPositions, spacing: f64, to_eye: DVec3) -> Opti
 mod tests {
     use super::*;
 
-    /// A pool of 100 × 3 × 100 particles, and more of them.
+    /// A pool of 100 × 3 × 100 particles, and the particles `more`.
     fn pool(more: impl Iterator<Item = [f64; 3]>) -> OwnedPositions {
         let of_pool = (0..30_000)
             .map(|index| [index % 100, index / 100 % 3, index / 300].map(|along| f64::from(along) * 0.1));

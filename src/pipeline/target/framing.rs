@@ -37,7 +37,7 @@ pub struct Framed {
     pub camera: CameraChoice,
     /// The bounds that the camera was placed around, world units; `None` in journals of older versions.
     pub around: Option<[DVec3; 2]>,
-    /// The cameras before this one: pictures taken by them are still valid.
+    /// The cameras before this one: pictures rendered with them are still valid.
     pub earlier: Vec<CameraChoice>,
 }
 
@@ -89,7 +89,7 @@ impl Framing {
             return true;
         }
         let viewpoint = match framed.around {
-            // A user who zooms in wants only a part in the picture.
+            // A user who zooms in wants only a part in the picture, so the check ignores the zoom.
             Some(around) => self.requested.not_zoomed_in().viewpoint(around, self.aspect, self.up),
             None => framed.camera.viewpoint(bounds, self.aspect, self.up),
         };

@@ -1,7 +1,7 @@
 //! Outputs of a frame: formats, pictures, and their camera.
 //!
 //! ```text
-//!   outputs     formats and their options                stored       positions as files hold them
+//!   outputs     formats and their options                stored       number formats of positions in files
 //!   picture     renders surfaces                         viewpoint    cameras of pictures
 //!   framing     the camera of a sequence                 close_up     the most detailed part of a picture
 //! ```

@@ -30,15 +30,16 @@ pub struct OutputOptions {
     pub folder: PathBuf,
     /// One file in each of these formats.
     pub formats: Vec<OutputFormat>,
-    /// The up axis of the particles: glTF requires y, and USD records it.
+    /// The up axis of the particles. USD records it. In glTF and Alembic y is up: with z, a transform in the
+    /// file rotates the mesh.
     pub up: UpAxis,
-    /// The length of a world unit in metres, positive and finite: USD records it.
+    /// The length of a world unit in metres, within [`METERS_PER_UNIT`]: 1e-9 to 1e9. USD records it.
     #[serde(with = "text", default = "meter", skip_serializing_if = "is_meter")]
     pub meters_per_unit: f64,
-    /// Quantized integers in .glb.
+    /// Whether .glb files store positions and normals as small integers (KHR_mesh_quantization).
     #[serde(default, skip_serializing_if = "Not::not")]
     pub quantize: bool,
-    /// 16-bit values in .vdb.
+    /// Whether .vdb files have 16-bit values.
     pub vdb_half: bool,
     /// The compression of values in .vdb.
     pub vdb_compression: vdb::Compression,
@@ -71,8 +72,8 @@ fn is_meter(meters: &f64) -> bool {
 }
 
 impl OutputOptions {
-    /// These formats in this folder, with the defaults of `meniscus convert`: y is up, nothing is rounded,
-    /// and .vdb uses Blosc.
+    /// These formats in this folder, with the defaults of `meniscus convert`: y is up, values are neither
+    /// quantized nor rounded to 16 bits, and .vdb uses Blosc.
     pub fn new(folder: impl Into<PathBuf>, formats: &[OutputFormat]) -> OutputOptions {
         OutputOptions {
             folder: folder.into(),
@@ -92,7 +93,7 @@ impl OutputOptions {
         self.formats.iter().any(|format| format.is_picture())
     }
 
-    /// Whether there are pictures whose camera is not fixed yet.
+    /// Whether there are pictures whose camera still depends on the bounds of the sequence.
     pub fn needs_camera(&self) -> bool {
         self.has_pictures() && self.picture.camera.needs_bounds()
     }
@@ -103,7 +104,7 @@ impl OutputOptions {
     }
 
     /// The value of an option as text, as on the command line and in records. Quads are a setting of the
-    /// method.
+    /// method, and not known here: their value is always `true`, so ask for it only if they are on.
     pub fn value(&self, option: WriteOption) -> String {
         match option {
             WriteOption::Quads => true.to_string(),
@@ -126,7 +127,7 @@ impl OutputOptions {
         self.value(option) == OutputOptions::new("", &[]).value(option)
     }
 
-    /// The options for writing meshes, with these triangles as halves of quads.
+    /// The options for writing meshes. `quads` marks the triangles that form a quad with the next triangle.
     pub(crate) fn mesh(&self, quads: Arc<[bool]>) -> MeshOptions {
         let OutputOptions { up, meters_per_unit, quantize, .. } = *self;
         let time_samples = self.has_time_samples();
@@ -144,7 +145,7 @@ impl OutputOptions {
         self.stage.is_some() && self.stage_mesh_format() == Some(OutputFormat::Usda)
     }
 
-    /// The up axis.
+    /// The up axis of pictures: that of the camera, or else that of the particles.
     pub fn up(&self) -> Up {
         self.picture.camera.up_or(up_of(self.up))
     }
@@ -157,7 +158,7 @@ impl OutputOptions {
     }
 }
 
-/// The path of the output in `format` of the frame with this stem.
+/// The path of a frame's output: the frame has this stem, and the output this format.
 pub fn output_path(folder: &Path, stem: &str, format: OutputFormat) -> PathBuf {
     folder.join(name_of_text(&format!("{stem}.{}", format.extension())))
 }

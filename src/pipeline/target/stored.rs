@@ -13,7 +13,8 @@ pub(crate) fn rounding(format: OutputFormat, outputs: &OutputOptions) -> Option<
     (format.mesh()?.rounding)(&outputs.mesh(Arc::default()))
 }
 
-/// The distinct roundings of the output formats. If no format holds the mesh, it is checked unrounded.
+/// The forms of the positions that are checked: rounded as in each output format that rounds, and exact if a
+/// mesh format does not round. If no output contains the mesh, it is checked with exact positions.
 pub(crate) fn stored(outputs: &OutputOptions) -> Vec<PositionFormat> {
     let mut stored = Vec::new();
     let mut is_rounded_always = true;

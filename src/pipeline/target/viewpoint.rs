@@ -50,7 +50,7 @@ enum Ground {
     At(f64),
 }
 
-/// A camera position, and what a picture shows beside the surface.
+/// A fixed camera, with the up axis of the world and the height of the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Viewpoint {
     /// The position of the camera, world units.
@@ -105,7 +105,7 @@ impl CameraChoice {
         matches!(self.position, CameraPosition::Around { .. })
     }
 
-    /// The same camera; one that zooms in is moved back until all of the bounds are in view.
+    /// The same camera; a camera that zooms in is moved back until all of the bounds are in view.
     pub(crate) fn not_zoomed_in(mut self) -> CameraChoice {
         if let CameraPosition::Around { zoom: Some(zoom), .. } = &mut self.position {
             *zoom = zoom.min(1.0);
@@ -132,7 +132,7 @@ impl From<Viewpoint> for CameraChoice {
 }
 
 impl Viewpoint {
-    /// The view from here.
+    /// The renderer's view from this viewpoint, for pictures of this size.
     pub fn view(&self, size: [usize; 2]) -> View {
         View { size, camera: self.camera(), up: self.up, ground: self.ground }
     }
@@ -160,7 +160,7 @@ impl Viewpoint {
         Viewpoint { eye: self.target + turn * (self.eye - self.target), top: turn * self.top, ..*self }
     }
 
-    /// The same viewpoint in a world whose origin is elsewhere.
+    /// The same viewpoint, with all its positions moved by `by`.
     pub fn moved(&self, by: DVec3) -> Viewpoint {
         let ground = self.ground.map(|height| height + by.dot(self.up.direction()));
         Viewpoint { eye: self.eye + by, target: self.target + by, ground, ..*self }
@@ -171,7 +171,7 @@ impl Viewpoint {
         let Camera { eye, right, up, forward, tan_half_view } = self.camera();
         let camera = [right, up, forward].map(|axis| [axis.x, axis.y, axis.z, -axis.dot(eye)]);
         let [across, along, depth] = camera;
-        // To the right from 0 to 1, downwards from 0 to 1, after the division by the depth.
+        // After the division by the depth, x goes from 0 to 1 to the right, and y from 0 to 1 downwards.
         let ndc = |axis: [f64; 4], scale: f64| -> [f64; 4] {
             std::array::from_fn(|i| 0.5 * depth[i] + axis[i] * scale)
         };
@@ -233,7 +233,7 @@ fn triple(v: DVec3) -> String {
 /// The largest allowed coordinate, world units: beyond it, a camera could not be turned.
 const COORDINATE_MAX: f64 = 1e15;
 
-/// The camera that fits the subject.
+/// The text of the default camera, which fits the bounds of the subject.
 const AUTO: &str = "auto";
 
 impl FromStr for CameraChoice {

@@ -6,8 +6,9 @@
 //!   ⎣xz yz zz⎦
 //! ```
 //!
-//! There are no branches, no trigonometry, and a fixed number of rotations: so eight matrices take little
-//! more time than one, all processors agree, and equal eigenvalues need no special case.
+//! The code has no branches and no trigonometry, and the number of rotations is fixed. So eight matrices take
+//! little more time than one, all processors compute the same bits, and equal eigenvalues need no special
+//! case.
 //!
 //! This work is based on:
 //! William Press et al. Numerical Recipes, section 11.1. 2007
@@ -16,13 +17,13 @@ use crate::surface::simd::Lanes;
 
 /// Eigenvalues and orthonormal eigenvectors.
 pub(super) struct Eigen<V> {
-    /// In no particular order.
+    /// The eigenvalues, in no particular order.
     pub(super) values: [V; 3],
     /// x, y and z of the vector of each eigenvalue.
     pub(super) vectors: [[V; 3]; 3],
 }
 
-/// Decomposes matrices with entries xx, yy, zz, xy, xz and yz of about 1 or smaller.
+/// Decomposes matrices with the entries xx, yy, zz, xy, xz and yz, whose magnitudes are at most about 1.
 #[inline(always)]
 pub(super) fn eigen<V: Lanes>(matrix: [V; 6]) -> Eigen<V> {
     let [mut xx, mut yy, mut zz, mut xy, mut xz, mut yz] = matrix;
@@ -36,17 +37,18 @@ pub(super) fn eigen<V: Lanes>(matrix: [V; 6]) -> Eigen<V> {
     Eigen { values: [xx, yy, zz], vectors: [x, y, z] }
 }
 
-/// Number of sweeps; then the entries off the diagonal are smaller than the rounding error, for any matrix.
+/// Number of sweeps. After these, the entries off the diagonal are smaller than the rounding error, for any
+/// matrix.
 const SWEEP_COUNT: usize = 5;
 
-/// Makes `pq` zero by a rotation of the axes p and q. `others` are the entries of p and q with the third
-/// axis. Returns pp and qq.
+/// Makes `pq` zero by a rotation of the axes p and q. `others` are the entries pr and qr, where r is the
+/// third axis. Returns the new pp and qq.
 #[inline(always)]
 fn rotate<V: Lanes>(pp: V, qq: V, pq: &mut V, others: [&mut V; 2], axes: [&mut [V; 3]; 2]) -> (V, V) {
     let apart = qq.sub(pp);
     let twice = pq.add(*pq);
     let root = apart.mul(apart).add(twice.mul(twice)).sqrt();
-    // If this is zero, so is `twice`, and there is nothing to rotate.
+    // If the sum is zero, `twice` is zero too, and there is nothing to rotate: `max` avoids 0/0.
     let sum = apart.abs().add(root).max(V::splat(f32::MIN_POSITIVE));
     let tangent = twice.div(sum).mul(V::splat(1.0).copysign(apart));
     let cosine = V::splat(1.0).div(V::splat(1.0).add(tangent.mul(tangent)).sqrt());
@@ -78,7 +80,7 @@ mod tests {
     struct Decompose([[f32; 8]; 6]);
 
     impl Kernel for Decompose {
-        /// Values, then x, y and z of each vector.
+        /// The eigenvalues, then x, y and z of each eigenvector.
         type Output = [[f32; 8]; 12];
 
         #[inline(always)]
@@ -97,7 +99,8 @@ mod tests {
         }
     }
 
-    /// The largest error: of M·v against λ·v, and of the vectors against orthonormal ones.
+    /// The largest error: of M·v compared to λ·v, and of the dot products of the vectors compared to those of
+    /// orthonormal vectors.
     fn error(matrices: [[f32; 8]; 6], level: SimdLevel) -> f64 {
         let rows = dispatch_at(level, Decompose(matrices));
         let mut error = 0f64;
@@ -128,7 +131,7 @@ mod tests {
             (state >> 8) as f32 / (1 << 23) as f32 - 1.0
         };
         for round in 0..2000 {
-            // From full matrices to nearly diagonal ones; some have equal entries.
+            // The matrices range from full to nearly diagonal; some have equal entries.
             let off = 0.3f32.powi(round % 40);
             let mut matrices: [[f32; 8]; 6] = std::array::from_fn(|entry| {
                 std::array::from_fn(|_| if entry < 3 { random() } else { off * random() })

@@ -1,23 +1,26 @@
 //! Converts moments to ellipsoids, eight particles at a time.
 //!
 //! ```text
-//!   moments ──▶ covariance ──▶ eigenvalues λ ──▶ √λ ──▶ limit ──▶ volume ──▶ blend ──▶ scale ──▶ floor ──▶ ellipsoid
+//!   moments ──▶ covariance ──▶ eigenvalues λ ──▶ √λ ──▶ limit ──▶ volume ──▶ blend ─┐
+//!                                                   ellipsoid ◀── floor ◀── scale ◀─┘
 //! ```
 //!
-//! - **√λ**: semi-axes are proportional to the square roots of the eigenvalues, that is, to the spread of the
-//!   neighbours along each direction: a particle gets the shape of its neighbourhood. (Yu and Turk, Eq. 16,
-//!   use the eigenvalues themselves, which is twice the stretch on a logarithmic scale.)
-//! - **Limit**: no semi-axis is shorter than the longest divided by `max_stretch` (their k_r, Eq. 15).
-//! - **Volume**: all are divided by the cube root of their product (instead of their k_s).
+//! - **√λ**: semi-axes are proportional to the square roots of the eigenvalues, that is, to the standard
+//!   deviation of the neighbours along each direction. So a particle gets the shape of its neighbourhood. (Yu
+//!   and Turk, Eq. 16, use the eigenvalues themselves, which doubles the stretch on a logarithmic scale.)
+//! - **Limit**: no semi-axis is shorter than the longest divided by `max_stretch` (k_r of Yu and Turk,
+//!   Eq. 15).
+//! - **Volume**: all semi-axes are divided by the cube root of their product. (Yu and Turk multiply by k_s.)
 //! - **Blend**: with few neighbours, measured by the sum of their weights, the ellipsoid blends into a ball.
-//!   (Instead of their N_ε, a number of neighbours at which shapes would jump from one frame to the next.)
+//!   (Yu and Turk compare the number of neighbours with N_ε instead. At that number, shapes would jump from
+//!   one frame to the next.)
 //!
 //! ```text
 //!   share of the ellipsoid
-//!     1 │       ╱▔▔▔▔▔▔
-//!       │     ╱                  1: a pair of particles is too few for a shape
-//!     0 │▁▁▁▁╱▁▁▁▁▁▁▁▁▁ weight   4: a tenth of a full neighbourhood, as 25 are of Yu and Turk's 270 or so
-//!            1   4
+//!     1 │       ╱▔▔▔▔▔▔               from 4 on: a tenth of the weight of a full neighbourhood, like Yu and
+//!       │     ╱                       Turk's N_ε = 25 of about 270 neighbours
+//!     0 │▁▁▁▁╱▁▁▁▁▁▁▁▁▁ sum of        up to 1: a pair of particles is too few for a shape
+//!            1   4      weights
 //! ```
 
 use super::RAISED_BELOW;
@@ -34,8 +37,9 @@ const WEIGHT_NONE: f32 = 1.0;
 /// is 36 inside, 24 at a plane surface, 12 in a sheet, 7 at the edge of a sheet and 3 in a line.
 const WEIGHT_FULL: f32 = 4.0;
 
-/// Added to each eigenvalue, in units of the squared radius. Many particles at one point therefore give a
-/// ball, and not the shape of rounding errors. No semi-axis is then more than about 50 times another.
+/// Added to each eigenvalue, in units of the squared radius. So many particles at one point give a ball, and
+/// not a shape that rounding errors determine. Then no semi-axis is more than about 50 times as long as
+/// another.
 const SPREAD_MIN: f32 = 1e-4;
 
 /// The shapes of eight particles.
@@ -70,8 +74,8 @@ pub(super) fn shapes<V: Lanes>(
     }
 }
 
-/// The mean position of the neighbours of each of eight particles, relative to it, in units of the radius: x,
-/// y and z. Uses the first four moments.
+/// The mean position (x, y and z) of the neighbours of each of eight particles, relative to the particle, in
+/// units of the radius. Uses the first four moments.
 #[inline(always)]
 pub(super) fn means<V: Lanes>(moments: &[[f32; 8]]) -> [[f32; 8]; 3] {
     let (mean, _) = mean_and_weight::<V>(moments);
@@ -82,11 +86,11 @@ pub(super) fn means<V: Lanes>(moments: &[[f32; 8]]) -> [[f32; 8]; 3] {
     means
 }
 
-/// The mean (Yu and Turk, Eq. 10), and the factor that turns a sum into a mean.
+/// The mean position (Yu and Turk, Eq. 10), and the factor that turns a weighted sum into a mean.
 #[inline(always)]
 fn mean_and_weight<V: Lanes>(moments: &[[f32; 8]]) -> ([V; 3], V) {
-    // Each particle itself contributes a weight of 1, unless its cell has so many particles that only a
-    // sample is used, without it.
+    // Each particle itself contributes a weight of 1, so the sum is at least 1. The exception is a cell with
+    // so many particles that only a sample of them is used, which may lack the particle.
     let by_weight = V::splat(1.0).div(V::load(&moments[0]).max(V::splat(1.0)));
     let mut means = [V::splat(0.0); 3];
     for (mean, moment) in means.iter_mut().zip(&moments[1..4]) {
@@ -122,8 +126,8 @@ fn limited<V: Lanes>(eigenvalues: [V; 3], max_stretch: f32) -> [V; 3] {
     with_unit_volume([a.max(least), b.max(least), c.max(least)])
 }
 
-/// Blends semi-axes of product 1 with those of a ball; the product stays 1, and the stretch is between 1 and
-/// theirs.
+/// Blends semi-axes whose product is 1 with those of a ball. The product stays 1, and the stretch is between
+/// 1 and that of the given semi-axes.
 #[inline(always)]
 fn blended<V: Lanes>(half_axes: [V; 3], part: V) -> [V; 3] {
     let one = V::splat(1.0);
@@ -147,8 +151,9 @@ fn with_unit_volume<V: Lanes>(half_axes: [V; 3]) -> [V; 3] {
     [a.div(root), b.div(root), c.div(root)]
 }
 
-/// Multiplies semi-axes by the scale and raises those below the floor; also returns which particles had one
-/// raised. With fewer neighbours, scale and floor approach those of isolated particles.
+/// Multiplies semi-axes by the scale, and raises those below the floor. Also returns a mask of the particles
+/// with a raised semi-axis. The fewer neighbours, the closer scale and floor are to those of isolated
+/// particles.
 #[inline(always)]
 fn scaled<V: Lanes>(half_axes: [V; 3], part: V, scale: V, limits: Stretch) -> ([V; 3], V::Mask) {
     let is_ball = V::not(V::splat(0.0).lt(part));
@@ -157,7 +162,7 @@ fn scaled<V: Lanes>(half_axes: [V; 3], part: V, scale: V, limits: Stretch) -> ([
     let scale = scale.mul(between(limits.lone, 1.0));
     let [mut a, mut b, mut c] = half_axes;
     for half_axis in [&mut a, &mut b, &mut c] {
-        // Avoids rounding errors for balls.
+        // The semi-axes of a ball are exactly the scale, without rounding errors.
         *half_axis = V::select(is_ball, scale, half_axis.mul(scale));
     }
     let is_raised = a.min(b).min(c).lt(floor.mul(V::splat(RAISED_BELOW)));
@@ -195,9 +200,9 @@ fn ellipsoids<V: Lanes>(half_axes: [V; 3], vectors: [[V; 3]; 3], balls: u8) -> [
     shapes
 }
 
-/// The cube root of a positive number that is not tiny, to the last bit or two: a guess from the exponent,
-/// and two Halley steps, each of which triples the number of correct digits. It is the same on all
-/// processors; libraries do not guarantee that.
+/// The cube root of a positive number that is not tiny, accurate to the last bit or two. Starts from a guess
+/// by the exponent and does two steps of Halley's method, each of which triples the number of correct digits.
+/// The result is the same on all processors, which standard libraries do not guarantee.
 #[inline(always)]
 pub(super) fn cube_root(value: f32) -> f32 {
     let mut root = f32::from_bits(value.to_bits() / 3 + 0x2a51_19f2);

@@ -7,10 +7,10 @@
 //!   ∙→  ∙⟶  ∙⟶⟶     velocity     ●  ⬬  ⬬    a drop is longer, the faster it is
 //! ```
 //!
-//! The two methods are independent of each other, and both accept a scale per particle. Both compute
-//! semi-axes in units of the settings' radii. The product of a particle's three semi-axes is the cube of its
-//! scale. At the end, semi-axes too short for the grid are raised to a floor, and the affected particles are
-//! counted.
+//! The two methods, by neighbours and by velocity, are independent of each other. Both accept a scale per
+//! particle, and compute semi-axes in units of the settings' radii. The product of a particle's three
+//! semi-axes is the cube of its scale. At the end, semi-axes too short for the grid are raised to a floor,
+//! and the affected particles are counted.
 //!
 //! By neighbours, a shape depends only on the particles within the neighbor radius (where particles are very
 //! dense, within the cells that this radius touches); by velocity, only on its own particle. Shapes are
@@ -32,7 +32,7 @@ pub use neighborhoods::{NeighborConfig, NeighborShapes, Stretch, from_neighbors}
 pub use radii::{RadiusScales, radius_scales};
 pub use velocity::{VelocityConfig, from_velocities};
 
-/// Particles with shapes.
+/// The shapes of a frame's particles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnisotropicShapes {
     /// The shape of each particle, in order.

@@ -1,27 +1,27 @@
 //! Weighted moments of the neighbours of each particle.
 //!
 //! ```text
-//!   surroundings   ∙∙∙∙∙∙∙∙ ∙∙∙∙∙∙∙∙ ∙∙∙∙∙∙∙∙       squared distances, eight at a time
+//!   surroundings   ∙∙∙∙∙∙∙∙ ∙∙∙∙∙∙∙∙ ∙∙∙∙∙∙∙∙       the squared distances are computed, eight at a time
 //!                   ╲ ╲   ╱   │   ╱   ╱
-//!   within          ∙∙∙∙∙∙∙∙ ∙∙∙                    compacted, then summed
+//!   within          ∙∙∙∙∙∙∙∙ ∙∙∙                    particles within the radius are compacted, then summed
 //! ```
 //!
-//! Particles beyond the radius are left out, not multiplied by zero. So they do not even affect which numbers
-//! are added to which, and cannot change the last bit of a sum.
+//! Particles beyond the radius are left out instead of being multiplied by zero. So they do not affect the
+//! order in which numbers are added, and cannot change the last bit of a sum.
 //!
-//! With w = 1 − (d/R)³ (Yu and Turk 2010, Eq. 11) the sums are W = Σ w, Σ w·(x − p) and Σ w·(x − p)(x − p)ᵀ
-//! for a particle at p, which is one of the particles x. Relative to p these are small numbers, so mean and
-//! covariance (Eq. 9 and 10) lose no precision.
+//! For a particle at p, with w = 1 − (d/R)³ (Yu and Turk 2010, Eq. 11) for a particle x at the distance d,
+//! the sums are W = Σ w, Σ w·(x − p) and Σ w·(x − p)(x − p)ᵀ over all x, including p itself. The differences
+//! x − p are small numbers, so mean and covariance (Eq. 9 and 10) lose no precision.
 
 use glam::Vec3;
 
 use crate::surface::neighbors::Particle8;
 use crate::surface::simd::Lanes;
 
-/// Number of sums: W; those of w·x, w·y and w·z; those of w·xx, w·yy, w·zz, w·xy, w·xz and w·yz.
+/// Number of sums: W; then the sums of w·x, w·y and w·z; then those of w·xx, w·yy, w·zz, w·xy, w·xz and w·yz.
 pub(super) const MOMENT_COUNT: usize = 10;
 
-/// Number of the first sums that are enough for means.
+/// The means need only this number of sums: the first ones.
 pub(super) const MEAN_COUNT: usize = 4;
 
 /// The first `COUNT` moments around a particle at `at`, in units of the radius. `within` is a buffer.
@@ -54,7 +54,7 @@ pub(super) fn moments<V: Lanes, const COUNT: usize>(
 /// Writes the indices of the particles within the radius to the front of `within`. Returns their number.
 #[inline(always)]
 fn find_within<V: Lanes>(eights: &[Particle8], at: Vec3, within: &mut Vec<u32>) -> usize {
-    // Eight are written at once, of which only some count.
+    // Each step writes eight indices. The next step overwrites those that are not within the radius.
     within.resize(8 * eights.len() + 8, 0);
     let [x, y, z] = [V::splat(at.x), V::splat(at.y), V::splat(at.z)];
     let mut count = 0;

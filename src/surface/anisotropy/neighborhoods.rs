@@ -8,16 +8,16 @@
 //!        ∙ ∙             including ● itself
 //! ```
 //!
-//! At the plane surface of a body, the particles within R are on one side: they spread half as far outward as
-//! along the surface, and the particle is flattened to 0.56.
+//! At the plane surface of a body, all particles within R are on one side. Their standard deviation normal to
+//! the surface is 0.56 of that along the surface, so the particle is flattened to 0.56.
 //!
 //! Position smoothing moves particles toward the mean of their neighbours (Yu and Turk, Eq. 6). As in their
-//! method, shapes are computed from the unmoved particles: one search serves both, and a particle depends
-//! only on particles within R.
+//! method, shapes are computed from the positions before the move. So one search finds the neighbours for
+//! means and shapes, and the shape of a particle depends only on particles within R.
 //!
-//! Particles are sorted by cells of a grid with edge R, and the work is divided by the number of particles,
-//! not by cells. In cells with more than [`CELL_MAX`] particles only a sample is used. Shapes then depend on
-//! which particles are in all cells that intersect the ball of radius R.
+//! Particles are sorted by cells of a grid with edge R. Each task gets the same number of particles, not of
+//! cells. In cells with more than [`CELL_MAX`] particles only a sample is used. Then a shape also depends on
+//! particles beyond R: on those in the cells that intersect the ball of radius R.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -45,21 +45,21 @@ pub struct Stretch {
     pub max_stretch: f32,
     /// Lower limit of semi-axes of particles with many neighbours, in units of the settings' radii. Positive.
     pub floor: f32,
-    /// The scale of particles without neighbours, relative to that of others: they are balls.
+    /// The scale of particles without neighbours, which are balls, relative to the scale of other particles.
     pub lone: f32,
-    /// Lower limit of the scale of these balls, in units of the settings' radii. Positive.
+    /// Lower limit of the scale of particles without neighbours, in units of the settings' radii. Positive.
     pub lone_floor: f32,
 }
 
-/// Means and shapes that the neighbours of some particles give.
+/// The means and shapes of the wanted particles, computed from their neighbours.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NeighborShapes {
-    /// Indices of these particles, each once.
+    /// Indices of the wanted particles, each once.
     pub indices: Vec<u32>,
-    /// For each of them, the mean position of its neighbours relative to it, in units of R (Yu and Turk, Eq.
-    /// 6).
+    /// For each wanted particle, the mean position of its neighbours relative to the particle, in units of R
+    /// (Yu and Turk, Eq. 6).
     pub means: Vec<[f32; 3]>,
-    /// The shape of each; empty if shapes are not needed.
+    /// The shape of each wanted particle; empty if shapes are not needed.
     pub shapes: Vec<Ellipsoid>,
     /// Number of particles with a semi-axis that was raised to the floor.
     pub raised_count: usize,
@@ -67,15 +67,17 @@ pub struct NeighborShapes {
     pub ball_count: usize,
 }
 
-/// Upper limit of the particles that are used of a cell: 7 times the number in a cell with an edge of 2.6
-/// spacings. It bounds the cost of very dense particles to a microsecond each, independent of their number.
+/// Upper limit of the number of particles that are used per cell: 7 times the number in a cell with an edge
+/// of 2.6 spacings. It limits the cost of very dense particles to a microsecond per particle, independent of
+/// their number.
 const CELL_MAX: usize = 128;
 
 /// Means and shapes of the wanted particles from their neighbours (Yu and Turk, Eq. 6 and 9 to 16). `scales`
 /// has one entry per particle. Wanted particles outside the range of indices are left out.
 ///
-/// The result for a particle does not depend on which others are wanted, nor on particles missing from
-/// `particles` in cells of edge R that are not adjacent to its own. Particles keep their order.
+/// The result for a particle does not depend on which other particles are wanted. Nor does it change if
+/// `particles` lacks particles in cells of edge R that are not adjacent to its own cell, provided that the
+/// others keep their order.
 pub fn from_neighbors(
     particles: &OwnedPositions,
     is_wanted: impl Fn(usize) -> bool + Sync,
@@ -117,10 +119,12 @@ fn neighbor_shapes(
     }
 }
 
-/// Number of particles per task: enough that the cells at its ends, which two tasks gather, do not matter.
+/// Number of particles per task. It is so large that the cost of the first and the last cell, which two tasks
+/// gather, does not matter.
 const PIECE: usize = 1024;
 
-/// Splits the shapes into as many pieces as `count` requires; empty pieces if shapes are not needed.
+/// Splits the shapes of `count` particles into pieces, one for each task. The pieces are empty if shapes are
+/// not needed.
 fn pieces_of(shapes: &mut [Ellipsoid], count: usize) -> Vec<&mut [Ellipsoid]> {
     let mut pieces: Vec<&mut [Ellipsoid]> = shapes.chunks_mut(PIECE).collect();
     pieces.resize_with(count.div_ceil(PIECE), Default::default);
@@ -139,7 +143,7 @@ impl ShapeCounts {
     }
 }
 
-/// Consecutive particles in the order of the grid.
+/// The particles of a task: consecutive wanted particles in the order of the grid.
 struct ParticleRun<'a> {
     neighbors: &'a Neighbors,
     scales: Option<&'a [f32]>,
@@ -196,7 +200,7 @@ impl ParticleRun<'_> {
         counts
     }
 
-    /// Completes up to eight particles, starting at `first`.
+    /// Computes means and shapes of up to eight particles, starting at `first`, from their moments.
     #[inline(always)]
     fn finish<V: Lanes, const COUNT: usize>(
         &mut self,

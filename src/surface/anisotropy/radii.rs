@@ -1,15 +1,16 @@
 //! Scales from per-particle radii (paper, Fig. 13).
 //!
-//! r_min of a particle is S times its radius, and r_init and r_max keep the ratios of the settings. So its
-//! scale, in units of the settings' radii, is S·radius / r_min. The grid cannot hold a surface smaller than
-//! the floor.
+//! The r_min of a particle is its radius times S, the radius scale of the settings. The ratios of its r_init
+//! and r_max to its r_min are those of the settings. So the scale of a particle, in units of the settings'
+//! radii, is S·radius / r_min, with r_min of the settings. Scales below a floor are raised to it, because the
+//! grid cannot hold a smaller surface.
 
 use rayon::prelude::*;
 
 /// A scale per particle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RadiusScales {
-    /// In units of the settings' radii, none below the floor.
+    /// The scales, in units of the settings' radii. None is below the floor.
     pub scales: Vec<f32>,
     /// Number of radii too small for the grid, which were raised.
     pub raised_count: usize,

@@ -1,12 +1,12 @@
 //! Shapes from velocities: faster particles are longer along their velocity (paper, Eq. 16, Fig. 11).
 //!
 //! ```text
-//!              ⎡ 1/(1+s)²            ⎤             semi-axes (1 + s)² along v
-//!   T = [v t t]⎢          1+s        ⎥[v t t]ᵀ               1/(1 + s) across
-//!              ⎣               1 + s ⎦             so volume 1, stretched by (1 + s)³
+//!              ⎡ 1/(1+s)²            ⎤             semi-axes: a = (1 + s)² along v
+//!   T = [v t t]⎢          1+s        ⎥[v t t]ᵀ                b = 1/(1 + s) across v
+//!              ⎣               1 + s ⎦             product a·b² = 1, stretch a/b = (1 + s)³
 //! ```
 //!
-//! All directions across are equivalent, so T = 1/b + (1/a − 1/b)·v·vᵀ, and t is not needed.
+//! All directions across v are equivalent, so T = 1/b + (1/a − 1/b)·v·vᵀ, and t is not needed.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -18,7 +18,8 @@ use crate::surface::particles::Ellipsoid;
 /// How velocities shape particles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VelocityConfig {
-    /// s at a speed of one world unit per second: a gain in seconds, divided by r_min. Not negative.
+    /// s at a speed of one world unit per second: the gain of the settings, in seconds, divided by r_min. Not
+    /// negative.
     pub gain_per_speed: f32,
     /// Upper limit of the semi-axis along the velocity, relative to those across, before they are raised to
     /// the floor: 1 or more.
@@ -59,7 +60,7 @@ fn stretched(velocity: DVec3, scale: f32, most: f64, config: &VelocityConfig) ->
     // In 64 bits, the squares of 32-bit numbers do not overflow.
     let speed = velocity.length();
     let s = (f64::from(config.gain_per_speed) * speed).min(most) as f32;
-    // False for NaN.
+    // `s > 0.0` is false for NaN.
     if !(s > 0.0 && speed.is_finite()) {
         return ball(scale, config.floor);
     }

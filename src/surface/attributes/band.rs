@@ -27,13 +27,13 @@ pub struct BandAttribute {
     values: Vec<f32>,
 }
 
-/// Which nodes of a band have values.
+/// The nodes of a band that have values.
 #[derive(Debug)]
 struct Nodes {
     topology: Arc<Topology>,
-    /// The nodes of each leaf.
+    /// For each leaf, a mask of its nodes that have values.
     needed: Vec<u64>,
-    /// Number of nodes in all previous leaves.
+    /// For each leaf, the number of nodes with values in all previous leaves.
     starts: Vec<usize>,
 }
 
@@ -53,7 +53,7 @@ pub fn interpolate_to_band<'a>(
     let needed = needed_nodes(band, half_width_voxels);
     let points = node_points(band, lattice, &needed);
     let point_of = |point: usize| points[point];
-    // Some nodes are farther from the surface than the half width.
+    // Unlike vertices, nodes may be about the half width away from the surface.
     let margin_world = support.margin_world + f64::from(half_width_voxels) * lattice.voxel_size;
     let support = Support { margin_world, ..support };
     let source = TransferSource::new(particles.into(), attributes, support, (points.len(), &point_of));
@@ -97,14 +97,14 @@ impl BandAttribute {
         }
     }
 
-    /// The values of a leaf's nodes, and of those in the following leaves that its voxels need.
+    /// The values of a leaf's nodes, and of the nodes in the next leaves that its voxels need.
     fn nodes_around(&self, leaf: usize, around: &[u32; 27], component: usize) -> NodeValues {
         let mut nodes = [[[0.0; NODE_EDGE + 1]; NODE_EDGE + 1]; NODE_EDGE + 1];
         for (x, plane) in (0..).zip(&mut nodes) {
             for (y, row) in (0..).zip(plane) {
                 for (z, value) in (0..).zip(row) {
                     let node = IVec3::new(x, y, z);
-                    // If the band ends with this leaf, its last nodes replace those after it.
+                    // If the band ends with this leaf, the leaf's last nodes replace those of the next leaf.
                     let found = self.value_at(around, node, component).or_else(|| {
                         let last = node.min(IVec3::splat(NODE_EDGE as i32 - 1));
                         self.value_of(leaf, last, component)
@@ -175,7 +175,7 @@ impl Kernel for Between<'_> {
     }
 }
 
-/// Adds halves, because a sum might overflow.
+/// The mean of two rows. Adds halves of the values, because their sum might overflow.
 #[inline(always)]
 fn between<V: Lanes>(one: &[f32; 8], other: &[f32; 8]) -> [f32; 8] {
     let half = V::splat(0.5);

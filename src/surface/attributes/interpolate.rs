@@ -1,8 +1,8 @@
 //! The weighted mean of the particles around a point, and the nearest of them.
 //!
 //! Points are processed cell by cell: the particles around a cell are gathered once. Their distances from a
-//! point are computed eight at a time; the few within the radius are collected in a list, from which the
-//! means are computed.
+//! point are computed eight at a time. The few particles within the radius are collected in a list, and the
+//! means are computed from this list.
 
 use glam::{DVec3, IVec3, Vec3};
 
@@ -11,7 +11,7 @@ use super::source::{NumericAttribute, TransferSource};
 use crate::surface::neighbors::{NeighborPackets, Particle8};
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 
-/// The result at some points.
+/// The interpolated values at some points.
 pub(super) struct Interpolated {
     /// The means of each numeric attribute, point by point.
     pub(super) numbers: Vec<Vec<f32>>,
@@ -38,9 +38,9 @@ struct CellPoint {
 /// A particle within the radius of a point.
 #[derive(Clone, Copy)]
 struct WeightedParticle {
-    /// In units of the squared radius, less than 1.
+    /// The squared distance, in units of the squared radius: less than 1. Later replaced by the weight.
     distance_squared: f32,
-    /// Index among the particles near any point.
+    /// Index among the near particles of the source.
     particle: u32,
 }
 
@@ -173,7 +173,7 @@ fn means<V: Lanes>(
         let mean = mean_row::<V>(source, near, row, total);
         for (numbers, out) in source.numbers.iter().zip(&mut interpolated.numbers) {
             let Some(column) = numbers.column else { continue };
-            // The part of the attribute in this row.
+            // The columns of the attribute that are in this row.
             let first = column.max(8 * row);
             let end = (column + numbers.arity).min(8 * row + 8);
             for at in first..end {
@@ -206,12 +206,13 @@ fn mean_row<V: Lanes>(
         greatest = greatest.max(values);
     }
     let mut mean = [0.0; 8];
-    // If the sum overflows, the result is clamped like any other.
+    // If the sum overflows, the result is clamped to the range of the values, like any other result.
     sum.div(V::splat(total)).min(greatest).max(least).store(&mut mean);
     mean
 }
 
-/// The mean of an attribute over the particles with finite values; otherwise `out` is unchanged.
+/// The mean of an attribute over the particles with finite values. Without such particles, `out` is
+/// unchanged.
 #[inline(always)]
 fn mean_of_sound(
     source: &TransferSource,

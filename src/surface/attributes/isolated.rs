@@ -1,9 +1,10 @@
-//! Handles isolated points, without a particle within the radius: they get the values of the nearest particle
-//! that reaches them.
+//! Assigns values to isolated points, which have no particle within the radius: the values of the nearest
+//! particle that reaches the point.
 //!
-//! Such points occur around large particles: usually few, or the whole surface with per-particle radii. Only
-//! particles that reach farther than the radius can serve them, so only these are sorted into a
-//! [tree](super::tree). A point then visits a small part of them, however far they reach.
+//! Isolated points occur around large particles. Usually they are few; with per-particle radii, they may be
+//! the whole surface. Only particles that reach farther than the radius can reach an isolated point, so only
+//! these particles are sorted into a [tree](super::tree). The search for a point then visits a small part of
+//! them, however far they reach.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -14,8 +15,8 @@ use super::tree::{Tree, TreeParticle};
 use super::{NO_PARTICLE, TransferCounts};
 use crate::surface::interrupt::checkpoint;
 
-/// Assigns the values of the nearest particle to isolated points. Returns the number of isolated points, and
-/// how many are left.
+/// Assigns the values of the nearest particle to isolated points. Returns the number of points that got
+/// values, and the number of points that no particle reaches.
 pub(super) fn assign_nearest(
     source: &TransferSource,
     interpolated: &mut Interpolated,

@@ -21,8 +21,8 @@
 //! is counted.
 //!
 //! **Band.** Volume renderers need values in a band around the surface that is several voxels wide. Outside
-//! the fluid, a voxel gets the values at the nearest point on the surface, because points far from all
-//! particles have none of their own. The mean has no voxel-sized detail, so it is computed for every second
+//! the fluid, a voxel gets the values at the nearest point on the surface, because a point far from all
+//! particles has no values of its own. The mean has no voxel-sized detail, so it is computed for every second
 //! voxel along each axis, and the voxels in between are interpolated.
 //!
 //! Invariants: values depend only on the particles within the radius, or on those that reach the point.
@@ -57,7 +57,8 @@ pub struct Support<'a> {
     /// r_max of the settings: the maximum distance of the reconstructed surface from the center of a particle
     /// that is a ball of scale 1.
     pub radius_max_world: f64,
-    /// Margin by which a point may be farther from a particle than its surface can be.
+    /// Margin that is added to a particle's own r_max. Points up to the sum away from the particle can get
+    /// its values.
     pub margin_world: f64,
     /// The shapes of the particles: one per particle, unless they are balls.
     pub shapes: &'a Shapes,

@@ -1,9 +1,10 @@
-//! Finds the particles near the points that need values; most particles lie deep inside and are not near.
+//! Finds the particles near the points that need values. Most particles lie deep inside and are not near any
+//! point.
 //!
 //! ```text
-//!   ┌───────┬───────┐     Cells of size 2R. The ball of radius R around a point overlaps only the eight cells
-//!   │     ╭─┼─╮     │     around the cell corner nearest to the point. These are marked, and a particle in no
-//!   ├─────┼─●─┼─────┤     marked cell is near no point.
+//!   ┌───────┬───────┐     The edge of the cells is 2R. The ball of radius R around a point overlaps only the
+//!   │     ╭─┼─╮     │     eight cells around the cell corner nearest to the point. These cells are marked.
+//!   ├─────┼─●─┼─────┤     A particle outside of all marked cells is not near any point.
 //!   │     ╰─┼─╯     │
 //!   └───────┴───────┘
 //! ```
@@ -16,8 +17,8 @@ use super::CHUNK;
 use crate::surface::particles::Positions;
 use crate::surface::space::Lattice;
 
-/// Indices of the particles within `radius_world` of some point, in order. Includes some that are farther
-/// away.
+/// Indices of the particles within `radius_world` of any of the points, in order. Includes some particles
+/// that are farther away.
 pub(super) fn near_particles(
     particles: &Positions<'_>,
     radius_world: f64,
@@ -29,7 +30,7 @@ pub(super) fn near_particles(
         let cell = cells.index_from_world(particles.position(*index as usize));
         cell.is_some_and(|cell| marked.contains(&cell.floor().as_ivec3()))
     };
-    // Sources with more particles than 32-bit indices allow are read in batches from a file, without
+    // 32-bit indices suffice: sources with more particles are read in batches from a file, and have no
     // attributes.
     let end = u32::try_from(particles.len()).unwrap_or(super::NO_PARTICLE);
     (0..end).into_par_iter().filter(is_near).collect()

@@ -1,8 +1,8 @@
 //! The nodes of the band at which means are computed: every second voxel along each axis.
 //!
 //! ```text
-//!   ● ∙ ● ∙ ● ∙ ● ∙ ┊ ●      a leaf has 4 nodes along each axis, and needs the first nodes of the next leaves:
-//!   ∙ ∙ ∙ ∙ ∙ ∙ ∙ ∙ ┊        a voxel between two nodes is at the same distance from both
+//!   ● ∙ ● ∙ ● ∙ ● ∙ ┊ ●      ● node. A leaf has 4 nodes along each axis. A voxel between two nodes gets the
+//!   ∙ ∙ ∙ ∙ ∙ ∙ ∙ ∙ ┊        mean of both, so a leaf also needs the first nodes of the next leaves.
 //!   ● ∙ ● ∙ ● ∙ ● ∙ ┊ ●
 //! ```
 
@@ -17,7 +17,7 @@ use crate::surface::space::Lattice;
 /// Nodes along an edge of a leaf.
 pub(super) const NODE_EDGE: usize = 4;
 
-/// The nodes of each leaf that some voxel of the band needs: bit `x·16 + y·4 + z`.
+/// For each leaf, a mask of its nodes that any voxel of the band needs: bit `x·16 + y·4 + z`.
 pub(super) fn needed_nodes(band: &NarrowBand, half_width_voxels: f32) -> Vec<u64> {
     let leaves = &band.phi.leaves;
     let active: Vec<[u8; 64]> =
@@ -25,7 +25,7 @@ pub(super) fn needed_nodes(band: &NarrowBand, half_width_voxels: f32) -> Vec<u64
     (0..leaves.len()).into_par_iter().map(|leaf| needed_of(&band.topology, &active, leaf)).collect()
 }
 
-/// Kernel: which voxels of each row are in the band.
+/// Kernel: for each row of a leaf, a mask of the voxels in the band.
 struct ActiveRows<'a> {
     leaf: &'a Leaf,
     half_width_voxels: f32,
@@ -44,8 +44,8 @@ impl Kernel for ActiveRows<'_> {
     }
 }
 
-/// The nodes of a leaf that are needed: those with an active voxel among the 27 around, which may be in an
-/// earlier leaf.
+/// A mask of the needed nodes of a leaf: the nodes with a voxel of the band among the 27 voxels around them.
+/// These voxels may be in a previous leaf.
 fn needed_of(topology: &Topology, active: &[[u8; 64]], leaf: usize) -> u64 {
     let around = topology.neighborhood(leaf);
     let row = |x: i32, y: i32, leaf_z: i32| {
@@ -75,7 +75,7 @@ fn needed_of(topology: &Topology, active: &[[u8; 64]], leaf: usize) -> u64 {
     needed
 }
 
-/// World positions of the required nodes, leaf by leaf. Nodes outside are moved to the nearest point on the
+/// World positions of the needed nodes, leaf by leaf. For a node outside the fluid, the nearest point on the
 /// surface.
 pub(super) fn node_points(band: &NarrowBand, lattice: &Lattice, needed: &[u64]) -> Vec<DVec3> {
     let points = needed.par_iter().enumerate().flat_map_iter(|(leaf, &nodes)| {
@@ -97,13 +97,14 @@ fn offset_from_surface(band: &NarrowBand, around: &[u32; 27], leaf: usize, voxel
     if phi <= 0.0 {
         return Vec3::ZERO;
     }
-    // Toward the neighbor that is nearer to the surface: between two surfaces, this picks one of them.
+    // The one-sided difference toward the neighbor that is nearer to the surface. Between two surfaces, this
+    // picks one of them.
     let slope = |axis: usize| {
         let mut before = voxel;
         before[axis] -= 1;
         let mut after = voxel;
         after[axis] += 1;
-        // A node is never the last voxel of a leaf.
+        // A node is never the last voxel of a leaf, so the voxel after it is in the same leaf.
         let after = phi - leaves[leaf].values[offset_in_leaf(after)];
         let other = if before[axis] < 0 { around[CENTER - WEIGHTS[axis]] } else { leaf as u32 };
         before[axis] &= 7;

@@ -1,12 +1,12 @@
 //! The particles near the points that need values, sorted and packed.
 //!
 //! ```text
-//!   particle    v v v  r g b  a  ○ | …     a row of all numbers of a particle, padded to multiples of eight, so that
-//!               └8 numbers in a register┘  one weight applies to all of them at once
+//!   particle    v v v  r g b  a  ○ | …        the values of all numeric attributes of a particle, padded (○)
+//!               └─ 8 values, a row ─┘         to rows of eight: a row is multiplied by its weight at once
 //! ```
 //!
-//! Attributes with values that are not finite are kept separate, because particles without a value must not
-//! be weighted.
+//! Attributes with values that are not finite are not in the rows: their means have to skip the particles
+//! with such values.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -23,9 +23,9 @@ pub(super) struct TransferSource<'a> {
     pub(super) support: Support<'a>,
     /// The particles near the points, in cells of size R.
     pub(super) neighbors: Neighbors,
-    /// Their indices among all particles, in order.
+    /// The indices of the near particles among all particles, in order.
     pub(super) indices: Vec<u32>,
-    /// `row_count` rows per particle.
+    /// `row_count` rows per near particle.
     pub(super) rows: Vec<[f32; 8]>,
     pub(super) row_count: usize,
     /// The numeric attributes, in order.
@@ -82,7 +82,7 @@ impl<'a> TransferSource<'a> {
         }
     }
 
-    /// The index among all particles of a near particle.
+    /// Converts an index among the near particles to the index among all particles.
     pub(super) fn original(&self, index: u32) -> u32 {
         self.indices.get(index as usize).copied().unwrap_or(NO_PARTICLE)
     }
@@ -109,7 +109,7 @@ fn numbers_of(attribute: &Attribute) -> Option<NumericAttribute<'_>> {
 }
 
 impl NumericAttribute<'_> {
-    /// The values of a particle, by its index among all.
+    /// The values of a particle, given its index among all particles.
     #[inline(always)]
     pub(super) fn of(&self, particle: u32) -> &[f32] {
         let first = particle as usize * self.arity;

@@ -29,7 +29,7 @@ fn random(state: &mut u32) -> f64 {
     f64::from(*state >> 8) / f64::from(1 << 24)
 }
 
-/// A ball of particles with a jittered spacing of 0.1, shuffled.
+/// A ball of particles on a jittered lattice with a spacing of 0.1, in random order.
 fn ball(center: DVec3, radius: f64) -> Vec<[f64; 3]> {
     let mut state = 11;
     let support = (radius / 0.1) as i32 + 1;
@@ -50,7 +50,7 @@ fn ball(center: DVec3, radius: f64) -> Vec<[f64; 3]> {
     positions
 }
 
-/// Points around a ball, as far from its particles as a surface is.
+/// Points around a ball of particles, at the distance of a surface.
 fn mesh_around(center: DVec3, radius: f64, count: usize) -> Mesh {
     let turn = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     let point = |index: usize| {
@@ -82,15 +82,15 @@ fn linear(point: DVec3) -> [f32; 3] {
     [2.0 * point.x - point.y + 0.5, 3.0 * point.z, point.x + point.y + point.z].map(|value| value as f32)
 }
 
-/// Two attributes: the particle position, and a linear field at it.
+/// Two attributes: the position of the particle, and the value of a linear field there.
 fn place_and_field(positions: &[[f64; 3]], center: DVec3) -> [Attribute; 2] {
     let points = || positions.iter().map(|&position| DVec3::from(position) - center);
     let point = numbers("place", 3, points().flat_map(|point| point.as_vec3().to_array()).collect());
     [point, numbers("field", 3, points().flat_map(linear).collect())]
 }
 
-/// The mean of a linear field equals the field at the weighted center of the particles. Returns the distance
-/// of that center from the vertex.
+/// Checks that the mean of a linear field equals the field at the weighted center of the particles. Returns
+/// the distance of that center from the vertex.
 fn distance_to_middle(point: Vec3, middle: &[f32], field: &[f32]) -> f32 {
     let middle = Vec3::from_slice(middle);
     for (value, expected) in field.iter().zip(linear(middle.as_dvec3())) {
@@ -121,7 +121,7 @@ fn constant_and_linear_fields_are_reproduced() {
     }
     let means = found(&transferred[1]).chunks(3).zip(found(&transferred[3]).chunks(3));
     for (position, (middle, field)) in mesh.positions.iter().zip(means) {
-        // Three voxels, because all particles are on one side of the vertex.
+        // The limit is three voxels, because all particles are on one side of the vertex.
         let distance = distance_to_middle(*position, middle, field);
         assert!(distance < 0.22, "{distance} at {position}");
     }
@@ -365,7 +365,8 @@ fn band_voxels_have_the_surface_values() {
         each_voxel(&band, &found[0], |_, _, values| points.push([values[0], values[1], values[2]]));
         let mut at = points.iter();
         let count = each_voxel(&band, &found[1], |voxel, phi, field| {
-            // Outside values are those on the surface, which curves away between nodes.
+            // Voxels outside have the values at the nearest point of the surface. They are interpolated
+            // between nodes, while the surface is curved.
             let from_center = voxel.as_dvec3() * VOXEL - center;
             let seen_from =
                 from_center.normalize() * (from_center.length() - f64::from(phi.max(0.0)) * VOXEL);

@@ -1,4 +1,5 @@
-//! Tests particles of different sizes: compares with brute force, checks locality, and limits the work.
+//! Tests attributes of particles of different sizes: compares with brute force, and checks that the result
+//! depends only on near particles, and that the work is limited.
 
 use std::cell::Cell;
 
@@ -39,7 +40,7 @@ impl Sizes {
         self.ids.push(self.ids.len() as i64 * 7);
     }
 
-    /// Drops of all sizes among small ones; some positions occur twice.
+    /// Large particles of various sizes among small ones; some positions occur twice.
     fn mixed() -> Sizes {
         let (mut sizes, mut state) = (Sizes::default(), 17);
         for index in 0..3000 {
@@ -130,12 +131,12 @@ fn isolated_points_get_the_nearest_particle_that_reaches_them() {
 fn scale_of_distant_particles_changes_no_bit() {
     let mut sizes = Sizes::mixed();
     let mut mesh = sizes.points();
-    // Distances that differ by less than 32-bit precision; the first particle is the farther one.
+    // Two particles whose distances from a point differ by less than 32-bit precision; the first is farther.
     let apart = DVec3::splat(30.0);
     sizes.push(apart + DVec3::X * (0.75 + 1e-9), 5.0);
     sizes.push(apart - DVec3::X * 0.75, 5.0);
     mesh.positions.push(apart.as_vec3());
-    // A point that no particle reaches; it must not get the value of a large particle far away.
+    // A point that no particle reaches. It must not get the value of a large particle far away.
     mesh.positions.push(Vec3::splat(35.0));
     let reference = sizes.transferred(&mesh);
     assert_eq!(reference.1[mesh.positions.len() - 2..], [sizes.ids[sizes.ids.len() - 1], -1]);
@@ -175,13 +176,13 @@ fn search_visits_few_of_many_particles() {
     for count in [10_000, 100_000] {
         let crowd: Vec<DVec3> = (0..count).map(|_| direction(&mut state) * random(&mut state)).collect();
         let (most, all_found) = looks(&crowd, |_| 64.0, &points);
-        // From afar, a crowd has many particles at nearly the same distance, so the work grows with the
-        // crowd, but much more slowly.
+        // Seen from afar, many particles of a dense crowd have nearly the same distance. So the work grows
+        // with the number of particles, but much more slowly.
         assert!(all_found && most <= 640, "{most} of {count}");
-        // All at the same position.
+        // All particles are at the same position.
         let (most, all_found) = looks(&vec![DVec3::Y; count], |_| 64.0, &points);
         assert!(all_found && most <= 16, "{most} of {count}");
-        // None of them reaches that far; one does.
+        // No particle reaches the point; then exactly one does.
         assert_eq!(looks(&crowd, |_| 3.2, &points), (0, false));
         let (most, all_found) = looks(&crowd, |particle| if particle == 7 { 64.0 } else { 3.2 }, &points);
         assert!(all_found && most <= 16, "{most} of {count}");

@@ -1,15 +1,20 @@
 //! Finds the nearest particle that reaches a point, with a tree of bounding boxes.
 //!
 //! ```text
-//!   ┌─────────┬──────┐     Particles are split in half across the longest side of their bounding box, recursively, until
-//!   │∙ ∙    ∙ │    ∙ │     a box contains few. A search visits the nearer box first, and skips boxes that are farther than
-//!   │  ∙   ∙  ├──────┤     the best particle so far or than all their particles reach. So it visits a small part of the
-//!   │     ∙   │ ∙  ∙ │     particles, however far away they are. Cells of a fixed size cannot do that: they are too large
-//!   └─────────┴──────┘     for dense clusters or too small for isolated particles.
+//!   ┌─────────┬──────┐     Particles are split in half across the longest side of their bounding box,
+//!   │∙ ∙    ∙ │    ∙ │     recursively, until a box contains few particles.
+//!   │  ∙   ∙  ├──────┤
+//!   │     ∙   │ ∙  ∙ │
+//!   └─────────┴──────┘
 //! ```
 //!
-//! Invariant: the result is the minimum of (distance², index) over the particles that reach the point, in 64
-//! bits, whatever the boxes are. So particles that do not reach it have no influence.
+//! A search visits the nearer box first. It skips a box that is farther away than the nearest particle so
+//! far, or that is so far away that none of its particles reaches the point. So it visits a small part of the
+//! particles, however far away they are. A grid with a fixed cell size cannot do that: its cells are too
+//! large for dense clusters or too small for isolated particles.
+//!
+//! Invariant: the result is the minimum of (distance², index) over the particles that reach the point,
+//! computed in 64 bits, whatever the boxes are. So particles that do not reach the point have no influence.
 
 use glam::DVec3;
 
@@ -28,20 +33,21 @@ pub(super) struct TreeParticle {
 
 /// A tree of particles.
 pub(super) struct Tree {
-    /// The particles of a box are contiguous.
+    /// Indices of the particles; those of a box are contiguous.
     particles: Vec<u32>,
-    /// A box, followed by all boxes in its first half, then all boxes in its second half.
+    /// The boxes in preorder: a box is followed by all boxes in its first half, then all boxes in its second
+    /// half.
     boxes: Vec<NodeBounds>,
 }
 
-/// Bounds of a box's particles.
+/// Bounds over the particles of a box.
 #[derive(Clone, Copy)]
 struct NodeBounds {
     min: DVec3,
     max: DVec3,
-    /// Maximum over its particles.
+    /// The maximum of `limit_world` over the particles of the box.
     limit_world: f64,
-    /// Minimum index.
+    /// The minimum index of a particle in the box.
     first: u32,
 }
 
@@ -60,7 +66,8 @@ impl Tree {
         Tree { particles, boxes }
     }
 
-    /// The nearest particle that reaches a point; on ties, the first. [`NO_PARTICLE`] if none does.
+    /// The nearest particle that reaches a point; on ties, the one with the lowest index. [`NO_PARTICLE`] if
+    /// no particle reaches the point.
     pub(super) fn nearest(&self, point: DVec3, particle_at: impl FnMut(u32) -> TreeParticle) -> u32 {
         let mut search = NearestSearch { point, particle_at, nearest: (f64::INFINITY, NO_PARTICLE) };
         if point.is_finite() {
@@ -110,7 +117,8 @@ impl NodeBounds {
         })
     }
 
-    /// Lower bound for its particles. Rounding is monotone, so no particle is below it by even a bit.
+    /// A lower bound of (distance², index) for the particles of the box. Rounding is monotone, so no particle
+    /// is below this bound by even a bit.
     fn least(&self, point: DVec3) -> (f64, u32) {
         let outside = (self.min - point).max(point - self.max).max(DVec3::ZERO);
         (outside.length_squared(), self.first)
@@ -126,7 +134,7 @@ struct NearestSearch<F> {
 }
 
 impl<F: FnMut(u32) -> TreeParticle> NearestSearch<F> {
-    /// Searches a box; its halves are arranged as in [`halve`].
+    /// Searches the box `boxes[0]`. The boxes of its halves follow it, arranged by [`halve`].
     fn descend(&mut self, boxes: &[NodeBounds], particles: &[u32]) {
         let Some((bounds, rest)) = boxes.split_first() else { return };
         if !self.is_nearer(bounds.least(self.point), bounds.limit_world) {

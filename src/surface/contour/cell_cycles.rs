@@ -1,21 +1,22 @@
-//! How the surface cuts a cell, from the signs of its corners alone.
+//! Determines how the surface cuts a cell, from the signs of the cell's corners alone.
 //!
 //! On each face of a cell, the surface is drawn as segments between the midpoints of crossed edges: one
-//! segment around each run of inside corners along the boundary of the face.
+//! segment around each run of consecutive inside corners along the boundary of the face.
 //!
 //! ```text
 //!    ○─────○     ●──┼──○     ●──┼──○     ●──┼──○      ● inside   ○ outside
 //!    │     │     │  │  │     │   ╲ │     ┼─╯   │      ┼ crossed edge
 //!    ┼─╮   │     │  │  │     │    ╲┼     │   ╭─┼
-//!    ●──┼──○     ●──┼──○     ●─────●     ○──┼──●      the last: ambiguous; the insides are separated
+//!    ●──┼──○     ●──┼──○     ●─────●     ○──┼──●      the last face is ambiguous: its inside corners are
+//!                                                     separated
 //! ```
 //!
 //! The rule depends only on the four signs of the face, so both cells of a face draw the same segments. A
-//! crossed edge lies on two faces of its cell and ends one segment on each. Hence the segments of a cell form
-//! one to four simple closed *cycles*, each around one sheet of the surface.
+//! crossed edge lies on two faces of its cell, and on each of them one segment ends at the edge. Hence the
+//! segments of a crossed cell form one to four simple closed *cycles*, each around one sheet of the surface.
 //!
-//! Numbering. Corner `4x + 2y + z`. Edge `4a + 2b + c`: along axis a, at b and c on the two axes that
-//! follow a in the order x, y, z, x, y. Face `2a + side`: normal to axis a.
+//! Numbering: corner `4x + 2y + z` is at x, y and z. Edge `4a + 2b + c` is along axis a, at b and c on the
+//! two axes that follow a in the order x, y, z, x, y. Face `2a + side` is normal to axis a.
 
 use std::sync::LazyLock;
 
@@ -29,7 +30,7 @@ pub(super) struct CellCycles {
     pub(super) count: usize,
     /// For each cycle, a mask of the edges it passes through.
     pub(super) edges: [u16; 4],
-    /// For each edge its cycle, or [`NO_CYCLE`] if it is not crossed.
+    /// For each edge, the index of its cycle, or [`NO_CYCLE`] if the edge is not crossed.
     pub(super) of_edge: [u8; 12],
     /// A mask of the ambiguous faces whose two segments belong to the same cycle.
     pub(super) joined_faces: u8,
@@ -138,8 +139,8 @@ mod tests {
     fn ambiguous_faces_separate_the_inside_corners() {
         // Four inside corners, no two of them adjacent.
         assert_eq!(cell_cycles(0b0110_1001).count, 4);
-        // Two diagonally opposite inside corners of a face: separated. Their complement: one sheet around two
-        // outside corners.
+        // Two diagonally opposite inside corners of a face are separated. In the complement, the other six
+        // corners are inside, and one sheet surrounds both outside corners.
         assert_eq!(cell_cycles(0b0000_1001).count, 2);
         assert_eq!(cell_cycles(0b1111_0110).count, 1);
         assert_eq!(cell_cycles(0b1111_0110).joined_faces.count_ones(), 1);

@@ -10,9 +10,10 @@
 //!   minimize  Σ (∇φᵢ·(x − pᵢ))² + w·n·|x − mean p|²
 //! ```
 //!
-//! On a curved surface, the planes meet slightly outside it, by an amount that varies from cell to cell: a
-//! roughness that the smoother has just removed. So the point is then moved along ∇φ onto the zero set of an
-//! interpolant that includes curvature: trilinear, minus the error of trilinear interpolation on a quadratic:
+//! The tangent planes of a curved surface meet slightly outside it. By how much varies from cell to cell, so
+//! the vertices would bring back the roughness that smoothing has just removed. Therefore the vertex is moved
+//! along ∇φ onto the zero set of an interpolant that includes curvature. This interpolant is the trilinear
+//! one minus the error that it has for a quadratic function:
 //!
 //! ```text
 //!   φ(x) = lerp³ φ − Σₐ ½·xₐ(1 − xₐ)·lerp³ ∂ₐₐφ
@@ -20,8 +21,9 @@
 //!
 //! Measured on the sphere with a radius of 20 voxels in `tests/meniscus/surface`: with the planes alone, the
 //! rms error of the vertices is 0.007 voxels and the mesh's bending energy rises by 10 %; with the mean of
-//! the crossings, 0.012 and 13 %. With the projection, both end at 0.0003 and 0.1 %. The steps are limited,
-//! because where sheets meet in a sharp edge the planes are more accurate.
+//! the crossings, 0.012 and 13 %. With the projection onto the zero set, both variants end at 0.0003 voxels
+//! and 0.1 %. The projection steps are limited, because the planes are more accurate where sheets meet in a
+//! sharp edge.
 //!
 //! All coordinates are relative to the cell, so a surface moved by whole voxels keeps its shape.
 //!
@@ -44,13 +46,14 @@ use super::normals::unit_or_zero;
 pub(super) const CELL_MARGIN: f32 = 1.0 / 256.0;
 
 /// Weight of the spring to the mean of the crossings, relative to the planes. A larger weight rounds sharp
-/// edges; with a smaller one, nearly parallel planes throw the vertex sideways.
+/// edges; with a smaller one, nearly parallel planes move the vertex far along the surface.
 const SPRING_WEIGHT: f32 = 0.1;
 
 /// Number of projection steps.
 const PROJECTION_STEPS: usize = 2;
 
-/// Maximum length of a projection step, in voxels. A surface of curvature κ needs about κ/8.
+/// Maximum length of a projection step, in voxels. A surface of curvature κ (per voxel) needs a step of about
+/// κ/8.
 const PROJECTION_LIMIT: f32 = 0.125;
 
 /// Number of vertices that are computed at once.
@@ -310,8 +313,8 @@ impl CellSamples {
         blend(near, far, point.x)
     }
 
-    /// The midpoint of the segment that cuts `corner` off the near face along `axis`. `corner` holds the
-    /// coordinates on the two axes that follow.
+    /// The midpoint of the segment that cuts `corner` off the cell's face at coordinate 0 on `axis`. `corner`
+    /// holds the corner's coordinates on the next two axes.
     pub(super) fn segment_middle(&self, axis: usize, corner: [usize; 2]) -> Vec3 {
         let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
         let ends = [b * 4 + corner[1] * 2, c * 4 + corner[0]].map(|edge| self.edge_crossing(edge));
@@ -351,8 +354,7 @@ const CORNER_OFFSETS: [usize; 8] = {
     offsets
 };
 
-/// By how much the index, in a block, of the stencil's first voxel is smaller than that of the cell's first
-/// corner.
+/// In a block, the index of the cell's first corner minus the index of the stencil's first voxel.
 const STENCIL_START: usize = BLOCK_STEP[0];
 
 /// Offsets of the stencil's voxels from its first one, in a block.

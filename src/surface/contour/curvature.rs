@@ -1,16 +1,17 @@
 //! Computes the bending energy from φ.
 //!
-//! The bending energy is the integral of H² over the surface, where H is the mean curvature; smoothing
-//! reduces a linearized form of it, the thin-plate energy. (For a sphere of radius R, H = 1/R, and the
-//! integral is 4π for any radius.) On a mesh, curvature is visible only in the angles, which are rough; φ
-//! determines it at each voxel:
+//! The bending energy is the integral of H² over the surface, where H is the mean curvature. Smoothing
+//! reduces a linearized form of this integral, the thin-plate energy. (For a sphere of radius R, H = 1/R, and
+//! the integral is 4π for any radius.) A mesh shows curvature only in the angles between its triangles, which
+//! are rough. φ determines H at each voxel:
 //!
 //! ```text
 //!   H = ½ div (∇φ / |∇φ|) = ½ (|∇φ|² Δφ − ∇φᵀ ∇∇φ ∇φ) / |∇φ|³       central differences, 3 × 3 × 3 voxels
 //! ```
 //!
-//! The values are interpolated trilinearly at the mesh's vertices and integrated over its triangles. Vertices
-//! are processed in batches, one per SIMD lane; each needs the 4 × 4 × 4 voxels around its cell.
+//! H is interpolated trilinearly at the mesh's vertices, and H² is integrated over its triangles. Vertices
+//! are processed in batches, one vertex per SIMD lane. A vertex needs φ at the 4 × 4 × 4 voxels around its
+//! cell.
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
@@ -22,10 +23,10 @@ use crate::surface::mesh::{self, Mesh, TriangleBatch};
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 use crate::surface::space::Lattice;
 
-/// Where the slope of φ is below this, as between two sheets, the normal and the curvature are undefined.
+/// Where |∇φ| is smaller than this, as between two sheets, the normal and the curvature are undefined.
 const LEAST_SLOPE: f32 = 0.1;
 
-/// The grid cannot represent spheres smaller than a voxel.
+/// Maximum curvature, per voxel: the grid cannot represent spheres with a radius below one voxel.
 const GREATEST_CURVATURE: f32 = 1.0;
 
 /// Vertices or triangles per chunk. Sums are taken chunk by chunk, so that they do not depend on the number
@@ -42,7 +43,7 @@ pub fn bending_energy(band: &NarrowBand, lattice: &Lattice, mesh: &Mesh) -> f64 
     sums.iter().sum::<f64>() / lattice.voxel_size.powi(2)
 }
 
-/// Kernel: the sum of the energies of some triangles, in squared units of the mesh.
+/// Kernel: ∫H² over some triangles, with H per voxel and areas in squared units of the mesh.
 struct TriangleEnergies<'a> {
     mesh: &'a Mesh,
     curvatures: &'a [f32],
@@ -127,13 +128,13 @@ type VertexScalar = [f32; LANES];
 struct CurvatureBatch {
     count: usize,
     vertices: [usize; LANES],
-    /// Positions within their cells.
+    /// Positions of the vertices within their cells, 0 to 1, by axis.
     locals: [VertexScalar; 3],
-    /// φ around their cells, −1 to 2 on each axis, z fastest.
+    /// φ at the voxels −1 to 2 on each axis, counted from the vertex's cell; z fastest.
     phi: [VertexScalar; 64],
 }
 
-/// Strides along x, y and z within these 64 values.
+/// Strides along x, y and z in `CurvatureBatch::phi`.
 const STEP: [usize; 3] = [16, 4, 1];
 
 impl CurvatureBatch {

@@ -38,9 +38,9 @@
 //! one reflex corner. The diagonal from this corner (or, if there is none, either diagonal) splits it into
 //! two triangles that are not flipped. The center of a fan is on the edge itself, and its other additional
 //! vertices lie on the half-axes between the quadrants. Rounding preserves this order as long as it is finer
-//! than the margin. Where it might matter, the split is decided on the rounded positions, so the guarantee
-//! holds for the positions in the file, up to at least 16 384 voxels from the mesh's origin. Everywhere else,
-//! the split depends only on φ around the edge.
+//! than the margin. Where rounding might matter, the split is decided on the rounded positions, so the
+//! guarantee holds for the positions in the file, up to at least 16 384 voxels from the mesh's origin.
+//! Everywhere else, the split depends only on φ around the edge.
 //!
 //! This work is based on:
 //! Gregory M. Nielson. Dual Marching Cubes. 2004
@@ -200,9 +200,9 @@ impl MeshLayout {
         &self.patches[self.patch_of_leaf[leaf as usize] as usize]
     }
 
-    /// Counts what quads with additional vertices on faces (`Ring::joined_sides`) add: one vertex on the
-    /// edge, and two triangles plus one for each such side. There are few of these quads, and only next to
-    /// leaves that have vertices on faces.
+    /// Counts what quads with additional vertices on faces add. Each has one more vertex, on the edge. It
+    /// also has two more triangles, plus one for each side with an additional vertex (`Ring::joined_sides`).
+    /// There are few of these quads, and only next to leaves that have vertices on faces.
     fn count_vertices_on_edges(&mut self) {
         if self.patches.iter().all(|patch| patch.on_faces_count == 0) {
             return;

@@ -6,21 +6,21 @@
 //! ```text
 //!        3 ─────── 7        paths 0 → 7:   x y z   y z x   z x y    and, mirrored,   x z y   z y x   y x z
 //!       ╱│      ╱ ╱│
-//!      1 ───── 5   │        edges by their end point, each from its first voxel:
-//!      │ │  ╱  │   │          3 along an axis, 3 across a face, 1 through the cell: 7 per voxel
+//!      1 ───── 5   │        a voxel is the start of 7 edges:
+//!      │ │  ╱  │   │          3 along an axis, 3 across a face, 1 through the cell
 //!      │ 2 ────│── 6
 //!      │╱      │ ╱          a face is split along the diagonal from its first to its last corner, so
-//!      0 ───── 4            both its cells agree
+//!      0 ───── 4            the two cells that share it agree
 //! ```
 //!
 //! A tetrahedron has no ambiguous case: its inside corners are connected, and so are its outside corners. A
 //! vertex lies strictly inside each edge whose ends differ in sign, and one or two triangles separate the
-//! corners. So two triangles meet at each edge of the mesh (one from each tetrahedron of a face), and the
-//! triangles around a vertex follow the ring of tetrahedra around its edge. No triangle is degenerate: its
-//! corners lie on three edges that are either not coplanar, or share a single corner that is none of the
-//! vertices.
+//! inside corners from the outside corners. So two triangles meet at each edge of the mesh: one from each of
+//! the two tetrahedra that share a face, or both from one tetrahedron. The triangles around a vertex form a
+//! ring, because they follow the ring of tetrahedra around the edge that contains the vertex. No triangle is
+//! degenerate: its corners lie strictly inside three edges, and the three edges are not coplanar.
 //!
-//! Vertices are placed at the zero of the cubic through four voxels along the edge. Linear interpolation
+//! A vertex is placed at the zero of the cubic through φ at four voxels along its edge. Linear interpolation
 //! would pull a curved surface inward by an amount that depends on the direction of the edge.
 //!
 //! This work is based on:
@@ -43,7 +43,7 @@ use crate::surface::mesh::Mesh;
 /// voxel.
 const EDGE_MARGIN: f32 = 1.0 / 128.0;
 
-/// The surface φ = 0 in the tetrahedra. A normal is zero where φ does not define one.
+/// Triangulates φ = 0 in the tetrahedra. A vertex normal is zero where φ defines no normal.
 pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &MeshFrame) -> Mesh {
     let masks = negative_masks(&band.phi);
     let cases = tetrahedron_cases();
@@ -85,25 +85,27 @@ const NO_PATCH: u32 = u32::MAX;
 struct TetPatch {
     leaf: usize,
     neighborhood: LeafNeighborhood,
-    /// For each voxel, a mask of the crossed edges that start there: bit d for the edge to the voxel at
-    /// offset d, a corner number (1 to 7).
+    /// For each voxel, a mask of the crossed edges that start there: bit d is set for the edge to corner d (1
+    /// to 7) of the voxel's cell.
     crossed: Box<[u8; LEAF_VOXELS]>,
-    /// For each row of voxels, its first vertex relative to the patch; the last entry is the end.
+    /// For each row of voxels, the index of its first vertex, relative to the patch; the last entry is the
+    /// number of vertices.
     row_starts: [u16; ROW_COUNT + 1],
-    /// Index in the mesh of its first vertex.
+    /// Index of the patch's first vertex in the mesh.
     first_vertex: u32,
     triangle_count: usize,
 }
 
 impl TetPatch {
-    /// The patch of a leaf, if it contains anything.
+    /// The patch of a leaf; `None` if no crossed edge starts in the leaf.
     fn new(band: &NarrowBand, inside_masks: &[LeafMask], cases: &Cases, leaf: usize) -> Option<TetPatch> {
         let neighborhood = LeafNeighborhood::new(&band.topology, leaf);
         if !neighborhood.may_have_surface(inside_masks) {
             return None;
         }
         let rows = SignRows::new(&neighborhood, inside_masks);
-        // An edge belongs to its first voxel's leaf, even if all cells around it belong to others.
+        // An edge belongs to the leaf of its first voxel, even if all cells around the edge belong to other
+        // leaves.
         if (1..8).all(|end| rows.crossed_to(end).is_empty()) {
             return None;
         }
@@ -149,7 +151,7 @@ impl TetPatch {
         }
     }
 
-    /// The vertex on the edge from a voxel of the leaf to the voxel at offset `step`, a corner number.
+    /// The vertex on the edge from a voxel of the leaf to corner `step` of the voxel's cell.
     fn vertex(&self, voxel: IVec3, step: usize) -> u32 {
         let offset = offset_in_leaf(voxel);
         let before_in_row: u32 =
@@ -164,15 +166,17 @@ fn corner(number: usize) -> IVec3 {
     IVec3::new((number >> 2) as i32, (number >> 1 & 1) as i32, (number & 1) as i32)
 }
 
-/// Where the cubic through the two voxels of an edge, the one before and the one after is zero, as a fraction
-/// of the edge from a voxel to the corner `end` of its cell; and ∇φ at that point.
+/// The point where the surface crosses the edge from a voxel to the corner `end` of its cell, as a fraction
+/// of the edge, and ∇φ at that point. The point is the zero of the cubic through φ at the edge's two voxels,
+/// the voxel before them and the voxel after them.
 fn crossing(block: &PhiBlock, index: usize, end: usize) -> (f32, Vec3) {
     let step = (end >> 2) * BLOCK_STEP[0] + (end >> 1 & 1) * BLOCK_STEP[1] + (end & 1);
     let (one, other) = (block.phi(index), block.phi(index + step));
     let bends = [index, index + step].map(|index| block.second_difference(index, step));
     let mut t = one / (one - other);
-    // Secant steps with the slope of the chord. Curvature is a small correction; where it is not (noise,
-    // sheets), the steps are limited and the result stays between the voxels.
+    // Newton-like steps with a fixed slope, that of the linear interpolant. Usually the curvature of φ is a
+    // small correction. Where it is large (noise, sheets), the steps are limited, and the result stays
+    // between the voxels.
     for _ in 0..CROSSING_STEPS {
         let bulge = t * (1.0 - t) / 6.0 * ((2.0 - t) * bends[0] + (1.0 + t) * bends[1]);
         let phi = one + (other - one) * t - bulge;
@@ -182,7 +186,7 @@ fn crossing(block: &PhiBlock, index: usize, end: usize) -> (f32, Vec3) {
     (t, block.gradient(index).lerp(block.gradient(index + step), t))
 }
 
-/// Number of steps from the linear to the cubic crossing. Each gains about two digits.
+/// Number of steps from the linear to the cubic crossing. Each step gains about two digits of accuracy.
 const CROSSING_STEPS: usize = 2;
 
 /// Maximum length of these steps, in edge lengths.
@@ -218,7 +222,7 @@ impl TetMesh<'_> {
     }
 }
 
-/// The triangles in the tetrahedra of a cell with these signs, tetrahedron by tetrahedron.
+/// The triangles in a cell whose corners have these signs, tetrahedron by tetrahedron.
 fn triangles_in_cell(cases: &Cases, signs: u8) -> impl Iterator<Item = &[[[usize; 2]; 3]]> {
     KUHN_PATHS.iter().zip(cases).map(move |(path, cases)| {
         let case = (0..4).map(|k| usize::from(signs >> path[k] & 1) << k).sum::<usize>();
@@ -226,11 +230,12 @@ fn triangles_in_cell(cases: &Cases, signs: u8) -> impl Iterator<Item = &[[[usize
     })
 }
 
-/// The tetrahedra of a cell by their corners; of the six, the last three are mirror images.
+/// The tetrahedra of a cell, given by their corners. The last three are mirror images of the first three.
 const KUHN_PATHS: [[usize; 4]; 6] =
     [[0, 4, 6, 7], [0, 2, 3, 7], [0, 1, 5, 7], [0, 4, 5, 7], [0, 1, 3, 7], [0, 2, 6, 7]];
 
-/// Triangles by the edges of the cell that their corners are on, from corner to later corner.
+/// Triangles. Each corner of a triangle is given by the edge of the cell that it lies on: `[start, end]`, the
+/// numbers of the edge's first and last corner.
 type Triangles = Vec<[[usize; 2]; 3]>;
 
 /// For each tetrahedron and each sign pattern of its corners, the triangles that separate them.
@@ -248,13 +253,13 @@ fn triangles_of(path: [usize; 4], is_mirrored: bool, signs: usize) -> Triangles 
     let is_inside = |corner: usize| signs >> corner & 1 == 1;
     let inside_count = signs.count_ones();
     // An order of the corners that keeps the tetrahedron's orientation and starts with the side that has
-    // fewer corners, or with the inside corners if both have two.
+    // fewer corners, or with the inside corners if both sides have two.
     let leads = |corner: usize| is_inside(corner) == (inside_count <= 2);
     let lead_count = (0..4).filter(|&corner| leads(corner)).count();
     let order = EVEN_ORDERS.into_iter().find(|order| order[..lead_count].iter().all(|&corner| leads(corner)));
     let [i, j, k, l] = order.expect("some even permutation starts with any given corners");
     let edge = |one: usize, other: usize| [path[one.min(other)], path[one.max(other)]];
-    // Counter-clockwise as seen from the other side.
+    // Counter-clockwise as seen from the side of the remaining corners.
     let mut triangles = match lead_count {
         1 => vec![[edge(i, j), edge(i, k), edge(i, l)]],
         2 => vec![[edge(i, k), edge(i, l), edge(j, l)], [edge(j, l), edge(j, k), edge(i, k)]],
@@ -266,7 +271,7 @@ fn triangles_of(path: [usize; 4], is_mirrored: bool, signs: usize) -> Triangles 
     triangles
 }
 
-/// Even permutations of four corners: every single corner, and every pair, comes first in one of them.
+/// Even permutations of four corners: each corner, and each pair of corners, comes first in one of them.
 const EVEN_ORDERS: [[usize; 4]; 12] = [
     [0, 1, 2, 3],
     [0, 2, 3, 1],

@@ -8,10 +8,10 @@
 //!                                                                         triangles ─┴▶ their ranges
 //! ```
 //!
-//! Both methods guarantee for any φ: the mesh is closed; every edge is in two triangles with opposite
-//! directions; the triangles around a vertex form one ring; all triangles face outward; none is degenerate;
-//! and the three vertices of a triangle are distinct. Each leaf is processed independently and has a fixed
-//! range in the mesh, so the mesh is bit-identical on any number of threads.
+//! Both methods (see [`Contouring`]) guarantee for any φ: the mesh is closed; every edge is in two triangles
+//! with opposite directions; the triangles around a vertex form one ring; all triangles face outward; none is
+//! degenerate; and the three vertices of a triangle are distinct. Each leaf is processed independently and
+//! has a fixed range in the mesh, so the mesh is bit-identical on any number of threads.
 //!
 //! Inside is φ < 0; zero is outside. A band must store the voxels next to a sign change together with all
 //! their neighbors. Cells with a corner that is not stored are treated as empty.
@@ -44,7 +44,7 @@ word_enum! {
         /// Dual contouring: fewer and better shaped triangles
         #[default]
         Dual = "dual",
-        /// Marching tetrahedra: as the paper does, about four times as many triangles
+        /// Marching tetrahedra, as in the paper: about four times as many triangles
         Tetrahedra = "tetrahedra",
     }
 }
@@ -79,8 +79,8 @@ const NEAR_ORIGIN: i32 = 16384;
 const ORIGIN_STEP: i32 = 1024;
 
 impl MeshFrame {
-    /// Uses the world origin if all leaves are near it, and otherwise the median leaf. With the median, a
-    /// single stray particle does not reduce the precision of all others.
+    /// Places the mesh's origin at the world origin if all leaves are near it, and otherwise at the median
+    /// leaf. With the median, a single stray particle does not reduce the precision of all others.
     fn new(topology: &Topology, lattice: &Lattice) -> MeshFrame {
         let mut extent = CoordBox::EMPTY;
         for &origin in topology.origins() {

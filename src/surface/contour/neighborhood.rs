@@ -1,8 +1,9 @@
 //! Local copies of a leaf and its surroundings.
 //!
-//! Contouring works leaf by leaf. The cells of a leaf extend beyond its far faces; the stencils at their
-//! corners, and the cells that share an edge with them, extend beyond the near faces, too. So each leaf finds
-//! its 26 neighbors once and copies the values it needs:
+//! Contouring works leaf by leaf. The cells of a leaf extend beyond its far faces, those with the largest x,
+//! y and z. The stencils at the corners of these cells, and the other cells around their edges, also extend
+//! beyond the near faces. So contouring finds the 26 neighbors of each leaf once and copies the values that
+//! the leaf needs:
 //!
 //! ```text
 //!    voxel      −1 │ 0  1  2  3  4  5  6  7 │ 8   9
@@ -33,7 +34,7 @@ impl LeafNeighborhood {
         LeafNeighborhood { leaves: topology.neighborhood(leaf) }
     }
 
-    /// The leaf one `step` (−1, 0 or 1 on each axis) away.
+    /// The index of the leaf at offset `step`, in leaves (−1, 0 or 1 on each axis).
     #[inline(always)]
     pub(super) fn leaf(&self, step: IVec3) -> u32 {
         let slot = step + IVec3::ONE;
@@ -45,8 +46,8 @@ impl LeafNeighborhood {
         &self.leaves
     }
 
-    /// True if the surface may cross a cell of the leaf: false if the leaf and those that its cells extend
-    /// into are all inside, or all outside.
+    /// True if the surface may cross a cell of the leaf. False if the leaf and the leaves that its cells
+    /// extend into are all inside, or all outside.
     pub(super) fn may_have_surface(&self, inside_masks: &[LeafMask]) -> bool {
         let own = inside_masks[self.leaves[13] as usize];
         let is_uniform = own == LeafMask::EMPTY || own == LeafMask::FULL;
@@ -70,7 +71,7 @@ struct HaloSpan {
     first_voxel: usize,
 }
 
-/// The three spans of a halo from voxel −1 on, with `after` voxels of the next leaf.
+/// The spans of a halo in the previous leaf (1 voxel), the leaf itself (8) and the next leaf (`after`).
 #[inline(always)]
 fn spans(after: usize) -> [HaloSpan; 3] {
     [
@@ -84,7 +85,8 @@ fn spans(after: usize) -> [HaloSpan; 3] {
 #[derive(Clone, Debug)]
 pub(super) struct SignRows {
     inside: [[u16; 10]; 10],
-    /// Which voxels are stored in rows before, in and after the leaf, along x and along y.
+    /// Mask of the stored voxels of a row, by the row's position along x and along y: 0 before the leaf, 1 in
+    /// it, 2 after it.
     stored: [[u16; 3]; 3],
 }
 
@@ -192,7 +194,7 @@ impl SignRows {
     }
 
     /// The leaf's own voxels whose sign differs from that of corner `end` (numbered `4x + 2y + z`) of the
-    /// cell that starts at them. Both must be stored.
+    /// cell that starts at the voxel. Pairs with a voxel that is not stored are excluded.
     #[inline(always)]
     pub(super) fn crossed_to(&self, end: usize) -> LeafMask {
         let (end_x, end_y, end_z) = (end >> 2, end >> 1 & 1, end & 1);
@@ -204,7 +206,7 @@ impl SignRows {
         })
     }
 
-    /// The complete cells in the rows at x − 1: bit z + 1 for cell z.
+    /// The complete cells whose first voxel is at x − 1, as one row per y: bit z + 1 for cell z.
     #[inline(always)]
     fn complete_rows(&self, x: usize) -> [u16; 9] {
         let (near, far) = (&self.stored[x.div_ceil(8)], &self.stored[(x + 1).div_ceil(8)]);

@@ -1,17 +1,17 @@
 //! Vertex normals from φ.
 //!
-//! φ grows outward, so its gradient is the normal, smoother and more accurate than normals computed from
-//! triangles. Where the gradient vanishes (midway between two sheets) it has no direction, and the triangles
-//! are used instead.
+//! φ grows outward, so its gradient points along the normal, and is smoother and more accurate than normals
+//! computed from triangles. Midway between two sheets, the gradient vanishes and has no direction. There, the
+//! normal comes from the triangles.
 
 use glam::{DVec3, Vec3};
 
 use crate::surface::mesh::Mesh;
 
-/// A shorter gradient is mostly rounding error. (The gradient of a distance has length one.)
+/// Gradients shorter than this are mostly rounding error. (The gradient of a distance has length one.)
 const LEAST_SLOPE: f32 = 1e-3;
 
-/// The direction of a gradient, or zero if it is too short.
+/// The direction of a gradient, or zero if the gradient is too short.
 #[inline(always)]
 pub(super) fn unit_or_zero(gradient: Vec3) -> Vec3 {
     let length = gradient.length();
@@ -21,7 +21,7 @@ pub(super) fn unit_or_zero(gradient: Vec3) -> Vec3 {
 }
 
 /// Replaces each zero normal by the area-weighted mean of the vertex's triangle normals, or by the z axis if
-/// these cancel, as on a sheet folded flat.
+/// these cancel, as on a sheet that is folded flat.
 pub fn fill_zero_normals(mesh: &mut Mesh) {
     if mesh.normals.iter().all(|&normal| normal != Vec3::ZERO) {
         return;

@@ -3,10 +3,11 @@
 //! Each leaf first collects the vertices of its cells and of the cells just before them:
 //!
 //! ```text
-//!    cells      −1 │ 0  1  2  3  4  5  6  7        9 × 9 × 9: all cells around its edges
+//!    cells      −1 │ 0  1  2  3  4  5  6  7        9 × 9 × 9: all cells around edges of the leaf
 //! ```
 //!
-//! Quads without joined sides are then split in batches, one per SIMD lane. The others become fans.
+//! Quads without joined sides (defined in `ring.rs`) are then split in batches, one quad per SIMD lane. Quads
+//! with joined sides become fans of triangles around an additional vertex.
 
 use glam::{DVec3, IVec3, Vec3};
 
@@ -19,7 +20,7 @@ use crate::surface::grid::{offset_in_leaf, voxel_in_leaf};
 /// Input for the triangles.
 pub(super) struct Quads<'a> {
     pub(super) layout: &'a MeshLayout,
-    /// The vertices on faces: leaf, [`segment_key`], vertex; sorted.
+    /// The vertices on joined faces, as (leaf, [`segment_key`], vertex), sorted.
     pub(super) on_faces: Vec<(u32, u16, u32)>,
     /// Position of each vertex relative to its cell.
     pub(super) locals: &'a [Vec3],
@@ -82,9 +83,9 @@ impl Quads<'_> {
 
 /// The cells −1 ..= 7 around a leaf.
 struct CellGrid {
-    /// For each crossed cell, the vertex of its first cycle; the others follow it.
+    /// For each crossed cell, the vertex of its first cycle; the vertices of its other cycles follow.
     first_vertices: [u32; CELL_STEP[0] * 9],
-    /// The signs of its corners.
+    /// For each crossed cell, the signs of its corners.
     signs: [u8; CELL_STEP[0] * 9],
 }
 
@@ -199,11 +200,12 @@ struct QuadBatch {
 /// The two ways to split a quad into triangles, as indices of its corners.
 const CUTS: [[[usize; 3]; 2]; 2] = [[[0, 1, 2], [2, 3, 0]], [[1, 2, 3], [3, 0, 1]]];
 
-/// The second split must be better by this factor, so that rounding does not decide for a square.
+/// The second split must be better by this factor, so that rounding errors do not decide how a square is
+/// split.
 const CLEARLY_BETTER: f32 = 1.001;
 
-/// Triangles with at least this doubled area, in squared voxels and seen along the edge, are not flipped by
-/// rounding.
+/// Rounding cannot flip a triangle whose doubled area, projected along the edge, is larger than this, in
+/// squared voxels.
 const SAFE_AREA: f64 = 1.0 / 32.0;
 
 impl QuadBatch {
@@ -234,7 +236,8 @@ impl QuadBatch {
     }
 
     /// Writes the two triangles of each pending quad and clears the batch. Chooses the split whose worse
-    /// triangle is closer to equilateral, unless rounding the positions could flip or flatten one.
+    /// triangle is closer to equilateral. If rounding the positions could flip or flatten a triangle of that
+    /// split, [`is_second_larger`] decides.
     #[inline(always)]
     fn cut(&mut self, positions: &[Vec3], output: &mut TriangleOutput) {
         let choices = self.choose();
@@ -252,7 +255,8 @@ impl QuadBatch {
         self.count = 0;
     }
 
-    /// For each quad the better split by shape, [`FIRST`] or [`SECOND`], or [`UNSAFE`].
+    /// For each quad, the split with the better shapes, [`FIRST`] or [`SECOND`]; [`UNSAFE`] if rounding might
+    /// flip one of its triangles.
     #[inline(always)]
     fn choose(&self) -> [u32; LANES] {
         let mut choices = [UNSAFE; LANES];
@@ -287,11 +291,11 @@ const FIRST: u32 = 0;
 /// The second of [`CUTS`].
 const SECOND: u32 = 1;
 
-/// Rounding might flip this split.
+/// Rounding might flip a triangle of the better split.
 const UNSAFE: u32 = 2;
 
-/// True if the smallest triangle of the second split is larger than that of the first, for rounded positions
-/// seen along an axis.
+/// True if the smallest triangle of the second split is larger than that of the first. The areas are signed,
+/// and computed from rounded positions projected along an axis.
 fn is_second_larger(corners: [u32; 4], axis: usize, positions: &[Vec3]) -> bool {
     let seen = corners.map(|corner| {
         let position: DVec3 = positions[corner as usize].as_dvec3();

@@ -1,4 +1,5 @@
-//! The cells around an edge, and the faces between them whose segments need a vertex each.
+//! The cells around an edge, and the faces between these cells that need an additional vertex per segment.
+//! (Segments and cycles are defined in `cell_cycles.rs`.)
 //!
 //! ```text
 //!      ●──┼──○          An ambiguous face whose two segments belong to one cycle in both of its cells is
@@ -7,7 +8,7 @@
 //!      ○──┼──●
 //! ```
 //!
-//! Only thin sheets and noise have such faces. Everything here depends on signs alone.
+//! Only thin sheets and noise have such faces. All functions here depend on signs alone.
 
 use glam::IVec3;
 
@@ -15,9 +16,9 @@ use super::cell_cycles::{CellCycles, cell_cycles, corner_bit};
 use super::neighborhood::SignRows;
 use crate::surface::grid::{offset_in_leaf, voxel_in_leaf};
 
-/// The segments on the joined faces of a leaf, in the order of [`segment_key`]: the cell after the face, the
-/// axis normal to the face, and the inside corner that the segment cuts off, as coordinates on the two
-/// following axes.
+/// The segments on the joined faces of a leaf, in the order of [`segment_key`]. Each is given by the cell
+/// after the face, the axis normal to the face, and the inside corner that the segment cuts off. The corner
+/// has coordinates on the two axes that follow the normal.
 pub(super) fn joined_segments(rows: &SignRows) -> impl Iterator<Item = (IVec3, usize, [usize; 2])> + '_ {
     let cells: Vec<usize> = rows.crossed_cells().iter().collect();
     let cells = cells.into_iter().map(voxel_in_leaf).filter(|&cell| cycles_at(rows, cell).joined_faces != 0);
@@ -71,8 +72,8 @@ pub(super) struct Ring {
 /// The edge's position in each cell of a ring, as `2b + c`.
 pub(super) const RING_CELLS: [usize; 4] = [0, 2, 3, 1];
 
-/// For each side of a ring, which of the two axes is normal to it, and the cell on its far side: the one with
-/// the same first voxel as the face.
+/// For each side of a ring: the step from the ring's axis to the axis normal to the side (1 for b, 2 for c),
+/// and the cell on its far side, which has the same first voxel as the face.
 pub(super) const RING_SIDES: [(usize, usize); 4] = [(1, 0), (2, 1), (1, 3), (2, 0)];
 
 impl Ring {

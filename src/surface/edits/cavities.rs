@@ -2,15 +2,15 @@
 //!
 //! ```text
 //!   leaves   [▒▒][▒▒][▒▒]     ▒ stored: a shell around the bubble
-//!            [▒▒]    [▒▒]     the missing leaves in between are also outside; a search visits them one
-//!            [▒▒][▒▒][▒▒]     by one until the volume limit
+//!            [▒▒]    [▒▒]     the missing leaf in the middle is also outside; a search visits missing leaves
+//!            [▒▒][▒▒][▒▒]     one by one, up to the volume limit
 //! ```
 //!
 //! The search stops when the component exceeds the volume limit or leaves the bounding box of all leaves. So
-//! it takes a few steps for a bubble, and for the open outside no more than for the largest bubble.
+//! it takes few steps for a bubble, and for the open outside no more steps than for the largest bubble.
 //!
-//! A drop within a bubble does not count toward its volume. If the bubble is filled, the drop merges with its
-//! surroundings.
+//! A drop within a bubble does not count toward the bubble's volume. If the bubble is filled, the drop merges
+//! with its surroundings.
 
 use std::collections::VecDeque;
 
@@ -34,8 +34,8 @@ pub struct FilledCavities {
 
 /// Fills the enclosed components of the outside with fewer than `volume_voxels` voxels.
 ///
-/// Components with a voxel that is `kept` are not filled. `kept` maps a leaf's origin to the mask of such
-/// voxels and is called once per leaf.
+/// `kept` maps a leaf's origin to a mask of its voxels and is called once per leaf. Components with a voxel
+/// in such a mask are not filled.
 pub fn fill_cavities(
     band: &mut NarrowBand,
     volume_voxels: f64,
@@ -75,7 +75,8 @@ struct CavitySearch<'a> {
     topology: &'a Topology,
     components: Components,
     volumes: Vec<u64>,
-    /// All contacts between components and missing leaves, sorted by component and by leaf.
+    /// The contacts between components and missing leaves, sorted by component; `by_leaf` has the same
+    /// contacts sorted by leaf.
     by_component: Vec<(u32, [i32; 3])>,
     by_leaf: Vec<([i32; 3], u32)>,
     /// Bounding box of all stored leaves.
@@ -153,7 +154,7 @@ impl<'a> CavitySearch<'a> {
         }
     }
 
-    /// Continues the search from a missing leaf. Returns false if it is known to be open.
+    /// Continues the search from a missing leaf. Returns false if the leaf touches a component that is open.
     fn pass(&self, leaf: IVec3, walk: &mut CavityWalk) -> bool {
         for face in FACE_STEPS.map(|step| leaf.wrapping_add(step * LEAF_EDGE)) {
             if self.topology.find(face).is_none() {

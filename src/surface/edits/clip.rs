@@ -2,16 +2,16 @@
 //!
 //! ```text
 //!     ┊     box      ┊
-//!   ╭─┊──────────────┊──╮        ▒ stored leaves; c leaves of the caps: added where the box cuts through the deep
-//!   │▒┊▒▒▒▒▒▒▒▒▒▒▒▒▒▒┊▒▒│          interior, where no leaves are stored. Leaves outside the box are
-//!   │▒c              c ▒│          removed
+//!   ╭─┊──────────────┊──╮        ▒ stored leaves
+//!   │▒┊▒▒▒▒▒▒▒▒▒▒▒▒▒▒┊▒▒│        c leaves added for the caps, where the box cuts through the deep interior,
+//!   │▒c              c ▒│          which has no stored leaves. Leaves outside the box are removed
 //! ```
 //!
-//! Whether a gap between stored leaves is deep inside is determined as in a .vdb file: by the adjacent leaf
-//! faces along z.
+//! A gap between two stored leaves along z is deep inside if the two leaf faces next to it are inside, as in
+//! a .vdb file.
 //!
-//! A cap lies on its plane. If a plane passes within 1/128 voxel of a row of voxels, it is moved inward to
-//! that distance, because meshers fold a surface that almost touches voxels.
+//! A cap lies on its plane, with one exception: if a plane passes within 1/128 voxel of a layer of voxels,
+//! the cap is moved inward to that distance, because meshers fold a surface that almost touches voxels.
 //!
 //! Where a cap meets the fluid's own surface in a sharp edge, a mesher locates the edge only to a fraction of
 //! a voxel and may place vertices slightly beyond the plane. So the mesh is clamped to the box afterwards
@@ -27,7 +27,7 @@ use crate::surface::level_set::{NEAREST_TO_ZERO, NarrowBand};
 use crate::surface::mesh::Mesh;
 use crate::surface::space::Lattice;
 
-/// A box in world units, both corners included. An infinite side has no plane.
+/// A box in world units, including its boundary. A side at infinity does not clip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VoxelClip {
     /// Minimum corner.
@@ -42,8 +42,8 @@ impl VoxelClip {
         distance((self.min - world).max(world - self.max))
     }
 
-    /// Clamps mesh vertices to the box. Intended for vertices at the edges of caps, which are off by a
-    /// fraction of a voxel.
+    /// Clamps mesh vertices to the box. Intended for vertices at the edges of caps, which may be beyond the
+    /// box by a fraction of a voxel.
     pub fn clamp_mesh(&self, mesh: &mut Mesh) {
         let [least, most] = [self.min - mesh.origin, self.max - mesh.origin].map(|corner| corner.to_array());
         let (least, most) = (Vec3::from(least.map(rounded_up)), Vec3::from(most.map(rounded_down)));
@@ -102,7 +102,7 @@ pub fn clip(band: &mut NarrowBand, lattice: &Lattice, clip_box: &VoxelClip) -> C
     clipped
 }
 
-/// Number of inside voxels of the old leaves that are not inside in the new ones, or whose leaf was removed.
+/// Number of inside voxels of the old leaves that are outside in the new leaves, or whose leaf was removed.
 fn stored_difference(old: &Topology, inside: &[LeafMask], new: &Topology, left: &[LeafMask]) -> u64 {
     let flipped = |(&origin, inside): (&IVec3, &LeafMask)| {
         let mut flipped = *inside;
@@ -114,7 +114,7 @@ fn stored_difference(old: &Topology, inside: &[LeafMask], new: &Topology, left: 
     old.origins().iter().zip(inside).map(flipped).sum()
 }
 
-/// Consecutive missing leaves along z that are inside: the first, and one past the last.
+/// A run of missing leaves along z that are inside: the origin of the first leaf, and the z after the last.
 #[derive(Clone, Copy, Debug)]
 struct LeafGap {
     first: IVec3,
@@ -181,9 +181,9 @@ impl Cut {
         (self.min - first).max(last - self.max).max_element() <= -self.half_width
     }
 
-    /// The leaves of a gap that a cap needs.
+    /// The leaves of a gap that the caps need.
     fn cap_leaves(self, gap: LeafGap) -> impl Iterator<Item = IVec3> {
-        // At the planes across z; between them, only if one of the other planes is near.
+        // Leaves near the two z planes. Leaves between these planes only if the column is near another plane.
         let near = |plane: f64| self.leaves_between(plane, plane, &gap);
         let column = IVec3::new(gap.first.x, gap.first.y, 0);
         let (first, last) = (column.as_dvec3(), column.as_dvec3() + LAST_IN_LEAF);
@@ -199,7 +199,8 @@ impl Cut {
         leaves.filter(move |&origin| !self.is_beyond(origin) && !self.is_within(origin))
     }
 
-    /// The leaves of a gap, in units of leaves, within the half width of the range between two z.
+    /// The leaves of a gap within the half width of the z range `from` ..= `to` (voxels). The result is in
+    /// units of leaves.
     fn leaves_between(&self, from: f64, to: f64, gap: &LeafGap) -> std::ops::Range<i32> {
         let (first, end) = (gap.first.z / LEAF_EDGE, gap.end_z / LEAF_EDGE);
         let edge = f64::from(LEAF_EDGE);
@@ -242,13 +243,13 @@ impl Cut {
 /// From the first voxel of a leaf to the last.
 const LAST_IN_LEAF: DVec3 = DVec3::splat((LEAF_EDGE - 1) as f64);
 
-/// Distance to a box of a point this far beyond its planes, per axis.
+/// Signed distance of a point to a box, given how far the point lies beyond the planes on each axis.
 fn distance(excess: DVec3) -> f64 {
     let farthest = excess.max_element();
     if farthest > 0.0 { excess.max(DVec3::ZERO).length() } else { farthest }
 }
 
-/// Moves a distance away from zero.
+/// Replaces a distance that is almost zero by [`NEAREST_TO_PLANE`].
 fn off_zero(distance: f64) -> f64 {
     if distance.abs() < NEAREST_TO_PLANE { NEAREST_TO_PLANE } else { distance }
 }

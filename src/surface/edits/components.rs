@@ -36,7 +36,7 @@ struct LeafPart {
 /// The connected components of a set of voxels.
 #[derive(Clone, Debug)]
 pub(super) struct Components {
-    /// Start of each leaf's parts; one entry more than there are leaves.
+    /// Index of each leaf's first part; the last entry is the number of parts.
     starts: Vec<u32>,
     parts: Vec<LeafPart>,
     /// Number of components.
@@ -67,13 +67,13 @@ impl Components {
         Components { starts, parts, count }
     }
 
-    /// The component of a voxel, given by its leaf and relative to it; `None` if it is not in the set.
+    /// The component of the voxel at `local` in a leaf; `None` if the voxel is not in the set.
     pub(super) fn component_at(&self, leaf: usize, local: IVec3) -> Option<u32> {
         let offset = offset_in_leaf(local);
         self.of_leaf(leaf).find(|(_, mask)| mask.contains(offset)).map(|(component, _)| component)
     }
 
-    /// The components in a leaf, with their voxels. A component may occur more than once.
+    /// The components in a leaf, with their voxels there. A component may occur more than once.
     pub(super) fn of_leaf(&self, leaf: usize) -> impl Iterator<Item = (u32, &LeafMask)> {
         let parts = self.starts[leaf] as usize..self.starts[leaf + 1] as usize;
         self.parts[parts].iter().map(|part| (part.component, &part.mask))
@@ -170,7 +170,8 @@ pub(super) fn across(mask: &LeafMask, step: IVec3, connectivity: Connectivity) -
     aside.fold(touched, |all, axis| all.or(&widened(&touched, axis)))
 }
 
-/// Steps to half of the leaves that share a face with one, and to half of those that share an edge.
+/// Steps from a leaf to half of the leaves that share a face with it, and to half of those that share an
+/// edge: one of each pair of opposite steps.
 const HALF_OF_FACES: [IVec3; 3] = [IVec3::X, IVec3::Y, IVec3::Z];
 const HALF_OF_EDGES: [IVec3; 6] = [
     IVec3::new(1, 1, 0),
@@ -227,12 +228,13 @@ fn find(parents: &mut [u32], part: u32) -> u32 {
     root
 }
 
-/// For each part, the number of its component in the order of first parts; and the number of components.
+/// The component number of each part, and the number of components. Components are numbered in the order of
+/// their first parts.
 fn numbered(parents: &mut [u32]) -> (Vec<u32>, usize) {
     let mut numbers = vec![0; parents.len()];
     let mut count = 0;
     for part in 0..parents.len() as u32 {
-        // A root comes before its parts.
+        // A root comes before the other parts of its tree.
         let root = find(parents, part);
         if root == part {
             numbers[part as usize] = count;

@@ -1,14 +1,15 @@
 //! Updates distances where voxels changed sides.
 //!
 //! ```text
-//!   before     2  1  ●  ●  1  2  3  3  2  1  ●        an island ●● …
-//!   after      ∞  ∞  ∞  ∞  ∞  6  5  4  3  2 [1] ●     … is removed: distances are those to what remains
+//!   before     2  1  ●  ●  1  2  3  3  2  1  ●      ● inside: island (left), remaining fluid (right)
+//!   after      ∞  ∞  ∞  ∞  6  5  4  3  2 [1] ●      distances to the remaining fluid; ∞ is beyond the band,
+//!                                                   and [1] keeps its value
 //! ```
 //!
-//! When a component is removed, the distances around it can only grow. So distances within the band's half
-//! width of it are swept again, starting from the other voxels and from those next to the remaining surface,
-//! which keep their values: the remaining surface does not move. The larger of the old and the new distance
-//! is used.
+//! Removing a component can only increase the distances around it. So the distances within the band's half
+//! width of the component are swept again. The sweep starts from the voxels beyond that range and from the
+//! voxels next to the remaining surface. Both keep their values, so the remaining surface does not move. Each
+//! swept voxel gets the larger of its old and its new distance.
 
 use std::collections::BTreeMap;
 
@@ -28,7 +29,8 @@ pub(super) enum FlipSide {
     Outside,
 }
 
-/// Changes whole components of the other side, given as a mask per leaf in order, to `side`.
+/// Moves whole components from the other side to `side`. `flipped` has a mask of their voxels for each leaf,
+/// in the order of leaves.
 pub(super) fn flip(band: &mut NarrowBand, flipped: &[(usize, LeafMask)], side: FlipSide) {
     if flipped.is_empty() {
         return;
@@ -40,7 +42,8 @@ pub(super) fn flip(band: &mut NarrowBand, flipped: &[(usize, LeafMask)], side: F
         for offset in free.iter() {
             let distance = swept.values[offset].abs().min(band.half_width);
             let old = &mut phi.values[offset];
-            // A voxel that was on the other side counts as less than any distance.
+            // A voxel that was on the other side always gets the new distance, because its old φ has the
+            // other sign.
             *old = match side {
                 FlipSide::Inside => old.min(-distance),
                 FlipSide::Outside => old.max(distance),
@@ -49,7 +52,8 @@ pub(super) fn flip(band: &mut NarrowBand, flipped: &[(usize, LeafMask)], side: F
     }
 }
 
-/// The voxels whose distance may be that to a changed voxel, in a box around the changed voxels of each leaf.
+/// For each leaf, the voxels whose distance may be that to a changed voxel: those in a box around the changed
+/// voxels of any leaf.
 fn near(band: &NarrowBand, flipped: &[(usize, LeafMask)]) -> BTreeMap<usize, LeafMask> {
     let reach = band.half_width.ceil() as i32 + 1;
     let mut near: BTreeMap<usize, LeafMask> = BTreeMap::new();
@@ -72,12 +76,13 @@ fn near(band: &NarrowBand, flipped: &[(usize, LeafMask)]) -> BTreeMap<usize, Lea
     near
 }
 
-/// The voxels of a leaf that are in a box. Both are given in the same coordinates.
+/// The voxels of a leaf that are in a box. The box and the leaf's origin have the same coordinate system.
 fn box_mask(voxels: &CoordBox, leaf: IVec3) -> LeafMask {
     LeafMask::from_fn(|offset| voxels.contains(leaf + voxel_in_leaf(offset)))
 }
 
-/// The leaves that change: the mask of changed voxels, and the swept values.
+/// The leaves around the changed voxels. For each: its index, the mask of voxels to update, and the swept
+/// values.
 fn sweep(
     band: &NarrowBand,
     flipped: &[(usize, LeafMask)],
@@ -95,7 +100,7 @@ fn sweep(
         let index = flipped.binary_search_by_key(&leaf, |(leaf, _)| *leaf);
         index.map_or(LeafMask::EMPTY, |index| flipped[index].1)
     };
-    // Voxels that are on that side now.
+    // The voxels that are on `side` after the flip.
     let is_on_side = |phi: f32| (phi < 0.0) == (side == FlipSide::Inside);
     let on_side = |&leaf: &usize| {
         let values = &band.phi.leaves[leaf].values;
@@ -117,7 +122,7 @@ fn sweep(
     let mut distance = Field { leaves: of_band.iter().zip(&free).map(values).collect() };
     let mut fixed = vec![LeafMask::FULL; free.len()];
     fixed.iter_mut().zip(&free).for_each(|(fixed, free)| fixed.remove_all(free));
-    // A sweep advances one voxel along the axes, and the diagonal is √3 times as long.
+    // Each sweep advances one voxel along the axes. Along a diagonal, a distance d takes √3 d such steps.
     let sweeps = Sweeps::accurate((3f32.sqrt() * band.half_width).ceil() as u32);
     extend(&topology, &mut distance, &fixed, sweeps);
     of_band.into_iter().zip(free).zip(distance.leaves).collect()

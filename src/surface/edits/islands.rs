@@ -1,8 +1,8 @@
 //! Removes islands: components of the inside with few particles.
 //!
-//! A particle belongs to the component of the nearest inside corner of its cell. Usually only particles near
-//! the surface are stored. So a component with leaves so deep inside that they are not stored is kept without
-//! counting: one such leaf has room for hundreds of particles.
+//! A particle belongs to the component of the nearest inside corner of its cell. Usually the caller gives
+//! only the particles near the surface. So a component that extends into leaves deep inside, which are not
+//! stored, is kept without counting: one such leaf has room for hundreds of particles.
 
 use std::sync::Arc;
 
@@ -16,9 +16,9 @@ use crate::surface::level_set::NarrowBand;
 /// Result of removing islands.
 #[derive(Clone, Debug)]
 pub struct DroppedIslands {
-    /// Number of components.
+    /// Number of removed components.
     pub piece_count: usize,
-    /// Number of given particles in them.
+    /// Number of given particles in the removed components.
     pub particle_count: u64,
     /// Number of voxels that changed from inside to outside.
     pub voxel_count: u64,
@@ -29,8 +29,8 @@ pub struct DroppedIslands {
 
 /// Removes the components of the inside with fewer than `particle_count_least` particles.
 ///
-/// `particles` yields each leaf's origin and particle positions, in voxels relative to it (0 to 8 on each
-/// axis). Particles that are not given are not counted.
+/// `particles` yields each leaf's origin and particle positions, in voxels relative to the origin (0 to 8 on
+/// each axis). Particles that are not given are not counted.
 pub fn drop_islands<P: AsRef<[Vec3]>>(
     band: &mut NarrowBand,
     particle_count_least: u64,
@@ -78,7 +78,7 @@ impl DroppedIslands {
             .collect();
         let mut counts = vec![0; self.components.count];
         for (origin, locals) in particles {
-            // Cells extend into the leaves after their own.
+            // The cells of a leaf extend into the leaves after it.
             let reached =
                 (0..8).filter_map(|k| self.topology.find(origin.wrapping_add(corner(k) * LEAF_EDGE)));
             if !reached.into_iter().any(|leaf| has_candidate[leaf]) {

@@ -3,11 +3,12 @@
 //! ```text
 //!     ∙   ∙   ∙
 //!      ∙  ●──────▶ ○      the mean displacement of the particles around the point, weighted by (1 − r²/R²)³:
-//!     ∙   ∙   ∙           R is the distance of the nearest one plus one spacing
+//!     ∙   ∙   ∙           r is a particle's distance, R the distance of the nearest one plus one spacing
 //! ```
 //!
-//! With ids, the displacement of a particle is known. With velocities, it comes from the trapezoidal rule
-//! with one correction: the mean of the velocities at both ends, exact for a constant acceleration. With the
+//! With ids, the displacement of a particle is known. With velocities, it is the time step times the mean of
+//! the velocities at both ends (the trapezoidal rule), which is exact for a constant acceleration. The
+//! velocity at the far end is evaluated twice: at a predicted position and at the corrected one. With the
 //! velocity at the start only, a drop in free fall would flicker by g dt².
 
 use glam::{DVec3, Vec3};
@@ -21,7 +22,8 @@ pub const CARRY_REACH: f64 = 3.0;
 /// Particles are weighted up to this distance beyond the nearest one, in spacings.
 const BEYOND_NEAREST: f64 = 1.0;
 
-/// Search radius for all of them, in spacings. The first guess of a carried position may be off by this much.
+/// Search radius for the weighted particles, in spacings. It is also the limit for the distance of the
+/// nearest particle from a predicted position, because the prediction may be off by this much.
 pub(super) const SEARCH_RADIUS: f64 = CARRY_REACH + BEYOND_NEAREST;
 
 /// The position of a point of `from` in the frame `to`, the next one (`direction` 1) or the previous one
@@ -40,7 +42,7 @@ pub(super) fn carry(
             let ids = from.particles.ids.as_deref()?;
             let displacement = |index: usize| {
                 let id = ids.get(index)?;
-                // Shared ids are not in the table.
+                // Ids that several particles share are not in the table.
                 let (other, own) = (*to.index_of.get(id)?, *from.index_of.get(id)?);
                 let position =
                     |frame: &FlickerFrame, index: u32| frame.particles.positions.position(index as usize);
@@ -51,7 +53,7 @@ pub(super) fn carry(
         Carrier::Velocities { seconds } => {
             let step = direction * seconds;
             // Evaluated at the particles' mean position instead of on the surface, because more particles
-            // surround it.
+            // surround the mean position.
             let Mean { vector: here, position } = mean(from, point, (limit, spacing), velocity_in(from))?;
             let there = |position: DVec3| {
                 Some(mean(to, position, (SEARCH_RADIUS * spacing, spacing), velocity_in(to))?.vector)
@@ -77,8 +79,8 @@ struct Mean {
     position: DVec3,
 }
 
-/// The means over the particles around a point for which `vector` is known. `None` if the nearest of them is
-/// farther than `limit`, world units.
+/// The means over the particles around a point for which `vector_of` returns a value. `None` if the nearest
+/// of these particles is farther than `limit`, in world units.
 fn mean(
     frame: &FlickerFrame,
     point: DVec3,
@@ -93,7 +95,7 @@ fn mean(
     for run in near.runs(cell) {
         let corner = run.step.as_vec3() - local;
         for slot in run.slots {
-            // In cell edges, the search radius of the grid.
+            // In units of the cell edge, which is the search radius of the grid.
             let apart = (corner + Vec3::new(x[slot], y[slot], z[slot])).as_dvec3();
             if apart.length_squared() <= 1.0
                 && let Some(vector) = vector_of(near.indices()[slot] as usize).filter(|v| v.is_finite())

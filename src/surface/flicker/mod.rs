@@ -9,8 +9,9 @@
 //!   flicker of the point = (s(t − 1) − 2 s(t) + s(t + 1)) / d       s(t) = 0; d is the particle spacing
 //! ```
 //!
-//! A surface that moves with its particles scores 0, however fast, and one that grows evenly along them
-//! scores nearly 0: terms of first order in time cancel. `docs/flicker.md` has the definition for users.
+//! A surface that moves with its particles scores 0, however fast they move. A surface that grows or thins at
+//! a constant rate scores nearly 0, because terms of first order in time cancel. `docs/flicker.md` has the
+//! definition for users.
 //!
 //! Invariants: the same frames give the same bits on any number of threads; scaling positions and spacing by
 //! a power of two changes no value.
@@ -38,7 +39,7 @@ use sampling::samples;
 /// Upper limit of the distances from a surface, in spacings; larger ones are clamped.
 pub const REACH: f64 = 2.0;
 
-/// How points are carried to the next frame.
+/// How points are carried to the frame before and the frame after.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Carrier {
     /// By the positions of particles with the same id.
@@ -84,11 +85,11 @@ pub struct ScoredPoint {
 /// The flicker of a frame, relative to the frames before and after it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FrameFlicker {
-    /// Points that were carried to both neighbours.
+    /// Points that were carried to the frames before and after.
     pub points: Vec<ScoredPoint>,
-    /// Number of other points: no particle near them can be followed to both neighbours.
+    /// Number of other points: no particle near them can be followed to both of these frames.
     pub untracked_count: usize,
-    /// Number of carried points [`REACH`] or farther from a surface, whose distance is clamped to that.
+    /// Number of carried points whose distance from a surface was clamped to [`REACH`].
     pub clamped_count: usize,
 }
 
@@ -115,8 +116,8 @@ impl FlickerFrame {
         !self.particles.positions.is_empty()
     }
 
-    /// Whether its particles, if any, can be carried this way: by ids of which at most half are shared, or by
-    /// velocities.
+    /// Whether points can be carried this way by its particles, if it has any: by ids, if at least half of
+    /// the particles have an id of their own, or by velocities.
     pub fn has(&self, carrier: Carrier) -> bool {
         match carrier {
             Carrier::Ids => 2 * self.index_of.len() >= self.particles.positions.len(),
@@ -136,10 +137,10 @@ fn index_of(ids: &[i64]) -> FxHashMap<i64, u32> {
     index_of
 }
 
-/// The flicker of the middle frame at `sample_count` points, evenly by area. `spacing` is that of all three
-/// frames.
+/// The flicker of the middle frame at `sample_count` points, which are distributed evenly by area. `spacing`
+/// is the particle spacing of all three frames, world units.
 ///
-/// Without particles to carry them, no point is carried; without a surface, the result has no points.
+/// If the middle frame has no particles, no point is carried; if it has no surface, the result has no points.
 pub fn flicker(
     [before, middle, after]: [&FlickerFrame; 3],
     carrier: Carrier,

@@ -1,9 +1,9 @@
-//! Points on a surface, evenly by area; the same triangles give the same points.
+//! Samples points on a surface, evenly by area. The same triangles give the same points.
 //!
 //! ```text
 //!   |  1  |2|    3    |4|  5   |      the areas of the triangles, end to end
-//!     ●   ● | ●   ●   ●   ●   ●       a point in the middle of each of N equal parts;
-//!                                     within its triangle, the terms of a low-discrepancy sequence
+//!     ●   ● | ●   ●   ●   ●   ●       N points: one in the middle of each of N equal parts of the area;
+//!                                     its position in its triangle is a term of a low-discrepancy sequence
 //! ```
 //!
 //! Martin Roberts. The unreasonable effectiveness of quasirandom sequences. 2018
@@ -13,7 +13,8 @@ use glam::DVec3;
 /// The fractions that define the sequence: 1/g and 1/g², with g³ = g + 1.
 const STEPS: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_3];
 
-/// `count` points on triangles with an area, each with the normal of its triangle. None without triangles.
+/// `count` points on triangles of positive total area, each with the normal of its triangle. Empty if there
+/// are no triangles.
 pub(super) fn samples(triangles: &[[DVec3; 3]], count: usize) -> Vec<(DVec3, DVec3)> {
     let mut ends = Vec::with_capacity(triangles.len());
     let mut area = 0.0;

@@ -16,7 +16,7 @@ pub struct Distribution {
 }
 
 impl Distribution {
-    /// The summary of these numbers. Their order decides how sums are rounded.
+    /// The summary of these numbers. Their order affects only the rounding of `rms`.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Distribution {
         let mut sizes: Vec<f64> = values.into_iter().map(f64::abs).collect();
         let count = sizes.len();

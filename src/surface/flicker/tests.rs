@@ -28,8 +28,8 @@ fn sphere(radius: f64, center: DVec3, rings: u32) -> MeshDistance {
     MeshDistance::new(&positions, &triangles.collect::<Vec<_>>())
 }
 
-/// How far the quads of such a sphere are inside it, in radii: slightly more than the sagitta of half a
-/// diagonal.
+/// Upper limit of the depth of such a sphere's quads below the exact sphere, in radii: slightly more than the
+/// sagitta of half a diagonal.
 fn chord_error(rings: u32) -> f64 {
     (std::f64::consts::PI / f64::from(rings)).powi(2) / 4.0
 }
@@ -55,8 +55,8 @@ fn particles(
     }
 }
 
-/// The flicker of a ball with these centres and radii at three times, `seconds` apart, and with velocities of
-/// the centre.
+/// The flicker of a ball with these centres and radii at three times, `seconds` apart. The particles have the
+/// velocities of the centre.
 fn of_ball(
     centers: [DVec3; 3],
     velocities: [DVec3; 3],
@@ -94,8 +94,8 @@ fn still_and_uniformly_moving_balls_do_not_flicker() {
 
 #[test]
 fn falling_ball_does_not_flicker() {
-    // x = g t²/2 at t = 1/4, 1/2, 3/4, where g dt² is four spacings: with the velocity alone, points would be
-    // two spacings off.
+    // x = g t²/2 at t = 1/4, 1/2, 3/4, where g dt² is four spacings. Points that move only by the velocity
+    // would be two spacings off.
     let g = DVec3::new(0.0, -6.4, 0.0);
     let times = [0.25, 0.5, 0.75];
     for carrier in BOTH {
@@ -141,7 +141,7 @@ fn alternating_radius_scores_four_amplitudes() {
 
 #[test]
 fn even_growth_does_not_flicker_but_accelerated_growth_does() {
-    // The radius grows by 0.05 per frame, half a spacing; the particles scale along.
+    // The radius grows by 0.05 per frame, half a spacing, and the lattice of particles is scaled with it.
     let rest = ball(1.0);
     let found = |scales: [f64; 3]| {
         let frames = [0, 1, 2].map(|t| {
@@ -152,8 +152,8 @@ fn even_growth_does_not_flicker_but_accelerated_growth_does() {
     };
     let even = found([0.95, 1.0, 1.05]);
     assert!(even.rms < 0.01, "{even:?}");
-    // Points are beyond the particles and move as fast as these: a tenth of the acceleration, or less,
-    // remains.
+    // Points outside the outermost particles move with the velocity of these particles. So a tenth of the
+    // acceleration, or less, remains as flicker.
     let uneven = found([0.98, 1.0, 1.06]);
     assert!(uneven.rms < 0.1 * 0.04 * 1.1 / SPACING + 0.01, "{uneven:?}");
 }
@@ -179,7 +179,7 @@ fn vanished_surface_counts_as_the_maximum_distance() {
 
 #[test]
 fn points_without_particles_are_counted_and_left_out() {
-    // Half of the sphere is 1 away from all particles.
+    // Half of the sphere is at a distance of 1 from all particles.
     let rest: Vec<DVec3> = ball(1.0).into_iter().filter(|at| at.x <= 0.0).collect();
     let frame = |ids: Option<Vec<i64>>| {
         let mut particles = particles(&rest, |at| at, |_| DVec3::ZERO);
@@ -191,7 +191,7 @@ fn points_without_particles_are_counted_and_left_out() {
     assert_eq!(found.points.len() + found.untracked_count, SAMPLES);
     assert!((0.3..0.5).contains(&(found.untracked_count as f64 / SAMPLES as f64)), "{found:?}");
     assert!(found.points.iter().all(|point| point.position.x < 0.35 && point.value.abs() < 1e-9));
-    // Ids of other particles, and ids that all particles share.
+    // All particles of a frame share an id; then a frame has ids that the other frames lack.
     for ids in [vec![-1; rest.len()], (0..rest.len() as i64).map(|index| -1 - index).collect()] {
         let strange = frame(Some(ids));
         for frames in [[&strange, &one, &one], [&one, &strange, &one], [&one, &one, &strange]] {
@@ -219,7 +219,8 @@ fn thread_count_does_not_change_the_result() {
 fn samples_of_one_triangle_spread_over_it() {
     let triangle = [DVec3::ZERO, DVec3::X, DVec3::Y];
     let points = samples(&[triangle], 400);
-    // Of 100 squares that part the triangle's bounding box, 45 are inside and 10 are halves at its edge.
+    // A grid of 100 squares divides the triangle's bounding box: 45 squares are inside the triangle, and its
+    // edge halves 10 squares.
     let squares: std::collections::HashSet<[i32; 2]> =
         points.iter().map(|(point, _)| [(10.0 * point.x) as i32, (10.0 * point.y) as i32]).collect();
     assert!(squares.len() >= 50, "{}", squares.len());

@@ -32,14 +32,15 @@ impl Leaf {
         &self.values.as_chunks::<8>().0[row]
     }
 
-    /// Row `x·8 + y`, to change.
+    /// Mutable row `x·8 + y`.
     #[inline(always)]
     pub fn row_mut(&mut self, row: usize) -> &mut Row {
         &mut self.values.as_chunks_mut::<8>().0[row]
     }
 }
 
-/// One value for every voxel of the leaves of a [`Topology`](crate::surface::Topology), in its order.
+/// One value for every voxel of the leaves of a [`Topology`](crate::surface::Topology), in the topology's
+/// order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Field {
     /// One entry per leaf.

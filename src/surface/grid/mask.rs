@@ -8,14 +8,14 @@ use super::stencil::ROW_COUNT;
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 use crate::surface::space::CoordBox;
 
-/// 512 bits: word x, byte y of the word, bit z of the byte.
+/// A set of voxels of a leaf. Voxel (x, y, z) is bit z of byte y of word x.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LeafMask {
     /// One word per x.
     pub words: [u64; 8],
 }
 
-/// The first voxel of every row of a word.
+/// In a word, the first voxel of every row.
 const FIRST_OF_ROWS: u64 = 0x0101_0101_0101_0101;
 
 impl LeafMask {
@@ -74,9 +74,9 @@ impl LeafMask {
         (0..64).fold(0, |rows, row| rows | u64::from(self.row(row) & along_z != 0) << row)
     }
 
-    /// The mask shifted along an axis by `steps` (1 to 7) in both directions: the voxels whose predecessor,
-    /// and the voxels whose successor, at that distance is in the mask. `before` and `after` are the masks of
-    /// the leaves beyond the two faces.
+    /// The mask shifted along an axis by `steps` (1 to 7) in both directions. The first result has the voxels
+    /// whose predecessor at that distance is in the mask, the second those whose successor is. `before` and
+    /// `after` are the masks of the two adjacent leaves on the axis.
     pub fn shifted(&self, axis: usize, steps: usize, before: &LeafMask, after: &LeafMask) -> [LeafMask; 2] {
         debug_assert!((1..=7).contains(&steps));
         let (own, before, after) = (&self.words, &before.words, &after.words);
@@ -123,8 +123,8 @@ impl LeafMask {
         LeafMask { words: std::array::from_fn(|x| self.words[x] & other.words[x]) }
     }
 
-    /// The voxels that are in the mask with all six face neighbors. `faces` are the masks of the leaves
-    /// beyond the faces, in the order of [`Direction`](super::Direction).
+    /// The voxels in the mask whose six face neighbors are also in the mask. `faces` are the masks of the
+    /// leaves beyond the faces, in the order of [`Direction`](super::Direction).
     pub fn surrounded(&self, faces: [&LeafMask; 6]) -> LeafMask {
         (0..3).fold(*self, |left, axis| {
             let [before, after] = self.shifted(axis, 1, faces[2 * axis], faces[2 * axis + 1]);
@@ -206,7 +206,7 @@ mod tests {
     use super::*;
     use crate::surface::grid::{offset_in_leaf, voxel_in_leaf};
 
-    /// A mask with about `of_16` of 16 voxels, different for each seed.
+    /// A mask with about `of_16` sixteenths of the voxels, different for each seed.
     fn scattered(seed: u32, of_16: u32) -> LeafMask {
         LeafMask::from_fn(|offset| {
             let mixed = (offset as u32 ^ seed << 10).wrapping_mul(0x9e37_79b9);

@@ -8,11 +8,11 @@
 //!
 //!   one leaf            value index = x·64 + y·8 + z        (z fastest)
 //!                       a row is the 8 values along z: one vector register
-//!                       mask word x, byte y of it, bit z
+//!                       mask bit of a voxel = bit z of byte y of word x
 //! ```
 //!
-//! All fields of a frame share one [`Topology`]. A field is a single flat, aligned allocation of leaves in the
-//! topology's order. The grid does not depend on distances or particles.
+//! All fields of a frame share one [`Topology`]. A field is a single flat, aligned allocation of leaves in
+//! the topology's order. The grid does not depend on distances or particles.
 //!
 //! Invariants: leaf origins are multiples of 8, distinct, and sorted in the depth-first order of an OpenVDB
 //! tree, so that a tree can be written in one pass; `neighbors` is symmetric.

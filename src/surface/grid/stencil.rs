@@ -2,12 +2,12 @@
 //!
 //! ```text
 //!   row (x, y): the 8 values along z.        y+1   ........
-//!   A 7-point stencil needs five rows and     y   p cccccccc n     p, n: ends of the rows beyond ±z
+//!   A 7-point stencil needs five rows and     y   p cccccccc n     p, n: nearest values of the leaves at ±z
 //!   two single values:                       y-1   ........        x±1: rows above and below the page
 //! ```
 //!
-//! Where the neighboring leaf is not stored, the leaf's own last rows are used instead, which gives a slope
-//! of about zero. The narrow band is wide enough that no result depends on it.
+//! Where a neighboring leaf is not stored, the leaf's own last rows replace the missing rows, which gives a
+//! slope of about zero. The narrow band is wide enough that no result depends on this slope.
 
 use super::leaf::{Leaf, Row};
 use super::topology::{Direction, NO_LEAF};
@@ -40,16 +40,17 @@ impl<'a> Neighborhood<'a> {
 
 /// The eight rows at one x of a leaf, with the rows and values around them.
 ///
-/// This precomputes for eight rows what [`Neighborhood`] finds for each, and keeps it in registers: the inner
-/// loops of the smoother are built on it. Parts that a loop does not use cost nothing.
+/// A slab looks up the surroundings of eight rows at once and keeps the references in registers. The inner
+/// loops of the smoother work on slabs. Parts that a loop does not use cost nothing.
 #[derive(Clone, Copy)]
 pub struct Slab<'a> {
     rows: &'a StencilRows,
-    /// The slabs at x − 1, x + 1, x − 2 and x + 2.
+    /// The rows at x − 1, x + 1, x − 2 and x + 2.
     across_x: [&'a StencilRows; 4],
-    /// The slabs before and after along y, if they are stored.
+    /// The rows at the same x in the leaves before and after along y, if they are stored.
     beyond_y: [Option<&'a StencilRows>; 2],
-    /// The slabs before and after along z, and the index in their rows adjacent to this one.
+    /// The rows at the same x in the leaves before and after along z, and the z of the values next to this
+    /// leaf. If a leaf is not stored, the slab's own rows and their end.
     beyond_z: [(&'a StencilRows, usize); 2],
 }
 
@@ -60,7 +61,7 @@ type StencilRows = [Row; 8];
 type Shifted<V> = [V; 2];
 
 impl<'a> Slab<'a> {
-    /// The row itself.
+    /// Row `y` itself.
     #[inline(always)]
     pub fn row<V: Lanes>(&self, y: usize) -> V {
         V::load(&self.rows[y & 7])
@@ -115,7 +116,7 @@ impl<'a> Slab<'a> {
     #[inline(always)]
     pub fn second_along_z<V: Lanes>(&self, y: usize, [before, after]: Shifted<V>) -> Shifted<V> {
         let [(first, from), (last, to)] = self.beyond_z;
-        // One voxel farther into the neighbor; if it is not stored, the row's own end.
+        // One voxel farther into the neighboring leaf; if that leaf is not stored, the row's own end.
         let (first, last) = (first[y & 7][from.saturating_sub(1) & 7], last[y & 7][(to + 1).min(7)]);
         [before.shift_up(first), after.shift_down(last)]
     }
@@ -130,7 +131,7 @@ impl<'a> Slab<'a> {
         sum.sub(V::splat(6.0).mul(self.row(y)))
     }
 
-    /// |∇| of row `y` by central differences, voxel units.
+    /// The norm of the gradient in row `y`, by central differences, voxel units.
     #[inline(always)]
     pub fn gradient_norm<V: Lanes>(&self, y: usize) -> V {
         let ([xm, xp], [ym, yp], [zm, zp]) =
@@ -141,7 +142,7 @@ impl<'a> Slab<'a> {
 }
 
 impl<'a> Neighborhood<'a> {
-    /// The rows at one x.
+    /// The slab at one x.
     #[inline(always)]
     pub fn slab(&self, x: usize) -> Slab<'a> {
         let x = x & 7;
@@ -176,14 +177,14 @@ fn rows_of(leaf: &Leaf, x: usize) -> &StencilRows {
     &rows.as_chunks::<8>().0[x & 7]
 }
 
-/// The slabs that contain any of these rows (bit `x·8 + y`): x, and a mask of the rows' y.
+/// The slabs that contain any of the given rows (bit `x·8 + y`). Each item is x and the y of the slab's rows.
 #[inline(always)]
 pub fn slabs_in(rows: u64) -> impl Iterator<Item = (usize, SetBits)> {
     SlabsIn { rows, x: 0 }
 }
 
-/// Written without closures, because a kernel is only compiled for wider vectors if everything in it is
-/// inlined.
+/// Iterator of [`slabs_in`]. Written without closures, because a kernel is only compiled for wider vectors if
+/// everything in it is inlined.
 struct SlabsIn {
     rows: u64,
     x: usize,

@@ -81,7 +81,8 @@ impl Topology {
         let mut around = [NO_LEAF; 27];
         around[CENTER] = leaf as u32;
         for (slot, steps) in &NEIGHBOR_PATHS {
-            // Any stored leaf on a path knows its neighbor; usually the first one is stored.
+            // Any stored leaf on a path has the wanted leaf in its `neighbors`. Usually the first one is
+            // stored, and no further lookup is needed.
             let known = steps.iter().find(|(from, _)| around[*from] != NO_LEAF);
             around[*slot] = match known {
                 Some(&(from, face)) => self.neighbors[around[from] as usize][face],
@@ -116,8 +117,8 @@ pub const FACE_STEPS: [IVec3; 6] = [IVec3::NEG_X, IVec3::X, IVec3::NEG_Y, IVec3:
 const CENTER: usize = 13;
 
 /// For each slot except the center (faces, then edges, then corners): up to three slots one step closer to
-/// the center, each with the face that leads from there to the slot. If there are fewer than three, one is
-/// repeated.
+/// the center, each with the face that leads from there to the slot. If there are fewer than three, the first
+/// is repeated.
 const NEIGHBOR_PATHS: [(usize, [(usize, usize); 3]); 26] = {
     let weights = [9, 3, 1];
     let mut paths = [(0, [(0, 0); 3]); 26];
@@ -165,8 +166,8 @@ pub fn leaf_steps_within(reach: f32) -> Vec<IVec3> {
     steps.into_iter().map(|step| step * LEAF_EDGE).collect()
 }
 
-/// The position in an OpenVDB tree's depth-first order, as one number: root child (4096 voxels), lower
-/// internal node (128), leaf, each in lexicographic order of x, y, z.
+/// The position of a leaf in the depth-first order of an OpenVDB tree, as one number: root child (4096³
+/// voxels), lower internal node (128³ voxels), leaf, each in lexicographic order of x, y, z.
 fn tree_order(origin: IVec3) -> u128 {
     // Flipping the sign bit turns signed order into unsigned order.
     let [x, y, z] = origin.to_array().map(|axis| u128::from((axis as u32) ^ 0x8000_0000));
@@ -212,8 +213,7 @@ mod tests {
     }
     #[test]
     fn neighborhoods_match_lookup_with_missing_leaves() {
-        // Every second, third … leaf of a block, so that slots are reachable by all, some or none of their
-        // paths.
+        // Leave out some leaves of a block, so that slots are reachable by all, some or none of their paths.
         for every in 2..7 {
             let cells = (0..125).filter(|cell| cell * cell % 11 % every != 0);
             let origins = cells.map(|cell| (IVec3::new(cell / 25, cell / 5 % 5, cell % 5) - 2) * LEAF_EDGE);

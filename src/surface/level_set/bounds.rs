@@ -5,7 +5,8 @@ use rayon::prelude::*;
 use crate::surface::grid::Field;
 
 /// Signed distances to the outer and the inner union of spheres, on the topology of the band that they
-/// constrain. The outer surface gives the lower bound: `lower` = φ_max ≤ φ ≤ φ_min = `upper`.
+/// constrain. φ is negative inside, so the outer union gives the lower bound:
+/// `lower` = φ_max ≤ φ ≤ φ_min = `upper`.
 #[derive(Clone, Debug)]
 pub struct Bounds {
     /// φ_max of the paper: signed distance to the outer union of spheres, in voxels.

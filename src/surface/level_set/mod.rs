@@ -6,7 +6,7 @@
 //!        └───── narrow band ─────────┘
 //! ```
 //!
-//! Beyond the stored leaves φ is + or − the band's half width: outside or inside.
+//! Beyond the stored leaves, φ is + half width (outside) or − half width (inside).
 
 mod bounds;
 mod offset;
@@ -30,8 +30,8 @@ use crate::surface::grid::{Field, LEAF_VOXELS, Topology};
 
 /// Minimum |φ| of a finished level set, in voxels, unless bounds or an obstacle require a smaller value.
 /// Where the surface almost touches a voxel, meshers fold it around that voxel into tiny sharp triangles.
-/// With OpenVDB's mesher, a single voxel at 10⁻⁶ contributes ∫H² = 4800, three times that of its whole frame;
-/// at 0.0002, it contributes 320; at 0.003, 30; at 1/128, less than a drop's 4π.
+/// With OpenVDB's mesher, a single voxel with |φ| = 10⁻⁶ adds 4800 to ∫H², three times the ∫H² of its whole
+/// frame. With |φ| = 0.0002, it adds 320; with 0.003, 30; with 1/128, less than a drop's 4π.
 pub const NEAREST_TO_ZERO: f32 = 1.0 / 128.0;
 
 /// A level set: signed distances in voxels near a surface, negative inside. Multiply by the voxel size for

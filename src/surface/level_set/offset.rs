@@ -6,10 +6,10 @@
 //!   restored     +1  0 −1 −2 −3 −4 −5      distances to the new surface
 //! ```
 //!
-//! As far as φ is a distance, its level set at `offset` is the moved surface. But φ − offset is not the
-//! distance to it everywhere: where two parts of the surface merged, or one vanished, the nearest point is
-//! now on another part. So distances are swept again from the voxels next to the moved surface, which keep
-//! their values.
+//! Where φ is a distance, its level set at `offset` is the moved surface. But φ − offset is not everywhere
+//! the distance to the moved surface: where two parts of the surface merged, or one vanished, the nearest
+//! point is now on another part. So distances are swept again. The sweeps start from the voxels next to the
+//! moved surface, which keep their values.
 
 use std::sync::Arc;
 
@@ -24,8 +24,8 @@ use crate::surface::grid::{Leaf, LeafMask, NO_LEAF, Topology, negative_masks};
 /// `half_width`, the band's new half width. φ must hold distances up to the level `offset`.
 ///
 /// `floor` returns a lower bound of φ for the leaf with a given origin, such as the distance to an obstacle,
-/// or `None`. Voxels within rounding of the floor are set to it exactly. All other voxels keep at least
-/// [`NEAREST_TO_ZERO`] from zero.
+/// or `None` for no bound. A voxel that is below the floor, or above it by no more than a rounding error, is
+/// set to the floor exactly. All other voxels keep |φ| ≥ [`NEAREST_TO_ZERO`], unless the floor prevents it.
 pub fn offset_surface(
     band: &mut NarrowBand,
     offset: f32,
@@ -53,7 +53,7 @@ pub fn offset_surface(
         }
     });
     band.half_width = half_width;
-    // A sweep advances one voxel along the axes, and the diagonal is √3 times as long.
+    // Each sweep advances one voxel along the axes. Along a diagonal, a distance d takes √3 d such steps.
     sweep(band, &fixed, Sweeps::accurate((3f32.sqrt() * half_width).ceil() as u32));
 }
 
@@ -65,14 +65,15 @@ pub fn offset_reach_voxels(half_width: f32) -> u32 {
 /// Values this close to the floor, in voxels, differ from it only by 32-bit rounding.
 const ROUNDING: f32 = 1e-4;
 
-/// Zero without a sign. A voxel with value zero is outside, but sweeps determine the side from the sign bit
-/// and would treat −0 as inside. A swept voxel must be on the same side as its neighbors; otherwise signs
-/// would alternate between sweeps and spread.
+/// Replaces −0 by +0. A voxel with φ = 0 is outside, but sweeps determine the side from the sign bit and
+/// would treat −0 as inside. A swept voxel must be on the same side as its neighbors; otherwise signs would
+/// alternate between sweeps and spread.
 fn outside_if_zero(phi: f32) -> f32 {
     if phi == 0.0 { 0.0 } else { phi }
 }
 
-/// Extends distances outward, from voxels that have them to voxels farther from the surface.
+/// Sweeps distances again, from the voxels next to the surface, which keep their values, to voxels farther
+/// away.
 pub fn extend_distances(band: &mut NarrowBand, sweeps: Sweeps) {
     band.phi.leaves.par_iter_mut().flat_map_iter(|leaf| &mut leaf.values).for_each(|phi| {
         *phi = outside_if_zero(*phi);
@@ -101,8 +102,8 @@ fn next_to_surface(band: &NarrowBand) -> Vec<LeafMask> {
     (0..inside.len()).into_par_iter().map(beside).collect()
 }
 
-/// The voxels of a leaf that are on a side and have a face neighbor on the other. Voxels that are not stored
-/// count as being on the same side as the adjacent stored ones.
+/// The voxels of a leaf that are on one side of the surface and have a face neighbor on the other side.
+/// Voxels that are not stored count as on the same side as the adjacent stored voxels.
 fn next_to_other_side(topology: &Topology, side: &[LeafMask], leaf: usize) -> LeafMask {
     let faces = topology.neighbors()[leaf].map(|neighbor| match neighbor {
         NO_LEAF => &LeafMask::FULL,
@@ -182,19 +183,19 @@ mod tests {
         let (error, count) =
             greatest_error(&moved(&band(both([8.1, 1.6])), -1.7), ball([-8.2, 0.1, 0.2], 6.4));
         assert!(error < 0.15 && count > 2000, "{error} at {count}");
-        // The balls merge. With φ − offset, the middle would be as shallow as the gap was.
+        // The balls merge. Without the sweeps, the former gap would still determine φ in the middle.
         let joined = moved(&band(both([7.1, 7.1])), 2.0);
         let middle = joined.topology.find_voxel(IVec3::ZERO).expect("stored");
         let phi = |(leaf, local): (usize, IVec3)| joined.phi.leaves[leaf].values[offset_in_leaf(local)];
-        // The seam is a ring of radius √(9.1² − 8.25²) = 3.84 around the middle; φ − offset would be −0.85
-        // there. The voxels next to the seam keep their values, which are up to a voxel too shallow in such a
-        // crease.
+        // The seam is a ring of radius √(9.1² − 8.25²) = 3.84 around the middle, where φ − offset would be
+        // −0.85. The voxels next to the seam keep their values. In such a crease, their depth is up to one
+        // voxel too small.
         assert!((phi(middle) + 3.84).abs() < 1.1, "{}", phi(middle));
     }
 
     #[test]
     fn offset_stays_above_the_floor_and_snaps_to_it() {
-        // A slab on a plane that is at z = 0.5 after the slab is moved by 1.3.
+        // A slab from z = −0.8 to 10.8. When it is moved by 1.3, the wall below z = 0.5 stops its lower side.
         let given = band(|[_, _, z]| (z - 5.0).abs() - 5.8);
         let wall = |origin: IVec3| Leaf {
             values: std::array::from_fn(|offset| 0.5 - (origin + voxel_in_leaf(offset)).z as f32),
@@ -213,8 +214,8 @@ mod tests {
         }
     }
 
-    /// A film half a voxel thick on a plane through voxels: these lie on the floor, and no voxel is inside.
-    /// Zeros have the sign of the floor.
+    /// A film half a voxel thick on a wall whose surface passes through voxels: φ of these voxels is the
+    /// floor, which is +0 or −0, and no voxel is inside.
     #[test]
     fn voxels_on_the_floor_are_outside_for_both_signs_of_zero() {
         let given = band(|[_, _, z]| (z + 5.0).abs() - 4.2);
@@ -231,7 +232,7 @@ mod tests {
         }
     }
 
-    /// An outside point that the surface almost touches.
+    /// The surface almost touches an outside voxel with φ = +0 or −0.
     #[test]
     fn zeros_of_both_signs_stay_outside_in_extended_distances() {
         let given = band(ball([0.3, -0.2, 0.4], 9.7));

@@ -1,17 +1,17 @@
-//! Rebuilds distances of a level set whose file lacks them next to its surface.
+//! Rebuilds the distances of a level set whose file has only signs, without distances, next to the surface.
 //!
 //! ```text
-//!   a sign function    +3 +3 +3 | −3 −3 −3        the surface is placed midway between the voxels
-//!   half a band        +2.4 +1.4 +0.4 | −3 −3     … where the value on the other side places it
-//!   tiles only         outside tile | inside tile … on their common face
+//!   a sign function    +3 +3 +3 | −3 −3 −3          the surface is placed midway between the voxels
+//!   half a band        +2.4 +1.4 +0.4 | −3 −3       the surface is placed by the value on the other side
+//!   tiles only         outside tile | inside tile   the surface is placed on their common face
 //!   rebuilt            +2.5 +1.5 +0.5 | −0.5 −1.5 −2.5
 //! ```
 //!
-//! A voxel next to one of the other sign is at most one voxel from the surface. If its value is the
+//! A voxel next to a voxel of the other sign is at most one voxel from the surface. If its value is the
 //! background, or it belongs to a tile, the file gives only a sign there and no distance. Values that are
-//! distances are kept, the others are swept outward from them, and all are redistanced once. For a sign
-//! function, planes along the axes are exact; in other directions the surface has steps of up to half a voxel
-//! to each side, which smoothing (`--band-slack 1`) removes.
+//! distances are kept. The others are computed from them by sweeping outward, and then the whole band is
+//! redistanced once. For a sign function, planes along the axes are exact; in other directions the surface
+//! has steps of up to half a voxel to each side, which smoothing (`--band-slack 1`) removes.
 
 use std::fmt;
 
@@ -32,10 +32,11 @@ pub const REBUILT_HALF_WIDTH: f32 = 3.0;
 const CLIPPED: f32 = 0.999;
 
 /// A level set is left unchanged if at most this fraction of the voxels at its surface lack a distance.
-/// Around these voxels, its surface lies midway between the signs, as it would if rebuilt.
+/// Around these voxels, its surface lies midway between voxels of opposite sign, as it would after
+/// rebuilding.
 const CLIPPED_PART_MAX: f64 = 0.01;
 
-/// Minimum distance that is derived from the value on the other side of the surface, in voxels.
+/// Lower limit, in voxels, of a distance that is derived from the value on the other side of the surface.
 const DISTANCE_MIN: f32 = 0.05;
 
 /// A level set as stored in a file; values in any unit.
@@ -69,7 +70,7 @@ pub struct RebuildReason {
     /// Number of those that have a sign but no distance.
     pub clipped_voxel_count: usize,
     /// Number of cubes of 8³ voxels that were added where the surface lies between tiles, or between a tile
-    /// and a leaf. Tiles only have signs.
+    /// and a leaf. Tiles store only signs.
     pub tile_cube_count: usize,
 }
 
@@ -155,7 +156,8 @@ pub fn rebuilt(
         }
     });
     drop(raw);
-    // A sweep advances one voxel along the axes, and the diagonal is √3 times as long.
+    // A sweep advances one voxel along the axes, so a distance along the diagonal needs √3 times as many
+    // sweeps.
     let sweeps = Sweeps::accurate((3f32.sqrt() * REBUILT_HALF_WIDTH).ceil() as u32);
     extend(&topology, &mut phi, &fixed, sweeps);
     drop(fixed);
@@ -169,8 +171,8 @@ pub fn rebuilt(
     Ok(Some((band, reason)))
 }
 
-/// Distance to the surface of a voxel without one, if the surface lies between it and an adjacent voxel, in
-/// voxels.
+/// Distance from the surface, in voxels, for a voxel whose stored value is not a distance. `None` unless the
+/// surface lies between the voxel and an adjacent one.
 fn distance_from_neighbors(
     lookup: &LevelSetLookup<'_>,
     raw: &Field,
@@ -236,7 +238,8 @@ fn at_surface(inside: &[LeafMask], topology: &Topology, leaf: usize) -> LeafMask
     };
     let mut crossed = LeafMask::EMPTY;
     for face in 0..6 {
-        // Beyond a face without a leaf, voxels count as being on the side of the adjacent ones.
+        // If no leaf is stored beyond a face, the voxels there count as having the same sign as those on the
+        // face.
         let across = match of_face(face) {
             Some(across) => *across,
             None => mirrored(&own, face),
@@ -248,7 +251,7 @@ fn at_surface(inside: &[LeafMask], topology: &Topology, leaf: usize) -> LeafMask
     crossed
 }
 
-/// A leaf beyond a face, whose voxels there are on the same side as the adjacent ones.
+/// A leaf to use beyond a face: the mirror image of `own`, so that no sign changes across the face.
 fn mirrored(own: &LeafMask, face: usize) -> LeafMask {
     let axis = face / 2;
     LeafMask::from_fn(|offset| {
@@ -315,8 +318,8 @@ impl<'a> LevelSetLookup<'a> {
         values
     }
 
-    /// Leaves that are not stored and have the surface on one of their faces. Fails if there are more than
-    /// allowed, including the stored ones.
+    /// Leaves that are not stored and have the surface on one of their faces. Fails if these and the stored
+    /// leaves are more than allowed.
     fn leaves_between_tiles(&self, leaf_count_max: usize) -> Result<FxHashSet<IVec3>, TooManyLeaves> {
         let mut added = FxHashSet::default();
         let is_missing = |origin: &IVec3| self.topology.find(*origin).is_none();
@@ -352,8 +355,8 @@ impl<'a> LevelSetLookup<'a> {
         Ok(added)
     }
 
-    /// Number of voxels of stored leaves adjacent to one of the other sign, and how many of them have no
-    /// distance.
+    /// Number of voxels in stored leaves that are adjacent to a voxel of the other sign, and how many of
+    /// these have no distance.
     fn voxel_counts_at_surface(&self) -> [usize; 2] {
         let inside = inside_masks(self.topology.len(), |leaf| self.stored_leaf(leaf));
         let counts = (0..self.topology.len()).into_par_iter().map(|leaf| {
@@ -479,7 +482,7 @@ mod tests {
 
     #[test]
     fn leaves_are_added_between_tiles_of_opposite_sign() {
-        // A cube of 16 voxels, as tiles of 8, and one of 128.
+        // A cube with an edge of 16 voxels made of tiles of 8, and a cube that is a single tile of 128.
         let corners = (0..8).map(|slot| IVec3::new(slot / 4, slot / 2 % 2, slot % 2) * 8);
         let small: Vec<(IVec3, i32, f32)> = corners.map(|origin| (origin, 8, -BACKGROUND)).collect();
         let large = [(IVec3::splat(-128), 128, -BACKGROUND)];
@@ -504,7 +507,7 @@ mod tests {
 
     #[test]
     fn large_inside_tile_exceeds_the_leaf_limit() {
-        // Each of its faces has 512² leaves on each side, 6 · 512² in total.
+        // Each of the tile's six faces touches 512² leaves outside the tile, 6 · 512² in total.
         let (none, tile) = ((vec![], vec![]), [(IVec3::ZERO, 4096, -BACKGROUND)]);
         let stored = stored(&none, &tile);
         let lookup = LevelSetLookup::new(&stored);

@@ -1,22 +1,24 @@
 //! Restores the signed-distance property of a narrow band.
 //!
-//! Smoothing moves the surface, and the slope of φ drifts away from one. The linear operators of the smoother
-//! need a slope near one (paper, Fig. 10). So from time to time every value is replaced by the distance to
-//! the zero set, keeping its sign.
+//! Smoothing moves the surface, and the slope |∇φ| drifts away from one. The linear operators of the smoother
+//! need a slope near one (paper, Fig. 10). So from time to time, every value is replaced by the distance to
+//! the zero set with the value's sign.
 //!
 //! ```text
 //!   before   −3.0  −1.2   0.2   0.9   4.0     any slope
-//!   after    −2.1  −1.1   0.1   1.0   2.0     slope one, the crossing where it was
+//!   after    −2.1  −1.1   0.1   1.0   2.0     slope one; the crossing stays where it was
 //!                   └─pinned─┘
 //! ```
 //!
 //! Voxels near the zero set are *pinned* to |φ| / |∇φ|, which is second-order accurate where φ is smooth. The
-//! others are swept outward from them by the upwind Eikonal update. Jacobi order makes the result independent
-//! of the order of voxels. Each sweep advances distances by one voxel.
+//! distances of the others are swept outward from the pinned voxels by the upwind Eikonal update. Each sweep
+//! advances distances by one voxel. It is a Jacobi iteration, so the result does not depend on the order of
+//! voxels.
 //!
-//! Pinning determines how far the surface moves and how smooth it stays. The common choice, the nearest
-//! crossing on an axis, leaves noise at the scale of the grid, which the sweeps carry outward. Measured on a
-//! dam break of 6 859 particles, ∫H² of the result with OpenVDB's mesher (with first-order sweeps):
+//! Pinning determines how far the surface moves and how smooth it stays. The common choice is the distance of
+//! the nearest crossing on an axis. It leaves noise at the scale of the grid, which the sweeps carry outward.
+//! Measured ∫H² of the result for a dam break of 6 859 particles (first-order sweeps, OpenVDB's mesher), by
+//! the value to which voxels are pinned:
 //!
 //! ```text
 //!   the nearest crossing on one axis          283
@@ -24,11 +26,12 @@
 //!   |φ| / |∇φ|                                244
 //! ```
 //!
-//! The last one is used here; a redistancing then moves the zero set by 0.005 voxels on average.
+//! This module uses |φ| / |∇φ|. One redistancing then moves the zero set by 0.005 voxels on average.
 //!
-//! The sweeps determine the curvature that the smoother sees. It differentiates four times, and treats an
-//! error in a distance as a bend to be straightened. So the differences can be second-order up to the
-//! distance in [`Sweeps`]:
+//! The sweeps determine the curvature that the smoother sees. The smoother differentiates φ four times, and
+//! treats an error in a distance as a bend to be straightened. So upwind differences can be second-order up
+//! to a distance from the surface, see [`Sweeps`]. Effect of that distance (lengths in voxels; fast: the
+//! default integrator):
 //!
 //! ```text
 //!   second order                                             nowhere   within 1.2   everywhere
@@ -36,7 +39,7 @@
 //!   growth of a sphere of radius 20 in 10 000 explicit steps    0.85                    0.005
 //!   volume of a noisy sphere (paper, Fig. 5), fast              0.983     0.993         0.995
 //!   Hilbert curve, fast: ∫H² with OpenVDB's mesher              500       504           510
-//!   Hilbert curve, fast: voxels to the published program's      0.018     0.071         0.095
+//!   Hilbert curve, fast: distance to the published program      0.018     0.071         0.095
 //! ```
 //!
 //! This work is based on:
@@ -58,8 +61,8 @@ pub const UNREACHED: f32 = f32::INFINITY;
 pub struct Sweeps {
     /// Number of sweeps; each advances one voxel along the axes.
     pub count: u32,
-    /// Differences to neighbors nearer to the surface than this, in voxels, are second-order; [`UNREACHED`]
-    /// for all.
+    /// Differences to neighbors nearer to the surface than this, in voxels, are second-order. With
+    /// [`UNREACHED`], all differences are.
     pub second_order_within: f32,
 }
 
@@ -99,7 +102,8 @@ pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], swe
     sweep_outward(topology, [distance, &mut next], fixed, sweeps);
 }
 
-/// Sweeps alternately from one field to the other, which are equal at first. The result is in the first.
+/// Sweeps from one field to the other and back, alternately. The fields must be equal at first. The result is
+/// in the first.
 fn sweep_outward(topology: &Topology, [distance, next]: [&mut Field; 2], fixed: &[LeafMask], sweeps: Sweeps) {
     let neighbors = topology.neighbors();
     // Rows that the last sweep changed; for the first sweep, rows with a known value. If nothing that a row
@@ -123,8 +127,8 @@ fn sweep_outward(topology: &Topology, [distance, next]: [&mut Field; 2], fixed: 
     }
 }
 
-/// Writes the signed distances of the voxels near the zero set to `distance`, and only the sign of the
-/// others. Returns which voxels are near.
+/// Writes signed distances to `distance` for the voxels next to the zero set, and ± [`UNREACHED`] for the
+/// others. Returns masks of the voxels next to the zero set.
 fn pin(band: &NarrowBand, distance: &mut Field) -> Vec<LeafMask> {
     let neighbors = band.topology.neighbors();
     let mut pinned = vec![LeafMask::EMPTY; band.topology.len()];
@@ -159,22 +163,24 @@ impl Kernel for Pin<'_> {
     }
 }
 
-/// The signed distances of a row's voxels that φ around them determines, and the bits of these.
+/// The signed distances of a row's voxels, and the bits of the voxels next to the zero set. The others are
+/// plus or minus [`UNREACHED`].
 #[inline(always)]
 fn pin_row<V: Lanes>(slab: &Slab, y: usize) -> (V, u8) {
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
     let c = slab.row::<V>(y);
     let inside = V::bits(c.lt(zero));
     let side = V::select(c.lt(zero), V::splat(-1.0), one);
-    // A voxel is at most one voxel farther from the zero set than its neighbor; a neighbor across the zero
-    // set counts as on it. So distances are continuous as a neighbor's value passes through zero.
+    // A voxel is at most one voxel farther from the zero set than its neighbor. A neighbor on the other side
+    // counts as lying on the zero set, so that distances are continuous as a neighbor's value passes through
+    // zero.
     let (mut beside, mut nearest) = (0, V::splat(f32::INFINITY));
     for [before, after] in [slab.along_x::<V>(y), slab.along_y(y), slab.along_z(y)] {
         beside |= (V::bits(before.lt(zero)) ^ inside) | (V::bits(after.lt(zero)) ^ inside);
         nearest = nearest.min(side.mul(before).max(zero)).min(side.mul(after).max(zero));
     }
     let distance = c.abs().div(slab.gradient_norm(y)).min(one.add(nearest));
-    // Avoids 0 / 0: a zero where φ is flat is on the zero set.
+    // Avoids 0 / 0: a voxel where φ and its gradient are zero is on the zero set.
     let distance = V::select(c.ne(zero), distance, zero);
     (V::select(V::mask(beside), distance, V::splat(UNREACHED)).mul(side), beside)
 }
@@ -186,7 +192,7 @@ fn dependent_rows(changed: &[u64], neighbors: &[u32; 6], leaf: usize) -> u64 {
     let own = changed[leaf];
     let [xm, xp, ym, yp, zm, zp] =
         neighbors.map(|neighbor| if neighbor == NO_LEAF { 0 } else { changed[neighbor as usize] });
-    // Row offsets of one and two: in x they shift by 8 and 16, in y by 1 and 2 within each byte.
+    // Bit shifts for row offsets of one and two: 8 and 16 in x; 1 and 2 within each byte in y.
     let along_x = own << 8 | own >> 8 | own << 16 | own >> 16;
     let along_y = own << 1 & !Y_LOW
         | own >> 1 & !Y_HIGH
@@ -200,7 +206,7 @@ fn dependent_rows(changed: &[u64], neighbors: &[u32; 6], leaf: usize) -> u64 {
     own | along_x | along_y | from_x | from_y | zm | zp
 }
 
-/// Kernel: updates the voxels of some rows of a leaf that are not fixed. Returns the rows that changed.
+/// Kernel: updates the voxels that are not fixed in some rows of a leaf. Returns the rows that changed.
 struct Sweep<'a> {
     around: &'a Neighborhood<'a>,
     fixed: &'a LeafMask,
@@ -256,18 +262,18 @@ fn upwind<V: Lanes>(slab: &Slab, y: usize, second_order_within: f32) -> V {
     side.mul(solve_upwind([x, y, z]))
 }
 
-/// Along one axis, the squared slope at d is `weight` · (d − `from`)².
+/// A one-sided difference along one axis: at distance d, the squared slope is `weight` · (d − `from`)².
 #[derive(Clone, Copy)]
 struct OneSided<V> {
     from: V,
     weight: V,
 }
 
-/// The nearer of the neighbors at −1 and +1.
+/// Of the neighbors at −1 and +1, the one nearer to the surface.
 #[derive(Clone, Copy)]
 struct UpwindNeighbor<V: Lanes> {
     value: V,
-    /// True for lanes where it is the one at +1.
+    /// True for lanes where this neighbor is at +1.
     is_after: V::Mask,
 }
 
@@ -278,14 +284,14 @@ impl<V: Lanes> UpwindNeighbor<V> {
         UpwindNeighbor { value: before.min(after), is_after: after.lt(before) }
     }
 
-    /// The difference to it.
+    /// The first-order difference to this neighbor.
     #[inline(always)]
     fn first_order(self) -> OneSided<V> {
         OneSided { from: self.value, weight: V::splat(1.0) }
     }
 
-    /// The difference to it. Second-order, using the neighbor at −2 or +2, if requested and the values
-    /// decrease beyond it.
+    /// The difference to this neighbor. It is second-order, using the neighbor at −2 or +2, if this neighbor
+    /// is nearer to the surface than `within` and the second one is not farther from it than this one.
     #[inline(always)]
     fn second_order(self, side: V, [before, after]: [V; 2], within: V) -> OneSided<V> {
         let near = self.value;
@@ -309,28 +315,28 @@ impl<V: Lanes> OneSided<V> {
     }
 }
 
-/// Sorts two by `from`.
+/// Sorts two differences by `from`.
 #[inline(always)]
 fn ordered<V: Lanes>(a: OneSided<V>, b: OneSided<V>) -> (OneSided<V>, OneSided<V>) {
     let swap = b.from.lt(a.from);
     (OneSided::select(swap, b, a), OneSided::select(swap, a, b))
 }
 
-/// The d at which the squared slopes add to one, over the axes that lie upwind of it. The axes are sorted by
-/// `from`.
+/// The distance d at which the squared slopes add up to one. Only axes with `from` < d are summed (the upwind
+/// axes). The axes are sorted by `from`.
 #[inline(always)]
 fn solve_upwind<V: Lanes>([a, b, c]: [OneSided<V>; 3]) -> V {
-    // Relative to the nearest, so that no large numbers are squared. The squared slopes add to one at the
-    // greater root of weight·d² − 2·sum·d + squares = 0.
+    // Relative to the smallest `from`, so that no large numbers are squared. The squared slopes add up to one
+    // at the greater root of weight·d² − 2·sum·d + squares = 0.
     let (b_rel, c_rel) = (b.from.sub(a.from), c.from.sub(a.from));
     let zero = V::splat(0.0);
-    // With the first axis alone, d is the root of 1/weight: 1 or 2/3.
+    // With the first axis alone, d is 1/√weight: 1 or 2/3.
     let first = V::select(a.weight.lt(V::splat(2.0)), V::splat(1.0), V::splat(1.0 / 1.5));
     let is_more = b_rel.lt(first);
     let (weight, sum) = (a.weight.add(b.weight), b.weight.mul(b_rel));
     let squares = sum.mul(b_rel).sub(V::splat(1.0));
-    // The root with the first two axes lies beyond the third value if the squares at that value are less than
-    // one.
+    // The root with the first two axes lies beyond `c.from` if the squared slopes of these axes at `c.from`
+    // add up to less than one.
     let at_c = weight.mul(c_rel).sub(sum).sub(sum).mul(c_rel).add(squares);
     let is_three = at_c.lt(zero);
     let product = c.weight.mul(c_rel);

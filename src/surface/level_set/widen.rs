@@ -2,12 +2,12 @@
 //!
 //! ```text
 //!   before   +3 | +3 +2 +1  0 −1 −2 −3 | −3       stored by another program, 3 voxels to each side
-//!   after    +6 … +3 +2 +1  0 −1 −2 −3 … −6       its leaves and those around them
+//!   after    +6 … +3 +2 +1  0 −1 −2 −3 … −6       the stored leaves and the leaves around them
 //! ```
 //!
 //! Voxels that are not stored are on the same side as the adjacent stored ones: if the surface passed between
-//! them, their leaf would be stored. Then distances are restored from the crossings, as between smoothing
-//! steps. The zero set moves by a few thousandths of a voxel only.
+//! them, their leaf would be stored. Redistancing then restores distances from the zero set, as between
+//! smoothing steps. It moves the zero set by only a few thousandths of a voxel.
 
 use glam::IVec3;
 use rayon::prelude::*;
@@ -16,10 +16,10 @@ use rustc_hash::FxHashMap;
 use super::{NarrowBand, Sweeps, redistance};
 use crate::surface::grid::{Field, LEAF_EDGE, Leaf, Topology, offset_in_leaf};
 
-/// Maximum half width, in voxels: a layer of one leaf around those with a crossing contains it.
+/// Maximum half width, in voxels: one layer of leaves around the leaves with a crossing contains such a band.
 pub const WIDENED_MAX: f32 = LEAF_EDGE as f32;
 
-/// Maximum distance of a voxel from a crossing that counts as near, in voxels.
+/// A leaf has a crossing if one of its voxels is nearer to the surface than this, in voxels.
 const NEAR: f32 = 2.0;
 
 /// The same surface in a band of this half width, at most [`WIDENED_MAX`], with distances restored.
@@ -41,7 +41,7 @@ pub fn widened(band: &NarrowBand, half_width: f32) -> NarrowBand {
         }
     });
     let mut widened = NarrowBand { topology: topology.into(), phi, half_width };
-    // A sweep advances one voxel along the axes, and the diagonal is √3 times as long.
+    // Each sweep advances one voxel along the axes. Along a diagonal, a distance d takes √3 d such steps.
     redistance(&mut widened, Sweeps::accurate((3f32.sqrt() * half_width).ceil() as u32));
     widened
 }
@@ -82,7 +82,7 @@ fn side_of(band: &NarrowBand, origin: IVec3) -> f32 {
     nearest.sort_by_key(|step| step.abs().element_sum());
     let found = nearest.into_iter().find_map(|step| {
         let leaf = band.topology.find(origin + step * LEAF_EDGE)?;
-        // The voxel of the stored leaf that is adjacent to this one.
+        // The voxel of the stored leaf that is adjacent to the leaf at `origin`.
         let local = step.to_array().map(|along| match along {
             -1 => LEAF_EDGE - 1,
             1 => 0,

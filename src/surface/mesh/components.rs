@@ -1,17 +1,16 @@
 //! Connected components of a mesh.
 //!
-//! ```text
-//!   union-find within each chunk of vertices, in parallel      parents: a vertex of the same component
-//!   every vertex then knows the root of its part, so only a few pairs of roots are left to join,
-//!   sequentially
-//! ```
+//! - First, union-find joins the vertices within each chunk, in parallel. `parents` then has the root of each
+//!   vertex's part.
+//! - Then the parts of different chunks are joined sequentially. Every vertex has its root, so only a few
+//!   different pairs of roots are left to join.
 
 use rayon::prelude::*;
 
 use super::{CHUNK, Mesh};
 
-/// Joins the vertices of one chunk along the edges within it, in `parents`, whose entries are then roots.
-/// Returns the number of joins.
+/// Joins the vertices of one chunk along the edges within the chunk. Overwrites `parents`: each entry becomes
+/// the root of its vertex. Returns the number of joins.
 pub(super) fn join_chunk(
     parents: &mut [u32],
     first: u32,
@@ -41,8 +40,8 @@ pub(super) fn join_chunk(
     joined_count
 }
 
-/// Joins chunks along the edges between them, after each has been joined internally. Returns the number of
-/// joins.
+/// Joins chunks along the edges between them, after each chunk has been joined internally. Returns the number
+/// of joins.
 pub(super) fn join_chunks(mesh: &Mesh, parents: &mut [u32]) -> usize {
     let roots: &[u32] = parents;
     let pairs_of = |triangles: &[[u32; 3]]| {

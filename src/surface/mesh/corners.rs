@@ -18,15 +18,15 @@ use super::{CHUNK, Mesh};
 struct CornerRun {
     vertex_chunk: u32,
     triangle_chunk: u32,
-    /// Start in the list of the triangles' chunk.
+    /// Start in the list of indices of the triangle chunk.
     start: u32,
     count: u32,
 }
 
 /// For each chunk of vertices, the triangles that touch it.
 pub(super) struct TouchingTriangles {
-    /// For each chunk of triangles, the indices within it of its triangles, grouped by the vertex chunk they
-    /// touch.
+    /// For each chunk of triangles, the indices of its triangles relative to the chunk, grouped by the vertex
+    /// chunk that they touch.
     indices: Vec<Vec<u16>>,
     /// Sorted by chunk of vertices, then by chunk of triangles.
     runs: Vec<CornerRun>,
@@ -58,7 +58,7 @@ impl TouchingTriangles {
     }
 }
 
-/// The list of a chunk of triangles, and its runs.
+/// The list of indices of a chunk of triangles, and its runs.
 fn list_of_chunk(triangles: &[[u32; 3]], triangle_chunk: u32) -> (Vec<u16>, Vec<CornerRun>) {
     let least = triangles.iter().flatten().fold(u32::MAX, |least, &vertex| least.min(vertex));
     let most = triangles.iter().flatten().fold(0, |most, &vertex| most.max(vertex));
@@ -73,7 +73,7 @@ fn list_of_chunk(triangles: &[[u32; 3]], triangle_chunk: u32) -> (Vec<u16>, Vec<
         if *end > 0 {
             runs.push(CornerRun { vertex_chunk, triangle_chunk, start: total, count: *end });
         }
-        // Advances as indices are inserted.
+        // `end` becomes the start of the run, and advances as indices are inserted below.
         total += std::mem::replace(end, total);
     }
     let mut indices = vec![0; total as usize];
@@ -105,7 +105,7 @@ fn touched(triangle: [u32; 3], mut each: impl FnMut(u32)) {
 pub(super) struct Corners {
     /// Start of each vertex's corners in `ends`; one entry more than there are vertices.
     starts: Vec<u32>,
-    /// `[next, prev]` of each corner.
+    /// For each corner, the other two vertices of its triangle: `[next, prev]`.
     ends: Vec<[u32; 2]>,
 }
 

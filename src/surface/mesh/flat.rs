@@ -18,7 +18,7 @@
 //!
 //! Both operations keep the mesh closed and manifold: a vertex is collapsed into a neighbor only if they have
 //! exactly two common neighbors, and an edge is flipped only if its new ends are not yet connected. An
-//! isolated tetrahedron without volume at the positions of one of the files is removed as a whole. The rest
+//! isolated tetrahedron without volume at the rounded positions of a file is removed as a whole. The rest
 //! of the mesh does not change, and no vertex moves. Flat triangles that cannot be removed stay, and
 //! [`Mesh::measure`] counts them.
 
@@ -29,8 +29,8 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use super::Mesh;
 use super::triangles::{LANES, TriangleBatch};
 
-/// Maps positions, relative to an origin, to the positions that a reader gets from a file that rounds them,
-/// relative to the same origin.
+/// The rounding of a file format. The arguments are positions relative to an origin, and the origin. Returns
+/// the positions that a reader gets from the file, relative to the same origin.
 pub type RoundedPositions = fn(&[[f32; 3]], [f64; 3]) -> Vec<[f32; 3]>;
 
 /// Number of triangles per task.
@@ -39,11 +39,11 @@ const CHUNK: usize = 4096;
 /// Maximum number of rounds; usually one or two are enough.
 const ROUNDS_MAX: usize = 64;
 
-/// If a larger fraction of the triangles is flat, the positions are too coarse for the mesh, and it is left
-/// unchanged.
+/// If a larger fraction of the triangles is flat, the positions are too coarse for the mesh, and the mesh is
+/// left unchanged.
 const FLAT_PART_MAX: f64 = 0.05;
 
-/// In a mesh with at most this many triangles, all may be flat, because processing them is cheap.
+/// Up to this many flat triangles are processed even if they are a larger fraction, because it is cheap.
 const SMALL_MESH_TRIANGLES: usize = 10_000;
 
 /// The shortest edge of a needle is at most this fraction of its longest edge; otherwise the triangle is a
@@ -85,7 +85,8 @@ impl Mesh {
         before - self.triangles.len()
     }
 
-    /// The positions that a reader gets from a file that rounds them, relative to the same origin.
+    /// The mesh's positions as a reader gets them from a file with this rounding, relative to the same
+    /// origin.
     pub fn rounded(&self, rounding: RoundedPositions) -> Vec<Vec3> {
         bytemuck::cast_vec(rounding(bytemuck::cast_slice(&self.positions), self.origin.to_array()))
     }
@@ -114,12 +115,11 @@ fn flat_triangles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<u32> {
     triangles.par_chunks(CHUNK).enumerate().flat_map_iter(of_piece).collect()
 }
 
-/// A mesh under modification, with the neighborhoods of some triangles.
+/// A mesh under modification, with the neighborhoods of its flat triangles.
 struct FlatRemoval<'a> {
     views: Vec<&'a [Vec3]>,
     triangles: Vec<[u32; 3]>,
-    /// The triangles of each vertex that is a corner of one of those triangles, or a neighbor of such a
-    /// corner.
+    /// For each corner of a flat triangle, and for each neighbor of such a corner, the triangles around it.
     around: FxHashMap<u32, Vec<u32>>,
     may_fold: bool,
 }
@@ -271,7 +271,7 @@ impl<'a> FlatRemoval<'a> {
         true
     }
 
-    /// Flips the longest edge of a triangle.
+    /// Flips the edge from `a` to `b` of a triangle.
     fn flip_edge(&mut self, triangle: u32, [a, b]: [u32; 2]) -> bool {
         let shared = self.shared(a, b);
         let Some(&beyond) = shared.iter().find(|&&other| other != triangle) else { return false };

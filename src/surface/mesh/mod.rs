@@ -14,9 +14,8 @@
 //!   2 H n·A = ½ Σ (cot α + cot β)(v − w)      so   ∫H² ≈ Σ |½ Σ (cot α + cot β)(v − w)|² / 4A
 //! ```
 //!
-//! The area and the energy are from:
-//! Mark Meyer, Mathieu Desbrun, Peter Schröder, Alan Barr. Discrete Differential-Geometry Operators
-//! for Triangulated 2-Manifolds. 2003
+//! The mixed Voronoi areas and the energy are from: Mark Meyer, Mathieu Desbrun, Peter Schröder, Alan Barr.
+//! Discrete Differential-Geometry Operators for Triangulated 2-Manifolds. 2003
 
 mod components;
 mod corners;
@@ -82,7 +81,7 @@ pub struct MeshMeasures {
     /// Number of triangles that repeat a vertex, or whose height is below a billionth of their longest edge.
     #[cfg_attr(feature = "serde", serde(rename = "degenerate_triangles"))]
     pub degenerate_triangle_count: usize,
-    /// Number of components connected through vertices.
+    /// Number of connected components; triangles that share a vertex are connected.
     #[cfg_attr(feature = "serde", serde(rename = "components"))]
     pub component_count: usize,
     /// Used vertices − edges + triangles.
@@ -101,8 +100,8 @@ impl MeshMeasures {
 }
 
 impl Mesh {
-    /// The volume that each component encloses, in cubed world units, in the order of first vertices;
-    /// negative for the inside of a cavity.
+    /// The volume that each component encloses, in cubed world units, ordered by their first vertices;
+    /// negative for the surface of a cavity.
     ///
     /// Panics if a triangle refers to a vertex that does not exist.
     pub fn component_volumes(&self) -> Vec<f64> {

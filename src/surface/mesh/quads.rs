@@ -1,16 +1,16 @@
 //! Detects pairs of triangles that are halves of a quad.
 //!
 //! ```text
-//!    d ─── c        Dual contouring makes a quad around each crossed grid edge, splits it along one of its diagonals,
-//!    │ ╲   │        and writes the halves consecutively: (a b d) (b c d), where the second starts at either end of
-//!    │   ╲ │        the diagonal.
+//!    d ─── c        Dual contouring makes a quad around each crossed grid edge and splits the quad along a
+//!    │ ╲   │        diagonal. It writes the halves consecutively: (a b d) (b c d). The second half starts at
+//!    │   ╲ │        either end of the diagonal.
 //!    a ─── b
 //! ```
 //!
-//! So triangles 2i and 2i + 1 would be the halves of one quad, except for the few quads with additional
-//! vertices on their sides, where sheets almost touch: these become fans of five to eight triangles around a
-//! vertex in the middle. Two consecutive triangles never look like halves if one of them is in a fan, or if
-//! they belong to different quads, because no two quads share a diagonal.
+//! So triangles 2i and 2i + 1 would be the halves of one quad, but a few quads are not split into halves:
+//! where sheets almost touch, quads with additional vertices on their sides become fans of five to eight
+//! triangles around a vertex in the middle. Two consecutive triangles never look like halves if one of them
+//! is in a fan, or if they belong to different quads, because no two quads share a diagonal.
 
 use rayon::prelude::*;
 

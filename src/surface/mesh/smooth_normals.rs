@@ -8,9 +8,9 @@
 //!        ── e ──         n ← Σ area · (2 n(v) + n(next) + n(prev))
 //! ```
 //!
-//! The weights are positive and half of the total is v's own, so any number of rounds only smooths. Positions
-//! do not change, only shading. The result does not depend on the number of threads, and each round extends
-//! the influence of a normal by one edge.
+//! The weights are positive, and half of their sum belongs to v itself, so further rounds smooth more and
+//! never amplify noise. Positions do not change, only shading. The result does not depend on the number of
+//! threads, and each round extends the influence of a normal by one edge.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;

@@ -51,7 +51,7 @@ impl TriangleBatch {
         areas
     }
 
-    /// Six times the volumes between the triangles and the origin.
+    /// Six times the signed volumes of the tetrahedra between the triangles and the origin.
     #[inline(always)]
     fn products(&self) -> TriangleScalar {
         let mut products = [0.0; LANES];

@@ -47,7 +47,7 @@ struct CornerBatch {
     ends: [[[f32; LANES]; 3]; 3],
 }
 
-/// The contribution of a corner to its vertex: to the curvature vector, and to the area.
+/// The contribution of a corner to its vertex: x, y and z of the curvature vector, and the area.
 type CornerPart = [f64; 4];
 
 impl CornerBatch {
@@ -87,8 +87,8 @@ impl CornerBatch {
 fn corner_part(to_next: DVec3, to_prev: DVec3) -> (DVec3, f64) {
     let across = to_prev - to_next;
     let doubled_area = to_next.cross(to_prev).length();
-    // The signs of these products distinguish acute from obtuse angles; divided by the area, they are
-    // cotangents.
+    // The signs of these products distinguish acute from obtuse angles. Divided by the doubled area, they are
+    // the cotangents of the angles.
     let (at_here, at_next, at_prev) = (to_next.dot(to_prev), -to_next.dot(across), to_prev.dot(across));
     let curvature = 0.5 * (at_prev * to_next + at_next * to_prev) / doubled_area;
     let acute =
@@ -100,7 +100,7 @@ fn corner_part(to_next: DVec3, to_prev: DVec3) -> (DVec3, f64) {
     (if is_flat { zero } else { curvature }, if is_flat { none } else { area })
 }
 
-/// The contribution to ∫H² around a vertex.
+/// The contribution of a vertex to ∫H².
 #[inline(always)]
 fn vertex_energy(parts: &[CornerPart]) -> f64 {
     let (mut area, mut curvature_vector) = (0.0, DVec3::ZERO);
@@ -111,7 +111,7 @@ fn vertex_energy(parts: &[CornerPart]) -> f64 {
     if area > 0.0 { curvature_vector.length_squared() / (4.0 * area) } else { 0.0 }
 }
 
-/// Counts the edges of a vertex, and checks whether its corners form one fan.
+/// Counts the edges of a vertex, and checks whether its triangles form one fan.
 #[inline(always)]
 fn count_edges(vertex: usize, corners: &[[u32; 2]], sums: &mut Sums) {
     sums.used_vertex_count += 1;
@@ -126,13 +126,13 @@ fn count_edges(vertex: usize, corners: &[[u32; 2]], sums: &mut Sums) {
 const RING_LENGTH_MAX: usize = 8;
 
 /// True if the corners form one ring in which each edge is `next` once and `prev` once, as for nearly all
-/// vertices. Vertices with many triangles are not tested.
+/// vertices. Returns false without a test for vertices with more corners than [`RING_LENGTH_MAX`].
 #[inline(always)]
 fn is_plain_ring(corners: &[[u32; 2]]) -> bool {
     if corners.len() > RING_LENGTH_MAX {
         return false;
     }
-    // No vertex has this index: there are fewer vertices.
+    // `u32::MAX` is not the index of a vertex: there are fewer vertices.
     let mut nexts = [u32::MAX; RING_LENGTH_MAX];
     for (next, corner) in nexts.iter_mut().zip(corners) {
         *next = corner[0];

@@ -1,12 +1,12 @@
 //! Neighbour search in a sorted uniform grid.
 //!
 //! ```text
-//!   ┌───┬───┬───┐     Cells are world-anchored and their edge is the search radius: all particles within
-//!   │ ∙ │∙ ∙│   │     the radius of a point in the middle cell are in one of these.
+//!   ┌───┬───┬───┐     Cells are world-anchored, and their edge is the search radius: all particles within
+//!   │ ∙ │∙ ∙│   │     the radius of a point in the middle cell are in one of these nine cells (27 in 3D).
 //!   ├───┼───┼───┤
 //!   │∙  │ ● │∙∙ │     x  y  z  index      sorted by cell, then in file order. x, y and z are relative
-//!   ├───┼───┼───┤     x  y  z  index      to the cell's lower corner, in edges: from 0 to 1, so that 32 bits
-//!   │  ∙│∙  │  ∙│     …                   lose nothing that matters, however far from the origin the cell is
+//!   ├───┼───┼───┤     x  y  z  index      to the cell's lower corner, in edge lengths: 0 to 1, so 32 bits
+//!   │  ∙│∙  │  ∙│     …                   are precise enough, however far from the origin the cell is
 //!   └───┴───┴───┘
 //! ```
 //!
@@ -14,7 +14,8 @@
 //! finds a whole column; empty cells take no memory.
 //!
 //! Invariants: the order depends on the particles only, not on threads. The data of a cell and its particles
-//! depends on nothing outside the cell. Scaling positions and edge by a power of two changes no bit.
+//! depends on nothing outside the cell. Scaling positions and edge by a power of two changes no bit of the
+//! data.
 
 mod packets;
 
@@ -36,9 +37,9 @@ pub struct Neighbors {
     cells: Lattice,
     /// Cells with particles, sorted.
     coords: Vec<IVec3>,
-    /// Where each cell's particles start; one more entry than cells.
+    /// Index of each cell's first particle; the last entry is the number of particles.
     starts: Vec<usize>,
-    /// The range of cells with this x and y.
+    /// For each column (x, y), the range of its cells in `coords`.
     columns: FxHashMap<[i32; 2], Range<usize>>,
     x: Vec<f32>,
     y: Vec<f32>,
@@ -54,7 +55,7 @@ pub struct Neighbors {
 pub struct CellRun {
     /// From the middle cell to this one: −1, 0 or 1 on each axis.
     pub step: IVec3,
-    /// The indices of its particles in the sorted order.
+    /// The indices of this cell's particles in the sorted order.
     pub slots: Range<usize>,
 }
 
@@ -91,8 +92,9 @@ impl Neighbors {
         self.cells.voxel_size
     }
 
-    /// The cell of a world position, and the position in it, in edges from its lower corner. `None` if it is
-    /// not finite or outside the range of indices: then it has no neighbours.
+    /// The cell that contains a world position, and the position relative to the cell's lower corner, in
+    /// units of the edge. `None` if the position is not finite or outside the range of indices. Such a
+    /// position has no neighbours.
     pub fn locate(&self, world: DVec3) -> Option<(IVec3, Vec3)> {
         cell_and_offset(world, &self.cells)
     }
@@ -107,8 +109,8 @@ impl Neighbors {
         self.starts[cell]..self.starts[cell + 1]
     }
 
-    /// The cell of a particle in the sorted order, as an index into `cells()`; `cells().len()` if the index
-    /// is past the last.
+    /// The cell of a particle in the sorted order, as an index into `cells()`; `cells().len()` if `slot` is
+    /// past the last particle.
     pub fn cell_at(&self, slot: usize) -> usize {
         // The first cell starts at 0.
         self.starts.partition_point(|&start| start <= slot) - 1
@@ -119,14 +121,15 @@ impl Neighbors {
         &self.indices
     }
 
-    /// For each particle in the sorted order, x, y and z in edges from its cell's lower corner, 0 to 1.
+    /// For each particle in the sorted order, x, y and z relative to its cell's lower corner, in units of the
+    /// edge (0 to 1).
     pub fn locals(&self) -> [&[f32]; 3] {
         [&self.x, &self.y, &self.z]
     }
 
-    /// The particles in a cell and its 26 neighbours, cell by cell, in cell order: all that are within an
-    /// edge of any point in the cell. Add `run.step` to their positions to make them relative to the corner
-    /// of this cell.
+    /// The particles in a cell and its 26 neighbours, cell by cell, in cell order. They include all particles
+    /// within one edge length of any point in the cell. Add `run.step` to their positions to make the
+    /// positions relative to the lower corner of `cell`.
     pub fn runs(&self, cell: IVec3) -> impl Iterator<Item = CellRun> {
         COLUMNS.iter().flat_map(move |&[x, y]| {
             let column = self.columns.get(&[cell.x + x, cell.y + y]).cloned().unwrap_or_default();
@@ -151,7 +154,7 @@ const INDEX_BITS: u32 = 35;
 const COORD_BITS: u32 = 31;
 
 fn key_of(cell: IVec3, index: u32) -> CellKey {
-    // Positions are in range, so no coordinate is negative after this.
+    // Positions are in range, so no coordinate is negative after adding the limit.
     let [x, y, z] = cell.to_array().map(|along| CellKey::from(along.wrapping_add(INDEX_LIMIT) as u32));
     ((x << COORD_BITS | y) << COORD_BITS | z) << INDEX_BITS | CellKey::from(index)
 }
@@ -182,7 +185,7 @@ fn cell_and_offset(world: DVec3, cells: &Lattice) -> Option<(IVec3, Vec3)> {
     Some((corner.as_ivec3(), (index - corner).as_vec3()))
 }
 
-/// The cells, and the position where each one's keys start.
+/// The cells, and for each cell the index of its first key; the last entry is the number of keys.
 fn cells_of(keys: &[CellKey]) -> (Vec<IVec3>, Vec<usize>) {
     let (mut coords, mut starts) = (Vec::new(), Vec::new());
     for (slot, &key) in keys.iter().enumerate() {

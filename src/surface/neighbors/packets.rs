@@ -1,15 +1,16 @@
 //! The particles around a cell, in packets of eight.
 //!
 //! ```text
-//!   cells around       ∙∙∙  ∙∙∙∙∙  ∙  ∙∙∙∙        each relative to its own corner
-//!   surroundings       ∙∙∙∙∙∙∙∙ ∙∙∙∙∙○○○          all relative to the corner of the middle cell;
-//! ```                                              ○: at infinity, so that every packet is full
+//!   cells around       ∙∙∙  ∙∙∙∙∙  ∙  ∙∙∙∙        relative to the corner of the particle's own cell
+//!   packets            ∙∙∙∙∙∙∙∙ ∙∙∙∙∙○○○          all relative to the corner of the middle cell;
+//!                                                ○: at infinity, so that every packet is full
+//! ```
 //!
-//! They are gathered once for all points in the cell, and a kernel processes them eight at a time.
+//! The particles are gathered once for all points in the cell, and a kernel processes them eight at a time.
 //!
 //! With very many particles in a cell, comparing all pairs would take too long: a frame with all particles in
-//! one position would never finish. So each cell contributes only a sample, spread over its particles in file
-//! order, and each sampled particle has a multiplicity.
+//! one position would never finish. So a cell with very many particles contributes only a sample, spread over
+//! its particles in file order. Each sampled particle represents several; their number is its multiplicity.
 
 use std::ops::Range;
 
@@ -22,9 +23,9 @@ use super::Neighbors;
 pub struct Particle8 {
     /// x, y and z in edges of a cell, from the lower corner of the middle cell.
     pub along: [[f32; 8]; 3],
-    /// The multiplicity: how many particles each represents.
+    /// The multiplicity: how many particles each lane represents.
     pub multiplicity: [f32; 8],
-    /// Their indices in the input of the grid; [`NO_PARTICLE`] for an unused lane.
+    /// The particles' indices in the input of the grid; [`NO_PARTICLE`] for an unused lane.
     pub indices: [u32; 8],
 }
 
@@ -45,7 +46,7 @@ pub struct NeighborPackets {
 
 impl NeighborPackets {
     /// Replaces the contents by the particles around this cell, in the order of [`Neighbors::runs`]. Takes at
-    /// most `cell_max` of each cell, except of one.
+    /// most `cell_max` particles of each cell; a `cell_max` of 0 counts as 1.
     pub fn gather(&mut self, neighbors: &Neighbors, cell: IVec3, cell_max: usize) {
         self.eights.clear();
         self.len = 0;
@@ -102,8 +103,9 @@ impl NeighborPackets {
     }
 }
 
-/// Which of `count` particles represents one of `part_count` parts: pseudo-random within the part, but always
-/// the same. One per part covers the whole file evenly; a fixed stride would alias with rows in the file.
+/// Splits `count` particles into `part_count` parts, and returns the particle that represents a part. It is
+/// pseudo-random within the part, but always the same. One particle per part covers the whole file evenly; a
+/// fixed stride would alias with rows in the file.
 fn chosen(count: usize, part: usize, part_count: usize) -> usize {
     let bound = |part: usize| (part as u128 * count as u128 / part_count as u128) as usize;
     let (first, end) = (bound(part), bound(part + 1));

@@ -1,4 +1,4 @@
-//! Tests against brute force.
+//! Compares the search for neighbours with brute force.
 
 use super::*;
 
@@ -13,7 +13,7 @@ fn cloud(count: usize, extent: f64, around: DVec3) -> Vec<[f64; 3]> {
     (0..count).map(|_| (DVec3::new(along(), along(), along()) + around).to_array()).collect()
 }
 
-/// Indices of the particles within an edge of a point, in order.
+/// Indices of the particles within the edge length of a cell from a point, sorted.
 fn found(neighbors: &Neighbors, world: DVec3) -> Vec<u32> {
     let Some((cell, local)) = neighbors.locate(world) else { return Vec::new() };
     let mut surroundings = NeighborPackets::default();

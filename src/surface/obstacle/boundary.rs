@@ -1,12 +1,13 @@
-//! The boundary edges of a surface in a tree of boxes: bounds how fast the winding number can change near a
-//! point.
+//! A bounding-box tree of the boundary edges of a surface. It bounds how fast the winding number w can change
+//! near a point:
 //!
 //! ```text
 //!   |∇w| ≤ 1/4π · Σ length / distance²        over the boundary edges
 //! ```
 //!
-//! A box of edges that is far away for its size is counted with the distance of the box, which is at most
-//! that of its edges. So even a mesh whose triangles share no edges takes little longer than a hole.
+//! If a box is far away for its size, all its edges are counted with the distance of the box, which is at
+//! most the distance of the edges. So even a mesh whose triangles share no edges takes little longer than a
+//! mesh with a hole.
 
 use std::f64::consts::PI;
 
@@ -20,23 +21,23 @@ pub(super) struct BoundaryEdges {
 
 /// A range of edges.
 struct EdgeNode {
-    /// The box around them.
+    /// The bounding box of the edges.
     min: DVec3,
     max: DVec3,
-    /// The sum of their lengths.
+    /// The sum of the edges' lengths.
     length: f64,
     /// The first edge, and the number of edges.
     first: u32,
     count: u32,
-    /// The second child; the first child is the next node. 0 for a leaf.
+    /// Index of the second child; the first child is the next node. 0 for a leaf.
     second: u32,
 }
 
-/// Number of edges in a leaf.
+/// Maximum number of edges in a leaf.
 const LEAF_EDGES: usize = 8;
 
-/// A box is far away at this many times its diagonal. The distance is then underestimated by at most a
-/// quarter.
+/// A box is far away if its distance exceeds this many times its diagonal. The distance of an edge is then
+/// underestimated by at most a quarter.
 const FAR: f64 = 3.0;
 
 impl BoundaryEdges {
@@ -60,12 +61,12 @@ impl BoundaryEdges {
         self.edges.is_empty()
     }
 
-    /// Its memory, in bytes.
+    /// The memory of the tree, in bytes.
     pub(super) fn size_bytes(&self) -> usize {
         size_of_val(&*self.nodes) + size_of_val(&*self.edges)
     }
 
-    /// Upper bound of the gradient of the winding number within `radius` of a point, between triangles.
+    /// Upper bound of |∇w| within `radius` of a point, between triangles. (Across a triangle, w jumps.)
     pub(super) fn slope_bound(&self, center: DVec3, radius: f64) -> f64 {
         let mut sum = 0.0;
         let mut pending: Vec<u32> = self.nodes.first().map(|_| 0).into_iter().collect();
@@ -98,7 +99,7 @@ impl EdgeNode {
     }
 }
 
-/// The contribution of one edge.
+/// The contribution of one edge to the sum.
 fn edge_slope(&[from, to]: &[DVec3; 2], center: DVec3, radius: f64) -> f64 {
     let along = to - from;
     let t = ((center - from).dot(along) / along.length_squared()).clamp(0.0, 1.0);
@@ -165,7 +166,7 @@ mod tests {
         }
     }
 
-    /// Few of many edges are visited: a box that is far away counts as one.
+    /// A box that is far away counts as one edge, so only few of many edges are visited.
     #[test]
     fn distant_box_counts_as_one_edge() {
         let edges =

@@ -1,7 +1,7 @@
 //! The contact of fluid and obstacles: makes φ and its bounds respect the obstacles (paper, §3.6, Eq. 12).
 //!
 //! ```text
-//!          fluid                    fluid                 φ_0    signed distance of the start
+//!          fluid                    fluid                 φ_0    initial signed distance of the fluid
 //!       ╭───╮  ╭──╮              ·        ·               φ_o    signed distance to the obstacle
 //!     ──╯   ╰──╯  ╰──          ──╮        ╭──
 //!      void     ▲                ╰────────╯               φ_0 + φ_o < ε: the void is filled, and the
@@ -18,15 +18,16 @@
 //!   φ = max(min(φ_0, k·(φ_0 + φ_o − ε)), −φ_o)
 //! ```
 //!
-//! This is the paper's value except within ε/k of the end. (Around a drop on a floor the edge then has three
-//! quarters of the bending energy, and vertices are half as deep in the floor.) The same formula applies
-//! inside the wall. If only the voxels outside the obstacle had this value, the zero crossing would be
-//! interpolated between them and the φ_0 inside the wall, which is too large there.
+//! This is the paper's value, except within ε/k of the end of the filled part. (Compared with the paper's
+//! steps, the edge around a drop on a floor has three quarters of the bending energy, and vertices are half
+//! as deep in the floor.) The same formula applies inside the wall. If only the voxels outside the obstacle
+//! had this value, the zero crossing would be interpolated between them and the φ_0 inside the wall, which is
+//! too large there.
 //!
 //! The voids are found once, from φ_0. If they were searched again after smoothing, the fluid would climb the
 //! walls. Instead, the φ of the formula above is kept as an upper bound where a void was filled, and where
-//! fluid is closer to the wall than to its own surface. So the surface does not detach from the wall where it
-//! was wet.
+//! fluid is closer to the wall than to its own surface. So the surface does not detach from the wall where
+//! the wall was wet.
 //!
 //! Each voxel is computed alone, so tiles give the same result.
 
@@ -51,7 +52,7 @@ pub struct ContactStats {
 }
 
 impl ContactStats {
-    /// The sum of both.
+    /// The sums of both statistics.
     pub fn merge(self, other: ContactStats) -> ContactStats {
         ContactStats {
             void_count: self.void_count + other.void_count,
@@ -61,8 +62,9 @@ impl ContactStats {
     }
 }
 
-/// Makes φ_0 and its bounds respect the obstacles. `obstacle` returns their leaf for an origin, clamped to
-/// the half width of the band. Fills voids narrower than `void_threshold` voxels; 0 fills none.
+/// Makes φ_0 and its bounds respect the obstacles. `obstacle` returns the distances to the obstacles in the
+/// leaf with a given origin, clamped to the half width of the band. Fills voids narrower than
+/// `void_threshold` voxels; 0 fills none.
 pub fn apply_obstacle_constraint(
     obstacle: impl Fn(IVec3) -> ObstacleLeaf + Sync,
     void_threshold: f32,

@@ -35,11 +35,11 @@ impl Obstacles {
     }
 }
 
-/// The nearest voxel is up to √3/2 voxels away: a particle is on its side if the voxel is farther from the
-/// surface.
+/// The voxel nearest to a particle is at most √3/2 voxels away. If that voxel is farther from the surface
+/// than this, in voxels, the particle is on the voxel's side.
 const NEAR: f32 = 0.9;
 
-/// The last leaf: the next particle is often in the same one.
+/// The leaf of the previous particle: the next particle is often in the same leaf.
 struct LastLeaf<'a> {
     obstacles: &'a Obstacles,
     lattice: &'a Lattice,

@@ -2,9 +2,9 @@
 //! edge.
 //!
 //! ```text
-//!    · ────── ·         a sharp edge of the obstacle lies between voxels, none of which is inside
-//!    │   ╱╲   │         it. Contouring misses the edge and cuts it off: by a third of a voxel at
-//!  ──┼──●──●──┼──       the corner of a tetrahedron.
+//!    · ────── ·         a sharp edge of the obstacle lies between voxels, and none of these voxels is inside
+//!    │   ╱╲   │         the obstacle. Contouring misses the edge and cuts it off: by a third of a voxel at
+//!  ──┼──●──●──┼──       the corner of a tetrahedral obstacle.
 //!    · ╱ ── ╲ ·
 //! ```
 
@@ -29,17 +29,17 @@ pub struct DepthStats {
 /// Vertices deeper inside an obstacle than this, in voxels, are moved to its surface.
 const DEPTH_MAX: f64 = 0.125;
 
-/// Vertices deeper than this, in voxels, are not moved: an edge that contouring missed is not the cause.
+/// Vertices deeper than this, in voxels, are not moved: the cause is not an edge that contouring missed.
 const MOVE_MAX: f64 = 1.0;
 
-/// A vertex is outside if the nearest voxel is farther from the obstacle than this, in voxels: more than
-/// √3/2.
+/// A vertex is outside if the nearest voxel is farther from the obstacle than this, in voxels. The nearest
+/// voxel is at most √3/2 voxels away from the vertex.
 const NEAR: f32 = 1.0;
 
 impl Obstacles {
-    /// Moves vertices out of edges of obstacles that the grid cannot resolve. The normal of a moved vertex
-    /// points into the obstacle. Returns the depth of the deepest vertex afterwards. `half_width` is that of
-    /// the cached leaves.
+    /// Moves vertices out of obstacles at edges that the grid cannot resolve. The normal of a moved vertex
+    /// points into the obstacle. Returns the depth of the deepest vertex afterwards. `half_width` is the half
+    /// width of the cached leaves.
     pub fn move_vertices_out(&self, mesh: &mut Mesh, lattice: &Lattice, half_width: f32) -> DepthStats {
         let origin = mesh.origin;
         let of_vertex = |(position, normal): (&mut Vec3, &mut Vec3)| {
@@ -52,7 +52,7 @@ impl Obstacles {
             if DEPTH_MAX < depth && depth < MOVE_MAX {
                 *position = (outside - origin).as_vec3();
                 *normal = (point - outside).normalize_or_zero().as_vec3();
-                // It may now be inside another obstacle.
+                // The vertex may now be inside another obstacle.
                 let left = self.depth(origin + position.as_dvec3(), lattice, half_width);
                 tally = DepthStats { deepest_voxels: left.map_or(0.0, |(depth, _)| depth), moved_count: 1 };
             }
@@ -66,8 +66,9 @@ impl Obstacles {
         vertices.map(of_vertex).reduce(DepthStats::default, both)
     }
 
-    /// How deep a world position is inside an obstacle, in voxels, and the nearest point on its surface;
-    /// `None` if it is outside of all.
+    /// How deep a world position is inside an obstacle, in voxels, and the nearest point on the surface of
+    /// that obstacle. If it is inside several, the one in which it is deepest counts. `None` if it is outside
+    /// of all.
     pub fn depth(&self, point: DVec3, lattice: &Lattice, half_width: f32) -> Option<(f64, DVec3)> {
         let voxel = lattice.index_from_world(point)?.round().as_ivec3();
         let local = voxel & IVec3::splat(LEAF_EDGE - 1);
@@ -83,7 +84,7 @@ impl Obstacles {
 }
 
 impl ObstacleSdf {
-    /// How deep a point is inside, world units, and the nearest point on the surface. `None` if it is
+    /// How deep a point is inside, world units, and the nearest point on the surface. `None` if the point is
     /// outside.
     fn depth(&self, point: DVec3) -> Option<(f64, DVec3)> {
         match self {

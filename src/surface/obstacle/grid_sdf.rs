@@ -1,13 +1,14 @@
-//! A level set as an obstacle: resampled at our voxels.
+//! A level set as an obstacle: resampled at the voxels of the reconstruction ("our" voxels).
 //!
 //! ```text
-//!   its voxels   ·   ·   ·   ·          ours lie anywhere between: values are interpolated along the
-//!   ours           x  x  x  x           three axes from the eight voxels around
+//!   its voxels   ·   ·   ·   ·          our voxels lie anywhere between its voxels: a value is interpolated
+//!   our voxels     x  x  x  x           along the three axes from the eight voxels around it
 //! ```
 //!
-//! Its values are known within a band around the surface; beyond it, they equal the background. If our band
-//! is wider, distances are extended from the outermost known values. A band much narrower than one of our
-//! voxels has too little information: the surface is then off by a fraction of a voxel.
+//! The level set has distances only in a band around its surface; beyond the band, its values equal the
+//! background. If the band of the reconstruction is wider, distances are extended from the outermost known
+//! values. If the level set's band is much narrower than one of our voxels, it has too little information:
+//! the surface is then off by a fraction of a voxel.
 
 use std::sync::Arc;
 
@@ -39,7 +40,7 @@ pub struct SourceLevelSet {
     pub translation: DVec3,
 }
 
-/// The inside of a level set.
+/// A level set as an obstacle, with hash tables to look up its values.
 pub struct GridSdf {
     source: SourceLevelSet,
     leaf_of: FxHashMap<IVec3, u32>,
@@ -49,10 +50,11 @@ pub struct GridSdf {
     rebuild_reason: Option<RebuildReason>,
 }
 
-/// Steps that differ by more than this fraction have different lengths, or are not orthogonal.
+/// Relative tolerance. Voxels are not cubes if the squared lengths of two axes, or the dot product of two
+/// axes and 0, differ by more than this.
 const SKEW_MAX: f64 = 1e-4;
 
-/// A distance in our voxels, and whether it is known; otherwise only its sign is.
+/// A distance in our voxels. If it is not known, only its sign is valid.
 #[derive(Clone, Copy)]
 struct GridSample {
     distance: f32,
@@ -91,8 +93,8 @@ impl KnownVoxels {
 /// How far around a leaf known values are searched, in voxels.
 const EXTENSION_MAX: i32 = 12;
 
-/// Thickness of the layer, in voxels, in which the outermost known values are searched: every path out passes
-/// through one of its voxels.
+/// Thickness, in voxels, of the layer in which the outermost known values are searched: every path out of the
+/// band passes through a voxel of this layer.
 const OUTERMOST: f32 = 1.8;
 
 impl SourceLevelSet {
@@ -125,8 +127,8 @@ impl SourceLevelSet {
 }
 
 impl GridSdf {
-    /// The inside of a level set. Rebuilding distances that the file lacks may take `memory_bytes` in
-    /// addition.
+    /// Prepares a level set as an obstacle. If the file lacks distances, rebuilding them may take up to
+    /// `memory_bytes` in addition.
     ///
     /// # Errors
     /// The reason, as a sentence without a subject: voxels that are not cubes, a background that is not
@@ -187,8 +189,9 @@ impl GridSdf {
         f64::from(self.source.background)
     }
 
-    /// Samples up to this distance are exact. Farther samples are interpolated with the background; next to
-    /// the surface there is nothing better.
+    /// Samples up to this distance, in world units, are exact; farther samples are interpolated with the
+    /// background. If the band is narrower than two voxels, samples up to one voxel from the surface are used
+    /// anyway, because the file has no better ones.
     fn known_width(&self) -> f32 {
         let voxel_size = self.voxel_size() as f32;
         (self.source.background - voxel_size).max(voxel_size).min(0.9999 * self.source.background)
@@ -279,7 +282,7 @@ impl GridSdf {
         self.has_leaf_between(min, max)
     }
 
-    /// The side of a leaf, if one constant value surrounds it.
+    /// Whether a leaf is inside or outside; `None` if a stored leaf of the level set is near it.
     fn side(&self, origin: IVec3, lattice: &Lattice) -> Option<ObstacleLeaf> {
         let (min, max) = self.around(origin, lattice, 0.0);
         if self.has_leaf_between(min, max) {
@@ -307,7 +310,7 @@ impl GridSdf {
             let leaf = origin.div_euclid(edge);
             leaf.cmpge(first).all() && leaf.cmple(last).all()
         };
-        // The source's voxels may be much smaller than ours.
+        // If the source's voxels are much smaller than ours, the box spans more leaves than are stored.
         let spans = last.as_dvec3() - first.as_dvec3() + 1.0;
         if spans.element_product() > self.source.origins.len() as f64 {
             return self.source.origins.iter().any(is_between);
@@ -322,7 +325,7 @@ impl GridSdf {
         self.to_index * (voxel * lattice.voxel_size - self.source.translation)
     }
 
-    /// The value between voxels.
+    /// The value at a position in index space, interpolated between voxels.
     fn sample(&self, at: DVec3) -> f32 {
         let low = at.floor();
         // A NaN index is outside the grid.

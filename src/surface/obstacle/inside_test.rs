@@ -1,14 +1,15 @@
-//! Decides which voxels of a leaf are inside, with few winding numbers.
+//! Decides which voxels of a leaf are inside, with few evaluations of the winding number.
 //!
 //! ```text
-//!    a ●───────────● b       the balls around a and b up to their nearest triangles cover the line between
-//!     ( d(a) )( d(b)  )      them: no triangle crosses it, so b is on the same side as a
+//!    a ●───────────● b       d: distance to the nearest triangle. If the balls of radius d around a and b
+//!     ( d(a) )( d(b)  )      cover the line between them, no triangle crosses it: b is on the side of a
 //! ```
 //!
-//! For a closed surface this suffices: the winding number is an integer, and constant between triangles. Near
-//! the boundary of a hole it changes gradually, by at most `slope` per voxel. Each classified voxel therefore
-//! carries a lower bound of |w − ½|. If it is at most `slope` times the voxel's distance, the patch
-//! over the hole may be closer than any triangle, and the winding number is evaluated at the voxel:
+//! For a closed surface, this suffices: the winding number w is an integer, and constant between triangles.
+//! Near the boundary of a hole, w changes gradually, by at most `slope` per voxel. Therefore a lower bound of
+//! |w − ½| is kept for each classified voxel. If this bound is at most `slope` times the voxel's distance to
+//! the triangles, the patch over the hole (w = ½) may be closer than any triangle. Then w is evaluated at the
+//! voxel:
 //!
 //! ```text
 //!   distance to the patch ≈ |w − ½| / |∇w|
@@ -24,7 +25,7 @@ pub(super) trait WindingField {
     /// The winding number.
     fn winding(&self, voxel: IVec3) -> f64;
 
-    /// The magnitude of its gradient, per voxel.
+    /// The magnitude of the winding number's gradient, per voxel.
     fn slope(&self, voxel: IVec3) -> f64;
 }
 
@@ -39,8 +40,8 @@ pub(super) fn sign(distances: &mut Leaf, surface: &impl WindingField, slope: f64
     }
 }
 
-/// Steps to voxels that can replace direct neighbours. With more directions, one of them is closer to the
-/// normal of the surface.
+/// Steps to voxels that can replace direct neighbours. With more directions, one of the steps is closer to
+/// the normal of the surface.
 const FAR_STEPS: [[i32; 3]; 6] = [[1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1], [2, 1, 0], [2, 1, 1]];
 
 /// The steps through the faces, and the index offset of each.
@@ -81,7 +82,7 @@ impl Classification<'_> {
         self.pending.push(offset);
     }
 
-    /// Takes the side of a voxel that is not a direct neighbour, if the line to it is free.
+    /// Gives a voxel the side of one that is not a direct neighbour, if nothing lies between them.
     fn classify_from_afar(&mut self, offset: usize) -> bool {
         let voxel = voxel_in_leaf(offset);
         for step in FAR_STEPS {
@@ -105,7 +106,8 @@ impl Classification<'_> {
         false
     }
 
-    /// Gives one voxel the side of another, if the line between them is free.
+    /// Gives one voxel the side of another, if no triangle crosses the line between them and no patch over a
+    /// hole is closer than the triangles.
     fn classify_from(&mut self, from: usize, to: usize, step_squared: i32) -> bool {
         let Some(margin) = self.margins[from] else { return false };
         let step = (step_squared as f32).sqrt();
@@ -124,7 +126,7 @@ impl Classification<'_> {
         true
     }
 
-    /// Continues from the classified voxels, through faces.
+    /// Continues from the classified voxels to their face neighbours.
     fn spread(&mut self) {
         while let Some(from) = self.pending.pop() {
             let voxel = voxel_in_leaf(from);

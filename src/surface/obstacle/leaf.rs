@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::surface::grid::Leaf;
 
-/// φ_o of a leaf: signed distances to obstacles in voxels, negative inside one.
+/// φ_o of a leaf: signed distances to obstacles in voxels, negative inside an obstacle.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ObstacleLeaf {
     /// All voxels are outside, farther from obstacles than the half width.
@@ -27,7 +27,8 @@ impl ObstacleLeaf {
         }
     }
 
-    /// Adds `by` to the distances, which must be known that much farther than `half_width`.
+    /// Adds `by` to the distances and clamps them to ± `half_width`. Distances up to `half_width` + |`by`|
+    /// must be known.
     pub fn shifted(self, by: f32, half_width: f32) -> ObstacleLeaf {
         match self {
             ObstacleLeaf::Near(mut leaf) if by != 0.0 => {
@@ -55,7 +56,7 @@ impl ObstacleLeaf {
         }
     }
 
-    /// Its memory, in bytes.
+    /// The memory of the leaf, in bytes.
     pub(super) fn size_bytes(&self) -> usize {
         size_of::<ObstacleLeaf>() + if matches!(self, ObstacleLeaf::Near(_)) { size_of::<Leaf>() } else { 0 }
     }

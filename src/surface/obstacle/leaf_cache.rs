@@ -1,8 +1,8 @@
 //! A cache of leaves: a frame requests the same leaf in more than one stage, and if an obstacle is static the
 //! next frame requests it again.
 //!
-//! A cached leaf equals the recomputed one, so the cache does not change results. When the memory of a
-//! shard is used up, the shard is cleared.
+//! A cached leaf equals the recomputed one, so the cache does not change results. A shard is cleared when it
+//! would exceed its memory limit.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -25,7 +25,7 @@ struct CacheShard {
     size_bytes: usize,
 }
 
-/// Origin, voxel size and half width, as bits.
+/// Origin of the leaf, and voxel size and half width as bits.
 type CacheKey = (IVec3, u64, u32);
 
 /// Number of shards: with more threads than this, some may wait for each other.
@@ -63,7 +63,7 @@ impl LeafCache {
             if shard.size_bytes + size > self.shard_bytes_max {
                 *shard = CacheShard::default();
             }
-            // Another thread may have inserted it first.
+            // Another thread may have inserted the leaf first.
             if shard.leaves.insert(key, leaf.clone()).is_none() {
                 shard.size_bytes += size;
             }
@@ -71,13 +71,13 @@ impl LeafCache {
         leaf
     }
 
-    /// Its memory, in bytes.
+    /// The memory of the cache, in bytes.
     pub(super) fn size_bytes(&self) -> usize {
         let size =
             |shard: &Mutex<CacheShard>| shard.lock().unwrap_or_else(PoisonError::into_inner).size_bytes;
         self.shards.iter().map(size).sum()
     }
-    /// Upper limit of its memory, in bytes.
+    /// Upper limit of the memory of the cache, in bytes.
     pub(super) fn size_bytes_max(&self) -> usize {
         self.shard_bytes_max.saturating_mul(SHARDS)
     }

@@ -1,9 +1,9 @@
 //! Signed distances of points to the triangles of a mesh without repairs, closed or open.
 //!
 //! ```text
-//!        \ n₁  │ Σ  / n₂        the point nearest to ● is on an edge: its side is that of the sum of the normals there,
-//!         ╲    │   ╱            each weighted by the angle that its triangle has around that point
-//!          ╲___●__╱
+//!        \ n₁  │ Σ  / n₂        q (●): the surface point nearest to the query point, here on an edge
+//!         ╲    │   ╱            Σ: the sum of the normals at q, each weighted by the angle that its triangle
+//!          ╲___●__╱             has around q. The query point is outside if it lies on the side of Σ
 //!              q
 //! ```
 //!
@@ -23,7 +23,7 @@ use super::tree::TriangleTree;
 /// orientation, which defines the outside.
 pub struct MeshDistance {
     tree: TriangleTree,
-    /// A point closer than this, world units, is on an edge or at a corner.
+    /// A point closer to an edge or a corner than this, world units, counts as on it.
     touch: f64,
     open_edge_count: usize,
 }
@@ -32,7 +32,7 @@ pub struct MeshDistance {
 const ROUNDING: f64 = 1e-12;
 
 impl MeshDistance {
-    /// The triangles with an area and finite corners, world units, counter-clockwise seen from outside.
+    /// Uses the triangles with an area and finite corners, world units, counter-clockwise seen from outside.
     pub fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> MeshDistance {
         let tree = TriangleTree::new(valid_triangles(positions, triangles));
         let farthest = tree.root().map_or(0.0, |node| node.min.abs().max(node.max.abs()).max_element());
@@ -81,7 +81,7 @@ impl MeshDistance {
     }
 
     /// The angle that a triangle has around a point: that of a corner, π on an edge, 2π in its interior.
-    /// `None` if it does not touch the point.
+    /// `None` if the triangle does not touch the point.
     fn angle_at(&self, triangle: &[DVec3; 3], point: DVec3) -> Option<f64> {
         let is_near = |other: DVec3| other.distance_squared(point) <= self.touch * self.touch;
         if !is_near(super::tree::nearest_point(triangle, point)) {
@@ -143,7 +143,7 @@ mod tests {
                         [index % 17, index / 17 % 13, index / 221].map(|along| 0.25 * f64::from(along));
                     let point = DVec3::from(place) + DVec3::new(-2.0, -1.0, 1.0) + shift;
                     let (found, exact) =
-                        (mesh.distance(point).expect("a box"), exact(point, least, greatest));
+                        (mesh.distance(point).expect("the box has triangles"), exact(point, least, greatest));
                     assert!((found - exact).abs() < tolerance, "{point}: {found} instead of {exact}");
                 }
             }

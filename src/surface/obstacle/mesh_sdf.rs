@@ -13,7 +13,7 @@ use crate::surface::grid::LEAF_EDGE;
 use crate::surface::simd;
 use crate::surface::space::Lattice;
 
-/// The inside of a mesh.
+/// Signed distances to a repaired mesh, negative inside.
 pub struct MeshSdf {
     surface: RepairedMesh,
 }
@@ -28,8 +28,8 @@ const RADIUS: f64 = HALF_EDGE * 1.732_050_807_568_877_2;
 const ROUNDING: f64 = 1e-3;
 
 impl MeshSdf {
-    /// The inside of these triangles, in world units. Triangles that cannot be part of a surface are left out
-    /// and counted in [`MeshSdf::findings`].
+    /// Repairs a mesh of these triangles, in world units. Triangles that cannot be part of a surface are left
+    /// out and counted in [`MeshSdf::findings`].
     pub fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> MeshSdf {
         MeshSdf { surface: RepairedMesh::new(positions, triangles) }
     }
@@ -39,12 +39,12 @@ impl MeshSdf {
         &self.surface.findings
     }
 
-    /// The box around it, which also contains the patches over its holes.
+    /// The bounding box of the mesh, which also contains the patches over its holes.
     pub(super) fn bounds(&self) -> Option<[DVec3; 2]> {
         self.surface.tree.root().map(|node| [node.min, node.max])
     }
 
-    /// Its memory, in bytes.
+    /// The memory of the mesh and its trees, in bytes.
     pub fn size_bytes(&self) -> usize {
         self.surface.tree.size_bytes() + self.surface.boundary.size_bytes()
     }
@@ -65,7 +65,7 @@ impl MeshSdf {
         ObstacleLeaf::of_values(Arc::new(leaf), half_width)
     }
 
-    /// How deep a point is inside, world units, and the nearest point on the surface. `None` if it is
+    /// How deep a point is inside, world units, and the nearest point on the surface. `None` if the point is
     /// outside.
     pub(super) fn depth(&self, point: DVec3) -> Option<(f64, DVec3)> {
         let tree = &self.surface.tree;
@@ -124,8 +124,8 @@ impl LeafView<'_> {
         Some(squared.sqrt() / self.voxel_size)
     }
 
-    /// The side of the whole leaf, if no patch over a hole is within `far` voxels of it. The caller must know
-    /// that no triangle is.
+    /// The side of the whole leaf, if no patch over a hole is within `far` voxels of the leaf. The caller
+    /// must ensure that no triangle is within this distance.
     fn side(&self, far: f64) -> Option<ObstacleLeaf> {
         let slope = self.slope_bound(RADIUS + far);
         if slope == f64::INFINITY {
@@ -141,7 +141,8 @@ impl LeafView<'_> {
         self.surface.boundary.slope_bound(self.center, radius * self.voxel_size) * self.voxel_size
     }
 
-    /// The triangles within `far` of the leaf's box and within `reach` of its centre, and some more.
+    /// The triangles within `far` of the leaf's box and within `reach` of its centre, in voxels, and the
+    /// triangles that share a leaf of the tree with them.
     fn near(&self, far: f64, reach: f64) -> Vec<Triangle8> {
         let mut packets = Vec::new();
         let [half_edge, far, reach] =

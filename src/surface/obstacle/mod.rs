@@ -2,12 +2,12 @@
 //!
 //! ```text
 //!   mesh ────────▶ MeshSdf ─┐ sign by the winding number, distance by a tree of triangles
-//!                           ├──▶ φ_o of a leaf, in voxels of our lattice, negative inside the obstacle
+//!                           ├──▶ φ_o of a leaf, in voxels of the frame, negative inside the obstacle
 //!   level set ───▶ GridSdf ─┘ interpolated
 //! ```
 //!
-//! Each leaf is computed alone, relative to its own centre and in 64 bits where precision matters. So every
-//! caller gets the same leaf: a frame, a tile, or the next frame, for which it is cached.
+//! Each leaf is computed independently, relative to its own centre, and in 64 bits where precision matters.
+//! So every caller gets the same values: a frame, a tile, or the next frame, for which the leaf is cached.
 
 mod boundary;
 mod contact;
@@ -50,7 +50,7 @@ pub enum ObstacleSdf {
 }
 
 impl ObstacleSdf {
-    /// The lower and the upper corner of a box around it, world units; `None` if it is empty.
+    /// The lower and the upper corner of the bounding box, world units; `None` if the obstacle is empty.
     pub fn bounds(&self) -> Option<[DVec3; 2]> {
         match self {
             ObstacleSdf::Mesh(solid) => solid.bounds(),
@@ -58,7 +58,7 @@ impl ObstacleSdf {
         }
     }
 
-    /// Its memory, in bytes.
+    /// The memory of the geometry, in bytes.
     fn size_bytes(&self) -> usize {
         match self {
             ObstacleSdf::Mesh(solid) => solid.size_bytes(),
@@ -67,7 +67,7 @@ impl ObstacleSdf {
     }
 }
 
-/// A body that the fluid must not enter. Share it between frames by an `Arc`: its distances are cached in it.
+/// A body that the fluid must not enter. It caches its distances: share it between frames in an `Arc`.
 pub struct Obstacle {
     sdf: ObstacleSdf,
     cache: LeafCache,
@@ -82,13 +82,14 @@ impl Obstacle {
     }
 
     #[doc(hidden)]
-    /// An obstacle with a cache of at most this many bytes for its leaves: a frame requests each leaf more
-    /// than once, and if the obstacle is static the next frame requests the same ones.
+    /// An obstacle with a cache of at most this many bytes for its leaves. A frame requests each leaf more
+    /// than once, and if the obstacle is static, the next frame requests the same leaves.
     pub fn new(sdf: ObstacleSdf, cache_bytes_max: usize) -> Obstacle {
         Obstacle { sdf, cache: LeafCache::new(cache_bytes_max) }
     }
 
-    /// Problems of its mesh: holes, and triangles that were left out or turned. `None` for a level set.
+    /// Problems of the obstacle's mesh: holes, and triangles that were left out or flipped. `None` for a
+    /// level set.
     pub fn mesh_findings(&self) -> Option<&MeshFindings> {
         match &self.sdf {
             ObstacleSdf::Mesh(solid) => Some(solid.findings()),
@@ -96,24 +97,24 @@ impl Obstacle {
         }
     }
 
-    /// Its geometry.
+    /// The geometry.
     #[doc(hidden)]
     pub fn sdf(&self) -> &ObstacleSdf {
         &self.sdf
     }
 
-    /// Its memory, in bytes.
+    /// The memory of the obstacle, in bytes.
     pub fn size_bytes(&self) -> usize {
         self.cache.size_bytes() + self.sdf.size_bytes()
     }
 
-    /// Its memory once its cache is full, in bytes.
+    /// The memory of the obstacle once its cache is full, in bytes.
     pub fn size_bytes_max(&self) -> usize {
         self.cache.size_bytes_max().saturating_add(self.sdf.size_bytes())
     }
 
     #[doc(hidden)]
-    /// Its signed distances in the leaf with this origin, in voxels, clamped to ± `half_width`.
+    /// The signed distances in the leaf with this origin, in voxels, clamped to ± `half_width`.
     pub fn leaf(&self, origin: IVec3, lattice: &Lattice, half_width: f32) -> ObstacleLeaf {
         let compute = || match &self.sdf {
             ObstacleSdf::Mesh(solid) => solid.leaf(origin, lattice, half_width),
@@ -123,8 +124,8 @@ impl Obstacle {
     }
 
     #[doc(hidden)]
-    /// Whether its surface may come within `margin_voxels` of the voxels of the leaf with this origin. A
-    /// cheap test without false negatives.
+    /// Whether the obstacle's surface may come within `margin_voxels` of the voxels of the leaf with this
+    /// origin. A cheap test without false negatives.
     pub fn touches(&self, origin: IVec3, lattice: &Lattice, margin_voxels: f32) -> bool {
         match &self.sdf {
             ObstacleSdf::Mesh(solid) => solid.touches(origin, lattice, margin_voxels),
@@ -155,8 +156,8 @@ impl Obstacles {
         leaves.fold(ObstacleLeaf::Outside, ObstacleLeaf::union)
     }
 
-    /// Whether the surface of any of them may come within `margin_voxels` of the voxels of the leaf with this
-    /// origin.
+    /// Whether the surface of any obstacle may come within `margin_voxels` of the voxels of the leaf with
+    /// this origin.
     pub fn touches(&self, origin: IVec3, lattice: &Lattice, margin_voxels: f32) -> bool {
         self.members.iter().any(|obstacle| obstacle.touches(origin, lattice, margin_voxels))
     }

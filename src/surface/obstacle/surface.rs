@@ -6,7 +6,7 @@
 //!
 //! ```text
 //!    ──▶ ◀──        two triangles agree if they traverse their common edge in opposite
-//!    │ 1 │ 2 │      directions. Among triangles connected by such edges, the smaller part by area is flipped
+//!    │ 1 │ 2 │      directions. Among connected triangles, those with the smaller total area are flipped
 //!
 //!    ┌─────────┐    a part with negative volume is flipped as a whole,
 //!    │  ┌───┐  │    unless it lies within another part: then it bounds a cavity
@@ -33,7 +33,7 @@ pub struct MeshFindings {
     pub triangle_count: usize,
     /// Triangles left out because a corner is not finite, or its index is out of range.
     pub invalid_count: usize,
-    /// Triangles without area.
+    /// Triangles left out because they have no area.
     pub degenerate_count: usize,
     /// Triangles left out because they are duplicates.
     pub duplicate_count: usize,
@@ -43,8 +43,8 @@ pub struct MeshFindings {
     pub open_edge_count: usize,
     /// Whether the mesh is so open that it encloses nothing, like a plane.
     pub encloses_nothing: bool,
-    /// Parts that seem to face inwards and were left as they are: with this many parts, finding the cavities
-    /// would take too long.
+    /// Parts with negative volume that were not flipped: with this many parts, it would take too long to find
+    /// out which of them are cavities.
     pub unchecked_part_count: usize,
 }
 
@@ -56,14 +56,14 @@ pub(super) struct RepairedMesh {
     pub(super) findings: MeshFindings,
 }
 
-/// Positions beyond this are invalid: squares of their squares would overflow.
+/// Positions with a larger coordinate are invalid: the squares of their squares would overflow.
 const FARTHEST: f64 = 1e60;
 
 /// A triangle is flat if its height is below this fraction of its longest edge.
 const FLAT: f64 = 1e-12;
 
 impl RepairedMesh {
-    /// The surface of these triangles, in world units.
+    /// Repairs these triangles, in world units.
     pub(super) fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> RepairedMesh {
         let mut findings = MeshFindings::default();
         let (points, welded) = weld(positions);
@@ -108,8 +108,8 @@ pub(super) fn open_edge_count(positions: &[[f64; 3]], triangles: &[[u32; 3]]) ->
     boundary(&points, &faces).len()
 }
 
-/// Whether the winding number exceeds 1/2 nowhere. It is evaluated behind some of the triangles, where it is
-/// largest.
+/// Whether the winding number is at most 1/2 everywhere. It is evaluated just behind some of the triangles,
+/// where it is largest.
 fn encloses_nothing(tree: &TriangleTree) -> bool {
     let triangles = tree.triangles();
     let every = triangles.len().div_ceil(TEST_COUNT).max(1);
@@ -127,7 +127,7 @@ const TEST_COUNT: usize = 500;
 /// Distance of the evaluation point behind a triangle, in units of the square root of its area.
 const BEHIND: f64 = 1e-3;
 
-/// The distinct positions, and for each vertex the index of its position; `None` if it is not finite.
+/// The distinct positions, and for each vertex the index of its position; `None` if the position is invalid.
 fn weld(positions: &[[f64; 3]]) -> (Vec<DVec3>, Vec<Option<u32>>) {
     let mut index_of: FxHashMap<[u64; 3], u32> = FxHashMap::default();
     let mut points = Vec::new();
@@ -149,8 +149,8 @@ fn weld(positions: &[[f64; 3]]) -> (Vec<DVec3>, Vec<Option<u32>>) {
     (points, welded)
 }
 
-/// The triangles by distinct positions, without duplicates. Flat triangles stay, because they connect their
-/// neighbours.
+/// The triangles as indices of distinct positions, without duplicates. Flat triangles stay, because they
+/// connect their neighbours.
 fn distinct_faces(
     points: &[DVec3],
     welded: &[Option<u32>],
@@ -183,8 +183,8 @@ fn distinct_faces(
 
 /// The triangles at each edge.
 struct EdgeTriangles {
-    /// Both ends, the lower index first; the triangle; whether it traverses the edge from the lower to the
-    /// higher index.
+    /// The edge's ends, the lower index first; a triangle at the edge; whether the triangle traverses the
+    /// edge from the lower to the higher index.
     uses: Vec<([u32; 2], u32, bool)>,
 }
 
@@ -200,13 +200,13 @@ impl EdgeTriangles {
         EdgeTriangles { uses }
     }
 
-    /// The edges, each with its uses.
+    /// The edges, each with the triangles at it.
     fn iter(&self) -> impl Iterator<Item = &[([u32; 2], u32, bool)]> {
         self.uses.chunk_by(|one, other| one.0 == other.0)
     }
 }
 
-/// Decides which triangles to flip so that neighbours agree. Returns the part of each triangle.
+/// Decides which triangles to flip so that neighbours agree. Returns the index of each triangle's part.
 fn orient(points: &[DVec3], faces: &[[u32; 3]], edges: &EdgeTriangles, flipped: &mut [bool]) -> Vec<u32> {
     const NONE: u32 = u32::MAX;
     let mut neighbors = vec![[(NONE, false); 3]; faces.len()];
@@ -254,8 +254,8 @@ fn flip(faces: &mut [[u32; 3]], flipped: &[bool]) {
     faces.iter_mut().zip(flipped).filter(|(_, flipped)| **flipped).for_each(|(face, _)| face.swap(1, 2));
 }
 
-/// With more parts than this, they are left as they are: the mesh is rubble, or its triangles share no
-/// vertices.
+/// If a mesh has more parts than this, no single part is flipped: the mesh is rubble, or its triangles share
+/// no vertices.
 const PARTS_MAX: usize = 4096;
 
 /// Number of corners of a part to test; the part is a cavity if all of them are inside other parts.
@@ -293,8 +293,8 @@ fn flip_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], flipped: 
     if is_asked { 0 } else { suspect_count }
 }
 
-/// For each part, whether its volume is negative and it lies within parts of positive volume. If all are
-/// `inside_out`, the triangles are treated as flipped.
+/// For each part, whether its volume is negative and it lies within parts of positive volume. If `inside_out`
+/// is true, all triangles are treated as flipped.
 fn are_cavities(
     points: &[DVec3],
     faces: &[[u32; 3]],

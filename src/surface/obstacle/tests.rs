@@ -1,5 +1,5 @@
-//! Tests obstacles against exact distances of balls, boxes and tori, and against brute force over all
-//! triangles.
+//! Compares distances from obstacles with the exact distances from balls, boxes and tori, and with brute
+//! force over all triangles.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -145,7 +145,7 @@ fn distances_match_the_exact_shapes() {
     let (min, max) = (DVec3::new(-9.3, -7.1, -12.0), DVec3::new(8.2, 10.4, 3.7));
     assert!(error_of(&TestMesh::cuboid(min, max).solid(), &UNIT, |point| to_cuboid(min, max, point)) < 2e-5);
     let ball = TestMesh::ball(DVec3::ZERO, 13.0, 48).solid();
-    // The error of a chord is less than r(1 − cos(π/96)).
+    // The distance between a chord and its arc is less than r(1 − cos(π/96)).
     assert!(error_of(&ball, &UNIT, |point| point.length() - 13.0) < 0.02);
     let torus = TestMesh::torus(DVec3::ZERO, 12.0, 5.0, 48).solid();
     assert!(error_of(&torus, &UNIT, |point| to_torus(12.0, 5.0, point)) < 0.03);
@@ -173,7 +173,7 @@ fn distances_match_brute_force_over_all_triangles() {
     assert!(error_of(&solid, &UNIT, brute) < 1e-5);
 }
 
-/// By projection, or else to each edge.
+/// The distance of a point from a triangle: from its plane if the projection is inside, else from its edges.
 fn to_triangle(&[a, b, c]: &[DVec3; 3], point: DVec3) -> f64 {
     let normal = (b - a).cross(c - a).normalize();
     let foot = point - normal * normal.dot(point - a);
@@ -188,7 +188,7 @@ fn to_triangle(&[a, b, c]: &[DVec3; 3], point: DVec3) -> f64 {
     to_edge(a, b).min(to_edge(b, c)).min(to_edge(c, a))
 }
 
-/// From the angles of the spherical triangle.
+/// The solid angle of a triangle, computed from the angles of the spherical triangle.
 fn solid_angle(triangle: &[DVec3; 3], point: DVec3) -> f64 {
     let [a, b, c] = triangle.map(|corner| (corner - point).normalize());
     let angle = |at: DVec3, to: DVec3, other: DVec3| {
@@ -202,7 +202,7 @@ fn solid_angle(triangle: &[DVec3; 3], point: DVec3) -> f64 {
 #[test]
 fn winding_numbers_match_the_sum_over_all_triangles() {
     let mut mesh = TestMesh::ball(DVec3::new(0.3, 0.2, -0.1), 10.0, 40);
-    // Half of it, so that every value between 0 and 1 occurs.
+    // Keep half of the triangles, so that all winding numbers between 0 and 1 occur.
     mesh.triangles.truncate(mesh.triangles.len() / 2);
     let (tree, corners) = (TriangleTree::new(mesh.corners()), mesh.corners());
     let mut worst: f64 = 0.0;
@@ -238,7 +238,7 @@ fn defective_meshes_enclose_the_intended_volume() {
     patched.triangles[100..300].iter_mut().for_each(|triangle| triangle.swap(0, 1));
     let mut two_sided = mesh.clone();
     two_sided.triangles.extend(mesh.clone().flipped().triangles);
-    // Each triangle has its own corners.
+    // Unshare the vertices: each triangle has its own corners.
     let own = |corner: &u32| mesh.positions[*corner as usize];
     let torn = TestMesh {
         positions: mesh.triangles.iter().flatten().map(own).collect(),
@@ -277,7 +277,8 @@ fn parts_are_united_and_cavities_stay() {
             solid.leaf(at, lattice, far)
         }) {
             let known = both(voxel.as_dvec3());
-            // Inside, the walls within the other part count, too.
+            // Inside, walls that are in the other part also count for the distance, so only the sign is
+            // compared.
             assert_eq!(value < 0.0, known < 0.0, "{voxel}");
             assert!(known < 0.0 || (known.min(6.0) - f64::from(value)).abs() < 1e-5, "{voxel}");
         }
@@ -333,7 +334,8 @@ fn holes_are_closed_by_a_patch() {
     let mut steepest: f32 = 0.0;
     for (voxel, value) in &values {
         let known = to_cuboid(min, max, voxel.as_dvec3());
-        // A minimal patch sags by a fraction of the hole, which is 20 voxels wide.
+        // The patch is curved: it deviates from a plane by a fraction of the width of the hole, 20 voxels.
+        // Voxels near it are not checked.
         assert!(known.abs() < 5.0 || (*value < 0.0) == (known < 0.0), "{voxel}: {value}");
         for step in [IVec3::X, IVec3::Y, IVec3::Z] {
             if let Some(next) = values.get(&(*voxel + step)) {
@@ -495,7 +497,7 @@ fn empty_mesh_is_outside_everywhere() {
     }
 }
 
-/// A vertex that is moved to a wall faces it; a vertex that is not moved keeps its normal.
+/// A vertex that is moved to a wall gets the normal of the wall. Other vertices keep their normals.
 #[test]
 fn moved_vertices_face_the_wall() {
     let wall = TestMesh::cuboid(DVec3::new(-30.0, -30.0, -20.0), DVec3::new(30.0, 30.0, 0.25));

@@ -1,4 +1,4 @@
-//! A tree of boxes over triangles, with the dipole of each branch.
+//! A bounding-box tree of triangles. Each branch also has its dipole, for winding numbers.
 //!
 //! Leaves hold eight triangles, because distances are computed eight at a time. Positions are in world units
 //! and in 64 bits.
@@ -12,7 +12,7 @@ pub(super) const LEAF_TRIANGLES: usize = 8;
 
 /// A branch: a range of triangles.
 pub(super) struct TriangleNode {
-    /// The box around them.
+    /// The bounding box of the triangles.
     pub(super) min: DVec3,
     pub(super) max: DVec3,
     /// Their area-weighted centre.
@@ -24,7 +24,7 @@ pub(super) struct TriangleNode {
     /// The first triangle, and the number of triangles.
     first: u32,
     count: u32,
-    /// The second child; the first child is the next node. 0 for a leaf.
+    /// Index of the second child; the first child is the next node. 0 for a leaf.
     second: u32,
 }
 
@@ -76,12 +76,13 @@ impl TriangleTree {
         }
     }
 
-    /// Its memory, in bytes.
+    /// The memory of the tree, in bytes.
     pub(super) fn size_bytes(&self) -> usize {
         size_of_val(&*self.nodes) + size_of_val(&*self.triangles)
     }
 
-    /// The squared distance from a point to the nearest triangle, if it is less than `limit`.
+    /// The squared distance from a point to the nearest triangle, if this squared distance is less than
+    /// `limit`.
     pub(super) fn nearest_squared(&self, point: DVec3, limit: f64) -> Option<f64> {
         self.nearest(point, limit).map(|nearest| nearest.distance_squared(point))
     }
@@ -117,7 +118,8 @@ impl TriangleTree {
         found
     }
 
-    /// The leaves within `box_reach` of a box, and within `center_reach` of its centre.
+    /// Calls `each` for the leaves within `box_reach` of a cube and within `center_reach` of its centre. The
+    /// cube extends from `center` by `half_edge` to each side.
     pub(super) fn leaves_near(
         &self,
         center: DVec3,
@@ -168,7 +170,8 @@ fn split(order: &mut [(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]], nodes
         one.0[axis].total_cmp(&other.0[axis]).then(one.1.cmp(&other.1))
     });
     let (one, other) = order.split_at_mut(half);
-    // Selection splits into two sets; sort them, because their inner order depends on the library.
+    // Selection only splits into two sets. Sort small sets, because the order in a set depends on the
+    // library.
     for part in [&mut *one, &mut *other] {
         if part.len() <= LEAF_TRIANGLES {
             part.sort_unstable_by_key(|&(_, index)| index);

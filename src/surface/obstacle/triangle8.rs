@@ -3,16 +3,16 @@
 //! Each edge of a triangle has its own frame: along the edge, out of the triangle, and along the normal.
 //!
 //! ```text
-//!         c                      along u: where p is between the ends, and how far beyond     t
-//!        ╱ ╲     out m₁          out m:   how far out of the triangle's plane figure          s
-//!       ╱   ╲  ↗                 normal:  how far off the plane                               h
+//!         c                      t: coordinate of p along u; "beyond" is how far p lies past the edge's ends
+//!        ╱ ╲     out m₁          s: coordinate of p along m, the direction in the plane out of the triangle
+//!       ╱   ╲  ↗                 h: distance of p from the plane, along the normal
 //!      a ─── b
-//!        u₀ →                    inside all edges: h²;  else the least of h² + s² + beyond²
+//!        u₀ →                    squared distance: h² inside all edges; else the least h² + s² + beyond²
 //! ```
 //!
-//! For each triangle, directions are stored, and the offsets of its edges along these directions relative to
-//! the centre of the leaf. They are computed in 64 bits. For a nearby triangle they are small numbers,
-//! however large the triangle is or far from the world's origin.
+//! For each triangle, these directions are stored, and the offsets of its edges along these directions,
+//! relative to the centre of the leaf. Offsets are computed in 64 bits. For a nearby triangle they are small
+//! numbers, however large the triangle is, and however far from the world origin.
 //!
 //! Distances are computed only to triangles that may be the nearest to a voxel. The candidates are culled
 //! block by block:
@@ -20,7 +20,7 @@
 //! ```text
 //!   8³ ──▶ eight blocks of 4³ ──▶ eight of 2³ each ──▶ eight voxels: a row of values
 //!
-//!   d(centre, triangle) ≤ d(centre, nearest) + 2 · (from the centre to the farthest voxel of the block)
+//!   kept if d(centre, triangle) ≤ d(centre, nearest) + 2 · (from the block's centre to its farthest voxel)
 //! ```
 
 use glam::DVec3;
@@ -32,7 +32,7 @@ use crate::surface::simd::{Kernel, Lanes};
 /// Number of values per triangle.
 const VALUE_COUNT: usize = 31;
 
-/// Triangle8 triangles, one array per value.
+/// Eight triangles, one array per value.
 #[derive(Clone, Debug)]
 pub(super) struct Triangle8 {
     rows: [[f32; LEAF_TRIANGLES]; VALUE_COUNT],
@@ -121,7 +121,7 @@ impl Kernel for TriangleDistances<'_> {
     }
 }
 
-/// The position of one of eight: 0 or 1 on each axis.
+/// The position of block or voxel `index` of eight: 0 or 1 on each axis.
 #[inline(always)]
 fn step(index: usize) -> [f32; 3] {
     [(index >> 2) as f32, (index >> 1 & 1) as f32, (index & 1) as f32]
@@ -205,7 +205,7 @@ fn scatter(distances: &[f32; 8], four: usize, two: usize, leaf: &mut Leaf) {
     }
 }
 
-/// One triangle against eight points, or eight triangles against one.
+/// The values of one triangle for eight points, or of eight triangles for one point.
 struct EdgeFrames<V> {
     numbers: [V; VALUE_COUNT],
 }
@@ -236,7 +236,7 @@ impl<V: Lanes> EdgeFrames<V> {
     }
 }
 
-/// The squared distance.
+/// For each lane, the squared distance between its point and its triangle.
 #[inline(always)]
 fn squared<V: Lanes>(frame: &EdgeFrames<V>, point: [V; 3]) -> V {
     let zero = V::splat(0.0);

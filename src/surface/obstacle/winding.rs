@@ -4,9 +4,9 @@
 //!   w(p) = 1/4π · Σ solid angles of the triangles as seen from p
 //! ```
 //!
-//! Each triangle contributes independently, so holes, overlaps and intersections do no harm. Near a hole w
-//! changes gradually from 1 to 0, and the surface w = ½ is a smooth patch over it. A distant branch of the
-//! tree is approximated by one dipole.
+//! Each triangle contributes independently, so holes, overlaps and intersections do no harm. Near a hole, w
+//! changes gradually from 1 to 0, and the surface w = ½ is a smooth patch over the hole. A distant branch of
+//! the tree is approximated by one dipole.
 //!
 //! The gradient of w comes from the boundary edges only, like the magnetic field of a current through them.
 //! So the [boundary](super::boundary) bounds how fast w can change between triangles.
@@ -23,8 +23,8 @@ use glam::DVec3;
 
 use super::tree::{TreeBranch, TriangleTree};
 
-/// A branch is far away at this many times its radius. Around half a ball of 3200 triangles the error of w is
-/// then 0.024.
+/// A branch is far away if its distance exceeds this many times its radius. With this value, the error of w
+/// around half a ball of 3200 triangles is 0.024.
 const FAR: f64 = 2.5;
 
 /// Upper bound of the error of w from all dipoles.
@@ -83,7 +83,7 @@ fn visit(tree: &TriangleTree, point: DVec3, mut see: impl FnMut(Item)) {
     }
 }
 
-/// The solid angle of a triangle, positive if the point is behind it.
+/// The solid angle of a triangle as seen from the origin, positive if the origin is behind the triangle.
 ///
 /// Adriaan van Oosterom, Jan Strackee. The Solid Angle of a Plane Triangle. 1983
 fn solid_angle([a, b, c]: [DVec3; 3]) -> f64 {

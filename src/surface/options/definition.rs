@@ -22,8 +22,8 @@ use super::presets::{Preset, Recipe};
 use super::values::{AnisotropyKind, AttributeSelection, ClipBox};
 use super::{PerParticleRadius, SettingsError, positive};
 
-/// Upper limit of `drop_islands`. A larger piece is not an island to drop; it may also be so thick that its
-/// inside is not stored.
+/// Upper limit of `drop_islands`. A larger piece is not an island to drop. It may also be so thick that its
+/// deep leaves are not stored, and its particles cannot be counted.
 const ISLAND_MAX: u32 = 1000;
 
 /// Upper limit of `fill_cavities`, in voxels.
@@ -41,7 +41,7 @@ const DECIMATE_MAX: f64 = 1.0;
 /// Upper limit of `smooth_normals`: after more rounds the normals no longer depend on the surface.
 const ROUNDS_MAX: u32 = 1000;
 
-/// Upper limit of the number of steps of either kind: a hundred times the paper's.
+/// Upper limit of the number of Laplacian and of biharmonic steps: a hundred times the paper's.
 pub(super) const STEPS_MAX: u32 = 1_000_000;
 
 /// The smallest size of a step, in units of h⁴.
@@ -69,14 +69,14 @@ method_options! {
             voxel_size: Length,
         }
         Surface {
-            /// Radius r_min of the sphere around each particle that the surface encloses, positive; particles
-            /// in sheets and filaments get a flattened ellipsoid instead (--anisotropy) [default: 1.15d, but
-            /// no less than √3·h]
+            /// Radius r_min of the sphere around each particle, positive; the surface encloses these spheres,
+            /// but particles in sheets and filaments get a flattened ellipsoid instead (--anisotropy)
+            /// [default: 1.15d, but no less than √3·h]
             #[arg(value_name = "LENGTH")]
             radius_min: Length,
 
-            /// Ratio r_max / r_min, at least 1; no point of the surface is farther than r_max from all
-            /// particles, and r_max is at most 64h [default: 2]
+            /// Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle,
+            /// and r_max is at most 64h [default: 2]
             #[arg(value_name = "RATIO")]
             radius_ratio: f64,
 
@@ -129,8 +129,8 @@ method_options! {
             #[arg(value_name = "L")]
             position_smoothing: f64 in 0.0..=1.0,
 
-            /// Stretch particles by their movement in this time, positive, for --anisotropy velocity
-            /// [default: 0.01]
+            /// Stretch particles along their velocity: the farther they move in this time, the more;
+            /// positive, for --anisotropy velocity [default: 0.01]
             #[arg(value_name = "SECONDS")]
             velocity_gain: f64
                 => "--anisotropy velocity", |options, _| options.anisotropy_kind() == AnisotropyKind::Velocity,
@@ -198,8 +198,8 @@ method_options! {
             #[arg(value_name = "N")]
             laplacian_steps: u32 in 0..=STEPS_MAX,
 
-            /// Number of biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: as many as give the
-            /// same total pseudo-time]
+            /// Number of biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: a larger number of
+            /// smaller steps with the same total pseudo-time]
             #[arg(value_name = "N")]
             steps: u32 in 0..=STEPS_MAX,
 
@@ -236,7 +236,7 @@ impl MethodOptions {
         MethodOptions::ALL.iter().find(|info| info.name == name)
     }
 
-    /// The numbers of the preset.
+    /// The default values of the preset.
     pub(super) fn recipe(&self) -> Recipe {
         self.preset.unwrap_or_default().recipe()
     }
@@ -249,7 +249,7 @@ impl MethodOptions {
             && (!has_voxel_size || !follows_voxel_size || self.has_length_in(LengthUnit::Spacing))
     }
 
-    /// Whether a length other than the voxel size is given in this unit.
+    /// Whether a length other than the particle spacing and the voxel size is given in this unit.
     pub fn has_length_in(&self, unit: LengthUnit) -> bool {
         let pairs = self.to_pairs().into_iter();
         let is_beside = |name: &str| !["spacing", "voxel_size"].contains(&name);
@@ -307,7 +307,7 @@ fn out_of_range<T: Display + LowerExp>(name: &str, value: T, range: &RangeInclus
 mod tests {
     use super::*;
 
-    /// All options, each with the first of these texts that is a value of it.
+    /// All options, each set to the first of these texts that it accepts.
     fn every() -> MethodOptions {
         let mut options = MethodOptions::default();
         for info in MethodOptions::ALL {
@@ -317,7 +317,7 @@ mod tests {
         options
     }
 
-    /// All options, with numbers that are hard to write.
+    /// All options, with numbers whose text is hard to get exact.
     #[expect(clippy::needless_update, reason = "options yet to be added have values, too")]
     fn all() -> MethodOptions {
         MethodOptions {

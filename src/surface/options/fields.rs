@@ -50,7 +50,7 @@ pub enum ValueKind {
 pub struct Need<Options> {
     /// What has to be given, as it is typed.
     pub what: &'static str,
-    /// Whether it is, with these options, and with obstacles or without.
+    /// Whether it is given. The arguments are the options, and whether there are obstacles.
     pub(super) is_met: fn(&Options, bool) -> bool,
 }
 
@@ -110,8 +110,8 @@ pub(super) fn range_text<T: Display + LowerExp>(range: &RangeInclusive<T>) -> St
     format!("{} to {}", bound(range.start()), bound(range.end()))
 }
 
-/// The value of an option, or the error message for a text that is not a value of it, in the form that all
-/// options use.
+/// Returns the parsed `value` of an option; if there is none, the error message, in the form that all options
+/// use: `text` is not `what`.
 #[cfg(feature = "cli")]
 pub(crate) fn expected<T>(text: &str, value: Option<T>, what: impl Display) -> Result<T, String> {
     value.ok_or_else(|| format!("`{text}` is not {what}"))

@@ -53,7 +53,7 @@ pub struct Settings {
     pub anisotropy: Anisotropy,
     /// How far particles are moved toward the mean of their neighbours: 0 (not at all) to 1.
     pub position_smoothing: f64,
-    /// R: particles farther apart are not neighbours, world units. 0 if neighbours are not
+    /// Neighbour radius R, world units: particles farther apart are not neighbours. 0 if neighbours are not
     /// [used](Settings::uses_neighbors).
     pub neighbor_radius: f64,
     /// Gaps between the surface and obstacles narrower than this are filled, in units of h.
@@ -124,7 +124,7 @@ pub enum Anisotropy {
     },
     /// By the velocity.
     Velocity {
-        /// A particle is stretched by its movement in this time, seconds.
+        /// Time in seconds. The distance that a particle moves in this time determines its stretch.
         gain: f64,
         /// Upper limit of the longest semi-axis, in units of the shortest.
         max_stretch: f64,
@@ -134,17 +134,19 @@ pub enum Anisotropy {
 /// Explicit steps of this size or more, in units of h⁴, are unstable.
 pub const EXPLICIT_STEP_MAX: f64 = 2.0 / EIGENVALUE_MAX as f64;
 
-/// The smallest voxel size, world units. Outside these limits, vertices do not fit into 32-bit numbers.
+/// The smallest voxel size, world units. Below it, and above [`VOXEL_SIZE_MAX`], vertices do not fit into
+/// 32-bit numbers.
 const VOXEL_SIZE_MIN: f64 = 1e-36;
 
 /// The largest voxel size, world units.
 const VOXEL_SIZE_MAX: f64 = 1e30;
 
-/// The smallest r_min in voxels. Semi-axes are measured in units of r_min, and the voxel in these units must
-/// fit into 32 bits.
+/// The smallest r_min in voxels. Semi-axes are in units of r_min, and the voxel size in this unit must fit
+/// into a 32-bit number.
 const RADIUS_MIN_VOXELS: f64 = 1e-6;
 
-/// The largest radius in voxels. Beyond it the bins around a particle would be most of the frame.
+/// The largest radius in voxels. Beyond it, the bins within reach of a particle would cover most of the
+/// frame.
 pub const RADIUS_MAX_VOXELS: f64 = 64.0;
 
 /// Upper limit of the offset, in units of h.
@@ -163,7 +165,7 @@ const THIN_MIN_VOXELS: f64 = 0.9;
 /// Default search radius for neighbours, in units of r_min.
 const NEIGHBOR_RADIUS: f64 = 3.0;
 
-/// Default time of movement by which velocities stretch, seconds: a quarter of a film frame.
+/// Default of `velocity_gain`, seconds: about a quarter of the time between two frames of a film.
 const VELOCITY_GAIN: f64 = 0.01;
 
 /// Upper limit of the neighbour radius in voxels: more would cover a large part of a frame.
@@ -195,7 +197,8 @@ impl Settings {
     /// Fills in the defaults of the preset and checks every number.
     ///
     /// Lengths that are not set follow the particle spacing: that of `options`, else the `measured` one, else
-    /// the one whose default voxel size is the chosen one. With [`Preset::Paper`] they follow the voxel size.
+    /// the spacing whose default voxel size equals the given voxel size. With [`Preset::Paper`], these
+    /// lengths follow the voxel size.
     ///
     /// # Errors
     /// If a number is not finite or out of its range, if the radii are out of order, or if neither spacing
@@ -253,7 +256,8 @@ impl Settings {
     }
 
     /// The paper's settings for a voxel size, overridden by these options: for tests and the paper's
-    /// experiments. If a preset among the options follows the spacing, the spacing is two voxels.
+    /// experiments. If the options choose a preset whose lengths follow the particle spacing, this spacing is
+    /// two voxels.
     ///
     /// # Errors
     /// As [`Settings::resolve`].
@@ -278,7 +282,7 @@ impl Settings {
         Settings::paper(if offset == 0.0 { 1.0 } else { offset.abs() }, options)
     }
 
-    /// The same settings for another voxel size: what depends on the voxel size becomes that of
+    /// The same settings for another voxel size: the lengths that depend on the voxel size become those of
     /// [`Settings::paper`].
     ///
     /// # Errors
@@ -319,9 +323,9 @@ impl Settings {
         self.per_particle_radius.is_some() || self.anisotropy != Anisotropy::None
     }
 
-    /// Approximate distance from the outermost particles of a fluid at rest to its surface, world units. If
-    /// neighbours flatten these particles, the surface lies where the fluid ends; otherwise at r_min or
-    /// beyond. Pictures put the ground at this height.
+    /// Approximate distance from the outermost particles of a fluid at rest to its surface, world units. With
+    /// anisotropy by neighbours, these particles are flattened and the surface lies where the fluid ends,
+    /// half a spacing away. Otherwise it lies at r_min or beyond. Pictures put the ground at this height.
     pub fn resting_height(&self) -> f64 {
         match self.anisotropy {
             Anisotropy::Neighbors { .. } => self.radius_min.min(0.5 * self.spacing),
@@ -334,10 +338,10 @@ impl Settings {
         self.position_smoothing > 0.0 || matches!(self.anisotropy, Anisotropy::Neighbors { .. })
     }
 
-    /// Checks options whose particle spacing is not known yet: whether any spacing makes them valid.
+    /// Checks options before the particle spacing is known: whether they are valid for some spacing.
     ///
     /// # Errors
-    /// If none does.
+    /// If no spacing makes the options valid.
     pub fn check(options: &MethodOptions) -> Result<(), SettingsError> {
         if !options.needs_spacing() {
             return Settings::resolve(options, None).map(|_| ());
@@ -365,7 +369,7 @@ impl Settings {
         let inward = options.offset.and_then(Length::world).filter(|offset| offset.is_finite());
         if let (Some(radius_min), Some(offset)) = (radius_min.filter(sound), inward) {
             require(-offset <= (1.0 + 1e-9) * radius_min, || {
-                format!("the offset is {offset}; it must be from -r_min = {} on", -radius_min)
+                format!("the offset is {offset}; it must be at least -r_min = {}", -radius_min)
             })?;
         }
         // Lengths in spacings and in voxels can be compared with each other, but not with lengths in world
@@ -500,7 +504,7 @@ fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Result<[f64; 3],
     let given = scale.length(options.radius_init);
     let radius_init = given.unwrap_or_else(|| initial_radius(&recipe, radius_min, ratio));
     let radius_init = positive("radius r_init", radius_init)?;
-    // The product of two typed numbers may differ from a third by a rounding error.
+    // r_max is the product of two typed numbers, which may differ from a typed r_init by a rounding error.
     let slack = 1e-9 * radius_max;
     require((radius_min - slack..=radius_max + slack).contains(&radius_init), || {
         format!("r_init is {radius_init}; it must be between r_min = {radius_min} and r_max = {radius_max}")

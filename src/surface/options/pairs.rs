@@ -5,8 +5,8 @@ use super::{Anisotropy, AnisotropyKind, Integrator, MethodOptions, Settings};
 /// Names and values in a fixed order. A value is written as in `meniscus.toml`, but text has no quotes.
 pub type Pairs = Vec<(&'static str, String)>;
 
-/// Options that change nothing at these values, so that files do not record them. Newer options are not
-/// needed here: [`Settings::to_options`] omits them if they change nothing.
+/// Options that change nothing at these values, so files do not record them. Newer options need no entry
+/// here: [`Settings::to_options`] omits them if they change nothing.
 const OFF: [(&str, &str); 6] = [
     ("anisotropy", "none"),
     ("drop_islands", "0"),
@@ -16,8 +16,8 @@ const OFF: [(&str, &str); 6] = [
     ("quads", "false"),
 ];
 
-/// Options that files omit because others imply them: all lengths contain the spacing, and r_max contains the
-/// ratio.
+/// Options that files omit because recorded values imply them: all lengths contain the spacing, and r_max
+/// contains the ratio.
 const IMPLIED: [&str; 2] = ["spacing", "radius_ratio"];
 
 /// Files record these after all others, in this order.

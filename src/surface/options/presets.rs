@@ -53,7 +53,7 @@ pub(super) enum InitialRadius {
     Times(f64),
 }
 
-/// The numbers of a preset.
+/// The default values of a preset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Recipe {
     /// The unit of the numbers below: they are multiples of powers of this length.
@@ -78,8 +78,8 @@ pub(super) struct Recipe {
     pub(super) position_smoothing: f64,
     /// Cavities with a smaller volume than this are filled, in units³.
     pub(super) fill_cavities: f64,
-    /// Number of Laplacian steps if a voxel is as large as the unit; it grows with the square of unit /
-    /// voxel.
+    /// Number of Laplacian steps if a voxel is as large as the unit; the number grows with the square of unit
+    /// / voxel size.
     pub(super) laplacian_steps: f64,
     /// Number of implicit steps.
     pub(super) steps: u32,
@@ -110,7 +110,7 @@ const PAPER: Recipe = Recipe {
     explicit_time: 5.0,
 };
 
-/// For fluids: docs/method.md has the measurements behind it.
+/// The preset for fluids. docs/method.md has the measurements behind these values.
 const FLUID: Recipe = Recipe {
     unit: Unit::Spacing,
     voxel_size: 0.4,
@@ -278,8 +278,8 @@ pub(super) fn tidy(number: f64) -> f64 {
     format!("{number:.12e}").parse().unwrap_or(number)
 }
 
-/// Upper limit of voxels per particle spacing, however small the particles' own radii are. Radii in another
-/// unit than the positions would otherwise require a grid that fits into no memory.
+/// Upper limit of voxels per particle spacing, however small the particles' own radii are. Without this
+/// limit, radii that are not in the unit of the positions could require a grid that does not fit into memory.
 const VOXELS_PER_SPACING_MAX: f64 = 8.0;
 
 /// Measurements of the particles of a sequence.
@@ -287,8 +287,8 @@ const VOXELS_PER_SPACING_MAX: f64 = 8.0;
 pub struct SequenceSpacing {
     /// The particle spacing d, world units.
     pub spacing: f64,
-    /// The median r_min of particles with per-particle radii, world units. The default voxel size is small
-    /// enough for it.
+    /// The median r_min of particles with per-particle radii, world units. The default voxel size is chosen
+    /// small enough for this radius.
     pub radius_median: Option<f64>,
 }
 

@@ -40,7 +40,7 @@ fn settings_resolve_again_from_their_own_options() {
 
 #[test]
 fn radius_ratio_keeps_the_typed_value() {
-    // 3 r_min / r_min is not 3 for all of these.
+    // For some of these voxel sizes, the rounded value of 3 r_min / r_min is not 3.
     for voxel_size in [0.1, 0.03, 0.022_176_949_191_354_715, 1.0 / 3.0] {
         let choices = MethodOptions { preset: Some(Preset::Smooth), ..MethodOptions::default() };
         let settings = Settings::paper(voxel_size, &choices).expect("sound");
@@ -111,7 +111,7 @@ fn finer_grid_keeps_lengths_and_times() {
             Anisotropy::Neighbors { thin_radius, .. } => thin_radius / spacing,
             other => panic!("{other:?}"),
         };
-        // Particles are as flat as the grid allows.
+        // The thin radius is the default as long as the grid resolves it.
         assert!((thin(2.5) - 0.36).abs() < 1e-9 && (thin(6.0) - 0.36).abs() < 1e-9);
         assert!((thin(2.0) - 0.45).abs() < 1e-9 && (thin(2.49) - 0.9 / 2.49).abs() < 1e-9);
         // If r_min is √3 h, particles are balls unless the options request other shapes.
@@ -150,8 +150,8 @@ fn given_spacing_overrides_the_measured_one() {
         let error = resolved(&unknown, None).expect_err("unknown");
         assert!(error.what.contains("--spacing"), "{error}");
     }
-    // The voxel size follows small particle radii, but only down to a limit, in case the radii have another
-    // unit.
+    // The voxel size follows small particle radii, but only down to a limit, because the radii might be in
+    // another unit.
     let of_radius = |radius| {
         let measured = SequenceSpacing { spacing: 1.0, radius_median: Some(radius) };
         Settings::resolve(&choices(None, None, FLUID), Some(measured)).expect("sound").voxel_size
@@ -172,7 +172,7 @@ fn offset_out_of_range_is_rejected_with_the_range() {
     for offset in [-0.5, -0.1, 0.0, 0.5] {
         let settings = resolved(offset).expect("in range");
         assert_eq!(settings.offset, offset);
-        // An offset of 0 is not recorded in files, as before the option existed.
+        // Files do not record an offset of 0, so that they have the same bytes as before the option existed.
         assert_eq!(settings.pairs(|_| true).iter().any(|(name, _)| *name == "offset"), offset != 0.0);
         assert_eq!(Settings::resolve(&settings.to_options(), None), Ok(settings));
     }
@@ -266,7 +266,7 @@ fn options_are_checked_before_the_voxel_size_is_known() {
         (MethodOptions { offset: Some(f64::NAN.into()), ..MethodOptions::default() }, "offset is NaN"),
         (
             MethodOptions { offset: Some((-0.11).into()), ..choices(Some(0.1), None, None) },
-            "from -r_min = -0.1 on",
+            "at least -r_min = -0.1",
         ),
         (MethodOptions { quads: Some(true), decimate: Some(0.1), ..MethodOptions::default() }, "quads"),
         (
@@ -309,7 +309,7 @@ fn lengths_in_spacings_and_voxels_convert_to_world_units() {
         ("lone_radius", "0.25"),
         ("neighbor_radius", "1"),
     ];
-    // r_max is then 0.75.
+    // With these options, r_max is 0.75.
     let [given, world] =
         [given, world].map(|pairs| MethodOptions { radius_ratio: Some(2.5), ..options(&pairs) });
     let settings = Settings::resolve(&given, None).expect("sound");

@@ -30,11 +30,11 @@ word_enum! {
 pub enum AttributeSelection {
     /// All of them.
     All,
-    /// Those with these names or semantics: at least one.
+    /// The attributes with these names or semantics. The list is not empty.
     Named(Vec<String>),
 }
 
-/// An axis-aligned box, world units. `min` is below `max` on each axis once it is resolved.
+/// An axis-aligned box, world units. `min` is below `max` on each axis once the settings are resolved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(into = "String", try_from = "String"))]

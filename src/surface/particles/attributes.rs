@@ -16,7 +16,8 @@ pub struct Attribute {
     pub values: AttributeValues,
 }
 
-/// The semantic of an attribute. Options find velocities and radii by it, whatever their name.
+/// The semantic of an attribute. Options find velocities and radii by semantic, whatever the attribute's
+/// name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// World units per second, arity 3.
@@ -31,8 +32,8 @@ pub enum Role {
     Other,
 }
 
-/// The values of an attribute, particle by particle. Numbers are averaged at the vertices; integers and
-/// strings are those of the nearest particle.
+/// The values of an attribute, particle by particle. At a vertex, numbers are averaged over particles;
+/// integers and strings are those of the nearest particle.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AttributeValues {
     /// Numbers that can be averaged.
@@ -49,12 +50,12 @@ pub enum AttributeValues {
 }
 
 impl Attribute {
-    /// Whether it has `arity` numbers per particle.
+    /// Whether the attribute has `arity` numbers per particle.
     pub fn has_numbers(&self, arity: usize) -> bool {
         self.arity == arity && !matches!(self.values, AttributeValues::Strings { .. })
     }
 
-    /// Whether `name` refers to this attribute: it is its own name, ignoring case, or a name of its semantic.
+    /// Whether `name` refers to this attribute: its own name, ignoring case, or a name of its semantic.
     pub fn matches(&self, name: &str) -> bool {
         let is = |other: &&str| name.eq_ignore_ascii_case(other);
         is(&&*self.name) || self.role.names().iter().any(is)
@@ -70,7 +71,7 @@ pub fn find_attribute<'a>(all: &'a [Attribute], name: &str, arity: usize) -> Opt
 }
 
 impl Role {
-    /// The names by which users refer to it.
+    /// The names by which users refer to the semantic.
     fn names(self) -> &'static [&'static str] {
         match self {
             Role::Velocity => &["velocity", "velocities", "vel", "v"],
@@ -97,7 +98,7 @@ impl AttributeValues {
         self.len() == 0
     }
 
-    /// The values as 32-bit numbers; `None` for integers and strings.
+    /// The values as 32-bit numbers, with integers converted; `None` for strings.
     pub fn numbers(&self) -> Option<Cow<'_, [f32]>> {
         match self {
             AttributeValues::Numbers(values) => Some(Cow::Borrowed(values)),

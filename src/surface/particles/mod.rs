@@ -5,8 +5,8 @@
 //!   p p p p p p p p    p p p p p p p p    p p p            each can be read alone, on any thread
 //! ```
 //!
-//! Most particles lie deep inside: they are read, but never stored. No stage needs all of them at once, so a
-//! [`ParticleSource`] may be a file that is larger than the memory.
+//! Most particles lie deep inside: they are read, but never stored. No stage needs all particles at once, so
+//! a [`ParticleSource`] may be a file that is larger than the memory.
 
 mod attributes;
 mod shapes;
@@ -73,8 +73,8 @@ pub trait ParticleSource: Sync {
     /// The number of batches.
     fn batch_count(&self) -> usize;
 
-    /// The positions of a batch: the same in every call. Some ten thousand are a good size: few enough for a
-    /// processor's own cache, and enough to be worth sorting.
+    /// The positions of a batch. Every call returns the same positions. Some ten thousand particles are a
+    /// good size: they fit into the cache of a core, and are enough to be worth sorting.
     ///
     /// # Errors
     /// If the source cannot read the batch.
@@ -89,7 +89,7 @@ pub trait ParticleSource: Sync {
     }
 
     /// The shapes of the particles of a batch, in their order. All batches have the same variant:
-    /// [`Shapes::Uniform`] unless they [have shapes](Self::has_shapes).
+    /// [`Shapes::Uniform`] unless the particles [have shapes](Self::has_shapes).
     fn batch_shapes(&self, _batch: usize) -> Shapes {
         Shapes::Uniform
     }
@@ -144,7 +144,7 @@ impl<S: ParticleSource> ParticleSource for &S {
 /// Particle positions in world units, in the precision of the input, borrowed from the caller or owned.
 ///
 /// Functions that take `impl Into<Positions>` accept `&[[f32; 3]]` and `&[[f64; 3]]`, `&Vec` and `&[_; N]` of
-/// these (nothing is copied), and vectors of them.
+/// such positions (nothing is copied), and owned vectors.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Positions<'a> {
     /// 32-bit positions.
@@ -153,7 +153,7 @@ pub enum Positions<'a> {
     F64(Cow<'a, [[f64; 3]]>),
 }
 
-/// Conversions into [`Positions`] from everything that holds positions of one precision.
+/// Conversions into [`Positions`] from slices, vectors and arrays of positions of one precision.
 macro_rules! positions_from {
     ($number:ty, $variant:ident) => {
         impl<'a> From<&'a [[$number; 3]]> for Positions<'a> {

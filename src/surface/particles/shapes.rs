@@ -1,6 +1,6 @@
 //! The shape of each particle: a ball or an ellipsoid.
 //!
-//! Each particle has three surfaces, of one shape and three sizes, for r = r_min, r_init and r_max:
+//! Each particle has three surfaces of the same shape, one for each radius r: r_min, r_init and r_max.
 //!
 //! ```text
 //!   balls        |x − p| = r            all particles are the same
@@ -18,7 +18,7 @@ pub enum Shapes {
     /// Balls of the settings' radii.
     #[default]
     Uniform,
-    /// Balls, with one scale of the settings' radii per particle.
+    /// Balls. Each particle has a scale that multiplies the settings' radii.
     Scaled(Vec<f32>),
     /// Ellipsoids, one per particle.
     Ellipsoids(Vec<Ellipsoid>),
@@ -41,7 +41,7 @@ impl Shapes {
     }
 
     /// Inscribed radius, or a little less: a ball of this radius around the centre of particle `index` is
-    /// inside it, in units of the settings' radii.
+    /// inside the particle, in units of the settings' radii.
     pub fn inner_radius(&self, index: usize) -> f32 {
         match self {
             Shapes::Uniform => 1.0,
@@ -75,8 +75,8 @@ impl Shapes {
 
 /// The semi-axes and directions of an ellipsoid, in units of the settings' radii.
 ///
-/// It is stored as the symmetric matrix T that maps it to the unit ball: its eigenvalues are 1/a, 1/b, 1/c
-/// for semi-axes a, b and c.
+/// It is stored as the symmetric matrix T that maps it to the unit ball. The eigenvalues of T are 1/a, 1/b,
+/// 1/c for semi-axes a, b and c.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ellipsoid {
     /// T: xx, yy, zz, xy, xz, yz.
@@ -104,9 +104,9 @@ impl Ellipsoid {
         Ellipsoid { to_unit_ball, longest: half_axes.into_iter().fold(0.0, f32::max) }
     }
 
-    /// The shortest semi-axis, or a little less, in units of its radius. The largest eigenvalue of T is at
-    /// most m + √2 s, with the mean m and the standard deviation s of the eigenvalues (Wolkowicz and Styan
-    /// 1980, Theorem 2.1).
+    /// The shortest semi-axis, or a little less, in units of the settings' radii. The largest eigenvalue of T
+    /// is at most m + √2 s, with the mean m and the standard deviation s of the eigenvalues (Wolkowicz and
+    /// Styan 1980, Theorem 2.1).
     pub fn inner_radius(&self) -> f32 {
         let [xx, yy, zz, xy, xz, yz] = self.to_unit_ball;
         let mean = (xx + yy + zz) / 3.0;
@@ -116,8 +116,8 @@ impl Ellipsoid {
         0.9999 / (mean + (2.0 * variance).sqrt())
     }
 
-    /// How far it reaches from its centre along x, y and z, in units of its radius: the lengths of the rows
-    /// of T⁻¹.
+    /// How far the ellipsoid reaches from its centre along x, y and z, in units of the settings' radii: the
+    /// lengths of the rows of T⁻¹.
     pub fn extents(&self) -> Vec3 {
         let [xx, yy, zz, xy, xz, yz] = self.to_unit_ball;
         let cofactors = [

@@ -1,7 +1,7 @@
 //! A batch of particles, sorted by leaf.
 //!
 //! ```text
-//!   batch       p0 p1 p2 p3 p4 p5        as the source has them
+//!   batch       p0 p1 p2 p3 p4 p5        in the order of the source
 //!   leaves      A  A  B  A  C  B
 //!   sorted      p0 p1 p3 | p2 p5 | p4    A, B, C: in the order of first appearance
 //! ```
@@ -31,7 +31,7 @@ pub(super) struct LeafBatch {
     indices: Vec<u32>,
     /// Number of dropped particles: positions that are not finite, or outside the grid's index range.
     pub(super) dropped_count: usize,
-    /// The first dropped position that is finite, so too far away for the grid.
+    /// The first dropped position that is finite. It is too far away for the grid.
     pub(super) beyond_grid: Option<DVec3>,
 }
 
@@ -141,7 +141,7 @@ impl LeafCoords {
     }
 }
 
-/// [`Lattice::index_from_world`] for all axes of many positions.
+/// Kernel: leaf and local position of many coordinates, consistent with [`Lattice::index_from_world`].
 struct ToLeafCoords<'a, T> {
     positions: &'a [T],
     voxel_size: f64,

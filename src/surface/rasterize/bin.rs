@@ -12,8 +12,8 @@
 //!
 //! Each batch is sorted independently, in parallel. Each leaf then gathers its particles from the batches in
 //! batch order, so particles within a leaf keep the order of the source. Peak memory is the batches in flight
-//! plus twice the particles that are kept. If a file has very many batches, consecutive ones are merged
-//! first: the memory blocks are then large, and freeing them returns them to the system.
+//! plus twice the particles that are kept. If a file has very many batches, consecutive batches are merged
+//! first. Their memory blocks are then so large that freeing them returns the memory to the system.
 
 use std::ops::Range;
 
@@ -135,9 +135,9 @@ impl ParticleBins {
     }
 }
 
-/// The particles kept of some consecutive batches, in leaf order.
+/// The kept particles of some consecutive batches, in leaf order.
 struct KeptParticles {
-    /// Indices of the leaves that contain any.
+    /// Indices of the leaves that contain kept particles.
     leaves: Vec<u32>,
     /// Start of each leaf's particles; one entry more than there are leaves.
     starts: Vec<usize>,

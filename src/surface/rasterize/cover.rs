@@ -2,9 +2,9 @@
 //!
 //! ```text
 //!            r
-//!       ╭─────────╮         An octant covers a voxel v if its farthest corner is within the radius.
-//!     ╭─┼─┐     ┌─┼─╮       Seen from v this is symmetric: of the octants at offset a in x and b in y (1 is
-//!     │ └─┼──v──┼─┘ │       adjacent to v), those up to m(a, b) along z, in both directions:
+//!       ╭─────────╮         An octant covers a voxel v if the octant's farthest corner is within r of v.
+//!     ╭─┼─┐     ┌─┼─╮       Octants a steps from v in x and b steps in y (1: adjacent to v) cover v if they
+//!     │ └─┼──v──┼─┘ │       are at most m(a, b) steps away along z, in either direction:
 //!     ╰───┴─────┴───╯       a² + b² + m² < (2r)²
 //! ```
 //!
@@ -25,8 +25,8 @@ const ROUNDING: f32 = 1e-3;
 
 /// The octants within a radius of a voxel.
 pub(super) struct OctantBall {
-    /// For each width m from 1 up, the rows of octants that are covered up to m along z: offsets relative to
-    /// the voxel's own, in octants.
+    /// Entry m − 1 has the rows of octants that cover a voxel up to m steps along z, as steps in x and y from
+    /// the voxel's own octant.
     rows_of_width: Vec<Vec<[i32; 2]>>,
 }
 
@@ -115,7 +115,7 @@ impl<const BALLS: usize> Cover<'_, BALLS> {
     }
 }
 
-/// The voxels whose first octant of the two along z has its bit set.
+/// The voxels for which the bit of the first of their two octants along z is set.
 #[inline(always)]
 fn voxels_of(found: [[u32; 8]; 8]) -> LeafMask {
     let mut mask = LeafMask::EMPTY;

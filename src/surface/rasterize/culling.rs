@@ -1,5 +1,5 @@
-//! Determines from the occupancy alone which leaves, voxels and particles can affect the surface of a frame;
-//! nothing else is stored.
+//! Determines which leaves, voxels and particles can affect the surface of a frame; nothing else is stored.
+//! The only input is the occupancy, which records where particles are to half a voxel.
 //!
 //! ```text
 //!   · · · · · · · · ·      ·  no particle within r_init
@@ -16,8 +16,9 @@
 //! leaves than the distance up to which exact distances are computed (`Radii::exact_reach`).
 //!
 //! **Values.** Inside S_min, the value of the distance d to the nearest particle is used only next to a voxel
-//! outside S_min. Elsewhere only the test `d < r` is made, and r_min is the smallest radius. So voxels that
-//! are certainly inside S_min together with all face neighbors are *settled*: 0 serves as their distance.
+//! outside S_min. Elsewhere inside S_min, `d` is only compared with the three radii, and r_min is the
+//! smallest of them. So voxels that are certainly inside S_min together with all face neighbors are
+//! *settled*: 0 serves as their distance.
 //!
 //! **Particles.** Let p be a particle and ρ ≤ r_min, and let every voxel within ρ + 3/2·√3 of p be certainly
 //! within ρ of some particle. Then p can be dropped:
@@ -39,16 +40,16 @@
 //!
 //! For anisotropic particles, the argument uses balls that each particle certainly contains. [Round](ROUND)
 //! particles contain larger balls than flat ones. So there is a second test, with these larger balls of the
-//! round particles alone: voxels that it finds inside are inside, too. With anisotropic particles, all
-//! particles are kept that reach a leaf where distances may be needed: a long particle may be the nearest to
-//! a distant point.
+//! round particles alone: voxels that it finds inside are inside, too. With anisotropic particles, every
+//! particle that reaches a leaf where distances may be needed is kept, because a long particle may be the
+//! nearest to a distant point.
 //!
 //! Where an obstacle's surface passes through a deep region, the fluid has a surface, too, so these leaves
 //! are near.
 //!
 //! Validation uses the kept particles to find the inside where φ is not stored. If r_init is above √3, each
-//! kept particle alone shows that the voxels around it are inside; below, that does not hold, and no particle
-//! is dropped. For anisotropic particles, the set of deep leaves is kept for this purpose.
+//! kept particle alone shows that the voxels around it are inside; for a smaller r_init that does not hold,
+//! and no particle is dropped. For anisotropic particles, the set of deep leaves is kept for this purpose.
 
 use std::borrow::Cow;
 
@@ -168,7 +169,8 @@ impl<'a> Culling<'a> {
         self.occupied.origins().par_iter().map(kept).collect()
     }
 
-    /// The leaves whose particles reach a leaf where distances may be needed: with all of their cells.
+    /// For each leaf, the cells whose particles are kept: all cells if a particle of the leaf may reach a
+    /// leaf where distances may be needed, and otherwise none.
     fn kept_leaves(&self, occupancy: &Occupancy, radii: Radii, regions: &Regions) -> Vec<LeafMask> {
         let measured = self.measured_leaves(radii, regions);
         let rings = |doublings: i32| leaf_steps_within(radii.exact_reach(2f32.powi(doublings)));
@@ -211,8 +213,8 @@ fn populated<'a>(topology: &'a Topology, region: &CoordBox) -> Cow<'a, Topology>
 }
 
 /// The voxels of each leaf that are certainly in a particle. Every particle contains a ball; round ones
-/// contain a larger one. `balls` takes the size of that ball, relative to the settings' radii, and returns
-/// the octants within this fraction of r_init, and those within the ρ that belongs to it.
+/// contain a larger one. `balls` takes the radius of such a ball, relative to the settings' radii. It returns
+/// the octants within this fraction of r_init, and the octants within the corresponding ρ.
 fn covers(
     occupancy: &Occupancy,
     leaves: &Topology,
@@ -266,8 +268,8 @@ fn surrounded(
     leaves.neighbors().par_iter().enumerate().map(surrounded).collect()
 }
 
-/// The leaves of a region with a voxel that may be within r_init of a particle, without the deep leaves. Deep
-/// leaves that an obstacle's surface passes through are included.
+/// The leaves of a region with a voxel that may be within r_init of a particle, without the deep leaves.
+/// However, deep leaves that an obstacle's surface passes through are included.
 fn near_leaves(
     occupancy: &Occupancy,
     occupied: &Topology,
@@ -279,8 +281,8 @@ fn near_leaves(
     let is_deep = |leaf: usize| inside[leaf] == LeafMask::FULL;
     let reach_of = |longest: f32| (radius * longest + ROUNDING) as i32;
     let reach = reach_of(occupancy.longest());
-    // A leaf is buried if it is deep and so are its neighbors: all leaves near its particles are then deep.
-    // Three passes over the faces reach all 26 neighbors.
+    // A leaf is buried if it is deep and all leaves within reach of its particles are deep, too. Three passes
+    // over the faces reach all 26 neighbors.
     let mut is_buried: Vec<bool> = (0..occupied.len()).map(is_deep).collect();
     for _ in 0..3 * (reach as u32 + 1).div_ceil(LEAF_EDGE as u32) {
         let all_around =

@@ -3,8 +3,8 @@
 //! ```text
 //!   uniform balls   one field: the distance to the nearest center; subtracting a radius gives the distance
 //!                   to each of the three unions
-//!   others          three fields: the signed distance to each union, because a different particle may be the
-//!                   nearest to each
+//!   others          three fields: the signed distance to each union, because the nearest particle may differ
+//!                   from union to union
 //! ```
 
 use rayon::prelude::*;
@@ -39,7 +39,8 @@ pub(super) enum SphereDistances {
     Signed {
         /// In the order of [`SphereUnion`].
         fields: [Field; 3],
-        /// True if all values outside are exact, rather than only those adjacent to an inside voxel.
+        /// True if all values outside the unions are exact, rather than only those adjacent to an inside
+        /// voxel.
         is_exact_outside: bool,
     },
 }
@@ -116,7 +117,7 @@ impl SphereDistances {
         }
     }
 
-    /// The same field, by value, for its last use.
+    /// Takes the same field by value, for its last use.
     pub(super) fn take(&mut self, sphere: SphereUnion) -> Field {
         match self {
             SphereDistances::Nearest(nearest) => std::mem::replace(nearest, Field { leaves: Vec::new() }),
@@ -134,7 +135,7 @@ impl SphereDistances {
         }
     }
 
-    /// The value to subtract from the field so that it is negative inside a union.
+    /// The value to subtract from the field so that it is negative inside the union.
     pub(super) fn level(&self, sphere: SphereUnion, radii: Radii) -> f32 {
         match (self, sphere) {
             (SphereDistances::Signed { .. }, _) => 0.0,
@@ -144,7 +145,7 @@ impl SphereDistances {
         }
     }
 
-    /// True if all values outside are exact, rather than only those adjacent to an inside voxel.
+    /// True if all values outside the unions are exact, rather than only those adjacent to an inside voxel.
     pub(super) fn is_exact_outside(&self) -> bool {
         !matches!(self, SphereDistances::Signed { is_exact_outside: false, .. })
     }

@@ -1,8 +1,8 @@
 //! Signed distances to unions of balls of different radii, and of ellipsoids (paper, Eq. 1, Fig. 11 and 13).
 //!
-//! This is a particle's value at a voxel x, for each of the three radii r. p is the particle's center, s its
-//! size relative to the settings' radii, and T the symmetric matrix that maps its ellipsoid of radius 1 to
-//! the unit ball.
+//! The block below gives the value of a particle at a voxel x, for each of the three radii r. p is the
+//! particle's center, s its size relative to the settings' radii, and T the symmetric matrix that maps its
+//! ellipsoid of radius 1 to the unit ball.
 //!
 //! ```text
 //!   ball        |x − p| − s·r                             exact
@@ -78,7 +78,8 @@ pub(super) struct BallShape(pub(super) f32);
 pub(super) struct EllipsoidShape {
     ellipsoid: Ellipsoid,
     row_form: RowForm,
-    /// At most the shortest semi-axis; replaces the 0 / 0 at the exact center.
+    /// At most the shortest semi-axis. It replaces the factor q / |T²(x − p)| at the exact center, where that
+    /// is 0 / 0.
     ratio_min: f32,
 }
 
@@ -106,17 +107,18 @@ struct SizeClass<F> {
     /// Start of each leaf's packets of eight; one entry more than there are leaves.
     starts: Vec<usize>,
     boxes: Vec<BoxPacket>,
-    /// Eight for each packet of boxes.
+    /// Eight primitives for each packet of boxes.
     primitives: Vec<Primitive<F>>,
     /// Range of the semi-axes of each leaf's particles.
     axes: Vec<HalfAxisRange>,
-    /// Maximum distance at which one of them can lower a value, in voxels.
+    /// Maximum distance at which a particle of this class can lower a value, in voxels.
     reach: f32,
     /// Steps to the leaves within reach.
     steps: Vec<IVec3>,
 }
 
-/// Centers and extents of eight particles: x, y, z of each. Unused lanes lie nowhere.
+/// Centers and extents of eight particles: x, y, z of each. The centers of unused lanes are infinite, so that
+/// they touch no leaf.
 type BoxPacket = [[f32; 8]; 6];
 
 #[derive(Clone, Copy)]
@@ -155,7 +157,7 @@ impl<F: ParticleShape> Primitives<F> {
     }
 
     /// The signed distances to the three unions in these leaves, in the order of the radii. Deep inside, and
-    /// where voxels are `settled`, the value is anything below −1. Leaves in `known` are copied.
+    /// at `settled` voxels, the value is some number below −1. Leaves in `known` are copied.
     pub(super) fn distances<'a>(
         &self,
         leaves: &Topology,
@@ -284,12 +286,12 @@ struct NearbyLeaf<'a, F> {
     /// From the other leaf to this one, in voxels.
     step: Vec3,
     boxes: &'a [BoxPacket],
-    /// Eight for each packet of boxes.
+    /// Eight primitives for each packet of boxes.
     primitives: &'a [Primitive<F>],
     axes: HalfAxisRange,
 }
 
-/// Kernel: the signed distances of a leaf.
+/// Kernel: computes the signed distances of a leaf to the three unions.
 struct Signed<'a, F> {
     around: &'a [NearbyLeaf<'a, F>],
     radii: [f32; 3],
@@ -341,7 +343,7 @@ pub(super) struct EllipsoidDistances {
     leaves: [Leaf; 3],
     radii: [f32; 3],
     axes: HalfAxisRange,
-    /// Squares of q from which on nothing is lowered.
+    /// For each voxel, the square of q from which on a particle cannot lower a value.
     limits: Leaf,
     /// The maximum of each row's limits.
     row_limits: [f32; ROW_COUNT],
@@ -438,8 +440,8 @@ impl ParticleShape for BallShape {
         self.0
     }
 
-    /// Every ball contributes up to a fixed margin beyond its r_max. The larger the ball, the farther that is
-    /// from its two other surfaces, so the smallest ball gives the bound.
+    /// Every ball contributes up to a fixed margin beyond its r_max. The larger the ball, the farther this
+    /// limit is from its two smaller surfaces, so the smallest ball gives the bound.
     fn complete_to(radii: &Radii) -> [f32; 3] {
         [radii.max, radii.init, radii.min].map(|radius| EXACT_MARGIN + radii.min_scale * (radii.max - radius))
     }

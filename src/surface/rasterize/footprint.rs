@@ -8,7 +8,8 @@
 //! ```
 //!
 //! Each particle is visited once and no distances are computed. This takes about 1 % of the reconstruction
-//! time and is accurate to about a third. Errors are on the high side, because balls are replaced by boxes.
+//! time and is accurate to about a third. The estimate is usually too high, because balls are replaced by
+//! boxes.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -36,7 +37,8 @@ pub struct Footprint {
     pub particle_count: usize,
     /// Number of particles in leaves that are not deep inside: approximately the number that is kept.
     pub near_particle_count: usize,
-    /// Approximate number of particles whose neighborhoods are evaluated; 0 without such a step.
+    /// Approximate number of particles whose neighborhoods are evaluated before rasterization; 0 if
+    /// none are.
     pub shaped_particle_count: usize,
     /// Number of dropped particles: not finite, or too far away for the grid.
     pub dropped_count: usize,
@@ -45,7 +47,8 @@ pub struct Footprint {
     pub spread_voxels: u32,
 }
 
-/// Frames up to this width are far within the precision of 32-bit positions.
+/// The spread is not computed for frames up to this width: they are far within the precision of 32-bit
+/// positions.
 const SPREAD_UNSEEN_VOXELS: i32 = 1 << 16;
 
 /// Which particles count as near the surface.
@@ -68,9 +71,10 @@ impl NearSurface {
     }
 }
 
-/// Number of particles near the surface: all of a leaf that is not full, or that lies next to such a leaf
-/// within half a leaf's depth, and a fraction of those in the leaves behind. `occupied` maps each leaf to its
-/// number of particles and whether they fill it.
+/// Estimated number of particles near the surface: all particles of leaves that are not full, and a fraction
+/// of the particles in each layer of leaves behind them. The fraction is the part of the layer that lies
+/// within `near.depth` less half a leaf. `occupied` maps each leaf to its number of particles and whether
+/// they fill it.
 fn shaped_count(occupied: &FxHashMap<IVec3, (usize, bool)>, near: NearSurface) -> usize {
     let count_of = |deep: &FxHashSet<IVec3>| -> usize {
         deep.iter().filter_map(|origin| occupied.get(origin)).map(|(count, _)| count).sum()
@@ -185,9 +189,10 @@ const CUT_AREA: usize = 96;
 struct FootprintLeaf {
     /// Number of particles.
     count: usize,
-    /// Which of the 27 position classes occur, used to find the leaves near the surface.
+    /// The position classes (see [`LeafReach`]) that occur, one bit per class; used to find the leaves near
+    /// the surface.
     near: u32,
-    /// Which cells contain a particle.
+    /// The cells (see [`LeafCells`]) that contain a particle, one bit per cell.
     cells: u64,
 }
 
@@ -249,7 +254,7 @@ impl LeafReach {
     }
 }
 
-/// A leaf divided into cells so small that a particle fills its cell, or its neighbors do.
+/// A leaf divided into cells so small that a cell with a particle is filled by it or by the particles around.
 struct LeafCells {
     /// Cells along an edge.
     count: u32,
@@ -275,7 +280,7 @@ impl LeafCells {
     }
 
     /// Area between the leaf's cells that contain a particle and those that do not, in voxel faces.
-    /// `cells_at` returns the cells of the leaf a given step away, in voxels.
+    /// `cells_at` returns the cells of the leaf at a step from this one, in voxels.
     fn open_area(&self, cells_at: impl Fn(IVec3) -> u64) -> usize {
         let own = cells_at(IVec3::ZERO);
         let mut face_count = 0;
@@ -289,8 +294,9 @@ impl LeafCells {
         face_count * edge_voxels * edge_voxels
     }
 
-    /// Number of faces in one direction with a particle behind and none in front. `last` is the last layer of
-    /// cells along the axis; the cells in front of it are in `beyond`.
+    /// Number of cell faces in one direction that have a particle in the cell behind and none in the cell in
+    /// front. `last` is the layer of cells at the leaf's boundary in this direction. The cells in front of
+    /// that layer are in the next leaf, `beyond`.
     fn open_faces(&self, own: u64, beyond: u64, axis: usize, last: u32) -> usize {
         let first = self.count - 1 - last;
         let is_open = |cell: u32| {

@@ -1,8 +1,8 @@
 //! A map from leaf origins to values that many threads fill concurrently.
 //!
 //! Particles of one leaf can be in any batch, and in a shuffled file every batch has particles of every leaf.
-//! So updates go straight to the leaf's entry, in one of many maps with a lock each; threads seldom wait for
-//! each other. Updates arrive in any order, so the result must not depend on it.
+//! So threads update the leaf's entry directly. The entries are in many shards with a lock each, so threads
+//! seldom wait for each other. Updates arrive in any order, so the result must not depend on the order.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -14,15 +14,15 @@ use crate::surface::grid::LEAF_EDGE;
 /// A sharded map from leaf origins to values, writable by many threads.
 pub(super) struct ConcurrentLeafMap<T>(Vec<Mutex<Shard<T>>>);
 
-/// Values lie in one large memory block, which goes back to the system when it is freed. There are millions
-/// of leaves.
+/// The values lie in one large memory block per shard, not in millions of small ones, so that freeing it
+/// returns the memory to the system.
 struct Shard<T> {
     /// Index in `values` of each leaf.
     slots: FxHashMap<IVec3, u32>,
     values: Vec<T>,
 }
 
-/// Adjacent leaves are in different shards.
+/// Number of shards. Adjacent leaves are in different shards.
 const SHARD_COUNT: usize = 64;
 
 impl<T> ConcurrentLeafMap<T> {

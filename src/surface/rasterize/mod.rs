@@ -8,9 +8,10 @@
 //! ```
 //!
 //! Outside a union of equal spheres, the distance to the nearest center minus the radius is the exact signed
-//! distance and is kept unchanged. Inside it is not a distance: however deep a voxel lies, there is a center
-//! near it. So inside, only the voxels next to the surface keep that value, and fast sweeping computes the
-//! others from them. The zero sets of the bounds are therefore those of the spheres themselves.
+//! distance and is kept unchanged. Inside the union, that value is not the distance to the surface: however
+//! deep a voxel lies, some center is near it. So inside, only the voxels next to the surface keep the value,
+//! and fast sweeping computes the others from them. The zero sets of the bounds are therefore those of the
+//! spheres themselves.
 //!
 //! Most of a frame is deep inside. `Culling` determines which particles and leaves can affect the surface;
 //! nothing else is stored:
@@ -77,15 +78,15 @@ pub struct Radii {
     /// Lower bound of all semi-axes, in units of the radii: 1 for uniform balls.
     pub min_scale: f32,
     /// The semi-axis for which the width of the band is computed, in units of the radii: 1 for uniform balls.
-    /// Particles may have longer semi-axes; then the surface cannot move quite as far as their bounds would
-    /// allow.
+    /// If particles have longer semi-axes, the band is too narrow for the surface to move quite as far as
+    /// their bounds would allow.
     pub band_scale: f32,
     /// Offset of the finished surface, in voxels: positive outward, negative inward. The band is wide enough
     /// for it.
     pub offset: f32,
 }
 
-/// Exact distances are kept up to this far beyond r_max, in voxels; beyond that, they are swept.
+/// Exact distances are kept up to this far beyond r_max, in voxels; fast sweeping computes those beyond.
 const EXACT_MARGIN: f32 = 2.0;
 
 impl Radii {
@@ -275,12 +276,13 @@ fn measure<S: ParticleSource>(
     Ok(NearDistances { bins, topology, distances })
 }
 
-/// Origins of the leaves with a voxel within the band's margin, per axis, of a voxel inside S_0 that has a
-/// face neighbor outside. With obstacles there are two surfaces, and a void may be filled next to either, so
-/// the same applies to S_0 minus the obstacles. Here the obstacles have their real surfaces, which φ meets
-/// after the offset. During smoothing they are grown or shrunk by the offset; those surfaces lie within the
-/// margin, which includes the offset. So a plate that is thinner than the offset, and vanishes when it is
-/// shrunk, is not lost.
+/// Origins of the leaves near the surface: those with a voxel within the band's margin, per axis, of a voxel
+/// inside S_0 that has a face neighbor outside. With obstacles there are two surfaces, that of S_0 and that
+/// of S_0 minus the obstacles. A void may be filled next to either of them, so the leaves near the second
+/// surface are included. Here the obstacles have their real surfaces, which φ meets after the offset. During
+/// smoothing, obstacles are grown or shrunk by the offset; their surfaces then lie within the margin, which
+/// includes the offset. So a plate that is thinner than the offset is not lost, although it vanishes when it
+/// is shrunk.
 fn leaves_near_surface(
     culling: &Culling,
     distances: &SphereDistances,
@@ -365,10 +367,10 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     let mut band = NarrowBand { topology, phi, half_width };
     let mut bounds = Bounds { lower, upper };
     // Voxels that are not stored are at least the half width from the surface, and stored voxels next to them
-    // almost as far. There, the lower bounds of particles that are not uniform balls would let the surface
-    // leave the band, so they are raised until φ is positive. Inward no such limit is needed: the surface
-    // moves far inward only where it is sharply convex, as around small balls, and there S_min is near.
-    // `inner_from` does not include the extra width for the offset.
+    // are almost as far from it. If particles are not uniform balls, the lower bounds at these voxels would
+    // let the surface leave the band, so the bounds are raised to keep φ positive there. The upper bounds
+    // need no such limit: the surface moves far inward only where it is sharply convex, as around small
+    // balls, and there S_min is near. `inner_from` does not include the extra width for the offset.
     let inner_from = if bins.shapes.is_uniform() { f32::INFINITY } else { radii.result_half_width() - 2.0 };
     finish(&mut band, &mut bounds, (inner_from, POSITIVE_MARGIN + radii.outward()));
     let contact = match scene.obstacles.is_empty() {
@@ -407,7 +409,7 @@ fn keep(field: &mut Field, kept: &[usize]) {
     field.leaves.shrink_to_fit();
 }
 
-/// The topology of these leaves of another.
+/// The topology that contains only the leaves `kept` of `topology`.
 fn subset(topology: Topology, kept: &[usize]) -> Topology {
     if kept.len() == topology.len() {
         return topology;
@@ -416,7 +418,7 @@ fn subset(topology: Topology, kept: &[usize]) -> Topology {
 }
 
 /// Number of sweeps after which every voxel within the half width has its distance: a sweep advances one
-/// voxel along the axes, and the diagonal is √3 times as long.
+/// voxel along the axes, so a distance along the diagonal needs √3 times as many sweeps.
 fn sweep_count(half_width: f32) -> u32 {
     (3f32.sqrt() * half_width).ceil() as u32
 }

@@ -4,7 +4,7 @@
 //!   a voxel     ┌───┬───┐      each of its eight octants has a bit, set if a particle is in it:
 //!               │ ● │   │      512 bytes per leaf, however many particles it contains
 //!               ├───┼───┤
-//!               │   │●● │      (a voxel's own octants are those toward larger x, y and z)
+//!               │   │●● │      (here a voxel's octants are those toward larger x, y and z of its center)
 //!               └───┴───┘
 //! ```
 //!
@@ -34,7 +34,8 @@ pub struct Occupancy {
     pub(super) batches: Vec<BatchSummary>,
     /// Number of particles [too far](stray_leaves) from the others.
     stray_count: usize,
-    /// Approximate world position of one particle that is too far away, for the grid or from the others.
+    /// Approximate world position of one dropped particle: one outside the grid's index range, or otherwise
+    /// one too far from the others.
     stray_position: Option<DVec3>,
 }
 
@@ -51,8 +52,9 @@ struct OccupiedLeaf {
     first_batch: usize,
 }
 
-/// A particle is round if it contains a ball of this size, in units of the settings' radii. Particles deep in
-/// a fluid are round, so they suffice to identify deep leaves, however flat the particles of thin sheets are.
+/// A particle is round if it contains a ball of this radius, in units of the settings' radii. Particles deep
+/// in a fluid are round, so they suffice to identify deep leaves, however flat the particles of thin sheets
+/// are.
 pub(super) const ROUND: f32 = 0.9;
 
 /// Summary of a batch, used to skip batches that cannot contribute.
@@ -75,8 +77,8 @@ impl Octants {
     /// No particle.
     pub(super) const EMPTY: Octants = Octants { rows: [0; 256] };
 
-    /// Adds a particle, given relative to the leaf's origin. (Rounding can put it on the leaf's upper
-    /// boundary.)
+    /// Adds a particle, given by its position relative to the leaf's origin, in voxels. Rounding can put a
+    /// particle on the leaf's upper boundary; it then belongs to the last octant.
     fn insert(&mut self, local: Vec3) {
         let [x, y, z] = (local * 2.0).to_array().map(|along| (along as usize).min(15));
         self.rows[x * 16 + y] |= 1 << z;
@@ -169,7 +171,8 @@ impl Occupancy {
         self.occupied.get(origin).map(|leaf| &leaf.octants)
     }
 
-    /// The octants with round particles of the leaf with this origin; `None` if all particles are uniform.
+    /// The octants that contain round particles, in the leaf with this origin; `None` if all particles are
+    /// uniform, or the leaf has none.
     pub(super) fn round_octants_of(&self, origin: IVec3) -> Option<&Octants> {
         self.occupied.get(origin)?.round.as_deref()
     }

@@ -1,18 +1,19 @@
 //! Computes how much around a window is needed to make its results identical to those of the whole frame.
 //!
 //! ```text
-//!   own        the window's leaves: φ_0, the bounds, and the set of stored leaves        ⎫ 2 voxels per sweep,
-//!   banded     the set of stored leaves, and φ_0; the bounds are swept on these          ⎬ plus 1 for voxels
-//!   swept      distances; φ_0 is swept on these                                          ⎭ next to the surface
-//!   crossed    surface crossings: leaves within the margin of one are stored               the band's margin
-//!   measured   distances again: whether a voxel is at a crossing depends on neighbors      one voxel
-//!   populated  particles                                                                   reach of distances
+//!   own        the window's leaves: φ_0, the bounds, which leaves are stored
+//!   banded     φ_0, which leaves are stored; the bounds are swept on these    ⎫ each: 2 voxels per sweep,
+//!   swept      distances; φ_0 is swept on these                               ⎭ plus 1 for their start
+//!   crossed    surface crossings: leaves within the margin of one are stored    the band's margin
+//!   measured   distances: where a crossing is depends on neighbors              1 voxel
+//!   populated  particles                                                        reach of distances
 //! ```
 //!
-//! Read bottom-up, the lines are the steps of rasterization; read top-down, each line needs the next one,
-//! wider by the amount on the right. Leaves count as a whole, since a leaf is stored if any of its voxels is.
-//! A smaller region cannot be proved sufficient: a sweep reads values two voxels away along an axis, and each
-//! sweep reads those of the previous one.
+//! Read bottom-up, the lines are the steps of rasterization. Read top-down, each line depends on the next
+//! one, whose region is wider by the amount on the right of that next line. Leaves count as a whole, since a
+//! leaf is stored if any of its voxels is. A smaller region cannot be proved sufficient: a sweep reads values
+//! two voxels away along an axis, and each sweep reads those of the previous one. Sweeps start from the
+//! voxels whose distance is known, and whether it is known depends on the face neighbours: hence the 1.
 
 use glam::IVec3;
 
@@ -45,7 +46,8 @@ impl Regions {
         let swept = leaves_around(banded, swept_voxels);
         let crossed = leaves_around(swept, radii.band_margin());
         let measured = leaves_around(crossed, 1);
-        // Rounding can put a particle on the upper boundary of its cell, so its voxel may be one less.
+        // Rounding can put a particle on the upper boundary of its cell, so the index of its voxel may be too
+        // small by one.
         let populated = leaves_around(measured, radii.exact_reach(longest).ceil() as i32 + 1);
         Regions { own, banded, swept, crossed, measured, populated }
     }

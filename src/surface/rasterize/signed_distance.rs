@@ -17,8 +17,8 @@ use crate::surface::level_set::{Sweeps, UNREACHED, extend};
 use crate::surface::simd::{self, Kernel, Lanes};
 
 /// The signed distance to one of the unions, swept up to the half width; values beyond it are only
-/// approximate. Reuses a field's memory after its last use, so request the unions in the order S_0, S_max,
-/// S_min.
+/// approximate. The last union that needs a field of distances reuses its memory, so request the unions in
+/// the order S_0, S_max, S_min.
 pub(super) fn signed_distance(
     topology: &Topology,
     distances: &mut SphereDistances,
@@ -42,7 +42,8 @@ pub(super) fn signed_distance(
     field
 }
 
-/// The voxels whose signed distance is known. Missing neighbor leaves contribute no adjacent voxels.
+/// The voxels whose signed distance is known. A missing neighbor leaf counts as lying on the same side of the
+/// surface.
 fn known_voxels(
     topology: &Topology,
     distances: &SphereDistances,
@@ -117,7 +118,7 @@ impl Kernel for SignedDistance<'_> {
         let mut leaf = Leaf::splat(0.0);
         for row in 0..ROW_COUNT {
             let values = V::load(self.values.row(row));
-            // Infinite values are outside, beyond the reach of the sweeps.
+            // Infinite values are outside, too: no particle is within the reach of distances.
             let side = V::select(values.lt(level), V::splat(-UNREACHED), V::splat(UNREACHED));
             let is_known = V::mask(self.known.row(row));
             V::select(is_known, values.sub(level), side).store(leaf.row_mut(row));

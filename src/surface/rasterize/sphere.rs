@@ -1,16 +1,16 @@
 //! Distances to the nearest particle, leaf by leaf.
 //!
 //! ```text
-//!   ┌────────┐          A particle lowers the values within its reach: each row computes dx² + dy² once, then
-//!   │ ▒▒▒    │          one sum and one minimum for its eight values.
+//!   ┌────────┐          A particle lowers the values within its reach. Each row takes one dx² + dy²,
+//!   │ ▒▒▒    │          and then one sum and one minimum for its eight values.
 //!   │▒▒●▒▒   │
-//!   │ ▒▒▒    │          Particles that cannot lower any value are skipped: for each x, y and z slab, the
-//!   └────────┘          maximum distance to the particles visited so far is kept.
+//!   │ ▒▒▒    │          Particles that cannot lower any value are skipped: for each slab (the voxels with
+//!   └────────┘          the same x, y or z), the largest value so far is kept.
 //! ```
 //!
 //! Each leaf gathers from the particles around it, so no two threads write to the same memory, and the
-//! minimum does not depend on the order of the particles. The nearest leaves come first, so that voxels
-//! between particles soon allow the remaining particles to be skipped.
+//! minimum does not depend on the order of the particles. The nearest leaves come first, so that the values
+//! soon become small enough to skip most of the remaining particles.
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
@@ -88,7 +88,7 @@ fn packets_of(locals: &[Vec3]) -> impl Iterator<Item = Centers8> {
 
 /// Kernel: the distances of one leaf.
 struct NearestDistances<'a> {
-    /// Leaves around it: the step to each, and its particles.
+    /// The leaves around this one: the offset to each, and its particles.
     around: &'a [(Vec3, &'a [Centers8])],
     reach_squared: f32,
     settled: &'a LeafMask,
@@ -143,7 +143,7 @@ fn near_bits<V: Lanes>(eight: &Centers8, step: Vec3, limit: f32) -> u8 {
     V::bits(V::not(V::splat(limit).lt(x.add(y).add(z))))
 }
 
-/// Squared distances from which on a particle changes nothing, for the slabs of each x, each y and each z.
+/// For each slab of one x, one y or one z, the squared distance from which on a particle changes no value.
 struct SlabLimits {
     along: [[f32; 8]; 3],
     /// The maximum of all limits.
@@ -206,7 +206,7 @@ fn lower_to_sphere<V: Lanes>(squared: &mut Leaf, limits: &SlabLimits, position: 
     dx.store(&mut along_x);
     dy.store(&mut along_y);
     for x in SetBits(slabs) {
-        // All rows of a slab: selecting rows takes longer.
+        // Updates all rows of a slab: selecting rows would take longer.
         for (y, along_y) in along_y.iter().enumerate() {
             let row = squared.row_mut((x & 7) * 8 + y);
             let across = V::splat(along_x[x & 7] + along_y);

@@ -3,20 +3,20 @@
 //! ```text
 //!   ┌──┬──┬──┐                                   ┌──┐
 //!   │ 9│50│30│                                   │ 1│      half of the particles are within one or two leaves
-//!   └──┴──┴──┘                                   └──┘      of their median, wherever the last one is
+//!   └──┴──┴──┘                                   └──┘      of their median, however far away the last one is
 //! ```
 
 use glam::IVec3;
 
-/// Median distance of the particles from their median position along an axis, in voxels. `leaves` yields leaf
-/// origins with their particle counts. Returns 0 for a frame at most `unseen_voxels` wide, without sorting;
-/// most frames are.
+/// Median distance of the particles from their median position, in voxels, where the distance is the
+/// maximum over the axes. `leaves` yields leaf origins with their particle counts. Returns 0, without
+/// sorting, for a frame at most `unseen_voxels` wide; most frames are that narrow.
 pub(super) fn spread<L: Iterator<Item = (IVec3, usize)>>(leaves: impl Fn() -> L, unseen_voxels: i32) -> u32 {
     let bounds = leaves().map(|(origin, _)| (origin, origin));
     let Some((low, high)) = bounds.reduce(|(low, high), (one, _)| (low.min(one), high.max(one))) else {
         return 0;
     };
-    // Twice an index still fits into 32 bits.
+    // The difference of two indices of the grid fits into 32 bits.
     if (high - low).max_element() <= unseen_voxels {
         return 0;
     }

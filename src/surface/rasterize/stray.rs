@@ -6,10 +6,10 @@
 //!   └──┴──┴──┘                                              └──┘
 //! ```
 //!
-//! At that distance from the mesh's origin, positions are off by 1/16 voxel or more, which is also the limit
-//! for the spread of a frame (`reconstruction::SPREAD_MAX_VOXELS`). If more than a few particles are that far away, the
-//! frame really is that wide and all particles are kept. The result depends only on the number of particles
-//! in each leaf.
+//! At that distance from the mesh's origin, 32-bit positions are off by 1/16 voxel or more. For the same
+//! reason, the spread of a frame has the same limit (`reconstruction::SPREAD_MAX_VOXELS`). If more than a few
+//! particles are that far away, the frame really is that wide and all particles are kept. The result depends
+//! only on the number of particles in each leaf.
 
 use glam::IVec3;
 
@@ -27,7 +27,7 @@ const FEW_ONE_IN: usize = 100;
 pub(super) fn stray_leaves<L: Iterator<Item = (IVec3, usize)>>(leaves: impl Fn() -> L) -> Vec<IVec3> {
     let bounds = leaves().map(|(origin, _)| (origin, origin));
     let bounds = bounds.reduce(|(low, high), (one, other)| (low.min(one), high.max(other)));
-    // Twice an index still fits into 32 bits.
+    // The difference of two indices of the grid fits into 32 bits.
     let is_wide = bounds.is_some_and(|(low, high)| (high - low).max_element() > FARTHEST_VOXELS);
     if !is_wide {
         return Vec::new();

@@ -1,4 +1,4 @@
-//! Compares rasterization with the same method without culling, and windows with the whole frame.
+//! Compares rasterization with a reference implementation without culling, and windows with the whole frame.
 
 use std::convert::Infallible;
 
@@ -12,8 +12,8 @@ use crate::surface::particles::{OwnedPositions, Positions};
 
 pub(super) const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
 
-/// Usual radii; radii so small that no particle may be dropped; larger radii, far apart; three equal radii;
-/// and radii that reach across the adjacent leaf.
+/// Radii of these kinds: usual; so small that no particle may be culled; large and far apart; three equal
+/// radii; so large that they reach across the adjacent leaf.
 pub(super) const RADII: [Radii; 5] = [
     Radii::uniform(1.732_050_8, 2.598_076, 3.464_101_6),
     Radii::uniform(1.1, 1.3, 1.8),
@@ -76,8 +76,8 @@ pub(super) fn scenes() -> Vec<(&'static str, Vec<[f32; 3]>)> {
     ]
 }
 
-/// Reference implementation from the definition, with all particles. Distances and differences are rounded as
-/// in the optimized code.
+/// Reference implementation, directly from the definition, with all particles. It rounds distances and
+/// differences as the optimized code does.
 fn reference(positions: &[[f32; 3]], radii: Radii) -> (NarrowBand, Bounds) {
     let nearest = Distances::new(positions, radii.max + EXACT_MARGIN);
     let sizes = [radii.max, radii.init, radii.min];
@@ -222,7 +222,8 @@ fn culling_changes_no_bit() {
                 rasterize(&OwnedPositions::F32(positions.clone()), &RasterParams::open(LATTICE, radii));
             assert!(values_of(&whole) == values(&band, &bounds), "{name}, {radii:?}");
             assert_eq!(whole.bins.particle_count, positions.len());
-            // Particles are dropped if the inside is large, and never if the radius is too small to decide.
+            // Particles are culled if the inside is large, and never if the radii are too small to prove that
+            // they are inside.
             let left_out = positions.len() - whole.bins.len();
             let is_deep = name == "dense solid" && radii.init > 1.75;
             assert!(
@@ -234,7 +235,7 @@ fn culling_changes_no_bit() {
     }
 }
 
-/// Also with particles in a different batch order, and with batches that are skipped.
+/// The results are also the same with batches of particles in another order, and with skipped batches.
 #[test]
 fn windows_equal_the_whole_frame() {
     let bar = |point: Vec3| point.y.abs() < 5.0 && (point.z - 0.1 * point.x).abs() < 3.0;

@@ -1,4 +1,5 @@
-//! Compares anisotropic particles with the same method without culling, and windows with the whole frame.
+//! Compares the rasterization of anisotropic particles with a reference implementation without culling, and
+//! windows with the whole frame.
 
 use glam::{IVec3, Vec3};
 use rustc_hash::FxHashMap;
@@ -62,8 +63,8 @@ fn scaled_balls_of_scale_one_equal_uniform_balls() {
     }
 }
 
-/// Round ellipsoids have the same surface as balls. Swept values differ by the error of the distances they
-/// start from.
+/// Round ellipsoids have the same surface as balls. Values from sweeping differ by the error of the distances
+/// from which sweeping starts.
 #[test]
 fn round_ellipsoids_approximate_balls() {
     let (_, positions) = scenes().swap_remove(2);
@@ -79,7 +80,7 @@ fn round_ellipsoids_approximate_balls() {
     let balls_topology = &balls.band.topology;
     let mut shared_count = 0;
     for (leaf, &origin) in balls.band.topology.origins().iter().enumerate() {
-        // At the edge of the band, swept distances select slightly different leaves.
+        // At the edge of the band, different swept distances can select different leaves: skip these.
         let Some(other) = round.band.topology.find(origin) else { continue };
         shared_count += 1;
         for (field, (round, balls)) in fields.into_iter().enumerate() {
@@ -121,8 +122,8 @@ fn culling_changes_no_bit() {
     }
 }
 
-/// The bounds of a ball of 60 voxels are 15 voxels apart, which is more than the band has room for. What
-/// floats between them must not leave the stored leaves.
+/// The bounds of a ball with a radius of 60 voxels are 15 voxels apart, more than the width of the band. A
+/// surface that is free to move between them must not leave the stored leaves.
 #[test]
 fn surface_stays_in_the_band_if_bounds_exceed_it() {
     let positions = [[0.2, 0.1, 5.3], [27.4, 21.6, 53.5], [30.6, 22.3, 49.7]];
@@ -173,8 +174,8 @@ fn windows_equal_the_whole_frame() {
     }
 }
 
-/// Reference implementation from the definition, with all particles. Values are rounded as in the optimized
-/// code.
+/// Reference implementation, directly from the definition, with all particles. It rounds values as the
+/// optimized code does.
 fn reference(source: &ParticleCloud, radii: Radii) -> (NarrowBand, Bounds) {
     let (values, half_width) = (Definition::new(source, radii), radii.half_width());
     let signed = |topology: &Topology, surface: usize| values.signed(topology, surface, half_width);

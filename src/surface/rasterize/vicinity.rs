@@ -1,15 +1,16 @@
-//! Finds the particles near uncovered places. The others do not affect the surface, wherever their neighbors
-//! move them.
+//! Finds the particles near voxels that no particle covers. The other particles do not affect the surface,
+//! wherever their neighbors move them.
 //!
 //! ```text
-//!   · · · · · · · · ·      ·  uncovered: a voxel without a particle that is certainly within r_init
+//!   · · · · · · · · ·      ·  uncovered: a voxel that is not certainly within r_init of a particle
 //!   v v v v v v v v v  ┐
-//!   v v v v v v v v v  ┘   depth          v  vicinity: cells with such a voxel within a depth
+//!   v v v v v v v v v  ┘   depth          v  vicinity: cells within this depth of an uncovered voxel
 //!   d d d d d d d d d      d  deep: particles here are left unchanged
 //! ```
 //!
-//! Whether a particle is in the vicinity depends only on the octants within the depth and r_init, axis by
-//! axis, and on the longest particle of its leaf. It does not depend on windows or batches.
+//! Whether a particle is in the vicinity depends only on the octants that are within the depth plus r_init of
+//! it (and a few voxels of rounding) on each axis, and on the longest particle of its leaf. It does not
+//! depend on windows or batches.
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
@@ -26,7 +27,7 @@ use crate::surface::particles::{ParticleSource, Positions, Shapes};
 use crate::surface::simd;
 use crate::surface::space::{CoordBox, Lattice};
 
-/// The cells near places that particles leave uncovered.
+/// The cells near uncovered voxels.
 pub struct Vicinity {
     occupancy: Occupancy,
     /// For each leaf of the occupancy, the cells in the vicinity.
@@ -39,7 +40,7 @@ pub struct Vicinity {
 /// Leaves of the vicinity whose particles are processed together, with the leaves they depend on.
 pub struct GatherBlock {
     own: FxHashSet<IVec3>,
-    /// Their leaves, and all leaves within a margin.
+    /// The leaves in `own`, and all leaves within the margin of their cells in the vicinity.
     gathered: FxHashSet<IVec3>,
     voxels: CoordBox,
 }
@@ -64,7 +65,7 @@ impl Default for GatherBlock {
 }
 
 impl Vicinity {
-    /// Finds the cells near voxels without a particle that is certainly within `cover_radius`. `depth_of`
+    /// Finds the cells near voxels that are not certainly within `cover_radius` of a particle. `depth_of`
     /// maps the longest semi-axis of a leaf's particles, in units of the radii, to the depth of the vicinity
     /// there. Particles within `margin` of the vicinity, per axis, are [gathered](Self::gather) with it. All
     /// lengths are in voxels.
@@ -129,7 +130,8 @@ impl Vicinity {
         let count_of = |origin: IVec3| self.occupancy.count_of(origin).unwrap_or((0, 0));
         let mut near: Vec<usize> =
             (0..leaves.len()).filter(|&leaf| self.cells[leaf] != LeafMask::EMPTY).collect();
-        // Leaves are in an order that keeps neighbors together; the stable sort preserves it within a batch.
+        // The topology's order keeps neighbors together; the stable sort preserves it among leaves with the
+        // same first batch.
         near.sort_by_cached_key(|&leaf| count_of(leaves.origins()[leaf]).1);
         let around = |&leaf: &usize| {
             let voxels = self.cells[leaf].bounding_box().expanded(margin);
@@ -157,8 +159,8 @@ impl Vicinity {
         blocks
     }
 
-    /// Approximate number of a leaf's particles that are gathered: all of a dense cluster, which may be in
-    /// any of its cells.
+    /// Approximate number of a leaf's particles that are gathered. If the leaf is crowded, this is the number
+    /// of all its particles, because most of them may be in one of the gathered cells.
     fn gathered_count(&self, origin: IVec3) -> usize {
         let (count, _) = self.occupancy.count_of(origin).unwrap_or((0, 0));
         let leaf = self.occupancy.topology.find(origin);
@@ -226,7 +228,7 @@ fn in_world(positions: &Positions, particle: u32) -> [f64; 3] {
     position.to_array()
 }
 
-/// Number of leaves whose neighborhoods are listed at a time: 25 MB.
+/// Maximum number of leaf origins in the lists of leaves around the leaves of a chunk: 25 MB.
 const LISTED_MAX: usize = 1 << 21;
 
 /// Number of batches read in parallel: several for each of many threads.
@@ -252,20 +254,20 @@ fn shrunk(neighborhoods: &[[u32; 27]], mut deep: Vec<LeafMask>, mut around: i32)
     deep
 }
 
-/// Erodes by a ball: keeps the cells of each leaf with no non-deep cell within `radius` voxels.
+/// Erodes by a ball: keeps the cells with only deep cells within `radius` voxels.
 ///
-/// The structuring element is a cube plus octahedra, chosen to contain the ball tightly: it is exact along
-/// the axes, and in between it exceeds the ball by what the smallest cube adds. A cube alone would keep half
-/// as much again of the cells near a plane surface in the vicinity.
+/// The structuring element is the sum of a cube and octahedra, with the smallest cube for which the sum
+/// contains the ball. Along the axes it is as long as the ball, and in between it exceeds the ball a little.
+/// With a cube alone, the vicinity of a plane surface would have 1.5 times as many cells.
 fn shrunk_by_ball(neighborhoods: &[[u32; 27]], deep: Vec<LeafMask>, radius: f32) -> Vec<LeafMask> {
     let whole = radius.ceil();
-    // Reach of the element toward an edge of the cube, and toward a corner.
+    // How far the element reaches toward an edge of the cube, and toward a corner.
     let holds_ball = |cube: f32| {
         let octahedra = whole - cube;
         let edge = (2.0 * cube + octahedra) / 2f32.sqrt();
         edge.min((3.0 * cube + octahedra) / 3f32.sqrt()) >= radius
     };
-    // A cell is checked from its corners, which requires at least a small cube.
+    // Only the erosion by a cube tests all corners of a cell, so the cube has at least 1 voxel.
     let cube = (1..=whole as i32).find(|cube| holds_ball(*cube as f32)).unwrap_or(whole as i32);
     let mut deep = shrunk(neighborhoods, deep, cube);
     for _ in cube..whole as i32 {

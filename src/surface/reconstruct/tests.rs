@@ -37,7 +37,8 @@ fn reconstruct_matches_the_stages_with_absolute_positions() {
         [DVec3::min, DVec3::max].map(|of| surface.positions.iter().copied().reduce(of).expect("some"));
     assert!((least - DVec3::from(corner)).abs().max_element() < 1.5, "{least}");
     assert!((greatest - DVec3::from(corner) - 5.0).abs().max_element() < 1.5, "{greatest}");
-    // At 3·10⁶, 32 bits lose half a unit; relative to the surface they lose nothing.
+    // At 3·10⁶, 32-bit numbers are multiples of ¼. Positions relative to the origin of the surface keep their
+    // precision.
     let near = surface.positions_f32(least);
     assert!(near.iter().flatten().all(|along| (0.0..9.0).contains(along)));
 }
@@ -120,7 +121,7 @@ impl Storage for InMemory {
 
 #[test]
 fn memory_limit_is_an_error_without_scratch_and_same_bits_with_scratch() {
-    // A long bar: most of it is in other tiles.
+    // A long bar: most of its particles are in other tiles.
     let bar: Vec<[f64; 3]> =
         (0..4 * 4 * 600).map(|i| [f64::from(i / 16), f64::from(i / 4 % 4), f64::from(i % 4)]).collect();
     let options = Options {
@@ -208,7 +209,7 @@ fn invalid_input_returns_the_matching_error() {
     assert_eq!((expected, found), (count, count - 1));
     let of_nothing = Attribute { arity: 0, ..radii(Vec::new()) };
     assert!(matches!(error(&particles, &[of_nothing], default.clone()), Error::AttributeLength { .. }));
-    // Far apart, each with the largest possible surface.
+    // Particles far apart, each with the largest possible surface.
     let spray: Vec<[f64; 3]> = (0..400).map(|i| [f64::from(i) * 150.0, 0.0, 0.0]).collect();
     let large = Options { radius_min: Some(30.0.into()), ..with(1.0) };
     let large = Options { spacing: Some(26.0), ..large };
@@ -378,5 +379,5 @@ fn hostile_positions_and_options_never_panic() {
     assert!(made as u64 > SEEDS / 20, "only {made} surfaces: the input is too extreme to test anything");
 }
 
-/// Takes a few seconds.
+/// Number of random inputs: the test takes a few seconds.
 const SEEDS: u64 = 300;

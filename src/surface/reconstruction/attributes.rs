@@ -83,7 +83,7 @@ pub(crate) fn transfer_attributes_from(
 /// Upper estimate of the number of voxels in the band per sample point.
 const VOXELS_PER_POINT: usize = 6;
 
-/// How far values reach; see [`crate::surface::attributes`].
+/// How far the attributes of a particle reach; see [`crate::surface::attributes`].
 fn support<'a>(settings: &Settings, shapes: &'a Shapes) -> Support<'a> {
     let Settings { radius_init, radius_max, offset, voxel_size, .. } = *settings;
     Support {
@@ -97,7 +97,7 @@ fn support<'a>(settings: &Settings, shapes: &'a Shapes) -> Support<'a> {
 /// Radius of the weighted mean, in units of r_init.
 const RADII: f64 = 2.0;
 
-/// Vertices are rarely farther than this outside the largest surface of all particles, in voxels.
+/// Vertices are rarely farther than this outside the union of the r_max spheres, in voxels.
 const MARGIN_VOXELS: f64 = 2.0;
 
 /// The part of an attribute that a grid can store, if any: a color loses its alpha channel.

@@ -36,10 +36,10 @@ const HALF_WIDTH_MIN: f32 = 3.0;
 /// Margin of the smoothing band beyond the slack, in voxels.
 const MARGIN: f32 = 5.0;
 
-/// The surface of a level set, whose values are in voxels of the settings' size. With a slack, in voxels, it
-/// is the smoothest surface that stays within that distance of the given one; the settings' offset is applied
-/// afterwards. Settings for particles have no effect. Voxel (0, 0, 0) is at `translation`, in world units.
-/// The mesh is validated as stored in each of the formats in `stored`.
+/// Computes the surface of a level set, whose values are in units of the settings' voxel size. With a slack,
+/// in voxels, it is the smoothest surface that stays within that distance of the given one; the settings'
+/// offset is applied afterwards. Settings for particles have no effect. Voxel (0, 0, 0) is at `translation`,
+/// in world units. The mesh is validated as stored in each of the formats in `stored`.
 pub fn smooth_level_set(
     band: NarrowBand,
     translation: DVec3,
@@ -136,9 +136,9 @@ fn offset_voxels(settings: &Settings) -> f32 {
     (settings.offset / settings.voxel_size) as f32
 }
 
-/// Half width of the working band; `None` to keep that of the given band. If there is an offset, the band is
-/// widened first, because values in the file need not be distances that far out, and the band left after the
-/// offset must not be narrower than without one.
+/// Half width of the working band; `None` to keep that of the given band. An offset requires a wider band,
+/// for two reasons: values in the file need not be distances that far out, and the band left after the offset
+/// must not be narrower than without one.
 fn working_half_width(band: &NarrowBand, slack: f32, offset: f32) -> Option<f32> {
     let without_offset = match slack > 0.0 {
         true => Some(MARGIN + slack.ceil()),
@@ -150,7 +150,8 @@ fn working_half_width(band: &NarrowBand, slack: f32, offset: f32) -> Option<f32>
     Some((without_offset.unwrap_or(HALF_WIDTH_MIN) + offset.abs().ceil()).min(WIDENED_MAX))
 }
 
-/// Peak memory of [`smooth_level_set`] with these arguments, in bytes, including the given band. An upper estimate.
+/// Upper estimate of the peak memory of [`smooth_level_set`] with these arguments, in bytes. It includes the
+/// given band.
 pub fn smooth_level_set_bytes(band: &NarrowBand, slack_voxels: f32, settings: &Settings) -> u64 {
     let given = band.topology.len() as f64;
     let (leaves, widening) = match working_half_width(band, slack_voxels, offset_voxels(settings)) {
@@ -231,7 +232,7 @@ mod tests {
             surface.report.flat_triangles_removed + surface.report.mesh.degenerate_triangle_count
         };
         assert_eq!(flat_count(DVec3::ZERO), 0);
-        // There, consecutive 32-bit floats are an eighth of a world unit apart.
+        // At x = 1.5e6, consecutive 32-bit floats are an eighth of a world unit apart.
         assert!(flat_count(DVec3::new(1.5e6, 0.0, 0.0)) > 0);
     }
 }

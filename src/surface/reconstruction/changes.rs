@@ -6,8 +6,8 @@
 //!     0 1     2            3   4         means, shapes: in particle order
 //! ```
 //!
-//! A frame of hundreds of millions of particles stores all changes at once, beside the level sets, so they
-//! are compact.
+//! All changes of a frame are in memory at once, in addition to the level sets, so they are compact: a frame
+//! may have hundreds of millions of particles.
 
 use std::ops::Range;
 
@@ -15,8 +15,8 @@ use glam::{DVec3, Vec3};
 
 use crate::surface::particles::{Ellipsoid, ParticleSource, Positions, Shapes};
 
-/// Mean of a particle's neighbors relative to the particle, in units of R / 32767: a ten-thousandth of the
-/// spacing is precise enough.
+/// Mean of the positions of a particle's neighbors, relative to the particle, in units of R / 32767. That is
+/// about a ten-thousandth of the spacing, which is precise enough.
 type StoredMean = [i16; 3];
 
 /// Quantizes a mean in units of R, with components in −1..=1.
@@ -46,9 +46,9 @@ pub(super) struct BlockChanges {
 }
 
 impl BlockChanges {
-    /// `sources` holds the batch, and index in the batch, of each particle. `means` are the means of their
-    /// neighbors, in units of R, and `shapes` their shapes; either is empty if unused. Drops particles that
-    /// are neither moved nor stretched, such as those of a lattice behind its outermost layers.
+    /// `sources` holds the batch, and index in the batch, of each particle. `means` are the mean positions of
+    /// their neighbors, in units of R, and `shapes` their shapes; either is empty if unused. Drops particles
+    /// that are neither moved nor stretched, such as those of a lattice behind its outermost layers.
     pub(super) fn new(sources: Vec<[u32; 2]>, means: &[[f32; 3]], shapes: Vec<Ellipsoid>) -> BlockChanges {
         let means: Vec<StoredMean> = means.iter().copied().map(stored).collect();
         if !shapes.is_empty() || means.is_empty() {
@@ -64,7 +64,8 @@ impl BlockChanges {
 pub(super) fn changed_bytes(is_moved: bool, is_stretched: bool) -> [f64; 2] {
     let mean = if is_moved { size_of::<StoredMean>() } else { 0 };
     let shape = if is_stretched { size_of::<Ellipsoid>() } else { 0 };
-    // One bit for each particle of the frame, of which one in eight is near the surface.
+    // There is one bit for each particle of the frame: one byte per changed particle, if one in eight is
+    // changed.
     let kept = (1 + mean + shape) as f64;
     [(size_of::<[u32; 2]>() + mean + shape) as f64 + kept, kept]
 }
@@ -72,7 +73,7 @@ pub(super) fn changed_bytes(is_moved: bool, is_stretched: bool) -> [f64; 2] {
 /// The changes that neighbors make to a source's particles.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct NeighborChanges {
-    /// How far a mean at distance R moves a particle, in world units: λR.
+    /// Displacement of a particle if the mean of its neighbors is at distance R, in world units: λR.
     step_world: f64,
     /// Scale of the particles for which the input gives none and that are not stretched; `None` if all
     /// particles keep their given shapes.
@@ -89,7 +90,7 @@ pub(super) struct NeighborChanges {
 }
 
 impl NeighborChanges {
-    /// Sorts the changes of all blocks into source order. Frees each block once it is copied. `count_of`
+    /// Sorts the changes of all blocks into source order, and frees each block once it is copied. `count_of`
     /// returns the number of particles of a batch.
     pub(super) fn new(
         found: Vec<BlockChanges>,
@@ -167,7 +168,7 @@ impl NeighborChanges {
         indices.zip(means).map(|(index, mean)| (index, mean_of(*mean).as_dvec3() * self.step_world))
     }
 
-    /// The changed shapes of a batch of `count` particles, `given` before.
+    /// The shapes of a batch of `count` particles after the changes; `given` are those before.
     pub(super) fn shapes_of(&self, batch: usize, given: Shapes, count: usize) -> Shapes {
         let Some(ball) = self.ball else { return given };
         let mut shapes = match given {

@@ -9,8 +9,8 @@
 //!   upper    [leaf]   [leaf]   [leaf]   [leaf] …        one file
 //! ```
 //!
-//! A tile must read its neighbors' values from before the current operation, in whatever order tiles are
-//! processed. So the fields that change are double-buffered.
+//! A tile must read the values that its neighbors had before the current operation, in whatever order tiles
+//! are processed. So the fields that change are double-buffered.
 
 use std::io;
 use std::ops::Range;
@@ -34,7 +34,7 @@ pub trait Storage: Send + Sync {
     fn write(&self, offset: u64, bytes: &[u8]) -> io::Result<()>;
 }
 
-/// The fields of a frame, in one storage per file.
+/// The fields of a frame, with one storage for each file in the drawing above.
 pub(super) struct FieldStore {
     storages: Vec<Box<dyn Storage>>,
     /// For each changing field, which of its two buffers holds the current values.
@@ -51,7 +51,7 @@ const UPPER: usize = 7;
 impl FieldStore {
     /// Creates an empty store.
     pub(super) fn new(storages: Vec<Box<dyn Storage>>) -> FieldStore {
-        assert_eq!(storages.len(), FIELD_STORE_FILES, "one storage per field");
+        assert_eq!(storages.len(), FIELD_STORE_FILES, "one storage per file");
         FieldStore { storages, current: [0; 3] }
     }
 

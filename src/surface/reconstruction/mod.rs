@@ -1,8 +1,9 @@
 //! The whole method in three stages: rasterize, smooth, contour.
 //!
-//! The stages are separate functions so that a pipeline can run a different frame in each; [`reconstruct_frame`] runs all
-//! three. They do not start threads or open files: loops run in the caller's rayon pool. `plan` estimates the
-//! memory of a frame, and `tiled` has the same three stages for frames larger than memory.
+//! The stages are separate functions so that a pipeline can run a different frame in each;
+//! [`reconstruct_frame`] runs all three. They do not start threads or open files: loops run in the caller's
+//! rayon pool. `plan` estimates the memory of a frame, and `tiled` has the same three stages for frames
+//! larger than memory.
 
 mod attributes;
 mod band;
@@ -164,7 +165,7 @@ pub fn reconstruct_cloud(cloud: ParticleCloud, settings: &Settings, obstacles: &
 /// First stage: particles to level sets. `shape_stats` reports how the particles got their shapes.
 ///
 /// # Errors
-/// Returns the source's error if a batch cannot be read. Sources in memory have none.
+/// Returns the source's error if a batch cannot be read. Reading a source in memory cannot fail.
 pub fn rasterize<S: ParticleSource>(
     source: &S,
     settings: &Settings,
@@ -346,7 +347,7 @@ fn smooth_config(settings: &Settings) -> smooth::SmoothConfig {
         redistance_every: settings.redistance_every,
         cg_tolerance: settings.cg_tolerance,
         pin_isolated_spheres: can_spheres_shrink(settings),
-        // Distances must be accurate up to the level that becomes the surface.
+        // The offset makes the level at this distance the surface, so distances must be accurate up to there.
         distances_voxels: (settings.offset / settings.voxel_size).abs() as f32,
     }
 }
@@ -355,8 +356,8 @@ fn smooth_config(settings: &Settings) -> smooth::SmoothConfig {
 const SHRINKING_MAX: f64 = 0.15;
 
 /// True if implicit steps could shrink an isolated sphere by more than [`SHRINKING_MAX`] before its radius
-/// reaches r_min. They cannot if the radii are derived from the voxel size and there are 15 Laplacian steps,
-/// which shrink it to r_min; with per-particle radii they always can.
+/// reaches r_min. This is always true with per-particle radii. It is false if the radii are derived from the
+/// voxel size and there are 15 Laplacian steps, because these already shrink the sphere to r_min.
 fn can_spheres_shrink(settings: &Settings) -> bool {
     let [least, init] = [settings.radius_min, settings.radius_init].map(|world| world / settings.voxel_size);
     let left = smooth::radius_after_laplacian(init, settings.laplacian_steps);

@@ -1,4 +1,5 @@
-//! Estimates the memory of a frame, and plans how to surface it within a limit.
+//! Estimates the memory of a frame, and plans how to reconstruct it within a limit: in one piece or in tiles.
+//! All memory sizes are in bytes.
 
 use std::fmt;
 
@@ -14,11 +15,11 @@ use crate::surface::options::{Anisotropy, Contouring, Integrator, Settings};
 use crate::surface::particles::ParticleSource;
 use crate::surface::rasterize::{self, Footprint};
 
-/// How a frame is surfaced.
+/// How a frame is reconstructed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemoryPlan {
-    /// Upper estimate of the peak memory, in bytes, excluding the given particles: at most half as much again
-    /// as the actual peak.
+    /// Upper estimate of the peak memory, in bytes, excluding the given particles: at most 1.5 times the
+    /// actual peak.
     pub memory_bytes: u64,
     /// Edge of the tiles in leaves; `None` to process the frame in one piece.
     pub tile_leaves: Option<i32>,
@@ -57,7 +58,8 @@ impl std::error::Error for TooLarge {}
 
 const MEBIBYTE: u64 = 1 << 20;
 
-/// Edges of tiles in leaves, largest first. The smaller the tiles, the more work is done twice.
+/// Edges of tiles in leaves, largest first. The smaller the tiles, the more work is done twice, in their
+/// overlapping halos.
 const TILE_EDGES: [i32; 4] = [128, 64, 32, 16];
 
 /// Inputs besides the particles that need memory.
@@ -69,7 +71,7 @@ pub struct PlanInputs<'a> {
     pub attribute_bytes: f64,
 }
 
-/// Why a frame cannot be surfaced.
+/// Why a frame cannot be reconstructed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MemoryPlanError {
     /// It does not fit into the memory limit.
@@ -82,8 +84,8 @@ pub enum MemoryPlanError {
 /// that fit. Reads each particle once.
 ///
 /// # Errors
-/// The outer error is the source's. The inner error says why the frame cannot be surfaced: there is
-/// too little memory, or the voxels are [too small](VoxelTooSmall).
+/// The outer error is the source's. The inner error says why the frame cannot be reconstructed: there is too
+/// little memory, or the voxels are [too small](VoxelTooSmall).
 pub fn plan_memory<S: ParticleSource>(
     source: &S,
     settings: &Settings,
@@ -159,8 +161,9 @@ pub(super) fn mesh_bytes(settings: &Settings) -> f64 {
     }
 }
 
-/// Memory per leaf that contains particles, while culling, and the part that a tiled frame keeps. For
-/// anisotropic particles, each leaf also stores the octants of the round ones.
+/// Memory per leaf that contains particles, in bytes, while culling. A tiled frame keeps
+/// [`occupied_leaf_bytes`] of it. For anisotropic particles, each leaf also stores the octants of the round
+/// ones.
 fn sorted_leaf_bytes(settings: &Settings) -> f64 {
     1000.0 + round_octants_bytes(settings)
 }
@@ -173,11 +176,11 @@ fn round_octants_bytes(settings: &Settings) -> f64 {
     if settings.has_per_particle_shapes() { 512.0 } else { 0.0 }
 }
 
-/// Memory per kept particle, and per particle while sorting.
+/// Memory per kept particle, in bytes. While particles are sorted, each takes [`SORTED_PARTICLE_BYTES`].
 const KEPT_PARTICLE_BYTES: f64 = 12.0;
 const SORTED_PARTICLE_BYTES: f64 = 40.0;
 
-/// Memory per particle shape: in the frame, after culling, and in the lookup.
+/// Memory per particle shape, in bytes, for three copies: in the frame, after culling, and in the lookup.
 const SHAPE_BYTES: f64 = 200.0;
 
 /// Memory for particle shapes and displacements.
@@ -186,7 +189,7 @@ fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
         settings.per_particle_radius.is_some() || matches!(settings.anisotropy, Anisotropy::Velocity { .. });
     let shaped_count = match (by_attributes, settings.has_per_particle_shapes()) {
         (true, _) => footprint.particle_count,
-        // Made for each batch, and stored for the particles that are kept.
+        // Shapes are computed for each batch, and stored only for the particles that are kept.
         (false, true) => footprint.near_particle_count,
         (false, false) => 0,
     };
@@ -201,10 +204,11 @@ fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
     SHAPE_BYTES * shaped_count as f64 + of_changes + given
 }
 
-/// Average memory per near particle for original positions that may lie outside the surface. Few do.
+/// Average memory per near particle, in bytes, for the original positions that may lie outside the surface.
+/// The average is small because few positions do.
 const MOVED_PARTICLE_BYTES: f64 = 6.0;
 
-/// Memory while neighborhoods are evaluated, before the rest of the frame exists.
+/// Memory, in bytes, while neighborhoods are evaluated. The rest of the frame does not exist yet.
 fn neighbors_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
     if !settings.uses_neighbors() {
         return 0.0;
@@ -219,9 +223,10 @@ fn neighbors_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
 /// neighbors.
 const VICINITY_LEAF_BYTES: f64 = 300.0;
 
-/// Memory while attributes are transferred and written, beside the mesh and two level sets: near particles,
-/// sorted and packed; values at vertices and in the band, scattered and then contiguous, then compressed for
-/// six voxels each.
+/// Memory while attributes are transferred and written, in addition to the mesh and two level sets. It holds
+/// near particles, sorted and packed. For each voxel face of the surface's area, it also holds eight values
+/// of each attribute: two for a vertex or a node of the band (in chunks, then contiguous), and six in the
+/// encoded .vdb, whose band is six voxels wide.
 fn transfer_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> f64 {
     if attribute_bytes == 0.0 {
         return 0.0;
@@ -235,7 +240,7 @@ fn transfer_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f
     moved + particles * (80.0 + 2.0 * attribute_bytes) + area * (48.0 + 8.0 * attribute_bytes)
 }
 
-/// Memory per ellipsoid, once per batch and once for all.
+/// Memory per ellipsoid for two copies: in its batch, and in the list of all.
 const SHAPES_BYTES: f64 = 56.0;
 
 /// Memory during edits: φ, the field of the clip box, components, and, for a tiled frame, the particles that

@@ -1,7 +1,9 @@
 //! Postprocessing: from the smoothed level set to the validated mesh.
 //!
 //! ```text
-//!   φ ──offset──▶ φ ──islands, cavities, box──▶ φ ──contour──▶ mesh ──obstacles──▶ mesh ──decimate──▶ mesh ──▶ validate
+//!   φ ──offset──▶ φ ──islands, cavities, box──▶ φ ──contour──▶ mesh ─┐
+//!      ┌──────────────────────────────────────────────────────────────┘
+//!      └─obstacles──▶ mesh ──decimate──▶ mesh ──▶ validate
 //! ```
 //!
 //! Validation checks the mesh as it will be written: after decimation, and with positions rounded as in each
@@ -49,7 +51,7 @@ pub(super) fn offset(band: &mut NarrowBand, scene: &RasterParams) {
         return;
     }
     let wall = |origin: IVec3| match scene.obstacle(origin) {
-        // A leaf deep inside obstacles contains no surface.
+        // Far outside obstacles the surface is not limited, and deep inside them there is none.
         ObstacleLeaf::Outside | ObstacleLeaf::Inside => None,
         ObstacleLeaf::Near(mut distances) => {
             Arc::make_mut(&mut distances).values.iter_mut().for_each(|distance| *distance = -*distance);
@@ -59,8 +61,8 @@ pub(super) fn offset(band: &mut NarrowBand, scene: &RasterParams) {
     offset_surface(band, radii.offset, radii.result_half_width(), wall);
 }
 
-/// Applies the edits in the settings. `particles` yields each leaf's origin and particles, in voxels relative
-/// to it.
+/// Applies the edits in the settings. `particles` yields the origin of each leaf and its particles, in voxels
+/// relative to that origin.
 pub(super) fn edit<P: AsRef<[Vec3]>>(
     band: &mut NarrowBand,
     particles: impl IntoIterator<Item = (IVec3, P)>,
@@ -75,7 +77,7 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
         edits.islands = Some(dropped);
     }
     if settings.fill_cavities > 0.0 {
-        // A region that the fluid is kept out of by an obstacle is not a cavity.
+        // Space that an obstacle occupies is not a cavity.
         let kept = |origin: IVec3| match scene.obstacle(origin) {
             ObstacleLeaf::Outside => LeafMask::EMPTY,
             ObstacleLeaf::Inside => LeafMask::FULL,
@@ -95,7 +97,7 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
     edits
 }
 
-/// Extracts the mesh of the level set, clear of obstacles and of the parts outside the box.
+/// Extracts the mesh of the level set, and moves its vertices out of obstacles and into the clip box.
 pub(super) fn mesh(
     band: &NarrowBand,
     edits: &Edits,
@@ -121,8 +123,8 @@ pub enum PositionFormat {
     Rounded(RoundedPositions),
 }
 
-/// Number of times that vertices are moved back into their bounds. Any left outside are then reported as
-/// violations.
+/// Maximum number of rounds that move vertices back into their bounds. Vertices that are still outside after
+/// these rounds are reported as violations.
 const CLAMP_ROUNDS_MAX: usize = 3;
 
 /// Replaces the mesh by the one that is written, and validates it part by part, as each file stores it.
@@ -155,7 +157,7 @@ pub(super) fn finalize<E>(
         for stored in stored {
             let mut of_file = ParticleChecks::EMPTY;
             let mut rounded = rounding(stored).map(|rounding| mesh.rounded(rounding));
-            // Rounding that changes nothing needs no second check.
+            // If rounding changes nothing, the check of the unrounded mesh suffices.
             if has_unrounded && rounded.as_ref().is_some_and(|rounded| *rounded == mesh.positions) {
                 continue;
             }
@@ -226,16 +228,16 @@ impl ExclusionMask for SurfaceExclusions<'_> {
     }
 
     fn vertex(&self, index: DVec3) -> bool {
-        // Before the offset, obstacles affected the surface up to this much farther out.
+        // An outward offset also moves the part of the surface that obstacles affected, by this much.
         let margin = self.scene.void_threshold + VERTEX_MARGIN + self.scene.radii.outward();
         self.is_near_cut(index) || self.obstacle_distance(index) < margin
     }
 }
 
-/// A particle at least this far from an obstacle, in voxels, measured at the nearest voxel, is outside it.
+/// A particle is outside an obstacle if its nearest voxel is at least this far from it, in voxels.
 const PARTICLE_MARGIN: f32 = 1.0;
 
-/// Beyond the widest filled gap plus this margin, in voxels, an obstacle does not affect vertices.
+/// Obstacles do not affect vertices farther from them than the widest filled gap plus this margin, in voxels.
 const VERTEX_MARGIN: f32 = 2.0;
 
 impl SurfaceExclusions<'_> {

@@ -6,9 +6,9 @@
 //!                                                              warning     error          no surface
 //! ```
 //!
-//! Such a voxel size is a mistake, such as a wrong unit of length or an extra zero, and the user would wait
-//! long for a useless result. A few stray particles are not: they cause a warning only, because the median
-//! decides.
+//! Such a voxel size is a mistake, for example a wrong unit of length or an extra zero, and the user would
+//! wait long for a useless result. A few stray particles are no reason to reject a frame: because the median
+//! decides, they only cause a warning.
 
 use std::fmt;
 
@@ -51,7 +51,7 @@ pub enum PrecisionLimit {
 impl fmt::Display for VoxelTooSmall {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let VoxelTooSmall { voxel_size, spacing, least, limit } = *self;
-        // Round up, so that the few digits of the message are enough.
+        // Round up, so that the number in the message, which has few digits, is not below the limit.
         let least = 1.001 * least;
         let [voxels, half, h, shown_least, shown_spacing] =
             [spacing / voxel_size, 0.5 * spacing, voxel_size, least, spacing].map(significant);
@@ -80,8 +80,8 @@ impl fmt::Display for VoxelTooSmall {
 
 impl std::error::Error for VoxelTooSmall {}
 
-/// Checks whether the voxels are too small for a frame with this footprint. If so, reads its particles once
-/// more, or three times if there are many.
+/// Checks whether the voxels are too small for a frame with this footprint. If the footprint suggests that
+/// they are, the particles are read once more, or three times if there are many.
 ///
 /// # Errors
 /// Returns the source's error if a batch cannot be read.

@@ -10,11 +10,11 @@
 //! required depth is part of the method and does not depend on tiles or memory.
 //!
 //! Let R be the neighbor radius, and call a voxel covered if it is certainly within r_init of a given
-//! particle. A particle is deep if every voxel within R plus its own r_max is covered. Within R, the
-//! neighborhood of a deep particle is then complete, so its mean is approximately the particle itself, and
-//! its shape approximately a ball. The additional r_max puts a layer of moved particles between the deep ones
-//! and the surface. Voids that smoothing would open deep inside, where the particle density changes within R,
-//! stay closed.
+//! particle. A particle is deep if every voxel within R plus its own r_max is covered. A deep particle then
+//! has neighbors on all sides within R, so their mean is approximately its own position, and its shape is
+//! approximately a ball. The additional r_max puts a layer of moved particles between the deep ones and the
+//! surface. Where the density of deep particles changes within R, smoothing their positions would open voids;
+//! because they stay where they are, it does not.
 //!
 //! Displacements are computed in blocks, so the result is the same for frames larger than memory.
 
@@ -36,8 +36,8 @@ use crate::surface::rasterize::{NearSurface, Vicinity};
 use crate::surface::report::ShapeStats;
 
 /// Applies the shapes and positions that the settings request. If an attribute that the settings require is
-/// missing, or does not have a number or a vector per particle, the particles are balls; callers check this
-/// before.
+/// missing, or does not have a number or a vector per particle, the particles are balls; callers check the
+/// attributes first.
 pub fn shape_particles(
     cloud: ParticleCloud,
     settings: &Settings,
@@ -92,8 +92,8 @@ pub(crate) fn shapes_by_attributes(
     (shapes, shape_stats)
 }
 
-/// Applies the positions and shapes that the settings derive from neighbors. `shape_stats` is the report of the
-/// attribute step.
+/// Applies the positions and shapes that the settings derive from neighbors. `shape_stats` are the statistics
+/// of the attribute step.
 ///
 /// # Errors
 /// Returns the source's error if a batch cannot be read.
@@ -118,8 +118,8 @@ fn in_blocks<S: ParticleSource>(
     let stretch = stretch(settings);
     let lattice = lattice(settings);
     let depth = Depth::new(settings, given.has_shapes());
-    // Where particles are very dense, neighbors are sampled from whole cells: the particle's own cell and
-    // those around it.
+    // Where particles are very dense, neighbors are sampled from whole cells of the search grid: the
+    // particle's own cell and those around it.
     let margin = (2.0 * settings.neighbor_radius / settings.voxel_size).ceil() as i32 + 1;
     let depth_of = |longest| depth.voxels(longest);
     let vicinity = Vicinity::new(&given, &lattice, depth.cover_voxels, depth_of, margin)?;
@@ -214,7 +214,7 @@ pub(super) fn gathered_bytes(particle_count: usize) -> f64 {
     GATHERED_BYTES * particle_count.min(2 * GATHERED_MAX) as f64
 }
 
-/// Per particle of a block: its position, unsorted and sorted, and its sort key.
+/// Memory per particle of a block, in bytes: its position, unsorted and sorted, and its sort key.
 const GATHERED_BYTES: f64 = 110.0;
 
 /// Maximum distance, in voxels, at which other particles affect a particle's position and shape, plus its
@@ -384,8 +384,8 @@ pub(super) fn band_scale(settings: &Settings) -> f32 {
     if settings.per_particle_radius.is_some() { SCALE_ROOM } else { 1.0 }
 }
 
-/// The bounds of particles with three times the smallest radius are three voxels apart: farther than
-/// smoothing moves a surface.
+/// With the radii of the paper, the bounds of a particle with three times the smallest radius are three
+/// voxels (rounded up) from the initial surface: farther than smoothing moves a surface.
 const SCALE_ROOM: f32 = 3.0;
 
 #[cfg(test)]
@@ -519,7 +519,7 @@ mod tests {
         contour(smooth(rasterized, settings), settings, &[PositionFormat::Exact])
     }
 
-    /// The particles within a ball, whose surface has all directions.
+    /// The particles within a ball, so that the surface has normals in all directions.
     fn round(cloud: &ParticleCloud, radius: f64) -> ParticleCloud {
         let OwnedPositions::F64(positions) = &cloud.positions else { panic!("64 bits") };
         let is_in = |at: &&[f64; 3]| DVec3::from(**at).distance(DVec3::splat(radius)) < radius;

@@ -115,8 +115,8 @@ pub fn rasterize<S: ParticleSource>(
 
 /// The tiles that contain leaves within `voxels` of a leaf with particles.
 fn tiles_near(occupancy: &Occupancy, tile_leaves: i32, voxels: i32) -> BTreeSet<[i32; 3]> {
-    // A particle is up to one voxel from its recorded position, and the surface up to one voxel from the
-    // voxels next to it.
+    // A particle is up to one voxel from its recorded position, and the surface is up to one voxel from the
+    // voxels that are next to it.
     let margin_leaves = (voxels + 2) / LEAF_EDGE + 1;
     let origins = occupancy.topology.origins().iter();
     let tiles = origins.flat_map(|&origin| tiles_around(origin, margin_leaves, tile_leaves));
@@ -393,8 +393,8 @@ mod tests {
         }
     }
 
-    /// At the end of the moved surface, some voxels lie exactly on the obstacle's surface and all their
-    /// neighbors are outside.
+    /// Where the moved surface ends at the obstacle, some voxels lie exactly on the obstacle's surface, and
+    /// all neighbors of these voxels are outside.
     #[test]
     #[ignore = "slow: `.ci/run` runs it"]
     fn outward_offset_next_to_an_obstacle_is_closed() {

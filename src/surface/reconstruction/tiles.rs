@@ -11,8 +11,8 @@
 //! ```
 //!
 //! Rasterization visits each tile once. Smoothing visits all tiles for each of its
-//! [operations](crate::surface::smooth::SmoothOp). Then φ, a fifth of the memory that smoothing needs, is loaded and
-//! contoured in one piece.
+//! [operations](crate::surface::smooth::SmoothOp). Then φ is loaded and contoured in one piece: it takes a
+//! fifth of the memory that smoothing needs.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -48,7 +48,7 @@ struct LeafTile {
     own: Vec<bool>,
 }
 
-/// The tile that contains a leaf: its first leaf, in units of tiles.
+/// Coordinates of the tile that contains a leaf, in units of tiles.
 pub(super) fn tile_of(origin: IVec3, tile_leaves: i32) -> IVec3 {
     origin.div_euclid(IVec3::splat(tile_leaves * LEAF_EDGE))
 }
@@ -109,7 +109,7 @@ impl Tiling {
         self.tiles.len()
     }
 
-    /// The slots of these leaves, as runs.
+    /// The slots of these leaves, as runs of consecutive slots.
     fn runs(&self, leaves: impl Iterator<Item = u32>) -> Vec<Range<usize>> {
         let mut runs: Vec<Range<usize>> = Vec::new();
         for slot in leaves.map(|leaf| self.slots[leaf as usize] as usize) {
@@ -121,7 +121,8 @@ impl Tiling {
         runs
     }
 
-    /// The tile's own leaves as runs with consecutive slots, each with its first slot.
+    /// The tile's own leaves, as ranges of `tile.leaves` with consecutive slots; each range with its first
+    /// slot.
     fn own_runs(&self, tile: &LeafTile) -> Vec<(Range<usize>, usize)> {
         let mut runs: Vec<(Range<usize>, usize)> = Vec::new();
         for (index, &leaf) in tile.leaves.iter().enumerate().filter(|&(index, _)| tile.own[index]) {

@@ -38,10 +38,10 @@ pub trait Lanes: Copy {
     /// The values, with the signs of `sign`.
     fn copysign(self, sign: Self) -> Self;
 
-    /// The smaller of two values per lane; `other` if they are unordered.
+    /// The smaller of two values per lane; `other` if they are unordered (one is NaN).
     fn min(self, other: Self) -> Self;
 
-    /// The larger of two values per lane; `other` if they are unordered.
+    /// The larger of two values per lane; `other` if they are unordered (one is NaN).
     fn max(self, other: Self) -> Self;
 
     /// Lanes where a value is less than the other.
@@ -72,7 +72,7 @@ pub trait Lanes: Copy {
     fn shift_down(self, last: f32) -> Self;
 }
 
-/// The implementation for every processor.
+/// The implementation without intrinsics, for every processor.
 #[derive(Clone, Copy)]
 pub(super) struct Portable([f32; 8]);
 

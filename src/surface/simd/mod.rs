@@ -134,22 +134,23 @@ pub trait Kernel {
     fn run<V: Lanes>(self) -> Self::Output;
 }
 
-/// Runs a kernel at [`SimdLevel::current`]. A cancelled frame ends here.
+/// Runs a kernel at [`SimdLevel::current`]. If the frame is cancelled, the call unwinds instead of returning.
 #[inline]
 pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
     checkpoint();
     run_available(SimdLevel::current(), kernel)
 }
 
-/// Runs a kernel at this level, or at the baseline if the processor does not support it. A
-/// cancelled frame ends here.
+/// Runs a kernel at this level, or at the baseline if the processor does not support it. If the frame is
+/// cancelled, the call unwinds instead of returning.
 #[inline]
 pub fn dispatch_at<K: Kernel>(level: SimdLevel, kernel: K) -> K::Output {
     checkpoint();
     run_available(if level.is_available() { level } else { SimdLevel::Baseline }, kernel)
 }
 
-/// Runs a kernel at an available level. Does not check again, which would be measurable per leaf.
+/// Runs a kernel at an available level. Does not check the processor again, because a check for each leaf
+/// would take measurable time.
 #[inline]
 #[allow(unsafe_code, reason = "callers have checked the processor features")]
 fn run_available<K: Kernel>(level: SimdLevel, kernel: K) -> K::Output {

@@ -9,7 +9,7 @@ use super::lanes::Lanes;
 /// Runs a kernel with AVX2.
 ///
 /// # Safety
-/// The processor must have these features.
+/// The processor must have the features that the function enables.
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt,f16c")]
 pub(super) fn run_avx2<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Ymm>()
@@ -18,7 +18,7 @@ pub(super) fn run_avx2<K: Kernel>(kernel: K) -> K::Output {
 /// Runs a kernel with AVX2 and the masks and additional registers of AVX-512.
 ///
 /// # Safety
-/// The processor must have these features.
+/// The processor must have the features that the function enables.
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,bmi1,bmi2,lzcnt,popcnt,f16c")]
 pub(super) fn run_avx512<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Ymm>()
@@ -52,7 +52,7 @@ impl Lanes for Ymm {
 
     #[inline(always)]
     fn store(self, row: &mut [f32; 8]) {
-        // SAFETY: as above; the row is as long as the register.
+        // SAFETY: as in `ymm!`; the row is as long as the register.
         unsafe { _mm256_storeu_ps(row.as_mut_ptr(), self.0) }
     }
 
@@ -126,7 +126,7 @@ impl Lanes for Ymm {
 
     #[inline(always)]
     fn bits(mask: __m256) -> u8 {
-        // SAFETY: as above.
+        // SAFETY: as in `ymm!`.
         (unsafe { _mm256_movemask_ps(mask) }) as u8
     }
 

@@ -1,7 +1,8 @@
 //! Conjugate gradients for (I + Δt ∇⁴) x = b on the free voxels of a band (paper, Alg. 2).
 //!
 //! Letters are the paper's: x the solution (stored in the band's φ), r the residual, d the search direction,
-//! q = A d, δ = rᵀr. All of r, d and q are zero at voxels that are not free.
+//! δ = rᵀr. Only q differs: it is not A d, but the part Δt ∇⁴d of A d = d + q (Δt ∇⁴x at a restart). All of
+//! r, d and q are zero at voxels that are not free.
 
 use rayon::prelude::*;
 
@@ -47,7 +48,7 @@ impl Solver {
         let residual = |(leaf, (r, d)): (usize, (&mut Leaf, &mut Leaf))| {
             *r = Leaf::splat(0.0);
             for offset in region.free[leaf].iter() {
-                // At fixed voxels, b − x is their displacement in this step.
+                // A x = x + q, so r = (b − x) − q. b is φ at the start of the step.
                 r.values[offset] = (b.leaves[leaf].values[offset] - x.leaves[leaf].values[offset])
                     - q.leaves[leaf].values[offset];
             }
@@ -120,7 +121,7 @@ impl Solver {
     }
 }
 
-/// The second application of the stencil, on a leaf.
+/// Kernel: q = Δt ∇²(∇²·) on the free voxels of a leaf, from the inner Laplacian ∇²·.
 struct Outer<'a> {
     around: &'a Neighborhood<'a>,
     free: &'a LeafMask,

@@ -1,12 +1,12 @@
 //! The paper's explicit integrator: φ ← φ − Δt ∇⁴φ |∇φ|, clamped to the bounds (Eq. 5, Alg. 1).
 //!
-//! Stable while 144 Δt/h⁴ < 2. In addition, a step should not move any value by more than a voxel (Eq. 8).
-//! Steps either have a fixed size or are as large as these limits allow (§3.5): Δt = min(h / v_max, safety ·
-//! 2h⁴/144), where v_max is the maximum of |∇⁴φ| |∇φ|.
+//! The integrator is stable while 144 Δt/h⁴ < 2. In addition, a step should not move any value by more than a
+//! voxel (Eq. 8). Steps either have a fixed size or are as large as these limits allow (§3.5):
+//! Δt = min(h / v_max, safety · 2h⁴/144), where v_max is the maximum of |∇⁴φ| |∇φ|.
 //!
 //! The second limit is nearly always the smaller one. At exactly 2/144 the mode that alternates from voxel to
-//! voxel oscillates forever, and where |∇φ| is above 1 it grows. Hence the safety factor: at 0.9 this mode
-//! decays to 80 % per step, and it still decays if |∇φ| is up to 1.11.
+//! voxel oscillates forever, and where |∇φ| is above 1 it grows. A safety factor of 0.9 prevents both: this
+//! mode decays to 80 % per step, and it still decays if |∇φ| is up to 1.11.
 
 use rayon::prelude::*;
 
@@ -62,8 +62,8 @@ pub(super) fn adaptive_step(
     step_size
 }
 
-/// Writes φ after a step of `step_size` h⁴ to `workspace.second`; `workspace.first` receives the inner Laplacian.
-/// Returns the maximum change, like [`step`].
+/// Writes φ after a step of `step_size` h⁴ to `workspace.second`, and the inner Laplacian to
+/// `workspace.first`. Returns the maximum change, like [`step`].
 fn advance(
     band: &NarrowBand,
     bounds: &Bounds,
@@ -88,7 +88,7 @@ fn advance(
         });
         if own.is_none_or(|own| own[leaf]) { moved_max } else { 0.0 }
     };
-    // The maximum does not depend on the order of evaluation.
+    // A maximum does not depend on the order of evaluation, so the result is deterministic.
     next.leaves.par_iter_mut().enumerate().map(advance).reduce(|| 0.0, f32::max)
 }
 

@@ -46,8 +46,8 @@ impl FreeVoxels {
         FreeVoxels { free, free_rows, laplacian_rows }
     }
 
-    /// Updates `free_rows` after voxels were removed from `free`. `laplacian_rows` may stay: extra rows cost
-    /// only time.
+    /// Updates `free_rows` after voxels were removed from `free`. `laplacian_rows` need not change: extra
+    /// rows cost only time.
     pub(super) fn recount_free_rows(&mut self) {
         self.free_rows = self.free.par_iter().map(LeafMask::occupied_rows).collect();
     }

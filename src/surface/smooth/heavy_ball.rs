@@ -8,19 +8,20 @@
 //!   x⁺ = clamp( x − α (x − φ + Δt ∇⁴x) + β (x − x⁻) )         for every free voxel at once
 //! ```
 //!
-//! The eigenvalues of its operator lie in [1, L] with L = 1 + 144 Δt for every frame, so α and β are
-//! constants: no dot product, line search or restart is needed. In each pass a voxel depends only on voxels
-//! up to two away. So the result does not depend on distant parts of the frame, nor on the number of threads.
-//! The dot products of conjugate gradients couple all voxels, and are independent of the number of threads
-//! only because `implicit` sums them in a fixed order.
+//! x⁻ is the previous iterate and x⁺ the next one. The eigenvalues of the operator I + Δt ∇⁴ lie in [1, L]
+//! with L = 1 + 144 Δt for every frame, so α and β are constants: no dot product, line search or restart is
+//! needed. In each pass a voxel depends only on voxels up to two away. So the result does not depend on
+//! distant parts of the frame, nor on the number of threads. The dot products of conjugate gradients couple
+//! all voxels, and are independent of the number of threads only because `implicit` sums them in a fixed
+//! order.
 //!
 //! ```text
 //!   α = 4 / (√L + 1)²      β = ((√L − 1) / (√L + 1))²       error factor per pass: 1 − 2/√L
 //! ```
 //!
 //! A mode with an eigenvalue near one is wider than the layer of free voxels along a surface. It exists only
-//! where two layers merge (see [`thickness`](super::thickness)). Elsewhere the smallest eigenvalue is l = 1 +
-//! 0.1 Δt, so √l times fewer passes are enough.
+//! in the *thick* region, where two layers merge (see [`thickness`](super::thickness)). Elsewhere, in the
+//! *thin* region, the smallest eigenvalue is l = 1 + 0.1 Δt, so √l times fewer passes are enough.
 //!
 //! ```text
 //!                 passes per step       last step          at Δt = 20 h⁴ (preset paper)
@@ -54,12 +55,12 @@ use crate::surface::level_set::{Bounds, NarrowBand};
 use crate::surface::simd::{self, Kernel, Lanes};
 
 /// What a step of 1 h⁴ adds to the smallest eigenvalue where the region is thin. A plate of width w that is
-/// clamped on both sides adds (4.73/w)⁴; this is w = 8.4 voxels, about the widest layer without a deep voxel
-/// (see `thickness`). Most layers are narrower, which adds more.
+/// clamped on both sides adds (4.73/w)⁴. The value 0.1 corresponds to w = 8.4 voxels, about the widest layer
+/// without a deep voxel (see `thickness`). Most layers are narrower, and add more.
 const STIFFNESS_THIN: f32 = 0.1;
 
-/// Passes per step and in the last step, in units of the root of the condition number. Each pass multiplies
-/// the error by 1 − 2/root, so these reduce it to e⁻² and e⁻³.
+/// Passes per step and in the last step, in units of the square root of the condition number. Each pass
+/// multiplies the error by 1 − 2/root, so these numbers of passes reduce the error to e⁻² and e⁻³.
 const PASSES_PER_ROOT: [f32; 2] = [1.0, 1.5];
 
 /// Fraction of a step's change that the next step is predicted to repeat.
@@ -74,7 +75,7 @@ const PREDICTED_CHANGE_MAX: f32 = 1.0;
 pub(super) struct StepParams {
     step_size: f32,
     alpha: f32,
-    /// In the thin and in the thick region.
+    /// β in the thin and in the thick region.
     beta: [f32; 2],
     /// Number of passes in the thin and in the thick region.
     passes: [u32; 2],
@@ -176,7 +177,7 @@ impl HeavyBall<'_> {
     }
 }
 
-/// Kernel: predicts a leaf's start values.
+/// Kernel: predicts the values of a leaf from which the passes start.
 struct Predict<'a> {
     /// φ; becomes x.
     phi: &'a mut Leaf,
@@ -316,7 +317,7 @@ impl Kernel for BlockPass<'_> {
 }
 
 impl StepParams {
-    /// x⁺ of a row.
+    /// Computes x⁺ of a row.
     #[inline(always)]
     fn advance<V: Lanes>(
         &self,

@@ -84,7 +84,7 @@ pub struct SmoothConfig {
 /// Statistics of a smoothing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SmoothReport {
-    /// Unknowns of the first step: voxels with |φ| ≤ 3 voxels.
+    /// Number of unknowns of the first step: voxels with |φ| ≤ 3 voxels.
     pub free_voxel_count: usize,
     /// Maximum number of applications of the biharmonic operator to a voxel.
     pub pass_count: usize,
@@ -94,7 +94,7 @@ pub struct SmoothReport {
     /// How far a change of φ_0 or the bounds can propagate, in voxels. `None` for `Implicit`, whose dot
     /// products couple all voxels, and for `Adaptive`, whose step size depends on the fastest voxel.
     pub reach_voxels: Option<u32>,
-    /// Only for `Implicit`.
+    /// How the conjugate gradients converged; `None` unless the integrator is `Implicit`.
     pub convergence: Option<Convergence>,
     /// Number of explicit steps that moved some value by more than a voxel (Eq. 8).
     pub cfl_exceeded_count: usize,

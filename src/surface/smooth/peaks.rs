@@ -12,16 +12,17 @@
 //!                ╲╱ pinned
 //! ```
 //!
-//! The distance r to a point is biharmonic everywhere except at that point: ∇⁴r = −8π δ. With its peak, a
-//! ball is stationary. Without pinning, the peak relaxes like a plate released at one point. A ball that is
-//! free throughout, between values fixed 3 h outside, tends to the radius √(R² − 9 h²), or vanishes. Explicit
-//! steps redistance before this has an effect; an implicit step relaxes all at once.
+//! The distance r to a point is biharmonic everywhere except at that point: ∇⁴r = −8π δ. So the φ of a ball
+//! is stationary as long as its peak is pinned. If it is not, the flow flattens the peak, like a bent plate
+//! released at one point. A ball whose voxels are all free, between values fixed 3 h outside its surface,
+//! tends to the radius √(R² − 9 h²), or vanishes. With explicit steps, φ is redistanced before this has an
+//! effect; an implicit step flattens the peak at once.
 //!
 //! Sheets and filaments have creases along which φ is constant. These are not pinned, because that would pin
 //! the surface, too. A peak is distinguished by φ falling off in all directions.
 //!
-//! Maximum difference between the radius of isolated balls and the radius that the Laplacian steps leave, in
-//! voxels:
+//! The largest difference between the final radius of an isolated ball and the radius that the Laplacian
+//! steps leave. Lengths are in voxels:
 //!
 //! ```text
 //!   pinned around a peak    nothing   the peak  1 step   2 steps
@@ -45,8 +46,8 @@ const FALL_MIN: f32 = 1.0;
 /// Minimum curvature along each axis; for a ball, 0.79. A quick test that rejects most voxels.
 const CURVATURE_MIN: f32 = 0.6;
 
-/// Depths of peaks, in voxels: nearer to the surface they do not occur, and farther away all voxels around
-/// them are fixed.
+/// Depths at which peaks are searched, in voxels: nearer to the surface there are none, and farther away all
+/// voxels around them are fixed.
 const DEPTHS: [f32; 2] = [1.0, 5.0];
 
 /// Radius of the pinned region around a peak, in steps along the axes.
@@ -129,7 +130,8 @@ impl Kernel for CurvesInward<'_> {
             let slab = self.around.slab(x);
             for y in 0..8 {
                 let phi = slab.row::<V>(y);
-                // On the other side of the surface, depths are negative.
+                // Depths are positive on the side of the voxel, and negative on the other side of the
+                // surface.
                 let (side, depth) = (V::splat(1.0).copysign(phi), phi.abs());
                 let mut bend = V::splat(f32::INFINITY);
                 for [before, after] in [slab.along_x::<V>(y), slab.along_y(y), slab.along_z(y)] {

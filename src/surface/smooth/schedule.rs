@@ -69,9 +69,10 @@ const REDISTANCE_SWEEPS: u32 = 8;
 
 /// After implicit steps, distances beyond the neighbors of voxels this close to the surface are swept to
 /// first order, as in the paper. With a few large steps, exact distances would thicken tubes and sheets until
-/// they meet the bumps of their bound: under this flow a cylinder of radius R grows by 1/R³. Explicit steps
-/// redistance so often that first-order errors would accumulate. The figures are in `redistance`. If isolated
-/// spheres are pinned, all distances are exact.
+/// they meet the bumps of their bound: under this flow the radius R of a cylinder grows at the rate 1/R³.
+/// Explicit steps redistance so often that first-order errors would accumulate, so they sweep to second
+/// order. The measurements are in `redistance`. If isolated spheres are pinned, all distances are swept to
+/// second order.
 const IMPLICIT_SECOND_ORDER_WITHIN: f32 = 1.2;
 
 /// Size of a Laplacian step, in units of h².
@@ -133,8 +134,8 @@ impl SmoothOp {
 pub fn schedule(config: &SmoothConfig, reach_max: u32) -> Vec<SmoothOp> {
     let mut schedule = Vec::new();
     match config.laplacian_steps {
-        // Noise in the values that the first step holds fixed must be removed: it would cost a sphere of
-        // radius 20 one percent of its volume.
+        // Noise in the values that the first step holds fixed must be removed: otherwise a sphere with a
+        // radius of 20 voxels would lose one percent of its volume.
         0 => schedule.push(SmoothOp::Restore),
         steps => schedule.extend(portions(steps, reach_max).map(|(_, steps)| SmoothOp::Laplacian { steps })),
     }

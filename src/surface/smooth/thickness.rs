@@ -1,9 +1,9 @@
 //! Finds where the free region is so thick that a step converges slowly.
 //!
 //! The free voxels of a step are a layer along the surface, about six voxels thick, between fixed values.
-//! Modes that fit into this layer have a wavelength of that size, and therefore an eigenvalue of at least 1 +
-//! (4.73/6.5)⁴·Δt: that of a plate clamped on both sides. Only where surfaces come close, as in spray and
-//! thin sheets, do their layers merge into a thicker region, which has slow modes.
+//! Modes that fit into this layer have a wavelength of about its thickness, and therefore an eigenvalue of at
+//! least 1 + (4.73/6.5)⁴·Δt, like a plate clamped on both sides. Only where surfaces come close, as in spray
+//! and thin sheets, do their layers merge into a thicker region, which has slow modes.
 //!
 //! ```text
 //!   fixed ──────────      ────────╮  ╭────────

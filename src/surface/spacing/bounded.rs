@@ -4,8 +4,9 @@
 //!   all particles ──▶ every n-th ──▶ boxes around some of these ──▶ all particles in the boxes ──▶ estimate
 //! ```
 //!
-//! The particles of a sample are farther apart than all particles, and how much farther depends on whether
-//! they are in a body, a sheet or a filament. The boxes around some of them contain all particles.
+//! The particles of a sample are farther apart than those of the source, by a factor that depends on whether
+//! they are in a body, a sheet or a filament. So the estimate uses all particles of the source that are in
+//! boxes around some particles of the sample.
 
 use glam::DVec3;
 
@@ -19,14 +20,14 @@ const SAMPLE_MAX: usize = 1 << 20;
 /// Upper limit of the number of boxes.
 const BOX_COUNT: usize = 32;
 
-/// Lower limit of the particles along half an edge of a box in a body: most particles in the box then have
-/// all their neighbours in it.
+/// Half an edge of a box in a body has at least this many spacings: most particles in the box then have all
+/// their neighbours in it.
 const HALF_EDGE_SPACINGS: f64 = 8.0;
 
 /// Every n-th particle of a source, in its order.
 #[derive(Debug)]
 pub(crate) struct SourceSample {
-    /// The finite ones.
+    /// The finite particles of the sample.
     pub(crate) particles: OwnedPositions,
     /// n: one of this many particles is in the sample.
     every: usize,

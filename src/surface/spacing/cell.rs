@@ -4,11 +4,11 @@
 
 use glam::DVec3;
 
-/// Limit of an open cell, in units of the distance of the farthest neighbour. The radius of an open cell is
-/// then larger than all these distances.
+/// Size to which an open cell is limited, in units of the distance of the farthest neighbour. The radius of
+/// an open cell is then larger than the distances of all neighbours.
 const END: f64 = 4.0;
 
-/// The square of the steepest slope to a neighbour that counts as beside the particle.
+/// A neighbour counts as beside the particle up to this slope, squared, relative to the plane of the section.
 const STEEP: f64 = 0.5;
 
 /// The size of a cell.
@@ -28,7 +28,7 @@ pub(super) struct Section {
 }
 
 impl Volume {
-    /// The cell among these neighbours, of which the last is the farthest.
+    /// The cell of a particle with these neighbours, of which the last is the farthest.
     ///
     /// Each face starts as a large square on the bisecting plane of a neighbour and is cut by the planes of
     /// all others. The cell is the union of the pyramids over the faces.

@@ -1,18 +1,18 @@
 //! The particle spacing around one particle.
 //!
 //! ```text
-//!    .   .   .   .         in a body: the cube root of the particle's Voronoi cell, which is exact for lattices
-//!      ┌───┐               and, in the mean, for random particles
+//!    .   .   .   .         in a body: the cube root of the volume of the particle's Voronoi cell, which is
+//!      ┌───┐               exact for lattices and, in the mean, for random particles
 //!    . │ ● │ .   .
-//!      └───┘               in a sheet or at a surface, where the cell is open: the square root of the cell's
-//!    .   .   .   .         section by the plane of the near particles
+//!      └───┘               in a sheet or at a surface, where the cell is open: the square root of the area
+//!    .   .   .   .         of the cell's section by the plane of the near particles
 //!
-//!    ●───●───●             in a filament or among few particles, if the section is open, too: the
+//!    ●───●───●             in a filament or among few particles, if the section is open, too: the mean
 //!                          length of the edges to the neighbours with no particle in between
 //! ```
 //!
 //! Particles of a fluid under pressure have smaller cells than at rest, at nearly the same distances. In a
-//! body, edges therefore have a weight of a quarter.
+//! body, the estimate is therefore a weighted mean: the edges have a weight of a quarter.
 
 use glam::{DMat3, DVec3};
 
@@ -33,7 +33,8 @@ const BODY_EDGE_WEIGHT: f64 = 0.25;
 /// of a disturbed lattice for 1.7: this value is in between.
 const BETA: f64 = 1.35;
 
-/// Edges longer than this many times the second shortest, which continues a filament, are gaps.
+/// Edges longer than this many times the second shortest are gaps. (In a filament, the two shortest edges
+/// lead to the two adjacent particles.)
 const GAP: f64 = 2.5;
 
 /// Neighbours this many times farther than the nearest are left out, to keep precision.
@@ -42,11 +43,11 @@ const FAR: f64 = 1e6;
 /// The particle spacing around one particle, by the structure around it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Local {
-    /// Neighbours surround it.
+    /// Neighbours surround the particle.
     Body(f64),
-    /// Neighbours surround it in a plane.
+    /// Neighbours surround the particle in a plane.
     Sheet(f64),
-    /// Neither.
+    /// Neighbours do not surround the particle.
     Open(f64),
 }
 
@@ -60,7 +61,7 @@ impl Local {
         let far = neighbors.last()?.length();
 
         let mut edges = edges(neighbors);
-        // The next turn of a filament is not a neighbour.
+        // In a coiled filament, particles of the next turn are not neighbours.
         let farthest = GAP * edges.get(1).map_or(f64::INFINITY, |second| second.length());
         edges.retain(|edge| edge.length() <= farthest);
         let edge = edges.iter().map(|edge| edge.length()).sum::<f64>() / edges.len() as f64;
@@ -91,10 +92,10 @@ impl Local {
     }
 }
 
-/// The neighbours, sorted by distance, with no other particle in the lune in between: no other is closer than
-/// β/2 edges to both centres of the lune.
+/// The neighbours, sorted by distance, with no other particle in the lune in between: no other particle is
+/// closer than β/2 edge lengths to both centres of the lune.
 ///
-/// A particle in the lune is closer than the end of the edge.
+/// Particles in the lune are closer than the neighbour at the end of the edge, so only those are tested.
 fn edges(neighbors: &[DVec3]) -> Vec<DVec3> {
     let is_edge = |&(index, &end): &(usize, &DVec3)| {
         let radius_squared = (0.5 * BETA).powi(2) * end.length_squared();

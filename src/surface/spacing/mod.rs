@@ -12,8 +12,8 @@
 //! ```
 //!
 //! For a lattice the result is the lattice constant, for random particles (volume / count)^(1/3), and for a
-//! sheet of random particles (area / count)^(1/2). For fluids it is within a few percent of the distance at
-//! rest.
+//! sheet of random particles (area / count)^(1/2). For fluids it is within a few percent of the particles'
+//! distance at rest.
 //!
 //! Invariants: the result does not depend on the order of the particles; repeated positions count as one
 //! particle; multiplying all positions by a power of two multiplies the result exactly.
@@ -34,20 +34,21 @@ use local::Local;
 use sample::sample;
 use tree::KdNode;
 
-/// Sample size: its median is within about one percent of the median of all particles, whatever their number.
+/// Sample size. The median spacing of a sample of this size is within about one percent of the median of all,
+/// whatever their number.
 const SAMPLE_COUNT: usize = 2000;
 
 /// Number of neighbours: more than enough to bound the cell of a particle in a body.
 const NEIGHBOR_COUNT: usize = 64;
 
-/// Particles are spray if they are farther apart than this many times the mean of those that are closer
-/// together.
+/// A particle is spray if its spacing is larger than this many times the mean of the smaller spacings.
 const SPRAY: f64 = 2.5;
 
 /// If at least this share of the particles, and [`ENOUGH`] of them, are in bodies, only these count.
 const BODY_SHARE: f64 = 0.1;
 
-/// The same for sheets, among the particles that are not in bodies.
+/// If at least this share of the particles that are not in bodies, and [`ENOUGH`] of them, are in sheets,
+/// edges do not count.
 const SHEET_SHARE: f64 = 0.5;
 
 /// From this many measured particles on, the mean of a structure can have full weight; with fewer, its weight
@@ -169,7 +170,8 @@ fn combine(locals: &[Local]) -> Option<f64> {
     weighted_mean(bodies, flat, weight(body_count, body_count + flat_count, BODY_SHARE))
 }
 
-/// The closest quarter, and all that follow without a gap.
+/// The quarter with the smallest spacings, and then all others in order, up to the first that is larger than
+/// [`SPRAY`] times the mean of those before it.
 fn without_spray(locals: &[Local]) -> Vec<Local> {
     let mut kept = locals.to_vec();
     kept.sort_by(|a, b| a.spacing().total_cmp(&b.spacing()));
@@ -185,7 +187,7 @@ fn without_spray(locals: &[Local]) -> Vec<Local> {
     kept
 }
 
-/// The weighted mean of both; if one is missing, the other.
+/// The weighted mean of both numbers; if one is missing, the other one.
 fn weighted_mean(first: Option<f64>, second: Option<f64>, weight: f64) -> Option<f64> {
     match (first, second) {
         (Some(first), Some(second)) => Some(second + weight * (first - second)),

@@ -22,8 +22,8 @@ pub(super) fn sample(points: &[DVec3], count: usize) -> Vec<DVec3> {
     least.into_iter().map(|(_, bits)| DVec3::from(bits.map(f64::from_bits))).collect()
 }
 
-/// A position amid the points. Unlike a corner of their box, it does not follow an outlier; from an outlier's
-/// distance all other points would look the same.
+/// A position in the middle of the points. Unlike a corner of their box, it does not follow an outlier:
+/// relative to an outlier, all other points would have nearly the same offset.
 fn componentwise_median(points: &[DVec3]) -> Option<DVec3> {
     let mut values = Vec::with_capacity(points.len());
     let mut median = DVec3::ZERO;
@@ -39,8 +39,8 @@ fn componentwise_median(points: &[DVec3]) -> Option<DVec3> {
     Some(median)
 }
 
-/// A hash of an offset. Exponents are taken relative to that of `unit`, so a power of two does not change the
-/// hash.
+/// A hash of an offset. Exponents are taken relative to that of `unit`, so scaling all points by a power of
+/// two does not change the hash.
 fn hash_without_scale(offset: DVec3, unit: f64) -> u64 {
     const EXPONENT: u64 = 0x7ff0_0000_0000_0000;
     let unit = unit.to_bits() & EXPONENT;

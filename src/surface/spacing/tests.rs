@@ -9,7 +9,8 @@ fn lattice(edge_count: usize, spacing: f64) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// Uniform in the unit cube, from the hash function: no dependency, and the same everywhere.
+/// Points with a uniform distribution in the unit cube, from the hash function: the same on every machine,
+/// without a dependency.
 fn random(count: u64) -> Vec<[f64; 3]> {
     let unit = |seed: u64| (mix(seed) >> 11) as f64 / (1u64 << 53) as f64;
     (0..count).map(|i| [unit(3 * i), unit(3 * i + 1), unit(3 * i + 2)]).collect()
@@ -39,7 +40,7 @@ fn random_particles_give_the_cube_root_of_their_volume() {
     assert_close(estimate(random(30_000)), (30_000f64).powf(-1.0 / 3.0), 0.03);
 }
 
-/// The turns of a helix are not neighbours, whatever their distance.
+/// The distance between the turns of a helix does not affect the estimate.
 #[test]
 fn thread_gives_the_distance_along_it() {
     for (radius, rise_per_radian) in [(6.0, 1.0), (3.0, 0.7), (20.0, 2.0)] {

@@ -23,7 +23,7 @@ pub struct BoundViolation {
 }
 
 /// The corrected position of a vertex that is out of bounds, relative to the leaf around which `near` was
-/// collected; `None` if no position within a voxel is valid.
+/// collected; `None` if the correction steps reach no valid position within one voxel of the vertex.
 pub(super) fn corrected_position(part: &CheckedRegion, near: &NearLeaves, local: Vec3) -> Option<Vec3> {
     let mut point = local;
     for _ in 0..STEPS_MAX {
@@ -41,11 +41,11 @@ pub(super) fn corrected_position(part: &CheckedRegion, near: &NearLeaves, local:
 /// Upper limit of the movement of a vertex, in voxels.
 pub(super) const MOVE_MAX: f32 = 1.0;
 
-/// Maximum number of correction steps; then the vertex stays where it is.
+/// Maximum number of correction steps. A vertex that is still out of bounds after them is not moved.
 const STEPS_MAX: usize = 8;
 
-/// How far past its bound a vertex is moved, in voxels: more than the rounding error of a 32-bit position.
-/// The rounding error of the file is added.
+/// How far to the valid side of its bound a vertex is moved, in voxels: more than the rounding error of a
+/// 32-bit position. The rounding error of the positions in the mesh file is added.
 const SLACK: f32 = 2e-3;
 
 /// The step from a position to the bound that it violates; `None` if it violates none.
@@ -58,8 +58,9 @@ fn step(part: &CheckedRegion, near: &NearLeaves, point: Vec3) -> Option<Vec3> {
     for &(from_leaf, leaf) in &near.leaves {
         for (index, &center) in bins.range(leaf).zip(bins.in_leaf(leaf)) {
             let apart = point - from_leaf - center;
-            // The first-order distance to an ellipsoid far away is too small. And the result must not depend
-            // on which leaves were searched.
+            // Particles this far away do not determine the bounds. They must be skipped, for two reasons: the
+            // first-order distance to a far ellipsoid is too small, so the ellipsoid might be taken for the
+            // nearest; and the result must not depend on which leaves were searched.
             if apart.length() > max * bins.shapes.outer_radius(index) + from_max + MOVE_MAX {
                 continue;
             }
@@ -72,7 +73,9 @@ fn step(part: &CheckedRegion, near: &NearLeaves, point: Vec3) -> Option<Vec3> {
             }
         }
     }
-    // Every vertex that comes here was found out of bounds, if only by a rounding error.
+    // A position counts as valid only if it is inside the bounds by at least half the slack. A vertex may
+    // have been found out of bounds only because of a rounding error: without this margin, it might count as
+    // valid here and stay where it is.
     if deepest.0 < from_min + slack / 2.0 {
         Some(deepest.1 * (from_min + slack - deepest.0))
     } else if nearest.0 > from_max - slack / 2.0 && nearest.0.is_finite() {
@@ -103,7 +106,8 @@ mod tests {
             let cloud = ParticleCloud { positions, shapes, attributes: Vec::new() };
             let Ok(RasterFields { bins, band, .. }) = rasterize(&cloud, &RasterParams::open(lattice, radii));
             let mut mesh = contour(&band, &lattice, Contouring::Dual);
-            // The bounds are at 1.5 and 0.5 voxels for semi-axes of 1; the semi-axis along y is 0.7.
+            // For semi-axes of 1, each bound is 1.5 voxels from the surface, plus a tolerance of 0.5. The
+            // semi-axis along y is 0.7.
             let by_height =
                 |one: &usize, other: &usize| mesh.positions[*one].y.total_cmp(&mesh.positions[*other].y);
             let highest = (0..mesh.positions.len()).max_by(by_height).expect("a vertex");

@@ -9,7 +9,7 @@
 //! ```
 //!
 //! This settles nearly all particles. For the few others, [rays](super::rays) are cast through the mesh.
-//! Where the mesh does not follow φ, particles count as outside.
+//! Where the mesh leaks, which means that it does not follow φ, particles count as outside.
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
@@ -45,8 +45,8 @@ pub(super) fn particles_outside(part: &CheckedRegion) -> (Vec<(IVec3, Vec3)>, us
     (outside, exempt_count)
 }
 
-/// How far outside the surface a position is according to φ, in voxels; 0 if it is inside. The position is
-/// relative to the origin of its leaf, and φ is interpolated between voxels.
+/// How far outside the surface a particle is according to φ, in voxels; 0 if it is inside. φ is interpolated
+/// between voxels. The particle must be outside the mesh; its position is relative to the origin of its leaf.
 pub(super) fn depth_outside(band: &NarrowBand, origin: IVec3, local: Vec3) -> f32 {
     let cell = local.floor().as_ivec3();
     let part = local - cell.as_vec3();
@@ -56,7 +56,8 @@ pub(super) fn depth_outside(band: &NarrowBand, origin: IVec3, local: Vec3) -> f3
             let weights = Vec3::select(step.cmpeq(IVec3::ONE), part, 1.0 - part);
             let phi = match band.topology.find_voxel(origin + cell + step) {
                 Some((leaf, local)) => band.phi.leaves[leaf].values[offset_in_leaf(local)],
-                // A particle in an unstored leaf is deep inside, or far outside the surface.
+                // No surface is near an unstored voxel. The particle is outside the mesh, so the voxel counts
+                // as outside, too.
                 None => band.half_width,
             };
             weights.element_product() * phi
@@ -65,7 +66,7 @@ pub(super) fn depth_outside(band: &NarrowBand, origin: IVec3, local: Vec3) -> f3
     depth.max(0.0)
 }
 
-/// The particles of a leaf that its masks do not show to be inside.
+/// The particles of a leaf for which the cell masks do not prove that they are inside.
 struct Undecided {
     origin: IVec3,
     particles: Vec<Vec3>,
@@ -92,7 +93,8 @@ impl Kernel for LeafParticles<'_> {
         let mut unsettled = Undecided { origin: self.origin, particles: Vec::new(), exempt_count: 0 };
         let CheckedRegion { bins, radii, .. } = self.part;
         for (index, &particle) in bins.range(self.leaf).zip(bins.in_leaf(self.leaf)) {
-            // Removed regions are not checked: without stored values, nothing is known about them.
+            // Particles in removed regions are not checked: φ is not stored there, so nothing is known about
+            // them.
             if !exempt.is_empty() && exempt.particle(self.origin, particle) {
                 unsettled.exempt_count += 1;
                 continue;
@@ -110,13 +112,13 @@ impl Kernel for LeafParticles<'_> {
     }
 }
 
-/// An unstored voxel is inside if it lies in a particle. A ball larger than √3, the diagonal of a cell,
-/// contains all corners of the cell around its centre.
+/// An unstored voxel is inside if it lies in a particle. A ball with a radius above √3 voxels, the diagonal
+/// of a cell, contains all corners of the cell that its centre lies in, wherever in the cell that is.
 const SURE_RADIUS: f32 = 1.75;
 
 impl LeafParticles<'_> {
-    /// The cells of the leaf that no triangle passes through and whose corners are all inside: where φ is
-    /// stored, and where it is not.
+    /// The cells of the leaf that no triangle passes through and whose corners are all inside: first with
+    /// unstored voxels counted as outside, then with unstored voxels counted as inside.
     #[inline(always)]
     fn inside_cells(&self) -> [LeafMask; 2] {
         let CheckedRegion { band, cells, bins, .. } = self.part;
@@ -138,8 +140,9 @@ impl LeafParticles<'_> {
     }
 }
 
-/// Whether φ is negative at a voxel. If φ is not stored, no surface is near: the voxel is inside if φ_0 is
-/// negative, and outside otherwise, as around spheres so small that they fall between voxels.
+/// Whether a voxel is inside. Where φ is stored, its sign decides. Elsewhere no surface is near, so the sign
+/// of φ_0 decides. For example, a sphere may be so small that it contains no voxel: φ_0 is then positive at
+/// all voxels around it, so none of them is stored for it, and they are outside.
 pub(super) fn is_voxel_inside(part: &CheckedRegion, shaped: Option<&ShapedParticles>, voxel: IVec3) -> bool {
     if let Some((leaf, local)) = part.band.topology.find_voxel(voxel) {
         return part.cells.signs[leaf].contains(offset_in_leaf(local));

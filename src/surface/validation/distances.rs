@@ -25,7 +25,7 @@ const CHUNK: usize = 4096;
 /// Number of vertices that are compared with particles at once.
 pub(super) const LANES: usize = 8;
 
-/// One coordinate of these vertices.
+/// One coordinate of each of `LANES` vertices.
 pub(super) type VertexCoordinate = [f32; LANES];
 
 /// Checks how far the vertices of a part are from its particles. Returns the checks, and corrected positions
@@ -51,7 +51,7 @@ struct PieceChecks<'a> {
     /// The particles, if they differ in shape.
     shaped: Option<&'a ShapedParticles<'a>>,
     steps: &'a [IVec3],
-    /// The index of the first of them.
+    /// The index of the first of these vertices in the mesh.
     first: usize,
     positions: &'a [Vec3],
 }
@@ -118,7 +118,7 @@ impl Kernel for PieceChecks<'_> {
 }
 
 impl PieceChecks<'_> {
-    /// The corrected position of a vertex that is out of bounds: these are few.
+    /// The corrected position of a vertex that is out of bounds. Such vertices are rare.
     #[cold]
     fn bound_violation(
         &self,
@@ -133,7 +133,8 @@ impl PieceChecks<'_> {
     }
 }
 
-/// The origin of the leaf of a vertex, and its position relative to that, in voxels.
+/// The origin of the leaf that contains a vertex, and the vertex's position relative to that origin, in
+/// voxels.
 #[inline(always)]
 fn leaf_and_offset(part: &CheckedRegion, position: Vec3) -> (IVec3, Vec3) {
     let index = (part.mesh.origin + position.as_dvec3()) / part.lattice.voxel_size;

@@ -1,15 +1,16 @@
 //! Checks the input positions of particles that position smoothing moved.
 //!
 //! ```text
-//!   ● input               φ > 0: outside, by φ. It is no deeper outside than the particle was moved, because
-//!    ╲      surface         the moved particle is inside
+//!   ● input               φ > 0: outside, at a distance of φ. It is at most the displacement, because the
+//!    ╲      surface         moved particle is inside
 //!   ──╲──────────
 //!      ○ moved
 //! ```
 //!
 //! The certificate requires moved particles to be inside, and counts how many input positions are outside. φ,
 //! interpolated between voxels, decides. Where φ is not stored, no surface is near: then the first stored
-//! voxel on the way to the moved particle decides, and if there is none, no surface lies in between.
+//! voxel on the way to the moved particle decides. If there is none, no surface lies in between, so the input
+//! position is inside, like the moved one.
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
@@ -21,7 +22,7 @@ use crate::surface::level_set::NarrowBand;
 use crate::surface::particles::ParticleSource;
 use crate::surface::space::Lattice;
 
-/// A moved particle: its input position. In voxels.
+/// The input position of a moved particle. Lengths are in voxels.
 #[derive(Clone, Copy, Debug)]
 pub struct MovedParticle {
     /// The origin of the leaf of the input position.
@@ -51,8 +52,8 @@ fn moved_particles<S: ParticleSource>(
     Ok(source.moved_pairs(batch)?.into_iter().filter_map(place))
 }
 
-/// The moved particles whose input position may be outside the surface, batch by batch. Smoothing keeps φ
-/// below `upper`, a field on this topology; an offset, in voxels, is then subtracted from φ.
+/// The moved particles whose input position may be outside the surface, batch by batch. The smoothing of the
+/// level set keeps φ ≤ `upper`, a field on `topology`; `offset`, in voxels, is subtracted from φ afterwards.
 ///
 /// # Errors
 /// Those of the source.
@@ -65,7 +66,8 @@ pub fn possibly_outside<S: ParticleSource>(
         return Ok(Vec::new());
     }
     let is_doubtful = |place: &MovedParticle| match place.corner_values(topology, upper) {
-        // Rounding is monotonic: interpolating smaller values gives a smaller result.
+        // φ is at most `upper`. Rounding is monotonic, so the interpolated φ is at most the interpolated
+        // `upper`, too.
         Some(corners) if offset == 0.0 => place.interpolated(corners) > 0.0,
         Some(corners) => corners.iter().any(|value| *value >= offset.min(0.0)),
         None => place.first_stored(topology, upper).is_some(),
@@ -143,13 +145,15 @@ impl MovedParticle {
             },
         };
         if phi > 0.0 && (exempt.is_empty() || !exempt.particle(self.origin, self.local)) {
-            // Before the offset, the moved particle was inside.
+            // Before the offset the moved particle was inside, so the input position was outside by at most
+            // the displacement. A negative offset moves the surface inward by its absolute value, which is
+            // added to this limit.
             return OutsideCount { count: 1, deepest: phi.min(self.moved.length() - offset.min(0.0)) };
         }
         OutsideCount::default()
     }
 
-    /// The values at the corners of its cell; `None` unless all are stored.
+    /// The values at the corners of the cell of the input position; `None` unless all are stored.
     fn corner_values(&self, topology: &Topology, field: &Field) -> Option<[f32; 8]> {
         let cell = self.origin + self.local.floor().as_ivec3();
         let mut values = [0.0; 8];
@@ -180,7 +184,8 @@ impl MovedParticle {
     }
 }
 
-/// Upper limit of the steps: neighbours are within 200 voxels, so no particle moves farther.
+/// Upper limit of the number of steps, each at most one voxel long. It is never reached: a particle moves
+/// toward neighbours within 200 voxels, so it moves no farther than that.
 const STEPS_MAX: f32 = 1024.0;
 
 fn value_at(topology: &Topology, field: &Field, voxel: IVec3) -> Option<f32> {

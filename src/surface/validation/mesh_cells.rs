@@ -3,18 +3,19 @@
 //! ```text
 //!   ┌───┬───┬───┬───┐       ▒  a triangle passes through: rays decide what is inside
 //!   │   │   │▒▒▒│▒▒▒│
-//!   ├───┼───┼─╱─┼───┤          the others are *clear*: a closed mesh has all points of a clear cell on one side,
-//!   │   │▒▒▒│▒▒▒│   │          and those of two clear cells with a common face, too
+//!   ├───┼───┼─╱─┼───┤          the others are *clear*: if the mesh is closed, all points of a clear cell are
+//!   │   │▒▒▒│▒▒▒│   │          on one side, and two clear cells with a common face are on the same side
 //!   ├───┼─╱─┼───┼───┤
 //!   │   │▒▒▒│   │   │
 //!   └───┴───┴───┴───┘
 //! ```
 //!
 //! In a clear cell φ has one sign at all corners, unless decimation or rounding moved the mesh a little. If φ
-//! changes its sign and no triangle is within two cells, the mesh may lack a part of the surface. If the
-//! clear cells within these two cells have both signs, the mesh *leaks*: φ does not describe it there. If
-//! they have one sign, the mesh lacks a drop, a hole or a sheet thinner than two cells; then all clear cells
-//! around are on the same side of the mesh, too.
+//! has both signs at the corners of a clear cell, and no triangle is within two cells of it, the mesh may
+//! lack a part of the surface. Then the cells within two cells of it decide, except those where φ has both
+//! signs. If some of these are inside and some outside, the mesh *leaks*: φ does not describe it there. If
+//! all are on one side, the mesh only lacks a drop, a hole or a sheet thinner than two cells, and all these
+//! cells are on the same side of the mesh, too.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -111,7 +112,7 @@ impl MeshCells {
             }
             let mut sides: Vec<bool> = around().filter_map(|cell| self.clear_side(topology, cell)).collect();
             sides.dedup();
-            // Without clear cells, the missing part may be large.
+            // If no cell around has one sign at all corners, the missing part may be large.
             sides.len() != 1
         };
         doubtful.iter().any(leaks_around)
@@ -235,7 +236,7 @@ pub(super) fn corner(number: usize) -> IVec3 {
 /// after it, by [`corner`].
 #[inline(always)]
 pub(super) fn with_all_corners(mut masks: [LeafMask; 8]) -> LeafMask {
-    // Along z, then y, then x. Of the leaves after it, only the nearest voxels count.
+    // Along z, then y, then x. Of the following leaves, only the voxels next to this leaf count.
     for number in [0, 2, 4, 6] {
         let after = masks[number + 1].words;
         masks[number].words.iter_mut().zip(after).for_each(|(word, after)| {

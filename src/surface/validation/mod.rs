@@ -10,9 +10,8 @@
 //!
 //! The mesh is checked as it is written: after decimation, and with the rounded positions that a reader gets.
 //!
-//! A surface with an outward offset is that much farther from S_min, and at most that much farther from
-//! S_max. A surface with an inward offset is that much closer to S_min, but may be as close to
-//! S_max as before:
+//! A surface that is moved outward by b is farther from S_min by b, and farther from S_max by at most b. A
+//! surface that is moved inward by b is closer to S_min by b, but may be as close to S_max as before:
 //!
 //! ```text
 //!    S_max ╲   ╱ S_max       Where two spheres meet, a point b deep inside their union is less deep in each.
@@ -129,14 +128,14 @@ impl Certificate {
 pub struct ParticlesOutside {
     /// Number of particles.
     pub count: usize,
-    /// Distance of the one that is farthest outside from the surface, world units; 0 if all are inside. It
-    /// comes from φ, which is limited to the half width of its band: five voxels and more.
+    /// Distance from the surface of the particle that is farthest outside, world units; 0 if all are inside.
+    /// The distance comes from φ, which is limited to the half width of its band: five voxels or more.
     pub deepest: f64,
 }
 
 /// Regions of a result that are not checked because they were removed on purpose.
 pub trait ExclusionMask: Sync {
-    /// Whether everything is checked.
+    /// Whether nothing is excluded, so that everything is checked.
     fn is_empty(&self) -> bool;
 
     /// Whether a particle, in voxels relative to the origin of its leaf, may be outside.
@@ -197,8 +196,8 @@ pub fn certificate(
     }
 }
 
-/// Whether the inward offset is so large that a particle may end up outside: the corners of its cell need not
-/// be inside.
+/// Whether the inward offset is so large that a particle may end up outside: the corners of the cell that
+/// contains the particle need not all be inside.
 fn may_leave_particles_outside(radii: &Radii) -> bool {
     radii.offset < 0.0 && radii.min * radii.min_scale + radii.offset <= SURE_DEPTH
 }

@@ -21,8 +21,8 @@ use crate::surface::space::{CoordBox, Lattice};
 /// A part of a frame: the leaves whose origins are in a box.
 #[derive(Clone, Copy)]
 pub struct CheckedRegion<'a> {
-    /// The particles in these leaves, and around them as far as r_max, an outward offset and two voxels
-    /// reach. Particles so deep inside that no voxel near them is stored may be missing.
+    /// The particles in these leaves, and around them up to a distance of r_max, plus an outward offset, plus
+    /// two voxels. Particles so deep inside that no voxel near them is stored may be missing.
     pub bins: &'a ParticleBins,
     /// The radii and the offset in voxels.
     pub radii: Radii,
@@ -32,7 +32,8 @@ pub struct CheckedRegion<'a> {
     pub mesh: &'a Mesh,
     /// The cells that the mesh passes through.
     pub cells: &'a MeshCells,
-    /// Rounding error of the positions of vertices that are moved back, in voxels.
+    /// Rounding error of the file's positions, in voxels. Vertices are moved farther into their bounds by
+    /// this.
     pub rounding: f32,
     /// Converts the mesh's positions to voxels.
     pub lattice: &'a Lattice,
@@ -55,7 +56,8 @@ pub struct ParticleChecks {
     pub vertices_outside_max: usize,
     /// Particles outside the mesh, except exempt ones.
     pub particles_outside: usize,
-    /// Distance of the farthest one from the surface, in voxels, according to φ; 0 if all are inside.
+    /// Distance of the farthest of these particles from the surface, in voxels, according to φ; 0 if all are
+    /// inside.
     pub deepest_outside: f32,
     /// Number of exempt particles.
     pub particles_exempt: usize,
@@ -73,7 +75,7 @@ impl ParticleChecks {
         particles_exempt: 0,
     };
 
-    /// The worse of each value, of two files.
+    /// The worse of each value, for a mesh that is stored in two files.
     pub fn worst_of(self, other: ParticleChecks) -> ParticleChecks {
         ParticleChecks {
             vertex_distance_min: self.vertex_distance_min.min(other.vertex_distance_min),
@@ -100,8 +102,8 @@ impl ParticleChecks {
     }
 }
 
-/// Checks a part of a frame. Returns the checks, and corrected positions for vertices that are out of bounds,
-/// if one exists within a voxel.
+/// Checks a part of a frame. Returns the checks, and a corrected position for each vertex that is out of
+/// bounds, if the correction steps reach one within one voxel of the vertex.
 pub fn check(part: &CheckedRegion) -> (ParticleChecks, Vec<BoundViolation>) {
     let (vertices, strays) = distances::check_vertices(part);
     let (outside, particles_exempt) = containment::particles_outside(part);
@@ -172,8 +174,8 @@ mod tests {
         }
     }
 
-    /// So deep inside a body nothing is stored, and small particles do not reach the corners of their cells.
-    /// The large particles, some of which were left out, show that the small ones are inside.
+    /// Deep inside a body φ is not stored, and small particles do not reach the corners of their cells. The
+    /// large particles show that the small ones are inside, although some of the large ones were left out.
     #[test]
     fn small_particles_deep_in_a_body_are_inside() {
         let along = |index: usize| 2.0 * index as f64 - 64.0;
@@ -184,7 +186,7 @@ mod tests {
         };
         let length = |[x, y, z]: [f64; 3]| (x * x + y * y + z * z).sqrt();
         let positions: Vec<[f64; 3]> = indices.map(place).filter(|&place| length(place) < 64.0).collect();
-        // In the upper quarter of every leaf.
+        // Particles in the upper quarter of every leaf are small, if they are deep inside.
         let scale = |place: &[f64; 3]| match place[2].rem_euclid(8.0) > 6.0 && length(*place) < 52.0 {
             true => 0.3,
             false => 1.0,

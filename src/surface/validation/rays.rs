@@ -8,7 +8,7 @@
 //!
 //! A triangle is intersected in a slice: the plane that contains the ray cuts the edges of triangles in
 //! points, and two triangles with a common edge get the same point, to the last bit. So a ray through an edge
-//! or a vertex hits exactly one of the triangles there, or one for each sheet.
+//! or a vertex hits exactly one of the triangles there, or one triangle of each sheet that meets there.
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
@@ -29,7 +29,7 @@ const REACH: i32 = 32;
 struct AxisRay {
     from: DVec3,
     axis: usize,
-    /// Its end on the axis: the middle of a clear cell.
+    /// Coordinate of its end along the axis: the middle of a clear cell.
     to: f64,
     /// Whether that cell is inside.
     is_end_inside: bool,

@@ -72,8 +72,8 @@ impl<'a> ShapedParticles<'a> {
                         continue;
                     }
                     let [to_min, to_max] = distances(&self.bins.shapes, index, apart, [min, max]);
-                    sides.is_inside_min[lane] |= to_min < from_min
-                        && (from_min <= 0.0 || is_nearer(&self.bins.shapes, index, apart, (min, from_min)));
+                    sides.is_inside_min[lane] |=
+                        to_min < from_min && is_nearer(&self.bins.shapes, index, apart, (min, from_min));
                     sides.is_within_max[lane] |= to_max <= from_max;
                 }
             }
@@ -82,22 +82,25 @@ impl<'a> ShapedParticles<'a> {
     }
 }
 
-/// The sides of the surfaces on which points are.
+/// For each point, on which side of the inner and outer surfaces it is.
 pub(super) struct Sides {
     pub(super) is_inside_min: [bool; LANES],
     pub(super) is_within_max: [bool; LANES],
 }
 
-/// Whether a point outside of a particle's inner surface, relative to its centre, is closer to that surface
-/// than a distance. The test is exact: the first-order distance to an ellipsoid is too small.
+/// Whether the signed distance from a point, relative to a particle's centre, to the particle's surface is
+/// less than `distance`, for points where the first-order distance is. The test is exact: outside of an
+/// ellipsoid the first-order distance is too small, and inside it the first-order depth is too large, most of
+/// all near the centre of a flat one.
 #[cold]
 fn is_nearer(shapes: &Shapes, index: usize, apart: Vec3, (radius, distance): (f32, f32)) -> bool {
-    match shapes {
-        Shapes::Uniform | Shapes::Scaled(_) => true,
-        Shapes::Ellipsoids(ellipsoids) => {
-            distance_to_ellipsoid(&ellipsoids[index], f64::from(radius), apart.as_dvec3())
-                < f64::from(distance)
-        }
+    let Shapes::Ellipsoids(ellipsoids) = shapes else { return true };
+    let (ellipsoid, radius, apart) = (&ellipsoids[index], f64::from(radius), apart.as_dvec3());
+    match distance {
+        _ if distance > 0.0 => distance_to_ellipsoid(ellipsoid, radius, apart) < f64::from(distance),
+        _ if distance < 0.0 => depth_in_ellipsoid(ellipsoid, radius, apart) > f64::from(-distance),
+        // The sign of the first-order distance is exact.
+        _ => true,
     }
 }
 
@@ -107,9 +110,7 @@ fn is_nearer(shapes: &Shapes, index: usize, apart: Vec3, (radius, distance): (f3
 /// At the nearest point y, x − y is along the normal T²y: y = (1 + λT²)⁻¹ x, with the λ ≥ 0 that puts y on
 /// the surface. |T y| decreases as λ grows.
 fn distance_to_ellipsoid(ellipsoid: &Ellipsoid, radius: f64, x: DVec3) -> f64 {
-    let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball.map(f64::from);
-    let to_unit_ball =
-        DMat3::from_cols(DVec3::new(xx, xy, xz), DVec3::new(xy, yy, yz), DVec3::new(xz, yz, zz));
+    let to_unit_ball = matrix_of(ellipsoid);
     let squared = to_unit_ball * to_unit_ball;
     let point_at = |lambda: f64| (DMat3::IDENTITY + lambda * squared).inverse() * x;
     let is_beyond = |lambda: f64| (to_unit_ball * point_at(lambda)).length() > radius;
@@ -133,6 +134,52 @@ fn distance_to_ellipsoid(ellipsoid: &Ellipsoid, radius: f64, x: DVec3) -> f64 {
 /// Number of bisections after which λ is known to a millionth of its upper bound.
 const BISECTIONS: usize = 40;
 
+/// The distance from a point inside an ellipsoid, relative to the centre, to the surface |T y| = radius.
+///
+/// The nearest point is y = (1 + λT²)⁻¹ x as outside, but with λ ≤ 0. |T y| grows as λ decreases, to infinity
+/// where 1 + λT² becomes singular.
+fn depth_in_ellipsoid(ellipsoid: &Ellipsoid, radius: f64, x: DVec3) -> f64 {
+    let to_unit_ball = matrix_of(ellipsoid);
+    let squared = to_unit_ball * to_unit_ball;
+    // For a point on a plane of symmetry, such as the centre, |T y| would stay finite. Moving it by less than
+    // the rounding error of a position avoids that.
+    let x = x + DVec3::new(1.0, 0.7, 0.4) * INSIDE_STEP;
+    let nearest_if_inside = |lambda: f64| {
+        let matrix = DMat3::IDENTITY + lambda * squared;
+        let y = is_positive_definite(&matrix).then(|| matrix.inverse() * x)?;
+        ((to_unit_ball * y).length() <= radius).then_some(y)
+    };
+    // Along the shortest semi-axis T² is greatest. It is not longer than the longest one.
+    let longest = f64::from(ellipsoid.longest);
+    let (mut low, mut high) = (-longest * longest, 0.0);
+    let mut nearest = x;
+    for _ in 0..INSIDE_BISECTIONS {
+        let middle = 0.5 * (low + high);
+        match nearest_if_inside(middle) {
+            Some(y) => (high, nearest) = (middle, y),
+            None => low = middle,
+        }
+    }
+    x.distance(nearest)
+}
+
+/// In voxels.
+const INSIDE_STEP: f64 = 1e-7;
+
+/// After these, λ has all digits of a 64-bit number, which a point close to a plane of symmetry needs.
+const INSIDE_BISECTIONS: usize = 70;
+
+fn is_positive_definite(matrix: &DMat3) -> bool {
+    let [x, y] = [matrix.x_axis, matrix.y_axis];
+    x.x > 0.0 && x.x * y.y - x.y * y.x > 0.0 && matrix.determinant() > 0.0
+}
+
+/// The matrix T, which maps the ellipsoid of radius 1 to the unit ball.
+fn matrix_of(ellipsoid: &Ellipsoid) -> DMat3 {
+    let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball.map(f64::from);
+    DMat3::from_cols(DVec3::new(xx, xy, xz), DVec3::new(xy, yy, yz), DVec3::new(xz, yz, zz))
+}
+
 /// The signed distances from a point, relative to the centre, to a particle's surfaces; for an ellipsoid to
 /// first order.
 #[inline(always)]
@@ -144,7 +191,7 @@ fn distances(shapes: &Shapes, index: usize, apart: Vec3, radii: [f32; 2]) -> [f3
             let ellipsoid = &ellipsoids[index];
             let on_ball = ellipsoid.apply(apart);
             let (q, slope) = (on_ball.length(), ellipsoid.apply(on_ball).length());
-            // At the centre any direction will do.
+            // At the centre the direction is undefined: any direction will do.
             let scale = if slope > 0.0 { q / slope } else { ellipsoid.longest };
             radii.map(|radius| (q - radius) * scale)
         }
@@ -169,12 +216,10 @@ pub(super) fn distances_and_outward(
 mod tests {
     use super::*;
 
-    /// Compares with the nearest of many points on the ellipsoid.
-    #[test]
-    fn distance_to_an_ellipsoid_matches_its_nearest_point() {
+    /// An ellipsoid, its radius, and many points on its surface.
+    fn turned_ellipsoid() -> (Ellipsoid, f32, Vec<DVec3>) {
         let turned = [Vec3::new(0.6, 0.8, 0.0), Vec3::new(-0.8, 0.6, 0.0), Vec3::Z];
         let (half_axes, radius) = ([4.0f32, 0.7, 1.3], 1.9f32);
-        let ellipsoid = Ellipsoid::new(half_axes, turned);
         let on_surface = |u: usize, v: usize| {
             let (angle, height) =
                 (u as f64 * std::f64::consts::TAU / 600.0, v as f64 * std::f64::consts::PI / 300.0);
@@ -183,8 +228,37 @@ mod tests {
                 |axis: usize| turned[axis].as_dvec3() * f64::from(half_axes[axis] * radius) * ball[axis];
             along(0) + along(1) + along(2)
         };
-        let points: Vec<DVec3> =
-            (0..600).flat_map(|u| (0..=300).map(move |v| (u, v))).map(|(u, v)| on_surface(u, v)).collect();
+        let points = (0..600).flat_map(|u| (0..=300).map(move |v| (u, v))).map(|(u, v)| on_surface(u, v));
+        (Ellipsoid::new(half_axes, turned), radius, points.collect())
+    }
+
+    #[test]
+    fn depth_in_an_ellipsoid_matches_its_nearest_point() {
+        let (ellipsoid, radius, points) = turned_ellipsoid();
+        let shapes = Shapes::Ellipsoids(vec![ellipsoid]);
+        for x in [
+            DVec3::ZERO,
+            DVec3::new(0.6, 0.8, 0.0),
+            DVec3::new(-3.0, -4.0, 0.2),
+            DVec3::new(-0.8, 0.6, 0.0),
+            DVec3::new(1.0, 1.0, 0.5),
+            DVec3::new(0.0, 0.1, 2.4),
+        ] {
+            let nearest = points.iter().map(|point| point.distance(x)).fold(f64::INFINITY, f64::min);
+            let found = depth_in_ellipsoid(&ellipsoid, f64::from(radius), x);
+            assert!((found - nearest).abs() < 2e-3, "{x}: {found} {nearest}");
+            // The first-order depth is never smaller, and much larger beside the centre.
+            let [first_order, _] = distances(&shapes, 0, x.as_vec3(), [radius; 2]);
+            assert!(f64::from(-first_order) >= found - 1e-4, "{x}: {first_order} {found}");
+            let is_nearer = |distance: f64| is_nearer(&shapes, 0, x.as_vec3(), (radius, distance as f32));
+            assert!(is_nearer(-0.99 * nearest) && !is_nearer(-1.01 * nearest - 2e-3), "{x}");
+        }
+    }
+
+    /// Compares with the nearest of many points on the ellipsoid.
+    #[test]
+    fn distance_to_an_ellipsoid_matches_its_nearest_point() {
+        let (ellipsoid, radius, points) = turned_ellipsoid();
         let shapes = Shapes::Ellipsoids(vec![ellipsoid]);
         for x in [
             DVec3::new(9.0, 1.0, 2.0),

@@ -8,9 +8,9 @@
 //!                  ├───────────────── stalled ────────────┤ it is incomplete ────▶ ready, to report it
 //! ```
 //!
-//! The first proof wins. A rename proves something only about the file that was renamed, so it counts as long
-//! as the file is unchanged since. If frames wait for a sentinel, nothing else counts. Closing a file proves
-//! nothing: many writers close it and open it again.
+//! The first proof wins. A rename proves only that the file was complete when it was renamed, so it counts
+//! only while the file is unchanged. If frames wait for a sentinel, nothing else counts. Closing a file
+//! proves nothing: many writers close it and open it again.
 //!
 //! The functions here read no clock and no disk: callers pass the time and the file's state.
 
@@ -42,7 +42,7 @@ pub struct Seen {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
     stamp: FileStamp,
-    /// When the file was first seen in this state, or touched since.
+    /// When the file was first seen in this state, or when it was last touched without another change.
     seen_at: Instant,
     /// How long it had been unchanged by then.
     age: Duration,
@@ -189,7 +189,8 @@ impl fmt::Display for Proof {
             Proof::Renamed => "it was renamed into place",
             Proof::Sentinel => "its sentinel exists",
             Proof::Format => {
-                "it has not changed for --settle, and its format, or reading it, shows if it is incomplete"
+                "it has not changed for --settle, and its format shows, at the latest when it is read, \
+                 whether it is complete"
             }
             Proof::Unchanged => "it has not changed for --unproven, so it counts as complete",
             Proof::Stalled => {
@@ -214,7 +215,8 @@ impl fmt::Display for WaitReason {
     }
 }
 
-/// Whether a sentinel applies to the current content of the frame: not if the frame was written after it.
+/// Whether a sentinel applies to the current content of the frame: false if the frame was written after the
+/// sentinel.
 pub fn sentinel_counts(sentinel: &FileStamp, frame: &FileStamp) -> bool {
     frame.modified_ns <= sentinel.modified_ns
 }

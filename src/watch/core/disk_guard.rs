@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 pub(crate) struct DiskGuard {
     floor_bytes: u64,
     block: Option<WriteBlock>,
-    /// The wait after the next full disk.
+    /// How long to wait the next time that the disk is full or the system refuses to write.
     backoff: Duration,
 }
 
@@ -28,8 +28,8 @@ enum WriteBlock {
 struct Full {
     folder: PathBuf,
     wanted_bytes: u64,
-    /// When the next attempt is made, even if nothing was freed; `None` below the floor, where only free
-    /// space helps.
+    /// When the next attempt is made, even if nothing was freed; `None` if free space is below the floor,
+    /// where only freeing space helps.
     retry_at: Option<Instant>,
     free_bytes: u64,
 }
@@ -87,8 +87,8 @@ impl DiskGuard {
         std::mem::replace(&mut self.backoff, doubled)
     }
 
-    /// Decides again from the current state of the folders. A folder with unknown free space does not block,
-    /// because an attempt to write there reports what is wrong.
+    /// Decides again, from the current state of the folders, whether frames may start. A folder with unknown
+    /// free space does not block, because an attempt to write there reports what is wrong.
     pub(crate) fn check(&mut self, found: &[FoundSpace<'_>], now: Instant) {
         if let Some(absent) = found.iter().find(|found| !found.is_mounted) {
             self.block = Some(WriteBlock::Unmounted(absent.folder.to_owned()));

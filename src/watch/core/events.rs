@@ -4,8 +4,8 @@
 //!   workers, pipeline, commands ──Event──▶ Core::handle ──Effect──▶ workers, pipeline, journal, log
 //! ```
 //!
-//! An event about a file may arrive late, twice or never. So each event says what the file was at some time,
-//! and results of requests carry the number of their request.
+//! An event about a file may arrive late, twice or never. So each event contains the state of the file at a
+//! given time, and each result of a request carries the number of the request.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -74,9 +74,9 @@ pub(crate) enum Event {
 /// A thread that does the I/O of one watched folder or of one folder of outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Worker {
-    /// Of the root with this index.
+    /// The worker of the root with this index.
     Root(usize),
-    /// Of the folder of outputs with this index.
+    /// The worker of the folder of outputs with this index.
     Output(usize),
 }
 
@@ -110,14 +110,14 @@ pub(crate) enum Presence {
     Present,
     /// It was removed and has been created again; its contents are lost.
     Recreated,
-    /// Another file system is in its place: its own is not mounted.
+    /// Another file system is in its place, because its own is not mounted.
     Missing,
 }
 
 /// The stamps of the obstacles of frames, by frame number.
 #[derive(Debug)]
 pub(crate) enum FoundObstacleStamps {
-    /// The same for all frames.
+    /// All frames have the same stamps.
     Same(Arc<ObstacleStamps>),
     PerNumber(std::collections::HashMap<Option<u64>, Arc<ObstacleStamps>>),
 }
@@ -133,7 +133,7 @@ pub(crate) struct FrameFinished {
     pub(crate) free_bytes: Option<u64>,
 }
 
-/// Asks for the state of a file. The result is reported at the first check that fails.
+/// Requests the state of a file. The checks stop at the first one that fails.
 #[derive(Debug)]
 pub(crate) struct Inspect {
     pub(crate) id: FrameId,
@@ -142,7 +142,7 @@ pub(crate) struct Inspect {
     /// The stamp of the file at the time of the request.
     pub(crate) stamp: FileStamp,
     pub(crate) extent: InspectionExtent,
-    /// The journal's record, if the frame stays as it is while the record is valid.
+    /// The journal's record of the frame, if the frame is not converted again while this record is valid.
     pub(crate) recorded: Option<Recorded>,
     /// The file's candidate state, if it may still be written.
     pub(crate) candidate: Option<Candidate>,
@@ -157,7 +157,8 @@ pub(crate) enum InspectionExtent {
     Stamp,
     /// Whether the file is unchanged, then everything else.
     All,
-    /// Like `All`, for a file that was seen just now: if it is as recorded, it is not inspected again.
+    /// Like `All`, for a file whose stamp was read just now: if the outputs and obstacles are as recorded,
+    /// the stamp is not read again.
     AllOfJustSeen,
 }
 
@@ -165,7 +166,8 @@ pub(crate) enum InspectionExtent {
 #[derive(Debug)]
 pub(crate) struct Recorded {
     pub(crate) record: Arc<JournaledFrame>,
-    /// The settings of its sequence, if only its obstacles decide whether the recorded settings still apply.
+    /// The settings of its sequence, if only the frame's obstacles decide whether the recorded settings still
+    /// apply.
     pub(crate) settings: Option<(Arc<Settings>, Arc<str>)>,
 }
 
@@ -203,12 +205,12 @@ pub(crate) enum InspectionResult {
 /// A file that is complete.
 #[derive(Debug)]
 pub(crate) struct Complete {
-    /// Why it counts as complete, if that was checked.
+    /// Why it counts as complete; `None` if that was not checked.
     pub(crate) proof: Option<Proof>,
     /// A recorded output that has changed.
     pub(crate) changed_output: Option<(PathBuf, OutputCheck)>,
     pub(crate) contents: FileContents,
-    /// A file that its outputs would replace: the reason to refuse the frame.
+    /// Set if the outputs of the frame would replace a file: the reason to refuse the frame.
     pub(crate) conflict: Option<String>,
 }
 
@@ -246,7 +248,7 @@ pub(crate) enum SlowRequest {
 pub(crate) struct StepsOrder {
     pub(crate) id: FrameId,
     pub(crate) stamp: FileStamp,
-    /// Why the frame is refused if the file has no steps: a file that its outputs would replace.
+    /// The reason to refuse the frame if the file has no steps: its outputs would replace a file.
     pub(crate) conflict: Option<String>,
 }
 
@@ -306,7 +308,7 @@ pub(crate) enum Effect {
     Start(usize, Start),
     /// Start a new pipeline in addition to those that hang.
     StartPipeline(usize),
-    /// Tell a pipeline that there are no more frames.
+    /// Inform a pipeline that there are no more frames.
     EndPipeline(usize),
     Log(Log),
 }

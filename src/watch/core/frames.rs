@@ -82,7 +82,7 @@ impl FrameId {
         FrameFile::known(self.path.to_path_buf(), self.is_step)
     }
 
-    /// The folder and stem of its outputs: the path of the file within `root`, mirrored below `out`.
+    /// The folder of its outputs: the folder of the file within `root`, mirrored below `out`.
     pub(crate) fn mirrored_folder(&self, root: &Path, out: &Path) -> PathBuf {
         let folder = self.file_path().parent();
         folder.and_then(|folder| within(folder, root)).map_or_else(|| out.to_owned(), |inner| out.join(inner))
@@ -94,8 +94,8 @@ impl FrameId {
     }
 }
 
-/// The path of a file or folder within `folder`, if it lies there. Nearly all files lie directly in it, and
-/// only for the others are all components compared.
+/// The path of a file or folder within `folder`, if it lies there. Nearly all files lie directly in `folder`;
+/// the components of the paths are compared only for the others.
 pub(crate) fn within<'a>(path: &'a Path, folder: &Path) -> Option<&'a Path> {
     if path.as_os_str() == folder.as_os_str() {
         return Some(Path::new(""));
@@ -124,10 +124,10 @@ pub(crate) struct FrameState {
     pub(crate) phase: FramePhase,
     /// The stamp of its file when it entered this phase.
     pub(crate) stamp: FileStamp,
-    /// Whether it had too few particles to measure the spacing of its sequence.
+    /// Whether the frame has too few particles to measure the spacing of its sequence.
     pub(crate) is_sparse: bool,
-    /// The fingerprint of the settings with which it was queued. For a frame with a record that may become
-    /// stale while the daemon runs, the recorded fingerprint; otherwise empty.
+    /// The fingerprint of the settings with which the frame was queued. For a frame with a record that may
+    /// become stale while the daemon runs, it is the recorded fingerprint; otherwise it is empty.
     pub(crate) settings_fingerprint: String,
     /// Number of consecutive failures that may be temporary.
     pub(crate) attempt_count: u32,
@@ -144,7 +144,8 @@ pub(crate) struct FrameState {
 }
 
 impl FrameState {
-    /// Whether it is incomplete and only another file can help, not time.
+    /// Whether the frame is incomplete and waits for another file, such as a sentinel, rather than for a
+    /// time.
     pub(crate) fn is_stuck(&self) -> bool {
         matches!(self.phase, FramePhase::Settling(_)) && self.alarm_at.is_none() && self.inspection.is_none()
     }
@@ -194,7 +195,7 @@ impl FileSteps {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct FrameCounts {
     pub(crate) settling: usize,
-    /// Those of them that wait for another file, so that time does not help.
+    /// Settling frames that wait for another file rather than for a time.
     pub(crate) stuck: usize,
     pub(crate) held: usize,
     /// [`FramePhase::Queued`] or [`FramePhase::InProgress`].

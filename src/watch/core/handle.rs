@@ -44,8 +44,8 @@ impl Core {
         }
     }
 
-    /// Does what is due, and what follows from several events together. Must be called after each batch of
-    /// events, and when [`Core::next_deadline`] is reached.
+    /// Carries out actions that are due, and decisions that depend on several events together. Must be called
+    /// after each batch of events, and when [`Core::next_deadline`] is reached.
     pub(crate) fn settle_batch(&mut self, now: Now) {
         self.now = now;
         while let Some(id) = self.frames.next_alarm(now.at) {
@@ -91,8 +91,8 @@ impl Core {
         }
     }
 
-    /// Starts a second pipeline if frames of this one wait for a file system that does not answer, so that
-    /// frames of other folders are converted meanwhile.
+    /// Starts another pipeline if frames of the current one wait for a file system that does not answer, so
+    /// that frames of other folders are converted meanwhile.
     fn replace_stalled_pipeline(&mut self) {
         let may_others_begin = (0..self.roots.len()).any(|root| self.may_begin(root));
         if self.is_stopping || !may_others_begin || !self.has_stalled() {
@@ -146,7 +146,8 @@ impl Core {
         self.check_space();
     }
 
-    /// Whether every folder was scanned once, except folders that hang.
+    /// Whether every folder was scanned once, except folders that hang. If no folder hangs, the files must
+    /// have been inspected, too.
     pub(crate) fn is_ready(&self) -> bool {
         let is_waiting = self.roots.iter().any(|root| !root.was_scanned && root.stalled_since.is_none());
         let hangs = self.roots.iter().any(|root| root.stalled_since.is_some());
@@ -159,8 +160,9 @@ impl Core {
         self.roots.iter().enumerate().find_map(why)
     }
 
-    /// Whether nothing is left to do. Frames whose settings cannot be measured fail; frames that wait for a
-    /// file, or for their settings, are left.
+    /// Whether nothing is left to do. If so, frames that wait for a missing sentinel, and held frames of the
+    /// same sequences, are left unconverted. Other held frames fail, because their settings cannot be
+    /// measured.
     pub(crate) fn is_drained(&mut self) -> bool {
         let is_busy = self.frames.is_inspecting(None) || !self.dirty_sequences.is_empty();
         if !self.is_ready() || self.queue.len() > 0 || self.measuring_count > 0 || is_busy {

@@ -30,7 +30,7 @@ use super::frames::{FrameId, FramePhase, FrameState};
 use super::sequences::SequenceSettings;
 use super::state::{Core, Failure};
 
-/// How soon to inspect a frame again whose outputs are on an unmounted disk.
+/// How soon to inspect again a frame whose outputs are on an unmounted disk.
 const AWAY_RETRY: Duration = Duration::from_secs(1);
 
 impl Core {
@@ -52,7 +52,7 @@ impl Core {
             }
             FramePhase::Done if is_same => return self.check_outputs(id),
             FramePhase::Steps if is_same => return self.check_steps(id),
-            // It is inspected when its conversion ends.
+            // The file is inspected when the conversion ends.
             FramePhase::InProgress(_) => return,
             _ if is_same => return,
             FramePhase::Steps => {
@@ -68,7 +68,8 @@ impl Core {
     pub(super) fn add_frame(&mut self, id: &FrameId, candidate: Candidate) {
         let sequence = self.sequence_of(id);
         self.frames.insert(id, sequence, candidate, self.scan_count);
-        // Clients see it once it was inspected: at the start, most frames turn out to be done.
+        // Clients see the frame after its first inspection, because at the start most frames turn out to be
+        // done.
         let extent = if id.is_step() { InspectionExtent::All } else { InspectionExtent::AllOfJustSeen };
         self.inspect_settling(id, extent);
     }
@@ -119,8 +120,8 @@ impl Core {
     }
 
     /// Records the paths that a scan could not examine. Each is logged once, and fails the run if it is still
-    /// unreadable at the end. A dangling link waits for its target, unless the daemon is to exit when all is
-    /// done.
+    /// unreadable at the end. Without `once`, the daemon waits for the target of a dangling link; with
+    /// `once`, such a link counts as unreadable.
     fn note_unreadable(&mut self, root: usize, problems: &[(PathBuf, String)], dangling: Vec<PathBuf>) {
         let dangling = dangling.into_iter().filter(|_| self.config.once);
         let dangling = dangling.map(|path| (path, "the target of this link is missing".to_owned()));
@@ -161,7 +162,7 @@ impl Core {
         }
     }
 
-    /// A file changed: the state of the frame is out of date.
+    /// A file changed: resets the state of its frame, which is out of date.
     pub(super) fn settle(&mut self, id: &FrameId, candidate: Candidate) {
         self.unqueue(id);
         self.set_phase(id, FramePhase::Settling(candidate));
@@ -177,7 +178,8 @@ impl Core {
         }
     }
 
-    /// A file was removed. If its frame is in progress, it is finished first, and its result decides.
+    /// A file was removed. If its frame is in progress, the conversion ends first, and its result decides
+    /// what happens to the frame.
     pub(super) fn remove(&mut self, id: &FrameId) {
         let Some(frame) = self.frames.get(id) else { return };
         if matches!(frame.phase, FramePhase::InProgress(_)) {
@@ -193,8 +195,8 @@ impl Core {
         self.forget_steps(id);
     }
 
-    /// Releases the outputs of a frame that will not have any: a frame that was refused their names may claim
-    /// them.
+    /// Releases the output names of a frame that will not write outputs. A frame that was refused because of
+    /// these names may then claim them.
     pub(super) fn release_claim(&mut self, id: &FrameId) {
         let claimed = self.claimed_stem(id);
         if self.claims.get(&claimed) != Some(id) {
@@ -231,7 +233,7 @@ impl Core {
     pub(super) fn check_outputs(&mut self, id: &FrameId) {
         let record = self.output(id.root).journal.frames.get(&*id.path);
         if let Some(record) = record.filter(|_| self.output(id.root).is_mounted).map(Arc::clone) {
-            // The settings are current. Obstacles have an inspection of their own.
+            // Without settings: these are current, and obstacles are inspected separately.
             self.inspect(id, None, Some(Recorded { record, settings: None }));
         }
     }
@@ -260,8 +262,8 @@ impl Core {
         self.request(id.root, RootRequest::Inspect(Box::new(inspect)));
     }
 
-    /// The record of exactly this file, if the frame stays as it is while its outputs and obstacles are
-    /// unchanged.
+    /// The record of this file, if it shows that the frame needs no conversion while its outputs and
+    /// obstacles are unchanged.
     fn recorded(
         &self,
         id: &FrameId,
@@ -328,7 +330,7 @@ impl Core {
     fn take_record(&mut self, id: &FrameId) {
         let Some(record) = self.record_of(id).map(Arc::clone) else { return };
         let phase = match record.status {
-            // It claims its outputs, so that another input cannot take them.
+            // The frame claims its outputs, so that another input cannot take them.
             JournaledStatus::Done if self.claim_outputs(id, None) => FramePhase::Done,
             JournaledStatus::Done => return,
             _ => {
@@ -337,7 +339,7 @@ impl Core {
                 FramePhase::Failed
             }
         };
-        // Its obstacles may change later.
+        // Later, the fingerprint shows whether obstacles have changed.
         if !self.roots[id.root].obstacles.is_empty()
             && let Some(frame) = self.frames.get_mut(id)
         {
@@ -431,7 +433,7 @@ impl Core {
         self.request(root, RootRequest::StampObstacles(numbers));
     }
 
-    /// Converts frames again whose obstacles have changed.
+    /// Converts again the frames whose obstacles have changed.
     pub(super) fn on_obstacles_stamped(&mut self, root: usize, stamps: &FoundObstacleStamps) {
         let is_stale = |id: &FrameId, frame: &FrameState| {
             let is_refused = self.failed.get(id).is_some_and(|failure| failure.is_refusal);
@@ -516,7 +518,7 @@ impl Core {
 
     pub(super) fn set_phase(&mut self, id: &FrameId, phase: FramePhase) {
         let Some(sequence) = self.frames.set_phase(id, phase) else { return };
-        // Others may have waited to be measured after this one.
+        // The measurement of other frames in the sequence may have waited for this frame.
         if matches!(self.sequences.get(sequence).settings, SequenceSettings::Unknown(_)) {
             self.dirty_sequences.insert(sequence);
         }

@@ -8,8 +8,8 @@
 //!   disk_guard     free space and mounts         publish        views for clients
 //! ```
 //!
-//! Every event is a fact that may be out of date. An event that is lost, doubled or late changes only the
-//! timing.
+//! Every event is a fact that may be out of date. An event that is lost, doubled or late changes only when
+//! the daemon acts, not what it does.
 
 pub mod completeness;
 pub mod decision;

@@ -21,7 +21,7 @@ impl Core {
         let FrameFinished { id, outputs, outcome, free_bytes } = finished;
         self.finished_count += 1;
         let Some(frame) = self.frames.get_mut(&id) else { return };
-        // Also if the pipeline was closed before it started the frame.
+        // The same applies if the pipeline was closed before it started the frame.
         frame.phase = FramePhase::Queued;
         match outcome {
             Outcome::Converted(report) => self.on_converted(&id, &report, outputs),
@@ -79,8 +79,8 @@ impl Core {
         );
     }
 
-    /// Logs warnings about a frame. A warning about one frame usually applies to the next ones, so it is
-    /// logged once per sequence.
+    /// Logs warnings about a frame. A warning that usually applies to later frames, too, is logged once per
+    /// sequence.
     fn log_notes(&mut self, id: &FrameId, report: &FrameReport) {
         let Some(sequence) = self.frames.get(id).map(|frame| frame.sequence) else { return };
         let sequence = self.sequences.get_mut(sequence);

@@ -36,7 +36,7 @@ impl Core {
         let Some((frame, state)) = frame.and_then(|frame| Some((frame, state_of(frame.phase)?))) else {
             return store.remove(&name);
         };
-        // Only the pipeline knows the stage of a frame in progress.
+        // The view has no stage, because only the pipeline knows the stage of a frame in progress.
         let record = self.record_of(id).map(|record| &**record);
         // A record of an earlier file or failure does not apply.
         let record = record.filter(|record| is_about(record, frame.phase));
@@ -81,7 +81,7 @@ impl Core {
     }
 
     /// The name of a file in the status store: its path within the folder; with several watched folders,
-    /// prefixed with the number of its own.
+    /// prefixed with the number of its watched folder.
     fn shown_name(&self, root: usize, folder: &Path, path: &Path) -> String {
         let name = text_of_name(within(path, folder).unwrap_or(path).as_os_str());
         match self.roots.len() {

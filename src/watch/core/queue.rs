@@ -21,7 +21,7 @@ pub(crate) struct Queue {
 /// The position of a frame in the order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct QueueRank {
-    /// Smaller values come first and outrank all other criteria.
+    /// Compared before the name and the path. The frame with the smallest value leaves the queue first.
     urgency: i64,
     id: FrameId,
 }
@@ -31,17 +31,19 @@ impl Queue {
         Queue { order, waiting: BTreeMap::new() }
     }
 
-    /// Adds a frame whose file was last written at `modified_ns`; replaces a frame with the same id.
+    /// Adds a frame whose file was last written at `modified_ns`; replaces a frame with the same id and time.
+    /// With [`Order::Latest`] a frame with the same id and another time would stay in the queue as well, so
+    /// the caller must remove it first. [`Order::Natural`] ignores the time.
     pub(crate) fn push(&mut self, id: &FrameId, frame: Box<Frame>, modified_ns: i64) {
         self.waiting.insert(self.rank(id, modified_ns), frame);
     }
 
-    /// Removes a frame; `false` if it is not in the queue.
+    /// Removes a frame that was pushed with this `modified_ns`; `false` if it is not in the queue.
     pub(crate) fn remove(&mut self, id: &FrameId, modified_ns: i64) -> bool {
         self.waiting.remove(&self.rank(id, modified_ns)).is_some()
     }
 
-    /// Removes the first frame whose root may start frames.
+    /// Removes and returns the first frame whose root, the index of its watched folder, passes `may_begin`.
     pub(crate) fn pop(&mut self, may_begin: impl Fn(usize) -> bool) -> Option<(FrameId, Box<Frame>)> {
         let rank = self.waiting.keys().find(|rank| may_begin(rank.id.root))?.clone();
         let frame = self.waiting.remove(&rank)?;

@@ -88,10 +88,10 @@ pub(crate) fn backoff(attempt_count: u32, once: bool) -> Option<Duration> {
 const BACKOFF_FIRST: Duration = Duration::from_millis(500);
 const BACKOFF_MAX: Duration = Duration::from_secs(60);
 
-/// About five minutes in total.
+/// With this limit, the waits take about five minutes in total.
 const ATTEMPTS_MAX: u32 = 12;
 
-/// Three and a half seconds in total.
+/// With this limit, the waits take three and a half seconds in total.
 const ATTEMPTS_MAX_ONCE: u32 = 4;
 
 #[cfg(test)]

@@ -8,9 +8,9 @@
 //! ```
 //!
 //! Until the settings are known, complete frames are held. They also wait for frames that precede them by
-//! name and are still being written, because the first frame must not depend on which file was finished
-//! first, or on the order of conversion. With `--once` they wait for all frames, so that the result of
-//! measuring is that of `convert`.
+//! name and are still being written, because the first of the measured frames must not depend on which file
+//! was finished first, or on the order of conversion. With `--once` they wait for all frames, so that the
+//! result of measuring is that of `convert`.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -53,7 +53,7 @@ pub(crate) struct WatchedSequence {
     pub(crate) key: SequenceKey,
     /// The index of its root.
     pub(crate) root: usize,
-    /// The group that counts it as a sequence with one frame, while it has only one.
+    /// The key of the [`Kin`] that counts it as a sequence with one frame, while it has only one.
     single_in: Option<(usize, PathBuf, String)>,
     /// Its settings, or what is missing for them.
     pub(crate) settings: SequenceSettings,
@@ -137,9 +137,9 @@ impl Sequences {
         self.all.len() - 1
     }
 
-    /// Folders where at least this many sequences, and most of those whose names differ only in their
-    /// numbers, have one frame. Each folder is returned once: its root, its path, and the number of
-    /// sequences.
+    /// Folders whose files look like one sequence but form several: of the sequences whose names differ only
+    /// in their numbers, most, and at least `count_min`, have only one frame. Each folder is returned once:
+    /// its root, its path, and the number of these sequences.
     pub(crate) fn folders_of_single_frame_sequences(
         &mut self,
         count_min: usize,
@@ -256,7 +256,8 @@ pub(crate) struct SpacingResult {
     pub(crate) warnings: Vec<String>,
 }
 
-/// A fingerprint of the user's options: with other options, it is another sequence.
+/// A fingerprint of the user's options. It is part of the key of a sequence, so files that are converted with
+/// other options are another sequence.
 pub(crate) fn choices_fingerprint(watch: &Watch) -> String {
     format!("{:016x}", XxHash3_64::oneshot(format!("{:?}", watch.choices).as_bytes()))
 }

@@ -27,7 +27,7 @@ impl Core {
     /// Warns once for each folder if files look like one sequence but form many, each with its own particle
     /// spacing.
     pub(super) fn warn_of_single_frames(&mut self) {
-        // When two sequences start, their second frames may not exist yet.
+        // Without `once`, two sequences may have just started, and have no second frames yet.
         let count_min = if self.config.once { 2 } else { 3 };
         for (root, folder, count) in self.sequences.folders_of_single_frame_sequences(count_min) {
             if self.config.watches[root].needs_spacing() {
@@ -66,8 +66,8 @@ impl Core {
             && self.frames.iter().any(|(_, frame)| frame.sequence == index && awaited(frame))
     }
 
-    /// The complete frames of a sequence that precede all incomplete ones, in natural order; `None` if there
-    /// are none, or nothing must be measured.
+    /// A request to measure the complete frames of a sequence that precede all incomplete ones in natural
+    /// order; `None` if there are no such frames, or nothing must be measured.
     fn measure_order(&self, index: usize) -> Option<MeasureOrder> {
         let sequence = self.sequences.get(index);
         let SequenceSettings::Unknown(per_particle_radius) = &sequence.settings else { return None };
@@ -177,7 +177,7 @@ impl Core {
     fn log_of_settings(&self, index: usize, warnings: Vec<String>) -> Option<Log> {
         let sequence = self.sequences.get(index);
         let SequenceSettings::Fixed(settings, _) = &sequence.settings else { return None };
-        // The files of level sets contain their voxel size.
+        // Nothing was measured for level sets: their files contain the voxel size.
         if self.config.watches[sequence.root].job() != Job::Surface {
             return None;
         }

@@ -24,7 +24,7 @@ pub(crate) struct Core {
     identity: DaemonRecord,
     pub(super) roots: Vec<RootState>,
     pub(super) outputs: Vec<OutputFolder>,
-    /// The index of the folder of outputs of each watch.
+    /// For each watch, the index of its folder of outputs.
     pub(super) output_of: Vec<usize>,
     pub(super) frames: FrameTable,
     /// The steps of each file that contains several.
@@ -33,7 +33,7 @@ pub(crate) struct Core {
     /// Sequences that may be ready to be measured.
     pub(super) dirty_sequences: HashSet<usize>,
     pub(super) measuring_count: usize,
-    /// The input that owns the outputs with this stem.
+    /// For each stem of outputs, the input that owns these outputs.
     pub(super) claims: HashMap<PathBuf, FrameId>,
     /// The options of each mirrored sub-folder.
     pub(super) outputs_of: HashMap<(usize, PathBuf), Arc<OutputOptions>>,
@@ -53,7 +53,7 @@ pub(crate) struct Core {
     pub(crate) counters: Counters,
     pub(super) now: Now,
     pub(super) effects: Vec<Effect>,
-    /// Frames whose views have changed, or that are gone; some several times.
+    /// Frames whose views have changed, or that are gone. May contain duplicates.
     pub(super) changed: Vec<FrameId>,
     /// Sequences whose settings were determined.
     pub(super) changed_sequences: Vec<usize>,
@@ -165,7 +165,7 @@ impl Core {
             let watches = of_output.map(|(watch, _)| watch.clone()).collect();
             let timeouts = self.config.timeouts;
             self.record(output, Entry::Plan(PlanRecord { watches, timeouts }), None);
-            // Before frames are queued: no frame starts while free space is below the floor.
+            // Check free space before frames are queued: no frame may start while it is below the floor.
             self.effects.push(Effect::Output(output, OutputRequest::Check));
         }
         self.record_daemon(DaemonState::Running);
@@ -217,7 +217,7 @@ impl Core {
         self.effects.push(Effect::Root(root, request));
     }
 
-    /// Keeps a record and requests that it be written to the journal; the line is logged after that.
+    /// Keeps a record, and requests that it be written to the journal. `log` is written after the record.
     pub(super) fn record(&mut self, output: usize, entry: Entry, log: Option<Log>) {
         self.outputs[output].journal.take(entry.clone());
         self.effects.push(Effect::Output(output, OutputRequest::Record(entry, log)));

@@ -9,10 +9,10 @@
 //! ```
 //!
 //! Finding the steps requires reading the whole file, which takes minutes for a large file on a slow disk. So
-//! another thread does it, and reading a step that was found does not wait for the search.
+//! another thread searches, and steps that are already known are read without waiting for the search.
 //!
-//! A file to which steps are appended counts as a new file each time it has settled. Only the appended part
-//! is searched then, and done steps stay as they are if the earlier part of the file is known to be
+//! A file to which steps are appended counts as a new file each time it has settled. Then only the appended
+//! part is searched, and done steps stay as they are if the earlier part of the file is known to be
 //! unchanged. If the file was rewritten, its steps are inspected again: each is read, and may be found to
 //! match its outputs.
 

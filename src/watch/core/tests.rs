@@ -1,4 +1,4 @@
-//! Tests of the core in isolation: events in, effects out, with a simulated clock.
+//! Tests the core alone: a test sends events and checks the effects, with a simulated clock.
 
 use std::collections::{HashMap, HashSet};
 use std::io;
@@ -36,7 +36,7 @@ const GIB: u64 = 1 << 30;
 struct Rig {
     core: Core,
     now: Now,
-    /// Files, by path; incomplete ones with the reason.
+    /// Files by path; an incomplete file has a reason to wait.
     files: HashMap<PathBuf, (FileStamp, Option<WaitReason>)>,
     /// Outputs that exist.
     outputs: HashSet<PathBuf>,
@@ -263,7 +263,7 @@ impl Rig {
         self.event(Event::OutputDirChecked(found));
     }
 
-    /// The recorded standings of a frame, in order.
+    /// The recorded statuses of a frame, in order.
     fn statuses(&self, path: &str) -> Vec<JournaledStatus> {
         let of_frame = |entry: &Entry| match entry {
             Entry::Frame { input, record } if **input == *Path::new(path) => Some(record.status),
@@ -322,15 +322,15 @@ fn lost_doubled_or_late_events_change_nothing() {
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.convert("/in0/a.1.ply");
     rig.want(0);
-    // Doubled: the frame is done.
+    // A repeated event: the frame is done already.
     rig.tell("/in0/a.1.ply");
     assert!(rig.started().is_empty());
-    // Lost: only a scan reports this file.
+    // A lost event: only a scan reports this file.
     rig.files.insert("/in0/a.2.ply".into(), (stamp(1), None));
     rig.scan(0);
     assert_eq!(rig.started(), ["a.2.ply"]);
     rig.convert("/in0/a.2.ply");
-    // Late: the event is about a version that was replaced since.
+    // A late event: it is about a version of the file that was replaced meanwhile.
     rig.want(0);
     rig.files.insert("/in0/a.1.ply".into(), (stamp(3), None));
     let late =
@@ -339,7 +339,7 @@ fn lost_doubled_or_late_events_change_nothing() {
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.convert("/in0/a.1.ply");
     assert_eq!(rig.status(), "2 done, 0 queued");
-    // Events about a removed file, and about one that never existed.
+    // Events about a removed file, and about a file that never existed.
     rig.files.clear();
     rig.tell("/in0/a.1.ply");
     rig.tell("/in0/never.ply");
@@ -405,10 +405,10 @@ fn failures_are_retried_with_growing_waits_up_to_a_limit() {
     rig.want(0);
     rig.pass(Duration::from_secs(3600));
     assert!(rig.started().is_empty());
-    // A changed file is tried again.
+    // A changed frame is tried again.
     rig.put("/in0/a.1.ply", 2);
     assert_eq!(rig.started(), ["a.1.ply"]);
-    // A file that is gone when it is read is not a failure.
+    // A file that is removed before it is read is not a failure.
     rig.files.clear();
     rig.fail("/in0/a.1.ply", Stage::Read, io::ErrorKind::NotFound);
     assert_eq!(rig.status(), "0 done, 0 queued");
@@ -425,7 +425,7 @@ fn low_disk_space_pauses_until_there_is_more() {
     rig.output_dir(0, Presence::Present, GIB);
     assert_eq!(rig.started(), ["a.1.ply"]);
 
-    // A disk that was full is tried again when space was freed, or after a while.
+    // After a full disk, the frame is tried again when space was freed, or after a while.
     rig.fail("/in0/a.1.ply", Stage::Write, io::ErrorKind::StorageFull);
     rig.want(0);
     rig.output_dir(0, Presence::Present, GIB - 1);
@@ -621,7 +621,7 @@ fn hanging_folder_delays_only_its_own_frames() {
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.put("/in0/a.2.ply", 1);
     rig.put("/in1/b.1.ply", 1);
-    // Pipeline 0 hangs with its frame, so it asks for no other.
+    // Pipeline 0 hangs with its frame, so it does not request another.
     rig.event(Event::WorkerStalled(Worker::Root(0)));
     assert_eq!(rig.pipelines, [0, 1]);
     assert!(rig.status().ends_with("/in0 is unavailable"), "{}", rig.status());

@@ -16,7 +16,7 @@ pub fn canonical_path(path: &Path) -> io::Result<PathBuf> {
     let path = std::path::absolute(path)?;
     Ok(match (path.parent(), path.file_name()) {
         (Some(folder), Some(name)) => resolved(folder).join(name),
-        // It ends in `..`: only the system can resolve that.
+        // The path ends in `..`, which only the system can resolve.
         _ => resolved(&path),
     })
 }
@@ -34,7 +34,7 @@ fn resolved(folder: &Path) -> PathBuf {
     }
 }
 
-/// The path of `file` below `folder`, if it lies there, independent of the paths used for either.
+/// The path of `file` below `folder`, if it lies there, whichever paths to the two are given.
 pub fn below(folder: &Path, file: &Path) -> Option<PathBuf> {
     let real = resolved(file.parent()?).join(file.file_name()?);
     let within = real.strip_prefix(resolved(folder)).ok()?;

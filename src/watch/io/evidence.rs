@@ -26,7 +26,8 @@ pub(crate) fn readiness_of(
     candidate.readiness(now, timeouts, sentinel, || completeness_of(file))
 }
 
-/// What the format says. If the file cannot be read, reading the frame reports why.
+/// The completeness according to the file format. Errors are ignored here, because reading the frame reports
+/// them.
 fn completeness_of(path: &Path) -> Completeness {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let look = || completeness(&mut open_regular(path)?, &name);

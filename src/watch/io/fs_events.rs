@@ -5,13 +5,13 @@
 //!             may overflow                    may be full: its last slot is for `Rescan`
 //! ```
 //!
-//! Only scans establish what exists. To miss nothing, watch a folder first and scan it then: files that
-//! existed before are found by the scan, and files that appear in between by both.
+//! Only scans establish what exists. To miss nothing, first watch a folder and then scan it. The scan finds
+//! files that existed before, and files that appear in between are found by the scan and reported by events.
 //!
 //! **This module never blocks.** The kernel's queue has 16 384 entries and drops events when it is full, so
 //! the thread that empties it must not wait for our queue. The last slot of our queue is reserved for
-//! `Rescan`, which says that events were lost. Until the receiver takes that `Rescan`, every lost event
-//! precedes the scan that it requests.
+//! `Rescan`, which says that events were lost. Every event that is lost before the receiver takes the
+//! `Rescan` precedes the requested scan, so the scan finds the change.
 //!
 //! **Folders are watched by their canonical paths.** The kernel watches folders, not paths. A folder that is
 //! reached by two paths is watched once, and its events are reported for both.
@@ -36,7 +36,7 @@ use crate::pipeline::FileStamp;
 pub enum FsEvent {
     /// A file appeared, grew, or was removed.
     Changed(PathBuf),
-    /// A file was renamed to this path, with its content complete under the earlier name.
+    /// A file was renamed to this path. Its content was already complete under the earlier name.
     Renamed(PathBuf),
     /// A folder appeared, was removed, or was replaced. If it exists, it must be watched, even if it was
     /// watched before.
@@ -94,8 +94,8 @@ impl Watcher {
         Ok((Watcher { notify, folders }, hints))
     }
 
-    /// Watches a folder. Events name its files by the path given here. A folder may be watched again, and
-    /// must be if another folder has replaced it.
+    /// Watches a folder. Events name its files by the path given here. A folder may be watched again; if
+    /// another folder has replaced it, this is necessary.
     ///
     /// # Errors
     /// When the folder does not exist, or the system refuses.
@@ -109,7 +109,7 @@ impl Watcher {
             self.unwatch(folder);
         }
         let path = place.path.clone();
-        // Registered first, so that the first event can be resolved.
+        // The folder is registered before it is watched, so that the path of the first event can be resolved.
         lock(&self.folders).add(folder, place);
         self.notify.watch(&path, RecursiveMode::NonRecursive).map_err(|error| {
             lock(&self.folders).remove(folder);
@@ -223,8 +223,8 @@ impl EventHandler {
             self.send(FsEvent::Rescan);
         }
         for path in event.paths {
-            // Links are followed, because a link to a folder counts as one. A removed path was a folder if it
-            // was watched.
+            // Links are followed, because a link to a folder counts as a folder. A removed path was a folder
+            // if it was watched.
             let is_there = change != ChangeKind::Removed && path.is_dir();
             let hints: Vec<FsEvent> = {
                 let folders = lock(&self.folders);
@@ -242,7 +242,7 @@ impl EventHandler {
 
     /// Sends an event or, if only one slot is left, `Rescan`.
     fn send(&mut self, hint: FsEvent) {
-        // The same event is still in the queue.
+        // The event that was sent last is the same, and still in the queue.
         if !self.queue.is_empty() && self.last.as_ref() == Some(&hint) {
             return;
         }
@@ -266,7 +266,7 @@ enum ChangeKind {
 /// `None` for events that need no inspection.
 fn change_of(kind: EventKind) -> Option<ChangeKind> {
     Some(match kind {
-        // Files opened, or closed after reading, by this process or by others.
+        // The other access events are files opened, or closed after reading, by this process or by others.
         EventKind::Access(AccessKind::Close(AccessMode::Write)) => ChangeKind::Changed,
         EventKind::Access(_) => return None,
         EventKind::Create(CreateKind::Folder) | EventKind::Remove(RemoveKind::Folder) => {
@@ -346,7 +346,8 @@ mod tests {
             heard
         }
 
-        /// The events so far: those before the event of a file that is created here, and those of such files.
+        /// All events so far, except those of marker files. Creates a marker file, and waits until its event
+        /// arrives.
         fn so_far(&mut self) -> Vec<FsEvent> {
             self.marker_count += 1;
             let marker = self.path(&format!("{MARKER}{}", self.marker_count));
@@ -403,7 +404,7 @@ mod tests {
         assert!(bench.so_far().contains(&FsEvent::Changed(path)));
     }
 
-    /// Otherwise every inspection would cause the next one.
+    /// If reading sent events, every inspection would cause the next one.
     #[test]
     fn reading_a_file_sends_no_event() {
         let mut bench = Bench::new(CAPACITY);

@@ -76,7 +76,8 @@ impl Root {
         InspectionResult::Complete(Complete { proof, changed_output, contents, conflict })
     }
 
-    /// The file that outputs would replace and must not: a particle file, or an obstacle of any folder.
+    /// Why these outputs must not be written: one would replace a particle file, or an obstacle of any
+    /// watched folder. `None` if nothing is wrong.
     fn conflict_of(&self, outputs: &[PathBuf]) -> Option<String> {
         for output in outputs {
             if output.symlink_metadata().is_ok() && matches!(content(output), Ok(SniffedContent::Particles)) {
@@ -98,7 +99,7 @@ impl Root {
 fn changed_output_of(recorded: &Recorded) -> Option<(PathBuf, OutputCheck)> {
     let mut checks = recorded.record.outputs.iter().map(|output| (&output.path, output.check()));
     let (path, check) = checks.find(|(_, check)| *check != OutputCheck::Unchanged)?;
-    // A truncated output counts as missing, but it exists.
+    // The check counts a truncated output as missing, although it exists: report it as touched.
     let is_there = check == OutputCheck::Missing && path.symlink_metadata().is_ok();
     Some((path.clone(), if is_there { OutputCheck::Touched } else { check }))
 }

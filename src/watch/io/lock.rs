@@ -24,14 +24,16 @@ use crate::watch::journal::STATE_FOLDER;
 /// The name of the lock file, in the daemon's state folder.
 pub(crate) const FILE_NAME: &str = "lock";
 
-/// A process that checks whether the lock is held takes it for a moment; hence several attempts.
+/// Number of attempts to take the lock: a process that only checks whether the lock is held takes it for a
+/// moment.
 const ATTEMPTS_MAX: usize = 5;
 const ATTEMPT_PAUSE: Duration = Duration::from_millis(10);
 
-/// Longer than any text that is written there.
+/// Upper limit of the bytes that are read from the lock file. The text written there is shorter.
 const HOLDER_BYTES_MAX: u64 = 1024;
 
-/// The exclusive right to write into a folder of outputs, until it is dropped or the process ends.
+/// The exclusive right to write into a folder of outputs. It ends when this value is dropped or the process
+/// ends.
 #[derive(Debug)]
 pub struct OutputLock {
     /// Closing the file releases the lock.
@@ -96,7 +98,11 @@ impl OutputLock {
         }
         if let Err(error) = write_holder(&file) {
             // The lock is held all the same; only the text about the holder is missing.
-            tracing::warn!(lock = %path.display(), %error, "cannot write the name of the holder into the lock file");
+            tracing::warn!(
+                lock = %path.display(),
+                %error,
+                "the folder is locked, but the lock file does not say by whom: cannot write to it"
+            );
         }
         Ok(OutputLock { file })
     }
@@ -122,7 +128,8 @@ impl OutputLock {
             Err(source) => return Err(LockError::Io { path, source }),
             Ok(file) => file,
         };
-        // Shared, so that two processes that check do not take each other for a daemon.
+        // A shared lock, so that two processes that check at the same time do not take each other for a
+        // daemon.
         match file.try_lock_shared() {
             Ok(()) => Ok(None),
             Err(error) => match lock_error(error, out_folder, &file) {
@@ -163,7 +170,7 @@ fn is_unsupported(error: &io::Error) -> bool {
     error.kind() == io::ErrorKind::Unsupported || has_no_lock_service(error)
 }
 
-/// NFS without its lock service, or Lustre without `flock`.
+/// Whether this is the error of NFS without its lock service, or of Lustre without `flock`.
 #[cfg(unix)]
 fn has_no_lock_service(error: &io::Error) -> bool {
     use rustix::io::Errno;
@@ -187,7 +194,7 @@ fn write_holder(mut file: &File) -> io::Result<()> {
     file.set_len(text.len() as u64)
 }
 
-/// A moment as text. A clock that was never set may have any value.
+/// A time as text. A clock that was never set may have any value, even one that RFC 3339 cannot express.
 fn since(now: SystemTime) -> String {
     match now.duration_since(UNIX_EPOCH) {
         Ok(since) if since < YEAR_10000 => humantime::format_rfc3339_seconds(now).to_string(),
@@ -212,7 +219,7 @@ impl fmt::Display for LockError {
         match self {
             LockError::Held { folder, by } => write!(
                 f,
-                "another daemon writes into {}: {by}. Stop it first, or choose another folder",
+                "another daemon writes into {} ({by}): stop that daemon, or choose another folder",
                 folder.display()
             ),
             LockError::Unsupported { folder } => write!(
@@ -316,7 +323,8 @@ mod tests {
         }
     }
 
-    /// Set in the child process of the test below: the folder to lock.
+    /// The environment variable with the folder to lock. It is set only in the child process of the test
+    /// below.
     const CHILD_FOLDER: &str = "MENISCUS_TEST_LOCK_FOLDER";
 
     #[test]
@@ -350,7 +358,7 @@ mod tests {
     fn hold_until_killed(out: &Path) -> ! {
         let _lock = OutputLock::take(out).expect("a lock");
         writeln!(io::stdout(), "locked").expect("a parent who listens");
-        // If the parent ends first, the pipe closes.
+        // If the parent ends first, the pipe closes, and the read returns.
         let _ = io::stdin().read_to_end(&mut Vec::new());
         std::process::exit(0)
     }

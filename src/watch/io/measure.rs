@@ -63,7 +63,7 @@ fn with_camera(
     measured: &mut SpacingResult,
 ) -> Option<JournaledSequence> {
     let outputs = &order.watch.outputs;
-    // Invalid settings end the sequence elsewhere.
+    // If the settings are invalid, other code ends the sequence.
     let spacing = record.measured.as_ref().map(options::SequenceSpacing::from);
     let settings = Settings::resolve(&order.watch.choices, spacing);
     let radius = settings.map_or(0.0, |settings| settings.resting_height());
@@ -89,7 +89,7 @@ fn with_camera(
     None
 }
 
-/// A box with room for the fluid in this one to spread: wider by half its height on each side.
+/// A box with room for the fluid in the given box to spread: wider by half its height on each side.
 fn widened([least, greatest]: [DVec3; 2], up: DVec3) -> [DVec3; 2] {
     let aside = (DVec3::ONE - up) * (0.5 * (greatest - least).dot(up));
     [least - aside, greatest + aside]

@@ -5,7 +5,7 @@
 //!   output_dir   a folder of outputs: journal, lock, free space   pipeline     converts frames
 //!   worker       the thread of either, and its stall detection
 //!   stages       the stages of a folder of outputs
-//!   inspect, evidence, scan, selection, fs_events, mounts, lock, canonical_path   their operations
+//!   inspect, evidence, scan, selection, fs_events, mounts, lock, canonical_path   what the workers call
 //! ```
 
 pub mod canonical_path;

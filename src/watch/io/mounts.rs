@@ -20,6 +20,7 @@ pub fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
 
 /// The bytes that this user may still write to the file system at `path`.
 ///
+/// # Errors
 /// When the path does not exist, or the system refuses; [`io::ErrorKind::Unsupported`] on systems other than
 /// Unix.
 pub fn free_bytes(path: &Path) -> io::Result<u64> {
@@ -29,7 +30,7 @@ pub fn free_bytes(path: &Path) -> io::Result<u64> {
 /// Identifies the file system of a folder: if a folder is empty and on another file system than before, it
 /// was unmounted, not emptied.
 ///
-/// On systems other than Unix, all are equal.
+/// On systems other than Unix, all identities are equal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RootIdentity {
     device: u64,
@@ -100,7 +101,7 @@ const NETWORK_FILE_SYSTEMS: &[(u32, &str)] = &[
     (0xfe53_4d42, "SMB"),
     (0x517b, "SMB"),
     (0x0102_1997, "9P"),
-    (0x6573_5546, "FUSE, such as SSHFS or virtiofs"), // local ones too: they cannot be told apart
+    (0x6573_5546, "FUSE, such as SSHFS or virtiofs"), // or a local one: both have this number
     (0x6b41_4653, "AFS"),
     (0x5346_414f, "AFS"),
     (0x00c3_6400, "Ceph"),

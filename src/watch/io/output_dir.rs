@@ -30,7 +30,8 @@ pub(super) struct OutputDir {
     is_mounted: bool,
     next_check: Instant,
     stages: FolderStages,
-    /// The lock of a journal that lies in another folder: it, too, has only one writer.
+    /// The lock of the journal's folder, if that is another folder: the journal, too, must have only one
+    /// writer.
     _journal_lock: Option<OutputLock>,
 }
 
@@ -227,13 +228,14 @@ impl OutputGuard {
             return Presence::Present;
         }
         let nearest = self.folder.ancestors().find_map(|folder| RootIdentity::of(folder).ok());
-        // `convert --skip-done` also creates a folder with this name; these files belong to the daemon alone.
+        // `convert --skip-done` also creates a folder with this name, but only the daemon creates the two
+        // files in it.
         let state = self.folder.join(STATE_FOLDER);
         let is_back = [LOCK_FILE_NAME, JOURNAL_FILE_NAME].iter().any(|name| state.join(name).is_file());
-        // If the nearest existing folder is on another file system, that of the outputs was unmounted: its
-        // files come back when it is mounted, so the daemon waits. If it is on the same one, the folder was
-        // removed and its files are lost, so it is created again. Files of the daemon show that the folder is
-        // back; then it is only locked again.
+        // If the nearest existing folder on the path is on another file system than before, the file system
+        // of the outputs was unmounted. Its files come back when it is mounted again, so the daemon waits. If
+        // the file system is the same, the folder was removed and its files are lost, so it is created again.
+        // If the daemon's files exist, the folder has come back, and is only locked again.
         if nearest != Some(held.identity) && !is_back {
             return Presence::Missing;
         }
@@ -253,12 +255,12 @@ impl OutputGuard {
 /// How soon writing the journal is retried.
 const JOURNAL_RETRY: Duration = Duration::from_secs(1);
 
-/// Removes all temporary files without a writer from a folder and its sub-folders, and returns their number.
-/// Folders that cannot be read are skipped.
+/// Removes all temporary files that no process is writing from a folder and its sub-folders. Returns their
+/// number. Folders that cannot be read are skipped.
 fn sweep(folder: &Path) -> usize {
     let mut count = sweep_one(folder);
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    // Links are not followed: their targets are not ours to clean.
+    // Links are not followed, because the daemon must not remove files outside this folder.
     let folders = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()));
     for inner in folders.filter(|entry| !entry.file_name().as_encoded_bytes().starts_with(b".")) {
         count += sweep(&inner.path());

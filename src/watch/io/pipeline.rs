@@ -1,7 +1,8 @@
 //! Pipelines: threads that convert the frames that the core gives them.
 //!
-//! Usually there is one. If its frames wait for a file system that does not answer, a second one converts the
-//! frames of the other folders. So each has its own threads, and nothing waits for them to end.
+//! Usually there is one pipeline. If its frames wait for a file system that does not answer, a second
+//! pipeline converts the frames of the other folders. Therefore each pipeline has its own threads, and
+//! nothing waits for these threads to end.
 
 use std::io;
 use std::path::PathBuf;
@@ -29,7 +30,7 @@ use super::output_dir::OutputGuard;
 pub(crate) struct PipelineContext {
     pub(crate) config: Arc<WatchConfig>,
     pub(crate) store: Option<Arc<StatusStore>>,
-    /// The folder of outputs of each root, and its index.
+    /// For each root, the index and the guard of its folder of outputs.
     pub(crate) outputs: Arc<Vec<(usize, Arc<OutputGuard>)>>,
     pub(crate) events: Sender<Event>,
 }
@@ -78,7 +79,7 @@ fn run(
         certificates: false,
         in_flight: config.in_flight,
         memory_bytes: config.memory_bytes,
-        // A separate thread finds steps.
+        // A separate thread searches files for steps.
         index_policy: IndexPolicy::External,
         mirrors: &mirrors,
         output_states: Some(&output_states),
@@ -89,8 +90,8 @@ fn run(
             events.send(Event::FrameWanted { pipeline: index }).ok()?;
             let Start { id, frame, known_outputs } = frames.recv().ok()?;
             let (output, guard) = &outputs[id.root];
-            // Checked at the last moment: nothing is written if the folder is not mounted and another is in
-            // its place.
+            // Checked at the last moment, so that nothing is written if the folder of outputs is not mounted
+            // and another folder is in its place.
             if !guard.may_begin() {
                 let found = guard.check(*output);
                 events.send(Event::FrameReturned { id, frame, found }).ok()?;

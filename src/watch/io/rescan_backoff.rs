@@ -56,7 +56,7 @@ impl RescanBackoff {
 mod tests {
     use super::*;
 
-    /// The delays after this many losses, each right after the scan for the one before.
+    /// The delays after this many losses; each loss occurs right after the scan for the previous one.
     fn waits(count: usize) -> Vec<u128> {
         let mut pace = RescanBackoff::default();
         let mut now = Instant::now();

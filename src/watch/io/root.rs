@@ -2,8 +2,8 @@
 //! its own thread, so a file system that hangs delays only its own folder.
 //!
 //! Events are hints; only scans are authoritative. A root is scanned at the start, after events were lost,
-//! when it becomes available again, and at regular intervals. On a network file system, which reports no
-//! changes, the interval is short. A folder that vanishes, or had files and is suddenly empty, is
+//! when it becomes available again, and at regular intervals. On a network file system, which sends no
+//! events, the interval is short. A folder that vanishes, or had files and is suddenly empty, is
 //! *unavailable*: its state is kept, because its disk may only be unmounted.
 
 use std::collections::HashSet;
@@ -78,11 +78,12 @@ const UNAVAILABLE_RETRY: Duration = Duration::from_secs(1);
 /// Regular scans take at most 1/200 of the time of a core.
 const SCAN_SHARE: u32 = 200;
 
-/// Scans that replace events take at most 1/10, because users wait for them.
+/// Scans that replace events take at most 1/10 of the time of a core: more than regular scans, because users
+/// wait for their results.
 const POLL_SHARE: u32 = 10;
 
 impl Root {
-    /// A folder that is not scanned yet and may not exist. Without a watcher it is polled.
+    /// A folder that is not scanned yet and may not exist. If `watcher` is an error, the folder is polled.
     pub(super) fn new(
         index: usize,
         (path, selection): (PathBuf, FileFilter),
@@ -179,13 +180,13 @@ impl Root {
         if self.path.starts_with(folder) {
             self.next_scan = Instant::now();
         } else if folder.starts_with(&self.path) && self.selection.enters(&self.path, folder) {
-            // Earlier events came from another folder with that name.
+            // The folders that are watched at this path may be other folders.
             self.forget_folder(folder);
             match self.watch_and_scan(folder) {
                 Ok(Scan { files, .. }) => {
                     report(Event::FolderScanned { root: self.index, files, at: Instant::now() });
                 }
-                // The folder is gone or was moved: the scan finds out which files remain.
+                // The folder is gone or was moved: a scan of the root finds out which files remain.
                 Err(_) => self.next_scan = Instant::now(),
             }
         }
@@ -198,8 +199,8 @@ impl Root {
     fn scan(&mut self) -> Result<Scan, String> {
         let identity = FolderIdentity::of(&self.path).ok();
         if self.identity != identity {
-            // Events of the earlier folder say nothing about this one, and those of an unmounted one just
-            // stop.
+            // Events of the earlier folder say nothing about the current one, and an unmounted folder sends
+            // no events.
             self.stop_watching();
             self.identity = identity;
         }
@@ -215,7 +216,7 @@ impl Root {
         match &found {
             Ok(found) => self.had_frames |= !found.files.is_empty(),
             Err(_) => {
-                // The events came from a folder that is gone.
+                // The folder that was watched is gone.
                 self.stop_watching();
                 self.next_scan = Instant::now() + UNAVAILABLE_RETRY;
             }
@@ -237,7 +238,8 @@ impl Root {
         self.listen(folder);
         loop {
             let found = self.scan_folder(folder)?;
-            // Files that appeared in a folder before its events were received are found by the next scan.
+            // A sub-folder that was not watched yet is watched now. The next scan of this loop finds the
+            // files that appeared in it before.
             let unheard: Vec<PathBuf> =
                 found.folders.iter().filter(|f| !self.watched_folders.contains(*f)).cloned().collect();
             if unheard.is_empty() || self.poll.is_some() || self.watcher.is_none() {
@@ -279,7 +281,7 @@ impl Root {
         {
             tracing::info!(
                 folder = %self.path.display(),
-                "is on {name}, which reports no changes: it is scanned every {POLL_DEFAULT:?}"
+                "is on {name}, which sends no file-system events: it is scanned every {POLL_DEFAULT:?}"
             );
             self.poll = Some(POLL_DEFAULT);
         }
@@ -359,7 +361,7 @@ impl Work for Root {
         let now = Instant::now();
         if self.rescans.is_due(now) {
             tracing::info!("events were lost: scanning everything");
-            // The lost events may have said that a folder was replaced, so all folders are watched anew.
+            // The lost events may have reported that a folder was replaced, so all folders are watched again.
             self.watched_folders.clear();
             self.is_after_loss = true;
             self.next_scan = now;
@@ -384,5 +386,5 @@ impl Work for Root {
     }
 }
 
-/// Longer than any run: the next scan of a run with `once`, which scans only at the start, never comes.
+/// Longer than any run. A run with `once` scans only at the start, so its next scan is this far away.
 const NEVER: Duration = Duration::from_secs(1 << 32);

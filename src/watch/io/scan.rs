@@ -2,13 +2,13 @@
 //!
 //! ```text
 //!   root ─┬─ dam.0001.bgeo          taken, if the selection takes its name
-//!         ├─ take2 ─┬─ dam.ply      where the selection is recursive
+//!         ├─ take2 ─┬─ dam.ply      taken only if the selection is recursive
 //!         │         └─ up ──▶ root  a folder within itself: not entered
 //!         └─ surfaces               an excluded folder: not entered
 //! ```
 //!
-//! Links are followed. If two paths lead to the same folder, each of its files is reported under both. Only a
-//! folder that contains itself is not entered again. Each file costs one system call.
+//! Links are followed. If two paths lead to the same folder, each of its files is reported under both.
+//! However, a link to a folder that contains the link is not entered. Each file costs one system call.
 
 use std::fs::{self, DirEntry, Metadata};
 use std::io;
@@ -67,7 +67,7 @@ pub(super) fn scan_with(
     let mut pending = Vec::new();
     walk.enter(folder, &mut around, &mut pending)?;
     while let Some((next, depth)) = pending.pop() {
-        // Folders that were entered since do not contain this one.
+        // Drops the folders that were entered since `next` was found, because they do not contain it.
         around.truncate(depth);
         match walk.enter(&next, &mut around, &mut pending) {
             Err(error) if !is_gone(&error) => walk.scan.problems.push((next, error.to_string())),
@@ -163,7 +163,8 @@ struct ScanLimits {
 impl ScanLimits {
     fn new(root: &Path, selection: &FileFilter) -> io::Result<ScanLimits> {
         let root = root.canonicalize()?;
-        // A missing folder excludes nothing; nor does one that contains the root.
+        // A missing folder excludes nothing. A folder that contains the root excludes nothing either: see
+        // `excludes`.
         let excluded = selection.excluded().iter().filter_map(|folder| folder.canonicalize().ok());
         Ok(ScanLimits { excluded: excluded.collect(), root })
     }
@@ -206,7 +207,7 @@ impl FolderIdentity {
     }
 }
 
-/// The state of a file; `None` for anything else.
+/// The state of a file; `None` if the path is not a regular file.
 fn seen(metadata: &Metadata, trust_clock: bool) -> Option<Seen> {
     let age = || SystemTime::now().duration_since(last_change(metadata)?).ok();
     metadata.is_file().then(|| Seen { stamp: FileStamp::of(metadata), age: trust_clock.then(age).flatten() })

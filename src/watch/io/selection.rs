@@ -1,16 +1,17 @@
 //! Decides which files are frames: by name, and if names are ambiguous, by the first bytes.
 //!
 //! ```text
-//!   frames ─┬─ dam.0001.bgeo         taken: an extension of particles, or a match of the pattern
-//!           ├─ notes.txt             taken, and then decided by its content
+//!   frames ─┬─ dam.0001.bgeo         taken: has a particle extension, or matches the pattern
+//!           ├─ notes.txt             taken by name; then its content decides
 //!           ├─ .dam.0002.bgeo.tmp    hidden: never
 //!           └─ surfaces ── dam.ply   in an excluded folder: never
 //! ```
 //!
 //! The folder of the outputs is excluded if it lies in the watched folder. But it may also be the watched
 //! folder itself, or contain it: then frames and outputs lie side by side, and only [`content`] can
-//! distinguish them. So the innermost of the watched and the excluded folders around a file decides. Level
-//! sets (.vdb) are taken only if the pattern ends in `.vdb`, and never if this program wrote them.
+//! distinguish them. So, of the watched and the excluded folders that contain a file, the innermost decides
+//! whether the file is excluded. Level sets (.vdb) are taken only if the pattern ends in `.vdb`, and never if
+//! this program wrote them.
 
 use std::ffi::OsStr;
 use std::fmt;
@@ -64,8 +65,8 @@ impl FileFilter {
     /// Takes the files that `pattern` matches: a glob for the file name if it contains no `/`, otherwise for
     /// the path within the root. Without a pattern, takes names with an extension of particle files.
     ///
-    /// Hidden files and files in one of the `excluded` folders are never taken, unless the root itself lies
-    /// in that folder.
+    /// Hidden files are never taken. Files in one of the `excluded` folders are not taken, unless the root
+    /// itself lies in that folder.
     ///
     /// # Errors
     /// When the pattern is malformed, or contains sub-folders although `recursive` is false.

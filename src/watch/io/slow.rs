@@ -32,7 +32,7 @@ pub(super) fn spawn(
             }
             let event = match request {
                 SlowRequest::FindSteps(order) => Event::StepsFound(find_steps(order, &is_over)),
-                // In a thread pool of its own: the pipeline's threads must not hang with a file.
+                // A separate thread pool, so that a hanging file does not block the pipeline's threads.
                 SlowRequest::Measure(order) => match ThreadPoolBuilder::new().num_threads(threads).build() {
                     Ok(pool) => Event::Measured(Box::new(pool.install(|| measure(*order)))),
                     Err(_) => Event::Measured(Box::new(measure(*order))),

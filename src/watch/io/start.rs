@@ -24,7 +24,8 @@ use super::selection::FileFilter;
 use super::slow;
 use super::worker::{Pulse, StallMonitor, spawn};
 
-/// The threads that do I/O. They end when this is dropped; those that hang, as soon as they no longer do.
+/// The threads that do I/O. They end when `Workers` is dropped. A thread that hangs ends as soon as its file
+/// system answers.
 pub(crate) struct Workers {
     pub(crate) roots: Vec<Sender<RootRequest>>,
     /// The thread of each root for slow requests.
@@ -42,8 +43,8 @@ impl Drop for Workers {
     }
 }
 
-/// Opens all folders of outputs, and starts all workers. Also returns the core, which knows the records of
-/// the journals, and what pipelines need.
+/// Opens all folders of outputs, and starts all workers. Also returns the core, which starts with the records
+/// of the journals, and the context of the pipelines.
 ///
 /// # Errors
 /// When a folder of outputs cannot be opened, a pattern is invalid, or the system refuses to start a thread.

@@ -50,7 +50,7 @@ struct PulseState {
 }
 
 impl Pulse {
-    /// The worker makes progress.
+    /// Records that the worker has made progress.
     pub(crate) fn beat(&self) {
         self.0.beats.fetch_add(1, Ordering::Relaxed);
     }
@@ -76,7 +76,8 @@ impl StallMonitor {
         StallMonitor { worker, pulse, beats: 0, since: now, has_stalled: false }
     }
 
-    /// Returns an event if the worker has stalled, or responds again.
+    /// Returns an event when the worker has just stalled, and when a stalled worker responds again; otherwise
+    /// `None`.
     pub(crate) fn check(&mut self, now: Instant) -> Option<Event> {
         let PulseState { is_busy, beats } = &*self.pulse.0;
         let (is_busy, beats) = (is_busy.load(Ordering::Relaxed), beats.load(Ordering::Relaxed));
@@ -94,10 +95,12 @@ impl StallMonitor {
     }
 }
 
-/// How many changes are handled at once; equal ones are inspected once.
+/// After the first file-system event, up to this many more are handled in the same turn. Of equal events only
+/// one is inspected.
 const FS_EVENTS_PER_TURN: usize = 4096;
 
-/// Starts a worker. It ends when the returned sender is dropped, or as soon as it no longer hangs.
+/// Starts a worker. It ends when the returned sender is dropped. If it hangs at that time, it ends as soon as
+/// its file system responds.
 ///
 /// # Errors
 /// When the system refuses to start a thread.
@@ -136,7 +139,7 @@ pub(crate) fn spawn<W: Work + 'static>(
                             }
                         }
                     }
-                    // Without events, scans suffice.
+                    // The source of events has ended: scans find the changes without it.
                     Err(_) => fs_events = never(),
                 },
                 default(wait) => {}

@@ -43,8 +43,8 @@ pub(super) fn parse_line(line: &[u8]) -> Option<Entry> {
     serde_json::from_slice(record).or_else(|_| without_figures(record)).ok()
 }
 
-/// The record without the figures of its frame. They are informative only, so a record is also read if its
-/// figures are of another version.
+/// The record without the figures of its frame. Figures are only informative, so a record is also read if its
+/// figures are those of another version of this program.
 fn without_figures(record: &[u8]) -> serde_json::Result<Entry> {
     let mut record: Value = serde_json::from_slice(record)?;
     if let Some(frame) = record.get_mut("frame").and_then(Value::as_object_mut) {

@@ -7,15 +7,15 @@
 //!   c2609b1ea0f347d8 {"frame":{"input":"/sim/dam.00                                     torn: truncated
 //! ```
 //!
-//! It records which frames are done, so that they are not converted again, which frames failed and why, the
-//! settings of each sequence, and the daemon's configuration. The last record of a frame counts.
+//! The journal records which frames are done, so that they are not converted again, and which frames failed
+//! and why. It also records the settings of each sequence, and the daemon's configuration. If a frame has
+//! several records, the last one counts.
 //!
-//! **Losing the journal only costs time.** Outputs are on disk before they get their names, and contain the
-//! provenance of their inputs. Without a journal, frames are read again and found done. This keeps the
-//! journal simple: a record is one write at the end of the file, and nothing waits for the disk. A line that
-//! was torn by a crash is truncated, a damaged line is skipped, and a journal of another version is renamed.
-//! The one thing that must not happen is that a record is read that was never written, so each line has a
-//! checksum.
+//! **Losing the journal only costs time.** An output is on disk before it gets its name, and contains the
+//! provenance of its input. Without a journal, frames are read again and found done. This keeps the journal
+//! simple: a record is one write at the end of the file, and nothing waits for the disk. A line that was torn
+//! by a crash is truncated, a damaged line is skipped, and a journal of another version is renamed. A damaged
+//! line must never be read as a valid record, so each line has a checksum.
 //!
 //! **The disk may fill up.** [`JournalState`] in memory is always correct. A record that cannot be written
 //! stays pending, and is written with the next one; a partial write is truncated first. If the file is
@@ -24,8 +24,8 @@
 //! When most lines are superseded by later ones, a compacted file is written and renamed over the old one.
 //! Readers that have the old file open keep reading it.
 //!
-//! Only one daemon writes a journal, which the lock of the outputs ensures. Any process may read it at the
-//! same time.
+//! The lock on the folder of outputs ensures that only one daemon writes a journal. Any process may read it
+//! at the same time.
 
 mod line;
 mod state;
@@ -154,9 +154,9 @@ impl Journal {
         &self.state
     }
 
-    /// Suspends writing if `is_held`, otherwise resumes it. It is suspended while a write would fail, or
-    /// while the output disk is not mounted and a write would go to the folder below its mount point. Records
-    /// stay pending, and are written with the first record afterwards.
+    /// Suspends writing if `is_held`, otherwise resumes it. The caller suspends writing while a write would
+    /// fail, or while the output disk is not mounted: a write would then go to the folder that is the mount
+    /// point. Records stay pending, and are written with the first record afterwards.
     pub fn hold(&mut self, is_held: bool) {
         self.is_held = is_held;
     }
@@ -164,7 +164,8 @@ impl Journal {
     /// Adds a record, which replaces the earlier one with the same key.
     ///
     /// # Errors
-    /// When it is not on disk. It is in the state nevertheless, and will be written with the next record.
+    /// When the record cannot be written. It is in the state nevertheless, and is written with the next
+    /// record.
     pub(in crate::watch) fn note(&mut self, entry: Entry) -> io::Result<()> {
         self.pending.insert(entry.key());
         self.state.take(entry);
@@ -179,7 +180,7 @@ impl Journal {
     /// Records the status of a frame.
     ///
     /// # Errors
-    /// When it is not on disk.
+    /// When the record cannot be written.
     pub fn note_frame(&mut self, input: &Path, record: JournaledFrame) -> io::Result<()> {
         self.note(Entry::Frame { input: input.into(), record: record.into() })
     }
@@ -187,7 +188,7 @@ impl Journal {
     /// Records the configuration of the daemon.
     ///
     /// # Errors
-    /// When it is not on disk.
+    /// When the record cannot be written.
     pub fn note_plan(&mut self, record: PlanRecord) -> io::Result<()> {
         self.note(Entry::Plan(record))
     }
@@ -233,8 +234,8 @@ impl Journal {
         }
     }
 
-    /// Opens the existing file and truncates a torn line; `None` if the file is missing, or shorter than what
-    /// was written.
+    /// Opens the existing file and truncates a torn line; `None` if the file is missing, is shorter than what
+    /// was written, or has another hard link.
     fn reopen(&mut self) -> io::Result<Option<File>> {
         let file = match open_own(&self.path, OpenOptions::new().append(true)) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -276,7 +277,8 @@ impl Journal {
         if self.line_count < self.compacted_from_lines || overtaken_count * 2 <= self.line_count {
             return;
         }
-        // On failure the old file is still complete, and compaction is not tried again with every line.
+        // If this fails, the old file is still complete. Compaction is tried again only when the file has
+        // twice as many lines.
         if let Err(error) = self.rewrite() {
             self.compacted_from_lines = self.line_count * 2;
             tracing::warn!(journal = %self.path.display(), %error, "cannot compact the journal");
@@ -294,7 +296,7 @@ enum JournalFile {
 #[derive(Default)]
 struct Loaded {
     state: JournalState,
-    /// Without a torn line at the end, in bytes.
+    /// The size of its complete lines, without a torn line at the end, in bytes.
     whole_bytes: u64,
     /// The number of lines after the first.
     line_count: usize,
@@ -315,7 +317,8 @@ fn parse(mut reader: impl BufRead) -> io::Result<JournalFile> {
     let mut line = Vec::new();
     reader.read_until(b'\n', &mut line)?;
     if line != VERSION_LINE {
-        // The process that created it was stopped within the first line: the journal is empty.
+        // If the first line is torn, the process that created the journal was stopped while it wrote this
+        // line: the journal is empty.
         let is_torn = VERSION_LINE.starts_with(&line);
         return Ok(if is_torn { JournalFile::Journal(loaded) } else { JournalFile::OtherVersion });
     }

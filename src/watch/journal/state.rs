@@ -1,8 +1,9 @@
 //! The content of the journal: the last record of each frame, each sequence and the daemon, and the daemon's
 //! configuration.
 //!
-//! Records are serialized as they are, so a renamed field needs its old name as a `serde` name. Frames and
-//! their outputs, of which there may be very many, are read through [`FrameForm`] and [`OutputForm`].
+//! These types are serialized directly, so a field that is renamed needs its old name as its `serde` name.
+//! Frames and their outputs, of which there may be very many, are read through [`FrameForm`] and
+//! [`OutputForm`].
 
 use std::collections::HashMap;
 use std::fmt;
@@ -22,7 +23,7 @@ use crate::watch::status_store::Figures;
 pub struct JournalState {
     /// The frames, by the paths of their inputs.
     pub frames: HashMap<Arc<Path>, Arc<JournaledFrame>>,
-    /// The settings of sequences, which their first frames determined.
+    /// The particle spacing and the camera of each sequence.
     pub sequences: HashMap<SequenceKey, JournaledSequence>,
     /// The daemon that wrote last. The state "running" does not prove that it still runs.
     pub daemon: Option<DaemonRecord>,
@@ -243,7 +244,7 @@ pub struct SequenceKey {
     pub choices: String,
 }
 
-/// The settings that were determined for all frames of a sequence.
+/// The particle spacing and the camera that were determined for all frames of a sequence.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct JournaledSequence {
     /// The particle spacing, if it was measured.
@@ -378,7 +379,7 @@ pub(super) enum RecordKey {
     Plan,
 }
 
-/// A record, as in one line. Cheap to clone: one copy stays in memory, and one is written.
+/// A record: one line of the journal. Cheap to clone: one copy stays in memory, and one is written.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(in crate::watch) enum Entry {

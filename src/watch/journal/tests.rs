@@ -1,4 +1,4 @@
-//! Tests of the journal after crashes, on full disks, and with interference by other programs.
+//! Tests the journal after crashes, on full disks, and with interference by other programs.
 
 use crate::pipeline::MeasuredSpacing;
 use std::io::{Seek, SeekFrom};
@@ -85,7 +85,7 @@ fn plan_record() -> PlanRecord {
     PlanRecord { watches: Vec::new(), timeouts }
 }
 
-/// Writes records of all kinds; returns the states in between, starting with the empty one.
+/// Writes records of all kinds. Returns the states after each record, starting with the empty state.
 fn write_some(folder: &Path) -> Vec<JournalState> {
     let mut journal = open(folder);
     let mut states = vec![journal.state().clone()];
@@ -228,7 +228,7 @@ fn journal_of_another_version_is_renamed() {
     }
 }
 
-/// Simulates a write to a full disk: only a part of it arrives.
+/// Simulates a write to a full disk: only a part of the bytes is written.
 fn fail_next_write(journal: &mut Journal) {
     let path = journal.path.clone();
     let mut file = OpenOptions::new().append(true).open(&path).expect("the journal");
@@ -275,7 +275,7 @@ fn write_to_a_full_disk_returns_an_error() {
     let folder = folder();
     let mut journal = open(folder.path());
     journal.note_frame(&input(0), frame_record(JournaledStatus::Done, 1)).expect("noted");
-    // The journal keeps its name, but data is written elsewhere.
+    // The journal file stays, but new data goes to a full device.
     journal.file = Some(OpenOptions::new().write(true).open("/dev/full").expect("the full device"));
     let error =
         journal.note_frame(&input(1), frame_record(JournaledStatus::Done, 1)).expect_err("a full disk");
@@ -293,7 +293,7 @@ fn removed_journal_is_written_again_completely() {
     journal.note_frame(&input(1), frame_record(JournaledStatus::Done, 1)).expect("noted");
     assert_eq!(Journal::read(&folder).expect("a journal"), *journal.state());
 
-    // The same if it was truncated while it was closed.
+    // The result is the same if the journal was truncated while it was closed.
     for rest in ["", "meniscus journal 1\n", "something else"] {
         fail_next_write(&mut journal);
         journal.note_frame(&input(2), frame_record(JournaledStatus::Done, 1)).expect_err("a full disk");
@@ -364,13 +364,14 @@ fn journal_that_is_a_link_is_refused_and_replaced_under_a_running_daemon() {
     let error = Journal::open(folder.path()).expect_err("a link").to_string();
     assert_eq!(error, "not a regular file: a symbolic link");
     assert!(Journal::read(folder.path()).is_err());
-    // A running daemon knows the content.
+    // A running daemon still has the contents in memory.
     journal.note_frame(&input(7), frame_record(JournaledStatus::Done, 1)).expect("noted");
     assert!(!path.is_symlink());
     assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
     assert!(fs::read(&precious).expect("there") == bytes);
 
-    // A hard link cannot be refused like a symbolic link: the file is left to the other name.
+    // A hard link cannot be refused like a symbolic link. The journal is written to a new file, and the other
+    // name keeps the old one.
     drop(journal);
     fs::hard_link(&path, folder.path().join("kept")).expect("a second name");
     let kept = fs::read(&path).expect("there");

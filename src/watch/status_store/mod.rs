@@ -7,12 +7,12 @@
 //!                          └─────────────────────────────┘
 //! ```
 //!
-//! Clients must not slow down frames, and slow clients must not cost memory. So the view of one frame is
-//! replaced, and never all views are rebuilt. The lock is held only while pointers and plain numbers are
-//! copied: those of a page, of 256 changes, of the 900 samples of the chart, of the counters. They are
-//! serialized after it is released. The log of changes is bounded and holds *names*, not states: a client
-//! that is behind gets each frame once, in its current state. A client that falls behind the end of the log
-//! is told to reload everything.
+//! Clients must not slow down frames, and slow clients must not cost memory. So a change replaces the view of
+//! one frame; the views of all frames are never rebuilt. The lock is held only while pointers and plain
+//! numbers are copied: for a page, for 256 changes, for the 900 samples of the chart, or for the counters.
+//! They are serialized after the lock is released. The log of changes is bounded and holds *names*, not
+//! states: a client that is behind gets each frame once, in its current state. A client that falls behind the
+//! end of the log must reload everything.
 //!
 //! The types here are those of the interface in `docs/window.md`, which specifies their serialized form.
 
@@ -184,7 +184,8 @@ impl StatusStore {
         self.alive_ms.store(now_ms(), Ordering::Relaxed);
     }
 
-    /// Replaces the view of a frame. If it is still done, its figures are kept.
+    /// Replaces the view of a frame. If the new view has no figures, but the same state and outputs as the
+    /// old one, the old figures are kept.
     pub fn update(&self, mut view: FrameView) {
         let mut state = self.lock();
         let rank = NameOrder(view.summary.name.clone());
@@ -382,7 +383,7 @@ impl StatusStore {
     }
 
     fn lock(&self) -> MutexGuard<'_, StoreState> {
-        // State that a panic left incomplete is replaced by the frame's next change.
+        // If a panic left the state of a frame incomplete, the frame's next change replaces it.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

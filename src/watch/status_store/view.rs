@@ -71,7 +71,7 @@ pub struct FrameView {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OutputView {
     /// Its path within the folder of outputs; with several watched folders, prefixed with the number of its
-    /// own.
+    /// watched folder.
     pub name: String,
     /// Its size when it was written.
     pub size_bytes: u64,

@@ -1,7 +1,9 @@
-//! Which file imports which: the `use` declarations and the paths in the code of a crate, resolved to the files that define what they name.
+//! Finds which files import which: resolves the `use` declarations and the paths in the code of a crate to
+//! the files that define the named items.
 //!
-//! Not a compiler: text is split into words; comments and strings are left out.
-//! Re-exports are followed, so that `use super::Frame` leads to the file that defines `Frame` and not to the one that passes it on.
+//! This is not a compiler: it only splits text into words, and leaves out comments and strings. It follows
+//! re-exports, so that `use super::Frame` leads to the file that defines `Frame` instead of the file that
+//! re-exports it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -24,9 +26,10 @@ pub(super) struct Crate {
 /// One file.
 struct Module {
     file: PathBuf,
-    /// The names that it brings into scope, and what they name; `*` for all of another module.
+    /// The names that the file brings into scope, and the paths of their items; `*` for all names of another
+    /// module.
     names: Vec<(String, Vec<String>)>,
-    /// All that it names outside of itself.
+    /// The paths of all items outside the file that it names.
     paths: BTreeSet<Vec<String>>,
     /// The words of its code.
     words: Vec<String>,
@@ -37,7 +40,7 @@ impl Crate {
     ///
     /// # Panics
     ///
-    /// Where a file cannot be read.
+    /// If a file cannot be read.
     pub(super) fn read(root: &Path, code: Code) -> Crate {
         let mut files = Vec::new();
         files_below(root, &mut files);
@@ -72,7 +75,8 @@ impl Crate {
         Crate { modules }
     }
 
-    /// What each file imports: paths of files below the root, and what it says to name something in there.
+    /// The imports of each file: paths of the imported files below the root, and the text that names an item
+    /// there.
     pub(super) fn imports(&self) -> BTreeMap<&Path, BTreeMap<&Path, String>> {
         let mut imports: BTreeMap<&Path, BTreeMap<&Path, String>> = BTreeMap::new();
         for module in self.modules.values() {
@@ -87,7 +91,7 @@ impl Crate {
         imports
     }
 
-    /// The files in which a word is.
+    /// The files that contain a word.
     pub(super) fn files_with(&self, word: &str) -> Vec<&Path> {
         let has_it = |module: &&Module| module.words.iter().any(|own| own == word);
         self.modules.values().filter(has_it).map(|module| &*module.file).collect()
@@ -95,11 +99,11 @@ impl Crate {
 
     /// The file that defines the item of a path; `None` for items of other crates.
     fn resolve(&self, path: &[String], depth: usize) -> Option<&Module> {
-        // The longest beginning that is a module.
+        // The longest prefix of the path that is a module.
         let length = (0..=path.len()).rev().find(|&length| self.modules.contains_key(&path[..length]))?;
         let module = &self.modules[&path[..length]];
         let Some(name) = path.get(length) else { return Some(module) };
-        // A re-export of a re-export of a re-export is enough.
+        // Follow at most eight re-exports in a row: no path needs more.
         if depth < 8 && !module.defines(name) {
             let passed_on = module.names.iter().find(|(own, _)| own == name);
             if let Some((_, target)) = passed_on {

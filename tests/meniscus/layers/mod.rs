@@ -1,7 +1,7 @@
-//! Down only: a module imports lower rows, never its own or a higher one, and files do not import each other in cycles.
+//! Checks the layers of the architecture: a module imports only modules in lower rows of the table, never in
+//! its own or a higher row, and files do not import each other in cycles.
 //!
-//! Whenever two modules want the same type, it moves one row down; that is the only way types are
-//! shared.
+//! If two modules need the same type, the type must be in a lower row; there is no other way to share types.
 
 mod imports; // which file imports which
 
@@ -13,10 +13,11 @@ use imports::{Code, Crate};
 /// The page that assigns modules to rows; the test checks the table on this page.
 const ARCHITECTURE: &str = include_str!("../../../docs/architecture.md");
 
-/// The crate of the file formats is visible from here up.
+/// Modules in this row and above may use the crate of the file formats.
 const FORMATS_VISIBLE_FROM: u32 = 3;
 
-/// Files and folders that still import each other. No line is added and none grows; the line of a cycle that is broken is removed.
+/// Cycles that still exist: files and folders that import each other. Do not add or extend lines; remove the
+/// line of a cycle when you break the cycle.
 const KNOWN_CYCLES: &[&str] = &[
     "src/surface/anisotropy: half_axes, neighborhoods",
     "src/surface/contour: dual_contouring, quads",
@@ -86,19 +87,19 @@ fn rows(table: usize) -> HashMap<&'static str, u32> {
     rows
 }
 
-/// What a file belongs to among the files and folders of a folder: `grid` is both `grid.rs` and all within `grid`.
+/// The member of a folder that a file belongs to: `grid` for both `grid.rs` and all files in `grid`.
 fn unit(file: &Path, folder: &Path) -> Option<String> {
     let first = file.strip_prefix(folder).ok()?.components().next()?;
     Some(first.as_os_str().to_string_lossy().trim_end_matches(".rs").to_owned())
 }
 
-/// The same, without the file of the folder itself.
+/// The member of a folder that a file belongs to; `None` for the `mod.rs` of the folder itself.
 fn member(file: &Path, folder: &Path) -> Option<String> {
     unit(file, folder).filter(|unit| !["lib", "mod"].contains(&&**unit))
 }
 
-/// In every folder, among its files and folders. The `mod.rs` of a folder is the folder itself: its members may use what it defines,
-/// and it uses them.
+/// Checks the files and subfolders of every folder. The `mod.rs` of a folder is not a member: members may use
+/// its items, and it uses theirs.
 #[test]
 fn imports_have_no_cycles() {
     let mut found = Vec::new();
@@ -172,7 +173,7 @@ fn cycle_of(folder: &str, members: &BTreeSet<String>, edges: &Edges) -> Cycle {
     Cycle { name: format!("{folder}: {}", names.join(", ")), why: why.collect::<Vec<_>>().join("\n") }
 }
 
-/// The groups of more than one in which each leads to each other.
+/// The strongly connected components with more than one member.
 fn groups(edges: &Edges) -> Vec<BTreeSet<String>> {
     let reached = |from: &str| {
         let mut reached = BTreeSet::new();
@@ -202,7 +203,7 @@ fn crate_of(files: &[(&str, &str)], code: Code) -> Crate {
     Crate::of(files.iter().map(|(file, text)| (PathBuf::from(file), (*text).to_owned())).collect(), code)
 }
 
-/// The files that `a/b.rs` imports where it has this text.
+/// The files that `a/b.rs` imports if it has this text.
 fn imported_by(text: &str, code: Code) -> Vec<String> {
     let files = [
         ("lib.rs", "pub mod a; pub mod mesh;"),

@@ -9,11 +9,11 @@ use glam::{DVec3, IVec3};
 pub(super) struct Grid {
     min: IVec3,
     size: IVec3,
-    /// The places of all voxels but the two outermost layers.
+    /// The indices of all voxels except the two outermost layers.
     pub(super) interior: Vec<usize>,
 }
 
-/// Room around the particles, in voxels: r_max, the half width, and some.
+/// Margin around the particles, in voxels: more than r_max plus the half width.
 const MARGIN: f64 = 12.0;
 
 impl Grid {
@@ -28,12 +28,12 @@ impl Grid {
         grid
     }
 
-    /// All voxels with their places.
+    /// All voxels with their indices.
     pub(super) fn voxels(&self) -> impl Iterator<Item = (IVec3, usize)> {
         self.voxels_between(self.min, self.min + self.size - IVec3::ONE)
     }
 
-    /// The voxels of a box, both corners included, with their places.
+    /// The voxels of a box, both corners included, with their indices.
     pub(super) fn voxels_between(&self, low: IVec3, high: IVec3) -> impl Iterator<Item = (IVec3, usize)> {
         let along_z = move |x, y| (low.z..=high.z).map(move |z| IVec3::new(x, y, z));
         let along_y = move |x| (low.y..=high.y).flat_map(move |y| along_z(x, y));
@@ -45,13 +45,13 @@ impl Grid {
         self.size.as_usizevec3().element_product()
     }
 
-    /// The place of a voxel's value.
+    /// The index of a voxel's value.
     pub(super) fn index(&self, voxel: IVec3) -> usize {
         let local = (voxel - self.min).as_usizevec3();
         (local.x * self.size.y as usize + local.y) * self.size.z as usize + local.z
     }
 
-    /// The places of the six face neighbours: two for each axis.
+    /// The indices of the six face neighbours: two for each axis.
     pub(super) fn faces(&self, index: usize) -> [[usize; 2]; 3] {
         let (along_y, along_x) = (self.size.z as usize, (self.size.y * self.size.z) as usize);
         [along_x, along_y, 1].map(|step| [index - step, index + step])

@@ -1,12 +1,12 @@
-//! Unions of spheres and redistancing on the dense grid, by the rules that the modules of the program
-//! state.
+//! Unions of spheres and redistancing on the dense grid, by the rules in the documentation of the program's
+//! modules.
 
 use glam::DVec3;
 use meniscus::surface::rasterize::Radii;
 
 use super::dense::Grid;
 
-/// φ and the interval it may move in.
+/// φ, and the interval in which it may move.
 pub(super) struct LevelSet {
     pub(super) grid: Grid,
     pub(super) phi: Vec<f64>,
@@ -42,8 +42,8 @@ impl LevelSet {
         }
     }
 
-    /// The final operation on a result: moves values nearer to zero than 1/128 voxel away from zero, as far
-    /// as their bounds allow.
+    /// The last operation on a result: moves values that are nearer to zero than 1/128 voxel away from zero,
+    /// as far as their bounds allow.
     pub(super) fn keep_off_zero(&mut self) {
         for phi in self.phi.iter_mut().filter(|phi| phi.abs() < 1.0 / 128.0) {
             *phi = (1.0f64 / 128.0).copysign(*phi);
@@ -51,8 +51,8 @@ impl LevelSet {
         self.clamp();
     }
 
-    /// Replaces φ by the distance to its zero set, keeping the sign; then the bounds hold again.
-    /// Differences to neighbours nearer to the surface than this many voxels are of second order.
+    /// Replaces φ by the signed distance from its zero set, and then clamps it to its bounds. Differences to
+    /// neighbours that are nearer to the surface than this many voxels are of second order.
     pub(super) fn redistance(&mut self, second_order_within: f64) {
         let sign = |phi: f64| if phi < 0.0 { -1.0 } else { 1.0 };
         let mut distance: Vec<f64> = self.phi.iter().map(|&phi| sign(phi) * f64::INFINITY).collect();
@@ -68,7 +68,7 @@ impl LevelSet {
         self.clamp();
     }
 
-    /// The distance to the zero set, where the voxel is near enough to estimate it from φ and its slope.
+    /// The distance from the zero set, if the voxel is near enough to estimate it from φ and its slope.
     fn known_distance(&self, index: usize) -> Option<f64> {
         let here = self.phi[index];
         let slope = self.grid.slope(&self.phi, index);
@@ -83,7 +83,7 @@ impl LevelSet {
     }
 }
 
-/// Distances to the nearest particle, where it is within reach; infinite elsewhere.
+/// Distances from the nearest particle; infinite if it is farther than `reach`.
 fn nearest_distances(grid: &Grid, positions: &[DVec3], reach: f64) -> Vec<f64> {
     let mut nearest = vec![f64::INFINITY; grid.len()];
     for &position in positions {
@@ -134,9 +134,8 @@ fn sweep(grid: &Grid, distance: &mut Vec<f64>, known: &[bool], sweep_count: usiz
     }
 }
 
-/// The slope from the nearer neighbour on an axis, as (d − from) / step. Of second order,
-/// (3 d − 4 near + far) / 2, where the neighbour's neighbour is nearer still
-/// and the neighbour is near enough.
+/// The slope from the nearer neighbour on an axis, as (d − from) / step. The slope is of second order,
+/// (3 d − 4 near + far) / 2, if the neighbour is near enough to the surface, and its neighbour even nearer.
 fn one_sided(near: f64, far: f64, second_order_within: f64) -> [f64; 2] {
     if far <= near && near < second_order_within {
         [(4.0 * near - far) / 3.0, 2.0 / 3.0]
@@ -145,7 +144,7 @@ fn one_sided(near: f64, far: f64, second_order_within: f64) -> [f64; 2] {
     }
 }
 
-/// The d at which the squares of the slopes add to one, of as many axes as lie below it.
+/// The d at which the squares of the slopes add up to one, over the axes whose neighbours are below d.
 fn eikonal(mut slopes: [[f64; 2]; 3]) -> f64 {
     slopes.sort_by(|a, b| a[0].total_cmp(&b[0]));
     let mut solution = f64::INFINITY;

@@ -1,5 +1,5 @@
-//! The paper's integrators on the dense grid: BasicExplicit (Alg. 1), BasicImplicit (Alg. 2), and the
-//! solution that implicit steps within bounds converge to.
+//! The paper's integrators on the dense grid, BasicExplicit (Alg. 1) and BasicImplicit (Alg. 2), and the
+//! exact solution of implicit steps within bounds.
 
 use super::dense::Grid;
 use super::distance::LevelSet;
@@ -40,8 +40,8 @@ impl LevelSet {
         }
     }
 
-    /// The same steps to the minimum of ½|x − φ|² + ½ Δt |∇²x|² within the bounds, by accelerated
-    /// projected gradients (Nesterov) with the constant momentum of a strongly convex function.
+    /// Implicit steps that find the minimum of ½|x − φ|² + ½ Δt |∇²x|² within the bounds, by accelerated
+    /// projected gradients (Nesterov) with the constant momentum for a strongly convex function.
     pub(super) fn smooth_converged(&mut self, step_count: usize, step_size: f64, iterations: usize) {
         let greatest = 1.0 + 144.0 * step_size;
         let momentum = (greatest.sqrt() - 1.0) / (greatest.sqrt() + 1.0);
@@ -63,13 +63,13 @@ impl LevelSet {
         }
     }
 
-    /// One implicit step. Letters are the paper's.
+    /// One implicit step. The names of variables are those of the paper.
     fn conjugate_gradients(&mut self, step_size: f64, tolerance: f64) {
         let b = self.phi.clone();
         let mut free = self.within(3.0);
         let mut first = None;
         let mut iterations = 0;
-        // Each turn is a start with the voxels that are still free.
+        // Each iteration restarts with the voxels that are still free.
         'restart: loop {
             let mut operator = Biharmonic::new(&self.grid, &free);
             // r = b − A x, and d = r, on the free voxels.
@@ -126,9 +126,9 @@ impl LevelSet {
 /// ∇⁴ at some voxels, by two rounds of differences.
 struct Biharmonic {
     at: Vec<usize>,
-    /// Those, and their face neighbours: where the first round is needed.
+    /// These voxels and their face neighbours: the first round computes values there.
     around: Vec<usize>,
-    /// The first round.
+    /// The values of the first round.
     laplacian: Vec<f64>,
 }
 

@@ -1,5 +1,5 @@
-//! The method against the paper's algorithms on a plain dense grid, in double precision. The dense code is
-//! short and obviously right, and was written independently of the sparse grid's loops.
+//! Compares the method with the paper's algorithms on a plain dense grid, in double precision. The dense code
+//! is short enough to be obviously correct, and was written independently of the code for the sparse grid.
 
 #![expect(clippy::print_stdout, reason = "tests print measurements, visible with --nocapture")]
 
@@ -19,14 +19,14 @@ use crate::shapes::{
 };
 use distance::LevelSet;
 
-/// The name of a shape, and how to make its particles.
+/// The name of a shape, and a function that makes its particles.
 type Shape = (&'static str, fn() -> Vec<DVec3>);
 
-/// The shapes that everything here is tested on.
+/// The shapes for all tests here.
 const SHAPES: [Shape; 3] =
     [("ball with finger", ball_with_finger), ("two balls", two_balls), ("sheet and drops", sheet_and_drops)];
 
-/// How far two results are apart where the dense one has |φ| ≤ 1, in voxels.
+/// The difference of two results, in voxels, at the voxels where the dense result has |φ| ≤ 1.
 struct Difference {
     mean: f64,
     max: f64,
@@ -74,10 +74,10 @@ fn explicit_steps_agree_with_the_dense_grid() {
     }
 }
 
-/// Which voxels meet their bounds, and so are held for the rest of a step, hangs on dot products over all
-/// voxels: where rounding tips one of them, hundreds follow. Of 30 shapes like these, 27 agreed within
-/// 0.001 voxels everywhere; the worst was 0.0007 in the mean and 0.05 at most. Explicit steps have no such
-/// coupling: within 0.00003 on all.
+/// A voxel that reaches its bounds is fixed for the rest of a step. Which voxels do depends on dot products
+/// over all voxels, so if rounding changes this for one voxel, it changes for hundreds. Of 30 shapes like
+/// these, 27 agreed within 0.001 voxels everywhere; the worst shape differed by 0.0007 in the mean and 0.05
+/// at most. Explicit steps have no such coupling: they agreed within 0.00003 for all shapes.
 #[test]
 fn implicit_steps_agree_with_the_dense_grid() {
     for (name, shape) in SHAPES {
@@ -93,7 +93,7 @@ fn implicit_steps_agree_with_the_dense_grid() {
     }
 }
 
-/// The fast integrator stops early. Its remaining error is far too small to see.
+/// The fast integrator stops early. Its remaining error is too small to be visible.
 #[test]
 fn fast_steps_come_near_the_converged_solution() {
     for (name, shape) in SHAPES {
@@ -101,7 +101,7 @@ fn fast_steps_come_near_the_converged_solution() {
     }
 }
 
-/// The same on a frame of a fluid simulation, which is not part of this repository.
+/// The same comparison for a frame of a fluid simulation, which is not part of this repository.
 #[test]
 #[expect(clippy::print_stderr, reason = "a test that did not run must say so")]
 fn fast_steps_come_near_the_converged_solution_on_a_dam_break() {
@@ -129,7 +129,7 @@ fn assert_fast_is_near_converged(name: &str, positions: &[DVec3]) {
     assert!(apart.mean < 0.03, "{name}: {apart}");
 }
 
-/// Files of real producers, which are not part of this repository.
+/// Files of real simulations, which are not part of this repository.
 fn shared(path: &str) -> Option<PathBuf> {
     let beside = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared"));
     let path = std::env::var_os("MENISCUS_SHARED").map_or_else(beside, PathBuf::from).join("data").join(path);

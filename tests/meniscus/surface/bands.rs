@@ -9,8 +9,8 @@ use meniscus::surface::level_set::NarrowBand;
 /// Half width of the bands in voxels.
 const HALF_WIDTH: f32 = 6.0;
 
-/// The band of a function of index space: the leaves of the box between two voxels that hold a voxel
-/// within the half width. The function gets coordinates in f64 and should be close to a distance.
+/// The band of a function of index space. It has those leaves of the box between two voxels that contain a
+/// voxel within the half width. The function gets coordinates in f64, and should be close to a distance.
 pub(crate) fn band(min: IVec3, max: IVec3, phi: impl Fn([f64; 3]) -> f64) -> NarrowBand {
     let values = |origin: IVec3| Leaf {
         values: std::array::from_fn(|offset| {
@@ -38,7 +38,7 @@ pub(crate) fn block_band(min: IVec3, extent: IVec3, values: &[f32]) -> NarrowBan
     NarrowBand { topology: Arc::new(topology), phi, half_width: HALF_WIDTH }
 }
 
-/// The same band moved by a multiple of 8 voxels.
+/// A copy of a band, moved by a multiple of 8 voxels.
 pub(crate) fn moved(band: &NarrowBand, step: IVec3) -> NarrowBand {
     let topology = Topology::new(band.topology.origins().iter().map(|&origin| origin + step).collect());
     let from = |&origin: &IVec3| band.phi.leaves[band.topology.find(origin - step).expect("was moved")];
@@ -53,12 +53,12 @@ fn leaf_origins(min: IVec3, max: IVec3) -> impl Iterator<Item = IVec3> {
     })
 }
 
-/// Distance to a sphere.
+/// The signed distance from a sphere.
 pub(crate) fn sphere(center: [f64; 3], radius: f64) -> impl Fn([f64; 3]) -> f64 {
     move |[x, y, z]| (x - center[0]).hypot(y - center[1]).hypot(z - center[2]) - radius
 }
 
-/// Distance to a torus around the z axis.
+/// The signed distance from a torus around the z axis.
 pub(crate) fn torus(center: [f64; 3], major: f64, minor: f64) -> impl Fn([f64; 3]) -> f64 {
     move |[x, y, z]| ((x - center[0]).hypot(y - center[1]) - major).hypot(z - center[2]) - minor
 }

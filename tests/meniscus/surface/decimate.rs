@@ -1,4 +1,4 @@
-//! Decimated meshes: within the error both ways, closed and manifold, and the same shape.
+//! Decimated meshes: within the error in both directions, closed and manifold, and with the same shape.
 
 use std::collections::HashSet;
 
@@ -47,13 +47,13 @@ fn corners(mesh: &Mesh, triangle: [u32; 3]) -> [DVec3; 3] {
     triangle.map(|vertex| mesh.positions[vertex as usize].as_dvec3())
 }
 
-/// The distance of one surface, sampled at many points per triangle, from another.
+/// The largest distance of one surface, sampled at many points per triangle, from another.
 fn farthest(from: &Mesh, to: &Mesh) -> f64 {
     let targets: Vec<[DVec3; 3]> = to.triangles.iter().map(|&triangle| corners(to, triangle)).collect();
     let mut farthest = 0.0f64;
     for &triangle in &from.triangles {
         let [a, b, c] = corners(from, triangle);
-        // With this many points, no part of the surface is farther than 0.2 from one.
+        // With this many points, every part of the surface is within 0.2 of a point.
         let steps = (a.distance(b).max(b.distance(c)).max(c.distance(a)) / 0.4).ceil().max(2.0) as usize;
         let (middle, size) = ((a + b + c) / 3.0, a.distance(b).max(b.distance(c)).max(c.distance(a)));
         let near: Vec<&[DVec3; 3]> = targets
@@ -91,7 +91,7 @@ fn balls_and_tori_stay_within_the_error_both_ways() {
             let there = farthest(&mesh, &thin);
             let back = farthest(&thin, &mesh);
             assert!(there.max(back) <= report.error_world_max, "{error}: {there} {back} {report:?}");
-            // The bound is not much larger than the error.
+            // Decimation must use a good part of the allowed error.
             assert!(there.max(back) >= 0.3 * error, "{error}: {there} {back}");
         }
     }
@@ -185,7 +185,7 @@ fn meshes_that_cannot_be_decimated_stay() {
     let measures = sheet.measure();
     assert_eq!((measures.boundary_edge_count, measures.non_manifold_edge_count), (40, 0));
     assert!(measures.triangle_count < 120 && (measures.area - 100.0).abs() < 1e-3, "{measures:?}");
-    // Vertices that are not finite do not prevent this.
+    // Vertices that are not finite do not prevent decimation.
     let ball = band(IVec3::splat(-16), IVec3::splat(16), sphere([0.3, -0.2, 0.41], 11.3));
     let mut torn = contour(&ball, &UNIT, Contouring::Dual);
     torn.positions[17] = Vec3::NAN;
@@ -195,7 +195,7 @@ fn meshes_that_cannot_be_decimated_stay() {
     assert!(torn.triangles.len() < 2400, "{}", torn.triangles.len());
 }
 
-/// The triangles by their corners' bits.
+/// The triangles, each as the bits of the positions of its corners.
 fn shapes(mesh: &Mesh, is_wanted: impl Fn(Vec3) -> bool) -> HashSet<[[u32; 3]; 3]> {
     let near =
         |triangle: &&[u32; 3]| triangle.iter().all(|&vertex| is_wanted(mesh.positions[vertex as usize]));
@@ -210,7 +210,7 @@ fn shapes(mesh: &Mesh, is_wanted: impl Fn(Vec3) -> bool) -> HashSet<[[u32; 3]; 3
 
 #[test]
 fn threads_and_far_changes_do_not_matter() {
-    // A bar that is straight at one end, and at the other end thicker or not.
+    // Two bars that are the same at one end; at the other end, one of them has a bump.
     let bar = |bump: f64| {
         move |[x, y, z]: [f64; 3]| {
             let thick = 5.3 + bump * (-((x - 70.0) / 8.0).powi(2)).exp() + 0.8 * (0.3 * x).sin();

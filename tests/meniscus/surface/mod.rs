@@ -20,7 +20,7 @@ use meniscus::surface::space::Lattice;
 const UNIT: Lattice = Lattice { voxel_size: 1.0 };
 const BOTH: [Contouring; 2] = [Contouring::Dual, Contouring::Tetrahedra];
 
-/// The mesh of a band and its measures, after checks of all guarantees that hold for any φ.
+/// The mesh of a band and its measures. Checks all guarantees that hold for any φ.
 fn sound(band: &NarrowBand, lattice: &Lattice, contouring: Contouring) -> (Mesh, MeshMeasures) {
     let mesh = contour(band, lattice, contouring);
     let measures = mesh.measure();
@@ -118,7 +118,7 @@ fn errors_shrink_with_the_voxel_size() {
             [measures.volume / (4.0 / 3.0 * PI) - 1.0, measures.area / (4.0 * PI) - 1.0].map(f64::abs)
         });
         for pair in errors.windows(2) {
-            // Second order: a quarter, or nearly.
+            // The error is of second order: half the voxel size gives about a quarter.
             assert!(pair[1][0] < 0.35 * pair[0][0] && pair[1][1] < 0.45 * pair[0][1], "{errors:?}");
         }
     }
@@ -126,7 +126,7 @@ fn errors_shrink_with_the_voxel_size() {
 
 #[test]
 fn scenes_are_sound() {
-    /// A name, pieces and Euler characteristic where they are known, φ.
+    /// A name; the number of pieces and the Euler characteristic, if they are known; φ.
     type Scene = (&'static str, Option<(usize, i64)>, Box<dyn Fn([f64; 3]) -> f64>);
     let ball = |x: f64, radius: f64| sphere([x, 0.3, -0.4], radius);
     let gyroid = |[x, y, z]: [f64; 3]| {
@@ -170,7 +170,7 @@ fn slab_on_half_voxels_is_exact() {
     }
 }
 
-/// Random values; some of them are zero of either sign, tiny, or equal.
+/// Random values; some of them are +0, −0, tiny, or equal.
 fn random_block(random: &mut Random, count: usize) -> Vec<f32> {
     let inside_share = 0.2 + 0.6 * random.next();
     let values = (0..count).map(|_| {
@@ -191,7 +191,7 @@ fn ten_thousand_random_fields_are_sound() {
     for round in 0..10_000 {
         let extent = IVec3::new(2 + round % 4, 2 + round / 4 % 3, 3 + round / 12 % 2);
         let values = random_block(&mut random, extent.element_product() as usize);
-        // Across a corner where eight leaves meet.
+        // The block is across a corner where eight leaves meet.
         let band = block_band(IVec3::splat(6), extent, &values);
         for contouring in BOTH {
             sound(&band, &UNIT, contouring);
@@ -218,7 +218,7 @@ fn random_fields_far_out_are_sound_in_32_bits() {
 
 #[test]
 fn every_pair_of_cells_is_sound() {
-    // All signs of two cells that share a face, along each axis: 12 corners.
+    // All combinations of signs at the 12 corners of two cells that share a face, along each axis.
     for extent in [IVec3::new(3, 2, 2), IVec3::new(2, 3, 2), IVec3::new(2, 2, 3)] {
         for signs in 0..1 << 12 {
             let values: Vec<f32> =
@@ -226,7 +226,7 @@ fn every_pair_of_cells_is_sound() {
             for corner in [IVec3::ONE, IVec3::splat(6)] {
                 let band = block_band(corner, extent, &values);
                 sound(&band, &UNIT, Contouring::Dual);
-                // And the same within the inside.
+                // The same block, surrounded by inside voxels.
                 let outside_in: Vec<f32> = padded(extent, &values);
                 let band = block_band(corner, extent + 2, &outside_in);
                 sound(&band, &UNIT, Contouring::Dual);
@@ -235,7 +235,7 @@ fn every_pair_of_cells_is_sound() {
     }
 }
 
-/// A block of values with one layer of inside around it.
+/// A block of values with a layer of inside voxels around it.
 fn padded(extent: IVec3, values: &[f32]) -> Vec<f32> {
     let wide = extent + 2;
     let value = |index: i32| {
@@ -267,7 +267,7 @@ fn number_of_threads_changes_nothing() {
 #[test]
 fn moving_by_whole_voxels_moves_the_mesh() {
     let here = band(IVec3::splat(-26), IVec3::splat(26), torus([0.1, 0.2, 0.3], 12.0, 5.0));
-    // By root children of the tree, so that the leaves keep their order.
+    // Move by whole root children of the tree, so that the leaves keep their order.
     let step = IVec3::new(4096, -8192, 4096);
     for contouring in BOTH {
         let (at_home, _) = sound(&here, &UNIT, contouring);

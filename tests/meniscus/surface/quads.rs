@@ -1,4 +1,4 @@
-//! Which triangles of a mesh are halves of quads.
+//! Checks which triangles of a mesh are halves of quads.
 
 use glam::IVec3;
 use meniscus::surface::contour::Contouring;

@@ -1,4 +1,4 @@
-//! Removed specks, filled bubbles, and clipping by a box, against the geometry of balls and boxes.
+//! Checks removed specks, filled bubbles and clipping by a box against the geometry of balls and boxes.
 
 use std::f64::consts::PI;
 
@@ -18,7 +18,7 @@ fn balls(balls: &[([f64; 3], f64)]) -> impl Fn([f64; 3]) -> f64 {
     move |p| balls.iter().fold(f64::INFINITY, |least, &(center, radius)| least.min(sphere(center, radius)(p)))
 }
 
-/// Points of a lattice of 1.7 voxels with φ < −1, by leaf.
+/// The points with φ < −1 of a lattice with a spacing of 1.7 voxels, by leaf.
 fn particles(min: IVec3, max: IVec3, phi: impl Fn([f64; 3]) -> f64) -> Vec<(IVec3, Vec<Vec3>)> {
     let mut leaves: Vec<(IVec3, Vec<Vec3>)> = Vec::new();
     let [first, last]: [IVec3; 2] = [min >> 3, max >> 3];
@@ -39,7 +39,7 @@ fn count(particles: &[(IVec3, Vec<Vec3>)]) -> u64 {
     particles.iter().map(|(_, locals)| locals.len() as u64).sum()
 }
 
-/// The largest difference of values in the band from a function.
+/// The largest difference between values in the band and a function.
 fn farthest_from(band: &NarrowBand, phi: impl Fn([f64; 3]) -> f64) -> f64 {
     let leaves = band.topology.origins().iter().zip(&band.phi.leaves);
     let errors = leaves.flat_map(|(&origin, leaf)| {
@@ -69,7 +69,8 @@ fn removed_speck_moves_nothing_else() {
         (in_speck, &[BALL, DROP, SPECK][..], 0),
         (in_speck + 1, &[BALL, DROP], in_speck),
         (in_drop + 1, &[BALL], in_speck + in_drop),
-        // Voxels deep inside are not counted; the others are enough.
+        // No limit removes the ball: it has leaves deep inside that are not stored, and such a piece is kept
+        // without counting its particles.
         (u64::MAX, &[BALL], in_speck + in_drop),
     ] {
         let mut band = whole.clone();
@@ -82,8 +83,8 @@ fn removed_speck_moves_nothing_else() {
             locals.iter().filter(|local| dropped.contains(*origin, **local)).count() as u64
         });
         assert_eq!(held.sum::<u64>(), gone);
-        // The values are distances to the remaining surface. Those that were nearer to it before are
-        // unchanged to the last bit.
+        // The values are distances from the remaining surface. Values of voxels for which it was the nearest
+        // surface before are unchanged to the last bit.
         assert!(farthest_from(&band, balls(left)) < 0.3, "{}", farthest_from(&band, balls(left)));
         let (of_left, before) = (balls(left), balls(&[BALL, DROP, SPECK]));
         for (leaf, &origin) in band.topology.origins().iter().enumerate() {
@@ -101,12 +102,13 @@ fn removed_speck_moves_nothing_else() {
     }
 }
 
-/// A ball with bubbles: of 33 voxels, of 268, and one so large that there are leaves in it that are not stored.
+/// A ball with bubbles of 33 voxels, of 268 voxels, and so large that some leaves inside the bubble are not
+/// stored.
 const HOST: ([f64; 3], f64) = ([3.5, 3.5, 3.5], 36.3);
 const BUBBLES: [([f64; 3], f64); 3] =
     [([3.5, 25.2, 3.1], 2.0), ([-21.3, -2.2, 3.1], 4.0), ([3.5, 3.5, 3.5], 14.5)];
 
-/// The host without some of the bubbles, and the rest.
+/// The level set of the host with these bubbles.
 fn host_without(bubbles: &[([f64; 3], f64)]) -> impl Fn([f64; 3]) -> f64 {
     let bubbles = balls(bubbles);
     move |p| sphere(HOST.0, HOST.1)(p).max(-bubbles(p))
@@ -154,14 +156,14 @@ fn nested_components_are_judged_separately() {
         let filled = fill_cavities(&mut band, most, None);
         (dropped.piece_count, filled.cavity_count, components(&band))
     };
-    // Only the grain; then the hollow drop with the grain and its hollow.
+    // With this limit, only the grain is removed; with a larger limit, also the hollow drop and its hollow.
     assert_eq!(trimmed(30, 0.0), (1, 0, 4));
     assert_eq!(trimmed(3000, 0.0), (2, 0, 2));
     // The hollow around the grain is filled, so that the grain joins the drop; then the bubble is filled,
     // too.
     assert_eq!(trimmed(0, 4000.0), (0, 1, 3));
     assert_eq!(trimmed(0, 40_000.0), (0, 2, 1));
-    // The size of a bubble counts after its content is removed: 24 429 voxels.
+    // The size of a bubble is measured after its contents are removed: 24 429 voxels.
     assert_eq!(trimmed(3000, 24_000.0), (2, 0, 2));
     assert_eq!(trimmed(3000, 25_000.0), (2, 1, 1));
 }
@@ -183,7 +185,7 @@ fn clipped_ball(h: f64, clip_box: VoxelClip, contouring: Contouring) -> (f64, Cl
 
 #[test]
 fn clipped_ball_has_the_remaining_volume() {
-    // Between voxels, on them, and all but on them.
+    // The faces of the box are between voxels, on voxels, and almost on voxels.
     for (low, high) in [(-12.37, 9.61), (-12.0, 10.0), (-12.0 + 1e-4, 10.0 + 1e-4)] {
         for contouring in BOTH {
             let h = 0.25;
@@ -198,7 +200,7 @@ fn clipped_ball_has_the_remaining_volume() {
             let cut = 4.0 / 3.0 * PI * 27_000.0 - expected;
             assert!((clipped.voxel_count as f64 / cut - 1.0).abs() < 0.05, "{clipped:?} {cut}");
             assert!(clipped.added_leaf_count > 0 && clipped.removed_leaf_count > 0);
-            // Caps are flat away from their edges, and no vertex lies beyond them.
+            // Caps are flat except near their edges, and no vertex is beyond them.
             let beyond = |p: &DVec3| (p.z / h - high).max(low - p.z / h);
             let worst = vertices.iter().map(beyond).fold(f64::MIN, f64::max);
             assert!(worst <= 0.0, "{worst}");
@@ -241,11 +243,12 @@ fn box_may_remove_everything_or_nothing() {
     }
 }
 
-/// All three operations on noise: for any φ the result is sound, and the same for any number of threads.
+/// All three operations on noise: the result is a sound mesh for any φ, and the same on any number of
+/// threads.
 #[test]
 fn trimmed_noise_is_sound() {
     let mut random = Random(7);
-    // Mostly outside in front, and mostly inside behind.
+    // The front part of the block is mostly outside, and the rear part mostly inside.
     let share = |index: usize| if index < 13_500 { 0.3 } else { 0.85 };
     let values: Vec<f32> = (0..30 * 30 * 30).map(|index| random.next() - share(index)).collect();
     let noise = block_band(IVec3::splat(-11), IVec3::splat(30), &values);
@@ -299,7 +302,7 @@ fn trimming_keeps_distant_parts() {
     assert!(compared > 100);
     let is_in = |origin: IVec3| with.topology.find(origin).is_some() && origin.x < 60;
     assert_eq!(with.topology.origins().iter().filter(|&&origin| is_in(origin)).count(), compared);
-    // This makes sure that the test has something to find.
+    // Make sure that the two bands differ, so that the comparison is meaningful.
     assert!(with.topology.len() > without.topology.len());
     let speck = without.topology.find_voxel(IVec3::new(8, 9, 1)).expect("stored");
     assert!(without.phi.leaves[speck.0].values[offset_in_leaf(speck.1)] > 0.0);

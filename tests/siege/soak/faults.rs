@@ -1,4 +1,4 @@
-//! Faults of the daemon's surroundings.
+//! Faults of the daemon's environment.
 
 use std::fs::{self, File};
 use std::io::{ErrorKind, Read, Write};
@@ -21,7 +21,7 @@ pub(super) enum Trouble {
     Reload,
     /// SIGHUP, with an invalid configuration.
     BrokenReload,
-    /// No byte of the outputs' disk is free while frames are produced.
+    /// The disk of the outputs has no free byte while frames are produced.
     FullDisk,
     /// The watched folder is moved away for a while.
     FolderGone,
@@ -44,7 +44,7 @@ impl Trouble {
     pub(super) const OF_ONE_LIFE: [Trouble; 5] =
         [Trouble::Reload, Trouble::BrokenReload, Trouble::FullDisk, Trouble::FolderGone, Trouble::Crowd];
 
-    /// Lets it happen; a life is not ended here.
+    /// Causes the fault; faults that end the daemon are handled by the caller.
     pub(super) fn befall(
         self,
         folder: &Path,

@@ -1,7 +1,7 @@
 //! Waits until every possible conversion is done.
 //!
-//! This does not rely on the daemon's own count, which does not include files written a moment ago. A frame
-//! is done when its outputs record the bytes that it has now.
+//! The daemon's own count is not sufficient, because it does not include files that were written a moment
+//! ago. A frame counts as done if its outputs were made from the bytes that it has now.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use twox_hash::XxHash3_128;
 
 use crate::scene::{Daemon, meniscus, status};
 
-/// An event that does not happen within this time will not happen.
+/// Time limit of a wait: an event that has not happened by then will not happen.
 const PATIENCE: Duration = Duration::from_secs(180);
 
 /// Waits until every frame that can be read is done, or has failed for another reason.

@@ -2,10 +2,10 @@
 //! while the daemon is killed, stopped and reloaded, and its disk fills up.
 //!
 //! ```text
-//!   a round    some dozen acts of the producer ─▶ one trouble ─▶ now and then a calm: all that can be done is done
+//!   a round    some dozen acts of the producer ─▶ one fault ─▶ sometimes a calm: wait until all is done
 //!
-//!   the first two fifths of the time   in some rounds the daemon is killed or ended, and begins another life
-//!   the rest                           one life: at its calms its memory, handles and threads are counted, and stay
+//!   first two fifths of the time   in some rounds, the daemon is killed or ended, and restarted (a new life)
+//!   the rest                       one life: memory, handles and threads, measured at calms, must not grow
 //! ```
 //!
 //! In the end the outputs equal those of the one-shot command for the final frames, to the last byte; and
@@ -40,13 +40,13 @@ use producer::Producer;
 use random::Random;
 use resources::{Vitals, assert_flat, hourly_growth};
 
-/// Space for all outputs, and little more.
+/// Size of the disk: space for all outputs, and little more.
 const DISK_BYTES: u64 = 64 << 20;
 
-/// The share of the time in which the daemon may be killed.
+/// The fraction of the total time in which the daemon may be killed.
 const SHARE_OF_KILLS: f64 = 0.4;
 
-/// The least time from one calm to the next.
+/// The minimum time from one calm to the next.
 const BETWEEN_CALMS: Duration = Duration::from_secs(15);
 
 /// Longer than the time between two full scans.
@@ -103,7 +103,7 @@ struct Soak {
     converted_count: usize,
     /// The address of the daemon's HTTP server.
     window: Option<String>,
-    /// Of the last life.
+    /// The measurements of the daemon's current life.
     vitals: Vec<Vitals>,
     log: Option<File>,
 }
@@ -249,13 +249,13 @@ impl Soak {
     }
 }
 
-/// A daemon before its first scan.
+/// Starts a daemon, and does not wait for its first scan.
 fn live(folder: &Path) -> Daemon {
     Daemon::start(folder, &["--config", "soak.toml"])
 }
 
-/// Asserts that the outputs are those of the one-shot command. Beside them there are those of frames that were
-/// deleted, or broken later: these are whole.
+/// Asserts that the outputs are those of the one-shot command. Additional outputs of frames that were deleted
+/// or damaged later must be complete.
 fn assert_as_converted(folder: &Path) {
     let output = meniscus(folder)
         .args(["convert", "in", "--out", "wanted", "--preset", "paper", "--voxel-size", "0.05"])

@@ -18,7 +18,7 @@ pub(super) fn observe(folder: &Path, is_over: &AtomicBool) -> usize {
     let mut sight_count = 0;
     let mut inodes: HashMap<PathBuf, u64> = HashMap::new();
     loop {
-        // After the end, it checks the final files once more.
+        // After the end, the observer reads the final files once more.
         let is_last = is_over.load(Ordering::SeqCst);
         for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
             let path = entry.path();

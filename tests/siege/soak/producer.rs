@@ -22,10 +22,10 @@ pub(super) struct Producer {
     act_count: usize,
 }
 
-/// Frames of each form.
+/// Number of frames of each form.
 const NUMBER_COUNT: u64 = 25;
 
-/// Names before the number, after it, and how particles are written there.
+/// The forms of frames: the name before the number, the name after it, and a function that makes the bytes.
 const FORMS: [(&str, &str, Form); 4] = [
     ("dam", "ply", |edges, shift| box_ply(edges, shift)),
     ("spray", "ply", text_ply),
@@ -38,7 +38,7 @@ type Form = fn([usize; 3], f32) -> Vec<u8>;
 
 type Act = fn(&mut Producer);
 
-/// What it does, with the frequency of each.
+/// The operations of the producer, with their relative frequencies.
 const ACTS: [(u64, Act); 13] = [
     (40, Producer::put),
     (15, Producer::write_in_place),
@@ -64,7 +64,7 @@ impl Producer {
         self.act_count
     }
 
-    /// One operation.
+    /// Performs one random operation.
     pub(super) fn act(&mut self) {
         self.act_count += 1;
         let mut drawn = self.random.below(ACTS.iter().map(|(weight, _)| weight).sum());
@@ -76,7 +76,7 @@ impl Producer {
         }
     }
 
-    /// Other files that lie in such folders.
+    /// Writes other files that are usual in such folders.
     pub(super) fn clutter(&self) {
         fs::create_dir(self.folder.join("dam.900.ply")).expect("made");
         fs::write(self.folder.join(".dam.901.ply"), "hidden").expect("written");
@@ -111,7 +111,7 @@ impl Producer {
         fs::write(path, self.content(form)).expect("written");
     }
 
-    /// In pieces, some of them late.
+    /// Writes a frame in pieces, with pauses between some of them.
     fn write_slowly(&mut self) {
         let (path, form) = self.any();
         let content = self.content(form);
@@ -142,7 +142,8 @@ impl Producer {
         self.change(|bytes, _| bytes.clear());
     }
 
-    /// Changes a few bytes anywhere: mostly in numbers, which then differ, are too large, or are invalid.
+    /// Changes a few bytes at random positions. Most of them are in numbers, which then differ, are too
+    /// large, or are invalid.
     fn flip_bytes(&mut self) {
         self.change(|bytes, random| {
             for _ in 0..4 {
@@ -158,7 +159,7 @@ impl Producer {
         self.change(|bytes, _| bytes.extend(b"and more that nobody asked for"));
     }
 
-    /// Into the past, or into the future.
+    /// Sets the modification time of a frame to the past or to the future.
     fn touch(&mut self) {
         let day = Duration::from_secs(86_400);
         let days = u32::try_from(self.random.below(4000)).expect("few");
@@ -186,7 +187,7 @@ impl Producer {
         }
     }
 
-    /// The outputs of a frame, or one of them.
+    /// Deletes all outputs of a frame, or one of them.
     fn delete_outputs(&mut self) {
         let (path, _) = self.any();
         let Some(stem) = path.file_stem() else { return };
@@ -228,7 +229,7 @@ impl Producer {
         frames[self.random.index(frames.len())].clone()
     }
 
-    /// A frame of the same form, or the same again.
+    /// A random frame of the same form, which may be the same frame.
     fn another_like(&mut self, path: &Path) -> PathBuf {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let number = 1 + self.random.below(NUMBER_COUNT);
@@ -236,7 +237,7 @@ impl Producer {
         self.folder.join(format!("{}.{number}.{}", parts[0], parts[2]))
     }
 
-    /// A box of some size, somewhere.
+    /// The bytes of a frame: a box of random size and position.
     fn content(&mut self, form: Form) -> Vec<u8> {
         let edges = [(); 3].map(|()| 4 + self.random.index(4));
         form(edges, 0.01 * self.random.below(400) as f32)

@@ -45,8 +45,8 @@ impl Vitals {
     }
 }
 
-/// Asserts that the last third of a life takes what its first third took. (Memory: the medians, and allocators are
-/// allowed a little.)
+/// Asserts that the daemon uses no more resources in the last third of a life than in the first third. For
+/// memory, it compares the medians, with an allowance for the allocator.
 pub(super) fn assert_flat(vitals: &[Vitals]) {
     let third = vitals.len().div_ceil(3);
     let (first, last) = (&vitals[..third], &vitals[vitals.len() - third..]);
@@ -66,7 +66,7 @@ fn median_bytes(vitals: &[Vitals]) -> u64 {
     sizes.get(sizes.len() / 2).copied().unwrap_or(0)
 }
 
-/// Bytes by which memory grew in an hour: the slope of the line through the later two thirds of a life.
+/// The growth of memory in bytes per hour: the slope of a line through the last two thirds of a life.
 pub(super) fn hourly_growth(vitals: &[Vitals]) -> f64 {
     let later = &vitals[vitals.len() / 3..];
     let count = later.len() as f64;

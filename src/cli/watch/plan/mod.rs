@@ -54,7 +54,7 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
     }
     refuse_twins(&watches)?;
     refuse_shared_stage(&watches)?;
-    // An invalid command-line option is invalid in every block, so it is reported once.
+    // A command-line option causes the same warning in every block: log it once.
     let mut told = HashSet::new();
     warnings.retain(|warning: &String| told.insert(warning.clone()));
     let daemon = args.daemon.clone().over(file.map(|file| file.daemon).unwrap_or_default());
@@ -69,7 +69,7 @@ struct Folder {
     input: PathBuf,
     output: PathBuf,
     frames: FrameArgs,
-    /// Where the user named it.
+    /// Where the user named it, for error messages: a line of the configuration file, or the path.
     place: String,
 }
 
@@ -169,7 +169,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     })
 }
 
-/// Refuses a sentinel whose name is a path, or is always the frame itself.
+/// Refuses a sentinel whose name is a path, or always that of the frame's own file.
 fn check_sentinel(name: &str) -> Result<()> {
     let is_name = !name.is_empty() && !name.contains(['/', '\\']) && !["{name}", ".", ".."].contains(&name);
     if !is_name {
@@ -215,7 +215,7 @@ fn refuse_shared_stage(watches: &[Watch]) -> Result<()> {
     Ok(())
 }
 
-/// Refuses one journal for several folders of outputs.
+/// Refuses a journal that several output folders would share.
 fn refuse_shared_journal(watches: &[Watch], journal: Option<&Path>) -> Result<()> {
     let mut outputs = watches.iter().map(|watch| &watch.outputs.folder);
     let first = outputs.next();
@@ -260,12 +260,12 @@ fn timeouts(once: bool, daemon: &DaemonArgs) -> Result<StabilityTimeouts> {
     let settle = daemon.settle.unwrap_or(SETTLE);
     let long = UNPROVEN_MIN.max(4 * settle);
     let unproven = daemon.unproven.unwrap_or(long);
-    // With `--once` the daemon does not wait for writers that are gone.
+    // With `--once` the daemon gives up incomplete files earlier, because their writers may be gone.
     let stalled = daemon.stalled.unwrap_or(if once { long } else { STALLED.max(long) });
     for (name, time) in [("unproven", unproven), ("stalled", stalled)] {
         if time < settle {
             bail!(
-                "{name} is {}, less than settle, {}: files would fail before they have settled",
+                "`{name}` is {}, but must be at least `settle` ({}): otherwise files would be read too early",
                 humantime::format_duration(time),
                 humantime::format_duration(settle)
             );

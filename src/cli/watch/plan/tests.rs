@@ -5,7 +5,7 @@ use clap::Parser;
 use std::fs;
 use tempfile::TempDir;
 
-/// A folder with a `meniscus.toml`, and plans made from it.
+/// A folder with a `meniscus.toml`, for tests that make plans from this file.
 struct Bench {
     folder: TempDir,
 }
@@ -176,8 +176,8 @@ fn invalid_options_are_refused() {
         (&["--sentinel", ""], &["sentinel"]),
         (&["--sentinel", "../{stem}"], &["beside the frame"]),
         (&["--sentinel", "{name}"], &["beside the frame"]),
-        (&["--settle", "5s", "--unproven", "1s"], &["unproven is 1s, less than settle, 5s"]),
-        (&["--stalled", "1ms"], &["stalled is 1ms"]),
+        (&["--settle", "5s", "--unproven", "1s"], &["`unproven` is 1s, but must be at least `settle` (5s)"]),
+        (&["--stalled", "1ms"], &["`stalled` is 1ms"]),
         (&["--settle", "soon"], &["--settle", "not a time"]),
         (&["--poll", "1us"], &["--poll", "from 50ms"]),
         (&["--memory", "some"], &["--memory", "not a size"]),

@@ -17,7 +17,7 @@ use tracing::warn;
 
 use crate::watch::Notice;
 
-/// The service manager, as the loop uses it.
+/// Sends the notices of the event loop to the service manager.
 pub(in crate::cli::watch) struct Service {
     /// The watchdog timeout, after which systemd kills a silent service.
     watchdog: Option<Duration>,

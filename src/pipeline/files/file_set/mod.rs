@@ -25,10 +25,10 @@
 //! A record is used only if this user created it, it has no second hard link, and this version can read it.
 //! Any other record is left in place with its backups, and the sweep returns a warning.
 //!
-//! The record has the size, modification time and inode of each new and old file. A file that is neither was
-//! written later, and stays. If all names have later files, the set is superseded, and its record and backups
-//! are removed: that happens if a run could not read the record and converted the frame again. If only some
-//! names have later files, the backups of these names and the record stay.
+//! The record has the size, modification time and inode of each new and old file. A file that matches neither
+//! was written later, and stays. If all names have later files, the set is superseded, and its record and
+//! backups are removed: that happens if a run could not read the record and converted the frame again. If
+//! only some names have later files, the backups of these names and the record stay.
 //!
 //! On a file system without hard links, the old file is renamed instead, so its name is missing for a moment.
 
@@ -54,15 +54,16 @@ const RECORD_HEAD: &[u8] = b"meniscus set 2\0";
 /// The end of a complete record.
 const RECORD_END: &[u8] = b"end\0";
 
-/// Longer than any record: a frame has a dozen names.
+/// Maximum size of a record. All records are smaller: a frame has about a dozen files.
 const RECORD_BYTES_MAX: u64 = 1 << 20;
 
-/// The number of attempts to restore the old files before that is left for the next sweep.
+/// The number of attempts to restore the old files. If all fail, the next sweep restores them.
 const UNDO_ATTEMPTS: usize = 3;
 
-/// A name, and its new file. Stamps distinguish these files from later ones with the same names: a rename
-/// changes only the status change time. Size and time alone are not enough, because some file systems have a
-/// time resolution of two seconds.
+/// A name, and the new file for it. The stamps distinguish the new and the old file from later files with the
+/// same name. They omit the status change time, which is all that a rename changes. They include the inode,
+/// because size and modification time are not enough: some file systems have a time resolution of two
+/// seconds.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Member {
     name: Box<OsStr>,
@@ -154,7 +155,8 @@ fn record_bytes(members: &[Member]) -> Vec<u8> {
 enum Parsed {
     /// A complete list of files to replace.
     Complete(Vec<Member>),
-    /// Empty or truncated: either no file was replaced, or all were.
+    /// Empty or truncated. Either the record was never complete, and no file was replaced; or all files were
+    /// replaced, and the commit emptied it.
     CutOff,
     /// Another version of this program wrote the record, or it is damaged.
     Unknown,
@@ -181,7 +183,8 @@ fn parse_members(bytes: &[u8]) -> Option<Vec<Member>> {
 
 fn parse_member(parts: &[&[u8]]) -> Option<Member> {
     let &[name, temporary, new, old] = parts else { return None };
-    // No matter who wrote the record, only files in this folder and with this program's names are touched.
+    // Records are not trusted: a name must be that of a file in this folder, and a new file must have the
+    // name of a temporary file of this program.
     let plain = |bytes: &[u8]| {
         name_of_bytes(bytes)
             .filter(|name| Path::new(name).file_name() == Some(name) && !bytes.contains(&b'/'))
@@ -243,7 +246,7 @@ impl FileSet {
         for (index, file) in files.iter().enumerate() {
             if self.members[index].old.is_some() {
                 match change::hard_link(file.path(), &self.old_path(index)) {
-                    // Another process has just removed it.
+                    // Another process has just removed the old file.
                     Err(error) if error.kind() == io::ErrorKind::NotFound => {}
                     linked => is_kept[index] = linked.is_ok(),
                 }
@@ -262,7 +265,7 @@ impl FileSet {
 
     /// Commits: from here on the new files stay.
     fn commit(&self, record: &Temporary) -> io::Result<()> {
-        // A truncated record is ignored.
+        // If the record cannot be removed, it is emptied: an empty record restores no files.
         change::remove(&self.record_path).or_else(|error| change::empty(record.file()).map_err(|_| error))
     }
 
@@ -297,7 +300,8 @@ impl FileSet {
             Err(of_undo) => of_undo,
         };
         for member in &self.members {
-            // Otherwise a sweep could complete the set whose replacement failed.
+            // Removes the new files, so that a sweep cannot complete this set, whose replacement is reported
+            // as failed.
             let _ = remove_if_exists(&self.temporary_path(member));
         }
         locked.remove(&self.record_path);
@@ -308,7 +312,7 @@ impl FileSet {
         (path, io::Error::new(error.kind(), what))
     }
 
-    /// Whether some new files already have their names, and the others can still get theirs.
+    /// Whether some new files already have their final names, and the others can still be renamed to theirs.
     fn can_be_completed(&self) -> io::Result<bool> {
         let mut is_begun = false;
         for (index, member) in self.members.iter().enumerate() {
@@ -325,7 +329,7 @@ impl FileSet {
         Ok(is_begun)
     }
 
-    /// Whether every name has a later file.
+    /// Whether every name has a file that was written later: neither the new file nor the old one.
     fn is_superseded(&self) -> io::Result<bool> {
         for member in &self.members {
             let found = stamp_of(&self.path(member))?;
@@ -361,7 +365,8 @@ impl FileSet {
                     if is_new || found.is_none() {
                         change::rename(&old, &path)?;
                     }
-                    // Renaming one hard link of a file to another does nothing.
+                    // A rename does nothing if both names are hard links to the same file. The backup then
+                    // still exists.
                     let [named, backup] = [stamp_of(&path)?, stamp_of(&old)?];
                     if backup.is_none() || named == member.old || named == backup {
                         change::remove(&old)?;
@@ -452,8 +457,8 @@ pub(crate) fn recover(record_path: &Path) -> io::Result<RecordRecovery> {
             "{path}: {why}; left in place with the files {name}.0, {name}.1, …, which may be the only copies of replaced outputs"
         ))
     };
-    // A record has a single hard link. In a shared folder another account could plant one, or link to one
-    // from elsewhere.
+    // This user's own record has a single hard link. In a shared folder, another account could create a
+    // forged record, or a hard link to a record in another folder.
     if !is_own_file(&file.metadata()?) {
         return Ok(left(
             "this record of an interrupted conversion belongs to another user or has a second hard link",

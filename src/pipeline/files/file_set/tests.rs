@@ -1,4 +1,4 @@
-//! Sets of files whose replacement fails or is interrupted at any step.
+//! Sets of files: their replacement fails or is interrupted at any step.
 
 use super::*;
 use std::cell::Cell;
@@ -13,15 +13,16 @@ use crate::pipeline::files::sweep::sweep_temporaries;
 /// The injected faults of this thread.
 #[derive(Clone, Copy, Default)]
 struct Trouble {
-    /// The number of changes before the fault.
+    /// Number of changes of the file system that succeed before the fault.
     changes_left: usize,
-    /// The number of changes that fail then; `None` ends the process.
+    /// Number of changes that fail after that; `None` ends the process instead.
     failures: Option<usize>,
     /// Simulates a file system without hard links.
     without_links: bool,
 }
 
-/// Held by tests whose changes fail: another thread that retries a removal would otherwise use up a failure.
+/// Held by tests that inject failures: otherwise another thread that retries a removal could use up a
+/// failure.
 static ALONE: Mutex<()> = Mutex::new(());
 
 thread_local!(static TROUBLE: Cell<Option<Trouble>> = const { Cell::new(None) });
@@ -62,7 +63,7 @@ fn publish_new(folder: &Path) -> Result<(), (PathBuf, io::Error)> {
     commit(unseen.into()).map(|_| ())
 }
 
-/// Recovers like another process would; any thread of this process may be recovering as well.
+/// Recovers as another process would. Other threads of this process may recover at the same time.
 fn recover_all(folder: &Path) {
     let is_open = || contents(folder).iter().any(|(name, _)| name.starts_with('.'));
     let start = Instant::now();
@@ -77,7 +78,7 @@ fn contents(folder: &Path) -> Vec<(String, String)> {
     let entries = fs::read_dir(folder).expect("there").map(|entry| entry.expect("an entry"));
     let mut contents: Vec<_> = entries
         .map(|entry| {
-            // A file may disappear meanwhile.
+            // Another thread may remove a file meanwhile.
             let text = fs::read_to_string(entry.path()).unwrap_or_default();
             (entry.file_name().into_string().expect("a name"), text)
         })
@@ -173,7 +174,7 @@ fn process_killed_before_any_change_leaves_all_old_or_all_new_files() {
             killed_count += 1;
             restored_count += usize::from(is_old);
         }
-        // Before each rename, and before the record is removed.
+        // The child was killed before each rename, and before the removal of the record.
         assert!(killed_count >= 4 && restored_count >= 1, "{old_count}: {killed_count}, {restored_count}");
         assert!(restored_count < killed_count, "a started replacement is completed");
     }
@@ -190,8 +191,8 @@ fn example(name: &OsStr, old: Option<FileStamp>) -> Member {
 
 const OLD: Option<FileStamp> = Some(stamp(12, 1 << 60, 4));
 
-/// The record, old and new files of a set that another process abandoned before these names got their current
-/// files.
+/// The record, the old files and the new files of a set. Another process abandoned the set before these names
+/// got their current files.
 fn write_abandoned(folder: &Path, names: &[&str]) -> FileSet {
     let members = names.iter().map(|name| example(OsStr::new(name), OLD)).collect();
     let set = FileSet { record_path: folder.join(".meniscus-set-0123456789abcdef"), members };
@@ -224,7 +225,7 @@ fn abandoned_set_of_which_some_names_have_later_files_keeps_the_old_files() {
     let mut found = contents(folder.path());
     assert!((0..3).all(|index| set.old_path(index).exists()));
     assert!(swept.warnings.len() == 1 && swept.warnings[0].contains("another program"), "{swept:?}");
-    // As the warning advises.
+    // The user removes the record, as the warning advises.
     fs::remove_file(&set.record_path).expect("removed");
     sweep_temporaries(folder.path()).expect("there");
     found.retain(|(name, _)| !name.starts_with('.') && name != "a.obj");
@@ -357,7 +358,7 @@ fn record_with_two_names_is_left_in_place() {
 fn record_of_another_user_is_left_in_place() {
     let folder = tempfile::tempdir().expect("a folder");
     let record_path = plant_record(folder.path());
-    // Only root can give a file away.
+    // Only root can change the owner of a file.
     if std::os::unix::fs::chown(&record_path, Some(12345), None).is_ok() {
         assert_left_in_place(folder.path(), "belongs to another user or has a second hard link");
     }

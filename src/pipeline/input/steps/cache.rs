@@ -13,19 +13,20 @@ use crate::pipeline::files::stamp::FileStamp;
 
 use super::index::{StepIndex, index_steps};
 
-/// The most recently used files.
+/// The indices of the most recently used files.
 static CACHE: LazyLock<Mutex<StepIndexCache>> = LazyLock::new(Mutex::default);
 
-/// The cache is limited to this number of steps, not counting the steps of the file in use: about 40 MB.
+/// Upper limit of the number of steps in the cache, about 40 MB. The file that was indexed last stays in the
+/// cache even if it has more steps.
 const CACHED_STEPS_MAX: usize = 1 << 18;
 
-/// The cache is limited to this number of files.
+/// Upper limit of the number of files in the cache.
 const CACHED_FILES_MAX: usize = 1 << 10;
 
-/// The index of a file in its current state.
+/// The index of a file in its current state. Setting `is_over` cancels the pass over the file.
 ///
 /// # Errors
-/// When the file cannot be indexed, or `is_over` is set.
+/// When the file cannot be indexed, or the pass was cancelled.
 pub(super) fn index_unless(file: &Path, is_over: &AtomicBool) -> Result<Arc<StepIndex>> {
     let metadata = file.metadata()?;
     let stamp = FileStamp::of(&metadata);
@@ -34,21 +35,21 @@ pub(super) fn index_unless(file: &Path, is_over: &AtomicBool) -> Result<Arc<Step
         return Ok(Arc::new(StepIndex::none(stamp)));
     }
     let (pass, before) = with_cache(|known| known.pass(file, stamp));
-    // A panic leaves no partial change under these locks.
+    // A poisoned lock is used like any other: a panic leaves no partial change in what these locks protect.
     let mut found = pass.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(contents) = &*found {
         return Ok(Arc::clone(contents));
     }
     let looked = index_steps(file, before.as_deref(), is_over).map(Arc::new);
     with_cache(|known| known.note(file, stamp, looked.as_ref().ok()));
-    // The file may have changed since the request: readers compare the stamp.
+    // The file may have changed since the request. Readers detect that: they compare the stamp.
     let contents = looked?;
     *found = Some(Arc::clone(&contents));
     Ok(contents)
 }
 
-/// Like [`index_unless`], but returns `None` without waiting for a file that was indexed and has changed
-/// since.
+/// Like [`index_unless`], but if the file has changed since it was indexed, returns `None` instead of
+/// indexing it again.
 ///
 /// # Errors
 /// When the file cannot be indexed.
@@ -61,7 +62,7 @@ pub(super) fn index_unless_changed(file: &Path) -> Result<Option<Arc<StepIndex>>
     }
 }
 
-/// The result of the last pass over a file.
+/// The index from the last pass over a file, even if the file has changed since.
 pub(super) fn cached_index(file: &Path) -> Option<Arc<StepIndex>> {
     with_cache(|known| known.contents_of(file))
 }
@@ -83,7 +84,7 @@ struct StepIndexCache {
 struct CachedFile {
     stamp: FileStamp,
     pass: Pass,
-    /// The result of the last pass over it.
+    /// The index from the last pass over the file, perhaps with an older stamp.
     index: Option<Arc<StepIndex>>,
     /// The value of the request counter at the last request for this file.
     asked_at: u64,
@@ -112,8 +113,8 @@ impl StepIndexCache {
         known.index.clone()
     }
 
-    /// Stores the result of a pass, with the file's stamp if the pass succeeded. Files without steps are not
-    /// stored: their head alone identifies them.
+    /// Stores the result of a pass, under the stamp that the pass found. Removes the file from the cache if
+    /// the pass failed, or if the file has no steps: then reading its head again is enough.
     fn note(&mut self, file: &Path, asked: FileStamp, found: Option<&Arc<StepIndex>>) {
         let Some(known) = self.files.get_mut(file).filter(|known| known.stamp == asked) else { return };
         match found.filter(|contents| !contents.steps.is_empty()) {
@@ -126,8 +127,8 @@ impl StepIndexCache {
         }
     }
 
-    /// Evicts the least recently used files, but not this one. Files with one step are evicted before those
-    /// with several, which are requested repeatedly, so single steps cannot displace them.
+    /// Evicts the least recently used files, but not the file `kept`. Files with one step are evicted first:
+    /// they must not displace files with several steps, which are requested repeatedly.
     fn make_room(&mut self, kept: &Path) {
         let step_count = |known: &CachedFile| known.index.as_ref().map_or(0, |contents| contents.steps.len());
         let has_several = |known: &CachedFile| step_count(known) > 1;
@@ -187,7 +188,8 @@ mod tests {
         assert_eq!(known.files.len(), 1);
         ask(&mut known, "none", 0);
         assert!(has(&known, "large") && !has(&known, "none"));
-        // Many files with one step do not evict it either: some of them stay in the cache beside it.
+        // Many files with one step do not evict the large file either: only the newest of them stay beside
+        // it.
         (0..2 * CACHED_FILES_MAX).for_each(|number| ask(&mut known, &format!("single {number}"), 1));
         let last = format!("single {}", 2 * CACHED_FILES_MAX - 1);
         assert!(has(&known, "large") && has(&known, &last) && !has(&known, "single 0"));

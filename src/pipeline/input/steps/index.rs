@@ -8,8 +8,9 @@
 //! ```
 //!
 //! A file that grew counts as appended to if its head is unchanged and the bytes before its old end are still
-//! there. Its last step may have been incomplete, so the pass reads that step again and keeps those before
-//! it. So a simulation may append more often than a pass over the whole file would allow.
+//! there. Its last step may have been incomplete, so the pass reads that step again, and keeps the steps
+//! before it. So indexing keeps up with a simulation that appends a step in less time than a pass over the
+//! whole file takes.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -37,8 +38,8 @@ pub(super) struct StepIndex {
     /// The indices of the steps, sorted by the keys of their names.
     by_name: Vec<u32>,
     kind: ProbedKind,
-    /// `None` if a later pass cannot check whether the file was appended to: it is compressed, or shrank
-    /// meanwhile.
+    /// `None` if the file is compressed, or shrank during the pass: then a later pass cannot check whether
+    /// the file was appended to.
     edges: Option<FileEnds>,
     /// Earlier states of the file, the latest last, with the number of leading steps that are unchanged
     /// since.
@@ -99,7 +100,7 @@ impl StepIndex {
         let step_at = |index: &u32| &self.steps[*index as usize];
         let found = key_of(name).and_then(|key| {
             let place = self.by_name.binary_search_by_key(&key, |index| step_at(index).key()).ok()?;
-            // Only one of `7` and `07` is the name of a step.
+            // `7` and `07` have the same key, but only `7` is the name of a step.
             Some(step_at(&self.by_name[place])).filter(|step| step.name() == name)
         });
         found.map(|step| &step.found).ok_or_else(|| {
@@ -144,7 +145,7 @@ pub(super) fn index_steps(
         before.map_or_else(Vec::new, |before| before.steps.iter().map(|step| step.found.clone()).collect());
     let start = known.last().map_or(0, |last| last.range.start);
     file.seek(SeekFrom::Start(start))?;
-    // The next pass reads what is appended during this one.
+    // Bytes that are appended during this pass are left to the next one.
     let mut source = Watched::new((&file).take(stamp.size.saturating_sub(start)), is_over);
     if codec.is_some() {
         return index_compressed(source, stamp, kind);
@@ -204,7 +205,8 @@ struct Edge {
     hash: u128,
 }
 
-/// About a thousand rows: only a copy of them would have the same bytes.
+/// Size of the tail that is compared: about a thousand rows, so other rows do not have the same bytes by
+/// chance.
 const TAIL_BYTES: usize = 64 << 10;
 
 impl FileEnds {
@@ -234,7 +236,7 @@ struct Watched<'a, R> {
     /// The number of bytes that were read.
     count: u64,
     head: Vec<u8>,
-    /// The last bytes that were read, at least `TAIL_BYTES` of them if there were as many.
+    /// The last bytes that were read, at least `TAIL_BYTES` of them if that many were read.
     tail: Vec<u8>,
 }
 
@@ -243,7 +245,8 @@ impl<'a, R> Watched<'a, R> {
         Watched { source, is_over, count: 0, head: Vec::new(), tail: Vec::new() }
     }
 
-    /// The edges of the file, which was read from byte `start` on; needs the known head if `start` is not 0.
+    /// The edges of the file, which was read from byte `start` on. `None` if `start` is not 0 and no `head`
+    /// is given.
     fn edges(&self, start: u64, head: Option<Edge>) -> Option<FileEnds> {
         let head = head.or_else(|| (start == 0).then(|| Edge::of(0, &self.head)))?;
         let kept = &self.tail[self.tail.len().saturating_sub(TAIL_BYTES)..];
@@ -256,7 +259,8 @@ impl<'a, R> Watched<'a, R> {
         let missing = (HEAD_BYTES as usize).saturating_sub(self.head.len());
         self.head.extend(&bytes[..bytes.len().min(missing)]);
         self.tail.extend(&bytes[bytes.len().saturating_sub(TAIL_BYTES)..]);
-        // Not on each read, so that the moved bytes stay proportional to the kept ones.
+        // Not trimmed on each read: so the total number of bytes that are moved stays proportional to that of
+        // the bytes kept.
         if self.tail.len() > 2 * TAIL_BYTES {
             self.tail.drain(..self.tail.len() - TAIL_BYTES);
         }

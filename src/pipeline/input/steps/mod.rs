@@ -6,15 +6,15 @@
 //! ```
 //!
 //! A path identifies a frame in journals, plans, reports and on the command line. So a step has a path as
-//! well, as if its file were a folder. Nothing else can have such a path, because a file is not a folder; and
-//! a file named `step=1000` in a folder is an ordinary file.
+//! well, as if its file were a folder. No file can have such a path, because a file is not a folder. A file
+//! named `step=1000` in a folder is an ordinary file.
 //!
 //! One pass over the file finds the positions of the steps, and a cache keeps them until the file changes, so
-//! that each step can be read alone. A compressed file has no such positions: it is decompressed for each
-//! step.
+//! that each step can be read alone. In a compressed file, steps cannot be read alone: the whole file is
+//! decompressed for each step.
 //!
 //! ```text
-//!   index   the step index of a file, also of one that grew       cache   the cache of these indices
+//!   index   indexes the steps of a file, also after the file grew       cache   the cache of these indices
 //! ```
 
 mod cache;
@@ -53,7 +53,7 @@ pub fn step_of(frame: &Path) -> Option<(&Path, &str)> {
     step_in(frame, true).filter(|(file, _)| !file.is_dir())
 }
 
-/// Like [`step_of`], from the path alone, if the caller knows whether it is that of a step.
+/// Like [`step_of`], but does not access the disk: the caller knows whether the path is that of a step.
 pub(crate) fn step_in(frame: &Path, is_step: bool) -> Option<(&Path, &str)> {
     let step =
         frame.file_name()?.to_str()?.strip_prefix(STEP).filter(|step| is_step && may_be_named(step))?;
@@ -61,7 +61,8 @@ pub(crate) fn step_in(frame: &Path, is_step: bool) -> Option<(&Path, &str)> {
     Some((file, step))
 }
 
-/// Whether the text can be the name of a step: a number or `unnumbered`, and the count among equal numbers.
+/// Whether the text can be the name of a step: a number or `unnumbered`. From the second step with the same
+/// number on, a dot and the count among these steps follow.
 fn may_be_named(step: &str) -> bool {
     let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     let (number, count) = step.split_once('.').map_or((step, None), |(number, count)| (number, Some(count)));
@@ -69,12 +70,12 @@ fn may_be_named(step: &str) -> bool {
     is_named && count.is_none_or(is_number)
 }
 
-/// The name of a frame without the folder of its file.
+/// The name of a frame: its path without the folder of its file.
 pub fn frame_name(frame: &Path) -> String {
     name_of(frame, step_of(frame).is_some())
 }
 
-/// Like [`frame_name`], if the caller knows whether the path is that of a step.
+/// Like [`frame_name`], but does not access the disk: the caller knows whether the path is that of a step.
 pub(crate) fn name_of(frame: &Path, is_step: bool) -> String {
     let name = |file: &Path| text_of_name(file.file_name().unwrap_or_default());
     match step_in(frame, is_step) {
@@ -104,7 +105,8 @@ impl FileFrames {
         self.index.steps.len() > 1
     }
 
-    /// The file, or its steps. An iterator, because a file may have a million steps.
+    /// The paths of the frames: of the file, or of its steps. An iterator, because a file may have a million
+    /// steps.
     pub fn paths(&self) -> impl Iterator<Item = PathBuf> + use<> {
         let FileFrames { file, index: contents } = self.clone();
         let count = contents.steps.len().max(1);
@@ -114,15 +116,15 @@ impl FileFrames {
         })
     }
 
-    /// The number of leading frames that are unchanged since the file had this stamp, because data was only
-    /// appended.
+    /// The number of frames at the start of the file that are unchanged since the file had this stamp,
+    /// because data was only appended.
     pub fn unchanged_since(&self, stamp: &FileStamp) -> usize {
         self.index.unchanged_since(stamp)
     }
 }
 
-/// Finds the frames in a file, for a caller that cannot wait for the end of a large one: fails as soon as
-/// `is_over` is set.
+/// Finds the frames in a file, like [`frames_in`]. Setting `is_over` cancels the pass over the file, which
+/// may take long for a large file.
 ///
 /// # Errors
 /// When the file cannot be indexed, or the pass was cancelled.
@@ -138,8 +140,8 @@ pub fn may_hold_several(file: &Path) -> io::Result<bool> {
     Ok(file.metadata()?.is_file() && may_have_steps(probe_head(&mut open_regular(file)?, file)?.kind))
 }
 
-/// Whether a frame is a step that its existing file does not have. A file with a single step has no step
-/// paths: it is itself the frame.
+/// Whether a frame is a step that does not exist in its file. A file with a single step has no paths of
+/// steps: the file itself is the frame.
 ///
 /// # Errors
 /// When the file cannot be indexed.
@@ -153,7 +155,7 @@ pub fn is_missing_step(frame: &Path) -> Result<bool> {
     }
 }
 
-/// The size of a frame in bytes: of its file, or of the step in it, uncompressed.
+/// The size of a frame in bytes: the size of its file on disk, or the uncompressed size of its step.
 ///
 /// # Errors
 /// When the system reports an error, or the file has no such step.
@@ -173,7 +175,7 @@ pub fn size_bytes(frame: &Path) -> Result<u64> {
 pub enum IndexPolicy {
     /// The reader of a step.
     OnRead,
-    /// Another thread: the reader treats the steps as changed.
+    /// Another thread: until then, a reader treats the steps of a changed file as changed.
     External,
 }
 
@@ -186,7 +188,7 @@ impl IndexPolicy {
     }
 }
 
-/// The memory for reading the bytes of a frame, in bytes; 0 if they cannot be read.
+/// The memory for reading a frame, in bytes; 0 if the frame cannot be read.
 pub(crate) fn reading_bytes(frame: &Path, by: IndexPolicy) -> u64 {
     let of_step = |(file, step): (&Path, &str)| {
         let contents = by.index(file).ok()??;
@@ -241,7 +243,8 @@ pub(crate) fn read_step(
     Ok(input.is_unchanged_or(has_same_bytes)?.then_some((bytes, contents.stamp)))
 }
 
-/// The error of a frame; for a step, with line numbers of the whole file, where a user looks for the line.
+/// The error of a frame. For a step, its line number counts from the start of the whole file, because that is
+/// where users look for the line.
 pub(crate) fn by_lines_of_file(frame: &Path, error: Error) -> Error {
     let lines_before = |(file, step): (&Path, &str)| Some(cached_index(file)?.step(step).ok()?.lines_before);
     error.with_line_offset(step_of(frame).and_then(lines_before).unwrap_or(0))

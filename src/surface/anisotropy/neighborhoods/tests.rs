@@ -18,7 +18,7 @@ struct Config {
 /// Spacing 1, and a floor too low to matter.
 const CONFIG: Config = Config { radius_world: 2.6, max_stretch: 4.0, position_smoothing: 0.0, floor: 1e-3 };
 
-/// The results for all particles of a frame; particles outside the grid keep their position and are balls.
+/// The results for all particles of a frame. Particles outside the grid keep their position and are balls.
 #[derive(Debug, PartialEq)]
 struct Whole {
     positions: Vec<DVec3>,
@@ -36,7 +36,7 @@ fn shaped(particles: &OwnedPositions, scales: Option<&[f32]>, config: &Config, l
     let stretch = Stretch { max_stretch, floor, lone: 1.0, lone_floor: floor };
     let config = NeighborConfig { radius_world, stretch: Some(stretch) };
     let found = neighbor_shapes(particles, |_| true, scales, &config, level);
-    // Means are the same without shapes.
+    // The means of the positions are the same if no shapes are computed.
     let means =
         neighbor_shapes(particles, |_| true, scales, &NeighborConfig { stretch: None, ..config }, level);
     assert_eq!((&means.means, &means.indices), (&found.means, &found.indices));
@@ -185,7 +185,7 @@ fn particles_of_a_line_are_elongated() {
         let [on, across, aside] =
             [along, glam::Vec3::Y, glam::Vec3::new(-0.8, 0.0, 0.6)].map(|v| 1.0 / shape.apply(v).length());
         assert!((across / aside - 1.0).abs() < 1e-3, "{shape:?}");
-        // At an end there are too few neighbours for a clear direction.
+        // Particles at an end of the filament have too few neighbours for a clear direction.
         let least = if (2..19).contains(&index) { 2.2 } else { 1.1 };
         assert!(on / across > least && on / across < 4.0, "{} at {index}", on / across);
     }
@@ -199,7 +199,8 @@ fn particles_inside_are_balls_and_at_a_plane_surface_flat() {
         let ([shortest, _, longest], _) = half_axes(shape);
         assert!(longest / shortest < 1.3, "{shape:?}");
     }
-    // For half a ball with full weight: a spread of √0.15 along the surface and √0.047 outward.
+    // In the limit of a fine lattice, the neighbourhood is half a ball with full weight: its standard
+    // deviations are √0.15 along the surface and √0.047 outward, in units of the radius.
     let fine: Vec<DVec3> = lattice([16, 16, 8], 0.0).iter().map(|point| point - DVec3::Z * 8.0).collect();
     let shapes = shapes_of(&fine, &Config { radius_world: 7.9, ..CONFIG });
     let middle = fine.iter().position(|&point| point == DVec3::ZERO).unwrap();
@@ -268,7 +269,7 @@ fn shape_changes_continuously_as_neighbors_approach() {
     let pair = [DVec3::ZERO, DVec3::X * 0.01];
     let shaped = from_neighbors(&double(&pair), None, &CONFIG);
     assert_eq!((shaped.shapes, shaped.ball_count), (vec![Ellipsoid::ball(1.0); 2], 2));
-    // Three particles approach, from beyond the radius to the particle in the middle.
+    // Three particles move from beyond the radius to the particle in the middle.
     let mut before = None;
     let mut stretch = 1.0;
     for step in (0..=270).rev() {
@@ -289,7 +290,7 @@ fn particles_beyond_the_radius_do_not_matter() {
     let points = lattice([6, 6, 1], 0.8);
     let config = Config { position_smoothing: 0.5, ..CONFIG };
     let alone = from_neighbors(&double(&points), None, &config);
-    // Around one particle, and far away. They come first, so that every position and index changes.
+    // Additional particles around one particle, and far away. They come first, so that every index changes.
     let mut random = Random(77);
     let center = points[points.len() / 2];
     let mut more: Vec<DVec3> = (0..300)

@@ -1,4 +1,4 @@
-//! The effect on the surface of collapsing a vertex into a neighbor.
+//! Bounds how far the surface moves when a vertex is collapsed into a neighbor.
 //!
 //! ```text
 //!   seen along the mean normal of v's triangles:
@@ -6,8 +6,9 @@
 //!        c ─── b              c ─── b          old edges  v–a, v–b, …            heights h above the plane
 //!       ╱ ╲   ╱ ╲            ╱  ╲    ╲         new edges  w–c, w–b
 //!      d ── v ── a          d  ·  × ╌ ×  a
-//!       ╲   │   ╱            ╲    ╲  ╱         the difference of the heights is linear between · (where v was) and
-//!        e ─ w               e ──── w          × (where an old and a new edge cross), so it is maximal at one of these
+//!       ╲   │   ╱            ╲    ╲  ╱         the difference of the heights is linear between
+//!        e ─ w               e ──── w          · (where v was) and × (where an old and a new edge cross),
+//!                                              so it is maximal at one of these points
 //! ```
 
 use glam::{Vec2, Vec3};
@@ -18,7 +19,7 @@ use super::rings::Rings;
 /// A collapse of a vertex into a neighbor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Collapse {
-    /// Upper bound of the displacement of points of its triangles.
+    /// Upper bound of the displacement of points of the vertex's triangles, including this collapse.
     pub(super) bound: f32,
     /// The neighbor.
     pub(super) target: u32,
@@ -34,7 +35,7 @@ const LEAST_COSINE: f32 = 0.26;
 /// worse.
 const LEAST_SHAPE: f32 = 0.25;
 
-/// Number of neighbors that are tried.
+/// Maximum number of neighbors that are tried as targets.
 const TRIES: usize = 3;
 
 /// Upper bound of the rounding error of 32-bit arithmetic, relative to the size of the patch.
@@ -48,7 +49,7 @@ pub(super) struct VertexStar<'a> {
     pub(super) bound: f32,
     /// Positions of the neighbors relative to the vertex.
     around: [Vec3; RING_MAX],
-    /// Doubled areas along the normals of the triangles, by their first neighbor.
+    /// Normals of the triangles with the length of twice the area, by the triangle's first neighbor.
     normals: [Vec3; RING_MAX],
     mean_normal: Vec3,
     /// Projections of the neighbors along the mean normal, and their heights.
@@ -83,14 +84,15 @@ impl<'a> VertexStar<'a> {
             let after = if i + 1 == count { 0 } else { i + 1 };
             normals[i] = around[i].cross(around[after]);
             sum += normals[i];
-            // The displacement of a triangle is bounded by that of each of its corners.
+            // Each corner has a bound for all its triangles, so the smallest of the three holds for a
+            // triangle.
             bound = bound.max(neighbor_bounds[i].min(neighbor_bounds[after]));
             least_shape = least_shape.min(shape(normals[i].length(), around[i], around[after]));
         }
         let bound = bound.min(bounds[vertex as usize]);
         let mean_normal = sum / sum.length();
         let is_unfolded = |normal: &Vec3| normal.dot(mean_normal) > LEAST_COSINE * normal.length();
-        // Comparison with NaN is false.
+        // Comparison with NaN is false, so NaN counts as folded.
         if !normals[..count].iter().all(is_unfolded) {
             return None;
         }
@@ -105,7 +107,7 @@ impl<'a> VertexStar<'a> {
             let after = if *i + 1 == count { 0 } else { i + 1 };
             (projected[*i].y < 0.0) != (projected[after].y < 0.0) && projected[after].y >= 0.0
         };
-        // Winds around exactly once.
+        // The projected ring must wind around the vertex exactly once.
         if (0..count).filter(crosses_right).count() != 1 {
             return None;
         }
@@ -122,8 +124,8 @@ impl<'a> VertexStar<'a> {
         })
     }
 
-    /// The best collapse among the neighbors that change the triangles' planes least. If none is possible,
-    /// the bound is [`NEVER`].
+    /// Tries the [`TRIES`] neighbors that change the triangles' planes least, best first, and returns the
+    /// first possible collapse. If none is possible, the bound is [`NEVER`].
     #[inline(always)]
     pub(super) fn best_collapse(&self, rings: &Rings) -> Collapse {
         let count = self.ring.len();
@@ -148,8 +150,8 @@ impl<'a> VertexStar<'a> {
         best
     }
 
-    /// The quadric of the vertex's triangles at a neighbor: squared distances from their planes, weighted by
-    /// area.
+    /// The quadric of the vertex's triangles at a neighbor: its squared distances from the triangles' planes,
+    /// weighted by twice their areas.
     #[inline(always)]
     fn disturbance(&self, target: usize) -> f32 {
         let count = self.ring.len();
@@ -187,7 +189,7 @@ impl<'a> VertexStar<'a> {
     #[inline(always)]
     fn bound_after(&self, target: usize) -> f32 {
         let count = self.ring.len();
-        // The neighbors from the target on, relative to it, projected along the normal.
+        // The neighbors from the target on, relative to the target, projected along the normal.
         let mut projected = [Vec2::ZERO; RING_MAX];
         let mut heights = [0.0; RING_MAX];
         let mut i = target;
@@ -197,7 +199,8 @@ impl<'a> VertexStar<'a> {
             i = wrapped(i + 1, count);
         }
         let (here, here_height) = (-self.projected[target], -self.heights[target]);
-        // The new triangle at the old position of the vertex: between neighbor `under` and the next one.
+        // The new triangle over the old position of the vertex: its corners are the target, neighbor `under`
+        // and the next neighbor.
         let is_under = |&index: &usize| {
             projected[index].perp_dot(here) >= 0.0 && here.perp_dot(projected[index + 1]) >= 0.0
         };
@@ -208,7 +211,7 @@ impl<'a> VertexStar<'a> {
             / doubled_area;
         let mut farthest = (height - here_height).abs();
         for edge in 2..count - 1 {
-            // Old edges to neighbors on the other side of the new edge cross it.
+            // The new edge crosses the old edges to neighbors on its other side.
             let crossed = if edge <= under { 1..edge } else { edge + 1..count };
             for other in crossed {
                 let along = projected[edge];

@@ -11,19 +11,20 @@
 //! **The error is a bound.** Seen along the mean normal of v's triangles, the triangles before and after the
 //! collapse are graphs of two functions over the same polygon; any other collapse is rejected. Moving along
 //! the normal from one graph to the other maps the old surface to the new one, continuously and one to one.
-//! The displacement is maximal at v or where an old edge crosses a new one ([`collapse`]). So a triangle's
-//! bound is the bound of the triangles it came from plus the maximum displacement: there is a map from the
-//! original surface to the decimated one that moves no point by more than the largest bound. Therefore
-//! distances hold in both directions, and no component, hole or handle appears or disappears. It is not
-//! guaranteed that sheets nearer to each other than twice the error stay separate.
+//! The displacement is maximal at v or where an old edge crosses a new one ([`collapse`]). The bound of a new
+//! triangle is the largest bound of the triangles that it replaces plus this maximum displacement. So there
+//! is a map from the original surface to the decimated one that moves no point by more than the largest
+//! bound. Therefore the bound holds for distances in both directions, and no component, hole or handle
+//! appears or disappears. Sheets nearer to each other than twice the error may touch or intersect.
 //!
-//! The cost of a collapse is the same bound. Quadrics of v's own triangles determine which neighbors to try
-//! first.
+//! The cost of a collapse is the bound after it. Quadrics of v's own triangles determine which neighbors to
+//! try first.
 //!
-//! **The order is local.** There is no global queue. In each of a fixed number of rounds, whose limit grows
-//! up to the error, a vertex is collapsed if its bound is the smallest among its neighbors; ties are broken
-//! by index. So a local change spreads a few triangles farther in each round, and the result does not depend
-//! on the number of threads.
+//! **The order is local.** There is no global queue, but a fixed number of rounds. Each round has a limit,
+//! which grows from round to round up to the error. A round collapses the vertices whose bound is within the
+//! limit and the smallest among their neighbors; ties are broken by index. So the effect of a local change
+//! spreads only a few triangles farther in each round, and the result does not depend on the number of
+//! threads.
 //!
 //! Vertices of the result are vertices of the mesh and keep their normals. Parts that are open or not
 //! manifold are unchanged.
@@ -61,7 +62,8 @@ pub struct DecimateReport {
 const FIRST_LIMIT: f32 = 1.0 / 32.0;
 const LIMIT_GROWTH: f32 = 1.189_207_1; // 2^(1/4)
 
-/// Number of rounds. The limit reaches the error after 20; more than 12 further rounds remove almost nothing.
+/// Number of rounds. The limit reaches the error after 20 rounds; more than 12 further rounds would remove
+/// almost nothing.
 const ROUND_COUNT: usize = 32;
 
 /// Number of vertices per task.
@@ -159,7 +161,7 @@ impl<'a> Decimation<'a> {
         }
     }
 
-    /// Evaluates the dirty vertices, except those that are above the limit in any case.
+    /// Evaluates the dirty vertices, except those whose current bound already exceeds the limit.
     fn evaluate_dirty(&mut self, limit: f32) {
         let dirty = std::mem::take(&mut self.dirty);
         let look = |&vertex: &u32| {

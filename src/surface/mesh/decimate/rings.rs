@@ -5,13 +5,13 @@
 //!       ╱ ╲   ╱ ╲        ring of v: a b c d e, counter-clockwise;
 //!      d ── v ── a       its triangles are v a b, v b c, …, v e a
 //!       ╲   │   ╱
-//!        ── e ──         v collapsed into a:   a's ring     … b v e …      becomes … b c d e …
-//!                                              b's and e's                 lose v
-//!                                              c's and d's                 have a instead of v
+//!        ── e ──         v collapsed into a:   ring of a         … b v e …  becomes  … b c d e …
+//!                                              rings of b and e  lose v
+//!                                              rings of c and d  have a instead of v
 //! ```
 //!
-//! Only vertices whose triangles form one closed ring have one. The others are *locked*: they are kept, and
-//! so are triangles with three locked vertices.
+//! A vertex has a ring only if its triangles form one closed ring of at most [`DEGREE_MAX`] triangles. All
+//! other vertices are *locked*: they are kept, and so are triangles with three locked vertices.
 
 use rayon::prelude::*;
 
@@ -36,9 +36,9 @@ struct RingSpan {
 /// The rings of a mesh.
 pub(super) struct Rings {
     neighbors: Vec<u32>,
-    /// One per vertex; empty if it is locked or removed.
+    /// One per vertex; empty if the vertex is locked or removed.
     spans: Vec<RingSpan>,
-    /// Triangles without a ring.
+    /// Triangles with three locked vertices, which are in no ring.
     locked: Vec<[u32; 3]>,
 }
 
@@ -117,7 +117,7 @@ impl Rings {
         Some(self.spans[vertex as usize].start + index)
     }
 
-    /// Replaces a vertex in a ring by `others`.
+    /// In the ring of `vertex`, replaces the neighbor `replaced` by `others`.
     fn insert(&mut self, vertex: u32, replaced: u32, others: &[u32]) {
         let mut ring = [0; 2 * DEGREE_MAX];
         let old = self.of(vertex);
@@ -138,7 +138,7 @@ impl Rings {
         self.neighbors[span.start..span.start + length].copy_from_slice(&ring[..length]);
     }
 
-    /// The triangles: for each ring, those that no earlier vertex has.
+    /// The triangles. Each is taken from the ring of its first vertex that has one.
     pub(super) fn triangles(&self, mesh: &Mesh) -> Vec<[u32; 3]> {
         let vertices = (0..mesh.positions.len() as u32).into_par_iter();
         let of_rings = vertices.flat_map_iter(|vertex| {
