@@ -267,10 +267,8 @@ fn inward_offsets_of_flattened_particles_pass_validation() {
     let frames = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/frames");
     let frames = frames.to_str().expect("text");
     for offset in ["-0.75d", "-1d"] {
-        let ran = meniscus(
-            folder.path(),
-            &["convert", frames, "--out=out", "--frames=3-8", "--offset", offset, "--overwrite"],
-        );
+        let out = format!("--out={offset}");
+        let ran = meniscus(folder.path(), &["convert", frames, &out, "--frames=3-8", "--offset", offset]);
         assert_eq!(ran.status, 0, "{offset}: {}", ran.err);
     }
 }

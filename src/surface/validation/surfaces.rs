@@ -6,7 +6,7 @@
 use glam::{DMat3, DVec3, Vec3};
 
 use super::DistanceLimits;
-use super::distances::{LANES, NearLeaves, VertexCoordinate};
+use super::distances::{CELL_MARGIN, LANES, NearLeaves, VertexCoordinate};
 use crate::surface::particles::{Ellipsoid, Shapes};
 use crate::surface::rasterize::ParticleBins;
 
@@ -89,17 +89,17 @@ pub(super) struct Sides {
 }
 
 /// Whether the signed distance from a point, relative to a particle's centre, to the particle's surface is
-/// less than `distance`, for points where the first-order distance is. The test is exact: outside of an
-/// ellipsoid the first-order distance is too small, and inside it the first-order depth is too large, most of
-/// all near the centre of a flat one.
+/// less than `distance`, for points where the first-order distance is. The test is exact where it matters:
+/// outside of an ellipsoid the first-order distance is too small, and deep inside the first-order depth is
+/// too large, most of all near the centre of a flat one. Within half a voxel of the surface, where vertices
+/// are without an offset, the first-order depth is the stricter limit, and vertices can be moved to keep it.
 #[cold]
 fn is_nearer(shapes: &Shapes, index: usize, apart: Vec3, (radius, distance): (f32, f32)) -> bool {
     let Shapes::Ellipsoids(ellipsoids) = shapes else { return true };
     let (ellipsoid, radius, apart) = (&ellipsoids[index], f64::from(radius), apart.as_dvec3());
     match distance {
         _ if distance > 0.0 => distance_to_ellipsoid(ellipsoid, radius, apart) < f64::from(distance),
-        _ if distance < 0.0 => depth_in_ellipsoid(ellipsoid, radius, apart) > f64::from(-distance),
-        // The sign of the first-order distance is exact.
+        _ if distance < -CELL_MARGIN => depth_in_ellipsoid(ellipsoid, radius, apart) > f64::from(-distance),
         _ => true,
     }
 }
@@ -240,9 +240,9 @@ mod tests {
             DVec3::ZERO,
             DVec3::new(0.6, 0.8, 0.0),
             DVec3::new(-3.0, -4.0, 0.2),
-            DVec3::new(-0.8, 0.6, 0.0),
+            DVec3::new(-0.32, 0.24, 0.0),
             DVec3::new(1.0, 1.0, 0.5),
-            DVec3::new(0.0, 0.1, 2.4),
+            DVec3::new(0.0, 0.1, 1.2),
         ] {
             let nearest = points.iter().map(|point| point.distance(x)).fold(f64::INFINITY, f64::min);
             let found = depth_in_ellipsoid(&ellipsoid, f64::from(radius), x);
