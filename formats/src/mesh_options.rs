@@ -42,6 +42,9 @@ pub struct MeshOptions {
     /// For each triangle, whether it and the next one form a quad, which is then written as one face. Empty:
     /// all faces are triangles.
     pub quads: Arc<[bool]>,
+    /// Whether to write the arrays of text USD a second time, as time samples, which a stage plays. Binary
+    /// USD always has them, because there they refer to the same arrays.
+    pub time_samples: bool,
 }
 
 impl Default for MeshOptions {
@@ -52,6 +55,7 @@ impl Default for MeshOptions {
             meters_per_unit: 1.0,
             quantize: false,
             quads: Arc::default(),
+            time_samples: false,
         }
     }
 }
@@ -75,10 +79,12 @@ pub enum WriteOption {
     Size,
     /// The camera of a picture.
     Camera,
+    /// Arrays as time samples, which a stage needs: no setting of its own.
+    TimeSamples,
 }
 
 impl WriteOption {
-    /// All options, in the order in which settings are printed.
+    /// All options that are settings, in the order in which they are printed.
     pub const ALL: [WriteOption; 8] = [
         WriteOption::Quads,
         WriteOption::Up,
@@ -102,6 +108,7 @@ impl WriteOption {
             WriteOption::Compression => "compression",
             WriteOption::Size => "size",
             WriteOption::Camera => "camera",
+            WriteOption::TimeSamples => "time_samples",
         }
     }
 

@@ -69,6 +69,35 @@ fn usda_contains_the_mesh() {
 }
 
 #[test]
+fn usda_for_a_stage_repeats_every_value_as_a_time_sample() {
+    for mesh in [torus(20, 12, [0.0; 3]), torus(130, 70, FAR), nothing()] {
+        let options = MeshOptions { time_samples: true, ..MeshOptions::default() };
+        let mut bytes = Vec::new();
+        OutputFormat::Usda
+            .write_mesh(&mesh.view(&mesh.attributes()), &options, &[], &mut bytes)
+            .expect("writing to memory");
+        let text = String::from_utf8(bytes).expect("UTF-8");
+        let sample = |name: &str| {
+            let start = format!(" {name}.timeSamples = {{\n            0: ");
+            let (_, rest) = text.split_once(&start).unwrap_or_else(|| panic!("{name} has no sample"));
+            rest.split_once(",\n        }\n").expect("an end").0.to_owned()
+        };
+        let mut names: Vec<&str> =
+            ["points", "normals", "velocities", "faceVertexCounts", "faceVertexIndices"].into();
+        names.extend(["primvars:heat__2", "primvars:id", "primvars:displayColor", "primvars:_2nd:indices"]);
+        for name in names {
+            assert_eq!(sample(name), format!("[{}]", array(&text, name)), "{name}");
+        }
+        assert_eq!(sample("primvars:_2nd"), "[\"a \\\"b\\\" <c>\", \"d\", \"\"]");
+        // The origin is there even if it is zero, because that of other frames may not be.
+        let origin = mesh.origin.map(|x| x.to_string()).join(", ");
+        assert_eq!(sample("xformOp:translate"), format!("({origin})"));
+        assert_eq!(text.contains("xformOpOrder"), mesh.origin == FAR);
+        assert!(!text.contains("orientation.timeSamples") && !text.contains("Scheme.timeSamples"));
+    }
+}
+
+#[test]
 fn usda_does_not_depend_on_threads() {
     let mesh = torus(300, 200, FAR);
     let on = |threads: usize| {

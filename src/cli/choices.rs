@@ -53,7 +53,11 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
     let ignored = options.ineffective(!method.obstacle.is_empty()).into_iter();
     let ignored =
         ignored.map(|(name, need)| format!("{} is ignored: it is for {need} only", option_name(name)));
-    let idle = method.given().into_iter().chain(formats.given()).filter_map(|name| {
+    // A stage records the axis and the unit.
+    let of_stage = [WriteOption::Up, WriteOption::MetersPerUnit].map(WriteOption::key);
+    let is_of_stage = |name: &&str| formats.stage.is_some() && of_stage.contains(name);
+    let given = method.given().into_iter().chain(formats.given()).filter(|name| !is_of_stage(name));
+    let idle = given.filter_map(|name| {
         // --quantize without effect is an error, which `FormatArgs::outputs` reports.
         let changed = formats_changed_by(name).filter(|_| name != WriteOption::Quantize.key())?;
         let is_idle = !written.iter().any(|format| changed.contains(format));

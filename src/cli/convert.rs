@@ -9,8 +9,8 @@ use meniscus_formats::listed;
 
 use crate::farm::{PlannedFrame, ShardPlan};
 use crate::pipeline::{
-    Frame, InspectedState, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions, SequenceRecord,
-    check_out_folder, check_outputs, file_of, inspect, size_bytes,
+    Frame, FrameFile, InspectedState, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions,
+    SequenceRecord, StageFrame, StageSequence, check_out_folder, check_outputs, file_of, inspect, size_bytes,
 };
 
 use super::CommandOutcome;
@@ -25,6 +25,7 @@ use super::print_settings::{print_settings, print_settings_of_any};
 use super::run::{Batch, RunOptions};
 use super::select::{SelectedSequence, refuse_level_sets, refuse_report_of_plan, select_frames};
 use super::sequence::SequenceOutputs;
+use super::stage::StageWriter;
 use super::standard_input::StandardInput;
 use super::wording::pluralize;
 
@@ -43,6 +44,9 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     }
     let (destination, folder, formats) = Destination::of(args, console)?;
     let outputs = formats.outputs(folder)?;
+    if outputs.stage.is_some() && !matches!(destination, Destination::Folder) {
+        bail!("--stage plays the files of a folder: name a folder with --out");
+    }
     if args.particles_only {
         refuse_surface_formats(&outputs)?;
     }
@@ -114,25 +118,64 @@ fn convert_all(
     console: &mut Console,
 ) -> Result<CommandOutcome> {
     let (sequences, outputs) = (&conversion.sequences, &conversion.outputs);
-    let shots = SequenceOutputs::new(&args.shot, outputs, sequences.len(), args.frames.is_some())?;
-    let report = args.report.as_deref();
-    conversion.refuse_conflicts(report.map(|path| ("the report", path)))?;
-    for path in shots.paths() {
-        conversion.refuse_conflicts(Some(("the sequence file", path)))?;
-        if report.is_some_and(|report| absolute(report).ok() == absolute(path).ok()) {
-            bail!("the report and the sequence file would both become {}", path.display());
-        }
-    }
+    let shot = (&args.shot, args.formats.fps);
+    let shots = SequenceOutputs::new(shot, outputs, sequences.len(), args.frames.is_some())?;
+    refuse_file_conflicts(&conversion, args.report.as_deref(), &shots)?;
     let options = RunOptions::new(args, start)?;
     let mut batch = Batch::new(&options);
+    batch.stage =
+        StageWriter::new(outputs, || sequences.iter().map(|s| stage_sequence(s, outputs)).collect());
     for sequence in sequences {
         add(&mut batch, sequence, &conversion, console)?;
     }
     conversion.folder.keep();
     batch.convert(console);
     let (frames, frame_count) = (batch.sequence_frames().to_vec(), batch.frame_count());
-    let verdict = batch.finish(console);
+    let verdict = finish(batch, console);
     Ok(options.pool.install(|| shots.write((&frames, frame_count), verdict, console)))
+}
+
+/// Refuses a report, a stage and sequence files that would replace inputs, results or each other.
+fn refuse_file_conflicts(
+    conversion: &Conversion,
+    report: Option<&Path>,
+    shots: &SequenceOutputs,
+) -> Result<()> {
+    let stage = conversion.outputs.stage.iter().map(|stage| ("the stage", &*stage.path));
+    let written = report.into_iter().map(|path| ("the report", path));
+    let written = written.chain(stage).chain(shots.paths().map(|path| ("the sequence file", path)));
+    let written: Vec<(&'static str, &Path)> = written.collect();
+    if written.is_empty() {
+        conversion.refuse_conflicts(None)?;
+    }
+    for (index, &(what, path)) in written.iter().enumerate() {
+        conversion.refuse_conflicts(Some((what, path)))?;
+        let is_same = |(_, other): &&(&str, &Path)| absolute(other).ok() == absolute(path).ok();
+        if let Some((other, _)) = written[..index].iter().find(is_same) {
+            bail!("{other} and {what} would both become {}", path.display());
+        }
+    }
+    Ok(())
+}
+
+/// All frames of a sequence, selected or not.
+fn stage_sequence(
+    SelectedSequence { sequence, .. }: &SelectedSequence,
+    outputs: &OutputOptions,
+) -> StageSequence {
+    let frame = |file: &FrameFile| StageFrame::new(outputs, &file.stem(), file.number());
+    let name = sequence.frames.first().map_or(String::new(), |file| file.sequence().1);
+    StageSequence { name, frames: sequence.frames.iter().map(frame).collect() }
+}
+
+/// Finishes a batch, and then its stage.
+fn finish(mut batch: Batch, console: &mut Console) -> CommandOutcome {
+    let stage = batch.stage.take();
+    let verdict = batch.finish(console);
+    match stage {
+        Some(stage) => stage.finish(verdict, console),
+        None => verdict,
+    }
 }
 
 /// Adds the frames of a sequence to a batch.
@@ -212,8 +255,25 @@ fn convert_shard(
     for planned in frames {
         add_planned(&mut batch, planned, plan.frame(planned, &obstacles), console);
     }
+    batch.stage = plan
+        .sequences
+        .first()
+        .and_then(|sequence| StageWriter::new(&sequence.outputs, || planned_stage_sequences(&plan)));
     batch.convert(console);
-    Ok(batch.finish(console))
+    Ok(finish(batch, console))
+}
+
+/// All frames of a plan, which are those of all shards.
+fn planned_stage_sequences(plan: &ShardPlan) -> Vec<StageSequence> {
+    let mut sequences: Vec<StageSequence> = Vec::new();
+    for sequence in &plan.sequences {
+        sequences.push(StageSequence { name: sequence.name.clone(), frames: Vec::new() });
+    }
+    for PlannedFrame { stem, number, sequence, .. } in &plan.frames {
+        let frame = StageFrame::new(&plan.sequences[*sequence].outputs, stem, *number);
+        sequences[*sequence].frames.push(frame);
+    }
+    sequences
 }
 
 /// Adds a frame of a plan to a batch.

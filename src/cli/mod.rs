@@ -36,6 +36,7 @@ mod run;
 mod select;
 mod sequence;
 mod sheets;
+mod stage;
 mod standard_input;
 mod status;
 mod suggest;

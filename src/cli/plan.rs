@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf, absolute};
 use anyhow::{Context, Result, anyhow, bail};
 
 use crate::farm::{PlannedFrame, PlannedSequence, ShardPlan, partition};
-use crate::pipeline::{FrameFile, file_of, size_bytes};
+use crate::pipeline::{FrameFile, are_same_file, file_of, size_bytes};
 
 use super::CommandOutcome;
 use super::args::PlanArgs;
@@ -25,7 +25,11 @@ use super::wording::{counted_are, pluralize};
 /// written.
 pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutcome> {
     refuse_file_name(&args.out)?;
-    let outputs = args.formats.outputs(absolute_path(&args.out)?)?;
+    let mut outputs = args.formats.outputs(absolute_path(&args.out)?)?;
+    args.formats.refuse_idle_fps()?;
+    if let Some(stage) = &mut outputs.stage {
+        stage.path = stage_among(&outputs.folder, &stage.path)?;
+    }
     let selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
     let job = surface_job(&selection, args.band_slack, &args.method)?;
     if !selection.is_complete {
@@ -36,6 +40,9 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutc
     warn_before(&args.method, &args.formats, console);
     let conversion = Conversion::new(selection, job, &args.method, outputs)?;
     conversion.refuse_conflicts(Some(("the plan", &args.output)))?;
+    if let Some(stage) = &conversion.outputs.stage {
+        conversion.refuse_conflicts(Some(("the stage", &stage.path)))?;
+    }
 
     let pool = thread_pool(None)?;
     let mut plan = ShardPlan {
@@ -77,6 +84,21 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutc
     conversion.folder.keep();
     print_summary(&plan, args, console);
     Ok(CommandOutcome::Done)
+}
+
+/// The path of a stage in the folder of the results. A plan can name no file elsewhere.
+fn stage_among(folder: &Path, stage: &Path) -> Result<PathBuf> {
+    let path = absolute_path(stage)?;
+    match (path.parent(), path.file_name()) {
+        (Some(parent), Some(name)) if parent == folder || are_same_file(parent, folder) => {
+            Ok(folder.join(name))
+        }
+        _ => bail!(
+            "--stage {}: shards write the stage beside their results: name it {}",
+            stage.display(),
+            folder.join(stage.file_name().unwrap_or_default()).display()
+        ),
+    }
 }
 
 fn planned(file: &FrameFile, sequence: usize) -> Result<PlannedFrame> {

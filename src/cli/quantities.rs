@@ -8,6 +8,7 @@ use bytesize::ByteSize;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use humantime::format_duration;
 
+use crate::pipeline::FRAME_RATES;
 use crate::surface::options::expected;
 use crate::watch::Poll;
 
@@ -103,7 +104,7 @@ pub(super) fn parse_positive(text: &str) -> Result<f64, String> {
 
 /// Parses a number of frames per second.
 pub(super) fn parse_fps(text: &str) -> Result<f64, String> {
-    let fps = text.parse().ok().filter(|fps| (f64::MIN_POSITIVE..=1000.0).contains(fps));
+    let fps = text.parse().ok().filter(|fps| FRAME_RATES.contains(fps));
     expected(text, fps, "a number of frames per second: more than 0, at most 1000")
 }
 

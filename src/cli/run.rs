@@ -19,6 +19,7 @@ use super::machine::{memory_bytes, thread_pool};
 use super::output_records::OutputRecords;
 use super::progress::ProgressDisplay;
 use super::remedies::{velocity_hint, with_remedy};
+use super::stage::StageWriter;
 use super::wording::{FRAMES_IN_VIEW, described, failed_validation, pluralize};
 
 /// A frame of a batch.
@@ -84,6 +85,8 @@ pub(super) struct Batch<'a> {
     sequence_names: Vec<String>,
     record: RunRecord,
     outcomes: Outcomes,
+    /// The stage of the frames, if there is one.
+    pub(super) stage: Option<StageWriter>,
 }
 
 /// The outcomes of frames.
@@ -116,6 +119,7 @@ impl<'a> Batch<'a> {
             sequence_names: Vec::new(),
             record: RunRecord::new(options.pool.current_num_threads()),
             outcomes: Outcomes::default(),
+            stage: None,
         }
     }
 
@@ -180,6 +184,9 @@ impl<'a> Batch<'a> {
             self.note(&frames[index], items[places[index]].sequence_index, &outcome, has_bar, console);
             if let Some(records) = &records {
                 records.frame_finished();
+            }
+            if let Some(stage) = &mut self.stage {
+                stage.update();
             }
         });
         console.hide_bar();

@@ -107,12 +107,12 @@ impl SequenceOutputs {
     /// # Errors
     /// If the files cannot be made with these options.
     pub(super) fn new(
-        args: &SequenceFileArgs,
+        (args, fps): (&SequenceFileArgs, Option<f64>),
         outputs: &OutputOptions,
         sequence_count: usize,
         are_picked: bool,
     ) -> Result<SequenceOutputs> {
-        let SequenceFileArgs { sequence_glb, sequence_usda, sequence_usdc, sequence_abc, fps } = args;
+        let SequenceFileArgs { sequence_glb, sequence_usda, sequence_usdc, sequence_abc } = args;
         let typed = [
             ("--sequence-glb", sequence_glb, SequenceFormat::Glb),
             ("--sequence-usda", sequence_usda, SequenceFormat::Usda),
@@ -139,10 +139,10 @@ impl SequenceOutputs {
             }
             files.push((path.clone(), format));
         }
-        if files.is_empty() && fps.is_some() {
+        if files.is_empty() && outputs.stage.is_none() && fps.is_some() {
             bail!(
-                "--fps is for a sequence file: give --sequence-glb, --sequence-usda, --sequence-usdc or \
-                 --sequence-abc as well"
+                "--fps is for a sequence file or a stage: give --sequence-glb, --sequence-usda, --sequence-usdc, \
+                 --sequence-abc or --stage as well"
             );
         }
         let options = SequenceOptions { fps: fps.unwrap_or(FPS), meters_per_unit: outputs.meters_per_unit };

@@ -85,7 +85,9 @@ impl ShardPlan {
             // Names are compared first: a stat call for every file of a shot would load a file server.
             input.file_name() == path.file_name() && are_same_file(input, &path)
         };
+        let stage = self.sequences.first().and_then(|sequence| sequence.outputs.stage.as_ref());
         self.frames.iter().any(is_input)
+            || stage.is_some_and(|stage| canonical_entry(&stage.path) == path)
             || (folder.as_deref() == path.parent() && self.frames.iter().any(is_output))
     }
 

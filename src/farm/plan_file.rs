@@ -20,8 +20,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::{
-    CameraChoice, GENERATOR_AND_VERSION, Job, METERS_PER_UNIT, MeasuredSpacing, OutputFormat, OutputOptions,
-    PictureOptions, file_of, open_regular, write_atomically,
+    CameraChoice, FRAME_RATES, GENERATOR_AND_VERSION, Job, METERS_PER_UNIT, MeasuredSpacing, OutputFormat,
+    OutputOptions, PictureOptions, StageOptions, file_of, open_regular, write_atomically,
 };
 use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::reconstruction::SLACK_MAX_VOXELS;
@@ -69,6 +69,16 @@ struct Outputs {
     vdb_half: bool,
     vdb_compression: Compression,
     picture_size: [usize; 2],
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    stage: Option<StageEntry>,
+}
+
+/// A stage, which is in the folder of the results.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StageEntry {
+    name: String,
+    fps: f64,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -199,7 +209,7 @@ impl PlanFile {
             meniscus_plan: VERSION,
             generator: GENERATOR_AND_VERSION.to_owned(),
             out: text(&first.outputs.folder)?,
-            outputs: Outputs::of(&first.outputs),
+            outputs: Outputs::of(&first.outputs)?,
             obstacles: plan.obstacles.iter().map(|path| text(path)).collect::<Result<_, _>>()?,
             sequences: plan.sequences.iter().map(SequenceEntry::of).collect::<Result<_, _>>()?,
             shards: plan.shards.iter().map(|s| ShardEntry { first: s.start, count: s.len() }).collect(),
@@ -239,7 +249,10 @@ impl PlanFile {
 
 /// The index of a frame whose input would be overwritten by an output of the plan.
 fn replaced_input(plan: &ShardPlan) -> Option<usize> {
-    let outputs: HashSet<PathBuf> = plan.frames.iter().flat_map(|planned| plan.outputs(planned)).collect();
+    let stage = plan.sequences.first().and_then(|sequence| sequence.outputs.stage.as_ref());
+    let stage = stage.map(|stage| stage.path.clone());
+    let outputs = plan.frames.iter().flat_map(|planned| plan.outputs(planned));
+    let outputs: HashSet<PathBuf> = outputs.chain(stage).collect();
     plan.frames.iter().position(|planned| outputs.contains(file_of(&planned.input)))
 }
 
@@ -253,15 +266,25 @@ fn is_one(number: &f64) -> bool {
 }
 
 impl Outputs {
-    fn of(options: &OutputOptions) -> Outputs {
+    fn of(options: &OutputOptions) -> Result<Outputs, PlanError> {
         let OutputOptions { up, meters_per_unit, quantize, vdb_half, vdb_compression, .. } = *options;
         let (formats, picture_size) = (options.formats.clone(), options.picture.size);
-        Outputs { formats, up, meters_per_unit, quantize, vdb_half, vdb_compression, picture_size }
+        let stage = options.stage.as_ref().map(StageEntry::of).transpose()?;
+        Ok(Outputs { formats, up, meters_per_unit, quantize, vdb_half, vdb_compression, picture_size, stage })
     }
 
     fn into_options(self, folder: PathBuf) -> Result<OutputOptions, PlanError> {
-        let Outputs { formats, up, meters_per_unit, quantize, vdb_half, vdb_compression, picture_size } =
-            self;
+        let Outputs {
+            formats,
+            up,
+            meters_per_unit,
+            quantize,
+            vdb_half,
+            vdb_compression,
+            picture_size,
+            stage,
+        } = self;
+        let stage = stage.map(|stage| stage.into_options(&folder)).transpose()?;
         if formats.is_empty() {
             return Err(PlanError::at("/outputs/formats", "must not be empty"));
         }
@@ -285,7 +308,26 @@ impl Outputs {
             vdb_half,
             vdb_compression,
             picture,
+            stage,
         })
+    }
+}
+
+impl StageEntry {
+    fn of(stage: &StageOptions) -> Result<StageEntry, PlanError> {
+        Ok(StageEntry { name: text(Path::new(stage.path.file_name().unwrap_or_default()))?, fps: stage.fps })
+    }
+
+    fn into_options(self, folder: &Path) -> Result<StageOptions, PlanError> {
+        let StageEntry { name, fps } = self;
+        if !is_plain_name(&name) || Path::new(&name).extension().is_none_or(|extension| extension != "usda") {
+            let what = format!("`{name}` is not a plain file name that ends in .usda");
+            return Err(PlanError::at("/outputs/stage/name", what));
+        }
+        if !FRAME_RATES.contains(&fps) {
+            return Err(PlanError::at("/outputs/stage/fps", "it must be more than 0 and at most 1000"));
+        }
+        Ok(StageOptions { path: folder.join(name), fps })
     }
 }
 

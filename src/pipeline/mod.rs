@@ -121,10 +121,13 @@ pub use records::sequence_file::{
     SequenceError, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource, is_sequence_file,
     write_sequence_file,
 };
+pub use records::stage_file::{StageFrame, StageReport, StageSequence, write_stage};
 pub use stages::{OnError, PipelineOptions, default_in_flight, run, stream};
 pub use target::close_up::close_up;
 pub use target::framing::{Framed, Framing};
-pub use target::outputs::{METERS_PER_UNIT, OutputFormat, OutputOptions, output_path};
+pub use target::outputs::{
+    FRAME_RATES, METERS_PER_UNIT, OutputFormat, OutputOptions, StageOptions, output_path,
+};
 pub use target::picture::{PictureOptions, PictureScene, encode_picture, up_of, velocities};
 pub use target::viewpoint::{CameraChoice, Viewpoint};
 pub use warning::{ObstacleFinding, ReportedWarnings, Scope, Warning};

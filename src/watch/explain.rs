@@ -297,6 +297,7 @@ mod tests {
                     vdb_half: false,
                     vdb_compression: meniscus_formats::vdb::Compression::None,
                     picture: crate::pipeline::PictureOptions::default(),
+                    stage: None,
                 },
                 choices: MethodOptions::default(),
                 obstacles: Vec::new(),

@@ -18,5 +18,6 @@ mod scene; // a watched folder, the daemon beside it, and its log
 mod sentinels; // sentinel files, which mark a frame as complete
 mod sequences; // one voxel size for a sequence, in any order
 mod signals; // signals: end, end at once, reload the configuration
+mod stages; // stages that grow with the frames, and survive restarts
 mod steps; // dumps to which a simulation appends steps
 mod writers; // the ways in which programs write frames

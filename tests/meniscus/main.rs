@@ -34,6 +34,7 @@ mod shared; // files of real programs are converted, or refused with the expecte
 mod sheets; // sheets of pictures: contents, and the commands that they print
 mod spacings; // the measured spacing of particles, against known values
 mod sphere_flow; // a noisy sphere under both flows (paper, Fig. 5)
+mod stages; // stages that play the files of the frames
 mod steps; // files with several frames: LAMMPS dumps and atoms
 mod stream; // frames that arrive over time: order, limits, failures
 mod surface; // meshes are sound, and in the right position

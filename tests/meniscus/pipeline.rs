@@ -118,6 +118,7 @@ impl Bench {
             vdb_half: false,
             vdb_compression: vdb::Compression::Blosc,
             picture: PictureOptions::default(),
+            stage: None,
         });
         fs::create_dir(&outputs.folder).expect("made");
         let mut frames = Vec::new();

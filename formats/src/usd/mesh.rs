@@ -13,6 +13,9 @@ use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
 /// The root prim: a stage that references the layer gets this prim.
 pub(crate) const ROOT: &str = "root";
 
+/// The property with the origin of the mesh.
+pub(crate) const TRANSLATE: &str = "xformOp:translate";
+
 /// A summary of the content of a file that this crate wrote.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LayerInfo {
@@ -62,6 +65,10 @@ pub(crate) struct MeshProperty<'a> {
     pub(crate) element_size: usize,
 }
 
+/// The time code of the samples in the file of a frame. It is the same in all of them: a stage maps the times
+/// of the shot to it.
+pub(crate) const SAMPLE_CODE: u64 = 0;
+
 /// The value of a property.
 pub(crate) enum PropertyValue<'a> {
     Array(Elements<'a>),
@@ -94,10 +101,16 @@ impl<'a> MeshProperty<'a> {
     fn per_vertex(self) -> MeshProperty<'a> {
         MeshProperty { is_per_vertex: true, ..self }
     }
+
+    /// Whether its value never depends on the time.
+    pub(crate) fn is_uniform(&self) -> bool {
+        matches!(self.value, PropertyValue::Token(_) | PropertyValue::TokenList(_))
+    }
 }
 
-/// The properties of a mesh, in the order of the file.
-pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> Vec<MeshProperty<'a>> {
+/// The properties of a mesh, in the order of the file. `is_clip`: a stage may play the file, and takes the
+/// translation from each frame, so it is there even if it is zero and has no effect on the file alone.
+pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool], is_clip: bool) -> Vec<MeshProperty<'a>> {
     let triangles = mesh.triangles;
     let mut found = Vec::new();
     if let Some(extent) = extent(mesh) {
@@ -115,11 +128,12 @@ pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> Vec<Mesh
         found.extend(of_attribute(attribute, &place));
     }
     found.push(MeshProperty::new("token", "subdivisionScheme", PropertyValue::Token("none")));
-    if mesh.origin != [0.0; 3] {
-        found.extend([
-            MeshProperty::new("double3", "xformOp:translate", PropertyValue::Double3(mesh.origin)),
-            MeshProperty::new("token[]", "xformOpOrder", PropertyValue::TokenList("xformOp:translate")),
-        ]);
+    let is_moved = mesh.origin != [0.0; 3];
+    if is_moved || is_clip {
+        found.push(MeshProperty::new("double3", TRANSLATE, PropertyValue::Double3(mesh.origin)));
+    }
+    if is_moved {
+        found.push(MeshProperty::new("token[]", "xformOpOrder", PropertyValue::TokenList(TRANSLATE)));
     }
     found
 }
@@ -162,7 +176,7 @@ fn places(attributes: &[VertexAttribute]) -> Vec<UsdProperty> {
 }
 
 /// A valid USD identifier for a name.
-pub(super) fn identifier(name: &str) -> String {
+pub(crate) fn identifier(name: &str) -> String {
     let plain = plain_name(name);
     if plain.starts_with(|c: char| c.is_ascii_digit()) { format!("_{plain}") } else { plain }
 }

@@ -12,8 +12,10 @@ mod mesh;
 mod sequence;
 
 pub use mesh::LayerInfo;
-pub(crate) use mesh::{Elements, MeshProperty, PropertyValue, ROOT, properties, renamed};
-pub(crate) use sequence::{POSITION, PRIM, SequenceAttribute, UsdSequence};
+pub(crate) use mesh::{
+    Elements, MeshProperty, PropertyValue, ROOT, SAMPLE_CODE, TRANSLATE, identifier, properties, renamed,
+};
+pub(crate) use sequence::{CODE_MAX, POSITION, PRIM, SequenceAttribute, UsdSequence, held_codes};
 
 /// The name of the vertex attribute in a property; `None` for other properties.
 pub(crate) fn attribute_of(property: &str) -> Option<&str> {

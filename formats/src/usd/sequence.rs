@@ -15,7 +15,7 @@ pub(crate) const PRIM: &str = "surface";
 pub(crate) const POSITION: &str = "POSITION";
 
 /// The largest time code. Time codes are 64-bit floats, which cannot distinguish larger integers.
-const CODE_MAX: u64 = 1 << 53;
+pub(crate) const CODE_MAX: u64 = 1 << 53;
 
 /// The frames of a sequence and their placements; the placement of a frame without a mesh is `None`.
 pub(crate) struct UsdSequence<'a> {
@@ -169,13 +169,17 @@ impl<'a> UsdSequence<'a> {
         origins.iter().any(|origin| *origin != [0.0; 3]).then_some(origins)
     }
 
-    /// The time codes at which a frame needs a sample of a value that is the same for all vertices, such as
-    /// its extent: the frame's own time code and, if frames are missing after it, the time code just before
-    /// the next frame. The second sample keeps the value constant until then, because USD interpolates
-    /// between samples of the same shape.
+    /// The [time codes](held_codes) at which a frame needs a sample of a value that is the same for all
+    /// vertices, such as its extent.
     pub(crate) fn held_codes(&self, index: usize) -> impl Iterator<Item = u64> {
-        let code = self.frames[index].code;
-        let next = self.frames.get(index + 1).map(|next| next.code - 1);
-        [code].into_iter().chain(next.filter(|&held| held > code))
+        held_codes(self.frames[index].code, self.frames.get(index + 1).map(|next| next.code))
     }
+}
+
+/// The time codes at which the frame at time code `code` needs a sample: its own and, if frames are missing
+/// before the frame at `next`, the time code just before that. The second sample keeps the value constant until
+/// then, because USD interpolates between samples of the same shape.
+pub(crate) fn held_codes(code: u64, next: Option<u64>) -> impl Iterator<Item = u64> {
+    let held = next.map(|next| next.saturating_sub(1)).filter(|&held| held > code);
+    [code].into_iter().chain(held)
 }

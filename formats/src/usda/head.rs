@@ -8,11 +8,18 @@ use crate::usd::{FORMAT, LayerInfo, ROOT};
 /// The beginning of the last line of a file.
 pub(super) const LAST_LINE: &str = "# end: ";
 
+/// The lines with the time codes of a sequence: the first and the last, and how many a second has.
+pub(super) fn times([first, last]: [u64; 2], fps: f64) -> String {
+    format!(
+        "    endTimeCode = {last}\n    framesPerSecond = {fps}\n    startTimeCode = {first}\n    timeCodesPerSecond = {fps}\n"
+    )
+}
+
 /// The text before the mesh, including the start of the prim that contains the mesh. `times` are the lines
-/// with the time codes of a sequence.
+/// with the time codes of a sequence. A stage has no meshes of its own, and thus no summary.
 pub(super) fn head(
     provenance: &Provenance,
-    info: &LayerInfo,
+    info: Option<&LayerInfo>,
     (up, meters_per_unit): (UpAxis, f64),
     times: &str,
 ) -> String {
@@ -20,13 +27,13 @@ pub(super) fn head(
     for (key, value) in provenance {
         text += &format!("            string {} = {}\n", key_of(key), quoted(value));
     }
-    text += "        }\n        dictionary meniscus_mesh = {\n";
-    let LayerInfo { vertices, faces, frames } = *info;
-    text += &format!("            int64 faces = {faces}\n");
-    text += &frames.map(|frames| format!("            int64 frames = {frames}\n")).unwrap_or_default();
-    text += &format!(
-        "            int64 vertices = {vertices}\n        }}\n    }}\n    defaultPrim = \"{ROOT}\"\n"
-    );
+    text += "        }\n";
+    if let Some(LayerInfo { vertices, faces, frames }) = info {
+        text += &format!("        dictionary meniscus_mesh = {{\n            int64 faces = {faces}\n");
+        text += &frames.map(|frames| format!("            int64 frames = {frames}\n")).unwrap_or_default();
+        text += &format!("            int64 vertices = {vertices}\n        }}\n");
+    }
+    text += &format!("    }}\n    defaultPrim = \"{ROOT}\"\n");
     let up = match up {
         UpAxis::Y => "Y",
         UpAxis::Z => "Z",
@@ -154,7 +161,7 @@ mod tests {
         ];
         for frames in [None, Some(240)] {
             let info = LayerInfo { vertices: u64::from(u32::MAX) + 1, faces: 7, frames };
-            let text = head(&provenance, &info, (UpAxis::Z, 1.0), "") + "def Mesh \"surface\"\n";
+            let text = head(&provenance, Some(&info), (UpAxis::Z, 1.0), "") + "def Mesh \"surface\"\n";
             assert_eq!(read_provenance(text.as_bytes()).expect("a head"), provenance);
             assert_eq!(read_layer_info(text.as_bytes()).expect("a head"), Some(info));
             for length in 0..text.len() {

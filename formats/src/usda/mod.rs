@@ -18,8 +18,8 @@
 //!
 //! Every program that reads USD reads its text form; the [binary form](crate::usdc) takes a quarter to a
 //! third of the size. A sequence is one file with a single mesh, whose attributes all have a sample per
-//! frame. USD also allows a file per frame and another file that lists them, but only a single file is easy
-//! to move and can be replaced atomically.
+//! frame, so it is easy to move and can be replaced atomically. A [stage](UsdStage) is the alternative: a file
+//! that lists those of the frames, which may still be arriving.
 //!
 //! This crate does not read meshes from `.usda`: it reads only the heads of the files that it wrote.
 
@@ -32,11 +32,13 @@ mod arrays;
 mod head;
 mod numbers;
 mod sequence;
+mod stage;
 mod write;
 
 pub use crate::usd::LayerInfo;
 pub use head::read_layer_info;
 pub use sequence::{read_attribute_names, write_sequence};
+pub use stage::{ClipFile, StageClips, UsdStage, stage_text};
 
 use head::{ends_as_written, read_provenance};
 use write::{batch_count, encode_batch};
@@ -51,7 +53,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     }),
     write_particles: None,
     has_attributes: true,
-    options: &[WriteOption::Quads, WriteOption::Up, WriteOption::MetersPerUnit],
+    options: &[WriteOption::Quads, WriteOption::Up, WriteOption::MetersPerUnit, WriteOption::TimeSamples],
     read_provenance,
     integrity: Integrity::Tail(ends_as_written),
 };

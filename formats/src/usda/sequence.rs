@@ -23,7 +23,7 @@ use crate::error::Result;
 use crate::gltf::{FramePlacement, SequenceFrame};
 use crate::usd::{Elements, POSITION, PRIM, SequenceAttribute, UsdSequence, attribute_of};
 
-use super::head::{LAST_LINE, head};
+use super::head::{LAST_LINE, head, times};
 use super::numbers::triple;
 use super::write::about;
 
@@ -44,12 +44,9 @@ pub fn write_sequence<R: Read + Seek>(
     out: &mut impl Write,
 ) -> Result<Vec<String>> {
     let shot = UsdSequence::of(frames)?;
-    let (info, [first, last]) = (shot.layer_info()?, shot.code_range());
-    let times = format!(
-        "    endTimeCode = {last}\n    framesPerSecond = {fps}\n    startTimeCode = {first}\n    timeCodesPerSecond = {fps}\n"
-    );
+    let info = shot.layer_info()?;
     let (attributes, notes) = shot.attributes()?;
-    let head = head(provenance, &info, (shot.up, meters_per_unit), &times);
+    let head = head(provenance, Some(&info), (shot.up, meters_per_unit), &times(shot.code_range(), fps));
     write!(out, "{head}    def Mesh \"{PRIM}\"\n    {{\n")?;
 
     write_lines(&shot, "float3[] extent", out, |index| {

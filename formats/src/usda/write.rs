@@ -15,7 +15,7 @@ use crate::data::{MeshView, Provenance};
 use crate::error::Result;
 use crate::mesh_options::MeshOptions;
 use crate::quads::{check_quads, quad_count};
-use crate::usd::{Elements, FORMAT, LayerInfo, MeshProperty, PropertyValue, properties};
+use crate::usd::{Elements, FORMAT, LayerInfo, MeshProperty, PropertyValue, SAMPLE_CODE, properties};
 use crate::vertex_attributes::plain_name;
 
 use super::head::{LAST_LINE, head, quoted};
@@ -48,7 +48,7 @@ pub(super) fn encode_batch(
         check_quads(FORMAT, mesh.triangles, &options.quads)?;
         let info = LayerInfo { vertices, faces, frames: None };
         let name = plain_name(&options.name);
-        let head = head(provenance, &info, (options.up, options.meters_per_unit), "");
+        let head = head(provenance, Some(&info), (options.up, options.meters_per_unit), "");
         return Ok(vec![format!("{head}    def Mesh \"{name}\"\n    {{\n").into_bytes()]);
     };
     let sections = sections(mesh, options);
@@ -70,37 +70,39 @@ struct PropertyText<'a> {
 }
 
 impl<'a> PropertyText<'a> {
+    /// The declaration of a property, with its default.
     fn of(property: &MeshProperty<'a>) -> PropertyText<'a> {
-        let MeshProperty { kind, name, value, is_per_vertex, element_size } = property;
+        let MeshProperty { kind, name, is_per_vertex, element_size, .. } = property;
+        let uniform = if property.is_uniform() { "uniform " } else { "" };
         let about = about(*is_per_vertex, *element_size);
-        let (declaration, value) = (format!("{kind} {name}"), value);
-        match value {
-            PropertyValue::Array(elements) => PropertyText {
-                open: format!("        {declaration} = ["),
-                elements: Some(*elements),
-                close: format!("]{about}\n"),
-            },
-            PropertyValue::Extent([low, high]) => {
-                PropertyText::line(format!("{declaration} = [{}, {}]", triple(*low), triple(*high)))
+        PropertyText::between(format!("        {uniform}{kind} {name} = "), property, format!("{about}\n"))
+    }
+
+    /// The same value as a time sample.
+    fn sample_of(property: &MeshProperty<'a>) -> PropertyText<'a> {
+        let MeshProperty { kind, name, .. } = property;
+        let open = format!("        {kind} {name}.timeSamples = {{\n            {SAMPLE_CODE}: ");
+        PropertyText::between(open, property, ",\n        }\n".to_owned())
+    }
+
+    /// The value of a property between two texts.
+    fn between(before: String, property: &MeshProperty<'a>, after: String) -> PropertyText<'a> {
+        let value = match &property.value {
+            PropertyValue::Array(elements) => {
+                let (open, close) = (before + "[", "]".to_owned() + &after);
+                return PropertyText { open, elements: Some(*elements), close };
             }
-            PropertyValue::Double3(values) => {
-                PropertyText::line(format!("{declaration} = {}", triple(*values)))
-            }
-            PropertyValue::Token(word) => PropertyText::line(format!("uniform {declaration} = \"{word}\"")),
-            PropertyValue::TokenList(word) => {
-                PropertyText::line(format!("uniform {declaration} = [\"{word}\"]"))
-            }
+            PropertyValue::Extent([low, high]) => format!("[{}, {}]", triple(*low), triple(*high)),
+            PropertyValue::Double3(values) => triple(*values),
+            PropertyValue::Token(word) => format!("\"{word}\""),
+            PropertyValue::TokenList(word) => format!("[\"{word}\"]"),
             PropertyValue::Strings(table) => {
                 let distinct: Vec<String> =
                     table.iter().map(|text| quoted(text)).chain([quoted("")]).collect();
-                PropertyText::line(format!("{declaration} = [{}]{about}", distinct.join(", ")))
+                format!("[{}]", distinct.join(", "))
             }
-        }
-    }
-
-    /// A single-line property.
-    fn line(text: String) -> PropertyText<'a> {
-        PropertyText { open: format!("        {text}\n"), elements: None, close: String::new() }
+        };
+        PropertyText { open: before + &value + &after, elements: None, close: String::new() }
     }
 }
 
@@ -117,7 +119,14 @@ pub(super) fn about(is_per_vertex: bool, element_size: usize) -> String {
 }
 
 fn sections<'a>(mesh: &MeshView<'a>, options: &'a MeshOptions) -> Vec<PropertyText<'a>> {
-    properties(mesh, &options.quads).iter().map(PropertyText::of).collect()
+    let mut sections = Vec::new();
+    for property in &properties(mesh, &options.quads, options.time_samples) {
+        sections.push(PropertyText::of(property));
+        if options.time_samples && !property.is_uniform() {
+            sections.push(PropertyText::sample_of(property));
+        }
+    }
+    sections
 }
 
 /// A range of elements of a section.

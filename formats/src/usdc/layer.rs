@@ -5,7 +5,7 @@ use crate::data::Provenance;
 use crate::error::Result;
 use crate::mesh_options::UpAxis;
 use crate::provenance::comments;
-use crate::usd::{LayerInfo, ROOT};
+use crate::usd::{LayerInfo, ROOT, SAMPLE_CODE};
 
 use super::array::{ALIGNMENT, CrateArray};
 use super::contents::{BOOTSTRAP_BYTES, bootstrap};
@@ -54,6 +54,9 @@ pub(super) struct PropertySpec {
 /// Where the value of a property is.
 pub(super) enum SpecValue {
     Always(ValueRep),
+    /// The value of a frame: the default, and a sample for stages, which see nothing but samples. Both refer
+    /// to the same array.
+    Frame(ValueRep),
     /// For each sample, its time code and its value.
     Samples(Vec<(f64, ValueRep)>),
 }
@@ -214,11 +217,15 @@ impl LayerEnd {
             ("typeName", self.tables.token_value(kind)),
             ("custom", ValueRep::inlined(ValueType::Bool, 0)),
             ("variability", ValueRep::inlined(ValueType::Variability, u32::from(*is_uniform))),
-            match value {
-                SpecValue::Always(value) => ("default", *value),
-                SpecValue::Samples(samples) => ("timeSamples", self.samples(samples)),
-            },
         ];
+        match value {
+            SpecValue::Always(value) => fields.push(("default", *value)),
+            SpecValue::Frame(value) => {
+                let sample = self.samples(&[(SAMPLE_CODE as f64, *value)]);
+                fields.extend([("default", *value), ("timeSamples", sample)]);
+            }
+            SpecValue::Samples(samples) => fields.push(("timeSamples", self.samples(samples))),
+        }
         if *is_per_vertex {
             fields.push(("interpolation", self.tables.token_value("vertex")));
         }

@@ -20,6 +20,9 @@
 //!
 //! Integers are compressed in the same way as by OpenUSD. Vectors are not compressed, so that programs can
 //! map them into memory.
+//!
+//! The file of a frame has each value twice, as the default and as a time sample, which refer to one array.
+//! [Stages](crate::usda::UsdStage) see only time samples; programs that know no times find the default.
 
 use crate::mesh_options::WriteOption;
 use crate::provenance::from_comments;

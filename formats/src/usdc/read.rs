@@ -266,9 +266,11 @@ fn int64(source: &Source, value: ValueRep) -> Result<u64> {
 
 fn values_of(source: &Source, spec: &Spec) -> Result<PropertyValues> {
     let name = &*spec.name;
-    let Some(samples) = spec.field("timeSamples") else {
-        return spec.field("default").map(PropertyValues::Always).ok_or_else(|| unexpected(name));
-    };
+    // The file of a frame has the same value as a sample, for stages.
+    if let Some(value) = spec.field("default") {
+        return Ok(PropertyValues::Always(value));
+    }
+    let samples = spec.field("timeSamples").ok_or_else(|| unexpected(name))?;
     let offset = samples.offset(ValueType::TimeSamples).ok_or_else(|| unexpected(name))?;
     let mut cursor = source.at(offset)?;
     let times = value_here(&mut cursor, "times")?;

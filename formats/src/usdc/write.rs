@@ -33,7 +33,7 @@ pub(super) fn write(
 ) -> Result<()> {
     mesh.check(FORMAT)?;
     check_quads(FORMAT, mesh.triangles, &options.quads)?;
-    let found = properties(mesh, &options.quads);
+    let found = properties(mesh, &options.quads, true);
     let arrays: Vec<Option<CrateArray>> = found.par_iter().map(array_of).collect::<Result<_>>()?;
 
     let mut at = head(provenance, 0).len() as u64;
@@ -105,8 +105,8 @@ fn spec(property: &MeshProperty, value: ValueRep) -> PropertySpec {
     PropertySpec {
         kind: property.kind.clone(),
         name: property.name.clone(),
-        value: SpecValue::Always(value),
-        is_uniform: matches!(property.value, PropertyValue::Token(_) | PropertyValue::TokenList(_)),
+        value: if property.is_uniform() { SpecValue::Always(value) } else { SpecValue::Frame(value) },
+        is_uniform: property.is_uniform(),
         is_per_vertex: property.is_per_vertex,
         element_size: property.element_size,
     }

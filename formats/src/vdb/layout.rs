@@ -13,6 +13,8 @@ pub(super) const UUID_BYTES: usize = 36;
 
 pub(super) const TYPE_FLOAT: &str = "Tree_float_5_4_3";
 pub(super) const TYPE_VEC3S: &str = "Tree_vec3s_5_4_3";
+/// The name of a grid of velocities, by which programs find it.
+pub(super) const VELOCITY: &str = "velocity";
 pub(super) const HALF_SUFFIX: &str = "_HalfFloat";
 pub(super) const META_HALF: &str = "is_saved_as_half_float";
 

@@ -3,18 +3,23 @@
 //! A file with offsets records where each grid ends, so grids of any type can be listed. A stream has no
 //! offsets: the reader must parse a grid to find the next one, and it can parse only float and vector grids.
 
-use super::FORMAT;
+use std::io::{Read, Seek, SeekFrom};
+
 use super::cursor::VdbCursor;
-use super::layout::{HALF_SUFFIX, MAGIC, META_HALF, TYPE_FLOAT, TYPE_VEC3S, UUID_BYTES, VERSIONS_READ};
+use super::layout::{
+    HALF_SUFFIX, MAGIC, META_HALF, TYPE_FLOAT, TYPE_VEC3S, UUID_BYTES, VELOCITY, VERSIONS_READ,
+};
 use super::metadata::{MetaValue, read_metadata};
 use super::read_tree::{
     GridData, LevelSetData, TreeBudget, ValueStorage, VectorGridData, VoxelValue, count_tree, pass_tree,
     read_tree,
 };
 use super::transform::Transform;
+use super::{DESCRIPTOR_BYTES_MAX, FORMAT};
 use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
+use crate::provenance::HEAD_BYTES_MAX;
 
 /// A grid of a file.
 #[derive(Clone, Debug)]
@@ -151,24 +156,52 @@ pub(crate) fn first_grid_metadata(head: &[u8]) -> Result<Vec<(String, MetaValue)
     read_metadata(&mut cursor)
 }
 
+/// Whether a file of this crate has a grid of velocities. Reads only the names of the grids.
+///
+/// # Errors
+///
+/// [`Error::Io`] if reading fails; [`Error::Invalid`] if the file is not OpenVDB or is damaged.
+pub fn has_velocity(file: &mut (impl Read + Seek)) -> Result<bool> {
+    let mut read = |start: u64, byte_count: u64| -> Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        file.seek(SeekFrom::Start(start))?;
+        file.by_ref().take(byte_count).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    };
+    let head = read(0, HEAD_BYTES_MAX)?;
+    let mut found = false;
+    let visit = |grid: &Descriptor| found |= grid.name == VELOCITY && grid.type_name.starts_with(TYPE_VEC3S);
+    walk_grids(&head, |start| read(start, DESCRIPTOR_BYTES_MAX), visit)?;
+    Ok(found)
+}
+
 /// The offset of the end of a file's last grid. `read_at` returns the bytes at an offset: it is called with
 /// the end of each grid except the last, where the next descriptor starts. Returns `None` if there are no
 /// grids, if the file is a stream without offsets, or if a grid ends before it starts.
-pub(crate) fn last_grid_end(
+pub(crate) fn last_grid_end(head: &[u8], read_at: impl FnMut(u64) -> Result<Vec<u8>>) -> Result<Option<u64>> {
+    walk_grids(head, read_at, |_| {})
+}
+
+/// Calls `visit` with the descriptors of all grids, and returns what [`last_grid_end`] does.
+fn walk_grids(
     head: &[u8],
     mut read_at: impl FnMut(u64) -> Result<Vec<u8>>,
+    mut visit: impl FnMut(&Descriptor),
 ) -> Result<Option<u64>> {
     let mut cursor = VdbCursor::new(head);
     let header = read_header(&mut cursor)?;
     if header.grid_count == 0 || !header.has_offsets {
         return Ok(None);
     }
-    let mut end = read_descriptor(&mut cursor)?.end;
+    let first = read_descriptor(&mut cursor)?;
+    visit(&first);
+    let mut end = first.end;
     for _ in 1..header.grid_count {
         let next = read_descriptor(&mut VdbCursor::new(&read_at(end)?))?;
         if next.grid_start <= end || next.end < next.grid_start {
             return Ok(None);
         }
+        visit(&next);
         end = next.end;
     }
     Ok(Some(end))

@@ -29,7 +29,7 @@ use super::band_grids::encode_grid;
 use super::encode_leaves::{EncodedBatch, LeafEncoding, Packed, encode_leaves, to_world};
 use super::layout::{
     COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, HALF_SUFFIX, LIBRARY_VERSION, MAGIC, META_HALF, NODE4_VOXELS_LOG2,
-    NODE5_VOXELS_LOG2, TYPE_FLOAT, TYPE_VEC3S, VERSION_WRITTEN, count_ones,
+    NODE5_VOXELS_LOG2, TYPE_FLOAT, TYPE_VEC3S, VELOCITY, VERSION_WRITTEN, count_ones,
 };
 use super::metadata::{MetaWriter, push_string};
 use super::tree::{GridTree, TreeLeaf, count_u32};
@@ -180,7 +180,7 @@ fn grid_names(grids: &[BandGrid], surface: &str) -> Vec<String> {
     let name_of = |grid: &BandGrid| {
         let own = grid.name.trim().replace(char::is_control, "_");
         let stem = match grid.role {
-            Some(AttributeRole::Velocity) if grid.arity == 3 => "velocity",
+            Some(AttributeRole::Velocity) if grid.arity == 3 => VELOCITY,
             _ if own.is_empty() => "attribute",
             _ => &own,
         };

@@ -11,8 +11,9 @@ use clap::builder::TypedValueParser;
 use meniscus_formats::{UpAxis, WriteOption, vdb};
 
 use super::merge::option_set;
-use crate::cli::quantities::{PictureSize, one_of, parse_picture_size};
-use crate::pipeline::{CameraChoice, METERS_PER_UNIT, OutputFormat, OutputOptions};
+use super::sequence::FPS;
+use crate::cli::quantities::{PictureSize, one_of, parse_fps, parse_picture_size};
+use crate::pipeline::{CameraChoice, METERS_PER_UNIT, OutputFormat, OutputOptions, StageOptions};
 use crate::surface::options::{OptionGroup, ranged};
 
 option_set! {
@@ -65,11 +66,29 @@ option_set! {
         /// or eye=1:2:3,target=0:0:0,view=40,up=y [default: auto]
         #[arg(long, help_heading = FORMATS, value_name = "SPEC")]
         pub(in crate::cli) camera: Option<CameraChoice>,
+
+        /// Write a small USD stage that plays the .usdc or .usda files of the frames, and their .vdb files;
+        /// requires one of these formats in --format
+        ///
+        /// FILE must end in .usda. It is replaced while frames arrive: it plays the frames that are complete,
+        /// and holds the previous one where a frame is missing. Its paths are relative to its folder, so move
+        /// it together with the results. Each sequence is a prim. In a plan, FILE must be in the folder of
+        /// the results; every shard updates it.
+        #[arg(long, help_heading = SEQUENCE_FILE, value_name = "FILE")]
+        pub(in crate::cli) stage: Option<PathBuf>,
+
+        /// Frame rate of the sequence file or the stage, per second, more than 0 and at most 1000; use that
+        /// of your scene [default: 24]
+        #[arg(long, help_heading = SEQUENCE_FILE, value_name = "N", value_parser = parse_fps)]
+        pub(in crate::cli) fps: Option<f64>,
     }
 }
 
 /// The help heading of all options except `--format`.
 const FORMATS: &str = "Formats";
+
+/// The heading of the options for all frames together.
+pub(in crate::cli) const SEQUENCE_FILE: &str = "Sequence file";
 
 /// A surface format.
 fn surface_format() -> impl TypedValueParser<Value = OutputFormat> {
@@ -121,7 +140,7 @@ impl FormatArgs {
     ///
     /// # Errors
     /// If --quantize is given without .glb among the formats: the user expects small files and would not get
-    /// them.
+    /// them. If --stage has nothing to play.
     pub(in crate::cli) fn outputs(&self, folder: PathBuf) -> Result<OutputOptions> {
         let default = OutputOptions::new(folder, &self.written());
         let mut picture = default.picture;
@@ -134,11 +153,42 @@ impl FormatArgs {
             vdb_half: self.vdb_half,
             vdb_compression: self.vdb_compression.unwrap_or(default.vdb_compression),
             picture,
+            stage: self.stage.clone().map(|path| StageOptions { path, fps: self.fps.unwrap_or(FPS) }),
             ..default
         };
         if self.quantize && !outputs.has_option(WriteOption::Quantize) {
             bail!("--quantize requires .glb output: leave it out, or add glb to --format");
         }
+        check_stage(&outputs)?;
         Ok(outputs)
     }
+
+    /// Refuses a frame rate without a stage: for commands that write no sequence files.
+    ///
+    /// # Errors
+    /// What to give as well.
+    pub(in crate::cli) fn refuse_idle_fps(&self) -> Result<()> {
+        if self.fps.is_some() && self.stage.is_none() {
+            bail!("--fps is for a stage: give --stage as well");
+        }
+        Ok(())
+    }
+}
+
+/// Refuses a stage with another extension, and one that plays no files.
+fn check_stage(outputs: &OutputOptions) -> Result<()> {
+    let Some(StageOptions { path, .. }) = &outputs.stage else { return Ok(()) };
+    if path.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("usda")) {
+        bail!("--stage {}: the name of this file must end in .usda", path.display());
+    }
+    // A user who writes meshes, as by default, expects them in the stage.
+    let has_meshes = outputs.formats.iter().any(|format| format.is_mesh());
+    let is_of_volumes = outputs.formats.contains(&OutputFormat::Vdb) && !has_meshes;
+    if outputs.stage_mesh_format().is_none() && !is_of_volumes {
+        bail!(
+            "--stage plays the .usdc or .usda files of the frames, and there are none: add usdc to --format, or give \
+             --format vdb for a stage of volumes"
+        );
+    }
+    Ok(())
 }

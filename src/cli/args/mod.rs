@@ -32,6 +32,7 @@ use farm::parse_shard;
 pub(super) use farm::{PlanArgs, ShardChoice, VerifyArgs};
 pub(super) use flicker::FlickerArgs;
 pub(super) use formats::FormatArgs;
+use formats::SEQUENCE_FILE;
 pub(super) use manual::{CompletionsArgs, ManArgs};
 pub(super) use merge::{OptionSet, option_set};
 pub(super) use method::MethodArgs;
@@ -176,7 +177,7 @@ option_set! {
         #[arg(long, help_heading = "Run")]
         pub(super) print_settings: bool,
 
-        #[command(flatten, next_help_heading = "Sequence file")]
+        #[command(flatten, next_help_heading = SEQUENCE_FILE)]
         pub(super) shot: SequenceFileArgs,
     }
 }

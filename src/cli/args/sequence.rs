@@ -53,11 +53,6 @@ option_set! {
         /// sequence, and glb in --format
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) sequence_abc: Option<PathBuf>,
-
-        /// Frame rate of the sequence file, per second, more than 0 and at most 1000; use that of your scene
-        /// [default: 24]
-        #[arg(long, value_name = "N", value_parser = parse_fps)]
-        pub(in crate::cli) fps: Option<f64>,
     }
 }
 

@@ -191,6 +191,9 @@ impl FileInfo {
                 Some(usda::LayerInfo { vertices, faces, frames: None }) => {
                     self.layer = Some(LayerRecord { vertices, faces });
                 }
+                None if self.made_by.is_some() => {
+                    self.notes.push("a stage: it plays the files of its frames".to_owned());
+                }
                 None => self.notes.push("USD files of other programs are not read".to_owned()),
             },
             ProbedKind::Format(Format::Usdc) if codec.is_none() => {

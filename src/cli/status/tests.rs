@@ -72,6 +72,7 @@ fn plan() -> PlanRecord {
             vdb_half: false,
             vdb_compression: meniscus_formats::vdb::Compression::Blosc,
             picture: crate::pipeline::PictureOptions::default(),
+            stage: None,
         },
         choices: MethodOptions::default(),
         obstacles: Vec::new(),

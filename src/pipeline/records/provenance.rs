@@ -259,7 +259,7 @@ pub fn settings_fingerprint(settings: &Settings, options: &OutputOptions) -> Str
 fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Pairs {
     let is_recorded = |option: &WriteOption| match option {
         WriteOption::Quads | WriteOption::Quantize => false,
-        WriteOption::MetersPerUnit => !options.is_default(*option),
+        WriteOption::MetersPerUnit | WriteOption::TimeSamples => !options.is_default(*option),
         _ => true,
     };
     let of_format = format.options().iter().copied().filter(is_recorded);

@@ -91,11 +91,11 @@ pub struct SequenceReport {
     pub notes: Vec<String>,
 }
 
-/// Why no sequence file could be written.
+/// Why no sequence file or stage could be written.
 #[derive(Debug)]
 pub struct SequenceError {
-    path: PathBuf,
-    what: String,
+    pub(super) path: PathBuf,
+    pub(super) what: String,
 }
 
 impl fmt::Display for SequenceError {
@@ -308,7 +308,7 @@ fn provenance(numbers: &[u64], fps: f64) -> Vec<(String, String)> {
 }
 
 /// The numbers of the frames. If some have none, or they do not increase, frames are counted from 1.
-fn increasing(numbers: &[Option<u64>]) -> Vec<u64> {
+pub(super) fn increasing(numbers: &[Option<u64>]) -> Vec<u64> {
     let known = numbers.iter().copied().collect::<Option<Vec<u64>>>();
     let increasing = known.filter(|known| known.windows(2).all(|pair| pair[0] < pair[1]));
     increasing.unwrap_or_else(|| (1..=numbers.len() as u64).collect())

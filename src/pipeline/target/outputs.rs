@@ -19,6 +19,9 @@ use crate::pipeline::files::names::name_of_text;
 /// The allowed length of a world unit in metres: from a nanometre to a million kilometres.
 pub const METERS_PER_UNIT: RangeInclusive<f64> = 1e-9..=1e9;
 
+/// The allowed numbers of frames per second.
+pub const FRAME_RATES: RangeInclusive<f64> = f64::MIN_POSITIVE..=1000.0;
+
 /// The outputs of a frame, and their folder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OutputOptions {
@@ -43,6 +46,20 @@ pub struct OutputOptions {
     /// The size and camera of pictures.
     #[serde(default)]
     pub picture: PictureOptions,
+    /// The stage that plays the files of the frames.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stage: Option<StageOptions>,
+}
+
+/// A stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StageOptions {
+    /// The file, with the extension `.usda`.
+    #[serde(with = "path")]
+    pub path: PathBuf,
+    /// Frames per second.
+    #[serde(with = "text")]
+    pub fps: f64,
 }
 
 fn meter() -> f64 {
@@ -67,6 +84,7 @@ impl OutputOptions {
             vdb_half: false,
             vdb_compression: vdb::Compression::Blosc,
             picture: PictureOptions::default(),
+            stage: None,
         }
     }
 
@@ -100,6 +118,7 @@ impl OutputOptions {
                 format!("{width}x{height}")
             }
             WriteOption::Camera => self.picture.camera.to_string(),
+            WriteOption::TimeSamples => self.has_time_samples().to_string(),
         }
     }
 
@@ -111,7 +130,19 @@ impl OutputOptions {
     /// The options for writing meshes. `quads` marks the triangles that form a quad with the next triangle.
     pub(crate) fn mesh(&self, quads: Arc<[bool]>) -> MeshOptions {
         let OutputOptions { up, meters_per_unit, quantize, .. } = *self;
-        MeshOptions { up, meters_per_unit, quantize, quads, ..MeshOptions::default() }
+        let time_samples = self.has_time_samples();
+        MeshOptions { up, meters_per_unit, quantize, quads, time_samples, ..MeshOptions::default() }
+    }
+
+    /// The format of the meshes that a stage plays: .usdc if it is among the outputs, because it needs no
+    /// copy of the arrays.
+    pub fn stage_mesh_format(&self) -> Option<OutputFormat> {
+        [OutputFormat::Usdc, OutputFormat::Usda].into_iter().find(|format| self.formats.contains(format))
+    }
+
+    /// Whether the .usda files of the frames have their arrays as time samples, too.
+    fn has_time_samples(&self) -> bool {
+        self.stage.is_some() && self.stage_mesh_format() == Some(OutputFormat::Usda)
     }
 
     /// The up axis of pictures: that of the camera, or else that of the particles.

@@ -104,6 +104,7 @@ mod tests {
             vdb_half: false,
             vdb_compression: vdb::Compression::None,
             picture: crate::pipeline::PictureOptions::default(),
+            stage: None,
         };
         Box::new(Frame {
             input: name.into(),

@@ -4,6 +4,7 @@
 //!   root         a watched folder: scans, events, inspections     slow         measuring, finding steps
 //!   output_dir   a folder of outputs: journal, lock, free space   pipeline     converts frames
 //!   worker       the thread of either, and its stall detection
+//!   stages       the stages of a folder of outputs
 //!   inspect, evidence, scan, selection, fs_events, mounts, lock, canonical_path   what the workers call
 //! ```
 
@@ -22,5 +23,6 @@ mod root;
 pub(crate) mod scan;
 pub mod selection;
 mod slow;
+mod stages;
 pub(crate) mod start;
 pub(crate) mod worker;

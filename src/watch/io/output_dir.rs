@@ -16,6 +16,7 @@ use crate::watch::journal::{FILE_NAME as JOURNAL_FILE_NAME, Journal, STATE_FOLDE
 use super::error::DaemonError;
 use super::lock::{FILE_NAME as LOCK_FILE_NAME, OutputLock};
 use super::mounts::{RootIdentity, free_bytes};
+use super::stages::FolderStages;
 use super::worker::Work;
 
 /// A folder of outputs that only this daemon writes to.
@@ -28,6 +29,7 @@ pub(super) struct OutputDir {
     /// Whether the folder is in place. If another one has replaced it, nothing is written there.
     is_mounted: bool,
     next_check: Instant,
+    stages: FolderStages,
     /// The lock of the journal's folder, if that is another folder: the journal, too, must have only one
     /// writer.
     _journal_lock: Option<OutputLock>,
@@ -101,6 +103,7 @@ impl OutputDir {
             count => tracing::info!(folder = %folder.display(), "removed {count} half-written files"),
         }
         let held = Mutex::new(Held { lock, identity });
+        let stages = FolderStages::new(&folder, config);
         Ok(OutputDir {
             index,
             guard: Arc::new(OutputGuard { folder, floor_bytes: config.disk_floor_bytes, held }),
@@ -108,6 +111,7 @@ impl OutputDir {
             journal_failed_at: None,
             is_mounted: true,
             next_check: Instant::now(),
+            stages,
             _journal_lock: journal_lock,
         })
     }
@@ -118,6 +122,14 @@ impl OutputDir {
 
     pub(super) fn journal(&self) -> &Journal {
         &self.journal
+    }
+
+    /// Writes the stages of the recorded frames that are due; `at_once`, also those that are due later.
+    fn write_stages(&mut self, at_once: bool) {
+        self.is_mounted &= self.guard.is_in_place();
+        if self.is_mounted {
+            self.stages.write(&self.journal.state().frames, at_once);
+        }
     }
 
     fn check(&mut self, report: &dyn Fn(Event)) {
@@ -160,6 +172,7 @@ impl Work for OutputDir {
     fn handle(&mut self, request: OutputRequest, report: &dyn Fn(Event)) {
         match request {
             OutputRequest::Record(entry, log) => {
+                self.stages.note(&entry);
                 // Nothing is written if another folder may be in its place.
                 self.is_mounted &= self.guard.is_in_place();
                 self.write(|journal| journal.note(entry));
@@ -170,18 +183,24 @@ impl Work for OutputDir {
             OutputRequest::Check => self.check(report),
             OutputRequest::Sync => {
                 self.write(Journal::sync);
+                self.write_stages(true);
                 report(Event::JournalSynced);
             }
         }
     }
 
     fn on_time(&mut self, report: &dyn Fn(Event)) {
-        self.check(report);
-        remove_left_behind();
+        if self.next_check <= Instant::now() {
+            self.check(report);
+            remove_left_behind();
+        }
+        self.write_stages(false);
     }
 
     fn next_time(&self) -> Instant {
-        self.next_check
+        // A check decides whether a stage can be written.
+        let stages = self.stages.due().filter(|_| self.is_mounted);
+        stages.map_or(self.next_check, |due| due.min(self.next_check))
     }
 }
 

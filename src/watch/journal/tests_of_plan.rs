@@ -7,7 +7,7 @@ use meniscus_formats::vdb::Compression;
 
 use super::line::{parse_line, push_line};
 use super::state::{Entry, PlanRecord};
-use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions};
+use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions, StageOptions};
 use crate::surface::options::MethodOptions;
 use crate::watch::config::{StabilityTimeouts, Watch};
 
@@ -39,6 +39,7 @@ fn bare() -> Watch {
             vdb_half: false,
             vdb_compression: Compression::None,
             picture: PictureOptions::default(),
+            stage: None,
         },
         choices: MethodOptions::default(),
         obstacles: Vec::new(),
@@ -58,6 +59,7 @@ fn plan_survives_a_round_trip_bit_for_bit() {
             meters_per_unit: 0.01_f64.next_up(),
             quantize: true,
             vdb_half: true,
+            stage: Some(StageOptions { path: "/s\u{e9} 1.usda".into(), fps: 1.0 / 3.0 }),
             ..bare().outputs
         },
         choices: MethodOptions {

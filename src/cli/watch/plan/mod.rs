@@ -22,6 +22,7 @@ use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
 use crate::cli::destination::refuse_file_name;
 use crate::cli::level_sets::{Use, refuse_options};
 use crate::cli::machine::{memory_bytes, thread_count};
+use crate::cli::select::check_output_path;
 use crate::http::{AccessToken, Listen};
 use crate::pipeline::{default_in_flight, read_regular_text, refuse_file_for_folder};
 use crate::surface::options::Settings;
@@ -52,6 +53,7 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
         watches.push(watch.with_context(|| place)?);
     }
     refuse_twins(&watches)?;
+    refuse_shared_stage(&watches)?;
     // A command-line option causes the same warning in every block: log it once.
     let mut told = HashSet::new();
     warnings.retain(|warning: &String| told.insert(warning.clone()));
@@ -135,7 +137,15 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         warnings.extend(Settings::resolve(&choices, None)?.warnings());
     }
     refuse_file_name(output)?;
-    let outputs = frames.formats.outputs(absolute(output)?)?;
+    let mut outputs = frames.formats.outputs(absolute(output)?)?;
+    frames.formats.refuse_idle_fps()?;
+    if let Some(stage) = &mut outputs.stage {
+        stage.path = absolute(&stage.path)?;
+        // The folder of the results may not exist yet.
+        if stage.path.parent() != Some(&*outputs.folder) {
+            check_output_path("the stage", &stage.path)?;
+        }
+    }
     warnings.extend(ignored(&frames.method, &frames.formats, &outputs.formats));
     FileFilter::new(frames.pattern.as_deref(), frames.recursive, Vec::new())?;
     if let Some(sentinel) = &frames.sentinel {
@@ -178,6 +188,28 @@ fn refuse_twins(watches: &[Watch]) -> Result<()> {
         };
         if watches[..index].iter().any(|other| is_twin(&other)) {
             bail!("{}: watched twice for the same output", watch.input.display());
+        }
+    }
+    Ok(())
+}
+
+/// Refuses a stage for folders whose frames cannot be in the same one.
+fn refuse_shared_stage(watches: &[Watch]) -> Result<()> {
+    for (index, watch) in watches.iter().enumerate() {
+        let Some(stage) = &watch.outputs.stage else { continue };
+        let is_unlike = |other: &&Watch| {
+            let [a, b] = [&watch.outputs, &other.outputs];
+            let is_same = same_folder(&a.folder, &b.folder)
+                && (a.up, a.meters_per_unit, &a.stage) == (b.up, b.meters_per_unit, &b.stage)
+                && a.stage_mesh_format() == b.stage_mesh_format();
+            b.stage.as_ref().is_some_and(|other| other.path == stage.path) && !is_same
+        };
+        if watches[..index].iter().any(|other| is_unlike(&other)) {
+            bail!(
+                "{}: several watched folders have this stage, but different outputs, axes, units or frame \
+                 rates: give each a stage of its own",
+                stage.path.display()
+            );
         }
     }
     Ok(())

@@ -1,0 +1,362 @@
+//! Writes a stage: a small file that plays the files of the frames.
+//!
+//! ```text
+//!   def Xform "root"
+//!       def Xform "dam"              a sequence: references the file of one frame, for the attributes
+//!           over "surface"           clips: times ──▶ files
+//!           def Volume "volume"      OpenVDBAsset prims: times ──▶ files
+//! ```
+//!
+//! The meshes are **value clips**: at each time, all values come from the file of one frame. Among the
+//! mechanisms of USD this is the one with which a mesh is a single prim with time samples, as in a sequence
+//! file. So Blender, Houdini and usdview play it, blur it by its velocities, and open only the files of the
+//! times that they show. A payload for each frame would need a prim for each frame, all of them loaded, and
+//! visibilities that Blender does not animate.
+//!
+//! The clips are listed one by one, instead of by a template such as `dam.####.usdc`. A template finds files
+//! when a stage is opened, so it needs no list. But it fits only names with one number, which is the time;
+//! and to learn which frames exist, every program that opens the stage looks for all of them. The list holds
+//! exactly the frames that are complete, and the writer replaces it when there are more.
+//!
+//! The file of a frame has one sample, at time code 0, whatever its number. `times` maps all times to it.
+//! USD interpolates between values of the same size in consecutive clips, so a frame is repeated just before
+//! the next one if frames are missing in between.
+//!
+//! The declarations and the manifest are those of the file of one frame. So the stage needs no list of
+//! attributes, and primvars keep their types. Only `xformOpOrder` is here, because its value cannot depend on
+//! the time.
+
+use crate::data::Provenance;
+use crate::error::{Error, Position, Result};
+use crate::mesh_options::UpAxis;
+use crate::usd::{CODE_MAX, FORMAT, PRIM, ROOT, SAMPLE_CODE, TRANSLATE, held_codes, identifier};
+use crate::vertex_attributes::UsedNames;
+
+use super::head::{LAST_LINE, head, times};
+
+/// The sequences of a stage, and its units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UsdStage {
+    /// Which axis of the frames points up.
+    pub up: UpAxis,
+    /// The length of a world unit in metres.
+    pub meters_per_unit: f64,
+    /// Frames per second.
+    pub fps: f64,
+    /// The sequences.
+    pub sequences: Vec<StageClips>,
+}
+
+/// The frames of a sequence.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StageClips {
+    /// Its name, from which that of its prim is made.
+    pub name: String,
+    /// The meshes in USD, in the order of their time codes.
+    pub meshes: Vec<ClipFile>,
+    /// The index of the mesh whose file declares the attributes of all.
+    pub declared_by: usize,
+    /// The level sets in OpenVDB, in the order of their time codes.
+    pub volumes: Vec<ClipFile>,
+    /// Whether the level sets have a grid of velocities.
+    pub has_velocity: bool,
+}
+
+/// A file of a frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ClipFile {
+    /// When it is shown.
+    pub code: u64,
+    /// Its path, relative to the folder of the stage or absolute, with `/` between names.
+    pub path: String,
+}
+
+/// The text of a stage.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] if there is no file, time codes do not increase, or a path has control characters;
+/// [`Error::Unsupported`] for time codes beyond 2⁵³.
+pub fn stage_text(stage: &UsdStage, provenance: &Provenance) -> Result<String> {
+    let UsdStage { up, meters_per_unit, fps, sequences } = stage;
+    let lists = || sequences.iter().flat_map(|sequence| [&sequence.meshes, &sequence.volumes]);
+    lists().try_for_each(|files| check(files))?;
+    let codes = || lists().flatten().map(|file| file.code);
+    let Some(range) = codes().min().zip(codes().max()) else {
+        return Err(invalid("a stage needs at least one frame".to_owned()));
+    };
+    let mut text = head(provenance, None, (*up, *meters_per_unit), &times(range.into(), *fps));
+    let mut taken = UsedNames::new(&[]);
+    for sequence in sequences {
+        let name = taken.take(&identifier(&sequence.name), |stem| vec![stem.to_owned()]).concat();
+        text += &sequence_text(sequence, &name);
+    }
+    let (meshes, volumes) = sequences
+        .iter()
+        .fold((0, 0), |(meshes, volumes), next| (meshes + next.meshes.len(), volumes + next.volumes.len()));
+    Ok(text + &format!("}}\n\n{LAST_LINE}{meshes} meshes, {volumes} volumes\n"))
+}
+
+fn invalid(what: String) -> Error {
+    Error::invalid(FORMAT, Position::File, what)
+}
+
+fn check(files: &[ClipFile]) -> Result<()> {
+    if let Some(pair) = files.windows(2).find(|pair| pair[1].code <= pair[0].code) {
+        let [a, b] = [&pair[0], &pair[1]];
+        return Err(invalid(format!(
+            "{} and {} have the time codes {} and {}",
+            a.path, b.path, a.code, b.code
+        )));
+    }
+    if let Some(ClipFile { code, path }) = files.last().filter(|file| file.code > CODE_MAX) {
+        let what = format!("the frame number {code} of {path} exceeds the limit for time codes, {CODE_MAX}");
+        return Err(Error::unsupported(FORMAT, what));
+    }
+    match files.iter().find(|file| file.path.contains(char::is_control)) {
+        Some(file) => {
+            Err(invalid(format!("{:?} has control characters, which USD does not allow", file.path)))
+        }
+        None => Ok(()),
+    }
+}
+
+/// The prim of a sequence.
+fn sequence_text(sequence: &StageClips, name: &str) -> String {
+    let StageClips { meshes, declared_by, volumes, has_velocity, .. } = sequence;
+    let mut text = format!("    def Xform \"{name}\"");
+    if let Some(declared) = meshes.get(*declared_by).map(|file| asset(&file.path)) {
+        text += &clips(meshes, &declared);
+    }
+    text += "\n    {\n";
+    if !meshes.is_empty() {
+        text += &format!(
+            "        over \"{PRIM}\"\n        {{\n            uniform token[] xformOpOrder = [\"{TRANSLATE}\"]\n        }}\n"
+        );
+    }
+    if !volumes.is_empty() {
+        // The surface would be rendered twice.
+        let is_hidden = !meshes.is_empty();
+        let path = format!("/{ROOT}/{name}/{VOLUME}");
+        text += &volume(&path, volumes, *has_velocity, is_hidden);
+    }
+    text + "    }\n"
+}
+
+/// The name of the volume.
+const VOLUME: &str = "volume";
+
+/// The metadata that makes all values come from the files of the frames.
+fn clips(meshes: &[ClipFile], declared: &str) -> String {
+    let (mut active, mut times) = (Vec::new(), Vec::new());
+    for (index, file) in meshes.iter().enumerate() {
+        for code in held_codes(file.code, meshes.get(index + 1).map(|next| next.code)) {
+            active.push(format!("({code}, {index})"));
+            times.push(format!("({code}, {SAMPLE_CODE})"));
+        }
+    }
+    let assets: Vec<String> = meshes.iter().map(|file| asset(&file.path)).collect();
+    let [active, times, assets] = [active, times, assets].map(|list| list.join(", "));
+    format!(
+        " (
+        clips = {{
+            dictionary default = {{
+                double2[] active = [{active}]
+                asset[] assetPaths = [{assets}]
+                asset manifestAssetPath = {declared}
+                string primPath = \"/{ROOT}\"
+                double2[] times = [{times}]
+            }}
+        }}
+        references = {declared}
+    )"
+    )
+}
+
+/// The prim of the level sets, with one child for each grid.
+fn volume(path: &str, files: &[ClipFile], has_velocity: bool, is_hidden: bool) -> String {
+    const LEVEL_SET: [&str; 4] = [
+        "surface",
+        "token fieldClass = \"levelSet\"",
+        "token fieldDataType = \"float\"",
+        "token fieldName = \"surface\"",
+    ];
+    const VELOCITY: [&str; 4] = [
+        "velocity",
+        "token fieldDataType = \"float3\"",
+        "token fieldName = \"velocity\"",
+        "token vectorDataRoleHint = \"Vector\"",
+    ];
+    let grids = [Some(LEVEL_SET), has_velocity.then_some(VELOCITY)].into_iter().flatten();
+    let mut text = format!("        def Volume \"{VOLUME}\"\n        {{\n");
+    for [grid, ..] in grids.clone() {
+        text += &format!("            rel field:{grid} = <{path}/{grid}>\n");
+    }
+    text += if is_hidden { "            token visibility = \"invisible\"\n" } else { "" };
+    for [grid, lines @ ..] in grids {
+        text += &format!("\n            def OpenVDBAsset \"{grid}\"\n            {{\n");
+        text += "                asset filePath.timeSamples = {\n";
+        for ClipFile { code, path } in files {
+            text += &format!("                    {code}: {},\n", asset(path));
+        }
+        text += "                }\n";
+        for line in lines {
+            text += &format!("                {line}\n");
+        }
+        text += "            }\n";
+    }
+    text + "        }\n"
+}
+
+/// A path between its delimiters.
+fn asset(path: &str) -> String {
+    match path.contains('@') {
+        false => format!("@{path}@"),
+        true => format!("@@@{}@@@", path.replace("@@@", "\\@@@")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn files(codes: &[u64], extension: &str) -> Vec<ClipFile> {
+        let file = |&code: &u64| ClipFile { code, path: format!("./out/dam.{code}.{extension}") };
+        codes.iter().map(file).collect()
+    }
+
+    fn stage(sequences: Vec<StageClips>) -> UsdStage {
+        UsdStage { up: UpAxis::Z, meters_per_unit: 0.01, fps: 25.0, sequences }
+    }
+
+    fn text(sequences: Vec<StageClips>) -> String {
+        stage_text(&stage(sequences), &[("generator".to_owned(), "meniscus".to_owned())]).expect("a stage")
+    }
+
+    #[test]
+    fn stage_of_meshes_maps_times_to_files_and_holds_a_frame_before_a_gap() {
+        let meshes = files(&[1, 2, 5], "usdc");
+        let name = "dam".to_owned();
+        let text = text(vec![StageClips { name, meshes, declared_by: 1, ..StageClips::default() }]);
+        assert_eq!(
+            text,
+            "#usda 1.0
+(
+    customLayerData = {
+        dictionary meniscus = {
+            string generator = \"meniscus\"
+        }
+    }
+    defaultPrim = \"root\"
+    endTimeCode = 5
+    framesPerSecond = 25
+    startTimeCode = 1
+    timeCodesPerSecond = 25
+    metersPerUnit = 0.01
+    upAxis = \"Z\"
+)
+
+def Xform \"root\"
+{
+    def Xform \"dam\" (
+        clips = {
+            dictionary default = {
+                double2[] active = [(1, 0), (2, 1), (4, 1), (5, 2)]
+                asset[] assetPaths = [@./out/dam.1.usdc@, @./out/dam.2.usdc@, @./out/dam.5.usdc@]
+                asset manifestAssetPath = @./out/dam.2.usdc@
+                string primPath = \"/root\"
+                double2[] times = [(1, 0), (2, 0), (4, 0), (5, 0)]
+            }
+        }
+        references = @./out/dam.2.usdc@
+    )
+    {
+        over \"surface\"
+        {
+            uniform token[] xformOpOrder = [\"xformOp:translate\"]
+        }
+    }
+}
+
+# end: 3 meshes, 0 volumes
+"
+        );
+        assert!(super::super::head::ends_as_written(text.as_bytes()));
+    }
+
+    #[test]
+    fn volume_alone_is_visible_and_has_its_velocity() {
+        let volumes = files(&[7, 9], "vdb");
+        let sequence =
+            StageClips { name: "dam".to_owned(), volumes, has_velocity: true, ..StageClips::default() };
+        let text = text(vec![sequence.clone()]);
+        let (_, volume) = text.split_once("    def Xform \"dam\"\n    {\n").expect("no clips");
+        assert_eq!(
+            volume,
+            "        def Volume \"volume\"
+        {
+            rel field:surface = </root/dam/volume/surface>
+            rel field:velocity = </root/dam/volume/velocity>
+
+            def OpenVDBAsset \"surface\"
+            {
+                asset filePath.timeSamples = {
+                    7: @./out/dam.7.vdb@,
+                    9: @./out/dam.9.vdb@,
+                }
+                token fieldClass = \"levelSet\"
+                token fieldDataType = \"float\"
+                token fieldName = \"surface\"
+            }
+
+            def OpenVDBAsset \"velocity\"
+            {
+                asset filePath.timeSamples = {
+                    7: @./out/dam.7.vdb@,
+                    9: @./out/dam.9.vdb@,
+                }
+                token fieldDataType = \"float3\"
+                token fieldName = \"velocity\"
+                token vectorDataRoleHint = \"Vector\"
+            }
+        }
+    }
+}
+
+# end: 0 meshes, 2 volumes
+"
+        );
+        let both = StageClips { meshes: files(&[7], "usdc"), has_velocity: false, ..sequence };
+        let both = super::stage_text(&stage(vec![both]), &[]).expect("a stage");
+        assert!(both.contains("token visibility = \"invisible\"") && !both.contains("velocity"), "{both}");
+    }
+
+    #[test]
+    fn sequences_have_prims_of_their_own() {
+        let sequence = |name: &str| {
+            let meshes = files(&[1], "usda");
+            StageClips { name: name.to_owned(), meshes, ..StageClips::default() }
+        };
+        let text = text(["2 drops", "a.b", "a b"].map(sequence).to_vec());
+        let prims: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("    def Xform ")).collect();
+        assert_eq!(prims, ["\"_2_drops\" (", "\"a_b\" (", "\"a_b_2\" ("]);
+    }
+
+    #[test]
+    fn paths_with_the_delimiter_are_quoted_and_with_control_characters_refused() {
+        assert_eq!(asset("./a b/ü.usdc"), "@./a b/ü.usdc@");
+        assert_eq!(asset("./a@@@b@.usdc"), "@@@./a\\@@@b@.usdc@@@");
+        let with = |files: Vec<ClipFile>| {
+            stage_text(&stage(vec![StageClips { meshes: files, ..StageClips::default() }]), &[])
+        };
+        let file = |code, path: &str| ClipFile { code, path: path.to_owned() };
+        for refused in [
+            vec![],
+            vec![file(1, "a\nb")],
+            vec![file(2, "a"), file(2, "b")],
+            vec![file(1, "a"), file(CODE_MAX + 1, "b")],
+        ] {
+            assert!(with(refused).is_err());
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! Stages grow with the frames, and survive restarts.
+
+use std::fs;
+
+use crate::scene::{Scene, await_that};
+
+const FORMATS: [&str; 4] = ["--format", "usdc,vdb", "--stage", "dam.usda"];
+
+/// The text of the stage; empty while it is missing.
+fn stage(scene: &Scene) -> String {
+    fs::read_to_string(scene.path("dam.usda")).unwrap_or_default()
+}
+
+/// Waits until the stage plays exactly these frames.
+#[track_caller]
+fn await_frames(scene: &Scene, numbers: &[usize]) {
+    let paths: Vec<String> = numbers.iter().map(|number| format!("@./out/dam.{number}.usdc@")).collect();
+    let list = format!("asset[] assetPaths = [{}]\n", paths.join(", "));
+    await_that(&list, || stage(scene).contains(&list));
+}
+
+/// Asserts that `convert` makes the same stage of the frames.
+#[track_caller]
+fn assert_as_converted(scene: &Scene) {
+    let ran = scene.run(&[
+        "convert",
+        "in",
+        "--out",
+        "out",
+        "--skip-done",
+        "--format",
+        "usdc,vdb",
+        "--stage",
+        "c.usda",
+    ]);
+    assert_eq!(ran.status, Some(0), "{}", ran.err);
+    assert_eq!(stage(scene), String::from_utf8(scene.bytes("c.usda")).expect("text"));
+}
+
+#[test]
+fn stage_grows_with_the_frames_and_is_rebuilt_after_a_restart() {
+    let scene = Scene::new();
+    scene.put_moving([1, 2]);
+    let daemon = scene.watch(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    await_frames(&scene, &[1, 2]);
+    scene.put_moving([5]);
+    await_frames(&scene, &[1, 2, 5]);
+    assert!(stage(&scene).contains("double2[] active = [(1, 0), (2, 1), (4, 1), (5, 2)]"));
+    daemon.assert_no_complaints();
+    daemon.kill();
+
+    // The journal has the frames, also one whose input is gone. A file that was removed is not in the stage.
+    scene.remove("dam.usda");
+    scene.remove("in/dam.1.ply");
+    let daemon = scene.watch(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    await_frames(&scene, &[1, 2, 5]);
+    scene.put_moving([3]);
+    await_frames(&scene, &[1, 2, 3, 5]);
+    daemon.assert_no_complaints();
+    daemon.finish();
+    scene.assert_no_temporaries();
+    scene.remove("out/dam.1.usdc");
+    scene.remove("out/dam.1.vdb");
+    let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    once.assert_status(0);
+    assert!(once.converted().is_empty());
+    assert_as_converted(&scene);
+}
+
+#[test]
+fn stage_of_a_finished_run_is_that_of_convert() {
+    let scene = Scene::new();
+    scene.put_moving(1..=3);
+    // `--once` ends before the pause between two updates is over.
+    scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat()).assert_status(0);
+    await_frames(&scene, &[1, 2, 3]);
+    assert_as_converted(&scene);
+    // Without the journal, frames are found done, and the stage is the same.
+    fs::remove_dir_all(scene.path("out/.meniscus")).expect("removed");
+    scene.remove("dam.usda");
+    scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat()).assert_status(0);
+    assert_as_converted(&scene);
+}
+
+#[test]
+fn file_that_is_not_a_stage_is_not_replaced() {
+    let scene = Scene::new();
+    scene.put_moving([1]);
+    scene.write("dam.usda", "#usda 1.0\n");
+    let daemon = scene.watch(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    daemon.await_line("the error", |line| {
+        line.level == "ERROR" && line.message.contains("dam.usda: exists, and is not a stage of meniscus")
+    });
+    daemon.await_converted("dam.1.ply");
+    assert_eq!(stage(&scene), "#usda 1.0\n");
+    daemon.finish();
+}
