@@ -103,13 +103,13 @@ fn check_head(head: &[u8], file_bytes: u64, file_name: &str) -> HeadCheck {
     if let Some(codec) = codec {
         return by_reading(codec.file_bytes_min());
     }
-    let unproven = HeadCheck::Known(Completeness::Unknown);
-    let ProbedKind::Format(format) = kind else { return unproven };
-    let Some(particles) = &format.row().particles else { return unproven };
+    let unknown = HeadCheck::Known(Completeness::Unknown);
+    let ProbedKind::Format(format) = kind else { return unknown };
+    let Some(particles) = &format.row().particles else { return unknown };
     (particles.completeness)(head, file_bytes).unwrap_or_else(|error| match error.is_truncated() {
         true if (head.len() as u64) < file_bytes => HeadCheck::NeedsMoreHead,
         true => HeadCheck::Known(Completeness::Incomplete { expected: file_bytes + 1, found: file_bytes }),
-        false => unproven,
+        false => unknown,
     })
 }
 

@@ -65,7 +65,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         refuse_level_sets(&selection, "--particles-only")?;
         Job::Particles
     } else {
-        let job = surface_job(&selection, args.band_slack, &args.method)?;
+        let job = surface_job(&selection, args.max_deviation, &args.method)?;
         // --meters-per-unit also affects a USD sequence file: with such a file, the option is not reported as
         // ignored.
         let has_usd = args.shot.sequence_usda.is_some() || args.shot.sequence_usdc.is_some();

@@ -1,4 +1,4 @@
-//! .vdb level sets as inputs: contoured unchanged, or smoothed within --band-slack.
+//! .vdb level sets as inputs: contoured unchanged, or smoothed within --max-deviation.
 
 use anyhow::{Result, bail};
 
@@ -12,10 +12,10 @@ use super::wording::option_names;
 /// How the selected files become surfaces: all are level sets, or all are particles.
 ///
 /// # Errors
-/// If both are selected, --band-slack is given for particles, or options do not apply to level sets.
+/// If both are selected, --max-deviation is given for particles, or options do not apply to level sets.
 pub(super) fn surface_job(
     selection: &InputSelection,
-    band_slack: Option<f64>,
+    max_deviation: Option<f64>,
     method: &MethodArgs,
 ) -> Result<Job> {
     let mut files = selected_files(&selection.sequences);
@@ -28,11 +28,11 @@ pub(super) fn surface_job(
             )
         }
         _ if is_one => {
-            let slack_voxels = band_slack.unwrap_or(0.0);
-            refuse_options(method, if slack_voxels == 0.0 { Use::AsItIs } else { Use::Smoothed })?;
-            Ok(Job::level_set(slack_voxels))
+            let max_deviation_voxels = max_deviation.unwrap_or(0.0);
+            refuse_options(method, if max_deviation_voxels == 0.0 { Use::AsItIs } else { Use::Smoothed })?;
+            Ok(Job::level_set(max_deviation_voxels))
         }
-        _ if band_slack.is_some() => bail!("--band-slack is for level sets in .vdb"),
+        _ if max_deviation.is_some() => bail!("--max-deviation is for level sets in .vdb"),
         _ => Ok(Job::Surface),
     }
 }
@@ -55,7 +55,7 @@ pub(super) enum Use {
 pub(super) fn refuse_options(method: &MethodArgs, reason: Use) -> Result<()> {
     let solver_has_no_use = match reason {
         Use::Picture => "a picture shows the file unchanged",
-        Use::AsItIs | Use::Smoothed => "without --band-slack it is not smoothed",
+        Use::AsItIs | Use::Smoothed => "without --max-deviation it is not smoothed",
     };
     // Offsets in voxels or spacings cannot be resolved: the voxel size of a level set is known only when it
     // is read, and a level set has no particle spacing.

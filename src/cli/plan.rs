@@ -31,7 +31,7 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutc
         stage.path = stage_among(&outputs.folder, &stage.path)?;
     }
     let selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
-    let job = surface_job(&selection, args.band_slack, &args.method)?;
+    let job = surface_job(&selection, args.max_deviation, &args.method)?;
     if !selection.is_complete {
         bail!(
             "no plan is written, because it would lack frames: make the paths above readable, then plan again"

@@ -90,11 +90,11 @@ fn keys(
     let formats = outputs.formats.iter().filter(|format| !format.is_picture());
     let formats = formats.map(|format| format.extension().to_owned());
     let mut keys = vec![format!("formats = {}", list(formats.collect()))];
-    if let Job::LevelSet { slack_voxels, .. } = job {
+    if let Job::LevelSet { max_deviation_voxels, .. } = job {
         keys.push(format!("pattern = {}", quoted("*.vdb")));
-        if slack_voxels > 0.0 {
+        if max_deviation_voxels > 0.0 {
             keys.push(format!(
-                "# a configuration file has no key for --band-slack {slack_voxels}: the daemon does not smooth level sets"
+                "# a configuration file has no key for --max-deviation {max_deviation_voxels}: the daemon does not smooth level sets"
             ));
         }
     }
@@ -163,7 +163,9 @@ fn use_of(name: &str, job: Job, outputs: &OutputOptions, has_obstacles: bool) ->
     let changes_files = formats_changed_by(name)
         .is_none_or(|changed| outputs.formats.iter().any(|format| changed.contains(format)));
     let (changes_surface, is_key) = match (job, group) {
-        (Job::LevelSet { slack_voxels, .. }, OptionGroup::Solver) => (slack_voxels > 0.0, false),
+        (Job::LevelSet { max_deviation_voxels, .. }, OptionGroup::Solver) => {
+            (max_deviation_voxels > 0.0, false)
+        }
         (Job::LevelSet { .. }, OptionGroup::Mesh) => (true, true),
         (Job::LevelSet { .. }, _) => (name == "offset", true),
         (_, OptionGroup::Obstacles) => (has_obstacles, true),

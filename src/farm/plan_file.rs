@@ -24,7 +24,7 @@ use crate::pipeline::{
     OutputOptions, PictureOptions, StageOptions, file_of, open_regular, write_atomically,
 };
 use crate::surface::options::{MethodOptions, Settings};
-use crate::surface::reconstruction::SLACK_MAX_VOXELS;
+use crate::surface::reconstruction::DEVIATION_MAX_VOXELS;
 
 use super::partition::SHARDS_MAX;
 use super::plan::{PlannedFrame, PlannedSequence, ShardPlan};
@@ -88,8 +88,8 @@ struct SequenceEntry {
     /// As text, by name: see [`MethodOptions::to_pairs`].
     settings: BTreeMap<String, String>,
     /// For level sets: by how many voxels smoothing may move their surfaces.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    band_slack: Option<String>,
+    #[serde(alias = "band_slack", default, skip_serializing_if = "Option::is_none")]
+    max_deviation: Option<String>,
     /// The camera, if there are pictures.
     camera: Option<String>,
     /// The source of the measured particle spacing.
@@ -347,8 +347,8 @@ impl SequenceEntry {
         Ok(SequenceEntry {
             name: name.clone(),
             settings: pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect(),
-            band_slack: match job {
-                Job::LevelSet { slack_voxels, .. } => Some(slack_voxels.to_string()),
+            max_deviation: match job {
+                Job::LevelSet { max_deviation_voxels, .. } => Some(max_deviation_voxels.to_string()),
                 Job::Surface | Job::Particles => None,
             },
             camera: has_pictures.then(|| outputs.picture.camera.to_string()),
@@ -360,9 +360,9 @@ impl SequenceEntry {
         let settings = self.settings(place)?;
         let measured = self.measured.map(|measured| measured.into_measured(place));
         let outputs = with_camera(outputs, self.camera.as_deref(), place)?;
-        let job = match &self.band_slack {
+        let job = match &self.max_deviation {
             None => Job::Surface,
-            Some(slack) => level_set_job(&format!("{place}/band_slack"), slack)?,
+            Some(voxels) => level_set_job(&format!("{place}/max_deviation"), voxels)?,
         };
         Ok(PlannedSequence {
             name: self.name,
@@ -414,12 +414,12 @@ impl PlannedSpacing {
     }
 }
 
-/// The job for level sets with this slack.
-fn level_set_job(place: &str, slack: &str) -> Result<Job, PlanError> {
-    let slack_voxels = number(place, slack)?;
-    match (0.0..=f64::from(SLACK_MAX_VOXELS)).contains(&slack_voxels) {
-        true => Ok(Job::level_set(slack_voxels)),
-        false => Err(PlanError::at(place, format!("it must be from 0 to {SLACK_MAX_VOXELS} voxels"))),
+/// The job for level sets whose surfaces smoothing may move by this many voxels.
+fn level_set_job(place: &str, voxels: &str) -> Result<Job, PlanError> {
+    let max_deviation_voxels = number(place, voxels)?;
+    match (0.0..=f64::from(DEVIATION_MAX_VOXELS)).contains(&max_deviation_voxels) {
+        true => Ok(Job::level_set(max_deviation_voxels)),
+        false => Err(PlanError::at(place, format!("it must be from 0 to {DEVIATION_MAX_VOXELS} voxels"))),
     }
 }
 

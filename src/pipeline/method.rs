@@ -91,8 +91,8 @@ impl Method for LevelSetMethod {
         allowed_bytes: u64,
     ) -> Result<MemoryPlan, Cause> {
         if let FrameInput::LevelSet(given) = particles {
-            let LevelSetInput { band, slack_voxels, .. } = &**given;
-            let in_core_bytes = reconstruction::smooth_level_set_bytes(band, *slack_voxels, settings);
+            let LevelSetInput { band, max_deviation_voxels, .. } = &**given;
+            let in_core_bytes = reconstruction::smooth_level_set_bytes(band, *max_deviation_voxels, settings);
             level_set_limits(allowed_bytes).check_level_set(in_core_bytes, "").map_err(Cause::File)?;
             let memory_bytes = in_core_bytes.saturating_sub(particles.size_bytes());
             return Ok(MemoryPlan { memory_bytes, tile_leaves: None, in_core_bytes });
@@ -127,8 +127,8 @@ impl Method for LevelSetMethod {
     ) -> Result<Self::Rasterized, Cause> {
         let started = Instant::now();
         if let FrameInput::LevelSet(given) = particles {
-            let LevelSetInput { band, origin, slack_voxels } = *given;
-            let mut bounded = reconstruction::bound_level_set(band, origin, slack_voxels, settings);
+            let LevelSetInput { band, origin, max_deviation_voxels } = *given;
+            let mut bounded = reconstruction::bound_level_set(band, origin, max_deviation_voxels, settings);
             bounded.report_mut().seconds.rasterize = started.elapsed().as_secs_f64();
             return Ok(StagedSurface::OfLevelSet(Box::new(bounded)));
         }

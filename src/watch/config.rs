@@ -102,7 +102,7 @@ pub struct StabilityTimeouts {
     /// For a file whose format says that it is complete, or whose reader detects truncation.
     pub settle: Duration,
     /// For a file whose format cannot show whether it is complete.
-    #[serde(rename = "unproven")]
+    #[serde(alias = "unproven")]
     pub unverifiable: Duration,
     /// For a file whose format says that it is incomplete. The file is then read anyway, to report the error.
     pub stalled: Duration,

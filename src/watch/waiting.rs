@@ -193,7 +193,7 @@ mod tests {
                 let why = match why {
                     WaitReason::Sentinel => "sentinel",
                     WaitReason::Changing => "changing",
-                    WaitReason::Unverifiable => "unproven",
+                    WaitReason::Unverifiable => "unverifiable",
                     WaitReason::Incomplete { .. } => "incomplete",
                 };
                 format!("{name}: {why}")

@@ -2,7 +2,7 @@
 
 use crate::scene::{Line, NO_SCANS, Scene, csv, moving, names_in, ply, told as told_of};
 
-const QUICK: [&str; 4] = ["--settle", "20ms", "--unproven", "50ms"];
+const QUICK: [&str; 4] = ["--settle", "20ms", "--settle-unverifiable", "50ms"];
 
 /// The outputs have names that particle files may have, and are in the watched folder.
 #[test]

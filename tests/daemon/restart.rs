@@ -137,7 +137,7 @@ fn refused_frame_is_converted_when_the_conflict_is_gone() {
     scene.put_moving([1]);
     scene.once(&["--settle", "10ms"]).assert_status(0);
     scene.write("in/dam.1.csv", crate::scene::csv(&moving(3)));
-    let arguments = ["--settle", "10ms", "--unproven", "20ms"];
+    let arguments = ["--settle", "10ms", "--settle-unverifiable", "20ms"];
     scene.once(&arguments).assert_status(1);
     scene.remove("in/dam.1.ply");
     let once = scene.once(&arguments);

@@ -99,7 +99,7 @@ fn folder_cycles_end() {
 #[test]
 fn slow_writer_is_waited_for() {
     let scene = Scene::new();
-    let daemon = watch(&scene, &["--unproven", "1h"]);
+    let daemon = watch(&scene, &["--settle-unverifiable", "1h"]);
     let binary = ply(&moving(1));
     let text = text_ply(&moving(2)).into_bytes();
     let files = [("in/dam.1.ply", &binary), ("in/dam.2.ply", &text)]
@@ -140,7 +140,7 @@ fn append(scene: &Scene, within: &str, bytes: &[u8]) {
 #[test]
 fn writer_that_closes_and_reopens_is_waited_for() {
     let scene = Scene::new();
-    let daemon = watch(&scene, &["--unproven", "1h"]);
+    let daemon = watch(&scene, &["--settle-unverifiable", "1h"]);
     let binary = ply(&moving(1));
     let table = csv(&moving(2));
     // A table may end after any row.
@@ -166,7 +166,8 @@ fn writer_that_closes_and_reopens_is_waited_for() {
 #[test]
 fn late_rows_are_converted() {
     let scene = Scene::new();
-    let daemon = watch(&scene, &["--unproven", "200ms", "--preset", "paper", "--voxel-size", "0.06"]);
+    let daemon =
+        watch(&scene, &["--settle-unverifiable", "200ms", "--preset", "paper", "--voxel-size", "0.06"]);
     let table = csv(&moving(2));
     let (rows, more_rows) = table.split_at(table.match_indices('\n').nth(100).expect("rows").0 + 1);
     scene.write("in/dam.2.csv", rows);

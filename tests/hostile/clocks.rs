@@ -38,7 +38,7 @@ const WATCH: [&str; 12] = [
     "obj",
     "--settle",
     "100ms",
-    "--unproven=100ms",
+    "--settle-unverifiable=100ms",
 ];
 
 #[test]

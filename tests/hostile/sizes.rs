@@ -83,9 +83,9 @@ fn scattered_voxels_stay_within_the_memory_that_is_allowed() {
     let scene = Scene::new();
     scene.write("scattered.vdb", scattered(6));
     let convert = |memory: &str| {
-        let slack = ["--band-slack", "1", "--steps", "1", "--laplacian-steps", "1"];
+        let smoothing = ["--max-deviation", "1", "--steps", "1", "--laplacian-steps", "1"];
         let arguments = ["convert", "scattered.vdb", "--out", "out", "--format", "obj", "--memory", memory];
-        scene.run(&[&arguments[..], &slack].concat())
+        scene.run(&[&arguments[..], &smoothing].concat())
     };
     let ran = convert("32MiB");
     assert_eq!(ran.status, Some(2), "{}", ran.err);

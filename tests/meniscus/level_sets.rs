@@ -58,7 +58,7 @@ fn level_set_is_contoured_unchanged() {
     assert_eq!(one["active_voxels"], other["active_voxels"], "{one}");
     let ran = convert(folder, &["--format=obj,glb,vdb", "--skip-done"]);
     assert!(ran.out.contains("done already"), "{}", ran.out);
-    let ran = convert(folder, &["--format=obj", "--skip-done", "--band-slack=0.5"]);
+    let ran = convert(folder, &["--format=obj", "--skip-done", "--max-deviation=0.5"]);
     assert!(!ran.out.contains("done already"), "{}", ran.out);
 }
 
@@ -83,14 +83,14 @@ fn skip_done_writes_a_contoured_level_set_with_a_flipped_byte_again() {
 }
 
 #[test]
-fn smoothing_stays_within_the_band_slack() {
+fn smoothing_stays_within_max_deviation() {
     let folder = scene();
     let folder = folder.path();
     succeeded(&convert(folder, &["--format=obj"]));
     let area_of = |file: &str| number(&info(folder, file)["mesh"]["area"]);
     let rough = area_of("out/block.obj");
     let volume = number(&info(folder, "out/block.obj")["mesh"]["volume"]);
-    succeeded(&convert(folder, &["--format=obj", "--band-slack=1"]));
+    succeeded(&convert(folder, &["--format=obj", "--max-deviation=1"]));
     let smooth = info(folder, "out/block.obj")["mesh"].clone();
     assert!(number(&smooth["area"]) < 0.99 * rough, "{smooth} {rough}");
     assert_eq!(smooth["boundary_edges"], 0);
@@ -99,7 +99,7 @@ fn smoothing_stays_within_the_band_slack() {
     assert!(moved < 0.05 * rough, "{moved}");
     // The bytes are the same on any number of threads.
     let bytes = |threads: &str| {
-        succeeded(&convert(folder, &["--format=obj", "--band-slack=1", threads]));
+        succeeded(&convert(folder, &["--format=obj", "--max-deviation=1", threads]));
         fs::read(folder.join("out/block.obj")).expect("there")
     };
     assert_eq!(bytes("--threads=1"), bytes("--threads=2"));
@@ -115,11 +115,11 @@ fn options_that_need_particles_are_refused_by_name() {
         (&["--drop-islands=2", "--radius-min=0.1"], "error: --radius-min, --drop-islands cannot be given"),
         (&["--attributes=all"], "error: --attributes cannot be given"),
         (&["--obstacle=block.ply"], "error: --obstacle cannot be given"),
-        (&["--steps=3"], "without --band-slack it is not smoothed"),
-        (&["--band-slack=4"], "`4` is not a number from 0 to 3"),
+        (&["--steps=3"], "without --max-deviation it is not smoothed"),
+        (&["--max-deviation=4"], "`4` is not a number from 0 to 3"),
         (&["block.ply"], "one command cannot convert both"),
         (&["--offset=1h"], "--offset must be in world units"),
-        (&["--band-slack=1", "--step-size=1e9"], "--step-size"),
+        (&["--max-deviation=1", "--step-size=1e9"], "--step-size"),
         (&["--decimate=100"], "`100` is not a number from 0 to 1"),
     ] {
         let ran = convert(folder, options);
@@ -135,7 +135,7 @@ fn options_that_need_particles_are_refused_by_name() {
         (&["render", "in/block.vdb", "-o=r.png", "--steps=1"], "error: --steps cannot be given"),
         (
             &["plan", "in/block.vdb", "--out=out", "--shards=1", "-o=p.json", "--steps=3"],
-            "without --band-slack it is not smoothed",
+            "without --max-deviation it is not smoothed",
         ),
         (
             &["watch", "in", "--out=watched", "--once", "--pattern=*.vdb", "--voxel-size=1"],
@@ -152,8 +152,8 @@ fn options_that_need_particles_are_refused_by_name() {
         assert!(ran.err.contains(words), "{arguments:?}: {}", ran.err);
         assert!(!folder.join("out").exists() && !folder.join("r.png").exists(), "{arguments:?}");
     }
-    let ran = meniscus(folder, &["convert", "block.ply", "--out=out", "--band-slack=1"]);
-    assert!(ran.status == 2 && ran.err.contains("--band-slack is for level sets"), "{}", ran.err);
+    let ran = meniscus(folder, &["convert", "block.ply", "--out=out", "--max-deviation=1"]);
+    assert!(ran.status == 2 && ran.err.contains("--max-deviation is for level sets"), "{}", ran.err);
 }
 
 /// Two level sets of one sequence, `in/f.1.vdb` and `in/f.2.vdb`.
@@ -165,7 +165,7 @@ fn sequence() -> TempDir {
     folder
 }
 
-const MADE: [&str; 4] = ["--out=out", "--format=glb,stl", "--band-slack=0.5", "--steps=3"];
+const MADE: [&str; 4] = ["--out=out", "--format=glb,stl", "--max-deviation=0.5", "--steps=3"];
 
 #[test]
 fn level_sets_have_reports_previews_and_sequence_files() {
@@ -192,7 +192,7 @@ fn level_sets_have_reports_previews_and_sequence_files() {
     assert!(["s.glb", "s.usda", "s.usdc", "s.abc"].iter().all(|name| folder.join(name).is_file()));
     let report: Value =
         serde_json::from_slice(&fs::read(folder.join("r.json")).expect("there")).expect("JSON");
-    assert_eq!(report["settings"][0]["band_slack"], 0.5, "{report}");
+    assert_eq!(report["settings"][0]["max_deviation"], 0.5, "{report}");
     assert_eq!(report["settings"][0]["more"]["steps"], "3", "{report}");
     for frame in report["frames"].as_array().expect("frames") {
         assert_eq!((&frame["status"], &frame["voxel_size"]), (&"converted".into(), &0.05.into()), "{frame}");
@@ -201,6 +201,23 @@ fn level_sets_have_reports_previews_and_sequence_files() {
     }
     let again = meniscus(folder, &arguments);
     assert_eq!(again.out.matches("done already").count(), 2, "{}", again.out);
+}
+
+#[test]
+fn former_name_of_max_deviation_is_accepted() {
+    let folder = sequence();
+    let folder = folder.path();
+    let bytes = |option: &str| {
+        succeeded(&convert(folder, &["--format=obj", option]));
+        fs::read(folder.join("out/block.obj")).expect("there")
+    };
+    assert!(bytes("--max-deviation=0.5") == bytes("--band-slack=0.5"));
+    succeeded(&meniscus(folder, &[&["plan", "in/f.#.vdb", "--shards=1", "-o=p.json"], &MADE[..]].concat()));
+    let plan = fs::read_to_string(folder.join("p.json")).expect("there");
+    let former = plan.replace("\"max_deviation\"", "\"band_slack\"");
+    assert_ne!(former, plan);
+    fs::write(folder.join("p.json"), former).expect("written");
+    succeeded(&meniscus(folder, &["convert", "--plan=p.json", "--shard=0"]));
 }
 
 #[test]
@@ -237,8 +254,15 @@ fn watch_converts_foreign_level_sets_that_a_pattern_names() {
     fs::write(folder.join("in/ball.1.vdb"), ball(|distance| (0.1 * distance).clamp(-0.3, 0.3)))
         .expect("written");
     let watch = |more: &[&str]| {
-        let arguments =
-            ["watch", "in", "--out=in", "--once", "--settle=0ms", "--unproven=0ms", "--format=obj"];
+        let arguments = [
+            "watch",
+            "in",
+            "--out=in",
+            "--once",
+            "--settle=0ms",
+            "--settle-unverifiable=0ms",
+            "--format=obj",
+        ];
         meniscus(folder, &[&arguments[..], more].concat())
     };
     // Without such a pattern, level sets may be outputs of other programs.
@@ -282,13 +306,13 @@ fn printed_settings_of_a_level_set_make_the_same_files() {
     let block = format!("[[watch]]\ninput = \"balls\"\noutput = \"watched\"\n{}", printed.out);
     fs::write(folder.join("meniscus.toml"), block).expect("written");
     succeeded(&convert(&[]));
-    let watch = ["watch", "--config=meniscus.toml", "--once", "--settle=0ms", "--unproven=0ms"];
+    let watch = ["watch", "--config=meniscus.toml", "--once", "--settle=0ms", "--settle-unverifiable=0ms"];
     let ran = meniscus(folder, &watch);
     assert_eq!(ran.status, 0, "{}", ran.err);
     let bytes = |path: &str| fs::read(folder.join(path)).expect("there");
     assert!(bytes("out/ball.obj") == bytes("watched/ball.obj"));
-    // A configuration file has no key for the band slack, and nothing is smoothed without one.
-    let smoothed = convert(&["--print-settings", "--band-slack=1", "--steps=3"]);
+    // A configuration file has no key for the maximum deviation, and nothing is smoothed without one.
+    let smoothed = convert(&["--print-settings", "--max-deviation=1", "--steps=3"]);
     assert!(smoothed.out.contains("\n# ") && smoothed.out.contains("\n#steps = 3\n"), "{}", smoothed.out);
 }
 
@@ -322,8 +346,8 @@ fn level_set_without_a_band_is_rebuilt_with_a_warning() {
     let expected = 4.0 / 3.0 * std::f64::consts::PI * 27.0;
     for (index, value) in NO_BAND.into_iter().enumerate() {
         fs::write(folder.join("in/block.vdb"), ball(value)).expect("written");
-        for slack in ["--band-slack=0", "--band-slack=1"] {
-            let ran = convert(folder, &["--format=obj,vdb", slack]);
+        for deviation in ["--max-deviation=0", "--max-deviation=1"] {
+            let ran = convert(folder, &["--format=obj,vdb", deviation]);
             assert_eq!(ran.status, 0, "{}", ran.err);
             assert!(
                 ran.err.contains("voxels next to the surface have no distance, only a sign"),
@@ -334,7 +358,7 @@ fn level_set_without_a_band_is_rebuilt_with_a_warning() {
             let mesh = info(folder, "out/block.obj")["mesh"].clone();
             assert_eq!(mesh["boundary_edges"], 0, "{mesh}");
             let volume = number(&mesh["volume"]);
-            assert!((volume / expected - 1.0).abs() < 0.03, "{index} {slack}: {volume} {expected}");
+            assert!((volume / expected - 1.0).abs() < 0.03, "{index} {deviation}: {volume} {expected}");
         }
     }
 }
@@ -393,9 +417,9 @@ fn level_set_beyond_the_memory_fails_and_says_how_much_would_do() {
         false => Cell::Tile(0.3),
     });
     fs::write(folder.join("in/block.vdb"), bytes).expect("written");
-    let ran = convert(folder, &["--format=obj", "--band-slack=1", "--memory=16MiB"]);
+    let ran = convert(folder, &["--format=obj", "--max-deviation=1", "--memory=16MiB"]);
     assert_eq!(ran.status, 2, "{}", ran.err);
     let needed = ran.err.split("use --memory ").nth(1).and_then(|rest| rest.split(' ').next());
     let needed = needed.unwrap_or_else(|| panic!("{}", ran.err));
-    succeeded(&convert(folder, &["--format=obj", "--band-slack=1", &format!("--memory={needed}")]));
+    succeeded(&convert(folder, &["--format=obj", "--max-deviation=1", &format!("--memory={needed}")]));
 }

@@ -309,8 +309,19 @@ fn splash_that_leaves_the_picture_of_watch_is_not_cropped() {
         let moved: Vec<[f64; 3]> = moved.collect();
         write_ply(&path.join(format!("in/dam.{number}.ply")), &moved);
     };
-    let watch =
-        ["watch", "in", "--out", "o", "--once", "--settle", "0", "--unproven", "0", "--format", "vdb"];
+    let watch = [
+        "watch",
+        "in",
+        "--out",
+        "o",
+        "--once",
+        "--settle",
+        "0",
+        "--settle-unverifiable",
+        "0",
+        "--format",
+        "vdb",
+    ];
     let watch =
         [&watch[..], &["--preview", "png", "--preview-size", "64x48", "--voxel-size", "0.05"]].concat();
     let run = || {
@@ -346,8 +357,19 @@ fn daemon_keeps_its_camera() {
     let path = folder.path();
     fs::create_dir(path.join("in")).expect("made");
     write_sequence(&path.join("in"), 1, 2);
-    let watch =
-        ["watch", "in", "--out", "o", "--once", "--settle", "0", "--unproven", "0", "--format", "vdb"];
+    let watch = [
+        "watch",
+        "in",
+        "--out",
+        "o",
+        "--once",
+        "--settle",
+        "0",
+        "--settle-unverifiable",
+        "0",
+        "--format",
+        "vdb",
+    ];
     let watch =
         [&watch[..], &["--preview", "exr", "--preview-size", "64x48", "--voxel-size", "0.05"]].concat();
     let ran = meniscus(path, &watch);

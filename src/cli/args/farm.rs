@@ -8,7 +8,7 @@ use crate::cli::frame_selection::FrameSelection;
 use crate::farm::SHARDS_MAX;
 use crate::surface::options::{expected, ranged};
 
-use super::{FormatArgs, MethodArgs, slack};
+use super::{FormatArgs, MethodArgs, deviation};
 
 #[derive(Debug, Args)]
 pub(in crate::cli) struct PlanArgs {
@@ -41,8 +41,14 @@ pub(in crate::cli) struct PlanArgs {
     /// By default a level set is converted to a mesh unchanged. With a value above 0 it is first replaced by
     /// the smoothest surface within that distance. The voxel size is that of the file. Options for particles
     /// are refused.
-    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = slack())]
-    pub(in crate::cli) band_slack: Option<f64>,
+    #[arg(
+        long,
+        alias = "band-slack",
+        value_name = "VOXELS",
+        allow_negative_numbers = true,
+        value_parser = deviation()
+    )]
+    pub(in crate::cli) max_deviation: Option<f64>,
 
     #[command(flatten)]
     pub(in crate::cli) method: MethodArgs,

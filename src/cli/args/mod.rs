@@ -22,7 +22,7 @@ use clap::{Args, Parser, Subcommand};
 
 use crate::pipeline::OnError;
 use crate::surface::options::ranged;
-use crate::surface::reconstruction::SLACK_MAX_VOXELS;
+use crate::surface::reconstruction::DEVIATION_MAX_VOXELS;
 
 use super::frame_selection::FrameSelection;
 use super::quantities::one_of;
@@ -130,8 +130,11 @@ option_set! {
         /// By default a level set is converted to a mesh unchanged. With a value above 0 it is first replaced
         /// by the smoothest surface within that distance. The voxel size is that of the file. Options for
         /// particles are refused.
-        #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = slack())]
-        pub(super) band_slack: Option<f64>,
+        #[arg(
+            long, alias = "band-slack", value_name = "VOXELS", allow_negative_numbers = true,
+            value_parser = deviation()
+        )]
+        pub(super) max_deviation: Option<f64>,
 
         /// Write the particles unchanged, as ply or vtp, without a surface
         ///
@@ -200,9 +203,9 @@ fn on_error() -> impl TypedValueParser<Value = OnError> {
     ])
 }
 
-/// Parses the value of `--band-slack` in voxels. The width of the narrow band limits it.
-fn slack() -> impl TypedValueParser<Value = f64> {
-    ranged::<f64>(0.0..=SLACK_MAX_VOXELS.into())
+/// Parses the value of `--max-deviation` in voxels. The width of the narrow band limits it.
+fn deviation() -> impl TypedValueParser<Value = f64> {
+    ranged::<f64>(0.0..=DEVIATION_MAX_VOXELS.into())
 }
 
 const CHOOSING: &str = "\

@@ -115,11 +115,11 @@ option_set! {
 
         /// How long a file must be unchanged before it is read, if its format cannot show whether it is
         /// complete [default: 4 times --settle, at least 2s]
-        #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-        pub(in crate::cli) unproven: Option<Duration>,
+        #[arg(long, alias = "unproven", value_name = "TIME", value_parser = parse_duration)]
+        pub(in crate::cli) settle_unverifiable: Option<Duration>,
 
         /// How long an incomplete file may stay unchanged before its frame fails; the daemon then reads the
-        /// file, to report what is missing [default: 30s; with --once: the value of --unproven]
+        /// file, to report what is missing [default: 30s; with --once: the value of --settle-unverifiable]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) stalled: Option<Duration>,
 
@@ -185,7 +185,7 @@ When a frame is read:
     it was renamed into place
     its sentinel exists
     its format shows that it is complete, and it has not changed for --settle
-    it has not changed for --unproven
+    it has not changed for --settle-unverifiable
   A file that is written again later is converted again. Inputs are never moved, changed or removed.
 
   A journal records the finished frames, so a restarted daemon resumes where it left off.

@@ -16,7 +16,7 @@ use clap::{Arg, ArgAction, Args, Command};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::keys_of;
+use super::{current_key, keys_of};
 use crate::cli::args::OptionSet;
 use crate::cli::wording::option_name;
 use crate::surface::options::Length;
@@ -46,6 +46,8 @@ pub(super) struct ConfigTable<'a> {
     table: &'a DeTable<'a>,
     /// The offset of the block in the file, in bytes.
     pub(super) start: usize,
+    /// The keys that have their former names: their offsets in the file, and a message.
+    deprecated: Vec<(usize, String)>,
 }
 
 /// A value and its offset in the file.
@@ -55,7 +57,8 @@ impl<'a> ConfigTable<'a> {
     /// The block called `name`, which starts at `start`.
     ///
     /// # Errors
-    /// If a key is unknown. The message names the first unknown key and the most similar known one.
+    /// If a key is unknown, or is given under its current and under its former name. The message names the
+    /// first such key; for an unknown one, also the most similar known one.
     pub(super) fn new(
         source: &'a ConfigSource<'a>,
         name: &str,
@@ -64,10 +67,27 @@ impl<'a> ConfigTable<'a> {
     ) -> Result<ConfigTable<'a>> {
         let known = keys_of(name);
         let unknown = table.keys().filter(|key| known.iter().all(|known| known != key.get_ref()));
-        match unknown.min_by_key(|key| key.span().start) {
-            Some(key) => Err(source.error(key.span().start, unknown_key(key.get_ref(), name))),
-            None => Ok(ConfigTable { source, table, start }),
+        let mut deprecated = Vec::new();
+        let mut faults = Vec::new();
+        for key in unknown {
+            let (offset, key) = (key.span().start, key.get_ref());
+            match current_key(name, key) {
+                None => faults.push((offset, unknown_key(key, name))),
+                Some(current) if table.contains_key(&*current) => {
+                    faults.push((offset, format!("`{key}` is the former name of `{current}`: remove it")));
+                }
+                Some(current) => deprecated.push((offset, format!("`{key}` is deprecated: use `{current}`"))),
+            }
         }
+        match faults.into_iter().min_by_key(|(offset, _)| *offset) {
+            Some((offset, fault)) => Err(source.error(offset, fault)),
+            None => Ok(ConfigTable { source, table, start, deprecated }),
+        }
+    }
+
+    /// A warning for each key that has its former name.
+    pub(super) fn warnings(&self) -> impl Iterator<Item = String> {
+        self.deprecated.iter().map(|(offset, what)| self.source.error(*offset, what).to_string())
     }
 
     /// An error about the block as a whole.
@@ -112,9 +132,8 @@ impl<'a> ConfigTable<'a> {
         let mut options = parsed(&[])?;
         for (key, value) in entries {
             let key = key.get_ref();
-            let Some(option) = command.get_arguments().find(|option| key_of(option) == *key) else {
-                continue;
-            };
+            let is_meant = |option: &&Arg| key_of(option) == *key || has_former_key(option, key);
+            let Some(option) = command.get_arguments().find(is_meant) else { continue };
             // Each key is parsed alone: the parser rejects two options that set the same quantity, such as
             // --spacing and --particle-radius, but a file may have both keys.
             let set = parsed(&self.words(key, option, value)?).map_err(|error| {
@@ -205,6 +224,15 @@ pub(super) fn keys<O: Args>() -> Vec<String> {
 fn key_of(option: &Arg) -> String {
     let plural = if is_list(option) { "s" } else { "" };
     format!("{}{plural}", option.get_id())
+}
+
+/// The current key of an option that had another one, which is a hidden alias of the option.
+pub(super) fn renamed<O: Args>(former: &str) -> Option<String> {
+    command::<O>().get_arguments().find(|option| has_former_key(option, former)).map(key_of)
+}
+
+fn has_former_key(option: &Arg, key: &str) -> bool {
+    option.get_all_aliases().is_some_and(|all| all.iter().any(|alias| alias.replace('-', "_") == key))
 }
 
 fn is_list(option: &Arg) -> bool {

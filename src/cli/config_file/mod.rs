@@ -21,7 +21,7 @@ use toml::de::DeTable;
 use super::args::{DaemonArgs, FrameArgs, option_set};
 use crate::pipeline::read_regular_text;
 
-use block::{ConfigSource, ConfigTable, keys};
+use block::{ConfigSource, ConfigTable, keys, renamed};
 
 /// The content of a file.
 #[derive(Clone, Debug)]
@@ -31,6 +31,8 @@ pub(super) struct ConfigFile {
     /// In the order of the file.
     pub(super) watches: Vec<WatchBlock>,
     pub(super) daemon: DaemonArgs,
+    /// Warnings about keys with former names.
+    pub(super) warnings: Vec<String>,
 }
 
 /// A `[[watch]]` block.
@@ -63,10 +65,12 @@ fn parse(source: &ConfigSource<'_>) -> Result<ConfigFile> {
         source.error(error.span().map_or(0, |span| span.start), message)
     })?;
     let root = ConfigTable::new(source, "", root.get_ref(), 0)?;
-    let watches: Result<Vec<WatchBlock>> =
-        root.blocks("watch")?.iter().map(|block| watch_block(source, block)).collect();
-    let daemon = root.block("daemon")?.map_or_else(|| Ok(DaemonArgs::default()), |block| block.options());
-    Ok(ConfigFile { path: source.path.to_owned(), watches: watches?, daemon: daemon? })
+    let blocks = root.blocks("watch")?;
+    let watches: Result<Vec<WatchBlock>> = blocks.iter().map(|block| watch_block(source, block)).collect();
+    let daemon_block = root.block("daemon")?;
+    let daemon = daemon_block.as_ref().map_or_else(|| Ok(DaemonArgs::default()), |block| block.options());
+    let warnings = blocks.iter().chain(&daemon_block).flat_map(ConfigTable::warnings).collect();
+    Ok(ConfigFile { path: source.path.to_owned(), watches: watches?, daemon: daemon?, warnings })
 }
 
 fn watch_block(source: &ConfigSource<'_>, block: &ConfigTable<'_>) -> Result<WatchBlock> {
@@ -96,6 +100,15 @@ fn keys_of(block: &str) -> Vec<String> {
         "watch" => keys::<WatchKeys>(),
         "daemon" => keys::<DaemonArgs>(),
         _ => ["watch", "daemon"].map(str::to_owned).to_vec(),
+    }
+}
+
+/// The current name of a key of a block that was renamed.
+fn current_key(block: &str, former: &str) -> Option<String> {
+    match block {
+        "watch" => renamed::<WatchKeys>(former),
+        "daemon" => renamed::<DaemonArgs>(former),
+        _ => None,
     }
 }
 

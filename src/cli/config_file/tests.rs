@@ -156,6 +156,15 @@ fn mention(key: &str) -> Option<String> {
 }
 
 #[test]
+fn former_key_is_accepted_with_a_warning() {
+    let file = parsed("[daemon]\nunproven = \"3s\"\n").expect("a former key");
+    assert_eq!(file.daemon.settle_unverifiable, Some(Duration::from_secs(3)));
+    assert_eq!(file.warnings, ["farm/meniscus.toml:2: `unproven` is deprecated: use `settle_unverifiable`"]);
+    let both = "[daemon]\nsettle_unverifiable = \"3s\"\nunproven = \"3s\"\n";
+    assert_wrong(both, 3, &["`unproven` is the former name of `settle_unverifiable`"]);
+}
+
+#[test]
 fn example_file_has_every_key() {
     let text = example(true);
     parsed(&text).expect("a good example");

@@ -30,7 +30,7 @@ pub enum Job {
     /// frame's settings.
     LevelSet {
         /// The distance by which smoothing may move the surface, in voxels; 0 leaves the surface unchanged.
-        slack_voxels: f64,
+        max_deviation_voxels: f64,
         /// The position of voxel (0, 0, 0) in world units, set when the file is read.
         origin: DVec3,
     },
@@ -40,8 +40,8 @@ pub enum Job {
 
 impl Job {
     /// The conversion of a level set to a surface that smoothing moves by at most this many voxels.
-    pub fn level_set(slack_voxels: f64) -> Job {
-        Job::LevelSet { slack_voxels, origin: DVec3::ZERO }
+    pub fn level_set(max_deviation_voxels: f64) -> Job {
+        Job::LevelSet { max_deviation_voxels, origin: DVec3::ZERO }
     }
 
     /// The conversion of a file to a surface, chosen by the file's name. A level set is not smoothed.
@@ -49,8 +49,8 @@ impl Job {
         if is_level_set(path) { Job::level_set(0.0) } else { Job::Surface }
     }
 
-    pub(crate) fn slack_voxels(&self) -> f64 {
-        if let Job::LevelSet { slack_voxels, .. } = self { *slack_voxels } else { 0.0 }
+    pub(crate) fn max_deviation_voxels(&self) -> f64 {
+        if let Job::LevelSet { max_deviation_voxels, .. } = self { *max_deviation_voxels } else { 0.0 }
     }
 
     /// The position of voxel (0, 0, 0), world units.

@@ -42,14 +42,14 @@ pub struct LevelSetInput {
     /// The position of its voxel (0, 0, 0), world units.
     pub(crate) origin: DVec3,
     /// By how much smoothing may move its surface, in voxels.
-    pub(crate) slack_voxels: f32,
+    pub(crate) max_deviation_voxels: f32,
 }
 
 impl LevelSetInput {
     pub(crate) fn new(file: LevelSetFile, job: &Job) -> LevelSetInput {
         LevelSetInput {
             origin: file.origin(),
-            slack_voxels: job.slack_voxels() as f32,
+            max_deviation_voxels: job.max_deviation_voxels() as f32,
             band: file.into_band(),
         }
     }
@@ -81,7 +81,7 @@ pub(crate) fn read_input(
             "its grid transform has the translation ({x}, {y}, {z}), which meniscus cannot write to .vdb: leave vdb out of --format"
         )));
     }
-    let job = Job::LevelSet { slack_voxels: frame.job.slack_voxels(), origin: file.origin() };
+    let job = Job::LevelSet { max_deviation_voxels: frame.job.max_deviation_voxels(), origin: file.origin() };
     Ok((Frame { settings: settings.into(), job, ..frame.clone() }, file))
 }
 

@@ -18,12 +18,12 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use meniscus_formats::{Error, is_complete, read_provenance};
+use meniscus_formats::{Error, is_complete};
 use twox_hash::XxHash3_128;
 
 use super::certificate_file::{CertifiedFrame, certificate_path, read_certificate};
 use super::frame_warnings::does_not_hold;
-use super::provenance::{hash_text, provenance};
+use super::provenance::{hash_text, provenance, recorded_provenance};
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::input::frame::{Frame, Job};
@@ -180,7 +180,7 @@ fn look_at(
     let damaged = |why: String| InspectedState::Damaged(format!("{}: {why}", name_of(path)));
     let unreadable = |error: meniscus_formats::Error| damaged(error.to_string());
     let mut file = open_regular(path).map_err(|error| damaged(error.to_string()))?;
-    let recorded = read_provenance(format, &file).map_err(unreadable)?;
+    let recorded = recorded_provenance(format, &file).map_err(unreadable)?;
     if !is_complete(format, &mut file).map_err(unreadable)? {
         return Err(damaged("the file is truncated or has trailing data".to_owned()));
     }

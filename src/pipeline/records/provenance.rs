@@ -19,6 +19,28 @@ use crate::pipeline::target::framing::Framed;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, output_path};
 use crate::pipeline::target::picture::PictureOptions;
 
+/// Names of settings that earlier versions recorded under another name: the current and the former name.
+const RENAMED: [(&str, &str); 1] = [("max_deviation", "band_slack")];
+
+/// The name under which earlier versions recorded a setting.
+fn former_name(name: &str) -> &str {
+    RENAMED.iter().find(|(current, _)| *current == name).map_or(name, |renamed| renamed.1)
+}
+
+/// Reads the provenance of an output. Names that earlier versions recorded are replaced by the current ones.
+pub(crate) fn recorded_provenance(
+    format: OutputFormat,
+    file: impl Read,
+) -> meniscus_formats::Result<Vec<(String, String)>> {
+    let mut recorded = read_provenance(format, file)?;
+    for (name, _) in &mut recorded {
+        if let Some((current, _)) = RENAMED.iter().find(|(_, former)| *former == name.as_str()) {
+            *name = (*current).to_owned();
+        }
+    }
+    Ok(recorded)
+}
+
 /// The value of `generator` in provenance begins with this text; the version follows.
 const GENERATOR: &str = "meniscus ";
 
@@ -48,8 +70,8 @@ pub(crate) fn provenance(
             return owned(pairs);
         }
         Job::Surface => pairs.extend(settings_pairs(&frame.settings, format)),
-        Job::LevelSet { slack_voxels, .. } => {
-            pairs.extend(level_set_pairs(&frame.settings, slack_voxels, format));
+        Job::LevelSet { max_deviation_voxels, .. } => {
+            pairs.extend(level_set_pairs(&frame.settings, max_deviation_voxels, format));
         }
     }
     pairs.extend(obstacle_pairs(&frame.settings, obstacles));
@@ -62,7 +84,9 @@ pub(crate) fn provenance(
 fn condensed(pairs: Pairs) -> Pairs {
     const OF_OBSTACLES: [&str; 2] = ["void_threshold", "obstacles"];
     let hash = |pairs: &[&(&str, String)], digits: usize| {
-        let text: String = pairs.iter().map(|(name, value)| format!("{name}={value}\n")).collect();
+        // With the former names, so that the hash of equal settings is the same as in earlier versions.
+        let line = |(name, value): &&(&str, String)| format!("{}={value}\n", former_name(name));
+        let text: String = pairs.iter().map(line).collect();
         format!("{:016x}", XxHash3_64::oneshot(text.as_bytes()))[..digits].to_owned()
     };
     let (kept, hashed): (Vec<_>, Vec<_>) =
@@ -73,15 +97,15 @@ fn condensed(pairs: Pairs) -> Pairs {
     kept.into_iter().cloned().chain([("settings", hash(&settings, 12))]).chain(obstacles).collect()
 }
 
-/// The settings that affect the output of a level set whose surface may move by `slack_voxels`.
-pub(crate) fn level_set_pairs(settings: &Settings, slack_voxels: f64, format: OutputFormat) -> Pairs {
+/// The settings that affect the output of a level set whose surface may move by `max_deviation_voxels`.
+pub(crate) fn level_set_pairs(settings: &Settings, max_deviation_voxels: f64, format: OutputFormat) -> Pairs {
     let has_say = |name: &str| match MethodOptions::info(name).map(|info| info.group) {
         Some(OptionGroup::Mesh) => true,
-        Some(OptionGroup::Solver) => slack_voxels > 0.0,
+        Some(OptionGroup::Solver) => max_deviation_voxels > 0.0,
         _ => ["voxel_size", "offset"].contains(&name),
     };
     let pairs = settings_pairs(settings, format).into_iter().filter(|(name, _)| has_say(name));
-    [("band_slack", slack_voxels.to_string())].into_iter().chain(pairs).collect()
+    [("max_deviation", max_deviation_voxels.to_string())].into_iter().chain(pairs).collect()
 }
 
 /// The provenance of a picture of a file with this hash. Includes the settings and obstacles of the
@@ -193,7 +217,7 @@ fn is_whole_and(
     is_meant: impl FnOnce(&[(String, String)]) -> bool,
 ) -> meniscus_formats::Result<bool> {
     let mut file = open_regular(path)?;
-    let recorded = read_provenance(format, &file)?;
+    let recorded = recorded_provenance(format, &file)?;
     Ok(is_meant(&recorded) && is_complete(format, &mut file)?)
 }
 
@@ -312,4 +336,22 @@ fn settings_pairs(settings: &Settings, format: OutputFormat) -> Pairs {
         Some(OptionGroup::Mesh) => format.is_mesh(),
         _ => true,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn former_names_of_settings_are_read_as_current_names() {
+        let head = b"# meniscus_generator: meniscus 0.1.0\n# meniscus_band_slack: 0.5\nv 0 0 0\n";
+        let recorded = recorded_provenance(OutputFormat::Obj, &head[..]).expect("read");
+        assert_eq!(recorded[1], ("max_deviation".to_owned(), "0.5".to_owned()));
+    }
+
+    #[test]
+    fn hash_of_settings_is_the_same_under_former_names() {
+        let with_name = |name| condensed(vec![("generator", "g".to_owned()), (name, "1".to_owned())]);
+        assert_eq!(with_name("max_deviation"), with_name("band_slack"));
+    }
 }

@@ -268,8 +268,8 @@ impl SequenceRecord {
         measured: Option<&MeasuredSpacing>,
         written: (&OutputOptions, &ObstacleFiles),
     ) -> SequenceRecord {
-        if let Job::LevelSet { slack_voxels, .. } = job {
-            let settings = Some(settings_of_level_sets(settings, *slack_voxels, written.0));
+        if let Job::LevelSet { max_deviation_voxels, .. } = job {
+            let settings = Some(settings_of_level_sets(settings, *max_deviation_voxels, written.0));
             return SequenceRecord { settings, ..SequenceRecord::named(name) };
         }
         SequenceRecord {
@@ -342,12 +342,12 @@ fn settings_of_particles(
 
 /// The settings that all level sets of a sequence share. The voxel size is not among them: each file has its
 /// own.
-fn settings_of_level_sets(settings: &Settings, slack_voxels: f64, outputs: &OutputOptions) -> Object {
-    let pairs = level_set_pairs(settings, slack_voxels, OutputFormat::Glb);
-    let is_shared = |(name, _): &(&str, String)| !["band_slack", "voxel_size"].contains(name);
+fn settings_of_level_sets(settings: &Settings, max_deviation_voxels: f64, outputs: &OutputOptions) -> Object {
+    let pairs = level_set_pairs(settings, max_deviation_voxels, OutputFormat::Glb);
+    let is_shared = |(name, _): &(&str, String)| !["max_deviation", "voxel_size"].contains(name);
     let mut more: BTreeMap<_, _> = pairs.into_iter().filter(is_shared).collect();
     more.extend(chosen_options(outputs, settings));
-    Object(vec![("band_slack", json!(slack_voxels)), ("more", json!(more))])
+    Object(vec![("max_deviation", json!(max_deviation_voxels)), ("more", json!(more))])
 }
 
 /// The measurements of a frame, as in an entry of the report.

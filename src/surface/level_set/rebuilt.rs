@@ -11,7 +11,7 @@
 //! background, or it belongs to a tile, the file gives only a sign there and no distance. Values that are
 //! distances are kept. The others are computed from them by sweeping outward, and then the whole band is
 //! redistanced once. For a sign function, planes along the axes are exact; in other directions the surface
-//! has steps of up to half a voxel to each side, which smoothing (`--band-slack 1`) removes.
+//! has steps of up to half a voxel to each side, which smoothing (`--max-deviation 1`) removes.
 
 use std::fmt;
 

@@ -1,12 +1,12 @@
 //! Surfaces a given level set, without particles: unchanged, or smoothed within bounds around it.
 //!
 //! ```text
-//!   given φ ──slack 0────────────────────────────▶ [offset] ──▶ contour
-//!      └──────slack s──▶ φ − s ≤ φ ≤ φ + s ──smooth──▶ [offset] ──▶ contour
+//!   given φ ──maximum deviation 0────────────────────────────▶ [offset] ──▶ contour
+//!      └──────maximum deviation s──▶ φ − s ≤ φ ≤ φ + s ──smooth──▶ [offset] ──▶ contour
 //! ```
 //!
-//! The result is the smoothest surface that stays within the slack of the given one. The given surface, moved
-//! by ± slack, replaces the spheres that constrain the surface of particles.
+//! The result is the smoothest surface that stays within the maximum deviation from the given one. The given
+//! surface, moved by ± this distance, replaces the spheres that constrain the surface of particles.
 
 use std::convert::Infallible;
 use std::ops::ControlFlow;
@@ -27,27 +27,27 @@ use crate::surface::report::ReconstructionReport;
 use crate::surface::smooth;
 use crate::surface::validation::{CheckedRegion, certificate};
 
-/// Maximum slack, in voxels: the stored band around the surface is not wider.
-pub const SLACK_MAX_VOXELS: f32 = 3.0;
+/// Limit of the maximum deviation, in voxels: the stored band around the surface is not wider.
+pub const DEVIATION_MAX_VOXELS: f32 = 3.0;
 
 /// Half width that other programs expect of a level set, in voxels: narrower bands are widened.
 const HALF_WIDTH_MIN: f32 = 3.0;
 
-/// Margin of the smoothing band beyond the slack, in voxels.
+/// Margin of the smoothing band beyond the maximum deviation, in voxels.
 const MARGIN: f32 = 5.0;
 
-/// Computes the surface of a level set, whose values are in units of the settings' voxel size. With a slack,
-/// in voxels, it is the smoothest surface that stays within that distance of the given one; the settings'
-/// offset is applied afterwards. Settings for particles have no effect. Voxel (0, 0, 0) is at `translation`,
-/// in world units. The mesh is validated as stored in each of the formats in `stored`.
+/// Computes the surface of a level set, whose values are in units of the settings' voxel size. With a maximum
+/// deviation above 0, it is the smoothest surface that stays within that distance, in voxels, of the given
+/// one; the settings' offset is applied afterwards. Settings for particles have no effect. Voxel (0, 0, 0) is
+/// at `translation`, in world units. The mesh is validated as stored in each of the formats in `stored`.
 pub fn smooth_level_set(
     band: NarrowBand,
     translation: DVec3,
-    slack_voxels: f32,
+    max_deviation_voxels: f32,
     settings: &Settings,
     stored: &[PositionFormat],
 ) -> FrameSurface {
-    bound_level_set(band, translation, slack_voxels, settings)
+    bound_level_set(band, translation, max_deviation_voxels, settings)
         .smooth(settings, &mut |_| {})
         .contour(settings, stored)
 }
@@ -57,7 +57,7 @@ pub fn smooth_level_set(
 pub struct BoundedBand {
     band: NarrowBand,
     bounds: Bounds,
-    slack: f32,
+    max_deviation: f32,
     translation: DVec3,
     report: ReconstructionReport,
 }
@@ -66,17 +66,17 @@ pub struct BoundedBand {
 pub fn bound_level_set(
     band: NarrowBand,
     translation: DVec3,
-    slack_voxels: f32,
+    max_deviation_voxels: f32,
     settings: &Settings,
 ) -> BoundedBand {
-    let slack = slack_voxels.clamp(0.0, SLACK_MAX_VOXELS);
-    let band = match working_half_width(&band, slack, offset_voxels(settings)) {
+    let max_deviation = max_deviation_voxels.clamp(0.0, DEVIATION_MAX_VOXELS);
+    let band = match working_half_width(&band, max_deviation, offset_voxels(settings)) {
         Some(half_width) => widened(&band, half_width),
         None => band,
     };
-    let bounds = Bounds { lower: moved(&band.phi, -slack), upper: moved(&band.phi, slack) };
+    let bounds = Bounds { lower: moved(&band.phi, -max_deviation), upper: moved(&band.phi, max_deviation) };
     let report = ReconstructionReport { leaf_count: band.topology.len(), ..ReconstructionReport::default() };
-    BoundedBand { band, bounds, slack, translation, report }
+    BoundedBand { band, bounds, max_deviation, translation, report }
 }
 
 impl BoundedBand {
@@ -85,11 +85,11 @@ impl BoundedBand {
         &mut self.report
     }
 
-    /// Second stage: smooths within the bounds if there is any slack. `advanced` receives the progress, from
-    /// 0 to 1.
+    /// Second stage: smooths within the bounds if the maximum deviation is above 0. `advanced` receives the
+    /// progress, from 0 to 1.
     pub fn smooth(mut self, settings: &Settings, advanced: &mut dyn FnMut(f64)) -> BoundedBand {
-        let BoundedBand { band, bounds, slack, report, .. } = &mut self;
-        if *slack > 0.0 {
+        let BoundedBand { band, bounds, max_deviation, report, .. } = &mut self;
+        if *max_deviation > 0.0 {
             let mut advanced = |fraction| {
                 advanced(fraction);
                 ControlFlow::Continue(())
@@ -139,9 +139,9 @@ fn offset_voxels(settings: &Settings) -> f32 {
 /// Half width of the working band; `None` to keep that of the given band. An offset requires a wider band,
 /// for two reasons: values in the file need not be distances that far out, and the band left after the offset
 /// must not be narrower than without one.
-fn working_half_width(band: &NarrowBand, slack: f32, offset: f32) -> Option<f32> {
-    let without_offset = match slack > 0.0 {
-        true => Some(MARGIN + slack.ceil()),
+fn working_half_width(band: &NarrowBand, max_deviation: f32, offset: f32) -> Option<f32> {
+    let without_offset = match max_deviation > 0.0 {
+        true => Some(MARGIN + max_deviation.ceil()),
         false => (band.half_width < HALF_WIDTH_MIN).then_some(HALF_WIDTH_MIN),
     };
     if offset == 0.0 {
@@ -152,9 +152,9 @@ fn working_half_width(band: &NarrowBand, slack: f32, offset: f32) -> Option<f32>
 
 /// Upper estimate of the peak memory of [`smooth_level_set`] with these arguments, in bytes. It includes the
 /// given band.
-pub fn smooth_level_set_bytes(band: &NarrowBand, slack_voxels: f32, settings: &Settings) -> u64 {
+pub fn smooth_level_set_bytes(band: &NarrowBand, max_deviation_voxels: f32, settings: &Settings) -> u64 {
     let given = band.topology.len() as f64;
-    let (leaves, widening) = match working_half_width(band, slack_voxels, offset_voxels(settings)) {
+    let (leaves, widening) = match working_half_width(band, max_deviation_voxels, offset_voxels(settings)) {
         Some(_) => {
             let wide = widened_leaf_count(band) as f64;
             // The given band, two fields of the wide band, and the list used to find its leaves.
@@ -163,7 +163,7 @@ pub fn smooth_level_set_bytes(band: &NarrowBand, slack_voxels: f32, settings: &S
         None => (given, 0.0),
     };
     let mesh = mesh_bytes(settings) * crossed_edge_count(band) as f64;
-    let smoothing = match slack_voxels > 0.0 {
+    let smoothing = match max_deviation_voxels > 0.0 {
         true => FIELD_BYTES * smoothing_fields(settings) * leaves,
         false => 0.0,
     };

@@ -21,7 +21,9 @@ use std::ops::ControlFlow;
 
 pub(crate) use attributes::transfer_attributes_from;
 pub use attributes::{SurfaceAttributes, Targets, transfer_attributes};
-pub use band::{BoundedBand, SLACK_MAX_VOXELS, bound_level_set, smooth_level_set, smooth_level_set_bytes};
+pub use band::{
+    BoundedBand, DEVIATION_MAX_VOXELS, bound_level_set, smooth_level_set, smooth_level_set_bytes,
+};
 pub use field_store::{FIELD_STORE_FILES, Storage};
 pub(crate) use plan::plan_in_core;
 pub use plan::{MemoryPlan, MemoryPlanError, PlanInputs, TooLarge, plan_memory};

@@ -4,7 +4,7 @@
 //!                  renamed into place ──────────────────────────────────────────▶ ready
 //!                  its sentinel exists ─────────────────────────────────────────▶ ready
 //!   every change   ├─ settle ─┤ its format shows it ────────────────────────────▶ ready
-//!   starts anew    ├──────── unproven ───┤ its format cannot show it ────────────▶ ready
+//!   starts anew    ├──── unverifiable ───┤ its format cannot show it ────────────▶ ready
 //!                  ├───────────────── stalled ────────────┤ it is incomplete ────▶ ready, to report it
 //! ```
 //!
@@ -83,7 +83,7 @@ pub enum Proof {
     /// It is unchanged for `settle`, and its format says that it is complete, or its reader detects
     /// truncation.
     Format,
-    /// It is unchanged for `unproven`.
+    /// It is unchanged for `unverifiable`.
     Unchanged,
     /// It is incomplete and unchanged for `stalled`: it is read, so that the error is reported.
     Stalled,
@@ -192,7 +192,7 @@ impl fmt::Display for Proof {
                 "it has not changed for --settle, and its format shows, at the latest when it is read, \
                  whether it is complete"
             }
-            Proof::Unchanged => "it has not changed for --unproven, so it counts as complete",
+            Proof::Unchanged => "it has not changed for --settle-unverifiable, so it counts as complete",
             Proof::Stalled => {
                 "it is incomplete and has not changed for --stalled, so it is read to report the error"
             }

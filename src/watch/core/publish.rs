@@ -223,7 +223,7 @@ fn plan_of(config: &WatchConfig) -> Value {
         "memory_bytes": config.memory_bytes,
         "disk_floor_bytes": config.disk_floor_bytes,
         "settle_s": config.timeouts.settle.as_secs_f64(),
-        "unproven_s": config.timeouts.unverifiable.as_secs_f64(),
+        "settle_unverifiable_s": config.timeouts.unverifiable.as_secs_f64(),
         "stalled_s": config.timeouts.stalled.as_secs_f64(),
         "poll_s": match config.poll {
             Poll::Auto => None,

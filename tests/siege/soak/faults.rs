@@ -83,7 +83,7 @@ const CONFIG: &str = "soak.toml";
 /// Settings with short waiting times.
 pub(super) fn write_config(folder: &Path, settle: &str) {
     let text = format!(
-        "[daemon]\nsettle = \"{settle}\"\nunproven = \"500ms\"\nstalled = \"2s\"\nrescan = \"5s\"\n\
+        "[daemon]\nsettle = \"{settle}\"\nsettle_unverifiable = \"500ms\"\nstalled = \"2s\"\nrescan = \"5s\"\n\
          disk_floor = \"0\"\nmemory = \"512MiB\"\nlisten = \"127.0.0.1:0\"\n\
          [[watch]]\ninput = \"in\"\noutput = \"out\"\npreset = \"paper\"\nvoxel_size = 0.05\n"
     );

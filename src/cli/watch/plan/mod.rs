@@ -47,7 +47,8 @@ pub(in crate::cli) struct WatchPlan {
 /// If the file cannot be read, or a setting is invalid.
 pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
     let file = args.config.as_deref().map(read_config_file).transpose()?;
-    let (mut watches, mut warnings) = (Vec::new(), Vec::new());
+    let mut watches = Vec::new();
+    let mut warnings = file.as_ref().map(|file| file.warnings.clone()).unwrap_or_default();
     for Folder { input, output, frames, place } in folders(args, file.as_ref())? {
         let watch = watch(&input, &output, &frames, &mut warnings);
         watches.push(watch.with_context(|| place)?);
@@ -258,11 +259,11 @@ fn config(watches: Vec<Watch>, once: bool, daemon: &DaemonArgs) -> Result<WatchC
 
 fn timeouts(once: bool, daemon: &DaemonArgs) -> Result<StabilityTimeouts> {
     let settle = daemon.settle.unwrap_or(SETTLE);
-    let long = UNPROVEN_MIN.max(4 * settle);
-    let unproven = daemon.unproven.unwrap_or(long);
+    let long = SETTLE_UNVERIFIABLE_MIN.max(4 * settle);
+    let unverifiable = daemon.settle_unverifiable.unwrap_or(long);
     // With `--once` the daemon gives up incomplete files earlier, because their writers may be gone.
     let stalled = daemon.stalled.unwrap_or(if once { long } else { STALLED.max(long) });
-    for (name, time) in [("unproven", unproven), ("stalled", stalled)] {
+    for (name, time) in [("settle_unverifiable", unverifiable), ("stalled", stalled)] {
         if time < settle {
             bail!(
                 "`{name}` is {}, but must be at least `settle` ({}): otherwise files would be read too early",
@@ -271,7 +272,7 @@ fn timeouts(once: bool, daemon: &DaemonArgs) -> Result<StabilityTimeouts> {
             );
         }
     }
-    Ok(StabilityTimeouts { settle, unverifiable: unproven, stalled })
+    Ok(StabilityTimeouts { settle, unverifiable, stalled })
 }
 
 /// The address and the access token of the HTTP server.
@@ -308,7 +309,7 @@ fn absolute(path: &Path) -> Result<PathBuf> {
 }
 
 const SETTLE: Duration = Duration::from_millis(500);
-const UNPROVEN_MIN: Duration = Duration::from_secs(2);
+const SETTLE_UNVERIFIABLE_MIN: Duration = Duration::from_secs(2);
 const STALLED: Duration = Duration::from_secs(30);
 const RESCAN_EVERY: Duration = Duration::from_secs(60);
 const STOP_DEADLINE: Duration = Duration::from_secs(30);

@@ -87,6 +87,8 @@ fn timeouts_follow_settle() {
         (&["--settle", "20s"], [20_000, 80_000, 80_000]),
         (&["--once"], [500, 2000, 2000]),
         (&["--once", "--settle", "1s"], [1000, 4000, 4000]),
+        (&["--settle-unverifiable", "500ms", "--stalled", "1m"], [500, 500, 60_000]),
+        // The former name.
         (&["--unproven", "500ms", "--stalled", "1m"], [500, 500, 60_000]),
         (&["--settle", "0"], [0, 2000, 30_000]),
     ] {
@@ -176,7 +178,10 @@ fn invalid_options_are_refused() {
         (&["--sentinel", ""], &["sentinel"]),
         (&["--sentinel", "../{stem}"], &["beside the frame"]),
         (&["--sentinel", "{name}"], &["beside the frame"]),
-        (&["--settle", "5s", "--unproven", "1s"], &["`unproven` is 1s, but must be at least `settle` (5s)"]),
+        (
+            &["--settle", "5s", "--settle-unverifiable", "1s"],
+            &["`settle_unverifiable` is 1s, but must be at least `settle` (5s)"],
+        ),
         (&["--stalled", "1ms"], &["`stalled` is 1ms"]),
         (&["--settle", "soon"], &["--settle", "not a time"]),
         (&["--poll", "1us"], &["--poll", "from 50ms"]),
