@@ -41,7 +41,7 @@ fn the_docs_have_every_field_of_the_report() {
         let report = fs::read(path.join(report)).expect("written");
         collect_fields(&serde_json::from_slice(&report).expect("JSON"), &mut fields);
     }
-    for field in ["vertices_cleared", "clipped_voxels", "lonely", "balls", "restarts", "holds"] {
+    for field in ["vertices_cleared", "clipped_voxels", "isolated", "balls", "restarts", "holds"] {
         assert!(fields.contains(field), "{field} is not in this report");
     }
     let docs = include_str!("../../docs/report.md");

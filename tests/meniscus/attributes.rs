@@ -119,8 +119,8 @@ fn every_format_has_the_attributes_that_it_supports() {
     let names: Vec<&str> =
         told["names"].as_array().expect("names").iter().filter_map(Value::as_str).collect();
     assert_eq!(names, ["v", "Cd", "id", "age", "fluid"]);
-    assert_eq!(told["vertices"]["places"], mesh.positions.len());
-    for (place, count) in [("vertices", "lonely"), ("vertices", "empty"), ("band", "empty")] {
+    assert_eq!(told["vertices"]["count"], mesh.positions.len());
+    for (place, count) in [("vertices", "isolated"), ("vertices", "empty"), ("band", "empty")] {
         assert_eq!(told[place][count], 0, "{place} {count}");
     }
     assert_eq!((&told["vertices"]["left_out"], &told["band"]["left_out"]), (&1.into(), &1.into()));

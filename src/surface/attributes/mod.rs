@@ -79,11 +79,11 @@ impl Support<'_> {
 #[non_exhaustive]
 pub struct TransferCounts {
     /// Number of points: vertices, or nodes in the band.
-    #[cfg_attr(feature = "serde", serde(rename = "places"))]
+    #[cfg_attr(feature = "serde", serde(rename = "count"))]
     pub point_count: usize,
     /// Points without a particle within the radius, which got the values of the nearest particle that reaches
     /// them.
-    #[cfg_attr(feature = "serde", serde(rename = "lonely"))]
+    #[cfg_attr(feature = "serde", serde(rename = "isolated"))]
     pub isolated_count: usize,
     /// Points that no particle reaches.
     #[cfg_attr(feature = "serde", serde(rename = "empty"))]
