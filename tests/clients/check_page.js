@@ -35,15 +35,15 @@ function line(label, figures, faults) {
   failures += faults.length;
 }
 
-/** The faults: the sentences whose conditions do not hold. */
-function wrong(conditions) {
-  return Object.entries(conditions).flatMap(([sentence, holds]) => (holds ? [] : [sentence]));
+/** The messages whose conditions are false. */
+function failed(conditions) {
+  return Object.entries(conditions).flatMap(([message, holds]) => (holds ? [] : [message]));
 }
 
 async function main() {
   fs.rmSync(WORK, { recursive: true, force: true });
   const browser = await startBrowser(MODULES);
-  console.log(`page: the window in ${browser.version}`);
+  console.log(`page: the status page in ${browser.version}`);
   const running = [];
   try {
     const watching = await Watching.start(PROGRAM, path.join(WORK, "live"), ["--format", "glb,vdb", "--preview", "png"]);
@@ -115,11 +115,11 @@ async function framesAppear(watching, page) {
   line(
     "frames",
     `${empty} at first, then ${counts.join(" ")}, without a reload; states seen: ${states.join(", ")}`,
-    wrong({
-      "there were frames before any was written": empty === 0,
-      "the page was loaded again": stayed === true && loads === 1,
+    failed({
+      "the page showed frames before any was written": empty === 0,
+      "the page was reloaded": stayed === true && loads === 1,
       "no frame was seen in progress": states.some((state) => ["waiting", "queued", "working"].includes(state)),
-      "the names are others": names.sort().join() === [...Array(FIRST_COUNT).keys()].map((i) => nameOf(i + 1)).join(),
+      "the names are wrong": names.sort().join() === [...Array(FIRST_COUNT).keys()].map((i) => nameOf(i + 1)).join(),
     }),
   );
 }
@@ -132,16 +132,16 @@ async function failureIsExplained(watching, page) {
   await page.keyboard.press("f");
   await page.waitForSelector("#frame .reason");
   const shown = await page.$eval("#frame .reason", (reason) => reason.textContent);
-  const [hint, cell] = [await textOf(page, "#hint"), await textOf(page, ".frame.failed .told")];
+  const [hint, cell] = [await textOf(page, "#hint"), await textOf(page, ".frame.failed .details")];
   const { reason } = await watching.frame(BAD);
   line(
     "failed",
     shown,
-    wrong({
+    failed({
       "the reason is missing": reason && reason.length > 20,
-      "the reason is another": shown === reason,
-      "the 3D view does not say it": hint.startsWith(`${BAD}: `) && reason.endsWith(hint.slice(BAD.length + 2)),
-      "the strip does not say it": reason.endsWith(cell),
+      "the page shows another reason than the API": shown === reason,
+      "the 3D view does not show the reason": hint.startsWith(`${BAD}: `) && reason.endsWith(hint.slice(BAD.length + 2)),
+      "the strip does not show the reason": reason.endsWith(cell),
     }),
   );
 }
@@ -159,10 +159,10 @@ async function surfaceTurns(page, darkroom) {
   const turn = await darkroom.compare(still, turned);
   line(
     "surface",
-    `${turn.colours} colours; turned, ${(100 * turn.differing).toFixed(1)} % of the pixels are others`,
-    wrong({
-      "it is of one colour, or nearly": turn.colours > 50,
-      "it does not turn": turn.differing > 0.02,
+    `${turn.colours} colours; after a rotation ${(100 * turn.differing).toFixed(1)} % of the pixels differ`,
+    failed({
+      "the surface has 50 colours at most": turn.colours > 50,
+      "the mouse does not rotate the surface": turn.differing > 0.02,
     }),
   );
 }
@@ -170,7 +170,7 @@ async function surfaceTurns(page, darkroom) {
 /** A picture of the canvas, once it does not change any more. */
 async function drawn(page) {
   let before = null;
-  return until("the canvas stands still", async () => {
+  return until("the canvas stops changing", async () => {
     await new Promise((done) => setTimeout(done, 300));
     const [picture, last] = [await pictureOf(page, "#canvas"), before];
     before = picture;
@@ -204,17 +204,17 @@ async function playRuns(watching, page) {
     window.playing.disconnect();
     return window.played;
   });
-  await until("it stands still", async () => (await textOf(page, "#play")) === "Play");
+  await until("playback stops", async () => (await textOf(page, "#play")) === "Play");
   const at = await chosen(page);
   await new Promise((done) => setTimeout(done, 500));
   line(
     "play",
-    `${new Set(played).size} frames in turn, ${late.length} of them came meanwhile`,
-    wrong({
-      "the button does not say how to pause": label === "Pause",
-      "not all were played": [...Array(FIRST_COUNT).keys()].every((i) => played.includes(nameOf(i + 1))),
-      "one that failed was played": !played.includes(BAD),
-      "it goes on after a pause": (await chosen(page)) === at,
+    `${new Set(played).size} frames, of which ${late.length} arrived during playback`,
+    failed({
+      "the button is not labelled Pause": label === "Pause",
+      "some frames were not played": [...Array(FIRST_COUNT).keys()].every((i) => played.includes(nameOf(i + 1))),
+      "a failed frame was played": !played.includes(BAD),
+      "playback continues after a pause": (await chosen(page)) === at,
     }),
   );
 }
@@ -233,10 +233,10 @@ async function boxAtRest(page, selector) {
 
 async function framesAreChosen(page) {
   const last = FIRST_COUNT + 4;
-  const told = [];
+  const faults = [];
   const expect = async (what, name) => {
     const is = await chosen(page);
-    if (is !== name) told.push(`${what} chose ${is} and not ${name}`);
+    if (is !== name) faults.push(`${what} chose ${is}, expected ${name}`);
   };
   for (const [key, name] of [
     ["Home", nameOf(1)],
@@ -257,13 +257,13 @@ async function framesAreChosen(page) {
   await page.mouse.move(slider.x + slider.width / 2, middle, { steps: 5 });
   await page.mouse.up();
   const halfway = Number((await chosen(page)).match(/\d+/)[0]);
-  if (Math.abs(halfway - last / 2) > 2) told.push(`the slider's middle is ${halfway} of ${last}`);
+  if (Math.abs(halfway - last / 2) > 2) faults.push(`the slider's middle is ${halfway} of ${last}`);
   await page.focus("#scrub");
   await page.keyboard.press("ArrowLeft");
   await expect("the slider by a key", nameOf(halfway - 1));
   await page.evaluate(() => document.activeElement.blur());
   await page.click(".frame.done");
-  line("chosen", `by keys, slider and click; ${await chosen(page)} at last`, told);
+  line("chosen", `by keys, slider and click; ${await chosen(page)} at last`, faults);
 }
 
 async function figuresAreRight(watching, page) {
@@ -291,15 +291,15 @@ async function figuresAreRight(watching, page) {
   line(
     "figures",
     `${shown.figures.particles} particles, ${shown.figures.voxels} voxels, ${shown.key.join(", ")}, validation ${shown.figures.validation}`,
-    wrong({
-      "it is of another frame": shown.title === name,
+    failed({
+      "the title is of another frame": shown.title === name,
       "particles": shown.figures.particles === count(figures.particles) && figures.particles > 0,
       "voxels": shown.figures.voxels === count(figures.voxels) && figures.voxels > 0,
       "triangles": shown.figures.triangles === count(figures.triangles) && figures.triangles > 0,
       "memory": /^[\d.]+ MiB$/.test(shown.figures["peak memory"]),
       "validation": figures.certificate.holds && shown.figures.validation === "passed",
-      "the stages are others": shown.parts.map(([stage]) => stage).join() === Object.keys(figures.seconds).join(),
-      "the bar has other parts": shown.parts.every(isPart),
+      "the stages are wrong": shown.parts.map(([stage]) => stage).join() === Object.keys(figures.seconds).join(),
+      "the parts of the bar are wrong": shown.parts.every(isPart),
       "seconds": Object.entries(figures.seconds).every(([stage, seconds]) => shown.key.includes(`${stage} ${seconds.toFixed(seconds < 10 ? 2 : 0)} s`)),
       "outputs": shown.links.join() === frame.outputs.map((output) => `files/${output.name}`).join() && shown.links.length === 3,
       "the voxel size": Math.abs(Number(shown.settings["voxel size"]) / voxelSize - 1) < 1e-5,
@@ -313,14 +313,14 @@ async function chartIsDrawn(page, darkroom) {
   await page.waitForFunction(() => /\d+ frames a minute/.test(document.getElementById("flow-rate").textContent));
   const chart = await pictureOf(page, "#chart");
   const { colours } = await darkroom.compare(chart, chart);
-  const told = await textOf(page, "#flow .key");
+  const legend = await textOf(page, "#flow .key");
   const heights = () => page.$$eval("#canvas, #chart", (canvases) => canvases.map((canvas) => canvas.clientHeight).join());
   const before = await heights();
   await new Promise((done) => setTimeout(done, 11_000));
   line(
     "chart",
-    `${colours} colours; ${told.replace(/\s+/g, " ").trim()}`,
-    wrong({ "it is empty": colours > 10, "the canvas grows each time": (await heights()) === before }),
+    `${colours} colours; ${legend.replace(/\s+/g, " ").trim()}`,
+    failed({ "the chart is empty": colours > 10, "the canvas grows with each drawing": (await heights()) === before }),
   );
 }
 
@@ -335,7 +335,7 @@ async function screenshots(page) {
       await drawn(page);
       await page.screenshot({ path: path.join(WORK, `${name}_${scheme}.png`), captureBeyondViewport: false });
       const wide = await page.evaluate(() => document.documentElement.scrollWidth);
-      if (wide > width) faults.push(`${name}: the page is ${wide} wide, and the screen ${width}`);
+      if (wide > width) faults.push(`${name}: the page is ${wide} pixels wide, and the screen ${width}`);
     }
   }
   await page.setViewport({ width: SCREENS.desk[0], height: SCREENS.desk[1] });
@@ -382,9 +382,9 @@ async function restartIsSurvived(watching, page, faults) {
     "restart",
     `${new Set(played).size} frames played after it`,
     own.concat(
-      wrong({
-        "it does not play any more": label === "Pause" && new Set(played).size > 3,
-        "the page was loaded again": stayed === true,
+      failed({
+        "playback stopped": label === "Pause" && new Set(played).size > 3,
+        "the page was reloaded": stayed === true,
       }),
     ),
   );
@@ -431,18 +431,18 @@ async function scrolls(browser, watching) {
     "many",
     `${MANY} frames: 95 of 100 steps of a scroll within ${quietest.p95.toFixed(1)} ms, half within ${quietest.median.toFixed(1)} ms; ` +
       `${runs.map((run) => run.p95.toFixed(1)).join(", ")} ms in ${runs.length} scrolls; ${elements} elements at most`,
-    wrong({
-      [`95 of 100 steps are not within ${SCROLL_MS_MAX} ms`]: quietest.p95 < SCROLL_MS_MAX,
+    failed({
+      [`the 95th percentile is not below ${SCROLL_MS_MAX} ms`]: quietest.p95 < SCROLL_MS_MAX,
       [`there are more than ${ELEMENTS_MAX} elements`]: elements <= ELEMENTS_MAX,
-      "it did not get anywhere": runs.every((run) => run.names > 100),
+      "the strip did not scroll": runs.every((run) => run.names > 100),
       "the last names are wrong": names.length > 5 && names.join() === expected.join(),
-      "End does not choose the last": (await chosen(page)) === manyName(MANY),
+      "End does not select the last frame": (await chosen(page)) === manyName(MANY),
     }),
   );
   line("silence", `console and requests, with ${MANY} frames`, faults);
 }
 
-/** In the page: scrolls by half a screen with each picture of the screen, and says how long these took. */
+/** Runs in the page: scrolls by half a screen with each animation frame, and measures their intervals. */
 async function scrolled(stepCount) {
   const strip = document.getElementById("strip");
   strip.scrollLeft = 0;

@@ -25,14 +25,14 @@ let chosen = null;
 let scene = null;
 let playing = false;
 // Counters of requests: an answer to an outdated request is ignored.
-let detailOf = 0;
-let playOf = 0;
-let settingsOf = 0;
+let detailRequests = 0;
+let playRequests = 0;
+let settingsRequests = 0;
 
 // ---- frames ----
 
 /** The index of a name in the order, or where it would be inserted. */
-function placeOf(name) {
+function insertionIndex(name) {
   let [low, high] = [0, order.length];
   while (low < high) {
     const middle = (low + high) >> 1;
@@ -41,21 +41,21 @@ function placeOf(name) {
   return low;
 }
 
-function put(frame) {
-  if (!frames.has(frame.name)) order.splice(placeOf(frame.name), 0, frame.name);
+function addFrame(frame) {
+  if (!frames.has(frame.name)) order.splice(insertionIndex(frame.name), 0, frame.name);
   frames.set(frame.name, frame);
 }
 
-function drop(name) {
+function removeFrame(name) {
   if (!frames.delete(name)) return;
-  const place = order.indexOf(name);
-  if (place >= 0) order.splice(place, 1);
+  const index = order.indexOf(name);
+  if (index >= 0) order.splice(index, 1);
 }
 
 async function json(path, options) {
-  const answer = await fetch(path, options);
-  if (!answer.ok) throw new Error(`${path}: ${answer.status}`);
-  return answer.json();
+  const response = await fetch(path, options);
+  if (!response.ok) throw new Error(`${path}: ${response.status}`);
+  return response.json();
 }
 
 /** Loads all frames, and the position from which events continue. Meanwhile the page keeps showing the earlier state. */
@@ -80,27 +80,27 @@ async function follow() {
   source?.close();
   try {
     const { at, all, names } = await loadAll();
-    const told = await json('api/status');
+    const answer = await json('api/status');
     // All at once, so that names and frames always match.
-    [frames, order, counts, status] = [all, names, told.frames, told.status];
+    [frames, order, counts, status] = [all, names, answer.frames, answer.status];
     showAll();
     showSettings();
     source = new EventSource(`events?after=${at}`);
   } catch {
-    linked(false);
+    showConnection(false);
     setTimeout(follow, 2000);
     return;
   }
-  source.onopen = () => linked(true);
+  source.onopen = () => showConnection(true);
   source.onerror = () => {
-    linked(false);
+    showConnection(false);
     if (source.readyState === EventSource.CLOSED) setTimeout(follow, 2000);
   };
   source.addEventListener('resync', follow);
   source.addEventListener('change', event => {
     const change = JSON.parse(event.data);
-    change.frames.forEach(put);
-    change.removed.forEach(drop);
+    change.frames.forEach(addFrame);
+    change.removed.forEach(removeFrame);
     counts = change.counts;
     status = change.status ?? status;
     if (change.settings) showSettings();
@@ -109,26 +109,26 @@ async function follow() {
   });
 }
 
-function linked(isLinked) {
-  $('link').className = isLinked ? 'good' : 'bad';
-  $('link').textContent = isLinked ? 'live' : 'no connection';
+function showConnection(isConnected) {
+  $('link').className = isConnected ? 'good' : 'bad';
+  $('link').textContent = isConnected ? 'live' : 'no connection';
 }
 
 // ---- list of frames ----
 
 let listed = [];
-let countsTold = null;
-function list() {
+let countsText = null;
+function updateListed() {
   listed = $('only-failed').checked ? order.filter(name => frames.get(name).state === 'failed') : order;
 }
 
 function showAll() {
-  list();
+  updateListed();
   const states = ['done', 'working', 'queued', 'waiting', 'retrying', 'failed'].filter(state => counts[state]);
-  const told = states.map(state => `${number(counts[state])} ${state}`);
-  if (told.join() !== countsTold) {
-    countsTold = told.join();
-    $('counts').replaceChildren(...(told.length ? told.map((text, i) => make('span', states[i], text)) : ['no frames yet']));
+  const texts = states.map(state => `${number(counts[state])} ${state}`);
+  if (texts.join() !== countsText) {
+    countsText = texts.join();
+    $('counts').replaceChildren(...(texts.length ? texts.map((text, i) => make('span', states[i], text)) : ['no frames yet']));
   }
   const alarms = [status.paused && `paused: ${status.paused}`, ...(status.unavailable ?? []), status.stopping && 'stopping'];
   $('alarm').textContent = alarms.filter(Boolean).join(' · ');
@@ -144,24 +144,24 @@ function showAll() {
 
 function showScrub() {
   $('scrub').max = Math.max(0, listed.length - 1);
-  const place = listed.indexOf(chosen);
-  $('scrub').value = Math.max(0, place);
+  const index = listed.indexOf(chosen);
+  $('scrub').value = Math.max(0, index);
   $('scrub').setAttribute('aria-valuetext', chosen ?? 'none');
-  $('place').textContent = place < 0 ? '' : `${number(place + 1)} / ${number(listed.length)}`;
+  $('position').textContent = index < 0 ? '' : `${number(index + 1)} / ${number(listed.length)}`;
 }
 
 // ---- the strip ----
 
 const shown = new Map(); // elements, by name
-let stripAsked = false;
-let picturesAsked = false;
+let isStripScheduled = false;
+let arePicturesScheduled = false;
 function showStrip() {
-  if (stripAsked) return;
-  stripAsked = true;
+  if (isStripScheduled) return;
+  isStripScheduled = true;
   requestAnimationFrame(() => {
-    stripAsked = false;
+    isStripScheduled = false;
     const strip = $('strip');
-    $('strip-room').style.width = `${listed.length * STEP_PX}px`;
+    $('strip-content').style.width = `${listed.length * STEP_PX}px`;
     const first = Math.max(0, Math.floor(strip.scrollLeft / STEP_PX) - 3);
     const last = Math.min(listed.length, Math.ceil((strip.scrollLeft + strip.clientWidth) / STEP_PX) + 3);
     const wanted = new Set(listed.slice(first, last));
@@ -173,11 +173,11 @@ function showStrip() {
     }
     const seenUntil = performance.now() - PICTURE_MS;
     let isEarly = false;
-    for (let place = first; place < last; place++) isEarly = showCell(place, listed[place], seenUntil) || isEarly;
-    if (isEarly && !picturesAsked) {
-      picturesAsked = true;
+    for (let index = first; index < last; index++) isEarly = showCell(index, listed[index], seenUntil) || isEarly;
+    if (isEarly && !arePicturesScheduled) {
+      arePicturesScheduled = true;
       setTimeout(() => {
-        picturesAsked = false;
+        arePicturesScheduled = false;
         showStrip();
       }, PICTURE_MS);
     }
@@ -185,27 +185,27 @@ function showStrip() {
 }
 
 /** Shows a frame at its index; returns whether it is too early to load its picture. */
-function showCell(place, name, seenUntil) {
+function showCell(index, name, seenUntil) {
   const frame = frames.get(name);
   let cell = shown.get(name);
   if (!cell) {
-    cell = make('div', '', make('div', 'picture'), make('div', 'name'), make('div', 'told'));
+    cell = make('div', '', make('div', 'picture'), make('div', 'name'), make('div', 'details'));
     cell.setAttribute('role', 'option');
     cell.id = `frame-${cells++}`;
     cell.since = performance.now();
     cell.addEventListener('click', () => choose(name));
     shown.set(name, cell);
-    $('strip-room').append(cell);
+    $('strip-content').append(cell);
   }
-  cell.style.left = `${place * STEP_PX + 4}px`;
+  cell.style.left = `${index * STEP_PX + 4}px`;
   cell.className = `frame ${frame.state}`;
   cell.title = frame.reason ?? frame.name;
   const isChosen = name === chosen;
   cell.setAttribute('aria-selected', isChosen);
   if (isChosen) $('strip').setAttribute('aria-activedescendant', cell.id);
-  const [picture, title, told] = cell.children;
+  const [picture, title, details] = cell.children;
   title.textContent = name;
-  told.textContent = frame.stage ?? (frame.state === 'done' ? `done ${seconds(frame.seconds)}` : reasonOf(frame) ?? frame.state);
+  details.textContent = frame.stage ?? (frame.state === 'done' ? `done ${seconds(frame.seconds)}` : reasonOf(frame) ?? frame.state);
   const isEarly = seenUntil < cell.since;
   if (!isEarly) showPicture(picture, frame);
   return isEarly;
@@ -217,17 +217,17 @@ function reasonOf(frame) {
   return frame.reason?.split(`${frame.name}: `).at(-1);
 }
 
-function showPicture(place, frame) {
+function showPicture(box, frame) {
   const path = frame.picture && `files/${encodeURIComponent(frame.picture)}?at=${frame.since_ms}`;
   if (!path) {
-    place.textContent = frame.state === 'done' ? '' : frame.state;
-  } else if (place.firstChild?.dataset?.path !== path) {
+    box.textContent = frame.state === 'done' ? '' : frame.state;
+  } else if (box.firstChild?.dataset?.path !== path) {
     const image = make('img');
     image.alt = '';
     image.decoding = 'async';
     image.dataset.path = path;
     image.src = path;
-    place.replaceChildren(image);
+    box.replaceChildren(image);
   }
 }
 
@@ -256,7 +256,7 @@ function bringIntoView() {
   const strip = $('strip');
   const left = listed.indexOf(chosen) * STEP_PX;
   if (left < strip.scrollLeft || strip.scrollLeft + strip.clientWidth < left + STEP_PX) {
-    $('strip-room').style.width = `${listed.length * STEP_PX}px`;
+    $('strip-content').style.width = `${listed.length * STEP_PX}px`;
     strip.scrollLeft = left - (strip.clientWidth - STEP_PX) / 2;
   }
 }
@@ -266,8 +266,8 @@ async function showSurface() {
   if (!scene || !frame) return;
   $('hint').textContent = frame.surface ? frame.name : `${frame.name}: ${reasonOf(frame) ?? frame.stage ?? frame.state}`;
   if (!frame.surface) return scene.clear();
-  const place = listed.indexOf(chosen);
-  const next = listed.slice(place + 1, place + 1 + PREFETCH).map(name => frames.get(name)).filter(one => one.surface);
+  const index = listed.indexOf(chosen);
+  const next = listed.slice(index + 1, index + 1 + PREFETCH).map(name => frames.get(name)).filter(one => one.surface);
   try {
     await scene.show(surfacePath(frame), next.map(surfacePath));
   } catch (error) {
@@ -282,20 +282,20 @@ function surfacePath(frame) {
 async function play(isPlaying) {
   if (playing === isPlaying) return;
   // An earlier playback ends with its next step, and no longer updates the button.
-  const turn = ++playOf;
+  const request = ++playRequests;
   showPlaying(isPlaying);
   try {
-    while (playing && turn === playOf) {
+    while (playing && request === playRequests) {
       const began = performance.now();
-      const place = listed.indexOf(chosen);
-      const next = listed.slice(place + 1).find(name => frames.get(name).surface)
+      const index = listed.indexOf(chosen);
+      const next = listed.slice(index + 1).find(name => frames.get(name).surface)
         ?? listed.find(name => frames.get(name).surface);
       if (next === undefined) break;
       await choose(next);
       await new Promise(done => setTimeout(done, Math.max(0, PLAY_MS - (performance.now() - began))));
     }
   } finally {
-    if (turn === playOf) showPlaying(false);
+    if (request === playRequests) showPlaying(false);
   }
 }
 
@@ -305,14 +305,14 @@ function showPlaying(isPlaying) {
 }
 
 function step(by) {
-  const place = Math.min(Math.max(listed.indexOf(chosen) + by, 0), listed.length - 1);
-  choose(listed[place]);
+  const index = Math.min(Math.max(listed.indexOf(chosen) + by, 0), listed.length - 1);
+  choose(listed[index]);
 }
 
 // ---- figures ----
 
 async function showFrame() {
-  const turn = ++detailOf;
+  const request = ++detailRequests;
   let frame = frames.get(chosen);
   if (!frame) return;
   try {
@@ -320,7 +320,7 @@ async function showFrame() {
   } catch {
     // The frame is gone, or the connection is: the summary from the strip is shown.
   }
-  if (turn !== detailOf) return;
+  if (request !== detailRequests) return;
   const parts = [make('h2', '', frame.name)];
   if (frame.reason) parts.push(make('p', 'reason', frame.reason));
   const figures = frame.figures;
@@ -365,8 +365,8 @@ function stageBar(times) {
 }
 
 function pairs(entries) {
-  const told = entries.filter(([, value]) => value !== null && value !== undefined && value !== '');
-  return make('dl', '', ...told.flatMap(([name, value]) => [make('dt', '', name), make('dd', '', String(value))]));
+  const present = entries.filter(([, value]) => value !== null && value !== undefined && value !== '');
+  return make('dl', '', ...present.flatMap(([name, value]) => [make('dt', '', name), make('dd', '', String(value))]));
 }
 
 const number = value => value?.toLocaleString() ?? null;
@@ -380,29 +380,29 @@ function bytes(value) {
 // ---- settings ----
 
 async function showSettings() {
-  const turn = ++settingsOf;
-  let told;
+  const request = ++settingsRequests;
+  let answer;
   try {
-    told = await json('api/settings');
+    answer = await json('api/settings');
   } catch {
     // The connection indicator shows the failure. The event that the settings changed is not repeated, so
     // this retries.
-    setTimeout(() => turn === settingsOf && showSettings(), 2000);
+    setTimeout(() => request === settingsRequests && showSettings(), 2000);
     return;
   }
-  if (turn !== settingsOf) return;
+  if (request !== settingsRequests) return;
   // Before the daemon has started, there is no configuration.
-  const { watches = [], ...rest } = told.daemon ?? {};
-  const block = (title, values) => make('div', '', make('h3', '', title), pairs(Object.entries(values).map(([name, value]) => inWords(name, value))));
+  const { watches = [], ...rest } = answer.daemon ?? {};
+  const block = (title, values) => make('div', '', make('h3', '', title), pairs(Object.entries(values).map(([name, value]) => settingEntry(name, value))));
   $('settings-text').replaceChildren(
-    ...told.sequences.map(({ sequence, more, ...values }) => block(sequence, { ...values, ...more })),
+    ...answer.sequences.map(({ sequence, more, ...values }) => block(sequence, { ...values, ...more })),
     ...watches.map(({ input, ...values }) => block(input, values)),
     block('The daemon', rest),
   );
 }
 
 /** The label and the value of a setting. */
-function inWords(name, value) {
+function settingEntry(name, value) {
   const unit = name.match(/_(bytes|s|ms)$/)?.[1];
   const label = (unit ? name.slice(0, -unit.length - 1) : name).replaceAll('_', ' ');
   if (value === null || value === undefined) return [label, null];
@@ -426,8 +426,8 @@ let forecast = {};
 async function showFlow() {
   if (!document.hidden) {
     try {
-      const told = await json('api/status');
-      ({ status, samples, forecast } = told);
+      const answer = await json('api/status');
+      ({ status, samples, forecast } = answer);
       drawFlow();
       showForecast();
     } catch {
@@ -440,11 +440,11 @@ async function showFlow() {
 /** Shows how many results to expect, and an estimate of the time left. */
 function showForecast() {
   const { expected_count: expected, seconds_left: left } = forecast;
-  const time = left === null || left === undefined ? '' : `, about ${span(left)} left`;
+  const time = left === null || left === undefined ? '' : `, about ${duration(left)} left`;
   $('flow-forecast').textContent = expected ? `${number(counts.done)} of ${number(expected)} frames done${time}` : '';
 }
 
-function span(value) {
+function duration(value) {
   if (value < 90) return `${Math.round(value)} s`;
   if (value < 5400) return `${Math.round(value / 60)} min`;
   return value < 172800 ? `${(value / 3600).toFixed(1)} h` : `${(value / 86400).toFixed(1)} days`;
@@ -464,44 +464,44 @@ function drawFlow() {
   const [begin, end] = [samples[0].at_ms, samples.at(-1).at_ms];
   const [top, bottom] = [20, height - 18];
   const x = sample => (sample.at_ms - begin) / Math.max(1, end - begin) * width;
-  const y = (value, most) => bottom - (bottom - top) * value / Math.max(most, 1);
+  const y = (value, max) => bottom - (bottom - top) * value / Math.max(max, 1);
   // Frames per minute, over the last ten samples.
   const rates = samples.map((sample, i) => {
     const before = samples[Math.max(0, i - 10)];
     return (sample.converted - before.converted) * 60000 / Math.max(1000, sample.at_ms - before.at_ms);
   });
   const queues = samples.map(sample => sample.queued + sample.working);
-  const [rateMost, queueMost] = [Math.max(...rates), Math.max(...queues)];
-  const trace = (values, most) => {
+  const [rateMax, queueMax] = [Math.max(...rates), Math.max(...queues)];
+  const trace = (values, max) => {
     pen.beginPath();
-    values.forEach((value, i) => pen.lineTo(x(samples[i]), y(value, most)));
+    values.forEach((value, i) => pen.lineTo(x(samples[i]), y(value, max)));
   };
   pen.strokeStyle = colour('line');
   for (const level of [top, (top + bottom) / 2, bottom]) pen.strokeRect(0, Math.round(level) + .5, width, 0);
-  trace(queues, queueMost);
+  trace(queues, queueMax);
   pen.lineTo(width, bottom);
   pen.lineTo(0, bottom);
   pen.fillStyle = colour('wait');
   pen.globalAlpha = .35;
   pen.fill();
   pen.globalAlpha = 1;
-  trace(rates, rateMost);
+  trace(rates, rateMax);
   pen.strokeStyle = colour('accent');
   pen.lineWidth = 2;
   pen.stroke();
   pen.font = `12px ${style.fontFamily || 'sans-serif'}`;
-  const word = (text, name, align, at) => {
+  const drawLabel = (text, name, align, at) => {
     pen.fillStyle = colour(name);
     pen.textAlign = align;
     pen.fillText(text, align === 'left' ? 0 : width, at);
   };
-  word(`${rateMost.toFixed(0)} frames/min`, 'accent', 'left', 13);
-  word(`${number(queueMost)} in the queue`, 'faint', 'right', 13);
-  word(ago(end - begin), 'faint', 'left', height - 3);
-  word('now', 'faint', 'right', height - 3);
+  drawLabel(`${rateMax.toFixed(0)} frames/min`, 'accent', 'left', 13);
+  drawLabel(`${number(queueMax)} in the queue`, 'faint', 'right', 13);
+  drawLabel(ago(end - begin), 'faint', 'left', height - 3);
+  drawLabel('now', 'faint', 'right', height - 3);
   $('flow-rate').textContent = `${rates.at(-1).toFixed(0)} frames a minute`;
   $('flow-queue').textContent = `${number(queues.at(-1))} queued and in progress`;
-  $('flow-room').textContent = `${bytes(samples.at(-1).memory_bytes) ?? 'unknown'} of memory · ${bytes(status.disk_free_bytes) ?? 'unknown'} of disk free`;
+  $('flow-resources').textContent = `${bytes(samples.at(-1).memory_bytes) ?? 'unknown'} of memory · ${bytes(status.disk_free_bytes) ?? 'unknown'} of disk free`;
 }
 
 const ago = spanMs => spanMs < 90000 ? `${Math.round(spanMs / 1000)} s ago` : `${Math.round(spanMs / 60000)} min ago`;
@@ -511,19 +511,19 @@ const ago = spanMs => spanMs < 90000 ? `${Math.round(spanMs / 1000)} s ago` : `$
 function key(event) {
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.type === 'range') return;
   const nextFailed = () => {
-    const place = listed.indexOf(chosen);
+    const index = listed.indexOf(chosen);
     const isFailed = name => frames.get(name).state === 'failed';
-    choose(listed.slice(place + 1).find(isFailed) ?? listed.find(isFailed));
+    choose(listed.slice(index + 1).find(isFailed) ?? listed.find(isFailed));
   };
-  const acts = {
+  const actions = {
     ArrowLeft: () => step(-1), ArrowRight: () => step(1), PageUp: () => step(-10), PageDown: () => step(10),
     Home: () => choose(listed[0]), End: () => choose(listed.at(-1)), f: nextFailed, F: nextFailed,
     ' ': () => event.target.tagName === 'BUTTON' || event.target.type === 'checkbox' ? null : play(!playing),
   };
-  const act = acts[event.key];
-  if (!act || (event.key === ' ' && (event.target.tagName === 'BUTTON' || event.target.type === 'checkbox'))) return;
+  const action = actions[event.key];
+  if (!action || (event.key === ' ' && (event.target.tagName === 'BUTTON' || event.target.type === 'checkbox'))) return;
   event.preventDefault();
-  act();
+  action();
 }
 
 document.addEventListener('keydown', key);

@@ -9,7 +9,7 @@ import {
 import { GLTFLoader } from './vendor/GLTFLoader.js';
 import { OrbitControls } from './vendor/OrbitControls.js';
 
-const KEPT = 12;
+const CACHED_MAX = 12;
 
 export function makeScene(canvas) {
   const renderer = new WebGLRenderer({ canvas, antialias: true });
@@ -19,12 +19,12 @@ export function makeScene(canvas) {
   const sun = new DirectionalLight(0xffffff, 2.2);
   const material = new MeshStandardMaterial({ color: 0x4f9fdc, roughness: 0.35, metalness: 0 });
   const dark = matchMedia('(prefers-color-scheme: dark)');
-  const kept = new Map(); // promises of surfaces, by address; the one that was used last is the last
+  const cache = new Map(); // promises of surfaces, by path; the most recently used one is the last
   let current = null;
-  let wanted = null;
-  let isHeld = false;
-  const seen = new Box3();
-  let isAsked = false;
+  let requested = null;
+  let isMovedByUser = false;
+  const seenBounds = new Box3();
+  let isScheduled = false;
   // The light is behind the user's shoulder, so that every visible side is lit.
   sun.position.set(1, 2, 1.5);
   camera.add(sun, sun.target);
@@ -32,10 +32,10 @@ export function makeScene(canvas) {
   scene.add(new HemisphereLight(0xffffff, 0x556066, 1.6), camera);
 
   function paint() {
-    if (isAsked) return;
-    isAsked = true;
+    if (isScheduled) return;
+    isScheduled = true;
     requestAnimationFrame(() => {
-      isAsked = false;
+      isScheduled = false;
       const [width, height] = [canvas.clientWidth, canvas.clientHeight];
       if (!width || !height) return;
       renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
@@ -48,41 +48,41 @@ export function makeScene(canvas) {
   }
 
   async function load(path) {
-    const answer = await fetch(path);
-    if (!answer.ok) throw new Error(`the surface cannot be read (${answer.status})`);
-    const { scene: surface } = await new GLTFLoader().parseAsync(await answer.arrayBuffer(), '');
+    const response = await fetch(path);
+    if (!response.ok) throw new Error(`the surface cannot be read (${response.status})`);
+    const { scene: surface } = await new GLTFLoader().parseAsync(await response.arrayBuffer(), '');
     surface.traverse(part => {
       if (part.isMesh) part.material = material;
     });
     return surface;
   }
 
-  function take(path) {
-    const surface = kept.get(path) ?? load(path);
-    kept.delete(path);
-    kept.set(path, surface);
+  function cached(path) {
+    const surface = cache.get(path) ?? load(path);
+    cache.delete(path);
+    cache.set(path, surface);
     // A failed request is removed, so that the next request for this path tries again.
-    surface.catch(() => kept.delete(path));
-    for (const [other, old] of kept) {
-      if (kept.size <= KEPT) break;
-      if (other === wanted) continue;
-      kept.delete(other);
-      old.then(free, () => {});
+    surface.catch(() => cache.delete(path));
+    for (const [other, old] of cache) {
+      if (cache.size <= CACHED_MAX) break;
+      if (other === requested) continue;
+      cache.delete(other);
+      old.then(dispose, () => {});
     }
     return surface;
   }
 
-  function free(surface) {
+  function dispose(surface) {
     if (surface === current) return;
     surface.traverse(part => part.geometry?.dispose());
   }
 
   /** Moves the camera back until this surface and all earlier ones are in view. */
-  function place(surface) {
+  function fitCamera(surface) {
     const box = new Box3().setFromObject(surface);
-    if (isHeld || box.isEmpty() || seen.containsBox(box)) return;
-    seen.union(box);
-    const sphere = seen.getBoundingSphere(new Sphere());
+    if (isMovedByUser || box.isEmpty() || seenBounds.containsBox(box)) return;
+    seenBounds.union(box);
+    const sphere = seenBounds.getBoundingSphere(new Sphere());
     // The narrower side determines the distance: on a phone held upright, that is the width.
     const half = Math.atan(Math.tan(camera.fov * Math.PI / 360) * Math.min(1, canvas.clientWidth / Math.max(1, canvas.clientHeight)));
     const distance = Math.max(sphere.radius, 1e-6) / Math.sin(half) * 0.9;
@@ -95,26 +95,26 @@ export function makeScene(canvas) {
 
   /** Shows the surface at `path`, and prefetches those at `next`. */
   async function show(path, next) {
-    wanted = path;
-    const surface = await take(path);
-    next.forEach(take);
-    if (wanted !== path) return;
+    requested = path;
+    const surface = await cached(path);
+    next.forEach(cached);
+    if (requested !== path) return;
     if (current) scene.remove(current);
     current = surface;
     scene.add(surface);
-    place(surface);
+    fitCamera(surface);
     paint();
   }
 
   /** Shows nothing. */
   function clear() {
-    wanted = null;
+    requested = null;
     if (current) scene.remove(current);
     current = null;
     paint();
   }
 
-  controls.addEventListener('start', () => { isHeld = true; });
+  controls.addEventListener('start', () => { isMovedByUser = true; });
   controls.addEventListener('change', paint);
   dark.addEventListener('change', paint);
   new ResizeObserver(paint).observe(canvas);
