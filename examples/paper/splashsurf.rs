@@ -78,9 +78,9 @@ impl Splashsurf {
         if post != Post::Plain {
             command.args(PROCESSED);
         }
-        let ran = command.output()?;
-        if !ran.status.success() {
-            return Err(String::from_utf8_lossy(&ran.stderr).into_owned().into());
+        let result = command.output()?;
+        if !result.status.success() {
+            return Err(String::from_utf8_lossy(&result.stderr).into_owned().into());
         }
         Ok(ply::read_mesh(&fs::read(&output)?, &Limits::default())?)
     }

@@ -346,9 +346,9 @@ impl Scene {
     /// Runs all shards of the plan in docs/commands.md except the last, which a command on the page runs.
     fn runs_other_shards(&self) {
         for shard in 0..SHOT_FRAMES - 1 {
-            let ran =
+            let result =
                 meniscus(self.path(), &["convert", "--plan", "plan.json", "--shard", &shard.to_string()]);
-            assert_eq!(ran.status, 0, "{}{}", ran.out, ran.err);
+            assert_eq!(result.status, 0, "{}{}", result.out, result.err);
         }
     }
 }

@@ -31,11 +31,11 @@ fn the_docs_have_every_field_of_the_report() {
         "--obstacle=a.obj",
         "--attributes=age",
     ];
-    let ran = meniscus(path, &[&["convert"], &arguments[..]].concat());
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &[&["convert"], &arguments[..]].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
     // Level sets have additional fields.
-    let ran = meniscus(path, &["convert", "o/dam.1.vdb", "--out=l", "--format=glb", "--report=l.json"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &["convert", "o/dam.1.vdb", "--out=l", "--format=glb", "--report=l.json"]);
+    assert_eq!(result.status, 0, "{}", result.err);
     let mut fields = BTreeSet::new();
     for report in ["r.json", "l.json"] {
         let report = fs::read(path.join(report)).expect("written");

@@ -12,8 +12,8 @@ fn outputs_in_a_subfolder_of_the_watched_folder_are_not_inputs() {
     scene.put_moving([2]);
     let arguments = ["watch", "in", "--out", "in/out", "--recursive", "--format", "ply,obj", "--log", "json"];
     for _ in 0..2 {
-        let ran = scene.run(&[&arguments[..], &QUICK, &["--once"]].concat());
-        assert_eq!(ran.status, Some(0), "{}", ran.err);
+        let result = scene.run(&[&arguments[..], &QUICK, &["--once"]].concat());
+        assert_eq!(result.status, Some(0), "{}", result.err);
     }
     let daemon = scene.start_as(&[&arguments[..], &QUICK, &["--rescan", "1s"]].concat());
     daemon.await_ready();
@@ -38,8 +38,8 @@ fn outputs_next_to_the_frames_are_not_inputs() {
     scene.write("in/dam.1.csv", csv(&moving(1)));
     let arguments = ["watch", "in", "--out", "in", "--format", "ply", "--log", "json"];
     for _ in 0..2 {
-        let ran = scene.run(&[&arguments[..], &QUICK, &["--once"]].concat());
-        assert_eq!(ran.status, Some(0), "{}", ran.err);
+        let result = scene.run(&[&arguments[..], &QUICK, &["--once"]].concat());
+        assert_eq!(result.status, Some(0), "{}", result.err);
         assert_eq!(names_in(&scene.path("in")), [".meniscus", "dam.1.csv", "dam.1.ply"]);
     }
     let daemon = scene.start_as(&[&arguments[..], &QUICK, &NO_SCANS].concat());
@@ -64,15 +64,15 @@ fn output_folder_that_is_not_writable_is_refused() {
     // No user can write there, not even root.
     places.push(("/proc", "nothing can be written into it: "));
     for (out, why) in places {
-        let ran = scene.run(&["watch", "in", "--out", out, "--once"]);
-        assert_eq!(ran.status, Some(2), "{out}: {}", ran.err);
+        let result = scene.run(&["watch", "in", "--out", out, "--once"]);
+        assert_eq!(result.status, Some(2), "{out}: {}", result.err);
         assert!(
-            ran.err.contains(&format!("{out}: expected a folder for the results, but "))
-                && ran.err.contains(why),
+            result.err.contains(&format!("{out}: expected a folder for the results, but "))
+                && result.err.contains(why),
             "{out}: {}",
-            ran.err
+            result.err
         );
-        assert_eq!(ran.err.lines().count(), 1, "{}", ran.err);
+        assert_eq!(result.err.lines().count(), 1, "{}", result.err);
     }
 }
 
@@ -95,9 +95,9 @@ fn output_does_not_replace_an_obstacle() {
             assert_eq!(told.count(), 1, "{obstacle} {name}: {}", told_of(&once.log));
         }
         assert!(scene.bytes("out/dam.1.obj") == before);
-        let ran = scene.run(&[&["convert", "in", "--out", "out"], &with[..]].concat());
-        assert_eq!(ran.status, Some(2), "{}", ran.err);
-        assert!(ran.err.contains("would replace the obstacle"), "{}", ran.err);
+        let result = scene.run(&[&["convert", "in", "--out", "out"], &with[..]].concat());
+        assert_eq!(result.status, Some(2), "{}", result.err);
+        assert!(result.err.contains("would replace the obstacle"), "{}", result.err);
     }
 }
 
@@ -110,12 +110,12 @@ fn output_does_not_replace_a_frame() {
     scene.write("out/dam.1.ply", ply(&moving(7)));
     let in_place = ["watch", "in", "--out", "in", "--format", "ply", "--once", "--log", "json"];
     let onto_others = ["watch", "in", "--out", "out", "--format", "obj,ply", "--once", "--log", "json"];
-    let ran = scene.run(&[&in_place[..], &QUICK].concat());
-    assert_eq!(ran.status, Some(2), "{}", ran.err);
-    assert!(ran.err.contains("replace"), "{}", ran.err);
+    let result = scene.run(&[&in_place[..], &QUICK].concat());
+    assert_eq!(result.status, Some(2), "{}", result.err);
+    assert!(result.err.contains("replace"), "{}", result.err);
     assert_eq!(names_in(&scene.path("in")), [".meniscus", "dam.1.ply", "dam.2.ply"]);
-    let ran = scene.run(&[&onto_others[..], &QUICK].concat());
-    assert_eq!(ran.status, Some(1), "{}", ran.err);
+    let result = scene.run(&[&onto_others[..], &QUICK].concat());
+    assert_eq!(result.status, Some(1), "{}", result.err);
     assert_eq!(names_in(&scene.path("out")), [".meniscus", "dam.1.ply", "dam.2.obj", "dam.2.ply"]);
     for (within, number) in [("in/dam.1.ply", 1), ("in/dam.2.ply", 2), ("out/dam.1.ply", 7)] {
         assert!(scene.bytes(within) == ply(&moving(number)), "{within}");
@@ -159,9 +159,9 @@ fn frames_with_the_same_name_in_two_folders_conflict() {
     scene.write("more/dam.2.ply", ply(&moving(5)));
     scene.write("more/dam.3.ply", ply(&moving(6)));
     let arguments = ["watch", "in", "more", "--out", "out", "--format", "obj", "--once", "--log", "json"];
-    let ran = scene.run(&[&arguments[..], &QUICK].concat());
-    assert_eq!(ran.status, Some(1), "{}", ran.err);
-    assert!(ran.err.contains("in/dam.2.ply") && ran.err.contains("more/dam.2.ply"), "{}", ran.err);
+    let result = scene.run(&[&arguments[..], &QUICK].concat());
+    assert_eq!(result.status, Some(1), "{}", result.err);
+    assert!(result.err.contains("in/dam.2.ply") && result.err.contains("more/dam.2.ply"), "{}", result.err);
     assert_eq!(names_in(&scene.path("out")), [".meniscus", "dam.1.obj", "dam.2.obj", "dam.3.obj"]);
 }
 

@@ -559,9 +559,9 @@ fn address_in_use_is_an_error() {
     let scene = Scene::new();
     let (_watching, address) = watch(&scene, &[]);
     let refused = |arguments: &[&str], words: &str| {
-        let ran = scene.run(&[&["watch", "elsewhere", "--out", "other"], arguments].concat());
-        assert_eq!(ran.status, Some(2), "{}", ran.err);
-        assert!(ran.err.contains(words), "{}", ran.err);
+        let result = scene.run(&[&["watch", "elsewhere", "--out", "other"], arguments].concat());
+        assert_eq!(result.status, Some(2), "{}", result.err);
+        assert!(result.err.contains(words), "{}", result.err);
     };
     refused(&["--listen", &address], &format!("cannot listen on {address}"));
     refused(&["--listen", "0.0.0.0:0"], "--token");

@@ -14,8 +14,8 @@ const QUICK: [&str; 4] = ["--settle", "50ms", "--stalled", "300ms"];
 
 /// The output of `status --json`.
 fn status(scene: &Scene) -> Value {
-    let ran = scene.run(&["status", "--out", "out", "--json"]);
-    serde_json::from_str(&ran.out).unwrap_or_else(|error| panic!("{error}: {}{}", ran.out, ran.err))
+    let result = scene.run(&["status", "--out", "out", "--json"]);
+    serde_json::from_str(&result.out).unwrap_or_else(|error| panic!("{error}: {}{}", result.out, result.err))
 }
 
 fn is_failure_of<'a>(name: &'a str) -> impl Fn(&Line) -> bool + 'a {

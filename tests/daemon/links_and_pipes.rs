@@ -40,10 +40,14 @@ fn lock_or_journal_that_is_a_link_or_a_pipe_is_refused() {
                 _ => symlink(scene.path("precious"), scene.path(&path)).expect("a link"),
             }
             for arguments in [&ONCE[..], &STATUS] {
-                let ran = scene.run(arguments);
-                assert_eq!(ran.status, Some(2), "{arguments:?}, {name} is {kind}: {}", ran.err);
+                let result = scene.run(arguments);
+                assert_eq!(result.status, Some(2), "{arguments:?}, {name} is {kind}: {}", result.err);
                 let expected = format!("not a regular file: {kind}");
-                assert!(ran.err.contains(&expected) && ran.err.contains(".meniscus"), "{name}: {}", ran.err);
+                assert!(
+                    result.err.contains(&expected) && result.err.contains(".meniscus"),
+                    "{name}: {}",
+                    result.err
+                );
             }
             assert_eq!(scene.bytes("precious"), b"precious");
         }
@@ -61,9 +65,9 @@ fn state_folder_that_is_a_link_is_refused() {
     symlink(&away, &state).expect("a link");
     let before = scene.bytes("away/journal");
     for arguments in [&ONCE[..], &STATUS] {
-        let ran = scene.run(arguments);
-        assert_eq!(ran.status, Some(2), "{}", ran.err);
-        assert!(ran.err.contains(".meniscus is a symbolic link"), "{}", ran.err);
+        let result = scene.run(arguments);
+        assert_eq!(result.status, Some(2), "{}", result.err);
+        assert!(result.err.contains(".meniscus is a symbolic link"), "{}", result.err);
     }
     assert_eq!(scene.bytes("away/journal"), before);
 }
@@ -81,8 +85,8 @@ fn journal_and_output_folders_named_by_the_user_may_be_links() {
     symlink(scene.path("outputs"), scene.path("out")).expect("a link");
     scene.once(&[&QUICK[..], &FORMATS, &["--journal", "linked"]].concat()).assert_status(0);
     assert!(scene.path("journals/journal").is_file() && scene.path("outputs/dam.1.obj").is_file());
-    let ran = scene.run(&[&STATUS[..], &["--journal", "linked"]].concat());
-    assert_eq!(ran.status, Some(0), "{}", ran.err);
+    let result = scene.run(&[&STATUS[..], &["--journal", "linked"]].concat());
+    assert_eq!(result.status, Some(0), "{}", result.err);
 }
 
 #[test]
@@ -143,10 +147,15 @@ fn pipes_do_not_block_verify_and_convert() {
         let kept = scene.bytes(&within);
         scene.remove(&within);
         make_pipe(&scene, &within);
-        let ran = verify();
-        assert_ne!(ran.status, Some(0), "{name}");
+        let result = verify();
+        assert_ne!(result.status, Some(0), "{name}");
         let what = format!("{name}: not a regular file: a pipe");
-        assert!([&ran.out, &ran.err].iter().any(|text| text.contains(&what)), "{} {}", ran.out, ran.err);
+        assert!(
+            [&result.out, &result.err].iter().any(|text| text.contains(&what)),
+            "{} {}",
+            result.out,
+            result.err
+        );
         scene.remove(&within);
         scene.write(&within, kept);
     }
@@ -168,12 +177,16 @@ fn pipes_do_not_block_verify_and_convert() {
         "--skip-done",
     ];
     for arguments in [&convert[..], &convert[..8], &["info", "in"], &shard] {
-        let ran = scene.run(arguments);
-        assert_ne!(ran.status, None, "{arguments:?}");
+        let result = scene.run(arguments);
+        assert_ne!(result.status, None, "{arguments:?}");
     }
-    let ran = scene.run(&convert);
-    assert_eq!(ran.status, Some(2), "{}", ran.err);
-    assert!(ran.err.contains("dam.1.ply") && ran.err.contains("not a regular file: a pipe"), "{}", ran.err);
+    let result = scene.run(&convert);
+    assert_eq!(result.status, Some(2), "{}", result.err);
+    assert!(
+        result.err.contains("dam.1.ply") && result.err.contains("not a regular file: a pipe"),
+        "{}",
+        result.err
+    );
     scene.remove("plan.json");
     make_pipe(&scene, "plan.json");
     assert_ne!(verify().status, Some(0));

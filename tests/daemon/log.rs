@@ -7,14 +7,14 @@ use crate::scene::{NO_SCANS, Scene, Watching, await_that, moving, ply};
 const FORMATS: [&str; 2] = ["--format", "obj"];
 
 fn status(scene: &Scene) -> Value {
-    let ran = scene.run(&["status", "--out", "out", "--json"]);
-    serde_json::from_str(&ran.out).unwrap_or_else(|error| panic!("{error}: {}{}", ran.out, ran.err))
+    let result = scene.run(&["status", "--out", "out", "--json"]);
+    serde_json::from_str(&result.out).unwrap_or_else(|error| panic!("{error}: {}{}", result.out, result.err))
 }
 
 fn why(scene: &Scene, within: &str) -> String {
-    let ran = scene.run(&["why", within, "--out", "out"]);
-    assert_eq!(ran.status, Some(0), "{}{}", ran.out, ran.err);
-    ran.out
+    let result = scene.run(&["why", within, "--out", "out"]);
+    assert_eq!(result.status, Some(0), "{}{}", result.out, result.err);
+    result.out
 }
 
 /// A scene with two valid frames, a corrupt frame, and a frame that stays incomplete.
@@ -94,9 +94,9 @@ fn why_explains_each_frame() {
     await_that("it is new", || why(&scene, "in/dam.5.ply").contains("it is new"));
     // `why` also explains files that are not frames, and missing files.
     for absent in ["in/dam.9.ply", "in"] {
-        let ran = scene.run(&["why", absent, "--out", "out"]);
-        assert!(!ran.out.contains("it is done"), "{}", ran.out);
-        assert!(!format!("{}{}", ran.out, ran.err).is_empty());
+        let result = scene.run(&["why", absent, "--out", "out"]);
+        assert!(!result.out.contains("it is done"), "{}", result.out);
+        assert!(!format!("{}{}", result.out, result.err).is_empty());
     }
 }
 

@@ -108,8 +108,8 @@ fn journal_folder_is_separate_with_the_option() {
 fn frames_converted_by_convert_are_done() {
     let scene = Scene::new();
     scene.put_moving(1..=3);
-    let ran = scene.run(&[&["convert", "in", "--out", "out"], &FORMATS[..]].concat());
-    assert_eq!(ran.status, Some(0), "{}", ran.err);
+    let result = scene.run(&[&["convert", "in", "--out", "out"], &FORMATS[..]].concat());
+    assert_eq!(result.status, Some(0), "{}", result.err);
     scene.put("in/dam.3.ply", ply(&moving(4)));
     let next = once(&scene);
     assert_eq!(next.converted(), ["dam.3.ply"]);
@@ -174,9 +174,9 @@ fn missing_folder_ends_the_run() {
     scene.put_moving(1..=12);
     let arguments =
         ["watch", "in", "nowhere", "--out", "out", "--once", "--in-flight", "1", "--settle", "1ms"];
-    let ran = scene.run(&arguments);
-    assert_eq!(ran.status, Some(2), "{}", ran.err);
-    assert!(ran.err.contains("nowhere"), "{}", ran.err);
+    let result = scene.run(&arguments);
+    assert_eq!(result.status, Some(2), "{}", result.err);
+    assert!(result.err.contains("nowhere"), "{}", result.err);
 }
 
 /// A path through other folders or through links refers to the same frames.
@@ -187,9 +187,13 @@ fn frame_is_recognized_by_any_of_its_paths() {
     scene.once(&["--settle", "10ms"]).assert_status(0);
     std::os::unix::fs::symlink(".", scene.path("here")).expect("linked");
     for input in ["in/../in", "here/in", "./here/here/in"] {
-        let ran = scene.run(&["watch", input, "--out", "out", "--once", "--log", "json"]);
-        assert_eq!(ran.status, Some(0), "{}", ran.err);
-        assert!(!ran.err.contains("\"converted\"") && !ran.err.contains("done already"), "{}", ran.err);
+        let result = scene.run(&["watch", input, "--out", "out", "--once", "--log", "json"]);
+        assert_eq!(result.status, Some(0), "{}", result.err);
+        assert!(
+            !result.err.contains("\"converted\"") && !result.err.contains("done already"),
+            "{}",
+            result.err
+        );
         let why = scene.run(&["why", &format!("{input}/dam.1.ply"), "--out", "out"]);
         assert!(why.out.contains("as recorded"), "{}", why.out);
     }

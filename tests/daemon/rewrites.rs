@@ -179,8 +179,8 @@ fn frame_overwritten_while_it_is_read_is_read_again() {
     });
     overwrite(&scene, "in/dam.1.ply", &versions[2]);
     let _ = fs::remove_dir_all(scene.path("expected"));
-    let ran = scene.run(&[&["convert", "in", "--out", "expected"], &arguments[..]].concat());
-    assert_eq!(ran.status, Some(0), "{}", ran.err);
+    let result = scene.run(&[&["convert", "in", "--out", "expected"], &arguments[..]].concat());
+    assert_eq!(result.status, Some(0), "{}", result.err);
     let expected = scene.bytes("expected/dam.1.obj");
     let is_as_expected = || fs::read(scene.path("out/dam.1.obj")).is_ok_and(|bytes| bytes == expected);
     await_that("the last version is converted", is_as_expected);

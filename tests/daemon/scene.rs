@@ -135,7 +135,7 @@ impl Scene {
     }
 
     /// Runs the program until it ends.
-    pub(crate) fn run(&self, arguments: &[&str]) -> Ran {
+    pub(crate) fn run(&self, arguments: &[&str]) -> RunResult {
         let mut child =
             self.command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("a start");
         let [out, err] =
@@ -147,13 +147,13 @@ impl Scene {
         let [out, err] = [out, err].map(|reader| reader.join().expect("no panic"));
         let status = status.unwrap_or_else(|| panic!("{arguments:?} does not end:\n{out}\n{err}"));
         assert!(!err.contains("panicked"), "{err}");
-        Ran { status: status.code(), out, err }
+        RunResult { status: status.code(), out, err }
     }
 
     /// Runs `watch --once`, from `in` to `out`.
     pub(crate) fn once(&self, arguments: &[&str]) -> Once {
-        let ran = self.run(&[&WATCH[..], &["--once"], arguments].concat());
-        Once { log: ran.err.lines().map(line).collect(), status: ran.status }
+        let result = self.run(&[&WATCH[..], &["--once"], arguments].concat());
+        Once { log: result.err.lines().map(line).collect(), status: result.status }
     }
 
     /// Starts the daemon from `in` to `out`, and does not wait for its first scan.
@@ -211,8 +211,8 @@ impl Scene {
     #[track_caller]
     pub(crate) fn assert_folder_as_converted(&self, input: &str, output: &str, arguments: &[&str]) {
         let _ = fs::remove_dir_all(self.path("expected"));
-        let ran = self.run(&[&["convert", input, "--out", "expected"], arguments].concat());
-        assert!(matches!(ran.status, Some(0 | 1)), "{}", ran.err);
+        let result = self.run(&[&["convert", input, "--out", "expected"], arguments].concat());
+        assert!(matches!(result.status, Some(0 | 1)), "{}", result.err);
         let [expected, found] = ["expected", output].map(|folder| contents(&self.path(folder)));
         let [expected_names, found_names] = [&expected, &found].map(|files| files.keys().collect::<Vec<_>>());
         assert_eq!(found_names, expected_names);
@@ -260,7 +260,7 @@ pub(crate) fn await_that(what: &str, mut is_so: impl FnMut() -> bool) {
 }
 
 /// The result of a run of the program.
-pub(crate) struct Ran {
+pub(crate) struct RunResult {
     /// The exit status; `None` after a signal.
     pub(crate) status: Option<i32>,
     /// The standard output.

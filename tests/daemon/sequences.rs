@@ -29,8 +29,8 @@ fn put_shrinking(scene: &Scene, numbers: impl IntoIterator<Item = usize>) {
 fn voxel_size_stays_after_a_restart_without_its_frame() {
     let scene = Scene::new();
     put_shrinking(&scene, 1..=4);
-    let ran = scene.run(&[&["convert", "in", "--out", "all"], &FORMATS[..]].concat());
-    assert_eq!(ran.status, Some(0), "{}", ran.err);
+    let result = scene.run(&[&["convert", "in", "--out", "all"], &FORMATS[..]].concat());
+    assert_eq!(result.status, Some(0), "{}", result.err);
     let expected = contents(&scene.path("all"));
     for number in 3..=4 {
         scene.remove(&format!("in/dam.{number}.ply"));

@@ -141,8 +141,8 @@ fn once_exits_with_the_status_of_convert() {
                 _ => scene.put(&path, corrupt),
             }
         }
-        let ran = scene.run(&[&["convert", "in", "--out", "expected"], &FORMATS[..]].concat());
-        assert_eq!(ran.status, Some(status), "{case}: {}", ran.err);
+        let result = scene.run(&[&["convert", "in", "--out", "expected"], &FORMATS[..]].concat());
+        assert_eq!(result.status, Some(status), "{case}: {}", result.err);
         scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat()).assert_status(status);
     }
     let scene = Scene::new();

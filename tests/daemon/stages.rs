@@ -22,7 +22,7 @@ fn await_frames(scene: &Scene, numbers: &[usize]) {
 /// Asserts that `convert` makes the same stage of the frames.
 #[track_caller]
 fn assert_as_converted(scene: &Scene) {
-    let ran = scene.run(&[
+    let result = scene.run(&[
         "convert",
         "in",
         "--out",
@@ -33,7 +33,7 @@ fn assert_as_converted(scene: &Scene) {
         "--stage",
         "c.usda",
     ]);
-    assert_eq!(ran.status, Some(0), "{}", ran.err);
+    assert_eq!(result.status, Some(0), "{}", result.err);
     assert_eq!(stage(scene), String::from_utf8(scene.bytes("c.usda")).expect("text"));
 }
 

@@ -7,8 +7,8 @@ use std::path::Path;
 use serde_json::Value;
 
 use crate::scene::{
-    CHEAP, FORMATS, FRAME_COUNT, FaultKind, Faults, Files, PLAN, Ran, Random, References, Scene, Version,
-    files_in, stem, tell,
+    CHEAP, FORMATS, FRAME_COUNT, FaultKind, Faults, Files, PLAN, Random, References, RunResult, Scene,
+    Version, files_in, stem, tell,
 };
 
 /// Counts of the faults in a cycle.
@@ -88,21 +88,21 @@ impl Cycle<'_> {
         let mut was_killed = false;
         for arguments in commands {
             let before = files_in(&self.scene.path("out"));
-            let ran = self.scene.run(&arguments, Some(faults));
-            let is_killed = ran.status.signal() == Some(9);
+            let result = self.scene.run(&arguments, Some(faults));
+            let is_killed = result.status.signal() == Some(9);
             let about = || {
-                let (out, err, log) = (&ran.out, &ran.err, self.scene.fault_log());
+                let (out, err, log) = (&result.out, &result.err, self.scene.fault_log());
                 format!(
                     "seed {} ({:?}, old outputs: {}), {faults:?}, {arguments:?}, {}:\n{out}{err}faults:\n{log}",
-                    self.seed, self.way, self.has_old, ran.status
+                    self.seed, self.way, self.has_old, result.status
                 )
             };
-            assert!(is_killed || ran.status.code().is_some_and(|code| code <= 2), "{}", about());
+            assert!(is_killed || result.status.code().is_some_and(|code| code <= 2), "{}", about());
             let after = files_in(&self.scene.path("out"));
             self.assert_whole(&after, &about);
             self.assert_nothing_lost(&before, &after, faults, &about);
             if !is_killed {
-                self.assert_no_wrong_success(&arguments, &ran, &after, &about);
+                self.assert_no_wrong_success(&arguments, &result, &after, &about);
             }
             was_killed |= is_killed;
         }
@@ -112,17 +112,17 @@ impl Cycle<'_> {
     /// Asserts that runs without faults make all outputs, and remove all files that failed or killed runs
     /// left.
     fn assert_all_is_made(&self, version: Version) {
-        let about = |ran: &Ran| {
+        let about = |result: &RunResult| {
             let log = self.scene.fault_log();
             format!(
                 "seed {} ({:?}), without faults:\n{}{}faults:\n{log}",
-                self.seed, self.way, ran.out, ran.err
+                self.seed, self.way, result.out, result.err
             )
         };
         let run = |arguments: &[&str]| {
-            let ran = self.scene.run(arguments, None);
-            assert_eq!(ran.status.code(), Some(0), "{}", about(&ran));
-            ran
+            let result = self.scene.run(arguments, None);
+            assert_eq!(result.status.code(), Some(0), "{}", about(&result));
+            result
         };
         let last = match self.way {
             Way::Convert => run(&[&CONVERT[..], &CHEAP].concat()),
@@ -210,20 +210,20 @@ impl Cycle<'_> {
     fn assert_no_wrong_success(
         &self,
         arguments: &[&str],
-        ran: &Ran,
+        result: &RunResult,
         after: &Files,
         about: &dyn Fn() -> String,
     ) {
         let is_current = |number: usize| self.whole_sets(after, number).contains(&Version::New);
         let current: Vec<usize> = (1..=FRAME_COUNT).filter(|&number| is_current(number)).collect();
         let said: BTreeSet<usize> = match arguments[0] {
-            "watch" => (1..=FRAME_COUNT).filter(|&number| is_logged_done(&ran.err, number)).collect(),
-            _ => (1..=FRAME_COUNT).filter(|&number| is_printed_done(&ran.out, number)).collect(),
+            "watch" => (1..=FRAME_COUNT).filter(|&number| is_logged_done(&result.err, number)).collect(),
+            _ => (1..=FRAME_COUNT).filter(|&number| is_printed_done(&result.out, number)).collect(),
         };
         for number in &said {
             assert!(current.contains(number), "frame {number} is said to be done: {}", about());
         }
-        if ran.status.code() != Some(0) {
+        if result.status.code() != Some(0) {
             return;
         }
         match arguments {

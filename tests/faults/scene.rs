@@ -127,8 +127,8 @@ impl References {
             scene.put_frames(version);
             scene.plan();
             for shard in ["0", "1"] {
-                let ran = scene.run(&["convert", "--plan", "plan.json", "--shard", shard], None);
-                assert_eq!(ran.status.code(), Some(0), "{}", ran.err);
+                let result = scene.run(&["convert", "--plan", "plan.json", "--shard", shard], None);
+                assert_eq!(result.status.code(), Some(0), "{}", result.err);
             }
             let files = files_in(&scene.path("out"));
             assert_eq!(files.len(), FRAME_COUNT * (FORMATS.len() + 1), "{:?}", files.keys());
@@ -166,7 +166,7 @@ pub(crate) enum FaultKind {
 }
 
 /// The result of a run.
-pub(crate) struct Ran {
+pub(crate) struct RunResult {
     pub(crate) status: ExitStatus,
     pub(crate) out: String,
     pub(crate) err: String,
@@ -199,8 +199,8 @@ impl Scene {
 
     /// Makes a plan of two shards.
     pub(crate) fn plan(&self) {
-        let ran = self.run(&[&PLAN[..], &CHEAP[..10]].concat(), None);
-        assert_eq!(ran.status.code(), Some(0), "{}", ran.err);
+        let result = self.run(&[&PLAN[..], &CHEAP[..10]].concat(), None);
+        assert_eq!(result.status.code(), Some(0), "{}", result.err);
     }
 
     /// The faults so far, one per line.
@@ -214,7 +214,7 @@ impl Scene {
     }
 
     /// Runs the program until it ends.
-    pub(crate) fn run(&self, arguments: &[&str], faults: Option<&Faults<'_>>) -> Ran {
+    pub(crate) fn run(&self, arguments: &[&str], faults: Option<&Faults<'_>>) -> RunResult {
         let [out, err] = ["out", "err"].map(|name| self.folder.path().with_extension(name));
         let file = |path: &Path| fs::File::create(path).expect("created");
         let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
@@ -245,7 +245,7 @@ impl Scene {
         });
         let status = status.unwrap_or_else(|| panic!("{arguments:?} does not end:\n{out}\n{err}"));
         assert!(!err.contains("panicked"), "{err}");
-        Ran { status, out, err }
+        RunResult { status, out, err }
     }
 }
 

@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::process::Command;
 use std::time::{Duration, SystemTime};
 
-use crate::scene::{Ran, Scene, block_ply, tell};
+use crate::scene::{RunResult, Scene, block_ply, tell};
 
 const YEAR: Duration = Duration::from_secs(365 * 24 * 3600);
 
@@ -51,8 +51,8 @@ fn frames_of_any_time_are_converted_once() {
             scene.write(&name, block_ply(number as f32));
             set(&scene, &name, time);
         }
-        let ran = scene.run(arguments);
-        assert_eq!(ran.status, Some(0), "{}", ran.err);
+        let result = scene.run(arguments);
+        assert_eq!(result.status, Some(0), "{}", result.err);
         scene.assert_good_frames_are_there();
         let written =
             |number| fs::metadata(scene.path(format!("out/odd.{number}.obj"))).expect("there").modified();
@@ -73,14 +73,14 @@ fn frame_with_an_earlier_time_is_converted_again() {
         let before = fs::read(scene.path("out/dam.1.obj")).expect("there");
         scene.write("in/dam.1.ply", block_ply(10.0 + shift as f32));
         set(&scene, "in/dam.1.ply", time);
-        let ran = scene.run(&WATCH);
-        assert_eq!(ran.status, Some(0), "{}", ran.err);
-        assert!(fs::read(scene.path("out/dam.1.obj")).expect("there") != before, "{shift}: {}", ran.err);
+        let result = scene.run(&WATCH);
+        assert_eq!(result.status, Some(0), "{}", result.err);
+        assert!(fs::read(scene.path("out/dam.1.obj")).expect("there") != before, "{shift}: {}", result.err);
     }
 }
 
 /// Runs the daemon with a changed system clock; `None` if the clock cannot be changed.
-fn run_at(scene: &Scene, clock: &[&str]) -> Option<Ran> {
+fn run_at(scene: &Scene, clock: &[&str]) -> Option<RunResult> {
     if !Command::new("faketime").args(["2001-01-01", "true"]).status().is_ok_and(|status| status.success()) {
         tell("not tested: faketime is missing");
         return None;
@@ -109,9 +109,9 @@ fn daemon_continues_when_the_clock_is_set() {
     for (number, clock) in clocks.into_iter().enumerate() {
         let name = format!("in/late.{number}.ply");
         scene.write(&name, block_ply(number as f32));
-        let Some(ran) = run_at(&scene, clock) else { return };
-        assert_eq!(ran.status, Some(0), "{clock:?}: {}", ran.err);
-        assert!(scene.path(format!("out/late.{number}.obj")).is_file(), "{clock:?}: {}", ran.err);
+        let Some(result) = run_at(&scene, clock) else { return };
+        assert_eq!(result.status, Some(0), "{clock:?}: {}", result.err);
+        assert!(scene.path(format!("out/late.{number}.obj")).is_file(), "{clock:?}: {}", result.err);
     }
     scene.assert_good_frames_are_there();
 }

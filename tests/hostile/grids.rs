@@ -34,7 +34,7 @@ fn tiles(node_count: i32, value: impl Fn([usize; 3]) -> f32) -> Vec<u8> {
 }
 
 /// Converts a level set, or particles around it, with this memory limit.
-fn convert(scene: &Scene, is_obstacle: bool, memory: &str) -> crate::scene::Ran {
+fn convert(scene: &Scene, is_obstacle: bool, memory: &str) -> crate::scene::RunResult {
     let common = ["convert", "--out", "out", "--format", "obj", "--memory", memory];
     let inputs: &[&str] = match is_obstacle {
         true => &["in/dam.1.ply", "--voxel-size", "0.1", "--obstacle", "grid.vdb"],
@@ -57,16 +57,16 @@ fn small_file_with_millions_of_tiles_stays_within_memory() {
     assert!(bytes.len() < 1 << 20, "{}", bytes.len());
     scene.write("grid.vdb", bytes);
     for is_obstacle in [false, true] {
-        let ran = convert(&scene, is_obstacle, "64MiB");
-        assert_ne!(ran.status, Some(0), "{}", ran.err);
-        assert!(ran.err.contains("grid.vdb") && ran.err.contains("tiles"), "{}", ran.err);
-        tell(&format!("refused with {} MiB", ran.peak_bytes >> 20));
-        assert!(ran.peak_bytes <= BESIDE_BYTES + (64 << 20), "{}", ran.peak_bytes);
-        let asked = asked_mebibytes(&ran.err);
-        let ran = convert(&scene, is_obstacle, &format!("{}MiB", asked));
-        assert_eq!(ran.status, Some(0), "{}", ran.err);
-        tell(&format!("{asked} MiB allowed: {} MiB", ran.peak_bytes >> 20));
-        assert!(ran.peak_bytes <= BESIDE_BYTES + (asked << 20), "{} of {asked} MiB", ran.peak_bytes);
+        let result = convert(&scene, is_obstacle, "64MiB");
+        assert_ne!(result.status, Some(0), "{}", result.err);
+        assert!(result.err.contains("grid.vdb") && result.err.contains("tiles"), "{}", result.err);
+        tell(&format!("refused with {} MiB", result.peak_bytes >> 20));
+        assert!(result.peak_bytes <= BESIDE_BYTES + (64 << 20), "{}", result.peak_bytes);
+        let asked = asked_mebibytes(&result.err);
+        let result = convert(&scene, is_obstacle, &format!("{}MiB", asked));
+        assert_eq!(result.status, Some(0), "{}", result.err);
+        tell(&format!("{asked} MiB allowed: {} MiB", result.peak_bytes >> 20));
+        assert!(result.peak_bytes <= BESIDE_BYTES + (asked << 20), "{} of {asked} MiB", result.peak_bytes);
     }
 }
 
@@ -76,13 +76,13 @@ fn rebuilt_obstacle_stays_within_memory() {
     // The surface of a cube of 128³ voxels passes between tiles: rebuilding it takes about 6,000 leaves, which are 50 MiB.
     let is_inside = |tile: [usize; 3]| tile == [4; 3];
     scene.write("grid.vdb", tiles(1, |tile| if is_inside(tile) { -BACKGROUND } else { BACKGROUND }));
-    let ran = convert(&scene, true, "32MiB");
-    assert_ne!(ran.status, Some(0), "{}", ran.err);
-    assert!(ran.err.contains("grid.vdb") && ran.err.contains("--memory"), "{}", ran.err);
-    tell(&format!("refused with {} MiB", ran.peak_bytes >> 20));
-    assert!(ran.peak_bytes <= BESIDE_BYTES + (32 << 20), "{}", ran.peak_bytes);
-    let ran = convert(&scene, true, "128MiB");
-    assert_eq!(ran.status, Some(0), "{}", ran.err);
-    tell(&format!("128 MiB allowed: {} MiB", ran.peak_bytes >> 20));
-    assert!(ran.peak_bytes <= BESIDE_BYTES + (128 << 20), "{}", ran.peak_bytes);
+    let result = convert(&scene, true, "32MiB");
+    assert_ne!(result.status, Some(0), "{}", result.err);
+    assert!(result.err.contains("grid.vdb") && result.err.contains("--memory"), "{}", result.err);
+    tell(&format!("refused with {} MiB", result.peak_bytes >> 20));
+    assert!(result.peak_bytes <= BESIDE_BYTES + (32 << 20), "{}", result.peak_bytes);
+    let result = convert(&scene, true, "128MiB");
+    assert_eq!(result.status, Some(0), "{}", result.err);
+    tell(&format!("128 MiB allowed: {} MiB", result.peak_bytes >> 20));
+    assert!(result.peak_bytes <= BESIDE_BYTES + (128 << 20), "{}", result.peak_bytes);
 }

@@ -67,8 +67,8 @@ fn folders_with_names_that_are_not_unicode_are_watched() {
     let arguments =
         ["watch", "--once", "--voxel-size=0.1", "--format=obj", "--settle=50ms"].map(PathBuf::from);
     let places = [path(&[FOLDER]), "--out".into(), path(&[OUT])];
-    let ran = scene.run(&[&arguments[..], &places].concat());
-    assert_eq!(ran.status, Some(0), "{}", ran.err);
+    let result = scene.run(&[&arguments[..], &places].concat());
+    assert_eq!(result.status, Some(0), "{}", result.err);
     assert_outputs(&scene.path(path(&[OUT])));
     let status = scene.run(&["status".into(), "--json".into(), "--out".into(), path(&[OUT])]);
     let status: Value =
@@ -86,9 +86,9 @@ fn plan_refuses_names_that_are_not_unicode() {
     let scene = scene();
     let arguments =
         ["plan", "--out=out", "--voxel-size=0.1", "--shards=2", "-o=plan.json"].map(PathBuf::from);
-    let ran = scene.run(&[&arguments[..], &[path(&[FOLDER])]].concat());
-    assert_eq!(ran.status, Some(2), "{}", ran.err);
-    assert!(ran.err.contains("the path is not Unicode"), "{}", ran.err);
+    let result = scene.run(&[&arguments[..], &[path(&[FOLDER])]].concat());
+    assert_eq!(result.status, Some(2), "{}", result.err);
+    assert!(result.err.contains("the path is not Unicode"), "{}", result.err);
     assert!(!scene.path("plan.json").exists());
 }
 

@@ -30,7 +30,7 @@ pub(crate) struct Scene(TempDir);
 
 /// The result of a command.
 #[derive(Debug)]
-pub(crate) struct Ran {
+pub(crate) struct RunResult {
     pub(crate) status: Option<i32>,
     pub(crate) out: String,
     pub(crate) err: String,
@@ -67,25 +67,25 @@ impl Scene {
     }
 
     /// Runs the command until it ends.
-    pub(crate) fn run<S: AsRef<OsStr>>(&self, arguments: &[S]) -> Ran {
+    pub(crate) fn run<S: AsRef<OsStr>>(&self, arguments: &[S]) -> RunResult {
         let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
         command.args(arguments);
         self.run_command(command)
     }
 
-    pub(crate) fn run_command(&self, mut command: Command) -> Ran {
+    pub(crate) fn run_command(&self, mut command: Command) -> RunResult {
         let [out, err] = ["out.txt", "err.txt"].map(|name| self.path(name));
         let file = |path| File::create(path).expect("made");
         command.current_dir(self.0.path()).stdin(Stdio::null()).stdout(file(&out)).stderr(file(&err));
         let (status, peak_bytes, read_bytes) = until_it_ends(command.spawn().expect("it starts"));
         let text = |path| String::from_utf8_lossy(&fs::read(path).expect("readable")).into_owned();
-        let ran = Ran { status, out: text(out), err: text(err), peak_bytes, read_bytes };
-        assert!(!ran.err.contains("panicked"), "{}", ran.err);
-        ran
+        let result = RunResult { status, out: text(out), err: text(err), peak_bytes, read_bytes };
+        assert!(!result.err.contains("panicked"), "{}", result.err);
+        result
     }
 
     /// Converts `in` to .obj files in `out`.
-    pub(crate) fn convert(&self) -> Ran {
+    pub(crate) fn convert(&self) -> RunResult {
         self.run(&["convert", "in", "--out", "out", "--voxel-size", "0.1", "--format", "obj"])
     }
 
@@ -93,12 +93,12 @@ impl Scene {
     /// that its message contains these words, and that the peak memory is at most this.
     #[track_caller]
     pub(crate) fn assert_costs_itself_alone(&self, name: &str, words: &str, most_bytes: u64) {
-        let ran = self.convert();
-        assert_eq!(ran.status, Some(1), "{name}: {}", ran.err);
-        assert!(ran.err.contains(name) && ran.err.contains(words), "{name}, {words}: {}", ran.err);
+        let result = self.convert();
+        assert_eq!(result.status, Some(1), "{name}: {}", result.err);
+        assert!(result.err.contains(name) && result.err.contains(words), "{name}, {words}: {}", result.err);
         self.assert_good_frames_are_there();
-        tell(&format!("{name}: {} MiB", ran.peak_bytes >> 20));
-        assert!(ran.peak_bytes <= most_bytes, "{name}: {} of {most_bytes} bytes", ran.peak_bytes);
+        tell(&format!("{name}: {} MiB", result.peak_bytes >> 20));
+        assert!(result.peak_bytes <= most_bytes, "{name}: {} of {most_bytes} bytes", result.peak_bytes);
     }
 
     #[track_caller]

@@ -27,11 +27,11 @@ fn info_of_many_steps_takes_little_memory() {
     let scene = Scene::new();
     scene.write("many.lammpstrj", steps(STEPS));
     for arguments in [&["info", "many.lammpstrj"][..], &["info", "--json", "many.lammpstrj"]] {
-        let ran = scene.run(arguments);
-        assert_eq!(ran.status, Some(0), "{}", ran.err);
-        assert_eq!(ran.out.matches("many.lammpstrj/step=").count(), STEPS);
-        tell(&format!("{} steps: {} MiB", STEPS, ran.peak_bytes >> 20));
-        assert!(ran.peak_bytes <= INFO_BYTES_MAX, "{} of {INFO_BYTES_MAX} bytes", ran.peak_bytes);
+        let result = scene.run(arguments);
+        assert_eq!(result.status, Some(0), "{}", result.err);
+        assert_eq!(result.out.matches("many.lammpstrj/step=").count(), STEPS);
+        tell(&format!("{} steps: {} MiB", STEPS, result.peak_bytes >> 20));
+        assert!(result.peak_bytes <= INFO_BYTES_MAX, "{} of {INFO_BYTES_MAX} bytes", result.peak_bytes);
     }
 }
 
@@ -44,10 +44,10 @@ fn reading_many_steps_is_linear_in_the_file_size() {
     for (arguments, few) in [(&["info", "many.lammpstrj"][..], 5_000), (&convert, 300)] {
         let [of_few, of_many] = [few, 4 * few].map(|count| {
             scene.write("many.lammpstrj", steps(count));
-            let ran = scene.run(arguments);
-            assert_eq!(ran.status, Some(0), "{}", ran.err);
-            tell(&format!("{} of {count} steps: {} kB read", arguments[0], ran.read_bytes >> 10));
-            ran.read_bytes
+            let result = scene.run(arguments);
+            assert_eq!(result.status, Some(0), "{}", result.err);
+            tell(&format!("{} of {count} steps: {} kB read", arguments[0], result.read_bytes >> 10));
+            result.read_bytes
         });
         assert!(of_few > 0 && of_many <= 6 * of_few, "{arguments:?}: {of_few}, then {of_many} bytes");
     }
@@ -87,13 +87,14 @@ fn scattered_voxels_stay_within_the_memory_that_is_allowed() {
         let arguments = ["convert", "scattered.vdb", "--out", "out", "--format", "obj", "--memory", memory];
         scene.run(&[&arguments[..], &smoothing].concat())
     };
-    let ran = convert("32MiB");
-    assert_eq!(ran.status, Some(2), "{}", ran.err);
-    assert!(ran.peak_bytes <= (32 << 20) + BESIDE_BYTES, "{}", ran.peak_bytes);
-    let needed = ran.err.split("use --memory ").nth(1).and_then(|rest| rest.split("MiB").next());
-    let needed: u64 = needed.and_then(|needed| needed.parse().ok()).unwrap_or_else(|| panic!("{}", ran.err));
-    let ran = convert(&format!("{needed}MiB"));
-    assert_eq!(ran.status, Some(0), "{}", ran.err);
-    tell(&format!("{needed} MiB allowed: {} MiB", ran.peak_bytes >> 20));
-    assert!(ran.peak_bytes <= (needed << 20) + BESIDE_BYTES, "{} of {needed} MiB", ran.peak_bytes);
+    let result = convert("32MiB");
+    assert_eq!(result.status, Some(2), "{}", result.err);
+    assert!(result.peak_bytes <= (32 << 20) + BESIDE_BYTES, "{}", result.peak_bytes);
+    let needed = result.err.split("use --memory ").nth(1).and_then(|rest| rest.split("MiB").next());
+    let needed: u64 =
+        needed.and_then(|needed| needed.parse().ok()).unwrap_or_else(|| panic!("{}", result.err));
+    let result = convert(&format!("{needed}MiB"));
+    assert_eq!(result.status, Some(0), "{}", result.err);
+    tell(&format!("{needed} MiB allowed: {} MiB", result.peak_bytes >> 20));
+    assert!(result.peak_bytes <= (needed << 20) + BESIDE_BYTES, "{} of {needed} MiB", result.peak_bytes);
 }

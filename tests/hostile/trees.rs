@@ -4,7 +4,7 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::process::Command;
 
-use crate::scene::{Ran, Scene, tell};
+use crate::scene::{RunResult, Scene, tell};
 
 fn add_loops(scene: &Scene) {
     fs::create_dir_all(scene.path("in/a/b")).expect("made");
@@ -25,16 +25,16 @@ fn add_loops(scene: &Scene) {
 fn link_cycles_do_not_stop_conversion() {
     let scene = Scene::new();
     add_loops(&scene);
-    let ran = scene.convert();
-    assert!(matches!(ran.status, Some(0 | 1)), "{}", ran.err);
+    let result = scene.convert();
+    assert!(matches!(result.status, Some(0 | 1)), "{}", result.err);
     scene.assert_good_frames_are_there();
     // A glob through all folders must end, too.
     let arguments = ["convert", "in/**/*.ply", "--out", "globbed", "--voxel-size", "0.1", "--format", "obj"];
-    let ran = scene.run(&arguments);
-    assert!(matches!(ran.status, Some(0 | 1)), "{}", ran.err);
+    let result = scene.run(&arguments);
+    assert!(matches!(result.status, Some(0 | 1)), "{}", result.err);
     let names = fs::read_dir(scene.path("globbed")).expect("the outputs").count();
-    assert_eq!(names, 2, "{}", ran.err);
-    assert!(scene.path("globbed/dam.2.obj").is_file(), "{}", ran.err);
+    assert_eq!(names, 2, "{}", result.err);
+    assert!(scene.path("globbed/dam.2.obj").is_file(), "{}", result.err);
 }
 
 #[test]
@@ -43,14 +43,19 @@ fn link_cycles_do_not_stop_the_daemon() {
     add_loops(&scene);
     let arguments =
         ["watch", "in", "--recursive", "--once", "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
-    let ran = scene.run(&[&arguments[..], &["--settle", "50ms", "--stalled", "300ms"]].concat());
-    assert!(matches!(ran.status, Some(0 | 1)), "{}", ran.err);
+    let result = scene.run(&[&arguments[..], &["--settle", "50ms", "--stalled", "300ms"]].concat());
+    assert!(matches!(result.status, Some(0 | 1)), "{}", result.err);
     scene.assert_good_frames_are_there();
-    assert_eq!(ran.err.matches("dam.1.ply").count(), ran.err.matches("dam.2.ply").count(), "{}", ran.err);
+    assert_eq!(
+        result.err.matches("dam.1.ply").count(),
+        result.err.matches("dam.2.ply").count(),
+        "{}",
+        result.err
+    );
 }
 
 /// Runs the command as a user without root's rights; `None` if that is impossible.
-fn run_as_nobody(scene: &Scene, arguments: &[&str]) -> Option<Ran> {
+fn run_as_nobody(scene: &Scene, arguments: &[&str]) -> Option<RunResult> {
     let program = scene.path("meniscus");
     // A separate process copies the program. If this process copied it, a test that starts a child at this
     // moment would pass on the open descriptor, and a file that is open for writing cannot be executed.
@@ -82,21 +87,21 @@ fn unreadable_frame_does_not_stop_others() {
     }
     ["in/closed", "in/closed.1.ply", "in/closed.1.txt"].iter().for_each(|within| forbid(&scene, within));
     let arguments = ["convert", "in", "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
-    let Some(ran) = run_as_nobody(&scene, &arguments) else { return };
-    assert_eq!(ran.status, Some(1), "{}", ran.err);
-    assert!(ran.err.contains("closed.1.ply") && ran.err.contains("ermission denied"), "{}", ran.err);
+    let Some(result) = run_as_nobody(&scene, &arguments) else { return };
+    assert_eq!(result.status, Some(1), "{}", result.err);
+    assert!(result.err.contains("closed.1.ply") && result.err.contains("ermission denied"), "{}", result.err);
     scene.assert_good_frames_are_there();
     // A glob reads folders, and reports those that it cannot read.
     let globbed = ["convert", "in/**/dam.*.ply", "--out", "out2", "--voxel-size", "0.1", "--format", "obj"];
-    let Some(ran) = run_as_nobody(&scene, &globbed) else { return };
-    assert_eq!(ran.status, Some(1), "{}", ran.err);
-    assert!(scene.path("out2/dam.2.obj").is_file(), "{}", ran.err);
+    let Some(result) = run_as_nobody(&scene, &globbed) else { return };
+    assert_eq!(result.status, Some(1), "{}", result.err);
+    assert!(scene.path("out2/dam.2.obj").is_file(), "{}", result.err);
     let watched =
         ["watch", "in", "--recursive", "--once", "--out", "out3", "--voxel-size", "0.1", "--format", "obj"];
     let watched = [&watched[..], &["--settle", "50ms", "--stalled", "300ms"]].concat();
-    let Some(ran) = run_as_nobody(&scene, &watched) else { return };
-    assert_eq!(ran.status, Some(1), "{}", ran.err);
-    assert!(scene.path("out3/dam.2.obj").is_file(), "{}", ran.err);
+    let Some(result) = run_as_nobody(&scene, &watched) else { return };
+    assert_eq!(result.status, Some(1), "{}", result.err);
+    assert!(scene.path("out3/dam.2.obj").is_file(), "{}", result.err);
 }
 
 /// All frames that can be found are converted; a folder whose frames cannot be found makes the run fail.
@@ -108,25 +113,29 @@ fn unreadable_subfolder_fails_the_run() {
     // A closed folder in a path without a wildcard is also an error with a reason.
     for (input, status) in [("in/**/dam.*.ply", 1), ("in/*/../dam.*.ply", 2), ("in/closed/dam.#.ply", 2)] {
         let arguments = ["convert", input, "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
-        let Some(ran) = run_as_nobody(&scene, &arguments) else { return };
-        assert_eq!(ran.status, Some(status), "{input}: {}", ran.err);
-        assert!(ran.err.contains("closed") && ran.err.contains("ermission denied"), "{input}: {}", ran.err);
+        let Some(result) = run_as_nobody(&scene, &arguments) else { return };
+        assert_eq!(result.status, Some(status), "{input}: {}", result.err);
+        assert!(
+            result.err.contains("closed") && result.err.contains("ermission denied"),
+            "{input}: {}",
+            result.err
+        );
     }
     scene.assert_good_frames_are_there();
     let plan = ["plan", "in/**/dam.*.ply", "--out", "out", "--voxel-size", "0.1"];
     let plan = [&plan[..], &["--output", "plan.json", "--shards", "1"]].concat();
-    let Some(ran) = run_as_nobody(&scene, &plan) else { return };
-    assert_eq!(ran.status, Some(2), "{}", ran.err);
+    let Some(result) = run_as_nobody(&scene, &plan) else { return };
+    assert_eq!(result.status, Some(2), "{}", result.err);
     assert!(
-        ran.err.contains("closed: Permission denied") && !scene.path("plan.json").exists(),
+        result.err.contains("closed: Permission denied") && !scene.path("plan.json").exists(),
         "{}",
-        ran.err
+        result.err
     );
     let watched = ["watch", "in", "--recursive", "--once", "--out", "out3", "--voxel-size", "0.1"];
     let watched = [&watched[..], &["--format", "obj", "--settle", "50ms", "--pattern", "dam.?.ply"]].concat();
-    let Some(ran) = run_as_nobody(&scene, &watched) else { return };
-    assert_eq!(ran.status, Some(1), "{}", ran.err);
-    assert!(ran.err.contains("in/closed") && scene.path("out3/dam.2.obj").is_file(), "{}", ran.err);
+    let Some(result) = run_as_nobody(&scene, &watched) else { return };
+    assert_eq!(result.status, Some(1), "{}", result.err);
+    assert!(result.err.contains("in/closed") && scene.path("out3/dam.2.obj").is_file(), "{}", result.err);
 }
 
 /// A folder can be listed but not entered: only the names of its frames are known.
@@ -136,14 +145,14 @@ fn frames_in_a_folder_without_the_right_to_enter_fail() {
     fs::set_permissions(scene.path("in"), Permissions::from_mode(0o744)).expect("changed");
     for input in ["in", "in/dam.*.ply", "in/dam.#.ply"] {
         let arguments = ["convert", input, "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
-        let Some(ran) = run_as_nobody(&scene, &arguments) else { return };
-        assert_eq!(ran.status, Some(2), "{input}: {}", ran.err);
-        assert!(ran.err.contains("dam.1.ply: Permission denied"), "{input}: {}", ran.err);
+        let Some(result) = run_as_nobody(&scene, &arguments) else { return };
+        assert_eq!(result.status, Some(2), "{input}: {}", result.err);
+        assert!(result.err.contains("dam.1.ply: Permission denied"), "{input}: {}", result.err);
     }
     let watched = ["watch", "in", "--once", "--out", "out", "--voxel-size", "0.1", "--settle", "50ms"];
-    let Some(ran) = run_as_nobody(&scene, &watched) else { return };
-    assert_eq!(ran.status, Some(2), "{}", ran.err);
-    assert!(ran.err.contains("dam.1.ply") && ran.err.contains("ermission denied"), "{}", ran.err);
+    let Some(result) = run_as_nobody(&scene, &watched) else { return };
+    assert_eq!(result.status, Some(2), "{}", result.err);
+    assert!(result.err.contains("dam.1.ply") && result.err.contains("ermission denied"), "{}", result.err);
 }
 
 #[test]
@@ -155,12 +164,12 @@ fn unwritable_output_is_an_error() {
     }
     for out in ["out", "out/inner", "out/new"] {
         let arguments = ["convert", "in", "--out", out, "--voxel-size", "0.1", "--format", "obj"];
-        let Some(ran) = run_as_nobody(&scene, &arguments) else { return };
-        assert!(matches!(ran.status, Some(1 | 2)), "{}", ran.err);
-        assert!(ran.err.contains("ermission denied"), "{}", ran.err);
+        let Some(result) = run_as_nobody(&scene, &arguments) else { return };
+        assert!(matches!(result.status, Some(1 | 2)), "{}", result.err);
+        assert!(result.err.contains("ermission denied"), "{}", result.err);
         let watched = ["watch", "in", "--once", "--out", out, "--voxel-size", "0.1", "--settle", "50ms"];
-        let Some(ran) = run_as_nobody(&scene, &watched) else { return };
-        assert!(matches!(ran.status, Some(1 | 2)), "{}", ran.err);
-        assert!(ran.err.contains("ermission denied"), "{}", ran.err);
+        let Some(result) = run_as_nobody(&scene, &watched) else { return };
+        assert!(matches!(result.status, Some(1 | 2)), "{}", result.err);
+        assert!(result.err.contains("ermission denied"), "{}", result.err);
     }
 }

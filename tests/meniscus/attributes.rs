@@ -7,7 +7,7 @@ use meniscus_formats::{FileAttribute, FilePositions, Limits, ParticleFrame, Valu
 use serde_json::Value;
 use tempfile::tempdir;
 
-use crate::scene::{Ran, block, command, meniscus, names_in, write_ply};
+use crate::scene::{RunResult, block, command, meniscus, names_in, write_ply};
 
 const FORMATS: [&str; 5] = ["glb", "gltf", "obj", "ply", "vdb"];
 
@@ -40,7 +40,7 @@ fn write_frame(folder: &Path, edge_count: usize) {
     fs::write(folder.join("f.bgeo"), bytes).expect("written");
 }
 
-fn convert(folder: &Path, out: &str, arguments: &[&str]) -> Ran {
+fn convert(folder: &Path, out: &str, arguments: &[&str]) -> RunResult {
     let formats = FORMATS.join(",");
     let typed = ["convert", "f.bgeo", "--out", out, "--voxel-size", "0.05", "--format", &formats];
     let report = ["--report", "report.json"];
@@ -64,15 +64,15 @@ fn every_format_has_the_attributes_that_it_supports() {
     let folder = folder.path();
     write_frame(folder, 8);
     // Ids are those of the nearest particle after position smoothing, which is off here.
-    let ran = convert(folder, "out", &["--attributes", "all", "--position-smoothing", "0"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = convert(folder, "out", &["--attributes", "all", "--position-smoothing", "0"]);
+    assert_eq!(result.status, 0, "{}", result.err);
     for note in [
         "1 value of particle attributes ignored: infinite or NaN",
         "id is not in the .vdb",
         "fluid is not in the .vdb",
         "v is missing in the .obj",
     ] {
-        assert!(ran.err.contains(note), "{note}: {}", ran.err);
+        assert!(result.err.contains(note), "{note}: {}", result.err);
     }
     let [glb, gltf, obj, ply, level_set] = &files(folder, "out")[..] else { panic!("five files") };
     let (mesh, vertices) = ply::read_mesh_and_vertices(ply, &Limits::default()).expect("a mesh");
@@ -134,12 +134,12 @@ fn attributes_are_selected_by_column_name_or_by_meaning() {
     for (typed, expected) in
         [("velocity,color", ["v", "Cd"]), ("CD,ID", ["Cd", "id"]), ("v,nothing,age", ["v", "age"])]
     {
-        let ran = convert(folder, "out", &["--attributes", typed]);
-        assert_eq!(ran.status, 0, "{}", ran.err);
+        let result = convert(folder, "out", &["--attributes", typed]);
+        assert_eq!(result.status, 0, "{}", result.err);
         assert_eq!(told(folder)["names"], Value::from(expected.to_vec()), "{typed}");
-        let is_told = ran.err.contains("no attribute `nothing`")
-            && ran.err.contains("available: v, Cd, id, age, fluid");
-        assert_eq!(is_told, typed.contains("nothing"), "{}", ran.err);
+        let is_told = result.err.contains("no attribute `nothing`")
+            && result.err.contains("available: v, Cd, id, age, fluid");
+        assert_eq!(is_told, typed.contains("nothing"), "{}", result.err);
     }
 }
 
@@ -154,15 +154,15 @@ fn attributes_change_no_geometry_and_do_not_depend_on_threads() {
         ("one", &[&all[..], &["--threads", "1"]].concat()),
         ("two", &[&all[..], &["--threads", "2"]].concat()),
     ] {
-        let ran = convert(folder, out, arguments);
-        assert_eq!(ran.status, 0, "{}", ran.err);
+        let result = convert(folder, out, arguments);
+        assert_eq!(result.status, 0, "{}", result.err);
     }
     assert!(files(folder, "one") == files(folder, "two"));
     for level in ["baseline", "avx2"] {
         let formats = FORMATS.join(",");
         let typed = ["convert", "f.bgeo", "--out", level, "--voxel-size", "0.05", "--format", &formats];
-        let ran = command(folder, &[&typed[..], &all].concat()).env("MENISCUS_SIMD", level).output();
-        assert!(ran.expect("the command starts").status.success());
+        let result = command(folder, &[&typed[..], &all].concat()).env("MENISCUS_SIMD", level).output();
+        assert!(result.expect("the command starts").status.success());
         assert!(files(folder, level) == files(folder, "one"), "{level}");
     }
     let [plain, with] = ["plain", "one"].map(|out| files(folder, out));
@@ -219,14 +219,14 @@ fn voxel_size_is_small_enough_for_radii_from_a_column() {
     bgeo::write(&told, &mut bytes).expect("written");
     fs::write(folder.join("f.bgeo"), bytes).expect("written");
     let typed = ["convert", "f.bgeo", "--out", "o", "--report", "r.json", "--radius-attribute", "pscale"];
-    let ran = meniscus(folder, &typed);
+    let result = meniscus(folder, &typed);
     assert!(
-        ran.status == 0
-            && ran.out.contains(
+        result.status == 0
+            && result.out.contains(
                 "the median r_min of the particles 0.05 (measured on f.bgeo), voxel size 0.0288675"
             ),
         "{}",
-        ran.out
+        result.out
     );
     let report: Value =
         serde_json::from_slice(&fs::read(folder.join("r.json")).expect("there")).expect("JSON");
@@ -235,18 +235,18 @@ fn voxel_size_is_small_enough_for_radii_from_a_column() {
     assert!((voxel_size * 3f64.sqrt() - 0.05).abs() < 1e-7, "{voxel_size}");
     assert_eq!(settings["radius_median"].as_f64(), Some(f64::from(0.05f32)));
     assert_eq!(report["frames"][0]["shapes"]["small_radii"], 20);
-    assert!(ran.err.contains("20 particles too small for the grid"), "{}", ran.err);
-    assert!(ran.err.contains("--voxel-size 0.0173 or less resolves all of them"), "{}", ran.err);
+    assert!(result.err.contains("20 particles too small for the grid"), "{}", result.err);
+    assert!(result.err.contains("--voxel-size 0.0173 or less resolves all of them"), "{}", result.err);
     // The voxel size in the warning is small enough. The daemon (below) measures the same.
-    let ran = meniscus(folder, &[&typed[..], &["--voxel-size", "0.0173"]].concat());
-    assert_eq!(ran.status, 0);
+    let result = meniscus(folder, &[&typed[..], &["--voxel-size", "0.0173"]].concat());
+    assert_eq!(result.status, 0);
     // Position smoothing would move the particles by more than the radius of such small balls.
-    assert!(ran.err.lines().all(|line| line.contains("are outside the surface")), "{}", ran.err);
+    assert!(result.err.lines().all(|line| line.contains("are outside the surface")), "{}", result.err);
     fs::create_dir(folder.join("in")).expect("made");
     fs::rename(folder.join("f.bgeo"), folder.join("in/f.bgeo")).expect("moved");
     let watched = ["watch", "in", "--out", "w", "--once", "--radius-attribute", "pscale", "--log", "json"];
-    let ran = meniscus(folder, &watched);
-    assert!(ran.status == 0 && ran.err.contains("\"voxel_size\":0.0288675"), "{}", ran.err);
+    let result = meniscus(folder, &watched);
+    assert!(result.status == 0 && result.err.contains("\"voxel_size\":0.0288675"), "{}", result.err);
 }
 
 /// If only some particles have a radius, the others get the smallest radius, with a warning. If no particle
@@ -267,11 +267,15 @@ fn frame_without_any_radius_fails() {
     write("f.2.bgeo", (0..216).map(|index| if index == 7 { 0.05 } else { useless[index % 4] }).collect());
     let typed = ["convert", ".", "--out", "o", "--format", "obj", "--radius-attribute", "pscale"];
     for more in [&[][..], &["--voxel-size", "0.05"]] {
-        let ran = meniscus(folder, &[&typed[..], more].concat());
-        assert_eq!(ran.status, 1, "{}", ran.err);
+        let result = meniscus(folder, &[&typed[..], more].concat());
+        assert_eq!(result.status, 1, "{}", result.err);
         let told = "f.1.bgeo: the particles' attribute `pscale` has no positive value, but --radius-attribute needs radii";
-        assert!(ran.err.contains(told), "{}", ran.err);
-        assert!(ran.err.contains("215 particles without a radius that is a positive number"), "{}", ran.err);
+        assert!(result.err.contains(told), "{}", result.err);
+        assert!(
+            result.err.contains("215 particles without a radius that is a positive number"),
+            "{}",
+            result.err
+        );
         assert_eq!(names_in(&folder.join("o")), ["f.2.obj"]);
     }
 }
@@ -281,8 +285,8 @@ fn frame_without_the_attributes_causes_a_warning() {
     let folder = tempdir().expect("a folder");
     write_ply(&folder.path().join("bare.ply"), &block(5, 0.0));
     let typed = ["convert", "bare.ply", "--voxel-size", "0.05", "--attributes", "velocity", "--out", "out"];
-    let ran = meniscus(folder.path(), &typed);
-    assert!(ran.status == 0 && ran.err.contains("no attribute `velocity`"), "{}", ran.err);
+    let result = meniscus(folder.path(), &typed);
+    assert!(result.status == 0 && result.err.contains("no attribute `velocity`"), "{}", result.err);
 }
 
 #[test]
@@ -290,7 +294,7 @@ fn velocity_is_found_by_any_of_its_names() {
     let folder = tempdir().expect("a folder");
     write_frame(folder.path(), 4);
     let bytes = |name: &str| {
-        let ran = meniscus(
+        let result = meniscus(
             folder.path(),
             &[
                 "convert",
@@ -305,7 +309,7 @@ fn velocity_is_found_by_any_of_its_names() {
                 name,
             ],
         );
-        assert_eq!(ran.status, 0, "{name}: {}", ran.err);
+        assert_eq!(result.status, 0, "{name}: {}", result.err);
         // The record has the name that the user typed.
         let text =
             String::from_utf8_lossy(&fs::read(folder.path().join("o/f.glb")).expect("written")).into_owned();
@@ -326,8 +330,8 @@ fn column_of_the_exact_name_is_preferred() {
     let mut bytes = Vec::new();
     bgeo::write(&frame, &mut bytes).expect("written");
     fs::write(folder.path().join("f.bgeo"), bytes).expect("written");
-    let ran = convert(folder.path(), "o", &["--attributes", "v"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = convert(folder.path(), "o", &["--attributes", "v"]);
+    assert_eq!(result.status, 0, "{}", result.err);
     let names = told(folder.path()).to_string();
     assert!(names.contains("\"v\"") && !names.contains("\"velocity\""), "{names}");
 }
@@ -340,18 +344,18 @@ fn unused_velocity_is_mentioned_once() {
     let hint = "note: frames have the attribute \"v\" (velocity); --attributes v adds it";
     let count = |more: &[&str]| {
         let arguments = ["convert", "f.bgeo", "g.bgeo", "--out", "o", "--voxel-size", "0.05"];
-        let ran = meniscus(folder.path(), &[&arguments[..], more].concat());
-        assert_eq!(ran.status, 0, "{}", ran.err);
-        ran.out.matches(hint).count() + ran.err.matches(hint).count()
+        let result = meniscus(folder.path(), &[&arguments[..], more].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
+        result.out.matches(hint).count() + result.err.matches(hint).count()
     };
     assert_eq!(count(&["--format", "glb"]), 1);
     assert_eq!(count(&["--format", "glb", "--attributes", "vel"]), 0);
     assert_eq!(count(&["--format", "glb", "--attributes", "all"]), 0);
     // These formats cannot store attributes.
     assert_eq!(count(&["--format", "obj,stl"]), 0);
-    let ran =
+    let result =
         meniscus(folder.path(), &["convert", "f.bgeo", "--out", "p", "--particles-only", "--format", "ply"]);
-    assert!(ran.status == 0 && !ran.out.contains("note:"), "{}{}", ran.out, ran.err);
+    assert!(result.status == 0 && !result.out.contains("note:"), "{}{}", result.out, result.err);
 }
 
 #[test]
@@ -362,18 +366,22 @@ fn axis_may_be_upper_case_and_units_are_written() {
         let arguments = ["convert", "f.bgeo", "--out", "o", "--voxel-size", "0.05"];
         meniscus(folder.path(), &[&arguments[..], more].concat())
     };
-    let ran = convert(&["--format", "usda", "--up", "Z", "--meters-per-unit", "0.01"]);
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    let result = convert(&["--format", "usda", "--up", "Z", "--meters-per-unit", "0.01"]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
     let text = fs::read_to_string(folder.path().join("o/f.usda")).expect("written");
     for line in ["upAxis = \"Z\"", "metersPerUnit = 0.01", "defaultPrim = \"root\""] {
         assert!(text.contains(&format!("    {line}\n")), "{line}");
     }
     assert!(text.contains("def Xform \"root\"\n{\n    def Mesh \"surface\"\n"));
-    let ran = convert(&["--format", "obj", "--meters-per-unit", "0.01"]);
-    assert!(ran.status == 0 && ran.err.contains("--meters-per-unit"), "{}", ran.err);
+    let result = convert(&["--format", "obj", "--meters-per-unit", "0.01"]);
+    assert!(result.status == 0 && result.err.contains("--meters-per-unit"), "{}", result.err);
     for wrong in ["0", "-1", "1e10", "inf", "nan", "m"] {
-        let ran = convert(&["--format", "usda", &format!("--meters-per-unit={wrong}")]);
-        assert!(ran.status == 2 && ran.err.contains("not a number from 1e-9"), "{wrong}: {}", ran.err);
+        let result = convert(&["--format", "usda", &format!("--meters-per-unit={wrong}")]);
+        assert!(
+            result.status == 2 && result.err.contains("not a number from 1e-9"),
+            "{wrong}: {}",
+            result.err
+        );
     }
 }
 

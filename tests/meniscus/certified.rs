@@ -187,15 +187,15 @@ fn escaped_particle_causes_a_warning_and_exit_status_0() {
     let mut particles = block(8, 0.0);
     particles.push([1e6, 2.0, 3.0]);
     write_ply(&folder.path().join("a.ply"), &particles);
-    let ran = meniscus(
+    let result = meniscus(
         folder.path(),
         &["convert", "a.ply", "--out", "out", "--voxel-size", "0.1", "--report", "r.json"],
     );
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert_eq!(result.status, 0, "{}", result.err);
     assert!(
-        ran.err.contains("1 particle left out: not finite, or too far away; one is near (1000000, "),
+        result.err.contains("1 particle left out: not finite, or too far away; one is near (1000000, "),
         "{}",
-        ran.err
+        result.err
     );
     let report: Value =
         serde_json::from_slice(&fs::read(folder.path().join("r.json")).expect("there")).expect("JSON");
@@ -221,11 +221,11 @@ fn shards_with_broken_frames_exit_1_unless_violations_are_allowed() {
     assert_eq!(plan.status, 0, "{}", plan.err);
     let shard = ["convert", "--plan", "p.json", "--shard", "0"];
     for _ in 0..2 {
-        let ran = meniscus(folder, &shard);
-        assert_eq!(ran.status, 1, "{}", ran.err);
+        let result = meniscus(folder, &shard);
+        assert_eq!(result.status, 1, "{}", result.err);
         let told =
             "error: 2 of 2 frames failed validation; outputs were kept; --allow-violations accepts them\n";
-        assert!(ran.err.ends_with(told), "{}", ran.err);
+        assert!(result.err.ends_with(told), "{}", result.err);
     }
     assert_eq!(meniscus(folder, &[&shard[..], &["--allow-violations"]].concat()).status, 0);
     let verified = meniscus(folder, &["verify", "out", "--plan", "p.json"]);
@@ -243,13 +243,18 @@ fn skipped_frame_that_failed_validation_fails_again() {
         write_ply(&folder.join("a.1.ply"), &block(4, 0.013));
         let told =
             "error: 1 of 1 frame failed validation; outputs were kept; --allow-violations accepts them\n";
-        let ran = meniscus(folder, first);
-        assert!(ran.status == 1 && ran.err.ends_with(told), "{}", ran.err);
+        let result = meniscus(folder, first);
+        assert!(result.status == 1 && result.err.ends_with(told), "{}", result.err);
         for _ in 0..2 {
-            let ran = meniscus(folder, &skip);
-            assert!(ran.out.contains("a.1.ply: done already"), "{first:?}: {}", ran.out);
-            assert!(ran.status == 1 && ran.err.ends_with(told), "{first:?}: {} {}", ran.status, ran.err);
-            assert!(ran.err.contains("warning: a.1.ply: failed validation: "), "{}", ran.err);
+            let result = meniscus(folder, &skip);
+            assert!(result.out.contains("a.1.ply: done already"), "{first:?}: {}", result.out);
+            assert!(
+                result.status == 1 && result.err.ends_with(told),
+                "{first:?}: {} {}",
+                result.status,
+                result.err
+            );
+            assert!(result.err.contains("warning: a.1.ply: failed validation: "), "{}", result.err);
         }
         let allowed = meniscus(folder, &[&skip[..], &["--allow-violations"]].concat());
         assert_eq!(allowed.status, 0, "{}", allowed.err);
@@ -257,8 +262,8 @@ fn skipped_frame_that_failed_validation_fails_again() {
         // A run with other settings replaces the outputs by valid ones.
         let good = ["convert", "a.1.ply", "--out", "out", "--preset", "paper", "--voxel-size", "0.05"];
         for more in [&[][..], &["--skip-done"]] {
-            let ran = meniscus(folder, &[&good[..], more].concat());
-            assert_eq!(ran.status, 0, "{}", ran.err);
+            let result = meniscus(folder, &[&good[..], more].concat());
+            assert_eq!(result.status, 0, "{}", result.err);
         }
     }
 }
@@ -296,9 +301,9 @@ fn frame_that_failed_validation_before_a_kill_fails_again() {
     child.kill().expect("killed");
     child.wait().expect("ended");
     assert!(first.is_some());
-    let ran = meniscus(folder, &[&["convert", "a.1.ply", "--skip-done"], &small[..]].concat());
-    assert!(ran.out.contains("a.1.ply: done already"), "{}", ran.out);
-    assert!(ran.status == 1 && ran.err.contains("1 of 1 frame failed validation"), "{}", ran.err);
+    let result = meniscus(folder, &[&["convert", "a.1.ply", "--skip-done"], &small[..]].concat());
+    assert!(result.out.contains("a.1.ply: done already"), "{}", result.out);
+    assert!(result.status == 1 && result.err.contains("1 of 1 frame failed validation"), "{}", result.err);
 }
 
 /// A quantized .glb and a .ply have a common certificate, which states for each file how it was checked.

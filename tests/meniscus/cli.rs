@@ -13,10 +13,10 @@ fn folder() -> TempDir {
 
 /// Asserts that a command does nothing, exits with status 2, and gives this reason.
 fn assert_refused(folder: &Path, arguments: &[&str], words: &[&str]) {
-    let ran = meniscus(folder, arguments);
-    assert_eq!(ran.status, 2, "{arguments:?}: {} {}", ran.out, ran.err);
+    let result = meniscus(folder, arguments);
+    assert_eq!(result.status, 2, "{arguments:?}: {} {}", result.out, result.err);
     for word in words {
-        assert!(ran.err.contains(word), "{arguments:?} does not say {word}: {}", ran.err);
+        assert!(result.err.contains(word), "{arguments:?} does not say {word}: {}", result.err);
     }
 }
 
@@ -94,12 +94,12 @@ fn unwritable_output_folder_is_refused() {
             &["contact-sheet", "dam.#.ply", "-o", &sheet],
             &["tune", "dam.#.ply", "--vary", "ratio=1.5,2", "-o", &sheet],
         ] {
-            let ran = meniscus(path, command);
-            assert_eq!((ran.status, &*ran.out), (2, ""), "{command:?} {out}: {}", ran.err);
+            let result = meniscus(path, command);
+            assert_eq!((result.status, &*result.out), (2, ""), "{command:?} {out}: {}", result.err);
             // A plan has absolute paths.
-            let err = ran.err.replace(&format!("{}/", path.display()), "");
+            let err = result.err.replace(&format!("{}/", path.display()), "");
             assert!(err.contains(&told), "{command:?} {out}: {err}");
-            assert_eq!(ran.err.lines().count(), 1, "{}", ran.err);
+            assert_eq!(result.err.lines().count(), 1, "{}", result.err);
         }
     }
     assert_eq!(names_in(path), ["dam.1.ply", "dam.2.ply", "taken"]);
@@ -126,10 +126,10 @@ fn unwritable_folder_for_a_report_plan_or_sequence_file_is_refused() {
         ("the sequence file", &["sequence", "dam.#.glb", "-o", "/proc/x.glb"]),
         ("the plan", &["plan", "dam.#.ply", "--shards", "2", "--out", "o", "-o", "/proc/p.json"]),
     ] {
-        let ran = meniscus(path, command);
-        assert_eq!((ran.status, &*ran.out), (2, ""), "{command:?}: {}", ran.err);
+        let result = meniscus(path, command);
+        assert_eq!((result.status, &*result.out), (2, ""), "{command:?}: {}", result.err);
         let told = format!("/proc: cannot write {what} into this folder: ");
-        assert!(ran.err.contains(&told) && ran.err.lines().count() == 1, "{command:?}: {}", ran.err);
+        assert!(result.err.contains(&told) && result.err.lines().count() == 1, "{command:?}: {}", result.err);
     }
     assert_eq!(names_in(path), ["dam.1.ply", "dam.2.ply", "plan.json", "planned"]);
     assert_eq!(names_in(&path.join("planned")), [""; 0]);
@@ -152,9 +152,9 @@ fn folder_without_write_permission_is_refused() {
         return;
     }
     for out in ["out", "out/deep"] {
-        let ran = meniscus(path, &["convert", "dam.#.ply", "--out", out]);
-        assert_eq!((ran.status, &*ran.out), (2, ""), "{}", ran.err);
-        assert!(ran.err.contains(out) && ran.err.contains("Permission denied"), "{}", ran.err);
+        let result = meniscus(path, &["convert", "dam.#.ply", "--out", out]);
+        assert_eq!((result.status, &*result.out), (2, ""), "{}", result.err);
+        assert!(result.err.contains(out) && result.err.contains("Permission denied"), "{}", result.err);
     }
 }
 
@@ -169,14 +169,14 @@ fn misspelt_option_is_refused_with_a_suggestion() {
         (&["convert", "a.ply", "--presett", "water"], "'--preset'"),
         (&["tune", "a.ply", "--ouput", "t.png"], "'--output'"),
     ] {
-        let ran = meniscus(folder.path(), typed);
-        assert_eq!(ran.status, 2);
-        let tip = ran.err.lines().find(|line| line.contains("similar argument"));
-        assert!(tip.is_some_and(|tip| tip.ends_with(meant)), "{typed:?}: {}", ran.err);
+        let result = meniscus(folder.path(), typed);
+        assert_eq!(result.status, 2);
+        let tip = result.err.lines().find(|line| line.contains("similar argument"));
+        assert!(tip.is_some_and(|tip| tip.ends_with(meant)), "{typed:?}: {}", result.err);
         assert!(
-            ran.err.contains("Usage: ") && !ran.err.contains("--up <AXIS>") || meant == "'--up'",
+            result.err.contains("Usage: ") && !result.err.contains("--up <AXIS>") || meant == "'--up'",
             "{}",
-            ran.err
+            result.err
         );
     }
 }
@@ -364,8 +364,8 @@ fn warnings_name_the_sequence() {
     let folder = folder();
     write_sequence(folder.path(), 1, 1);
     let arguments = ["convert", "dam.1.ply", "--out", "o", "--radius-min", "0.05"];
-    let ran = meniscus(folder.path(), &arguments);
-    assert_eq!(ran.err.matches("warning: dam.1.ply: r_min is").count(), 1, "{}", ran.err);
+    let result = meniscus(folder.path(), &arguments);
+    assert_eq!(result.err.matches("warning: dam.1.ply: r_min is").count(), 1, "{}", result.err);
 }
 
 #[test]
@@ -374,13 +374,13 @@ fn voxel_size_that_does_not_fit_the_particles_causes_a_warning() {
     write_ply(&folder.path().join("block.ply"), &block(5, 0.0));
     let of_size = |voxel_size: &str| {
         let arguments = ["convert", "block.ply", "--out", "o", "--format", "glb", "--report", "r.json"];
-        let ran = meniscus(
+        let result = meniscus(
             folder.path(),
             &[&arguments[..], &["--preset", "paper", "--voxel-size", voxel_size]].concat(),
         );
-        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert_eq!(result.status, 0, "{}", result.err);
         let report = fs::read_to_string(folder.path().join("r.json")).expect("a report");
-        (ran.err, report)
+        (result.err, report)
     };
     for (voxel_size, words) in [
         (
@@ -399,8 +399,8 @@ fn voxel_size_that_does_not_fit_the_particles_causes_a_warning() {
 fn numbers_are_short_at_any_scale() {
     let folder = folder();
     write_ply(&folder.path().join("small.ply"), &block(6, 0.0).map_spacing(1e-6));
-    let ran = meniscus(folder.path(), &["convert", "small.ply", "--out", "o"]);
-    let line = ran.out.lines().find(|line| line.contains("voxel size")).expect("the settings").to_owned();
+    let result = meniscus(folder.path(), &["convert", "small.ply", "--out", "o"]);
+    let line = result.out.lines().find(|line| line.contains("voxel size")).expect("the settings").to_owned();
     let numbers: Vec<&str> = line.split([' ', ',', '(', ')']).filter(|word| word.contains("e-")).collect();
     // The voxel size, the spacing and three radii.
     assert_eq!(numbers.len(), 5, "{line}");
@@ -414,9 +414,14 @@ fn ignored_options_cause_a_warning() {
     for integrator in ["fast", "explicit", "implicit"] {
         let arguments = ["convert", "dam.1.ply", "--integrator", integrator, "--steps", "1"];
         let rest = ["--cg-tolerance", "0.1", "--out", "o"];
-        let ran = meniscus(folder.path(), &[&arguments[..], &rest].concat());
-        assert_eq!(ran.status, 0, "{}", ran.err);
-        assert_eq!(ran.err.contains("--cg-tolerance is ignored"), integrator != "implicit", "{}", ran.err);
+        let result = meniscus(folder.path(), &[&arguments[..], &rest].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
+        assert_eq!(
+            result.err.contains("--cg-tolerance is ignored"),
+            integrator != "implicit",
+            "{}",
+            result.err
+        );
     }
 }
 
@@ -433,9 +438,9 @@ fn position_smoothing_needs_no_anisotropy() {
         (&["--position-smoothing", "0.5"], false),
     ] {
         let convert = ["convert", "dam.1.ply", "--out", "o", "--preset", "paper"];
-        let ran = meniscus(folder.path(), &[&convert[..], more].concat());
-        assert_eq!(ran.status, 0, "{}", ran.err);
-        assert_eq!(ran.err.contains("is ignored"), is_ignored, "{more:?}: {}", ran.err);
+        let result = meniscus(folder.path(), &[&convert[..], more].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
+        assert_eq!(result.err.contains("is ignored"), is_ignored, "{more:?}: {}", result.err);
     }
 }
 
@@ -444,14 +449,14 @@ fn position_smoothing_needs_no_anisotropy() {
 fn invalid_option_is_an_error_and_not_ignored() {
     let folder = folder();
     write_sequence(folder.path(), 1, 1);
-    let ran = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "o", "--max-stretch", "9"]);
+    let result = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "o", "--max-stretch", "9"]);
     assert!(
-        ran.status == 2 && ran.err.contains("from 1 to 8") && !ran.err.contains("ignored"),
+        result.status == 2 && result.err.contains("from 1 to 8") && !result.err.contains("ignored"),
         "{}",
-        ran.err
+        result.err
     );
-    let ran = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "o", "--memory", "5"]);
-    assert!(ran.status == 2 && ran.err.contains("memory limit of 5 bytes"), "{}", ran.err);
+    let result = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "o", "--memory", "5"]);
+    assert!(result.status == 2 && result.err.contains("memory limit of 5 bytes"), "{}", result.err);
 }
 
 /// An option for an output format that is not selected causes a warning, and none if the format is selected.
@@ -478,10 +483,15 @@ fn options_of_formats_that_are_not_written_cause_a_warning() {
             };
             let typed = format!("{option}{value}");
             let arguments = ["convert", "dam.1.ply", "--print-settings", "--format", format, &typed];
-            let ran = meniscus(folder.path(), &arguments);
-            assert_eq!(ran.status, 0, "{}", ran.err);
+            let result = meniscus(folder.path(), &arguments);
+            assert_eq!(result.status, 0, "{}", result.err);
             let line = format!("warning: {option} is ignored: it affects ");
-            assert_eq!(ran.err.contains(&line), told.contains(option), "{format} {option}: {}", ran.err);
+            assert_eq!(
+                result.err.contains(&line),
+                told.contains(option),
+                "{format} {option}: {}",
+                result.err
+            );
         }
     }
 }
@@ -505,22 +515,26 @@ fn other_files_in_the_folder_are_skipped() {
     // A table counts as a frame under any name that does not imply other contents.
     fs::write(path.join("table.txt"), "x,y,z\n0,0,0\n1,0,0\n").expect("written");
     fs::write(path.join("bare"), "0 0 0\n1 0 0\n").expect("written");
-    let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--spacing", "0.1"]);
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
-    assert!(ran.out.contains("skipped Makefile and 5 other files: not particle files"), "{}", ran.out);
+    let result = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--spacing", "0.1"]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    assert!(result.out.contains("skipped Makefile and 5 other files: not particle files"), "{}", result.out);
     for name in others.map(|(name, _)| name).iter().filter(|name| **name != "notes.txt") {
         fs::remove_file(path.join(name)).expect("removed");
     }
-    let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--spacing", "0.1"]);
-    assert!(ran.out.contains("skipped notes.txt: not a particle file"), "{}", ran.out);
+    let result = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--spacing", "0.1"]);
+    assert!(result.out.contains("skipped notes.txt: not a particle file"), "{}", result.out);
     // With several folders, the message names the folder.
     fs::create_dir(path.join("more")).expect("made");
     write_sequence(&path.join("more"), 3, 3);
     fs::write(path.join("more/README"), "Nothing to see here.\n").expect("written");
     let several = ["convert", ".", "more", "--out", "several", "--format", "ply", "--spacing", "0.1"];
-    let ran = meniscus(path, &several);
+    let result = meniscus(path, &several);
     let told = Path::new(".").join("notes.txt").display().to_string();
-    assert!(ran.out.contains(&format!("skipped {told} and 1 other file: not particle files")), "{}", ran.out);
+    assert!(
+        result.out.contains(&format!("skipped {told} and 1 other file: not particle files")),
+        "{}",
+        result.out
+    );
     assert_eq!(names_in(&path.join("o")), ["bare.ply", "dam.1.ply", "dam.2.ply", "table.ply"]);
 }
 
@@ -533,9 +547,9 @@ fn results_among_the_frames_are_not_frames() {
     assert_eq!(meniscus(path, &arguments).status, 0);
     // A similar file from another program is a frame.
     write_sequence(&path.join("shot"), 3, 3);
-    let ran = meniscus(path, &["convert", "shot", "--out", "o", "--format", "ply"]);
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
-    assert!(ran.out.contains("skipped dam.1.glb and 9 other files"), "{}", ran.out);
+    let result = meniscus(path, &["convert", "shot", "--out", "o", "--format", "ply"]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    assert!(result.out.contains("skipped dam.1.glb and 9 other files"), "{}", result.out);
     assert_eq!(names_in(&path.join("o")), ["dam.3.ply"]);
 }
 
@@ -547,10 +561,10 @@ fn unreadable_file_in_a_folder_fails_the_run() {
     write_sequence(path, 1, 1);
     // A file that not even root can read from its start.
     std::os::unix::fs::symlink("/proc/self/mem", path.join("odd")).expect("linked");
-    let ran = meniscus(path, &["convert", ".", "--out", "o"]);
-    assert_eq!(ran.status, 1, "{}", ran.err);
-    assert!(ran.err.contains("error: ./odd: Input/output error"), "{}", ran.err);
-    assert!(!ran.out.contains("skipped "), "{}", ran.out);
+    let result = meniscus(path, &["convert", ".", "--out", "o"]);
+    assert_eq!(result.status, 1, "{}", result.err);
+    assert!(result.err.contains("error: ./odd: Input/output error"), "{}", result.err);
+    assert!(!result.out.contains("skipped "), "{}", result.out);
 }
 
 #[test]

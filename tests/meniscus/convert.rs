@@ -6,17 +6,17 @@ use std::path::Path;
 use serde_json::Value;
 use tempfile::tempdir;
 
-use crate::scene::{Ran, block, meniscus, names_in, write_ply, write_sequence};
+use crate::scene::{RunResult, block, meniscus, names_in, write_ply, write_sequence};
 
-fn convert(folder: &Path, arguments: &[&str]) -> Ran {
+fn convert(folder: &Path, arguments: &[&str]) -> RunResult {
     meniscus(folder, &[&["convert"], arguments].concat())
 }
 
 /// Converts, and asserts success without warnings.
 fn converted(folder: &Path, arguments: &[&str]) -> String {
-    let ran = convert(folder, arguments);
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{arguments:?}: {}", ran.out);
-    ran.out
+    let result = convert(folder, arguments);
+    assert_eq!((result.status, &*result.err), (0, ""), "{arguments:?}: {}", result.out);
+    result.out
 }
 
 fn report(path: &Path) -> Value {
@@ -106,10 +106,10 @@ fn failed_frame_is_named_and_the_others_are_converted() {
     let path = folder.path();
     write_sequence(path, 1, 4);
     fs::write(path.join("dam.2.ply"), "ply\nformat nonsense 1.0\n").expect("written");
-    let ran = convert(path, &[".", "--out", "o", "--report", "o/report.json"]);
-    assert_eq!(ran.status, 1, "{}", ran.err);
-    assert!(ran.err.contains("dam.2.ply: PLY, at"), "{}", ran.err);
-    assert!(ran.out.contains("4 frames: 3 done, 1 failed, in "), "{}", ran.out);
+    let result = convert(path, &[".", "--out", "o", "--report", "o/report.json"]);
+    assert_eq!(result.status, 1, "{}", result.err);
+    assert!(result.err.contains("dam.2.ply: PLY, at"), "{}", result.err);
+    assert!(result.out.contains("4 frames: 3 done, 1 failed, in "), "{}", result.out);
     assert_eq!(names_in(&path.join("o")).len(), 7);
     let report = report(&path.join("o/report.json"));
     let statuses: Vec<&Value> =
@@ -117,10 +117,10 @@ fn failed_frame_is_named_and_the_others_are_converted() {
     assert_eq!(statuses, ["converted", "failed", "converted", "converted"]);
     assert!(report["frames"][1]["error"].as_str().expect("why").contains("dam.2.ply"));
 
-    let ran = convert(path, &["dam.#.ply", "--out", "p", "--on-error", "stop"]);
-    assert_eq!(ran.status, 1);
+    let result = convert(path, &["dam.#.ply", "--out", "p", "--on-error", "stop"]);
+    assert_eq!(result.status, 1);
     assert_eq!(names_in(&path.join("p")), ["dam.1.glb", "dam.1.vdb"]);
-    assert!(ran.out.contains("1 done, 1 failed, 2 not started"), "{}", ran.out);
+    assert!(result.out.contains("1 done, 1 failed, 2 not started"), "{}", result.out);
 }
 
 /// The statuses of all frames of a report, in the order of the report.
@@ -144,13 +144,14 @@ fn sequence_without_settings_does_not_stop_others() {
         [("continue", ["failed", "failed"], "converted"), ("stop", ["failed", "not_started"], "not_started")]
     {
         let arguments = ["a.ply", "b.1.ply", "b.2.ply", "c.ply", "--out", on_error, "--on-error", on_error];
-        let ran = convert(path, &[&arguments[..], &["--report", "report.json", "--format", "ply"]].concat());
-        assert_eq!(ran.status, 1, "{}", ran.err);
+        let result =
+            convert(path, &[&arguments[..], &["--report", "report.json", "--format", "ply"]].concat());
+        assert_eq!(result.status, 1, "{}", result.err);
         assert_eq!(
-            ran.err.matches("error: b.{}.ply: cannot measure the particle spacing").count(),
+            result.err.matches("error: b.{}.ply: cannot measure the particle spacing").count(),
             1,
             "{}",
-            ran.err
+            result.err
         );
         let report = report(&path.join("report.json"));
         let expected = [("a.ply", "converted"), ("b.1.ply", b[0]), ("b.2.ply", b[1]), ("c.ply", c)];
@@ -162,8 +163,8 @@ fn sequence_without_settings_does_not_stop_others() {
     // An earlier frame fails and ends the run before that.
     fs::write(path.join("a.ply"), "ply\nformat nonsense 1.0\n").expect("written");
     let arguments = ["a.ply", "b.1.ply", "c.ply", "--out", "o", "--on-error", "stop", "--voxel-size", "0.1"];
-    let ran = convert(path, &[&arguments[..], &["--report", "report.json"]].concat());
-    assert_eq!(ran.status, 2, "{}", ran.err);
+    let result = convert(path, &[&arguments[..], &["--report", "report.json"]].concat());
+    assert_eq!(result.status, 2, "{}", result.err);
     let report = report(&path.join("report.json"));
     let expected = [("a.ply", "failed"), ("b.1.ply", "not_started"), ("c.ply", "not_started")];
     assert_eq!(statuses(&report), expected);

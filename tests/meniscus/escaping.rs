@@ -6,7 +6,7 @@ use std::path::Path;
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
-use crate::scene::{Ran, block, meniscus, write_ply};
+use crate::scene::{RunResult, block, meniscus, write_ply};
 
 /// A file name with a forged line, an escape sequence for the window title, an 8-bit control sequence, and a
 /// character that reverses the direction of text.
@@ -27,15 +27,15 @@ fn folder() -> TempDir {
 
 /// Runs a command, and asserts that it prints only lines of text, without a forged line.
 #[track_caller]
-fn run(folder: &Path, arguments: &[&str], status: i32) -> Ran {
-    let ran = meniscus(folder, arguments);
-    assert_eq!(ran.status, status, "{arguments:?}: {} {}", ran.out, ran.err);
-    for text in [&ran.out, &ran.err] {
+fn run(folder: &Path, arguments: &[&str], status: i32) -> RunResult {
+    let result = meniscus(folder, arguments);
+    assert_eq!(result.status, status, "{arguments:?}: {} {}", result.out, result.err);
+    for text in [&result.out, &result.err] {
         let is_unsafe = |char: char| char != '\n' && meniscus_formats::is_unsafe(char);
         assert!(!text.contains(is_unsafe), "{arguments:?}: {text:?}");
         assert!(!text.lines().any(|line| line.starts_with("error: forged")), "{arguments:?}: {text}");
     }
-    ran
+    result
 }
 
 #[test]
@@ -43,9 +43,9 @@ fn control_characters_in_file_names_are_escaped_in_all_output() {
     let folder = folder();
     let path = folder.path();
     let frame = &*format!("in/{NAME}");
-    let ran = run(path, &["convert", "in", "--out", "out", "--report", "report.json"], 1);
-    assert!(ran.out.contains(SHOWN), "{}", ran.out);
-    assert!(ran.err.contains("unknown encoding `\\u{1b}[2J`"), "{}", ran.err);
+    let result = run(path, &["convert", "in", "--out", "out", "--report", "report.json"], 1);
+    assert!(result.out.contains(SHOWN), "{}", result.out);
+    assert!(result.err.contains("unknown encoding `\\u{1b}[2J`"), "{}", result.err);
     run(path, &["convert", frame, "--out", "out", "--frames", "7"], 2);
     run(path, &["convert", "--no-such-option\u{1b}[2J\nerror: forged", frame, "--out", "out"], 2);
     run(path, &["convert", "missing\u{1b}[2J\nerror: forged.ply", "--out", "out"], 2);
@@ -116,8 +116,8 @@ fn messages_quote_little_of_a_file_that_is_not_what_it_should_be() {
         ("k.geo", format!("[\"pointcount\",\"password={secret}\"]")),
     ] {
         fs::write(path.join(name), text).expect("written");
-        let ran = meniscus(path, &["convert", name, "--out", "out"]);
-        let printed = ran.out + &ran.err;
+        let result = meniscus(path, &["convert", name, "--out", "out"]);
+        let printed = result.out + &result.err;
         assert!(!printed.contains("hunter2"), "{printed}");
     }
     // Messages still show the first line, so that the owner can identify the file.

@@ -10,7 +10,7 @@ use std::path::Path;
 use meniscus_formats::{MeshOptions, MeshView, stl, vtk};
 use tempfile::{TempDir, tempdir};
 
-use crate::scene::{Ran, meniscus, write_ply};
+use crate::scene::{RunResult, meniscus, write_ply};
 
 const RINGS: u32 = 24;
 
@@ -125,13 +125,13 @@ fn scene(radii: &[f64], columns: &str) -> TempDir {
 
 const COMMAND: [&str; 4] = ["flicker", "dam.#.obj", "--particles", "p.#.csv"];
 
-fn run(folder: &TempDir, more: &[&str]) -> Ran {
+fn run(folder: &TempDir, more: &[&str]) -> RunResult {
     meniscus(folder.path(), &[&COMMAND[..], &["--samples", "500"], more].concat())
 }
 
-fn refused(ran: &Ran, words: &[&str]) {
-    assert_eq!((ran.status, &*ran.out), (2, ""), "{}", ran.err);
-    words.iter().for_each(|word| assert!(ran.err.contains(word), "{word} is not in {}", ran.err));
+fn refused(result: &RunResult, words: &[&str]) {
+    assert_eq!((result.status, &*result.out), (2, ""), "{}", result.err);
+    words.iter().for_each(|word| assert!(result.err.contains(word), "{word} is not in {}", result.err));
 }
 
 /// The columns of a table, by their names.
@@ -148,16 +148,16 @@ fn moving_ball_scores_zero_in_every_format_by_ids_and_by_velocities() {
         [(",id", &[][..]), (",vx,vy,vz", &["--fps", "4"]), (",vx,vy,vz", &["--dt", "0.25"])]
     {
         let folder = scene(&[1.05; 3], columns);
-        let ran = run(&folder, &[more, &["--csv", "scores.csv"]].concat());
-        assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+        let result = run(&folder, &[more, &["--csv", "scores.csv"]].concat());
+        assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
         assert!(
-            ran.out.contains("dam.2: flicker 0.0000 (median 0.0000, 99 % 0.0000, max 0.0000)"),
+            result.out.contains("dam.2: flicker 0.0000 (median 0.0000, 99 % 0.0000, max 0.0000)"),
             "{}",
-            ran.out
+            result.out
         );
         let table = folder.path().join("scores.csv");
         assert_eq!([column(&table, "frame"), column(&table, "points")], [[2.0], [500.0]]);
-        assert!(column(&table, "max")[0] < 1e-4, "{}", ran.out);
+        assert!(column(&table, "max")[0] < 1e-4, "{}", result.out);
     }
     let folder = scene(&[1.05; 3], ",id");
     for extension in ["glb", "ply", "stl", "vtk", "vtp", "vtu"] {
@@ -165,13 +165,13 @@ fn moving_ball_scores_zero_in_every_format_by_ids_and_by_velocities() {
             let mesh = sphere(1.05, STEP * f64::from(number));
             write_mesh(&folder.path().join(format!("dam.{number}.{extension}")), &mesh);
         }
-        let ran =
+        let result =
             meniscus(folder.path(), &["flicker", &format!("dam.#.{extension}"), "--particles", "p.#.csv"]);
-        assert_eq!((ran.status, &*ran.err), (0, ""), "{extension}: {}", ran.out);
+        assert_eq!((result.status, &*result.err), (0, ""), "{extension}: {}", result.out);
         assert!(
-            ran.out.contains("dam.2: flicker 0.0000 (") && ran.out.contains("tracked by ids"),
+            result.out.contains("dam.2: flicker 0.0000 (") && result.out.contains("tracked by ids"),
             "{}",
-            ran.out
+            result.out
         );
     }
 }
@@ -182,8 +182,8 @@ fn breathing_ball_scores_its_change_of_radius_with_place_and_time() {
     // one neighbour, and that of frame 6 from none.
     let folder = scene(&[1.05, 1.07, 1.05, 1.07, 1.05, 1.05, 1.05], ",id");
     let outputs = ["--csv", "s.csv", "--points", "p.csv", "--picture", "p.png", "--spacing", "0.1"];
-    let ran = run(&folder, &outputs);
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    let result = run(&folder, &outputs);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
     let table = folder.path().join("s.csv");
     assert_eq!(column(&table, "frame"), [2.0, 3.0, 4.0, 5.0, 6.0]);
     let expected = [0.4, 0.4, 0.4, 0.2, 0.0];
@@ -193,7 +193,7 @@ fn breathing_ball_scores_its_change_of_radius_with_place_and_time() {
         }
     }
     let all: f64 = (expected.iter().map(|value| value * value).sum::<f64>() / 5.0).sqrt();
-    let line = ran.out.lines().find(|line| line.starts_with("dam.{}.obj: flicker ")).expect("a summary");
+    let line = result.out.lines().find(|line| line.starts_with("dam.{}.obj: flicker ")).expect("a summary");
     let score: f64 = line.split(' ').nth(2).expect("a score").parse().expect("a number");
     assert!((score - all).abs() < 0.02 && line.ends_with("spacings, 5 frames"), "{line}");
     // The worst points lie on the sphere of their frame.
@@ -211,7 +211,7 @@ fn breathing_ball_scores_its_change_of_radius_with_place_and_time() {
     let files =
         || ["s.csv", "p.csv", "p.png"].map(|name| fs::read(folder.path().join(name)).expect("written"));
     let before = files();
-    assert_eq!(run(&folder, &[&outputs[..], &["--threads", "1"]].concat()).out, ran.out);
+    assert_eq!(run(&folder, &[&outputs[..], &["--threads", "1"]].concat()).out, result.out);
     assert_eq!(files(), before);
     let some = run(&folder, &["--frames", "3-4"]);
     assert!(
@@ -227,12 +227,13 @@ fn missing_frames_are_skipped_and_named() {
     for name in ["dam.4.obj", "p.7.csv"] {
         fs::remove_file(folder.path().join(name)).expect("removed");
     }
-    let ran = run(&folder, &["--csv", "s.csv"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = run(&folder, &["--csv", "s.csv"]);
+    assert_eq!(result.status, 0, "{}", result.err);
     assert!(
-        ran.err.contains("no particles for frame 7") && ran.err.contains("frames 3, 5, 6, 8 are not scored"),
+        result.err.contains("no particles for frame 7")
+            && result.err.contains("frames 3, 5, 6, 8 are not scored"),
         "{}",
-        ran.err
+        result.err
     );
     assert_eq!(column(&folder.path().join("s.csv"), "frame"), [2.0]);
     // Every second frame has a mesh: the time between meshes is two frames of the particles.
@@ -240,28 +241,28 @@ fn missing_frames_are_skipped_and_named() {
     [2, 4, 6]
         .iter()
         .for_each(|n| fs::remove_file(folder.path().join(format!("dam.{n}.obj"))).expect("removed"));
-    let ran = run(&folder, &["--fps", "4", "--csv", "s.csv"]);
-    assert_eq!((ran.status, &*ran.err), (0, ""));
-    assert!(ran.out.contains("velocities, 0.5 s between frames"), "{}", ran.out);
+    let result = run(&folder, &["--fps", "4", "--csv", "s.csv"]);
+    assert_eq!((result.status, &*result.err), (0, ""));
+    assert!(result.out.contains("velocities, 0.5 s between frames"), "{}", result.out);
     assert_eq!(column(&folder.path().join("s.csv"), "frame"), [3.0, 5.0]);
-    assert!(column(&folder.path().join("s.csv"), "max").iter().all(|&max| max < 1e-4), "{}", ran.out);
+    assert!(column(&folder.path().join("s.csv"), "max").iter().all(|&max| max < 1e-4), "{}", result.out);
 }
 
 #[test]
 fn unreadable_frame_affects_only_its_neighbours() {
     let folder = scene(&[1.05; 7], ",id");
     fs::write(folder.path().join("dam.2.obj"), "v 0 0 0\nf 1 2 3\n").expect("written");
-    let ran = run(&folder, &["--csv", "s.csv"]);
-    assert_eq!(ran.status, 1, "{}", ran.err);
-    assert!(ran.err.contains("error: dam.2.obj: OBJ, at line 2"), "{}", ran.err);
+    let result = run(&folder, &["--csv", "s.csv"]);
+    assert_eq!(result.status, 1, "{}", result.err);
+    assert!(result.err.contains("error: dam.2.obj: OBJ, at line 2"), "{}", result.err);
     assert_eq!(column(&folder.path().join("s.csv"), "frame"), [4.0, 5.0, 6.0]);
     // In a frame without a surface, all points are lost.
     fs::write(folder.path().join("dam.2.obj"), "v 0 0 0\n").expect("written");
-    let ran = run(&folder, &["--csv", "s.csv"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
-    assert!(ran.err.contains("dam.2: the mesh is empty"), "{}", ran.err);
+    let result = run(&folder, &["--csv", "s.csv"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(result.err.contains("dam.2: the mesh is empty"), "{}", result.err);
     assert_eq!(column(&folder.path().join("s.csv"), "left"), [500.0, 0.0, 0.0, 0.0]);
-    assert!((column(&folder.path().join("s.csv"), "max")[0] - 2.0).abs() < 1e-4, "{}", ran.out);
+    assert!((column(&folder.path().join("s.csv"), "max")[0] - 2.0).abs() < 1e-4, "{}", result.out);
 }
 
 #[test]
@@ -272,23 +273,23 @@ fn open_meshes_and_meshes_elsewhere_are_warned_about() {
         triangles.truncate(triangles.len() / 2);
         write_mesh(&folder.path().join(format!("dam.{number}.obj")), &(positions, triangles));
     }
-    let ran = run(&folder, &[]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = run(&folder, &[]);
+    assert_eq!(result.status, 0, "{}", result.err);
     assert!(
-        ran.err.contains("dam.1.obj: the mesh is open at 48 edges") && ran.err.lines().count() == 1,
+        result.err.contains("dam.1.obj: the mesh is open at 48 edges") && result.err.lines().count() == 1,
         "{}",
-        ran.err
+        result.err
     );
-    assert!(ran.out.contains("dam.2: flicker 0.0000 ("), "{}", ran.out);
+    assert!(result.out.contains("dam.2: flicker 0.0000 ("), "{}", result.out);
     for number in 1..=3 {
         write_mesh(&folder.path().join(format!("dam.{number}.obj")), &sphere(1.05, 30.0));
     }
-    let ran = run(&folder, &[]);
-    assert_eq!(ran.status, 2, "{}", ran.out);
+    let result = run(&folder, &[]);
+    assert_eq!(result.status, 2, "{}", result.out);
     assert!(
-        ran.err.contains("500 of 500 points") && ran.err.contains("same unit and the same axes"),
+        result.err.contains("500 of 500 points") && result.err.contains("same unit and the same axes"),
         "{}",
-        ran.err
+        result.err
     );
 }
 
@@ -389,10 +390,10 @@ fn sequences_of_simulators_have_plausible_scores() {
         let convert = ["convert", &particles, "--out", "s", "--format", "ply", "--frames", "9-12"];
         let made = meniscus(folder.path(), &convert);
         assert_eq!(made.status, 0, "{}", made.err);
-        let ran = meniscus(folder.path(), &["flicker", "s/*.ply", "--particles", &particles]);
-        assert_eq!(ran.status, 0, "{}{}", ran.out, ran.err);
-        assert!(ran.out.contains("tracked by ids"), "{}", ran.out);
-        let line = ran.out.lines().find(|line| line.ends_with("spacings, 2 frames")).expect("a summary");
+        let result = meniscus(folder.path(), &["flicker", "s/*.ply", "--particles", &particles]);
+        assert_eq!(result.status, 0, "{}{}", result.out, result.err);
+        assert!(result.out.contains("tracked by ids"), "{}", result.out);
+        let line = result.out.lines().find(|line| line.ends_with("spacings, 2 frames")).expect("a summary");
         let score = line.split("flicker ").nth(1).and_then(|rest| rest.split(' ').next()).expect("a score");
         let score: f64 = score.parse().expect("a number");
         assert!((0.01..0.3).contains(&score), "{line}");

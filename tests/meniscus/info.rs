@@ -12,12 +12,12 @@ use crate::scene::{block, command, meniscus, write_ply};
 fn particles_are_described() {
     let folder = tempdir().expect("a folder");
     write_ply(&folder.path().join("block.ply"), &block(10, 0.5));
-    let ran = meniscus(folder.path(), &["info", "block.ply"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(folder.path(), &["info", "block.ply"]);
+    assert_eq!(result.status, 0, "{}", result.err);
     for word in
         ["block.ply: PLY", "particles", "1000", "(0.5, 0, 0) to (1.4, 0.9, 0.9)", "suggested voxel size"]
     {
-        assert!(ran.out.contains(word), "{word} not in {}", ran.out);
+        assert!(result.out.contains(word), "{word} not in {}", result.out);
     }
     let json: Value = serde_json::from_str(&meniscus(folder.path(), &["info", "--json", "block.ply"]).out)
         .expect("the output is JSON");
@@ -35,9 +35,9 @@ fn particles_are_described() {
 #[test]
 fn system_error_is_printed_once() {
     let folder = tempdir().expect("a folder");
-    let ran = meniscus(folder.path(), &["info", "nowhere.ply"]);
-    assert_eq!(ran.status, 2, "{}", ran.err);
-    assert_eq!(ran.err.matches("os error 2").count(), 1, "{}", ran.err);
+    let result = meniscus(folder.path(), &["info", "nowhere.ply"]);
+    assert_eq!(result.status, 2, "{}", result.err);
+    assert_eq!(result.err.matches("os error 2").count(), 1, "{}", result.err);
 }
 
 #[test]
@@ -64,14 +64,14 @@ fn each_step_is_described() {
     };
     let text = [step(0, 1), step(100, 2), step(200, 1)].concat();
     fs::write(folder.path().join("d.dump"), text).expect("written");
-    let ran = meniscus(folder.path(), &["info", "--json", "d.dump"]);
-    assert_eq!(ran.status, 1);
+    let result = meniscus(folder.path(), &["info", "--json", "d.dump"]);
+    assert_eq!(result.status, 1);
     assert!(
-        ran.err.contains("error: d.dump/step=100: LAMMPS dump, at line 6: expected 2 atoms"),
+        result.err.contains("error: d.dump/step=100: LAMMPS dump, at line 6: expected 2 atoms"),
         "{}",
-        ran.err
+        result.err
     );
-    let json: Value = serde_json::from_str(&ran.out).expect("the output is JSON");
+    let json: Value = serde_json::from_str(&result.out).expect("the output is JSON");
     let files: Vec<_> = json.as_array().expect("a list").iter().map(|file| &file["file"]).collect();
     assert_eq!(files, ["d.dump/step=0", "d.dump/step=100", "d.dump/step=200"]);
     assert_eq!((&json[0]["kind"], &json[0]["particles"]["count"]), (&"LAMMPS dump".into(), &1.into()));
@@ -99,13 +99,13 @@ fn measurements_of_meshes_have_few_digits() {
     write_ply(&folder.path().join("block.ply"), &block(6, 0.5));
     let convert = ["convert", "block.ply", "--out", "o", "--format", "glb,obj"];
     assert_eq!(meniscus(folder.path(), &convert).status, 0);
-    let ran = meniscus(folder.path(), &["info", "o/block.glb", "o/block.obj"]);
+    let result = meniscus(folder.path(), &["info", "o/block.glb", "o/block.obj"]);
     let is_measured = |line: &&str| ["bounds", "area", "volume"].iter().any(|name| line.contains(name));
-    let lines: Vec<&str> = ran.out.lines().filter(is_measured).collect();
-    assert_eq!(lines.len(), 6, "{}{}", ran.out, ran.err);
+    let lines: Vec<&str> = result.out.lines().filter(is_measured).collect();
+    assert_eq!(lines.len(), 6, "{}{}", result.out, result.err);
     for number in lines.iter().flat_map(|line| line.split([' ', ',', '(', ')'])) {
         let digits = number.chars().filter(char::is_ascii_digit).count();
-        assert!(digits <= 12, "{}", ran.out);
+        assert!(digits <= 12, "{}", result.out);
     }
 }
 
@@ -114,8 +114,8 @@ fn vertices_that_are_not_finite_are_reported() {
     let folder = tempdir().expect("a folder");
     let text = "v 0 0 nan\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 3 0 0\nf 1 2 3\nf 2 3 4\n";
     fs::write(folder.path().join("t.obj"), text).expect("written");
-    let ran = meniscus(folder.path(), &["info", "t.obj"]);
-    assert!(ran.out.contains("vertices not finite  1, the first at (0, 0, NaN)"), "{}", ran.out);
+    let result = meniscus(folder.path(), &["info", "t.obj"]);
+    assert!(result.out.contains("vertices not finite  1, the first at (0, 0, NaN)"), "{}", result.out);
     let json: Value = serde_json::from_str(&meniscus(folder.path(), &["info", "--json", "t.obj"]).out)
         .expect("the output is JSON");
     assert_eq!(json[0]["mesh"]["not_finite"], 1);
@@ -160,9 +160,9 @@ fn ply_file_with_faces_is_described_as_a_mesh() {
         text += &format!("element face {}\n{lists}", faces.len());
         text += &[vertices, faces].concat().iter().map(|line| format!("{line}\n")).collect::<String>();
         fs::write(folder.path().join("t.ply"), text).expect("written");
-        let ran = meniscus(folder.path(), &["info", "t.ply"]);
-        assert_eq!(ran.status, 0, "{}", ran.err);
-        ran.out
+        let result = meniscus(folder.path(), &["info", "t.ply"]);
+        assert_eq!(result.status, 0, "{}", result.err);
+        result.out
     };
     let lines_with = |out: &str, word: &str| out.lines().filter(|line| line.contains(word)).count();
 
@@ -201,15 +201,25 @@ fn folders_are_refused_and_patterns_are_expanded() {
     for name in ["a.1.ply", "a.2.ply"] {
         write_ply(&folder.path().join("in").join(name), &block(4, 0.0));
     }
-    let ran = meniscus(folder.path(), &["info", "in"]);
-    assert_eq!(ran.status, 2);
-    assert!(ran.err.contains("in: this is a folder: give the files in it, or a pattern"), "{}", ran.err);
+    let result = meniscus(folder.path(), &["info", "in"]);
+    assert_eq!(result.status, 2);
+    assert!(
+        result.err.contains("in: this is a folder: give the files in it, or a pattern"),
+        "{}",
+        result.err
+    );
     for pattern in ["in/*.ply", "in/a.#.ply"] {
-        let ran = meniscus(folder.path(), &["info", pattern]);
-        assert_eq!((ran.status, ran.out.matches(": PLY, ").count()), (0, 2), "{}{}", ran.out, ran.err);
+        let result = meniscus(folder.path(), &["info", pattern]);
+        assert_eq!(
+            (result.status, result.out.matches(": PLY, ").count()),
+            (0, 2),
+            "{}{}",
+            result.out,
+            result.err
+        );
     }
-    let ran = meniscus(folder.path(), &["info", "in/*.obj"]);
-    assert!(ran.status == 2 && ran.err.contains("*.obj: "), "{}", ran.err);
+    let result = meniscus(folder.path(), &["info", "in/*.obj"]);
+    assert!(result.status == 2 && result.err.contains("*.obj: "), "{}", result.err);
 }
 
 #[test]

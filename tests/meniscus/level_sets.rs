@@ -8,7 +8,7 @@ use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
 use crate::raw_vdb::{Cell, raw_level_set};
-use crate::scene::{Ran, block, meniscus, names_in, write_ply};
+use crate::scene::{RunResult, block, meniscus, names_in, write_ply};
 
 /// A block of particles as a level set with little smoothing, `in/block.vdb`, and as a mesh.
 fn scene() -> TempDir {
@@ -16,23 +16,23 @@ fn scene() -> TempDir {
     fs::create_dir(folder.path().join("in")).expect("made");
     write_ply(&folder.path().join("block.ply"), &block(8, 0.0125));
     let rough = ["--laplacian-steps=0", "--steps=0", "--voxel-size=0.05", "--format=vdb,obj", "--out=in"];
-    let ran = meniscus(folder.path(), &[&["convert", "block.ply"], &rough[..]].concat());
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(folder.path(), &[&["convert", "block.ply"], &rough[..]].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
     folder
 }
 
-fn convert(folder: &Path, more: &[&str]) -> Ran {
+fn convert(folder: &Path, more: &[&str]) -> RunResult {
     meniscus(folder, &[&["convert", "in/block.vdb", "--out=out"], more].concat())
 }
 
-fn succeeded(ran: &Ran) {
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+fn succeeded(result: &RunResult) {
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
 }
 
 /// The output of `info` for a file.
 fn info(folder: &Path, file: &str) -> Value {
-    let ran = meniscus(folder, &["info", "--json", file]);
-    let json: Value = serde_json::from_str(&ran.out).unwrap_or_else(|error| panic!("{file}: {error}"));
+    let result = meniscus(folder, &["info", "--json", file]);
+    let json: Value = serde_json::from_str(&result.out).unwrap_or_else(|error| panic!("{file}: {error}"));
     json[0].clone()
 }
 
@@ -44,8 +44,8 @@ fn number(value: &Value) -> f64 {
 fn level_set_is_contoured_unchanged() {
     let folder = scene();
     let folder = folder.path();
-    let ran = convert(folder, &["--format=obj,glb,vdb"]);
-    succeeded(&ran);
+    let result = convert(folder, &["--format=obj,glb,vdb"]);
+    succeeded(&result);
     assert_eq!(names_in(&folder.join("out")), ["block.glb", "block.obj", "block.vdb"]);
     let [from_particles, again] =
         ["in/block.obj", "out/block.obj"].map(|file| info(folder, file)["mesh"].clone());
@@ -56,10 +56,10 @@ fn level_set_is_contoured_unchanged() {
     // The output has the values of the input.
     let [one, other] = ["in/block.vdb", "out/block.vdb"].map(|file| info(folder, file)["grids"][0].clone());
     assert_eq!(one["active_voxels"], other["active_voxels"], "{one}");
-    let ran = convert(folder, &["--format=obj,glb,vdb", "--skip-done"]);
-    assert!(ran.out.contains("done already"), "{}", ran.out);
-    let ran = convert(folder, &["--format=obj", "--skip-done", "--max-deviation=0.5"]);
-    assert!(!ran.out.contains("done already"), "{}", ran.out);
+    let result = convert(folder, &["--format=obj,glb,vdb", "--skip-done"]);
+    assert!(result.out.contains("done already"), "{}", result.out);
+    let result = convert(folder, &["--format=obj", "--skip-done", "--max-deviation=0.5"]);
+    assert!(!result.out.contains("done already"), "{}", result.out);
 }
 
 #[test]
@@ -75,9 +75,9 @@ fn skip_done_writes_a_contoured_level_set_with_a_flipped_byte_again() {
     // Make a new file: its stamp differs even if the clock of the file system has not advanced.
     fs::rename(&damaged, folder.join("old")).expect("moved");
     fs::write(&damaged, bytes).expect("written");
-    let ran = convert(folder, &["--format=glb", "--skip-done"]);
-    succeeded(&ran);
-    assert!(!ran.out.contains("done already"), "{}", ran.out);
+    let result = convert(folder, &["--format=glb", "--skip-done"]);
+    succeeded(&result);
+    assert!(!result.out.contains("done already"), "{}", result.out);
     assert_eq!(fs::read(&damaged).expect("written"), whole);
     assert!(convert(folder, &["--format=glb", "--skip-done"]).out.contains("done already"));
 }
@@ -122,9 +122,9 @@ fn options_that_need_particles_are_refused_by_name() {
         (&["--max-deviation=1", "--step-size=1e9"], "--step-size"),
         (&["--decimate=100"], "`100` is not a number from 0 to 1"),
     ] {
-        let ran = convert(folder, options);
-        assert_eq!(ran.status, 2, "{options:?}");
-        assert!(ran.err.contains(words), "{options:?}: {}", ran.err);
+        let result = convert(folder, options);
+        assert_eq!(result.status, 2, "{options:?}");
+        assert!(result.err.contains(words), "{options:?}: {}", result.err);
         assert!(!folder.join("out").exists(), "{options:?}");
     }
     for (arguments, words) in [
@@ -147,13 +147,13 @@ fn options_that_need_particles_are_refused_by_name() {
         ),
         (&["watch", "in", "--out=watched", "--once"], "no frames to convert: 1 level set left alone"),
     ] {
-        let ran = meniscus(folder, arguments);
-        assert_eq!(ran.status, 2, "{arguments:?}");
-        assert!(ran.err.contains(words), "{arguments:?}: {}", ran.err);
+        let result = meniscus(folder, arguments);
+        assert_eq!(result.status, 2, "{arguments:?}");
+        assert!(result.err.contains(words), "{arguments:?}: {}", result.err);
         assert!(!folder.join("out").exists() && !folder.join("r.png").exists(), "{arguments:?}");
     }
-    let ran = meniscus(folder, &["convert", "block.ply", "--out=out", "--max-deviation=1"]);
-    assert!(ran.status == 2 && ran.err.contains("--max-deviation is for level sets"), "{}", ran.err);
+    let result = meniscus(folder, &["convert", "block.ply", "--out=out", "--max-deviation=1"]);
+    assert!(result.status == 2 && result.err.contains("--max-deviation is for level sets"), "{}", result.err);
 }
 
 /// Two level sets of one sequence, `in/f.1.vdb` and `in/f.2.vdb`.
@@ -180,9 +180,9 @@ fn level_sets_have_reports_previews_and_sequence_files() {
         "--skip-done",
     ];
     let arguments = [&["convert", "in/f.#.vdb"], &MADE[..], &more, &shots].concat();
-    let ran = meniscus(folder, &arguments);
-    succeeded(&ran);
-    assert!(ran.out.contains("2 frames: 2 done"), "{}", ran.out);
+    let result = meniscus(folder, &arguments);
+    succeeded(&result);
+    assert!(result.out.contains("2 frames: 2 done"), "{}", result.out);
     let names = ["f.1.glb", "f.1.png", "f.1.stl", "f.2.glb", "f.2.png", "f.2.stl"];
     assert!(
         names.iter().all(|name| folder.join("out").join(name).is_file()),
@@ -267,13 +267,13 @@ fn watch_converts_foreign_level_sets_that_a_pattern_names() {
     };
     // Without such a pattern, level sets may be outputs of other programs.
     for more in [&[][..], &["--pattern=*"], &["--pattern=ball.*"]] {
-        let ran = watch(more);
-        assert!(!folder.join("in/ball.1.obj").exists(), "{more:?} {}", ran.err);
+        let result = watch(more);
+        assert!(!folder.join("in/ball.1.obj").exists(), "{more:?} {}", result.err);
     }
     // `block.vdb` and its mesh are outputs of this program, and must not change.
     let before = fs::read(folder.join("in/block.obj")).expect("there");
-    let ran = watch(&["--pattern=*.vdb", "--preview=png", "--preview-size=64x64"]);
-    assert_eq!(ran.status, 0, "{} {}", ran.out, ran.err);
+    let result = watch(&["--pattern=*.vdb", "--preview=png", "--preview-size=64x64"]);
+    assert_eq!(result.status, 0, "{} {}", result.out, result.err);
     assert_eq!(fs::read(folder.join("in/block.obj")).expect("there"), before);
     assert!(folder.join("in/ball.1.png").is_file());
     let mesh = info(folder, "in/ball.1.obj")["mesh"].clone();
@@ -307,8 +307,8 @@ fn printed_settings_of_a_level_set_make_the_same_files() {
     fs::write(folder.join("meniscus.toml"), block).expect("written");
     succeeded(&convert(&[]));
     let watch = ["watch", "--config=meniscus.toml", "--once", "--settle=0ms", "--settle-unverifiable=0ms"];
-    let ran = meniscus(folder, &watch);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(folder, &watch);
+    assert_eq!(result.status, 0, "{}", result.err);
     let bytes = |path: &str| fs::read(folder.join(path)).expect("there");
     assert!(bytes("out/ball.obj") == bytes("watched/ball.obj"));
     // A configuration file has no key for the maximum deviation, and nothing is smoothed without one.
@@ -347,14 +347,14 @@ fn level_set_without_a_band_is_rebuilt_with_a_warning() {
     for (index, value) in NO_BAND.into_iter().enumerate() {
         fs::write(folder.join("in/block.vdb"), ball(value)).expect("written");
         for deviation in ["--max-deviation=0", "--max-deviation=1"] {
-            let ran = convert(folder, &["--format=obj,vdb", deviation]);
-            assert_eq!(ran.status, 0, "{}", ran.err);
+            let result = convert(folder, &["--format=obj,vdb", deviation]);
+            assert_eq!(result.status, 0, "{}", result.err);
             assert!(
-                ran.err.contains("voxels next to the surface have no distance, only a sign"),
+                result.err.contains("voxels next to the surface have no distance, only a sign"),
                 "{}",
-                ran.err
+                result.err
             );
-            assert!(!ran.err.contains("failed validation"), "{}", ran.err);
+            assert!(!result.err.contains("failed validation"), "{}", result.err);
             let mesh = info(folder, "out/block.obj")["mesh"].clone();
             assert_eq!(mesh["boundary_edges"], 0, "{mesh}");
             let volume = number(&mesh["volume"]);
@@ -372,10 +372,10 @@ fn surface_between_tiles_is_rebuilt() {
     let is_inside = |cell: [i32; 3]| cell.iter().all(|at| (6..10).contains(at));
     let bytes = raw_level_set(0.1, 0.3, |cell| Cell::Tile(if is_inside(cell) { -0.3 } else { 0.3 }));
     fs::write(folder.join("in/block.vdb"), bytes).expect("written");
-    let ran = convert(folder, &["--format=obj"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = convert(folder, &["--format=obj"]);
+    assert_eq!(result.status, 0, "{}", result.err);
     // 4 × 4 × 4 cubes, of which 2 × 2 × 2 are not at the surface, and 4 × 4 beyond each face.
-    assert!(ran.err.contains("(152 leaf nodes were added there)"), "{}", ran.err);
+    assert!(result.err.contains("(152 leaf nodes were added there)"), "{}", result.err);
     let mesh = info(folder, "out/block.obj")["mesh"].clone();
     assert_eq!(mesh["boundary_edges"], 0, "{mesh}");
     let volume = number(&mesh["volume"]);
@@ -398,9 +398,13 @@ fn obstacle_without_a_band_leaves_no_hole() {
         });
         fs::write(folder.join("ball.vdb"), bytes).expect("written");
         let arguments = ["convert", "block.ply", "--out=out", "--format=obj", "--voxel-size=0.05"];
-        let ran = meniscus(folder, &[&arguments[..], &["--obstacle=ball.vdb"]].concat());
-        assert_eq!(ran.status, 0, "{}", ran.err);
-        assert!(ran.err.contains("voxels next to the surface have no distance, only a sign"), "{}", ran.err);
+        let result = meniscus(folder, &[&arguments[..], &["--obstacle=ball.vdb"]].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
+        assert!(
+            result.err.contains("voxels next to the surface have no distance, only a sign"),
+            "{}",
+            result.err
+        );
         let mesh = info(folder, "out/block.obj")["mesh"].clone();
         assert_eq!(mesh["boundary_edges"], 0, "{mesh}");
     }
@@ -417,9 +421,9 @@ fn level_set_beyond_the_memory_fails_and_says_how_much_would_do() {
         false => Cell::Tile(0.3),
     });
     fs::write(folder.join("in/block.vdb"), bytes).expect("written");
-    let ran = convert(folder, &["--format=obj", "--max-deviation=1", "--memory=16MiB"]);
-    assert_eq!(ran.status, 2, "{}", ran.err);
-    let needed = ran.err.split("use --memory ").nth(1).and_then(|rest| rest.split(' ').next());
-    let needed = needed.unwrap_or_else(|| panic!("{}", ran.err));
+    let result = convert(folder, &["--format=obj", "--max-deviation=1", "--memory=16MiB"]);
+    assert_eq!(result.status, 2, "{}", result.err);
+    let needed = result.err.split("use --memory ").nth(1).and_then(|rest| rest.split(' ').next());
+    let needed = needed.unwrap_or_else(|| panic!("{}", result.err));
     succeeded(&convert(folder, &["--format=obj", "--max-deviation=1", &format!("--memory={needed}")]));
 }

@@ -29,8 +29,8 @@ fn options(command: &str) -> Vec<String> {
 #[test]
 fn every_command_has_a_page_with_every_option() {
     let folder = tempdir().expect("a folder");
-    let ran = meniscus(folder.path(), &["man", "--out", "share/man1"]);
-    assert_eq!((ran.status, &*ran.out, &*ran.err), (0, "", ""));
+    let result = meniscus(folder.path(), &["man", "--out", "share/man1"]);
+    assert_eq!((result.status, &*result.out, &*result.err), (0, "", ""));
     let pages = folder.path().join("share/man1");
     let mut wanted: Vec<String> = commands().iter().map(|name| format!("meniscus-{name}.1")).collect();
     wanted.push("meniscus.1".to_owned());
@@ -52,21 +52,21 @@ fn every_command_has_a_page_with_every_option() {
 fn page_that_cannot_be_written_is_an_error() {
     let folder = tempdir().expect("a folder");
     fs::create_dir_all(folder.path().join("out/meniscus.1")).expect("a folder at the path");
-    let ran = meniscus(folder.path(), &["man", "--out", "out"]);
-    assert_eq!(ran.status, 2);
-    assert!(ran.err.contains("out/meniscus.1: cannot write"), "{}", ran.err);
+    let result = meniscus(folder.path(), &["man", "--out", "out"]);
+    assert_eq!(result.status, 2);
+    assert!(result.err.contains("out/meniscus.1: cannot write"), "{}", result.err);
 }
 
 #[test]
 fn completions_have_every_command() {
     let folder = tempdir().expect("a folder");
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
-        let ran = meniscus(folder.path(), &["completions", shell]);
-        assert_eq!((ran.status, &*ran.err), (0, ""));
+        let result = meniscus(folder.path(), &["completions", shell]);
+        assert_eq!((result.status, &*result.err), (0, ""));
         for command in commands() {
-            assert!(ran.out.contains(&command), "{shell} does not hear of {command}");
+            assert!(result.out.contains(&command), "{shell} does not hear of {command}");
         }
-        assert!(ran.out.contains("voxel-size"), "{shell} does not hear of options");
+        assert!(result.out.contains("voxel-size"), "{shell} does not hear of options");
     }
     assert_eq!(meniscus(folder.path(), &["completions", "csh"]).status, 2);
 }

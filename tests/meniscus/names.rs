@@ -7,7 +7,7 @@ use std::process::Stdio;
 
 use tempfile::{TempDir, tempdir};
 
-use crate::scene::{Ran, block, command, meniscus, names_in, write_ply, write_sequence};
+use crate::scene::{RunResult, block, command, meniscus, names_in, write_ply, write_sequence};
 
 const QUICK: [&str; 2] = ["--voxel-size", "0.1"];
 
@@ -24,7 +24,7 @@ fn folder_with(names: &[&str]) -> TempDir {
     folder
 }
 
-fn convert(folder: &Path, arguments: &[&str]) -> Ran {
+fn convert(folder: &Path, arguments: &[&str]) -> RunResult {
     meniscus(folder, &[&["convert"], arguments, &QUICK].concat())
 }
 
@@ -55,21 +55,21 @@ fn versions_and_subframes_are_one_sequence_everywhere() {
     ] {
         let folder = folder_with(&names);
         let path = folder.path();
-        let ran = meniscus(path, &["convert", "in", "--out", "out", "--format", "obj"]);
-        assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
-        assert!(is_measured_once(&ran.out, sequence), "{}", ran.out);
+        let result = meniscus(path, &["convert", "in", "--out", "out", "--format", "obj"]);
+        assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+        assert!(is_measured_once(&result.out, sequence), "{}", result.out);
         assert_eq!(names_in(&path.join("out")).len(), 3);
         let arguments = ["plan", "in", "--out", "out", "--output", "plan.json", "--shards", "2"];
-        let ran = meniscus(path, &arguments);
-        assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
-        assert!(is_measured_once(&ran.out, sequence), "{}", ran.out);
+        let result = meniscus(path, &arguments);
+        assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+        assert!(is_measured_once(&result.out, sequence), "{}", result.out);
         let watch = ["watch", "in", "--once", "--out", "watched", "--format", "obj", "--settle", "10ms"];
-        let ran = meniscus(path, &watch);
-        assert_eq!(ran.status, 0, "{}", ran.err);
+        let result = meniscus(path, &watch);
+        assert_eq!(result.status, 0, "{}", result.err);
         for name in names_in(&path.join("out")) {
             let [one, other] =
                 ["out", "watched"].map(|out| fs::read(path.join(out).join(&name)).expect("there"));
-            assert!(one == other, "{name}: {}", ran.err);
+            assert!(one == other, "{name}: {}", result.err);
         }
     }
 }
@@ -84,14 +84,14 @@ fn folder_of_single_frames_is_warned_about() {
         &["plan", "in", "--out", "out", "--output", "plan.json", "--shards", "2"],
         &["watch", "in", "--once", "--out", "watched", "--format", "obj", "--settle", "10ms"],
     ] {
-        let ran = meniscus(path, arguments);
-        assert_eq!(ran.status, 0, "{}", ran.err);
-        assert_eq!(ran.err.matches(note).count(), 1, "{arguments:?}: {}", ran.err);
-        let ran = meniscus(path, &[arguments, &["--spacing", "0.1"]].concat());
-        assert!(!ran.err.contains(note), "{arguments:?}: {}", ran.err);
+        let result = meniscus(path, arguments);
+        assert_eq!(result.status, 0, "{}", result.err);
+        assert_eq!(result.err.matches(note).count(), 1, "{arguments:?}: {}", result.err);
+        let result = meniscus(path, &[arguments, &["--spacing", "0.1"]].concat());
+        assert!(!result.err.contains(note), "{arguments:?}: {}", result.err);
     }
-    let ran = meniscus(path, &["convert", "in/dam_#_2.ply", "--out", "out", "--format", "obj"]);
-    assert!(!ran.err.contains(note), "{}", ran.err);
+    let result = meniscus(path, &["convert", "in/dam_#_2.ply", "--out", "out", "--format", "obj"]);
+    assert!(!result.err.contains(note), "{}", result.err);
 }
 
 #[test]
@@ -103,20 +103,20 @@ fn single_frame_is_written_to_the_named_file() {
         let short = convert(path, &["in/dam.7.ply", "-o", &file]);
         assert_eq!((short.status, &*short.err), (0, ""), "{format}: {}", short.out);
         assert_eq!(names_in(&path.join("new")), [format!("x.{format}")]);
-        let ran = convert(path, &["in", "--out", "whole", "--format", format]);
-        assert_eq!(ran.status, 0, "{}", ran.err);
+        let result = convert(path, &["in", "--out", "whole", "--format", format]);
+        assert_eq!(result.status, 0, "{}", result.err);
         let whole = fs::read(path.join(format!("whole/dam.7.{format}"))).expect("there");
         assert!(fs::read(path.join(&file)).expect("there") == whole, "{format}");
         let again = convert(path, &["in/dam.7.ply", "--skip-done", "--out", &file]);
         assert!(again.status == 0 && again.out.contains("done"), "{format}: {} {}", again.out, again.err);
         fs::remove_dir_all(path.join("new")).expect("removed");
     }
-    let ran = meniscus(path, &["convert", "in", "-o", "x.vtp", "--particles-only"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
-    let ran = convert(path, &["in", "-o", "y.vdb"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
-    let ran = meniscus(path, &["convert", "y.vdb", "-o", "y.stl", "--format", "stl"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &["convert", "in", "-o", "x.vtp", "--particles-only"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    let result = convert(path, &["in", "-o", "y.vdb"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    let result = meniscus(path, &["convert", "y.vdb", "-o", "y.stl", "--format", "stl"]);
+    assert_eq!(result.status, 0, "{}", result.err);
     assert_eq!(names_in(path), ["in", "whole", "x.vtp", "y.stl", "y.vdb"]);
 }
 
@@ -148,18 +148,18 @@ fn file_name_that_cannot_be_written_is_refused_with_a_remedy() {
         (&["convert", "dam.1.ply", "-o", "x.Png"], &["x.Png", "meniscus render"]),
         (&["watch", ".", "--once", "--out", "dam.GLB"], &["dam.GLB", "folder"]),
     ] {
-        let ran = meniscus(path, arguments);
-        assert_eq!(ran.status, 2, "{arguments:?}: {} {}", ran.out, ran.err);
+        let result = meniscus(path, arguments);
+        assert_eq!(result.status, 2, "{arguments:?}: {} {}", result.out, result.err);
         for word in words {
-            assert!(ran.err.contains(word), "{arguments:?} does not say {word}: {}", ran.err);
+            assert!(result.err.contains(word), "{arguments:?} does not say {word}: {}", result.err);
         }
     }
     assert_eq!(names_in(path), ["dam.1.ply", "dam.2.ply"]);
     // A folder may have any name.
     fs::create_dir(path.join("old.obj")).expect("made");
     for out in ["old.obj", "new.obj/"] {
-        let ran = convert(path, &["dam.#.ply", "--format", "obj", "--out", out]);
-        assert_eq!(ran.status, 0, "{}", ran.err);
+        let result = convert(path, &["dam.#.ply", "--format", "obj", "--out", out]);
+        assert_eq!(result.status, 0, "{}", result.err);
         assert_eq!(names_in(&path.join(out)), ["dam.1.obj", "dam.2.obj"]);
     }
 }
@@ -181,8 +181,8 @@ fn standard_input_and_output_carry_one_frame() {
         let same = tempdir().expect("a folder");
         let name = if input.len() > 1 { "stdin.ply" } else { "stdin" };
         fs::write(same.path().join(name), &bytes).expect("written");
-        let ran = convert(same.path(), &[name, "--format", format, "-o", &format!("x.{format}")]);
-        assert_eq!(ran.status, 0, "{}", ran.err);
+        let result = convert(same.path(), &[name, "--format", format, "-o", &format!("x.{format}")]);
+        assert_eq!(result.status, 0, "{}", result.err);
         assert!(out == fs::read(same.path().join(format!("x.{format}"))).expect("there"), "{format}");
     }
     for arguments in [&["in", "-o", "-", "--print-settings"][..], &["-", "-o", "-", "--print-settings"]] {
@@ -271,15 +271,15 @@ fn one_of_two_files_for_one_result_is_converted() {
     }
     let expected = convert(path, &["in/dam.#.csv", "--out", "expected", "--format", "obj"]);
     assert_eq!(expected.status, 0, "{}", expected.err);
-    let ran = convert(path, &["in", "--out", "out", "--format", "obj"]);
-    assert_eq!(ran.status, 1, "{}", ran.err);
+    let result = convert(path, &["in", "--out", "out", "--format", "obj"]);
+    assert_eq!(result.status, 1, "{}", result.err);
     for words in [
         "in/dam.1.csv and in/dam.1.ply would both become dam.1.*",
         "in/dam.1.ply and 1 more frame of dam.{}.ply are left out: convert them",
     ] {
-        assert!(ran.err.contains(words), "{words}: {}", ran.err);
+        assert!(result.err.contains(words), "{words}: {}", result.err);
     }
-    assert!(ran.err.contains("in/dam.1.csv and in/dam.1.ply.gz would both become"), "{}", ran.err);
+    assert!(result.err.contains("in/dam.1.csv and in/dam.1.ply.gz would both become"), "{}", result.err);
     // The daemon gives the output name to the file that is complete first. By default, it waits longer until
     // it considers a table complete.
     let watch = ["watch", "in", "--once", "--out", "watched", "--format", "obj"];
@@ -292,7 +292,11 @@ fn one_of_two_files_for_one_result_is_converted() {
         assert!(one == two && two == three, "{name}");
     }
     let plan = ["plan", "in", "--out", "planned", "--output", "plan.json", "--shards", "1"];
-    let ran = meniscus(path, &[&plan[..], &QUICK].concat());
-    assert_eq!(ran.status, 1, "{}", ran.err);
-    assert!(ran.err.contains("would both become") && ran.out.contains("2 frames in 1 shard"), "{}", ran.out);
+    let result = meniscus(path, &[&plan[..], &QUICK].concat());
+    assert_eq!(result.status, 1, "{}", result.err);
+    assert!(
+        result.err.contains("would both become") && result.out.contains("2 frames in 1 shard"),
+        "{}",
+        result.out
+    );
 }

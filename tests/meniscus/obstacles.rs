@@ -15,7 +15,7 @@ use meniscus::surface::reconstruction::{FrameSurface, reconstruct_cloud};
 use serde_json::Value;
 use tempfile::tempdir;
 
-use crate::scene::{Ran, block, meniscus, write_ply};
+use crate::scene::{RunResult, block, meniscus, write_ply};
 
 /// The mesh of an obstacle, and the signed distance to it.
 struct Body {
@@ -322,7 +322,7 @@ fn moved_surface_rests_on_the_wall() {
     }
 }
 
-fn convert(folder: &Path, arguments: &[&str]) -> Ran {
+fn convert(folder: &Path, arguments: &[&str]) -> RunResult {
     meniscus(folder, &[&["convert"], arguments].concat())
 }
 
@@ -397,7 +397,7 @@ fn obstacle_gives_the_same_surface_in_every_format() {
         // The mesh of a .glb has y up, and so have the scenes that use it as an obstacle; this scene has z
         // up.
         let report_name = format!("{extension}.json");
-        let ran = convert(
+        let result = convert(
             path,
             &[
                 "dam.1.ply",
@@ -411,7 +411,7 @@ fn obstacle_gives_the_same_surface_in_every_format() {
                 &report_name,
             ],
         );
-        assert_eq!(ran.status, 0, "{extension}: {}", ran.err);
+        assert_eq!(result.status, 0, "{extension}: {}", result.err);
         volumes.push(report(&path.join(report_name))["frames"][0]["volume"].as_f64().expect("a volume"));
     }
     assert!(volumes.iter().all(|volume| (volume / volumes[0] - 1.0).abs() < 0.01), "{volumes:?}");
@@ -500,13 +500,13 @@ fn obstacle_out_of_reach_causes_a_warning() {
         fs::write(path.join(name), body.obj()).expect("written");
         let arguments =
             ["dam.#.ply", "--voxel-size", "0.05", "--format", "vdb", "--out", "o", "--report", "r.json"];
-        let ran = convert(path, &[&arguments[..], &["--preset", "paper", "--obstacle", name]].concat());
-        assert_eq!(ran.status, 0, "{}", ran.err);
+        let result = convert(path, &[&arguments[..], &["--preset", "paper", "--obstacle", name]].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
         let notes = |frame: usize| {
             report(&path.join("r.json"))["frames"][frame]["notes"].to_string().contains("too far from")
         };
         assert_eq!(notes(0), notes(1), "each frame has it in the report");
-        (ran.err.matches("too far from the particles to have an effect").count(), ran.err)
+        (result.err.matches("too far from the particles to have an effect").count(), result.err)
     };
     // Obstacles just within reach of the particles, and just beyond it: r_max is 2√3 voxels.
     let at = |x: f64| cuboid(DVec3::new(x, -1.0, -1.0), DVec3::new(x + 1.0, 1.0, 1.0));
@@ -543,9 +543,9 @@ fn empty_surface_causes_a_warning_with_the_reason() {
         (&[ball, box_beyond].concat(), "all of the surface is inside obstacles"),
         (&["--memory", "2MiB", "--clip", "5,5,5,6,6,6"], "the clip box contains no part"),
     ] {
-        let ran = convert(path, &[&arguments, more].concat());
-        assert_eq!(ran.status, 0, "{}", ran.err);
-        assert_eq!(ran.err.matches(word).count(), 1, "{more:?}: {}", ran.err);
+        let result = convert(path, &[&arguments, more].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
+        assert_eq!(result.err.matches(word).count(), 1, "{more:?}: {}", result.err);
         let frame = &report(&path.join("r.json"))["frames"][0];
         let notes: Vec<&str> =
             frame["notes"].as_array().expect("notes").iter().filter_map(Value::as_str).collect();
@@ -582,8 +582,8 @@ fn daemon_records_the_obstacles_of_its_outputs() {
             "--settle",
             "1ms",
         ];
-        let ran = meniscus(path, &arguments);
-        assert_eq!(ran.status, 0, "{} {}", ran.out, ran.err);
+        let result = meniscus(path, &arguments);
+        assert_eq!(result.status, 0, "{} {}", result.out, result.err);
         fs::metadata(path.join("o/dam.1.vdb")).expect("the output").modified().expect("a time")
     };
     let first = run();

@@ -222,20 +222,21 @@ fn command_moves_the_surface_and_reports_it() {
     write_ply(&folder.join("block.ply"), &block(8, 0.0125));
     let convert =
         |input: &str, more: &[&str]| meniscus(folder, &[&["convert", input, "--out=out"], more].concat());
-    let ran = convert("block.ply", &["--preset=paper", "--voxel-size=0.05", "--offset=0.11", "--format=obj"]);
-    assert_eq!(ran.status, 2, "{}", ran.err);
-    assert!(ran.err.contains("the offset is 0.11; it must be from -r_min = -0.0866"), "{}", ran.err);
+    let result =
+        convert("block.ply", &["--preset=paper", "--voxel-size=0.05", "--offset=0.11", "--format=obj"]);
+    assert_eq!(result.status, 2, "{}", result.err);
+    assert!(result.err.contains("the offset is 0.11; it must be from -r_min = -0.0866"), "{}", result.err);
     let volume = |file: &str| {
-        let ran = meniscus(folder, &["info", "--json", file]);
-        let json: Value = serde_json::from_str(&ran.out).expect("JSON");
+        let result = meniscus(folder, &["info", "--json", file]);
+        let json: Value = serde_json::from_str(&result.out).expect("JSON");
         json[0]["mesh"]["volume"].as_f64().expect("a volume")
     };
     let edge = |file: &str| volume(file).cbrt();
     let voxels = ["--preset=paper", "--voxel-size=0.05", "--format=obj,vdb"];
     assert_eq!(convert("block.ply", &voxels).status, 0);
     fs::rename(folder.join("out"), folder.join("plain")).expect("moved");
-    let ran = convert("block.ply", &[&voxels[..], &["--offset=-0.06", "--report=r.json"]].concat());
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    let result = convert("block.ply", &[&voxels[..], &["--offset=-0.06", "--report=r.json"]].concat());
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
     let report = fs::read_to_string(folder.join("r.json")).expect("written");
     let report: Value = serde_json::from_str(&report).expect("JSON");
     let certificate = &report["frames"][0]["certificate"];
@@ -249,15 +250,15 @@ fn command_moves_the_surface_and_reports_it() {
     assert!((shrunk - 0.12).abs() < 0.02, "{shrunk}");
     // The level set without an offset, moved by the same distance, gives about the same surface. Its records
     // differ, so `--skip-done` converts it.
-    let ran = convert("plain/block.vdb", &["--format=obj", "--offset=-0.06", "--skip-done"]);
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    let result = convert("plain/block.vdb", &["--format=obj", "--offset=-0.06", "--skip-done"]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
     let again = edge("plain/block.obj") - edge("out/block.obj");
     assert!((again - shrunk).abs() < 0.004, "{again} {shrunk}");
-    let ran = convert("plain/block.vdb", &["--format=obj", "--offset=-0.05", "--skip-done"]);
-    assert!(!ran.out.contains("done already"), "{}", ran.out);
-    let ran = convert("plain/block.vdb", &["--format=obj", "--offset=-0.2"]);
+    let result = convert("plain/block.vdb", &["--format=obj", "--offset=-0.05", "--skip-done"]);
+    assert!(!result.out.contains("done already"), "{}", result.out);
+    let result = convert("plain/block.vdb", &["--format=obj", "--offset=-0.2"]);
     let expected = "block.vdb: the offset is -0.2; it must be from -√3 h = -0.0866025 to 2 h = 0.1";
-    assert!(ran.status != 0 && ran.err.contains(expected), "{} {}", ran.status, ran.err);
+    assert!(result.status != 0 && result.err.contains(expected), "{} {}", result.status, result.err);
 }
 
 /// With the default settings, particles are flattened. Near the centre of such a particle, a first-order
@@ -269,7 +270,7 @@ fn inward_offsets_of_flattened_particles_pass_validation() {
     let frames = frames.to_str().expect("text");
     for offset in ["-0.75d", "-1d"] {
         let out = format!("--out={offset}");
-        let ran = meniscus(folder.path(), &["convert", frames, &out, "--frames=3-8", "--offset", offset]);
-        assert_eq!(ran.status, 0, "{offset}: {}", ran.err);
+        let result = meniscus(folder.path(), &["convert", frames, &out, "--frames=3-8", "--offset", offset]);
+        assert_eq!(result.status, 0, "{offset}: {}", result.err);
     }
 }

@@ -7,7 +7,7 @@ use std::path::Path;
 use meniscus_formats::{FilePositions, Limits, ParticleFrame, read_particles};
 use tempfile::{TempDir, tempdir};
 
-use crate::scene::{Ran, meniscus, names_in};
+use crate::scene::{RunResult, meniscus, names_in};
 
 /// A table with positions of more digits than 32-bit numbers have, a velocity, numbers and words.
 const TABLE: &str = "\
@@ -31,7 +31,7 @@ fn folder_with(files: &[(&str, &str)]) -> TempDir {
     folder
 }
 
-fn convert(folder: &Path, input: &str, more: &[&str]) -> Ran {
+fn convert(folder: &Path, input: &str, more: &[&str]) -> RunResult {
     meniscus(folder, &[&["convert", input, "--out=out", "--particles-only"], more].concat())
 }
 
@@ -39,9 +39,9 @@ fn convert(folder: &Path, input: &str, more: &[&str]) -> Ran {
 fn particles_keep_their_attributes() {
     let folder = folder_with(&[("dam.1.csv", TABLE), ("dam.2.csv", TABLE)]);
     let folder = folder.path();
-    let ran = convert(folder, "in", &["--format=vtp,ply", "--frames=1"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
-    assert!(ran.out.contains("dam.1.csv: 2 particles"), "{}", ran.out);
+    let result = convert(folder, "in", &["--format=vtp,ply", "--frames=1"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(result.out.contains("dam.1.csv: 2 particles"), "{}", result.out);
     assert_eq!(names_in(&folder.join("out")), ["dam.1.ply", "dam.1.vtp"]);
     let expected = read(&folder.join("in/dam.1.csv"));
     assert!(matches!(expected.positions, FilePositions::F64(_)));
@@ -74,9 +74,9 @@ fn skip_done_writes_particles_with_a_flipped_byte_again() {
     // Make a new file: its stamp differs even if the clock of the file system has not advanced.
     fs::rename(&damaged, folder.join("old")).expect("moved");
     fs::write(&damaged, bytes).expect("written");
-    let ran = convert(folder, "in", &["--skip-done"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
-    assert_eq!(ran.out.matches("done already").count(), 1, "{}", ran.out);
+    let result = convert(folder, "in", &["--skip-done"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert_eq!(result.out.matches("done already").count(), 1, "{}", result.out);
     assert_eq!(fs::read(&damaged).expect("written"), whole);
 }
 
@@ -89,17 +89,17 @@ fn done_frames_are_kept_and_failures_are_reported() {
     let dump = [step(0), broken, step(30)].concat();
     let folder = folder_with(&[("d.dump", &dump)]);
     let folder = folder.path();
-    let ran = convert(folder, "in", &["--skip-done"]);
-    assert_eq!(ran.status, 1, "{}", ran.err);
-    assert!(ran.err.contains("d.dump/step=20: LAMMPS dump, at line 12"), "{}", ran.err);
+    let result = convert(folder, "in", &["--skip-done"]);
+    assert_eq!(result.status, 1, "{}", result.err);
+    assert!(result.err.contains("d.dump/step=20: LAMMPS dump, at line 12"), "{}", result.err);
     assert_eq!(names_in(&folder.join("out")), [".meniscus", "d.0.ply", "d.30.ply"]);
-    let ran = convert(folder, "in", &["--skip-done"]);
-    assert_eq!(ran.out.matches("done already").count(), 2, "{}", ran.out);
-    assert!(ran.out.contains("3 frames: 2 done, 1 failed"), "{}", ran.out);
+    let result = convert(folder, "in", &["--skip-done"]);
+    assert_eq!(result.out.matches("done already").count(), 2, "{}", result.out);
+    assert!(result.out.contains("3 frames: 2 done, 1 failed"), "{}", result.out);
     fs::remove_dir_all(folder.join("out")).expect("removed");
-    let ran = convert(folder, "in", &["--on-error=stop"]);
-    assert_eq!((ran.status, names_in(&folder.join("out"))), (1, vec!["d.0.ply".to_owned()]));
-    assert!(ran.out.contains("1 done, 1 failed, 1 not started"), "{}", ran.out);
+    let result = convert(folder, "in", &["--on-error=stop"]);
+    assert_eq!((result.status, names_in(&folder.join("out"))), (1, vec!["d.0.ply".to_owned()]));
+    assert!(result.out.contains("1 done, 1 failed, 1 not started"), "{}", result.out);
 }
 
 #[test]
@@ -107,9 +107,9 @@ fn positions_that_are_not_finite_are_kept_with_a_warning() {
     let header =
         "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n";
     let folder = folder_with(&[("a.ply", &format!("{header}end_header\n1 2 3\nnan 0 0\n"))]);
-    let ran = convert(folder.path(), "in/a.ply", &["--format=vtp"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
-    assert!(ran.err.contains("1 of 2 positions are not finite"), "{}", ran.err);
+    let result = convert(folder.path(), "in/a.ply", &["--format=vtp"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(result.err.contains("1 of 2 positions are not finite"), "{}", result.err);
 }
 
 #[test]
@@ -124,13 +124,13 @@ fn surface_options_are_refused() {
         ("--report=r.json", "do not apply"),
         ("--print-settings", "do not apply"),
     ] {
-        let ran = convert(folder, "in", &[option]);
-        assert_eq!(ran.status, 2, "{option}");
-        assert!(ran.err.contains(words), "{option}: {}", ran.err);
+        let result = convert(folder, "in", &[option]);
+        assert_eq!(result.status, 2, "{option}");
+        assert!(result.err.contains(words), "{option}: {}", result.err);
         assert!(!folder.join("out").exists(), "{option}");
     }
     fs::copy(folder.join("in/a.csv"), folder.join("in/a.ply")).expect("copied");
-    let ran = meniscus(folder, &["convert", "in/a.csv", "in/a.ply", "--out=in", "--particles-only"]);
-    assert_eq!(ran.status, 2);
-    assert!(ran.err.contains("would replace the input"), "{}", ran.err);
+    let result = meniscus(folder, &["convert", "in/a.csv", "in/a.ply", "--out=in", "--particles-only"]);
+    assert_eq!(result.status, 2);
+    assert!(result.err.contains("would replace the input"), "{}", result.err);
 }

@@ -167,8 +167,8 @@ fn particles_and_level_sets_become_pictures() {
         writeln!(text, "{x},{y},{z},1,2,3").expect("strings take everything");
     }
     fs::write(path.join("drop.csv"), text).expect("written");
-    let ran = meniscus(path, &["render", "drop.csv", "-o", "drop.exr", "--size", "64x48"]);
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    let result = meniscus(path, &["render", "drop.csv", "-o", "drop.exr", "--size", "64x48"]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
     let of_vector = |name: &str| ["X", "Y", "Z"].map(|axis| format!("{name}.{axis}")).to_vec();
     let expected = [
         ("beauty", vec!["A".to_owned(), "B".into(), "G".into(), "R".into()]),
@@ -190,11 +190,11 @@ fn particles_and_level_sets_become_pictures() {
     assert_eq!(meniscus(path, &again).status, 0);
     assert!(fs::read(path.join("again.exr")).expect("there") == first);
 
-    let ran = meniscus(path, &["convert", "drop.csv", "--out", "o", "--format", "vdb"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &["convert", "drop.csv", "--out", "o", "--format", "vdb"]);
+    assert_eq!(result.status, 0, "{}", result.err);
     let turn = ["render", "o", "--out", "turn", "--format", "exr", "--size", "64x48", "--turntable", "3"];
-    let ran = meniscus(path, &turn);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &turn);
+    assert_eq!(result.status, 0, "{}", result.err);
     assert_eq!(names_in(&path.join("turn")), ["drop.000.exr", "drop.001.exr", "drop.002.exr"]);
     assert_ne!(camera_in(&path.join("turn/drop.000.exr")), camera_in(&path.join("turn/drop.001.exr")));
     assert_eq!(layers_of(&path.join("turn/drop.001.exr")).len(), 6);
@@ -203,16 +203,16 @@ fn particles_and_level_sets_become_pictures() {
     let with_velocities =
         ["convert", "drop.csv", "--out", "v", "--format", "vdb", "--attributes", "velocity"];
     assert_eq!(meniscus(path, &with_velocities).status, 0);
-    let ran = meniscus(path, &["render", "v", "-o", "v.exr", "--size", "64x48"]);
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    let result = meniscus(path, &["render", "v", "-o", "v.exr", "--size", "64x48"]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
     let [of_particles, of_level_set] =
         ["drop.exr", "v.exr"].map(|name| velocity_in_the_middle(&path.join(name)));
     assert_eq!(layers_of(&path.join("v.exr")), layers_of(&path.join("drop.exr")));
     assert!(of_particles.distance(DVec3::new(1.0, 2.0, 3.0)) < 1e-4, "{of_particles}");
     assert!(of_level_set.distance(of_particles) < 1e-4, "{of_level_set}");
 
-    let ran = meniscus(path, &["render", "drop.csv", "-o", "two.png", "--size", "120x40", "--particles"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &["render", "drop.csv", "-o", "two.png", "--size", "120x40", "--particles"]);
+    assert_eq!(result.status, 0, "{}", result.err);
     let decoder = png::Decoder::new(BufReader::new(File::open(path.join("two.png")).expect("there")));
     let reader = decoder.read_info().expect("a picture");
     assert_eq!((reader.info().width, reader.info().height), (120, 40));
@@ -226,9 +226,9 @@ fn warning_about_an_empty_picture_says_what_is_empty() {
     let convert = ["convert", "none.ply", "--out", "o", "--format", "vdb", "--spacing", "0.1"];
     assert_eq!(meniscus(path, &convert).status, 0);
     let rendered = |arguments: &[&str]| {
-        let ran = meniscus(path, &[&["render", "-o", "e.png", "--size", "64x48"], arguments].concat());
-        assert_eq!(ran.status, 0, "{}", ran.err);
-        ran.err
+        let result = meniscus(path, &[&["render", "-o", "e.png", "--size", "64x48"], arguments].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
+        result.err
     };
     let err = rendered(&["o/none.vdb"]);
     assert!(err.contains("o/none.vdb: the level set is empty, and so is e"), "{err}");
@@ -265,10 +265,10 @@ fn invalid_picture_arguments_are_refused() {
         (&["broken.vdb", "-o", "a.png"], &["broken.vdb", "OpenVDB"]),
         (&["broken.vdb", "-o", "a.png", "--particles"], &["--particles"]),
     ] {
-        let ran = meniscus(path, &[&["render"], arguments].concat());
-        assert_eq!(ran.status, 2, "{arguments:?}: {} {}", ran.out, ran.err);
+        let result = meniscus(path, &[&["render"], arguments].concat());
+        assert_eq!(result.status, 2, "{arguments:?}: {} {}", result.out, result.err);
         for word in words {
-            assert!(ran.err.contains(word), "{arguments:?} does not say {word}: {}", ran.err);
+            assert!(result.err.contains(word), "{arguments:?} does not say {word}: {}", result.err);
         }
     }
     assert!(names_in(path).iter().all(|name| !name.ends_with(".png")));
@@ -282,16 +282,16 @@ fn previews_of_a_sequence_have_one_camera() {
     let convert =
         ["convert", "dam.#.ply", "--out", "o", "--format", "vdb", "--preview", "png", "--preview-size"];
     let convert = [&convert[..], &["64x48", "--skip-done"]].concat();
-    let ran = meniscus(path, &convert);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &convert);
+    assert_eq!(result.status, 0, "{}", result.err);
     let picture = |name: &str| path.join("o").join(name);
     let camera = camera_in(&picture("dam.1.png"));
     assert!(camera.starts_with("eye=") && camera == camera_in(&picture("dam.3.png")), "{camera}");
     let first = fs::read(picture("dam.2.png")).expect("there");
     // A part of the sequence is rendered with the camera of the whole sequence.
     fs::remove_file(picture("dam.2.png")).expect("removed");
-    let ran = meniscus(path, &[&convert[..], &["--frames", "2"]].concat());
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &[&convert[..], &["--frames", "2"]].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
     assert!(fs::read(picture("dam.2.png")).expect("there") == first);
     assert_eq!(meniscus(path, &convert).out.matches("done already").count(), 3);
     let other = [&convert[..], &["--camera", "azimuth=90"]].concat();
@@ -325,9 +325,9 @@ fn splash_that_leaves_the_picture_of_watch_is_not_cropped() {
     let watch =
         [&watch[..], &["--preview", "png", "--preview-size", "64x48", "--voxel-size", "0.05"]].concat();
     let run = || {
-        let ran = meniscus(path, &watch);
-        assert_eq!(ran.status, 0, "{}", ran.err);
-        ran.err
+        let result = meniscus(path, &watch);
+        assert_eq!(result.status, 0, "{}", result.err);
+        result.err
     };
     let picture = |number: usize| path.join(format!("o/dam.{number}.png"));
     let is_converted = |log: &str| log.matches("converted").count();
@@ -372,16 +372,16 @@ fn daemon_keeps_its_camera() {
     ];
     let watch =
         [&watch[..], &["--preview", "exr", "--preview-size", "64x48", "--voxel-size", "0.05"]].concat();
-    let ran = meniscus(path, &watch);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &watch);
+    assert_eq!(result.status, 0, "{}", result.err);
     let picture = |name: &str| path.join("o").join(name);
     let camera = camera_in(&picture("dam.1.exr"));
     assert!(camera.starts_with("eye=") && camera == camera_in(&picture("dam.2.exr")), "{camera}");
     // After a restart the camera stays, although another frame now comes first.
     write_sequence(&path.join("in"), 0, 0);
     write_sequence(&path.join("in"), 3, 3);
-    let ran = meniscus(path, &watch);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &watch);
+    assert_eq!(result.status, 0, "{}", result.err);
     for name in ["dam.0.exr", "dam.3.exr"] {
         assert_eq!(camera_in(&picture(name)), camera, "{name}");
     }
@@ -440,9 +440,9 @@ fn pictures_match_the_reviewed_references() {
         let output = made.join(format!("{name}.png"));
         let frame = root.join("examples/frames/dam.0006.bgeo");
         let [frame, output] = [&frame, &output].map(|path| path.to_str().expect("UTF-8"));
-        let ran =
+        let result =
             meniscus(root, &[&["render", frame, "-o", output, "--size", "320x180"], arguments].concat());
-        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert_eq!(result.status, 0, "{}", result.err);
     }
     for name in ["ball", "water", "water_above", "particles"] {
         let name = format!("{name}.png");

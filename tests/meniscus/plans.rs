@@ -9,18 +9,18 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use tempfile::{TempDir, tempdir};
 
-use crate::scene::{Ran, block, command, meniscus, names_in, write_ply, write_sequence};
+use crate::scene::{RunResult, block, command, meniscus, names_in, write_ply, write_sequence};
 
-fn shard(folder: &Path, number: usize) -> Ran {
+fn shard(folder: &Path, number: usize) -> RunResult {
     meniscus(folder, &["convert", "--plan", "plan.json", "--shard", &number.to_string()])
 }
 
-fn verify(folder: &Path) -> Ran {
+fn verify(folder: &Path) -> RunResult {
     meniscus(folder, &["verify", "out", "--plan", "plan.json"])
 }
 
-fn succeeded(ran: &Ran) {
-    assert_eq!(ran.status, 0, "{}{}", ran.out, ran.err);
+fn succeeded(result: &RunResult) {
+    assert_eq!(result.status, 0, "{}{}", result.out, result.err);
 }
 
 /// A folder with `in/dam.1.ply` to `in/dam.N.ply`, and a plan that divides them into `shard_count` shards.
@@ -137,9 +137,9 @@ fn shard_does_not_create_the_output_folder() {
     let folder = planned(2, 1);
     let folder = folder.path();
     fs::remove_dir(folder.join("out")).expect("removed");
-    let ran = shard(folder, 0);
-    assert_eq!(ran.status, 2);
-    assert!(ran.err.contains("is it mounted?"), "{}", ran.err);
+    let result = shard(folder, 0);
+    assert_eq!(result.status, 2);
+    assert!(result.err.contains("is it mounted?"), "{}", result.err);
     assert!(!folder.join("out").exists());
 }
 
@@ -149,14 +149,14 @@ fn done_frames_do_not_need_their_inputs() {
     let folder = folder.path();
     succeeded(&shard(folder, 0));
     fs::remove_file(folder.join("in/dam.2.ply")).expect("removed");
-    let ran = shard(folder, 0);
-    succeeded(&ran);
-    assert!(ran.out.contains("dam.2: done already"), "{}", ran.out);
+    let result = shard(folder, 0);
+    succeeded(&result);
+    assert!(result.out.contains("dam.2: done already"), "{}", result.out);
     // A frame that is done keeps its entry in the report, even if its input is missing.
     let plan = ["convert", "--plan=plan.json", "--shard=0", "--report=r.json"];
-    let ran = meniscus(folder, &plan);
-    succeeded(&ran);
-    assert!(ran.out.contains("3 frames: 3 done"), "{}", ran.out);
+    let result = meniscus(folder, &plan);
+    succeeded(&result);
+    assert!(result.out.contains("3 frames: 3 done"), "{}", result.out);
     let report: Value =
         serde_json::from_slice(&fs::read(folder.join("r.json")).expect("there")).expect("JSON");
     let frames = report["frames"].as_array().expect("frames");
@@ -179,9 +179,9 @@ fn report_does_not_replace_files_of_the_plan() {
             [&["verify", "out", "--plan=plan.json"][..], &["convert", "--plan=plan.json", "--shard=0"]]
         {
             let before = fs::read(folder.join(path)).expect("there");
-            let ran = meniscus(folder, &[command, &["--report", path]].concat());
-            assert_eq!(ran.status, 2, "{path}");
-            assert!(ran.err.contains(why), "{}", ran.err);
+            let result = meniscus(folder, &[command, &["--report", path]].concat());
+            assert_eq!(result.status, 2, "{path}");
+            assert!(result.err.contains(why), "{}", result.err);
             assert!(fs::read(folder.join(path)).expect("there") == before, "{path}");
         }
     };
@@ -200,9 +200,9 @@ fn plan_whose_outputs_replace_inputs_is_refused() {
     plan["out"] = json!(folder.path().join("in"));
     plan["outputs"]["formats"] = json!(["ply"]);
     fs::write(&path, plan.to_string()).expect("written");
-    let ran = shard(folder.path(), 1);
-    assert_eq!(ran.status, 2);
-    assert!(ran.err.contains("/frames/0/input: an output of the plan would overwrite"), "{}", ran.err);
+    let result = shard(folder.path(), 1);
+    assert_eq!(result.status, 2);
+    assert!(result.err.contains("/frames/0/input: an output of the plan would overwrite"), "{}", result.err);
 }
 
 #[test]
@@ -212,9 +212,9 @@ fn failed_shard_repeats_no_finished_frame() {
     let broken = folder.join("in/dam.2.ply");
     let sound = fs::read(&broken).expect("readable");
     fs::write(&broken, "ply\nformat nonsense 1.0\n").expect("written");
-    let ran = shard(folder, 0);
-    assert_eq!(ran.status, 1, "{}", ran.err);
-    assert!(ran.err.contains("dam.2.ply: changed since the plan was made ("), "{}", ran.err);
+    let result = shard(folder, 0);
+    assert_eq!(result.status, 1, "{}", result.err);
+    assert!(result.err.contains("dam.2.ply: changed since the plan was made ("), "{}", result.err);
     succeeded(&shard(folder, 1));
     let verified = verify(folder);
     assert_eq!(verified.status, 1);
@@ -225,9 +225,9 @@ fn failed_shard_repeats_no_finished_frame() {
     fs::write(&broken, sound).expect("written");
     #[cfg(unix)]
     let before = identities(&folder.join("out"));
-    let ran = shard(folder, 0);
-    succeeded(&ran);
-    assert_eq!(ran.out.matches("done already").count(), 2, "{}", ran.out);
+    let result = shard(folder, 0);
+    succeeded(&result);
+    assert_eq!(result.out.matches("done already").count(), 2, "{}", result.out);
     #[cfg(unix)]
     {
         let after = identities(&folder.join("out"));
@@ -257,9 +257,9 @@ fn killed_shard_continues_with_the_unfinished_frames() {
     let done = certified();
     #[cfg(unix)]
     let before = identities(&folder.join("out"));
-    let ran = shard(folder, 0);
-    succeeded(&ran);
-    assert_eq!(ran.out.matches("done already").count(), done, "{}", ran.out);
+    let result = shard(folder, 0);
+    succeeded(&result);
+    assert_eq!(result.out.matches("done already").count(), done, "{}", result.out);
     #[cfg(unix)]
     {
         let after = identities(&folder.join("out"));
@@ -332,15 +332,15 @@ fn shards_without_frames_succeed() {
     let folder = planned(2, 5);
     let folder = folder.path();
     for number in 0..5 {
-        let ran = shard(folder, number);
-        succeeded(&ran);
+        let result = shard(folder, number);
+        succeeded(&result);
         let count = if number < 2 { "1 frame" } else { "0 frames" };
-        assert!(ran.out.starts_with(&format!("shard {number} of 5: {count}\n")), "{}", ran.out);
+        assert!(result.out.starts_with(&format!("shard {number} of 5: {count}\n")), "{}", result.out);
     }
     succeeded(&verify(folder));
-    let ran = shard(folder, 5);
-    assert_eq!(ran.status, 2);
-    assert!(ran.err.contains("--shard is 5, but the plan has shards 0 to 4"), "{}", ran.err);
+    let result = shard(folder, 5);
+    assert_eq!(result.status, 2);
+    assert!(result.err.contains("--shard is 5, but the plan has shards 0 to 4"), "{}", result.err);
 }
 
 /// Slurm sets the number of the shard; if it does not, the error says so.
@@ -383,9 +383,9 @@ fn options_that_the_plan_decides_are_refused() {
         &["--skip-done"],
         &["--print-settings"],
     ] {
-        let ran = meniscus(folder, &[&["convert", "--plan=plan.json", "--shard=0"][..], more].concat());
-        assert_eq!(ran.status, 2, "{more:?}");
-        assert!(ran.err.contains("the plan determines frames, settings and outputs"), "{}", ran.err);
+        let result = meniscus(folder, &[&["convert", "--plan=plan.json", "--shard=0"][..], more].concat());
+        assert_eq!(result.status, 2, "{more:?}");
+        assert!(result.err.contains("the plan determines frames, settings and outputs"), "{}", result.err);
     }
     assert!(names_in(&folder.join("out")).is_empty());
     for alone in [["convert", "--plan=plan.json"], ["convert", "--shard=0"]] {
@@ -489,11 +489,11 @@ fn verify_reports_every_kind_of_damage() {
         succeeded(&shard(folder, 0));
         succeeded(&shard(folder, 1));
         meddle(folder);
-        let ran = meniscus(folder, &["verify", "out", "--plan=plan.json", "--report=v.json"]);
-        assert_eq!(ran.status, 1, "{status}: {}", ran.out);
+        let result = meniscus(folder, &["verify", "out", "--plan=plan.json", "--report=v.json"]);
+        assert_eq!(result.status, 1, "{status}: {}", result.out);
         let state = if status == "uncertified" { "failed validation" } else { status };
-        assert!(ran.err.starts_with(&format!("dam.1 (shard 0): {state}: ")), "{}", ran.err);
-        assert!(ran.err.contains(why), "{}", ran.err);
+        assert!(result.err.starts_with(&format!("dam.1 (shard 0): {state}: ")), "{}", result.err);
+        assert!(result.err.contains(why), "{}", result.err);
         let report: Value =
             serde_json::from_slice(&fs::read(folder.join("v.json")).expect("there")).expect("JSON");
         assert_eq!(report["summary"][status], 1, "{report}");
@@ -502,9 +502,9 @@ fn verify_reports_every_kind_of_damage() {
         let is_made_again = status != "uncertified";
         assert_eq!(report["shards_to_run"], if is_made_again { json!([0]) } else { json!([]) });
         // The shard with this frame repairs it, and converts no other frame.
-        let ran = shard(folder, 0);
-        assert_eq!(ran.status, i32::from(!is_made_again), "{}", ran.err);
-        assert_eq!(ran.out.contains("done already"), !is_made_again, "{status}: {}", ran.out);
+        let result = shard(folder, 0);
+        assert_eq!(result.status, i32::from(!is_made_again), "{}", result.err);
+        assert_eq!(result.out.contains("done already"), !is_made_again, "{status}: {}", result.out);
         assert_eq!(verify(folder).status, i32::from(!is_made_again));
     }
 }
@@ -516,9 +516,9 @@ fn gaps_and_shards_that_never_ran_are_one_line_each() {
     for number in [1, 2, 5, 6] {
         write_sequence(path, number, number);
     }
-    let ran = meniscus(path, &["plan", "dam.#.ply", "--out", "out", "--shards", "2", "-o", "plan.json"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
-    assert!(ran.err.contains("dam.{}.ply: 3-4: 2 frames are missing"), "{}", ran.err);
+    let result = meniscus(path, &["plan", "dam.#.ply", "--out", "out", "--shards", "2", "-o", "plan.json"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(result.err.contains("dam.{}.ply: 3-4: 2 frames are missing"), "{}", result.err);
     let verified = verify(path);
     let lines: Vec<&str> = verified.err.lines().collect();
     let expected = [
@@ -552,26 +552,26 @@ fn outputs_are_verified_in_another_folder() {
     succeeded(&shard(folder, 0));
     fs::rename(folder.join("out"), folder.join("elsewhere")).expect("renamed");
     fs::remove_dir_all(folder.join("in")).expect("removed");
-    let ran = meniscus(folder, &["verify", "elsewhere", "--plan=plan.json"]);
-    succeeded(&ran);
-    assert!(ran.err.contains("2 frames with a missing input"), "{}", ran.err);
+    let result = meniscus(folder, &["verify", "elsewhere", "--plan=plan.json"]);
+    succeeded(&result);
+    assert!(result.err.contains("2 frames with a missing input"), "{}", result.err);
     let elsewhere = "checked elsewhere, but the plan writes to ";
-    assert!(!ran.err.contains(elsewhere), "{}", ran.err);
+    assert!(!result.err.contains(elsewhere), "{}", result.err);
     fs::create_dir(folder.join("out")).expect("made");
     let nothing = verify(folder);
     assert_eq!(nothing.status, 2, "the folder is empty");
     assert!(!nothing.err.contains("but the plan writes to"), "{}", nothing.err);
     fs::remove_file(folder.join("elsewhere/dam.2.glb")).expect("removed");
-    let ran = meniscus(folder, &["verify", "elsewhere", "--plan=plan.json"]);
-    assert_eq!(ran.status, 1, "{}", ran.err);
-    assert!(ran.err.contains(elsewhere), "{}", ran.err);
+    let result = meniscus(folder, &["verify", "elsewhere", "--plan=plan.json"]);
+    assert_eq!(result.status, 1, "{}", result.err);
+    assert!(result.err.contains(elsewhere), "{}", result.err);
     #[cfg(unix)]
     {
         // The link leads to the output folder of the plan.
         std::os::unix::fs::symlink("out", folder.join("link")).expect("linked");
-        let ran = meniscus(folder, &["verify", "link", "--plan=plan.json"]);
-        assert_eq!(ran.status, 2, "{}", ran.err);
-        assert!(!ran.err.contains("but the plan writes to"), "{}", ran.err);
+        let result = meniscus(folder, &["verify", "link", "--plan=plan.json"]);
+        assert_eq!(result.status, 2, "{}", result.err);
+        assert!(!result.err.contains("but the plan writes to"), "{}", result.err);
     }
     assert_eq!(meniscus(folder, &["verify", "nowhere", "--plan=plan.json"]).status, 2);
 }
@@ -621,9 +621,13 @@ fn edited_plan_is_refused() {
     let text = fs::read_to_string(folder.join("plan.json")).expect("there");
     let refused = |text: &[u8], why: &str| {
         fs::write(folder.join("plan.json"), text).expect("written");
-        for ran in [shard(folder, 0), verify_anywhere(folder)] {
-            assert_eq!(ran.status, 2, "{why}: {}", ran.out);
-            assert!(ran.err.starts_with("error: plan.json: ") && ran.err.contains(why), "{why}: {}", ran.err);
+        for result in [shard(folder, 0), verify_anywhere(folder)] {
+            assert_eq!(result.status, 2, "{why}: {}", result.out);
+            assert!(
+                result.err.starts_with("error: plan.json: ") && result.err.contains(why),
+                "{why}: {}",
+                result.err
+            );
         }
     };
     for (place, value, why) in edits() {
@@ -649,14 +653,14 @@ fn edited_plan_is_refused() {
     // The original plan is valid, and a missing input makes only its own frame fail.
     fs::write(folder.join("plan.json"), &text).expect("written");
     fs::remove_file(folder.join("in/dam.1.ply")).expect("there");
-    let ran = shard(folder, 0);
-    assert_eq!(ran.status, 1);
-    assert!(ran.err.contains("in/dam.1.ply: "), "{}", ran.err);
+    let result = shard(folder, 0);
+    assert_eq!(result.status, 1);
+    assert!(result.err.contains("in/dam.1.ply: "), "{}", result.err);
     assert_eq!(meniscus(folder, &["convert", "--plan=none.json", "--shard=0"]).status, 2);
     assert_eq!(meniscus(folder, &["convert", "--plan=in", "--shard=0"]).status, 2);
 }
 
-fn verify_anywhere(folder: &Path) -> Ran {
+fn verify_anywhere(folder: &Path) -> RunResult {
     meniscus(folder, &["verify", ".", "--plan", "plan.json"])
 }
 
@@ -665,9 +669,9 @@ fn invalid_arguments_of_plan_are_refused() {
     let folder = planned(2, 1);
     let folder = folder.path();
     let refused = |arguments: &[&str], why: &str| {
-        let ran = meniscus(folder, &[&["plan", "-o", "other.json"][..], arguments].concat());
-        assert_eq!(ran.status, 2, "{arguments:?}");
-        assert!(ran.err.contains(why), "{}", ran.err);
+        let result = meniscus(folder, &[&["plan", "-o", "other.json"][..], arguments].concat());
+        assert_eq!(result.status, 2, "{arguments:?}");
+        assert!(result.err.contains(why), "{}", result.err);
         assert!(!folder.join("other.json").exists());
     };
     refused(&["in", "--out=out", "--shards=0"], "1 to 100000");

@@ -6,14 +6,14 @@ use std::path::Path;
 
 use tempfile::tempdir;
 
-use crate::scene::{Ran, block, command, meniscus, names_in, write_ply};
+use crate::scene::{RunResult, block, command, meniscus, names_in, write_ply};
 
 /// The arguments that convert `rod.ply`.
 fn typed(out: &str) -> [&str; 8] {
     ["convert", "rod.ply", "--out", out, "--voxel-size", "0.05", "--format", "glb,vdb"]
 }
 
-fn convert(folder: &Path, out: &str, arguments: &[&str]) -> Ran {
+fn convert(folder: &Path, out: &str, arguments: &[&str]) -> RunResult {
     meniscus(folder, &[&typed(out)[..], arguments].concat())
 }
 
@@ -28,8 +28,8 @@ fn converted_by(folder: &Path, out: &str, level: &str) -> String {
 
 /// Converts, and asserts success.
 fn converted(folder: &Path, out: &str, arguments: &[&str]) {
-    let ran = convert(folder, out, arguments);
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{arguments:?}: {}", ran.out);
+    let result = convert(folder, out, arguments);
+    assert_eq!((result.status, &*result.err), (0, ""), "{arguments:?}: {}", result.out);
 }
 
 /// A rod of 2 × 2 × `length` particles: longer than a tile, and thin.
@@ -51,8 +51,8 @@ fn assert_same(folder: &Path, outs: [&str; 2]) {
 }
 
 /// The number of mebibytes that a frame needs at least, according to the message.
-fn mebibytes_needed(ran: &Ran) -> u64 {
-    let after = ran.err.split("the frame needs ").nth(1).unwrap_or_else(|| panic!("{}", ran.err));
+fn mebibytes_needed(result: &RunResult) -> u64 {
+    let after = result.err.split("the frame needs ").nth(1).unwrap_or_else(|| panic!("{}", result.err));
     after.split(' ').next().and_then(|number| number.parse().ok()).expect("a number")
 }
 
@@ -149,8 +149,13 @@ fn file_read_in_batches_gives_the_same_bytes() {
     for more in [&[][..], &smoothing, &[&smoothing[..], &flat].concat(), &["--preset", "paper"]] {
         for (name, has_list) in files {
             let arguments = ["convert", name, "--out", "o", "--voxel-size", "0.1", "--format", "obj"];
-            let ran = meniscus(path, &[&arguments[..], more].concat());
-            assert_eq!((ran.status, ran.err.contains("the list `extra`")), (0, has_list), "{}", ran.err);
+            let result = meniscus(path, &[&arguments[..], more].concat());
+            assert_eq!(
+                (result.status, result.err.contains("the list `extra`")),
+                (0, has_list),
+                "{}",
+                result.err
+            );
         }
         let [batches, whole] =
             ["batches.obj", "whole.obj"].map(|name| surface_in(&path.join("o").join(name)));

@@ -36,7 +36,7 @@ pub(crate) fn write_sequence(folder: &Path, first: usize, last: usize) {
 }
 
 /// The result of a run of the command.
-pub(crate) struct Ran {
+pub(crate) struct RunResult {
     /// The exit status.
     pub(crate) status: i32,
     /// The standard output.
@@ -46,10 +46,10 @@ pub(crate) struct Ran {
 }
 
 /// Runs the command in `folder`.
-pub(crate) fn meniscus(folder: &Path, arguments: &[&str]) -> Ran {
+pub(crate) fn meniscus(folder: &Path, arguments: &[&str]) -> RunResult {
     let output: Output =
         command(folder, arguments).stdin(Stdio::null()).output().expect("the command starts");
-    Ran {
+    RunResult {
         status: output.status.code().expect("the command ends without a signal"),
         out: String::from_utf8(output.stdout).expect("text"),
         err: String::from_utf8(output.stderr).expect("text"),

@@ -8,17 +8,17 @@ use meniscus_formats::{Limits, abc};
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
-use crate::scene::{Ran, block, meniscus, names_in, write_ply, write_sequence};
+use crate::scene::{RunResult, block, meniscus, names_in, write_ply, write_sequence};
 
-fn succeeded(ran: &Ran) {
-    assert_eq!(ran.status, 0, "{}{}", ran.out, ran.err);
+fn succeeded(result: &RunResult) {
+    assert_eq!(result.status, 0, "{}{}", result.out, result.err);
 }
 
 fn refused(folder: &Path, arguments: &[&str], words: &[&str]) {
-    let ran = meniscus(folder, arguments);
-    assert_eq!(ran.status, 2, "{arguments:?}: {}{}", ran.out, ran.err);
+    let result = meniscus(folder, arguments);
+    assert_eq!(result.status, 2, "{arguments:?}: {}{}", result.out, result.err);
     for word in words {
-        assert!(ran.err.contains(word), "{word} is not in {}", ran.err);
+        assert!(result.err.contains(word), "{word} is not in {}", result.err);
     }
 }
 
@@ -56,8 +56,13 @@ fn outputs_for_other_programs_record_the_generator() {
     assert!(!meniscus(path, &all).out.contains("done already"));
     let with = |option: &'static str| [&all[..], &[option]].concat();
     for option in ["--radius-ratio=1.5", "--quantize", "--up=z"] {
-        let ran = meniscus(path, &with(option));
-        assert!(ran.status == 0 && !ran.out.contains("done already"), "{option}: {}{}", ran.out, ran.err);
+        let result = meniscus(path, &with(option));
+        assert!(
+            result.status == 0 && !result.out.contains("done already"),
+            "{option}: {}{}",
+            result.out,
+            result.err
+        );
         assert!(meniscus(path, &with(option)).out.contains("done already"), "{option}");
     }
     let names = ["dam.1.abc", "dam.1.glb", "dam.1.stl", "dam.1.usda", "dam.1.usdc", "dam.1.vtp"];
@@ -130,9 +135,9 @@ fn quantizing_a_wide_frame_causes_a_warning() {
     write_ply(&path.join("wide.ply"), &particles);
     let arguments =
         ["convert", "wide.ply", "--out", "o", "--voxel-size", "0.05", "--format", "glb", "--quantize"];
-    let ran = meniscus(path, &arguments);
+    let result = meniscus(path, &arguments);
     // Half a step of the quantization, 500 / 65535 / 2, is 0.076 voxels of 0.05.
-    assert!(ran.err.contains("moved by up to 0.076 voxels in the quantized .glb"), "{}", ran.err);
+    assert!(result.err.contains("moved by up to 0.076 voxels in the quantized .glb"), "{}", result.err);
     write_ply(&path.join("wide.ply"), &block(3, 0.0));
     assert_eq!(meniscus(path, &arguments).err, "");
 }
@@ -195,8 +200,8 @@ fn sequence_file_is_the_same_from_every_command() {
     }
     // A restart with nothing to convert still writes the sequence file.
     fs::remove_file(path.join("shot.glb")).expect("removed");
-    let ran = meniscus(path, &[&convert[..], &SHOTS, &["--skip-done"]].concat());
-    assert!(ran.out.contains("done already") && read("shot.glb") == glb, "{}{}", ran.out, ran.err);
+    let result = meniscus(path, &[&convert[..], &SHOTS, &["--skip-done"]].concat());
+    assert!(result.out.contains("done already") && read("shot.glb") == glb, "{}{}", result.out, result.err);
 }
 
 #[test]
@@ -211,21 +216,21 @@ fn shot_that_lacks_frames_does_not_replace_a_whole_one() {
     };
     let whole = read();
     fs::write(path.join("in/dam.2.ply"), "ply\nformat ascii 1.0\n").expect("written");
-    let ran = meniscus(path, &[&convert[..], &SHOTS].concat());
-    assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
+    let result = meniscus(path, &[&convert[..], &SHOTS].concat());
+    assert_eq!(result.status, 1, "{}{}", result.out, result.err);
     assert!(
-        ran.err.contains("warning: shot.glb: not replaced, because only 2 of 3 frames are done"),
+        result.err.contains("warning: shot.glb: not replaced, because only 2 of 3 frames are done"),
         "{}",
-        ran.err
+        result.err
     );
     assert!(read() == whole);
     fs::remove_file(path.join("shot.glb")).expect("removed");
-    let ran = meniscus(path, &[&convert[..], &SHOTS].concat());
+    let result = meniscus(path, &[&convert[..], &SHOTS].concat());
     assert!(
-        ran.status == 1 && ran.out.contains("shot.glb: a sequence file of 2 frames"),
+        result.status == 1 && result.out.contains("shot.glb: a sequence file of 2 frames"),
         "{}{}",
-        ran.out,
-        ran.err
+        result.out,
+        result.err
     );
 }
 
@@ -238,10 +243,10 @@ fn sequence_file_shows_each_frame_at_its_time() {
     write_ply(&path.join("in/dam.2.ply"), &[]);
     fs::write(path.join("in/dam.3.ply"), "ply\nformat ascii 1.0\n").expect("written");
     let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb", "--quantize"];
-    let ran = meniscus(path, &[&convert[..], &SHOTS].concat());
-    assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
-    assert!(ran.out.contains("shot.glb: a sequence file of 3 frames"), "{}", ran.out);
-    assert!(ran.err.contains("warning: shot.glb: 3: 1 frame is missing"), "{}", ran.err);
+    let result = meniscus(path, &[&convert[..], &SHOTS].concat());
+    assert_eq!(result.status, 1, "{}{}", result.out, result.err);
+    assert!(result.out.contains("shot.glb: a sequence file of 3 frames"), "{}", result.out);
+    assert!(result.err.contains("warning: shot.glb: 3: 1 frame is missing"), "{}", result.err);
 
     let shot = document(&path.join("shot.glb"));
     let names: Vec<&str> =
@@ -304,8 +309,8 @@ fn info_describes_a_sequence_file_and_convert_refuses_it() {
     let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb"];
     succeeded(&meniscus(path, &[&convert[..], &SHOTS].concat()));
     let json = |files: &[&str]| -> Value {
-        let ran = meniscus(path, &[&["info", "--json"], files].concat());
-        serde_json::from_str(&ran.out).expect("JSON")
+        let result = meniscus(path, &[&["info", "--json"], files].concat());
+        serde_json::from_str(&result.out).expect("JSON")
     };
     let meshes = json(&["out/dam.1.glb", "out/dam.2.glb", "out/dam.3.glb"]);
     let total = |name: &str| -> u64 {
@@ -359,14 +364,18 @@ fn info_describes_a_sequence_file_and_convert_refuses_it() {
         assert_eq!(json(&[name])[0]["shot"]["attributes"].as_array().map(Vec::len), Some(2), "{name}");
     }
     for name in ["shot.glb", "shot.abc"] {
-        let ran = meniscus(path, &[&convert[..], &["--obstacle", name]].concat());
-        assert!(ran.status == 2 && ran.err.contains("this file is a sequence of 3 frames"), "{}", ran.err);
+        let result = meniscus(path, &[&convert[..], &["--obstacle", name]].concat());
+        assert!(
+            result.status == 2 && result.err.contains("this file is a sequence of 3 frames"),
+            "{}",
+            result.err
+        );
     }
     fs::copy(path.join("out/dam.1.glb"), path.join("rock.glb")).expect("copied");
     succeeded(&meniscus(path, &[&convert[..], &["--obstacle", "rock.glb"]].concat()));
     // A sequence file contains no particles either; the error names it once.
-    let ran = meniscus(path, &["render", "shot.glb", "-o", "x.png"]);
-    assert_eq!(ran.err.matches("shot.glb").count(), 1, "{}", ran.err);
+    let result = meniscus(path, &["render", "shot.glb", "-o", "x.png"]);
+    assert_eq!(result.err.matches("shot.glb").count(), 1, "{}", result.err);
 }
 
 #[test]
@@ -421,26 +430,27 @@ fn damaged_frame_is_left_out_with_a_warning() {
     for damaged in [&whole[..whole.len() - 4], &whole[..30], b"", &foreign] {
         fs::write(&frame, damaged).expect("written");
         for output in ["s.glb", "s.usda", "s.usdc", "s.abc"] {
-            let ran = meniscus(path, &["sequence", "out", "-o", output]);
-            assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
+            let result = meniscus(path, &["sequence", "out", "-o", output]);
+            assert_eq!(result.status, 1, "{}{}", result.out, result.err);
             assert!(
-                ran.err.contains("dam.2.glb: left out") && ran.out.contains("a sequence file of 2 frames"),
+                result.err.contains("dam.2.glb: left out")
+                    && result.out.contains("a sequence file of 2 frames"),
                 "{}",
-                ran.err
+                result.err
             );
         }
     }
     // A sequence file is not a frame either.
     fs::copy(path.join("s.glb"), &frame).expect("copied");
     let frames = ["out/dam.1.glb", "out/dam.2.glb"];
-    let ran = meniscus(path, &[&["sequence", "-o", "t.glb"][..], &frames].concat());
-    assert!(ran.err.contains("already a sequence"), "{}", ran.err);
-    let ran = meniscus(path, &["sequence", "out", "-o", "t.glb"]);
+    let result = meniscus(path, &[&["sequence", "-o", "t.glb"][..], &frames].concat());
+    assert!(result.err.contains("already a sequence"), "{}", result.err);
+    let result = meniscus(path, &["sequence", "out", "-o", "t.glb"]);
     assert!(
-        ran.out.contains("a sequence file of 2 frames"),
+        result.out.contains("a sequence file of 2 frames"),
         "in a folder it is skipped: {}{}",
-        ran.out,
-        ran.err
+        result.out,
+        result.err
     );
 }
 
@@ -461,9 +471,9 @@ fn sequence_file_replaces_only_an_earlier_one() {
     // A sequence file next to its frames may have a similar name, and the command may write it again.
     let mut made = Vec::new();
     for inputs in ["out", "out/*.glb", "out/dam.#.glb", "out"] {
-        let ran = meniscus(path, &["sequence", inputs, "-o", "out/dam.4.glb"]);
-        succeeded(&ran);
-        assert!(ran.out.contains("a sequence file of 3 frames"), "{inputs}: {}", ran.out);
+        let result = meniscus(path, &["sequence", inputs, "-o", "out/dam.4.glb"]);
+        succeeded(&result);
+        assert!(result.out.contains("a sequence file of 3 frames"), "{inputs}: {}", result.out);
         made.push(fs::read(path.join("out/dam.4.glb")).expect("readable"));
     }
     assert!(made.iter().all(|shot| *shot == made[0]));

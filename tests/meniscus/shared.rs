@@ -52,18 +52,18 @@ fn converted(path: &Path) -> Result<(), String> {
     let convert = |more: &[&str]| {
         meniscus(folder.path(), &[&["convert", &typed, "--out=out", "--format=glb,vdb"], more].concat())
     };
-    let mut ran = convert(&[]);
+    let mut result = convert(&[]);
     // A single point, or none, has no spacing, which is not a fault of the file.
-    if ran.err.contains("cannot measure the particle spacing, because") {
-        ran = convert(&["--spacing=0.1"]);
+    if result.err.contains("cannot measure the particle spacing, because") {
+        result = convert(&["--spacing=0.1"]);
     }
-    if ran.status != 0 {
-        return Err(ran.err);
+    if result.status != 0 {
+        return Err(result.err);
     }
     let names = names_in(&folder.path().join("out"));
     match names.len() {
-        2 if !ran.err.contains("certificate") => Ok(()),
-        _ => Err(format!("{names:?} {}", ran.err)),
+        2 if !result.err.contains("certificate") => Ok(()),
+        _ => Err(format!("{names:?} {}", result.err)),
     }
 }
 
@@ -105,13 +105,13 @@ fn level_sets_are_contoured() {
     for path in &files {
         let folder = tempdir().expect("a folder");
         let typed = path.to_string_lossy();
-        let ran = meniscus(folder.path(), &["convert", &typed, "--out=out", "--format=obj"]);
+        let result = meniscus(folder.path(), &["convert", &typed, "--out=out", "--format=obj"]);
         let name = path.file_name().expect("a name").to_string_lossy();
         let refusal = REFUSED_VOLUMES.iter().find(|(part, _)| name.contains(part)).map(|(_, words)| words);
-        match (ran.status, refusal) {
+        match (result.status, refusal) {
             (0, None) => {}
-            (2, Some(words)) if ran.err.contains(words) => {}
-            _ => surprises.push(format!("{name}: {} {}{}", ran.status, ran.out, ran.err)),
+            (2, Some(words)) if result.err.contains(words) => {}
+            _ => surprises.push(format!("{name}: {} {}{}", result.status, result.out, result.err)),
         }
     }
     assert!(surprises.is_empty() && files.len() >= 10, "{}", surprises.join("\n"));

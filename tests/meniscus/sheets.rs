@@ -8,7 +8,7 @@ use std::path::Path;
 use meniscus_formats::{OutputFormat, read_provenance};
 use tempfile::tempdir;
 
-use crate::scene::{Ran, block, meniscus, names_in, write_ply, write_sequence};
+use crate::scene::{RunResult, block, meniscus, names_in, write_ply, write_sequence};
 
 /// Size of a cell in the tests, in pixels.
 const CELL: [usize; 2] = [112, 84];
@@ -69,7 +69,7 @@ fn is_plain(pixels: &[[u8; 3]]) -> bool {
     pixels[..CELL[0]].iter().all(|pixel| *pixel == pixels[0])
 }
 
-fn sheet_of(folder: &Path, arguments: &[&str]) -> Ran {
+fn sheet_of(folder: &Path, arguments: &[&str]) -> RunResult {
     meniscus(folder, &[&["contact-sheet", "-o", "sheet.png", "--size", SIZE], arguments].concat())
 }
 
@@ -78,10 +78,11 @@ fn sheet_of_a_sequence_shows_a_picture_of_each_frame() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 6);
-    let ran = sheet_of(path, &[".", "--columns", "4"]);
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
-    let title = ran.out.lines().find(|line| line.starts_with("dam: 6 frames, from particles, voxel size "));
-    assert!(title.is_some_and(|title| title.ends_with(" s")), "{}", ran.out);
+    let result = sheet_of(path, &[".", "--columns", "4"]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    let title =
+        result.out.lines().find(|line| line.starts_with("dam: 6 frames, from particles, voxel size "));
+    assert!(title.is_some_and(|title| title.ends_with(" s")), "{}", result.out);
     let seen = Seen::read(&path.join("sheet.png"));
     assert_eq!(seen.width, GAP + 4 * (CELL[0] + GAP));
     // Below each picture are the name and the number of particles.
@@ -93,17 +94,21 @@ fn sheet_of_a_sequence_shows_a_picture_of_each_frame() {
     }
     assert!(!has_fluid(&seen.cell(2, 1, line_count)) && seen.ink(2, 1, line_count) == 0);
     let first = fs::read(path.join("sheet.png")).expect("there");
-    let ran = sheet_of(path, &[".", "--columns", "4", "--threads", "1"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = sheet_of(path, &[".", "--columns", "4", "--threads", "1"]);
+    assert_eq!(result.status, 0, "{}", result.err);
     assert!(fs::read(path.join("sheet.png")).expect("there") == first, "another run has other bytes");
 
-    let ran = sheet_of(path, &["dam.#.ply", "--count", "3"]);
-    assert!(ran.status == 0 && ran.out.contains("dam: 3 of 6 frames, from particles"), "{}", ran.out);
-    let ran = sheet_of(path, &["dam.#.ply", "--frames", "2-3", "--radius-ratio", "3"]);
-    assert!(ran.status == 0 && ran.out.contains("dam: 2 frames, from particles"), "{}", ran.out);
+    let result = sheet_of(path, &["dam.#.ply", "--count", "3"]);
+    assert!(
+        result.status == 0 && result.out.contains("dam: 3 of 6 frames, from particles"),
+        "{}",
+        result.out
+    );
+    let result = sheet_of(path, &["dam.#.ply", "--frames", "2-3", "--radius-ratio", "3"]);
+    assert!(result.status == 0 && result.out.contains("dam: 2 frames, from particles"), "{}", result.out);
     // The sheet in the folder is not a frame.
-    let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "vdb"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &["convert", ".", "--out", "o", "--format", "vdb"]);
+    assert_eq!(result.status, 0, "{}", result.err);
     assert!(names_in(&path.join("o")).iter().all(|name| name.ends_with(".vdb")));
 }
 
@@ -114,12 +119,16 @@ fn sheet_uses_the_cheapest_source() {
     fs::create_dir(path.join("in")).expect("made");
     write_sequence(&path.join("in"), 1, 3);
     let convert = ["convert", "in", "--out", "o", "--format", "vdb", "--preview", "png", "--preview-size"];
-    let ran = meniscus(path, &[&convert[..], &["192x144"]].concat());
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &[&convert[..], &["192x144"]].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
     let from = |arguments: &[&str], kind: &str| {
-        let ran = sheet_of(path, arguments);
-        assert_eq!((ran.status, &*ran.err), (0, ""), "{arguments:?} {}", ran.out);
-        assert!(ran.out.starts_with(&format!("dam: 3 frames, from {kind}")), "{arguments:?}: {}", ran.out);
+        let result = sheet_of(path, arguments);
+        assert_eq!((result.status, &*result.err), (0, ""), "{arguments:?} {}", result.out);
+        assert!(
+            result.out.starts_with(&format!("dam: 3 frames, from {kind}")),
+            "{arguments:?}: {}",
+            result.out
+        );
     };
     from(&["o", "--columns", "3"], "pictures");
     let seen = Seen::read(&path.join("sheet.png"));
@@ -130,8 +139,8 @@ fn sheet_uses_the_cheapest_source() {
     fs::rename(path.join("sheet.png"), path.join("o/dam.2.png")).expect("moved");
     from(&["o"], "level sets");
     // A picture with a different camera.
-    let ran = meniscus(path, &["render", "o/dam.2.vdb", "-o", "o/dam.2.png", "--camera", "azimuth=90"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &["render", "o/dam.2.vdb", "-o", "o/dam.2.png", "--camera", "azimuth=90"]);
+    assert_eq!(result.status, 0, "{}", result.err);
     from(&["o"], "level sets");
     from(&["o/dam.#.png"], "pictures");
 }
@@ -142,16 +151,16 @@ fn failed_frame_leaves_the_other_cells() {
     let path = folder.path();
     write_sequence(path, 1, 4);
     fs::write(path.join("dam.3.ply"), "ply\nformat ascii 1.0\nelement vertex 9\n").expect("written");
-    let ran = sheet_of(path, &["dam.#.ply", "--columns", "4"]);
-    assert_eq!(ran.status, 1, "{} {}", ran.out, ran.err);
-    assert!(ran.err.contains("dam.3.ply") && ran.err.matches("error").count() == 1, "{}", ran.err);
+    let result = sheet_of(path, &["dam.#.ply", "--columns", "4"]);
+    assert_eq!(result.status, 1, "{} {}", result.out, result.err);
+    assert!(result.err.contains("dam.3.ply") && result.err.matches("error").count() == 1, "{}", result.err);
     let seen = Seen::read(&path.join("sheet.png"));
     let fluid: Vec<bool> = (0..4).map(|column| has_fluid(&seen.cell(column, 0, 2))).collect();
     assert_eq!(fluid, [true, true, false, true]);
     assert!(is_plain(&seen.cell(2, 0, 2)) && seen.ink(2, 0, 2) > 20, "it is empty, and has its name");
     fs::remove_file(path.join("sheet.png")).expect("removed");
-    let ran = sheet_of(path, &["dam.3.ply"]);
-    assert!(ran.status == 2 && !path.join("sheet.png").exists(), "{}", ran.out);
+    let result = sheet_of(path, &["dam.3.ply"]);
+    assert!(result.status == 2 && !path.join("sheet.png").exists(), "{}", result.out);
 }
 
 #[test]
@@ -162,10 +171,10 @@ fn sequences_are_one_after_another() {
     write_ply(&path.join("other.1.ply"), &block(5, 0.0));
     write_ply(&path.join("other.2.ply"), &block(7, 0.0));
     write_ply(&path.join("alone.ply"), &block(6, 0.0));
-    let ran = sheet_of(path, &["."]);
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    let result = sheet_of(path, &["."]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
     for title in ["dam: 2 frames", "other: 2 frames", "alone.ply: 1 frame"] {
-        assert!(ran.out.contains(title), "{title}: {}", ran.out);
+        assert!(result.out.contains(title), "{title}: {}", result.out);
     }
     let pairs =
         read_provenance(OutputFormat::Png, File::open(path.join("sheet.png")).expect("there")).expect("ours");
@@ -192,14 +201,14 @@ fn printed_commands_give_the_pictures_of_the_cells() {
     let tune = ["tune", "dam.7.ply", "-o", "tune.png", "--size", SIZE, "--out", "my meshes", "--vary"];
     let tune = [&tune[..], &["ratio=1.25,3,time=0,5,h=1x,0.6x", "--preset", "water", "--clip"]].concat();
     let tune = [&tune[..], &["-1,-1,-1,0.6,2,2", "--smooth-normals=2"]].concat();
-    let ran = meniscus(path, &[&tune[..], &["--threads", "1"]].concat());
-    assert_eq!(ran.status, 0, "{} {}", ran.out, ran.err);
+    let result = meniscus(path, &[&tune[..], &["--threads", "1"]].concat());
+    assert_eq!(result.status, 0, "{} {}", result.out, result.err);
     let first = fs::read(path.join("tune.png")).expect("there");
     assert_eq!(meniscus(path, &tune).status, 0);
     assert!(fs::read(path.join("tune.png")).expect("there") == first, "another run has other bytes");
 
-    assert_eq!(ran.out.matches("--out 'my meshes' --").count(), 8, "{}", ran.out);
-    let out = ran.out.replace("'my meshes'", "meshes");
+    assert_eq!(result.out.matches("--out 'my meshes' --").count(), 8, "{}", result.out);
+    let out = result.out.replace("'my meshes'", "meshes");
     let commands = commands(&out);
     assert_eq!(commands.len(), 8);
     let seen = Seen::read(&path.join("tune.png"));
@@ -209,11 +218,11 @@ fn printed_commands_give_the_pictures_of_the_cells() {
         let place = command.iter().position(|word| *word == "--out").expect("a folder");
         let options = &command[place + 2..];
         let convert = [&["convert", "dam.7.ply", "--format", "vdb", "--out", &out], options].concat();
-        let ran = meniscus(path, &convert);
-        assert_eq!(ran.status, 0, "{convert:?} {}", ran.err);
+        let result = meniscus(path, &convert);
+        assert_eq!(result.status, 0, "{convert:?} {}", result.err);
         let render = ["render", "dam.7.ply", "-o", "cell.png", "--camera-from", "tune.png", "--size", SIZE];
-        let ran = meniscus(path, &[&render[..], options].concat());
-        assert_eq!(ran.status, 0, "{options:?} {}", ran.err);
+        let result = meniscus(path, &[&render[..], options].concat());
+        assert_eq!(result.status, 0, "{options:?} {}", result.err);
         let [level_set, picture] = [
             provenance(OutputFormat::Vdb, &path.join(&out).join("dam.7.vdb")),
             provenance(OutputFormat::Png, &path.join("cell.png")),
@@ -245,22 +254,30 @@ fn invalid_setting_leaves_the_other_cells() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 3);
-    let ran = meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "ratio=0.5,2"]);
-    assert_eq!(ran.status, 1, "{} {}", ran.out, ran.err);
-    assert!(ran.err.contains("cell 1: ratio 0.5: the radius ratio is 0.5"), "{}", ran.err);
-    assert!(ran.out.contains("dam.2.ply: of 3 frames") && commands(&ran.out).len() == 1, "{}", ran.out);
-    let ran =
+    let result = meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "ratio=0.5,2"]);
+    assert_eq!(result.status, 1, "{} {}", result.out, result.err);
+    assert!(result.err.contains("cell 1: ratio 0.5: the radius ratio is 0.5"), "{}", result.err);
+    assert!(
+        result.out.contains("dam.2.ply: of 3 frames") && commands(&result.out).len() == 1,
+        "{}",
+        result.out
+    );
+    let result =
         meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "time=0", "--frames", "3"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
-    assert!(ran.out.contains("dam.3.ply: of 3 frames"), "{}", ran.out);
-    assert!(!ran.err.contains("its sequence has"), "{}", ran.err);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(result.out.contains("dam.3.ply: of 3 frames"), "{}", result.out);
+    assert!(!result.err.contains("its sequence has"), "{}", result.err);
     // The spacing of a frame of a sequence is that of the whole sequence only if the sequence is named.
-    let ran = meniscus(path, &["tune", "dam.3.ply", "-o", "t.png", "--size", SIZE, "--vary", "time=0"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
-    assert!(ran.err.contains("dam.3.ply: its sequence has 3 frames"), "{}", ran.err);
+    let result = meniscus(path, &["tune", "dam.3.ply", "-o", "t.png", "--size", SIZE, "--vary", "time=0"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(result.err.contains("dam.3.ply: its sequence has 3 frames"), "{}", result.err);
     // If the common settings are invalid, there is nothing to compare.
-    let ran = meniscus(path, &["tune", ".", "-o", "u.png", "--radius-min", "-1"]);
-    assert!(ran.status == 2 && ran.err.contains("r_min") && !path.join("u.png").exists(), "{}", ran.err);
+    let result = meniscus(path, &["tune", ".", "-o", "u.png", "--radius-min", "-1"]);
+    assert!(
+        result.status == 2 && result.err.contains("r_min") && !path.join("u.png").exists(),
+        "{}",
+        result.err
+    );
 }
 
 #[test]
@@ -271,8 +288,8 @@ fn invalid_sheet_arguments_are_refused() {
     write_ply(&path.join("other.ply"), &block(5, 0.0));
     fs::create_dir(path.join("empty")).expect("made");
     fs::write(path.join("grid.vdb"), "no grid").expect("written");
-    let ran = meniscus(path, &["render", "dam.1.ply", "-o", "picture.png", "--size", SIZE]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &["render", "dam.1.ply", "-o", "picture.png", "--size", SIZE]);
+    assert_eq!(result.status, 0, "{}", result.err);
     for (arguments, words) in [
         (&["contact-sheet", "."][..], &["--output"][..]),
         (&["contact-sheet", ".", "-o", "a.jpg"], &["a.jpg", ".png"]),
@@ -295,15 +312,15 @@ fn invalid_sheet_arguments_are_refused() {
         (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "offset=0.5x"], &["the base value is 0"]),
         (&["tune", "dam.1.ply", "-o", "a.png", "--size", "8192x4096"], &["16 cells", "smaller --size"]),
     ] {
-        let ran = meniscus(path, arguments);
-        assert_eq!(ran.status, 2, "{arguments:?}: {} {}", ran.out, ran.err);
+        let result = meniscus(path, arguments);
+        assert_eq!(result.status, 2, "{arguments:?}: {} {}", result.out, result.err);
         for word in words {
-            assert!(ran.err.contains(word), "{arguments:?} does not say {word}: {}", ran.err);
+            assert!(result.err.contains(word), "{arguments:?} does not say {word}: {}", result.err);
         }
     }
     let many: Vec<String> = (0..101).map(|index| index.to_string()).collect();
     let vary = format!("time={}", many.join(","));
-    let ran = meniscus(path, &["tune", "dam.1.ply", "-o", "a.png", "--vary", &vary]);
-    assert!(ran.status == 2 && ran.err.contains("101 cells; at most 100"), "{}", ran.err);
+    let result = meniscus(path, &["tune", "dam.1.ply", "-o", "a.png", "--vary", &vary]);
+    assert!(result.status == 2 && result.err.contains("101 cells; at most 100"), "{}", result.err);
     assert!(!path.join("a.png").exists());
 }

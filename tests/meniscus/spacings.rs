@@ -342,9 +342,9 @@ fn sequence_is_measured_on_its_first_middle_and_last_frame() {
         "--report",
         "report.json",
     ];
-    let ran = meniscus(path, &arguments);
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
-    assert!(ran.out.contains("spacing 0.05 (measured on 3 frames)"), "{}", ran.out);
+    let result = meniscus(path, &arguments);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    assert!(result.out.contains("spacing 0.05 (measured on 3 frames)"), "{}", result.out);
     let report: Value =
         serde_json::from_str(&std::fs::read_to_string(path.join("report.json")).expect("there"))
             .expect("JSON");
@@ -359,11 +359,11 @@ fn frames_of_different_spacing_cause_a_warning() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_frames(path, &[0.05, 0.08, 0.05]);
-    let ran = meniscus(path, &["convert", "dam.#.ply", "--out", "out", "--format", "obj"]);
+    let result = meniscus(path, &["convert", "dam.#.ply", "--out", "out", "--format", "obj"]);
     let expected =
         "warning: dam.{}.ply: particles are 0.05 apart in dam.1.ply but 0.08 in dam.2.ply: give --spacing";
-    assert!(ran.err.contains(expected), "{}", ran.err);
-    assert_eq!(ran.status, 0);
+    assert!(result.err.contains(expected), "{}", result.err);
+    assert_eq!(result.status, 0);
 }
 
 #[test]
@@ -375,9 +375,10 @@ fn frames_that_cannot_be_measured_are_replaced_by_their_neighbours() {
     std::fs::write(path.join("dam.7.ply"), "ply\nformat nonsense 1.0\n").expect("written");
     write_ply(&path.join("dam.4.ply"), &[]);
     // The spacing is measured on frames 2, 3 and 6.
-    let ran = meniscus(path, &["convert", "dam.#.ply", "--frames", "2", "--out", "out", "--format", "obj"]);
-    assert!(ran.out.contains("spacing 0.05 (measured on 3 frames)"), "{}", ran.out);
-    assert!(ran.err.contains("0.05 apart in dam.2.ply but 0.3 in dam.3.ply"), "{}", ran.err);
+    let result =
+        meniscus(path, &["convert", "dam.#.ply", "--frames", "2", "--out", "out", "--format", "obj"]);
+    assert!(result.out.contains("spacing 0.05 (measured on 3 frames)"), "{}", result.out);
+    assert!(result.err.contains("0.05 apart in dam.2.ply but 0.3 in dam.3.ply"), "{}", result.err);
 }
 
 #[test]
@@ -385,20 +386,20 @@ fn one_particle_alone_has_no_spacing() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_ply(&path.join("one.ply"), &[[0.5; 3]]);
-    let ran = meniscus(path, &["convert", "one.ply", "--out", "out"]);
-    assert_ne!(ran.status, 0);
-    assert!(ran.err.contains("one.ply: cannot measure the particle spacing, because no frame has two particles in different places"), "{}", ran.err);
-    assert!(ran.err.contains("--spacing"), "{}", ran.err);
+    let result = meniscus(path, &["convert", "one.ply", "--out", "out"]);
+    assert_ne!(result.status, 0);
+    assert!(result.err.contains("one.ply: cannot measure the particle spacing, because no frame has two particles in different places"), "{}", result.err);
+    assert!(result.err.contains("--spacing"), "{}", result.err);
     write_ply(&path.join("none.ply"), &[]);
-    let ran = meniscus(path, &["convert", "none.ply", "--out", "out"]);
-    assert_ne!(ran.status, 0);
+    let result = meniscus(path, &["convert", "none.ply", "--out", "out"]);
+    assert_ne!(result.status, 0);
     let expected = "cannot measure the particle spacing, because there are no particles: give --spacing";
-    assert!(ran.err.contains(expected), "{}", ran.err);
+    assert!(result.err.contains(expected), "{}", result.err);
     // Two particles are enough, with a stated confidence.
     write_ply(&path.join("two.ply"), &[[0.5; 3], [0.5, 0.6, 0.5]]);
-    let ran = meniscus(path, &["convert", "two.ply", "--out", "out", "--format", "obj"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
-    assert!(ran.err.contains("about 0.1 apart, which is uncertain"), "{}", ran.err);
-    let ran = meniscus(path, &["info", "two.ply"]);
-    assert!(ran.out.contains("0.1, confidence 29 %"), "{}", ran.out);
+    let result = meniscus(path, &["convert", "two.ply", "--out", "out", "--format", "obj"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(result.err.contains("about 0.1 apart, which is uncertain"), "{}", result.err);
+    let result = meniscus(path, &["info", "two.ply"]);
+    assert!(result.out.contains("0.1, confidence 29 %"), "{}", result.out);
 }

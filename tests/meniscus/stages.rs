@@ -5,17 +5,17 @@ use std::path::Path;
 
 use tempfile::{TempDir, tempdir};
 
-use crate::scene::{Ran, block, meniscus, write_ply, write_sequence};
+use crate::scene::{RunResult, block, meniscus, write_ply, write_sequence};
 
-fn succeeded(ran: &Ran) {
-    assert_eq!(ran.status, 0, "{}{}", ran.out, ran.err);
+fn succeeded(result: &RunResult) {
+    assert_eq!(result.status, 0, "{}{}", result.out, result.err);
 }
 
 fn refused(folder: &Path, arguments: &[&str], words: &[&str]) {
-    let ran = meniscus(folder, arguments);
-    assert_eq!(ran.status, 2, "{arguments:?}: {}{}", ran.out, ran.err);
+    let result = meniscus(folder, arguments);
+    assert_eq!(result.status, 2, "{arguments:?}: {}{}", result.out, result.err);
     for word in words {
-        assert!(ran.err.contains(word), "{word} is not in {}", ran.err);
+        assert!(result.err.contains(word), "{word} is not in {}", result.err);
     }
 }
 
@@ -51,9 +51,13 @@ fn stage_holds_missing_frames_until_they_are_converted() {
         fs::write(path.join(format!("in/dam.{number}.ply")), "ply\nformat ascii 1.0\n").expect("written");
     }
     let convert = [&CONVERT[..], &STAGE, &["--format", "glb,usdc,vdb", "--up", "z", "--skip-done"]].concat();
-    let ran = meniscus(path, &convert);
-    assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
-    assert!(ran.out.contains("shot.usda: a stage of 3 frames; 2 frames are missing so far"), "{}", ran.out);
+    let result = meniscus(path, &convert);
+    assert_eq!(result.status, 1, "{}{}", result.out, result.err);
+    assert!(
+        result.out.contains("shot.usda: a stage of 3 frames; 2 frames are missing so far"),
+        "{}",
+        result.out
+    );
     let stage = text(&path.join("shot.usda"));
     assert_eq!(clips(&stage), ["dam.1.usdc", "dam.2.usdc", "dam.5.usdc"]);
     for part in [
@@ -71,17 +75,17 @@ fn stage_holds_missing_frames_until_they_are_converted() {
     assert!(!stage.contains("velocity"), "{stage}");
     // The other frames stay in the stage when only one is converted.
     write_sequence(&path.join("in"), 3, 3);
-    let ran = meniscus(path, &[&convert[..], &["--frames", "3"]].concat());
-    succeeded(&ran);
-    assert!(ran.out.contains("a stage of 4 frames; 1 frame is missing so far"), "{}", ran.out);
+    let result = meniscus(path, &[&convert[..], &["--frames", "3"]].concat());
+    succeeded(&result);
+    assert!(result.out.contains("a stage of 4 frames; 1 frame is missing so far"), "{}", result.out);
     let stage = text(&path.join("shot.usda"));
     assert_eq!(clips(&stage), ["dam.1.usdc", "dam.2.usdc", "dam.3.usdc", "dam.5.usdc"]);
     // Frames that are done need no conversion for a stage.
     fs::remove_file(path.join("shot.usda")).expect("removed");
     fs::remove_file(path.join("in/dam.4.ply")).expect("removed");
-    let ran = meniscus(path, &convert);
-    succeeded(&ran);
-    assert!(ran.out.contains("dam.5.ply: done already"), "{}", ran.out);
+    let result = meniscus(path, &convert);
+    succeeded(&result);
+    assert!(result.out.contains("dam.5.ply: done already"), "{}", result.out);
     assert_eq!(text(&path.join("shot.usda")), stage);
 }
 
@@ -124,9 +128,9 @@ fn text_frames_have_time_samples_only_for_a_stage() {
     let folder = frames(2);
     let path = folder.path();
     let convert = |format: &'static str, more: &[&'static str]| {
-        let ran = meniscus(path, &[&CONVERT[..], &["--skip-done", "--format", format], more].concat());
-        succeeded(&ran);
-        ran.out
+        let result = meniscus(path, &[&CONVERT[..], &["--skip-done", "--format", format], more].concat());
+        succeeded(&result);
+        result.out
     };
     convert("usda", &[]);
     let plain = text(&path.join("out/dam.1.usda"));
@@ -213,8 +217,8 @@ fn stages_without_anything_to_play_are_refused() {
 
     // A file of somebody else is not replaced, and the frames are converted nevertheless.
     fs::write(path.join("s.usda"), "#usda 1.0\n(\n    defaultPrim = \"set\"\n)\n").expect("written");
-    let ran = meniscus(path, &convert(&["--format", "usdc", "--stage", "s.usda"]));
-    assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
-    assert!(ran.err.contains("s.usda: exists, and is not a stage of meniscus"), "{}", ran.err);
+    let result = meniscus(path, &convert(&["--format", "usdc", "--stage", "s.usda"]));
+    assert_eq!(result.status, 1, "{}{}", result.out, result.err);
+    assert!(result.err.contains("s.usda: exists, and is not a stage of meniscus"), "{}", result.err);
     assert!(path.join("o/dam.2.usdc").exists() && text(&path.join("s.usda")).contains("\"set\""));
 }

@@ -8,7 +8,7 @@ use meniscus_formats::{OutputFormat, read_provenance};
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
-use crate::scene::{Ran, block, meniscus, names_in, write_ply};
+use crate::scene::{RunResult, block, meniscus, names_in, write_ply};
 
 const OUT: [&str; 3] = ["--out=out", "--format=obj", "--spacing=0.1"];
 
@@ -49,12 +49,12 @@ fn dump(numbers: &[usize]) -> TempDir {
     folder
 }
 
-fn convert(folder: &Path, more: &[&str]) -> Ran {
+fn convert(folder: &Path, more: &[&str]) -> RunResult {
     meniscus(folder, &[&["convert"][..], &OUT, more].concat())
 }
 
-fn succeeded(ran: &Ran) {
-    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+fn succeeded(result: &RunResult) {
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
 }
 
 /// The lines of an .obj without its provenance comments.
@@ -75,11 +75,11 @@ fn each_step_is_a_frame() {
     let folder = folder.path();
     let text = |steps: [usize; 3], of: fn(usize) -> String| steps.map(of).concat();
     fs::write(folder.join("a.xyz"), text([0, 5, 20], atoms)).expect("written");
-    let ran = convert(folder, &["d.lammpstrj", "a.xyz", "--report=report.json"]);
-    succeeded(&ran);
+    let result = convert(folder, &["d.lammpstrj", "a.xyz", "--report=report.json"]);
+    succeeded(&result);
     let expected = ["a.0.obj", "a.1.obj", "a.2.obj", "d.0.obj", "d.20.obj", "d.5.obj"];
     assert_eq!(names_in(&folder.join("out")), expected);
-    assert!(ran.out.contains("d.lammpstrj/step={}: 3 frames"), "{}", ran.out);
+    assert!(result.out.contains("d.lammpstrj/step={}: 3 frames"), "{}", result.out);
     for (number, index) in [(0, 0), (5, 1), (20, 2)] {
         // The table has the same decimals as the dump, because text is read with 64 bits.
         let row = |[x, y, z]: &[f64; 3]| format!("{},{},{}\n", *x as f32, *y as f32, *z as f32);
@@ -108,9 +108,9 @@ fn steps_are_selected_by_their_numbers_and_named_one_by_one() {
     assert_eq!(names_in(&folder.join("out")), ["d.5.obj"]);
     succeeded(&convert(folder, &["d.lammpstrj/step=20", "d.lammpstrj/step=20"]));
     assert_eq!(names_in(&folder.join("out")), ["d.20.obj", "d.5.obj"]);
-    let ran = convert(folder, &["d.lammpstrj/step=7"]);
-    assert_eq!(ran.status, 2);
-    assert_eq!(ran.err.matches("there is no step 7").count(), 1, "{}", ran.err);
+    let result = convert(folder, &["d.lammpstrj/step=7"]);
+    assert_eq!(result.status, 2);
+    assert_eq!(result.err.matches("there is no step 7").count(), 1, "{}", result.err);
     // The spacing is measured on the whole dump, whichever step is converted.
     let measured =
         |more: &[&str]| meniscus(folder, &[&["convert", "d.lammpstrj", "--out=m"], more].concat()).out;
@@ -126,9 +126,9 @@ fn done_steps_are_kept_when_steps_are_appended() {
     succeeded(&convert(folder, &["d.lammpstrj", "--skip-done"]));
     let before = fs::metadata(folder.join("out/d.5.obj")).and_then(|m| m.modified()).expect("there");
     write_dump(folder, &[0, 5, 20]);
-    let ran = convert(folder, &["d.lammpstrj", "--skip-done"]);
-    succeeded(&ran);
-    assert_eq!(ran.out.matches("done already").count(), 2, "{}", ran.out);
+    let result = convert(folder, &["d.lammpstrj", "--skip-done"]);
+    succeeded(&result);
+    assert_eq!(result.out.matches("done already").count(), 2, "{}", result.out);
     // Hidden names are the records of the outputs.
     let names = names_in(&folder.join("out")).into_iter().filter(|name| !name.starts_with('.'));
     assert_eq!(names.collect::<Vec<_>>(), ["d.0.obj", "d.20.obj", "d.5.obj"]);
@@ -143,11 +143,11 @@ fn damaged_step_is_one_failed_frame() {
     let short = step(5).lines().take(40).map(|line| format!("{line}\n")).collect::<String>();
     let text = [step(0), short, step(20), step(20), step(30).replace("30\n", "thirty\n")].concat();
     fs::write(folder.join("d.lammpstrj"), text).expect("written");
-    let ran = convert(folder, &["d.lammpstrj", "--on-error=continue"]);
-    assert_eq!(ran.status, 1, "{}", ran.err);
+    let result = convert(folder, &["d.lammpstrj", "--on-error=continue"]);
+    assert_eq!(result.status, 1, "{}", result.err);
     assert_eq!(names_in(&folder.join("out")), ["d.0.obj", "d.20.2.obj", "d.20.obj"]);
     for words in ["d.lammpstrj/step=5: LAMMPS dump, at line 174: expected 125 atoms", "step=unnumbered: "] {
-        assert!(ran.err.contains(words), "{words}: {}", ran.err);
+        assert!(result.err.contains(words), "{words}: {}", result.err);
     }
     assert_eq!(surface(&folder.join("out/d.20.obj")), surface(&folder.join("out/d.20.2.obj")));
 }
@@ -158,22 +158,22 @@ fn steps_beyond_the_limit_cause_an_error() {
     let folder = folder.path();
     fs::write(folder.join("many.xyz"), "1\n\nO 0 0 0\n".repeat(1_000_001)).expect("written");
     for command in [&["convert", "many.xyz", "--out=out"][..], &["info", "many.xyz"]] {
-        let ran = meniscus(folder, command);
-        assert_eq!(ran.status, 2, "{command:?}: {}{}", ran.out, ran.err);
+        let result = meniscus(folder, command);
+        assert_eq!(result.status, 2, "{command:?}: {}{}", result.out, result.err);
         let told = "many.xyz: XYZ atoms: the file has more steps than the limit of 1000000";
-        assert!(ran.err.contains(told), "{command:?}: {}", ran.err);
+        assert!(result.err.contains(told), "{command:?}: {}", result.err);
     }
     assert!(!folder.join("out").exists());
     // The other steps are converted.
     write_dump(folder, &[1, 2]);
-    let ran = convert(folder, &["many.xyz", "d.lammpstrj"]);
-    assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
+    let result = convert(folder, &["many.xyz", "d.lammpstrj"]);
+    assert_eq!(result.status, 1, "{}{}", result.out, result.err);
     assert!(
-        ran.err.contains("error: many.xyz: XYZ atoms: the file has more steps than the limit"),
+        result.err.contains("error: many.xyz: XYZ atoms: the file has more steps than the limit"),
         "{}",
-        ran.err
+        result.err
     );
-    assert!(folder.join("out/d.2.obj").exists(), "{}", ran.out);
+    assert!(folder.join("out/d.2.obj").exists(), "{}", result.out);
 }
 
 #[test]
@@ -181,10 +181,15 @@ fn last_line_without_a_newline_causes_a_warning() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     fs::write(folder.join("a.xyz"), [atoms(0), atoms(5)].concat().trim_end()).expect("written");
-    let ran = convert(folder, &["a.xyz"]);
-    assert_eq!((ran.status, names_in(&folder.join("out"))), (0, vec!["a.0.obj".into(), "a.1.obj".into()]));
-    assert_eq!(ran.err.matches("a.xyz/step=1: the file ends without a line end").count(), 1, "{}", ran.err);
-    assert_eq!(ran.err.lines().count(), 1, "{}", ran.err);
+    let result = convert(folder, &["a.xyz"]);
+    assert_eq!((result.status, names_in(&folder.join("out"))), (0, vec!["a.0.obj".into(), "a.1.obj".into()]));
+    assert_eq!(
+        result.err.matches("a.xyz/step=1: the file ends without a line end").count(),
+        1,
+        "{}",
+        result.err
+    );
+    assert_eq!(result.err.lines().count(), 1, "{}", result.err);
 }
 
 #[test]
@@ -192,16 +197,16 @@ fn names_of_steps_do_not_collide() {
     let folder = dump(&[0, 5]);
     let folder = folder.path();
     write_ply(&folder.join("d.5.ply"), &block(5, 0.0));
-    let ran = convert(folder, &["d.lammpstrj", "d.5.ply"]);
-    assert_eq!(ran.status, 1);
-    assert!(ran.err.contains("would both become"), "{}", ran.err);
+    let result = convert(folder, &["d.lammpstrj", "d.5.ply"]);
+    assert_eq!(result.status, 1);
+    assert!(result.err.contains("would both become"), "{}", result.err);
     assert_eq!(names_in(&folder.join("out")), ["d.0.obj", "d.5.obj"]);
     fs::remove_dir_all(folder.join("out")).expect("removed");
     // The outputs of a dump do not replace it.
     fs::rename(folder.join("d.lammpstrj"), folder.join("d.5.obj")).expect("renamed");
-    let ran = meniscus(folder, &["convert", "d.5.obj", "--out=.", "--format=obj", "--frames=5"]);
+    let result = meniscus(folder, &["convert", "d.5.obj", "--out=.", "--format=obj", "--frames=5"]);
     assert_eq!(
-        (ran.status, names_in(folder)),
+        (result.status, names_in(folder)),
         (0, vec!["d.5.obj".into(), "d.5.obj.5.obj".into(), "d.5.ply".into()])
     );
 }
@@ -219,20 +224,24 @@ fn steps_are_divided_into_shards_and_verified() {
     let again = meniscus(folder, &["convert", "--plan=plan.json", "--shard=0"]);
     assert_eq!(again.out.matches("done already").count(), 2, "{}", again.out);
     write_dump(folder, &[0, 5]);
-    let ran = meniscus(folder, &["verify", "out", "--plan=plan.json"]);
-    assert!(ran.err.contains("1 frame with a missing input"), "{}", ran.err);
+    let result = meniscus(folder, &["verify", "out", "--plan=plan.json"]);
+    assert!(result.err.contains("1 frame with a missing input"), "{}", result.err);
     let text: String = [step(0), step(5).replace("0.1 ", "0.125 "), step(20)].concat();
     fs::write(folder.join("d.lammpstrj"), text).expect("written");
-    let ran = meniscus(folder, &["verify", "out", "--plan=plan.json"]);
-    assert!(ran.err.contains("d.5 (shard 0): stale"), "{}", ran.err);
-    assert!(ran.out.contains("2 done, 1 stale") && ran.out.contains("shards to run again: 0"), "{}", ran.out);
+    let result = meniscus(folder, &["verify", "out", "--plan=plan.json"]);
+    assert!(result.err.contains("d.5 (shard 0): stale"), "{}", result.err);
+    assert!(
+        result.out.contains("2 done, 1 stale") && result.out.contains("shards to run again: 0"),
+        "{}",
+        result.out
+    );
 }
 
 #[test]
 fn render_makes_pictures_of_steps() {
     let folder = dump(&[0, 5]);
     let folder = folder.path();
-    let ran = meniscus(folder, &["render", "d.lammpstrj", "--out=pictures", "--size=64x48"]);
-    assert_eq!(ran.status, 0, "{}{}", ran.out, ran.err);
+    let result = meniscus(folder, &["render", "d.lammpstrj", "--out=pictures", "--size=64x48"]);
+    assert_eq!(result.status, 0, "{}{}", result.out, result.err);
     assert_eq!(names_in(&folder.join("pictures")), ["d.0.png", "d.5.png"]);
 }

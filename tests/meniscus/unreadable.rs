@@ -44,10 +44,10 @@ fn unreadable_frames_fail_the_conversion() {
     let folder = folder();
     for input in ["in", "in/dam.#.ply", "in/dam.*.ply", "i*/dam.#.ply", "**/dam.*.ply"] {
         let arguments = ["convert", input, "--out", "out", "--format", "obj", "--voxel-size", "0.1"];
-        let ran = meniscus(folder.path(), &arguments);
-        assert_eq!(ran.status, 1, "{input}: {}", ran.err);
-        assert_reasons(&ran.err);
-        assert!(ran.out.contains("6 frames: 2 done, 4 failed"), "{input}: {}", ran.out);
+        let result = meniscus(folder.path(), &arguments);
+        assert_eq!(result.status, 1, "{input}: {}", result.err);
+        assert_reasons(&result.err);
+        assert!(result.out.contains("6 frames: 2 done, 4 failed"), "{input}: {}", result.out);
         assert_eq!(names_in(&folder.path().join("out")), ["dam.1.obj", "dam.2.obj"]);
         fs::remove_dir_all(folder.path().join("out")).expect("removed");
     }
@@ -73,9 +73,9 @@ fn plan_with_unreadable_frame_is_refused() {
                 "--voxel-size",
                 "0.1",
             ];
-            let ran = meniscus(folder.path(), &arguments);
-            assert_eq!(ran.status, 2, "{input}: {}", ran.err);
-            assert!(ran.err.contains(kept.0) && ran.err.contains(kept.1), "{}", ran.err);
+            let result = meniscus(folder.path(), &arguments);
+            assert_eq!(result.status, 2, "{input}: {}", result.err);
+            assert!(result.err.contains(kept.0) && result.err.contains(kept.1), "{}", result.err);
             assert!(!folder.path().join("plan.json").exists());
         }
     }
@@ -85,10 +85,10 @@ fn plan_with_unreadable_frame_is_refused() {
 fn unreadable_frames_fail_watch_once() {
     let folder = folder();
     let arguments = ["watch", "in", "--once", "--out", "out", "--format", "obj", "--voxel-size", "0.1"];
-    let ran = meniscus(folder.path(), &[&arguments[..], &["--settle", "10ms"]].concat());
-    assert_eq!(ran.status, 1, "{}", ran.err);
+    let result = meniscus(folder.path(), &[&arguments[..], &["--settle", "10ms"]].concat());
+    assert_eq!(result.status, 1, "{}", result.err);
     for (name, _) in REASONS {
-        assert!(ran.err.contains(name), "{name}: {}", ran.err);
+        assert!(result.err.contains(name), "{name}: {}", result.err);
     }
     assert!(folder.path().join("out/dam.2.obj").is_file());
 }
@@ -101,19 +101,19 @@ fn unreadable_file_of_unknown_kind_fails_the_conversion_and_the_plan() {
     write_sequence(path, 1, 1);
     symlink("odd", path.join("odd")).expect("linked");
     let common = [".", "--out", "o", "--voxel-size", "0.1"];
-    let ran = meniscus(path, &[&["convert", "--format", "obj"], &common[..]].concat());
-    assert_eq!(ran.status, 1, "{}", ran.err);
+    let result = meniscus(path, &[&["convert", "--format", "obj"], &common[..]].concat());
+    assert_eq!(result.status, 1, "{}", result.err);
     assert!(
-        ran.err.contains("error: ./odd: ") && ran.err.contains("frames are missing from the results"),
+        result.err.contains("error: ./odd: ") && result.err.contains("frames are missing from the results"),
         "{}",
-        ran.err
+        result.err
     );
     assert!(path.join("o/dam.1.obj").is_file());
-    let ran = meniscus(path, &[&["plan", "--output", "plan.json", "--shards", "1"], &common[..]].concat());
-    assert_eq!(ran.status, 2, "{}", ran.err);
-    assert!(ran.err.contains("odd") && !path.join("plan.json").exists(), "{}", ran.err);
-    let ran = meniscus(path, &[&["convert", "--on-error", "stop"], &common[..]].concat());
-    assert_eq!(ran.status, 2, "{}", ran.err);
+    let result = meniscus(path, &[&["plan", "--output", "plan.json", "--shards", "1"], &common[..]].concat());
+    assert_eq!(result.status, 2, "{}", result.err);
+    assert!(result.err.contains("odd") && !path.join("plan.json").exists(), "{}", result.err);
+    let result = meniscus(path, &[&["convert", "--on-error", "stop"], &common[..]].concat());
+    assert_eq!(result.status, 2, "{}", result.err);
 }
 
 #[test]
@@ -126,9 +126,9 @@ fn obstacle_that_cannot_be_read_is_not_called_missing() {
     for obstacle in ["body.obj", "body.#.obj", "body.{}.obj"] {
         let arguments =
             ["convert", "dam.1.ply", "--out", "out", "--voxel-size", "0.1", "--obstacle", obstacle];
-        let ran = meniscus(path, &arguments);
-        assert_eq!(ran.status, 2, "{obstacle}: {}", ran.err);
-        assert!(ran.err.contains("symbolic links"), "{obstacle}: {}", ran.err);
+        let result = meniscus(path, &arguments);
+        assert_eq!(result.status, 2, "{obstacle}: {}", result.err);
+        assert!(result.err.contains("symbolic links"), "{obstacle}: {}", result.err);
     }
 }
 
@@ -156,13 +156,13 @@ fn globs_match_as_documented() {
         ("*//x/*.ply", &["ax.1.obj", "bx.1.obj"]),
     ] {
         let arguments = ["convert", pattern, "--out", "out", "--format", "obj", "--voxel-size", "0.1"];
-        let ran = meniscus(path, &arguments);
+        let result = meniscus(path, &arguments);
         if pattern.starts_with(".*") {
             // A pattern matches a hidden file only if the pattern has the dot.
-            assert_eq!(ran.status, 2, "{pattern}: {}", ran.err);
+            assert_eq!(result.status, 2, "{pattern}: {}", result.err);
             continue;
         }
-        assert_eq!(ran.status, 0, "{pattern}: {}", ran.err);
+        assert_eq!(result.status, 0, "{pattern}: {}", result.err);
         assert_eq!(names_in(Path::new(&path.join("out"))), expected, "{pattern}");
         fs::remove_dir_all(path.join("out")).expect("removed");
     }
@@ -181,12 +181,12 @@ fn unreadable_file_beside_level_sets_fails_render_and_contact_sheet() {
         &["render", "sets", "--out", "pictures", "--size", "64x48", "--up", "Z"][..],
         &["contact-sheet", "sets", "-o", "sheet.png"],
     ] {
-        let ran = meniscus(path, arguments);
-        assert_eq!(ran.status, 1, "{arguments:?}: {}", ran.err);
+        let result = meniscus(path, arguments);
+        assert_eq!(result.status, 1, "{arguments:?}: {}", result.err);
         assert!(
-            ran.err.contains("dam.3.txt: Too many levels of symbolic links"),
+            result.err.contains("dam.3.txt: Too many levels of symbolic links"),
             "{arguments:?}: {}",
-            ran.err
+            result.err
         );
     }
     assert!(path.join("pictures/dam.1.png").is_file() && path.join("sheet.png").is_file());

@@ -13,7 +13,7 @@ use meniscus::surface::reconstruction::{
 };
 use tempfile::tempdir;
 
-use crate::scene::{Ran, block, meniscus, names_in, write_ply};
+use crate::scene::{RunResult, block, meniscus, names_in, write_ply};
 
 /// The plan for these particles, whose spacing is 0.1, with a voxel size in spacings. If the voxel size gives
 /// a smaller r_min than 0.87 spacings, r_min is 0.87 spacings.
@@ -91,18 +91,28 @@ fn every_command_refuses_voxels_that_are_too_small() {
         &["tune", "in/a.ply", "-o", "tune.png"],
         &["watch", "in", "--out", "seen", "--once", "--settle", "0s"],
     ] {
-        let ran = meniscus(path, &[command, &["--voxel-size", "1e-9"]].concat());
+        let result = meniscus(path, &[command, &["--voxel-size", "1e-9"]].concat());
         let words = "r_max is 230000000 voxels; it must be at most 64: choose a larger voxel size";
-        assert!(ran.status != 0 && ran.err.contains(words), "{command:?}: {}{}", ran.out, ran.err);
-        let ran = meniscus(path, &[command, &["--preset", "paper", "--voxel-size", "1e-9"]].concat());
-        assert_ne!(ran.status, 0, "{command:?}: {}{}", ran.out, ran.err);
+        assert!(
+            result.status != 0 && result.err.contains(words),
+            "{command:?}: {}{}",
+            result.out,
+            result.err
+        );
+        let result = meniscus(path, &[command, &["--preset", "paper", "--voxel-size", "1e-9"]].concat());
+        assert_ne!(result.status, 0, "{command:?}: {}{}", result.out, result.err);
         for word in [
             "a.ply",
             "the voxel size 1e-9 (--voxel-size) is too small",
             "particles are 0.1",
             "the minimum is",
         ] {
-            assert!(ran.err.contains(word), "{command:?} does not say {word}: {}{}", ran.out, ran.err);
+            assert!(
+                result.err.contains(word),
+                "{command:?} does not say {word}: {}{}",
+                result.out,
+                result.err
+            );
         }
     }
     assert_eq!(names_in(path), ["in", "out", "seen"]);
@@ -112,7 +122,7 @@ fn every_command_refuses_voxels_that_are_too_small() {
 /// The output of the command for these particles.
 fn told(folder: &Path, particles: &[[f64; 3]], options: &[&str]) -> String {
     write_ply(&folder.join("a.ply"), particles);
-    let Ran { status, err, .. } =
+    let RunResult { status, err, .. } =
         meniscus(folder, &[&["convert", "a.ply", "--out", "out", "--format", "glb"], options].concat());
     assert_eq!(status, 0, "{err}");
     err
@@ -128,14 +138,14 @@ fn empty_surface_causes_a_warning_with_a_remedy() {
         assert!(said.contains(word), "it does not say {word}: {said}");
     }
     let command = ["convert", "a.ply", "--out", "out"];
-    let ran = meniscus(folder.path(), &[&command[..], &small].concat());
-    assert_eq!(ran.status, 1, "{}", ran.err);
+    let result = meniscus(folder.path(), &[&command[..], &small].concat());
+    assert_eq!(result.status, 1, "{}", result.err);
     assert!(
-        ran.err.ends_with(
+        result.err.ends_with(
             "error: 1 of 1 frame failed validation; outputs were kept; --allow-violations accepts them\n"
         ),
         "{}",
-        ran.err
+        result.err
     );
     let (_, named) = said.split_once("use --radius-min ").expect("a radius");
     let radius: String = named.chars().take_while(|&c| c == '.' || c.is_ascii_digit()).collect();
@@ -226,11 +236,11 @@ fn only_small_voxels_tear_the_examples() {
         let frame = frames.join(name);
         let frame = frame.to_str().expect("text");
         let paper = ["--preset", "paper", "--voxel-size", size];
-        let ran = meniscus(folder.path(), &[&["convert", frame, "--out", "out"], &paper[..]].concat());
+        let result = meniscus(folder.path(), &[&["convert", frame, "--out", "out"], &paper[..]].concat());
         assert!(
-            ran.err.contains(expected) && ran.err.is_empty() == expected.is_empty(),
+            result.err.contains(expected) && result.err.is_empty() == expected.is_empty(),
             "{name} {size}: {}",
-            ran.err
+            result.err
         );
     }
 }

@@ -9,14 +9,14 @@ use meniscus::watch::journal::{Journal, JournaledFrame, JournaledStatus, OutputR
 use meniscus::watch::lock::OutputLock;
 use tempfile::tempdir;
 
-use crate::scene::{Ran, block, meniscus, write_ply, write_sequence};
+use crate::scene::{RunResult, block, meniscus, write_ply, write_sequence};
 
 /// Asserts that a command does nothing, exits with status 2, and gives this reason.
 fn assert_refused(folder: &Path, arguments: &[&str], words: &[&str]) {
-    let ran = meniscus(folder, &[&["watch"], arguments].concat());
-    assert_eq!(ran.status, 2, "{arguments:?}: {} {}", ran.out, ran.err);
+    let result = meniscus(folder, &[&["watch"], arguments].concat());
+    assert_eq!(result.status, 2, "{arguments:?}: {} {}", result.out, result.err);
     for word in words {
-        assert!(ran.err.contains(word), "{arguments:?} does not say {word}: {}", ran.err);
+        assert!(result.err.contains(word), "{arguments:?} does not say {word}: {}", result.err);
     }
 }
 
@@ -97,16 +97,16 @@ fn numbers_have_the_documented_ranges() {
             None => (vec!["0".into(), "-1".into(), "inf".into()], vec!["2".into()]),
         };
         for value in &bad {
-            let ran = try_out(option, value);
-            assert_eq!(ran.status, 2, "{option} {value}: {}", ran.out);
+            let result = try_out(option, value);
+            assert_eq!(result.status, 2, "{option} {value}: {}", result.out);
             let words = range.split(" to ").flat_map(|part| part.split(", ").take(1));
             for word in words {
-                assert!(ran.err.contains(word), "{option} {value} does not say {word}: {}", ran.err);
+                assert!(result.err.contains(word), "{option} {value} does not say {word}: {}", result.err);
             }
         }
         for value in &good {
-            let ran = try_out(option, value);
-            assert_eq!(ran.status, 0, "{option} {value}: {}", ran.err);
+            let result = try_out(option, value);
+            assert_eq!(result.status, 0, "{option} {value}: {}", result.err);
         }
     }
     assert!(range_count > 17, "{range_count}");
@@ -136,7 +136,8 @@ fn note(out: &Path, frame: &Path, result: Result<&Path, &str>) {
 fn status_reads_the_journal_and_the_lock() {
     let folder = tempdir().expect("a folder");
     let path = &folder.path().canonicalize().expect("a path");
-    let status = |more: &[&str]| -> Ran { meniscus(path, &[&["status", "--out", "out"], more].concat()) };
+    let status =
+        |more: &[&str]| -> RunResult { meniscus(path, &[&["status", "--out", "out"], more].concat()) };
     let nothing = status(&[]);
     assert_eq!(nothing.status, 2);
     assert!(nothing.err.contains("out: no record of a daemon"), "{}", nothing.err);
@@ -173,10 +174,10 @@ fn why_lists_everything_that_decides() {
     fs::write(path.join("in/notes.md"), "Words.\n").expect("written");
     let why = |frame: &str, more: &[&str]| meniscus(path, &[&["why", frame], more].concat());
     let tells = |frame: &str, more: &[&str], words: &[&str]| {
-        let ran = why(frame, more);
-        assert_eq!(ran.status, 0, "{}", ran.err);
+        let result = why(frame, more);
+        assert_eq!(result.status, 0, "{}", result.err);
         for word in words {
-            assert!(ran.out.contains(word), "{} does not say {word}", ran.out);
+            assert!(result.out.contains(word), "{} does not say {word}", result.out);
         }
     };
     let typed = ["--out", "out"];
@@ -213,9 +214,9 @@ fn why_lists_everything_that_decides() {
         ("meniscus.toml", &configured, "not in a folder that is watched"),
         ("in/dam.1.ply", &[], "--out"),
     ] {
-        let ran = why(frame, options);
-        assert_eq!(ran.status, 2);
-        assert!(ran.err.contains(words), "{}", ran.err);
+        let result = why(frame, options);
+        assert_eq!(result.status, 2);
+        assert!(result.err.contains(words), "{}", result.err);
     }
 }
 
@@ -225,14 +226,14 @@ fn why_recognizes_outputs_of_convert() {
     let path = &folder.path().canonicalize().expect("a path");
     fs::create_dir(path.join("in")).expect("made");
     write_sequence(&path.join("in"), 1, 2);
-    let ran = meniscus(path, &["convert", "in", "--out", "out", "--frames", "1", "--format", "glb,ply"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &["convert", "in", "--out", "out", "--frames", "1", "--format", "glb,ply"]);
+    assert_eq!(result.status, 0, "{}", result.err);
     // The daemon waits until nothing has changed the file for half a second.
     let settled = |frame: &str| loop {
-        let ran = meniscus(path, &["why", frame, "--out", "out"]);
-        assert_eq!(ran.status, 0, "{}", ran.err);
-        if !ran.out.contains("is not converted yet") {
-            return ran.out;
+        let result = meniscus(path, &["why", frame, "--out", "out"]);
+        assert_eq!(result.status, 0, "{}", result.err);
+        if !result.out.contains("is not converted yet") {
+            return result.out;
         }
     };
     let done = settled("in/dam.1.ply");
@@ -250,8 +251,8 @@ fn why_recognizes_outputs_of_convert() {
     cut("out/dam.1.ply");
     assert!(settled("in/dam.1.ply").contains("It will be converted because"));
     // Outputs of an earlier file at this path do not count.
-    let ran = meniscus(path, &["convert", "in", "--out", "out", "--frames", "1", "--format", "glb,ply"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &["convert", "in", "--out", "out", "--frames", "1", "--format", "glb,ply"]);
+    assert_eq!(result.status, 0, "{}", result.err);
     fs::copy(path.join("in/dam.2.ply"), path.join("in/dam.1.ply")).expect("copied");
     assert!(settled("in/dam.1.ply").contains("It will be converted because"));
 }
@@ -265,15 +266,15 @@ fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
     fs::write(path.join("in/dam.1.ok"), "").expect("written");
     fs::copy(path.join("in/dam.1.ply"), path.join("in/spray.1.ply")).expect("copied");
     let asked = ["--pattern", "dam.*.ply", "--radius-ratio", "1.5", "--sentinel", "{stem}.ok"];
-    let ran = meniscus(path, &[&["watch", "in", "--out", "out", "--once"], &asked[..]].concat());
-    assert_eq!(ran.status, 0, "{}", ran.err);
+    let result = meniscus(path, &[&["watch", "in", "--out", "out", "--once"], &asked[..]].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
     let tells = |frame: &str, words: &[&str]| {
-        let ran = meniscus(path, &["why", frame, "--out", "out"]);
-        assert_eq!(ran.status, 0, "{}", ran.err);
+        let result = meniscus(path, &["why", frame, "--out", "out"]);
+        assert_eq!(result.status, 0, "{}", result.err);
         for word in words {
-            assert!(ran.out.contains(word), "{} does not say {word}", ran.out);
+            assert!(result.out.contains(word), "{} does not say {word}", result.out);
         }
-        assert!(!ran.out.contains("does not record the daemon's settings"), "{}", ran.out);
+        assert!(!result.out.contains("does not record the daemon's settings"), "{}", result.out);
     };
     tells("in/dam.1.ply", &["name      selected as a frame", "settings  as recorded", "because it is done"]);
     tells("in/spray.1.ply", &["name      not selected as a frame", "It is not converted because its path"]);
@@ -312,8 +313,8 @@ fn journal_lists_the_folders_of_its_outputs_only() {
     for input in ["water", "spray", "dust"] {
         fs::create_dir(path.join(input)).expect("made");
     }
-    let ran = meniscus(path, &["watch", "--config", "meniscus.toml", "--once"]);
-    assert!(ran.err.contains("there are no frames to convert"), "{}", ran.err);
+    let result = meniscus(path, &["watch", "--config", "meniscus.toml", "--once"]);
+    assert!(result.err.contains("there are no frames to convert"), "{}", result.err);
     for (output, inputs) in [("out", &["water", "spray"][..]), ("other", &["dust"])] {
         let status = meniscus(path, &["status", "--out", output, "--json"]);
         let json: serde_json::Value = serde_json::from_str(&status.out).expect("JSON");
@@ -378,11 +379,11 @@ fn printed_settings_are_keys_of_a_file() {
         fs::create_dir(config.parent().expect("a folder")).expect("made");
         let blocks = format!("[[watch]]\ninput = \"../in\"\noutput = \"../{watched}\"\n{}", printed.out);
         fs::write(&config, blocks).expect("written");
-        let ran = meniscus(path, &["watch", "--config", &config.to_string_lossy(), "--once"]);
-        assert_eq!(ran.status, 0, "{}", ran.err);
-        assert!(!ran.err.contains("WARN"), "{}", ran.err);
-        let ran = meniscus(path, &[&["convert", "in", "--out", &converted], options].concat());
-        assert_eq!(ran.status, 0, "{}", ran.err);
+        let result = meniscus(path, &["watch", "--config", &config.to_string_lossy(), "--once"]);
+        assert_eq!(result.status, 0, "{}", result.err);
+        assert!(!result.err.contains("WARN"), "{}", result.err);
+        let result = meniscus(path, &[&["convert", "in", "--out", &converted], options].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
         let mut count = 0;
         for extension in ["glb", "vdb", "obj"] {
             let bytes = |out: &str| fs::read(path.join(out).join(format!("dam.1.{extension}"))).ok();
@@ -417,15 +418,15 @@ fn lengths_in_files_have_units() {
     assert_eq!(watched("world", "voxel_size = 0.05\nradius_min = 0.11\noffset = -0.05").status, 0);
     assert!(bytes("units") == bytes("world"));
     // The journal has the lengths as the user wrote them.
-    let ran = watched("units", "voxel_size = \"0.5d\"\nradius_min = \"1.1d\"\noffset = \"-1h\"");
-    assert_eq!((ran.status, ran.err.contains("dam.1.ply: converted")), (0, false), "{}", ran.err);
+    let result = watched("units", "voxel_size = \"0.5d\"\nradius_min = \"1.1d\"\noffset = \"-1h\"");
+    assert_eq!((result.status, result.err.contains("dam.1.ply: converted")), (0, false), "{}", result.err);
     for (keys, why) in [
         ("radius_min = \"5x\"", "meniscus.toml:5: `radius_min`: `5x` is not a length"),
         ("voxel_size = \"2h\"", "meniscus.toml:5: `voxel_size`: `2h` is not a voxel size"),
         ("spacing_ = 1", "meniscus.toml:5: unknown key `spacing_`"),
         ("decimate = \"0.1h\"", "meniscus.toml:5: `decimate` is text: expected a number"),
     ] {
-        let ran = watched("wrong", keys);
-        assert!(ran.status == 2 && ran.err.contains(why), "{}", ran.err);
+        let result = watched("wrong", keys);
+        assert!(result.status == 2 && result.err.contains(why), "{}", result.err);
     }
 }

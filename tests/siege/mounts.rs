@@ -21,7 +21,7 @@ pub(crate) fn with_own_mounts(name: &str, test: impl FnOnce()) {
     let Some(unshare) = how_to_unshare() else {
         return tell(&format!("test {name} is SKIPPED: it would mount file systems, and may not"));
     };
-    let ran = Command::new("unshare")
+    let result = Command::new("unshare")
         .args(unshare)
         .arg(env::current_exe().expect("this test"))
         .args(["--exact", name, "--nocapture"])
@@ -30,8 +30,8 @@ pub(crate) fn with_own_mounts(name: &str, test: impl FnOnce()) {
         .stderr(Stdio::inherit())
         .output()
         .expect("it starts");
-    let said = String::from_utf8_lossy(&ran.stdout);
-    assert!(ran.status.success() && said.contains("1 passed"), "{said}");
+    let said = String::from_utf8_lossy(&result.stdout);
+    assert!(result.status.success() && said.contains("1 passed"), "{said}");
 }
 
 /// The arguments with which `unshare` creates a namespace that allows mounts; `None` if no arguments work.
