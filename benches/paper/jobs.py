@@ -71,8 +71,8 @@ def papers():
     least = figures.PROCESSES[0][2]
     for (processes_at_once, threads, minutes), (_, speedup) in zip(figures.PROCESSES, figures.speedups()):
         job = figures.job_seconds(processes_at_once, minutes)
-        told = f"{minutes // 60}:{minutes % 60:02}"
-        table.row(processes_at_once, threads, told, f"{minutes / least:.2f}", f"{job:.0f}", f"{speedup:.2f}")
+        duration = f"{minutes // 60}:{minutes % 60:02}"
+        table.row(processes_at_once, threads, duration, f"{minutes / least:.2f}", f"{job:.0f}", f"{speedup:.2f}")
     return table.markdown()
 
 
@@ -88,6 +88,6 @@ def ours(jobs, taken, together, cores):
         # Runs of the same round are compared, because the machine is in the same state within a round.
         beside = [seconds / other for (seconds, _), other in zip(rounds, first)]
         memory = max(size for _, size in rounds) / 1e9
-        told = in_seconds([seconds for seconds, _ in rounds])
-        table.row(count, threads, told, spread(beside, ".2f"), f"{memory:.2f}")
+        seconds = in_seconds([seconds for seconds, _ in rounds])
+        table.row(count, threads, seconds, spread(beside, ".2f"), f"{memory:.2f}")
     return table.markdown()

@@ -73,7 +73,7 @@ class Neighbours:
         clock, busy, ours = (now - before for now, before in zip(self.counted(), self.start))
         return max(0, busy - ours) / (clock * os.cpu_count())
 
-    def told(self):
+    def text(self):
         share = self.share()
         shared = ": they were shared" if share > NEIGHBOURS_MAX else ""
         return f"other work took {100 * share:.0f} % of the cores meanwhile{shared}"

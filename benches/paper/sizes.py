@@ -25,7 +25,7 @@ h = spacing. A row with ¹ is from [performance.md](../performance.md#large-fram
 def table(asked):
     rows = [measured_solid(count, asked.rounds) for count in (SMALL, UPPER_RIGHT)]
     rows.append(measured_solid(LARGE, 1))
-    rows.append(measured_solid(LARGEST, 1) if asked.long else told_of_large_solid(LARGEST))
+    rows.append(measured_solid(LARGEST, 1) if asked.long else recorded_large_solid(LARGEST))
     return "\n\n".join([ABOUT, papers(), ours(rows)])
 
 
@@ -42,7 +42,7 @@ class Large:
     memory: str
 
 
-def told_of_large_solid(count):
+def recorded_large_solid(count):
     """Reads the row of this solid from the output of `benches/scale` in docs/performance.md."""
     for line in section_of_performance("Large frames").splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]

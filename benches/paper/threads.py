@@ -35,7 +35,7 @@ def table(asked):
     neighbours = Neighbours()
     taken = {particles: on_threads(particles, counts, asked.rounds) for particles in (SMALL, UPPER_RIGHT)}
     is_shared = neighbours.share() > NEIGHBOURS_MAX
-    told = told_of_threads()
+    recorded = recorded_threads()
     tables = [
         stages_on_threads(
             "Measured now, h = spacing: seconds, medians (least–greatest).",
@@ -45,13 +45,13 @@ def table(asked):
         stages_on_threads(
             "The same from the output of `cargo bench --bench stages` in [performance.md](../performance.md#stages), with the machine"
             " and commit given there: another solid with h = half the spacing, which has many more free voxels.",
-            told,
+            recorded,
         ),
     ]
     # The largest solid of each measurement. If the machine is shared, the times are too noisy for a
     # projection.
     sources = {} if is_shared else {"now": taken[UPPER_RIGHT]}
-    sources["stages"] = list(told.values())[-1]
+    sources["stages"] = list(recorded.values())[-1]
     asked.markdown.parent.mkdir(parents=True, exist_ok=True)
     picture = plot.svg("threads", "times faster than one thread", figures.CORES, figures.CORES, 2, speedup_lines(sources))
     asked.markdown.with_name(PICTURE).write_text(picture, encoding="utf-8")
@@ -75,7 +75,7 @@ def on_threads(particles, counts, rounds):
     return taken
 
 
-def told_of_threads():
+def recorded_threads():
     """Reads the stages on one and on two threads from docs/performance.md: particles, and the format of `on_threads`."""
     rows = {}
     for line in section_of_performance("Stages").splitlines():

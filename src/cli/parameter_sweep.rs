@@ -519,7 +519,7 @@ mod tests {
 
     #[test]
     fn errors_quote_the_input_and_the_expected_values() {
-        for (text, told) in [
+        for (text, expected) in [
             ("", "value `` has no parameter"),
             ("2,3", "value `2` has no parameter: write NAME=2"),
             ("size", "no `size` to vary: expected ratio, time, h"),
@@ -534,7 +534,7 @@ mod tests {
             ("h=infx", "h=`infx`"),
         ] {
             let error = text.parse::<ParameterSweep>().expect_err(text);
-            assert!(error.contains(told), "{text}: {error}");
+            assert!(error.contains(expected), "{text}: {error}");
         }
     }
 }

@@ -185,7 +185,7 @@ fn lines(
         None => line("journal", "nothing"),
         Some(record) => {
             line("journal", &recorded(record, now_ms));
-            record.reason.iter().chain(&record.flaws).for_each(|told| line("", told));
+            record.reason.iter().chain(&record.flaws).for_each(|text| line("", text));
             line(
                 "input",
                 match file.as_ref().and_then(|file| file.change) {

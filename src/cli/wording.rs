@@ -39,13 +39,13 @@ pub(super) fn described(job: &Job, report: &FrameReport) -> String {
 
 /// An error and its causes. A cause that the text already ends with is not repeated.
 pub(super) fn with_causes(error: &anyhow::Error) -> String {
-    let mut told = error.to_string();
+    let mut message = error.to_string();
     for cause in error.chain().skip(1).map(ToString::to_string) {
-        if !told.ends_with(&cause) {
-            told += &format!(": {cause}");
+        if !message.ends_with(&cause) {
+            message += &format!(": {cause}");
         }
     }
-    told
+    message
 }
 
 /// The last line of a run in which some results failed validation.

@@ -91,19 +91,19 @@ async fn send_events(subscriber: Subscriber, seen: Option<String>, sender: mpsc:
     if version != u64::MAX && sender.send(Ok(hello.into())).await.is_err() {
         return;
     }
-    let mut told_at = Instant::now();
+    let mut sent_at = Instant::now();
     while !*closing.borrow() {
         let text = match version == store.version() {
-            true if told_at.elapsed() < PULSE => Bytes::new(),
+            true if sent_at.elapsed() < PULSE => Bytes::new(),
             true => Bytes::from_static(b":\n\n"),
             false => {
-                let told = subscribers.event_after(store, version);
-                version = told.next;
-                told.text
+                let last_event = subscribers.event_after(store, version);
+                version = last_event.next;
+                last_event.text
             }
         };
         if !text.is_empty() {
-            told_at = Instant::now();
+            sent_at = Instant::now();
             if sender.send(Ok(text)).await.is_err() {
                 return;
             }
@@ -164,14 +164,14 @@ impl Subscribers {
     fn event_after(&self, store: &StatusStore, version: u64) -> LastEvent {
         let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
         let store_version = store.version();
-        if let Some(told) = &*last
-            && (told.after, told.store_version) == (version, store_version)
+        if let Some(last_event) = &*last
+            && (last_event.after, last_event.store_version) == (version, store_version)
         {
-            return told.clone();
+            return last_event.clone();
         }
         let (next, text) = event(store, version);
-        let told = LastEvent { after: version, store_version, next, text: text.into() };
-        last.insert(told).clone()
+        let last_event = LastEvent { after: version, store_version, next, text: text.into() };
+        last.insert(last_event).clone()
     }
 }
 

@@ -42,7 +42,7 @@ struct EventLoop<'a> {
     core: Core,
     workers: Workers,
     context: PipelineContext,
-    /// The channel through which each pipeline gets its frames; `None` once the pipeline was told to end.
+    /// The channel through which each pipeline gets its frames; `None` once the pipeline was asked to end.
     pipelines: HashMap<usize, Option<Sender<Start>>>,
     events: Receiver<Event>,
     notices: &'a mut dyn FnMut(Notice),
@@ -396,10 +396,11 @@ mod tests {
         workers.monitors.push(StallMonitor::new(Worker::Root(0), pulse, started));
 
         let (commands, to_obey) = bounded(1);
-        let (to_tell, notices) = unbounded();
-        let mut tell = move |notice| drop(to_tell.send(notice));
-        let running =
-            thread::spawn(move || EventLoop::new(core, workers, context, events, &mut tell).run(&to_obey));
+        let (notice_sender, notices) = unbounded();
+        let mut send_notice = move |notice| drop(notice_sender.send(notice));
+        let running = thread::spawn(move || {
+            EventLoop::new(core, workers, context, events, &mut send_notice).run(&to_obey)
+        });
         let out = folder.path().join("out/sound/a.1.obj");
         let mut alive_count = 0;
         while !out.exists() || alive_count < 3 {

@@ -355,12 +355,14 @@ mod tests {
     #[test]
     fn new_frame_is_converted_when_it_is_complete() {
         let bench = Bench::new();
-        let told = bench.explain(None, None, 0);
-        assert_eq!(told.verdict, FrameExplanation::Converted(Decision::Convert(ConvertReason::New)));
-        let file = told.file.expect("there");
+        let explanation = bench.explain(None, None, 0);
+        assert_eq!(explanation.verdict, FrameExplanation::Converted(Decision::Convert(ConvertReason::New)));
+        let file = explanation.file.expect("there");
         assert_eq!((file.content, file.change), (SniffedContent::Particles, None));
         assert_eq!(file.readiness, Readiness::Ready(Proof::Format));
-        let waits = |told: Explanation, expected| assert_eq!(told.verdict, FrameExplanation::Waits(expected));
+        let waits = |explanation: Explanation, expected| {
+            assert_eq!(explanation.verdict, FrameExplanation::Waits(expected))
+        };
         waits(bench.explain(None, None, 3600), WaitReason::Changing);
         let mut bench = bench;
         bench.watch.sentinel = Some("{name}.ok".into());
@@ -376,17 +378,17 @@ mod tests {
     fn done_frame_is_skipped_while_nothing_has_changed() {
         let bench = Bench::new();
         let record = bench.record(JournaledStatus::Done);
-        let told = bench.explain(Some(&record), Some("s"), 3600);
-        assert_eq!(told.verdict, FrameExplanation::Skipped(SkipReason::Done));
-        assert_eq!((told.settings_hold, told.output_missing), (Some(true), None));
-        assert_eq!(told.file.expect("there").change, Some(FileChange::Unchanged));
+        let explanation = bench.explain(Some(&record), Some("s"), 3600);
+        assert_eq!(explanation.verdict, FrameExplanation::Skipped(SkipReason::Done));
+        assert_eq!((explanation.settings_hold, explanation.output_missing), (Some(true), None));
+        assert_eq!(explanation.file.expect("there").change, Some(FileChange::Unchanged));
 
-        let told = bench.explain(Some(&record), Some("others"), 0);
+        let explanation = bench.explain(Some(&record), Some("others"), 0);
         assert_eq!(
-            told.verdict,
+            explanation.verdict,
             FrameExplanation::Converted(Decision::Convert(ConvertReason::SettingsChanged))
         );
-        assert_eq!(told.settings_hold, Some(false));
+        assert_eq!(explanation.settings_hold, Some(false));
         assert_eq!(bench.explain(Some(&record), None, 0).settings_hold, None);
 
         fs::remove_file(&bench.output).expect("removed");
@@ -395,8 +397,8 @@ mod tests {
         let failed = bench.record(JournaledStatus::Failed);
         assert_eq!(bench.verdict(Some(&failed)), FrameExplanation::Skipped(SkipReason::FailedUnchanged));
         let refused = bench.record(JournaledStatus::Refused);
-        let told = bench.verdict(Some(&refused)).to_string();
-        assert!(told.contains("as soon as the files that blocked it are gone"), "{told}");
+        let explanation = bench.verdict(Some(&refused)).to_string();
+        assert!(explanation.contains("as soon as the files that blocked it are gone"), "{explanation}");
     }
 
     #[test]
@@ -429,8 +431,8 @@ mod tests {
     fn file_that_is_not_a_frame_is_explained() {
         let mut bench = Bench::new();
         bench.watch.pattern = Some("spray*".into());
-        let told = bench.explain(None, None, 0);
-        assert_eq!((told.is_selected, told.verdict), (false, FrameExplanation::NotSelected));
+        let explanation = bench.explain(None, None, 0);
+        assert_eq!((explanation.is_selected, explanation.verdict), (false, FrameExplanation::NotSelected));
         bench.watch.pattern = Some("[".into());
         let question = Question {
             frame: &bench.frame,

@@ -54,12 +54,12 @@ pub fn waiting(state: &JournalState) -> Waiting {
     let known: JournaledFiles = known
         .map(|(input, frame)| (file_of(input).to_owned(), frame.stamp.without_status_change()))
         .collect();
-    let (tell, told) = channel();
+    let (sender, receiver) = channel();
     let until = Instant::now() + TIME_MAX;
     // If a folder hangs, the thread ends with the process.
-    let looking = move || search(&plan, &known, (FILES_MAX, &trust_clock), &tell);
-    match thread::Builder::new().name("look".into()).spawn(looking) {
-        Ok(_) => collect(&told, until),
+    let search_all = move || search(&plan, &known, (FILES_MAX, &trust_clock), &sender);
+    match thread::Builder::new().name("look".into()).spawn(search_all) {
+        Ok(_) => collect(&receiver, until),
         Err(_) => Waiting { is_cut_short: true, ..Waiting::default() },
     }
 }
@@ -71,10 +71,10 @@ type JournaledFiles = HashSet<(PathBuf, FileStamp)>;
 type WaitingFile = Option<(PathBuf, WaitReason)>;
 
 /// Collects the results that arrive before `until`.
-fn collect(told: &Receiver<WaitingFile>, until: Instant) -> Waiting {
+fn collect(receiver: &Receiver<WaitingFile>, until: Instant) -> Waiting {
     let mut waiting = Waiting::default();
     loop {
-        match told.recv_timeout(until.saturating_duration_since(Instant::now())) {
+        match receiver.recv_timeout(until.saturating_duration_since(Instant::now())) {
             Ok(Some(file)) => waiting.files.push(file),
             Ok(None) => break,
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
@@ -92,12 +92,12 @@ fn search(
     plan: &PlanRecord,
     known: &JournaledFiles,
     (mut files_left, trust_clock): (usize, &dyn Fn(&Path) -> bool),
-    tell: &Sender<WaitingFile>,
+    sender: &Sender<WaitingFile>,
 ) {
     let output_folders: Vec<PathBuf> =
         plan.watches.iter().map(|watch| watch.outputs.folder.clone()).collect();
     // Watched folders may have files in common.
-    let mut told = HashSet::new();
+    let mut sent = HashSet::new();
     for watch in &plan.watches {
         let selection = FileFilter::new(watch.pattern.as_deref(), watch.recursive, output_folders.clone());
         let Ok(selection) = selection else { continue };
@@ -114,13 +114,13 @@ fn search(
             let (path, _) = file;
             let Some(why) = why_waiting(&path, &seen, watch, &plan.timeouts) else { continue };
             // The receiver is dropped once the time is up.
-            if told.insert(path.clone()) && tell.send(Some((path, why))).is_err() {
+            if sent.insert(path.clone()) && sender.send(Some((path, why))).is_err() {
                 return;
             }
         }
     }
     // The receiver may have been dropped here, too.
-    let _ = tell.send(None);
+    let _ = sender.send(None);
 }
 
 fn why_waiting(path: &Path, seen: &Seen, watch: &Watch, timeouts: &StabilityTimeouts) -> Option<WaitReason> {
@@ -130,11 +130,12 @@ fn why_waiting(path: &Path, seen: &Seen, watch: &Watch, timeouts: &StabilityTime
     let timeouts = StabilityTimeouts { settle, ..*timeouts };
     let readiness = readiness_of(path, &Candidate::new(now, seen, false), now, watch, &timeouts);
     let Readiness::Waiting { why, .. } = readiness else { return None };
-    let is_told = seen.age.is_some() || matches!(why, WaitReason::Sentinel | WaitReason::Incomplete { .. });
+    let is_certain =
+        seen.age.is_some() || matches!(why, WaitReason::Sentinel | WaitReason::Incomplete { .. });
     // A file that cannot be read may be a frame: the attempt to read it reports why it fails.
     let is_no_frame =
         || matches!(content(path), Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles));
-    (is_told && !is_no_frame()).then_some(why)
+    (is_certain && !is_no_frame()).then_some(why)
 }
 
 #[cfg(test)]
@@ -182,10 +183,10 @@ mod tests {
     fn found(watches: Vec<Watch>, limits: (usize, &dyn Fn(&Path) -> bool)) -> (Vec<String>, bool) {
         let hour = Duration::from_secs(3600);
         let timeouts = StabilityTimeouts { settle: hour, unverifiable: hour, stalled: hour };
-        let (tell, told) = channel();
-        search(&PlanRecord { watches, timeouts }, &JournaledFiles::new(), limits, &tell);
-        drop(tell);
-        let Waiting { files, is_cut_short } = collect(&told, Instant::now() + hour);
+        let (sender, receiver) = channel();
+        search(&PlanRecord { watches, timeouts }, &JournaledFiles::new(), limits, &sender);
+        drop(sender);
+        let Waiting { files, is_cut_short } = collect(&receiver, Instant::now() + hour);
         let mut files: Vec<String> = files
             .into_iter()
             .map(|(path, why)| {
@@ -232,9 +233,9 @@ mod tests {
         let (files, is_cut_short) = found(vec![watch(folder.path(), None)], (0, &|_| true));
         assert!(files.is_empty() && is_cut_short, "{files:?}");
         // A file that was found before a folder hangs.
-        let (tell, told) = channel();
-        tell.send(Some(("dam.1.ply".into(), WaitReason::Changing))).expect("heard");
-        let waiting = collect(&told, Instant::now() + Duration::from_millis(20));
+        let (sender, receiver) = channel();
+        sender.send(Some(("dam.1.ply".into(), WaitReason::Changing))).expect("heard");
+        let waiting = collect(&receiver, Instant::now() + Duration::from_millis(20));
         assert_eq!((waiting.files.len(), waiting.is_cut_short), (1, true));
     }
 }

@@ -133,12 +133,12 @@ def flowing(check):
         options = ["--voxel-size", str(flow.VOXEL_SIZE), "--attributes", attributes, *options]
         reads(check, label, WORK / "awkward" / "flowing.ply", options, [*FORMATS, "gltf"])
         written = json.loads((OUT / label / "report.json").read_text())
-        told = written["frames"][0].get("attributes") or {}
+        report = written["frames"][0].get("attributes") or {}
         names = flow.NAMES if attributes == "all" else flow.NAMES[:2]
-        faults = [] if told.get("names") == names else [f"the report lists {told.get('names')}"]
-        if told and (told["vertices"]["empty"] or told["band"]["empty"]):
-            faults.append(f"places without particles: {told}")
-        check.line(f"{label} attributes", f"{', '.join(told.get('names', []))}: {told.get('seconds', 0):.3f} s", faults)
+        faults = [] if report.get("names") == names else [f"the report lists {report.get('names')}"]
+        if report and (report["vertices"]["empty"] or report["band"]["empty"]):
+            faults.append(f"points without particles: {report}")
+        check.line(f"{label} attributes", f"{', '.join(report.get('names', []))}: {report.get('seconds', 0):.3f} s", faults)
 
 
 def moving(check):

@@ -90,7 +90,7 @@ def measured(name, particles, obstacle, voxel_size, wet_margin=COVERED):
     depth = deepest(obstacle, vertices, voxel_size)
     surface = trimesh.Trimesh(vertices, triangles, process=False)
     gap, wet_count = widest_gap(obstacle, particles, surface, frame["settings"], wet_margin)
-    told = frame["obstacles"]
+    report = frame["obstacles"]
     faults = []
     if depth > DEPTH_MAX:
         faults.append(f"a vertex is {depth:.3f} h deep in the obstacle")
@@ -100,11 +100,11 @@ def measured(name, particles, obstacle, voxel_size, wet_margin=COVERED):
         faults.append(f"only {wet_count} places of the obstacle are wet")
     if not frame["certificate"]["holds"]:
         faults.append(f"not certified: {frame['certificate']}")
-    if abs(told["deepest_vertex_voxels"] - depth) > 0.02:
-        faults.append(f"the report says {told['deepest_vertex_voxels']} h deep")
-    if wet_margin > 0 and not told["void_voxels_filled"]:
-        faults.append("the report knows of no void that was filled")
-    figures = f"{depth:.3f} h deep, gaps of {gap:.3f} h at {wet_count} wet places, {told['void_voxels_filled']} voxels filled"
+    if abs(report["deepest_vertex_voxels"] - depth) > 0.02:
+        faults.append(f"the report says {report['deepest_vertex_voxels']} h deep")
+    if wet_margin > 0 and not report["void_voxels_filled"]:
+        faults.append("the report counts no filled void")
+    figures = f"{depth:.3f} h deep, gaps of {gap:.3f} h at {wet_count} wet places, {report['void_voxels_filled']} voxels filled"
     return figures, faults
 
 

@@ -1,6 +1,6 @@
 //! Outputs whose names collide with other files: the daemon's own, the user's, and those of another daemon.
 
-use crate::scene::{Line, NO_SCANS, Scene, csv, moving, names_in, ply, told as told_of};
+use crate::scene::{Line, NO_SCANS, Scene, csv, log_text, moving, names_in, ply};
 
 const QUICK: [&str; 4] = ["--settle", "20ms", "--settle-unverifiable", "50ms"];
 
@@ -90,9 +90,10 @@ fn output_does_not_replace_an_obstacle() {
         let once = scene.once(&[&with[..], &QUICK].concat());
         once.assert_status(if refused.len() == 2 { 2 } else { 1 });
         for name in refused {
-            let is_told = |line: &&Line| line.message.contains("would replace the obstacle");
-            let told = once.log.iter().filter(is_told).filter(|line| line.is_about(&format!("{name}.ply")));
-            assert_eq!(told.count(), 1, "{obstacle} {name}: {}", told_of(&once.log));
+            let is_report = |line: &&Line| line.message.contains("would replace the obstacle");
+            let reported =
+                once.log.iter().filter(is_report).filter(|line| line.is_about(&format!("{name}.ply")));
+            assert_eq!(reported.count(), 1, "{obstacle} {name}: {}", log_text(&once.log));
         }
         assert!(scene.bytes("out/dam.1.obj") == before);
         let result = scene.run(&[&["convert", "in", "--out", "out"], &with[..]].concat());
@@ -176,7 +177,7 @@ fn second_daemon_with_the_same_output_folder_is_refused() {
     assert!(
         second.log.iter().any(|line| line.message.contains(&named)),
         "{}",
-        crate::scene::told(&second.log)
+        crate::scene::log_text(&second.log)
     );
     // The first daemon is unaffected. When it has ended, normally or not, another one may start.
     scene.put_moving([2]);

@@ -7,7 +7,7 @@ use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustix::process::geteuid;
 use serde_json::Value;
 
-use crate::scene::{Line, NO_SCANS, Scene, moving, names_in, ply, told};
+use crate::scene::{Line, NO_SCANS, Scene, log_text, moving, names_in, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 const QUICK: [&str; 4] = ["--settle", "50ms", "--stalled", "300ms"];
@@ -90,7 +90,7 @@ fn files_that_are_not_frames_are_ignored() {
     litter(2);
     scene.put_moving([2]);
     daemon.await_converted("dam.2.ply");
-    assert!(daemon.lines(|line| line.level == "ERROR").is_empty(), "{}", daemon.told());
+    assert!(daemon.lines(|line| line.level == "ERROR").is_empty(), "{}", daemon.log_text());
     assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 1);
     let names = ["dam.1.obj", "dam.1.vdb", "dam.2.obj", "dam.2.vdb"];
     assert_eq!(names_in(&scene.path("out"))[1..], names);
@@ -107,7 +107,7 @@ fn frame_that_cannot_be_examined_fails_the_run() {
     assert_eq!(once.converted(), ["dam.1.ply"]);
     let is_error =
         |line: &&Line| line.level == "ERROR" && line.message.starts_with("cannot be read: Too many levels");
-    assert_eq!(once.log.iter().filter(is_error).count(), 1, "{}", told(&once.log));
+    assert_eq!(once.log.iter().filter(is_error).count(), 1, "{}", log_text(&once.log));
 }
 
 /// A writer may be about to fill an empty file. The daemon waits for it and retries, but `--once` does not
@@ -118,8 +118,9 @@ fn empty_file_fails_after_a_while() {
     let daemon = scene.watch(&[&QUICK[..], &NO_SCANS, &FORMATS].concat());
     scene.write("in/dam.2.ply", "");
     scene.put_moving([3]);
-    let told = daemon.await_line("it is logged", |line| line.is_complaint() && line.is_about("dam.2.ply"));
-    assert!(told.message.contains("is empty"), "{}", told.message);
+    let complaint =
+        daemon.await_line("it is logged", |line| line.is_complaint() && line.is_about("dam.2.ply"));
+    assert!(complaint.message.contains("is empty"), "{}", complaint.message);
     daemon.await_converted("dam.3.ply");
     daemon.finish();
     scene.once(&[&QUICK[..], &FORMATS].concat()).assert_status(1);

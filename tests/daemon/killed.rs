@@ -45,7 +45,7 @@ fn killed_daemon_loses_no_frame_and_shows_no_incomplete_output() {
         for _ in 0..kill_count {
             let mut daemon = scene.start(&[&["--settle", "20ms"], &FORMATS[..]].concat());
             thread::sleep(Duration::from_micros(random.below(150_000)));
-            assert!(daemon.is_alive(), "{}", daemon.told());
+            assert!(daemon.is_alive(), "{}", daemon.log_text());
             daemon.kill();
             killed_count.fetch_add(1, Ordering::SeqCst);
         }

@@ -122,8 +122,8 @@ fn output_subfolder_that_is_a_link_is_not_written_through() {
     let once = scene.once(&[&QUICK[..], &FORMATS, &["--recursive"]].concat());
     once.assert_status(1);
     let failures = once.log.iter().filter(|line| line.level == "ERROR");
-    let is_told = |line: &&Line| line.message.contains("out/shot is a symbolic link");
-    assert_eq!(failures.filter(is_told).count(), 2, "{}", crate::scene::told(&once.log));
+    let is_report = |line: &&Line| line.message.contains("out/shot is a symbolic link");
+    assert_eq!(failures.filter(is_report).count(), 2, "{}", crate::scene::log_text(&once.log));
     assert_eq!(names_in(&scene.path("home")), ["deep"]);
     assert!(names_in(&scene.path("home/deep")).is_empty());
     assert_eq!(names_in(&scene.path("out/other")), ["dam.1.obj", "dam.1.vdb"]);

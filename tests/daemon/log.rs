@@ -42,12 +42,12 @@ fn status_describes_running_and_stopped_daemons() {
     );
     let reason = running["failed"][0]["reason"].as_str().expect("a reason");
     let waiting = running["waiting"].as_array().expect("a list");
-    let told = |key: &str| waiting[0][key].as_str().expect("text");
-    assert!(waiting.len() == 1 && told("input").ends_with("dam.4.ply"), "{running}");
-    assert!(told("reason").starts_with("it is not complete: 1000 of at least"), "{running}");
+    let text_of = |key: &str| waiting[0][key].as_str().expect("text");
+    assert!(waiting.len() == 1 && text_of("input").ends_with("dam.4.ply"), "{running}");
+    assert!(text_of("reason").starts_with("it is not complete: 1000 of at least"), "{running}");
     let text = scene.run(&["status", "--out", "out"]);
     assert_eq!(text.status, Some(1), "{}", text.err);
-    for told in [
+    for expected in [
         "2 ",
         "waiting for the writers of 1 file:",
         "dam.4.ply: it is not",
@@ -55,7 +55,7 @@ fn status_describes_running_and_stopped_daemons() {
         reason,
         &daemon.pid().to_string(),
     ] {
-        assert!(text.out.contains(told), "{told}: {}", text.out);
+        assert!(text.out.contains(expected), "{expected}: {}", text.out);
     }
     daemon.finish();
     let stopped = status(&scene);
@@ -134,5 +134,5 @@ fn log_has_a_line_for_every_frame() {
     }
     assert_eq!(line.level, "INFO");
     let log = daemon.finish();
-    assert!(log.iter().all(|line| line.fields.is_object()), "{}", crate::scene::told(&log));
+    assert!(log.iter().all(|line| line.fields.is_object()), "{}", crate::scene::log_text(&log));
 }

@@ -159,8 +159,8 @@ fn frame_that_was_too_large_is_retried_after_a_restart() {
         assert!(complaints.count() > 0, "it was not tried");
     }
     for command in [&["status", "--out", "out"][..], &["why", "in/dam.1.ply", "--out", "out"]] {
-        let told = scene.run(command);
-        assert!(told.out.contains("dam.1.ply") && told.out.contains("the frame needs"), "{}", told.out);
+        let result = scene.run(command);
+        assert!(result.out.contains("dam.1.ply") && result.out.contains("the frame needs"), "{}", result.out);
     }
     let once = scene.once(&arguments);
     once.assert_status(0);

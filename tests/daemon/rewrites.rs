@@ -6,7 +6,7 @@ use std::thread;
 use std::time::{Duration, SystemTime};
 
 use crate::scene::{
-    Line, NO_SCANS, Scene, Watching, await_that, block, by_length, moving, ply, text_ply, told,
+    Line, NO_SCANS, Scene, Watching, await_that, block, by_length, log_text, moving, ply, text_ply,
 };
 
 /// The voxel size is fixed, because these tests change the frames on which it would be measured.
@@ -185,7 +185,7 @@ fn frame_overwritten_while_it_is_read_is_read_again() {
     let is_as_expected = || fs::read(scene.path("out/dam.1.obj")).is_ok_and(|bytes| bytes == expected);
     await_that("the last version is converted", is_as_expected);
     let log = daemon.finish();
-    assert!(log.iter().all(|line| line.level != "ERROR"), "{}", crate::scene::told(&log));
+    assert!(log.iter().all(|line| line.level != "ERROR"), "{}", crate::scene::log_text(&log));
     // Another run does not change the outputs.
     let once = scene.once(&[&["--settle", "1ms"], &arguments[..]].concat());
     once.assert_status(0);
@@ -227,7 +227,7 @@ fn frames_removed_while_they_wait_do_not_fail() {
     }
     scene.put_moving([300]);
     daemon.await_converted("dam.300.ply");
-    assert!(daemon.lines(|line| line.level == "ERROR").is_empty(), "{}", daemon.told());
+    assert!(daemon.lines(|line| line.level == "ERROR").is_empty(), "{}", daemon.log_text());
     daemon.finish();
     let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
     once.assert_status(0);
@@ -306,7 +306,11 @@ fn rewritten_obstacle_converts_its_frames_again() {
     scene.put("body.3.obj", floor(-0.2));
     daemon.await_lines(3, "and so is the third", Line::is_found_done);
     let complaints = daemon.lines(Line::is_complaint);
-    assert!(complaints.iter().all(|line| line.message.contains("inside obstacles")), "{}", told(&complaints));
+    assert!(
+        complaints.iter().all(|line| line.message.contains("inside obstacles")),
+        "{}",
+        log_text(&complaints)
+    );
     assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 7);
     let once = scene.once(&[&["--settle", "10ms"], &arguments[..]].concat());
     once.assert_status(0);

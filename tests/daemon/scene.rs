@@ -293,7 +293,7 @@ impl Once {
 
     #[track_caller]
     pub(crate) fn assert_status(&self, status: i32) {
-        assert_eq!(self.status, Some(status), "{}", told(&self.log));
+        assert_eq!(self.status, Some(status), "{}", log_text(&self.log));
     }
 }
 
@@ -354,7 +354,7 @@ fn line(text: &str) -> Line {
 }
 
 /// The log in the form that a failing test prints.
-pub(crate) fn told(log: &[Line]) -> String {
+pub(crate) fn log_text(log: &[Line]) -> String {
     log.iter().fold(String::new(), |text, line| text + &line.fields.to_string() + "\n")
 }
 
@@ -446,7 +446,7 @@ impl Watching {
         let is_there =
             |state: &LogState| state.notices.iter().any(|notice| notice.starts_with(wanted)).then_some(());
         let found = self.log.await_found(is_there);
-        assert!(found.is_some(), "no {wanted}:\n{}", self.told());
+        assert!(found.is_some(), "no {wanted}:\n{}", self.log_text());
     }
 
     /// Waits for a line of the log.
@@ -463,7 +463,7 @@ impl Watching {
             (count <= found.len()).then(|| found.into_iter().cloned().collect())
         });
         found.unwrap_or_else(|| {
-            panic!("{what}: {} of {count} lines:\n{}", self.lines(&is_it).len(), self.told())
+            panic!("{what}: {} of {count} lines:\n{}", self.lines(&is_it).len(), self.log_text())
         })
     }
 
@@ -505,11 +505,11 @@ impl Watching {
     /// Asserts that the log has no warning and no error so far.
     #[track_caller]
     pub(crate) fn assert_no_complaints(&self) {
-        assert!(self.lines(Line::is_complaint).is_empty(), "{}", self.told());
+        assert!(self.lines(Line::is_complaint).is_empty(), "{}", self.log_text());
     }
 
-    pub(crate) fn told(&self) -> String {
-        told(&self.log.lock().lines)
+    pub(crate) fn log_text(&self) -> String {
+        log_text(&self.log.lock().lines)
     }
 
     pub(crate) fn signal(&self, signal: Signal) {
@@ -533,7 +533,7 @@ impl Watching {
     pub(crate) fn finish(mut self) -> Vec<Line> {
         self.signal(Signal::TERM);
         let status = self.await_end();
-        assert_eq!(status.code(), Some(0), "{}", self.told());
+        assert_eq!(status.code(), Some(0), "{}", self.log_text());
         std::mem::take(&mut self.log.lock().lines)
     }
 
@@ -541,8 +541,8 @@ impl Watching {
     #[track_caller]
     pub(crate) fn await_end(&mut self) -> ExitStatus {
         let status = self.end(patience());
-        let status = status.unwrap_or_else(|| panic!("it does not end:\n{}", self.told()));
-        assert!(!self.told().contains("panicked"), "{}", self.told());
+        let status = status.unwrap_or_else(|| panic!("it does not end:\n{}", self.log_text()));
+        assert!(!self.log_text().contains("panicked"), "{}", self.log_text());
         status
     }
 

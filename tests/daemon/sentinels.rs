@@ -38,7 +38,7 @@ fn frame_waits_for_its_required_sentinel() {
     for number in [1, 2] {
         daemon.await_waiting(&format!("dam.{number}.ply"), ply(&moving(number)).len(), "sentinel");
     }
-    assert!(daemon.lines(|line| line.is_converted()).is_empty(), "{}", daemon.told());
+    assert!(daemon.lines(|line| line.is_converted()).is_empty(), "{}", daemon.log_text());
     scene.write("in/dam.1.ply.ok", "");
     daemon.await_converted("dam.1.ply");
     daemon.await_converted("dam.3.ply");
@@ -68,14 +68,14 @@ fn once_skips_frames_without_their_sentinel() {
     let arguments = [&["--settle", "10ms", "--sentinel", "{name}.ok"], &FORMATS[..]].concat();
     let once = scene.once(&arguments);
     once.assert_status(2);
-    assert!(once.log.iter().all(|line| line.level != "ERROR"), "{}", crate::scene::told(&once.log));
+    assert!(once.log.iter().all(|line| line.level != "ERROR"), "{}", crate::scene::log_text(&once.log));
     scene.remove("in/dam.2.ply.ok");
     scene.write("in/dam.1.ply.ok", "");
     let once = scene.once(&arguments);
     assert_eq!(once.converted(), ["dam.1.ply"]);
     once.assert_status(1);
     let named = |line: &Line| line.is_about("dam.2.ply") && line.message.contains("dam.2.ply.ok");
-    assert!(once.log.iter().any(named), "{}", crate::scene::told(&once.log));
+    assert!(once.log.iter().any(named), "{}", crate::scene::log_text(&once.log));
     scene.write("in/dam.2.ply.ok", "");
     let once = scene.once(&arguments);
     assert_eq!(once.converted(), ["dam.2.ply"]);

@@ -62,7 +62,7 @@ fn frames_wait_for_the_first_one() {
     // frames of the first sequence, too.
     scene.put("in/drop.1.ply", ply(&block(5, 0.1, 0.0)));
     daemon.await_converted("drop.1.ply");
-    assert_eq!(daemon.lines(Line::is_converted).len(), 1, "{}", daemon.told());
+    assert_eq!(daemon.lines(Line::is_converted).len(), 1, "{}", daemon.log_text());
     scene.write("in/dam.1.ply", &first);
     daemon.await_lines(4, "all are converted", Line::is_converted);
     daemon.assert_no_complaints();
@@ -80,9 +80,9 @@ fn single_particle_frames_wait_for_one_with_a_spacing() {
     }
     scene.put("in/dam.3.ply", ply(&block(6, 0.12, 0.0)));
     daemon.await_lines(3, "all are converted", Line::is_converted);
-    let is_told = |line: &Line| line.message.contains("cannot measure the particle spacing yet");
+    let is_report = |line: &Line| line.message.contains("cannot measure the particle spacing yet");
     let complaints = daemon.lines(Line::is_complaint);
-    assert!(complaints.len() <= 1 && complaints.iter().all(is_told), "{}", daemon.told());
+    assert!(complaints.len() <= 1 && complaints.iter().all(is_report), "{}", daemon.log_text());
     daemon.finish();
     scene.assert_as_converted(&FORMATS);
     // If no frame gives a spacing, all fail, and each failure is logged once.

@@ -75,7 +75,7 @@ fn second_signal_ends_the_daemon_at_once() {
         assert!(daemon.is_alive());
         daemon.signal(second);
         // The frame would take minutes, so the daemon ends before it is finished.
-        assert_eq!(daemon.await_end().code(), Some(status), "{}", daemon.told());
+        assert_eq!(daemon.await_end().code(), Some(status), "{}", daemon.log_text());
         assert!(contents(&scene.path("out")).is_empty());
     }
     // The next run starts the aborted frame again.
@@ -99,11 +99,11 @@ fn frame_beyond_the_deadline_is_given_up() {
     daemon.signal(Signal::TERM);
     let status = daemon.await_end();
     let elapsed = start.elapsed();
-    assert_eq!(status.code(), Some(0), "{}", daemon.told());
+    assert_eq!(status.code(), Some(0), "{}", daemon.log_text());
     assert!(elapsed >= Duration::from_millis(300), "{elapsed:?}");
     let overdue = "frames in progress did not finish within 300ms (--stop-deadline)";
-    assert_eq!(daemon.lines(|line| line.message == overdue).len(), 1, "{}", daemon.told());
-    assert!(daemon.lines(Line::is_converted).is_empty(), "{}", daemon.told());
+    assert_eq!(daemon.lines(|line| line.message == overdue).len(), 1, "{}", daemon.log_text());
+    assert!(daemon.lines(Line::is_converted).is_empty(), "{}", daemon.log_text());
     assert!(contents(&scene.path("out")).is_empty());
     scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat()).assert_status(0);
     scene.assert_no_temporaries();
@@ -186,8 +186,8 @@ fn configuration_is_reloaded_on_a_signal() {
         scene.write(CONFIG, wrong);
         let count = daemon.lines(|line| line.level == "ERROR").len();
         daemon.signal(Signal::HUP);
-        let told = daemon.await_lines(count + 1, "the error is logged", |line| line.level == "ERROR");
-        assert!(told[count].message.contains(named), "{}", told[count].message);
+        let errors = daemon.await_lines(count + 1, "the error is logged", |line| line.level == "ERROR");
+        assert!(errors[count].message.contains(named), "{}", errors[count].message);
     }
     scene.put_moving([2]);
     daemon.await_converted("dam.2.ply");

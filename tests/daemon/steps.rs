@@ -94,10 +94,10 @@ fn status_lists_failed_steps() {
     assert_eq!(status.status, Some(1), "{}", status.err);
     assert!(status.out.contains("2 done, 0 queued, 0 to retry, 2 failed"), "{}", status.out);
     let lines: Vec<&str> = status.out.lines().filter(|line| line.contains("d.dump/step=")).collect();
-    let is_told =
+    let is_listed =
         |step: &str, words: &str| lines.iter().any(|line| line.contains(step) && line.contains(words));
-    assert!(is_told("step=2: ", &format!("LAMMPS dump, at line {line}: ")), "{}", status.out);
-    assert!(is_told("step=4: ", "tried again at the next start"), "{}", status.out);
+    assert!(is_listed("step=2: ", &format!("LAMMPS dump, at line {line}: ")), "{}", status.out);
+    assert!(is_listed("step=4: ", "tried again at the next start"), "{}", status.out);
     let json = scene.run(&["status", "--out", "out", "--json"]);
     let json: serde_json::Value = serde_json::from_str(&json.out).expect("JSON");
     assert_eq!((&json["counts"]["failed"], &json["counts"]["retrying"]), (&2.into(), &0.into()));

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use crate::scene::{
     CHEAP, FORMATS, FRAME_COUNT, FaultKind, Faults, Files, PLAN, Random, References, RunResult, Scene,
-    Version, files_in, stem, tell,
+    Version, files_in, print_line, stem,
 };
 
 /// Counts of the faults in a cycle.
@@ -62,7 +62,7 @@ pub(crate) fn run(seed: u64, shim: &Path, references: &References) -> Figures {
     cycle.assert_all_is_made(Version::New);
     let log = cycle.scene.fault_log();
     if std::env::var_os("MENISCUS_FAULT_SEED").is_some() {
-        tell(&format!("seed {seed}, {way:?}:\n{log}"));
+        print_line(&format!("seed {seed}, {way:?}:\n{log}"));
     }
     let fault_count = log.lines().filter(|line| !line.starts_with("kill")).count() as u64;
     Figures { fault_count, kill_count }

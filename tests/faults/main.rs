@@ -22,7 +22,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 
-use scene::{References, build_shim, tell};
+use scene::{References, build_shim, print_line};
 
 /// Cycles mostly wait, for a second attempt or for a disk, so several run at once.
 const THREADS: usize = 6;
@@ -35,7 +35,7 @@ fn of_environment(name: &str) -> Option<u64> {
 #[test]
 fn faults_cause_no_wrong_success_no_lost_result_and_no_half_written_file() {
     let Some(shim) = build_shim() else {
-        return tell("the fault injector is SKIPPED: it needs a C compiler called `cc`");
+        return print_line("the fault injector is SKIPPED: it needs a C compiler called `cc`");
     };
     let references = References::new();
     let cycle_count = of_environment("MENISCUS_FAULT_CYCLES").unwrap_or(200);
@@ -66,7 +66,7 @@ fn faults_cause_no_wrong_success_no_lost_result_and_no_half_written_file() {
     let mut failures = failures.into_inner().expect("no panic");
     failures.sort_unstable();
     assert!(failures.is_empty(), "MENISCUS_FAULT_SEED=N repeats one of these: {failures:?}");
-    tell(&format!("{} cycles: {fault_count:?} faults, {kill_count:?} kills", end - first));
+    print_line(&format!("{} cycles: {fault_count:?} faults, {kill_count:?} kills", end - first));
     if only.is_none() {
         assert!(fault_count.into_inner() > cycle_count, "the shim injects too few faults");
         assert!(kill_count.into_inner() >= cycle_count / 10, "the shim kills the program too rarely");

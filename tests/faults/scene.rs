@@ -36,7 +36,7 @@ pub(crate) const CHEAP: [&str; 12] = [
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// Prints a line, also if the test passes.
-pub(crate) fn tell(text: &str) {
+pub(crate) fn print_line(text: &str) {
     writeln!(io::stderr(), "{text}").expect("standard error is open");
 }
 

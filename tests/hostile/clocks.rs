@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::process::Command;
 use std::time::{Duration, SystemTime};
 
-use crate::scene::{RunResult, Scene, block_ply, tell};
+use crate::scene::{RunResult, Scene, block_ply, print_line};
 
 const YEAR: Duration = Duration::from_secs(365 * 24 * 3600);
 
@@ -82,7 +82,7 @@ fn frame_with_an_earlier_time_is_converted_again() {
 /// Runs the daemon with a changed system clock; `None` if the clock cannot be changed.
 fn run_at(scene: &Scene, clock: &[&str]) -> Option<RunResult> {
     if !Command::new("faketime").args(["2001-01-01", "true"]).status().is_ok_and(|status| status.success()) {
-        tell("not tested: faketime is missing");
+        print_line("not tested: faketime is missing");
         return None;
     }
     let mut command = Command::new("faketime");

@@ -1,6 +1,6 @@
 //! Small .vdb files whose nodes are full of tiles: the memory must stay within `--memory`.
 
-use crate::scene::{Scene, tell};
+use crate::scene::{Scene, print_line};
 use crate::vdb_file::{grid_head, vdb_file};
 
 const VOXEL_SIZE: f64 = 0.1;
@@ -60,12 +60,12 @@ fn small_file_with_millions_of_tiles_stays_within_memory() {
         let result = convert(&scene, is_obstacle, "64MiB");
         assert_ne!(result.status, Some(0), "{}", result.err);
         assert!(result.err.contains("grid.vdb") && result.err.contains("tiles"), "{}", result.err);
-        tell(&format!("refused with {} MiB", result.peak_bytes >> 20));
+        print_line(&format!("refused with {} MiB", result.peak_bytes >> 20));
         assert!(result.peak_bytes <= BESIDE_BYTES + (64 << 20), "{}", result.peak_bytes);
         let asked = asked_mebibytes(&result.err);
         let result = convert(&scene, is_obstacle, &format!("{}MiB", asked));
         assert_eq!(result.status, Some(0), "{}", result.err);
-        tell(&format!("{asked} MiB allowed: {} MiB", result.peak_bytes >> 20));
+        print_line(&format!("{asked} MiB allowed: {} MiB", result.peak_bytes >> 20));
         assert!(result.peak_bytes <= BESIDE_BYTES + (asked << 20), "{} of {asked} MiB", result.peak_bytes);
     }
 }
@@ -79,10 +79,10 @@ fn rebuilt_obstacle_stays_within_memory() {
     let result = convert(&scene, true, "32MiB");
     assert_ne!(result.status, Some(0), "{}", result.err);
     assert!(result.err.contains("grid.vdb") && result.err.contains("--memory"), "{}", result.err);
-    tell(&format!("refused with {} MiB", result.peak_bytes >> 20));
+    print_line(&format!("refused with {} MiB", result.peak_bytes >> 20));
     assert!(result.peak_bytes <= BESIDE_BYTES + (32 << 20), "{}", result.peak_bytes);
     let result = convert(&scene, true, "128MiB");
     assert_eq!(result.status, Some(0), "{}", result.err);
-    tell(&format!("128 MiB allowed: {} MiB", result.peak_bytes >> 20));
+    print_line(&format!("128 MiB allowed: {} MiB", result.peak_bytes >> 20));
     assert!(result.peak_bytes <= BESIDE_BYTES + (128 << 20), "{}", result.peak_bytes);
 }

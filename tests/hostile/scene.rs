@@ -18,7 +18,7 @@ pub(crate) fn is_long() -> bool {
 }
 
 /// Prints a line also if the test passes, which the usual macros do not.
-pub(crate) fn tell(text: &str) {
+pub(crate) fn print_line(text: &str) {
     writeln!(io::stderr(), "{text}").expect("standard error is open");
 }
 
@@ -97,7 +97,7 @@ impl Scene {
         assert_eq!(result.status, Some(1), "{name}: {}", result.err);
         assert!(result.err.contains(name) && result.err.contains(words), "{name}, {words}: {}", result.err);
         self.assert_good_frames_are_there();
-        tell(&format!("{name}: {} MiB", result.peak_bytes >> 20));
+        print_line(&format!("{name}: {} MiB", result.peak_bytes >> 20));
         assert!(result.peak_bytes <= most_bytes, "{name}: {} of {most_bytes} bytes", result.peak_bytes);
     }
 

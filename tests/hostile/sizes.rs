@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use meniscus_formats::LevelSetView;
 use meniscus_formats::vdb::{WriteOptions, write};
 
-use crate::scene::{Scene, tell};
+use crate::scene::{Scene, print_line};
 
 /// Number of steps: enough to measure the memory per step.
 const STEPS: usize = 20_000;
@@ -30,7 +30,7 @@ fn info_of_many_steps_takes_little_memory() {
         let result = scene.run(arguments);
         assert_eq!(result.status, Some(0), "{}", result.err);
         assert_eq!(result.out.matches("many.lammpstrj/step=").count(), STEPS);
-        tell(&format!("{} steps: {} MiB", STEPS, result.peak_bytes >> 20));
+        print_line(&format!("{} steps: {} MiB", STEPS, result.peak_bytes >> 20));
         assert!(result.peak_bytes <= INFO_BYTES_MAX, "{} of {INFO_BYTES_MAX} bytes", result.peak_bytes);
     }
 }
@@ -46,7 +46,7 @@ fn reading_many_steps_is_linear_in_the_file_size() {
             scene.write("many.lammpstrj", steps(count));
             let result = scene.run(arguments);
             assert_eq!(result.status, Some(0), "{}", result.err);
-            tell(&format!("{} of {count} steps: {} kB read", arguments[0], result.read_bytes >> 10));
+            print_line(&format!("{} of {count} steps: {} kB read", arguments[0], result.read_bytes >> 10));
             result.read_bytes
         });
         assert!(of_few > 0 && of_many <= 6 * of_few, "{arguments:?}: {of_few}, then {of_many} bytes");
@@ -95,6 +95,6 @@ fn scattered_voxels_stay_within_the_memory_that_is_allowed() {
         needed.and_then(|needed| needed.parse().ok()).unwrap_or_else(|| panic!("{}", result.err));
     let result = convert(&format!("{needed}MiB"));
     assert_eq!(result.status, Some(0), "{}", result.err);
-    tell(&format!("{needed} MiB allowed: {} MiB", result.peak_bytes >> 20));
+    print_line(&format!("{needed} MiB allowed: {} MiB", result.peak_bytes >> 20));
     assert!(result.peak_bytes <= (needed << 20) + BESIDE_BYTES, "{} of {needed} MiB", result.peak_bytes);
 }

@@ -4,7 +4,7 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::process::Command;
 
-use crate::scene::{RunResult, Scene, tell};
+use crate::scene::{RunResult, Scene, print_line};
 
 fn add_loops(scene: &Scene) {
     fs::create_dir_all(scene.path("in/a/b")).expect("made");
@@ -67,7 +67,7 @@ fn run_as_nobody(scene: &Scene, arguments: &[&str]) -> Option<RunResult> {
     command.args(["--reuid=65534", "--regid=65534", "--clear-groups"]);
     let is_there = Command::new("setpriv").args(["--reuid=65534", "true"]).status();
     if !is_there.is_ok_and(|status| status.success()) {
-        tell("not tested: cannot change the user here");
+        print_line("not tested: cannot change the user here");
         return None;
     }
     command.arg(program).args(arguments);

@@ -52,7 +52,7 @@ fn files(folder: &Path, out: &str) -> Vec<Vec<u8>> {
     FORMATS.into_iter().map(read).collect()
 }
 
-fn told(folder: &Path) -> Value {
+fn attribute_report(folder: &Path) -> Value {
     let report: Value =
         serde_json::from_slice(&fs::read(folder.join("report.json")).expect("written")).expect("JSON");
     report["frames"][0]["attributes"].clone()
@@ -115,15 +115,18 @@ fn every_format_has_the_attributes_that_it_supports() {
     assert_eq!(names, ["surface", "velocity", "Cd", "age"]);
     assert!(grids.iter().all(|grid| grid.active_voxel_count == grids[0].active_voxel_count));
 
-    let told = told(folder);
+    let attribute_report = attribute_report(folder);
     let names: Vec<&str> =
-        told["names"].as_array().expect("names").iter().filter_map(Value::as_str).collect();
+        attribute_report["names"].as_array().expect("names").iter().filter_map(Value::as_str).collect();
     assert_eq!(names, ["v", "Cd", "id", "age", "fluid"]);
-    assert_eq!(told["vertices"]["count"], mesh.positions.len());
+    assert_eq!(attribute_report["vertices"]["count"], mesh.positions.len());
     for (place, count) in [("vertices", "isolated"), ("vertices", "empty"), ("band", "empty")] {
-        assert_eq!(told[place][count], 0, "{place} {count}");
+        assert_eq!(attribute_report[place][count], 0, "{place} {count}");
     }
-    assert_eq!((&told["vertices"]["left_out"], &told["band"]["left_out"]), (&1.into(), &1.into()));
+    assert_eq!(
+        (&attribute_report["vertices"]["left_out"], &attribute_report["band"]["left_out"]),
+        (&1.into(), &1.into())
+    );
 }
 
 #[test]
@@ -136,10 +139,10 @@ fn attributes_are_selected_by_column_name_or_by_meaning() {
     {
         let result = convert(folder, "out", &["--attributes", typed]);
         assert_eq!(result.status, 0, "{}", result.err);
-        assert_eq!(told(folder)["names"], Value::from(expected.to_vec()), "{typed}");
-        let is_told = result.err.contains("no attribute `nothing`")
+        assert_eq!(attribute_report(folder)["names"], Value::from(expected.to_vec()), "{typed}");
+        let has_warning = result.err.contains("no attribute `nothing`")
             && result.err.contains("available: v, Cd, id, age, fluid");
-        assert_eq!(is_told, typed.contains("nothing"), "{}", result.err);
+        assert_eq!(has_warning, typed.contains("nothing"), "{}", result.err);
     }
 }
 
@@ -212,11 +215,11 @@ fn tiled_conversion_gives_the_same_attributes() {
 fn voxel_size_is_small_enough_for_radii_from_a_column() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
-    let mut told = frame(6);
+    let mut particles = frame(6);
     let radii = (0..216).map(|index| if index < 20 { 0.03 } else { 0.05 }).collect();
-    told.attributes = vec![attribute("pscale", 1, Values::F32(radii))];
+    particles.attributes = vec![attribute("pscale", 1, Values::F32(radii))];
     let mut bytes = Vec::new();
-    bgeo::write(&told, &mut bytes).expect("written");
+    bgeo::write(&particles, &mut bytes).expect("written");
     fs::write(folder.join("f.bgeo"), bytes).expect("written");
     let typed = ["convert", "f.bgeo", "--out", "o", "--report", "r.json", "--radius-attribute", "pscale"];
     let result = meniscus(folder, &typed);
@@ -269,8 +272,8 @@ fn frame_without_any_radius_fails() {
     for more in [&[][..], &["--voxel-size", "0.05"]] {
         let result = meniscus(folder, &[&typed[..], more].concat());
         assert_eq!(result.status, 1, "{}", result.err);
-        let told = "f.1.bgeo: the particles' attribute `pscale` has no positive value, but --radius-attribute needs radii";
-        assert!(result.err.contains(told), "{}", result.err);
+        let expected = "f.1.bgeo: the particles' attribute `pscale` has no positive value, but --radius-attribute needs radii";
+        assert!(result.err.contains(expected), "{}", result.err);
         assert!(
             result.err.contains("215 particles without a radius that is a positive number"),
             "{}",
@@ -332,7 +335,7 @@ fn column_of_the_exact_name_is_preferred() {
     fs::write(folder.path().join("f.bgeo"), bytes).expect("written");
     let result = convert(folder.path(), "o", &["--attributes", "v"]);
     assert_eq!(result.status, 0, "{}", result.err);
-    let names = told(folder.path()).to_string();
+    let names = attribute_report(folder.path()).to_string();
     assert!(names.contains("\"v\"") && !names.contains("\"velocity\""), "{names}");
 }
 

@@ -223,9 +223,9 @@ fn shards_with_broken_frames_exit_1_unless_violations_are_allowed() {
     for _ in 0..2 {
         let result = meniscus(folder, &shard);
         assert_eq!(result.status, 1, "{}", result.err);
-        let told =
+        let expected =
             "error: 2 of 2 frames failed validation; outputs were kept; --allow-violations accepts them\n";
-        assert!(result.err.ends_with(told), "{}", result.err);
+        assert!(result.err.ends_with(expected), "{}", result.err);
     }
     assert_eq!(meniscus(folder, &[&shard[..], &["--allow-violations"]].concat()).status, 0);
     let verified = meniscus(folder, &["verify", "out", "--plan", "p.json"]);
@@ -241,15 +241,15 @@ fn skipped_frame_that_failed_validation_fails_again() {
         let folder = tempdir().expect("a folder");
         let folder = folder.path();
         write_ply(&folder.join("a.1.ply"), &block(4, 0.013));
-        let told =
+        let expected =
             "error: 1 of 1 frame failed validation; outputs were kept; --allow-violations accepts them\n";
         let result = meniscus(folder, first);
-        assert!(result.status == 1 && result.err.ends_with(told), "{}", result.err);
+        assert!(result.status == 1 && result.err.ends_with(expected), "{}", result.err);
         for _ in 0..2 {
             let result = meniscus(folder, &skip);
             assert!(result.out.contains("a.1.ply: done already"), "{first:?}: {}", result.out);
             assert!(
-                result.status == 1 && result.err.ends_with(told),
+                result.status == 1 && result.err.ends_with(expected),
                 "{first:?}: {} {}",
                 result.status,
                 result.err

@@ -73,17 +73,17 @@ fn unwritable_output_folder_is_refused() {
     write_sequence(path, 1, 2);
     fs::write(path.join("taken"), "a file").expect("written");
     let expected = "expected a folder for the results, but ";
-    let mut places = vec![
+    let mut cases = vec![
         ("taken", "taken: ".to_owned() + expected + "this is a file"),
         ("taken/deep", "taken/deep: ".to_owned() + expected + "it cannot be created: taken is a file"),
     ];
     #[cfg(target_os = "linux")]
-    places.extend([
+    cases.extend([
         // No user may write there, not even root.
         ("/proc", "/proc: ".to_owned() + expected + "nothing can be written into it: "),
         ("/proc/a/b", "/proc/a/b: ".to_owned() + expected + "it cannot be created: "),
     ]);
-    for (out, told) in places {
+    for (out, message) in cases {
         let sheet = format!("{out}/sheet.png");
         for command in [
             &["convert", "dam.#.ply", "--out", out][..],
@@ -98,7 +98,7 @@ fn unwritable_output_folder_is_refused() {
             assert_eq!((result.status, &*result.out), (2, ""), "{command:?} {out}: {}", result.err);
             // A plan has absolute paths.
             let err = result.err.replace(&format!("{}/", path.display()), "");
-            assert!(err.contains(&told), "{command:?} {out}: {err}");
+            assert!(err.contains(&message), "{command:?} {out}: {err}");
             assert_eq!(result.err.lines().count(), 1, "{}", result.err);
         }
     }
@@ -128,8 +128,12 @@ fn unwritable_folder_for_a_report_plan_or_sequence_file_is_refused() {
     ] {
         let result = meniscus(path, command);
         assert_eq!((result.status, &*result.out), (2, ""), "{command:?}: {}", result.err);
-        let told = format!("/proc: cannot write {what} into this folder: ");
-        assert!(result.err.contains(&told) && result.err.lines().count() == 1, "{command:?}: {}", result.err);
+        let message = format!("/proc: cannot write {what} into this folder: ");
+        assert!(
+            result.err.contains(&message) && result.err.lines().count() == 1,
+            "{command:?}: {}",
+            result.err
+        );
     }
     assert_eq!(names_in(path), ["dam.1.ply", "dam.2.ply", "plan.json", "planned"]);
     assert_eq!(names_in(&path.join("planned")), [""; 0]);
@@ -186,11 +190,11 @@ fn misspelt_option_is_refused_with_a_suggestion() {
 fn presets_differ_in_their_settings() {
     let folder = folder();
     write_sequence(folder.path(), 1, 1);
-    let told = |preset: &str| {
+    let settings_line = |preset: &str| {
         let out = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "o", "--preset", preset]).out;
         out.lines().find(|line| line.contains("voxel size")).expect("the settings").to_owned()
     };
-    let [granular, faithful] = ["granular", "faithful"].map(told);
+    let [granular, faithful] = ["granular", "faithful"].map(settings_line);
     assert!(granular.ends_with(", 1 step") && faithful.ends_with(", 5 steps"), "{granular} {faithful}");
 }
 
@@ -466,7 +470,7 @@ fn options_of_formats_that_are_not_written_cause_a_warning() {
     write_sequence(folder.path(), 1, 1);
     let mesh = ["--contour", "--decimate", "--smooth-normals", "--quads", "--up"];
     let vdb = ["--vdb-half", "--vdb-compression"];
-    for (format, told) in [
+    for (format, idle) in [
         ("vdb", &mesh[..]),
         ("obj", &["--up", "--vdb-half", "--vdb-compression"]),
         ("obj,gltf", &vdb),
@@ -488,7 +492,7 @@ fn options_of_formats_that_are_not_written_cause_a_warning() {
             let line = format!("warning: {option} is ignored: it affects ");
             assert_eq!(
                 result.err.contains(&line),
-                told.contains(option),
+                idle.contains(option),
                 "{format} {option}: {}",
                 result.err
             );
@@ -529,9 +533,9 @@ fn other_files_in_the_folder_are_skipped() {
     fs::write(path.join("more/README"), "Nothing to see here.\n").expect("written");
     let several = ["convert", ".", "more", "--out", "several", "--format", "ply", "--spacing", "0.1"];
     let result = meniscus(path, &several);
-    let told = Path::new(".").join("notes.txt").display().to_string();
+    let file_name = Path::new(".").join("notes.txt").display().to_string();
     assert!(
-        result.out.contains(&format!("skipped {told} and 1 other file: not particle files")),
+        result.out.contains(&format!("skipped {file_name} and 1 other file: not particle files")),
         "{}",
         result.out
     );

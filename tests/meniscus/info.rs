@@ -151,7 +151,7 @@ fn attributes_of_gltf_are_described() {
 #[test]
 fn ply_file_with_faces_is_described_as_a_mesh() {
     let folder = tempdir().expect("a folder");
-    let told = |vertices: &[&str], properties: &[&str], faces: &[&str]| {
+    let info_of = |vertices: &[&str], properties: &[&str], faces: &[&str]| {
         let mut text = format!("ply\nformat ascii 1.0\nelement vertex {}\n", vertices.len());
         for name in properties {
             text += &format!("property float {name}\n");
@@ -167,8 +167,8 @@ fn ply_file_with_faces_is_described_as_a_mesh() {
     let lines_with = |out: &str, word: &str| out.lines().filter(|line| line.contains(word)).count();
 
     let vertices = ["0 0 0 5", "1 0 0 6", "0 1 0 7"];
-    let bare = told(&["0 0 0", "1 0 0", "0 1 0"], &["x", "y", "z"], &["3 0 1 2"]);
-    let more = told(&vertices, &["x", "y", "z", "heat"], &["3 0 1 2"]);
+    let bare = info_of(&["0 0 0", "1 0 0", "0 1 0"], &["x", "y", "z"], &["3 0 1 2"]);
+    let more = info_of(&vertices, &["x", "y", "z", "heat"], &["3 0 1 2"]);
     for out in [&bare, &more] {
         let counts =
             ["triangles", "bounds ", "note", "particles", "spacing"].map(|word| lines_with(out, word));
@@ -176,9 +176,9 @@ fn ply_file_with_faces_is_described_as_a_mesh() {
     }
     assert_eq!((lines_with(&bare, "attribute"), lines_with(&more, "attribute")), (0, 1), "{more}");
 
-    let empty = told(&[], &["x", "y", "z"], &[]);
+    let empty = info_of(&[], &["x", "y", "z"], &[]);
     assert!(lines_with(&empty, "triangles") == 1 && lines_with(&empty, "particles") == 0, "{empty}");
-    let cloud = told(&vertices, &["x", "y", "z", "heat"], &[]);
+    let cloud = info_of(&vertices, &["x", "y", "z", "heat"], &[]);
     assert!(lines_with(&cloud, "triangles") == 0 && lines_with(&cloud, "particles") > 0, "{cloud}");
 }
 

@@ -349,12 +349,15 @@ fn command_clips_at_obstacles_and_reports_them() {
     assert_eq!(first.status, 0, "{}", first.err);
     assert!(first.err.contains("inside obstacles"), "{}", first.err);
     let frame = &report(&path.join("r.json"))["frames"][0];
-    let told = &frame["obstacles"];
-    assert!(told["files"].as_str().expect("files").starts_with("ball.obj xxh3-128:"), "{told}");
-    assert!(told["particles_inside"].as_u64().expect("a count") > 0, "{told}");
-    assert!(told["void_voxels_filled"].as_u64().expect("a count") > 0, "{told}");
-    assert!(told["deepest_vertex_voxels"].as_f64().expect("a depth") < 0.25, "{told}");
-    assert_eq!(told["open_edges"], 0);
+    let obstacle_report = &frame["obstacles"];
+    assert!(
+        obstacle_report["files"].as_str().expect("files").starts_with("ball.obj xxh3-128:"),
+        "{obstacle_report}"
+    );
+    assert!(obstacle_report["particles_inside"].as_u64().expect("a count") > 0, "{obstacle_report}");
+    assert!(obstacle_report["void_voxels_filled"].as_u64().expect("a count") > 0, "{obstacle_report}");
+    assert!(obstacle_report["deepest_vertex_voxels"].as_f64().expect("a depth") < 0.25, "{obstacle_report}");
+    assert_eq!(obstacle_report["open_edges"], 0);
     assert!(frame["certificate"]["holds"].as_bool().expect("a certificate"));
     assert_eq!(run(&["--report", "r.json", "--up", "z", "--vdb-half"]).status, 0);
     let more = &report(&path.join("r.json"))["settings"][0]["more"];
@@ -450,8 +453,8 @@ fn moving_obstacle_has_a_file_for_each_frame() {
     }
     fs::write(path.join("body.0003.obj"), "v 1 2 3\nv 1 2\n").expect("written");
     let broken = convert(path, &[&arguments[..], &["--obstacle", "body.%04d.obj", "--skip-done"]].concat());
-    let told = "dam.3.ply: obstacle body.0003.obj: OBJ, at line 2: ";
-    assert_eq!(broken.err.matches(told).count(), 1, "{}", broken.err);
+    let message = "dam.3.ply: obstacle body.0003.obj: OBJ, at line 2: ";
+    assert_eq!(broken.err.matches(message).count(), 1, "{}", broken.err);
     assert_eq!(broken.out.matches("done already").count(), 2, "{}", broken.out);
 }
 
@@ -496,7 +499,7 @@ fn obstacle_out_of_reach_causes_a_warning() {
     for number in [1, 2] {
         write_ply(&path.join(format!("dam.{number}.ply")), &block(4, 0.1));
     }
-    let told = |name: &str, body: &Body| {
+    let warning_count = |name: &str, body: &Body| {
         fs::write(path.join(name), body.obj()).expect("written");
         let arguments =
             ["dam.#.ply", "--voxel-size", "0.05", "--format", "vdb", "--out", "o", "--report", "r.json"];
@@ -510,8 +513,8 @@ fn obstacle_out_of_reach_causes_a_warning() {
     };
     // Obstacles just within reach of the particles, and just beyond it: r_max is 2√3 voxels.
     let at = |x: f64| cuboid(DVec3::new(x, -1.0, -1.0), DVec3::new(x + 1.0, 1.0, 1.0));
-    assert_eq!(told("near.obj", &at(0.4 + 0.05 * (12f64.sqrt() + 3.9))).0, 0);
-    let (count, err) = told("far.obj", &at(0.4 + 0.05 * (12f64.sqrt() + 4.1)));
+    assert_eq!(warning_count("near.obj", &at(0.4 + 0.05 * (12f64.sqrt() + 3.9))).0, 0);
+    let (count, err) = warning_count("far.obj", &at(0.4 + 0.05 * (12f64.sqrt() + 4.1)));
     assert_eq!(count, 1, "once for a sequence: {err}");
     assert!(
         err.contains("dam.1.ply: obstacle far.obj: too far")
@@ -520,7 +523,7 @@ fn obstacle_out_of_reach_causes_a_warning() {
     );
     let mut plane = at(0.3);
     plane.triangles.truncate(2);
-    let (_, err) = told("plane.obj", &plane);
+    let (_, err) = warning_count("plane.obj", &plane);
     assert!(err.contains("encloses no volume"), "{err}");
 }
 

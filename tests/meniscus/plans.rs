@@ -160,8 +160,8 @@ fn done_frames_do_not_need_their_inputs() {
     let report: Value =
         serde_json::from_slice(&fs::read(folder.join("r.json")).expect("there")).expect("JSON");
     let frames = report["frames"].as_array().expect("frames");
-    let told = frames.iter().map(|frame| (frame["input"].as_str().expect("text"), &frame["status"]));
-    for (number, (input, status)) in (1..).zip(told) {
+    let statuses = frames.iter().map(|frame| (frame["input"].as_str().expect("text"), &frame["status"]));
+    for (number, (input, status)) in (1..).zip(statuses) {
         assert!(input.ends_with(&format!("dam.{number}.ply")) && status == "already_done", "{report}");
     }
     assert_eq!((frames.len(), &report["summary"]["already_done"]), (3, &3.into()));
@@ -365,8 +365,8 @@ fn slurm_task_id_selects_the_shard() {
         (Some("-1"), "SLURM_ARRAY_TASK_ID is `-1`"),
         (Some(""), "SLURM_ARRAY_TASK_ID is ``"),
     ] {
-        let (status, told) = run(task);
-        assert!(status == Some(2) && told.contains(why), "{task:?}: {told}");
+        let (status, message) = run(task);
+        assert!(status == Some(2) && message.contains(why), "{task:?}: {message}");
     }
 }
 

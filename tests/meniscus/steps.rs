@@ -160,8 +160,8 @@ fn steps_beyond_the_limit_cause_an_error() {
     for command in [&["convert", "many.xyz", "--out=out"][..], &["info", "many.xyz"]] {
         let result = meniscus(folder, command);
         assert_eq!(result.status, 2, "{command:?}: {}{}", result.out, result.err);
-        let told = "many.xyz: XYZ atoms: the file has more steps than the limit of 1000000";
-        assert!(result.err.contains(told), "{command:?}: {}", result.err);
+        let message = "many.xyz: XYZ atoms: the file has more steps than the limit of 1000000";
+        assert!(result.err.contains(message), "{command:?}: {}", result.err);
     }
     assert!(!folder.join("out").exists());
     // The other steps are converted.

@@ -24,9 +24,9 @@ use crate::scene::names_in;
 
 /// A quick method that records which stage it runs, for a frame of which size, and allocates a mebibyte per
 /// particle.
-struct Told<H>(H);
+struct Recording<H>(H);
 
-impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
+impl<H: Fn(Stage, usize) + Sync> Method for Recording<H> {
     type Rasterized = usize;
     type Smoothed = usize;
 
@@ -101,18 +101,18 @@ fn numbered(bench: &Bench) -> impl Iterator<Item = (usize, Frame)> + Send + use<
 #[test]
 fn source_may_wait_for_results_of_earlier_frames() {
     let bench = Bench::new(&[2, 2, 2, 2]);
-    let (finished, told) = mpsc::channel();
+    let (finished, notified) = mpsc::channel();
     let mut frames = numbered(&bench);
     let mut outcomes = Vec::new();
     let next = move || {
         let (number, frame) = frames.next()?;
         // All frames that were requested before are finished.
         for _ in 0..number.min(1) {
-            told.recv_timeout(Duration::from_secs(300)).expect("the frame before is finished");
+            notified.recv_timeout(Duration::from_secs(300)).expect("the frame before is finished");
         }
         Some((number, frame))
     };
-    stream(&Told(|_, _| ()), next, &pipeline_options(&pool(2)), |number, frame, outcome| {
+    stream(&Recording(|_, _| ()), next, &pipeline_options(&pool(2)), |number, frame, outcome| {
         assert_eq!(frame.stem, format!("f.{number}"));
         outcomes.push(outcome);
         let _ = finished.send(());
@@ -141,7 +141,7 @@ fn frames_are_requested_only_when_there_is_room() {
         };
         // At least this many frames are requested before one has ended: one for each lane, and one that is
         // read.
-        let method = Told(|stage, _| {
+        let method = Recording(|stage, _| {
             if stage == Stage::Rasterize {
                 full.wait()
             }
@@ -163,7 +163,7 @@ fn slow_frame_is_overtaken_and_still_reported_in_order() {
     let bench = Bench::new(&[3, 2, 2]);
     let pool = pool(2);
     let others_ended = Signal::default();
-    let method = Told(|stage, count| {
+    let method = Recording(|stage, count| {
         if stage == Stage::Smooth && count == 27 {
             others_ended.wait();
         }
@@ -194,7 +194,7 @@ fn stages_of_different_frames_overlap() {
         let bench = Bench::new(&[2, 3, 4]);
         let pool = pool(3);
         let together: [Signal; 3] = Default::default();
-        let method = Told(|stage, count| {
+        let method = Recording(|stage, count| {
             let place = [(Stage::Contour, 8), (Stage::Smooth, 27), (Stage::Rasterize, 64)];
             if let Some(place) = place.iter().position(|&place| place == (stage, count)) {
                 together[place].give();
@@ -214,7 +214,7 @@ fn slow_stage_holds_back_the_stages_before_it() {
     let pool = pool(4);
     let (asked, rasterized) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let (all_wait, go_on) = (Signal::default(), Signal::default());
-    let method = Told(|stage, _| match stage {
+    let method = Recording(|stage, _| match stage {
         Stage::Rasterize => {
             rasterized.fetch_add(1, Ordering::SeqCst);
         }
@@ -282,7 +282,7 @@ fn concurrent_frames_stay_within_the_memory_limit() {
         PipelineOptions { memory_bytes: 100 << 20, in_flight: 8, ..pipeline_options(&pool) };
     let together = Together::default();
     let two = Signal::default();
-    let method = Told(|stage, count| {
+    let method = Recording(|stage, count| {
         together.note(stage, count);
         let is_beside = together.running.lock().expect("not poisoned").len() > 1;
         if is_beside {
@@ -307,7 +307,7 @@ fn file_written_during_reading_is_an_error_and_readable_later() {
     let bench = Bench::new(&[60]);
     let frame = bench.frames[0].clone();
     let is_over = AtomicBool::new(false);
-    let mut letters_told = String::new();
+    let mut reported = String::new();
     thread::scope(|scope| {
         let writer = scope.spawn(|| {
             let file = File::options().write(true).open(&frame.input).expect("there");
@@ -336,16 +336,16 @@ fn file_written_during_reading_is_an_error_and_readable_later() {
         };
         let pool = pool(2);
         let pipeline_options = PipelineOptions { in_flight: 1, ..pipeline_options(&pool) };
-        stream(&Told(|_, _| ()), next, &pipeline_options, |(), _, outcome| {
+        stream(&Recording(|_, _| ()), next, &pipeline_options, |(), _, outcome| {
             if matches!(outcome, Outcome::Changed) {
                 is_over.store(true, Ordering::SeqCst);
             }
-            letters_told += &letters(&[outcome]);
+            reported += &letters(&[outcome]);
         });
     });
     // On a busy machine, the writer sometimes does not run while the file is read, and the frame is
     // converted.
-    assert!(letters_told.trim_start_matches('c').starts_with("xc"), "{letters_told}");
+    assert!(reported.trim_start_matches('c').starts_with("xc"), "{reported}");
 }
 
 #[test]
@@ -354,7 +354,7 @@ fn nested_loops_of_two_streams_in_one_pool_end() {
         let pool = pool(threads);
         let benches = [Bench::new(&[2; 40]), Bench::new(&[3; 40])];
         // The method runs parallel loops whose tasks start other tasks and wait for them.
-        let method = Told(|_, count| {
+        let method = Recording(|_, count| {
             let sum: usize = (0..64usize)
                 .into_par_iter()
                 .map(|i| (0..64usize).into_par_iter().map(|j| (i * j) % count).sum::<usize>())
@@ -382,7 +382,7 @@ fn panic_of_the_caller_ends_the_stream() {
     let mut frames = numbered(&bench);
     let ended = catch_unwind(AssertUnwindSafe(|| {
         stream(
-            &Told(|_, _| ()),
+            &Recording(|_, _| ()),
             || frames.next(),
             &pipeline_options(&pool),
             |_, _, _| panic!("a broken caller"),
@@ -406,7 +406,7 @@ fn full_disk_is_distinguished_from_other_errors() {
 #[test]
 fn outputs_are_recognized_and_frames_are_not() {
     let bench = Bench::new(&[2]);
-    run(&Told(|_, _| ()), &bench.frames, &pipeline_options(&pool(1)), |_, _| ());
+    run(&Recording(|_, _| ()), &bench.frames, &pipeline_options(&pool(1)), |_, _| ());
     let names = names_in(&bench.out());
     assert_eq!(names.len(), 4);
     for name in names {

@@ -54,9 +54,9 @@ fn error_for_a_frame_beyond_the_grid_has_its_distance() {
     let Err(MemoryPlanError::VoxelTooSmall(too_small)) = planned(&block(6, 1e9), 0.5) else {
         panic!("it is in the grid")
     };
-    let told = too_small.to_string();
+    let message = too_small.to_string();
     assert_eq!(too_small.limit, PrecisionLimit::Reach);
-    assert!(told.contains("so far from the origin") && !told.contains("usual"), "{told}");
+    assert!(message.contains("so far from the origin") && !message.contains("usual"), "{message}");
 }
 
 #[test]
@@ -120,7 +120,7 @@ fn every_command_refuses_voxels_that_are_too_small() {
 }
 
 /// The output of the command for these particles.
-fn told(folder: &Path, particles: &[[f64; 3]], options: &[&str]) -> String {
+fn warnings_of(folder: &Path, particles: &[[f64; 3]], options: &[&str]) -> String {
     write_ply(&folder.join("a.ply"), particles);
     let RunResult { status, err, .. } =
         meniscus(folder, &[&["convert", "a.ply", "--out", "out", "--format", "glb"], options].concat());
@@ -133,7 +133,7 @@ fn empty_surface_causes_a_warning_with_a_remedy() {
     let folder = tempdir().expect("a folder");
     let small = ["--preset", "paper", "--voxel-size", "0.05", "--radius-min", "0.001"];
     let options = [&small[..], &["--allow-violations"]].concat();
-    let said = told(folder.path(), &block(6, 0.013), &options);
+    let said = warnings_of(folder.path(), &block(6, 0.013), &options);
     for word in ["all particles fall between the voxels", "are 0.02 and 0.04 voxels", "--radius-min 0.0866"] {
         assert!(said.contains(word), "it does not say {word}: {said}");
     }
@@ -150,7 +150,7 @@ fn empty_surface_causes_a_warning_with_a_remedy() {
     let (_, named) = said.split_once("use --radius-min ").expect("a radius");
     let radius: String = named.chars().take_while(|&c| c == '.' || c.is_ascii_digit()).collect();
     assert_eq!(
-        told(
+        warnings_of(
             folder.path(),
             &block(6, 0.013),
             &["--preset", "paper", "--voxel-size", "0.05", "--radius-min", &radius]
@@ -178,8 +178,8 @@ fn shaken_block() -> Vec<[f64; 3]> {
 #[test]
 fn only_a_torn_surface_causes_a_warning() {
     let folder = tempdir().expect("a folder");
-    let is_told = |particles: &[[f64; 3]], options: &[&str]| {
-        let said = told(folder.path(), particles, options);
+    let has_warning = |particles: &[[f64; 3]], options: &[&str]| {
+        let said = warnings_of(folder.path(), particles, options);
         assert_eq!(said.contains("too small for the particle spacing"), said.contains("warning"), "{said}");
         said.contains("too small for the particle spacing")
     };
@@ -217,7 +217,7 @@ fn only_a_torn_surface_causes_a_warning() {
     ] {
         let paper: &[&str] = if options.contains(&"--preset") { &[] } else { &["--preset", "paper"] };
         let options = [paper, options].concat();
-        assert_eq!(is_told(particles, &options), expected, "{} {options:?}", particles.len());
+        assert_eq!(has_warning(particles, &options), expected, "{} {options:?}", particles.len());
     }
 }
 

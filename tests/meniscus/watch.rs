@@ -173,7 +173,7 @@ fn why_lists_everything_that_decides() {
     write_sequence(&path.join("in"), 1, 2);
     fs::write(path.join("in/notes.md"), "Words.\n").expect("written");
     let why = |frame: &str, more: &[&str]| meniscus(path, &[&["why", frame], more].concat());
-    let tells = |frame: &str, more: &[&str], words: &[&str]| {
+    let assert_explains = |frame: &str, more: &[&str], words: &[&str]| {
         let result = why(frame, more);
         assert_eq!(result.status, 0, "{}", result.err);
         for word in words {
@@ -183,8 +183,12 @@ fn why_lists_everything_that_decides() {
     let typed = ["--out", "out"];
     // The file is new: it counts as stable only after half a second.
     let unknown = "The journal does not record the daemon's settings";
-    tells("in/dam.1.ply", &typed, &["journal   nothing", "content   particles", "It ", unknown]);
-    tells("in/notes.md", &typed, &["not selected as a frame", "It is not converted because its path"]);
+    assert_explains("in/dam.1.ply", &typed, &["journal   nothing", "content   particles", "It ", unknown]);
+    assert_explains(
+        "in/notes.md",
+        &typed,
+        &["not selected as a frame", "It is not converted because its path"],
+    );
 
     fs::create_dir(&out).expect("made");
     fs::write(out.join("dam.1.glb"), "").expect("written");
@@ -192,23 +196,23 @@ fn why_lists_everything_that_decides() {
     note(&out, &path.join("in/dam.2.ply"), Err("no end"));
     let words =
         ["journal   done", "input     as recorded", "all recorded outputs exist", "because it is done"];
-    tells("in/dam.1.ply", &typed, &words);
-    tells("in/dam.2.ply", &typed, &["journal   failed", "no end", "it failed, and neither it nor"]);
+    assert_explains("in/dam.1.ply", &typed, &words);
+    assert_explains("in/dam.2.ply", &typed, &["journal   failed", "no end", "it failed, and neither it nor"]);
     fs::remove_file(out.join("dam.1.glb")).expect("removed");
 
     let config = "[daemon]\nsettle = \"0s\"\n[[watch]]\ninput = \"in\"\noutput = \"out\"\n";
     fs::write(path.join("meniscus.toml"), config).expect("written");
     let configured = ["--config", "meniscus.toml"];
     let words = ["dam.1.glb is not there", "It will be converted because its output", "No daemon is"];
-    tells("in/dam.1.ply", &configured, &words);
+    assert_explains("in/dam.1.ply", &configured, &words);
     fs::write(path.join("meniscus.toml"), format!("{config}spacing = 0.1\n")).expect("written");
-    tells(
+    assert_explains(
         "in/dam.1.ply",
         &configured,
         &["settings  not as recorded", "because its settings or obstacles have changed"],
     );
     fs::write(path.join("meniscus.toml"), format!("{config}pattern = \"spray*\"\n")).expect("written");
-    tells("in/dam.1.ply", &configured, &["name      not selected as a frame"]);
+    assert_explains("in/dam.1.ply", &configured, &["name      not selected as a frame"]);
     for (frame, options, words) in [
         ("in/gone.ply", &typed[..], "no such file, and nothing is recorded of it"),
         ("meniscus.toml", &configured, "not in a folder that is watched"),
@@ -268,7 +272,7 @@ fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
     let asked = ["--pattern", "dam.*.ply", "--radius-ratio", "1.5", "--sentinel", "{stem}.ok"];
     let result = meniscus(path, &[&["watch", "in", "--out", "out", "--once"], &asked[..]].concat());
     assert_eq!(result.status, 0, "{}", result.err);
-    let tells = |frame: &str, words: &[&str]| {
+    let assert_explains = |frame: &str, words: &[&str]| {
         let result = meniscus(path, &["why", frame, "--out", "out"]);
         assert_eq!(result.status, 0, "{}", result.err);
         for word in words {
@@ -276,10 +280,19 @@ fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
         }
         assert!(!result.out.contains("does not record the daemon's settings"), "{}", result.out);
     };
-    tells("in/dam.1.ply", &["name      selected as a frame", "settings  as recorded", "because it is done"]);
-    tells("in/spray.1.ply", &["name      not selected as a frame", "It is not converted because its path"]);
+    assert_explains(
+        "in/dam.1.ply",
+        &["name      selected as a frame", "settings  as recorded", "because it is done"],
+    );
+    assert_explains(
+        "in/spray.1.ply",
+        &["name      not selected as a frame", "It is not converted because its path"],
+    );
     write_sequence(&path.join("in"), 2, 2);
-    tells("in/dam.2.ply", &["It is not converted yet because its sentinel", "No daemon is running"]);
+    assert_explains(
+        "in/dam.2.ply",
+        &["It is not converted yet because its sentinel", "No daemon is running"],
+    );
     let elsewhere = meniscus(path, &["why", "out/dam.1.glb", "--out", "out"]);
     assert!(elsewhere.err.contains("not in a folder that is watched"), "{}", elsewhere.err);
     let status = meniscus(path, &["status", "--out", "out"]);
@@ -294,9 +307,12 @@ fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
         journal.note_plan(plan).expect("noted");
     };
     ask(&|watch| watch.choices.radius_ratio = Some(1.25));
-    tells("in/dam.1.ply", &["settings  not compared, because the particle spacing"]);
+    assert_explains("in/dam.1.ply", &["settings  not compared, because the particle spacing"]);
     ask(&|watch| watch.choices.spacing = Some(0.05));
-    tells("in/dam.1.ply", &["settings  not as recorded", "because its settings or obstacles have changed"]);
+    assert_explains(
+        "in/dam.1.ply",
+        &["settings  not as recorded", "because its settings or obstacles have changed"],
+    );
     // The configuration file takes precedence.
     fs::write(path.join("meniscus.toml"), "[[watch]]\ninput = \"in\"\noutput = \"out\"\n").expect("written");
     let spray = meniscus(path, &["why", "in/spray.1.ply", "--config", "meniscus.toml"]);

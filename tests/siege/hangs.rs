@@ -10,7 +10,7 @@ use tempfile::tempdir;
 
 use crate::fuse::Mount;
 use crate::mounts::with_own_mounts;
-use crate::scene::{Daemon, block_ply, frame_names, land, land_sequence, message, tell};
+use crate::scene::{Daemon, block_ply, frame_names, land, land_sequence, message, print_line};
 
 /// Two folders. The first is on a file system without events, so the daemon scans it often; the daemon
 /// receives events for the second.
@@ -48,7 +48,7 @@ fn unresponsive_file_system_blocks_only_its_folder() {
         // Declared before the mount, so that it is dropped after the mount: a blocked process does not end.
         let mut daemon;
         let Some(mount) = Mount::new(&disk, &hanging) else {
-            return tell("a file system that hangs: SKIPPED, /dev/fuse is missing");
+            return print_line("a file system that hangs: SKIPPED, /dev/fuse is missing");
         };
         land_sequence(&disk, 1, 3, 5);
         land_drops(&sound, 1, 2);

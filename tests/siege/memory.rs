@@ -10,7 +10,7 @@ use tempfile::tempdir;
 
 use crate::scene::{
     Daemon, assert_same_outputs, block_ply, box_ply, convert, frame_name, frame_names, is_long, land,
-    memory_bytes, meniscus, message, names_in, stage_seconds, tell,
+    memory_bytes, meniscus, message, names_in, print_line, stage_seconds,
 };
 
 /// Number of particles along the edge of a block, which has 250 047 particles.
@@ -51,7 +51,7 @@ fn frames_share_the_memory_limit() {
     assert!(peak_bytes <= allowed_bytes, "{} MiB", peak_bytes >> 20);
     let overlap_count = overlap_count(folder.path(), &lines);
     assert!(overlap_count > 0, "{lines:#?}");
-    tell(&format!(
+    print_line(&format!(
         "{} frames of 250 047 particles within 1 GiB took {} MiB; {overlap_count} began before another ended",
         lines.len(),
         peak_bytes >> 20
@@ -73,7 +73,7 @@ fn frame_larger_than_the_memory_is_converted_in_tiles() {
     let report: Value = serde_json::from_slice(&fs::read(report).expect("readable")).expect("JSON");
     let whole_bytes = report["frames"][0]["peak_memory_bytes"].as_u64().expect("a number");
     assert!(peak_bytes < whole_bytes, "{} MiB, {} MiB whole", peak_bytes >> 20, whole_bytes >> 20);
-    tell(&format!(
+    print_line(&format!(
         "{last} frames that take {} MiB whole took {} MiB in tiles, of {least} MiB",
         whole_bytes >> 20,
         peak_bytes >> 20

@@ -8,7 +8,7 @@ use std::env;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::scene::tell;
+use crate::scene::print_line;
 
 /// Set in the child process.
 const INSIDE: &str = "MENISCUS_SIEGE_OWN_MOUNTS";
@@ -19,7 +19,7 @@ pub(crate) fn with_own_mounts(name: &str, test: impl FnOnce()) {
         return test();
     }
     let Some(unshare) = how_to_unshare() else {
-        return tell(&format!("test {name} is SKIPPED: it would mount file systems, and may not"));
+        return print_line(&format!("test {name} is SKIPPED: it would mount file systems, and may not"));
     };
     let result = Command::new("unshare")
         .args(unshare)

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use tempfile::{TempDir, tempdir};
 
-use crate::scene::{Daemon, block_ply, frame_names, is_long, land, memory_bytes, tell};
+use crate::scene::{Daemon, block_ply, frame_names, is_long, land, memory_bytes, print_line};
 
 fn frame_count() -> usize {
     if is_long() { 50_000 } else { 2_000 }
@@ -62,7 +62,7 @@ fn done_frames_cost_little() {
     assert!(watched_bytes < SMALL_FILES_BYTES, "{watched_bytes} bytes read while nothing changes");
     let resident_mib = memory_bytes(daemon.pid(), "VmRSS") >> 20;
     daemon.stop();
-    tell(&format!(
+    print_line(&format!(
         "{} frames are done: ready after {wall_seconds:.3} s, of which it computed {start_seconds:.3} s; \
          then it takes {:.2} % of a core and {resident_mib} MiB",
         frame_count(),
@@ -97,7 +97,7 @@ fn repeated_scans_do_not_grow_the_memory() {
     let most = |sizes: &[u64]| sizes.iter().max().copied().unwrap_or_default();
     let least = |sizes: &[u64]| sizes.iter().min().copied().unwrap_or_default();
     let (before, after) = (most(&sizes[..window]), least(&sizes[LANDING_COUNT - window..]));
-    tell(&format!("looking again takes {before} bytes at first, and then {after}: {sizes:?}"));
+    print_line(&format!("looking again takes {before} bytes at first, and then {after}: {sizes:?}"));
     assert!(after <= before + KEPT_BYTES, "{before} bytes have become {after}: {sizes:?}");
     assert_eq!(daemon.converted().len(), LANDING_COUNT);
     daemon.stop();

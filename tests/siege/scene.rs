@@ -24,7 +24,7 @@ pub(crate) fn is_long() -> bool {
 }
 
 /// Prints a line also if the test passes, which the usual macros do not.
-pub(crate) fn tell(text: &str) {
+pub(crate) fn print_line(text: &str) {
     writeln!(io::stderr(), "{text}").expect("standard error is open");
 }
 

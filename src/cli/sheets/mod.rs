@@ -99,9 +99,9 @@ const EXTRA_COLUMNS: usize = 2;
 /// The reason why a frame has no picture, as text for its cell. The path of the frame's file is removed,
 /// because the cell names the frame already.
 fn reason(error: &anyhow::Error, path: &Path) -> String {
-    let told = with_causes(error);
-    let bare = told.strip_prefix(&format!("{}: ", path.display()));
-    format!("failed: {}", bare.unwrap_or(&told))
+    let message = with_causes(error);
+    let bare = message.strip_prefix(&format!("{}: ", path.display()));
+    format!("failed: {}", bare.unwrap_or(&message))
 }
 
 /// The picture options of the session, with this viewpoint as the camera.

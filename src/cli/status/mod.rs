@@ -197,7 +197,7 @@ impl StatusRecord {
             frames.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
             frames
         };
-        let told = |frames: &[(&Arc<Path>, &Arc<JournaledFrame>)]| {
+        let statuses = |frames: &[(&Arc<Path>, &Arc<JournaledFrame>)]| {
             frames.iter().map(|(input, frame)| FrameStatus::new(input, frame)).collect()
         };
         let retrying = with_status(JournaledStatus::Retrying);
@@ -224,12 +224,12 @@ impl StatusRecord {
             daemon: DaemonStatus::new(state, holder),
             watches: state.plan.as_ref().map(|plan| plan.watches.iter().map(WatchStatus::new).collect()),
             counts,
-            failed: told(&failed),
-            retrying: told(&retrying),
+            failed: statuses(&failed),
+            retrying: statuses(&retrying),
             waiting_cut_short: waiting.is_cut_short,
             waiting: WaitingStatus::all(waiting),
-            last_done: told(&done),
-            flawed: told(&flawed),
+            last_done: statuses(&done),
+            flawed: statuses(&flawed),
             damaged_lines: state.damaged_line_count,
         }
     }

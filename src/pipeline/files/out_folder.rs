@@ -203,7 +203,7 @@ mod tests {
 
     #[test]
     #[cfg(target_os = "linux")]
-    fn folders_that_take_no_files_are_told() {
+    fn folder_without_write_access_is_refused() {
         // No account can create anything in /proc, not even root.
         let error = make_out_folder(Path::new("/proc")).expect_err("no file can be made there");
         assert!(matches!(&error, OutFolderError::Write { .. }), "{error}");

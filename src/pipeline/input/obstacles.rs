@@ -156,7 +156,7 @@ impl ObstacleFiles {
     /// The current state of a frame's obstacle files.
     pub fn stamps(&self, number: Option<u64>) -> ObstacleStamps {
         let mut stamps = ObstacleStamps { text: String::new(), all_exist: true };
-        let mut tell = |path: &Path, stamp: Option<FileStamp>| {
+        let mut add = |path: &Path, stamp: Option<FileStamp>| {
             stamps.all_exist &= stamp.is_some();
             stamps.text += &match stamp {
                 Some(stamp) => format!("{}: {}\n", path.display(), text_of(&stamp)),
@@ -165,9 +165,9 @@ impl ObstacleFiles {
         };
         for path in &self.paths {
             let at = file_of(path, number).ok();
-            tell(path, at.as_deref().and_then(stamp_of));
+            add(path, at.as_deref().and_then(stamp_of));
             let beside = at.map(|at| self.external_files(&at)).unwrap_or_default();
-            beside.iter().for_each(|path| tell(path, stamp_of(path)));
+            beside.iter().for_each(|path| add(path, stamp_of(path)));
         }
         stamps
     }

@@ -363,7 +363,7 @@ mod tests {
 
     #[test]
     fn invalid_camera_names_its_fault_and_the_expected_value() {
-        for (text, told) in [
+        for (text, expected) in [
             ("", "key=value"),
             ("zoom", "`zoom`: expected auto, or a list"),
             ("azimut=3", "unknown key `azimut`: expected one of azimuth"),
@@ -378,7 +378,7 @@ mod tests {
             ("zoom=2,zoom=3", "zoom is given twice"),
         ] {
             let error = text.parse::<CameraChoice>().expect_err(text);
-            assert!(error.contains(told), "{text}: {error}");
+            assert!(error.contains(expected), "{text}: {error}");
         }
     }
 

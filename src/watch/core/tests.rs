@@ -201,11 +201,11 @@ impl Rig {
     /// Writes a file, and sends an event for it.
     fn put(&mut self, path: &str, version: u64) {
         self.files.insert(path.into(), (stamp(version), None));
-        self.tell(path);
+        self.send_event(path);
     }
 
     /// Sends an event with the current state of a file.
-    fn tell(&mut self, path: &str) {
+    fn send_event(&mut self, path: &str) {
         let (id, at) = (id(path), self.now.at);
         let event = match self.files.get(Path::new(path)) {
             Some((stamp, _)) => Event::FileSeen { id, seen: seen(*stamp), at, renamed: false },
@@ -323,7 +323,7 @@ fn lost_doubled_or_late_events_change_nothing() {
     rig.convert("/in0/a.1.ply");
     rig.want(0);
     // A repeated event: the frame is done already.
-    rig.tell("/in0/a.1.ply");
+    rig.send_event("/in0/a.1.ply");
     assert!(rig.started().is_empty());
     // A lost event: only a scan reports this file.
     rig.files.insert("/in0/a.2.ply".into(), (stamp(1), None));
@@ -341,8 +341,8 @@ fn lost_doubled_or_late_events_change_nothing() {
     assert_eq!(rig.status(), "2 done, 0 queued");
     // Events about a removed file, and about a file that never existed.
     rig.files.clear();
-    rig.tell("/in0/a.1.ply");
-    rig.tell("/in0/never.ply");
+    rig.send_event("/in0/a.1.ply");
+    rig.send_event("/in0/never.ply");
     assert_eq!(rig.status(), "1 done, 0 queued");
 }
 
@@ -354,7 +354,7 @@ fn result_of_an_earlier_inspection_is_disregarded() {
     rig.put("/in0/a.1.ply", 1);
     let early = rig.answer(&rig.inspections[0]);
     rig.files.insert("/in0/a.1.ply".into(), (stamp(2), Some(WaitReason::Changing)));
-    rig.tell("/in0/a.1.ply");
+    rig.send_event("/in0/a.1.ply");
     assert_eq!(rig.inspections.len(), 2);
     rig.event(early);
     assert!(rig.started().is_empty(), "the file is being written again");
@@ -518,7 +518,7 @@ fn outputs_claimed_twice_belong_to_the_first_frame_until_it_is_removed() {
     assert_eq!(rig.statuses("/in0/a.1.csv"), [JournaledStatus::Refused]);
     rig.convert("/in0/a.1.ply");
     rig.files.remove(Path::new("/in0/a.1.ply"));
-    rig.tell("/in0/a.1.ply");
+    rig.send_event("/in0/a.1.ply");
     assert_eq!(rig.started(), ["a.1.csv"]);
     let refused = rig.core.summary(EndReason::Finish).failed;
     assert!(refused.is_empty(), "{refused:?}");

@@ -33,7 +33,7 @@ use std::time::{Duration, Instant};
 use tempfile::{TempDir, tempdir};
 
 use crate::mounts::{mount_tmpfs, with_own_mounts};
-use crate::scene::{Daemon, assert_same_output, meniscus, message, names_in, status, tell};
+use crate::scene::{Daemon, assert_same_output, meniscus, message, names_in, print_line, status};
 
 use faults::{Trouble, write_config};
 use producer::Producer;
@@ -55,7 +55,7 @@ const AFTER_THE_LAST: Duration = Duration::from_secs(8);
 #[test]
 fn random_faults_lose_no_frame_and_leak_no_resources() {
     let Some(minutes) = of_environment::<f64>("MENISCUS_SOAK_MINUTES") else {
-        return tell("the soak is SKIPPED: MENISCUS_SOAK_MINUTES says for how long it is to be");
+        return print_line("the soak is SKIPPED: MENISCUS_SOAK_MINUTES says for how long it is to be");
     };
     with_own_mounts("soak::random_faults_lose_no_frame_and_leak_no_resources", || {
         let seed: u64 = of_environment("MENISCUS_SOAK_SEED").unwrap_or(7);
@@ -64,11 +64,11 @@ fn random_faults_lose_no_frame_and_leak_no_resources() {
         thread::scope(|scope| {
             let observer = scope.spawn(|| observer::observe(&out, &is_over));
             let over = Over(&is_over);
-            let told = soak.run();
+            let summary = soak.run();
             drop(over);
             let sight_count = observer.join().expect("no panic");
-            tell(&format!(
-                "soak of {minutes} minutes, seed {seed}: {told}; {sight_count} outputs seen, all whole"
+            print_line(&format!(
+                "soak of {minutes} minutes, seed {seed}: {summary}; {sight_count} outputs seen, all whole"
             ));
         });
     });

@@ -56,8 +56,8 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
     refuse_twins(&watches)?;
     refuse_shared_stage(&watches)?;
     // A command-line option causes the same warning in every block: log it once.
-    let mut told = HashSet::new();
-    warnings.retain(|warning: &String| told.insert(warning.clone()));
+    let mut seen = HashSet::new();
+    warnings.retain(|warning: &String| seen.insert(warning.clone()));
     let daemon = args.daemon.clone().over(file.map(|file| file.daemon).unwrap_or_default());
     refuse_shared_journal(&watches, daemon.journal.as_deref())?;
     let config = config(watches, args.once, &daemon)?;

@@ -161,8 +161,8 @@ fn duplicate_watch_is_refused() {
     let block = |input: &str, more: &str| format!("[[watch]]\ninput = \"{input}\"\noutput = \"o\"\n{more}\n");
     let bench = Bench::new(&(block("a", "") + &block("./a", "voxel_size = 1")));
     bench.refused(&[], &["watched twice for the same output"]);
-    let told_apart = block("a", "pattern = \"dam*\"") + &block("a", "pattern = \"spray*\"");
-    assert_eq!(Bench::new(&told_apart).plan(&[]).expect("a plan").config.watches.len(), 2);
+    let with_patterns = block("a", "pattern = \"dam*\"") + &block("a", "pattern = \"spray*\"");
+    assert_eq!(Bench::new(&with_patterns).plan(&[]).expect("a plan").config.watches.len(), 2);
 }
 
 #[test]
