@@ -13,7 +13,7 @@
 //!
 //! One thread serves all clients, so clients never take more than the time of one thread from the conversion
 //! of frames. The server only reads. It builds no path from a request: it looks names up in the status store,
-//! and serves nothing else. `docs/window.md` describes the interface for users.
+//! and serves nothing else. `docs/status-page.md` describes the interface for users.
 
 mod access;
 mod answer;

@@ -72,7 +72,7 @@ class Watching:
         words = [PROGRAM, "watch", "in", "--out", "out", "--listen", "127.0.0.1:0", "--preview", "png"]
         self.log = open(self.folder / "log", "w+")
         self.process = subprocess.Popen([str(word) for word in words], cwd=self.folder, stderr=self.log)
-        self.address = until("the window opens", lambda: re.search(r"http://[\d.:]+", (self.folder / "log").read_text()))[0]
+        self.address = until("the server starts", lambda: re.search(r"http://[\d.:]+", (self.folder / "log").read_text()))[0]
         until("it is ready", lambda: self.ask("/readyz"))
         return self
 

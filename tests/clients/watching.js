@@ -33,7 +33,7 @@ class Watching {
     const words = ["watch", "in", "--out", "out", "--listen", listen, ...this.options];
     this.child = spawn(this.program, words, { cwd: this.folder, stdio: ["ignore", "ignore", "pipe"] });
     this.child.stderr.on("data", (text) => (this.log += text));
-    const found = await until("the window opens", () => {
+    const found = await until("the server starts", () => {
       if (this.child.exitCode !== null) throw new Error(this.log);
       return this.log.match(/http:\/\/127\.0\.0\.1:\d+/);
     });

@@ -10,7 +10,7 @@
 //! No target may panic, take more than ten seconds, or use more than 64 MiB of memory plus four bytes per
 //! byte of input. Compressed data counts with the unpacked size that the limits allow. `long/run` searches
 //! with libFuzzer for inputs that violate this requirement. Such inputs are added to `corpus`, and so become
-//! tests. docs/trials.md lists the runs so far.
+//! tests. docs/stress-tests.md lists the runs so far.
 
 mod bar;
 mod damage;
@@ -26,7 +26,7 @@ use targets::{TARGETS, Target};
 /// Number of damaged inputs for a target: fewer for targets that need a connection or a folder per input.
 fn damaged_count(target: &Target) -> usize {
     match target.name {
-        "window" | "journal" => 100,
+        "http" | "journal" => 100,
         _ => 1000,
     }
 }

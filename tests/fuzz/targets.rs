@@ -3,7 +3,7 @@
 //! ```text
 //!   files      particles, meshes, level sets, pictures; checks before reading a file
 //!   ours       the configuration, the journal, the plan: text that a user or a disk may have damaged
-//!   window     the HTTP server: bytes from a socket
+//!   http       the HTTP server: bytes from a socket
 //! ```
 //!
 //! A target panics if a condition fails that must hold for any bytes. Two programs call the targets: the test
@@ -42,7 +42,7 @@ pub(crate) enum Content {
     /// The result is at most as large as the input.
     Plain,
     /// The result is at most as large as the limits allow for the contents of a compressed file.
-    Packed,
+    Compressed,
     /// The result is the pixels of a picture: at most as many as its header states and its compressed bytes
     /// could contain.
     Picture,
@@ -52,47 +52,47 @@ pub(crate) enum Content {
 pub(crate) const TARGETS: [Target; 35] = [
     plain("ply", |bytes| checked(ply::read(bytes, &limits()))),
     plain("ply_mesh", |bytes| drop(ply::read_mesh_and_vertices(bytes, &limits()))),
-    packed("bgeo", |bytes| checked(bgeo::read(bytes, &limits()))),
+    compressed("bgeo", |bytes| checked(bgeo::read(bytes, &limits()))),
     plain("bgeo_text", |bytes| checked(bgeo::read_text(bytes, &limits()))),
     plain("houdini_binary", |bytes| checked(houdini::read_binary(bytes, &limits()))),
     plain("houdini_text", |bytes| checked(houdini::read_text(bytes, &limits()))),
-    packed("houdini_container", |bytes| checked(houdini::read_container(bytes, &limits()))),
+    compressed("houdini_container", |bytes| checked(houdini::read_container(bytes, &limits()))),
     plain("delimited", |bytes| checked(csv::read(bytes, &limits()))),
     plain("xyz", |bytes| checked(xyz::read(bytes, &limits()))),
     plain("npy", |bytes| checked(npy::read(bytes, &limits()))),
-    packed("npz", |bytes| checked(npy::read_archive(bytes, &limits()))),
+    compressed("npz", |bytes| checked(npy::read_archive(bytes, &limits()))),
     plain("lammps", |bytes| steps(ProbedKind::Format(Format::LammpsDump), bytes, lammps::read)),
     plain("atoms", |bytes| steps(ProbedKind::Format(Format::XyzAtoms), bytes, xyz_ext::read)),
     plain("vtk_legacy", |bytes| checked(vtk::read_legacy(bytes, &limits()))),
-    packed("vtk_xml", |bytes| checked(vtk::read_xml(bytes, &limits()))),
-    packed("vtp_mesh", |bytes| drop(vtk::read_mesh(bytes, &limits()))),
-    packed("vdb_level_set", |bytes| drop(vdb::read_level_set(bytes, None, &limits()))),
-    packed("vdb_grids", vdb_grids),
+    compressed("vtk_xml", |bytes| checked(vtk::read_xml(bytes, &limits()))),
+    compressed("vtp_mesh", |bytes| drop(vtk::read_mesh(bytes, &limits()))),
+    compressed("vdb_level_set", |bytes| drop(vdb::read_level_set(bytes, None, &limits()))),
+    compressed("vdb_grids", vdb_grids),
     plain("gltf", gltf_parts),
     plain("gltf_frame", gltf_frame),
     plain("usda_head", |bytes| drop(usda::read_layer_info(bytes))),
-    packed("usdc", usdc_frames),
+    compressed("usdc", usdc_frames),
     plain("abc", alembic),
     plain("stl", |bytes| drop(stl::read_mesh(bytes, &limits()))),
     plain("obj", |bytes| drop(obj::read_mesh(bytes))),
     Target { name: "png", content: Content::Picture, run: |bytes| drop(png::read(bytes)) },
-    packed("obstacle", |bytes| named(bytes, obstacle)),
-    packed("packing", |bytes| drop(compression::decompressed(bytes, &limits()))),
-    packed("particles", |bytes| named(bytes, particles)),
+    compressed("obstacle", |bytes| named(bytes, obstacle)),
+    compressed("compression", |bytes| drop(compression::decompressed(bytes, &limits()))),
+    compressed("particles", |bytes| named(bytes, particles)),
     plain("batches", |bytes| named(bytes, batches)),
-    plain("ends", ends),
+    plain("integrity", integrity),
     plain("config", config),
     plain("journal", journal),
     plain("plan", |bytes| drop(meniscus::farm::parse(bytes))),
-    plain("window", window),
+    plain("http", http),
 ];
 
 const fn plain(name: &'static str, run: fn(&[u8])) -> Target {
     Target { name, content: Content::Plain, run }
 }
 
-const fn packed(name: &'static str, run: fn(&[u8])) -> Target {
-    Target { name, content: Content::Packed, run }
+const fn compressed(name: &'static str, run: fn(&[u8])) -> Target {
+    Target { name, content: Content::Compressed, run }
 }
 
 /// The limits of the program.
@@ -219,7 +219,7 @@ fn usdc_frames(bytes: &[u8]) {
 }
 
 /// Checks that do not read the whole file. The first byte selects the format.
-fn ends(bytes: &[u8]) {
+fn integrity(bytes: &[u8]) {
     const FORMATS: [OutputFormat; 12] = [
         OutputFormat::Glb,
         OutputFormat::Gltf,
@@ -276,21 +276,21 @@ fn with_checksum(line: &[u8]) -> Vec<u8> {
 }
 
 /// Sends bytes to the HTTP server and reads the response. The next request must succeed.
-fn window(bytes: &[u8]) {
-    static WINDOW: OnceLock<(HttpServer, Arc<StatusStore>)> = OnceLock::new();
-    let (window, store) = WINDOW.get_or_init(|| {
+fn http(bytes: &[u8]) {
+    static SERVER: OnceLock<(HttpServer, Arc<StatusStore>)> = OnceLock::new();
+    let (server, store) = SERVER.get_or_init(|| {
         let address = "127.0.0.1:0".parse().expect("an address");
         let store = Arc::new(StatusStore::new());
-        (HttpServer::open(&Listen { address, token: None }, Arc::clone(&store)).expect("a window"), store)
+        (HttpServer::open(&Listen { address, token: None }, Arc::clone(&store)).expect("a server"), store)
     });
     store.pulse();
-    let mut stream = connect(window.address());
+    let mut stream = connect(server.address());
     // Writing fails if the server has refused the request already, and does not read the rest.
     let _ = stream.write_all(bytes);
     let _ = stream.shutdown(Shutdown::Write);
     // Any response and a reset are valid.
     let _ = await_end(stream);
-    let mut stream = connect(window.address());
+    let mut stream = connect(server.address());
     stream.write_all(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").expect("sent");
     let (health, end) = await_end(stream);
     assert!(health.starts_with(b"HTTP/1.1 200 "), "{end:?} after \"{}\"", health.escape_ascii());
@@ -298,12 +298,12 @@ fn window(bytes: &[u8]) {
 
 fn connect(address: SocketAddr) -> TcpStream {
     let stream = TcpStream::connect(address).expect("a connection");
-    stream.set_read_timeout(Some(WINDOW_PATIENCE)).expect("a timeout");
+    stream.set_read_timeout(Some(RESPONSE_TIMEOUT)).expect("a timeout");
     stream
 }
 
 /// Longer than the server waits for the rest of a request.
-const WINDOW_PATIENCE: Duration = Duration::from_secs(60);
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Reads until the server closes the connection. Returns the response, and whether the connection was reset:
 /// a reset is possible if the client sent more than the server read. Event streams have no end, so only their
@@ -315,7 +315,7 @@ fn await_end(mut stream: TcpStream) -> (Vec<u8>, io::Result<()>) {
             Ok(0) => return (answer, Ok(())),
             Ok(count) => answer.extend(&piece[..count]),
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                panic!("the window did not end its answer: {}", answer.escape_ascii())
+                panic!("the server did not end its response: {}", answer.escape_ascii())
             }
             // A signal of the fuzzer's own timer interrupted the call.
             Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,

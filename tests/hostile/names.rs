@@ -149,7 +149,7 @@ fn encoded(name: &str) -> String {
 
 /// The body of the response to a request.
 fn get(address: &str, path: &str) -> String {
-    let mut stream = TcpStream::connect(address).expect("a window");
+    let mut stream = TcpStream::connect(address).expect("a server");
     write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").expect("sent");
     let mut answer = String::new();
     stream.read_to_string(&mut answer).expect("an answer");

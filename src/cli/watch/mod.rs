@@ -99,10 +99,10 @@ pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
 /// Serves the status store by HTTP.
 fn open_http_server(listen: Option<&Listen>, store: Option<&Arc<StatusStore>>) -> Result<Option<HttpServer>> {
     let (Some(listen), Some(store)) = (listen, store) else { return Ok(None) };
-    let window = HttpServer::open(listen, Arc::clone(store));
-    let window = window.with_context(|| format!("cannot listen on {}", listen.address))?;
-    info!(address = %format_args!("http://{}/", window.address()), "serving the status page");
-    Ok(Some(window))
+    let server = HttpServer::open(listen, Arc::clone(store));
+    let server = server.with_context(|| format!("cannot listen on {}", listen.address))?;
+    info!(address = %format_args!("http://{}/", server.address()), "serving the status page");
+    Ok(Some(server))
 }
 
 /// Exits immediately. The next run converts the unfinished frames.

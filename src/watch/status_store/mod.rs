@@ -14,7 +14,7 @@
 //! states: a client that is behind gets each frame once, in its current state. A client that falls behind the
 //! end of the log must reload everything.
 //!
-//! The types here are those of the interface in `docs/window.md`, which specifies their serialized form.
+//! The types here are those of the interface in `docs/status-page.md`, which specifies their serialized form.
 
 mod figures;
 mod metrics;

@@ -49,7 +49,7 @@ impl Trouble {
         self,
         folder: &Path,
         daemon: &Daemon,
-        window: Option<&str>,
+        http_address: Option<&str>,
         producer: &mut Producer,
     ) {
         match self {
@@ -73,7 +73,7 @@ impl Trouble {
                 thread::sleep(Duration::from_millis(1500));
                 fs::rename(away, inside).expect("renamed");
             }
-            Trouble::Crowd => window.into_iter().for_each(crowd),
+            Trouble::Crowd => http_address.into_iter().for_each(crowd),
         }
     }
 }

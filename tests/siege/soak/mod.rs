@@ -102,7 +102,7 @@ struct Soak {
     trouble_count: usize,
     converted_count: usize,
     /// The address of the daemon's HTTP server.
-    window: Option<String>,
+    http_address: Option<String>,
     /// The measurements of the daemon's current life.
     vitals: Vec<Vitals>,
     log: Option<File>,
@@ -133,7 +133,7 @@ impl Soak {
             life_count: 1,
             trouble_count: 0,
             converted_count: 0,
-            window: None,
+            http_address: None,
             vitals: Vec::new(),
             log,
         }
@@ -204,8 +204,8 @@ impl Soak {
             }
             _ => {
                 self.count_log();
-                let window = self.window.as_deref();
-                trouble.befall(self.folder.path(), &self.daemon, window, &mut self.producer);
+                let http_address = self.http_address.as_deref();
+                trouble.befall(self.folder.path(), &self.daemon, http_address, &mut self.producer);
             }
         }
     }
@@ -241,7 +241,8 @@ impl Soak {
         self.converted_count += self.daemon.converted().len();
         for line in self.daemon.log.drain(..) {
             if message(&line) == "serving the status page" {
-                self.window = line["address"].as_str().map(|url| url.replace("http://", "").replace('/', ""));
+                self.http_address =
+                    line["address"].as_str().map(|url| url.replace("http://", "").replace('/', ""));
             }
             assert!(line.is_object() && !line.to_string().contains("panic"), "{line}");
         }

@@ -9,7 +9,7 @@
 //! The rounds alternate, so that both see the same state of the machine. The clients run on the same machine,
 //! so their own cost is included. Exits with 1 if the median of the ratios exceeds the project's target.
 //!
-//! `cargo bench --bench window`
+//! `cargo bench --bench status_page`
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its results")]
 
@@ -48,7 +48,7 @@ const RATIO_MAX: f64 = 1.05;
 
 fn main() -> ExitCode {
     let folder = tempfile::tempdir().expect("a folder");
-    for name in ["in", "beside"] {
+    for name in ["in", "staging"] {
         fs::create_dir(folder.path().join(name)).expect("made");
     }
     let mut daemon = Daemon::start(folder.path());
@@ -58,7 +58,7 @@ fn main() -> ExitCode {
     daemon.round(folder.path(), "warm");
     println!("{FOLLOWER_COUNT} follow, {READER_COUNT} read at {} kB/s", READER_BYTES_PER_S / 1000);
     println!(
-        "  round   alone s/frame     watched   events/s   read MB/s   share of a core: window   clients"
+        "  round   alone s/frame     watched   events/s   read MB/s   share of a core: server   clients"
     );
     let rounds: Vec<[f64; 2]> = (0..ROUND_COUNT)
         .map(|round| {
@@ -140,12 +140,12 @@ impl Daemon {
     fn round(&mut self, folder: &Path, name: &str) -> f64 {
         for number in 0..FRAME_COUNT {
             let bytes = block_ply(BLOCK, 0.01 * number as f32);
-            fs::write(folder.join(format!("beside/{name}.{number}.ply")), bytes).expect("written");
+            fs::write(folder.join(format!("staging/{name}.{number}.ply")), bytes).expect("written");
         }
         let start = Instant::now();
         for number in 0..FRAME_COUNT {
             let file = format!("{name}.{number}.ply");
-            fs::rename(folder.join("beside").join(&file), folder.join("in").join(&file)).expect("renamed");
+            fs::rename(folder.join("staging").join(&file), folder.join("in").join(&file)).expect("renamed");
         }
         self.await_converted(FRAME_COUNT);
         start.elapsed().as_secs_f64() / FRAME_COUNT as f64
@@ -179,7 +179,7 @@ impl Daemon {
 
 /// CPU time of this program so far.
 fn own_cpu_s() -> f64 {
-    cpu_s(Path::new("/proc/self/stat"), "window").unwrap_or_default()
+    cpu_s(Path::new("/proc/self/stat"), "status_page").unwrap_or_default()
 }
 
 /// CPU time of a process or thread so far, if its name starts with `name`; `None` if the system does not
@@ -207,13 +207,13 @@ const TICKS_PER_SECOND: f64 = 100.0;
 struct Clients {
     counts: Arc<[AtomicU64; 2]>,
     /// Dropping this sender ends the thread.
-    _here: oneshot::Sender<()>,
+    _connected: oneshot::Sender<()>,
 }
 
 impl Clients {
     fn start(address: SocketAddr) -> Clients {
         let counts = Arc::new([const { AtomicU64::new(0) }; 2]);
-        let (here, closed) = oneshot::channel::<()>();
+        let (connected, closed) = oneshot::channel::<()>();
         let of_thread = Arc::clone(&counts);
         thread::spawn(move || {
             let runtime = runtime::Builder::new_current_thread().enable_io().enable_time().build();
@@ -225,7 +225,7 @@ impl Clients {
                 let _ = closed.await;
             });
         });
-        Clients { counts, _here: here }
+        Clients { counts, _connected: connected }
     }
 
     /// The number of events that subscribers received, and the number of bytes that readers read.
@@ -276,7 +276,7 @@ async fn get(address: SocketAddr, path: &str) -> io::Result<TcpStream> {
     let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
     stream.writable().await?;
     let sent = stream.try_write(request.as_bytes())?;
-    assert_eq!(sent, request.len(), "a new connection takes so much");
+    assert_eq!(sent, request.len(), "a new connection accepts the whole request");
     Ok(stream)
 }
 
@@ -292,6 +292,6 @@ async fn receive(stream: &TcpStream, piece: &mut [u8]) -> io::Result<usize> {
 }
 
 fn publish(folder: &Path, name: &str, bytes: &[u8]) {
-    fs::write(folder.join("beside").join(name), bytes).expect("written");
-    fs::rename(folder.join("beside").join(name), folder.join("in").join(name)).expect("renamed");
+    fs::write(folder.join("staging").join(name), bytes).expect("written");
+    fs::rename(folder.join("staging").join(name), folder.join("in").join(name)).expect("renamed");
 }
