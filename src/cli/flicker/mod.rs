@@ -216,19 +216,18 @@ impl Scoring<'_> {
 }
 
 fn line_of(frame: &ScoredFrame) -> String {
-    let ScoredFrame { name, summary, untracked_count: uncarried_count, clamped_count: left_count, .. } =
-        frame;
+    let ScoredFrame { name, summary, untracked_count, clamped_count, .. } = frame;
     if summary.count == 0 {
         return format!(
             "{name}: not scored: no point on the surface can be tracked to both neighbouring frames"
         );
     }
     let mut line = format!("{name}: {}", numbers_of(summary));
-    if *left_count > 0 {
-        line += &format!(", {left_count} of {} points left the surface", summary.count);
+    if *clamped_count > 0 {
+        line += &format!(", {clamped_count} of {} points clamped", summary.count);
     }
-    if *uncarried_count > 0 {
-        line += &format!(", {uncarried_count} without particles");
+    if *untracked_count > 0 {
+        line += &format!(", {untracked_count} untracked");
     }
     line
 }

@@ -7,20 +7,13 @@ use crate::surface::flicker::Distribution;
 use super::tally::{ScoredFrame, WorstPoint};
 
 /// Writes a row for each frame. Lengths are in particle spacings, and positions in world units. The scores of
-/// a frame are empty if none of its points could be carried to the neighbouring frames.
+/// a frame are empty if none of its points can be tracked to both neighbouring frames.
 pub(super) fn write_frames(frames: &[ScoredFrame], out: &mut dyn Write) -> Result<()> {
-    writeln!(out, "frame,points,uncarried,left,rms,median,p99,max,max_x,max_y,max_z")?;
+    writeln!(out, "frame,points,untracked,clamped,rms,median,p99,max,max_x,max_y,max_z")?;
     for frame in frames {
-        let ScoredFrame {
-            number,
-            summary,
-            untracked_count: uncarried_count,
-            clamped_count: left_count,
-            worst,
-            ..
-        } = frame;
+        let ScoredFrame { number, summary, untracked_count, clamped_count, worst, .. } = frame;
         let Distribution { count, rms, median, percentile_99, max } = summary;
-        write!(out, "{number},{count},{uncarried_count},{left_count}")?;
+        write!(out, "{number},{count},{untracked_count},{clamped_count}")?;
         match worst {
             Some(worst) => {
                 let [x, y, z] = worst.position.to_array();

@@ -12,7 +12,7 @@ pub(super) struct ScoredFrame {
     pub(super) summary: Distribution,
     pub(super) untracked_count: usize,
     pub(super) clamped_count: usize,
-    /// The point with the most flicker; `None` if no point could be carried to the neighbouring frames.
+    /// The point with the most flicker; `None` if no point can be tracked to both neighbouring frames.
     pub(super) worst: Option<ScoredPoint>,
     /// All points, until they are no longer needed.
     points: Vec<ScoredPoint>,
@@ -34,21 +34,13 @@ pub(super) const WORST_FRAMES: usize = 6;
 
 impl ScoredFrame {
     pub(super) fn new(number: u64, name: String, found: FrameFlicker) -> ScoredFrame {
-        let FrameFlicker { points, untracked_count: uncarried_count, clamped_count: left_count } = found;
+        let FrameFlicker { points, untracked_count, clamped_count } = found;
         let worse = |one: ScoredPoint, other: &ScoredPoint| {
             if other.value.abs() > one.value.abs() { *other } else { one }
         };
         let worst = points.first().map(|&first| points.iter().fold(first, worse));
         let summary = Distribution::of(points.iter().map(|point| point.value));
-        ScoredFrame {
-            number,
-            name,
-            summary,
-            untracked_count: uncarried_count,
-            clamped_count: left_count,
-            worst,
-            points,
-        }
+        ScoredFrame { number, name, summary, untracked_count, clamped_count, worst, points }
     }
 
     /// Its points, if it is one of the worst frames.
