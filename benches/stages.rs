@@ -68,8 +68,8 @@ const GROWTH_TARGET: f64 = 0.15;
 const GROWTH_FLOOR: f64 = 0.30;
 
 fn main() -> ExitCode {
-    let asked = std::env::args().filter_map(|argument| argument.parse::<f64>().ok()).next();
-    let free_max = asked.unwrap_or(FREE_MAX).max(FREE_MIN);
+    let given = std::env::args().filter_map(|argument| argument.parse::<f64>().ok()).next();
+    let free_max = given.unwrap_or(FREE_MAX).max(FREE_MIN);
     let pools = [1, 2].map(|threads| ThreadPoolBuilder::new().num_threads(threads).build().expect("threads"));
     println!(
         "                                     seconds in each stage        ns a particle:  ns a free voxel:"

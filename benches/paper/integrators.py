@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import processes
 from paper import figures
-from paper.measuring import COMPUTING, SMALL, Skinned, in_seconds, skinned
+from paper.measuring import COMPUTING, SMALL, MeasuredFrame, in_seconds, measure_frame
 from processes import ROOT, THREADS, Table
 
 # Names as in the tables, with the options of the program. 10 000 steps of 0.01 h⁴ have the same total
@@ -48,12 +48,12 @@ class Example:
     program_explicit: float | None = None
 
 
-def table(asked):
-    parts = [part for part in asked.frames.split(",") if part]
+def table(args):
+    parts = [part for part in args.frames.split(",") if part]
     chosen = [frame for frame in examples() if not parts or any(part in frame.name.lower() for part in parts)]
     if not chosen:
         sys.exit("tables: no frame name matches")
-    taken = {frame.name: by_integrator(frame, asked.rounds) for frame in chosen}
+    taken = {frame.name: by_integrator(frame, args.rounds) for frame in chosen}
     return "\n\n".join([ABOUT, papers(), *(table.markdown() for table in ours(chosen, taken))])
 
 
@@ -77,7 +77,7 @@ def by_integrator(frame, rounds):
     for index in range(rounds):
         for name, options in INTEGRATORS.items():
             if name != LONGEST or index == 0:
-                taken[name].append([skinned(path, frame.voxel_size, *options) for path in frame.paths])
+                taken[name].append([measure_frame(path, frame.voxel_size, *options) for path in frame.paths])
                 print(".", end="", flush=True)
     print()
     return taken
@@ -91,7 +91,7 @@ def means(rounds, figure):
 def papers():
     table = Table(
         f"The paper's, in seconds, on {figures.MACHINE}.",
-        *("integrator", "of it", *figures.EXAMPLES),
+        *("integrator", "part", *figures.EXAMPLES),
     )
     for name, parts in (("explicit, dense, 10 000 steps", figures.EXPLICIT), ("implicit, sparse", figures.IMPLICIT)):
         for part, values in parts.items():
@@ -103,22 +103,22 @@ def ours(frames, taken):
     """The times of the stages, and ratios of integrators."""
     stages = Table(
         f"Ours, in seconds, on {THREADS} threads: medians (least–greatest).",
-        *("frame", "particles", "free voxels", "integrator", *COMPUTING, "write", "process in all", "CPU, %", "memory, MB"),
+        *("frame", "particles", "free voxels", "integrator", *COMPUTING, "write", "whole process", "CPU, %", "memory, MB"),
         "CG iterations",
     )
     for frame in frames:
         for name, rounds in taken[frame.name].items():
             stages.row(*stage_row(frame, name, rounds))
     ratios = Table(
-        "How many times faster one integrator is than another, without reading and writing; and seconds of the authors' program,"
+        "Speedup of one integrator over another, without reading and writing; and seconds of the authors' program,"
         f" whole processes, on another machine ({figures.PROGRAM_MACHINE}).",
-        *("frame", "implicit than explicit, 10 000", "fast than explicit, 10 000", "fast than implicit"),
+        *("frame", "implicit over explicit, 10 000 steps", "fast over explicit, 10 000 steps", "fast over implicit"),
         *("the authors', implicit", "the authors', explicit, 500 steps"),
     )
     for name, dense, sparse in zip(figures.EXAMPLES, figures.EXPLICIT["total"], figures.IMPLICIT["total"]):
         ratios.row(f"the paper's {name}", f"{dense / sparse:.0f}, dense to sparse", "–", "–", "–", "–")
     for frame in frames:
-        seconds = {name: means(rounds, Skinned.computed) for name, rounds in taken[frame.name].items()}
+        seconds = {name: means(rounds, MeasuredFrame.computed) for name, rounds in taken[frame.name].items()}
         explicit, implicit, fast = (statistics.median(seconds[name]) for name in (LONGEST, "implicit", "fast"))
         ours = f"{explicit / implicit:.1f}", f"{explicit / fast:.0f}", f"{implicit / fast:.1f}"
         theirs = (f"{value:.1f}" if value else "–" for value in (frame.program_implicit, frame.program_explicit))

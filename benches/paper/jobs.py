@@ -12,32 +12,32 @@ from paper import figures
 from paper.measuring import UPPER_RIGHT, in_seconds
 from processes import Table, spread
 
-ABOUT = """The same surface of 4.8 million particles at h = spacing is made repeatedly: with as many processes as threads in total, or with fewer processes of more threads each.
+ABOUT = """The same surface of 4.8 million particles at h = spacing is made repeatedly: by one process per core with one thread each, or by fewer processes with more threads each.
 The last row of ours is a single process that gets all frames in one command: there each thread processes a different frame as long as there are enough (`src/pipeline/scheduler.rs`).
 
 The paper's text says 120 jobs, its caption 12.
 According to the time of a job in its Table 3, there were 120."""
 
 
-def table(asked):
+def table(args):
     path, spacing = processes.solid(UPPER_RIGHT)
     cores = os.cpu_count()
     ways = [(count, cores // count) for count in range(cores, 0, -1) if cores % count == 0]
     taken = {way: [] for way in ways}
     together = []
     with tempfile.TemporaryDirectory(dir=processes.SOLIDS) as folder:
-        frames = [Path(folder) / f"job.{number:04}.ply" for number in range(1, asked.jobs + 1)]
+        frames = [Path(folder) / f"job.{number:04}.ply" for number in range(1, args.jobs + 1)]
         for frame in frames:
             frame.symlink_to(path)
         path.read_bytes()  # Loads the file into the system's cache.
-        for _ in range(asked.rounds):
+        for _ in range(args.rounds):
             for way in ways:
                 taken[way].append(at_once(frames, spacing, *way))
                 print(".", end="", flush=True)
             together.append(in_one(Path(folder) / "job.####.ply", spacing, cores))
             print(".", end="", flush=True)
     print()
-    return "\n\n".join([ABOUT, papers(), ours(asked.jobs, taken, together, cores)])
+    return "\n\n".join([ABOUT, papers(), ours(args.jobs, taken, together, cores)])
 
 
 def at_once(frames, voxel_size, count, threads):
@@ -66,7 +66,7 @@ def papers():
     table = Table(
         f"The paper's, {figures.JOBS} jobs, on {figures.MACHINE}. The last two columns are derived from the times: the time of"
         " a job while that many ran, and its speedup over one thread.",
-        *("processes at once", "threads of each", "time, h:min", "beside the first", "seconds of a job", "times faster"),
+        *("concurrent processes", "threads per process", "time, h:min", "relative to the first", "seconds per job", "speedup"),
     )
     least = figures.PROCESSES[0][2]
     for (processes_at_once, threads, minutes), (_, speedup) in zip(figures.PROCESSES, figures.speedups()):
@@ -79,7 +79,7 @@ def papers():
 def ours(jobs, taken, together, cores):
     table = Table(
         f"Ours, {jobs} jobs, whole processes from a .ply to a .glb: medians (least–greatest).",
-        *("processes at once", "threads of each", "seconds", "beside the first", "memory of all, GB"),
+        *("concurrent processes", "threads per process", "seconds", "relative to the first", "total memory, GB"),
     )
     first = [seconds for seconds, _ in next(iter(taken.values()))]
     rows = [*((count, threads, rounds) for (count, threads), rounds in taken.items())]

@@ -20,11 +20,11 @@ COMPUTING = ("rasterize", "smooth", "contour")
 SMALL, UPPER_RIGHT, LARGE, LARGEST = 0.6e6, 4.8e6, 38.6e6, 309e6
 
 # The machine counts as shared if other processes take more than this fraction of its CPU time.
-NEIGHBOURS_MAX = 0.05
+OTHER_LOAD_MAX = 0.05
 
 
 @dataclass
-class Skinned:
+class MeasuredFrame:
     """The costs of one process for a frame, and its report."""
 
     run: Run
@@ -38,12 +38,12 @@ class Skinned:
         return sum(map(self.stage, COMPUTING))
 
 
-def skinned(path, voxel_size, *options, threads=THREADS):
+def measure_frame(path, voxel_size, *options, threads=THREADS):
     with tempfile.TemporaryDirectory() as out:
         report = Path(out) / "report.json"
         command = processes.meniscus(path, voxel_size, out, "--report", report, *options, threads=threads)
         run = processes.measured(command)
-        return Skinned(run, json.loads(report.read_text())["frames"][0])
+        return MeasuredFrame(run, json.loads(report.read_text())["frames"][0])
 
 
 def in_seconds(values):
@@ -52,7 +52,7 @@ def in_seconds(values):
     return spread(values, ".1f" if middle >= 10 else ".2f" if middle >= 1 else ".3f")
 
 
-class Neighbours:
+class OtherLoad:
     """Measures the load of other processes, as reported by Linux."""
 
     def __init__(self):
@@ -75,8 +75,8 @@ class Neighbours:
 
     def text(self):
         share = self.share()
-        shared = ": they were shared" if share > NEIGHBOURS_MAX else ""
-        return f"other work took {100 * share:.0f} % of the cores meanwhile{shared}"
+        shared = ": the machine was shared" if share > OTHER_LOAD_MAX else ""
+        return f"other processes used {100 * share:.0f} % of the CPU time{shared}"
 
 
 def section_of_performance(heading):

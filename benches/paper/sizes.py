@@ -14,18 +14,18 @@ from paper.measuring import (
     UPPER_RIGHT,
     in_seconds,
     section_of_performance,
-    skinned,
+    measure_frame,
 )
 from processes import THREADS, Table, spread
 
 ABOUT = """The dragon of the paper's Fig. 17 on finer and finer lattices, and a solid with about its area and volume (`examples/solid`), both with
-h = spacing. A row with ¹ is from [performance.md](../performance.md#large-frames), with the machine and commit given there; the others were measured for this page, that of 38.6 million once."""
+h = spacing. A row with ¹ is from [performance.md](../performance.md#large-frames), with the machine and commit given there; the others were measured for this page, the row of 38.6 million particles only once."""
 
 
-def table(asked):
-    rows = [measured_solid(count, asked.rounds) for count in (SMALL, UPPER_RIGHT)]
+def table(args):
+    rows = [measured_solid(count, args.rounds) for count in (SMALL, UPPER_RIGHT)]
     rows.append(measured_solid(LARGE, 1))
-    rows.append(measured_solid(LARGEST, 1) if asked.long else recorded_large_solid(LARGEST))
+    rows.append(measured_solid(LARGEST, 1) if args.long else recorded_large_solid(LARGEST))
     return "\n\n".join([ABOUT, papers(), ours(rows)])
 
 
@@ -58,7 +58,7 @@ def measured_solid(count, rounds):
     processes.script("scale").read_once(path)
     taken = []
     for _ in range(rounds):
-        taken.append(skinned(path, spacing))
+        taken.append(measure_frame(path, spacing))
         print(".", end="", flush=True)
     print()
     stages = [in_seconds([one.stage(stage) for one in taken]) for stage in COMPUTING]
@@ -73,9 +73,9 @@ def measured_solid(count, rounds):
 def papers():
     table = Table(
         f"The paper's dragon at h = spacing, implicit, without reading and writing, on {figures.MACHINE}; and the authors'"
-        f" program as it is published, whole processes, on two threads ({figures.PROGRAM_MACHINE}).",
-        *("particles", "seconds", "beside the row above", "of it rasterization", "CPU seconds", "memory, GB"),
-        *("CG iterations", "the published program: seconds", "memory, GB"),
+        f" published program, whole processes, on two threads ({figures.PROGRAM_MACHINE}).",
+        *("particles", "seconds", "relative to the row above", "of which rasterization", "CPU seconds", "memory, GB"),
+        *("CG iterations", "published program: seconds", "memory, GB"),
     )
     above = None
     for particles, seconds, rasterization, cpu_percent, memory, iterations in figures.DRAGONS:
@@ -92,7 +92,7 @@ def papers():
 def ours(rows):
     table = Table(
         f"Our solid at h = spacing, fast, whole processes from a .ply to a .glb on {THREADS} threads.",
-        *("particles", "free voxels", "rasterize", "smooth", "contour", "process in all", "beside the row above"),
+        *("particles", "free voxels", "rasterize", "smooth", "contour", "whole process", "relative to the row above"),
         *("CPU seconds", "memory, GB"),
     )
     above = None

@@ -7,8 +7,8 @@ import sys
 import plot
 import processes
 from paper import figures
-from paper.measuring import COMPUTING, NEIGHBOURS_MAX, SMALL, UPPER_RIGHT, Neighbours, in_seconds
-from paper.measuring import section_of_performance, skinned
+from paper.measuring import COMPUTING, OTHER_LOAD_MAX, SMALL, UPPER_RIGHT, OtherLoad, in_seconds
+from paper.measuring import section_of_performance, measure_frame
 from processes import Table, spread
 
 PICTURE = "tables_speedup.svg"  # beside the page
@@ -24,17 +24,17 @@ All of these reduce the real speedup.
 A share of 0, which noise can cause, gives the number of cores."""
 
 NOTHING_PROJECTED = """Other work took a part of the cores while the first of these two tables was measured, so that two threads got hardly more of
-them than one. Nothing is taken from it: the table and the picture below have the second one only."""
+them than one. So it is ignored: the table and the picture below use only the second one."""
 
 
-def table(asked):
+def table(args):
     cores = os.cpu_count()
     counts = [threads for threads in (1, 2, 3, 4, 6, 8, 12) if threads <= cores]
     if len(counts) < 2:
         sys.exit("tables: measuring threads requires more than one core")
-    neighbours = Neighbours()
-    taken = {particles: on_threads(particles, counts, asked.rounds) for particles in (SMALL, UPPER_RIGHT)}
-    is_shared = neighbours.share() > NEIGHBOURS_MAX
+    other_load = OtherLoad()
+    taken = {particles: on_threads(particles, counts, args.rounds) for particles in (SMALL, UPPER_RIGHT)}
+    is_shared = other_load.share() > OTHER_LOAD_MAX
     recorded = recorded_threads()
     tables = [
         stages_on_threads(
@@ -52,11 +52,11 @@ def table(asked):
     # projection.
     sources = {} if is_shared else {"now": taken[UPPER_RIGHT]}
     sources["stages"] = list(recorded.values())[-1]
-    asked.markdown.parent.mkdir(parents=True, exist_ok=True)
-    picture = plot.svg("threads", "times faster than one thread", figures.CORES, figures.CORES, 2, speedup_lines(sources))
-    asked.markdown.with_name(PICTURE).write_text(picture, encoding="utf-8")
+    args.markdown.parent.mkdir(parents=True, exist_ok=True)
+    picture = plot.svg("threads", "speedup over one thread", figures.CORES, figures.CORES, 2, speedup_lines(sources))
+    args.markdown.with_name(PICTURE).write_text(picture, encoding="utf-8")
     left_out = [NOTHING_PROJECTED] if is_shared else []
-    tables += [*left_out, projected(sources), f"![Times faster than one thread]({PICTURE})"]
+    tables += [*left_out, projected(sources), f"![Speedup over one thread]({PICTURE})"]
     return "\n\n".join([ABOUT, *tables])
 
 
@@ -68,7 +68,7 @@ def on_threads(particles, counts, rounds):
     taken = {threads: [] for threads in counts}
     for _ in range(rounds):
         for threads in counts:
-            one = skinned(path, spacing, threads=threads)
+            one = measure_frame(path, spacing, threads=threads)
             taken[threads].append(with_sum([one.stage(stage) for stage in COMPUTING]))
             print(".", end="", flush=True)
     print()
@@ -116,7 +116,7 @@ def stages_on_threads(title, taken, is_shared=False):
     table = Table(
         title,
         *("particles", "stage", *(f"{count} thread{'s' * (count > 1)}" for count in counts)),
-        *(f"{counts[-1]} threads, times faster", "serial share, %", f"projected to {figures.CORES} cores, times faster"),
+        *(f"speedup with {counts[-1]} threads", "serial share, %", f"projected speedup on {figures.CORES} cores"),
     )
     for particles, rounds in taken.items():
         for stage in next(iter(rounds.values()))[0]:
@@ -158,7 +158,7 @@ def speedup_lines(sources):
     """Fig. 20, and the projection."""
     counts = range(1, figures.CORES + 1)
     lines = [
-        plot.Line("as many as threads", "#bbb", [(count, count) for count in counts], is_dashed=True),
+        plot.Line("ideal", "#bbb", [(count, count) for count in counts], is_dashed=True),
         plot.Line("the paper, from Table 2", "#c60", figures.speedups(), is_marked=True),
     ]
     for (name, ours), colour in zip(sources.items(), ("#06c", "#393")):

@@ -54,7 +54,13 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
     ];
     let rows = programs.map(|program| Ok(changes(program, &peer)?.row(program)));
     page.table(
-        &["program", "vertices of the pool", "changed, at least in a frame", "at most", "moved at most, h"],
+        &[
+            "program",
+            "vertices of the pool",
+            "vertices changed in a frame, minimum",
+            "maximum",
+            "largest movement, h",
+        ],
         &rows.into_iter().collect::<Outcome<Vec<_>>>()?,
     );
     page.say(IMPLICIT);
@@ -64,7 +70,7 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
 }
 
 const IMPLICIT: &str = "\
-The implicit integrator solves for all voxels of a frame together, with conjugate gradients that stop when the whole frame is near enough to the solution.
+The implicit integrator solves for all voxels of a frame together, with conjugate gradients that stop when the whole frame is close enough to the solution.
 So a drop changes the whole frame a little.
 Fast and explicit steps, and splashsurf without its smoothing, have a limited reach.";
 

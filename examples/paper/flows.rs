@@ -184,7 +184,7 @@ impl Study {
         page.plot(grid.part, &Plot { title, axes, is_log: [false, true], curves })?;
         page.pictures(
             grid.part,
-            "Sequences at four times: by meniscus, unless another program is named",
+            "Sequences at four times: surfaces of meniscus, unless another program is named",
             pictures,
         )
     }
@@ -196,26 +196,26 @@ const COLUMNS: [&str; 8] = [
     "program",
     "flicker, h",
     "median, h",
-    "99 of 100 are less than, h",
-    "greatest, h",
-    "by 5 % of points",
+    "99th percentile, h",
+    "maximum, h",
+    "share of the worst 5 %",
 ];
 
 const INTRODUCTION: &str = "\
 Particles on a lattice fill a body, except for half a spacing below its surface, and an analytic flow carries them: any motion of the surface relative to the flow comes from the program.
-A cycle has 300 frames: twelve and a half seconds of film.
+A cycle has 300 frames: 12.5 seconds at 24 frames per second.
 4000 points start on the first surface of each program, evenly by area, and follow the flow as well.
 
 The flicker is the root mean square of the second difference in time of the points' signed distances to the surface, in units of h.
 It has two parts: the whole surface trembles, which the median measures, and it jumps where a sheet tears or two sheets meet, which the maximum shows.
-The last column is the share of the worst twentieth of the points in the sum of squares: 5 % if all points tremble alike.
+The last column is the share of the worst 5 % of the points in the sum of squares: 5 % if all points flicker equally.
 The unit is h, so only scores on the same grid can be compared.
 
 In the second half of the test of Enright all frames of the first return in reverse, so a whole cycle has nearly the score of its half, which is in the table.
 Zalesak's sphere has the radius 0.15, and a notch 0.05 wide and 0.125 deep.";
 
 const SAMPLED: &str = "\
-[The flows](flows.md) again. This page covers a whole cycle, but only three consecutive frames of every ten are reconstructed: 29 of the 299 second differences.";
+The flows are those of [flows.md](flows.md). This page covers a whole cycle, but only three consecutive frames of every ten are reconstructed: 29 of the 299 second differences.";
 
 const ON_FINE: &str = "\
 ## On a fine grid

@@ -31,7 +31,7 @@ const TIMES: [f64; 7] = [0.0, 5.0, 20.0, 40.0, 60.0, 80.0, 100.0];
 
 const INTRODUCTION: &str = "\
 The frame has 3 072 particles of a dam break that splashes up: `examples/frames/dam.0006.bgeo`, made by `examples/dam_break`.
-The voxels are half a spacing: `--voxel-size 0.025`.
+The voxel size is half the spacing: `--voxel-size 0.025`.
 
 ## The ratio of the radii
 
@@ -42,7 +42,7 @@ const VOXELS: &str = "\
 ## The voxel size
 
 h is the spacing, half of it, which is the default of the preset `paper`, and a quarter.
-With a quarter the radii would shrink, too, and the spheres of neighbours would not meet; so there the radii are those of the second row.";
+With a quarter, the radii would shrink, too, and the spheres of neighbouring particles would not touch; so the third row has the radii of the second.";
 
 const ENERGY: &str = "\
 ## Bending energy over time
@@ -54,7 +54,7 @@ Seconds are those of the smoothing alone, the minimum of three runs.";
 
 /// Varies the radius ratio, the voxel size and the smoothing time; the last with the bending energy.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
-    let mut page = Page::new(folder, "frame", "A frame under other settings");
+    let mut page = Page::new(folder, "frame", "One frame with different settings");
     let particles = particles()?;
     page.say(INTRODUCTION);
     ratios(&mut page, &particles)?;
@@ -108,7 +108,7 @@ fn voxels(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
         pictures.push((picture(&surface, voxel_size, [400, 260]), format!("h = {part} spacings")));
     }
     page.table(&["h / spacing", "∫H²", "volume, m³", "triangles"], &rows);
-    page.pictures("voxels", "A spacing, a half and a quarter of it", vec![pictures])
+    page.pictures("voxels", "Voxel sizes of one spacing, a half and a quarter", vec![pictures])
 }
 
 fn energies(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
@@ -163,7 +163,7 @@ fn energies(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
     let title = "Bending energy over seconds".to_owned();
     let axes = ["seconds of smoothing", "∫H²"];
     page.plot("seconds", &Plot { title, axes, is_log: [true, false], curves: over_seconds })?;
-    page.pictures("time", "Above explicit, then implicit, then fast", pictures)
+    page.pictures("time", "From top to bottom: explicit, implicit, fast", pictures)
 }
 
 /// The surface after this pseudo-time, in steps of equal size, at most `step_size`.

@@ -77,18 +77,18 @@ fn main() -> Outcome<()> {
     if let Some(name) = names.iter().find(|name| !known.contains(&&***name)) {
         return Err(format!("unknown experiment {name}; expected one of: {}", known.join(", ")).into());
     }
-    let is_asked = |experiment: &Experiment| match names.is_empty() {
+    let is_selected = |experiment: &Experiment| match names.is_empty() {
         true => is_long || !experiment.is_long,
         false => names.iter().any(|name| name == experiment.name),
     };
-    let asked: Vec<Experiment> = EXPERIMENTS.into_iter().filter(is_asked).collect();
+    let selected: Vec<Experiment> = EXPERIMENTS.into_iter().filter(is_selected).collect();
     // Check for splashsurf before the first experiment, because experiments take minutes.
-    if asked.iter().any(|experiment| !WITHOUT_SPLASHSURF.contains(&experiment.name)) {
+    if selected.iter().any(|experiment| !WITHOUT_SPLASHSURF.contains(&experiment.name)) {
         Splashsurf::find()?;
     }
     let folder = PathBuf::from("docs/results");
     fs::create_dir_all(&folder)?;
-    for Experiment { name, run, .. } in asked {
+    for Experiment { name, run, .. } in selected {
         let start = Instant::now();
         run(&folder)?;
         print_progress(&format!("{name}: {:.0} s", start.elapsed().as_secs_f64()))?;

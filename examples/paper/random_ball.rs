@@ -32,7 +32,7 @@ So the table also has it with the cell size that its authors recommend, and with
 /// Measures meniscus with 50 000 particles, and splashsurf with 50 000 and with 1 000 000.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let peer = Splashsurf::find()?;
-    let mut page = Page::new(folder, "random_ball", "Particles at random in a ball");
+    let mut page = Page::new(folder, "random_ball", "Random particles in a ball");
     page.say(INTRODUCTION);
     let (few, many) = (50_000, 1_000_000);
     let (usual, fine): (Grid, Grid) = (Scale::usual, Scale::fine);
@@ -74,14 +74,14 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
             "program",
             "h or cell, spacings",
             "mean radius",
-            "deviation of the radius",
+            "standard deviation of the radius",
             "angle, degrees",
             "∫H² / 4π",
             "triangles",
         ],
         &rows,
     );
-    page.pictures("ball", "Above 50 000 particles, below 1 000 000", pictures.into())?;
+    page.pictures("ball", "Top: 50 000 particles; bottom: 1 000 000", pictures.into())?;
     page.finish()
 }
 

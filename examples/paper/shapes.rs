@@ -33,7 +33,7 @@ r_max is 1.25 r_min.
 The other method in the paper's comparison was not run.";
 
 const TETRAHEDRON: &str = "\
-## An obstacle all around
+## An obstacle around the particles
 
 Particles on the inside of a tetrahedral mould, some slightly outside of it.
 From left to right: without the mould; without the part of the surface inside the mould's walls; and with gaps below h filled as well, which is the default.
@@ -179,7 +179,10 @@ fn tetrahedron(page: &mut Page) -> Outcome<()> {
         rows.push(vec![name.to_owned(), number(off.beyond), number(off.rms), holds(&surface)]);
         pictures.push((picture(&surface, voxel_size, &view), name.to_owned()));
     }
-    page.table(&["surface", "beyond the walls by at most, h", "off them, rms, h", "certificate"], &rows);
+    page.table(
+        &["surface", "largest distance beyond the walls, h", "rms distance from the walls, h", "certificate"],
+        &rows,
+    );
     page.pictures("tetrahedron", "No obstacle, walls taken away, and gaps filled", vec![pictures])
 }
 

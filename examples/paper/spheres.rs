@@ -53,7 +53,7 @@ Without redistancing the left side stays rough and only the right side becomes s
 
 /// Both flows over time, and the effect of redistancing.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
-    let mut page = Page::new(folder, "spheres", "A noisy sphere under both flows");
+    let mut page = Page::new(folder, "spheres", "A noisy sphere under Laplacian and thin-plate smoothing");
     page.say(LAPLACIAN);
     let laplacian = LAPLACIAN_STEPS.map(|steps| {
         let (mut band, bounds) = noisy_sphere(|distance, _| distance);
@@ -84,13 +84,13 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
             curves.push((flow.to_owned(), points.collect()));
         }
     }
-    page.table(&["flow", "steps", "volume / the sphere's", "∫H² / 4π"], &rows);
+    page.table(&["smoothing", "steps", "volume / sphere volume", "∫H² / 4π"], &rows);
     let [volumes, energies] = curves;
     for (part, title, axis, is_log, curves) in [
-        ("volume", "Volume, in parts of the sphere's", "volume", false, volumes),
-        ("energy", "Bending energy, in parts of a sphere's", "∫H² / 4π", true, energies),
+        ("volume", "Volume relative to the sphere", "volume", false, volumes),
+        ("energy", "Bending energy relative to a sphere", "∫H² / 4π", true, energies),
     ] {
-        let axes = ["steps of a flow, and one", axis];
+        let axes = ["steps + 1", axis];
         page.plot(part, &Plot { title: title.into(), axes, is_log: [true, is_log], curves })?;
     }
     let shown = |bands: &[(u32, NarrowBand)], flow: &str| -> Vec<(Picture, String)> {
@@ -99,7 +99,7 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
     };
     page.pictures(
         "flows",
-        "Above Laplacian smoothing, below thin-plate smoothing",
+        "Top: Laplacian smoothing; bottom: thin-plate smoothing",
         vec![shown(&laplacian, "Laplacian"), shown(&biharmonic, "thin-plate")],
     )?;
     distances(&mut page)?;
@@ -135,10 +135,10 @@ fn distances(page: &mut Page) -> Outcome<()> {
         pictures.push((picture(&band), name.to_owned()));
     }
     page.table(
-        &["10 000 explicit steps", "deviation of the radius for x < −5 h, h", "for x > 5 h, h"],
+        &["10 000 explicit steps", "standard deviation of the radius for x < −5 h, h", "for x > 5 h, h"],
         &rows,
     );
-    page.pictures("distance", "Without redistancing and with it", vec![pictures])
+    page.pictures("distance", "Without and with redistancing", vec![pictures])
 }
 
 fn explicit(steps: u32) -> SmoothConfig {

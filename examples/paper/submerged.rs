@@ -19,7 +19,7 @@ use crate::surfaces::{cut_open, data};
 const INTRODUCTION: &str = "\
 ## An obstacle in water
 
-The same frame of a dam break as in [the first of these pages](frame.md), `examples/frames/dam.0006.bgeo`, with a ball where the water is deep; no particle is in the ball, as after a simulation.
+The same frame of a dam break as in [frame.md](frame.md), `examples/frames/dam.0006.bgeo`, with a ball where the water is deep; no particle is in the ball, as after a simulation.
 The picture is cut open at the centre of the ball, and the ball itself is not drawn: the hole is where it is.
 From left to right: without the ball, so that the water extends into it; without the part of the surface inside the ball; and with gaps below h filled as well, which is the default. \
 The distance of the water from the ball is measured at the vertices within 2 h of it and below its centre, where water surrounds it.";
@@ -64,7 +64,10 @@ pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
         let layers = Layers { data: false, velocity: None };
         pictures.push((render(&band, &Lattice { voxel_size: fine }, &view, layers), name.to_owned()));
     }
-    page.table(&["surface", "in the ball by at most, h", "off it, rms, h", "certificate"], &rows);
+    page.table(
+        &["surface", "largest depth in the ball, h", "rms distance from the ball, h", "certificate"],
+        &rows,
+    );
     page.pictures("submerged", "No obstacle, a ball taken away, and gaps filled", vec![pictures])
 }
 

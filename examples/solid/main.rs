@@ -32,11 +32,11 @@ const PLANES_AT_ONCE: usize = 32;
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [count, path] = arguments.as_slice() else { return Err("usage: solid PARTICLES FILE.ply".into()) };
-    let asked: f64 = count.parse()?;
-    if !(1.0..=4e9).contains(&asked) {
+    let requested: f64 = count.parse()?;
+    if !(1.0..=4e9).contains(&requested) {
         return Err(format!("the number of particles is {count}; it must be from 1 to 4e9").into());
     }
-    let solid = Sponge::new(RADIUS, (volume() / asked).cbrt());
+    let solid = Sponge::new(RADIUS, (volume() / requested).cbrt());
     let count = write(&solid, Path::new(path))?;
     writeln!(std::io::stdout(), "{count} particles, spacing {}", solid.spacing)?;
     Ok(())

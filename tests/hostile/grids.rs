@@ -44,9 +44,9 @@ fn convert(scene: &Scene, is_obstacle: bool, memory: &str) -> crate::scene::RunR
 }
 
 /// The MiB of memory that are necessary according to an error message.
-fn asked_mebibytes(err: &str) -> u64 {
-    let asked = err.split("use --memory ").nth(1).and_then(|rest| rest.split("MiB").next());
-    asked.and_then(|asked| asked.parse().ok()).unwrap_or_else(|| panic!("{err}"))
+fn needed_mebibytes(err: &str) -> u64 {
+    let needed = err.split("use --memory ").nth(1).and_then(|rest| rest.split("MiB").next());
+    needed.and_then(|needed| needed.parse().ok()).unwrap_or_else(|| panic!("{err}"))
 }
 
 #[test]
@@ -62,11 +62,11 @@ fn small_file_with_millions_of_tiles_stays_within_memory() {
         assert!(result.err.contains("grid.vdb") && result.err.contains("tiles"), "{}", result.err);
         print_line(&format!("refused with {} MiB", result.peak_bytes >> 20));
         assert!(result.peak_bytes <= BESIDE_BYTES + (64 << 20), "{}", result.peak_bytes);
-        let asked = asked_mebibytes(&result.err);
-        let result = convert(&scene, is_obstacle, &format!("{}MiB", asked));
+        let needed = needed_mebibytes(&result.err);
+        let result = convert(&scene, is_obstacle, &format!("{}MiB", needed));
         assert_eq!(result.status, Some(0), "{}", result.err);
-        print_line(&format!("{asked} MiB allowed: {} MiB", result.peak_bytes >> 20));
-        assert!(result.peak_bytes <= BESIDE_BYTES + (asked << 20), "{} of {asked} MiB", result.peak_bytes);
+        print_line(&format!("{needed} MiB allowed: {} MiB", result.peak_bytes >> 20));
+        assert!(result.peak_bytes <= BESIDE_BYTES + (needed << 20), "{} of {needed} MiB", result.peak_bytes);
     }
 }
 

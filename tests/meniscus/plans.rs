@@ -81,7 +81,7 @@ fn shards_make_the_same_bytes_as_one_process() {
     let folder = tempdir().expect("a folder");
     let folder = folder.path();
     write_scene(folder);
-    let asked = [
+    let options = [
         "in/*/*.ply",
         "--obstacle=body.{}.obj",
         "--obstacle=still.obj",
@@ -89,10 +89,10 @@ fn shards_make_the_same_bytes_as_one_process() {
         "--preview-size=64x48",
         "--format=glb,obj,ply,vdb",
     ];
-    succeeded(&meniscus(folder, &[&["convert", "--out=one"][..], &asked].concat()));
+    succeeded(&meniscus(folder, &[&["convert", "--out=one"][..], &options].concat()));
     succeeded(&meniscus(
         folder,
-        &[&["plan", "--out=out", "--shards=3", "-o=plan.json"][..], &asked].concat(),
+        &[&["plan", "--out=out", "--shards=3", "-o=plan.json"][..], &options].concat(),
     ));
     assert!(names_in(&folder.join("out")).is_empty(), "created, because shards require it");
     // Run the last shard first, from another folder, with different numbers of threads, and one shard twice

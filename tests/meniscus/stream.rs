@@ -126,12 +126,12 @@ fn frames_are_requested_only_when_there_is_room() {
     for in_flight in [1, 2, 3, 7] {
         let bench = Bench::new(&[2; 20]);
         let pool = pool(2);
-        let (asked, ended) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let (requested, ended) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let full = Signal::default();
         let mut frames = numbered(&bench);
         let mut under_way_max = 0;
         let next = || {
-            let under_way = asked.fetch_add(1, Ordering::SeqCst) - ended.load(Ordering::SeqCst);
+            let under_way = requested.fetch_add(1, Ordering::SeqCst) - ended.load(Ordering::SeqCst);
             assert!(under_way < in_flight, "{under_way} frames are in flight");
             under_way_max = under_way_max.max(under_way + 1);
             if under_way + 1 == in_flight.min(3) {
@@ -212,7 +212,7 @@ fn stages_of_different_frames_overlap() {
 fn slow_stage_holds_back_the_stages_before_it() {
     let bench = Bench::new(&[2; 20]);
     let pool = pool(4);
-    let (asked, rasterized) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    let (requested, rasterized) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let (all_wait, go_on) = (Signal::default(), Signal::default());
     let method = Recording(|stage, _| match stage {
         Stage::Rasterize => {
@@ -227,7 +227,7 @@ fn slow_stage_holds_back_the_stages_before_it() {
     let options = PipelineOptions { in_flight: 20, on_error: OnError::Stop, ..pipeline_options(&pool) };
     let mut frames = numbered(&bench);
     let next = || {
-        asked.fetch_add(1, Ordering::SeqCst);
+        requested.fetch_add(1, Ordering::SeqCst);
         frames.next()
     };
     let mut count = 0;
@@ -238,7 +238,7 @@ fn slow_stage_holds_back_the_stages_before_it() {
             // One frame is being smoothed, another waits for smoothing, and a third one has been read and
             // waits for rasterization.
             assert_eq!(rasterized.load(Ordering::SeqCst), 2);
-            assert_eq!(asked.load(Ordering::SeqCst), 3);
+            assert_eq!(requested.load(Ordering::SeqCst), 3);
             go_on.give();
         });
         stream(&method, next, &options, |_, _, _| count += 1);

@@ -269,8 +269,8 @@ fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
     write_sequence(&path.join("in"), 1, 1);
     fs::write(path.join("in/dam.1.ok"), "").expect("written");
     fs::copy(path.join("in/dam.1.ply"), path.join("in/spray.1.ply")).expect("copied");
-    let asked = ["--pattern", "dam.*.ply", "--radius-ratio", "1.5", "--sentinel", "{stem}.ok"];
-    let result = meniscus(path, &[&["watch", "in", "--out", "out", "--once"], &asked[..]].concat());
+    let options = ["--pattern", "dam.*.ply", "--radius-ratio", "1.5", "--sentinel", "{stem}.ok"];
+    let result = meniscus(path, &[&["watch", "in", "--out", "out", "--once"], &options[..]].concat());
     assert_eq!(result.status, 0, "{}", result.err);
     let assert_explains = |frame: &str, words: &[&str]| {
         let result = meniscus(path, &["why", frame, "--out", "out"]);

@@ -110,8 +110,8 @@ fn crowd(address: &str) {
     for number in 0..20 {
         let path = ["/", "/metrics", "/events", "/api/frames"][number % 4];
         let Ok(mut stream) = TcpStream::connect(address) else { continue };
-        let asked = write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
-        if asked.is_ok() && number < 10 {
+        let sent = write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+        if sent.is_ok() && number < 10 {
             // Responses without an end, such as the event stream, are read for a moment.
             let _ = stream.set_read_timeout(Some(Duration::from_millis(100)));
             let _ = stream.read_to_end(&mut Vec::new());
