@@ -250,8 +250,8 @@ impl io::Write for Counted {
 }
 
 impl Seek for Counted {
-    fn seek(&mut self, place: SeekFrom) -> io::Result<u64> {
-        self.at = match place {
+    fn seek(&mut self, position: SeekFrom) -> io::Result<u64> {
+        self.at = match position {
             SeekFrom::Start(at) => at,
             SeekFrom::End(_) => self.end,
             SeekFrom::Current(_) => self.at,
@@ -404,13 +404,13 @@ struct HeightField {
 
 impl HeightField {
     fn new(edge: usize) -> HeightField {
-        let place = |index: usize| [index % edge, index / edge].map(|along| along as f32 * 0.013);
+        let position = |index: usize| [index % edge, index / edge].map(|along| along as f32 * 0.013);
         let vertex = |index| {
-            let [x, y] = place(index);
+            let [x, y] = position(index);
             [x, y, 0.3 * (x * 1.7).sin() * (y * 2.3).cos()]
         };
         let normal = |index| {
-            let [x, y] = place(index);
+            let [x, y] = position(index);
             let slope = [-0.51 * (x * 1.7).cos() * (y * 2.3).cos(), 0.69 * (x * 1.7).sin() * (y * 2.3).sin()];
             let length = (slope[0] * slope[0] + slope[1] * slope[1] + 1.0).sqrt();
             [slope[0] / length, slope[1] / length, 1.0 / length]

@@ -79,7 +79,7 @@ fn write_frames(folder: &Path, frame_count: usize, edge_count: usize) -> Result<
 }
 
 fn block(edge_count: usize, number: usize) -> Vec<[f32; 3]> {
-    let moved = |place: usize, phase: f32| place as f32 * SPACING + 0.3 * SPACING * (phase * 12.9898).sin();
+    let moved = |step: usize, phase: f32| step as f32 * SPACING + 0.3 * SPACING * (phase * 12.9898).sin();
     let particle = |index: usize| {
         let (x, y, z) = (index % edge_count, index / edge_count % edge_count, index / edge_count.pow(2));
         let phase = (index * 3 + number) as f32;

@@ -85,11 +85,11 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
 }
 
 fn block(edge_count: usize) -> Vec<[f32; 3]> {
-    let place = |index: usize| {
+    let position = |index: usize| {
         [index / edge_count.pow(2), index / edge_count % edge_count, index % edge_count]
             .map(|i| i as f32 * 0.1)
     };
-    (0..edge_count.pow(3)).map(place).collect()
+    (0..edge_count.pow(3)).map(position).collect()
 }
 
 /// A mesh of about 57 000 triangles: a floor with bumps, closed below.

@@ -145,9 +145,9 @@ fn bits(vertex: &DVec3) -> [u64; 3] {
 fn pool() -> Vec<DVec3> {
     let mut random = Random::new(20);
     let [along, down, across] = POOL;
-    let places = (0..along * down * across)
+    let cells = (0..along * down * across)
         .map(|index| IVec3::new(index % along, -(index / along % down), index / (along * down)));
-    places.map(|place| place.as_dvec3() + random.in_ball(0.2)).collect()
+    cells.map(|cell| cell.as_dvec3() + random.in_ball(0.2)).collect()
 }
 
 /// The drop moves along the pool by a non-integer number of voxels per frame.

@@ -117,11 +117,11 @@ struct Roughness {
 
 impl Roughness {
     fn of(data: &MeshData) -> Roughness {
-        let place = |vertex: u32| DVec3::from(data.positions[vertex as usize]);
+        let vertex_position = |vertex: u32| DVec3::from(data.positions[vertex as usize]);
         // Means are weighted by area: some programs produce many small triangles at rough places.
         let (mut area, mut radius, mut square, mut angle) = (0.0, 0.0, 0.0, 0.0);
         for &[a, b, c] in &data.triangles {
-            let [a, b, c] = [a, b, c].map(place);
+            let [a, b, c] = [a, b, c].map(vertex_position);
             let normal = (b - a).cross(c - a);
             let middle = (a + b + c) / 3.0;
             let outward = normal.normalize_or_zero().dot(middle.normalize_or_zero());

@@ -67,8 +67,8 @@ fn crown(page: &mut Page) -> Outcome<()> {
                 continue;
             }
             let outward = DVec3::new(angle.cos(), 0.0, angle.sin());
-            let place = radius * outward + height * DVec3::Y + random.in_ball(0.3);
-            positions.push(place.to_array());
+            let position = radius * outward + height * DVec3::Y + random.in_ball(0.3);
+            positions.push(position.to_array());
             velocities.push((slope * outward + DVec3::Y).normalize() * 45.0);
         }
     }
@@ -101,19 +101,19 @@ fn crown(page: &mut Page) -> Outcome<()> {
 
 fn sizes(page: &mut Page) -> Outcome<()> {
     let mut random = Random::new(13);
-    let (mut places, mut radii): (Vec<DVec3>, Vec<f64>) = (Vec::new(), Vec::new());
+    let (mut centers, mut radii): (Vec<DVec3>, Vec<f64>) = (Vec::new(), Vec::new());
     // The largest balls first: smaller ones fill the remaining space.
     for (radius, tries) in [(4.0, 400), (2.4, 3000), (1.5, 12_000), (0.9, 40_000)] {
         for _ in 0..tries {
-            let place = random.in_ball(16.0) * DVec3::new(1.0, 0.5, 1.0);
-            let touches = |(other, size): (&DVec3, &f64)| other.distance(place) < 0.92 * (radius + size);
-            if place.y > -4.0 && !places.iter().zip(&radii).any(touches) {
-                places.push(place);
+            let center = random.in_ball(16.0) * DVec3::new(1.0, 0.5, 1.0);
+            let touches = |(other, size): (&DVec3, &f64)| other.distance(center) < 0.92 * (radius + size);
+            if center.y > -4.0 && !centers.iter().zip(&radii).any(touches) {
+                centers.push(center);
                 radii.push(radius);
             }
         }
     }
-    let positions = OwnedPositions::F64(places.iter().map(|place| place.to_array()).collect());
+    let positions = OwnedPositions::F64(centers.iter().map(|center| center.to_array()).collect());
     let numbers = radii.iter().map(|radius| *radius as f32).collect();
     let cloud = with(positions, "pscale", Role::Radius, 1, numbers);
     let voxel_size = 0.45;
@@ -121,7 +121,7 @@ fn sizes(page: &mut Page) -> Outcome<()> {
     let close = MethodOptions { radius_ratio: Some(1.25), ..MethodOptions::default() };
     let own = MethodOptions { radius_attribute: Some("pscale".to_owned()), ..close.clone() };
     let one = MethodOptions { radius_min: Some(0.9.into()), ..close };
-    let mut pictures = vec![(balls(&places, &radii, &view)?, "particles".to_owned())];
+    let mut pictures = vec![(balls(&centers, &radii, &view)?, "particles".to_owned())];
     for (name, choices) in [("one radius", one), ("their own radii", own)] {
         let surface = reconstructed(&cloud, voxel_size, &choices, &Obstacles::default())?;
         pictures
@@ -135,8 +135,8 @@ fn sizes(page: &mut Page) -> Outcome<()> {
 }
 
 /// The particles as balls, with almost no smoothing.
-fn balls(places: &[DVec3], radii: &[f64], view: &View) -> Outcome<Picture> {
-    let positions = OwnedPositions::F64(places.iter().map(|place| place.to_array()).collect());
+fn balls(centers: &[DVec3], radii: &[f64], view: &View) -> Outcome<Picture> {
+    let positions = OwnedPositions::F64(centers.iter().map(|center| center.to_array()).collect());
     let numbers = radii.iter().map(|radius| *radius as f32).collect();
     let cloud = with(positions, "pscale", Role::Radius, 1, numbers);
     let choices = MethodOptions {
@@ -158,7 +158,7 @@ fn tetrahedron(page: &mut Page) -> Outcome<()> {
     let voxel_size = 0.04;
     let particles = on_faces(&corners, &faces, 3.2 * voxel_size);
     let obstacles = mould(&corners, &faces);
-    let positions = OwnedPositions::F64(particles.iter().map(|place| place.to_array()).collect());
+    let positions = OwnedPositions::F64(particles.iter().map(|point| point.to_array()).collect());
     let cloud = ParticleCloud::from(positions);
     let view = around([DVec3::splat(-1.25), DVec3::splat(1.25)], [400, 360]);
     let mut pictures = Vec::new();
@@ -196,8 +196,8 @@ impl Deviation {
     /// Vertices far from the walls belong to the inner side of the layer of particles, and are left out.
     fn of(surface: &FrameSurface, wall: &MeshSdf) -> Deviation {
         let mesh = &surface.mesh;
-        let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
-        let distances = places.filter_map(|place| wall.distance(place));
+        let points = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
+        let distances = points.filter_map(|point| wall.distance(point));
         let outer: Vec<f64> = distances.filter(|distance| *distance > -OUTER).collect();
         let squares: f64 = outer.iter().map(|distance| distance * distance).sum();
         Deviation {
@@ -215,19 +215,19 @@ const OUTER: f64 = 0.06;
 /// outside, and more of them inside.
 fn on_faces(corners: &[DVec3; 4], faces: &[[usize; 3]; 4], apart: f64) -> Vec<DVec3> {
     let mut random = Random::new(7);
-    let mut places: Vec<DVec3> = Vec::new();
+    let mut points: Vec<DVec3> = Vec::new();
     for index in 0..40_000 {
         let [a, b, c] = faces[index % 4].map(|corner| corners[corner]);
         let (mut u, mut v) = (random.unit(), random.unit());
         if u + v > 1.0 {
             (u, v) = (1.0 - u, 1.0 - v);
         }
-        let place = a + u * (b - a) + v * (c - a);
-        if places.iter().all(|other| other.distance(place) > apart) {
-            places.push(place);
+        let point = a + u * (b - a) + v * (c - a);
+        if points.iter().all(|other| other.distance(point) > apart) {
+            points.push(point);
         }
     }
-    places.iter().map(|place| *place * (1.05 - 0.11 * random.unit())).collect()
+    points.iter().map(|point| *point * (1.05 - 0.11 * random.unit())).collect()
 }
 
 /// A block with a hole in the shape of the tetrahedron: the faces of the hole point into the hole.

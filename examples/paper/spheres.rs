@@ -199,8 +199,8 @@ fn relative(measures: &MeshMeasures) -> [f64; 2] {
 /// sides is left out.
 fn roughness(band: &NarrowBand, side: f64) -> f64 {
     let mesh = contour(band, &LATTICE, Contouring::Dual);
-    let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
-    let radii: Vec<f64> = places.filter(|at| at.x * side > 5.0).map(DVec3::length).collect();
+    let points = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
+    let radii: Vec<f64> = points.filter(|at| at.x * side > 5.0).map(DVec3::length).collect();
     let mean = radii.iter().sum::<f64>() / radii.len().max(1) as f64;
     (radii.iter().map(|radius| (radius - mean).powi(2)).sum::<f64>() / radii.len().max(1) as f64).sqrt()
 }

@@ -104,9 +104,9 @@ fn ball() -> Obstacles {
 /// vertices that are near the ball and below its centre: world units.
 fn depth_and_deviation(surface: &FrameSurface) -> [f64; 2] {
     let mesh = &surface.mesh;
-    let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
-    let under = places.filter(|place| place.y < CENTER.y);
-    let distances: Vec<f64> = under.map(|place| place.distance(CENTER) - RADIUS).collect();
+    let points = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
+    let under = points.filter(|point| point.y < CENTER.y);
+    let distances: Vec<f64> = under.map(|point| point.distance(CENTER) - RADIUS).collect();
     let deepest = distances.iter().copied().fold(0.0, |deepest: f64, distance| deepest.max(-distance));
     let near: Vec<f64> = distances.into_iter().filter(|distance| distance.abs() < 2.0 * VOXEL_SIZE).collect();
     let squares: f64 = near.iter().map(|distance| distance * distance).sum();

@@ -149,10 +149,10 @@ pub(crate) fn cut_open(mesh: &MeshData, voxel_size: f64, z: f64) -> NarrowBand {
 
 /// The leaves of these points, and the leaves next to them: triangles reach beyond the leaves of their
 /// corners.
-fn leaves_near(places: impl Iterator<Item = [f64; 3]>, voxel_size: f64) -> BTreeSet<[i32; 3]> {
+fn leaves_near(points: impl Iterator<Item = [f64; 3]>, voxel_size: f64) -> BTreeSet<[i32; 3]> {
     let leaf_of =
-        |place: [f64; 3]| (DVec3::from(place) / (voxel_size * f64::from(LEAF_EDGE))).floor().as_ivec3();
-    let leaves: BTreeSet<[i32; 3]> = places.map(|place| leaf_of(place).to_array()).collect();
+        |point: [f64; 3]| (DVec3::from(point) / (voxel_size * f64::from(LEAF_EDGE))).floor().as_ivec3();
+    let leaves: BTreeSet<[i32; 3]> = points.map(|point| leaf_of(point).to_array()).collect();
     let around = |leaf: &[i32; 3]| {
         let leaf = IVec3::from(*leaf);
         (0..27).map(move |side| (leaf + IVec3::new(side % 3, side / 3 % 3, side / 9) - 1).to_array())

@@ -79,9 +79,9 @@ impl Sponge {
         let spacing = self.spacing as f32;
         self.for_each_inside(x, |y, z| {
             let moves = jitter([x, y, z]);
-            let place = [x, y, z];
+            let cell = [x, y, z];
             particle(std::array::from_fn(|axis| {
-                self.planes[axis][place[axis]].position + moves[axis] * JITTER * spacing
+                self.planes[axis][cell[axis]].position + moves[axis] * JITTER * spacing
             }));
         });
     }
@@ -103,9 +103,9 @@ impl Sponge {
 }
 
 /// Three pseudo-random numbers from −1 to 1, derived from a lattice point's indices.
-fn jitter(place: [usize; 3]) -> [f32; 3] {
+fn jitter(cell: [usize; 3]) -> [f32; 3] {
     // SplitMix64, with the finalizer of MurmurHash3, whose bits are nearly independent.
-    let mut bits = place.iter().fold(0, |bits: u64, &index| bits << 21 ^ index as u64);
+    let mut bits = cell.iter().fold(0, |bits: u64, &index| bits << 21 ^ index as u64);
     bits = bits.wrapping_add(0x9e37_79b9_7f4a_7c15);
     bits = (bits ^ bits >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     bits = (bits ^ bits >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);

@@ -41,7 +41,7 @@ pub enum Error {
         /// The format's name, such as `PLY`; empty if the file is too short to recognise.
         format: &'static str,
         /// Location of the error.
-        place: Position,
+        position: Position,
         /// One sentence: what was expected and what was found.
         what: String,
     },
@@ -50,7 +50,7 @@ pub enum Error {
         /// The format's name, such as `PLY`.
         format: &'static str,
         /// Location of the error.
-        place: Position,
+        position: Position,
         /// One sentence: what was expected and what was found.
         what: String,
     },
@@ -72,13 +72,13 @@ pub enum Error {
 
 impl Error {
     /// Creates an [`Error::Truncated`].
-    pub fn truncated(format: &'static str, place: Position, what: impl Into<String>) -> Error {
-        Error::Truncated { format, place, what: what.into() }
+    pub fn truncated(format: &'static str, position: Position, what: impl Into<String>) -> Error {
+        Error::Truncated { format, position, what: what.into() }
     }
 
     /// Creates an [`Error::Invalid`].
-    pub fn invalid(format: &'static str, place: Position, what: impl Into<String>) -> Error {
-        Error::Invalid { format, place, what: what.into() }
+    pub fn invalid(format: &'static str, position: Position, what: impl Into<String>) -> Error {
+        Error::Invalid { format, position, what: what.into() }
     }
 
     /// Creates an [`Error::Unsupported`].
@@ -94,8 +94,8 @@ impl Error {
     /// The same error with another format name: that of the container format.
     pub(crate) fn with_format(self, format: &'static str) -> Error {
         match self {
-            Error::Truncated { place, what, .. } => Error::Truncated { format, place, what },
-            Error::Invalid { place, what, .. } => Error::Invalid { format, place, what },
+            Error::Truncated { position, what, .. } => Error::Truncated { format, position, what },
+            Error::Invalid { position, what, .. } => Error::Invalid { format, position, what },
             Error::Unsupported { what, .. } => Error::Unsupported { format, what },
             Error::TooLarge { what, .. } => Error::TooLarge { format, what },
             Error::Io(source) => Error::Io(source),
@@ -105,8 +105,8 @@ impl Error {
     /// The same error with its line number increased by `count`, for a reader that started `count` lines into
     /// the file.
     pub fn with_line_offset(mut self, count: u64) -> Error {
-        if let Error::Truncated { place: Position::Line(line), .. }
-        | Error::Invalid { place: Position::Line(line), .. } = &mut self
+        if let Error::Truncated { position: Position::Line(line), .. }
+        | Error::Invalid { position: Position::Line(line), .. } = &mut self
         {
             *line = line.saturating_add(count);
         }
@@ -127,10 +127,10 @@ impl fmt::Display for Error {
             Error::Truncated { format: "", what, .. } | Error::Invalid { format: "", what, .. } => {
                 f.write_str(what)
             }
-            Error::Truncated { format, place: Position::File, what }
-            | Error::Invalid { format, place: Position::File, what } => write!(f, "{format}: {what}"),
-            Error::Truncated { format, place, what } | Error::Invalid { format, place, what } => {
-                write!(f, "{format}, {place}: {what}")
+            Error::Truncated { format, position: Position::File, what }
+            | Error::Invalid { format, position: Position::File, what } => write!(f, "{format}: {what}"),
+            Error::Truncated { format, position, what } | Error::Invalid { format, position, what } => {
+                write!(f, "{format}, {position}: {what}")
             }
             Error::Unsupported { format: "", what } => f.write_str(what),
             Error::Unsupported { format, what } => write!(f, "{format}: {what}"),

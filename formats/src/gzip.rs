@@ -36,12 +36,12 @@ pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     }
     // Tapes and some copying tools pad files with zeros.
     if let Some(at) = rest.iter().position(|&byte| byte != 0) {
-        let place = Position::Offset((bytes.len() - rest.len() + at) as u64);
+        let position = Position::Offset((bytes.len() - rest.len() + at) as u64);
         let what = "the compressed data is followed by other bytes";
         // A single remaining byte can be the start of another member, which is truncated.
         return Err(match MAGIC.starts_with(rest) {
-            true => Error::truncated(FORMAT, place, what),
-            false => Error::invalid(FORMAT, place, what),
+            true => Error::truncated(FORMAT, position, what),
+            false => Error::invalid(FORMAT, position, what),
         });
     }
     Ok(inflated)
@@ -70,12 +70,12 @@ fn inflate_member<'a>(
 }
 
 fn damage(source: &std::io::Error, consumed: usize) -> Error {
-    let place = Position::Offset(consumed as u64);
+    let position = Position::Offset(consumed as u64);
     match source.kind() {
         std::io::ErrorKind::UnexpectedEof => {
-            Error::truncated(FORMAT, place, "the compressed data ends too early")
+            Error::truncated(FORMAT, position, "the compressed data ends too early")
         }
-        _ => Error::invalid(FORMAT, place, format!("the compressed data is damaged: {source}")),
+        _ => Error::invalid(FORMAT, position, format!("the compressed data is damaged: {source}")),
     }
 }
 

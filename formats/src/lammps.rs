@@ -115,7 +115,7 @@ pub fn read_step(bytes: &[u8], step: &TimeStep, limits: &Limits) -> Result<Parti
     let names = header.split_ascii_whitespace().skip(2); // ITEM: ATOMS
     let mut names: Vec<String> =
         names.take(limits.attribute_count.saturating_add(1)).map(String::from).collect();
-    let place = Position::Line(step.rows_line.saturating_sub(1));
+    let header_line = Position::Line(step.rows_line.saturating_sub(1));
     if names.len() > limits.attribute_count {
         let what = format!("the file has more columns than the limit of {}", limits.attribute_count);
         return Err(Error::too_large(FORMAT, what));
@@ -124,7 +124,7 @@ pub fn read_step(bytes: &[u8], step: &TimeStep, limits: &Limits) -> Result<Parti
     let no_position = || {
         Error::invalid(
             FORMAT,
-            place,
+            header_line,
             format!("no position columns, such as x y z or xs ys zs; found: {found}"),
         )
     };
@@ -153,7 +153,7 @@ pub fn read_step(bytes: &[u8], step: &TimeStep, limits: &Limits) -> Result<Parti
         let no_box = || {
             Error::invalid(
                 FORMAT,
-                place,
+                header_line,
                 "positions are fractions of the box, but ITEM: BOX BOUNDS is missing",
             )
         };

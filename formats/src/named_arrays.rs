@@ -132,8 +132,8 @@ fn joined(arrays: Vec<NamedArray>) -> Vec<NamedArray> {
         }
         vector_at[first] = Some(NamedArray { name, arity: members.len(), values });
     }
-    let places = arrays.into_iter().zip(vector_at).zip(is_joined);
-    places.filter_map(|((array, vector), is_joined)| if is_joined { vector } else { Some(array) }).collect()
+    let entries = arrays.into_iter().zip(vector_at).zip(is_joined);
+    entries.filter_map(|((array, vector), is_joined)| if is_joined { vector } else { Some(array) }).collect()
 }
 
 /// A different scalar type for each type in memory, not always the type itself: columns are joined only if

@@ -42,11 +42,11 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     }
     let endian = endian(bytes)?;
     if !bytes.len().is_multiple_of(RECORD_BYTES) {
-        let place = Position::Offset((count * RECORD_BYTES) as u64);
+        let position = Position::Offset((count * RECORD_BYTES) as u64);
         let rest = bytes.len() % RECORD_BYTES;
         return Err(Error::truncated(
             FORMAT,
-            place,
+            position,
             format!("expected a position of 12 bytes, found {rest}"),
         ));
     }

@@ -57,11 +57,11 @@ pub(crate) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
         } else if rest.starts_with(&MAGIC) {
             rest = decompress_frame(bytes, at, limits, &mut decompressed)?;
         } else {
-            let place = Position::Offset(at as u64);
+            let position = Position::Offset(at as u64);
             let what = "the compressed data is followed by other bytes";
             return Err(match MAGIC.starts_with(rest) || (rest.len() < 4 && rest[0] >> 4 == 5) {
-                true => Error::truncated(FORMAT, place, what),
-                false => Error::invalid(FORMAT, place, what),
+                true => Error::truncated(FORMAT, position, what),
+                false => Error::invalid(FORMAT, position, what),
             });
         }
     }
@@ -127,10 +127,10 @@ fn check_sum(decoder: &FrameDecoder, consumed: usize) -> Result<()> {
 }
 
 fn damage(source: &std::io::Error, consumed: usize) -> Error {
-    let place = Position::Offset(consumed as u64);
+    let position = Position::Offset(consumed as u64);
     match is_end(source) {
-        true => Error::truncated(FORMAT, place, "the compressed data ends too early"),
-        false => Error::invalid(FORMAT, place, format!("the compressed data is damaged: {source}")),
+        true => Error::truncated(FORMAT, position, "the compressed data ends too early"),
+        false => Error::invalid(FORMAT, position, format!("the compressed data is damaged: {source}")),
     }
 }
 

@@ -69,7 +69,7 @@ fn values(solid: &Solid, arity: usize) -> Values {
 }
 
 /// The leaf and index of a voxel in the band.
-fn place(solid: &Solid, number: usize) -> (usize, usize) {
+fn leaf_and_voxel(solid: &Solid, number: usize) -> (usize, usize) {
     let in_band = |leaf: usize| {
         (0..512)
             .filter(move |&i| solid.leaves[leaf][i].abs() < solid.half_width_voxels)
@@ -220,7 +220,7 @@ fn bytes_do_not_depend_on_threads_and_truncation_is_detected() {
 fn grid_with_values_beyond_half_range_keeps_32_bits() {
     let solid = solids::sphere([0.5; 3], 20.0);
     let mut scalars = values(&solid, 1);
-    let (leaf, voxel) = place(&solid, 5);
+    let (leaf, voxel) = leaf_and_voxel(&solid, 5);
     scalars.leaves[leaf][voxel] = -70_000.25;
     let small = values(&solid, 1);
     let list = [
@@ -240,7 +240,7 @@ fn grid_with_values_beyond_half_range_keeps_32_bits() {
 fn invalid_grids_are_an_error() {
     let solid = solids::sphere([0.5; 3], 20.0);
     let good = values(&solid, 3);
-    let (leaf, voxel) = place(&solid, 100);
+    let (leaf, voxel) = leaf_and_voxel(&solid, 100);
     let broken = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY].map(|broken| {
         let mut values = good.clone();
         values.leaves[leaf][3 * voxel + 1] = broken;

@@ -456,9 +456,9 @@ fn vertex_indices_out_of_range_are_an_error() {
     // The indices are the last data before the padding to four bytes.
     let corners = [0u16, 1, 2].map(u16::to_le_bytes).concat();
     let at = whole.windows(6).rposition(|window| window == corners).expect("the corners");
-    for (corner, place) in [(3u16, 0), (u16::MAX, 4)] {
+    for (corner, index) in [(3u16, 0), (u16::MAX, 4)] {
         let mut broken = whole.clone();
-        broken[at + place..][..2].copy_from_slice(&corner.to_le_bytes());
+        broken[at + index..][..2].copy_from_slice(&corner.to_le_bytes());
         let error = usda_of(&broken).expect_err("no such vertex");
         assert!(
             error.to_string().contains(&format!("vertex index {corner}, but the mesh has 3 vertices")),

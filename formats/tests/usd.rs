@@ -167,9 +167,9 @@ fn usdc_attributes_of_every_width_round_trip() {
         attribute("few", 1, VertexValues::Numbers(&few)),
     ];
     let names = ["a1", "a2", "a3", "a4", "a6", "b1", "b2", "b3", "b4", "b6"];
-    for (place, arity) in [1, 2, 3, 4, 6].into_iter().enumerate() {
-        attributes.push(attribute(names[place], arity, VertexValues::Numbers(&reals[place])));
-        attributes.push(attribute(names[place + 5], arity, VertexValues::Integers(&whole[place])));
+    for (index, arity) in [1, 2, 3, 4, 6].into_iter().enumerate() {
+        attributes.push(attribute(names[index], arity, VertexValues::Numbers(&reals[index])));
+        attributes.push(attribute(names[index + 5], arity, VertexValues::Integers(&whole[index])));
     }
     let mut bytes = Vec::new();
     let (format, options) = (OutputFormat::Usdc, MeshOptions::default());

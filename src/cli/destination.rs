@@ -109,7 +109,7 @@ impl Destination {
     /// # Errors
     /// If several frames would go into one file.
     pub(super) fn name_outputs(&self, selection: &mut InputSelection) -> Result<()> {
-        let (place, stem) = match self {
+        let (target, stem) = match self {
             Destination::Folder => return Ok(()),
             Destination::File { out, stem } => (out.display().to_string(), stem.clone()),
             Destination::Stdout { .. } => ("the standard output".to_owned(), STDOUT_STEM.to_owned()),
@@ -117,7 +117,7 @@ impl Destination {
         let mut selected: Vec<_> = selection.sequences.iter_mut().flat_map(|s| &mut s.selected).collect();
         let [frame] = &mut selected[..] else {
             bail!(
-                "{place}: only one frame fits, and {} are selected: name a folder with --out, or one frame with --frames",
+                "{target}: only one frame fits, and {} are selected: name a folder with --out, or one frame with --frames",
                 pluralize(selected.len(), "frame")
             );
         };

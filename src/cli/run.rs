@@ -153,11 +153,11 @@ impl<'a> Batch<'a> {
                 items.iter().position(is_impossible).unwrap_or(items.len())
             }
         };
-        let (places, frames): (Vec<usize>, Vec<Frame>) = items[..begin_count]
+        let (item_indices, frames): (Vec<usize>, Vec<Frame>) = items[..begin_count]
             .iter()
             .enumerate()
-            .filter_map(|(place, item)| match &item.state {
-                ItemState::Convert(frame) => Some((place, frame.clone())),
+            .filter_map(|(item_index, item)| match &item.state {
+                ItemState::Convert(frame) => Some((item_index, frame.clone())),
                 ItemState::Done(..) | ItemState::Impossible(_) => None,
             })
             .unzip();
@@ -180,8 +180,8 @@ impl<'a> Batch<'a> {
             // The record and the console follow the order of the inputs.
             let report = if let Outcome::Converted(report) = &outcome { Some(&**report) } else { None };
             progress.finished(&frames[index], report);
-            self.note_without_outcome(&items[self.outcomes.noted_count..places[index]], console);
-            self.note(&frames[index], items[places[index]].sequence_index, &outcome, has_bar, console);
+            self.note_without_outcome(&items[self.outcomes.noted_count..item_indices[index]], console);
+            self.note(&frames[index], items[item_indices[index]].sequence_index, &outcome, has_bar, console);
             if let Some(records) = &records {
                 records.frame_finished();
             }

@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow, bail};
 
 use crate::pipeline::{file_of, frames_in, is_missing_step, step_of};
+use crate::watch::canonical_path::{below, canonical_path};
 use crate::watch::explain::{
     Explanation, FileChange, FileFacts, FrameExplanation as Fate, Question, explain, remembered_fingerprint,
 };
 use crate::watch::journal::{JournalState, JournaledFrame, JournaledStatus, PlanRecord, now_ms};
-use crate::watch::place::{below, canonical_path};
 use crate::watch::selection::{FileFilter, SniffedContent};
 use crate::watch::{StabilityTimeouts, Watch, WatchConfig};
 

@@ -123,8 +123,8 @@ pub struct PlanError {
 }
 
 impl PlanError {
-    fn at(place: impl Into<String>, what: impl Into<String>) -> PlanError {
-        PlanError { pointer: place.into(), message: what.into() }
+    fn at(pointer: impl Into<String>, what: impl Into<String>) -> PlanError {
+        PlanError { pointer: pointer.into(), message: what.into() }
     }
 }
 
@@ -132,7 +132,7 @@ impl fmt::Display for PlanError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.pointer.as_str() {
             "" => f.write_str(&self.message),
-            place => write!(f, "{place}: {}", self.message),
+            pointer => write!(f, "{pointer}: {}", self.message),
         }
     }
 }
@@ -356,13 +356,13 @@ impl SequenceEntry {
         })
     }
 
-    fn into_sequence(self, place: &str, outputs: &OutputOptions) -> Result<PlannedSequence, PlanError> {
-        let settings = self.settings(place)?;
-        let measured = self.measured.map(|measured| measured.into_measured(place));
-        let outputs = with_camera(outputs, self.camera.as_deref(), place)?;
+    fn into_sequence(self, pointer: &str, outputs: &OutputOptions) -> Result<PlannedSequence, PlanError> {
+        let settings = self.settings(pointer)?;
+        let measured = self.measured.map(|measured| measured.into_measured(pointer));
+        let outputs = with_camera(outputs, self.camera.as_deref(), pointer)?;
         let job = match &self.max_deviation {
             None => Job::Surface,
-            Some(voxels) => level_set_job(&format!("{place}/max_deviation"), voxels)?,
+            Some(voxels) => level_set_job(&format!("{pointer}/max_deviation"), voxels)?,
         };
         Ok(PlannedSequence {
             name: self.name,
@@ -373,25 +373,25 @@ impl SequenceEntry {
         })
     }
 
-    fn settings(&self, place: &str) -> Result<Settings, PlanError> {
+    fn settings(&self, pointer: &str) -> Result<Settings, PlanError> {
         let mut options = MethodOptions::default();
         for (name, value) in &self.settings {
             options.set(name, value).ok_or_else(|| {
-                let place = format!("{place}/settings/{}", escaped(name));
-                PlanError::at(place, format!("unknown setting, or invalid value `{value}`"))
+                let pointer = format!("{pointer}/settings/{}", escaped(name));
+                PlanError::at(pointer, format!("unknown setting, or invalid value `{value}`"))
             })?;
         }
         let settings = Settings::resolve(&options, None)
-            .map_err(|error| PlanError::at(format!("{place}/settings"), error.to_string()))?;
+            .map_err(|error| PlanError::at(format!("{pointer}/settings"), error.to_string()))?;
         // A missing setting is not replaced by its default, which may differ from the value that was planned.
         let needed = settings.to_options().to_pairs();
-        let place = |name: &str| format!("{place}/settings/{}", escaped(name));
+        let pointer = |name: &str| format!("{pointer}/settings/{}", escaped(name));
         if let Some((name, _)) = needed.iter().find(|(name, _)| !self.settings.contains_key(*name)) {
-            return Err(PlanError::at(place(name), "missing: a plan has every setting"));
+            return Err(PlanError::at(pointer(name), "missing: a plan has every setting"));
         }
         match self.settings.keys().find(|key| needed.iter().all(|(name, _)| name != key)) {
             Some(name) => Err(PlanError::at(
-                place(name),
+                pointer(name),
                 "not allowed, because it has no effect with the other settings of the sequence: remove it",
             )),
             None => Ok(settings),
@@ -400,14 +400,14 @@ impl SequenceEntry {
 }
 
 impl PlannedSpacing {
-    fn into_measured(self, place: &str) -> Result<MeasuredSpacing, PlanError> {
+    fn into_measured(self, pointer: &str) -> Result<MeasuredSpacing, PlanError> {
         let median = self.radius_median.as_deref();
-        let median = median.map(|text| number(&format!("{place}/measured/radius_median"), text));
+        let median = median.map(|text| number(&format!("{pointer}/measured/radius_median"), text));
         Ok(MeasuredSpacing {
-            spacing: number(&format!("{place}/measured/spacing"), &self.spacing)?,
+            spacing: number(&format!("{pointer}/measured/spacing"), &self.spacing)?,
             confidence: self.confidence,
             radius_median: median.transpose()?,
-            measured_on: absolute(&format!("{place}/measured/on"), &self.on)?,
+            measured_on: absolute(&format!("{pointer}/measured/on"), &self.on)?,
             measured_count: 0,
             warnings: Vec::new(),
         })
@@ -415,11 +415,11 @@ impl PlannedSpacing {
 }
 
 /// The job for level sets whose surfaces smoothing may move by this many voxels.
-fn level_set_job(place: &str, voxels: &str) -> Result<Job, PlanError> {
-    let max_deviation_voxels = number(place, voxels)?;
+fn level_set_job(pointer: &str, voxels: &str) -> Result<Job, PlanError> {
+    let max_deviation_voxels = number(pointer, voxels)?;
     match (0.0..=f64::from(DEVIATION_MAX_VOXELS)).contains(&max_deviation_voxels) {
         true => Ok(Job::level_set(max_deviation_voxels)),
-        false => Err(PlanError::at(place, format!("it must be from 0 to {DEVIATION_MAX_VOXELS} voxels"))),
+        false => Err(PlanError::at(pointer, format!("it must be from 0 to {DEVIATION_MAX_VOXELS} voxels"))),
     }
 }
 
@@ -427,20 +427,22 @@ fn level_set_job(place: &str, voxels: &str) -> Result<Job, PlanError> {
 fn with_camera(
     outputs: &OutputOptions,
     camera: Option<&str>,
-    place: &str,
+    pointer: &str,
 ) -> Result<OutputOptions, PlanError> {
-    let place = format!("{place}/camera");
+    let pointer = format!("{pointer}/camera");
     let has_pictures = outputs.has_pictures();
     let camera = match (camera, has_pictures) {
         (None, false) => return Ok(outputs.clone()),
-        (None, true) => return Err(PlanError::at(place, "missing: the pictures need a camera")),
-        (Some(_), false) => return Err(PlanError::at(place, "not allowed, because no format is a picture")),
+        (None, true) => return Err(PlanError::at(pointer, "missing: the pictures need a camera")),
+        (Some(_), false) => {
+            return Err(PlanError::at(pointer, "not allowed, because no format is a picture"));
+        }
         (Some(camera), true) => camera,
     };
-    let camera: CameraChoice = camera.parse().map_err(|why: String| PlanError::at(&*place, why))?;
+    let camera: CameraChoice = camera.parse().map_err(|why: String| PlanError::at(&*pointer, why))?;
     if camera.needs_bounds() {
         let what = "expected eye, target and ground: without them the camera depends on the frame's bounds";
-        return Err(PlanError::at(place, what));
+        return Err(PlanError::at(pointer, what));
     }
     let picture = PictureOptions { camera, ..outputs.picture };
     Ok(OutputOptions { picture, ..outputs.clone() })
@@ -485,19 +487,19 @@ fn check_frames(frames: &[PlannedFrame], sequence_count: usize) -> Result<(), Pl
     }
     let mut index_of: HashMap<&str, usize> = HashMap::with_capacity(frames.len());
     for (index, PlannedFrame { input, stem, sequence, .. }) in frames.iter().enumerate() {
-        let place = |name: &str| format!("/frames/{index}/{name}");
+        let pointer = |name: &str| format!("/frames/{index}/{name}");
         if *sequence >= sequence_count {
             let what = format!("there is no sequence {sequence}: there are {sequence_count}");
-            return Err(PlanError::at(place("sequence"), what));
+            return Err(PlanError::at(pointer("sequence"), what));
         }
         if !is_plain_name(stem) {
-            return Err(PlanError::at(place("stem"), format!("`{stem}` is not a plain file name")));
+            return Err(PlanError::at(pointer("stem"), format!("`{stem}` is not a plain file name")));
         }
         if let Some(other) = index_of.insert(stem, index) {
             let what = format!("`{stem}` is already the stem of frame {other}");
-            return Err(PlanError::at(place("stem"), what));
+            return Err(PlanError::at(pointer("stem"), what));
         }
-        absolute(&place("input"), &text(input)?)?;
+        absolute(&pointer("input"), &text(input)?)?;
     }
     Ok(())
 }
@@ -507,18 +509,18 @@ fn is_plain_name(stem: &str) -> bool {
     !stem.is_empty() && !stem.contains(['/', '\\', ':', '\0']) && stem != "." && stem != ".."
 }
 
-fn absolute(place: &str, text: &str) -> Result<PathBuf, PlanError> {
+fn absolute(pointer: &str, text: &str) -> Result<PathBuf, PlanError> {
     let path = PathBuf::from(text);
     // A relative path depends on the working directory, which may differ from shard to shard.
     match path.is_absolute() && !text.contains('\0') {
         true => Ok(path),
-        false => Err(PlanError::at(place, format!("`{text}` is not an absolute path"))),
+        false => Err(PlanError::at(pointer, format!("`{text}` is not an absolute path"))),
     }
 }
 
-fn number(place: &str, text: &str) -> Result<f64, PlanError> {
+fn number(pointer: &str, text: &str) -> Result<f64, PlanError> {
     let number = text.parse::<f64>().ok().filter(|number| number.is_finite() && *number > 0.0);
-    number.ok_or_else(|| PlanError::at(place, format!("`{text}` is not a positive number")))
+    number.ok_or_else(|| PlanError::at(pointer, format!("`{text}` is not a positive number")))
 }
 
 fn text(path: &Path) -> Result<String, PlanError> {

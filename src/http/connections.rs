@@ -76,26 +76,26 @@ impl Connections {
     /// Returns a slot for a new connection. If all slots are taken, closes the connection that has been idle
     /// for longest; if none is idle, waits for one.
     pub(super) async fn add(self: &Arc<Self>) -> Connection {
-        let place = loop {
-            if let Ok(place) = Arc::clone(&self.room).try_acquire_owned() {
-                break place;
+        let permit = loop {
+            if let Ok(permit) = Arc::clone(&self.room).try_acquire_owned() {
+                break permit;
             }
             let is_closing = self.close_oldest_idle();
-            let mut place = pin!(Arc::clone(&self.room).acquire_owned());
+            let mut permit = pin!(Arc::clone(&self.room).acquire_owned());
             let mut became_idle = pin!(self.became_idle.notified());
-            let first = poll_fn(|context| match place.as_mut().poll(context) {
-                Poll::Ready(place) => Poll::Ready(place.ok()),
+            let first = poll_fn(|context| match permit.as_mut().poll(context) {
+                Poll::Ready(permit) => Poll::Ready(permit.ok()),
                 Poll::Pending if is_closing => Poll::Pending,
                 Poll::Pending => became_idle.as_mut().poll(context).map(|()| None),
             });
-            if let Some(place) = first.await {
-                break place;
+            if let Some(permit) = first.await {
+                break permit;
             }
         };
         let closing = Arc::new(Notify::new());
         let key = self.lock().insert(&closing);
         let state = Mutex::new(ConnectionState::Idle(key));
-        Connection { all: Arc::clone(self), state, closing, _permit: place }
+        Connection { all: Arc::clone(self), state, closing, _permit: permit }
     }
 
     /// Whether so few slots are free that they are reserved for health checks.
@@ -200,7 +200,7 @@ mod tests {
     }
 
     fn add(all: &Arc<Connections>) -> Arc<Connection> {
-        Arc::new(now(all.add()).expect("a place"))
+        Arc::new(now(all.add()).expect("a permit"))
     }
 
     #[test]

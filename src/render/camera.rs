@@ -112,8 +112,8 @@ impl Camera {
 
     /// The unit direction of the ray through a point of the picture: x from -`aspect` to `aspect` to the
     /// right, y from -1 to 1 upwards.
-    pub(super) fn direction(&self, place: DVec2) -> DVec3 {
-        let aside = self.right * place.x + self.up * place.y;
+    pub(super) fn direction(&self, point: DVec2) -> DVec3 {
+        let aside = self.right * point.x + self.up * point.y;
         (self.forward + aside * self.tan_half_view).normalize()
     }
 }

@@ -98,7 +98,7 @@ pub fn render(band: &NarrowBand, lattice: &Lattice, view: &View, layers: Layers)
     let (surface, sky) = rayon::join(|| RaySurface::new(band), || Sky::new(band));
     let tracer = Tracer::new(&surface, lattice, view);
     let lighting = Lighting::new(&sky, view);
-    assemble(view.size, |place| PixelTile::new(&tracer, &lighting, place).finish(layers))
+    assemble(view.size, |origin| PixelTile::new(&tracer, &lighting, origin).finish(layers))
 }
 
 /// Renders particles as balls of this radius, world units, with the same lighting.
@@ -126,9 +126,9 @@ pub fn render_marks(marks: &[Mark], radius: f64, view: &View) -> Picture {
 fn assemble(size: [usize; 2], tile: impl Fn([usize; 2]) -> FinishedTile + Sync) -> Picture {
     let [width, height] = size;
     let (columns, rows) = (width.div_ceil(TILE_EDGE), height.div_ceil(TILE_EDGE));
-    let place = |index: usize| [index % columns * TILE_EDGE, index / columns * TILE_EDGE];
+    let origin = |index: usize| [index % columns * TILE_EDGE, index / columns * TILE_EDGE];
     let tiles: Vec<FinishedTile> =
-        (0..columns * rows).into_par_iter().map(|index| tile(place(index))).collect();
+        (0..columns * rows).into_par_iter().map(|index| tile(origin(index))).collect();
     let gather = Gather { size, columns };
     let of_data = |pick: &dyn Fn(&PictureData) -> &[[f32; 3]]| {
         gather.rows(&tiles, |tile| tile.data.as_ref().map_or(&[][..], pick))

@@ -80,8 +80,8 @@ impl Plot {
     }
 }
 
-fn write(canvas: &mut Canvas, text: &str, place: [usize; 2]) {
-    canvas.write(&TextLines::new(text, &TEXT, usize::MAX), place);
+fn write(canvas: &mut Canvas, text: &str, position: [usize; 2]) {
+    canvas.write(&TextLines::new(text, &TEXT, usize::MAX), position);
 }
 
 /// The plot area.
@@ -145,11 +145,11 @@ impl Area {
     }
 
     fn draw(&self, line: &Line, step: f64, canvas: &mut Canvas) {
-        let place = |&[x, y]: &[f64; 2]| [self.x(x), self.y(y)];
+        let position = |&[x, y]: &[f64; 2]| [self.x(x), self.y(y)];
         let mut dot = |[x, y]: [usize; 2]| canvas.fill(line.color, [x, y], [THICKNESS; 2]);
-        line.points.iter().map(place).for_each(&mut dot);
+        line.points.iter().map(position).for_each(&mut dot);
         for pair in line.points.windows(2).filter(|pair| pair[1][0] - pair[0][0] <= step) {
-            let ends = [&pair[0], &pair[1]].map(|point| place(point).map(|along| along as f64));
+            let ends = [&pair[0], &pair[1]].map(|point| position(point).map(|along| along as f64));
             let length = (0..2).map(|axis| (ends[1][axis] - ends[0][axis]).abs()).fold(1.0, f64::max);
             for index in 0..=length as usize {
                 let part = index as f64 / length;

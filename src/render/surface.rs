@@ -71,8 +71,8 @@ impl<'a> RaySurface<'a> {
         let mut cells = CoordBox::EMPTY;
         let kept = rendered_box(&crossed);
         for (index, leaf) in crossed.iter().enumerate().filter(|(_, leaf)| kept.contains(leaf.origin)) {
-            let (node, place) = node_of(leaf.origin / LEAF_EDGE);
-            nodes.entry(node).or_insert_with(|| Box::new([NO_LEAF; NODE_LEAVES]))[place] = index as u32;
+            let (node, slot) = node_of(leaf.origin / LEAF_EDGE);
+            nodes.entry(node).or_insert_with(|| Box::new([NO_LEAF; NODE_LEAVES]))[slot] = index as u32;
             let own = leaf.cells.bounding_box();
             cells.include(leaf.origin + own.min);
             cells.include(leaf.origin + own.max);

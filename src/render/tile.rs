@@ -57,9 +57,9 @@ impl<'a> Tracer<'a> {
     }
 
     /// The ray through a point of the picture, in pixels from its upper left corner.
-    fn ray(&self, place: DVec2) -> Ray {
+    fn ray(&self, point: DVec2) -> Ray {
         let [width, height] = self.view.size.map(|size| size as f64);
-        let direction = DVec2::new(2.0 * place.x - width, height - 2.0 * place.y) / height;
+        let direction = DVec2::new(2.0 * point.x - width, height - 2.0 * point.y) / height;
         Ray::new(self.eye, self.view.camera.direction(direction))
     }
 
@@ -68,8 +68,8 @@ impl<'a> Tracer<'a> {
         2.0 * self.view.camera.tan_half_view * t / self.view.size[1] as f64
     }
 
-    fn trace(&self, place: DVec2) -> (RayHit, Option<Stencil>) {
-        let ray = self.ray(place);
+    fn trace(&self, point: DVec2) -> (RayHit, Option<Stencil>) {
+        let ray = self.ray(point);
         // The ground only receives shadows. It hides nothing, because fluid may be below it, or rest on it
         // without a gap.
         if let Some(hit) = self.surface.intersect(&ray, [0.0, f64::INFINITY]) {
@@ -118,18 +118,18 @@ pub(super) struct FinishedTile {
 }
 
 impl<'a> PixelTile<'a> {
-    /// The tile whose first pixel is at `place`.
+    /// The tile whose first pixel is `first_pixel`.
     pub(super) fn new(
         tracer: &'a Tracer<'a>,
         lighting: &'a Lighting<'a>,
-        place: [usize; 2],
+        first_pixel: [usize; 2],
     ) -> PixelTile<'a> {
-        let first = place.map(|along| along as isize - BORDER as isize);
+        let first = first_pixel.map(|along| along as isize - BORDER as isize);
         let mut tile =
             PixelTile { tracer, lighting, first, seen: Vec::new(), arounds: Vec::new(), lights: Vec::new() };
         for y in 0..TRACED_EDGE {
             for x in 0..TRACED_EDGE {
-                let (seen, around) = tracer.trace(tile.place(x, y) + 0.5);
+                let (seen, around) = tracer.trace(tile.pixel_corner(x, y) + 0.5);
                 tile.seen.push(seen);
                 tile.arounds.push(around);
             }
@@ -145,7 +145,7 @@ impl<'a> PixelTile<'a> {
     }
 
     /// A pixel's upper left corner in the picture.
-    fn place(&self, x: usize, y: usize) -> DVec2 {
+    fn pixel_corner(&self, x: usize, y: usize) -> DVec2 {
         DVec2::new((self.first[0] + x as isize) as f64, (self.first[1] + y as isize) as f64)
     }
 
@@ -250,7 +250,7 @@ impl<'a> PixelTile<'a> {
 
     fn single(&self, lit: &[Light], x: usize, y: usize) -> (Vec3, f32) {
         let index = y * TRACED_EDGE + x;
-        let toward = -self.tracer.ray(self.place(x, y) + 0.5).direction.as_vec3();
+        let toward = -self.tracer.ray(self.pixel_corner(x, y) + 0.5).direction.as_vec3();
         self.shade(&self.seen[index], lit[index], toward)
     }
 
@@ -258,9 +258,9 @@ impl<'a> PixelTile<'a> {
     fn mean(&self, lit: &[Light], x: usize, y: usize) -> (Vec3, f32) {
         let (mut color, mut coverage) = (Vec3::ZERO, 0.0);
         for offset in OFFSETS {
-            let place = self.place(x, y) + offset;
-            let (seen, _) = self.tracer.trace(place);
-            let toward = -self.tracer.ray(place).direction.as_vec3();
+            let point = self.pixel_corner(x, y) + offset;
+            let (seen, _) = self.tracer.trace(point);
+            let toward = -self.tracer.ray(point).direction.as_vec3();
             let light = self.light_of(&seen, lit, x, y);
             let (one, covers) = self.shade(&seen, light, toward);
             // A highlight must not outshine the rest of the pixel.

@@ -31,4 +31,4 @@ pub use api::{DaemonRequest, EndReason, FailedFrame, Notice, WatchSummary};
 pub use config::{Order, Poll, StabilityTimeouts, Watch, WatchConfig, names_level_sets};
 pub use event_loop::run;
 pub use io::error::DaemonError;
-pub use io::{canonical_path as place, fs_events, lock, mounts, selection};
+pub use io::{canonical_path, fs_events, lock, mounts, selection};

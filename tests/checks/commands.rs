@@ -439,9 +439,9 @@ fn write_dump(path: &Path) {
 /// A box inside the block of particles.
 fn write_ship(path: &Path) {
     let corner = |index: i32| IVec3::new(index & 1, index >> 1 & 1, index >> 2 & 1).as_vec3();
-    let place = |index| Vec3::new(0.2, 0.2, -0.2) + corner(index) * Vec3::new(0.2, 0.2, 1.0);
+    let position = |index| Vec3::new(0.2, 0.2, -0.2) + corner(index) * Vec3::new(0.2, 0.2, 1.0);
     let vertices = (0..8).map(|index| {
-        let [x, y, z] = place(index).to_array();
+        let [x, y, z] = position(index).to_array();
         format!("v {x:.2} {y:.2} {z:.2}\n")
     });
     let sides = ["1 3 4 2", "5 6 8 7", "1 2 6 5", "3 7 8 4", "1 5 7 3", "2 4 8 6"];

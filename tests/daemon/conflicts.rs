@@ -59,11 +59,11 @@ fn output_folder_that_is_not_writable_is_refused() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
     scene.write("taken", "a file");
-    let mut places = vec![("taken", "this is a file"), ("taken/deep", "taken is a file")];
+    let mut cases = vec![("taken", "this is a file"), ("taken/deep", "taken is a file")];
     #[cfg(target_os = "linux")]
     // No user can write there, not even root.
-    places.push(("/proc", "nothing can be written into it: "));
-    for (out, why) in places {
+    cases.push(("/proc", "nothing can be written into it: "));
+    for (out, why) in cases {
         let result = scene.run(&["watch", "in", "--out", out, "--once"]);
         assert_eq!(result.status, Some(2), "{out}: {}", result.err);
         assert!(

@@ -50,8 +50,8 @@ fn damaged_journal_loses_no_frame() {
     let journal = scene.bytes(JOURNAL);
     let mut flipped = journal.clone();
     // Flip a bit in the last third of the journal, where the records are, not in the header line.
-    let place = flipped.len() * 2 / 3;
-    flipped[place] ^= 0x20;
+    let index = flipped.len() * 2 / 3;
+    flipped[index] ^= 0x20;
     let damages: [(&str, Vec<u8>); 6] = [
         ("empty", Vec::new()),
         ("torn", journal[..journal.len() - 10].to_vec()),

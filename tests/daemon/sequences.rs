@@ -111,11 +111,11 @@ fn newest_first_gives_the_same_outputs() {
     let converted = once.converted_in_order();
     scene.assert_as_converted(&FORMATS);
     // One or two frames may have been started before the others arrived.
-    let place = |number: usize| {
+    let rank = |number: usize| {
         let name = format!("dam.{number}.ply");
         converted.iter().position(|other| *other == name).expect("converted")
     };
-    let latest_first_count = (2..=12).filter(|&number| place(number) < place(number - 1)).count();
+    let latest_first_count = (2..=12).filter(|&number| rank(number) < rank(number - 1)).count();
     assert!(latest_first_count >= 7, "{converted:?}");
 }
 

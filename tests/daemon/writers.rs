@@ -106,18 +106,18 @@ fn slow_writer_is_waited_for() {
         .map(|(name, bytes)| (File::create(scene.path(name)).expect("created"), bytes));
     let header_bytes = binary.len() - 12 * 216;
     for part in 0..6 {
-        let place = |bytes: &[u8], part: usize| match part {
+        let split = |bytes: &[u8], part: usize| match part {
             0 => 0,
             _ => header_bytes + (bytes.len() - header_bytes) * part / 6,
         };
         for (file, bytes) in &files {
-            (&*file).write_all(&bytes[place(bytes, part)..place(bytes, part + 1)]).expect("written");
+            (&*file).write_all(&bytes[split(bytes, part)..split(bytes, part + 1)]).expect("written");
         }
         for ((_, bytes), name) in files.iter().zip(["dam.1.ply", "dam.2.ply"]) {
             // The header of a text file does not determine its length: mostly, only reading shows whether it
             // is complete.
             if part < 3 || (part < 5 && name == "dam.1.ply") {
-                daemon.await_waiting(name, place(bytes, part + 1), "complete");
+                daemon.await_waiting(name, split(bytes, part + 1), "complete");
             }
         }
     }

@@ -46,16 +46,16 @@ fn frames_with_names_that_are_not_unicode_are_converted() {
     let scene = scene();
     let arguments =
         ["convert", "--voxel-size=0.1", "--format=obj", "--report=report.json"].map(PathBuf::from);
-    let places = [path(&[FOLDER]), "--out".into(), path(&[OUT])];
-    let first = scene.run(&[&arguments[..], &places].concat());
+    let folders = [path(&[FOLDER]), "--out".into(), path(&[OUT])];
+    let first = scene.run(&[&arguments[..], &folders].concat());
     assert_eq!(first.status, Some(0), "{}", first.err);
     assert_outputs(&scene.path(path(&[OUT])));
     let report = fs::read(scene.path("report.json")).expect("a report");
     let report: Value = serde_json::from_slice(&report).expect("JSON");
     assert_eq!(report["frames"].as_array().map(Vec::len), Some(2), "{report}");
     // A second run recognizes them.
-    let places = [path(&[FOLDER]), "--out".into(), path(&[OUT])];
-    let second = scene.run(&[&arguments[..3], &places].concat());
+    let folders = [path(&[FOLDER]), "--out".into(), path(&[OUT])];
+    let second = scene.run(&[&arguments[..3], &folders].concat());
     assert_eq!(second.status, Some(0), "{}", second.err);
     let info = scene.run(&[PathBuf::from("info"), path(&[FOLDER, &[FRAMES[0], b".ply"].concat()])]);
     assert_eq!(info.status, Some(0), "{}", info.err);
@@ -66,8 +66,8 @@ fn folders_with_names_that_are_not_unicode_are_watched() {
     let scene = scene();
     let arguments =
         ["watch", "--once", "--voxel-size=0.1", "--format=obj", "--settle=50ms"].map(PathBuf::from);
-    let places = [path(&[FOLDER]), "--out".into(), path(&[OUT])];
-    let result = scene.run(&[&arguments[..], &places].concat());
+    let folders = [path(&[FOLDER]), "--out".into(), path(&[OUT])];
+    let result = scene.run(&[&arguments[..], &folders].concat());
     assert_eq!(result.status, Some(0), "{}", result.err);
     assert_outputs(&scene.path(path(&[OUT])));
     let status = scene.run(&["status".into(), "--json".into(), "--out".into(), path(&[OUT])]);
@@ -75,7 +75,7 @@ fn folders_with_names_that_are_not_unicode_are_watched() {
         serde_json::from_str(&status.out).unwrap_or_else(|error| panic!("{error}: {status:?}"));
     assert_eq!(status["counts"]["done"], 2, "{status}");
     // The journal recognizes them.
-    let again = scene.run(&[&arguments[..], &places].concat());
+    let again = scene.run(&[&arguments[..], &folders].concat());
     assert_eq!(again.status, Some(0), "{}", again.err);
     assert!(!again.err.contains("converted 2"), "{}", again.err);
 }

@@ -120,8 +120,8 @@ fn every_format_has_the_attributes_that_it_supports() {
         attribute_report["names"].as_array().expect("names").iter().filter_map(Value::as_str).collect();
     assert_eq!(names, ["v", "Cd", "id", "age", "fluid"]);
     assert_eq!(attribute_report["vertices"]["count"], mesh.positions.len());
-    for (place, count) in [("vertices", "isolated"), ("vertices", "empty"), ("band", "empty")] {
-        assert_eq!(attribute_report[place][count], 0, "{place} {count}");
+    for (target, count) in [("vertices", "isolated"), ("vertices", "empty"), ("band", "empty")] {
+        assert_eq!(attribute_report[target][count], 0, "{target} {count}");
     }
     assert_eq!(
         (&attribute_report["vertices"]["left_out"], &attribute_report["band"]["left_out"]),

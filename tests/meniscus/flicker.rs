@@ -96,9 +96,9 @@ fn write_mesh(path: &Path, mesh: &(Vec<[f32; 3]>, Vec<[u32; 3]>)) {
 /// A ball of particles on a lattice, as a table with ids or velocities.
 fn write_particles(path: &Path, x: f64, columns: &str) {
     let along = || (-10..=10).map(|step| SPACING * f64::from(step));
-    let places = along().flat_map(|x| along().flat_map(move |y| along().map(move |z| [x, y, z])));
+    let points = along().flat_map(|x| along().flat_map(move |y| along().map(move |z| [x, y, z])));
     let mut text = format!("x,y,z{columns}\n");
-    for (index, [dx, y, z]) in places.filter(|at| at.iter().map(|c| c * c).sum::<f64>() <= 1.0).enumerate() {
+    for (index, [dx, y, z]) in points.filter(|at| at.iter().map(|c| c * c).sum::<f64>() <= 1.0).enumerate() {
         write!(text, "{},{y},{z}", x + dx).expect("text");
         match columns {
             ",id" => writeln!(text, ",{}", 5 + index).expect("text"),
@@ -138,8 +138,11 @@ fn refused(result: &RunResult, words: &[&str]) {
 fn column(path: &Path, name: &str) -> Vec<f64> {
     let text = fs::read_to_string(path).expect("a table");
     let mut lines = text.lines();
-    let place = lines.next().expect("a head").split(',').position(|column| column == name).expect(name);
-    lines.map(|line| line.split(',').nth(place).expect("a column").parse().expect("a number")).collect()
+    let column_index =
+        lines.next().expect("a head").split(',').position(|column| column == name).expect(name);
+    lines
+        .map(|line| line.split(',').nth(column_index).expect("a column").parse().expect("a number"))
+        .collect()
 }
 
 #[test]

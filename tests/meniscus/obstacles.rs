@@ -52,9 +52,9 @@ impl Body {
 fn tetrahedron(size: f64) -> Body {
     let turn = DQuat::from_euler(EulerRot::XYZ, 0.3, 0.2, 0.5);
     let corners = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
-    let place =
+    let transformed =
         |corner: &[f64; 3]| (turn * DVec3::from(*corner) * size + DVec3::new(0.3, 0.1, 0.2)).to_array();
-    let positions: Vec<[f64; 3]> = corners.iter().map(place).collect();
+    let positions: Vec<[f64; 3]> = corners.iter().map(transformed).collect();
     let triangles = vec![[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]];
     let body = Body { positions, triangles, distance: Box::new(|_| 0.0) };
     let planes: Vec<(DVec3, f64)> = body
@@ -67,7 +67,7 @@ fn tetrahedron(size: f64) -> Body {
         })
         .collect();
     let distance = move |point: DVec3| {
-        let beyond = planes.iter().map(|(normal, place)| normal.dot(point) - place);
+        let beyond = planes.iter().map(|(normal, plane_offset)| normal.dot(point) - plane_offset);
         beyond.fold(f64::NEG_INFINITY, f64::max)
     };
     Body { distance: Box::new(distance), ..body }
@@ -121,9 +121,9 @@ fn fluid(counts: [i32; 3], center: DVec3, is_kept: impl Fn(DVec3) -> bool) -> Ve
                 let jitter = DVec3::new(random(3 * seed), random(3 * seed + 1), random(3 * seed + 2)) - 0.5;
                 let index = [x, y, z].map(f64::from);
                 let middle = counts.map(|count| 0.5 * f64::from(count - 1));
-                let place = (DVec3::from(index) - DVec3::from(middle)) * 2.0 + 0.8 * jitter + center;
-                if is_kept(place) {
-                    particles.push(place.to_array());
+                let position = (DVec3::from(index) - DVec3::from(middle)) * 2.0 + 0.8 * jitter + center;
+                if is_kept(position) {
+                    particles.push(position.to_array());
                 }
             }
         }
@@ -171,8 +171,8 @@ fn dry_voxels(surface: &FrameSurface, body: &Body, is_wet: impl Fn(DVec3) -> boo
     let (mut count, mut dry_count) = (0, 0);
     for (leaf, &origin) in surface.band.phi.leaves.iter().zip(surface.band.topology.origins()) {
         for (offset, phi) in leaf.values.iter().enumerate() {
-            let place = (origin + voxel_in_leaf(offset)).as_dvec3();
-            if (0.05..1.0).contains(&(body.distance)(place)) && is_wet(place) {
+            let position = (origin + voxel_in_leaf(offset)).as_dvec3();
+            if (0.05..1.0).contains(&(body.distance)(position)) && is_wet(position) {
                 count += 1;
                 dry_count += usize::from(*phi >= 0.0);
             }
@@ -224,21 +224,21 @@ fn drop_lies_flat_on_the_floor() {
     let body = cuboid(DVec3::new(-50.0, -50.0, -20.0), DVec3::new(50.0, 50.0, 0.27));
     let center = DVec3::new(0.2, -0.3, 12.0);
     for gap in [0.0, 2.0] {
-        let is_kept = |place: DVec3| place.distance(center) < 18.0 && place.z > 0.27 + gap;
+        let is_kept = |position: DVec3| position.distance(center) < 18.0 && position.z > 0.27 + gap;
         let surface = skinned(fluid([20, 20, 20], center, is_kept), &body, 2.0);
         let distances = check("drop", &surface, &body);
-        let from_axis = |place: DVec3| (place - center).truncate().length();
+        let from_axis = |position: DVec3| (position - center).truncate().length();
         // The disc is 27 voxels wide, so its middle part must be wet.
-        let (count, dry_count) = dry_voxels(&surface, &body, |place| from_axis(place) < 11.0);
+        let (count, dry_count) = dry_voxels(&surface, &body, |position| from_axis(position) < 11.0);
         assert!(count > 300 && dry_count == 0, "{gap}: {dry_count} of {count}");
-        let (_, wide_count) = dry_voxels(&surface, &body, |place| from_axis(place) > 19.0);
-        let (all_count, _) = dry_voxels(&surface, &body, |place| from_axis(place) > 19.0);
+        let (_, wide_count) = dry_voxels(&surface, &body, |position| from_axis(position) > 19.0);
+        let (all_count, _) = dry_voxels(&surface, &body, |position| from_axis(position) > 19.0);
         assert_eq!(wide_count, all_count, "{gap}");
-        let places = surface.mesh.positions.iter().map(|position| position.as_dvec3());
+        let vertices = surface.mesh.positions.iter().map(|position| position.as_dvec3());
         let below: Vec<f64> = distances
             .iter()
-            .zip(places)
-            .filter(|(distance, place)| **distance < 1.0 && from_axis(*place) < 11.0)
+            .zip(vertices)
+            .filter(|(distance, position)| **distance < 1.0 && from_axis(*position) < 11.0)
             .map(|(distance, _)| *distance)
             .collect();
         assert!(below.len() > 300 && below.iter().all(|distance| distance.abs() < 0.1), "{gap}: {below:?}");
@@ -257,10 +257,10 @@ fn ball_in_fluid_leaves_a_hole_of_its_size() {
         ("immersed, cleared", DVec3::new(0.3, 0.2, 0.1), 1.0),
     ] {
         let body = ball(center, 10.3);
-        let is_kept = |place: DVec3| place.distance(center) > 10.3 + margin;
+        let is_kept = |position: DVec3| position.distance(center) > 10.3 + margin;
         let surface = skinned(fluid([26, 26, 20], DVec3::new(0.0, 0.0, -4.0), is_kept), &body, 2.0);
         check(name, &surface, &body);
-        let (count, dry_count) = dry_voxels(&surface, &body, |place| place.z < 5.0);
+        let (count, dry_count) = dry_voxels(&surface, &body, |position| position.z < 5.0);
         assert!(count > 150 && dry_count == 0, "{name}: {dry_count} of {count}");
         assert_eq!(surface.report.contact.particle_count > 0, margin < 0.0, "{name}");
         if name.starts_with("immersed") {
@@ -290,22 +290,23 @@ fn moved_surface_rests_on_the_wall() {
     // The lowest particles are half a spacing above the floor: the gap below them after an offset is narrow
     // enough to be filled.
     let center = DVec3::new(0.2, -0.3, 8.3);
-    let particles = fluid([14, 14, 8], center, |place| place.z > 0.27);
+    let particles = fluid([14, 14, 8], center, |position| position.z > 0.27);
     let height = |offset: f64| {
         let surface = skinned_and_moved(particles.clone(), &floor, 2.0, offset);
         let distances = check("moved", &surface, &floor);
-        let is_inner = |place: DVec3| (place - center).truncate().abs().max_element() < 8.0;
-        let places = surface.mesh.positions.iter().map(|position| surface.mesh.origin + position.as_dvec3());
+        let is_inner = |position: DVec3| (position - center).truncate().abs().max_element() < 8.0;
+        let vertices =
+            surface.mesh.positions.iter().map(|position| surface.mesh.origin + position.as_dvec3());
         let inner: Vec<(f64, DVec3)> =
-            distances.into_iter().zip(places).filter(|(_, place)| is_inner(*place)).collect();
+            distances.into_iter().zip(vertices).filter(|(_, position)| is_inner(*position)).collect();
         let below: Vec<f64> =
-            inner.iter().filter(|(_, place)| place.z < 5.0).map(|(distance, _)| *distance).collect();
+            inner.iter().filter(|(_, position)| position.z < 5.0).map(|(distance, _)| *distance).collect();
         assert!(
             below.len() > 150 && below.iter().all(|distance| distance.abs() < 0.05),
             "{offset}: {below:?}"
         );
         let above: Vec<f64> =
-            inner.iter().filter(|(_, place)| place.z > 5.0).map(|(_, place)| place.z).collect();
+            inner.iter().filter(|(_, position)| position.z > 5.0).map(|(_, position)| position.z).collect();
         above.iter().sum::<f64>() / above.len() as f64
     };
     let plain = height(0.0);
@@ -567,10 +568,10 @@ fn daemon_records_the_obstacles_of_its_outputs() {
     let path = folder.path();
     fs::create_dir(path.join("in")).expect("made");
     write_ply(&path.join("in/dam.1.ply"), &block(6, 0.0));
-    let place = |x: f64| {
+    let write_obstacle = |x: f64| {
         fs::write(path.join("ball.obj"), ball(DVec3::new(x, 0.25, 0.25), 0.2).obj()).expect("written");
     };
-    place(0.6);
+    write_obstacle(0.6);
     let run = || {
         let arguments = [
             "watch",
@@ -591,7 +592,7 @@ fn daemon_records_the_obstacles_of_its_outputs() {
     };
     let first = run();
     assert_eq!(run(), first);
-    place(0.7);
+    write_obstacle(0.7);
     let second = run();
     assert!(second > first);
     assert_eq!(run(), second);

@@ -29,9 +29,9 @@ fn with_offset(offset: f64) -> MethodOptions {
 
 /// Particles 2 apart.
 fn lattice(counts: [usize; 3]) -> Vec<DVec3> {
-    let places = (0..counts.into_iter().product::<usize>())
+    let cells = (0..counts.into_iter().product::<usize>())
         .map(|index| [index / (counts[1] * counts[2]), index / counts[2] % counts[1], index % counts[2]]);
-    places.map(|place| DVec3::from(place.map(|along| 2.0 * along as f64))).collect()
+    cells.map(|cell| DVec3::from(cell.map(|along| 2.0 * along as f64))).collect()
 }
 
 fn vertices(surface: &FrameSurface) -> impl Iterator<Item = DVec3> + '_ {
@@ -153,10 +153,9 @@ fn particles_that_an_inward_offset_leaves_outside_are_counted() {
 #[test]
 fn particles_stay_inside_where_the_offset_leaves_room_for_them() {
     for (radius_min, offset, is_sure) in [(1.733, -0.3, false), (1.733, -1.6, false), (3.0, -1.2, true)] {
-        let places = (0..216).map(|place| [place / 36, place / 6 % 6, place % 6]);
-        let positions: Vec<DVec3> = places
-            .map(|place| DVec3::from(place.map(|along| f64::from(along) * (20.0 + 1.0 / 6.0))))
-            .collect();
+        let cells = (0..216).map(|cell| [cell / 36, cell / 6 % 6, cell % 6]);
+        let positions: Vec<DVec3> =
+            cells.map(|cell| DVec3::from(cell.map(|along| f64::from(along) * (20.0 + 1.0 / 6.0)))).collect();
         let choices = MethodOptions { radius_min: Some(radius_min.into()), ..with_offset(offset) };
         let certificate = skinned(&positions, &choices).report.certificate;
         assert_eq!(certificate.may_leave_particles_outside, !is_sure, "{offset}");

@@ -36,8 +36,8 @@ fn ball(side: f32) -> NarrowBand {
     let mut phi = Field::splat(topology.len(), half_width);
     for (leaf, origin) in phi.leaves.iter_mut().zip(topology.origins()) {
         for (offset, value) in leaf.values.iter_mut().enumerate() {
-            let place = (*origin + voxel_in_leaf(offset)).as_dvec3();
-            *value = side * ((place.length() - RADIUS / VOXEL_SIZE) as f32).clamp(-half_width, half_width);
+            let position = (*origin + voxel_in_leaf(offset)).as_dvec3();
+            *value = side * ((position.length() - RADIUS / VOXEL_SIZE) as f32).clamp(-half_width, half_width);
         }
     }
     NarrowBand { topology: topology.into(), phi, half_width }
@@ -69,10 +69,10 @@ fn picture_of_a_ball_matches_its_geometry() {
     assert_eq!(data.depth[0], FAR);
     let mut count = 0;
     for pixel in (0..picture.coverage.len()).filter(|&pixel| data.depth[pixel] < FAR) {
-        let place = DVec3::from(data.positions[pixel].map(f64::from));
+        let position = DVec3::from(data.positions[pixel].map(f64::from));
         let normal = DVec3::from(data.normals[pixel].map(f64::from));
-        assert!((place.length() - RADIUS).abs() < 0.01, "{place}");
-        assert!(normal.dot(place.normalize()) > 0.995, "{normal} at {place}");
+        assert!((position.length() - RADIUS).abs() < 0.01, "{position}");
+        assert!(normal.dot(position.normalize()) > 0.995, "{normal} at {position}");
         assert!((f64::from(data.curvatures[pixel]) * RADIUS - 1.0).abs() < 0.1, "{}", data.curvatures[pixel]);
         count += 1;
     }

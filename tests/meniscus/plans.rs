@@ -630,9 +630,9 @@ fn edited_plan_is_refused() {
             );
         }
     };
-    for (place, value, why) in edits() {
+    for (pointer, value, why) in edits() {
         let mut plan: Value = serde_json::from_str(&text).expect("JSON");
-        *plan.pointer_mut(place).expect(place) = value;
+        *plan.pointer_mut(pointer).expect(pointer) = value;
         refused(&serde_json::to_vec_pretty(&plan).expect("JSON"), why);
     }
     let mut plan: Value = serde_json::from_str(&text).expect("JSON");

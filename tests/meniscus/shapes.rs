@@ -182,10 +182,10 @@ pub(crate) fn jittered_lattice(
     for x in -count..=count {
         for y in -count..=count {
             for z in -count..=count {
-                let place = IVec3::new(x, y, z).as_dvec3() * SPACING;
+                let position = IVec3::new(x, y, z).as_dvec3() * SPACING;
                 let jitter = random.in_box(DVec3::splat(-0.3), DVec3::splat(0.3)) * SPACING;
-                if holds(place) {
-                    positions.push(place + jitter);
+                if holds(position) {
+                    positions.push(position + jitter);
                 }
             }
         }

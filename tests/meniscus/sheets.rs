@@ -45,18 +45,18 @@ impl Seen {
 
     /// The picture in a cell, if this number of text lines is below each picture.
     fn cell(&self, column: usize, row: usize, line_count: usize) -> Vec<[u8; 3]> {
-        self.part(place(column, row, line_count), CELL)
+        self.part(cell_position(column, row, line_count), CELL)
     }
 
     /// The number of pixels with text below the picture of a cell.
     fn ink(&self, column: usize, row: usize, line_count: usize) -> usize {
-        let [left, top] = place(column, row, line_count);
+        let [left, top] = cell_position(column, row, line_count);
         let below = self.part([left, top + CELL[1]], [CELL[0], 3 + 15 * line_count]);
         below.iter().filter(|pixel| pixel.iter().all(|&value| value < 100)).count()
     }
 }
 
-fn place(column: usize, row: usize, line_count: usize) -> [usize; 2] {
+fn cell_position(column: usize, row: usize, line_count: usize) -> [usize; 2] {
     [GAP + column * (CELL[0] + GAP), HEAD + row * (CELL[1] + 3 + 15 * line_count + GAP)]
 }
 
@@ -215,8 +215,8 @@ fn printed_commands_give_the_pictures_of_the_cells() {
     let mut cells: Vec<Vec<[u8; 3]>> = Vec::new();
     for (index, command) in commands.iter().enumerate() {
         let out = format!("o{index}");
-        let place = command.iter().position(|word| *word == "--out").expect("a folder");
-        let options = &command[place + 2..];
+        let out_index = command.iter().position(|word| *word == "--out").expect("a folder");
+        let options = &command[out_index + 2..];
         let convert = [&["convert", "dam.7.ply", "--format", "vdb", "--out", &out], options].concat();
         let result = meniscus(path, &convert);
         assert_eq!(result.status, 0, "{convert:?} {}", result.err);

@@ -35,8 +35,9 @@ impl Random {
 }
 
 fn lattice([x, y, z]: [usize; 3]) -> Vec<DVec3> {
-    let place = |index: usize| DVec3::new((index % x) as f64, (index / x % y) as f64, (index / x / y) as f64);
-    (0..x * y * z).map(place).collect()
+    let position =
+        |index: usize| DVec3::new((index % x) as f64, (index / x % y) as f64, (index / x / y) as f64);
+    (0..x * y * z).map(position).collect()
 }
 
 /// Moves each point by up to this much on each axis.
@@ -76,7 +77,7 @@ fn with_spray(mut points: Vec<DVec3>, count: usize, edge: f64) -> Vec<DVec3> {
 
 /// Close-packed spheres of diameter 1.
 fn close_packed(edge_count: usize) -> Vec<DVec3> {
-    let place = |point: DVec3| {
+    let position = |point: DVec3| {
         let (odd_row, odd_layer) = (point.y % 2.0, point.z % 2.0);
         DVec3::new(
             point.x + 0.5 * (odd_row - odd_layer).abs(),
@@ -84,7 +85,7 @@ fn close_packed(edge_count: usize) -> Vec<DVec3> {
             (2.0f64 / 3.0).sqrt() * point.z,
         )
     };
-    lattice([edge_count; 3]).into_iter().map(place).collect()
+    lattice([edge_count; 3]).into_iter().map(position).collect()
 }
 
 fn cube_root_of_share(volume: f64, count: usize) -> f64 {

@@ -195,9 +195,9 @@ fn stages_of_different_frames_overlap() {
         let pool = pool(3);
         let together: [Signal; 3] = Default::default();
         let method = Recording(|stage, count| {
-            let place = [(Stage::Contour, 8), (Stage::Smooth, 27), (Stage::Rasterize, 64)];
-            if let Some(place) = place.iter().position(|&place| place == (stage, count)) {
-                together[place].give();
+            let index = [(Stage::Contour, 8), (Stage::Smooth, 27), (Stage::Rasterize, 64)];
+            if let Some(index) = index.iter().position(|&index| index == (stage, count)) {
+                together[index].give();
                 together.iter().for_each(Signal::wait);
             }
         });
@@ -264,8 +264,8 @@ impl Together {
                 self.seen.lock().expect("not poisoned").insert(now);
             }
             Stage::Contour => {
-                let place = running.iter().position(|&other| other == count).expect("it was rasterized");
-                running.swap_remove(place);
+                let index = running.iter().position(|&other| other == count).expect("it was rasterized");
+                running.swap_remove(index);
             }
             _ => {}
         }

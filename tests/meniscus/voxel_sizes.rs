@@ -172,7 +172,7 @@ fn shaken_block() -> Vec<[f64; 3]> {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 40) as f64 / (1u64 << 24) as f64 - 0.5
     };
-    block(9, 0.0).into_iter().map(|place| place.map(|x| x + 0.06 * random())).collect()
+    block(9, 0.0).into_iter().map(|position| position.map(|x| x + 0.06 * random())).collect()
 }
 
 #[test]

@@ -50,8 +50,8 @@ impl Rays {
         let width = size / (size / (1.25 * self.spacing)).floor().max(DVec2::ONE);
         let mut highest: BTreeMap<[i64; 2], f64> = BTreeMap::new();
         for point in points {
-            let (place, height) = self.up.split(*point);
-            let along = place - self.corner;
+            let (base, height) = self.up.split(*point);
+            let along = base - self.corner;
             if along.min_element() >= 0.0 && along.x < size.x && along.y < size.y {
                 let column = (along / width).floor().to_array().map(|index| index as i64);
                 let known = highest.entry(column).or_insert(height);
@@ -66,7 +66,7 @@ impl Rays {
         let mut heights = vec![f64::NEG_INFINITY; self.columns * self.rows];
         for triangle in &mesh.triangles {
             let corners = triangle.map(|vertex| self.up.split(DVec3::from(mesh.positions[vertex as usize])));
-            let flat = corners.map(|(place, _)| (place - self.corner) / (0.5 * self.spacing));
+            let flat = corners.map(|(base, _)| (base - self.corner) / (0.5 * self.spacing));
             let twice_area = (flat[1] - flat[0]).perp_dot(flat[2] - flat[0]);
             if twice_area == 0.0 {
                 continue;

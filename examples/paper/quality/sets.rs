@@ -227,8 +227,8 @@ fn jittered_pool() -> Set {
         for z in 0..POOL_SIZE.z {
             for y in 0..POOL_SIZE.y {
                 for x in 0..POOL_SIZE.x {
-                    let place = IVec3::new(x, y, z).as_dvec3() + 0.5;
-                    points.push(place + JITTER * random_offset(&mut random));
+                    let corner = IVec3::new(x, y, z).as_dvec3() + 0.5;
+                    points.push(corner + JITTER * random_offset(&mut random));
                 }
             }
         }

@@ -132,7 +132,7 @@ impl AbcSequence<'_> {
         ogawa: &mut Ogawa,
     ) -> Result<(FrameSamples, Vec<Sample>)> {
         let file = &self.frames[index].file;
-        let scale = place(&self.frames[index])?.map_or(0.0, |place| place.scale);
+        let scale = placement_of(&self.frames[index])?.map_or(0.0, |placement| placement.scale);
         let (vertices, triangles) = (file.vertex_count() as u64, file.triangle_count()? as u64);
         let reals = |semantic: &str, extent: u64, per_vertex: u64, ogawa: &mut Ogawa| {
             let column = file.column(semantic)?.filter(|_| !ogawa.is_measuring());
@@ -179,17 +179,17 @@ impl AbcAttribute {
 }
 
 /// The placement of a frame; `None` for one without a mesh.
-fn place(frame: &SequenceFrame) -> Result<Option<FramePlacement>> {
+fn placement_of(frame: &SequenceFrame) -> Result<Option<FramePlacement>> {
     frame.file.has_mesh().then(|| frame.file.placement()).transpose()
 }
 
 /// The transforms of the frames. A frame without a mesh has the transform of the frame before it.
 fn matrices(frames: &[SequenceFrame]) -> Result<Vec<Matrix>> {
-    let places: Vec<Option<FramePlacement>> = frames.iter().map(place).collect::<Result<_>>()?;
-    let matrix = |place: &FramePlacement| to_world(place.up, place.origin);
-    let mut current = places.iter().flatten().next().map_or(IDENTITY, matrix);
-    let kept = places.iter().map(|place| {
-        current = place.as_ref().map_or(current, matrix);
+    let placements: Vec<Option<FramePlacement>> = frames.iter().map(placement_of).collect::<Result<_>>()?;
+    let matrix = |placement: &FramePlacement| to_world(placement.up, placement.origin);
+    let mut current = placements.iter().flatten().next().map_or(IDENTITY, matrix);
+    let kept = placements.iter().map(|placement| {
+        current = placement.as_ref().map_or(current, matrix);
         current
     });
     Ok(kept.collect())

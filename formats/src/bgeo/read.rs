@@ -61,8 +61,8 @@ pub(super) fn records(header: &BgeoHeader, file_bytes: u64, rest: &[u8]) -> Resu
 fn velocity_name(header: &BgeoHeader) -> Option<String> {
     let named: Vec<(&str, usize)> =
         header.attributes.iter().map(|attribute| (attribute.name.as_str(), attribute.arity)).collect();
-    let place = roles_of(&named).iter().position(|role| *role == Some(AttributeRole::Velocity))?;
-    Some(header.attributes[place].name.clone())
+    let index = roles_of(&named).iter().position(|role| *role == Some(AttributeRole::Velocity))?;
+    Some(header.attributes[index].name.clone())
 }
 
 /// Size of all points in bytes, after checking that the file has them.

@@ -195,11 +195,11 @@ impl Texts {
         // conversion to strings can make different bytes equal.
         let mut texts: Vec<(i32, &[u8])> = next.index_of.iter().map(|(text, &i)| (i, &text[..])).collect();
         texts.sort_unstable();
-        let places: Vec<i32> = texts.into_iter().flat_map(|(_, text)| self.index_of(text)).collect();
-        let place = |&index: &i32| {
-            usize::try_from(index).ok().and_then(|index| places.get(index)).copied().unwrap_or(NO_TEXT)
+        let merged: Vec<i32> = texts.into_iter().flat_map(|(_, text)| self.index_of(text)).collect();
+        let merged_index = |&index: &i32| {
+            usize::try_from(index).ok().and_then(|index| merged.get(index)).copied().unwrap_or(NO_TEXT)
         };
-        self.indices.extend(next.indices.iter().map(place));
+        self.indices.extend(next.indices.iter().map(merged_index));
     }
 }
 

@@ -179,10 +179,10 @@ impl<'a> TableHead<'a> {
         Err(match self.text_first {
             Some(text) => {
                 let what = format!("{expected}, found {}", quoted_excerpt(text.text));
-                let place = Position::Line(text.number);
+                let position = Position::Line(text.number);
                 match bytes.ends_with(b"\n") || bytes.ends_with(b"\r") {
-                    true => Error::invalid(FORMAT, place, what),
-                    false => Error::truncated(FORMAT, place, what), // the line may be truncated
+                    true => Error::invalid(FORMAT, position, what),
+                    false => Error::truncated(FORMAT, position, what), // the line may be truncated
                 }
             }
             None => Error::truncated(FORMAT, Position::File, format!("{expected}, found only comments")),

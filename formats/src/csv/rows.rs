@@ -255,12 +255,12 @@ impl<'a> RowReader<'a> {
 
     /// An error at the current position. A line without a line end at the end of the file may be truncated.
     fn wrong(&self, what: String) -> Error {
-        let place = Position::Line(self.line);
+        let position = Position::Line(self.line);
         match self.at + self.line_text().len() < self.bytes.len() {
-            true => Error::invalid(FORMAT, place, what),
+            true => Error::invalid(FORMAT, position, what),
             false => Error::truncated(
                 FORMAT,
-                place,
+                position,
                 format!("{what}; the file ends in this line, which has no line end"),
             ),
         }

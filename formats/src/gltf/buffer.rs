@@ -126,9 +126,9 @@ impl Buffers {
         let width = indices.index_type().size();
         let (bytes, stride) = self.part(&indices.view(), indices.offset(), sparse_count, width)?;
         let mut last = None;
-        for place in (0..sparse_count).map(|index| index * stride) {
+        for start in (0..sparse_count).map(|index| index * stride) {
             let index =
-                bytes[place..place + width].iter().rfold(0, |index, byte| index << 8 | usize::from(*byte));
+                bytes[start..start + width].iter().rfold(0, |index, byte| index << 8 | usize::from(*byte));
             if index >= count || last.is_some_and(|last| index <= last) {
                 return Err(invalid(format!("the sparse element {index} of {count} is out of order")));
             }

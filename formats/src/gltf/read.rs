@@ -49,9 +49,9 @@ pub fn read_mesh_with_external(
 }
 
 fn read(bytes: &[u8], limits: &Limits, read_external: Option<&ReadExternal>) -> Result<MeshData> {
-    let OpenDocument { document, places, buffers, budget } = open(bytes, limits, read_external)?;
+    let OpenDocument { document, transforms, buffers, budget } = open(bytes, limits, read_external)?;
     let mut collector = Collector { buffers, budget, mesh: MeshData::default(), has_normals: true };
-    for (mesh, placement) in placed_meshes(&document, &places)? {
+    for (mesh, placement) in placed_meshes(&document, &transforms)? {
         for primitive in mesh.primitives() {
             collector.add(&primitive, &placement)?;
         }
@@ -62,7 +62,7 @@ fn read(bytes: &[u8], limits: &Limits, read_external: Option<&ReadExternal>) -> 
 /// A document and its buffers.
 pub(super) struct OpenDocument {
     pub(super) document: Document,
-    places: NodeTransforms,
+    transforms: NodeTransforms,
     pub(super) buffers: Buffers,
     /// Remaining memory for the content, in bytes.
     pub(super) budget: u64,
@@ -75,7 +75,7 @@ pub(super) fn open(
 ) -> Result<OpenDocument> {
     let (json, bin) = chunks(bytes)?;
     let document = document(json)?;
-    let places: NodeTransforms = parse(json)?;
+    let transforms: NodeTransforms = parse(json)?;
     let mut files = ExternalReader::new(read_external);
     let buffers = document.buffers().map(|buffer| match buffer.source() {
         Source::Bin => bin
@@ -87,7 +87,7 @@ pub(super) fn open(
     });
     let buffers = Buffers { bytes: buffers.collect::<Result<_>>()? };
     let budget = limits.decompressed_bytes_of((bytes.len() as u64).saturating_add(files.size_bytes));
-    Ok(OpenDocument { document, places, buffers, budget })
+    Ok(OpenDocument { document, transforms, buffers, budget })
 }
 
 /// Parses the document and checks that all references are valid.
@@ -150,34 +150,35 @@ struct ReadNode {
 /// Every use of a mesh in the scene, with its world transform.
 fn placed_meshes<'a>(
     document: &'a Document,
-    places: &NodeTransforms,
+    transforms: &NodeTransforms,
 ) -> Result<Vec<(::gltf::Mesh<'a>, NodeTransform)>> {
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else {
         return Ok(document.meshes().map(|mesh| (mesh, NodeTransform::IDENTITY)).collect());
     };
-    placed(&scene, places, |node| node.mesh())
+    placed(&scene, transforms, |node| node.mesh())
 }
 
 /// Everything that `pick` returns for the nodes of a scene, each with the world transform of its node.
 pub(super) fn placed<'a, T>(
     scene: &::gltf::Scene<'a>,
-    places: &NodeTransforms,
+    transforms: &NodeTransforms,
     pick: impl Fn(&::gltf::Node<'a>) -> Option<T>,
 ) -> Result<Vec<(T, NodeTransform)>> {
     let mut placed = Vec::new();
-    let mut visited = vec![false; places.nodes.len()];
+    let mut visited = vec![false; transforms.nodes.len()];
     let mut pending: Vec<(::gltf::Node<'a>, NodeTransform)> =
         scene.nodes().map(|node| (node, NodeTransform::IDENTITY)).collect();
     pending.reverse();
     while let Some((node, parent)) = pending.pop() {
         let index = node.index();
-        let (Some(place), Some(visited)) = (places.nodes.get(index), visited.get_mut(index)) else {
+        let (Some(node_transform), Some(visited)) = (transforms.nodes.get(index), visited.get_mut(index))
+        else {
             return Err(invalid(format!("there is no node {index}")));
         };
         if std::mem::replace(visited, true) {
             return Err(invalid(format!("node {index} has two parents")));
         }
-        let placement = parent.then_inner(&place.placement());
+        let placement = parent.then_inner(&node_transform.placement());
         placed.extend(pick(&node).map(|found| (found, placement)));
         let first = pending.len();
         pending.extend(node.children().map(|child| (child, placement)));

@@ -31,7 +31,7 @@ pub struct CameraData {
 pub fn read_camera(bytes: &[u8]) -> Result<CameraData> {
     let (json, _) = chunks(bytes)?;
     let document = document(json)?;
-    let places = parse(json)?;
+    let transforms = parse(json)?;
     let Cameras { cameras: cameras_of } = parse(json)?;
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else {
         return Err(Error::unsupported(
@@ -39,7 +39,7 @@ pub fn read_camera(bytes: &[u8]) -> Result<CameraData> {
             "the file has no scene and no camera: export the scene with its camera",
         ));
     };
-    let cameras = placed(&scene, &places, |node| node.camera())?;
+    let cameras = placed(&scene, &transforms, |node| node.camera())?;
     let Some((camera, placement)) = cameras.first() else {
         return Err(Error::unsupported(FORMAT, "the file has no camera: export it with the scene"));
     };

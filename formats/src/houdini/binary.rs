@@ -115,10 +115,10 @@ impl<'a> Binary<'a> {
             code => match number_of(code) {
                 Some(number) => self.number(number)?,
                 None => {
-                    let place = Position::Offset(self.cursor.at() as u64 - 1);
+                    let position = Position::Offset(self.cursor.at() as u64 - 1);
                     return Err(Error::invalid(
                         FORMAT,
-                        place,
+                        position,
                         format!("expected a token, found 0x{code:02x}"),
                     ));
                 }

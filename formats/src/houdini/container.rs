@@ -33,8 +33,8 @@ const FRAME_BYTES_MIN: usize = 16;
 /// [`Error::TooLarge`] beyond `limits`.
 pub(super) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     if !bytes.ends_with(END) {
-        let place = Position::Offset(bytes.len() as u64);
-        return Err(Error::truncated(FORMAT, place, "the file ends without its index"));
+        let position = Position::Offset(bytes.len() as u64);
+        return Err(Error::truncated(FORMAT, position, "the file ends without its index"));
     }
     let Index { frames, block_bytes, bytes: unpacked_bytes } = index(bytes)?;
     let packed_bytes: usize = frames.iter().map(|(_, frame)| frame.len()).sum();

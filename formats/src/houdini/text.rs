@@ -56,7 +56,9 @@ impl<'a> TextTokens<'a> {
                     length += 2;
                 }
                 Some(_) => length += 1,
-                None => return Err(Error::truncated(FORMAT, self.place(), "the file ends within a string")),
+                None => {
+                    return Err(Error::truncated(FORMAT, self.position(), "the file ends within a string"));
+                }
             }
         }
         let start = self.at;
@@ -90,12 +92,12 @@ impl<'a> TextTokens<'a> {
         let found = rest[..length.clamp(1, 24)].escape_ascii();
         let what = format!("expected a value, found `{found}`");
         Err(match length == rest.len() {
-            true => Error::truncated(FORMAT, self.place(), what), // the word may be truncated
-            false => Error::invalid(FORMAT, self.place(), what),
+            true => Error::truncated(FORMAT, self.position(), what), // the word may be truncated
+            false => Error::invalid(FORMAT, self.position(), what),
         })
     }
 
-    fn place(&self) -> Position {
+    fn position(&self) -> Position {
         Position::Line(line_number(self.bytes, self.at))
     }
 }

@@ -97,9 +97,10 @@ fn end_of_directory(bytes: &[u8]) -> Result<usize> {
     };
     // The comment may contain the signature, too. The right record is the one whose comment ends with the
     // file.
-    let places = (tail_start..bytes.len()).rev().filter(|&at| bytes[at..].starts_with(END));
-    let exact = places.clone().find(|&at| end_of(at) == Some(bytes.len()));
-    let found = exact.or_else(|| places.clone().find(|&at| end_of(at).is_some_and(|end| end <= bytes.len())));
+    let candidates = (tail_start..bytes.len()).rev().filter(|&at| bytes[at..].starts_with(END));
+    let exact = candidates.clone().find(|&at| end_of(at) == Some(bytes.len()));
+    let found =
+        exact.or_else(|| candidates.clone().find(|&at| end_of(at).is_some_and(|end| end <= bytes.len())));
     found.ok_or_else(|| {
         let what = "the archive ends before its central directory does";
         Error::truncated(ARCHIVE, Position::Offset(bytes.len() as u64), what)
@@ -109,7 +110,7 @@ fn end_of_directory(bytes: &[u8]) -> Result<usize> {
 /// Turns `Truncated` into `Invalid`: the archive's end is present, so nothing more will be appended.
 fn as_invalid(error: Error) -> Error {
     match error {
-        Error::Truncated { format, place, what } => Error::Invalid { format, place, what },
+        Error::Truncated { format, position, what } => Error::Invalid { format, position, what },
         other => other,
     }
 }

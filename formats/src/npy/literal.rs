@@ -130,8 +130,8 @@ impl Parser<'_> {
             [] => "the end".to_string(),
             _ => format!("`{}`", rest[..rest.len().min(16)].escape_ascii()),
         };
-        let place = Position::Offset((self.offset + self.at) as u64);
-        Error::invalid(FORMAT, place, format!("the header: expected {expected}, found {found}"))
+        let position = Position::Offset((self.offset + self.at) as u64);
+        Error::invalid(FORMAT, position, format!("the header: expected {expected}, found {found}"))
     }
 }
 

@@ -91,9 +91,11 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 fn within_member(error: Error, name: &str) -> Error {
     match error {
         // The array is complete: the archive's checksum confirmed it.
-        Error::Truncated { place, what, .. } | Error::Invalid { place, what, .. } => {
-            Error::invalid(ARCHIVE, Position::File, format!("the array `{}`, {place}: {what}", excerpt(name)))
-        }
+        Error::Truncated { position, what, .. } | Error::Invalid { position, what, .. } => Error::invalid(
+            ARCHIVE,
+            Position::File,
+            format!("the array `{}`, {position}: {what}", excerpt(name)),
+        ),
         Error::TooLarge { what, .. } => {
             Error::too_large(ARCHIVE, format!("the array `{}`: {what}", excerpt(name)))
         }

@@ -51,7 +51,7 @@ impl<'a> MeshLines<'a> {
 
     /// The line number of an error, starting at 1, and its message if this module found the error. The line
     /// is the last line read or, at the end of the file, the first with an unresolved forward reference.
-    pub(super) fn place(&mut self) -> (u64, Option<String>) {
+    pub(super) fn position(&mut self) -> (u64, Option<String>) {
         if !self.is_at_end {
             return (self.line_number, self.error.take());
         }
@@ -166,7 +166,7 @@ fn await_element(awaited: &mut Vec<(u64, u64)>, line: u64, number: u64, count: u
 }
 
 /// Converts an index to one that counts from 1. A negative index counts backwards from the last element
-/// before the line. Only the end of the file shows whether the element exists: see [`MeshLines::place`].
+/// before the line. Only the end of the file shows whether the element exists: see [`MeshLines::position`].
 fn index(text: &[u8], count: u64, corner: &[u8]) -> Result<u64, String> {
     let wrong = || format!("a face has an invalid corner `{}`", excerpt(corner));
     let number: i64 = std::str::from_utf8(text).ok().and_then(|text| text.parse().ok()).ok_or_else(wrong)?;

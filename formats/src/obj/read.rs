@@ -19,7 +19,7 @@ pub fn read_mesh(bytes: &[u8]) -> Result<MeshData> {
     let no_materials = |_: &std::path::Path| Ok(Default::default());
     let mut lines = MeshLines::new(bytes);
     let (models, _) = tobj::load_obj_buf(&mut lines, &options, no_materials).map_err(|error| {
-        let (line, what) = lines.place();
+        let (line, what) = lines.position();
         Error::invalid(FORMAT, Position::Line(line), what.unwrap_or_else(|| error.to_string()))
     })?;
     let mut mesh = MeshData::default();

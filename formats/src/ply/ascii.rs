@@ -28,8 +28,8 @@ pub(super) fn read(
     count: usize,
     targets: Vec<Target<'_>>,
 ) -> Result<()> {
-    let places = places(element, &targets);
-    let read_part = |part: RecordPart<'_, '_>| part.read(element, &places);
+    let destinations = destinations(element, &targets);
+    let read_part = |part: RecordPart<'_, '_>| part.read(element, &destinations);
     let parts = match rayon::current_num_threads() {
         1 => vec![RecordPart { lines, count, targets }],
         _ => parts(lines, count, targets, PART_BYTES),
@@ -88,12 +88,13 @@ fn record_count(text: &[u8]) -> usize {
 
 impl RecordPart<'_, '_> {
     /// Reads the records into the targets.
-    fn read(mut self, element: &Element, places: &[Option<(usize, usize)>]) -> Result<()> {
+    fn read(mut self, element: &Element, destinations: &[Option<(usize, usize)>]) -> Result<()> {
         let mut rows = RecordReader::Ascii(self.lines);
         for record in 0..self.count {
             rows.start()?;
-            for (property, place) in element.properties.iter().zip(places) {
-                let (&Some((target, component)), RecordReader::Ascii(lines)) = (place, &mut rows) else {
+            for (property, destination) in element.properties.iter().zip(destinations) {
+                let (&Some((target, component)), RecordReader::Ascii(lines)) = (destination, &mut rows)
+                else {
                     rows.skip(property)?;
                     continue;
                 };
@@ -121,16 +122,16 @@ impl RecordPart<'_, '_> {
 
 /// For each property, the target and the component that it is written to; `None` for a property that is
 /// skipped.
-fn places(element: &Element, targets: &[Target<'_>]) -> Vec<Option<(usize, usize)>> {
-    let mut places = vec![None; element.properties.len()];
+fn destinations(element: &Element, targets: &[Target<'_>]) -> Vec<Option<(usize, usize)>> {
+    let mut destinations = vec![None; element.properties.len()];
     for (target, Target { columns, .. }) in targets.iter().enumerate() {
         for (component, &(property, _)) in columns.iter().enumerate() {
             if matches!(element.properties[property].kind, PropertyType::Scalar(_)) {
-                places[property] = Some((target, component));
+                destinations[property] = Some((target, component));
             }
         }
     }
-    places
+    destinations
 }
 
 #[cfg(test)]
@@ -152,13 +153,13 @@ mod tests {
             Target { columns: vec![(1, I32)], slots: Slots::I32(&mut y) },
         ];
         let lines = BodyLines::new(file.as_bytes(), header.body_offset);
-        let places = places(element, &targets);
+        let destinations = destinations(element, &targets);
         let parts = match part_bytes {
             Some(part_bytes) => parts(lines, 60, targets, part_bytes),
             None => vec![RecordPart { lines, count: 60, targets }],
         };
         for part in parts {
-            part.read(element, &places).map_err(|error| format!("{error:?}"))?;
+            part.read(element, &destinations).map_err(|error| format!("{error:?}"))?;
         }
         Ok((x, y))
     }
@@ -168,15 +169,15 @@ mod tests {
         let usual: Vec<String> = (0..60).map(|n| format!("{n}.5 {} 2 7 8", n * n)).collect();
         let changes = ["", " \t", "\r", "1 2 0\r3 4 0", "1 2", "1 2 0 9", "1 2.5 0", "x 2 0", "1 2 9999"];
         for line_end in ["\n", "\r\n"] {
-            for (change, place) in changes.iter().flat_map(|change| [0, 20, 33, 59].map(|at| (change, at))) {
+            for (change, index) in changes.iter().flat_map(|change| [0, 20, 33, 59].map(|at| (change, at))) {
                 for faces in [0, 30] {
                     let mut lines = usual.clone();
-                    lines.insert(place, change.to_string());
+                    lines.insert(index, change.to_string());
                     lines.extend(vec!["3 0 1 2".into(); faces]);
                     let body = lines.join(line_end);
                     let expected = outcome(&body, None);
                     for part_bytes in [1, 17, 100, 300] {
-                        assert_eq!(outcome(&body, Some(part_bytes)), expected, "{change:?} at {place}");
+                        assert_eq!(outcome(&body, Some(part_bytes)), expected, "{change:?} at {index}");
                     }
                 }
             }

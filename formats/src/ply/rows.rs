@@ -159,11 +159,11 @@ fn checked(
         let what = format!(
             "the header declares {count} `{name}` records of at least {record} {kind}, but only {remaining} bytes follow",
         );
-        let place = Position::Offset(at);
+        let position = Position::Offset(at);
         // A size beyond 2⁶⁴ is invalid: no file that is still being written will reach it.
         match count.checked_mul(record as u64) {
-            None => Error::invalid(FORMAT, place, what),
-            Some(_) => Error::truncated(FORMAT, place, what),
+            None => Error::invalid(FORMAT, position, what),
+            Some(_) => Error::truncated(FORMAT, position, what),
         }
     })
 }

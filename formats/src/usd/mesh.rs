@@ -124,8 +124,8 @@ pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool], is_clip: bo
         MeshProperty::new("token", "orientation", PropertyValue::Token("rightHanded")),
         MeshProperty::array("point3f[]", "points", Elements::reals(mesh.positions.as_flattened(), 3)),
     ]);
-    for (attribute, place) in mesh.attributes.iter().zip(places(mesh.attributes)) {
-        found.extend(of_attribute(attribute, &place));
+    for (attribute, property) in mesh.attributes.iter().zip(usd_properties(mesh.attributes)) {
+        found.extend(of_attribute(attribute, &property));
     }
     found.push(MeshProperty::new("token", "subdivisionScheme", PropertyValue::Token("none")));
     let is_moved = mesh.origin != [0.0; 3];
@@ -163,16 +163,16 @@ pub(super) const RESERVED: [&str; 3] = ["displayColor", "displayOpacity", "norma
 const TUPLE_MAX: usize = 4;
 
 /// The property of each attribute.
-fn places(attributes: &[VertexAttribute]) -> Vec<UsdProperty> {
+fn usd_properties(attributes: &[VertexAttribute]) -> Vec<UsdProperty> {
     let mut taken = UsedNames::new(&RESERVED);
-    let place = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
+    let property = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
         Purpose::Velocity => UsdProperty::Velocities,
         Purpose::Color(_) => UsdProperty::Color,
         Purpose::Other => UsdProperty::Primvar(
             taken.take(&identifier(attribute.name), |stem| vec![stem.to_owned()]).concat(),
         ),
     };
-    attributes.iter().zip(purposes(attributes)).map(place).collect()
+    attributes.iter().zip(purposes(attributes)).map(property).collect()
 }
 
 /// A valid USD identifier for a name.
@@ -183,18 +183,21 @@ pub(crate) fn identifier(name: &str) -> String {
 
 /// Notes on vertex attributes that are renamed in a file with this extension.
 pub(crate) fn renamed(attributes: &[VertexAttribute], extension: &str) -> Vec<String> {
-    let renamed = attributes.iter().zip(places(attributes)).filter_map(|(attribute, place)| match place {
-        UsdProperty::Primvar(name) if name != attribute.name => {
-            Some(format!("{} is named primvars:{name} in the .{extension}", attribute.name))
-        }
-        _ => None,
-    });
+    let renamed =
+        attributes.iter().zip(usd_properties(attributes)).filter_map(
+            |(attribute, property)| match property {
+                UsdProperty::Primvar(name) if name != attribute.name => {
+                    Some(format!("{} is named primvars:{name} in the .{extension}", attribute.name))
+                }
+                _ => None,
+            },
+        );
     renamed.collect()
 }
 
-fn of_attribute<'a>(attribute: &VertexAttribute<'a>, place: &UsdProperty) -> Vec<MeshProperty<'a>> {
+fn of_attribute<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) -> Vec<MeshProperty<'a>> {
     let arity = attribute.arity;
-    match (place, attribute.values) {
+    match (property, attribute.values) {
         (UsdProperty::Velocities, VertexValues::Numbers(values)) => {
             vec![MeshProperty::array("vector3f[]", "velocities", Elements::reals(values, 3))]
         }

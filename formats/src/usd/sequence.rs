@@ -20,7 +20,7 @@ pub(crate) const CODE_MAX: u64 = 1 << 53;
 /// The frames of a sequence and their placements; the placement of a frame without a mesh is `None`.
 pub(crate) struct UsdSequence<'a> {
     pub(crate) frames: &'a [SequenceFrame],
-    pub(crate) places: Vec<Option<FramePlacement>>,
+    pub(crate) placements: Vec<Option<FramePlacement>>,
     pub(crate) up: UpAxis,
 }
 
@@ -59,12 +59,13 @@ impl<'a> UsdSequence<'a> {
                 format!("the frame number {code} of {name} exceeds the limit for time codes, {CODE_MAX}");
             return Err(Error::unsupported(FORMAT, what));
         }
-        let place = |frame: &SequenceFrame| frame.file.has_mesh().then(|| frame.file.placement()).transpose();
-        let places: Vec<Option<FramePlacement>> = frames.iter().map(place).collect::<Result<_>>()?;
-        let mut ups = places.iter().flatten().map(|place| place.up);
+        let placement =
+            |frame: &SequenceFrame| frame.file.has_mesh().then(|| frame.file.placement()).transpose();
+        let placements: Vec<Option<FramePlacement>> = frames.iter().map(placement).collect::<Result<_>>()?;
+        let mut ups = placements.iter().flatten().map(|placement| placement.up);
         let up = ups.next().unwrap_or_default();
         match ups.all(|other| other == up) {
-            true => Ok(UsdSequence { frames, places, up }),
+            true => Ok(UsdSequence { frames, placements, up }),
             false => Err(invalid("some frames have y up and others z up".to_owned())),
         }
     }
@@ -150,7 +151,7 @@ impl<'a> UsdSequence<'a> {
 
     /// The minimum and maximum corner of a frame, relative to its origin.
     pub(crate) fn extent(&self, index: usize) -> Result<[[f32; 3]; 2]> {
-        let scale = self.places[index].map_or(0.0, |place| place.scale);
+        let scale = self.placements[index].map_or(0.0, |placement| placement.scale);
         Ok(self.frames[index].file.bounds()?.map(|corner| {
             #[expect(clippy::cast_possible_truncation, reason = "positions have 32 bits")]
             corner.map(|x| (x * scale) as f32)
@@ -161,11 +162,11 @@ impl<'a> UsdSequence<'a> {
     /// previous frame.
     pub(crate) fn origins(&self) -> Option<Vec<[f64; 3]>> {
         let mut last = [0.0; 3];
-        let origin = |place: &Option<FramePlacement>| {
-            last = place.map_or(last, |place| place.origin);
+        let origin = |placement: &Option<FramePlacement>| {
+            last = placement.map_or(last, |placement| placement.origin);
             last
         };
-        let origins: Vec<[f64; 3]> = self.places.iter().map(origin).collect();
+        let origins: Vec<[f64; 3]> = self.placements.iter().map(origin).collect();
         origins.iter().any(|origin| *origin != [0.0; 3]).then_some(origins)
     }
 

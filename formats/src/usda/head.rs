@@ -103,7 +103,7 @@ pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
 
 fn key_of(key: &str) -> String {
     let is_plain =
-        |(place, c): (usize, char)| c == '_' || c.is_ascii_alphabetic() || place > 0 && c.is_ascii_digit();
+        |(index, c): (usize, char)| c == '_' || c.is_ascii_alphabetic() || index > 0 && c.is_ascii_digit();
     let is_identifier = !key.is_empty() && key.chars().enumerate().all(is_plain);
     if is_identifier { key.to_owned() } else { quoted(key) }
 }

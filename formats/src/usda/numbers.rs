@@ -33,8 +33,8 @@ impl NumberWriter {
             return number(self, *value);
         }
         self.text.push(b'(');
-        for (place, value) in values.iter().enumerate() {
-            if place > 0 {
+        for (index, value) in values.iter().enumerate() {
+            if index > 0 {
                 self.separate();
             }
             number(self, *value);

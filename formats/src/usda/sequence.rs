@@ -67,10 +67,10 @@ pub fn write_sequence<R: Read + Seek>(
         if *is_per_vertex {
             writeln!(out, "        {kind} {name}{}", about(true, 1))?;
         }
-        write_samples(&shot, &format!("{kind} {name}"), out, |index, place| {
+        write_samples(&shot, &format!("{kind} {name}"), out, |index, placement| {
             let frame = &frames[index].file;
             let Some(column) = frame.column(semantic)? else { return Ok(Vec::new()) };
-            let scale = if semantic == POSITION { place.scale } else { 1.0 };
+            let scale = if semantic == POSITION { placement.scale } else { 1.0 };
             let values = frame.read_column(&column, scale, &mut open(index)?)?;
             let (stride, first, arity) = (column.arity, *first, *arity);
             Ok(Elements::Reals { values: &values, stride, first, arity }.texts())
@@ -110,8 +110,8 @@ fn write_samples(
     writeln!(out, "        {name}{SAMPLES}")?;
     for (index, frame) in shot.frames.iter().enumerate() {
         write!(out, "            {}: [", frame.code)?;
-        if let Some(place) = &shot.places[index] {
-            for text in texts(index, place)? {
+        if let Some(placement) = &shot.placements[index] {
+            for text in texts(index, placement)? {
                 out.write_all(&text)?;
             }
         }

@@ -66,8 +66,8 @@ impl<'a> CrateArray<'a> {
             Elements::Integers { values, arity, .. } => Self::narrow(values, arity),
             Elements::Strings { table, indices } => {
                 let missing = index(table.len())?;
-                let place = |&index: &i32| if string_index(index, table) < 0 { missing } else { index };
-                Self::integers(ValueType::Int, indices.iter().map(place))
+                let fixed_index = |&index: &i32| if string_index(index, table) < 0 { missing } else { index };
+                Self::integers(ValueType::Int, indices.iter().map(fixed_index))
             }
             Elements::FaceCounts { triangles, quads } if quad_count(quads) == 0 => {
                 Self::integers(ValueType::Int, triangles.iter().map(|_| 3))

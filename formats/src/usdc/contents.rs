@@ -86,14 +86,14 @@ pub(super) fn read_contents(table: &[u8], at: u64) -> Result<[(u64, u64); SECTIO
     }
     let mut found = [(0, 0); SECTIONS.len()];
     for (index, entry) in entries.as_chunks::<ENTRY_BYTES>().0.iter().enumerate() {
-        let (name, place) = entry.split_at(NAME_BYTES);
+        let (name, range) = entry.split_at(NAME_BYTES);
         let name = String::from_utf8_lossy(name);
         if name.trim_end_matches('\0') != SECTIONS[index] {
             return Err(Error::unsupported(FORMAT, format!("this file has unknown sections: {NOT_OURS}")));
         }
         let [start, size] = [0, 8].map(|at| {
             let mut number = [0; 8];
-            number.copy_from_slice(&place[at..at + 8]);
+            number.copy_from_slice(&range[at..at + 8]);
             u64::from_le_bytes(number)
         });
         if start < BOOTSTRAP_BYTES as u64 || start.checked_add(size).is_none_or(|end| end > at) {

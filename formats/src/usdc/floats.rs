@@ -26,17 +26,17 @@ pub(super) fn as_integers(values: &[f32]) -> Option<Vec<i32>> {
 /// if a table would not save enough.
 pub(super) fn as_table(values: &[f32]) -> Option<(Vec<f32>, Vec<i32>)> {
     let most = (values.len() / 4).min(TABLE_MAX);
-    let (mut table, mut places) = (Vec::new(), HashMap::new());
+    let (mut table, mut index_of) = (Vec::new(), HashMap::new());
     let mut indices = Vec::new();
     for value in values {
-        let place = *places.entry(value.to_bits()).or_insert(table.len());
-        if place == table.len() {
-            if place == most {
+        let index = *index_of.entry(value.to_bits()).or_insert(table.len());
+        if index == table.len() {
+            if index == most {
                 return None;
             }
             table.push(*value);
         }
-        indices.push(i32::try_from(place).ok()?);
+        indices.push(i32::try_from(index).ok()?);
     }
     Some((table, indices))
 }

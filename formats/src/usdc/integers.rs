@@ -101,10 +101,10 @@ fn fits(value: i64, bytes: usize) -> bool {
 fn most_common(differences: impl Iterator<Item = i64>) -> i64 {
     let mut counts = vec![0_u32; 1 << 16];
     for difference in differences.filter(|difference| COUNTED.contains(difference)) {
-        let count = &mut counts[place(difference)];
+        let count = &mut counts[code_index(difference)];
         *count = count.saturating_add(1);
     }
-    COUNTED.max_by_key(|&difference| counts[place(difference)]).unwrap_or_default()
+    COUNTED.max_by_key(|&difference| counts[code_index(difference)]).unwrap_or_default()
 }
 
 #[expect(
@@ -112,7 +112,7 @@ fn most_common(differences: impl Iterator<Item = i64>) -> i64 {
     clippy::cast_sign_loss,
     reason = "counted differences have 16 bits"
 )]
-fn place(difference: i64) -> usize {
+fn code_index(difference: i64) -> usize {
     (difference - COUNTED.start) as usize
 }
 

@@ -101,7 +101,7 @@ impl<'a> UsdcLayer<'a> {
 
     /// The names of the vertex attributes, except normals.
     pub fn attribute_names(&self) -> impl Iterator<Item = &str> {
-        self.properties.iter().filter_map(|(place, _)| attribute_of(&self.tables.specs[*place].name))
+        self.properties.iter().filter_map(|(spec, _)| attribute_of(&self.tables.specs[*spec].name))
     }
 
     /// Reads a frame by its index; a file without time samples has one, with index 0.
@@ -130,15 +130,15 @@ impl<'a> UsdcLayer<'a> {
         let world = |point: &[f32; 3]| std::array::from_fn(|axis| origin[axis] + f64::from(point[axis]));
         let positions: Vec<[f64; 3]> = points.iter().map(world).collect();
         let mut attributes = Vec::new();
-        for (place, _) in &self.properties {
-            attributes.extend(self.attribute(&self.tables.specs[*place], index, points.len())?);
+        for (spec, _) in &self.properties {
+            attributes.extend(self.attribute(&self.tables.specs[*spec], index, points.len())?);
         }
         Ok(UsdcFrame { mesh: MeshData { positions, normals, triangles }, attributes })
     }
 
     fn values(&self, name: &str) -> Option<(&Spec, &PropertyValues)> {
-        let found = self.properties.iter().find(|(place, _)| self.tables.specs[*place].name == name);
-        found.map(|(place, values)| (&self.tables.specs[*place], values))
+        let found = self.properties.iter().find(|(spec, _)| self.tables.specs[*spec].name == name);
+        found.map(|(spec, values)| (&self.tables.specs[*spec], values))
     }
 
     /// The value of a property in a frame. In a sequence, the property must have a sample for each frame.
@@ -297,8 +297,8 @@ fn values_of(source: &Source, spec: &Spec) -> Result<PropertyValues> {
 
 /// The sample at exactly this time code.
 fn sample(samples: &[(f64, ValueRep)], code: f64) -> Option<ValueRep> {
-    let place = samples.binary_search_by(|(time, _)| time.total_cmp(&code)).ok()?;
-    Some(samples[place].1)
+    let index = samples.binary_search_by(|(time, _)| time.total_cmp(&code)).ok()?;
+    Some(samples[index].1)
 }
 
 /// Splits faces into triangle fans.

@@ -33,12 +33,12 @@ impl<'a> Source<'a> {
 
     /// A cursor at an offset of the file.
     pub(super) fn at(&self, offset: u64) -> Result<Cursor<'a>> {
-        let place = usize::try_from(offset).ok().filter(|&place| place <= self.bytes.len());
-        let place = place.ok_or_else(|| {
+        let start = usize::try_from(offset).ok().filter(|&start| start <= self.bytes.len());
+        let start = start.ok_or_else(|| {
             let what = format!("a value would be at {offset}, but the file ends at {}", self.bytes.len());
             Error::invalid(FORMAT, Position::Offset(offset), what)
         })?;
-        Ok(Cursor::new(FORMAT, Endian::Little, self.bytes, place))
+        Ok(Cursor::new(FORMAT, Endian::Little, self.bytes, start))
     }
 
     /// Counts bytes that are about to be allocated; fails if the sum exceeds the limit.

@@ -120,9 +120,9 @@ fn read_attribute(
 ) -> Result<(usize, Vec<f32>)> {
     let frame = &shot.frames[index].file;
     let none = (attribute.arity, Vec::new());
-    let Some(place) = &shot.places[index] else { return Ok(none) };
+    let Some(placement) = &shot.placements[index] else { return Ok(none) };
     let Some(column) = frame.column(&attribute.semantic)? else { return Ok(none) };
-    let scale = if attribute.semantic == POSITION { place.scale } else { 1.0 };
+    let scale = if attribute.semantic == POSITION { placement.scale } else { 1.0 };
     Ok((column.arity, frame.read_column(&column, scale, file)?))
 }
 

@@ -84,11 +84,11 @@ impl Tables {
         for &(field, value) in fields {
             let key = (self.token(field), value);
             let next = self.fields.len() as u32;
-            let place = *self.field_places.entry(key).or_insert_with(|| {
+            let index = *self.field_places.entry(key).or_insert_with(|| {
                 self.fields.push(key);
                 next
             });
-            self.field_sets.push(place);
+            self.field_sets.push(index);
         }
         self.field_sets.push(SET_END);
         let name = self.token(name);
@@ -102,7 +102,7 @@ impl Tables {
     ///
     /// [`crate::Error::TooLarge`] if the tables exceed the format's limits.
     pub(super) fn append(&self, base: u64, out: &mut Vec<u8>) -> Result<u64> {
-        let mut places = [(0, 0); SECTIONS.len()];
+        let mut ranges = [(0, 0); SECTIONS.len()];
         type Append = fn(&Tables, &mut Vec<u8>) -> Result<()>;
         let appends: [Append; SECTIONS.len()] = [
             Tables::append_tokens,
@@ -112,13 +112,13 @@ impl Tables {
             Tables::append_paths,
             Tables::append_specs,
         ];
-        for (place, append) in places.iter_mut().zip(appends) {
+        for (range, append) in ranges.iter_mut().zip(appends) {
             let start = out.len() as u64;
             append(self, out)?;
-            *place = (base + start, out.len() as u64 - start);
+            *range = (base + start, out.len() as u64 - start);
         }
         let contents_at = base + out.len() as u64;
-        append_contents(places, out);
+        append_contents(ranges, out);
         Ok(contents_at)
     }
 

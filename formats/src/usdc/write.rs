@@ -37,16 +37,16 @@ pub(super) fn write(
     let arrays: Vec<Option<CrateArray>> = found.par_iter().map(array_of).collect::<Result<_>>()?;
 
     let mut at = head(provenance, 0).len() as u64;
-    let mut places = Vec::new();
+    let mut spans = Vec::new();
     for array in &arrays {
         let padding = padding(at);
         at += padding.len() as u64;
-        places.push((padding, at));
+        spans.push((padding, at));
         at += array.as_ref().map_or(0, CrateArray::byte_count);
     }
     let mut end = LayerEnd::at(at);
     let mut specs = Vec::new();
-    for ((property, array), (_, offset)) in found.iter().zip(&arrays).zip(&places) {
+    for ((property, array), (_, offset)) in found.iter().zip(&arrays).zip(&spans) {
         let value = match array {
             Some(array) => array.rep(*offset),
             None => value_of(property, &mut end)?,
@@ -67,7 +67,7 @@ pub(super) fn write(
     };
     let (end, contents_at) = end.finish(&layer, &specs)?;
     out.write_all(&head(provenance, contents_at))?;
-    for (array, (padding, _)) in arrays.iter().zip(places) {
+    for (array, (padding, _)) in arrays.iter().zip(spans) {
         out.write_all(padding)?;
         array.iter().try_for_each(|array| array.write(out))?;
     }

@@ -209,8 +209,8 @@ impl<'a> EncodedArray<'a> {
         let letters =
             rest.get(..letter_count).ok_or_else(|| self.too_few(length as u64, rest.len() / 4 * 3, name))?;
         let mut decoded = base64_decoded(letters).ok_or_else(|| {
-            let place = Position::Offset(self.offset + at as u64);
-            Error::invalid(XML, place, format!("`{name}` is not valid base64"))
+            let position = Position::Offset(self.offset + at as u64);
+            Error::invalid(XML, position, format!("`{name}` is not valid base64"))
         })?;
         if decoded.len() < length {
             return Err(self.too_few(length as u64, decoded.len(), name));

@@ -55,8 +55,8 @@ pub(super) fn open<'a>(
     limits: &'a Limits,
 ) -> Result<(Decoder<'a>, Vec<Described<'a>>, Vec<String>)> {
     if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
-        let place = Position::Offset(bytes.len() as u64);
-        return Err(Error::truncated(XML, place, "the file ends without </VTKFile>"));
+        let position = Position::Offset(bytes.len() as u64);
+        return Err(Error::truncated(XML, position, "the file ends without </VTKFile>"));
     }
     let (text, appended) = split_appended(bytes)?;
     let text = std::str::from_utf8(text).map_err(|error| {

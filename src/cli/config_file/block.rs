@@ -282,18 +282,18 @@ fn reason(error: &clap::Error, option: &Arg) -> String {
 /// The message for a key that is unknown in this block.
 fn unknown_key(key: &str, block: &str) -> String {
     let known = keys_of(block);
-    let place = |name| match name {
+    let location = |name| match name {
         "watch" => "a [[watch]] block",
         "daemon" => "the [daemon] block",
         _ => "the file, outside all blocks",
     };
     let has_key = |other: &&str| keys_of(other).iter().any(|known| known == key);
     if let Some(other) = ["watch", "daemon"].into_iter().find(has_key) {
-        return format!("`{key}` does not belong in {}, but in {}", place(block), place(other));
+        return format!("`{key}` does not belong in {}, but in {}", location(block), location(other));
     }
     match nearest(key, &known) {
-        Some(nearest) => format!("unknown key `{key}` in {}; did you mean `{nearest}`?", place(block)),
-        None => format!("unknown key `{key}` in {}; it knows {}", place(block), known.join(", ")),
+        Some(nearest) => format!("unknown key `{key}` in {}; did you mean `{nearest}`?", location(block)),
+        None => format!("unknown key `{key}` in {}; it knows {}", location(block), known.join(", ")),
     }
 }
 

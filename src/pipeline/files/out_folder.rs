@@ -164,11 +164,11 @@ mod tests {
         fs::write(&file, "").expect("written");
         make_out_folder(&folder.path().join("a/b")).expect("made");
         check_out_folder(&folder.path().join("a/b")).expect("there");
-        for (place, words) in [
+        for (target, words) in [
             (file.clone(), "file: expected a folder for the results, but this is a file"),
             (file.join("deep"), "deep: expected a folder for the results, but it cannot be created: "),
         ] {
-            let error = make_out_folder(&place).expect_err("the path is a file");
+            let error = make_out_folder(&target).expect_err("the path is a file");
             assert!(matches!(&error, OutFolderError::File { file: named, .. } if *named == file), "{error}");
             assert!(error.to_string().contains(words), "{error}");
         }

@@ -65,8 +65,8 @@ fn file_bounds(path: &Path, radius: f64) -> Result<Option<[DVec3; 2]>, FrameErro
 /// The bounding box of balls of this radius at the particles, without outliers, in world units; `None`
 /// without particles.
 pub fn bounds_of_particles(particles: &OwnedPositions, radius: f64) -> Option<[DVec3; 2]> {
-    let place = |index: usize| [particles.position(index); 2];
-    box_of(particles.len(), place).map(|[least, greatest]| [least - radius, greatest + radius])
+    let corners = |index: usize| [particles.position(index); 2];
+    box_of(particles.len(), corners).map(|[least, greatest]| [least - radius, greatest + radius])
 }
 
 impl PictureScene<'_> {

@@ -153,12 +153,12 @@ fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxe
             "the grid \"{name}\" has the background {background}; a level set has a positive one"
         ));
     }
-    let places: Vec<IVec3> = origins.iter().map(|&origin| IVec3::from(origin)).collect();
-    let is_place = |origin: &IVec3| {
+    let leaf_origins: Vec<IVec3> = origins.iter().map(|&origin| IVec3::from(origin)).collect();
+    let is_leaf_origin = |origin: &IVec3| {
         let limit = IVec3::splat(INDEX_LIMIT);
         origin.cmpge(-limit).all() && origin.cmplt(limit).all() && (*origin & (LEAF_EDGE - 1)) == IVec3::ZERO
     };
-    if !places.iter().all(is_place) {
+    if !leaf_origins.iter().all(is_leaf_origin) {
         return Err(format!("the grid \"{name}\" has voxels beyond the range of indices"));
     }
     if !leaves.iter().flatten().all(|value| value.is_finite()) {
@@ -167,7 +167,8 @@ fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxe
     let origin = DVec3::from(transform.translation);
     let tiles: Vec<_> =
         tiles.into_iter().map(|tile| (IVec3::from(tile.origin), tile.size, tile.value)).collect();
-    let stored = StoredLevelSet { origins: &places, leaves: &leaves, tiles: &tiles, background, voxel_size };
+    let stored =
+        StoredLevelSet { origins: &leaf_origins, leaves: &leaves, tiles: &tiles, background, voxel_size };
     match rebuilt(&stored, rebuilt_leaf_count_max) {
         Ok(None) => {}
         Ok(Some((band, reason))) => {
@@ -180,10 +181,10 @@ fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxe
             ));
         }
     }
-    let topology = Topology::new(places.clone());
+    let topology = Topology::new(leaf_origins.clone());
     let mut phi = Field::splat(topology.len(), half_width);
     let scale = (1.0 / voxel_size) as f32;
-    for (origin, values) in places.into_iter().zip(leaves) {
+    for (origin, values) in leaf_origins.into_iter().zip(leaves) {
         if let Some(index) = topology.find(origin) {
             let values = values.map(|value| (value * scale).clamp(-half_width, half_width));
             phi.leaves[index] = Leaf { values };

@@ -269,10 +269,10 @@ impl ObstacleFiles {
                         hash: file.hash,
                         obstacle: Arc::clone(&obstacle),
                     };
-                    if let Some(place) =
+                    if let Some(slot) =
                         self.loaded.lock().unwrap_or_else(PoisonError::into_inner).get_mut(index)
                     {
-                        *place = Some(known);
+                        *slot = Some(known);
                     }
                 }
                 None => all.own_bytes += bytes,

@@ -166,11 +166,11 @@ pub fn sequences(mut files: Vec<FrameFile>) -> Vec<Sequence> {
     use_varying_numbers(&mut files);
     files.sort_by(|a, b| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
     let mut sequences: Vec<Sequence> = Vec::new();
-    let mut place_of: HashMap<(PathBuf, String), usize> = HashMap::new();
+    let mut index_of: HashMap<(PathBuf, String), usize> = HashMap::new();
     for file in files {
         let key = file.sequence();
-        let place = *place_of.entry(key).or_insert(sequences.len());
-        match sequences.get_mut(place) {
+        let index = *index_of.entry(key).or_insert(sequences.len());
+        match sequences.get_mut(index) {
             Some(sequence) => sequence.frames.push(file),
             None => sequences.push(Sequence { name: file.name(), frames: vec![file] }),
         }

@@ -133,8 +133,8 @@ pub(crate) fn read_certificate(path: &Path) -> Result<CertifiedFrame, String> {
     let CertificateFile { input_hash, certificate, outputs, .. } =
         serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
     let fault = certificate.fault().map_err(|why| format!("it contradicts itself: {why}"))?;
-    let is_twice = |(place, output): (usize, &CertifiedOutput)| {
-        outputs[..place].iter().any(|other| other.file == output.file)
+    let is_twice = |(index, output): (usize, &CertifiedOutput)| {
+        outputs[..index].iter().any(|other| other.file == output.file)
     };
     if outputs.iter().enumerate().any(is_twice) {
         return Err("it contradicts itself: it has two entries for one file".to_owned());

@@ -25,10 +25,10 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
     ) {
         let shared = self.shared;
         loop {
-            let place = to.reserve();
+            let slot = to.reserve();
             let Ok(mut item) = from.recv() else { return };
             item.info.memory.reserve_compute(item.info.needed_bytes);
-            self.start(Stage::Rasterize, item, (place, finished), |content, frame, _| match content {
+            self.start(Stage::Rasterize, item, (slot, finished), |content, frame, _| match content {
                 Read::Particles(bytes) => parsed(&bytes, frame),
                 Read::Surface { input, obstacles, plan } => {
                     shared.begin(frame, Stage::Rasterize);
@@ -51,9 +51,9 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
     ) {
         let shared = self.shared;
         loop {
-            let place = to.reserve();
+            let slot = to.reserve();
             let Some(item) = from.receive() else { return };
-            self.start(Stage::Smooth, item, (place, finished), |content, frame, _| match content {
+            self.start(Stage::Smooth, item, (slot, finished), |content, frame, _| match content {
                 Staged::Particles(particles) => Ok(Staged::Particles(particles)),
                 Staged::Surface(rasterized) => {
                     shared.begin(frame, Stage::Smooth);
@@ -78,9 +78,9 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
     ) {
         let shared = self.shared;
         loop {
-            let place = to.reserve();
+            let slot = to.reserve();
             let Some(item) = from.receive() else { return };
-            self.start(Stage::Contour, item, (place, finished), |content, frame, info| match content {
+            self.start(Stage::Contour, item, (slot, finished), |content, frame, info| match content {
                 Staged::Particles(particles) => Ok(Staged::Particles(particles)),
                 Staged::Surface(smoothed) => {
                     shared.begin(frame, Stage::Contour);
@@ -102,7 +102,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         &self,
         stage: Stage,
         item: WorkItem<'env, K, A>,
-        (place, finished): (LinkSlot<WorkItem<'env, K, B>>, &Sender<FinishedFrame<K>>),
+        (slot, finished): (LinkSlot<WorkItem<'env, K, B>>, &Sender<FinishedFrame<K>>),
         work: impl FnOnce(A, &Frame, &mut InputInfo<'env>) -> Result<B, FrameError> + Send + 'env,
     ) {
         let (shared, finished) = (self.shared, finished.clone());
@@ -110,9 +110,9 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             let WorkItem { number, key, frame, mut info, content } = item;
             let made = FrameError::catch(&frame.input, stage, || work(content, &frame, &mut info));
             match made.flatten() {
-                Ok(content) => place.send(WorkItem { number, key, frame, info, content }),
+                Ok(content) => slot.send(WorkItem { number, key, frame, info, content }),
                 Err(error) => {
-                    drop((place, info));
+                    drop((slot, info));
                     let outcome = outcome_of(error);
                     shared.finish(number, &finished, FinishedFrame { key, frame, outcome });
                 }

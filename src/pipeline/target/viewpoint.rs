@@ -274,8 +274,8 @@ impl ParsedCamera {
         let within = |least: f64, greatest: f64, expected: &str| {
             number().filter(|number| (least..=greatest).contains(number)).ok_or_else(|| wrong(expected))
         };
-        let is_near = |place: &DVec3| place.abs().max_element() <= COORDINATE_MAX;
-        let place = || {
+        let is_near = |point: &DVec3| point.abs().max_element() <= COORDINATE_MAX;
+        let point = || {
             let expected = "three numbers separated by colons, such as 1:2:3, each at most 1e15";
             vector(value).filter(is_near).ok_or_else(|| wrong(expected))
         };
@@ -284,9 +284,9 @@ impl ParsedCamera {
             "elevation" => put(&mut self.elevation, key, within(-90.0, 90.0, "degrees from -90 to 90")?),
             "zoom" => put(&mut self.zoom, key, within(0.01, 100.0, "a number from 0.01 to 100")?),
             "view" => put(&mut self.view, key, within(1.0, 150.0, "degrees from 1 to 150")?),
-            "eye" => put(&mut self.eye, key, place()?),
-            "target" => put(&mut self.target, key, place()?),
-            "top" => put(&mut self.top, key, place()?),
+            "eye" => put(&mut self.eye, key, point()?),
+            "target" => put(&mut self.target, key, point()?),
+            "top" => put(&mut self.top, key, point()?),
             "up" => match value {
                 "y" => put(&mut self.up, key, Up::Y),
                 "z" => put(&mut self.up, key, Up::Z),
@@ -305,7 +305,7 @@ impl ParsedCamera {
     fn choice(self) -> Result<CameraChoice, String> {
         let ParsedCamera { azimuth, elevation, zoom, eye, target, top, view, up, ground } = self;
         let is_around = azimuth.is_some() || elevation.is_some() || zoom.is_some();
-        let place = match (eye, target) {
+        let position = match (eye, target) {
             (Some(_), Some(_)) if is_around => {
                 return Err("eye and target fix the camera: leave out azimuth, elevation and zoom".into());
             }
@@ -322,7 +322,7 @@ impl ParsedCamera {
                 CameraPosition::Around { azimuth_degrees: azimuth, elevation_degrees: elevation, zoom }
             }
         };
-        Ok(CameraChoice { position: place, view_degrees: view, up, ground })
+        Ok(CameraChoice { position, view_degrees: view, up, ground })
     }
 }
 

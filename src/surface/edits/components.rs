@@ -260,8 +260,8 @@ mod tests {
             let mut next = 0;
             while next < component.len() {
                 for step in steps {
-                    if let Some(place) = rest.iter().position(|voxel| *voxel == component[next] + step) {
-                        component.push(rest.swap_remove(place));
+                    if let Some(index) = rest.iter().position(|voxel| *voxel == component[next] + step) {
+                        component.push(rest.swap_remove(index));
                     }
                 }
                 next += 1;

@@ -42,14 +42,14 @@ fn ball(radius: f64) -> Vec<DVec3> {
     all.map(|at| DVec3::from(at.map(f64::from)) * SPACING).filter(|at| at.length() <= radius).collect()
 }
 
-/// Particles at `place(rest, t)`, with ids or velocities.
+/// Particles at `position(rest, t)`, with ids or velocities.
 fn particles(
     rest: &[DVec3],
-    place: impl Fn(DVec3) -> DVec3,
+    position: impl Fn(DVec3) -> DVec3,
     velocity: impl Fn(DVec3) -> DVec3,
 ) -> MovingParticles {
     MovingParticles {
-        positions: OwnedPositions::F64(rest.iter().map(|&at| place(at).to_array()).collect()),
+        positions: OwnedPositions::F64(rest.iter().map(|&at| position(at).to_array()).collect()),
         ids: Some((0..rest.len() as i64).map(|index| 7 * index + 3).collect()),
         velocities: Some(rest.iter().map(|&at| velocity(at).as_vec3().to_array()).collect()),
     }

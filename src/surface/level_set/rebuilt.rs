@@ -278,9 +278,9 @@ impl<'a> LevelSetLookup<'a> {
         let near = stored.origins.iter().copied().filter(is_near);
         let topology = Topology::new(near.collect());
         let mut file_indices = vec![0; topology.len()];
-        for (&origin, place) in stored.origins.iter().zip(0..) {
+        for (&origin, index) in stored.origins.iter().zip(0..) {
             if let Some(leaf) = topology.find(origin) {
-                file_indices[leaf] = place;
+                file_indices[leaf] = index;
             }
         }
         let tiles = stored.tiles.iter().filter(|(origin, size, _)| is_near(origin) && *size >= LEAF_EDGE);

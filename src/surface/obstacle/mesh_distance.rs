@@ -139,9 +139,9 @@ mod tests {
                 assert_eq!(mesh.open_edge_count(), 0);
                 // On multiples of a quarter, many points lie straight off a corner, an edge or a face.
                 for index in 0..17 * 13 * 19 {
-                    let place =
+                    let position =
                         [index % 17, index / 17 % 13, index / 221].map(|along| 0.25 * f64::from(along));
-                    let point = DVec3::from(place) + DVec3::new(-2.0, -1.0, 1.0) + shift;
+                    let point = DVec3::from(position) + DVec3::new(-2.0, -1.0, 1.0) + shift;
                     let (found, exact) =
                         (mesh.distance(point).expect("the box has triangles"), exact(point, least, greatest));
                     assert!((found - exact).abs() < tolerance, "{point}: {found} instead of {exact}");

@@ -29,8 +29,8 @@ impl TestMesh {
         let rows = if ring { v_count } else { v_count + 1 };
         for v in 0..rows {
             for u in 0..u_count {
-                let place = at(f64::from(u) / f64::from(u_count), f64::from(v) / f64::from(v_count));
-                mesh.positions.push(place.to_array());
+                let position = at(f64::from(u) / f64::from(u_count), f64::from(v) / f64::from(v_count));
+                mesh.positions.push(position.to_array());
             }
         }
         for v in 0..v_count {
@@ -182,8 +182,8 @@ fn to_triangle(&[a, b, c]: &[DVec3; 3], point: DVec3) -> f64 {
         return foot.distance(point);
     }
     let to_edge = |from: DVec3, to: DVec3| {
-        let place = ((point - from).dot(to - from) / (to - from).length_squared()).clamp(0.0, 1.0);
-        from.lerp(to, place).distance(point)
+        let fraction = ((point - from).dot(to - from) / (to - from).length_squared()).clamp(0.0, 1.0);
+        from.lerp(to, fraction).distance(point)
     };
     to_edge(a, b).min(to_edge(b, c)).min(to_edge(c, a))
 }
@@ -380,9 +380,9 @@ fn level_set(center: DVec3, radius: f64, voxel_size: f64, band_voxels: f32) -> S
         [DVec3::new(cosine, sine, 0.0), DVec3::new(-sine, cosine, 0.0), DVec3::Z].map(|a| a * voxel_size);
     let background = band_voxels * voxel_size as f32;
     let at = |voxel: IVec3| {
-        let place =
+        let position =
             axes[0] * f64::from(voxel.x) + axes[1] * f64::from(voxel.y) + axes[2] * f64::from(voxel.z);
-        ((place.length() - radius) as f32).clamp(-background, background)
+        ((position.length() - radius) as f32).clamp(-background, background)
     };
     let mut source = SourceLevelSet {
         origins: Vec::new(),
@@ -394,9 +394,9 @@ fn level_set(center: DVec3, radius: f64, voxel_size: f64, band_voxels: f32) -> S
     };
     let reach = ((radius / voxel_size + f64::from(band_voxels)) / 8.0) as i32 + 1;
     for index in 0..(2 * reach).pow(3) {
-        let place =
+        let position =
             IVec3::new(index / (2 * reach).pow(2), index / (2 * reach) % (2 * reach), index % (2 * reach));
-        let origin = (place - reach) * 8;
+        let origin = (position - reach) * 8;
         let leaf: [f32; LEAF_VOXELS] = std::array::from_fn(|offset| at(origin + voxel_in_leaf(offset)));
         if leaf.iter().any(|value| value.abs() < background) {
             source.origins.push(origin);

@@ -91,8 +91,8 @@ impl Settings {
         pairs.retain(|pair| is_relevant(pair.0) && changes_something(pair));
         // Sort by the order of the options, except those with a fixed position at the end.
         pairs.sort_by_key(|(name, _)| LAST.iter().position(|last| last == name).map_or(0, |index| index + 1));
-        let place = |wanted| pairs.iter().position(|(name, _)| *name == wanted);
-        if let (Some(stretch), Some(gain)) = (place("max_stretch"), place("velocity_gain")) {
+        let index_of = |wanted| pairs.iter().position(|(name, _)| *name == wanted);
+        if let (Some(stretch), Some(gain)) = (index_of("max_stretch"), index_of("velocity_gain")) {
             pairs[stretch..=gain].rotate_right(1);
         }
         pairs

@@ -13,9 +13,9 @@ use crate::surface::reconstruction::reconstruct_frame;
 
 /// A block of particles, 1 apart, with this lower corner.
 fn block(edge: usize, corner: [f64; 3]) -> Vec<[f64; 3]> {
-    let place = |index: usize| [index / edge / edge, index / edge % edge, index % edge];
+    let lattice_point = |index: usize| [index / edge / edge, index / edge % edge, index % edge];
     let at = |steps: [usize; 3]| std::array::from_fn(|axis| corner[axis] + steps[axis] as f64);
-    (0..edge.pow(3)).map(|index| at(place(index))).collect()
+    (0..edge.pow(3)).map(|index| at(lattice_point(index))).collect()
 }
 
 fn numbers(name: &str, role: Role, arity: usize, values: Vec<f32>) -> Attribute {

@@ -130,12 +130,12 @@ mod tests {
             arity: 1,
             values: AttributeValues::Numbers(values),
         };
-        let places = drops.iter().map(|(x, _)| [*x, 0.0, 0.0]).collect();
+        let points = drops.iter().map(|(x, _)| [*x, 0.0, 0.0]).collect();
         let attributes = vec![
             attribute("pscale", drops.iter().map(|(_, radius)| *radius).collect()),
             attribute("x", drops.iter().map(|(x, _)| *x as f32).collect()),
         ];
-        ParticleCloud { attributes, ..ParticleCloud::from(OwnedPositions::F64(places)) }
+        ParticleCloud { attributes, ..ParticleCloud::from(OwnedPositions::F64(points)) }
     }
 
     #[test]

@@ -97,8 +97,8 @@ impl NearestPositions {
         let key = (distance_squared, point);
         match self.found.binary_search_by(|other| compare(other, &key)) {
             Ok(_) => {}
-            Err(place) => {
-                self.found.insert(place, key);
+            Err(index) => {
+                self.found.insert(index, key);
                 self.found.truncate(self.count);
             }
         }

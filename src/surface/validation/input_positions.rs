@@ -42,14 +42,14 @@ fn moved_particles<S: ParticleSource>(
     batch: usize,
     lattice: &Lattice,
 ) -> Result<impl Iterator<Item = MovedParticle>, S::Error> {
-    let place = move |[given, moved]: [DVec3; 2]| {
+    let moved_particle = move |[given, moved]: [DVec3; 2]| {
         let [given, moved] = [lattice.index_from_world(given)?, lattice.index_from_world(moved)?];
         let edge = f64::from(LEAF_EDGE);
         let origin = (given / edge).floor() * edge;
         let (local, moved) = ((given - origin).as_vec3(), (moved - given).as_vec3());
         Some(MovedParticle { origin: origin.as_ivec3(), local, moved })
     };
-    Ok(source.moved_pairs(batch)?.into_iter().filter_map(place))
+    Ok(source.moved_pairs(batch)?.into_iter().filter_map(moved_particle))
 }
 
 /// The moved particles whose input position may be outside the surface, batch by batch. The smoothing of the
@@ -65,12 +65,12 @@ pub fn possibly_outside<S: ParticleSource>(
     if !source.is_smoothed() {
         return Ok(Vec::new());
     }
-    let is_doubtful = |place: &MovedParticle| match place.corner_values(topology, upper) {
+    let is_doubtful = |particle: &MovedParticle| match particle.corner_values(topology, upper) {
         // φ is at most `upper`. Rounding is monotonic, so the interpolated φ is at most the interpolated
         // `upper`, too.
-        Some(corners) if offset == 0.0 => place.interpolated(corners) > 0.0,
+        Some(corners) if offset == 0.0 => particle.interpolated(corners) > 0.0,
         Some(corners) => corners.iter().any(|value| *value >= offset.min(0.0)),
-        None => place.first_stored(topology, upper).is_some(),
+        None => particle.first_stored(topology, upper).is_some(),
     };
     let of_batch = |batch| {
         let mut doubtful: Vec<_> = moved_particles(source, batch, lattice)?.filter(is_doubtful).collect();
@@ -82,14 +82,15 @@ pub fn possibly_outside<S: ParticleSource>(
 
 /// How many of these input positions are outside a surface with this offset in voxels, and how far.
 pub fn count_inputs_outside(
-    places: &[Vec<MovedParticle>],
+    batches: &[Vec<MovedParticle>],
     band: &NarrowBand,
     (lattice, offset): (&Lattice, f32),
     exempt: &dyn ExclusionMask,
 ) -> ParticlesOutside {
-    let count =
-        |sum: OutsideCount, place: &MovedParticle| sum.merge(place.count_outside((band, offset), exempt));
-    places
+    let count = |sum: OutsideCount, particle: &MovedParticle| {
+        sum.merge(particle.count_outside((band, offset), exempt))
+    };
+    batches
         .par_iter()
         .flatten()
         .fold(OutsideCount::default, count)
@@ -108,9 +109,9 @@ pub fn count_inputs_outside_of_source<S: ParticleSource>(
     exempt: &dyn ExclusionMask,
 ) -> Result<ParticlesOutside, S::Error> {
     let of_batch = |batch| {
-        let places = moved_particles(source, batch, lattice)?;
-        Ok(places.fold(OutsideCount::default(), |sum, place| {
-            sum.merge(place.count_outside((band, offset), exempt))
+        let particles = moved_particles(source, batch, lattice)?;
+        Ok(particles.fold(OutsideCount::default(), |sum, particle| {
+            sum.merge(particle.count_outside((band, offset), exempt))
         }))
     };
     let batches = (0..source.batch_count()).into_par_iter().map(of_batch);

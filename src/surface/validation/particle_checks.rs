@@ -124,11 +124,11 @@ mod tests {
 
     /// Particles in a wavy sheet, and a few beside it.
     fn particles(spacing: f64) -> OwnedPositions {
-        let place = |index: usize| {
+        let position = |index: usize| {
             let (x, y, z) = (index / 60, index / 3 % 20, index % 3);
             [x as f64 * spacing, y as f64 * spacing, z as f64 * spacing + 3.0 * (x as f64 * 0.4).sin()]
         };
-        OwnedPositions::F64((0..1800).map(place).chain([[-9.0, -9.0, 30.0], [70.0, 7.0, -20.0]]).collect())
+        OwnedPositions::F64((0..1800).map(position).chain([[-9.0, -9.0, 30.0], [70.0, 7.0, -20.0]]).collect())
     }
 
     #[test]
@@ -180,14 +180,16 @@ mod tests {
     fn small_particles_deep_in_a_body_are_inside() {
         let along = |index: usize| 2.0 * index as f64 - 64.0;
         let indices = (0..65).flat_map(|x| (0..65).flat_map(move |y| (0..65).map(move |z| [x, y, z])));
-        let place = |[x, y, z]: [usize; 3]| {
+        let position = |[x, y, z]: [usize; 3]| {
             let shift = |salt: usize| ((x * 7 + y * 13 + z * 29 + salt * 5) % 11) as f64 / 11.0 - 0.5;
             [along(x) + shift(0), along(y) + shift(1), along(z) + shift(2)]
         };
         let length = |[x, y, z]: [f64; 3]| (x * x + y * y + z * z).sqrt();
-        let positions: Vec<[f64; 3]> = indices.map(place).filter(|&place| length(place) < 64.0).collect();
+        let positions: Vec<[f64; 3]> =
+            indices.map(position).filter(|&position| length(position) < 64.0).collect();
         // Particles in the upper quarter of every leaf are small, if they are deep inside.
-        let scale = |place: &[f64; 3]| match place[2].rem_euclid(8.0) > 6.0 && length(*place) < 52.0 {
+        let scale = |position: &[f64; 3]| match position[2].rem_euclid(8.0) > 6.0 && length(*position) < 52.0
+        {
             true => 0.3,
             false => 1.0,
         };

@@ -103,8 +103,8 @@ impl Sequences {
     ) -> usize {
         let file = id.frame_file();
         let (folder, name) = file.sequence();
-        let place = (id.root, folder, name);
-        let known = self.index_of.get(&place).copied();
+        let location = (id.root, folder, name);
+        let known = self.index_of.get(&location).copied();
         if let Some(index) = known {
             let kin = self.all[index].single_in.take();
             if let Some(kin) = kin.and_then(|key| self.kin.get_mut(&key)) {
@@ -118,7 +118,7 @@ impl Sequences {
             kin.sequence_count += 1;
             kin.single_count += 1;
         }
-        let (_, folder, name) = place.clone();
+        let (_, folder, name) = location.clone();
         let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
         let remembered = remembered(&key);
         let settings = SequenceSettings::new(watch, remembered.as_ref());
@@ -133,7 +133,7 @@ impl Sequences {
             reported: ReportedWarnings::default(),
             has_reported_velocity: false,
         });
-        self.index_of.insert(place, self.all.len() - 1);
+        self.index_of.insert(location, self.all.len() - 1);
         self.all.len() - 1
     }
 

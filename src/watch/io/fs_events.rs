@@ -100,17 +100,17 @@ impl Watcher {
     /// # Errors
     /// When the folder does not exist, or the system refuses.
     pub fn watch(&mut self, folder: &Path) -> Result<(), WatchError> {
-        let place = WatchedFolder::of(folder).map_err(|error| match error.kind() {
+        let watched = WatchedFolder::of(folder).map_err(|error| match error.kind() {
             io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => WatchError::Gone,
             _ => WatchError::Other(error.to_string()),
         })?;
         // The folder that had this path may still exist elsewhere, and its events would carry its old path.
-        if lock(&self.folders).folder_of.get(folder).is_some_and(|known| *known != place) {
+        if lock(&self.folders).folder_of.get(folder).is_some_and(|known| *known != watched) {
             self.unwatch(folder);
         }
-        let path = place.path.clone();
+        let path = watched.path.clone();
         // The folder is registered before it is watched, so that the path of the first event can be resolved.
-        lock(&self.folders).add(folder, place);
+        lock(&self.folders).add(folder, watched);
         self.notify.watch(&path, RecursiveMode::NonRecursive).map_err(|error| {
             lock(&self.folders).remove(folder);
             watch_error(error)
@@ -157,12 +157,12 @@ impl WatchedFolder {
 }
 
 impl Folders {
-    fn add(&mut self, folder: &Path, place: WatchedFolder) {
-        let paths = self.paths_to.entry(place.path.clone()).or_default();
+    fn add(&mut self, folder: &Path, watched: WatchedFolder) {
+        let paths = self.paths_to.entry(watched.path.clone()).or_default();
         if !paths.iter().any(|path| path == folder) {
             paths.push(folder.to_owned());
         }
-        self.folder_of.insert(folder.to_owned(), place);
+        self.folder_of.insert(folder.to_owned(), watched);
     }
 
     /// Removes a path; returns the canonical path if no other path leads there.

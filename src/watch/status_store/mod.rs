@@ -190,9 +190,9 @@ impl StatusStore {
         let mut state = self.lock();
         let rank = NameOrder(view.summary.name.clone());
         let (old, view) = match state.frames.entry(rank.clone()) {
-            Entry::Vacant(place) => (None, Arc::clone(place.insert(Arc::new(view)))),
-            Entry::Occupied(mut place) => {
-                let old = place.get();
+            Entry::Vacant(vacant) => (None, Arc::clone(vacant.insert(Arc::new(view)))),
+            Entry::Occupied(mut vacant) => {
+                let old = vacant.get();
                 let is_same = old.summary.state == view.summary.state && old.outputs == view.outputs;
                 if is_same && old.summary.reason == view.summary.reason {
                     view.summary.since_ms = old.summary.since_ms;
@@ -201,7 +201,7 @@ impl StatusStore {
                     view.figures.clone_from(&old.figures);
                 }
                 let view = Arc::new(view);
-                (Some(place.insert(Arc::clone(&view))), view)
+                (Some(vacant.insert(Arc::clone(&view))), view)
             }
         };
         if let Some(old) = &old {

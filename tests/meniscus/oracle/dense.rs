@@ -24,7 +24,7 @@ impl Grid {
         let min = (low - MARGIN).floor().as_ivec3();
         let max = (high + MARGIN).ceil().as_ivec3();
         let mut grid = Grid { min, size: max - min + IVec3::ONE, interior: Vec::new() };
-        grid.interior = grid.voxels_between(min + 2, max - 2).map(|(_, place)| place).collect();
+        grid.interior = grid.voxels_between(min + 2, max - 2).map(|(_, voxel)| voxel).collect();
         grid
     }
 

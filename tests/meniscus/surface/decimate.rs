@@ -161,7 +161,7 @@ fn meshes_that_cannot_be_decimated_stay() {
             let sorted = |mesh: &Mesh| {
                 let mut triangles = mesh.triangles.clone();
                 triangles.iter_mut().for_each(|t| {
-                    let least = (0..3).min_by_key(|&place| t[place]).unwrap_or(0);
+                    let least = (0..3).min_by_key(|&corner| t[corner]).unwrap_or(0);
                     t.rotate_left(least);
                 });
                 triangles.sort_unstable();
@@ -179,8 +179,8 @@ fn meshes_that_cannot_be_decimated_stay() {
             })
             .collect()
     };
-    let places: Vec<[f32; 3]> = (0..11 * 11).map(|k| [(k / 11) as f32, (k % 11) as f32, 0.0]).collect();
-    let mut sheet = plain(&places, &grid(10));
+    let points: Vec<[f32; 3]> = (0..11 * 11).map(|k| [(k / 11) as f32, (k % 11) as f32, 0.0]).collect();
+    let mut sheet = plain(&points, &grid(10));
     decimate(&mut sheet, 0.01);
     let measures = sheet.measure();
     assert_eq!((measures.boundary_edge_count, measures.non_manifold_edge_count), (40, 0));
@@ -201,7 +201,7 @@ fn shapes(mesh: &Mesh, is_wanted: impl Fn(Vec3) -> bool) -> HashSet<[[u32; 3]; 3
         |triangle: &&[u32; 3]| triangle.iter().all(|&vertex| is_wanted(mesh.positions[vertex as usize]));
     let bits = |&triangle: &[u32; 3]| {
         let mut corners = triangle.map(|vertex| mesh.positions[vertex as usize].to_array().map(f32::to_bits));
-        let least = (0..3).min_by_key(|&place| corners[place]).unwrap_or(0);
+        let least = (0..3).min_by_key(|&corner| corners[corner]).unwrap_or(0);
         corners.rotate_left(least);
         corners
     };

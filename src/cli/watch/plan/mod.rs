@@ -26,7 +26,7 @@ use crate::cli::select::check_output_path;
 use crate::http::{AccessToken, Listen};
 use crate::pipeline::{default_in_flight, read_regular_text, refuse_file_for_folder};
 use crate::surface::options::Settings;
-use crate::watch::place::canonical_path;
+use crate::watch::canonical_path::canonical_path;
 use crate::watch::selection::FileFilter;
 use crate::watch::{Order, Poll, StabilityTimeouts, Watch, WatchConfig, names_level_sets};
 
@@ -49,9 +49,9 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
     let file = args.config.as_deref().map(read_config_file).transpose()?;
     let mut watches = Vec::new();
     let mut warnings = file.as_ref().map(|file| file.warnings.clone()).unwrap_or_default();
-    for Folder { input, output, frames, place } in folders(args, file.as_ref())? {
+    for Folder { input, output, frames, location } in folders(args, file.as_ref())? {
         let watch = watch(&input, &output, &frames, &mut warnings);
-        watches.push(watch.with_context(|| place)?);
+        watches.push(watch.with_context(|| location)?);
     }
     refuse_twins(&watches)?;
     refuse_shared_stage(&watches)?;
@@ -71,7 +71,7 @@ struct Folder {
     output: PathBuf,
     frames: FrameArgs,
     /// Where the user named it, for error messages: a line of the configuration file, or the path.
-    place: String,
+    location: String,
 }
 
 fn folders(args: &WatchArgs, file: Option<&ConfigFile>) -> Result<Vec<Folder>> {
@@ -90,7 +90,7 @@ fn typed_folders(args: &WatchArgs) -> Result<Vec<Folder>> {
         input: input.clone(),
         output: output.clone(),
         frames: args.frames.clone(),
-        place: input.display().to_string(),
+        location: input.display().to_string(),
     };
     let mut inputs = args.inputs.clone();
     // Shell globs may name a folder twice.
@@ -116,13 +116,13 @@ fn folders_of_file(args: &WatchArgs, file: &ConfigFile) -> Result<Vec<Folder>> {
         );
     }
     let folder = |block: &WatchBlock| {
-        let place = format!("{path}:{}", block.line);
+        let location = format!("{path}:{}", block.line);
         let output = args.out.as_ref().or(block.output.as_ref());
         let output = output.ok_or_else(|| {
-            anyhow!("{place}: this [[watch]] block names no output: add one, or give --out")
+            anyhow!("{location}: this [[watch]] block names no output: add one, or give --out")
         })?;
         let (input, output) = (block.input.clone(), output.clone());
-        Ok(Folder { input, output, frames: args.frames.over_file(&block.frames), place })
+        Ok(Folder { input, output, frames: args.frames.over_file(&block.frames), location })
     };
     file.watches.iter().map(folder).collect()
 }

@@ -99,9 +99,9 @@ impl StepIndex {
     pub(super) fn step(&self, name: &str) -> io::Result<&FoundStep> {
         let step_at = |index: &u32| &self.steps[*index as usize];
         let found = key_of(name).and_then(|key| {
-            let place = self.by_name.binary_search_by_key(&key, |index| step_at(index).key()).ok()?;
+            let rank = self.by_name.binary_search_by_key(&key, |index| step_at(index).key()).ok()?;
             // `7` and `07` have the same key, but only `7` is the name of a step.
-            Some(step_at(&self.by_name[place])).filter(|step| step.name() == name)
+            Some(step_at(&self.by_name[rank])).filter(|step| step.name() == name)
         });
         found.map(|step| &step.found).ok_or_else(|| {
             io::Error::new(io::ErrorKind::NotFound, format!("there is no step {name} in the file"))

@@ -47,10 +47,10 @@ fn shaped(particles: &OwnedPositions, scales: Option<&[f32]>, config: &Config, l
         raised_count: found.raised_count,
         ball_count: found.ball_count,
     };
-    for (place, &index) in found.indices.iter().enumerate() {
-        let mean = Vec3::from(found.means[place]).as_dvec3();
+    for (slot, &index) in found.indices.iter().enumerate() {
+        let mean = Vec3::from(found.means[slot]).as_dvec3();
         whole.positions[index as usize] += mean * position_smoothing * radius_world;
-        whole.shapes[index as usize] = found.shapes[place];
+        whole.shapes[index as usize] = found.shapes[slot];
     }
     whole
 }
@@ -341,10 +341,9 @@ fn results_do_not_depend_on_which_particles_are_wanted() {
     let all = super::from_neighbors(&particles, |_| true, None, &config);
     let is_wanted = |index: usize| index % 7 < 2 || index % 300 > 250;
     let some = super::from_neighbors(&particles, is_wanted, None, &config);
-    let wanted = (0..all.indices.len()).filter(|&place| is_wanted(all.indices[place] as usize));
-    let expected = wanted.map(|place| (all.indices[place], all.means[place], all.shapes[place]));
-    let found =
-        (0..some.indices.len()).map(|place| (some.indices[place], some.means[place], some.shapes[place]));
+    let wanted = (0..all.indices.len()).filter(|&slot| is_wanted(all.indices[slot] as usize));
+    let expected = wanted.map(|slot| (all.indices[slot], all.means[slot], all.shapes[slot]));
+    let found = (0..some.indices.len()).map(|slot| (some.indices[slot], some.means[slot], some.shapes[slot]));
     assert!(some.indices.len() > 100);
     assert_eq!(found.collect::<Vec<_>>(), expected.collect::<Vec<_>>());
 }
