@@ -159,9 +159,9 @@ fn print_levels() {
         let program = std::env::current_exe().expect("this program");
         let output = Command::new(program).arg(LEVEL_FIGURES).env(LEVEL_VARIABLE, level.name()).output();
         let output = output.expect("it starts");
-        let said = String::from_utf8_lossy(&output.stdout);
-        let figures: Vec<f64> = said.split_whitespace().filter_map(|word| word.parse().ok()).collect();
-        let [passes, sweeps] = figures[..] else { panic!("two figures from {}: {said}", level.name()) };
+        let text = String::from_utf8_lossy(&output.stdout);
+        let figures: Vec<f64> = text.split_whitespace().filter_map(|word| word.parse().ok()).collect();
+        let [passes, sweeps] = figures[..] else { panic!("two figures from {}: {text}", level.name()) };
         let [passes_plain, sweeps_plain] = *plain.get_or_insert([passes, sweeps]);
         println!(
             "{:26}{:30.1}{:9.2}{:21.2}{:9.2}",

@@ -44,7 +44,7 @@ Its movement is its distance to the surface of the other frame.";
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let peer = Splashsurf::find()?;
     let mut page = Page::new(folder, "drop", "A pool and a drop");
-    page.say(INTRODUCTION);
+    page.paragraph(INTRODUCTION);
     let programs = [
         Program::Meniscus(Integrator::Fast),
         Program::Meniscus(Integrator::Explicit),
@@ -63,7 +63,7 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
         ],
         &rows.into_iter().collect::<Outcome<Vec<_>>>()?,
     );
-    page.say(IMPLICIT);
+    page.paragraph(IMPLICIT);
     let pictures: Outcome<Vec<_>> = [0, FRAMES / 2, FRAMES - 1].into_iter().map(picture).collect();
     page.pictures("frames", "Three of the 24 frames", vec![pictures?])?;
     page.finish()

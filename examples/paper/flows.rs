@@ -151,7 +151,7 @@ impl Study {
     fn publish(&self, folder: &Path) -> Outcome<()> {
         let peer = Splashsurf::find()?;
         let mut page = Page::new(folder, self.name, self.title);
-        page.say(self.introduction);
+        page.paragraph(self.introduction);
         for grid in self.grids {
             self.publish_grid(grid, &peer, &mut page)?;
         }
@@ -159,7 +159,7 @@ impl Study {
     }
 
     fn publish_grid(&self, grid: &Grid, peer: &Splashsurf, page: &mut Page) -> Outcome<()> {
-        page.say(grid.heading);
+        page.paragraph(grid.heading);
         let mut rows = Vec::new();
         let mut curves = Vec::new();
         let mut pictures = Vec::new();

@@ -56,11 +56,11 @@ Seconds are those of the smoothing alone, the minimum of three runs.";
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let mut page = Page::new(folder, "frame", "One frame with different settings");
     let particles = particles()?;
-    page.say(INTRODUCTION);
+    page.paragraph(INTRODUCTION);
     ratios(&mut page, &particles)?;
-    page.say(VOXELS);
+    page.paragraph(VOXELS);
     voxels(&mut page, &particles)?;
-    page.say(ENERGY);
+    page.paragraph(ENERGY);
     energies(&mut page, &particles)?;
     page.finish()
 }
@@ -155,7 +155,7 @@ fn energies(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
     let choices = MethodOptions { laplacian_steps: Some(0), steps: Some(0), ..MethodOptions::default() };
     let first =
         reconstruct_frame(particles, &Settings::paper(VOXEL_SIZE, &choices)?).report.mesh.bending_energy;
-    page.say(&format!("Before the Laplacian steps ∫H² is {first:.0}."));
+    page.paragraph(&format!("Before the Laplacian steps ∫H² is {first:.0}."));
     page.table(&["integrator", "time, h⁴", "∫H²", "seconds of smoothing"], &rows);
     let title = "Bending energy over integration time".to_owned();
     let axes = ["time, h⁴", "∫H²"];

@@ -26,7 +26,7 @@ impl Page {
     }
 
     /// Adds a paragraph.
-    pub(crate) fn say(&mut self, text: &str) {
+    pub(crate) fn paragraph(&mut self, text: &str) {
         let _ = write!(self.text, "\n{text}\n");
     }
 
@@ -49,7 +49,7 @@ impl Page {
     pub(crate) fn plot(&mut self, part: &str, plot: &Plot) -> Outcome<()> {
         let file = format!("{}_{part}.svg", self.name);
         plot.write(&self.folder.join(&file))?;
-        self.say(&format!("![{}]({file})", plot.title));
+        self.paragraph(&format!("![{}]({file})", plot.title));
         Ok(())
     }
 
@@ -77,13 +77,13 @@ impl Page {
             &PictureView { size: *size, color, layers: &[], camera: None, provenance: &[] },
             &mut out,
         )?;
-        self.say(&format!("![{caption}]({file})"));
+        self.paragraph(&format!("![{caption}]({file})"));
         Ok(())
     }
 
     /// Writes the page.
     pub(crate) fn finish(mut self) -> Outcome<()> {
-        self.say(&format!(
+        self.paragraph(&format!(
             "Made by `cargo run --release --example paper -- {}`: {}.",
             self.name,
             conditions()
@@ -98,8 +98,8 @@ fn conditions() -> String {
     let model = processors.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
     let model = model.map_or("a processor of unknown name", |(_, name)| name);
     let git = |arguments: &[&str]| {
-        let said = Command::new("git").args(arguments).output();
-        said.map_or(String::new(), |said| String::from_utf8_lossy(&said.stdout).trim().to_owned())
+        let output = Command::new("git").args(arguments).output();
+        output.map_or(String::new(), |output| String::from_utf8_lossy(&output.stdout).trim().to_owned())
     };
     let commit = git(&["log", "-1", "--format=commit %h of %cs"]);
     let commit = if commit.is_empty() { "no known commit" } else { &commit };

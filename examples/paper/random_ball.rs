@@ -33,7 +33,7 @@ So the table also has it with the cell size that its authors recommend, and with
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let peer = Splashsurf::find()?;
     let mut page = Page::new(folder, "random_ball", "Random particles in a ball");
-    page.say(INTRODUCTION);
+    page.paragraph(INTRODUCTION);
     let (few, many) = (50_000, 1_000_000);
     let (usual, fine): (Grid, Grid) = (Scale::usual, Scale::fine);
     let ball_by = [

@@ -42,11 +42,11 @@ The distance of the outer side from the walls is measured at its vertices.";
 /// Renders each shape, with a table below the picture.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let mut page = Page::new(folder, "shapes", "Anisotropic particles, per-particle radii, and obstacles");
-    page.say(CROWN);
+    page.paragraph(CROWN);
     crown(&mut page)?;
-    page.say(SIZES);
+    page.paragraph(SIZES);
     sizes(&mut page)?;
-    page.say(TETRAHEDRON);
+    page.paragraph(TETRAHEDRON);
     tetrahedron(&mut page)?;
     submerged::publish(&mut page)?;
     page.finish()

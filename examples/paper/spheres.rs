@@ -54,7 +54,7 @@ Without redistancing the left side stays rough and only the right side becomes s
 /// Both flows over time, and the effect of redistancing.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let mut page = Page::new(folder, "spheres", "A noisy sphere under Laplacian and thin-plate smoothing");
-    page.say(LAPLACIAN);
+    page.paragraph(LAPLACIAN);
     let laplacian = LAPLACIAN_STEPS.map(|steps| {
         let (mut band, bounds) = noisy_sphere(|distance, _| distance);
         if steps > 0 {
@@ -108,7 +108,7 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
 
 /// Fig. 10: the effect of redistancing.
 fn distances(page: &mut Page) -> Outcome<()> {
-    page.say(DISTANCE);
+    page.paragraph(DISTANCE);
     let start = || noisy_sphere(|distance, at| distance * (1.0 + 0.4 * (-at.x).max(0.0)));
     let mut rows = Vec::new();
     let mut pictures = Vec::new();

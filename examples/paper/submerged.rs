@@ -31,7 +31,7 @@ const CENTER: DVec3 = DVec3::new(0.62, 0.24, 0.3);
 const RADIUS: f64 = 0.15;
 
 pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
-    page.say(INTRODUCTION);
+    page.paragraph(INTRODUCTION);
     let is_out = |position: &[f64; 3]| DVec3::from(*position).distance(CENTER) > RADIUS + 1.5 * VOXEL_SIZE;
     let particles = frame::particles()?;
     let positions = (0..particles.len()).map(|index| particles.position(index).to_array()).filter(is_out);

@@ -35,12 +35,12 @@ type Triangles = Vec<[u32; 3]>;
 impl Frame {
     /// Positions, normals, triangles.
     fn mesh(&self) -> (Vec<[f32; 3]>, Vec<[f32; 3]>, Triangles) {
-        let rim = |i: u32| {
+        let base_corner = |i: u32| {
             let (sin, cos) = (f64::from(i) / f64::from(self.sides) * std::f64::consts::TAU).sin_cos();
             [cos as f32, sin as f32, 0.0]
         };
         let positions: Vec<[f32; 3]> =
-            (0..self.sides).map(rim).chain((self.sides > 0).then_some([0.0, 0.0, 2.0])).collect();
+            (0..self.sides).map(base_corner).chain((self.sides > 0).then_some([0.0, 0.0, 2.0])).collect();
         let triangles = (0..self.sides).map(|i| [i, (i + 1) % self.sides, self.sides]).collect();
         let normals = positions.iter().map(|p| if p[2] > 0.0 { [0.0, 0.0, 1.0] } else { *p }).collect();
         (positions, normals, triangles)

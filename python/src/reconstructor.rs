@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::thread;
 use std::time::Duration;
 
-use meniscus::surface::{CancelToken, Error, Options, PartsWanted, Settings, Storage};
+use meniscus::surface::{CancelToken, Error, Options, RequestedParts, Settings, Storage};
 use pyo3::prelude::*;
 
 use crate::arrays::{self, Given, PositionSlice, Positions};
@@ -77,10 +77,10 @@ impl Reconstructor {
             inner.on_progress(move |progress| {
                 let _ = advance.send(progress);
             });
-            let wanted = PartsWanted::from(&prepared);
+            let requested = RequestedParts::from(&prepared);
             let made = match positions {
-                PositionSlice::F32(positions) => inner.reconstruct_parts(positions, &attributes, wanted),
-                PositionSlice::F64(positions) => inner.reconstruct_parts(positions, &attributes, wanted),
+                PositionSlice::F32(positions) => inner.reconstruct_parts(positions, &attributes, requested),
+                PositionSlice::F64(positions) => inner.reconstruct_parts(positions, &attributes, requested),
             };
             // Drops the sender: the caller's thread waits until the channel is closed.
             inner.on_progress(|_| {});

@@ -98,12 +98,12 @@ fn kinds(formats: &[OutputFormat]) -> String {
 ///
 /// # Errors
 /// If there is such a number. The message states the correct spelling.
-pub(super) fn refuse_stray_rounds(args: &MethodArgs, inputs: &[PathBuf]) -> Result<()> {
-    let is_stray = |input: &&PathBuf| {
+pub(super) fn refuse_misplaced_rounds(args: &MethodArgs, inputs: &[PathBuf]) -> Result<()> {
+    let is_misplaced = |input: &&PathBuf| {
         input.to_str().is_some_and(|text| text.parse::<u32>().is_ok()) && input.symlink_metadata().is_err()
     };
     if args.options.smooth_normals.is_some()
-        && let Some(input) = inputs.iter().find(is_stray)
+        && let Some(input) = inputs.iter().find(is_misplaced)
     {
         let number = input.display();
         bail!("{number}: no such file or folder; for {number} rounds, write --smooth-normals={number}");

@@ -35,23 +35,23 @@ impl Console {
 
     /// Prints a line of results. Control characters are [`escaped`]: they could forge a line or control the
     /// terminal.
-    pub(super) fn say(&mut self, line: impl Display) {
+    pub(super) fn print_line(&mut self, line: impl Display) {
         self.print(escaped(line));
     }
 
     /// Prints several lines of results, each escaped.
-    pub(super) fn say_lines(&mut self, lines: impl IntoIterator<Item = impl Display>) {
-        lines.into_iter().for_each(|line| self.say(line));
+    pub(super) fn print_lines(&mut self, lines: impl IntoIterator<Item = impl Display>) {
+        lines.into_iter().for_each(|line| self.print_line(line));
     }
 
     /// Prints a record as JSON, which has its own escapes.
-    pub(super) fn say_json(&mut self, record: &impl Serialize) -> serde_json::Result<()> {
+    pub(super) fn print_json(&mut self, record: &impl Serialize) -> serde_json::Result<()> {
         self.print(json_text(record)?);
         Ok(())
     }
 
     /// Prints text that meniscus generates, such as a script or [`json_text`], without escapes.
-    pub(super) fn say_as_is(&mut self, text: &str) {
+    pub(super) fn print_raw(&mut self, text: &str) {
         self.print(text.trim_end());
     }
 

@@ -14,7 +14,7 @@ use super::args::{FormatArgs, MethodArgs};
 use super::choices::{obstacle_files, warn_of_ignored};
 use super::console::Console;
 use super::out_folder::OutFolder;
-use super::resolve::{measured_spacing, outputs_of, say_settings, settings_of, warn_of, warn_of_siblings};
+use super::resolve::{measured_spacing, outputs_of, report_settings, settings_of, warn_of, warn_of_siblings};
 use super::select::{InputSelection, SelectedSequence, check_output_path, selected_files};
 use super::wording::option_names;
 
@@ -79,7 +79,7 @@ impl Conversion {
                     Err(error) => return Ok(Err(error.to_string())),
                 };
                 let settings = settings_of(sequence, &self.options, measured.as_ref())?;
-                say_settings(sequence, selected.len(), &settings, measured.as_ref(), console);
+                report_settings(sequence, selected.len(), &settings, measured.as_ref(), console);
                 if measured.is_some() {
                     warn_of_siblings(sequence, console);
                 }

@@ -251,7 +251,11 @@ fn convert_shard(
     if let Some(sequence) = plan.sequences.first() {
         check_outputs(&planned, &inputs, &obstacles, &sequence.outputs, None)?;
     }
-    console.say(format_args!("shard {shard} of {}: {}", plan.shards.len(), pluralize(frames.len(), "frame")));
+    console.print_line(format_args!(
+        "shard {shard} of {}: {}",
+        plan.shards.len(),
+        pluralize(frames.len(), "frame")
+    ));
     for planned in frames {
         add_planned(&mut batch, planned, plan.frame(planned, &obstacles), console);
     }
@@ -288,7 +292,7 @@ fn add_planned(batch: &mut Batch, planned: &PlannedFrame, frame: Frame, console:
     }
     match done_without_inputs(&frame) {
         Some(fault) => {
-            console.say(format_args!("{}: done already; its inputs no longer exist", planned.stem));
+            console.print_line(format_args!("{}: done already; its inputs no longer exist", planned.stem));
             batch.add_done(frame, planned.sequence, fault);
         }
         None => batch.add_frame(&planned.input, planned.sequence, Ok(frame)),

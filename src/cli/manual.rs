@@ -36,7 +36,7 @@ const PROGRAM: &str = "meniscus";
 pub(super) fn completions(args: &CompletionsArgs, console: &mut Console) -> Result<CommandOutcome> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut Cli::command(), PROGRAM, &mut script);
-    console.say_as_is(&String::from_utf8(script)?);
+    console.print_raw(&String::from_utf8(script)?);
     Ok(CommandOutcome::Done)
 }
 

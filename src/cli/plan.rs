@@ -138,7 +138,8 @@ fn print_summary(plan: &ShardPlan, args: &PlanArgs, console: &mut Console) {
     let (frames, shards) = (pluralize(plan.frames.len(), "frame"), pluralize(plan.shards.len(), "shard"));
     let most = plan.shards.iter().map(ExactSizeIterator::len).max().unwrap_or(0);
     let empty_count = plan.shards.iter().filter(|shard| shard.is_empty()).count();
-    console.say(format_args!("{}: {frames} in {shards}, {most} at most in each", args.output.display()));
+    console
+        .print_line(format_args!("{}: {frames} in {shards}, {most} at most in each", args.output.display()));
     if empty_count > 0 {
         let empty = pluralize(empty_count, "shard");
         console.warning(format_args!("{empty} without frames: there are more shards than frames"));

@@ -43,12 +43,13 @@ pub(super) fn print_settings_of_any(
         );
     }
     if needs_spacing {
-        console.say("# the particle spacing is unknown; the lengths in comments are for a spacing of 1:");
+        console
+            .print_line("# the particle spacing is unknown; the lengths in comments are for a spacing of 1:");
     } else if options.needs_spacing() {
-        console.say("# the particle spacing is derived from the voxel size, because no INPUT was given to measure it on:");
+        console.print_line("# the particle spacing is derived from the voxel size, because no INPUT was given to measure it on:");
     }
     let settings = Settings::resolve(&options, needs_spacing.then(|| SequenceSpacing::from(1.0)))?;
-    console.say_lines(keys(&settings, method, outputs, (Job::Surface, !needs_spacing))?);
+    console.print_lines(keys(&settings, method, outputs, (Job::Surface, !needs_spacing))?);
     Ok(())
 }
 
@@ -72,8 +73,8 @@ pub(super) fn print_settings(
                 settings_of(sequence, &options, measured.as_ref())?
             }
         };
-        console.say(format_args!("# {}", sequence.name));
-        console.say_lines(keys(&settings, method, outputs, (job, true))?);
+        console.print_line(format_args!("# {}", sequence.name));
+        console.print_lines(keys(&settings, method, outputs, (job, true))?);
     }
     Ok(())
 }

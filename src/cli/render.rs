@@ -17,7 +17,7 @@ use crate::pipeline::{
 use crate::surface::options::Settings;
 
 use super::args::RenderArgs;
-use super::choices::refuse_stray_rounds;
+use super::choices::refuse_misplaced_rounds;
 use super::console::Console;
 use super::level_sets::{Use, refuse_options};
 use super::machine::thread_pool;
@@ -33,7 +33,7 @@ use super::{CommandOutcome, DoneCounts};
 /// If rendering cannot start, for example because an option is invalid. A failed frame is not an error here:
 /// it is reported and counted.
 pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<CommandOutcome> {
-    refuse_stray_rounds(&args.pictures.method, &args.inputs)?;
+    refuse_misplaced_rounds(&args.pictures.method, &args.inputs)?;
     let found = find_render_sources(&args.inputs)?;
     found.report(console);
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
@@ -135,7 +135,7 @@ impl<'a> RequestedPictures<'a> {
                         [name] => name.strip_prefix(".").unwrap_or(name).display().to_string(),
                         names => pluralize(names.len(), "picture"),
                     };
-                    console.say(format_args!("{}: {what}, {seconds:.2} s", file.path.display()));
+                    console.print_line(format_args!("{}: {what}, {seconds:.2} s", file.path.display()));
                 }
                 Err(error) => console.error(with_causes(&error)),
             }

@@ -117,7 +117,7 @@ fn sibling_count(frame: &FrameFile) -> usize {
 }
 
 /// Prints the settings of a sequence.
-pub(super) fn say_settings(
+pub(super) fn report_settings(
     sequence: &Sequence,
     selected_count: usize,
     settings: &Settings,
@@ -140,7 +140,7 @@ pub(super) fn say_settings(
     let voxel_size = significant(settings.voxel_size);
     let [radius_min, radius_init, radius_max] =
         [settings.radius_min, settings.radius_init, settings.radius_max].map(significant);
-    console.say(format_args!(
+    console.print_line(format_args!(
         "{}: {frames}, {spacing}voxel size {voxel_size}, r_min {radius_min}, r_init {radius_init}, r_max {radius_max}, {}",
         sequence.name,
         pluralize(settings.steps as usize, "step")

@@ -247,13 +247,13 @@ impl<'a> Batch<'a> {
             Outcome::Converted(report) => {
                 self.note_converted(frame, sequence_index, report, console);
                 if !has_bar {
-                    console.say(format_args!("{name}: {}", described(&frame.job, report)));
+                    console.print_line(format_args!("{name}: {}", described(&frame.job, report)));
                 }
             }
             Outcome::AlreadyDone { fault, .. } => {
                 self.note_done(&frame.input, fault.as_deref(), console);
                 if !has_bar {
-                    console.say(format_args!("{name}: done already"));
+                    console.print_line(format_args!("{name}: done already"));
                 }
             }
             Outcome::Changed => {
@@ -293,7 +293,7 @@ impl<'a> Batch<'a> {
         if let Some(velocity) = &report.unused_velocity
             && !std::mem::replace(&mut self.outcomes.is_velocity_hinted, true)
         {
-            console.say(format_args!("note: {}", velocity_hint(velocity)));
+            console.print_line(format_args!("note: {}", velocity_hint(velocity)));
         }
     }
 
@@ -333,7 +333,7 @@ impl<'a> Batch<'a> {
                 summary += &format!(", {count} {what}");
             }
         }
-        console.say(format_args!("{summary}, in {seconds:.2} s"));
+        console.print_line(format_args!("{summary}, in {seconds:.2} s"));
         // If the first error has scrolled out of view, all errors are printed again.
         if self.outcomes.failed_first.is_some_and(|first| self.outcomes.noted_count - first > FRAMES_IN_VIEW)
         {

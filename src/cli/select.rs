@@ -12,7 +12,7 @@ use crate::pipeline::{
 };
 
 use super::args::MethodArgs;
-use super::choices::refuse_stray_rounds;
+use super::choices::refuse_misplaced_rounds;
 use super::console::Console;
 use super::frame_selection::FrameSelection;
 use super::inputs::find_inputs;
@@ -46,7 +46,7 @@ pub(super) fn select_frames(
     method: &MethodArgs,
     console: &mut Console,
 ) -> Result<InputSelection> {
-    refuse_stray_rounds(method, inputs)?;
+    refuse_misplaced_rounds(method, inputs)?;
     let found = find_inputs(inputs)?;
     found.report(console);
     if let Some((first, count)) = &found.skipped {
@@ -54,10 +54,10 @@ pub(super) fn select_frames(
         let name =
             Path::new(first.file_name().filter(|_| is_one_folder).unwrap_or(first.as_os_str())).display();
         match count {
-            1 => console.say(format_args!("skipped {name}: not a particle file")),
+            1 => console.print_line(format_args!("skipped {name}: not a particle file")),
             _ => {
                 let others = pluralize(count - 1, "other file");
-                console.say(format_args!("skipped {name} and {others}: not particle files"));
+                console.print_line(format_args!("skipped {name} and {others}: not particle files"));
             }
         }
     }

@@ -90,7 +90,11 @@ fn report_sequence(path: &Path, shot: &SequenceReport, console: &mut Console) {
         console.warning(format_args!("{}: {note}", path.display()));
     }
     let frames = pluralize(shot.frame_count, "frame");
-    console.say(format_args!("{}: a sequence file of {frames}, {} bytes", path.display(), shot.size_bytes));
+    console.print_line(format_args!(
+        "{}: a sequence file of {frames}, {} bytes",
+        path.display(),
+        shot.size_bytes
+    ));
 }
 
 /// The sequence files to make after a conversion.

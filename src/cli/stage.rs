@@ -53,7 +53,7 @@ impl StageWriter {
                     0 => String::new(),
                     count => format!("; {} missing so far", counted_are(count as u64)),
                 };
-                console.say(format_args!("{path}: a stage of {frames}{missing}"));
+                console.print_line(format_args!("{path}: a stage of {frames}{missing}"));
                 outcome
             }
             Ok(None) => {

@@ -94,7 +94,7 @@ fn summarize(verdicts: &PlanVerification, seconds: f64, console: &mut Console) {
         let state = if status == "uncertified" { "failed validation" } else { status };
         summary += &format!(", {count} {state}");
     }
-    console.say(format_args!("{summary}, in {seconds:.2} s"));
+    console.print_line(format_args!("{summary}, in {seconds:.2} s"));
     for (gone, what) in [
         (verdicts.input_missing_count(), "a missing input"),
         (verdicts.obstacle_missing_count(), "a missing obstacle"),
@@ -106,7 +106,7 @@ fn summarize(verdicts: &PlanVerification, seconds: f64, console: &mut Console) {
     }
     let shards = verdicts.shards_to_run();
     if !shards.is_empty() {
-        console.say(format_args!("shards to run again: {}", in_ranges(&shards)));
+        console.print_line(format_args!("shards to run again: {}", in_ranges(&shards)));
     }
 }
 

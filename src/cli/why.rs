@@ -46,7 +46,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
     let record = state.frames.get(&*frame).map(|record| &**record);
     if let [first, .., last] = &frames_in(&frame).unwrap_or_default()[..] {
         let [first, last] = [first, last].map(|step| step.display());
-        console.say(format_args!(
+        console.print_line(format_args!(
             "{}: a file of several frames: ask for one, from {first} to {last}",
             frame.display()
         ));
@@ -71,13 +71,13 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
         settings: settings.as_deref(),
     })
     .with_context(|| frame.display().to_string())?;
-    console.say_lines(lines(&frame, record, &explanation, asked.is_known, now_ms()));
+    console.print_lines(lines(&frame, record, &explanation, asked.is_known, now_ms()));
     if !asked.is_known && !matches!(explanation.verdict, Fate::Found(_)) {
-        console.say(UNKNOWN);
+        console.print_line(UNKNOWN);
     }
     let is_to_come = matches!(explanation.verdict, Fate::Waits(_) | Fate::Converted(_));
     if is_to_come && matches!(Holder::of(output)?, Holder::Unlocked) {
-        console.say(format_args!(
+        console.print_line(format_args!(
             "No daemon is running for {}: start one to convert the frame.",
             output.display()
         ));

@@ -1,4 +1,4 @@
-//! The headers of all responses, and their bodies: complete, or in pieces as the client reads them.
+//! The headers of all responses, and their bodies: complete, or in chunks as the client reads them.
 
 use std::io;
 use std::pin::Pin;
@@ -28,25 +28,25 @@ pub(super) struct ResponseBody {
 
 #[derive(Debug)]
 enum BodySource {
-    /// The whole body; `None` if it is empty, or once it is sent.
-    Whole(Option<Bytes>),
-    /// Pieces from a task, which waits while the client does not read; and the number of bytes left, if
+    /// The full body; `None` if it is empty, or once it is sent.
+    Full(Option<Bytes>),
+    /// Chunks from a task, which waits while the client does not read; and the number of bytes left, if
     /// known.
-    Pieces(mpsc::Receiver<io::Result<Bytes>>, Option<u64>),
+    Chunks(mpsc::Receiver<io::Result<Bytes>>, Option<u64>),
 }
 
 impl ResponseBody {
     pub(super) fn none() -> ResponseBody {
-        ResponseBody { source: BodySource::Whole(None), _answering: None }
+        ResponseBody { source: BodySource::Full(None), _answering: None }
     }
 
-    pub(super) fn whole(bytes: impl Into<Bytes>) -> ResponseBody {
-        ResponseBody { source: BodySource::Whole(Some(bytes.into())), _answering: None }
+    pub(super) fn full(bytes: impl Into<Bytes>) -> ResponseBody {
+        ResponseBody { source: BodySource::Full(Some(bytes.into())), _answering: None }
     }
 
-    /// A body in pieces, of this total size if it is known.
-    pub(super) fn pieces(pieces: mpsc::Receiver<io::Result<Bytes>>, size_bytes: Option<u64>) -> ResponseBody {
-        ResponseBody { source: BodySource::Pieces(pieces, size_bytes), _answering: None }
+    /// A body in chunks, of this total size if it is known.
+    pub(super) fn chunks(chunks: mpsc::Receiver<io::Result<Bytes>>, size_bytes: Option<u64>) -> ResponseBody {
+        ResponseBody { source: BodySource::Chunks(chunks, size_bytes), _answering: None }
     }
 
     /// The same body; the connection counts as busy until the body is dropped.
@@ -61,29 +61,29 @@ impl Body for ResponseBody {
 
     fn poll_frame(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<io::Result<Frame<Bytes>>>> {
         match &mut self.get_mut().source {
-            BodySource::Whole(bytes) => Poll::Ready(bytes.take().map(|bytes| Ok(Frame::data(bytes)))),
-            BodySource::Pieces(pieces, left_bytes) => {
-                let Some(piece) = ready!(pieces.poll_recv(context)) else { return Poll::Ready(None) };
-                if let (Ok(piece), Some(left_bytes)) = (&piece, left_bytes) {
-                    *left_bytes = left_bytes.saturating_sub(piece.len() as u64);
+            BodySource::Full(bytes) => Poll::Ready(bytes.take().map(|bytes| Ok(Frame::data(bytes)))),
+            BodySource::Chunks(chunks, left_bytes) => {
+                let Some(chunk) = ready!(chunks.poll_recv(context)) else { return Poll::Ready(None) };
+                if let (Ok(chunk), Some(left_bytes)) = (&chunk, left_bytes) {
+                    *left_bytes = left_bytes.saturating_sub(chunk.len() as u64);
                 }
-                Poll::Ready(Some(piece.map(Frame::data)))
+                Poll::Ready(Some(chunk.map(Frame::data)))
             }
         }
     }
 
     fn is_end_stream(&self) -> bool {
         match &self.source {
-            BodySource::Whole(bytes) => bytes.as_ref().is_none_or(Bytes::is_empty),
-            BodySource::Pieces(_, left_bytes) => *left_bytes == Some(0),
+            BodySource::Full(bytes) => bytes.as_ref().is_none_or(Bytes::is_empty),
+            BodySource::Chunks(_, left_bytes) => *left_bytes == Some(0),
         }
     }
 
     fn size_hint(&self) -> SizeHint {
         match &self.source {
-            BodySource::Whole(bytes) => SizeHint::with_exact(bytes.as_ref().map_or(0, Bytes::len) as u64),
-            BodySource::Pieces(_, Some(left_bytes)) => SizeHint::with_exact(*left_bytes),
-            BodySource::Pieces(_, None) => SizeHint::new(),
+            BodySource::Full(bytes) => SizeHint::with_exact(bytes.as_ref().map_or(0, Bytes::len) as u64),
+            BodySource::Chunks(_, Some(left_bytes)) => SizeHint::with_exact(*left_bytes),
+            BodySource::Chunks(_, None) => SizeHint::new(),
         }
     }
 }
@@ -117,13 +117,13 @@ pub(super) fn answer(status: StatusCode, content_type: &'static str, content: Re
 
 /// A response with a line of plain text.
 pub(super) fn text(status: StatusCode, line: &str) -> Answer {
-    answer(status, "text/plain; charset=utf-8", ResponseBody::whole(format!("{line}\n")))
+    answer(status, "text/plain; charset=utf-8", ResponseBody::full(format!("{line}\n")))
 }
 
 /// A response with this value as JSON.
 pub(super) fn json(value: &impl Serialize) -> Answer {
     match serde_json::to_vec(value) {
-        Ok(bytes) => answer(StatusCode::OK, "application/json", ResponseBody::whole(bytes)),
+        Ok(bytes) => answer(StatusCode::OK, "application/json", ResponseBody::full(bytes)),
         Err(error) => text(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
     }
 }

@@ -31,6 +31,6 @@ pub(super) fn asset<B>(request: &Request<B>) -> Answer {
     let found = ASSETS.iter().find(|(path, ..)| *path == request.uri().path());
     let Some(&(_, content_type, bytes)) = found else { return not_found() };
     let tag = format!("\"{:016x}\"", XxHash3_64::oneshot(bytes));
-    let asset = || answer(StatusCode::OK, content_type, ResponseBody::whole(bytes));
+    let asset = || answer(StatusCode::OK, content_type, ResponseBody::full(bytes));
     not_modified(request, content_type, &tag).unwrap_or_else(|| cached(asset(), &tag))
 }

@@ -20,7 +20,7 @@ use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
 /// All open connections.
 #[derive(Debug)]
 pub(super) struct Connections {
-    room: Arc<Semaphore>,
+    permits: Arc<Semaphore>,
     connections_max: usize,
     /// When more than this many are busy, only health checks are answered.
     busy_max: usize,
@@ -65,7 +65,7 @@ pub(super) struct Answering(Arc<Connection>);
 impl Connections {
     pub(super) fn new(connections_max: usize, busy_max: usize) -> Connections {
         Connections {
-            room: Arc::new(Semaphore::new(connections_max)),
+            permits: Arc::new(Semaphore::new(connections_max)),
             connections_max,
             busy_max,
             idle: Mutex::default(),
@@ -77,11 +77,11 @@ impl Connections {
     /// for longest; if none is idle, waits for one.
     pub(super) async fn add(self: &Arc<Self>) -> Connection {
         let permit = loop {
-            if let Ok(permit) = Arc::clone(&self.room).try_acquire_owned() {
+            if let Ok(permit) = Arc::clone(&self.permits).try_acquire_owned() {
                 break permit;
             }
             let is_closing = self.close_oldest_idle();
-            let mut permit = pin!(Arc::clone(&self.room).acquire_owned());
+            let mut permit = pin!(Arc::clone(&self.permits).acquire_owned());
             let mut became_idle = pin!(self.became_idle.notified());
             let first = poll_fn(|context| match permit.as_mut().poll(context) {
                 Poll::Ready(permit) => Poll::Ready(permit.ok()),
@@ -105,7 +105,7 @@ impl Connections {
 
     /// Waits until all connections have ended.
     pub(super) async fn all_ended(&self) {
-        let _ = self.room.acquire_many(u32::try_from(self.connections_max).unwrap_or(u32::MAX)).await;
+        let _ = self.permits.acquire_many(u32::try_from(self.connections_max).unwrap_or(u32::MAX)).await;
     }
 
     /// Requests the connection that has been idle for longest to close, and returns whether there was one.

@@ -56,7 +56,7 @@ const SUBSCRIBERS_MAX: usize = 256;
 const EVERY: Duration = Duration::from_millis(100);
 
 /// The interval at which a comment is sent to detect clients that have disconnected.
-const PULSE: Duration = Duration::from_secs(15);
+const HEARTBEAT_EVERY: Duration = Duration::from_secs(15);
 
 /// Maximum number of changes in one event.
 const CHANGES_MAX: usize = 256;
@@ -69,11 +69,11 @@ pub(super) fn follow<B>(shared: &Arc<ServerState>, request: &Request<B>) -> Answ
     };
     let header = request.headers().get("last-event-id").and_then(|id| id.to_str().ok().map(str::to_owned));
     let seen = header.or_else(|| value_of(request.uri().query(), "after"));
-    let (sender, pieces) = mpsc::channel(1);
+    let (sender, chunks) = mpsc::channel(1);
     if request.method() == hyper::Method::GET {
         tokio::spawn(send_events(subscriber, seen, sender));
     }
-    answer(StatusCode::OK, "text/event-stream", ResponseBody::pieces(pieces, None))
+    answer(StatusCode::OK, "text/event-stream", ResponseBody::chunks(chunks, None))
 }
 
 /// Sends events until the client disconnects, or the server stops.
@@ -94,7 +94,7 @@ async fn send_events(subscriber: Subscriber, seen: Option<String>, sender: mpsc:
     let mut sent_at = Instant::now();
     while !*closing.borrow() {
         let text = match version == store.version() {
-            true if sent_at.elapsed() < PULSE => Bytes::new(),
+            true if sent_at.elapsed() < HEARTBEAT_EVERY => Bytes::new(),
             true => Bytes::from_static(b":\n\n"),
             false => {
                 let last_event = subscribers.event_after(store, version);

@@ -49,10 +49,10 @@ pub(super) async fn file<B>(store: &StatusStore, request: &Request<B>, name: &st
             with(beyond, CONTENT_RANGE, &format!("bytes */{}", opened.size_bytes))
         }
         Some(Range::Part { first, last }) => {
-            let whole = format!("bytes {first}-{last}/{}", opened.size_bytes);
+            let content_range = format!("bytes {first}-{last}/{}", opened.size_bytes);
             let part =
                 part(request, opened, (first, last + 1 - first), StatusCode::PARTIAL_CONTENT, content_type);
-            with(part, CONTENT_RANGE, &whole)
+            with(part, CONTENT_RANGE, &content_range)
         }
         None => {
             let size_bytes = opened.size_bytes;
@@ -82,10 +82,10 @@ fn part<B>(
     status: StatusCode,
     content_type: &'static str,
 ) -> Answer {
-    let (sender, pieces) = mpsc::channel(1);
+    let (sender, chunks) = mpsc::channel(1);
     let content = match *request.method() == Method::HEAD {
         true => ResponseBody::none(),
-        false => ResponseBody::pieces(pieces, Some(count)),
+        false => ResponseBody::chunks(chunks, Some(count)),
     };
     let part = cached(answer(status, content_type, content), &opened.tag);
     if request.method() == Method::GET {

@@ -12,7 +12,7 @@ use super::answer::{Answer, ResponseBody, answer};
 
 /// The response with all metrics.
 pub(super) fn metrics(store: &StatusStore) -> Answer {
-    answer(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", ResponseBody::whole(exposition(store)))
+    answer(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", ResponseBody::full(exposition(store)))
 }
 
 fn exposition(store: &StatusStore) -> String {

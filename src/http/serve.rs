@@ -242,7 +242,7 @@ mod tests {
     use crate::watch::status_store::StatusStore;
 
     /// The number of pieces of 20 kB that a client receives if it reads one piece every `every_s` seconds.
-    fn pieces_taken(every_s: u64) -> usize {
+    fn chunks_received(every_s: u64) -> usize {
         let every = Duration::from_secs(every_s);
         let mut patience = STALL_TIMEOUT;
         let is_patient = |_: &usize| {
@@ -255,12 +255,12 @@ mod tests {
 
     #[test]
     fn slow_reader_is_disconnected() {
-        assert_eq!(pieces_taken(1), 1000, "twice the minimum rate");
-        assert_eq!(pieces_taken(2), 1000, "exactly the minimum rate");
+        assert_eq!(chunks_received(1), 1000, "twice the minimum rate");
+        assert_eq!(chunks_received(2), 1000, "exactly the minimum rate");
         // At the minimum rate a piece takes two seconds. This client takes five, so each piece costs it three
         // of its thirty seconds.
-        assert_eq!(pieces_taken(5), 9);
-        assert_eq!(pieces_taken(30), 0);
+        assert_eq!(chunks_received(5), 9);
+        assert_eq!(chunks_received(30), 0);
     }
 
     #[test]

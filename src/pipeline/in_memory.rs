@@ -9,7 +9,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use meniscus_formats::{Content, FileAttribute, OutputFormat};
 
-use crate::surface::PartsWanted;
+use crate::surface::RequestedParts;
 use crate::surface::obstacle::Obstacle;
 use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::particles::Attribute;
@@ -146,9 +146,9 @@ pub fn in_memory_parts(outputs: &OutputOptions) -> (Vec<PositionFormat>, Option<
 
 /// Converts the result of [`in_memory_parts`] to the argument of
 /// [`Reconstructor::reconstruct_parts`](crate::surface::Reconstructor::reconstruct_parts).
-impl<'a> From<&'a (Vec<PositionFormat>, Option<f32>)> for PartsWanted<'a> {
-    fn from((stored, band_half_width_voxels): &'a (Vec<PositionFormat>, Option<f32>)) -> PartsWanted<'a> {
-        PartsWanted { stored, band_half_width_voxels: *band_half_width_voxels }
+impl<'a> From<&'a (Vec<PositionFormat>, Option<f32>)> for RequestedParts<'a> {
+    fn from((stored, band_half_width_voxels): &'a (Vec<PositionFormat>, Option<f32>)) -> RequestedParts<'a> {
+        RequestedParts { stored, band_half_width_voxels: *band_half_width_voxels }
     }
 }
 

@@ -132,8 +132,8 @@ impl Sheet {
                 }
                 CellPicture::Text(words) => {
                     canvas.fill(EMPTY, [left, cell_top], self.picture_size);
-                    let room = self.picture_size.map(|edge| edge.saturating_sub(2 * GAP));
-                    let words = TextLines::new(words, &TEXT, room[0]).within(room[1]);
+                    let available = self.picture_size.map(|edge| edge.saturating_sub(2 * GAP));
+                    let words = TextLines::new(words, &TEXT, available[0]).within(available[1]);
                     canvas.write(&words, [left + GAP, cell_top + GAP]);
                 }
             }

@@ -6,16 +6,16 @@
 use super::Picture;
 
 impl Picture {
-    /// Scales the picture down to fit into `room` (width and height, pixels), with the same aspect ratio.
+    /// Scales the picture down to fit into `limit` (width and height, pixels), with the same aspect ratio.
     /// Keeps the size of a picture that fits. The result has no [`data`](Picture::data).
-    pub fn scaled_to_fit(&self, room: [usize; 2]) -> Picture {
-        let scale = [0, 1].map(|axis| room[axis] as f64 / self.size[axis].max(1) as f64);
+    pub fn scaled_to_fit(&self, limit: [usize; 2]) -> Picture {
+        let scale = [0, 1].map(|axis| limit[axis] as f64 / self.size[axis].max(1) as f64);
         let scale = scale[0].min(scale[1]);
         if scale >= 1.0 {
             return Picture { data: None, ..self.clone() };
         }
         let size: [usize; 2] = [0, 1]
-            .map(|axis| ((self.size[axis] as f64 * scale).round() as usize).clamp(1, room[axis].max(1)));
+            .map(|axis| ((self.size[axis] as f64 * scale).round() as usize).clamp(1, limit[axis].max(1)));
         let [across, down] = [0, 1].map(|axis| shares(self.size[axis], size[axis]));
         let mut shrunk = Picture { size, color: Vec::new(), coverage: Vec::new(), data: None };
         for rows in &down {
@@ -71,10 +71,10 @@ mod tests {
         let mean = |picture: &Picture| {
             picture.color.iter().map(|color| f64::from(color[0])).sum::<f64>() / picture.color.len() as f64
         };
-        for (room, size) in [([15, 100], [15, 10]), ([7, 7], [7, 5]), ([100, 6], [9, 6]), ([1, 1], [1, 1])] {
-            let shrunk = wide.scaled_to_fit(room);
+        for (limit, size) in [([15, 100], [15, 10]), ([7, 7], [7, 5]), ([100, 6], [9, 6]), ([1, 1], [1, 1])] {
+            let shrunk = wide.scaled_to_fit(limit);
             assert_eq!((shrunk.size, shrunk.color.len()), (size, size[0] * size[1]));
-            assert!((mean(&shrunk) / mean(&wide) - 1.0).abs() < 1e-4, "{room:?}");
+            assert!((mean(&shrunk) / mean(&wide) - 1.0).abs() < 1e-4, "{limit:?}");
             assert!(shrunk.coverage.iter().all(|part| (part - 0.5).abs() < 1e-5));
         }
         assert_eq!(wide.scaled_to_fit([30, 20]), wide);

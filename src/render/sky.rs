@@ -151,7 +151,7 @@ fn floor(point: Vec3) -> IVec3 {
     toward_zero - IVec3::select(above, IVec3::ONE, IVec3::ZERO)
 }
 
-/// Fills in the inside fraction of each cell. Ignores stray leaves, which are outside of all cells.
+/// Fills in the inside fraction of each cell. Ignores outlier leaves, which are outside of all cells.
 fn fill(level: &mut DensityLevel, band: &NarrowBand, least: IVec3, edge: i64) {
     let per_voxel = (1.0 / edge as f32).powi(3);
     let negative = negative_masks(&band.phi);
@@ -247,12 +247,13 @@ mod tests {
     }
 
     #[test]
-    fn stray_leaf_does_not_change_the_light() {
+    fn outlier_leaf_does_not_change_the_light() {
         let near = ball(30.0);
         let point = DVec3::new(0.0, -40.0, 0.0);
-        for stray in [IVec3::splat(110_000 * 8), IVec3::splat(-(1 << 30)), IVec3::new(0, 0, (1 << 30) - 8)] {
+        for outlier in [IVec3::splat(110_000 * 8), IVec3::splat(-(1 << 30)), IVec3::new(0, 0, (1 << 30) - 8)]
+        {
             let mut origins = near.topology.origins().to_vec();
-            origins.push(stray);
+            origins.push(outlier);
             let topology = Topology::new(origins);
             let mut phi = Field::splat(topology.len(), -1.0);
             for (leaf, origin) in phi.leaves.iter_mut().zip(topology.origins()) {
@@ -263,11 +264,11 @@ mod tests {
             let band = NarrowBand { topology: Arc::new(topology), phi, half_width: 8.0 };
             let [with, without] =
                 [&band, &near].map(|band| Sky::new(band).transmittance(point, Vec3::X, 0.5));
-            assert!((with - without).abs() < 1e-3, "{with} with a stray at {stray}, {without} without");
+            assert!((with - without).abs() < 1e-3, "{with} with an outlier at {outlier}, {without} without");
         }
     }
 
-    /// With two leaves as far apart as possible, neither counts as stray: each is half of the scene.
+    /// With two leaves as far apart as possible, neither counts as an outlier: each is half of the scene.
     #[test]
     fn leaves_at_both_ends_of_the_grid_share_one_sky() {
         let origins = [IVec3::splat(-(1 << 30)), IVec3::splat((1 << 30) - 8)];

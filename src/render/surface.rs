@@ -186,7 +186,7 @@ impl<'a> RaySurface<'a> {
 }
 
 /// The bounding box of the leaves to render: all leaves. If the scene is wider than a ray can be, excludes
-/// stray leaves.
+/// outlier leaves.
 fn rendered_box(leaves: &[CrossedLeaf]) -> CoordBox {
     let corner = |index: usize| [leaves[index].origin.as_dvec3(); 2];
     let all = (0..leaves.len()).map(corner).reduce(joined);

@@ -15,7 +15,7 @@ mod reconstruct;
 pub use cancel::CancelToken;
 pub use error::Error;
 #[doc(hidden)]
-pub use reconstruct::PartsWanted;
+pub use reconstruct::RequestedParts;
 pub use reconstruct::{MEMORY_LIMIT, Progress, Reconstructor, Surface, reconstruct};
 
 #[doc(inline)]

@@ -144,7 +144,7 @@ pub struct Reconstructor<'a> {
 /// What [`Reconstructor::reconstruct_parts`] prepares for files.
 #[doc(hidden)]
 #[derive(Clone, Copy, Debug)]
-pub struct PartsWanted<'a> {
+pub struct RequestedParts<'a> {
     /// The formats of positions in the files: the mesh is checked in each of them.
     pub stored: &'a [PositionFormat],
     /// Attributes are also interpolated at voxels where |φ| is less than this, in voxels. `None`: only at
@@ -232,7 +232,7 @@ impl<'a> Reconstructor<'a> {
         positions: impl Into<Positions<'p>>,
         attributes: &[Attribute],
     ) -> Result<Surface, Error> {
-        let parts = PartsWanted { stored: &[PositionFormat::Exact], band_half_width_voxels: None };
+        let parts = RequestedParts { stored: &[PositionFormat::Exact], band_half_width_voxels: None };
         let (surface, settings) = self.reconstruct_parts(positions, attributes, parts)?;
         Ok(with_absolute_positions(surface, settings))
     }
@@ -247,7 +247,7 @@ impl<'a> Reconstructor<'a> {
         &mut self,
         positions: impl Into<Positions<'p>>,
         attributes: &[Attribute],
-        wanted: PartsWanted<'_>,
+        wanted: RequestedParts<'_>,
     ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
         let positions = positions.into();
         // An interruption leaves the settings unchanged or `None`; all other state belongs to the frame.
@@ -259,7 +259,7 @@ impl<'a> Reconstructor<'a> {
         &mut self,
         positions: Positions<'_>,
         attributes: &[Attribute],
-        PartsWanted { stored, band_half_width_voxels }: PartsWanted<'_>,
+        RequestedParts { stored, band_half_width_voxels }: RequestedParts<'_>,
     ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
         self.begin(Phase::Prepare)?;
         if positions.is_empty() {

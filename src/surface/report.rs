@@ -19,7 +19,7 @@ pub struct ReconstructionReport {
     /// others that 32-bit positions cannot hold a surface around them.
     pub dropped_count: usize,
     /// Approximate position of one of the dropped particles, world units; `None` if none of them is finite.
-    pub stray_position: Option<DVec3>,
+    pub outlier_position: Option<DVec3>,
     /// Statistics of particle radii and anisotropy; all zero if all particles are balls of one size.
     pub shapes: ShapeStats,
     /// What the obstacles changed in the level sets.

@@ -67,7 +67,7 @@ impl CoordBox {
     }
 }
 
-/// The bounding box of `count` small boxes, given by minimum and maximum corner. Ignores strays: boxes that
+/// The bounding box of `count` small boxes, given by minimum and maximum corner. Ignores outliers: boxes that
 /// are farther from nearly all other boxes than the extent of those. Ignores boxes that are not finite;
 /// `None` if there are no others.
 pub fn box_of(count: usize, small: impl Fn(usize) -> [DVec3; 2]) -> Option<[DVec3; 2]> {
@@ -75,7 +75,7 @@ pub fn box_of(count: usize, small: impl Fn(usize) -> [DVec3; 2]) -> Option<[DVec
     let all = (0..count).filter_map(finite).reduce(joined)?;
     let some: Vec<DVec3> =
         (0..count).step_by(count / SAMPLES + 1).filter_map(finite).map(|[least, _]| least).collect();
-    let rank = some.len() / STRAYS;
+    let rank = some.len() / OUTLIERS;
     if rank == 0 {
         return Some(all);
     }
@@ -90,8 +90,8 @@ pub fn box_of(count: usize, small: impl Fn(usize) -> [DVec3; 2]) -> Option<[DVec
 /// Number of samples used for ranking.
 const SAMPLES: usize = 1 << 18;
 
-/// One box in this many may be a stray, at either end of each axis.
-const STRAYS: usize = 200;
+/// One box in this many may be an outlier, at either end of each axis.
+const OUTLIERS: usize = 200;
 
 /// Along each axis, the positions of this rank from either end.
 fn middle_range(positions: &[DVec3], rank: usize) -> [DVec3; 2] {
@@ -131,9 +131,9 @@ mod tests {
     }
 
     #[test]
-    fn bounding_box_ignores_strays() {
-        let strayed = [DVec3::new(5.0, -900.0, 5.0), DVec3::splat(f64::NAN), DVec3::new(1e7, 0.0, 0.0)];
-        assert_eq!(slab_with(&strayed), Some(SLAB));
+    fn bounding_box_ignores_outliers() {
+        let outliers = [DVec3::new(5.0, -900.0, 5.0), DVec3::splat(f64::NAN), DVec3::new(1e7, 0.0, 0.0)];
+        assert_eq!(slab_with(&outliers), Some(SLAB));
     }
 
     #[test]

@@ -302,7 +302,7 @@ impl<'a> EventLoop<'a> {
 fn is_of_frames(event: &Event) -> bool {
     matches!(
         event,
-        Event::FrameWanted { .. }
+        Event::FrameRequested { .. }
             | Event::FrameReturned { .. }
             | Event::FrameFinished(_)
             | Event::PipelineEnded { .. }
@@ -326,7 +326,7 @@ mod tests {
     use crate::surface::options::MethodOptions;
     use crate::watch::config::{Order, Poll, StabilityTimeouts, Watch};
     use crate::watch::core::events::{RootRequest, Worker};
-    use crate::watch::io::worker::{Pulse, StallMonitor, Work, spawn};
+    use crate::watch::io::worker::{Heartbeat, StallMonitor, Work, spawn};
 
     /// A file system that does not respond while the other end of the channel exists.
     struct Hanging(Receiver<()>);
@@ -389,11 +389,11 @@ mod tests {
         let (to_loop, events) = unbounded();
         let (core, mut workers, context) = start(&config, None, &to_loop).expect("started");
         let (answers, hanging) = bounded(0);
-        let pulse = Pulse::default();
+        let heartbeat = Heartbeat::default();
         let started = Instant::now();
         workers.roots[0] =
-            spawn("hanging", Hanging(hanging), None, pulse.clone(), to_loop).expect("a thread");
-        workers.monitors.push(StallMonitor::new(Worker::Root(0), pulse, started));
+            spawn("hanging", Hanging(hanging), None, heartbeat.clone(), to_loop).expect("a thread");
+        workers.monitors.push(StallMonitor::new(Worker::Root(0), heartbeat, started));
 
         let (commands, to_obey) = bounded(1);
         let (notice_sender, notices) = unbounded();

@@ -23,7 +23,7 @@ use super::core::decision::{ConvertReason, Decision, SkipReason, decide};
 use super::core::sequences::{SequenceSettings, choices_fingerprint, fingerprint_with};
 use super::io::evidence::readiness_of;
 use super::io::mounts::network_file_system;
-use super::io::scan::look;
+use super::io::scan::file_state;
 use super::io::selection::{FileFilter, SniffedContent, content};
 use super::journal::{JournalState, JournaledFrame, SequenceKey};
 
@@ -86,7 +86,7 @@ pub enum FileChange {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FrameExplanation {
     /// The file, or the step in it, does not exist.
-    Gone,
+    Missing,
     /// Its path is not selected as a frame.
     NotSelected,
     /// The journal decides that it stays as it is.
@@ -129,12 +129,12 @@ pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
     let is_selected = selection.takes(&watch.input, file_of(frame));
     let settings_hold = record.zip(question.settings).map(|(record, settings)| record.settings == settings);
     let output_missing = record.and_then(first_missing_output);
-    let seen = look(frame, trust_clock(frame))?;
+    let seen = file_state(frame, trust_clock(frame))?;
     // A file that cannot be searched for steps may contain this step; reading the file reports why the search
     // fails.
     let seen = seen.filter(|_| !is_missing_step(frame).unwrap_or(false));
     let (file, verdict) = match seen {
-        None => (None, FrameExplanation::Gone),
+        None => (None, FrameExplanation::Missing),
         Some(seen) => {
             let (file, decision) = facts(question, &seen, output_missing.as_deref())?;
             let verdict = if is_selected { verdict(&file, decision) } else { FrameExplanation::NotSelected };
@@ -214,7 +214,7 @@ fn first_missing_output(record: &JournaledFrame) -> Option<PathBuf> {
 impl fmt::Display for FrameExplanation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            FrameExplanation::Gone => f.write_str("is not converted because there is no such frame"),
+            FrameExplanation::Missing => f.write_str("is not converted because there is no such frame"),
             FrameExplanation::NotSelected => {
                 f.write_str("is not converted because its path is not selected: a frame must be in a watched folder, must not be hidden, and must match --pattern (by default: be a particle file)")
             }
@@ -450,7 +450,7 @@ mod tests {
 
         bench.watch.pattern = Some("*.txt".into());
         bench.frame = bench.frame.with_file_name("notes.txt");
-        assert_eq!(bench.verdict(None), FrameExplanation::Gone);
+        assert_eq!(bench.verdict(None), FrameExplanation::Missing);
         bench.write(b"Nothing to see here, just words.\n");
         assert_eq!(bench.verdict(None), FrameExplanation::NotAFrame(SniffedContent::NotParticles));
     }

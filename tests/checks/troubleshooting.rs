@@ -48,7 +48,7 @@ fn messages_below(folder: &Path) -> String {
 /// The string literals of a source, each on a line; a literal that continues on the next line of the source is joined.
 fn literals_of(source: &str) -> String {
     let source = source.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
-    let mut said = String::new();
+    let mut text_of_message = String::new();
     let mut rest = source;
     while let Some(start) = rest.find(['"', '\'', '/', 'r']) {
         let (before, from) = rest.split_at(start);
@@ -57,30 +57,30 @@ fn literals_of(source: &str) -> String {
         } else if let Some(after) = from.strip_prefix("'\"'").or(from.strip_prefix("'\\\"'")) {
             after
         } else if let Some(text) = from.strip_prefix('"') {
-            said.push('\n');
-            unescaped(text, &mut said)
+            text_of_message.push('\n');
+            unescaped(text, &mut text_of_message)
         } else if let Some((text, after)) = raw(from).filter(|_| !before.ends_with(is_identifier_char)) {
-            said += &format!("\n{text}");
+            text_of_message += &format!("\n{text}");
             after
         } else {
             &from[1..]
         };
     }
-    said
+    text_of_message
 }
 
 /// Appends the text up to the closing quote, and returns the rest.
-fn unescaped<'s>(text: &'s str, said: &mut String) -> &'s str {
+fn unescaped<'s>(text: &'s str, text_of_message: &mut String) -> &'s str {
     let mut characters = text.chars();
     while let Some(character) = characters.next() {
         match character {
             '"' => return characters.as_str(),
             '\\' => match characters.next() {
                 Some('\n') => characters = characters.as_str().trim_start().chars(),
-                Some('n') => said.push('\n'),
-                other => said.extend(other),
+                Some('n') => text_of_message.push('\n'),
+                other => text_of_message.extend(other),
             },
-            _ => said.push(character),
+            _ => text_of_message.push(character),
         }
     }
     ""

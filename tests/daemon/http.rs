@@ -58,13 +58,13 @@ fn exchange(address: &str, bytes: &[u8]) -> Answer {
 }
 
 /// Requests a path, with these header lines in addition to the required ones.
-fn ask(address: &str, path: &str, lines: &str) -> Answer {
+fn send_request(address: &str, path: &str, lines: &str) -> Answer {
     let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n{lines}\r\n");
     exchange(address, request.as_bytes())
 }
 
 pub(crate) fn get(address: &str, path: &str) -> Answer {
-    ask(address, path, "")
+    send_request(address, path, "")
 }
 
 /// A subscription to the event stream.
@@ -282,13 +282,13 @@ fn range_and_conditional_requests_are_answered() {
     watching.await_converted("dam.1.ply");
     await_that("it is served", || get(&address, "/files/dam.1.glb").status == 200);
     let whole = scene.bytes("out/dam.1.glb");
-    let part = ask(&address, "/files/dam.1.glb", "Range: bytes=4-11\r\n");
+    let part = send_request(&address, "/files/dam.1.glb", "Range: bytes=4-11\r\n");
     assert_eq!((part.status, &part.content[..]), (206, &whole[4..12]));
     assert!(part.headers.contains(&format!("content-range: bytes 4-11/{}", whole.len())), "{}", part.headers);
-    let beyond = ask(&address, "/files/dam.1.glb", "Range: bytes=999999999-\r\n");
+    let beyond = send_request(&address, "/files/dam.1.glb", "Range: bytes=999999999-\r\n");
     assert_eq!(beyond.status, 416);
     let tag = part.headers.lines().find_map(|line| line.strip_prefix("etag: ")).expect("a tag").to_owned();
-    let known = ask(&address, "/files/dam.1.glb", &format!("If-None-Match: {tag}\r\n"));
+    let known = send_request(&address, "/files/dam.1.glb", &format!("If-None-Match: {tag}\r\n"));
     assert_eq!((known.status, known.content.len()), (304, 0));
     let head = format!("HEAD /files/dam.1.glb HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
     let head = exchange(&address, head.as_bytes());
@@ -337,11 +337,11 @@ fn oversized_and_malformed_requests_are_refused() {
     let scene = Scene::new();
     let (_watching, address) = watch(&scene, &[]);
     let long = "x".repeat(40 << 10);
-    assert_eq!(ask(&address, "/", &format!("X: {long}\r\n")).status, 431);
-    assert_eq!(ask(&address, "/", &"X: y\r\n".repeat(200)).status, 431);
+    assert_eq!(send_request(&address, "/", &format!("X: {long}\r\n")).status, 431);
+    assert_eq!(send_request(&address, "/", &"X: y\r\n".repeat(200)).status, 431);
     assert!(matches!(get(&address, &format!("/{long}")).status, 414 | 431));
-    assert_eq!(ask(&address, "/", "Content-Length: 5\r\n").status, 413);
-    assert_eq!(ask(&address, "/", "Transfer-Encoding: chunked\r\n").status, 413);
+    assert_eq!(send_request(&address, "/", "Content-Length: 5\r\n").status, 413);
+    assert_eq!(send_request(&address, "/", "Transfer-Encoding: chunked\r\n").status, 413);
     for garbage in
         [&b"\0\x01\x02\r\n\r\n"[..], b"GET\r\n\r\n", b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03"]
     {
@@ -543,7 +543,7 @@ fn requests_without_the_token_are_refused() {
     }
     assert_eq!(get(&address, "/healthz").status, 200);
     let bearer = "Authorization: Bearer 0123456789abcdef\r\n";
-    assert_eq!(ask(&address, "/api/frames", bearer).status, 200);
+    assert_eq!(send_request(&address, "/api/frames", bearer).status, 200);
     let opened = get(&address, "/?token=0123456789abcdef");
     assert_eq!(opened.status, 303);
     let cookie = opened.headers.lines().find_map(|line| line.strip_prefix("set-cookie: ")).expect("a cookie");
@@ -551,7 +551,7 @@ fn requests_without_the_token_are_refused() {
     let port = address.rsplit(':').next().expect("a port");
     assert!(cookie.starts_with(&format!("meniscus_token_{port}=")), "{cookie}");
     let (cookie, _) = cookie.split_once(';').expect("what follows");
-    assert_eq!(ask(&address, "/api/frames", &format!("Cookie: {cookie}\r\n")).status, 200);
+    assert_eq!(send_request(&address, "/api/frames", &format!("Cookie: {cookie}\r\n")).status, 200);
 }
 
 #[test]

@@ -216,11 +216,11 @@ impl Cycle<'_> {
     ) {
         let is_current = |number: usize| self.whole_sets(after, number).contains(&Version::New);
         let current: Vec<usize> = (1..=FRAME_COUNT).filter(|&number| is_current(number)).collect();
-        let said: BTreeSet<usize> = match arguments[0] {
+        let reported: BTreeSet<usize> = match arguments[0] {
             "watch" => (1..=FRAME_COUNT).filter(|&number| is_logged_done(&result.err, number)).collect(),
             _ => (1..=FRAME_COUNT).filter(|&number| is_printed_done(&result.out, number)).collect(),
         };
-        for number in &said {
+        for number in &reported {
             assert!(current.contains(number), "frame {number} is said to be done: {}", about());
         }
         if result.status.code() != Some(0) {
@@ -234,7 +234,7 @@ impl Cycle<'_> {
                 assert_eq!(count, FRAME_COUNT, "frames are missing in the plan: {}", about());
             }
             // A shard has only its frames; those that it reports as done were checked above.
-            ["convert", "--plan", ..] => assert!(!said.is_empty(), "it did nothing: {}", about()),
+            ["convert", "--plan", ..] => assert!(!reported.is_empty(), "it did nothing: {}", about()),
             _ => assert_eq!(current.len(), FRAME_COUNT, "exit status 0, but frames are missing: {}", about()),
         }
     }

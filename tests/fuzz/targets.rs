@@ -283,7 +283,7 @@ fn http(bytes: &[u8]) {
         let store = Arc::new(StatusStore::new());
         (HttpServer::open(&Listen { address, token: None }, Arc::clone(&store)).expect("a server"), store)
     });
-    store.pulse();
+    store.record_heartbeat();
     let mut stream = connect(server.address());
     // Writing fails if the server has refused the request already, and does not read the rest.
     let _ = stream.write_all(bytes);

@@ -165,7 +165,7 @@ fn escaped_particle_is_left_out_and_the_others_are_certified() {
         assert_eq!((surface.report.particle_count, surface.report.dropped_count), (512, 1));
         assert_eq!(surface.report.certificate.particles_left_out, 1);
         assert!(surface.report.certificate.holds());
-        let at = surface.report.stray_position.expect("a place");
+        let at = surface.report.outlier_position.expect("a place");
         assert!((at.y / far - 1.0).abs() < 1e-3, "{at}");
     }
 }

@@ -227,10 +227,14 @@ fn escaped_particle_costs_the_others_no_precision() {
         (0..512).map(|i| [i / 64, i / 8 % 8, i % 8].map(|side| f64::from(side) * 0.05)).collect();
     let alone = reconstruct_frame(&OwnedPositions::F64(positions.clone()), &settings);
     positions.push([1e4, 0.0, 0.0]);
-    let with_stray = reconstruct_frame(&OwnedPositions::F64(positions), &settings);
-    assert_eq!(with_stray.mesh.origin, alone.mesh.origin);
+    let with_outlier = reconstruct_frame(&OwnedPositions::F64(positions), &settings);
+    assert_eq!(with_outlier.mesh.origin, alone.mesh.origin);
     let count = alone.mesh.positions.len();
-    assert_eq!(with_stray.mesh.positions[..count], alone.mesh.positions);
+    assert_eq!(with_outlier.mesh.positions[..count], alone.mesh.positions);
     assert!(alone.report.certificate.position_rounding < 1e-4);
-    assert!(with_stray.report.certificate.position_rounding > 1e-3, "{:?}", with_stray.report.certificate);
+    assert!(
+        with_outlier.report.certificate.position_rounding > 1e-3,
+        "{:?}",
+        with_outlier.report.certificate
+    );
 }

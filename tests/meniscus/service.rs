@@ -47,7 +47,7 @@ impl Service {
     }
 
     /// Waits for a message that begins with this text.
-    fn hears(&self, start: &str) -> String {
+    fn receives(&self, start: &str) -> String {
         let mut bytes = [0; 4096];
         loop {
             let count = match self.manager.recv(&mut bytes) {
@@ -84,27 +84,27 @@ fn write_config(folder: &Path, more: &str) {
 #[test]
 fn systemd_is_notified_of_every_state_of_the_daemon() {
     let mut service = Service::start();
-    service.hears("READY=1");
-    service.hears("WATCHDOG=1");
+    service.receives("READY=1");
+    service.receives("WATCHDOG=1");
     write_sequence(&service.path().join("in"), 1, 2);
-    service.hears("STATUS=2 done, 0 queued");
+    service.receives("STATUS=2 done, 0 queued");
     assert_eq!(names_in(&service.path().join("out")), [".meniscus", "dam.1.ply", "dam.2.ply"]);
 
     // An invalid configuration changes nothing.
     write_config(service.path(), "formatz = [\"obj\"]");
     service.send("HUP");
-    assert!(service.hears("RELOADING=1").contains("MONOTONIC_USEC="));
-    assert!(service.hears("READY=1").contains("meniscus.toml:6: unknown key `formatz`"));
+    assert!(service.receives("RELOADING=1").contains("MONOTONIC_USEC="));
+    assert!(service.receives("READY=1").contains("meniscus.toml:6: unknown key `formatz`"));
 
     write_config(service.path(), "formats = [\"obj\"]");
     service.send("HUP");
-    service.hears("RELOADING=1");
-    service.hears("READY=1");
-    service.hears("STATUS=2 done, 0 queued");
+    service.receives("RELOADING=1");
+    service.receives("READY=1");
+    service.receives("STATUS=2 done, 0 queued");
     assert!(names_in(&service.path().join("out")).contains(&"dam.2.obj".to_owned()));
 
     service.send("TERM");
-    service.hears("STOPPING=1");
+    service.receives("STOPPING=1");
     assert_eq!(service.child.wait().expect("it ends").code(), Some(0));
     let status = meniscus(service.path(), &["status", "--out", "out"]);
     assert!(status.out.contains("the daemon has ended"), "{}", status.out);
@@ -114,9 +114,9 @@ fn systemd_is_notified_of_every_state_of_the_daemon() {
 #[test]
 fn status_and_why_describe_a_busy_daemon() {
     let service = Service::start();
-    service.hears("READY=1");
+    service.receives("READY=1");
     write_sequence(&service.path().join("in"), 1, 1);
-    service.hears("STATUS=1 done, 0 queued");
+    service.receives("STATUS=1 done, 0 queued");
     let status = meniscus(service.path(), &["status", "--out", "out"]);
     assert!(status.out.contains("out: running (pid "), "{} {}", status.out, status.err);
     let why = meniscus(service.path(), &["why", "in/dam.1.ply", "--config", "meniscus.toml"]);
@@ -130,16 +130,16 @@ fn status_and_why_describe_a_busy_daemon() {
 #[test]
 fn second_signal_ends_the_daemon_at_once() {
     let mut service = Service::start();
-    service.hears("READY=1");
+    service.receives("READY=1");
     // This number of steps takes minutes.
     write_config(service.path(), "integrator = \"explicit\"\nsteps = 100000");
     service.send("HUP");
-    service.hears("RELOADING=1");
-    service.hears("READY=1");
+    service.receives("RELOADING=1");
+    service.receives("READY=1");
     write_sequence(&service.path().join("in"), 1, 1);
-    service.hears("STATUS=0 done, 1 queued");
+    service.receives("STATUS=0 done, 1 queued");
     service.send("INT");
-    service.hears("STOPPING=1");
+    service.receives("STOPPING=1");
     service.send("INT");
     assert_eq!(service.child.wait().expect("it ends").code(), Some(130));
     assert_eq!(names_in(&service.path().join("out")), [".meniscus"]);

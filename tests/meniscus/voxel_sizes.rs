@@ -63,11 +63,11 @@ fn error_for_a_frame_beyond_the_grid_has_its_distance() {
 fn escaped_particles_do_not_make_voxels_too_small() {
     let cloud = block(6, 0.0);
     let with = |others: &[[f64; 3]]| [&cloud[..], others].concat();
-    let astray = [1e7, -1e12, f64::NAN].map(|x| [x, 1.0, -x]);
+    let outliers = [1e7, -1e12, f64::NAN].map(|x| [x, 1.0, -x]);
     // Add as many particles again, scattered everywhere or in a second cloud.
     let sprayed: Vec<[f64; 3]> =
         (0..200).map(|index| [1e6, 3e5, -7e5].map(|step| step * f64::from(index))).collect();
-    for others in [&astray[..], &vec![[f64::NAN; 3]; 1000], &block(5, 1e7), &sprayed] {
+    for others in [&outliers[..], &vec![[f64::NAN; 3]; 1000], &block(5, 1e7), &sprayed] {
         assert!(!is_too_fine(&with(others), 0.5), "{:?}", others[0]);
         assert!(is_too_fine(&with(others), 1e-8), "{:?}", others[0]);
     }
@@ -133,9 +133,9 @@ fn empty_surface_causes_a_warning_with_a_remedy() {
     let folder = tempdir().expect("a folder");
     let small = ["--preset", "paper", "--voxel-size", "0.05", "--radius-min", "0.001"];
     let options = [&small[..], &["--allow-violations"]].concat();
-    let said = warnings_of(folder.path(), &block(6, 0.013), &options);
+    let warnings = warnings_of(folder.path(), &block(6, 0.013), &options);
     for word in ["all particles fall between the voxels", "are 0.02 and 0.04 voxels", "--radius-min 0.0866"] {
-        assert!(said.contains(word), "it does not say {word}: {said}");
+        assert!(warnings.contains(word), "it does not say {word}: {warnings}");
     }
     let command = ["convert", "a.ply", "--out", "out"];
     let result = meniscus(folder.path(), &[&command[..], &small].concat());
@@ -147,7 +147,7 @@ fn empty_surface_causes_a_warning_with_a_remedy() {
         "{}",
         result.err
     );
-    let (_, named) = said.split_once("use --radius-min ").expect("a radius");
+    let (_, named) = warnings.split_once("use --radius-min ").expect("a radius");
     let radius: String = named.chars().take_while(|&c| c == '.' || c.is_ascii_digit()).collect();
     assert_eq!(
         warnings_of(
@@ -179,9 +179,13 @@ fn shaken_block() -> Vec<[f64; 3]> {
 fn only_a_torn_surface_causes_a_warning() {
     let folder = tempdir().expect("a folder");
     let has_warning = |particles: &[[f64; 3]], options: &[&str]| {
-        let said = warnings_of(folder.path(), particles, options);
-        assert_eq!(said.contains("too small for the particle spacing"), said.contains("warning"), "{said}");
-        said.contains("too small for the particle spacing")
+        let warnings = warnings_of(folder.path(), particles, options);
+        assert_eq!(
+            warnings.contains("too small for the particle spacing"),
+            warnings.contains("warning"),
+            "{warnings}"
+        );
+        warnings.contains("too small for the particle spacing")
     };
     let shaken = shaken_block();
     let mut spray = shaken.clone();

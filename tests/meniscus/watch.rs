@@ -300,15 +300,15 @@ fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
     assert!(status.out.contains(&watched), "{}", status.out);
 
     // Imitate a restart of the daemon with other settings.
-    let ask = |change: &dyn Fn(&mut Watch)| {
+    let change_plan = |change: &dyn Fn(&mut Watch)| {
         let mut journal = Journal::open(&path.join("out/.meniscus")).expect("a journal");
         let mut plan = journal.state().plan.clone().expect("a plan");
         change(&mut plan.watches[0]);
         journal.note_plan(plan).expect("noted");
     };
-    ask(&|watch| watch.choices.radius_ratio = Some(1.25));
+    change_plan(&|watch| watch.choices.radius_ratio = Some(1.25));
     assert_explains("in/dam.1.ply", &["settings  not compared, because the particle spacing"]);
-    ask(&|watch| watch.choices.spacing = Some(0.05));
+    change_plan(&|watch| watch.choices.spacing = Some(0.05));
     assert_explains(
         "in/dam.1.ply",
         &["settings  not as recorded", "because its settings or obstacles have changed"],

@@ -63,7 +63,7 @@ impl Siege {
         assert_eq!(error.kind(), ErrorKind::StorageFull, "{error}");
     }
 
-    fn make_room(&self) {
+    fn free_space(&self) {
         fs::remove_file(self.out().join("ballast")).expect("removed");
     }
 
@@ -110,7 +110,7 @@ fn daemon_waits_while_the_disk_is_full() {
             daemon.until("it tries again", |daemon| daemon.count_logged("paused") > 8);
             siege.outputs();
         }
-        siege.make_room();
+        siege.free_space();
         daemon.until_converted(&siege.frames);
         daemon.until("it is not paused any more", |daemon| !daemon.has_status("paused"));
         assert_eq!(daemon.converted().len(), siege.frames.len());
@@ -144,7 +144,7 @@ fn journal_on_a_full_disk_continues_later() {
         // The message appears once, not for each line of the journal.
         assert_eq!(daemon.count_logged("cannot write the journal"), 1);
         assert_eq!(siege.outputs().len(), 2 * first.len());
-        siege.make_room();
+        siege.free_space();
         daemon.until_converted(second);
         assert_eq!(daemon.converted().len(), siege.frames.len());
         assert_eq!(daemon.count_logged("the journal is writable again"), 1);
@@ -169,7 +169,7 @@ fn outputs_that_fill_the_disk_stop_at_the_floor() {
         // The frames are small: no frame uses up all of the minimum free space of the disk.
         assert_eq!(daemon.count_logged("No space"), 0);
         siege.outputs();
-        siege.make_room();
+        siege.free_space();
         daemon.until_converted(&siege.frames);
         daemon.stop();
         siege.is_whole();
@@ -195,7 +195,7 @@ fn no_frame_starts_below_the_minimum_of_free_space() {
             "{daemon_status}"
         );
         assert!(siege.outputs().is_empty() && daemon.converted().is_empty());
-        siege.make_room();
+        siege.free_space();
         daemon.until_converted(&siege.frames);
         daemon.stop();
         siege.is_whole();

@@ -26,7 +26,7 @@ pub(crate) struct Mount {
     server: Child,
     at: PathBuf,
     /// The output of the server: kept open, because the server would end if the pipe were closed.
-    _said: Lines<BufReader<ChildStdout>>,
+    _output: Lines<BufReader<ChildStdout>>,
 }
 
 impl Mount {
@@ -43,7 +43,7 @@ impl Mount {
             .expect("it starts");
         let mut lines = BufReader::new(server.stdout.take().expect("piped")).lines();
         let is_mounted = lines.any(|line| line.is_ok_and(|line| line.contains(MOUNTED)));
-        let mount = Mount { server, at: at.to_owned(), _said: lines };
+        let mount = Mount { server, at: at.to_owned(), _output: lines };
         is_mounted.then_some(mount)
     }
 

@@ -30,8 +30,8 @@ pub(crate) fn with_own_mounts(name: &str, test: impl FnOnce()) {
         .stderr(Stdio::inherit())
         .output()
         .expect("it starts");
-    let said = String::from_utf8_lossy(&result.stdout);
-    assert!(result.status.success() && said.contains("1 passed"), "{said}");
+    let message = String::from_utf8_lossy(&result.stdout);
+    assert!(result.status.success() && message.contains("1 passed"), "{message}");
 }
 
 /// The arguments with which `unshare` creates a namespace that allows mounts; `None` if no arguments work.

@@ -7,7 +7,7 @@ use tempfile::tempdir;
 use crate::scene::{Daemon, frame_names, land_sequence, names_in};
 
 /// The number of folders for which the daemon has requested events.
-fn heard_folder_count(daemon: &Daemon) -> usize {
+fn watched_folder_count(daemon: &Daemon) -> usize {
     let infos = fs::read_dir(format!("/proc/{}/fdinfo", daemon.pid())).expect("it runs");
     let texts = infos.flatten().filter_map(|info| fs::read_to_string(info.path()).ok());
     texts.map(|text| text.lines().filter(|line| line.starts_with("inotify wd:")).count()).sum()
@@ -18,10 +18,10 @@ fn frames_are_found_without_events() {
     let folder = tempdir().expect("a folder");
     fs::create_dir_all(folder.path().join("in/sub")).expect("made");
     let arguments = ["in", "--out", "out", "--recursive", "--settle", "50ms", "--rescan", "1h"];
-    for (poll, heard, first) in [(None, 2, 1), (Some("200ms"), 0, 3)] {
+    for (poll, watched, first) in [(None, 2, 1), (Some("200ms"), 0, 3)] {
         let poll = poll.map_or(vec![], |interval| vec!["--poll", interval]);
         let mut daemon = Daemon::start_ready(folder.path(), &[&arguments[..], &poll].concat());
-        assert_eq!(heard_folder_count(&daemon), heard);
+        assert_eq!(watched_folder_count(&daemon), watched);
         land_sequence(&folder.path().join("in"), first, first, 5);
         land_sequence(&folder.path().join("in/sub"), first + 1, first + 1, 5);
         daemon.until_converted(&frame_names(first, first + 1));

@@ -29,7 +29,7 @@ pub(crate) fn print_line(text: &str) {
 }
 
 /// A message from a daemon.
-enum Heard {
+enum DaemonOutput {
     Line(Value),
     Notice(String),
     /// Its log has ended, and so has the process.
@@ -39,7 +39,7 @@ enum Heard {
 /// A running daemon.
 pub(crate) struct Daemon {
     child: Child,
-    heard: Receiver<Heard>,
+    output: Receiver<DaemonOutput>,
     /// The log so far, one value per line.
     pub(crate) log: Vec<Value>,
     /// The messages to the service manager so far.
@@ -70,14 +70,14 @@ impl Daemon {
             .stderr(Stdio::piped())
             .spawn()
             .expect("the daemon starts");
-        let (sender, heard) = unbounded();
+        let (sender, output) = unbounded();
         let log = child.stderr.take().expect("a pipe");
         thread::spawn({
             let sender = sender.clone();
-            move || hear_log(BufReader::new(log), &sender)
+            move || read_log(BufReader::new(log), &sender)
         });
-        thread::spawn(move || hear_notices(&socket, &sender));
-        Daemon { child, heard, log: Vec::new(), notices: Vec::new(), socket_folder, has_ended: false }
+        thread::spawn(move || read_notices(&socket, &sender));
+        Daemon { child, output, log: Vec::new(), notices: Vec::new(), socket_folder, has_ended: false }
     }
 
     /// Starts `meniscus watch`, and waits until the first scan is finished.
@@ -95,7 +95,7 @@ impl Daemon {
     pub(crate) fn until(&mut self, what: &str, is_so: impl Fn(&Daemon) -> bool) {
         let deadline = Instant::now() + PATIENCE;
         while !is_so(self) {
-            if self.has_ended || !self.hear_until(deadline) {
+            if self.has_ended || !self.receive_until(deadline) {
                 panic!("waited for this in vain: {what}\n{}", self.everything());
             }
         }
@@ -111,16 +111,16 @@ impl Daemon {
     /// Reads messages for this time.
     pub(crate) fn listen_for(&mut self, time: Duration) {
         let deadline = Instant::now() + time;
-        while self.hear_until(deadline) {}
+        while self.receive_until(deadline) {}
         assert!(!self.has_ended, "it ended:\n{}", self.everything());
     }
 
     /// Reads one more message, unless the time is over or the daemon has ended.
-    fn hear_until(&mut self, deadline: Instant) -> bool {
-        match self.heard.recv_deadline(deadline) {
-            Ok(Heard::Line(line)) => self.log.push(line),
-            Ok(Heard::Notice(notice)) => self.notices.push(notice),
-            Ok(Heard::End) => self.has_ended = true,
+    fn receive_until(&mut self, deadline: Instant) -> bool {
+        match self.output.recv_deadline(deadline) {
+            Ok(DaemonOutput::Line(line)) => self.log.push(line),
+            Ok(DaemonOutput::Notice(notice)) => self.notices.push(notice),
+            Ok(DaemonOutput::End) => self.has_ended = true,
             Err(_) => return false,
         }
         true
@@ -169,7 +169,7 @@ impl Daemon {
         let is_zombie = || fs::read_to_string(&stat).is_ok_and(|stat| stat.contains(") Z "));
         while !self.has_ended && !is_zombie() {
             assert!(Instant::now() < deadline, "it has not exited:\n{}", self.everything());
-            self.hear_until(Instant::now() + Duration::from_millis(50));
+            self.receive_until(Instant::now() + Duration::from_millis(50));
         }
     }
 
@@ -207,8 +207,8 @@ impl Daemon {
     /// Waits until the daemon ends on its own with all frames converted, as long as it sends messages.
     pub(crate) fn until_drained(&mut self) {
         while !self.has_ended {
-            let heard = self.hear_until(Instant::now() + PATIENCE);
-            assert!(heard, "it says nothing more, and does not end\n{}", self.everything());
+            let output = self.receive_until(Instant::now() + PATIENCE);
+            assert!(output, "it says nothing more, and does not end\n{}", self.everything());
         }
         let status = self.child.wait().expect("it ended");
         assert!(status.success(), "{status}:\n{}", self.everything());
@@ -234,21 +234,21 @@ impl Drop for Daemon {
 /// A message that no daemon sends: it ends the thread that listens.
 const LAST_NOTICE: &[u8] = b"END";
 
-fn hear_log(log: impl BufRead, sender: &Sender<Heard>) {
+fn read_log(log: impl BufRead, sender: &Sender<DaemonOutput>) {
     for line in log.lines().map_while(Result::ok) {
         // Lines that are not JSON come from before the log starts, or from a panic: the test prints them.
         let line = serde_json::from_str(&line).unwrap_or(Value::String(line));
         // The receiver is closed when the test is over.
-        let _ = sender.send(Heard::Line(line));
+        let _ = sender.send(DaemonOutput::Line(line));
     }
-    let _ = sender.send(Heard::End);
+    let _ = sender.send(DaemonOutput::End);
 }
 
-fn hear_notices(socket: &UnixDatagram, sender: &Sender<Heard>) {
+fn read_notices(socket: &UnixDatagram, sender: &Sender<DaemonOutput>) {
     let mut bytes = [0; 4096];
     while let Ok(count) = socket.recv(&mut bytes) {
         let text = String::from_utf8_lossy(&bytes[..count]).into_owned();
-        if bytes[..count] == *LAST_NOTICE || sender.send(Heard::Notice(text)).is_err() {
+        if bytes[..count] == *LAST_NOTICE || sender.send(DaemonOutput::Notice(text)).is_err() {
             return;
         }
     }

@@ -152,14 +152,14 @@ fn numbers(walk: &mut TokenWalk, name: &str, storage: StorageType, most: usize) 
     walk.within(name, |walk| {
         // The capacity to reserve: a number takes at least two bytes of the file. Only uniform arrays of the
         // binary form can take fewer.
-        let room = most.min(walk.remaining() / 2);
+        let capacity = most.min(walk.remaining() / 2);
         let mut list = List(storage.empty());
         let mut depth = 0usize;
         loop {
             match walk.next()? {
                 JsonToken::Open => {
                     if depth == 0 {
-                        list.reserve(room);
+                        list.reserve(capacity);
                     }
                     depth += 1;
                 }

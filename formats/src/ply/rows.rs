@@ -141,19 +141,19 @@ pub(super) fn checked_binary_count(element: &Element, at: u64, remaining: u64) -
     checked(element, at, remaining, remaining, element.record_size_min(), "bytes")
 }
 
-/// The declared number of records, if they fit into `room` bytes with at least `record` bytes each.
+/// The declared number of records, if they fit into `count_max` bytes with at least `record` bytes each.
 fn checked(
     element: &Element,
     at: u64,
     remaining: u64,
-    room: u64,
+    count_max: u64,
     record: usize,
     kind: &str,
 ) -> Result<usize> {
     if element.properties.is_empty() {
         return Ok(0); // records without properties need no reading
     }
-    let most = room / record as u64;
+    let most = count_max / record as u64;
     usize::try_from(element.count).ok().filter(|&count| count as u64 <= most).ok_or_else(|| {
         let Element { name, count, .. } = element;
         let what = format!(

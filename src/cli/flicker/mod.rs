@@ -67,7 +67,7 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
     let mut tally = FlickerTotals::new(args.picture.is_some());
     for &number in &frames.scored {
         if let Some(scored) = pool.install(|| scoring.score(number, console))? {
-            console.say(line_of(&scored));
+            console.print_line(line_of(&scored));
             tally.add(scored);
         }
         console.advance_bar();
@@ -245,16 +245,16 @@ fn report(
     console: &mut Console,
 ) {
     let count = pluralize(tally.frames.iter().filter(|frame| frame.summary.count > 0).count(), "frame");
-    console.say(format_args!("{}: {} spacings, {count}", frames.name, numbers_of(summary)));
+    console.print_line(format_args!("{}: {} spacings, {count}", frames.name, numbers_of(summary)));
     let carrier = match carrier {
         Carrier::Ids => "ids".to_owned(),
         Carrier::Velocities { seconds } => format!("velocities, {} s between frames", significant(seconds)),
     };
-    console.say(format_args!("spacing {}; points are tracked by {carrier}", significant(spacing)));
+    console.print_line(format_args!("spacing {}; points are tracked by {carrier}", significant(spacing)));
     if let Some(worst) = tally.worst_points.first() {
         let [x, y, z] = worst.position.map(significant);
         let value = worst.value;
-        console.say(format_args!(
+        console.print_line(format_args!(
             "worst point: {value:.4} at ({x}, {y}, {z}) in {}",
             frames.name_of(worst.frame)
         ));

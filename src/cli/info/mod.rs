@@ -92,22 +92,22 @@ pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<CommandOutc
             if args.json {
                 let element = indented(&json_text(&info)?);
                 match last_element.replace(element) {
-                    Some(before) => console.say_as_is(&format!("{before},")),
-                    None => console.say_as_is("["),
+                    Some(before) => console.print_raw(&format!("{before},")),
+                    None => console.print_raw("["),
                 }
             }
             match &info.error {
                 Some(error) => {
                     console.error(format_args!("{}: {error}", info.file));
                 }
-                None if !args.json => console.say_lines(info.to_string().lines()),
+                None if !args.json => console.print_lines(info.to_string().lines()),
                 None => {}
             }
             tally.add(info.error.is_none());
         }
     }
     if args.json {
-        console.say_as_is(&last_element.map_or("[]".to_owned(), |last| format!("{last}\n]")));
+        console.print_raw(&last_element.map_or("[]".to_owned(), |last| format!("{last}\n]")));
     }
     Ok(tally.outcome())
 }

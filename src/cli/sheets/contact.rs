@@ -5,7 +5,7 @@ use std::time::Instant;
 use anyhow::{Result, bail};
 
 use crate::cli::args::{ContactSheetArgs, MethodArgs, PictureArgs};
-use crate::cli::choices::refuse_stray_rounds;
+use crate::cli::choices::refuse_misplaced_rounds;
 use crate::cli::console::Console;
 use crate::cli::frame_selection::FrameSelection;
 use crate::cli::machine::thread_pool;
@@ -27,7 +27,7 @@ pub(in crate::cli) fn contact_sheet(
     args: &ContactSheetArgs,
     console: &mut Console,
 ) -> Result<CommandOutcome> {
-    refuse_stray_rounds(&args.pictures.method, &args.inputs)?;
+    refuse_misplaced_rounds(&args.pictures.method, &args.inputs)?;
     let Sources { strips, files, found } = find_sources(&args.inputs, kinds(&args.pictures))?;
     found.report(console);
     let selected_strips = select_frames(strips, args)?;
@@ -46,10 +46,10 @@ pub(in crate::cli) fn contact_sheet(
     console.hide_bar();
     if tally.done_count > 0 {
         for part in &parts {
-            console.say(part.title_with_time());
+            console.print_line(part.title_with_time());
         }
         let made_from: Vec<SheetPart> = parts.iter().map(SequenceRows::made_from).collect();
-        console.say(file.write(&contact.sheet(parts), "contact-sheet", &made_from)?);
+        console.print_line(file.write(&contact.sheet(parts), "contact-sheet", &made_from)?);
     }
     Ok(tally.outcome())
 }

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use anyhow::{Result, bail};
 
 use crate::cli::args::{MethodArgs, TuneArgs};
-use crate::cli::choices::refuse_stray_rounds;
+use crate::cli::choices::refuse_misplaced_rounds;
 use crate::cli::console::Console;
 use crate::cli::inputs::find_inputs;
 use crate::cli::machine::thread_pool;
@@ -41,7 +41,7 @@ use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 /// # Errors
 /// If no cell can be attempted. A cell that fails is reported and counted.
 pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<CommandOutcome> {
-    refuse_stray_rounds(&args.pictures.method, &args.inputs)?;
+    refuse_misplaced_rounds(&args.pictures.method, &args.inputs)?;
     let found = find_inputs(&args.inputs)?;
     found.report(console);
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
@@ -60,14 +60,14 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
     let grid = Grid::new(args, &tuning.without)?;
     if sequence.frames.len() > 1 {
         let frame_count = pluralize(sequence.frames.len(), "frame");
-        console.say(format_args!("{}: of {frame_count} of {}", frame.name(), sequence.name));
+        console.print_line(format_args!("{}: of {frame_count} of {}", frame.name(), sequence.name));
     }
     console.show_bar(grid.settings.len());
     let (cells, tally) = pool.install(|| tuning.cells(&grid, console));
     console.hide_bar();
     if tally.done_count > 0 {
         let part = tuning.made_from(&grid);
-        console.say(file.write(&tuning.sheet(&grid, cells), "tune", &[part])?);
+        console.print_line(file.write(&tuning.sheet(&grid, cells), "tune", &[part])?);
     }
     Ok(tally.outcome())
 }
@@ -196,8 +196,8 @@ impl<'a> Tuning<'a> {
                     let command = CommandLine::convert(self.args, &options);
                     // The time differs from run to run, so it is not part of the picture.
                     let seconds = seconds(&made);
-                    console.say(format_args!("{label}: {seconds:.2} s, {triangles}"));
-                    console.say(command.text());
+                    console.print_line(format_args!("{label}: {seconds:.2} s, {triangles}"));
+                    console.print_line(command.text());
                     lines.push(triangles);
                     (CellPicture::Picture(picture), Some(command))
                 }

@@ -138,9 +138,9 @@ pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<Command
     }
     let record = StatusRecord::new(&args.out, &journal, &state, holder);
     if args.json {
-        console.say_json(&record)?;
+        console.print_json(&record)?;
     } else {
-        console.say_lines(record.lines(now_ms()));
+        console.print_lines(record.lines(now_ms()));
     }
     Ok(if record.failed.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
 }

@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_a_full_disk_has_no_room_for_cannot_be_made() {
+    fn folder_cannot_be_created_on_a_full_disk() {
         let folder = tempfile::tempdir().expect("a folder");
         let full = || Err(io::ErrorKind::StorageFull.into());
         let error = made(&folder.path().join("deep"), full()).expect_err("it is not there");

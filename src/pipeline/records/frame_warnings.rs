@@ -58,7 +58,7 @@ const ROUNDING_REPORTED_FROM: f64 = 1.0 / 256.0;
 /// A warning about particles that the surface leaves out, if there are any.
 pub(crate) fn left_out(report: &ReconstructionReport) -> Option<Warning> {
     let count = report.dropped_count;
-    (count > 0).then_some(Warning::ParticlesIgnored { count, near: report.stray_position })
+    (count > 0).then_some(Warning::ParticlesIgnored { count, near: report.outlier_position })
 }
 
 /// Warnings about the shapes of particles. Thin ellipsoids that are widened to the grid's resolution cause no

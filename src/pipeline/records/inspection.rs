@@ -165,13 +165,13 @@ fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> InspectedState {
         .map_err(|why| InspectedState::Damaged(format!("{}: {why}", name_of(&certificate_path))));
     let state = outputs
         .iter()
-        .try_for_each(|(format, path)| look_at(frame, made_from, *format, path))
+        .try_for_each(|(format, path)| inspect_output(frame, made_from, *format, path))
         .and_then(|()| certified.and_then(|certified| agrees(&certified, made_from, &paths)));
     state.err().unwrap_or(InspectedState::Done)
 }
 
 /// Inspects one file: whether it is complete, and its provenance.
-fn look_at(
+fn inspect_output(
     frame: &Frame,
     made_from: &MadeFrom,
     format: OutputFormat,

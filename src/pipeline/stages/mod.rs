@@ -204,7 +204,7 @@ fn drive<'scope, 'env: 'scope, M: Method, K: Send + 'env>(
         OnError::Stop => 1,
         OnError::Continue => options.pool.current_num_threads().min(in_flight),
     };
-    let (room, no_room) = bounded(in_flight);
+    let (slot_sender, slot_receiver) = bounded(in_flight);
     // The channel has room for all frames in flight, so that a thread of the pool never waits to report an
     // outcome.
     let (done, outcomes) = bounded(in_flight);
@@ -218,7 +218,7 @@ fn drive<'scope, 'env: 'scope, M: Method, K: Send + 'env>(
             scope.spawn(move || stages.write(&from, &done));
         }
         let reader_done = done.clone();
-        scope.spawn(move || stages.read(next, &room, &to_rasterize, &reader_done));
+        scope.spawn(move || stages.read(next, &slot_sender, &to_rasterize, &reader_done));
         let of_stage = done.clone();
         scope.spawn(move || stages.rasterize(&to_rasterize_from, &to_smooth, &of_stage));
         let of_stage = done.clone();
@@ -229,7 +229,7 @@ fn drive<'scope, 'env: 'scope, M: Method, K: Send + 'env>(
         for FinishedFrame { key, frame, outcome } in outcomes {
             finished(key, frame, outcome);
             // The channel holds a token for each frame that is not finished.
-            let _ = no_room.try_recv();
+            let _ = slot_receiver.try_recv();
         }
     });
 }

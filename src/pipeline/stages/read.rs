@@ -34,13 +34,13 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
     pub(super) fn read<K>(
         &self,
         mut next: impl FnMut() -> Option<(K, Frame)>,
-        room: &Sender<()>,
+        slots: &Sender<()>,
         to: &Sender<WorkItem<'env, K, Read>>,
         finished: &Sender<FinishedFrame<K>>,
     ) {
         // Sending fails when the caller is gone.
         for number in 0.. {
-            if room.send(()).is_err() {
+            if slots.send(()).is_err() {
                 return;
             }
             let Some((key, mut frame)) = next() else { return };

@@ -95,9 +95,9 @@ fn trace_cycles(signs: u8) -> CellCycles {
 fn segments_on(face: usize, signs: u8) -> Vec<[usize; 2]> {
     let (axis, side) = (face / 2, face % 2);
     let (b, c) = (corner_bit((axis + 1) % 3), corner_bit((axis + 2) % 3));
-    let rim = [0, b, b | c, c].map(|corner| corner + side * corner_bit(axis));
-    let is_inside = |k: usize| signs >> rim[k % 4] & 1 == 1;
-    let edge_after = |k: usize| edge_between(rim[k % 4], rim[(k + 1) % 4]);
+    let face_corners = [0, b, b | c, c].map(|corner| corner + side * corner_bit(axis));
+    let is_inside = |k: usize| signs >> face_corners[k % 4] & 1 == 1;
+    let edge_after = |k: usize| edge_between(face_corners[k % 4], face_corners[(k + 1) % 4]);
     (0..4)
         .filter(|&k| is_inside(k) && !is_inside(k + 3))
         .map(|first| {

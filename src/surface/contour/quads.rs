@@ -46,8 +46,8 @@ impl Quads<'_> {
                     if ring.joined_sides != 0 {
                         batch.cut(self.positions, &mut output);
                         let inside_end = if is_start_inside { start } else { start + IVec3::AXES[axis] };
-                        let rim = self.subdivided(patch, &ring, corners, inside_end);
-                        output.fan(next_on_edge, &rim, is_start_inside);
+                        let polygon = self.subdivided(patch, &ring, corners, inside_end);
+                        output.fan(next_on_edge, &polygon, is_start_inside);
                         next_on_edge += 1;
                         continue;
                     }
@@ -63,9 +63,9 @@ impl Quads<'_> {
 
     /// The corners of a ring's quad, with the vertices on its joined sides inserted.
     fn subdivided(&self, patch: &LeafPatch, ring: &Ring, corners: [u32; 4], inside_end: IVec3) -> Vec<u32> {
-        let mut rim = Vec::with_capacity(8);
+        let mut polygon = Vec::with_capacity(8);
         for (side, (turn, far)) in RING_SIDES.into_iter().enumerate() {
-            rim.push(corners[side]);
+            polygon.push(corners[side]);
             if ring.joined_sides >> side & 1 == 1 {
                 let normal_axis = (ring.axis + turn) % 3;
                 let corner = (inside_end - ring.cells[far]).to_array();
@@ -74,10 +74,10 @@ impl Quads<'_> {
                 let key = (patch.neighborhood.leaf(cell >> 3), segment_key(cell & 7, normal_axis, corner));
                 let found = self.on_faces.binary_search_by_key(&key, |&(leaf, key, _)| (leaf, key));
                 let index = found.expect("a joined face has a vertex on each of its segments");
-                rim.push(self.on_faces[index].2);
+                polygon.push(self.on_faces[index].2);
             }
         }
-        rim
+        polygon
     }
 }
 
@@ -177,9 +177,9 @@ impl TriangleOutput<'_> {
     }
 
     /// The triangles between a center vertex and the sides of a polygon.
-    fn fan(&mut self, center: u32, rim: &[u32], is_start_inside: bool) {
-        for k in 0..rim.len() {
-            self.push([center, rim[k], rim[(k + 1) % rim.len()]], is_start_inside);
+    fn fan(&mut self, center: u32, polygon: &[u32], is_start_inside: bool) {
+        for k in 0..polygon.len() {
+            self.push([center, polygon[k], polygon[(k + 1) % polygon.len()]], is_start_inside);
         }
     }
 }

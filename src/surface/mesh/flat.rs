@@ -79,7 +79,7 @@ impl Mesh {
             }
             may_fold = changed == 0;
             self.triangles = triangles;
-            self.triangles.retain(|triangle| *triangle != GONE);
+            self.triangles.retain(|triangle| *triangle != REMOVED);
             self.drop_unused_vertices();
         }
         before - self.triangles.len()
@@ -98,7 +98,7 @@ impl Mesh {
 }
 
 /// Marks a removed triangle.
-const GONE: [u32; 3] = [u32::MAX; 3];
+const REMOVED: [u32; 3] = [u32::MAX; 3];
 
 /// Indices of the degenerate triangles at these positions, in order.
 fn flat_triangles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<u32> {
@@ -149,7 +149,7 @@ impl<'a> FlatRemoval<'a> {
     fn remove_flat(&mut self, triangle: u32) -> bool {
         let corners = self.triangles[triangle as usize];
         let flat_view = self.views.iter().position(|view| is_flat(view, corners));
-        let Some(view) = flat_view.map(|index| self.views[index]).filter(|_| corners != GONE) else {
+        let Some(view) = flat_view.map(|index| self.views[index]).filter(|_| corners != REMOVED) else {
             return false;
         };
         // Each edge with its opposite corner, shortest first.
@@ -187,7 +187,7 @@ impl<'a> FlatRemoval<'a> {
             && vertices.iter().all(|&vertex| self.triangles_of(vertex).len() == 3);
         if is_speck {
             for triangle in all {
-                self.triangles[triangle as usize] = GONE;
+                self.triangles[triangle as usize] = REMOVED;
             }
             for vertex in vertices {
                 self.around.remove(&vertex);
@@ -261,7 +261,7 @@ impl<'a> FlatRemoval<'a> {
                 for corner in corners {
                     self.remove_from(corner, triangle);
                 }
-                self.triangles[triangle as usize] = GONE;
+                self.triangles[triangle as usize] = REMOVED;
             } else {
                 self.triangles[triangle as usize] = moved_corners(corners, vertex, target);
                 self.around.entry(target).or_default().push(triangle);
@@ -322,7 +322,7 @@ fn area_vector(view: &[Vec3], [a, b, c]: [u32; 3]) -> DVec3 {
 }
 
 fn is_flat(view: &[Vec3], triangle: [u32; 3]) -> bool {
-    triangle != GONE && TriangleBatch::new(view, &[triangle]).degenerate()[0] > 0
+    triangle != REMOVED && TriangleBatch::new(view, &[triangle]).degenerate()[0] > 0
 }
 
 /// True if two triangles face approximately the same side. A triangle without area faces all sides.

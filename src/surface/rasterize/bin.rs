@@ -54,7 +54,7 @@ pub struct ParticleBins {
     /// from the others.
     pub dropped_count: usize,
     /// Approximate world position of one dropped particle, if any of them is finite.
-    pub stray_position: Option<DVec3>,
+    pub outlier_position: Option<DVec3>,
 }
 
 impl ParticleBins {
@@ -89,7 +89,7 @@ impl ParticleBins {
         let topology =
             Topology::new(leaves.iter().map(|&leaf| culling.occupied().origins()[leaf as usize]).collect());
         let (particle_count, dropped_count) = (occupancy.particle_count(), occupancy.dropped_count());
-        let stray_position = occupancy.stray_position();
+        let outlier_position = occupancy.outlier_position();
         let deep = if occupancy.has_shapes { culling.deep_leaves().collect() } else { FxHashSet::default() };
         Ok(ParticleBins {
             topology,
@@ -99,7 +99,7 @@ impl ParticleBins {
             deep,
             particle_count,
             dropped_count,
-            stray_position,
+            outlier_position,
         })
     }
 

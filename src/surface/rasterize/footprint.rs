@@ -114,7 +114,7 @@ pub fn footprint<S: ParticleSource>(
     let cells = LeafCells::new(radii.init);
     let leaf_map: ConcurrentLeafMap<FootprintLeaf> = ConcurrentLeafMap::new();
     let dropped_count = AtomicUsize::new(0);
-    let look = |batch: usize| -> Result<(), S::Error> {
+    let mark_batch = |batch: usize| -> Result<(), S::Error> {
         let batch = LeafBatch::new(&source.batch(batch)?, lattice, false);
         dropped_count.fetch_add(batch.dropped_count, Ordering::Relaxed);
         for (origin, locals) in batch.leaves() {
@@ -131,7 +131,7 @@ pub fn footprint<S: ParticleSource>(
         }
         Ok(())
     };
-    (0..source.batch_count()).into_par_iter().try_for_each(look)?;
+    (0..source.batch_count()).into_par_iter().try_for_each(mark_batch)?;
     let occupied = leaf_map.freeze();
     let cells_in = |origin: IVec3| occupied.get(origin).map_or(0, |leaf| leaf.cells);
     let is_full_around = |origin: &IVec3, rings: i32| {

@@ -33,11 +33,11 @@ mod ellipsoid;
 mod footprint;
 mod leaf_map;
 mod occupancy;
+mod outliers;
 mod region;
 mod signed_distance;
 mod sphere;
 mod spread;
-mod stray;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 
 use super::batch::LeafBatch;
 use super::leaf_map::{ConcurrentLeafMap, LeafMap};
-use super::stray::stray_leaves;
+use super::outliers::outlier_leaves;
 use crate::surface::grid::{LEAF_EDGE, Topology};
 use crate::surface::particles::ParticleSource;
 use crate::surface::space::{CoordBox, Lattice};
@@ -32,11 +32,11 @@ pub struct Occupancy {
     pub(super) has_shapes: bool,
     /// A summary of each batch.
     pub(super) batches: Vec<BatchSummary>,
-    /// Number of particles [too far](stray_leaves) from the others.
-    stray_count: usize,
+    /// Number of particles [too far](outlier_leaves) from the others.
+    outlier_count: usize,
     /// Approximate world position of one dropped particle: one outside the grid's index range, or otherwise
     /// one too far from the others.
-    stray_position: Option<DVec3>,
+    outlier_position: Option<DVec3>,
 }
 
 /// The particles of a leaf.
@@ -104,7 +104,7 @@ impl Occupancy {
     pub fn new<S: ParticleSource>(source: &S, lattice: &Lattice) -> Result<Occupancy, S::Error> {
         let leaf_map: ConcurrentLeafMap<OccupiedLeaf> = ConcurrentLeafMap::new();
         let has_shapes = source.has_shapes();
-        let look = |batch_index: usize| -> Result<BatchSummary, S::Error> {
+        let summarize_batch = |batch_index: usize| -> Result<BatchSummary, S::Error> {
             let shapes = source.batch_shapes(batch_index);
             let batch = LeafBatch::new(&source.batch(batch_index)?, lattice, has_shapes);
             let mut voxels = CoordBox::EMPTY;
@@ -138,32 +138,33 @@ impl Occupancy {
             let LeafBatch { dropped_count, beyond_grid, .. } = batch;
             Ok(BatchSummary { voxels, placed_count: batch.len(), dropped_count, beyond_grid })
         };
-        let batches = (0..source.batch_count()).into_par_iter().map(look).collect::<Result<Vec<_>, _>>()?;
+        let batches =
+            (0..source.batch_count()).into_par_iter().map(summarize_batch).collect::<Result<Vec<_>, _>>()?;
         let mut occupied = leaf_map.freeze();
-        let strayed = stray_leaves(|| occupied.iter().map(|(&origin, leaf)| (origin, leaf.count)));
+        let outliers = outlier_leaves(|| occupied.iter().map(|(&origin, leaf)| (origin, leaf.count)));
         let mut count_of_removed = |&origin: &IVec3| occupied.remove(origin).map_or(0, |leaf| leaf.count);
-        let stray_count = strayed.iter().map(&mut count_of_removed).sum();
+        let outlier_count = outliers.iter().map(&mut count_of_removed).sum();
         let of_leaf = |origin: &IVec3| (origin.as_dvec3() + 0.5 * f64::from(LEAF_EDGE)) * lattice.voxel_size;
-        let stray_position =
-            batches.iter().find_map(|batch| batch.beyond_grid).or_else(|| strayed.first().map(of_leaf));
+        let outlier_position =
+            batches.iter().find_map(|batch| batch.beyond_grid).or_else(|| outliers.first().map(of_leaf));
         let topology = Topology::new(occupied.iter().map(|(&origin, _)| origin).collect());
-        Ok(Occupancy { topology, occupied, has_shapes, batches, stray_count, stray_position })
+        Ok(Occupancy { topology, occupied, has_shapes, batches, outlier_count, outlier_position })
     }
 
     /// Number of particles that were not dropped.
     pub fn particle_count(&self) -> usize {
-        self.batches.iter().map(|batch| batch.placed_count).sum::<usize>() - self.stray_count
+        self.batches.iter().map(|batch| batch.placed_count).sum::<usize>() - self.outlier_count
     }
 
     /// Number of dropped particles: positions that are not finite, outside the grid's index range, or too far
     /// from the others.
     pub fn dropped_count(&self) -> usize {
-        self.batches.iter().map(|batch| batch.dropped_count).sum::<usize>() + self.stray_count
+        self.batches.iter().map(|batch| batch.dropped_count).sum::<usize>() + self.outlier_count
     }
 
     /// Approximate world position of one dropped particle, if any of them is finite.
-    pub fn stray_position(&self) -> Option<DVec3> {
-        self.stray_position
+    pub fn outlier_position(&self) -> Option<DVec3> {
+        self.outlier_position
     }
 
     /// The octants of the leaf with this origin.

@@ -112,7 +112,7 @@ impl SmoothedFrame {
 /// Reconstructs the surface of one frame: applies anisotropy, rasterizes, smooths, contours. Runs in the
 /// caller's rayon pool; the same particles and settings give bit-identical results on any number of threads.
 /// Particles are dropped, and counted in the report, if their position is not finite or outside the grid, or
-/// if they are stray: more than 2²⁰ voxels from the median particle along an axis, and few (at most 8 or 1 %
+/// if they are outliers: more than 2²⁰ voxels from the median particle along an axis, and few (at most 8 or 1 %
 /// of all, and fewer than half). [`plan_memory()`] detects voxels that are too small for a frame.
 ///
 /// Positions are in world units, like the voxel size and the radii in the settings. `docs/method.md` explains
@@ -187,7 +187,7 @@ pub fn rasterize<S: ParticleSource>(
     let report = ReconstructionReport {
         particle_count: bins.particle_count,
         dropped_count: bins.dropped_count,
-        stray_position: bins.stray_position,
+        outlier_position: bins.outlier_position,
         leaf_count: band.topology.len(),
         shapes: shape_stats,
         contact,

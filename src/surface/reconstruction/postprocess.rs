@@ -153,7 +153,7 @@ pub(super) fn finalize<E>(
     let mut checks = ParticleChecks::EMPTY;
     for returns in 0..=CLAMP_ROUNDS_MAX {
         checks = ParticleChecks::EMPTY;
-        let mut strays: BTreeMap<usize, Vec3> = BTreeMap::new();
+        let mut corrections: BTreeMap<usize, Vec3> = BTreeMap::new();
         for stored in stored {
             let mut of_file = ParticleChecks::EMPTY;
             let mut rounded = rounding(stored).map(|rounding| mesh.rounded(rounding));
@@ -172,7 +172,7 @@ pub(super) fn finalize<E>(
             let parts = each_part(&checked, &mut |part| {
                 let (of_part, found) = validation::check(part);
                 of_file = of_file.merge(of_part);
-                strays.extend(found.into_iter().map(|stray| (stray.vertex, stray.position)));
+                corrections.extend(found.into_iter().map(|violation| (violation.vertex, violation.position)));
             });
             if let Some(rounded) = &mut rounded {
                 std::mem::swap(rounded, &mut mesh.positions);
@@ -180,11 +180,11 @@ pub(super) fn finalize<E>(
             parts?;
             checks = checks.worst_of(of_file);
         }
-        if strays.is_empty() || returns == CLAMP_ROUNDS_MAX {
+        if corrections.is_empty() || returns == CLAMP_ROUNDS_MAX {
             break;
         }
-        report.vertices_clamped += strays.len();
-        for (vertex, position) in strays {
+        report.vertices_clamped += corrections.len();
+        for (vertex, position) in corrections {
             mesh.positions[vertex] = position;
             mesh.normals[vertex] = Vec3::ZERO;
         }

@@ -381,12 +381,12 @@ pub(super) fn min_scale(settings: &Settings) -> f32 {
 /// for all frames of a sequence, whatever particles they contain. Stretched particles need no wider band:
 /// where the surface may move, at the faces of sheets and the sides of filaments, they are thin.
 pub(super) fn band_scale(settings: &Settings) -> f32 {
-    if settings.per_particle_radius.is_some() { SCALE_ROOM } else { 1.0 }
+    if settings.per_particle_radius.is_some() { SCALE_MARGIN } else { 1.0 }
 }
 
 /// With the radii of the paper, the bounds of a particle with three times the smallest radius are three
 /// voxels (rounded up) from the initial surface: farther than smoothing moves a surface.
-const SCALE_ROOM: f32 = 3.0;
+const SCALE_MARGIN: f32 = 3.0;
 
 #[cfg(test)]
 mod tests {

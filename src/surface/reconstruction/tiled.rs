@@ -102,7 +102,7 @@ pub fn rasterize<S: ParticleSource>(
     let report = ReconstructionReport {
         particle_count: occupancy.particle_count(),
         dropped_count: occupancy.dropped_count(),
-        stray_position: occupancy.stray_position(),
+        outlier_position: occupancy.outlier_position(),
         leaf_count: origins.len(),
         shapes: shape_stats,
         contact,

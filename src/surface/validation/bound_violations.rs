@@ -132,8 +132,8 @@ mod tests {
             let (before, found) = check(&part);
             assert!(before.vertices_inside_min == 1 && before.vertices_outside_max == 1, "{before:?}");
             let mut mended = mesh.clone();
-            for stray in &found {
-                mended.positions[stray.vertex] = stray.position;
+            for violation in &found {
+                mended.positions[violation.vertex] = violation.position;
             }
             let (after, _) = check(&CheckedRegion { mesh: &mended, ..part });
             assert_eq!(found.len(), 2, "{found:?}");

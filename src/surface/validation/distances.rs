@@ -42,7 +42,7 @@ pub(super) fn check_vertices(part: &CheckedRegion) -> (ParticleChecks, Vec<Bound
     };
     let pieces: Vec<(ParticleChecks, Vec<BoundViolation>)> = pieces.map(check).collect();
     let checks = pieces.iter().fold(ParticleChecks::EMPTY, |checks, (piece, _)| checks.merge(*piece));
-    (checks, pieces.into_iter().flat_map(|(_, strays)| strays).collect())
+    (checks, pieces.into_iter().flat_map(|(_, violations)| violations).collect())
 }
 
 /// The kernel that checks some vertices.
@@ -61,7 +61,7 @@ impl Kernel for PieceChecks<'_> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> (ParticleChecks, Vec<BoundViolation>) {
-        let (mut checks, mut strays) = (ParticleChecks::EMPTY, Vec::new());
+        let (mut checks, mut violations) = (ParticleChecks::EMPTY, Vec::new());
         let limits = DistanceLimits::new(&self.part.radii).with_margin(CELL_MARGIN);
         let [least, greatest] = limits.limits();
         let mut near = NearLeaves::empty();
@@ -109,11 +109,11 @@ impl Kernel for PieceChecks<'_> {
                 checks.vertices_outside_max += usize::from(!is_within_max[lane]);
                 if is_inside_min[lane] | !is_within_max[lane] {
                     let local = Vec3::new(locals[0][lane], locals[1][lane], locals[2][lane]);
-                    strays.extend(self.bound_violation(&near, first + lane, origin, local));
+                    violations.extend(self.bound_violation(&near, first + lane, origin, local));
                 }
             }
         }
-        (checks, strays)
+        (checks, violations)
     }
 }
 

@@ -105,13 +105,13 @@ impl ParticleChecks {
 /// Checks a part of a frame. Returns the checks, and a corrected position for each vertex that is out of
 /// bounds, if the correction steps reach one within one voxel of the vertex.
 pub fn check(part: &CheckedRegion) -> (ParticleChecks, Vec<BoundViolation>) {
-    let (vertices, strays) = distances::check_vertices(part);
+    let (vertices, violations) = distances::check_vertices(part);
     let (outside, particles_exempt) = containment::particles_outside(part);
     let depth = |&(origin, local): &(IVec3, Vec3)| containment::depth_outside(part.band, origin, local);
     let deepest_outside = outside.par_iter().map(depth).reduce(|| 0.0, f32::max);
     let checks =
         ParticleChecks { particles_outside: outside.len(), deepest_outside, particles_exempt, ..vertices };
-    (checks, strays)
+    (checks, violations)
 }
 
 #[cfg(test)]

@@ -36,7 +36,7 @@ pub(crate) enum Event {
     /// A file was found, at a time that may be slightly in the past.
     FileSeen { id: FrameId, seen: Seen, at: Instant, renamed: bool },
     /// A file was removed.
-    FileGone(FrameId),
+    FileRemoved(FrameId),
     /// The system refuses to inspect a file.
     FileUnreadable(FrameId, io::Error),
     /// A file changed that may be the sentinel of a frame.
@@ -54,7 +54,7 @@ pub(crate) enum Event {
     /// The search of a file for steps has ended.
     StepsFound(FoundSteps),
     /// A pipeline has a free slot for a frame.
-    FrameWanted { pipeline: usize },
+    FrameRequested { pipeline: usize },
     /// A pipeline returns a frame that it cannot start, because its outputs cannot be written now.
     FrameReturned { id: FrameId, frame: Box<Frame>, found: OutputDirState },
     /// A pipeline has finished with a frame.
@@ -185,7 +185,7 @@ pub(crate) struct Inspected {
 #[derive(Debug)]
 pub(crate) enum InspectionResult {
     /// The file is gone.
-    Gone,
+    Missing,
     /// The system refuses to inspect it.
     Unreadable(io::Error),
     /// It is not the file that the request was about.

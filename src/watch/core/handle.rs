@@ -18,7 +18,7 @@ impl Core {
         self.now = now;
         match event {
             Event::FileSeen { id, seen, at, renamed } => self.on_file_seen(&id, &seen, at, renamed),
-            Event::FileGone(id) => self.remove(&id),
+            Event::FileRemoved(id) => self.remove(&id),
             Event::FileUnreadable(id, error) => self.on_file_unreadable(&id, error),
             Event::SentinelSeen(root, path) => self.on_sentinel_seen(root, &path),
             Event::FolderScanned { root, files, at } => self.on_files_scanned(root, files, at),
@@ -27,7 +27,7 @@ impl Core {
             Event::ObstaclesStamped { root, stamps } => self.on_obstacles_stamped(root, &stamps),
             Event::Measured(measured) => self.on_measured(*measured),
             Event::StepsFound(found) => self.on_steps_found(found),
-            Event::FrameWanted { pipeline } => self.wanting.push_back(pipeline),
+            Event::FrameRequested { pipeline } => self.requesting.push_back(pipeline),
             Event::FrameReturned { id, frame, found } => {
                 if let Some(state) = self.frames.get_mut(&id) {
                     state.phase = FramePhase::Queued;
@@ -36,7 +36,7 @@ impl Core {
                 self.on_output_dir_checked(found);
             }
             Event::FrameFinished(finished) => self.on_finished(*finished),
-            Event::PipelineEnded { pipeline } => self.wanting.retain(|wanting| *wanting != pipeline),
+            Event::PipelineEnded { pipeline } => self.requesting.retain(|requesting| *requesting != pipeline),
             Event::OutputDirChecked(found) => self.on_output_dir_checked(found),
             Event::WorkerStalled(worker) => self.set_stalled(worker, Some(now.at)),
             Event::WorkerAnswered(worker) => self.set_stalled(worker, None),
@@ -69,10 +69,10 @@ impl Core {
 
     /// Gives frames to the pipelines that have asked for one.
     fn start_frames(&mut self) {
-        while let Some(&pipeline) = self.wanting.front() {
+        while let Some(&pipeline) = self.requesting.front() {
             // A pipeline that was replaced because it hung responds again: it finishes its frames and ends.
             if self.is_stopping || pipeline != self.pipeline {
-                self.wanting.pop_front();
+                self.requesting.pop_front();
                 self.effects.push(Effect::EndPipeline(pipeline));
                 continue;
             }
@@ -81,7 +81,7 @@ impl Core {
             }
             let may_begin: Vec<bool> = (0..self.roots.len()).map(|root| self.may_begin(root)).collect();
             let Some((id, frame)) = self.queue.pop(|root| may_begin[root]) else { return };
-            self.wanting.pop_front();
+            self.requesting.pop_front();
             if let Some(state) = self.frames.get_mut(&id) {
                 state.phase = FramePhase::InProgress(pipeline);
             }

@@ -305,7 +305,7 @@ impl Core {
             self.mark_changed(&id);
         }
         match found {
-            InspectionResult::Gone => self.remove(&id),
+            InspectionResult::Missing => self.remove(&id),
             InspectionResult::Unreadable(error) => self.on_file_unreadable(&id, error),
             InspectionResult::Changed(seen, at) => self.on_file_seen(&id, &seen, at, false),
             InspectionResult::AsRecorded if is_settling => self.take_record(&id),

@@ -39,7 +39,7 @@ pub(crate) struct Core {
     pub(super) outputs_of: HashMap<(usize, PathBuf), Arc<OutputOptions>>,
     pub(super) queue: Queue,
     /// Pipelines that have asked for a frame.
-    pub(super) wanting: VecDeque<usize>,
+    pub(super) requesting: VecDeque<usize>,
     /// The pipeline that gets new frames. Earlier ones wait for a file system, and end when it answers.
     pub(super) pipeline: usize,
     pub(super) guard: DiskGuard,
@@ -139,7 +139,7 @@ impl Core {
             measuring_count: 0,
             claims: HashMap::new(),
             outputs_of: HashMap::new(),
-            wanting: VecDeque::new(),
+            requesting: VecDeque::new(),
             pipeline: 0,
             scan_count: 0,
             failed: HashMap::new(),

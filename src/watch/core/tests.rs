@@ -159,7 +159,7 @@ impl Rig {
     /// The answer of a worker.
     fn answer(&self, inspect: &Inspect) -> Event {
         let found = match self.files.get(&*inspect.id.path) {
-            None => InspectionResult::Gone,
+            None => InspectionResult::Missing,
             Some((stamp, _)) if *stamp != inspect.stamp => {
                 InspectionResult::Changed(seen(*stamp), self.now.at)
             }
@@ -209,7 +209,7 @@ impl Rig {
         let (id, at) = (id(path), self.now.at);
         let event = match self.files.get(Path::new(path)) {
             Some((stamp, _)) => Event::FileSeen { id, seen: seen(*stamp), at, renamed: false },
-            None => Event::FileGone(id),
+            None => Event::FileRemoved(id),
         };
         self.event(event);
     }
@@ -223,7 +223,7 @@ impl Rig {
     }
 
     fn want(&mut self, pipeline: usize) {
-        self.event(Event::FrameWanted { pipeline });
+        self.event(Event::FrameRequested { pipeline });
     }
 
     /// The names of the frames that were started since the last call.

@@ -30,6 +30,6 @@ pub(crate) fn readiness_of(
 /// them.
 fn completeness_of(path: &Path) -> Completeness {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let look = || completeness(&mut open_regular(path)?, &name);
-    look().unwrap_or(Completeness::Unknown)
+    let check = || completeness(&mut open_regular(path)?, &name);
+    check().unwrap_or(Completeness::Unknown)
 }

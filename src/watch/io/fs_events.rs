@@ -51,7 +51,7 @@ pub enum WatchError {
     /// The system's limit of watches for this user is reached. The text says what to do.
     TooMany(String),
     /// The folder does not exist.
-    Gone,
+    Missing,
     /// Any other error.
     Other(String),
 }
@@ -60,7 +60,7 @@ impl fmt::Display for WatchError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             WatchError::TooMany(what) | WatchError::Other(what) => f.write_str(what),
-            WatchError::Gone => f.write_str("the folder does not exist"),
+            WatchError::Missing => f.write_str("the folder does not exist"),
         }
     }
 }
@@ -101,7 +101,7 @@ impl Watcher {
     /// When the folder does not exist, or the system refuses.
     pub fn watch(&mut self, folder: &Path) -> Result<(), WatchError> {
         let watched = WatchedFolder::of(folder).map_err(|error| match error.kind() {
-            io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => WatchError::Gone,
+            io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => WatchError::Missing,
             _ => WatchError::Other(error.to_string()),
         })?;
         // The folder that had this path may still exist elsewhere, and its events would carry its old path.
@@ -285,7 +285,7 @@ fn change_of(kind: EventKind) -> Option<ChangeKind> {
 fn watch_error(error: notify::Error) -> WatchError {
     const TOO_MANY_OPEN_FILES: i32 = 24; // EMFILE, on every Unix
     match &error.kind {
-        ErrorKind::PathNotFound => WatchError::Gone,
+        ErrorKind::PathNotFound => WatchError::Missing,
         ErrorKind::MaxFilesWatch => WatchError::TooMany(
             "this user has reached the limit of watched folders: raise fs.inotify.max_user_watches".into(),
         ),
@@ -294,7 +294,7 @@ fn watch_error(error: notify::Error) -> WatchError {
              raise fs.inotify.max_user_instances, or the limit of open files"
                 .into(),
         ),
-        ErrorKind::Io(source) if source.kind() == io::ErrorKind::NotFound => WatchError::Gone,
+        ErrorKind::Io(source) if source.kind() == io::ErrorKind::NotFound => WatchError::Missing,
         _ => WatchError::Other(error.to_string()),
     }
 }
@@ -338,12 +338,12 @@ mod tests {
 
         /// All events up to the expected one.
         fn until(&self, expected: &FsEvent) -> Vec<FsEvent> {
-            let mut heard = Vec::new();
-            while heard.last() != Some(expected) {
+            let mut received = Vec::new();
+            while received.last() != Some(expected) {
                 let next = self.hints.recv_timeout(Duration::from_secs(300));
-                heard.push(next.unwrap_or_else(|_| panic!("{expected:?} is missing after {heard:?}")));
+                received.push(next.unwrap_or_else(|_| panic!("{expected:?} is missing after {received:?}")));
             }
-            heard
+            received
         }
 
         /// All events so far, except those of marker files. Creates a marker file, and waits until its event
@@ -352,11 +352,11 @@ mod tests {
             self.marker_count += 1;
             let marker = self.path(&format!("{MARKER}{}", self.marker_count));
             File::create(&marker).expect("made");
-            let mut heard = self.until(&FsEvent::Changed(marker));
-            heard.retain(
+            let mut received = self.until(&FsEvent::Changed(marker));
+            received.retain(
                 |hint| !matches!(hint, FsEvent::Changed(path) if path.to_string_lossy().contains(MARKER)),
             );
-            heard
+            received
         }
     }
 
@@ -369,8 +369,8 @@ mod tests {
 
         let renamed = bench.path("renamed.ply");
         fs::rename(&written, &renamed).expect("renamed");
-        let heard = bench.until(&FsEvent::Renamed(renamed.clone()));
-        assert!(heard.contains(&FsEvent::Changed(written)), "the old name is not reported: {heard:?}");
+        let received = bench.until(&FsEvent::Renamed(renamed.clone()));
+        assert!(received.contains(&FsEvent::Changed(written)), "the old name is not reported: {received:?}");
 
         let elsewhere = bench.beside.join("a.ply");
         let moved = bench.path("moved.ply");
@@ -453,7 +453,7 @@ mod tests {
         let root = bench.folder.clone();
         fs::remove_dir(&root).expect("removed");
         bench.until(&FsEvent::Folder(root.clone()));
-        assert_eq!(bench.watcher.watch(&root), Err(WatchError::Gone));
+        assert_eq!(bench.watcher.watch(&root), Err(WatchError::Missing));
         fs::create_dir(&root).expect("made");
         bench.watcher.watch(&root).expect("watched");
         bench.so_far();
@@ -465,8 +465,8 @@ mod tests {
         fs::create_dir(&root).expect("made");
         bench.watcher.watch(&root).expect("watched");
         fs::write(away.join("a.ply"), b"ply").expect("written");
-        let heard = bench.so_far();
-        assert!(!heard.contains(&FsEvent::Changed(root.join("a.ply"))), "{heard:?}");
+        let received = bench.so_far();
+        assert!(!received.contains(&FsEvent::Changed(root.join("a.ply"))), "{received:?}");
     }
 
     #[test]
@@ -476,20 +476,20 @@ mod tests {
         symlink(&bench.folder, &other).expect("linked");
         bench.watcher.watch(&other).expect("watched");
         fs::write(bench.path("a.ply"), b"ply").expect("written");
-        let heard = bench.so_far();
+        let received = bench.so_far();
         for path in [bench.path("a.ply"), other.join("a.ply")] {
-            assert!(heard.contains(&FsEvent::Changed(path)), "{heard:?}");
+            assert!(received.contains(&FsEvent::Changed(path)), "{received:?}");
         }
         bench.watcher.unwatch(&other);
         fs::write(bench.path("b.ply"), b"ply").expect("written");
-        let heard = bench.so_far();
-        assert!(heard.contains(&FsEvent::Changed(bench.path("b.ply"))), "{heard:?}");
-        assert!(!heard.contains(&FsEvent::Changed(other.join("b.ply"))), "{heard:?}");
+        let received = bench.so_far();
+        assert!(received.contains(&FsEvent::Changed(bench.path("b.ply"))), "{received:?}");
+        assert!(!received.contains(&FsEvent::Changed(other.join("b.ply"))), "{received:?}");
         bench.watcher.unwatch(&bench.folder);
         fs::write(bench.path("c.ply"), b"ply").expect("written");
         bench.watcher.watch(&bench.folder).expect("watched");
-        let heard = bench.so_far();
-        assert!(!heard.contains(&FsEvent::Changed(bench.path("c.ply"))), "{heard:?}");
+        let received = bench.so_far();
+        assert!(!received.contains(&FsEvent::Changed(bench.path("c.ply"))), "{received:?}");
     }
 
     #[test]
@@ -497,7 +497,7 @@ mod tests {
         let mut bench = Bench::new(CAPACITY);
         fs::write(bench.path("a.ply"), b"ply").expect("written");
         for path in [bench.path("a.ply"), bench.path("gone")] {
-            assert_eq!(bench.watcher.watch(&path), Err(WatchError::Gone), "{}", path.display());
+            assert_eq!(bench.watcher.watch(&path), Err(WatchError::Missing), "{}", path.display());
         }
     }
 
@@ -525,11 +525,11 @@ mod tests {
             Rig { handler: EventHandler { queue, capacity, last: None, folders }, hints }
         }
 
-        fn hear(&mut self, kind: EventKind, name: &str) {
+        fn handle_event(&mut self, kind: EventKind, name: &str) {
             self.handler.receive(Ok(Event::new(kind).add_path(Path::new("/true").join(name))));
         }
 
-        fn heard(&self) -> Vec<FsEvent> {
+        fn received(&self) -> Vec<FsEvent> {
             self.hints.try_iter().collect()
         }
     }
@@ -544,38 +544,38 @@ mod tests {
     fn last_slot_of_the_queue_is_for_rescan() {
         let mut rig = Rig::new(4);
         let names = ["a", "b", "c", "d", "e", "f"];
-        names.iter().for_each(|name| rig.hear(WRITTEN, name));
-        assert_eq!(rig.heard(), [changed("a"), changed("b"), changed("c"), FsEvent::Rescan]);
+        names.iter().for_each(|name| rig.handle_event(WRITTEN, name));
+        assert_eq!(rig.received(), [changed("a"), changed("b"), changed("c"), FsEvent::Rescan]);
         // Events are lost again while `Rescan` is still in the queue.
-        names.iter().for_each(|name| rig.hear(WRITTEN, name));
+        names.iter().for_each(|name| rig.handle_event(WRITTEN, name));
         assert_eq!(rig.hints.try_recv(), Ok(changed("a")));
-        names.iter().for_each(|name| rig.hear(WRITTEN, name));
-        assert_eq!(rig.heard().last(), Some(&FsEvent::Rescan));
-        rig.hear(WRITTEN, "g");
-        assert_eq!(rig.heard(), [changed("g")]);
+        names.iter().for_each(|name| rig.handle_event(WRITTEN, name));
+        assert_eq!(rig.received().last(), Some(&FsEvent::Rescan));
+        rig.handle_event(WRITTEN, "g");
+        assert_eq!(rig.received(), [changed("g")]);
     }
 
     #[test]
     fn repeated_event_is_queued_once() {
         let mut rig = Rig::new(8);
         for _ in 0..3 {
-            rig.hear(EventKind::Create(CreateKind::File), "a");
-            rig.hear(WRITTEN, "a");
+            rig.handle_event(EventKind::Create(CreateKind::File), "a");
+            rig.handle_event(WRITTEN, "a");
         }
-        assert_eq!(rig.heard(), [changed("a")]);
-        rig.hear(WRITTEN, "a");
-        assert_eq!(rig.heard(), [changed("a")], "it is queued again once it was taken");
+        assert_eq!(rig.received(), [changed("a")]);
+        rig.handle_event(WRITTEN, "a");
+        assert_eq!(rig.received(), [changed("a")], "it is queued again once it was taken");
     }
 
     #[test]
     fn loss_reported_by_the_system_sends_rescan() {
         let mut rig = Rig::new(8);
         rig.handler.receive(Ok(Event::new(EventKind::Other).set_flag(notify::event::Flag::Rescan)));
-        assert_eq!(rig.heard(), [FsEvent::Rescan]);
+        assert_eq!(rig.received(), [FsEvent::Rescan]);
         rig.handler.receive(Err(notify::Error::generic("lost")));
-        assert_eq!(rig.heard(), [FsEvent::Rescan]);
+        assert_eq!(rig.received(), [FsEvent::Rescan]);
         rig.handler.receive(Ok(Event::new(EventKind::Any)));
-        assert_eq!(rig.heard(), [FsEvent::Rescan], "an event without a path means anywhere");
+        assert_eq!(rig.received(), [FsEvent::Rescan], "an event without a path means anywhere");
     }
 
     #[test]

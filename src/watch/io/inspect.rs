@@ -15,7 +15,7 @@ use crate::watch::journal::OutputCheck;
 
 use super::evidence::readiness_of;
 use super::root::Root;
-use super::scan::look;
+use super::scan::file_state;
 use super::selection::{SniffedContent, content};
 
 impl Root {
@@ -38,9 +38,9 @@ impl Root {
             return InspectionResult::AsRecorded;
         }
         let file = id.file_path();
-        let seen = match look(file, self.trust_clock()) {
+        let seen = match file_state(file, self.trust_clock()) {
             Ok(Some(seen)) => seen,
-            Ok(None) => return InspectionResult::Gone,
+            Ok(None) => return InspectionResult::Missing,
             Err(error) => return InspectionResult::Unreadable(error),
         };
         let at = Instant::now();

@@ -53,8 +53,8 @@ mod system {
     use std::path::Path;
 
     pub(crate) fn free_bytes(path: &Path) -> io::Result<u64> {
-        let room = rustix::fs::statvfs(path)?;
-        Ok(room.f_bavail.saturating_mul(room.f_frsize))
+        let statistics = rustix::fs::statvfs(path)?;
+        Ok(statistics.f_bavail.saturating_mul(statistics.f_frsize))
     }
 
     pub(crate) fn device(metadata: &Metadata) -> u64 {

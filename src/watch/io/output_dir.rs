@@ -41,11 +41,11 @@ pub(crate) struct OutputGuard {
     /// The absolute path.
     pub(crate) folder: PathBuf,
     floor_bytes: u64,
-    held: Mutex<Held>,
+    locked: Mutex<LockedFolder>,
 }
 
 #[derive(Debug)]
-struct Held {
+struct LockedFolder {
     lock: OutputLock,
     /// The file system that held the folder when it was opened.
     identity: RootIdentity,
@@ -102,11 +102,11 @@ impl OutputDir {
             0 => {}
             count => tracing::info!(folder = %folder.display(), "removed {count} half-written files"),
         }
-        let held = Mutex::new(Held { lock, identity });
+        let locked = Mutex::new(LockedFolder { lock, identity });
         let stages = FolderStages::new(&folder, config);
         Ok(OutputDir {
             index,
-            guard: Arc::new(OutputGuard { folder, floor_bytes: config.disk_floor_bytes, held }),
+            guard: Arc::new(OutputGuard { folder, floor_bytes: config.disk_floor_bytes, locked }),
             journal,
             journal_failed_at: None,
             is_mounted: true,
@@ -143,10 +143,10 @@ impl OutputDir {
     /// restart. The failure is logged once, not for every record, and so is the recovery.
     fn write(&mut self, write: impl FnOnce(&mut Journal) -> io::Result<()>) {
         let is_too_soon = self.journal_failed_at.is_some_and(|at| at.elapsed() < JOURNAL_RETRY);
-        let is_held = !self.is_mounted || is_too_soon;
-        self.journal.hold(is_held);
+        let is_suspended = !self.is_mounted || is_too_soon;
+        self.journal.set_suspended(is_suspended);
         let written = write(&mut self.journal);
-        if is_held {
+        if is_suspended {
             return;
         }
         let folder = self.guard.folder.display();
@@ -223,8 +223,8 @@ impl OutputGuard {
     }
 
     fn find(&self) -> Presence {
-        let mut held = self.held();
-        if held.lock.is_in_place(&self.folder) {
+        let mut locked = self.locked();
+        if locked.lock.is_in_place(&self.folder) {
             return Presence::Present;
         }
         let nearest = self.folder.ancestors().find_map(|folder| RootIdentity::of(folder).ok());
@@ -236,19 +236,19 @@ impl OutputGuard {
         // of the outputs was unmounted. Its files come back when it is mounted again, so the daemon waits. If
         // the file system is the same, the folder was removed and its files are lost, so it is created again.
         // If the daemon's files exist, the folder has come back, and is only locked again.
-        if nearest != Some(held.identity) && !is_back {
+        if nearest != Some(locked.identity) && !is_back {
             return Presence::Missing;
         }
         // If this fails, the daemon waits for the folder, and logs once why no frame starts.
         let Ok(lock) = OutputLock::take(&self.folder) else { return Presence::Missing };
-        let identity = RootIdentity::of(&self.folder).unwrap_or(held.identity);
-        *held = Held { lock, identity };
+        let identity = RootIdentity::of(&self.folder).unwrap_or(locked.identity);
+        *locked = LockedFolder { lock, identity };
         Presence::Recreated
     }
 
-    fn held(&self) -> MutexGuard<'_, Held> {
+    fn locked(&self) -> MutexGuard<'_, LockedFolder> {
         // The value is replaced as a whole, so it is consistent even if the lock is poisoned.
-        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+        self.locked.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -35,7 +35,7 @@ pub(crate) struct PipelineContext {
     pub(crate) events: Sender<Event>,
 }
 
-/// Starts a pipeline. It requests frames by [`Event::FrameWanted`], and ends when the returned sender is
+/// Starts a pipeline. It requests frames by [`Event::FrameRequested`], and ends when the returned sender is
 /// dropped.
 ///
 /// # Errors
@@ -87,7 +87,7 @@ fn run(
     };
     let next = || {
         loop {
-            events.send(Event::FrameWanted { pipeline: index }).ok()?;
+            events.send(Event::FrameRequested { pipeline: index }).ok()?;
             let Start { id, frame, known_outputs } = frames.recv().ok()?;
             let (output, guard) = &outputs[id.root];
             // Checked at the last moment, so that nothing is written if the folder of outputs is not mounted

@@ -11,7 +11,7 @@ pub(crate) struct RescanBackoff {
     /// When the next scan is due, if one is requested.
     pub(crate) due_at: Option<Instant>,
     last_at: Option<Instant>,
-    in_a_row: u32,
+    consecutive_count: u32,
 }
 
 /// The number of scans that are granted at once.
@@ -22,23 +22,23 @@ const WAIT_FIRST: Duration = Duration::from_millis(100);
 const WAIT_MAX: Duration = Duration::from_secs(10);
 
 /// After this long without a loss, the delays start over.
-const CALM: Duration = Duration::from_secs(60);
+const RESET_AFTER: Duration = Duration::from_secs(60);
 
 impl RescanBackoff {
     /// Events were lost.
-    pub(crate) fn ask(&mut self, now: Instant) {
+    pub(crate) fn request(&mut self, now: Instant) {
         if self.due_at.is_some() {
             return;
         }
-        if self.last_at.is_none_or(|last| now.duration_since(last) > CALM) {
-            self.in_a_row = 0;
+        if self.last_at.is_none_or(|last| now.duration_since(last) > RESET_AFTER) {
+            self.consecutive_count = 0;
         }
-        let wait = match self.in_a_row.checked_sub(AT_ONCE) {
+        let wait = match self.consecutive_count.checked_sub(AT_ONCE) {
             None => Duration::ZERO,
             Some(more) => WAIT_FIRST.saturating_mul(1 << more.min(16)).min(WAIT_MAX),
         };
         self.due_at = Some(now + wait);
-        self.in_a_row += 1;
+        self.consecutive_count += 1;
     }
 
     /// Whether a scan is due; if so, it counts as done.
@@ -62,7 +62,7 @@ mod tests {
         let mut now = Instant::now();
         let mut waits = Vec::new();
         for _ in 0..count {
-            pace.ask(now);
+            pace.request(now);
             let due_at = pace.due_at.expect("a scan is due");
             waits.push((due_at - now).as_millis());
             now = due_at;
@@ -82,10 +82,10 @@ mod tests {
         let mut pace = RescanBackoff::default();
         let now = Instant::now();
         for _ in 0..100 {
-            pace.ask(now);
+            pace.request(now);
         }
         assert!(pace.is_due(now));
-        pace.ask(now + CALM + CALM);
-        assert!(pace.is_due(now + CALM + CALM));
+        pace.request(now + RESET_AFTER + RESET_AFTER);
+        assert!(pace.is_due(now + RESET_AFTER + RESET_AFTER));
     }
 }

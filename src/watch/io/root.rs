@@ -23,9 +23,9 @@ use super::fs_events::{FsEvent, WatchError, Watcher};
 use super::mounts::network_file_system;
 use super::output_dir::OutputGuard;
 use super::rescan_backoff::RescanBackoff;
-use super::scan::{FolderIdentity, look, scan_with};
+use super::scan::{FolderIdentity, file_state, scan_with};
 use super::selection::FileFilter;
-use super::worker::{Pulse, Work};
+use super::worker::{Heartbeat, Work};
 
 /// A watched folder.
 pub(super) struct Root {
@@ -59,7 +59,7 @@ pub(super) struct Root {
     /// The identity of the folder at the last scan: its path may be a link that now leads elsewhere, or
     /// another disk may be mounted there.
     identity: Option<FolderIdentity>,
-    pulse: Pulse,
+    heartbeat: Heartbeat,
 }
 
 /// The default polling interval on network file systems.
@@ -91,7 +91,7 @@ impl Root {
         obstacles: Vec<Arc<ObstacleFiles>>,
         output: Arc<OutputGuard>,
         watcher: Result<Option<Watcher>, WatchError>,
-        pulse: Pulse,
+        heartbeat: Heartbeat,
     ) -> Root {
         let poll = match config.poll {
             Poll::Every(interval) => Some(interval),
@@ -119,7 +119,7 @@ impl Root {
             compared_at: Instant::now(),
             had_frames: false,
             identity: None,
-            pulse,
+            heartbeat,
         };
         match watcher {
             Ok(watcher) => root.watcher = watcher,
@@ -165,9 +165,9 @@ impl Root {
         }
         if self.selection.takes(&self.path, path) {
             let id = FrameId::new(self.index, path);
-            report(match look(path, self.trust_clock()) {
+            report(match file_state(path, self.trust_clock()) {
                 Ok(Some(seen)) => Event::FileSeen { id, seen, at: Instant::now(), renamed },
-                Ok(None) => Event::FileGone(id),
+                Ok(None) => Event::FileRemoved(id),
                 Err(error) => Event::FileUnreadable(id, error),
             });
         }
@@ -255,13 +255,13 @@ impl Root {
     }
 
     fn scan_folder(&self, folder: &Path) -> io::Result<Scan> {
-        scan_with(folder, &self.path, &self.selection, self.trust_clock(), &|| self.pulse.beat())
+        scan_with(folder, &self.path, &self.selection, self.trust_clock(), &|| self.heartbeat.beat())
     }
 
     /// Stops listening to a folder that is gone or was replaced.
     fn forget_folder(&mut self, folder: &Path) {
         let gone: Vec<PathBuf> =
-            self.watched_folders.iter().filter(|heard| heard.starts_with(folder)).cloned().collect();
+            self.watched_folders.iter().filter(|watched| watched.starts_with(folder)).cloned().collect();
         for folder in gone {
             self.watched_folders.remove(&folder);
             if let Some(watcher) = &mut self.watcher {
@@ -293,7 +293,7 @@ impl Root {
         let Some(watcher) = &mut self.watcher else { return };
         match watcher.watch(folder) {
             // If the folder is gone again, the next scan reports it.
-            Ok(()) | Err(WatchError::Gone) => {
+            Ok(()) | Err(WatchError::Missing) => {
                 self.watched_folders.insert(folder.to_owned());
             }
             Err(error) => self.poll_instead(&error),
@@ -350,7 +350,7 @@ impl Work for Root {
 
     fn on_fs_event(&mut self, event: FsEvent, report: &dyn Fn(Event)) {
         match event {
-            FsEvent::Rescan => self.rescans.ask(Instant::now()),
+            FsEvent::Rescan => self.rescans.request(Instant::now()),
             FsEvent::Changed(path) => self.on_file_event(&path, false, report),
             FsEvent::Renamed(path) => self.on_file_event(&path, true, report),
             FsEvent::Folder(path) => self.on_folder_event(&path, report),

@@ -28,7 +28,7 @@ use super::selection::{FileFilter, is_hidden};
 ///
 /// # Errors
 /// When the system refuses.
-pub(crate) fn look(path: &Path, trust_clock: bool) -> io::Result<Option<Seen>> {
+pub(crate) fn file_state(path: &Path, trust_clock: bool) -> io::Result<Option<Seen>> {
     match fs::metadata(file_of(path)) {
         Ok(metadata) => Ok(seen(&metadata, trust_clock)),
         Err(error) if is_gone(&error) => Ok(None),
@@ -408,23 +408,23 @@ mod tests {
     }
 
     #[test]
-    fn look_returns_only_regular_files() {
+    fn file_state_is_that_of_regular_files_only() {
         let folder = folder_of(&["a.ply"]);
         let path = folder.path().join("a.ply");
-        let file = look(&path, true).expect("readable").expect("a file");
+        let file = file_state(&path, true).expect("readable").expect("a file");
         assert_eq!(file.stamp, FileStamp::of_path(&path).expect("a stamp"));
         let a_while = Duration::from_secs(600);
         assert!(file.age.is_some_and(|age| age < a_while), "{:?}", file.age);
-        assert_eq!(look(&path, false).expect("readable").expect("a file").age, None);
+        assert_eq!(file_state(&path, false).expect("readable").expect("a file").age, None);
         for nothing in
             [folder.path().to_owned(), folder.path().join("gone"), path.join("within"), "/dev/null".into()]
         {
-            assert_eq!(look(&nothing, true).expect("an answer"), None, "{}", nothing.display());
+            assert_eq!(file_state(&nothing, true).expect("an answer"), None, "{}", nothing.display());
         }
         let set = |time| {
             let file = File::options().append(true).open(&path).expect("a file");
             file.set_modified(time).expect("set");
-            look(&path, true).expect("readable").expect("a file").age
+            file_state(&path, true).expect("readable").expect("a file").age
         };
         // The age of a time in the future is unknown.
         assert_eq!(set(SystemTime::now() + Duration::from_secs(3600)), None);

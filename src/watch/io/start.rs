@@ -22,7 +22,7 @@ use super::pipeline::PipelineContext;
 use super::root::Root;
 use super::selection::FileFilter;
 use super::slow;
-use super::worker::{Pulse, StallMonitor, spawn};
+use super::worker::{Heartbeat, StallMonitor, spawn};
 
 /// The threads that do I/O. They end when `Workers` is dropped. A thread that hangs ends as soon as its file
 /// system answers.
@@ -93,8 +93,8 @@ pub(crate) fn start(
     };
     let failed = |error: std::io::Error| DaemonError::Threads(error.to_string());
     for (index, output) in outputs.into_iter().enumerate() {
-        let pulse = workers.monitor(Worker::Output(index));
-        let sender = spawn(&format!("output {index}"), output, None, pulse, events.clone());
+        let heartbeat = workers.monitor(Worker::Output(index));
+        let sender = spawn(&format!("output {index}"), output, None, heartbeat, events.clone());
         workers.outputs.push(sender.map_err(failed)?);
     }
     for (index, path_and_selection) in paths.into_iter().enumerate() {
@@ -104,11 +104,11 @@ pub(crate) fn start(
             Ok(None) => (Ok(None), None),
             Err(error) => (Err(error), None),
         };
-        let pulse = workers.monitor(Worker::Root(index));
+        let heartbeat = workers.monitor(Worker::Root(index));
         let guard = Arc::clone(&guards[output_of[index]]);
         let obstacles = obstacles.clone();
-        let root = Root::new(index, path_and_selection, config, obstacles, guard, watcher, pulse.clone());
-        let sender = spawn(&format!("root {index}"), root, fs_events, pulse, events.clone());
+        let root = Root::new(index, path_and_selection, config, obstacles, guard, watcher, heartbeat.clone());
+        let sender = spawn(&format!("root {index}"), root, fs_events, heartbeat, events.clone());
         workers.roots.push(sender.map_err(failed)?);
         let is_over = Arc::clone(&workers.is_over);
         let sender = slow::spawn(&format!("slow {index}"), config.threads, is_over, events.clone());
@@ -118,11 +118,11 @@ pub(crate) fn start(
 }
 
 impl Workers {
-    /// The pulse of a worker, which is monitored from now on.
-    pub(crate) fn monitor(&mut self, worker: Worker) -> Pulse {
-        let pulse = Pulse::default();
-        self.monitors.push(StallMonitor::new(worker, pulse.clone(), Instant::now()));
-        pulse
+    /// The heartbeat of a worker, which is monitored from now on.
+    pub(crate) fn monitor(&mut self, worker: Worker) -> Heartbeat {
+        let heartbeat = Heartbeat::default();
+        self.monitors.push(StallMonitor::new(worker, heartbeat.clone(), Instant::now()));
+        heartbeat
     }
 }
 

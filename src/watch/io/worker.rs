@@ -4,7 +4,7 @@
 //! ```text
 //!   core ──requests──▶ ┌────────┐ ──events──▶ core
 //!   system ──changes─▶ │ worker │
-//!   time ────────────▶ └────────┘ ──pulse───▶ the event loop sees whether it is stuck
+//!   time ────────────▶ └────────┘ ─heartbeat▶ the event loop sees whether it is stuck
 //! ```
 
 use std::collections::HashSet;
@@ -41,18 +41,18 @@ pub(crate) trait Work: Send {
 
 /// Shows other threads whether a worker makes progress.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Pulse(Arc<PulseState>);
+pub(crate) struct Heartbeat(Arc<HeartbeatState>);
 
 #[derive(Debug, Default)]
-struct PulseState {
+struct HeartbeatState {
     is_busy: AtomicBool,
-    beats: AtomicU64,
+    beat_count: AtomicU64,
 }
 
-impl Pulse {
+impl Heartbeat {
     /// Records that the worker has made progress.
     pub(crate) fn beat(&self) {
-        self.0.beats.fetch_add(1, Ordering::Relaxed);
+        self.0.beat_count.fetch_add(1, Ordering::Relaxed);
     }
 
     fn set_busy(&self, is_busy: bool) {
@@ -65,24 +65,24 @@ impl Pulse {
 #[derive(Debug)]
 pub(crate) struct StallMonitor {
     worker: Worker,
-    pulse: Pulse,
-    beats: u64,
+    heartbeat: Heartbeat,
+    beat_count: u64,
     since: Instant,
     has_stalled: bool,
 }
 
 impl StallMonitor {
-    pub(crate) fn new(worker: Worker, pulse: Pulse, now: Instant) -> StallMonitor {
-        StallMonitor { worker, pulse, beats: 0, since: now, has_stalled: false }
+    pub(crate) fn new(worker: Worker, heartbeat: Heartbeat, now: Instant) -> StallMonitor {
+        StallMonitor { worker, heartbeat, beat_count: 0, since: now, has_stalled: false }
     }
 
     /// Returns an event when the worker has just stalled, and when a stalled worker responds again; otherwise
     /// `None`.
     pub(crate) fn check(&mut self, now: Instant) -> Option<Event> {
-        let PulseState { is_busy, beats } = &*self.pulse.0;
-        let (is_busy, beats) = (is_busy.load(Ordering::Relaxed), beats.load(Ordering::Relaxed));
-        if beats != self.beats || !is_busy {
-            (self.beats, self.since) = (beats, now);
+        let HeartbeatState { is_busy, beat_count } = &*self.heartbeat.0;
+        let (is_busy, beat_count) = (is_busy.load(Ordering::Relaxed), beat_count.load(Ordering::Relaxed));
+        if beat_count != self.beat_count || !is_busy {
+            (self.beat_count, self.since) = (beat_count, now);
         }
         let has_stalled = now.saturating_duration_since(self.since) >= STALL_AFTER;
         if std::mem::replace(&mut self.has_stalled, has_stalled) == has_stalled {
@@ -108,7 +108,7 @@ pub(crate) fn spawn<W: Work + 'static>(
     name: &str,
     mut work: W,
     fs_events: Option<Receiver<FsEvent>>,
-    pulse: Pulse,
+    heartbeat: Heartbeat,
     events: Sender<Event>,
 ) -> io::Result<Sender<W::Request>> {
     let (sender, requests) = unbounded::<W::Request>();
@@ -118,22 +118,22 @@ pub(crate) fn spawn<W: Work + 'static>(
         let mut fs_events = fs_events.unwrap_or_else(never);
         loop {
             let wait = work.next_time().saturating_duration_since(Instant::now()).min(IDLE_MAX);
-            pulse.set_busy(false);
+            heartbeat.set_busy(false);
             select! {
                 recv(requests) -> request => match request {
                     Ok(request) => {
-                        pulse.set_busy(true);
+                        heartbeat.set_busy(true);
                         work.handle(request, &report);
                     }
                     Err(_) => return,
                 },
                 recv(fs_events) -> event => match event {
                     Ok(first) => {
-                        pulse.set_busy(true);
+                        heartbeat.set_busy(true);
                         let mut known = HashSet::new();
                         let rest: Vec<FsEvent> = fs_events.try_iter().take(FS_EVENTS_PER_TURN).collect();
                         for event in std::iter::once(first).chain(rest) {
-                            pulse.beat();
+                            heartbeat.beat();
                             if known.insert(event.clone()) {
                                 work.on_fs_event(event, &report);
                             }
@@ -145,7 +145,7 @@ pub(crate) fn spawn<W: Work + 'static>(
                 default(wait) => {}
             }
             if work.next_time() <= Instant::now() {
-                pulse.set_busy(true);
+                heartbeat.set_busy(true);
                 work.on_time(&report);
             }
         }

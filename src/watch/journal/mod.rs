@@ -90,7 +90,7 @@ pub struct Journal {
     /// The number of lines from which compaction is worthwhile.
     compacted_from_lines: usize,
     /// Whether writes are suspended.
-    is_held: bool,
+    is_suspended: bool,
 }
 
 impl Journal {
@@ -122,7 +122,7 @@ impl Journal {
             whole_bytes,
             line_count,
             compacted_from_lines: COMPACTED_LINES_MIN,
-            is_held: false,
+            is_suspended: false,
         };
         match journal.write_pending() {
             Err(error) if is_disk_full(&error) => {
@@ -154,11 +154,11 @@ impl Journal {
         &self.state
     }
 
-    /// Suspends writing if `is_held`, otherwise resumes it. The caller suspends writing while a write would
+    /// Suspends writing if `is_suspended`, otherwise resumes it. The caller suspends writing while a write would
     /// fail, or while the output disk is not mounted: a write would then go to the folder that is the mount
     /// point. Records stay pending, and are written with the first record afterwards.
-    pub fn hold(&mut self, is_held: bool) {
-        self.is_held = is_held;
+    pub fn set_suspended(&mut self, is_suspended: bool) {
+        self.is_suspended = is_suspended;
     }
 
     /// Adds a record, which replaces the earlier one with the same key.
@@ -169,7 +169,7 @@ impl Journal {
     pub(in crate::watch) fn note(&mut self, entry: Entry) -> io::Result<()> {
         self.pending.insert(entry.key());
         self.state.take(entry);
-        if self.is_held {
+        if self.is_suspended {
             return Ok(());
         }
         self.write_pending()?;

@@ -180,7 +180,7 @@ impl StatusStore {
     }
 
     /// Records a heartbeat.
-    pub fn pulse(&self) {
+    pub fn record_heartbeat(&self) {
         self.alive_ms.store(now_ms(), Ordering::Relaxed);
     }
 
@@ -247,7 +247,7 @@ impl StatusStore {
 
     /// Sets the status of the daemon. Called about once a second; adds a sample for the chart.
     pub fn set_status(&self, status: LiveStatus) {
-        self.pulse();
+        self.record_heartbeat();
         let mut state = self.lock();
         let StateCounts { waiting, queued, working, failed, .. } = state.counts;
         let sample = StatusSample {

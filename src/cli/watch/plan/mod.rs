@@ -17,7 +17,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow, bail};
 
 use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OptionSet, WatchArgs};
-use crate::cli::choices::{ignored, refuse_stray_rounds};
+use crate::cli::choices::{ignored, refuse_misplaced_rounds};
 use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
 use crate::cli::destination::refuse_file_name;
 use crate::cli::level_sets::{Use, refuse_options};
@@ -82,7 +82,7 @@ fn folders(args: &WatchArgs, file: Option<&ConfigFile>) -> Result<Vec<Folder>> {
 }
 
 fn typed_folders(args: &WatchArgs) -> Result<Vec<Folder>> {
-    refuse_stray_rounds(&args.frames.method, &args.inputs)?;
+    refuse_misplaced_rounds(&args.frames.method, &args.inputs)?;
     let Some(output) = &args.out else {
         bail!("DIR replaces the [[watch]] blocks of the file, so it needs --out as well");
     };

@@ -88,17 +88,17 @@ mod tests {
     fn heartbeats_are_sent_at_most_twice_per_timeout() {
         let mut service = Service { watchdog: Some(Duration::from_secs(10)), last_sign: None };
         let start = Instant::now();
-        let heard = |service: &mut Service, second| {
+        let received = |service: &mut Service, second| {
             service.message(&Notice::Alive, start + Duration::from_secs(second)).is_some()
         };
-        let times: Vec<u64> = (0..=16).step_by(2).filter(|&second| heard(&mut service, second)).collect();
+        let times: Vec<u64> = (0..=16).step_by(2).filter(|&second| received(&mut service, second)).collect();
         assert_eq!(times, [0, 6, 12]);
         let mut unwatched = Service { watchdog: None, last_sign: None };
-        assert!(!heard(&mut unwatched, 0));
+        assert!(!received(&mut unwatched, 0));
     }
 
     /// Sends every kind of message.
-    fn say_everything() {
+    fn send_all_messages() {
         let mut service = Service::new();
         service.notify(&Notice::Ready);
         service.notify(&Notice::Alive);
@@ -116,14 +116,14 @@ mod tests {
     fn every_message_reaches_the_socket() {
         // The socket's name comes from the environment, so the test needs its own process.
         if std::env::var_os(CHILD).is_some() {
-            return say_everything();
+            return send_all_messages();
         }
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("notify");
         let socket = UnixDatagram::bind(&path).expect("a socket");
         let name = concat!(module_path!(), "::every_message_reaches_the_socket");
         let name = name.split_once("::").expect("within the crate").1;
-        let said = Command::new(std::env::current_exe().expect("this test"))
+        let output = Command::new(std::env::current_exe().expect("this test"))
             .args(["--exact", name])
             .env(CHILD, "")
             .env("NOTIFY_SOCKET", &path)
@@ -131,7 +131,7 @@ mod tests {
             .env_remove("WATCHDOG_PID")
             .output()
             .expect("it starts");
-        assert!(String::from_utf8_lossy(&said.stdout).contains("1 passed"), "{said:?}");
+        assert!(String::from_utf8_lossy(&output.stdout).contains("1 passed"), "{output:?}");
         socket.set_nonblocking(true).expect("a socket");
         let mut messages = Vec::new();
         let mut bytes = [0; 512];

@@ -296,7 +296,7 @@ impl FileSet {
                 drop(locked);
                 return (path, error);
             }
-            Ok(kept) => io::Error::other(said_of_kept(&kept)),
+            Ok(kept) => io::Error::other(kept_files_message(&kept)),
             Err(of_undo) => of_undo,
         };
         for member in &self.members {
@@ -384,7 +384,7 @@ impl FileSet {
 }
 
 /// The warning about these backups.
-fn said_of_kept(kept: &[PathBuf]) -> String {
+fn kept_files_message(kept: &[PathBuf]) -> String {
     let kept: Vec<_> = kept.iter().map(|path| path.display().to_string()).collect();
     format!(
         "another program has replaced some outputs; the previous versions are kept as {}",
@@ -493,7 +493,7 @@ pub(crate) fn recover(record_path: &Path) -> io::Result<RecordRecovery> {
         return Ok(RecordRecovery::Left(format!(
             "{}: record of an interrupted conversion: {}; to restore one, rename it, then remove the record",
             record_path.display(),
-            said_of_kept(&kept)
+            kept_files_message(&kept)
         )));
     }
     sync_folder(record_path.parent().unwrap_or(Path::new("")));

@@ -40,10 +40,10 @@ pub(super) fn index_unless(file: &Path, is_over: &AtomicBool) -> Result<Arc<Step
     if let Some(contents) = &*found {
         return Ok(Arc::clone(contents));
     }
-    let looked = index_steps(file, before.as_deref(), is_over).map(Arc::new);
-    with_cache(|known| known.note(file, stamp, looked.as_ref().ok()));
+    let indexed = index_steps(file, before.as_deref(), is_over).map(Arc::new);
+    with_cache(|known| known.note(file, stamp, indexed.as_ref().ok()));
     // The file may have changed since the request. Readers detect that: they compare the stamp.
-    let contents = looked?;
+    let contents = indexed?;
     *found = Some(Arc::clone(&contents));
     Ok(contents)
 }
@@ -76,7 +76,7 @@ fn with_cache<T>(work: impl FnOnce(&mut StepIndexCache) -> T) -> T {
 struct StepIndexCache {
     files: HashMap<PathBuf, CachedFile>,
     /// The number of requests so far.
-    asked_count: u64,
+    use_count: u64,
 }
 
 /// A file that is indexed, or being indexed.
@@ -87,7 +87,7 @@ struct CachedFile {
     /// The index from the last pass over the file, perhaps with an older stamp.
     index: Option<Arc<StepIndex>>,
     /// The value of the request counter at the last request for this file.
-    asked_at: u64,
+    used_at: u64,
 }
 
 /// The index of a file with one stamp; the thread that indexes the file holds the lock.
@@ -96,10 +96,10 @@ type Pass = Arc<Mutex<Option<Arc<StepIndex>>>>;
 impl StepIndexCache {
     /// The slot for the index of the file with this stamp, and the earlier index.
     fn pass(&mut self, file: &Path, stamp: FileStamp) -> (Pass, Option<Arc<StepIndex>>) {
-        self.asked_count += 1;
-        let new = || CachedFile { stamp, pass: Arc::default(), index: None, asked_at: 0 };
+        self.use_count += 1;
+        let new = || CachedFile { stamp, pass: Arc::default(), index: None, used_at: 0 };
         let known = self.files.entry(file.to_owned()).or_insert_with(new);
-        known.asked_at = self.asked_count;
+        known.used_at = self.use_count;
         if known.stamp != stamp {
             (known.stamp, known.pass) = (stamp, Arc::default());
         }
@@ -107,9 +107,9 @@ impl StepIndexCache {
     }
 
     fn contents_of(&mut self, file: &Path) -> Option<Arc<StepIndex>> {
-        self.asked_count += 1;
+        self.use_count += 1;
         let known = self.files.get_mut(file)?;
-        known.asked_at = self.asked_count;
+        known.used_at = self.use_count;
         known.index.clone()
     }
 
@@ -122,21 +122,21 @@ impl StepIndexCache {
             Some(contents) => {
                 known.stamp = contents.stamp;
                 known.index = Some(Arc::clone(contents));
-                self.make_room(file);
+                self.evict(file);
             }
         }
     }
 
     /// Evicts the least recently used files, but not the file `kept`. Files with one step are evicted first:
     /// they must not displace files with several steps, which are requested repeatedly.
-    fn make_room(&mut self, kept: &Path) {
+    fn evict(&mut self, kept: &Path) {
         let step_count = |known: &CachedFile| known.index.as_ref().map_or(0, |contents| contents.steps.len());
         let has_several = |known: &CachedFile| step_count(known) > 1;
         let is_for_several = self.files.get(kept).is_some_and(has_several);
         let mut total: usize = self.files.values().map(step_count).sum();
         while self.files.len() > CACHED_FILES_MAX || (is_for_several && total > CACHED_STEPS_MAX) {
             let others = self.files.iter().filter(|(path, known)| *path != kept && known.index.is_some());
-            let key = |known: &CachedFile| (has_several(known), known.asked_at);
+            let key = |known: &CachedFile| (has_several(known), known.used_at);
             let Some(oldest) = others.min_by_key(|(_, known)| key(known)) else { return };
             let oldest = oldest.0.clone();
             total -= self.files.remove(&oldest).map_or(0, |known| step_count(&known));
@@ -158,10 +158,10 @@ mod tests {
         let step =
             |number| format!("ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n0\nITEM: ATOMS x y z\n");
         fs::write(&file, (0..2000).map(step).collect::<String>()).expect("written");
-        let ask = || index_unless(&file, &AtomicBool::new(false)).expect("steps");
+        let request = || index_unless(&file, &AtomicBool::new(false)).expect("steps");
         let all: Vec<Arc<StepIndex>> = thread::scope(|scope| {
-            let asking: Vec<_> = (0..8).map(|_| scope.spawn(ask)).collect();
-            asking.into_iter().map(|asked| asked.join().expect("no panic")).collect()
+            let requests: Vec<_> = (0..8).map(|_| scope.spawn(request)).collect();
+            requests.into_iter().map(|request| request.join().expect("no panic")).collect()
         });
         assert!(all.iter().all(|contents| Arc::ptr_eq(contents, &all[0])));
         assert_eq!(all[0].step("1999").expect("a step").lines_before, 1999 * 5);
@@ -171,30 +171,30 @@ mod tests {
     fn least_recently_used_file_is_evicted() {
         let mut known = StepIndexCache::default();
         let stamp = FileStamp::default();
-        let ask = |known: &mut StepIndexCache, name: &str, count: usize| {
+        let request = |known: &mut StepIndexCache, name: &str, count: usize| {
             known.pass(Path::new(name), stamp);
             known.note(Path::new(name), stamp, Some(&Arc::new(of_count(stamp, count))));
         };
         let has = |known: &StepIndexCache, name: &str| known.files.contains_key(Path::new(name));
         let some = CACHED_STEPS_MAX / 4;
         for name in ["a", "b", "c", "d"] {
-            ask(&mut known, name, some);
+            request(&mut known, name, some);
         }
         known.contents_of(Path::new("a"));
-        ask(&mut known, "e", some);
+        request(&mut known, "e", some);
         assert!(has(&known, "a") && !has(&known, "b") && has(&known, "c") && has(&known, "e"));
         // The requested file stays, whatever its size.
-        ask(&mut known, "large", CACHED_STEPS_MAX + 1);
+        request(&mut known, "large", CACHED_STEPS_MAX + 1);
         assert_eq!(known.files.len(), 1);
-        ask(&mut known, "none", 0);
+        request(&mut known, "none", 0);
         assert!(has(&known, "large") && !has(&known, "none"));
         // Many files with one step do not evict the large file either: only the newest of them stay beside
         // it.
-        (0..2 * CACHED_FILES_MAX).for_each(|number| ask(&mut known, &format!("single {number}"), 1));
+        (0..2 * CACHED_FILES_MAX).for_each(|number| request(&mut known, &format!("single {number}"), 1));
         let last = format!("single {}", 2 * CACHED_FILES_MAX - 1);
         assert!(has(&known, "large") && has(&known, &last) && !has(&known, "single 0"));
         assert_eq!(known.files.len(), CACHED_FILES_MAX);
-        (0..2 * CACHED_FILES_MAX).for_each(|number| ask(&mut known, &number.to_string(), 2));
+        (0..2 * CACHED_FILES_MAX).for_each(|number| request(&mut known, &number.to_string(), 2));
         assert!(!has(&known, "large") && !has(&known, &last));
         assert_eq!(known.files.len(), CACHED_FILES_MAX);
     }

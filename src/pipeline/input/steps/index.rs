@@ -346,7 +346,7 @@ mod tests {
             file.and_then(|mut file| file.write_all(text.as_bytes())).expect("appended");
         }
 
-        fn look(&self, before: Option<&StepIndex>) -> StepIndex {
+        fn indexed(&self, before: Option<&StepIndex>) -> StepIndex {
             index_steps(&self.path, before, &GOES_ON).expect("steps")
         }
     }
@@ -367,16 +367,16 @@ mod tests {
             file.append(&step(kind, 0, 2000));
             file.append(&step(kind, 1, 2000));
             file.append(start);
-            let first = file.look(None);
+            let first = file.indexed(None);
             assert_eq!((first.steps.len(), first.unchanged_since(&first.stamp)), (3, 3));
             file.append(rest);
             file.append(&step(kind, 3, 5));
-            let second = file.look(Some(&first));
-            assert_eq!(found(&second), found(&file.look(None)), "{name}");
+            let second = file.indexed(Some(&first));
+            assert_eq!(found(&second), found(&file.indexed(None)), "{name}");
             assert_eq!((second.steps.len(), second.unchanged_since(&first.stamp)), (4, 2), "{name}");
             file.append(&step(kind, 1, 1));
-            let third = file.look(Some(&second));
-            assert_eq!(found(&third), found(&file.look(None)), "{name}");
+            let third = file.indexed(Some(&second));
+            assert_eq!(found(&third), found(&file.indexed(None)), "{name}");
             let kept = [&first, &second, &third].map(|before| third.unchanged_since(&before.stamp));
             assert_eq!(kept, [2, 3, 5], "{name}");
             // The bytes before the last step are not read again: a step that begins there now is not found.
@@ -385,7 +385,7 @@ mod tests {
             bytes[at..at + 10].fill(b'\n');
             bytes.extend(b"0\n\n");
             fs::write(&file.path, bytes).expect("written");
-            assert!(file.look(Some(&third)).unchanged_since(&third.stamp) > 0, "{name}");
+            assert!(file.indexed(Some(&third)).unchanged_since(&third.stamp) > 0, "{name}");
         }
     }
 
@@ -396,7 +396,7 @@ mod tests {
             numbers.iter().map(|&number| step(ProbedKind::Format(Format::LammpsDump), number, 100)).collect()
         };
         file.append(&dump(&[10, 20]));
-        let first = file.look(None);
+        let first = file.indexed(None);
         for (what, text) in [
             ("another beginning", dump(&[11, 20, 30])),
             ("another end", dump(&[10, 21, 30])),
@@ -412,8 +412,8 @@ mod tests {
                 .open(&file.path)
                 .and_then(|file| file.set_modified(later))
                 .expect("set");
-            let second = file.look(Some(&first));
-            assert_eq!(found(&second), found(&file.look(None)), "{what}");
+            let second = file.indexed(Some(&first));
+            assert_eq!(found(&second), found(&file.indexed(None)), "{what}");
             assert_eq!(second.unchanged_since(&first.stamp), 0, "{what}");
         }
     }
@@ -443,8 +443,8 @@ mod tests {
             let mut first = StepIndex::new(stamp, ProbedKind::Format(Format::LammpsDump), known);
             first.edges = source.edges(0, None);
             fs::write(&file.path, &new).expect("written");
-            let second = file.look(Some(&first));
-            assert_eq!(found(&second), found(&file.look(None)), "{cut}");
+            let second = file.indexed(Some(&first));
+            assert_eq!(found(&second), found(&file.indexed(None)), "{cut}");
             assert_eq!(second.unchanged_since(&first.stamp), 0, "{cut}");
             fs::write(&file.path, "").expect("emptied");
         }
@@ -475,10 +475,10 @@ mod tests {
     fn only_the_latest_states_are_kept() {
         let file = Growing::new("d.dump");
         file.append(&step(ProbedKind::Format(Format::LammpsDump), 0, 1));
-        let mut all = vec![file.look(None)];
+        let mut all = vec![file.indexed(None)];
         for number in 1..=BEFORE_MAX + 3 {
             file.append(&step(ProbedKind::Format(Format::LammpsDump), number, 1));
-            let next = file.look(all.last());
+            let next = file.indexed(all.last());
             all.push(next);
         }
         let last = all.last().expect("some");

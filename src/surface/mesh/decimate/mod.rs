@@ -164,7 +164,7 @@ impl<'a> Decimation<'a> {
     /// Evaluates the dirty vertices, except those whose current bound already exceeds the limit.
     fn evaluate_dirty(&mut self, limit: f32) {
         let dirty = std::mem::take(&mut self.dirty);
-        let look = |&vertex: &u32| {
+        let find_collapse = |&vertex: &u32| {
             checkpoint();
             let ring = self.rings.of(vertex);
             let Some(patch) = VertexStar::new(self.positions, vertex, ring, &self.bounds) else {
@@ -173,7 +173,7 @@ impl<'a> Decimation<'a> {
             let is_in_reach = patch.bound <= limit;
             is_in_reach.then(|| patch.best_collapse(&self.rings))
         };
-        let found: Vec<Option<Collapse>> = dirty.par_iter().with_min_len(CHUNK).map(look).collect();
+        let found: Vec<Option<Collapse>> = dirty.par_iter().with_min_len(CHUNK).map(find_collapse).collect();
         for (vertex, found) in dirty.into_iter().zip(found) {
             let index = vertex as usize;
             self.best[index] = found.unwrap_or(Collapse { bound: NEVER, target: 0 });

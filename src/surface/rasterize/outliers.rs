@@ -1,4 +1,4 @@
-//! Finds stray particles, so far away that 32-bit positions cannot represent a surface around them.
+//! Finds outliers: particles so far away that 32-bit positions cannot represent a surface around them.
 //!
 //! ```text
 //!   ┌──┬──┬──┐                                              ┌──┐
@@ -24,7 +24,7 @@ const FEW_ONE_IN: usize = 100;
 
 /// Origins of the leaves whose particles are dropped, sorted. `leaves` yields leaf origins with their
 /// particle counts.
-pub(super) fn stray_leaves<L: Iterator<Item = (IVec3, usize)>>(leaves: impl Fn() -> L) -> Vec<IVec3> {
+pub(super) fn outlier_leaves<L: Iterator<Item = (IVec3, usize)>>(leaves: impl Fn() -> L) -> Vec<IVec3> {
     let bounds = leaves().map(|(origin, _)| (origin, origin));
     let bounds = bounds.reduce(|(low, high), (one, other)| (low.min(one), high.max(other)));
     // The difference of two indices of the grid fits into 32 bits.
@@ -51,18 +51,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_few_particles_far_from_the_rest_are_stray() {
-        let strayed_of = |leaves: &[(i32, usize)]| -> Vec<i32> {
-            let found = stray_leaves(|| leaves.iter().map(|&(x, count)| (IVec3::new(8, x, 0), count)));
+    fn only_a_few_particles_far_from_the_rest_are_outliers() {
+        let outliers_of = |leaves: &[(i32, usize)]| -> Vec<i32> {
+            let found = outlier_leaves(|| leaves.iter().map(|&(x, count)| (IVec3::new(8, x, 0), count)));
             found.into_iter().map(|origin| origin.y).collect()
         };
         let far = 2 * FARTHEST_VOXELS;
-        assert_eq!(strayed_of(&[]), [0; 0]);
-        assert_eq!(strayed_of(&[(0, 9), (far, 1), (8, 3)]), [far]);
-        assert_eq!(strayed_of(&[(0, 900), (far, 8), (-far, 1)]), [-far, far]);
-        assert_eq!(strayed_of(&[(0, 800), (far, 8), (-far, 1)]), [0; 0], "more than a few");
-        assert_eq!(strayed_of(&[(0, 1), (far, 1)]), [0; 0], "half of the particles");
-        assert_eq!(strayed_of(&[(0, 600), (far, 400)]), [0; 0], "two large clusters");
-        assert_eq!(strayed_of(&[(0, 900), (FARTHEST_VOXELS, 1)]), [0; 0], "at the limit");
+        assert_eq!(outliers_of(&[]), [0; 0]);
+        assert_eq!(outliers_of(&[(0, 9), (far, 1), (8, 3)]), [far]);
+        assert_eq!(outliers_of(&[(0, 900), (far, 8), (-far, 1)]), [-far, far]);
+        assert_eq!(outliers_of(&[(0, 800), (far, 8), (-far, 1)]), [0; 0], "more than a few");
+        assert_eq!(outliers_of(&[(0, 1), (far, 1)]), [0; 0], "half of the particles");
+        assert_eq!(outliers_of(&[(0, 600), (far, 400)]), [0; 0], "two large clusters");
+        assert_eq!(outliers_of(&[(0, 900), (FARTHEST_VOXELS, 1)]), [0; 0], "at the limit");
     }
 }
