@@ -158,8 +158,8 @@ impl Daemon {
         while !outputs.iter().all(|output| output.exists()) {
             thread::sleep(POLL_INTERVAL);
         }
-        let taken = landed.elapsed();
-        taken.saturating_sub(self.logged_time())
+        let elapsed = landed.elapsed();
+        elapsed.saturating_sub(self.logged_time())
     }
 
     /// The time that the next frame in the log took in all stages.

@@ -297,9 +297,9 @@ fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
             workspace: &mut memory,
             own: None,
         };
-        let tally =
+        let counts =
             pool.install(|| work.apply(SmoothOp::Passes { step: 0, first: 0, count, pins_peaks: false }));
-        (start.elapsed().as_secs_f64(), tally.voxel_update_count)
+        (start.elapsed().as_secs_f64(), counts.voxel_update_count)
     };
     // The difference between runs with several passes and with one is the time of the passes alone, without
     // finding the free voxels and initializing.

@@ -24,15 +24,15 @@ const EXCESS_MAX: f64 = 0.1;
 /// Two of these frames together need more than the limit; one frame does not.
 #[test]
 fn memory_limit_holds() {
-    let taken = taken_by_frames(8, 128 << 20, Some(1));
+    let memory_share = memory_of_frames(8, 128 << 20, Some(1));
     // The program must also make use of the memory within the limit.
-    assert!(taken > 0.5, "only {taken:.2} of the limit");
+    assert!(memory_share > 0.5, "only {memory_share:.2} of the limit");
 }
 
 /// Converts blocks of 250 047 particles alternating with spray that takes about as much memory. Some frames
 /// have islands, cavities and parts beyond a box to remove, some an obstacle that belongs to them. Returns
 /// the memory taken as a fraction of the limit, which is at most 1.
-fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) -> f64 {
+fn memory_of_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) -> f64 {
     // The program also makes this call first.
     meniscus::cli::give_memory_back();
     let folder = tempdir().expect("a folder");
@@ -79,9 +79,9 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
         report.warnings.retain(|warning| !matches!(warning, Warning::Holes { .. }));
         assert_eq!((report.warnings, report.obstacle_open_edge_count), (vec![], 0), "frame {index}");
     });
-    let taken = peak_bytes() as f64 / memory_bytes as f64;
-    assert!(taken < 1.0 + EXCESS_MAX, "{taken:.2} of the limit");
-    taken
+    let memory_share = peak_bytes() as f64 / memory_bytes as f64;
+    assert!(memory_share < 1.0 + EXCESS_MAX, "{memory_share:.2} of the limit");
+    memory_share
 }
 
 fn block(edge_count: usize) -> Vec<[f32; 3]> {

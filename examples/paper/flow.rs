@@ -40,12 +40,13 @@ impl Flow {
                 let (once, twice) = (at * PI, at * TAU);
                 let [sine, wave] = [once, twice].map(|angles| angles.map(f64::sin));
                 let square = sine * sine;
-                let pace = (PI * time / self.period()).cos();
-                pace * DVec3::new(
-                    2.0 * square.x * wave.y * wave.z,
-                    -wave.x * square.y * wave.z,
-                    -wave.x * wave.y * square.z,
-                )
+                let amplitude = (PI * time / self.period()).cos();
+                amplitude
+                    * DVec3::new(
+                        2.0 * square.x * wave.y * wave.z,
+                        -wave.x * square.y * wave.z,
+                        -wave.x * wave.y * square.z,
+                    )
             }
             Flow::Zalesak => TAU * DVec3::new(0.5 - at.y, at.x - 0.5, 0.0),
         }
@@ -73,9 +74,9 @@ impl Flow {
             Flow::Enright => sphere(DVec3::splat(0.35), 0.15),
             Flow::Zalesak => {
                 let center = DVec3::new(0.5, 0.75, 0.5);
-                let beside = (at.x - center.x).abs() - 0.025;
+                let across = (at.x - center.x).abs() - 0.025;
                 let above = at.y - (center.y - 0.025);
-                let notch = beside.max(above);
+                let notch = across.max(above);
                 sphere(center, 0.15).max(-notch)
             }
         }

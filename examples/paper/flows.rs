@@ -66,8 +66,8 @@ impl Case {
     }
 
     fn is_pictured(&self, program: Program) -> bool {
-        let is_beside = program == Program::Splashsurf(Post::Processed) && self.is_first();
-        program == Program::Meniscus(Integrator::Fast) || is_beside
+        let is_comparison = program == Program::Splashsurf(Post::Processed) && self.is_first();
+        program == Program::Meniscus(Integrator::Fast) || is_comparison
     }
 
     /// The first case of each page is plotted, and rendered next to splashsurf.

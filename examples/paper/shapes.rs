@@ -151,9 +151,9 @@ fn balls(centers: &[DVec3], radii: &[f64], view: &View) -> Outcome<Picture> {
 }
 
 fn tetrahedron(page: &mut Page) -> Outcome<()> {
-    let turn = DMat3::from_quat(DQuat::from_euler(EulerRot::XYZ, 0.3, 0.2, 0.5));
+    let rotation = DMat3::from_quat(DQuat::from_euler(EulerRot::XYZ, 0.3, 0.2, 0.5));
     let corners = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]
-        .map(|corner| turn * DVec3::from(corner));
+        .map(|corner| rotation * DVec3::from(corner));
     let faces = [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]];
     let voxel_size = 0.04;
     let particles = on_faces(&corners, &faces, 3.2 * voxel_size);

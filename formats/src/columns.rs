@@ -56,14 +56,14 @@ pub fn group_columns(columns: &[(&str, Scalar)]) -> Columns {
     let names: Vec<&str> = columns.iter().map(|(name, _)| matched_part(name)).collect();
     let mut families = Families::collect(&names);
     let position = families.position();
-    let mut taken = vec![false; columns.len()];
+    let mut used = vec![false; columns.len()];
     for index in position.into_iter().flatten() {
-        taken[index] = true;
+        used[index] = true;
     }
 
-    let mut groups = families.vectors(columns, &mut taken);
+    let mut groups = families.vectors(columns, &mut used);
     for (index, (name, _)) in columns.iter().enumerate() {
-        if !taken[index] {
+        if !used[index] {
             groups.push(Group { name: unquoted(name).into(), role: None, columns: vec![index], scale: 1.0 });
         }
     }
@@ -300,17 +300,17 @@ impl<'a> Families<'a> {
     }
 
     /// The groups with more than one column; marks their columns as taken.
-    fn vectors(&mut self, columns: &[(&str, Scalar)], taken: &mut [bool]) -> Vec<Group> {
+    fn vectors(&mut self, columns: &[(&str, Scalar)], used: &mut [bool]) -> Vec<Group> {
         let mut groups = Vec::new();
         for family in &mut self.list {
             let members = family.contiguous();
             let same_type = members.windows(2).all(|pair| columns[pair[0]].1 == columns[pair[1]].1);
-            if members.len() < family.arity_min() || !same_type || members.iter().any(|&column| taken[column])
+            if members.len() < family.arity_min() || !same_type || members.iter().any(|&column| used[column])
             {
                 continue;
             }
             for &column in &members {
-                taken[column] = true;
+                used[column] = true;
             }
             let name = match family.spelling {
                 Spelling::Word(words) => WORDS[words].0,

@@ -123,15 +123,15 @@ pub(crate) fn length(values: &Values) -> usize {
 /// Converts values to positions of three values each. The positions have 64 bits if 32-bit floats cannot hold
 /// all values of this type exactly. `None` for strings.
 pub(crate) fn positions(values: Values) -> Option<FilePositions> {
-    fn thrice<T: Copy, U>(values: &[T], widen: impl Fn(T) -> U) -> Vec<[U; 3]> {
+    fn triple<T: Copy, U>(values: &[T], widen: impl Fn(T) -> U) -> Vec<[U; 3]> {
         values.as_chunks::<3>().0.iter().map(|position| position.map(&widen)).collect()
     }
     Some(match values {
-        Values::F32(values) => FilePositions::F32(thrice(&values, |x| x)),
-        Values::U8(values) => FilePositions::F32(thrice(&values, f32::from)),
-        Values::F64(values) => FilePositions::F64(thrice(&values, |x| x)),
-        Values::I32(values) => FilePositions::F64(thrice(&values, f64::from)),
-        Values::I64(values) => FilePositions::F64(thrice(&values, |x| x as f64)),
+        Values::F32(values) => FilePositions::F32(triple(&values, |x| x)),
+        Values::U8(values) => FilePositions::F32(triple(&values, f32::from)),
+        Values::F64(values) => FilePositions::F64(triple(&values, |x| x)),
+        Values::I32(values) => FilePositions::F64(triple(&values, f64::from)),
+        Values::I64(values) => FilePositions::F64(triple(&values, |x| x as f64)),
         Values::Strings { .. } => return None,
     })
 }

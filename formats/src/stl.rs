@@ -201,8 +201,8 @@ fn bytes_with(triangle_count: u32) -> u64 {
 pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     let triangle_count = triangles_declared(bytes).ok_or_else(|| abbreviation(bytes))?;
     let claimed = bytes_with(triangle_count);
-    let is_whole = claimed == bytes.len() as u64;
-    if !is_whole && bytes.starts_with(b"solid") {
+    let is_complete_file = claimed == bytes.len() as u64;
+    if !is_complete_file && bytes.starts_with(b"solid") {
         return Err(Error::unsupported(FORMAT, "this is text STL: save it as binary STL"));
     }
     if claimed > bytes.len() as u64 {

@@ -46,9 +46,9 @@ pub(crate) fn purposes<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<Purpose<'a
             (Some(AttributeRole::Color), 3 | 4, VertexValues::Numbers(values)) => Purpose::Color(values),
             _ => Purpose::Other,
         };
-        let is_taken =
+        let is_used =
             found.iter().any(|other| std::mem::discriminant(other) == std::mem::discriminant(&purpose));
-        found.push(if is_taken { Purpose::Other } else { purpose });
+        found.push(if is_used { Purpose::Other } else { purpose });
     }
     found
 }
@@ -108,14 +108,14 @@ mod tests {
         for (name, plain) in [("Cd", "Cd"), ("a b/ü", "a_b__"), ("", "attribute"), (" \n", "attribute")] {
             assert_eq!(plain_name(name), plain);
         }
-        let mut taken = UsedNames::new(&["x", "y"]);
+        let mut used = UsedNames::new(&["x", "y"]);
         let one = |stem: &str| vec![stem.to_string()];
         let two = |stem: &str| vec![format!("{stem}_x"), format!("{stem}_y")];
-        assert_eq!(taken.take("X", one), ["X_2"]);
-        assert_eq!(taken.take("a", two), ["a_x", "a_y"]);
-        assert_eq!(taken.take("A_Y", one), ["A_Y_2"]);
-        assert_eq!(taken.take("a", two), ["a_2_x", "a_2_y"]);
-        assert_eq!(taken.take("a", one), ["a"]);
+        assert_eq!(used.take("X", one), ["X_2"]);
+        assert_eq!(used.take("a", two), ["a_x", "a_y"]);
+        assert_eq!(used.take("A_Y", one), ["A_Y_2"]);
+        assert_eq!(used.take("a", two), ["a_2_x", "a_2_y"]);
+        assert_eq!(used.take("a", one), ["a"]);
     }
 
     #[test]

@@ -65,9 +65,9 @@ fn abc_round_trips_exactly() {
             let mesh =
                 read_mesh(&bytes, "a.abc", &Limits::default(), &|_| unreachable!("one file")).expect("read");
             // Alembic has Y up.
-            let turned = |[x, y, z]: [f64; 3]| if up == UpAxis::Z { [x, z, -y] } else { [x, y, z] };
-            assert_eq!(mesh.positions, world(origin).map(turned));
-            assert_eq!(mesh.normals, NORMALS.map(|n| turned(n.map(f64::from)).map(|x| x as f32)));
+            let rotated = |[x, y, z]: [f64; 3]| if up == UpAxis::Z { [x, z, -y] } else { [x, y, z] };
+            assert_eq!(mesh.positions, world(origin).map(rotated));
+            assert_eq!(mesh.normals, NORMALS.map(|n| rotated(n.map(f64::from)).map(|x| x as f32)));
             assert_eq!(mesh.triangles, TRIANGLES);
             assert_eq!(abc::read_times(&bytes).expect("one time"), [0.0]);
             assert_eq!(abc::read_sequence_info(&bytes).expect("one frame"), None);

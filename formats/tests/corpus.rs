@@ -91,17 +91,17 @@ fn described(frame: &ParticleFrame) -> String {
 fn invalid_files_are_errors_with_a_reason() {
     let table = table("invalid.txt");
     check_complete("invalid", &table);
-    let mut surprises = String::new();
+    let mut faults = String::new();
     for line in &table {
         let [name, words] = &line[..] else { panic!("two fields in {line:?}") };
         let bytes = std::fs::read(corpus().join("invalid").join(name)).unwrap();
         match read_particles(&bytes, name, &Limits::default()).map_err(|error| error.to_string()) {
-            Ok(_) => writeln!(surprises, "{name} was read").unwrap(),
+            Ok(_) => writeln!(faults, "{name} was read").unwrap(),
             Err(error) if error.contains(words) => {}
-            Err(error) => writeln!(surprises, "{name}: expected `{words}` in: {error}").unwrap(),
+            Err(error) => writeln!(faults, "{name}: expected `{words}` in: {error}").unwrap(),
         }
     }
-    assert!(surprises.is_empty(), "{surprises}");
+    assert!(faults.is_empty(), "{faults}");
 }
 
 /// Sequences are too large for this repository; they are read if they are found next to it.

@@ -43,8 +43,8 @@ pub(crate) fn torus(around: u32, across: u32, origin: [f64; 3]) -> Mesh {
     let (mut positions, mut normals, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
     for i in 0..around {
         for j in 0..across {
-            let turn = |index, count| f64::from(index) / f64::from(count) * std::f64::consts::TAU;
-            let ((sin_u, cos_u), (sin_v, cos_v)) = (turn(i, around).sin_cos(), turn(j, across).sin_cos());
+            let angle = |index, count| f64::from(index) / f64::from(count) * std::f64::consts::TAU;
+            let ((sin_u, cos_u), (sin_v, cos_v)) = (angle(i, around).sin_cos(), angle(j, across).sin_cos());
             normals.push([cos_v * cos_u, cos_v * sin_u, sin_v].map(|c| c as f32));
             let reach = 1.0 + 0.3 * cos_v;
             positions.push([reach * cos_u, reach * sin_u, 0.3 * sin_v].map(|c| c as f32));
@@ -270,11 +270,11 @@ fn quantization_error_is_at_most_half_a_step() {
             let error = gltf::quantization_error(mesh.view(&[]).positions);
             assert!((error / (2.6 / 65535.0 / 2.0) - 1.0).abs() < 0.01, "{error}");
             let promised = gltf::quantized_positions(mesh.view(&[]).positions);
-            let turn = |[x, y, z]: [f64; 3]| if up == gltf::UpAxis::Z { [x, z, -y] } else { [x, y, z] };
+            let rotated = |[x, y, z]: [f64; 3]| if up == gltf::UpAxis::Z { [x, z, -y] } else { [x, y, z] };
             for (found, promised) in found.positions.iter().zip(&promised) {
                 let world: [f64; 3] =
                     std::array::from_fn(|axis| mesh.origin[axis] + f64::from(promised[axis]));
-                let world = turn(world);
+                let world = rotated(world);
                 // A reader computes in 64 bits instead of 32. Its result may differ by half a step of 32-bit
                 // numbers.
                 assert!((0..3).all(|axis| (found[axis] - world[axis]).abs() < 0.01 * error + 1e-9));

@@ -91,14 +91,16 @@ fn ply_bytes(mesh: &Mesh) -> Vec<u8> {
 }
 
 fn assert_near(found: &MeshData, mesh: &Mesh, up: gltf::UpAxis) {
-    let turn = |[x, y, z]: [f64; 3]| if up == gltf::UpAxis::Z { [x, z, -y] } else { [x, y, z] };
+    let rotated = |[x, y, z]: [f64; 3]| if up == gltf::UpAxis::Z { [x, z, -y] } else { [x, y, z] };
     assert_eq!(found.triangles, mesh.triangles);
     assert_eq!(found.positions.len(), mesh.positions.len());
     for (found, expected) in found.positions.iter().zip(mesh.world()) {
-        assert!((0..3).all(|axis| (found[axis] - turn(expected)[axis]).abs() < 1e-9));
+        assert!((0..3).all(|axis| (found[axis] - rotated(expected)[axis]).abs() < 1e-9));
     }
     for (found, expected) in found.normals.iter().zip(&mesh.normals) {
-        assert!((0..3).all(|axis| (found[axis] - turn(expected.map(f64::from))[axis] as f32).abs() < 1e-6));
+        assert!(
+            (0..3).all(|axis| (found[axis] - rotated(expected.map(f64::from))[axis] as f32).abs() < 1e-6)
+        );
     }
 }
 

@@ -8,12 +8,12 @@ use meniscus_formats::{
     Error, LevelSetView, Limits, MeshData, ObstacleData, Result, gltf, read_obstacle, vdb,
 };
 
-fn none_beside(_: &str) -> io::Result<Vec<u8>> {
+fn no_external(_: &str) -> io::Result<Vec<u8>> {
     Err(io::ErrorKind::NotFound.into())
 }
 
 fn read(bytes: &[u8], name: &str) -> Result<ObstacleData> {
-    read_obstacle(bytes, name, &Limits::default(), &none_beside)
+    read_obstacle(bytes, name, &Limits::default(), &no_external)
 }
 
 fn mesh(bytes: &[u8], name: &str) -> MeshData {

@@ -312,9 +312,9 @@ fn any_value(scalar: Scalar) -> BoxedStrategy<f64> {
 fn any_vertices() -> impl Strategy<Value = Vertices> {
     let types = prop::collection::vec(any_scalar(), 3..9).prop_shuffle();
     let line_end = prop::sample::select(vec!["\n", "\r\n", "\r"]);
-    (types, any::<bool>(), line_end, 0..3_usize).prop_flat_map(|(types, lists, line_end, turn)| {
+    (types, any::<bool>(), line_end, 0..3_usize).prop_flat_map(|(types, lists, line_end, rotation)| {
         let mut names: Vec<String> = ["x", "y", "z"].map(String::from).to_vec();
-        names.rotate_left(turn);
+        names.rotate_left(rotation);
         names.extend((3..types.len()).map(|index| format!("attribute{index}q")));
         let row: Vec<_> = types.iter().map(|&scalar| any_value(scalar)).collect();
         let columns: Vec<_> = names.into_iter().zip(types).collect();

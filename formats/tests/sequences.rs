@@ -128,9 +128,9 @@ fn glb_sequence_contains_the_data_of_every_frame() {
             let own = frame.glb(up);
             let own = ::gltf::Gltf::from_slice_without_validation(&own).expect("a document");
             let own_node = own.nodes().next().expect("a node");
-            let ((there, turned, _), (own_there, own_turned, _)) =
+            let ((translation, rotated, _), (own_translation, own_rotated, _)) =
                 (node.transform().decomposed(), own_node.transform().decomposed());
-            assert_eq!((there, turned), (own_there, own_turned));
+            assert_eq!((translation, rotated), (own_translation, own_rotated));
             let primitives = [(&shot, node.mesh()), (&own, own_node.mesh())].map(|(file, mesh)| {
                 (file, mesh.and_then(|mesh| mesh.primitives().next()).expect("a primitive"))
             });
@@ -334,8 +334,8 @@ fn invalid_sequences_are_errors() {
     shot[1].code = 5;
     assert!(matches!(both(&shot), (Err(Error::Invalid { .. }), Err(Error::Invalid { .. }))));
     shot[1].code = 6;
-    let turned = frames()[1].glb(UpAxis::Z);
-    shot[1].file = GlbFrame::read(&mut Cursor::new(&turned)).expect("our own file");
+    let rotated = frames()[1].glb(UpAxis::Z);
+    shot[1].file = GlbFrame::read(&mut Cursor::new(&rotated)).expect("our own file");
     assert!(matches!(both(&shot), (_, Err(Error::Invalid { .. }))));
     // A file that changed after it was opened.
     let (shot, mut files) = gathered(UpAxis::Y);

@@ -54,7 +54,7 @@ fn point_files_are_read_or_rejected_with_the_listed_reason() {
     for folder in ["ours", "third-party"] {
         files_below(&data.join(folder), &mut files);
     }
-    let mut surprises = Vec::new();
+    let mut faults = Vec::new();
     let (mut read_count, mut refused_count) = (0, 0);
     for path in &files {
         let bytes = std::fs::read(path).unwrap();
@@ -66,11 +66,11 @@ fn point_files_are_read_or_rejected_with_the_listed_reason() {
         match (read(path), refusal) {
             (Ok(_), None) => read_count += 1,
             (Err(error), Some(words)) if error.contains(words) => refused_count += 1,
-            (Ok(_), Some(words)) => surprises.push(format!("{shown} was read, not rejected for `{words}`")),
-            (Err(error), _) => surprises.push(format!("{shown}: {error}")),
+            (Ok(_), Some(words)) => faults.push(format!("{shown} was read, not rejected for `{words}`")),
+            (Err(error), _) => faults.push(format!("{shown}: {error}")),
         }
     }
-    assert!(surprises.is_empty(), "{}", surprises.join("\n"));
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
     assert!(
         read_count >= 100 && refused_count == REFUSED_COUNT,
         "{read_count} read, {refused_count} rejected"

@@ -122,8 +122,8 @@ fn usdc_round_trips_exactly() {
             let usdc::UsdcFrame { mesh: found, attributes } = layer.frame(0).expect("our own file");
             assert_eq!((&found.positions, &found.normals), (&mesh.world(), &mesh.normals));
             assert_eq!(found.triangles, if has_quads { fans(&mesh) } else { mesh.triangles.clone() });
-            let beside = |_: &str| Err(std::io::ErrorKind::NotFound.into());
-            assert_eq!(read_mesh(&bytes, "a.usdc", &limits, &beside).expect("our own file"), found);
+            let read_external = |_: &str| Err(std::io::ErrorKind::NotFound.into());
+            assert_eq!(read_mesh(&bytes, "a.usdc", &limits, &read_external).expect("our own file"), found);
             assert!(layer.frame(1).is_err());
 
             let values = |name: &str, arity: usize| {

@@ -37,11 +37,11 @@ fn camera_of_picture(path: &Path, format: OutputFormat) -> Result<CameraChoice> 
 
 fn camera_of_scene(path: &Path, up: UpAxis) -> Result<CameraChoice> {
     let CameraData { eye, forward, up: top, view_radians } = read_camera(&read_regular(path)?)?;
-    let turned = |[x, y, z]: [f64; 3]| match up {
+    let rotated = |[x, y, z]: [f64; 3]| match up {
         UpAxis::Y => DVec3::new(x, y, z),
         UpAxis::Z => DVec3::new(x, -z, y),
     };
-    let (eye, forward, top) = (turned(eye), turned(forward).normalize_or_zero(), turned(top));
+    let (eye, forward, top) = (rotated(eye), rotated(forward).normalize_or_zero(), rotated(top));
     let target = eye + forward;
     let text = |v: DVec3| format!("{}:{}:{}", v.x, v.y, v.z);
     let degrees = view_radians.to_degrees();

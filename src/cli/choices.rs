@@ -31,7 +31,7 @@ pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
     if let Some(missing) = obstacles.missing() {
         let name = missing.display();
         match missing.metadata() {
-            Ok(there) if there.is_dir() => {
+            Ok(metadata) if metadata.is_dir() => {
                 bail!(
                     "{name}: this is a folder, not an obstacle: give a file, or a pattern such as body.####.obj"
                 )

@@ -122,7 +122,7 @@ pub(super) fn warn_of_level(console: &Console) {
 ///
 /// # Errors
 /// If options are refused; the error names them, and says why.
-pub(super) fn refuse_beside(given: &[&str], allowed: &[&str], why: &str) -> Result<()> {
+pub(super) fn refuse_combination(given: &[&str], allowed: &[&str], why: &str) -> Result<()> {
     let refused: Vec<&str> = given.iter().copied().filter(|name| !allowed.contains(name)).collect();
     if !refused.is_empty() {
         bail!("{}: {why}", option_names(&refused));

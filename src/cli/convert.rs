@@ -16,7 +16,7 @@ use crate::pipeline::{
 use super::CommandOutcome;
 use super::args::{ConvertArgs, FormatArgs, OptionSet, ShardChoice};
 use super::console::Console;
-use super::conversion::{Conversion, refuse_beside, warn_before, warn_of_level};
+use super::conversion::{Conversion, refuse_combination, warn_before, warn_of_level};
 use super::destination::Destination;
 use super::level_sets::surface_job;
 use super::machine::thread_pool;
@@ -40,7 +40,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         return convert_shard(args, plan, start, console);
     }
     if args.particles_only {
-        refuse_beside(&args.given(), &BESIDE_PARTICLES_ONLY, PARTICLES_ONLY)?;
+        refuse_combination(&args.given(), &ALLOWED_WITH_PARTICLES_ONLY, PARTICLES_ONLY)?;
     }
     let (destination, folder, formats) = Destination::of(args, console)?;
     let outputs = formats.outputs(folder)?;
@@ -83,7 +83,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
 }
 
 /// The options allowed with `--particles-only`.
-const BESIDE_PARTICLES_ONLY: [&str; 10] = [
+const ALLOWED_WITH_PARTICLES_ONLY: [&str; 10] = [
     "particles_only",
     "inputs",
     "input_format",
@@ -207,7 +207,7 @@ fn add(
 }
 
 /// The options allowed with `--plan`.
-const BESIDE_PLAN: [&str; 7] =
+const ALLOWED_WITH_PLAN: [&str; 7] =
     ["plan", "shard", "report", "threads", "memory", "on_error", "allow_violations"];
 
 const PLAN: &str = "the plan determines frames, settings and outputs: only --shard, --report, --threads, \
@@ -220,7 +220,7 @@ fn convert_shard(
     start: Instant,
     console: &mut Console,
 ) -> Result<CommandOutcome> {
-    refuse_beside(&args.given(), &BESIDE_PLAN, PLAN)?;
+    refuse_combination(&args.given(), &ALLOWED_WITH_PLAN, PLAN)?;
     let plan = ShardPlan::read(path).with_context(|| path.display().to_string())?;
     let shard = args.shard.context("--plan requires --shard K: the index of the shard to convert")?;
     let (shard, frames) = shard_of(&plan, shard)?;
@@ -282,12 +282,12 @@ fn planned_stage_sequences(plan: &ShardPlan) -> Vec<StageSequence> {
 
 /// Adds a frame of a plan to a batch.
 fn add_planned(batch: &mut Batch, planned: &PlannedFrame, frame: Frame, console: &mut Console) {
-    if let Ok(there) = size_bytes(&planned.input)
-        && there != planned.size_bytes
+    if let Ok(input_bytes) = size_bytes(&planned.input)
+        && input_bytes != planned.size_bytes
     {
         let (name, was) = (planned.input.display(), planned.size_bytes);
         console.warning(format_args!(
-            "{name}: changed since the plan was made ({was} bytes then, {there} now): using the current file"
+            "{name}: changed since the plan was made ({was} bytes then, {input_bytes} now): using the current file"
         ));
     }
     match done_without_inputs(&frame) {

@@ -88,7 +88,7 @@ impl Destination {
         let Some(format) = format else {
             bail!("{name}: convert does not write pictures: use `meniscus render`, or --preview {extension}");
         };
-        if out.extension().is_some_and(|there| there != extension) {
+        if out.extension().is_some_and(|current| current != extension) {
             let lower = out.with_extension(extension);
             bail!("{name}: the extension of an output must be lower case: use {}", lower.display());
         }

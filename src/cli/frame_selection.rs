@@ -98,8 +98,11 @@ impl FrameSelection {
     pub(super) fn missing(&self, numbers: &HashSet<u64>) -> Vec<(String, u64)> {
         let missing = |range: &StepRange| {
             let named = (range.last - range.first) / range.step + 1;
-            let there = numbers.iter().filter(|&&number| range.contains(number)).count() as u64;
-            (range.to_string(), if named <= SEARCHED_MAX || there == 0 { named - there } else { 0 })
+            let existing_count = numbers.iter().filter(|&&number| range.contains(number)).count() as u64;
+            (
+                range.to_string(),
+                if named <= SEARCHED_MAX || existing_count == 0 { named - existing_count } else { 0 },
+            )
         };
         self.ranges.iter().map(missing).filter(|&(_, count)| count > 0).collect()
     }

@@ -50,11 +50,11 @@ pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<Command
     check_outputs(&planned, &paths, &shots.session.obstacles, outputs, None)?;
     folder.keep();
     let pool = thread_pool(args.pictures.run.threads)?;
-    let mut tally = DoneCounts::default();
+    let mut counts = DoneCounts::default();
     for sequence in &sequences {
-        pool.install(|| shots.take(sequence, &mut tally, console));
+        pool.install(|| shots.take(sequence, &mut counts, console));
     }
-    Ok(tally.outcome())
+    Ok(counts.outcome())
 }
 
 /// The requested pictures.
@@ -113,22 +113,22 @@ impl<'a> RequestedPictures<'a> {
     }
 
     /// Renders the pictures of a sequence.
-    fn take(&self, selected: &SelectedSequence, tally: &mut DoneCounts, console: &mut Console) {
+    fn take(&self, selected: &SelectedSequence, counts: &mut DoneCounts, console: &mut Console) {
         let prepared = self.session.prepare(&selected.sequence, self.picture_size(), console);
         let (settings, viewpoint) = match prepared {
             Ok(prepared) => prepared,
             Err(error) => {
                 console.error(with_causes(&error));
-                tally.failed_count += selected.selected.len();
+                counts.failed_count += selected.selected.len();
                 return;
             }
         };
         for file in &selected.selected {
             let start = Instant::now();
-            let taken =
+            let rendered =
                 catch_panic(&file.path, || self.take_frame(file, settings.as_ref(), &viewpoint, console));
-            tally.add(taken.is_ok());
-            match taken {
+            counts.add(rendered.is_ok());
+            match rendered {
                 Ok(names) => {
                     let seconds = start.elapsed().as_secs_f64();
                     let what = match &names[..] {
@@ -161,8 +161,8 @@ impl<'a> RequestedPictures<'a> {
         let mut written = Vec::new();
         let stems = self.stems(file);
         for (index, stem) in stems.iter().enumerate() {
-            let turned = viewpoint.turned(360.0 * index as f64 / stems.len() as f64);
-            let viewpoint = if index == 0 { *viewpoint } else { turned };
+            let rotated = viewpoint.rotated(360.0 * index as f64 / stems.len() as f64);
+            let viewpoint = if index == 0 { *viewpoint } else { rotated };
             let path = output_path(&outputs.folder, stem, outputs.formats[0]);
             let (bytes, is_empty) = self.encoded(&source, file, &viewpoint)?;
             if is_empty {

@@ -69,8 +69,8 @@ pub(super) fn select_frames(
     }
     let sequences = without_rivals(selected_of(sequences, numbers)?, console);
     if let Some(selection) = numbers {
-        let there = selected_files(&sequences).filter_map(FrameFile::number).collect();
-        for (range, count) in selection.missing(&there) {
+        let existing = selected_files(&sequences).filter_map(FrameFile::number).collect();
+        for (range, count) in selection.missing(&existing) {
             console.warning(format_args!("--frames {range}: {} missing", counted_are(count)));
         }
     }
@@ -212,8 +212,8 @@ pub(super) fn check_output_path(what: &str, path: &Path) -> Result<()> {
     {
         bail!("{}: the folder for {what} does not exist", folder.display());
     }
-    if let Ok(there) = path.metadata()
-        && !there.is_file()
+    if let Ok(metadata) = path.metadata()
+        && !metadata.is_file()
     {
         bail!("{}: not a regular file, so {what} cannot replace it", path.display());
     }

@@ -178,16 +178,16 @@ impl StallTimeout {
     /// Called while the client reads nothing: returns whether its time budget is used up, and otherwise wakes
     /// the task when it is.
     fn is_over(&mut self, context: &mut Context<'_>) -> bool {
-        let patience = self.budget;
-        let (_, end) = self.stalled.get_or_insert_with(|| (Instant::now(), Box::pin(sleep(patience))));
+        let timeout = self.budget;
+        let (_, end) = self.stalled.get_or_insert_with(|| (Instant::now(), Box::pin(sleep(timeout))));
         end.as_mut().poll(context).is_ready()
     }
 }
 
-/// The time budget after the client has read nothing for `held`, and has then read `taken_bytes`.
-fn budget_after(before: Duration, held: Duration, taken_bytes: usize) -> Duration {
-    let earned = Duration::from_secs_f64(taken_bytes as f64 / READ_BYTES_PER_S_MIN);
-    (before.saturating_sub(held) + earned).min(STALL_TIMEOUT)
+/// The time budget after the client has read nothing for `held`, and has then read `sent_bytes`.
+fn budget_after(before: Duration, held: Duration, sent_bytes: usize) -> Duration {
+    let allowance = Duration::from_secs_f64(sent_bytes as f64 / READ_BYTES_PER_S_MIN);
+    (before.saturating_sub(held) + allowance).min(STALL_TIMEOUT)
 }
 
 impl AsyncRead for StallTimeout {
@@ -244,10 +244,10 @@ mod tests {
     /// The number of pieces of 20 kB that a client receives if it reads one piece every `every_s` seconds.
     fn chunks_received(every_s: u64) -> usize {
         let every = Duration::from_secs(every_s);
-        let mut patience = STALL_TIMEOUT;
+        let mut timeout = STALL_TIMEOUT;
         let is_patient = |_: &usize| {
-            let is_in_time = every < patience;
-            patience = budget_after(patience, every, 20_000);
+            let is_in_time = every < timeout;
+            timeout = budget_after(timeout, every, 20_000);
             is_in_time
         };
         (0..1000).take_while(is_patient).count()

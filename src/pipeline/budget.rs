@@ -52,8 +52,8 @@ impl Budget {
 
     /// Waits until `bytes` more fit, or nothing is reserved.
     pub(super) fn reserve_input(&self, bytes: u64) -> Reservation<'_> {
-        let mut taken = self.wait_while(|taken| taken.bytes > 0 && !self.fits(taken, 0, bytes));
-        taken.bytes += u128::from(bytes);
+        let mut reserved = self.wait_while(|reserved| reserved.bytes > 0 && !self.fits(reserved, 0, bytes));
+        reserved.bytes += u128::from(bytes);
         Reservation { budget: self, bytes, is_admitted: false }
     }
 
@@ -65,13 +65,13 @@ impl Budget {
         self.released.notify_all();
     }
 
-    fn fits(&self, taken: &Reserved, own_bytes: u128, bytes: u64) -> bool {
-        let aside_bytes: u128 = taken.aside.values().map(|&bytes| u128::from(bytes)).sum();
-        taken.bytes - own_bytes + aside_bytes + u128::from(bytes) <= u128::from(self.limit)
+    fn fits(&self, reserved: &Reserved, own_bytes: u128, bytes: u64) -> bool {
+        let aside_bytes: u128 = reserved.aside.values().map(|&bytes| u128::from(bytes)).sum();
+        reserved.bytes - own_bytes + aside_bytes + u128::from(bytes) <= u128::from(self.limit)
     }
 
     fn wait_while(&self, is_full: impl Fn(&Reserved) -> bool) -> MutexGuard<'_, Reserved> {
-        let waited = self.released.wait_while(self.reserved(), |taken| is_full(taken));
+        let waited = self.released.wait_while(self.reserved(), |reserved| is_full(reserved));
         waited.unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -84,8 +84,8 @@ impl Budget {
 impl Reservation<'_> {
     /// Records memory that is already allocated; may exceed the limit.
     pub(super) fn resize(&mut self, bytes: u64) {
-        let mut taken = self.budget.reserved();
-        taken.bytes = taken.bytes - u128::from(self.bytes) + u128::from(bytes);
+        let mut reserved = self.budget.reserved();
+        reserved.bytes = reserved.bytes - u128::from(self.bytes) + u128::from(bytes);
         self.bytes = bytes;
         self.budget.released.notify_all();
     }
@@ -94,10 +94,10 @@ impl Reservation<'_> {
     pub(super) fn reserve_compute(&mut self, bytes: u64) {
         let budget = self.budget;
         let own = u128::from(self.bytes);
-        let mut taken =
-            budget.wait_while(|taken| taken.admitted_count > 0 && !budget.fits(taken, own, bytes));
-        taken.bytes = taken.bytes - own + u128::from(bytes);
-        taken.admitted_count += 1;
+        let mut reserved =
+            budget.wait_while(|reserved| reserved.admitted_count > 0 && !budget.fits(reserved, own, bytes));
+        reserved.bytes = reserved.bytes - own + u128::from(bytes);
+        reserved.admitted_count += 1;
         self.bytes = bytes;
         self.is_admitted = true;
     }
@@ -105,9 +105,9 @@ impl Reservation<'_> {
 
 impl Drop for Reservation<'_> {
     fn drop(&mut self) {
-        let mut taken = self.budget.reserved();
-        taken.bytes -= u128::from(self.bytes);
-        taken.admitted_count -= usize::from(self.is_admitted);
+        let mut reserved = self.budget.reserved();
+        reserved.bytes -= u128::from(self.bytes);
+        reserved.admitted_count -= usize::from(self.is_admitted);
         self.budget.released.notify_all();
     }
 }

@@ -108,10 +108,10 @@ impl Method for LevelSetMethod {
             },
             allowed_bytes.saturating_sub(given_bytes),
         )?;
-        planned.map_err(|unfit| match unfit {
+        planned.map_err(|error| match error {
             MemoryPlanError::TooLarge(too_large) => {
-                let least_bytes = too_large.least_bytes.saturating_add(given_bytes);
-                Cause::TooLarge(TooLarge { least_bytes, allowed_bytes, ..too_large })
+                let needed_bytes = too_large.needed_bytes.saturating_add(given_bytes);
+                Cause::TooLarge(TooLarge { needed_bytes, allowed_bytes, ..too_large })
             }
             MemoryPlanError::VoxelTooSmall(too_small) => Cause::VoxelTooSmall(too_small),
         })

@@ -75,8 +75,8 @@ impl CameraPlacement {
     /// ratio (width / height).
     pub fn around(&self, [least, greatest]: [DVec3; 2], aspect: f64) -> Camera {
         let up = self.up.direction();
-        let turn = DQuat::from_axis_angle(up, self.azimuth_degrees.to_radians());
-        let level = turn * self.up.front();
+        let rotation = DQuat::from_axis_angle(up, self.azimuth_degrees.to_radians());
+        let level = rotation * self.up.front();
         let elevation = self.elevation_degrees.to_radians();
         let backward = level * elevation.cos() + up * elevation.sin();
         let camera = Camera::looking_along(-backward, up, (self.view_degrees.to_radians() / 2.0).tan());
@@ -88,8 +88,8 @@ impl CameraPlacement {
         });
         let limit = DVec2::new(camera.tan_half_view * aspect, camera.tan_half_view) * MARGIN;
         let away = |corner: DVec3| {
-            let aside = DVec2::new(corner.dot(camera.right).abs(), corner.dot(camera.up).abs());
-            (aside / limit).max_element() - corner.dot(camera.forward)
+            let lateral = DVec2::new(corner.dot(camera.right).abs(), corner.dot(camera.up).abs());
+            (lateral / limit).max_element() - corner.dot(camera.forward)
         };
         let distance = corners.map(away).fold(f64::MIN_POSITIVE, f64::max) / self.zoom;
         Camera { eye: center - camera.forward * distance, ..camera }
@@ -103,18 +103,21 @@ impl Camera {
     /// A camera at the origin that looks along `forward`, with `up` as far up as possible.
     pub fn looking_along(forward: DVec3, up: DVec3, tan_half_view: f64) -> Camera {
         let forward = forward.normalize_or(DVec3::NEG_Z);
-        let aside = forward.cross(up);
+        let lateral = forward.cross(up);
         // Straight up or down, the right direction is undefined; choose one.
-        let right =
-            if aside.length_squared() > 1e-12 { aside.normalize() } else { forward.any_orthonormal_vector() };
+        let right = if lateral.length_squared() > 1e-12 {
+            lateral.normalize()
+        } else {
+            forward.any_orthonormal_vector()
+        };
         Camera { eye: DVec3::ZERO, right, up: right.cross(forward), forward, tan_half_view }
     }
 
     /// The unit direction of the ray through a point of the picture: x from -`aspect` to `aspect` to the
     /// right, y from -1 to 1 upwards.
     pub(super) fn direction(&self, point: DVec2) -> DVec3 {
-        let aside = self.right * point.x + self.up * point.y;
-        (self.forward + aside * self.tan_half_view).normalize()
+        let lateral = self.right * point.x + self.up * point.y;
+        (self.forward + lateral * self.tan_half_view).normalize()
     }
 }
 
@@ -142,8 +145,8 @@ mod tests {
                         let to = DVec3::new(pick(0), pick(1), pick(2)) - camera.eye;
                         let depth = to.dot(camera.forward) * camera.tan_half_view;
                         assert!(depth > 0.0, "a corner is behind the camera");
-                        let aside = to.dot(camera.right).abs() / depth / (16.0 / 9.0);
-                        farthest = farthest.max(aside).max(to.dot(camera.up).abs() / depth);
+                        let lateral = to.dot(camera.right).abs() / depth / (16.0 / 9.0);
+                        farthest = farthest.max(lateral).max(to.dot(camera.up).abs() / depth);
                     }
                     assert!((0.8..0.89).contains(&farthest), "{farthest} of the picture is filled");
                 }

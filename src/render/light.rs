@@ -62,11 +62,11 @@ impl<'a> Lighting<'a> {
 
     /// The light that arrives at a point on a surface with this normal. The position is in voxels.
     pub(super) fn incoming(&self, point: DVec3, normal: Vec3) -> Light {
-        let (aside, across) = normal.any_orthonormal_pair();
+        let (tangent, bitangent) = normal.any_orthonormal_pair();
         let mut ambient = MIDDLE_WEIGHT * self.light_from(point, normal);
         for cone in 0..5 {
             let angle = cone as f32 * (std::f32::consts::TAU / 5.0);
-            let around = aside * angle.cos() + across * angle.sin();
+            let around = tangent * angle.cos() + bitangent * angle.sin();
             let direction = normal * TILT.0 + around * TILT.1;
             ambient += (1.0 - MIDDLE_WEIGHT) / 5.0 * self.light_from(point, direction);
         }

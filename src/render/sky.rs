@@ -165,14 +165,14 @@ fn fill(level: &mut DensityLevel, band: &NarrowBand, least: IVec3, edge: i64) {
     let half = LEAF_EDGE / 2;
     for (index, &(first, leaf)) in columns.iter().enumerate() {
         for octant in 0..8 {
-            let aside = half * IVec3::new(octant >> 2, octant >> 1 & 1, octant & 1);
+            let offset = half * IVec3::new(octant >> 2, octant >> 1 & 1, octant & 1);
             let count: u32 = (0..half * half)
                 .map(|row| {
-                    let (x, y) = (aside.x + row / half, aside.y + row % half);
-                    ((negative[leaf].row((x * 8 + y) as usize) >> aside.z) & 0xf).count_ones()
+                    let (x, y) = (offset.x + row / half, offset.y + row % half);
+                    ((negative[leaf].row((x * 8 + y) as usize) >> offset.z) & 0xf).count_ones()
                 })
                 .sum();
-            let cell_index = level.index(((first + aside.as_i64vec3()) / edge).as_ivec3());
+            let cell_index = level.index(((first + offset.as_i64vec3()) / edge).as_ivec3());
             level.density[cell_index] += count as f32 * per_voxel;
         }
         // Between two leaves of a column along z, all voxels are inside if the first leaf ends inside.
@@ -184,8 +184,8 @@ fn fill(level: &mut DensityLevel, band: &NarrowBand, least: IVec3, edge: i64) {
             for z in begin / edge..=(end - 1) / edge {
                 let count = end.min((z + 1) * edge) - begin.max(z * edge);
                 for quarter in 0..4 {
-                    let aside = i64::from(half) * I64Vec3::new(quarter >> 1, quarter & 1, 0);
-                    let cell = ((first + aside) / edge).with_z(z).as_ivec3();
+                    let offset = i64::from(half) * I64Vec3::new(quarter >> 1, quarter & 1, 0);
+                    let cell = ((first + offset) / edge).with_z(z).as_ivec3();
                     let cell_index = level.index(cell);
                     level.density[cell_index] += (count * i64::from(half * half)) as f32 * per_voxel;
                 }

@@ -105,8 +105,8 @@ impl RowBand<'_> {
         let y = y - self.first_row as f64;
         for row in span(y, self.splats.len() / self.columns) {
             for column in span(x, self.columns) {
-                let aside = [(column as f64 + 0.5 - x) / edge, (row as f64 + 0.5 - y) / edge];
-                let toward = 1.0 - aside[0] * aside[0] - aside[1] * aside[1];
+                let offset = [(column as f64 + 0.5 - x) / edge, (row as f64 + 0.5 - y) / edge];
+                let toward = 1.0 - offset[0] * offset[0] - offset[1] * offset[1];
                 if toward < 0.0 {
                     continue;
                 }
@@ -114,7 +114,7 @@ impl RowBand<'_> {
                 let splat = &mut self.splats[row * self.columns + column];
                 let here = (depth - toward * radius) as f32;
                 if here < splat.depth {
-                    let normal = camera.right * aside[0] - camera.up * aside[1] - camera.forward * toward;
+                    let normal = camera.right * offset[0] - camera.up * offset[1] - camera.forward * toward;
                     *splat = Splat { depth: here, normal: normal.as_vec3(), index };
                 }
             }
@@ -173,7 +173,7 @@ mod tests {
         assert_eq!([at(27), at(53)], [[true, false, false], [false, true, false]]);
         assert_eq!(picture.coverage[20 * 80 + 40], 0.0);
         // Marks that are seen from behind are shaded like marks seen from the front.
-        let turned = marks.map(|mark| Mark { normal: -mark.normal, ..mark });
-        assert_eq!(render_marks(&turned, 0.3, &view), picture);
+        let flipped = marks.map(|mark| Mark { normal: -mark.normal, ..mark });
+        assert_eq!(render_marks(&flipped, 0.3, &view), picture);
     }
 }

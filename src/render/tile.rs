@@ -278,8 +278,8 @@ impl<'a> PixelTile<'a> {
         }
         let position = seen.position;
         let within = (2.5 * self.tracer.pixel_edge(seen.t)).powi(2);
-        let beside = [(x, y), (x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
-        let alike = beside.into_iter().find(|&(x, y)| {
+        let neighbors = [(x, y), (x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
+        let alike = neighbors.into_iter().find(|&(x, y)| {
             let other = self.seen[y * TRACED_EDGE + x];
             other.what == seen.what
                 && other.normal.dot(seen.normal) > EDGE_COSINE

@@ -41,8 +41,8 @@ impl Ray {
             let one = (least[axis] - self.origin[axis]) * self.inverse[axis];
             let other = (greatest[axis] - self.origin[axis]) * self.inverse[axis];
             if self.direction[axis] == 0.0 {
-                let is_beside = self.origin[axis] < least[axis] || self.origin[axis] > greatest[axis];
-                last = if is_beside { f64::NEG_INFINITY } else { last };
+                let is_outside = self.origin[axis] < least[axis] || self.origin[axis] > greatest[axis];
+                last = if is_outside { f64::NEG_INFINITY } else { last };
             } else {
                 first = first.max(one.min(other));
                 last = last.min(one.max(other));

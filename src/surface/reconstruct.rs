@@ -343,8 +343,8 @@ impl<'a> Reconstructor<'a> {
         let obstacle_bytes =
             self.obstacles.members.iter().map(|obstacle| obstacle.size_bytes_max() as u64).sum();
         let allowed_bytes = self.memory_limit.saturating_sub(obstacle_bytes);
-        let over = |least_bytes: u64| Error::MemoryLimit {
-            needed_bytes: least_bytes.saturating_add(obstacle_bytes),
+        let over = |needed_bytes: u64| Error::MemoryLimit {
+            needed_bytes: needed_bytes.saturating_add(obstacle_bytes),
             limit_bytes: self.memory_limit,
         };
         let planned = match &self.scratch {
@@ -353,7 +353,7 @@ impl<'a> Reconstructor<'a> {
         };
         match planned {
             Ok(plan) => Ok(plan),
-            Err(MemoryPlanError::TooLarge(too_large)) => Err(over(too_large.least_bytes)),
+            Err(MemoryPlanError::TooLarge(too_large)) => Err(over(too_large.needed_bytes)),
             Err(MemoryPlanError::VoxelTooSmall(too_small)) => {
                 Err(Error::VoxelTooSmall { voxel_size: too_small.voxel_size, least: too_small.least })
             }

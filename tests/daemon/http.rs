@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use rustix::process::Signal;
 use serde_json::Value;
 
-use super::scene::{Scene, WINDOW, Watching, await_that, moving, patience, ply};
+use super::scene::{Scene, WINDOW, Watching, await_that, moving, ply, timeout};
 
 /// A response: its status, its headers in lower case, and its body.
 pub(crate) struct Answer {
@@ -39,7 +39,7 @@ fn watch(scene: &Scene, arguments: &[&str]) -> (Watching, String) {
 
 fn connect(address: &str) -> TcpStream {
     let stream = TcpStream::connect(address).expect("a connection");
-    stream.set_read_timeout(Some(patience())).expect("a timeout");
+    stream.set_read_timeout(Some(timeout())).expect("a timeout");
     stream
 }
 
@@ -91,7 +91,7 @@ impl Following {
         loop {
             let mut line = String::new();
             // Comments keep the connection alive between events.
-            assert!(start.elapsed() < patience(), "no event within {:?}", patience());
+            assert!(start.elapsed() < timeout(), "no event within {:?}", timeout());
             assert!(self.0.read_line(&mut line).expect("a line") > 0, "the events have ended");
             let field = |name: &str| line.strip_prefix(name).map(|value| value.trim().to_owned());
             id = field("id: ").unwrap_or(id);
@@ -380,13 +380,13 @@ fn unfinished_requests_time_out_and_do_not_block_others() {
 fn slow_requests_do_not_block_others() {
     let scene = Scene::new();
     let (watching, address) = watch(&scene, &[]);
-    let mut dribbling: Vec<TcpStream> = (0..300).map(|_| connect(&address)).collect();
+    let mut slow: Vec<TcpStream> = (0..300).map(|_| connect(&address)).collect();
     let done = AtomicBool::new(false);
     thread::scope(|scope| {
         scope.spawn(|| {
             let mut letters = b"GET / HTTP/1.1\r\nHost: localhost\r\nX: ".iter().chain([b'x'; 4096].iter());
             while let Some(letter) = letters.next().filter(|_| !done.load(Ordering::Relaxed)) {
-                for stream in &mut dribbling {
+                for stream in &mut slow {
                     // By now the server has disconnected some of them.
                     let _ = stream.write_all(&[*letter]);
                 }
@@ -400,7 +400,7 @@ fn slow_requests_do_not_block_others() {
         assert_eq!(get(&address, "/api/frames").status, 200);
         done.store(true, Ordering::Relaxed);
     });
-    drop(dribbling);
+    drop(slow);
     watching.assert_no_complaints();
     scene.assert_as_converted(&[]);
 }
@@ -463,7 +463,7 @@ fn clients_that_never_read_do_not_block_others() {
     let (watching, address) = watch(&scene, &[]);
     watching.await_converted("dam.1.ply");
     await_that("it is served", || get(&address, "/files/dam.1.glb").status == 200);
-    let deaf: Vec<TcpStream> = (0..80)
+    let unread: Vec<TcpStream> = (0..80)
         .map(|number| {
             let mut stream = connect(&address);
             let path = ["/files/dam.1.glb", "/events?after=0-0", "/vendor/three.core.min.js"][number % 3];
@@ -479,7 +479,7 @@ fn clients_that_never_read_do_not_block_others() {
         watching.await_converted(&format!("dam.{number}.ply"));
     }
     assert_eq!(get(&address, "/files/dam.1.glb").content, scene.bytes("out/dam.1.glb"));
-    drop(deaf);
+    drop(unread);
     watching.assert_no_complaints();
     scene.assert_as_converted(&[]);
 }
@@ -517,7 +517,7 @@ fn idle_connections_beyond_the_limit_do_not_block_others() {
 fn fifty_subscribers_receive_all_events_beside_twenty_that_never_read() {
     let scene = Scene::new();
     let (watching, address) = watch(&scene, &[]);
-    let deaf: Vec<Following> = (0..20).map(|_| Following::new(&address, "")).collect();
+    let unread: Vec<Following> = (0..20).map(|_| Following::new(&address, "")).collect();
     let following: Vec<_> = (0..50)
         .map(|_| {
             let mut following = Following::from_now(&address);
@@ -528,7 +528,7 @@ fn fifty_subscribers_receive_all_events_beside_twenty_that_never_read() {
     for thread in following {
         thread.join().expect("no panic");
     }
-    drop(deaf);
+    drop(unread);
     watching.assert_no_complaints();
     scene.assert_as_converted(&[]);
 }

@@ -33,8 +33,8 @@ fn killed_daemon_loses_no_frame_and_shows_no_incomplete_output() {
         // New frames arrive in step with the kills, so that every kill interrupts some work.
         scope.spawn(|| {
             for (index, &number) in coming.iter().enumerate() {
-                let turn = index * kill_count / coming.len();
-                while killed_count.load(Ordering::SeqCst) < turn {
+                let kill_index = index * kill_count / coming.len();
+                while killed_count.load(Ordering::SeqCst) < kill_index {
                     thread::sleep(Duration::from_millis(1));
                 }
                 produce(&scene, number);

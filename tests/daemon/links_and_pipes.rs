@@ -1,5 +1,5 @@
 //! Symbolic links and named pipes at paths that the daemon opens: it must not write through links, and must
-//! not wait for pipes. If a command waits longer than `PATIENCE`, the test fails.
+//! not wait for pipes. If a command waits longer than `TIMEOUT`, the test fails.
 
 use std::fs;
 use std::os::unix::fs::symlink;

@@ -23,7 +23,7 @@ use tempfile::TempDir;
 
 /// A time limit that is longer than any wait of the tests, also on a machine with many more jobs than
 /// processors.
-pub(crate) fn patience() -> Duration {
+pub(crate) fn timeout() -> Duration {
     Duration::from_secs(by_length(600, 1800))
 }
 
@@ -140,7 +140,7 @@ impl Scene {
             self.command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("a start");
         let [out, err] =
             [drain(child.stdout.take().expect("piped")), drain(child.stderr.take().expect("piped"))];
-        let status = ends(&mut child, patience());
+        let status = ends(&mut child, timeout());
         if status.is_none() {
             child.kill().expect("killed");
         }
@@ -254,7 +254,7 @@ pub(crate) fn names_in(folder: &Path) -> Vec<String> {
 pub(crate) fn await_that(what: &str, mut is_so: impl FnMut() -> bool) {
     let start = Instant::now();
     while !is_so() {
-        assert!(start.elapsed() < patience(), "{what}: not within {:?}", patience());
+        assert!(start.elapsed() < timeout(), "{what}: not within {:?}", timeout());
         thread::sleep(Duration::from_millis(5));
     }
 }
@@ -408,7 +408,7 @@ impl Log {
             if line_count < state.lines.len() {
                 (line_count, since) = (state.lines.len(), Instant::now());
             }
-            let left = patience().saturating_sub(since.elapsed());
+            let left = timeout().saturating_sub(since.elapsed());
             if left.is_zero() || state.has_ended {
                 return None;
             }
@@ -443,9 +443,9 @@ impl Watching {
     /// Waits until the daemon sends this message to the service manager.
     #[track_caller]
     pub(crate) fn await_notice(&self, wanted: &str) {
-        let is_there =
+        let is_found =
             |state: &LogState| state.notices.iter().any(|notice| notice.starts_with(wanted)).then_some(());
-        let found = self.log.await_found(is_there);
+        let found = self.log.await_found(is_found);
         assert!(found.is_some(), "no {wanted}:\n{}", self.log_text());
     }
 
@@ -524,7 +524,7 @@ impl Watching {
     /// Kills the daemon, and returns its log.
     pub(crate) fn kill(mut self) -> Vec<Line> {
         self.child.kill().expect("killed");
-        self.end(patience());
+        self.end(timeout());
         std::mem::take(&mut self.log.lock().lines)
     }
 
@@ -540,14 +540,14 @@ impl Watching {
     /// Waits until the daemon ends, on its own or after a signal that the test sent.
     #[track_caller]
     pub(crate) fn await_end(&mut self) -> ExitStatus {
-        let status = self.end(patience());
+        let status = self.end(timeout());
         let status = status.unwrap_or_else(|| panic!("it does not end:\n{}", self.log_text()));
         assert!(!self.log_text().contains("panicked"), "{}", self.log_text());
         status
     }
 
-    fn end(&mut self, patience: Duration) -> Option<ExitStatus> {
-        let status = ends(&mut self.child, patience)?;
+    fn end(&mut self, timeout: Duration) -> Option<ExitStatus> {
+        let status = ends(&mut self.child, timeout)?;
         for reader in self.readers.drain(..) {
             reader.join().expect("no panic");
         }
@@ -573,13 +573,13 @@ fn drain(mut pipe: impl Read + Send + 'static) -> JoinHandle<String> {
 }
 
 /// The status of a child process; `None` if it does not end within this time.
-fn ends(child: &mut Child, patience: Duration) -> Option<ExitStatus> {
+fn ends(child: &mut Child, timeout: Duration) -> Option<ExitStatus> {
     let start = Instant::now();
     loop {
         if let Some(status) = child.try_wait().expect("a status") {
             return Some(status);
         }
-        if start.elapsed() > patience {
+        if start.elapsed() > timeout {
             return None;
         }
         thread::sleep(Duration::from_millis(2));

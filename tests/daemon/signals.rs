@@ -19,13 +19,13 @@ const ENDLESS: [&str; 8] =
 fn frames_in_flight_are_finished_after_a_signal() {
     // On a busy machine, all frames may be converted before this test notices the first one. Then the test
     // repeats with more frames.
-    let is_tested = [60, 240, 960].into_iter().any(finishes_frames_under_way);
+    let is_tested = [60, 240, 960].into_iter().any(finishes_frames_in_flight);
     assert!(is_tested, "all frames were converted before it was asked to end");
 }
 
 /// Asks the daemon to end while it converts this number of frames. Returns false if it had already converted
 /// all frames.
-fn finishes_frames_under_way(frame_count: usize) -> bool {
+fn finishes_frames_in_flight(frame_count: usize) -> bool {
     let scene = Scene::new();
     scene.put_moving(1..=frame_count);
     let arguments = [&["--settle", "10ms", "--in-flight", "2"], &FORMATS[..]].concat();
@@ -56,7 +56,7 @@ fn name(line: &Line) -> String {
 }
 
 /// Waits until the only frame of a daemon with an HTTP server is in the pipeline.
-fn await_under_way(daemon: &Watching) {
+fn await_in_flight(daemon: &Watching) {
     let address = daemon.window_address();
     crate::scene::await_that("the frame is in flight", || {
         get(&address, "/api/status").json()["frames"]["working"] == 1
@@ -69,7 +69,7 @@ fn second_signal_ends_the_daemon_at_once() {
     for (first, second, status) in [(Signal::TERM, Signal::TERM, 143), (Signal::TERM, Signal::INT, 130)] {
         scene.put_moving([1]);
         let mut daemon = scene.watch(&[&["--settle", "10ms"], &WINDOW[..], &FORMATS, &ENDLESS].concat());
-        await_under_way(&daemon);
+        await_in_flight(&daemon);
         daemon.signal(first);
         daemon.await_line("it is stopping", |line| line.message.contains("stopping on request"));
         assert!(daemon.is_alive());
@@ -94,7 +94,7 @@ fn frame_beyond_the_deadline_is_given_up() {
     let arguments =
         [&["--settle", "10ms", "--stop-deadline", "300ms"], &WINDOW[..], &FORMATS, &ENDLESS].concat();
     let mut daemon = scene.watch(&arguments);
-    await_under_way(&daemon);
+    await_in_flight(&daemon);
     let start = Instant::now();
     daemon.signal(Signal::TERM);
     let status = daemon.await_end();

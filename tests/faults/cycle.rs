@@ -18,7 +18,7 @@ pub(crate) struct Figures {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Way {
+enum Mode {
     Convert,
     Watch,
     Farm,
@@ -29,7 +29,7 @@ const WATCH: [&str; 9] = ["watch", "in", "--out", "out", "--once", "--settle", "
 
 struct Cycle<'a> {
     seed: u64,
-    way: Way,
+    mode: Mode,
     scene: Scene,
     references: &'a References,
     /// Whether outputs of an earlier version of the frames existed before the runs with faults.
@@ -40,9 +40,9 @@ struct Cycle<'a> {
 /// Runs one cycle.
 pub(crate) fn run(seed: u64, shim: &Path, references: &References) -> Figures {
     let mut random = Random(seed);
-    let way = [Way::Convert, Way::Watch, Way::Farm][usize::try_from(seed % 3).expect("small")];
+    let mode = [Mode::Convert, Mode::Watch, Mode::Farm][usize::try_from(seed % 3).expect("small")];
     let has_old = random.below(3) > 0;
-    let mut cycle = Cycle { seed, way, scene: Scene::new(), references, has_old, random };
+    let mut cycle = Cycle { seed, mode, scene: Scene::new(), references, has_old, random };
     if has_old {
         cycle.scene.put_frames(Version::Old);
         cycle.assert_all_is_made(Version::Old);
@@ -56,13 +56,13 @@ pub(crate) fn run(seed: u64, shim: &Path, references: &References) -> Figures {
             _ => FaultKind::Kill(1 + cycle.random.below(40)),
         };
         let seed = cycle.random.below(u64::MAX);
-        let faults = Faults { shim, seed, kind, no_pause: way == Way::Watch };
+        let faults = Faults { shim, seed, kind, no_pause: mode == Mode::Watch };
         kill_count += u64::from(cycle.run_with(&faults));
     }
     cycle.assert_all_is_made(Version::New);
     let log = cycle.scene.fault_log();
     if std::env::var_os("MENISCUS_FAULT_SEED").is_some() {
-        print_line(&format!("seed {seed}, {way:?}:\n{log}"));
+        print_line(&format!("seed {seed}, {mode:?}:\n{log}"));
     }
     let fault_count = log.lines().filter(|line| !line.starts_with("kill")).count() as u64;
     Figures { fault_count, kill_count }
@@ -72,10 +72,10 @@ impl Cycle<'_> {
     /// Runs the commands with faults, and checks their files after each. Returns whether the program was
     /// killed.
     fn run_with(&mut self, faults: &Faults<'_>) -> bool {
-        let commands: Vec<Vec<&str>> = match self.way {
-            Way::Convert => vec![[&CONVERT[..], &CHEAP].concat()],
-            Way::Watch => vec![[&WATCH[..], &CHEAP].concat()],
-            Way::Farm => {
+        let commands: Vec<Vec<&str>> = match self.mode {
+            Mode::Convert => vec![[&CONVERT[..], &CHEAP].concat()],
+            Mode::Watch => vec![[&WATCH[..], &CHEAP].concat()],
+            Mode::Farm => {
                 let shard = |shard: &'static str| vec!["convert", "--plan", "plan.json", "--shard", shard];
                 vec![
                     [&PLAN[..], &CHEAP[..10]].concat(),
@@ -94,12 +94,12 @@ impl Cycle<'_> {
                 let (out, err, log) = (&result.out, &result.err, self.scene.fault_log());
                 format!(
                     "seed {} ({:?}, old outputs: {}), {faults:?}, {arguments:?}, {}:\n{out}{err}faults:\n{log}",
-                    self.seed, self.way, self.has_old, result.status
+                    self.seed, self.mode, self.has_old, result.status
                 )
             };
             assert!(is_killed || result.status.code().is_some_and(|code| code <= 2), "{}", about());
             let after = files_in(&self.scene.path("out"));
-            self.assert_whole(&after, &about);
+            self.assert_complete(&after, &about);
             self.assert_nothing_lost(&before, &after, faults, &about);
             if !is_killed {
                 self.assert_no_wrong_success(&arguments, &result, &after, &about);
@@ -116,7 +116,7 @@ impl Cycle<'_> {
             let log = self.scene.fault_log();
             format!(
                 "seed {} ({:?}), without faults:\n{}{}faults:\n{log}",
-                self.seed, self.way, result.out, result.err
+                self.seed, self.mode, result.out, result.err
             )
         };
         let run = |arguments: &[&str]| {
@@ -124,10 +124,10 @@ impl Cycle<'_> {
             assert_eq!(result.status.code(), Some(0), "{}", about(&result));
             result
         };
-        let last = match self.way {
-            Way::Convert => run(&[&CONVERT[..], &CHEAP].concat()),
-            Way::Watch => run(&[&WATCH[..], &CHEAP].concat()),
-            Way::Farm => {
+        let last = match self.mode {
+            Mode::Convert => run(&[&CONVERT[..], &CHEAP].concat()),
+            Mode::Watch => run(&[&WATCH[..], &CHEAP].concat()),
+            Mode::Farm => {
                 run(&[&PLAN[..], &CHEAP[..10]].concat());
                 run(&["convert", "--plan", "plan.json", "--shard", "0"]);
                 run(&["convert", "--plan", "plan.json", "--shard", "1"]);
@@ -141,18 +141,18 @@ impl Cycle<'_> {
             }
         }
         let is_more = |name: &&String| !self.references.of(version).contains_key(*name);
-        let is_state = |name: &&String| self.way == Way::Watch && name.starts_with(".meniscus/");
+        let is_state = |name: &&String| self.mode == Mode::Watch && name.starts_with(".meniscus/");
         let more: Vec<&String> = found.keys().filter(is_more).filter(|name| !is_state(name)).collect();
         assert!(more.is_empty(), "{more:?} are left: {}", about(&last));
     }
 
     /// Whether a command makes a file of this name.
     fn is_made(&self, name: &str) -> bool {
-        self.way == Way::Farm || !name.ends_with(".certificate.json")
+        self.mode == Mode::Farm || !name.ends_with(".certificate.json")
     }
 
     /// Asserts that every visible file with the name of an output is a complete output.
-    fn assert_whole(&self, found: &Files, about: &dyn Fn() -> String) {
+    fn assert_complete(&self, found: &Files, about: &dyn Fn() -> String) {
         for (name, bytes) in found.iter().filter(|(name, _)| !name.starts_with('.')) {
             let is_known = |version: Version| self.references.of(version).get(name) == Some(bytes);
             let is_old = self.has_old && is_known(Version::Old);
@@ -170,11 +170,11 @@ impl Cycle<'_> {
         about: &dyn Fn() -> String,
     ) {
         for number in 1..=FRAME_COUNT {
-            let was_whole = !self.whole_sets(before, number).is_empty();
-            let is_whole = !self.whole_sets(after, number).is_empty();
+            let was_complete = !self.complete_sets(before, number).is_empty();
+            let is_complete = !self.complete_sets(after, number).is_empty();
             let is_fine = match faults.kind {
-                FaultKind::Nth(_) if was_whole => is_whole,
-                _ if was_whole || self.has_old => is_whole || self.can_be_completed(after, number),
+                FaultKind::Nth(_) if was_complete => is_complete,
+                _ if was_complete || self.has_old => is_complete || self.can_be_completed(after, number),
                 _ => true,
             };
             assert!(is_fine, "the outputs of frame {number} are lost: {}", about());
@@ -183,23 +183,23 @@ impl Cycle<'_> {
 
     /// Whether all outputs of one version of a frame exist, under their final or hidden names.
     fn can_be_completed(&self, found: &Files, number: usize) -> bool {
-        let is_there = |name: &String, version: Version| {
+        let exists = |name: &String, version: Version| {
             let wanted = &self.references.of(version)[name];
             let is_hidden = |(other, bytes): (&String, &Vec<u8>)| other.starts_with('.') && bytes == wanted;
             found.get(name) == Some(wanted) || found.iter().any(is_hidden)
         };
         let names = self.names(number);
-        [Version::New, Version::Old].iter().any(|&version| names.iter().all(|name| is_there(name, version)))
+        [Version::New, Version::Old].iter().any(|&version| names.iter().all(|name| exists(name, version)))
     }
 
     /// The versions for which all outputs of a frame exist.
-    fn whole_sets(&self, found: &Files, number: usize) -> Vec<Version> {
+    fn complete_sets(&self, found: &Files, number: usize) -> Vec<Version> {
         let versions = [Version::New, Version::Old].into_iter();
-        let is_whole = |version: &Version| {
+        let is_complete = |version: &Version| {
             let reference = self.references.of(*version);
             self.names(number).iter().all(|name| found.get(name) == Some(&reference[name]))
         };
-        versions.filter(is_whole).collect()
+        versions.filter(is_complete).collect()
     }
 
     fn names(&self, number: usize) -> Vec<String> {
@@ -214,7 +214,7 @@ impl Cycle<'_> {
         after: &Files,
         about: &dyn Fn() -> String,
     ) {
-        let is_current = |number: usize| self.whole_sets(after, number).contains(&Version::New);
+        let is_current = |number: usize| self.complete_sets(after, number).contains(&Version::New);
         let current: Vec<usize> = (1..=FRAME_COUNT).filter(|&number| is_current(number)).collect();
         let reported: BTreeSet<usize> = match arguments[0] {
             "watch" => (1..=FRAME_COUNT).filter(|&number| is_logged_done(&result.err, number)).collect(),

@@ -33,7 +33,7 @@ pub(crate) const CHEAP: [&str; 12] = [
 ];
 
 /// Time limit of a run: a run that takes longer hangs.
-const PATIENCE: Duration = Duration::from_secs(300);
+const TIMEOUT: Duration = Duration::from_secs(300);
 
 /// Prints a line, also if the test passes.
 pub(crate) fn print_line(text: &str) {
@@ -261,7 +261,7 @@ pub(crate) const PLAN: [&str; 8] = ["plan", "in", "--out", "out", "--shards", "2
 
 fn await_end(child: &mut Child) -> Option<ExitStatus> {
     let start = Instant::now();
-    while start.elapsed() < PATIENCE {
+    while start.elapsed() < TIMEOUT {
         if let Some(status) = child.try_wait().expect("a status") {
             return Some(status);
         }

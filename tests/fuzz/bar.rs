@@ -9,8 +9,8 @@ use crate::targets::{Content, Target};
 static MEMORY: PeakAlloc = PeakAlloc;
 
 /// Allowed bytes of memory for each byte of the input, and a constant part.
-const HELD_PER_BYTE: u64 = 4;
-const HELD_BESIDES_BYTES: u64 = 64 << 20;
+const BYTES_PER_INPUT_BYTE: u64 = 4;
+const BASE_BYTES: u64 = 64 << 20;
 
 /// Number of bytes that a compressed file may unpack to before the limits check its ratio.
 const RATIO_FREE_BYTES: u64 = 16 << 20;
@@ -20,9 +20,14 @@ pub(crate) fn hold(target: &Target, bytes: &[u8]) {
     let before = MEMORY.current_usage();
     MEMORY.reset_peak_usage();
     (target.run)(bytes);
-    let held = MEMORY.peak_usage().saturating_sub(before) as u64;
+    let peak_bytes = MEMORY.peak_usage().saturating_sub(before) as u64;
     let most = held_bytes_max(target, bytes.len() as u64);
-    assert!(held <= most, "{}: {held} bytes were held, and {most} may be for {}", target.name, bytes.len());
+    assert!(
+        peak_bytes <= most,
+        "{}: {peak_bytes} bytes were held, and {most} may be for {}",
+        target.name,
+        bytes.len()
+    );
 }
 
 /// The allowed bytes of memory. Compressed data counts with its largest unpacked size.
@@ -32,7 +37,7 @@ fn held_bytes_max(target: &Target, length: u64) -> u64 {
         Content::Packed => length * Limits::default().decompression_ratio + RATIO_FREE_BYTES,
         Content::Picture => (length * PIXELS_PER_BYTE_MAX).min(PIXELS_MAX) * PIXEL_BYTES,
     };
-    (length + unpacked) * HELD_PER_BYTE + HELD_BESIDES_BYTES
+    (length + unpacked) * BYTES_PER_INPUT_BYTE + BASE_BYTES
 }
 
 /// A byte of deflated data unpacks to 1032 bytes at most, of eight pixels each. The reader refuses pictures

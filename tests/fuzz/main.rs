@@ -32,7 +32,7 @@ fn damaged_count(target: &Target) -> usize {
 }
 
 /// A longer run counts as a hang. (On a busy machine, a run may take longer than ten seconds.)
-const PATIENCE: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Memory is measured for the whole process, so one target runs after the other.
 #[test]
@@ -71,7 +71,7 @@ fn give(target: &Target, bytes: &[u8]) {
     let ended = std::panic::catch_unwind(|| bar::hold(target, bytes));
     let shown = bytes[..bytes.len().min(600)].escape_ascii();
     assert!(ended.is_ok(), "{} does not survive {} bytes: {shown}", target.name, bytes.len());
-    assert!(start.elapsed() < PATIENCE, "{} hangs on {} bytes: {shown}", target.name, bytes.len());
+    assert!(start.elapsed() < TIMEOUT, "{} hangs on {} bytes: {shown}", target.name, bytes.len());
 }
 
 fn root() -> PathBuf {

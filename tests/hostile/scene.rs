@@ -23,7 +23,7 @@ pub(crate) fn print_line(text: &str) {
 }
 
 /// Time limit of a command: one that runs longer hangs.
-const PATIENCE: Duration = Duration::from_secs(300);
+const TIMEOUT: Duration = Duration::from_secs(300);
 
 /// A temporary folder with `in`.
 pub(crate) struct Scene(TempDir);
@@ -92,13 +92,13 @@ impl Scene {
     /// Converts the folder with an unreadable file next to the valid frames. Asserts that one frame failed,
     /// that its message contains these words, and that the peak memory is at most this.
     #[track_caller]
-    pub(crate) fn assert_costs_itself_alone(&self, name: &str, words: &str, most_bytes: u64) {
+    pub(crate) fn assert_costs_itself_alone(&self, name: &str, words: &str, bytes_max: u64) {
         let result = self.convert();
         assert_eq!(result.status, Some(1), "{name}: {}", result.err);
         assert!(result.err.contains(name) && result.err.contains(words), "{name}, {words}: {}", result.err);
         self.assert_good_frames_are_there();
         print_line(&format!("{name}: {} MiB", result.peak_bytes >> 20));
-        assert!(result.peak_bytes <= most_bytes, "{name}: {} of {most_bytes} bytes", result.peak_bytes);
+        assert!(result.peak_bytes <= bytes_max, "{name}: {} of {bytes_max} bytes", result.peak_bytes);
     }
 
     #[track_caller]
@@ -112,7 +112,7 @@ impl Scene {
 /// The exit status, with the peak memory and the bytes read, sampled shortly before the end.
 fn until_it_ends(mut child: Child) -> (Option<i32>, u64, u64) {
     let [status, io] = ["status", "io"].map(|file| PathBuf::from(format!("/proc/{}/{file}", child.id())));
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     let (mut peak_bytes, mut read_bytes) = (0, 0);
     loop {
         peak_bytes = peak_bytes.max(peak_of(&status).unwrap_or(0));

@@ -76,7 +76,7 @@ fn scattered(edge_count: i32) -> Vec<u8> {
 }
 
 /// Allowance for the memory of the program itself, and for memory that the allocator keeps.
-const BESIDE_BYTES: u64 = 40 << 20;
+const BASE_BYTES: u64 = 40 << 20;
 
 #[test]
 fn scattered_voxels_stay_within_the_memory_that_is_allowed() {
@@ -89,12 +89,12 @@ fn scattered_voxels_stay_within_the_memory_that_is_allowed() {
     };
     let result = convert("32MiB");
     assert_eq!(result.status, Some(2), "{}", result.err);
-    assert!(result.peak_bytes <= (32 << 20) + BESIDE_BYTES, "{}", result.peak_bytes);
+    assert!(result.peak_bytes <= (32 << 20) + BASE_BYTES, "{}", result.peak_bytes);
     let needed = result.err.split("use --memory ").nth(1).and_then(|rest| rest.split("MiB").next());
     let needed: u64 =
         needed.and_then(|needed| needed.parse().ok()).unwrap_or_else(|| panic!("{}", result.err));
     let result = convert(&format!("{needed}MiB"));
     assert_eq!(result.status, Some(0), "{}", result.err);
     print_line(&format!("{needed} MiB allowed: {} MiB", result.peak_bytes >> 20));
-    assert!(result.peak_bytes <= (needed << 20) + BESIDE_BYTES, "{} of {needed} MiB", result.peak_bytes);
+    assert!(result.peak_bytes <= (needed << 20) + BASE_BYTES, "{} of {needed} MiB", result.peak_bytes);
 }

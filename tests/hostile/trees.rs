@@ -65,8 +65,8 @@ fn run_as_nobody(scene: &Scene, arguments: &[&str]) -> Option<RunResult> {
     fs::set_permissions(&program, Permissions::from_mode(0o755)).expect("changed");
     let mut command = Command::new("setpriv");
     command.args(["--reuid=65534", "--regid=65534", "--clear-groups"]);
-    let is_there = Command::new("setpriv").args(["--reuid=65534", "true"]).status();
-    if !is_there.is_ok_and(|status| status.success()) {
+    let has_setpriv = Command::new("setpriv").args(["--reuid=65534", "true"]).status();
+    if !has_setpriv.is_ok_and(|status| status.success()) {
         print_line("not tested: cannot change the user here");
         return None;
     }

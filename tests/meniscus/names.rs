@@ -283,8 +283,8 @@ fn one_of_two_files_for_one_result_is_converted() {
     // The daemon gives the output name to the file that is complete first. By default, it waits longer until
     // it considers a table complete.
     let watch = ["watch", "in", "--once", "--out", "watched", "--format", "obj"];
-    let patience = ["--settle", "10ms", "--settle-unverifiable", "10ms"];
-    let watched = meniscus(path, &[&watch[..], &patience, &QUICK].concat());
+    let timeouts = ["--settle", "10ms", "--settle-unverifiable", "10ms"];
+    let watched = meniscus(path, &[&watch[..], &timeouts, &QUICK].concat());
     assert_eq!(watched.status, 1, "{}", watched.err);
     for name in ["dam.1.obj", "dam.2.obj"] {
         let [one, two, three] =

@@ -50,10 +50,10 @@ impl Body {
 /// A rotated tetrahedron. The distance is exact inside and next to its faces: that to the planes of the
 /// faces.
 fn tetrahedron(size: f64) -> Body {
-    let turn = DQuat::from_euler(EulerRot::XYZ, 0.3, 0.2, 0.5);
+    let rotation = DQuat::from_euler(EulerRot::XYZ, 0.3, 0.2, 0.5);
     let corners = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
     let transformed =
-        |corner: &[f64; 3]| (turn * DVec3::from(*corner) * size + DVec3::new(0.3, 0.1, 0.2)).to_array();
+        |corner: &[f64; 3]| (rotation * DVec3::from(*corner) * size + DVec3::new(0.3, 0.1, 0.2)).to_array();
     let positions: Vec<[f64; 3]> = corners.iter().map(transformed).collect();
     let triangles = vec![[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]];
     let body = Body { positions, triangles, distance: Box::new(|_| 0.0) };

@@ -264,11 +264,11 @@ fn killed_shard_continues_with_the_unfinished_frames() {
     {
         let after = identities(&folder.join("out"));
         // A frame is made again if only some of its files exist.
-        let is_whole = |name: &str| {
+        let is_complete = |name: &str| {
             let stem = name.split('.').take(2).collect::<Vec<_>>().join(".");
             before.iter().any(|(other, ..)| *other == format!("{stem}.certificate.json"))
         };
-        assert!(before.iter().filter(|(name, ..)| is_whole(name)).all(|file| after.contains(file)));
+        assert!(before.iter().filter(|(name, ..)| is_complete(name)).all(|file| after.contains(file)));
     }
     succeeded(&verify(folder));
     succeeded(&meniscus(folder, &["convert", "in", "--out", "one"]));
@@ -391,8 +391,8 @@ fn options_that_the_plan_decides_are_refused() {
     for alone in [["convert", "--plan=plan.json"], ["convert", "--shard=0"]] {
         assert_eq!(meniscus(folder, &alone).status, 2);
     }
-    let beside = ["--threads=1", "--memory=1GiB", "--report=r.json", "--on-error=stop"];
-    succeeded(&meniscus(folder, &[&["convert", "--plan=plan.json", "--shard=0"][..], &beside].concat()));
+    let allowed = ["--threads=1", "--memory=1GiB", "--report=r.json", "--on-error=stop"];
+    succeeded(&meniscus(folder, &[&["convert", "--plan=plan.json", "--shard=0"][..], &allowed].concat()));
     let report: Value =
         serde_json::from_slice(&fs::read(folder.join("r.json")).expect("there")).expect("JSON");
     assert_eq!(report["summary"]["converted"], 2);

@@ -13,7 +13,7 @@ use tempfile::{TempDir, tempdir};
 use crate::scene::{command, meniscus, names_in, write_sequence};
 
 /// A time limit far longer than any step of these tests.
-const PATIENCE: Duration = Duration::from_secs(300);
+const TIMEOUT: Duration = Duration::from_secs(300);
 
 /// A daemon, and a socket that plays the part of its service manager.
 struct Service {
@@ -29,7 +29,7 @@ impl Service {
         fs::create_dir(folder.path().join("in")).expect("made");
         let socket = folder.path().join("notify");
         let manager = UnixDatagram::bind(&socket).expect("a socket");
-        manager.set_read_timeout(Some(PATIENCE)).expect("a socket");
+        manager.set_read_timeout(Some(TIMEOUT)).expect("a socket");
         write_config(folder.path(), "formats = [\"ply\"]");
         let child = command(folder.path(), &["watch", "--config", "meniscus.toml"])
             .env("NOTIFY_SOCKET", &socket)

@@ -11,8 +11,8 @@ use crate::scene::{meniscus, names_in};
 
 /// The folder of the files. If it is missing, prints a message that the test is skipped.
 pub(crate) fn data() -> Option<PathBuf> {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared");
-    let data = std::env::var_os("MENISCUS_SHARED").map_or_else(beside, PathBuf::from).join("data");
+    let default_folder = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared");
+    let data = std::env::var_os("MENISCUS_SHARED").map_or_else(default_folder, PathBuf::from).join("data");
     if !data.is_dir() {
         let _ = writeln!(std::io::stderr(), "not tested, absent: {}", data.display());
         return None;
@@ -71,7 +71,7 @@ fn converted(path: &Path) -> Result<(), String> {
 fn every_file_of_points_is_converted_or_refused_with_the_listed_reason() {
     let Some(data) = data() else { return };
     let files = files(&data);
-    let mut surprises = Vec::new();
+    let mut faults = Vec::new();
     let (mut converted_count, mut refused_count) = (0, 0);
     for path in &files {
         let shown = path.strip_prefix(&data).expect("below").to_string_lossy().replace('\\', "/");
@@ -79,13 +79,11 @@ fn every_file_of_points_is_converted_or_refused_with_the_listed_reason() {
         match (converted(path), refusal) {
             (Ok(()), None) => converted_count += 1,
             (Err(error), Some(words)) if error.contains(words) => refused_count += 1,
-            (Ok(()), Some(words)) => {
-                surprises.push(format!("{shown} was converted, not refused for `{words}`"))
-            }
-            (Err(error), _) => surprises.push(format!("{shown}: {error}")),
+            (Ok(()), Some(words)) => faults.push(format!("{shown} was converted, not refused for `{words}`")),
+            (Err(error), _) => faults.push(format!("{shown}: {error}")),
         }
     }
-    assert!(surprises.is_empty(), "{}", surprises.join("\n"));
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
     assert!(
         converted_count >= 50 && refused_count == REFUSED_COUNT,
         "{converted_count} converted, {refused_count} refused"
@@ -101,7 +99,7 @@ fn level_sets_are_contoured() {
         files_below(&data.join(folder), &mut files);
     }
     files.retain(|path| path.extension().is_some_and(|extension| extension == "vdb"));
-    let mut surprises = Vec::new();
+    let mut faults = Vec::new();
     for path in &files {
         let folder = tempdir().expect("a folder");
         let typed = path.to_string_lossy();
@@ -111,10 +109,10 @@ fn level_sets_are_contoured() {
         match (result.status, refusal) {
             (0, None) => {}
             (2, Some(words)) if result.err.contains(words) => {}
-            _ => surprises.push(format!("{name}: {} {}{}", result.status, result.out, result.err)),
+            _ => faults.push(format!("{name}: {} {}{}", result.status, result.out, result.err)),
         }
     }
-    assert!(surprises.is_empty() && files.len() >= 10, "{}", surprises.join("\n"));
+    assert!(faults.is_empty() && files.len() >= 10, "{}", faults.join("\n"));
 }
 
 /// Volumes that must be refused: parts of names, and words of the reason.

@@ -241,8 +241,8 @@ fn printed_commands_give_the_pictures_of_the_cells() {
     for (index, cell) in cells.iter().enumerate() {
         let left = GAP + index % 2 * (CELL[0] + GAP);
         let height = seen.pixels.len() / seen.width;
-        let is_there = |&top: &usize| seen.part([left, top], CELL) == *cell;
-        tops.extend((0..height).find(is_there));
+        let is_at = |&top: &usize| seen.part([left, top], CELL) == *cell;
+        tops.extend((0..height).find(is_at));
         assert!(has_fluid(cell) && tops.len() == index + 1, "cell {} is not on the sheet", index + 1);
         assert!(cells[..index].iter().all(|other| other != cell), "cell {} appears twice", index + 1);
     }

@@ -125,14 +125,14 @@ fn lattices() -> Vec<Set> {
     ] {
         add(&format!("lattice {size:?}"), 1.0, lattice(size));
     }
-    let turned = |points: Vec<DVec3>| {
-        let turn = glam::DQuat::from_euler(glam::EulerRot::XYZ, 0.3, 0.7, 1.1);
-        points.into_iter().map(|point| turn * point).collect::<Vec<_>>()
+    let rotated = |points: Vec<DVec3>| {
+        let rotation = glam::DQuat::from_euler(glam::EulerRot::XYZ, 0.3, 0.7, 1.1);
+        points.into_iter().map(|point| rotation * point).collect::<Vec<_>>()
     };
     for size in
         [[4, 4, 4], [8, 8, 8], [20, 20, 20], [10, 10, 1], [50, 50, 1], [30, 30, 2], [30, 3, 3], [200, 1, 1]]
     {
-        add(&format!("jittered {size:?}"), 1.0, turned(jittered(lattice(size), 0.25)));
+        add(&format!("jittered {size:?}"), 1.0, rotated(jittered(lattice(size), 0.25)));
     }
     sets
 }
@@ -274,9 +274,11 @@ fn few_random_particles_have_little_confidence() {
 
 /// A folder of the data next to the sources, if it exists.
 fn shared(folder: &str) -> Option<PathBuf> {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared");
-    let data =
-        std::env::var_os("MENISCUS_SHARED").map_or_else(beside, PathBuf::from).join("data").join(folder);
+    let default_folder = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared");
+    let data = std::env::var_os("MENISCUS_SHARED")
+        .map_or_else(default_folder, PathBuf::from)
+        .join("data")
+        .join(folder);
     data.is_dir().then_some(data)
 }
 

@@ -129,12 +129,12 @@ fn frames_are_requested_only_when_there_is_room() {
         let (requested, ended) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let full = Signal::default();
         let mut frames = numbered(&bench);
-        let mut under_way_max = 0;
+        let mut running_count_max = 0;
         let next = || {
-            let under_way = requested.fetch_add(1, Ordering::SeqCst) - ended.load(Ordering::SeqCst);
-            assert!(under_way < in_flight, "{under_way} frames are in flight");
-            under_way_max = under_way_max.max(under_way + 1);
-            if under_way + 1 == in_flight.min(3) {
+            let running_count = requested.fetch_add(1, Ordering::SeqCst) - ended.load(Ordering::SeqCst);
+            assert!(running_count < in_flight, "{running_count} frames are in flight");
+            running_count_max = running_count_max.max(running_count + 1);
+            if running_count + 1 == in_flight.min(3) {
                 full.give();
             }
             frames.next()
@@ -153,7 +153,7 @@ fn frames_are_requested_only_when_there_is_room() {
             ended.fetch_add(1, Ordering::SeqCst);
         });
         assert_eq!(count, 20);
-        assert!(under_way_max >= in_flight.min(3), "{under_way_max} of {in_flight}");
+        assert!(running_count_max >= in_flight.min(3), "{running_count_max} of {in_flight}");
     }
     assert!(default_in_flight(1) > 1 && default_in_flight(16) > 16);
 }
@@ -284,8 +284,8 @@ fn concurrent_frames_stay_within_the_memory_limit() {
     let two = Signal::default();
     let method = Recording(|stage, count| {
         together.note(stage, count);
-        let is_beside = together.running.lock().expect("not poisoned").len() > 1;
-        if is_beside {
+        let is_concurrent = together.running.lock().expect("not poisoned").len() > 1;
+        if is_concurrent {
             two.give();
         } else if stage == Stage::Smooth && count == 8 {
             // The second and the third frame fit together, and must run together.

@@ -59,14 +59,14 @@ fn numbers_have_the_documented_ranges() {
     };
     let try_out = |option: &str, value: &str| {
         let typed = format!("{option}={value}");
-        let beside = match option {
+        let others = match option {
             "--voxel-size" | "--spacing" | "--particle-radius" => &[][..],
             "--thin-radius" | "--lone-radius" => &["--voxel-size=1"],
             "--velocity-gain" => &["--preset=paper", "--voxel-size=1", "--anisotropy=velocity"],
             "--radius-scale" => &["--preset=paper", "--voxel-size=1", "--radius-attribute=pscale"],
             _ => &["--preset=paper", "--voxel-size=1", "--anisotropy=neighbors"],
         };
-        meniscus(folder.path(), &[&["convert", "--print-settings", &typed], beside].concat())
+        meniscus(folder.path(), &[&["convert", "--print-settings", &typed], others].concat())
     };
     let docs = include_str!("../../docs/options.md");
     let mut range_count = 0;

@@ -50,16 +50,16 @@ impl Siege {
 
     /// Fills the disk, except for this number of bytes.
     fn fill_up_to(&self, free_bytes: u64) {
-        let mut ballast = File::create(self.out().join("ballast")).expect("made");
+        let mut filler = File::create(self.out().join("ballast")).expect("made");
         let bytes = usize::try_from(DISK_BYTES - free_bytes).expect("small");
-        ballast.write_all(&vec![1; bytes]).expect("there is room for it");
+        filler.write_all(&vec![1; bytes]).expect("there is room for it");
     }
 
     /// Fills the disk to the last byte.
     fn fill_up(&self) {
-        let mut ballast = File::create(self.out().join("ballast")).expect("made");
+        let mut filler = File::create(self.out().join("ballast")).expect("made");
         let piece = [1; 1 << 12];
-        let error = (0..).find_map(|_| ballast.write(&piece).err()).expect("the disk is not endless");
+        let error = (0..).find_map(|_| filler.write(&piece).err()).expect("the disk is not endless");
         assert_eq!(error.kind(), ErrorKind::StorageFull, "{error}");
     }
 
@@ -78,7 +78,7 @@ impl Siege {
     }
 
     /// Asserts that all outputs exist and are recorded, and that a restart converts nothing again.
-    fn is_whole(&self) {
+    fn is_complete(&self) {
         let count = self.frames.len() as u64;
         assert_same_outputs(&self.out(), &self.path().join("wanted"));
         assert_counts(self.path(), [count, 0, 0, 0]);
@@ -115,7 +115,7 @@ fn daemon_waits_while_the_disk_is_full() {
         daemon.until("it is not paused any more", |daemon| !daemon.has_status("paused"));
         assert_eq!(daemon.converted().len(), siege.frames.len());
         daemon.stop();
-        siege.is_whole();
+        siege.is_complete();
     });
 }
 
@@ -152,7 +152,7 @@ fn journal_on_a_full_disk_continues_later() {
         assert_counts(siege.path(), [24, 0, 0, 0]);
         assert_state(siege.path(), "running");
         daemon.stop();
-        siege.is_whole();
+        siege.is_complete();
     });
 }
 
@@ -172,7 +172,7 @@ fn outputs_that_fill_the_disk_stop_at_the_floor() {
         siege.free_space();
         daemon.until_converted(&siege.frames);
         daemon.stop();
-        siege.is_whole();
+        siege.is_complete();
     });
 }
 
@@ -198,6 +198,6 @@ fn no_frame_starts_below_the_minimum_of_free_space() {
         siege.free_space();
         daemon.until_converted(&siege.frames);
         daemon.stop();
-        siege.is_whole();
+        siege.is_complete();
     });
 }

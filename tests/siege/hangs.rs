@@ -40,8 +40,8 @@ const SOON: Duration = Duration::from_secs(60);
 fn unresponsive_file_system_blocks_only_its_folder() {
     with_own_mounts("hangs::unresponsive_file_system_blocks_only_its_folder", || {
         let folder = tempdir().expect("a folder");
-        let [disk, hanging, sound] = ["disk", "hanging", "sound"].map(|name| folder.path().join(name));
-        for path in [&disk, &hanging, &sound] {
+        let [disk, hanging, healthy] = ["disk", "hanging", "sound"].map(|name| folder.path().join(name));
+        for path in [&disk, &hanging, &healthy] {
             fs::create_dir(path).expect("made");
         }
         fs::write(folder.path().join("meniscus.toml"), CONFIG).expect("written");
@@ -51,7 +51,7 @@ fn unresponsive_file_system_blocks_only_its_folder() {
             return print_line("a file system that hangs: SKIPPED, /dev/fuse is missing");
         };
         land_sequence(&disk, 1, 3, 5);
-        land_drops(&sound, 1, 2);
+        land_drops(&healthy, 1, 2);
         daemon = Daemon::start_watched(folder.path(), &["--config", "meniscus.toml"]);
         daemon.until_converted(&frame_names(1, 3));
         daemon.until_converted(&drops(1, 2));
@@ -62,7 +62,7 @@ fn unresponsive_file_system_blocks_only_its_folder() {
         daemon.until_converted(&frame_names(4, 4));
         mount.stop();
         let since = Instant::now();
-        land_drops(&sound, 3, 6);
+        land_drops(&healthy, 3, 6);
         daemon.until_converted(&drops(3, 6));
         assert!(since.elapsed() < SOON, "the other folder waited for {:?}", since.elapsed());
         daemon.until("it says which folder hangs", |daemon| daemon.has_status("hanging is unavailable"));

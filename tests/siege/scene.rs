@@ -16,7 +16,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 /// Time limit of a wait: an event that has not happened by then will not happen.
-const PATIENCE: Duration = Duration::from_secs(300);
+const TIMEOUT: Duration = Duration::from_secs(300);
 
 /// Whether the tests use the full number of frames.
 pub(crate) fn is_long() -> bool {
@@ -93,7 +93,7 @@ impl Daemon {
 
     /// Reads messages until this holds.
     pub(crate) fn until(&mut self, what: &str, is_so: impl Fn(&Daemon) -> bool) {
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + TIMEOUT;
         while !is_so(self) {
             if self.has_ended || !self.receive_until(deadline) {
                 panic!("waited for this in vain: {what}\n{}", self.everything());
@@ -207,7 +207,7 @@ impl Daemon {
     /// Waits until the daemon ends on its own with all frames converted, as long as it sends messages.
     pub(crate) fn until_drained(&mut self) {
         while !self.has_ended {
-            let output = self.receive_until(Instant::now() + PATIENCE);
+            let output = self.receive_until(Instant::now() + TIMEOUT);
             assert!(output, "it says nothing more, and does not end\n{}", self.everything());
         }
         let status = self.child.wait().expect("it ended");

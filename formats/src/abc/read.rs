@@ -247,9 +247,9 @@ impl<'a> MeshArchive<'a> {
         let [positions, normals] = self.vertices(index, limits)?;
         let matrix = self.matrix(index)?;
         let normal = |normal: [f32; 3]| {
-            let turned = transformed(normal.map(f64::from), &matrix, 0.0);
+            let rotated = transformed(normal.map(f64::from), &matrix, 0.0);
             #[expect(clippy::cast_possible_truncation, reason = "a rotation by a right angle is exact")]
-            turned.map(|x| x as f32)
+            rotated.map(|x| x as f32)
         };
         let position = |position: &[f32; 3]| transformed(position.map(f64::from), &matrix, 1.0);
         Ok(MeshData {

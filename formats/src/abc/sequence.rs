@@ -205,7 +205,7 @@ fn attributes(frames: &[SequenceFrame]) -> Result<(Vec<AbcAttribute>, Vec<String
     semantics.sort();
     semantics.dedup();
     semantics.retain(|semantic| ![NORMAL, POSITION].contains(&semantic.as_str()));
-    let (mut found, mut notes, mut taken) = (Vec::new(), Vec::new(), UsedNames::new(&[]));
+    let (mut found, mut notes, mut used) = (Vec::new(), Vec::new(), UsedNames::new(&[]));
     for semantic in semantics {
         if files().any(|file| file.has_string_indices(semantic)) {
             notes.push(format!(
@@ -234,7 +234,7 @@ fn attributes(frames: &[SequenceFrame]) -> Result<(Vec<AbcAttribute>, Vec<String
         };
         let mut attribute = AbcAttribute { semantic: semantic.clone(), name: String::new(), kind };
         if !attribute.is_velocity() {
-            attribute.name = taken.take(&wanted, |stem| vec![stem.to_owned()]).concat();
+            attribute.name = used.take(&wanted, |stem| vec![stem.to_owned()]).concat();
             if attribute.name != wanted {
                 notes.push(format!("{semantic} is named {} in the sequence", attribute.name));
             }

@@ -54,11 +54,11 @@ pub(super) fn check_vertex_count(count: u64) -> Result<()> {
 
 /// The names of the attributes; empty for velocities, which have a property of their own.
 fn names_of(attributes: &[VertexAttribute]) -> Vec<String> {
-    let mut taken = UsedNames::new(&[]);
+    let mut used = UsedNames::new(&[]);
     let name = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
         Purpose::Velocity => String::new(),
         Purpose::Color(_) | Purpose::Other => {
-            taken.take(&plain_name(attribute.name), |stem| vec![stem.to_owned()]).concat()
+            used.take(&plain_name(attribute.name), |stem| vec![stem.to_owned()]).concat()
         }
     };
     attributes.iter().zip(purposes(attributes)).map(name).collect()

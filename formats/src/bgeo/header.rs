@@ -181,12 +181,12 @@ fn require(cursor: &Cursor, byte_count: usize, what: &str) -> Result<()> {
     )))
 }
 
-/// Reads a count of `things`, which must not be negative.
-fn count(cursor: &mut Cursor, things: &str) -> Result<usize> {
+/// Reads a count of `items`, which must not be negative.
+fn count(cursor: &mut Cursor, items: &str) -> Result<usize> {
     let offset = cursor.at() as u64;
-    let count = i32::from_le_bytes(cursor.array(things)?);
+    let count = i32::from_le_bytes(cursor.array(items)?);
     usize::try_from(count).map_err(|_| {
-        let what = format!("expected the number of {things} to be at least 0, found {count}");
+        let what = format!("expected the number of {items} to be at least 0, found {count}");
         Error::invalid(FORMAT, Position::Offset(offset), what)
     })
 }

@@ -107,12 +107,9 @@ fn write_string(string: &str, out: &mut impl Write) -> Result<()> {
     Ok(())
 }
 
-fn count_i32(count: usize, things: &str) -> Result<i32> {
+fn count_i32(count: usize, items: &str) -> Result<i32> {
     i32::try_from(count).map_err(|_| {
-        Error::too_large(
-            FORMAT,
-            format!("the frame has {count} {things}; the format's limit is {}", i32::MAX),
-        )
+        Error::too_large(FORMAT, format!("the frame has {count} {items}; the format's limit is {}", i32::MAX))
     })
 }
 

@@ -195,8 +195,8 @@ impl GlbFrame {
         let count = count.ok_or_else(missing)?;
         let (length, needed) = (view["byteLength"].as_u64(), (count as u64).checked_mul(stride_bytes as u64));
         let (length, needed) = length.zip(needed).ok_or_else(missing)?;
-        let is_there = offset.checked_add(length).is_some_and(|end| end <= self.bin_bytes);
-        if !is_there || needed > length || stride_bytes < arity * number_bytes {
+        let is_inside = offset.checked_add(length).is_some_and(|end| end <= self.bin_bytes);
+        if !is_inside || needed > length || stride_bytes < arity * number_bytes {
             return Err(invalid(format!("the accessor {index} exceeds the data")));
         }
         Ok(VertexColumn { component, arity, count, start: self.bin_at + offset, stride_bytes })

@@ -55,7 +55,7 @@ pub(super) fn stored_attributes<'a>(mesh: &MeshView<'a>) -> Vec<GltfAttribute<'a
 }
 
 fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<GltfAttribute<'a>> {
-    let mut taken = UsedNames::new(&[]);
+    let mut used = UsedNames::new(&[]);
     let mut placed = Vec::new();
     for (attribute, purpose) in attributes.iter().zip(purposes(attributes)) {
         let VertexAttribute { name, arity, values, .. } = *attribute;
@@ -68,7 +68,7 @@ fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>)
             Purpose::Velocity => ("_VELOCITY".into(), "_VELOCITY".into()),
             Purpose::Other => (format!("_{}", plain_name(name)), format!("_{name}")),
         };
-        let semantic = taken.take(&stem, |stem| vec![stem.to_ascii_uppercase()]).concat();
+        let semantic = used.take(&stem, |stem| vec![stem.to_ascii_uppercase()]).concat();
         if semantic != usual.to_ascii_uppercase() {
             notes.push(format!("{name} is named {semantic} in the glTF file"));
         }

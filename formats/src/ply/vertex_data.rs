@@ -49,16 +49,16 @@ pub(super) fn stored_attributes<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<P
 }
 
 fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<PlyAttribute<'a>> {
-    let mut taken = UsedNames::new(&["x", "y", "z", "nx", "ny", "nz"]);
+    let mut used = UsedNames::new(&["x", "y", "z", "nx", "ny", "nz"]);
     let mut placed = Vec::new();
     for (attribute, purpose) in attributes.iter().zip(purposes(attributes)) {
         let VertexAttribute { name, arity, .. } = *attribute;
         let stem = plain_name(name);
         let (names, usual) = match purpose {
-            Purpose::Color(_) => (taken.take("", |stem| color_names(stem, arity)), color_names("", arity)),
-            Purpose::Velocity => (taken.take("v", velocity_names), velocity_names("v")),
+            Purpose::Color(_) => (used.take("", |stem| color_names(stem, arity)), color_names("", arity)),
+            Purpose::Velocity => (used.take("v", velocity_names), velocity_names("v")),
             Purpose::Other => {
-                (taken.take(&stem, |stem| component_names(stem, arity)), component_names(name, arity))
+                (used.take(&stem, |stem| component_names(stem, arity)), component_names(name, arity))
             }
         };
         let column = PlyAttribute { values: values_of(attribute, purpose, notes), names };

@@ -145,11 +145,11 @@ impl PlyType {
 }
 
 fn columns_of(frame: &ParticleFrame) -> Vec<PlyColumn<'_>> {
-    let mut taken = UsedNames::new(&["x", "y", "z"]);
+    let mut used = UsedNames::new(&["x", "y", "z"]);
     let column = |attribute| {
         let values = written(attribute);
         let stem = word(&attribute.name);
-        let names = taken.take(&stem, |stem| names_of(attribute, stem));
+        let names = used.take(&stem, |stem| names_of(attribute, stem));
         PlyColumn { names, kind: PlyType::of(&values), values }
     };
     frame.attributes.iter().map(column).collect()

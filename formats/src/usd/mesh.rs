@@ -164,12 +164,12 @@ const TUPLE_MAX: usize = 4;
 
 /// The property of each attribute.
 fn usd_properties(attributes: &[VertexAttribute]) -> Vec<UsdProperty> {
-    let mut taken = UsedNames::new(&RESERVED);
+    let mut used = UsedNames::new(&RESERVED);
     let property = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
         Purpose::Velocity => UsdProperty::Velocities,
         Purpose::Color(_) => UsdProperty::Color,
         Purpose::Other => UsdProperty::Primvar(
-            taken.take(&identifier(attribute.name), |stem| vec![stem.to_owned()]).concat(),
+            used.take(&identifier(attribute.name), |stem| vec![stem.to_owned()]).concat(),
         ),
     };
     attributes.iter().zip(purposes(attributes)).map(property).collect()

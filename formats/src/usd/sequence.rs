@@ -91,7 +91,7 @@ impl<'a> UsdSequence<'a> {
             SequenceAttribute::new("NORMAL", ("normal3f[]", "normals"), 0, 3),
             SequenceAttribute::new(POSITION, ("point3f[]", "points"), 0, 3),
         ];
-        let (mut notes, mut taken) = (Vec::new(), UsedNames::new(&RESERVED));
+        let (mut notes, mut used) = (Vec::new(), UsedNames::new(&RESERVED));
         for name in self.other_names()? {
             let arity = match self.arity(&name)? {
                 Ok(arity) => arity,
@@ -112,7 +112,7 @@ impl<'a> UsdSequence<'a> {
                     let kind = format!("{}[]", vector("float", arity));
                     // In the `.glb` files, names start with an underscore and are in upper case.
                     let wanted = identifier(name.strip_prefix('_').unwrap_or(&name)).to_ascii_lowercase();
-                    let plain = taken.take(&wanted, |stem| vec![stem.to_owned()]).concat();
+                    let plain = used.take(&wanted, |stem| vec![stem.to_owned()]).concat();
                     if plain != wanted {
                         notes.push(format!("{name} is named primvars:{plain} in the sequence"));
                     }

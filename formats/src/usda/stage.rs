@@ -86,9 +86,9 @@ pub fn stage_text(stage: &UsdStage, provenance: &Provenance) -> Result<String> {
         return Err(invalid("a stage needs at least one frame".to_owned()));
     };
     let mut text = head(provenance, None, (*up, *meters_per_unit), &times(range.into(), *fps));
-    let mut taken = UsedNames::new(&[]);
+    let mut used = UsedNames::new(&[]);
     for sequence in sequences {
-        let name = taken.take(&identifier(&sequence.name), |stem| vec![stem.to_owned()]).concat();
+        let name = used.take(&identifier(&sequence.name), |stem| vec![stem.to_owned()]).concat();
         text += &sequence_text(sequence, &name);
     }
     let (meshes, volumes) = sequences

@@ -176,7 +176,7 @@ pub fn grid_notes(grids: &[BandGrid], name: &str) -> Vec<String> {
 
 /// The unique names of the grids. A velocity gets the name by which programs find it.
 fn grid_names(grids: &[BandGrid], surface: &str) -> Vec<String> {
-    let mut taken = UsedNames::new(&[surface]);
+    let mut used = UsedNames::new(&[surface]);
     let name_of = |grid: &BandGrid| {
         let own = grid.name.trim().replace(char::is_control, "_");
         let stem = match grid.role {
@@ -184,7 +184,7 @@ fn grid_names(grids: &[BandGrid], surface: &str) -> Vec<String> {
             _ if own.is_empty() => "attribute",
             _ => &own,
         };
-        taken.take(stem, |stem| vec![stem.into()]).concat()
+        used.take(stem, |stem| vec![stem.into()]).concat()
     };
     grids.iter().map(name_of).collect()
 }

@@ -203,8 +203,8 @@ fn string_array(name: &str, strings: &[impl AsRef<str>]) -> String {
 /// The name of each array in the file: its own, unless it contains characters that XML does not allow, or the
 /// name is reserved or already used.
 pub(super) fn names_of<'a>(names: impl Iterator<Item = &'a str>, reserved: &[&str]) -> Vec<String> {
-    let mut taken = UsedNames::new(reserved);
-    names.map(|name| taken.take(&allowed(name), |stem| vec![stem.to_owned()]).concat()).collect()
+    let mut used = UsedNames::new(reserved);
+    names.map(|name| used.take(&allowed(name), |stem| vec![stem.to_owned()]).concat()).collect()
 }
 
 /// Replaces control characters, and characters that XML 1.0 forbids even in escaped form, by underscores.

@@ -639,6 +639,6 @@ fn percent_decoded(name: &str) -> String {
 
 /// The offset of the first line that starts with the word.
 fn find_line(bytes: &[u8], word: &[u8]) -> Option<usize> {
-    let is_there = |&at: &usize| (at == 0 || bytes[at - 1] == b'\n') && bytes[at..].starts_with(word);
-    (0..bytes.len()).find(is_there)
+    let is_line_start = |&at: &usize| (at == 0 || bytes[at - 1] == b'\n') && bytes[at..].starts_with(word);
+    (0..bytes.len()).find(is_line_start)
 }

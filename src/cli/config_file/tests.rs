@@ -176,15 +176,15 @@ fn example_file_has_every_key() {
     for name in ["watch", "daemon"] {
         let blocks = blocks(name);
         for key in keys_of(name) {
-            let mut is_there = blocks.iter().any(|block| block.contains_key(&*key));
-            if let Some(mention) = mention(&key).filter(|_| !is_there)
+            let mut is_present = blocks.iter().any(|block| block.contains_key(&*key));
+            if let Some(mention) = mention(&key).filter(|_| !is_present)
                 && std::env::var_os("MENISCUS_WRITE_DOCS").is_some()
             {
                 let example = std::fs::read_to_string(EXAMPLE).expect("the example");
                 std::fs::write(EXAMPLE, example + &mention).expect("written");
-                is_there = true;
+                is_present = true;
             }
-            assert!(is_there, "no {key} in the example's {name}");
+            assert!(is_present, "no {key} in the example's {name}");
         }
     }
 }

@@ -12,7 +12,7 @@ mod frames;
 mod picture;
 mod reading;
 mod tables;
-mod tally;
+mod totals;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -32,11 +32,11 @@ use super::select::check_output_path;
 use super::wording::{pluralize, significant, with_causes};
 
 use frames::FlickerFrames;
-use tally::{FlickerTotals, ScoredFrame};
+use totals::{FlickerTotals, ScoredFrame};
 
 /// If more than this share of the points has no particle in range, the mesh and the particles probably do not
 /// belong together.
-const UNCARRIED_MOST: f64 = 0.5;
+const UNTRACKED_SHARE_MAX: f64 = 0.5;
 
 /// Scores the frames that the arguments name.
 ///
@@ -64,31 +64,31 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
         failed_count: 0,
         has_warned_of_open_mesh: false,
     };
-    let mut tally = FlickerTotals::new(args.picture.is_some());
+    let mut totals = FlickerTotals::new(args.picture.is_some());
     for &number in &frames.scored {
         if let Some(scored) = pool.install(|| scoring.score(number, console))? {
             console.print_line(line_of(&scored));
-            tally.add(scored);
+            totals.add(scored);
         }
         console.advance_bar();
     }
     console.hide_bar();
     let (failed_count, carrier) = (scoring.failed_count, scoring.carrier);
-    let summary = tally.summary();
+    let summary = totals.summary();
     let (Some(carrier), true) = (carrier, summary.count > 0) else {
         bail!(
             "no frame is scored: none has a surface, particles that carry it, and two neighbours that were read"
         );
     };
-    report(&frames, &tally, &summary, (spacing, carrier), console);
+    report(&frames, &totals, &summary, (spacing, carrier), console);
     if let Some(path) = &args.csv {
-        write_file(path, |out| tables::write_frames(&tally.frames, out))?;
+        write_file(path, |out| tables::write_frames(&totals.frames, out))?;
     }
     if let Some(path) = &args.points {
-        write_file(path, |out| tables::write_points(&tally.worst_points, out))?;
+        write_file(path, |out| tables::write_points(&totals.worst_points, out))?;
     }
     if let Some(path) = &args.picture {
-        let bytes = pool.install(|| picture::encoded(&frames, &tally, &summary))?;
+        let bytes = pool.install(|| picture::encoded(&frames, &totals, &summary))?;
         write_file(path, |out| out.write_all(&bytes))?;
     }
     Ok(if failed_count > 0 { CommandOutcome::SomeFailed } else { CommandOutcome::Done })
@@ -134,7 +134,7 @@ impl Scoring<'_> {
         }
         let samples = usize::try_from(self.args.samples).unwrap_or(usize::MAX);
         let found = flicker([before, middle, after], carrier, self.spacing, samples);
-        if found.untracked_count as f64 > UNCARRIED_MOST * samples as f64 {
+        if found.untracked_count as f64 > UNTRACKED_SHARE_MAX * samples as f64 {
             console.warning(format_args!(
                 "{name}: {} of {samples} points on the surface have no particle within {CARRY_REACH} spacings ({}): check \
                  --spacing, --fps or --dt, and that meshes and particles have the same unit and the same axes",
@@ -239,19 +239,19 @@ fn numbers_of(summary: &Distribution) -> String {
 
 fn report(
     frames: &FlickerFrames,
-    tally: &FlickerTotals,
+    totals: &FlickerTotals,
     summary: &Distribution,
     (spacing, carrier): (f64, Carrier),
     console: &mut Console,
 ) {
-    let count = pluralize(tally.frames.iter().filter(|frame| frame.summary.count > 0).count(), "frame");
+    let count = pluralize(totals.frames.iter().filter(|frame| frame.summary.count > 0).count(), "frame");
     console.print_line(format_args!("{}: {} spacings, {count}", frames.name, numbers_of(summary)));
     let carrier = match carrier {
         Carrier::Ids => "ids".to_owned(),
         Carrier::Velocities { seconds } => format!("velocities, {} s between frames", significant(seconds)),
     };
     console.print_line(format_args!("spacing {}; points are tracked by {carrier}", significant(spacing)));
-    if let Some(worst) = tally.worst_points.first() {
+    if let Some(worst) = totals.worst_points.first() {
         let [x, y, z] = worst.position.map(significant);
         let value = worst.value;
         console.print_line(format_args!(

@@ -11,17 +11,17 @@ use crate::surface::flicker::{Distribution, ScoredPoint};
 
 use super::frames::FlickerFrames;
 use super::numbers_of;
-use super::tally::{FlickerTotals, ScoredFrame};
+use super::totals::{FlickerTotals, ScoredFrame};
 
 /// The size of a frame's picture in pixels.
-const PLACE: [usize; 2] = [480, 320];
+const PICTURE_SIZE: [usize; 2] = [480, 320];
 
 const COLUMNS: usize = 3;
 
 /// The gap between the cells of a sheet, in pixels. It makes the plot as wide as a row of cells.
 const GAP: usize = 10;
 
-const PLOT: [usize; 2] = [COLUMNS * (PLACE[0] + GAP) - GAP, 280];
+const PLOT: [usize; 2] = [COLUMNS * (PICTURE_SIZE[0] + GAP) - GAP, 280];
 
 /// Flicker in spacings, and its linear colour; values in between are interpolated.
 const COLORS: [(f64, [f32; 3]); 4] =
@@ -35,10 +35,10 @@ const LEGEND: &str = "Colours: grey does not flicker; yellow 0.1 spacings, red 0
 /// If the format cannot store the picture.
 pub(super) fn encoded(
     frames: &FlickerFrames,
-    tally: &FlickerTotals,
+    totals: &FlickerTotals,
     summary: &Distribution,
 ) -> Result<Vec<u8>> {
-    let plot = plot(frames, tally).picture();
+    let plot = plot(frames, totals).picture();
     let head = Sheet {
         title: format!("{}: {} spacings", frames.name, numbers_of(summary)),
         picture_size: PLOT,
@@ -50,10 +50,10 @@ pub(super) fn encoded(
         footer: Vec::new(),
     };
     let worst: Vec<&ScoredFrame> =
-        tally.worst_frames().into_iter().map(|index| &tally.frames[index]).collect();
+        totals.worst_frames().into_iter().map(|index| &totals.frames[index]).collect();
     let camera = bounds(&worst).map(|bounds| {
-        let aspect = PLACE[0] as f64 / PLACE[1] as f64;
-        CameraChoice::default().viewpoint(bounds, aspect, Up::Y).view(PLACE)
+        let aspect = PICTURE_SIZE[0] as f64 / PICTURE_SIZE[1] as f64;
+        CameraChoice::default().viewpoint(bounds, aspect, Up::Y).view(PICTURE_SIZE)
     });
     let cell = |frame: &&ScoredFrame| Cell {
         content: match &camera {
@@ -69,7 +69,7 @@ pub(super) fn encoded(
     };
     let body = Sheet {
         title: String::new(),
-        picture_size: PLACE,
+        picture_size: PICTURE_SIZE,
         blocks: vec![CellGroup {
             title: format!("The frames that flicker most. {LEGEND}"),
             cells: worst.iter().map(cell).collect(),
@@ -81,18 +81,18 @@ pub(super) fn encoded(
     let part = SheetPart {
         name: frames.name.clone(),
         hash: None,
-        what: format!("flicker of {} frames", tally.frames.len()),
+        what: format!("flicker of {} frames", totals.frames.len()),
         settings: None,
         options: None,
     };
     Ok(encode_picture(&picture, None, OutputFormat::Png, &sheet_provenance("flicker", &[part]))?)
 }
 
-fn plot(frames: &FlickerFrames, tally: &FlickerTotals) -> Plot {
+fn plot(frames: &FlickerFrames, totals: &FlickerTotals) -> Plot {
     let line = |name: &str, color: [f32; 3], value: fn(&Distribution) -> f64| Line {
         name: name.to_owned(),
         color,
-        points: tally
+        points: totals
             .frames
             .iter()
             .filter(|frame| frame.summary.count > 0)

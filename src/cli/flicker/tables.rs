@@ -4,7 +4,7 @@ use std::io::{Result, Write};
 
 use crate::surface::flicker::Distribution;
 
-use super::tally::{ScoredFrame, WorstPoint};
+use super::totals::{ScoredFrame, WorstPoint};
 
 /// Writes a row for each frame. Lengths are in particle spacings, and positions in world units. The scores of
 /// a frame are empty if none of its points can be tracked to both neighbouring frames.

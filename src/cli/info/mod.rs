@@ -82,7 +82,7 @@ struct LayerRecord {
 /// # Errors
 /// If the result cannot be written as JSON.
 pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<CommandOutcome> {
-    let mut tally = DoneCounts::default();
+    let mut counts = DoneCounts::default();
     // An element of the JSON array is held back until it is known whether a comma follows.
     let mut last_element: Option<String> = None;
     for given in &args.files {
@@ -103,13 +103,13 @@ pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<CommandOutc
                 None if !args.json => console.print_lines(info.to_string().lines()),
                 None => {}
             }
-            tally.add(info.error.is_none());
+            counts.add(info.error.is_none());
         }
     }
     if args.json {
         console.print_raw(&last_element.map_or("[]".to_owned(), |last| format!("{last}\n]")));
     }
-    Ok(tally.outcome())
+    Ok(counts.outcome())
 }
 
 /// The files that the arguments name. A file with several steps yields each step; a file whose steps cannot

@@ -38,20 +38,20 @@ pub(in crate::cli) fn contact_sheet(
     let contact = Contact { args, session };
     console.show_bar(cell_count);
     let pool = thread_pool(args.pictures.run.threads)?;
-    let mut tally = DoneCounts::default();
+    let mut counts = DoneCounts::default();
     let parts: Vec<SequenceRows> = selected_strips
         .into_iter()
-        .map(|selected_strip| pool.install(|| contact.part(selected_strip, &mut tally, console)))
+        .map(|selected_strip| pool.install(|| contact.part(selected_strip, &mut counts, console)))
         .collect();
     console.hide_bar();
-    if tally.done_count > 0 {
+    if counts.done_count > 0 {
         for part in &parts {
             console.print_line(part.title_with_time());
         }
         let made_from: Vec<SheetPart> = parts.iter().map(SequenceRows::made_from).collect();
         console.print_line(file.write(&contact.sheet(parts), "contact-sheet", &made_from)?);
     }
-    Ok(tally.outcome())
+    Ok(counts.outcome())
 }
 
 /// The kinds of files that the sheet may be made from. Surface options require particles, because level sets
@@ -165,7 +165,7 @@ impl Contact<'_> {
     fn part(
         &self,
         selected_strip: SelectedStrip,
-        tally: &mut DoneCounts,
+        counts: &mut DoneCounts,
         console: &mut Console,
     ) -> SequenceRows {
         let start = Instant::now();
@@ -174,18 +174,18 @@ impl Contact<'_> {
             console.error(with_causes(error));
         }
         let cells = selected_strip.frames.iter().map(|file| {
-            let taken = match &prepared {
+            let rendered = match &prepared {
                 Ok(prepared) => catch_panic(&file.path, || {
                     self.picture(file, selected_strip.strip.kind, prepared, console)
                 }),
                 Err(error) => Err(anyhow::anyhow!(with_causes(error))),
             };
             console.advance_bar();
-            tally.add(taken.is_ok());
-            if let (Ok(_), Err(error)) = (&prepared, &taken) {
+            counts.add(rendered.is_ok());
+            if let (Ok(_), Err(error)) = (&prepared, &rendered) {
                 console.error(with_causes(error));
             }
-            cell(file, selected_strip.strip.kind, taken)
+            cell(file, selected_strip.strip.kind, rendered)
         });
         let cells = cells.collect();
         let (settings, viewpoint) = prepared.unwrap_or_default();
@@ -254,9 +254,9 @@ impl Contact<'_> {
 }
 
 /// A picture with its frame's name, and the number of particles if known.
-fn cell(file: &FrameFile, kind: SourceKind, taken: Result<(Picture, Option<usize>)>) -> Cell {
+fn cell(file: &FrameFile, kind: SourceKind, rendered: Result<(Picture, Option<usize>)>) -> Cell {
     let mut lines = vec![without_extension(&file.name(), kind)];
-    let content = match taken {
+    let content = match rendered {
         Ok((picture, particle_count)) => {
             lines.extend(particle_count.map(|count| pluralize(count, "particle")));
             CellPicture::Picture(picture)

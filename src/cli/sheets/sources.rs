@@ -191,24 +191,24 @@ mod tests {
             let frames = (0..count).map(|n| FrameFile::new(format!("there/dam.{n}.vdb").into())).collect();
             Strip { name: "dam".into(), kind, sequence: Sequence { name: "dam.{}".into(), frames } }
         };
-        let taken = |strips: &[(SourceKind, usize)]| {
+        let chosen = |strips: &[(SourceKind, usize)]| {
             let strips = strips.iter().map(|&(kind, count)| strip(kind, count)).collect();
             cheapest(strips).map(|strip| strip.kind)
         };
         assert_eq!(
-            taken(&[(SourceKind::LevelSets, 3), (SourceKind::Particles, 3)]),
+            chosen(&[(SourceKind::LevelSets, 3), (SourceKind::Particles, 3)]),
             Some(SourceKind::LevelSets)
         );
         assert_eq!(
-            taken(&[(SourceKind::LevelSets, 2), (SourceKind::Particles, 3)]),
+            chosen(&[(SourceKind::LevelSets, 2), (SourceKind::Particles, 3)]),
             Some(SourceKind::Particles)
         );
         // These pictures do not record their camera.
         assert_eq!(
-            taken(&[(SourceKind::Pictures, 3), (SourceKind::Particles, 3)]),
+            chosen(&[(SourceKind::Pictures, 3), (SourceKind::Particles, 3)]),
             Some(SourceKind::Particles)
         );
-        assert_eq!(taken(&[(SourceKind::Pictures, 3)]), Some(SourceKind::Pictures));
-        assert_eq!(taken(&[]), None);
+        assert_eq!(chosen(&[(SourceKind::Pictures, 3)]), Some(SourceKind::Pictures));
+        assert_eq!(chosen(&[]), None);
     }
 }

@@ -63,13 +63,13 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
         console.print_line(format_args!("{}: of {frame_count} of {}", frame.name(), sequence.name));
     }
     console.show_bar(grid.settings.len());
-    let (cells, tally) = pool.install(|| tuning.cells(&grid, console));
+    let (cells, counts) = pool.install(|| tuning.cells(&grid, console));
     console.hide_bar();
-    if tally.done_count > 0 {
+    if counts.done_count > 0 {
         let part = tuning.made_from(&grid);
         console.print_line(file.write(&tuning.sheet(&grid, cells), "tune", &[part])?);
     }
-    Ok(tally.outcome())
+    Ok(counts.outcome())
 }
 
 /// The formats that the printed commands write.
@@ -175,7 +175,7 @@ impl<'a> Tuning<'a> {
 
     /// Renders all cells, and collects the command of each cell with a picture.
     fn cells(&self, grid: &Grid, console: &mut Console) -> (Vec<(Cell, Option<CommandLine>)>, DoneCounts) {
-        let (mut tally, mut reported) = (DoneCounts::default(), ReportedWarnings::default());
+        let (mut counts, mut reported) = (DoneCounts::default(), ReportedWarnings::default());
         let mut cells = Vec::new();
         for (index, values) in grid.settings.iter().enumerate() {
             let (number, options) = (index + 1, self.options(values));
@@ -185,7 +185,7 @@ impl<'a> Tuning<'a> {
             let mut lines = vec![label.clone()];
             let (content, command) = match catch_panic(self.frame.path(), || self.rendered(&options)) {
                 Ok((made, settings, picture)) => {
-                    tally.add(true);
+                    counts.add(true);
                     let of_settings = settings.warnings().into_iter().map(Warning::Sentence);
                     for warning in of_settings.chain(made.warnings.iter().cloned()) {
                         if reported.is_new(&warning) {
@@ -202,7 +202,7 @@ impl<'a> Tuning<'a> {
                     (CellPicture::Picture(picture), Some(command))
                 }
                 Err(error) => {
-                    tally.add(false);
+                    counts.add(false);
                     console.error(format_args!("cell {label}: {}", with_causes(&error)));
                     (CellPicture::Text(reason(&error, self.frame.path())), None)
                 }
@@ -210,7 +210,7 @@ impl<'a> Tuning<'a> {
             console.advance_bar();
             cells.push((Cell { content, lines }, command));
         }
-        (cells, tally)
+        (cells, counts)
     }
 
     /// The options of a cell: the user's options with the varied ones replaced.

@@ -238,18 +238,18 @@ impl StatusRecord {
 /// The input files of the journaled frames.
 struct Files<'a> {
     /// The path of each file, and its stamp when the daemon read it, without the status change time (ctime).
-    taken: HashSet<(&'a Path, FileStamp)>,
+    recorded: HashSet<(&'a Path, FileStamp)>,
     has_daemon: bool,
 }
 
 impl<'a> Files<'a> {
     fn new(state: &'a JournalState, has_daemon: bool) -> Files<'a> {
-        let taken = state
+        let recorded = state
             .frames
             .iter()
             .map(|(input, frame)| (file_of(input), frame.stamp.without_status_change()))
             .collect();
-        Files { taken, has_daemon }
+        Files { recorded, has_daemon }
     }
 
     /// Whether the frame can never be converted: its file was removed from its folder, or rewritten without
@@ -273,7 +273,7 @@ impl<'a> Files<'a> {
     fn may_be_growing(&self, file: &Path, stamp: FileStamp, frame: &JournaledFrame) -> bool {
         self.has_daemon
             && stamp.size > frame.stamp.size
-            && !self.taken.contains(&(file, stamp.without_status_change()))
+            && !self.recorded.contains(&(file, stamp.without_status_change()))
     }
 }
 

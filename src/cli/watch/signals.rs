@@ -91,18 +91,18 @@ fn log_detached(log: impl FnOnce() + Send + 'static) -> Receiver<()> {
 
 /// How long the process waits at its end for its last log line.
 #[cfg(unix)]
-const LOG_PATIENCE: Duration = Duration::from_secs(1);
+const LOG_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// How long after the deadline the process exits. The loop itself ends at the deadline unless it hangs.
 #[cfg(unix)]
 const GRACE: Duration = Duration::from_secs(5);
 
-/// Exits the process with this status, after it has waited for the log line for at most `LOG_PATIENCE`. For a
+/// Exits the process with this status, after it has waited for the log line for at most `LOG_TIMEOUT`. For a
 /// signal, callers pass the status that a shell reports: 128 + signal, such as 130 for Ctrl-C.
 #[cfg(unix)]
 fn end_at_once(status: i32, log: impl FnOnce() + Send + 'static) -> ! {
     crate::pipeline::stop_writing();
-    let _ = log_detached(log).recv_timeout(LOG_PATIENCE);
+    let _ = log_detached(log).recv_timeout(LOG_TIMEOUT);
     std::process::exit(status)
 }
 

@@ -69,9 +69,9 @@ pub(crate) fn stage(
 /// Renames a file under the lock, so that [`stop_writing`] runs before or after the rename, but not during
 /// it.
 fn rename_locked(from: &Path, to: &Path) -> io::Result<()> {
-    let under_way = active_temporaries();
+    let temporaries = active_temporaries();
     let renamed = fs::rename(from, to);
-    drop(under_way);
+    drop(temporaries);
     renamed
 }
 
@@ -100,23 +100,23 @@ pub(crate) fn commit(files: Vec<StagedFile>) -> std::result::Result<Vec<PathBuf>
 pub fn stop_writing() {
     let (done, is_done) = channel();
     let stop = move || {
-        let under_way = active_temporaries();
-        for path in under_way.iter() {
+        let temporaries = active_temporaries();
+        for path in temporaries.iter() {
             // An error cannot be reported any more.
             let _ = fs::remove_file(path);
         }
         remove_left_behind();
-        std::mem::forget(under_way);
+        std::mem::forget(temporaries);
         let _ = done.send(());
     };
     // If no thread can be started, or after the time limit, temporary files stay.
     if thread::Builder::new().name("stop".into()).spawn(stop).is_ok() {
-        let _ = is_done.recv_timeout(STOP_PATIENCE);
+        let _ = is_done.recv_timeout(STOP_TIMEOUT);
     }
 }
 
 /// Time limit for removing temporary files: longer than any file system takes that still responds.
-const STOP_PATIENCE: Duration = Duration::from_secs(5);
+const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 
 #[cfg(test)]
 mod tests {
@@ -242,7 +242,7 @@ mod tests {
         let mut child =
             child.arg(name).env(CHILD, "1").stdout(std::process::Stdio::null()).spawn().expect("a child");
         let start = std::time::Instant::now();
-        while child.try_wait().expect("a child").is_none() && start.elapsed() < 12 * STOP_PATIENCE {
+        while child.try_wait().expect("a child").is_none() && start.elapsed() < 12 * STOP_TIMEOUT {
             thread::sleep(Duration::from_millis(10));
         }
         // Killing a process that has exited does nothing.

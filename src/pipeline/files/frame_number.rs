@@ -240,39 +240,39 @@ mod tests {
 
     #[test]
     fn only_varying_number_is_the_frame() {
-        let taken = |stems: &[&'static str]| -> Option<Vec<&'static str>> {
+        let numbers_of = |stems: &[&'static str]| -> Option<Vec<&'static str>> {
             let spans = varying_number(stems)?;
             Some(stems.iter().zip(spans).map(|(stem, span)| &stem[span]).collect())
         };
-        assert_eq!(taken(&["dam_0001_b7", "dam_0002_b7"]), Some(vec!["0001", "0002"]));
-        assert_eq!(taken(&["dam_0001_b7", "dam_0002_b8"]), None);
-        assert_eq!(taken(&["dam_0001_v1", "dam_0001_v2"]), None);
-        assert_eq!(taken(&["hilbert2_7954_particles", "hilbert2_18856_particles"]), None);
+        assert_eq!(numbers_of(&["dam_0001_b7", "dam_0002_b7"]), Some(vec!["0001", "0002"]));
+        assert_eq!(numbers_of(&["dam_0001_b7", "dam_0002_b8"]), None);
+        assert_eq!(numbers_of(&["dam_0001_v1", "dam_0001_v2"]), None);
+        assert_eq!(numbers_of(&["hilbert2_7954_particles", "hilbert2_18856_particles"]), None);
         let counted = ["f2_1_points", "f2_2_points", "f2_3_points"];
-        assert_eq!(taken(&counted), Some(vec!["1", "2", "3"]));
-        assert_eq!(taken(&["f2_1_points", "f2_2_points", "f2_18856_points"]), None);
-        assert_eq!(taken(&["dam.7"]), None);
-        assert_eq!(taken(&[]), None);
+        assert_eq!(numbers_of(&counted), Some(vec!["1", "2", "3"]));
+        assert_eq!(numbers_of(&["f2_1_points", "f2_2_points", "f2_18856_points"]), None);
+        assert_eq!(numbers_of(&["dam.7"]), None);
+        assert_eq!(numbers_of(&[]), None);
     }
 
     #[test]
     fn numbers_that_cannot_be_subframes_are_frames_of_a_shot() {
-        let taken = |stems: &[&'static str], is_shot_possible| -> Option<Vec<&'static str>> {
+        let numbers_of = |stems: &[&'static str], is_shot_possible| -> Option<Vec<&'static str>> {
             let spans: Vec<_> = stems.iter().filter_map(|stem| frame_number(stem)).collect();
             let last = numbers_behind_shots(stems, &spans, is_shot_possible)?;
             Some(stems.iter().zip(last).map(|(stem, span)| &stem[span]).collect())
         };
-        assert_eq!(taken(&["s.0100.9", "s.0100.10"], true), Some(vec!["9", "10"]));
-        assert_eq!(taken(&["s.0100.1", "s.0100.10"], true), Some(vec!["1", "10"]));
-        assert_eq!(taken(&["s.0100.7", "s.0100.1000"], true), Some(vec!["7", "1000"]));
-        assert_eq!(taken(&["s.0100.1", "s.0100.10", "s.0200.3"], true), Some(vec!["1", "10", "3"]));
-        assert_eq!(taken(&["s.0100.9", "s.0100.10"], false), None);
+        assert_eq!(numbers_of(&["s.0100.9", "s.0100.10"], true), Some(vec!["9", "10"]));
+        assert_eq!(numbers_of(&["s.0100.1", "s.0100.10"], true), Some(vec!["1", "10"]));
+        assert_eq!(numbers_of(&["s.0100.7", "s.0100.1000"], true), Some(vec!["7", "1000"]));
+        assert_eq!(numbers_of(&["s.0100.1", "s.0100.10", "s.0200.3"], true), Some(vec!["1", "10", "3"]));
+        assert_eq!(numbers_of(&["s.0100.9", "s.0100.10"], false), None);
         for subframes in
             [&["d.0001.25", "d.0001.5", "d.0001.75"][..], &["d.0001.1", "d.0002.2"], &["d.0001.1"]]
         {
-            assert_eq!(taken(subframes, true), None, "{subframes:?}");
+            assert_eq!(numbers_of(subframes, true), None, "{subframes:?}");
         }
-        assert_eq!(taken(&["d.1", "d.2"], true), None);
+        assert_eq!(numbers_of(&["d.1", "d.2"], true), None);
     }
 
     #[test]

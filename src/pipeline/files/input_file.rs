@@ -56,9 +56,9 @@ fn read_start_between_stamps(
 ) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
     let input = InputFile::open(path)?;
     let bytes = read(&mut &input.file)?;
-    let is_whole = !input.is_regular || bytes.len() as u64 == input.stamp.size.min(most);
+    let is_complete = !input.is_regular || bytes.len() as u64 == input.stamp.size.min(most);
     let has_same_bytes = || Ok(input.hash_of_start(bytes.len() as u64)? == XxHash3_128::oneshot(&bytes));
-    Ok((is_whole && input.is_unchanged_or(has_same_bytes)?).then_some((bytes, input.stamp)))
+    Ok((is_complete && input.is_unchanged_or(has_same_bytes)?).then_some((bytes, input.stamp)))
 }
 
 /// An open particle file that several threads can read at any position at once.

@@ -46,9 +46,9 @@ impl<'a> NumberPattern<'a> {
     /// When the folder cannot be listed.
     pub fn file_of(&self, folder: &Path, number: u64) -> io::Result<Option<PathBuf>> {
         let padded = folder.join(self.name_of(number));
-        let is_there = may_be_file(&padded);
-        if self.width_min > 1 || is_there {
-            return Ok(is_there.then_some(padded));
+        let may_exist = may_be_file(&padded);
+        if self.width_min > 1 || may_exist {
+            return Ok(may_exist.then_some(padded));
         }
         // If the width is not fixed, a number may have any number of leading zeros in the file name.
         let is_it = |path: &PathBuf| {

@@ -90,8 +90,8 @@ pub fn open_own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     let file = open_itself(path, options)?;
     // Detects a folder that was replaced by a link during the open, before anything is written.
     require_own_folder(path)?;
-    let [there, opened] = [path.symlink_metadata()?, file.metadata()?];
-    if !is_same_file(&there, &opened) {
+    let [at_path, opened] = [path.symlink_metadata()?, file.metadata()?];
+    if !is_same_file(&at_path, &opened) {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, "replaced while it was opened"));
     }
     Ok(file)

@@ -68,7 +68,7 @@ fn made(folder: &Path, result: io::Result<()>) -> Result<(), OutFolderError> {
 /// # Errors
 /// The file.
 pub fn refuse_file_for_folder(folder: &Path) -> Result<(), OutFolderError> {
-    let file = folder.ancestors().find(|part| part.metadata().is_ok_and(|there| !there.is_dir()));
+    let file = folder.ancestors().find(|part| part.metadata().is_ok_and(|metadata| !metadata.is_dir()));
     match file {
         Some(file) => Err(OutFolderError::File { folder: folder.to_owned(), file: file.to_owned() }),
         None => Ok(()),

@@ -49,14 +49,14 @@ impl Temporary {
     /// When the system reports an error.
     pub(crate) fn create_named(path: &Path, mut next_name: impl FnMut() -> String) -> io::Result<Temporary> {
         // Locked until the file is registered, so that `stop_writing` misses none.
-        let mut under_way = active_temporaries();
+        let mut temporaries = active_temporaries();
         let mut attempt_count = 0;
         loop {
             let temporary = path.with_file_name(next_name());
             attempt_count += 1;
             let found = match create_locked(&temporary) {
                 Ok(Some(file)) => {
-                    under_way.insert(temporary.clone());
+                    temporaries.insert(temporary.clone());
                     return Ok(Temporary { path: temporary, file });
                 }
                 Ok(None) => io::ErrorKind::AlreadyExists.into(),
@@ -156,8 +156,8 @@ fn create_locked(path: &Path) -> io::Result<Option<File>> {
 
 /// Whether the name still leads to this file.
 fn is_still_at(path: &Path, file: &File) -> bool {
-    let stamps = FileStamp::of_path(path).and_then(|there| Ok((there, FileStamp::of(&file.metadata()?))));
-    stamps.is_ok_and(|(there, ours)| there.inode == ours.inode)
+    let stamps = FileStamp::of_path(path).and_then(|at_path| Ok((at_path, FileStamp::of(&file.metadata()?))));
+    stamps.is_ok_and(|(at_path, ours)| at_path.inode == ours.inode)
 }
 
 /// Locks a file that a process has abandoned. Returns `None` if the file is still in use, or no longer
@@ -227,8 +227,8 @@ mod tests {
     fn file_of_another_writer_is_not_touched() {
         let folder = tempdir().expect("a folder");
         let path = folder.path().join("a.glb");
-        let taken = folder.path().join(temporary_name("a.glb", 0));
-        fs::write(&taken, "of another writer").expect("written");
+        let occupied = folder.path().join(temporary_name("a.glb", 0));
+        fs::write(&occupied, "of another writer").expect("written");
         let mut number = 0;
         let mut count_up = || {
             number += 1;
@@ -237,7 +237,7 @@ mod tests {
         let temporary = Temporary::create_named(&path, &mut count_up).expect("created");
         assert_eq!(temporary.path, folder.path().join(temporary_name("a.glb", 1)));
         drop(temporary);
-        assert_eq!(fs::read_to_string(&taken).expect("still there"), "of another writer");
+        assert_eq!(fs::read_to_string(&occupied).expect("still there"), "of another writer");
         assert_eq!(fs::read_dir(folder.path()).expect("there").count(), 1);
         let always_taken = Temporary::create_named(&path, || temporary_name("a.glb", 0));
         assert_eq!(always_taken.err().map(|error| error.kind()), Some(io::ErrorKind::AlreadyExists));

@@ -39,8 +39,10 @@ impl RequiredAttribute {
         match all.iter().find(|attribute| attribute.matches(name)) {
             None => {
                 let names: Vec<&str> = all.iter().map(|attribute| &*attribute.name).collect();
-                let there = if all.is_empty() { "none".to_owned() } else { names.join(", ") };
-                format!("the particles have no attribute `{name}`, which {option} needs; available: {there}")
+                let names_found = if all.is_empty() { "none".to_owned() } else { names.join(", ") };
+                format!(
+                    "the particles have no attribute `{name}`, which {option} needs; available: {names_found}"
+                )
             }
             Some(Attribute { name, values: AttributeValues::Strings { .. }, .. }) => {
                 format!("the attribute `{name}` is text, but {option} needs {kind} per particle")
@@ -121,7 +123,7 @@ impl AttributeRequest {
         }
         let all: Vec<Attribute> = attributes.into_iter().map(attribute).collect();
         let available = || all.iter().map(|attribute| attribute.name.clone()).collect::<Vec<_>>();
-        let is_there = |name: &str| all.iter().any(|attribute| attribute.matches(name));
+        let exists = |name: &str| all.iter().any(|attribute| attribute.matches(name));
         for needed in &self.needed {
             let why = match find_attribute(&all, &needed.name, needed.arity) {
                 Some(attribute) => needed.why_useless(attribute),
@@ -135,7 +137,7 @@ impl AttributeRequest {
             Some(AttributeSelection::Named(names)) => names,
             _ => &[],
         };
-        let missing = named.iter().filter(|name| !is_there(name));
+        let missing = named.iter().filter(|name| !exists(name));
         let missing =
             missing.map(|name| Warning::MissingAttribute { name: name.clone(), available: available() });
         let missing: Vec<Warning> = missing.collect();

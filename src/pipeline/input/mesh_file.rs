@@ -16,7 +16,7 @@ pub fn read_mesh_file(path: &Path) -> Result<MeshData, FrameError> {
     let fail = |error: meniscus_formats::Error| FrameError::file(path, Stage::Read, error);
     let bytes = read_regular(path).map_err(|error| fail(error.into()))?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let beside = |relative: &str| {
+    let read_external = |relative: &str| {
         let files = gltf::external_files(&bytes).map_err(io::Error::other)?;
         let file = files.iter().find(|file| file.path == relative).ok_or(io::ErrorKind::NotFound)?;
         let mut content = Vec::new();
@@ -24,6 +24,6 @@ pub fn read_mesh_file(path: &Path) -> Result<MeshData, FrameError> {
         open_regular(&at)?.take(file.byte_count).read_to_end(&mut content)?;
         Ok(content)
     };
-    let read = || read_mesh(&bytes, &name, &Limits::default(), &beside);
+    let read = || read_mesh(&bytes, &name, &Limits::default(), &read_external);
     FrameError::catch(path, Stage::Read, read)?.map_err(fail)
 }

@@ -143,7 +143,7 @@ impl ObstacleFiles {
         let is_in_the_way = |path: &&PathBuf| {
             are_same_file(path, output)
                 || !may_be_file(path) && pattern_of(path).is_some_and(|pattern| is_member(path, pattern))
-                || self.external_files(path).iter().any(|beside| are_same_file(beside, output))
+                || self.external_files(path).iter().any(|external| are_same_file(external, output))
         };
         self.paths.iter().find(is_in_the_way).map(PathBuf::as_path)
     }
@@ -166,8 +166,8 @@ impl ObstacleFiles {
         for path in &self.paths {
             let at = file_of(path, number).ok();
             add(path, at.as_deref().and_then(stamp_of));
-            let beside = at.map(|at| self.external_files(&at)).unwrap_or_default();
-            beside.iter().for_each(|path| add(path, stamp_of(path)));
+            let external = at.map(|at| self.external_files(&at)).unwrap_or_default();
+            external.iter().for_each(|path| add(path, stamp_of(path)));
         }
         stamps
     }
@@ -198,8 +198,8 @@ impl ObstacleFiles {
                 return 0;
             }
             let Ok(at) = file_of(path, number) else { return 0 };
-            let beside = self.external_files(&at);
-            let bytes = beside.iter().map(|path| size(path)).fold(size(&at), u64::saturating_add);
+            let external = self.external_files(&at);
+            let bytes = external.iter().map(|path| size(path)).fold(size(&at), u64::saturating_add);
             bytes.saturating_mul(loading_factor(&at))
         };
         self.paths.iter().enumerate().map(of_one).fold(0, u64::saturating_add)
@@ -248,9 +248,9 @@ impl ObstacleFiles {
                     all.obstacles.members.push(obstacle);
                     continue;
                 }
-                ObstacleShape::Bytes(bytes, beside) => {
+                ObstacleShape::Bytes(bytes, external) => {
                     let left_bytes = memory_bytes.saturating_sub(all.all_bytes);
-                    (parse(&file.path, &bytes, beside, left_bytes)?, bytes.len() as u64)
+                    (parse(&file.path, &bytes, external, left_bytes)?, bytes.len() as u64)
                 }
             };
             let shape = shape_of(data, memory_bytes.saturating_sub(file_bytes + all.all_bytes))
@@ -380,13 +380,13 @@ fn is_gltf_text(path: &Path) -> bool {
 fn parse(
     path: &Path,
     bytes: &[u8],
-    beside: HashMap<String, Vec<u8>>,
+    external: HashMap<String, Vec<u8>>,
     memory_bytes: u64,
 ) -> Result<ObstacleData, ObstacleError> {
-    let beside = Mutex::new(beside);
+    let external = Mutex::new(external);
     // Each file is requested once.
     let take = |relative: &str| {
-        let bytes = beside.lock().unwrap_or_else(PoisonError::into_inner).remove(relative);
+        let bytes = external.lock().unwrap_or_else(PoisonError::into_inner).remove(relative);
         bytes.ok_or_else(|| {
             let what = "it refers to another file for its data, which only a .gltf may do: save it as .glb with all data inside";
             io::Error::new(io::ErrorKind::Unsupported, what)

@@ -101,11 +101,12 @@ pub fn parse_particles(
     let frame = read_particles(bytes, &name, &Limits::default())
         .map_err(|error| FrameError::file(path, Stage::Read, by_lines_of_file(path, error)))?;
     let ParticleFrame { positions, attributes, notes } = frame;
-    let unfit = |what| FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Missing(what) };
+    let missing_error =
+        |what| FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Missing(what) };
     let velocity = attributes.iter().find(|attribute| attribute.role == Some(AttributeRole::Velocity));
     let unused_velocity =
         velocity.map(|attribute| attribute.name.clone()).filter(|name| !wanted.has_velocity(name));
-    let (attributes, missing) = wanted.select(attributes).map_err(unfit)?;
+    let (attributes, missing) = wanted.select(attributes).map_err(missing_error)?;
     let warnings = notes.into_iter().map(Warning::Sentence).chain(missing).collect();
     let cloud = ParticleCloud { positions: particles(positions), shapes: Shapes::Uniform, attributes };
     Ok(ReadFrame { cloud, warnings, unused_velocity })

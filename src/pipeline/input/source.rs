@@ -116,7 +116,7 @@ impl FrameFile {
 
     /// The key of all files whose names differ only in numbers: the folder, and the name without its numbers.
     /// `None` if the position of the number was given, for steps, and for names without a number.
-    pub fn kin(&self) -> Option<(PathBuf, String)> {
+    pub fn group_key(&self) -> Option<(PathBuf, String)> {
         if self.is_number_given || self.number_span.is_none() || self.is_step {
             return None;
         }
@@ -199,22 +199,23 @@ pub fn order_subframes<T>(frames: &mut [T], file: impl Fn(&T) -> FrameFile) {
 /// `dam_0002_b7.ply`. If apparent subframes are the frames of a shot, the last number is the frame's, as in
 /// `shot.0100.9.ply` and `shot.0100.10.ply`.
 fn use_varying_numbers(files: &mut [FrameFile]) {
-    let mut kin: HashMap<(PathBuf, String), Vec<usize>> = HashMap::new();
+    let mut groups: HashMap<(PathBuf, String), Vec<usize>> = HashMap::new();
     for (index, file) in files.iter().enumerate() {
-        if let Some(key) = file.kin() {
-            kin.entry(key).or_default().push(index);
+        if let Some(key) = file.group_key() {
+            groups.entry(key).or_default().push(index);
         }
     }
-    let is_whole = |file: &&FrameFile| file.number_span.is_some() && !file.has_subframe();
-    let whole: HashSet<(PathBuf, String)> = files.iter().filter(is_whole).map(FrameFile::sequence).collect();
-    for members in kin.into_values().filter(|members| members.len() > 1) {
+    let has_whole_number = |file: &&FrameFile| file.number_span.is_some() && !file.has_subframe();
+    let whole: HashSet<(PathBuf, String)> =
+        files.iter().filter(has_whole_number).map(FrameFile::sequence).collect();
+    for members in groups.into_values().filter(|members| members.len() > 1) {
         let names: Vec<String> = members.iter().map(|&index| files[index].name()).collect();
         let stems: Vec<&str> = names.iter().map(|name| numbered_part(name)).collect();
         let spans: Vec<Range<usize>> =
             members.iter().filter_map(|&index| files[index].number_span.clone()).collect();
-        let belongs_to_whole =
+        let belongs_to_sequence =
             |index: &usize| files[*index].has_subframe() && whole.contains(&files[*index].sequence());
-        let is_shot_possible = !members.iter().any(belongs_to_whole);
+        let is_shot_possible = !members.iter().any(belongs_to_sequence);
         if let Some(last) = numbers_behind_shots(&stems, &spans, is_shot_possible) {
             for (index, span) in members.iter().zip(last) {
                 files[*index].number_span = Some(span);
@@ -236,7 +237,7 @@ fn use_varying_numbers(files: &mut [FrameFile]) {
 pub fn single_frame_sequences(sequences: &[Sequence]) -> Vec<(PathBuf, usize)> {
     let mut counts: BTreeMap<(PathBuf, String), (usize, usize)> = BTreeMap::new();
     for sequence in sequences {
-        if let Some(key) = sequence.frames.first().and_then(FrameFile::kin) {
+        if let Some(key) = sequence.frames.first().and_then(FrameFile::group_key) {
             let (count, single_count) = counts.entry(key).or_default();
             *count += 1;
             *single_count += usize::from(sequence.frames.len() == 1);

@@ -50,11 +50,11 @@ fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<Warni
 fn misfit(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<Warning> {
     let ReconstructionReport { edits, contact, .. } = report;
     let particle_count = report.particle_count;
-    let is_whole = edits.clipped_voxel_count == 0
+    let is_unedited = edits.clipped_voxel_count == 0
         && edits.island_count == 0
         && contact.particle_count == 0
         && contact.displaced_voxel_count == 0;
-    if particle_count < CROWD || !is_whole {
+    if particle_count < CROWDED_NEIGHBORS || !is_unedited {
         return None;
     }
     let piece_count = report.mesh.component_count;
@@ -80,8 +80,8 @@ fn fragmented(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Op
     // Meaningless for an open mesh.
     let handle_count = (2 * measures.component_count as i64 - measures.euler_characteristic) / 2;
     let handle_count = usize::try_from(handle_count).unwrap_or(0);
-    let is_whole = measures.component_count <= few_pieces && handle_count <= few_holes;
-    if is_whole || !measures.is_closed_manifold() {
+    let is_intact = measures.component_count <= few_pieces && handle_count <= few_holes;
+    if is_intact || !measures.is_closed_manifold() {
         return None;
     }
     let volumes = mesh.component_volumes();
@@ -110,7 +110,7 @@ fn is_blob(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> bool 
 
 /// Frames with fewer particles get none of these warnings: such particles may well be separate drops, or a
 /// single drop.
-const CROWD: usize = 33;
+const CROWDED_NEIGHBORS: usize = 33;
 
 /// A surface with more than one hole per this number of particles has too many. For comparison: if the voxel
 /// size is half the spacing, even randomly placed particles have a surface without holes.

@@ -123,12 +123,12 @@ pub fn write_sequence_file(
     if sources.iter().any(|source| are_same_file(&source.path, path)) {
         return Err(fail("the sequence file would replace one of its frames".to_owned()));
     }
-    let (there, left_out) = read_frames(sources);
-    if there.is_empty() {
+    let (source_frames, left_out) = read_frames(sources);
+    if source_frames.is_empty() {
         return Err(no_frame(&left_out, path));
     }
     let mut report = SequenceReport { left_out, ..SequenceReport::default() };
-    let numbers: Vec<Option<u64>> = there.iter().map(|frame| frame.source.number).collect();
+    let numbers: Vec<Option<u64>> = source_frames.iter().map(|frame| frame.source.number).collect();
     let numbers = increasing(&numbers);
     let codes = match format {
         SequenceFormat::Glb => in_steps(&numbers),
@@ -136,7 +136,7 @@ pub fn write_sequence_file(
     };
     let provenance = provenance(&numbers, fps);
     let (mut frames, mut opened) = (Vec::new(), Vec::new());
-    for (SourceFrame { source, stamp, file, notes }, code) in there.into_iter().zip(codes) {
+    for (SourceFrame { source, stamp, file, notes }, code) in source_frames.into_iter().zip(codes) {
         let new = notes.into_iter().filter(|note| !report.notes.contains(note)).collect::<Vec<_>>();
         report.notes.extend(new);
         let name = source.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -247,14 +247,14 @@ fn read_frame(source: &SequenceSource) -> Result<SourceFrame<'_>, meniscus_forma
 
 /// Opens the frames; returns those that cannot be read with the reason.
 fn read_frames(sources: &[SequenceSource]) -> (Vec<SourceFrame<'_>>, Vec<(PathBuf, String)>) {
-    let (mut there, mut left_out) = (Vec::new(), Vec::new());
+    let (mut source_frames, mut left_out) = (Vec::new(), Vec::new());
     for source in sources {
         match read_frame(source) {
-            Ok(frame) => there.push(frame),
+            Ok(frame) => source_frames.push(frame),
             Err(error) => left_out.push((source.path.clone(), error.to_string())),
         }
     }
-    (there, left_out)
+    (source_frames, left_out)
 }
 
 /// Fails if the file of a frame was written since it was opened. The data of a frame are read long after

@@ -47,8 +47,8 @@ pub fn close_up(particles: &OwnedPositions, spacing: f64, to_eye: DVec3) -> Opti
     let is_seen = |cell: IVec3| {
         let hides = |step: i32| {
             let towards = (f64::from(step) * to_eye.normalize_or_zero()).round().as_ivec3();
-            let there = cell.saturating_add(towards);
-            there != cell && is_occupied(there)
+            let neighbor = cell.saturating_add(towards);
+            neighbor != cell && is_occupied(neighbor)
         };
         !(1..=HIDING_CELLS).any(hides)
     };

@@ -68,8 +68,9 @@ impl PictureScene<'_> {
         if self.origin != DVec3::ZERO
             && let Some(data) = &mut picture.data
         {
-            let there = data.positions.iter_mut().zip(&data.depth).filter(|(_, depth)| **depth < render::FAR);
-            there.for_each(|(position, _)| {
+            let visible =
+                data.positions.iter_mut().zip(&data.depth).filter(|(_, depth)| **depth < render::FAR);
+            visible.for_each(|(position, _)| {
                 *position = (DVec3::from(position.map(f64::from)) + self.origin).as_vec3().to_array();
             });
         }

@@ -155,9 +155,13 @@ impl Viewpoint {
     }
 
     /// The same viewpoint, turned to the right around its target by this many degrees.
-    pub fn turned(&self, degrees: f64) -> Viewpoint {
-        let turn = glam::DQuat::from_axis_angle(self.up.direction(), degrees.to_radians());
-        Viewpoint { eye: self.target + turn * (self.eye - self.target), top: turn * self.top, ..*self }
+    pub fn rotated(&self, degrees: f64) -> Viewpoint {
+        let rotation = glam::DQuat::from_axis_angle(self.up.direction(), degrees.to_radians());
+        Viewpoint {
+            eye: self.target + rotation * (self.eye - self.target),
+            top: rotation * self.top,
+            ..*self
+        }
     }
 
     /// The same viewpoint, with all its positions moved by `by`.
@@ -409,8 +413,8 @@ mod tests {
     #[test]
     fn full_turn_returns_to_the_start() {
         let viewpoint = parsed("auto").viewpoint([DVec3::ZERO, DVec3::ONE], 1.0, Up::Z);
-        assert!(viewpoint.turned(360.0).eye.distance(viewpoint.eye) < 1e-12);
-        let half = viewpoint.turned(180.0);
+        assert!(viewpoint.rotated(360.0).eye.distance(viewpoint.eye) < 1e-12);
+        let half = viewpoint.rotated(180.0);
         assert!((half.eye + viewpoint.eye - 2.0 * viewpoint.target).truncate().length() < 1e-12);
     }
 }

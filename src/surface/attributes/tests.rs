@@ -52,10 +52,10 @@ fn ball(center: DVec3, radius: f64) -> Vec<[f64; 3]> {
 
 /// Points around a ball of particles, at the distance of a surface.
 fn mesh_around(center: DVec3, radius: f64, count: usize) -> Mesh {
-    let turn = std::f64::consts::PI * (3.0 - 5f64.sqrt());
+    let angle = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     let point = |index: usize| {
         let y = 1.0 - 2.0 * (index as f64 + 0.5) / count as f64;
-        let (sin, cos) = (turn * index as f64).sin_cos();
+        let (sin, cos) = (angle * index as f64).sin_cos();
         let across = (1.0 - y * y).sqrt();
         (DVec3::new(cos * across, y, sin * across) * (radius + 0.13)).as_vec3()
     };

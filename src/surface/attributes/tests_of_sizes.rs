@@ -174,8 +174,8 @@ fn search_visits_few_of_many_particles() {
     let mut state = 3;
     let points: Vec<DVec3> = (0..300).map(|_| direction(&mut state) * 5.0).collect();
     for count in [10_000, 100_000] {
-        let crowd: Vec<DVec3> = (0..count).map(|_| direction(&mut state) * random(&mut state)).collect();
-        let (most, all_found) = looks(&crowd, |_| 64.0, &points);
+        let cluster: Vec<DVec3> = (0..count).map(|_| direction(&mut state) * random(&mut state)).collect();
+        let (most, all_found) = looks(&cluster, |_| 64.0, &points);
         // Seen from afar, many particles of a dense crowd have nearly the same distance. So the work grows
         // with the number of particles, but much more slowly.
         assert!(all_found && most <= 640, "{most} of {count}");
@@ -183,8 +183,8 @@ fn search_visits_few_of_many_particles() {
         let (most, all_found) = looks(&vec![DVec3::Y; count], |_| 64.0, &points);
         assert!(all_found && most <= 16, "{most} of {count}");
         // No particle reaches the point; then exactly one does.
-        assert_eq!(looks(&crowd, |_| 3.2, &points), (0, false));
-        let (most, all_found) = looks(&crowd, |particle| if particle == 7 { 64.0 } else { 3.2 }, &points);
+        assert_eq!(looks(&cluster, |_| 3.2, &points), (0, false));
+        let (most, all_found) = looks(&cluster, |particle| if particle == 7 { 64.0 } else { 3.2 }, &points);
         assert!(all_found && most <= 16, "{most} of {count}");
     }
     assert_eq!(looks(&[], |_| 64.0, &points), (0, false));

@@ -24,7 +24,7 @@ use crate::surface::simd::{Kernel, Lanes, dispatch};
 use crate::surface::space::Lattice;
 
 /// Where |∇φ| is smaller than this, as between two sheets, the normal and the curvature are undefined.
-const LEAST_SLOPE: f32 = 0.1;
+const SLOPE_MIN: f32 = 0.1;
 
 /// Maximum curvature, per voxel: the grid cannot represent spheres with a radius below one voxel.
 const GREATEST_CURVATURE: f32 = 1.0;
@@ -201,7 +201,7 @@ impl CurvatureBatch {
         let along_normal = (gradient * gradient).dot(second)
             + 2.0 * (x * y * mixed(0, 1) + y * z * mixed(1, 2) + z * x * mixed(2, 0));
         let curvature = 0.5 * (second.element_sum() - along_normal / (length * length)) / length;
-        let is_flat = length < LEAST_SLOPE;
+        let is_flat = length < SLOPE_MIN;
         if is_flat { 0.0 } else { curvature.clamp(-GREATEST_CURVATURE, GREATEST_CURVATURE) }
     }
 }

@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use crate::surface::mesh::Mesh;
 
 /// Gradients shorter than this are mostly rounding error. (The gradient of a distance has length one.)
-const LEAST_SLOPE: f32 = 1e-3;
+const SLOPE_MIN: f32 = 1e-3;
 
 /// The direction of a gradient, or zero if the gradient is too short.
 #[inline(always)]
@@ -17,7 +17,7 @@ pub(super) fn unit_or_zero(gradient: Vec3) -> Vec3 {
     let length = gradient.length();
     let unit = gradient / length;
     // Comparison with NaN is false, so values that are not finite give zero, too.
-    if (length > LEAST_SLOPE) & (length < f32::INFINITY) { unit } else { Vec3::ZERO }
+    if (length > SLOPE_MIN) & (length < f32::INFINITY) { unit } else { Vec3::ZERO }
 }
 
 /// Replaces each zero normal by the area-weighted mean of the vertex's triangle normals, or by the z axis if

@@ -119,22 +119,22 @@ impl<'a> CavitySearch<'a> {
         }
     }
 
-    /// The volume of the cavity that contains a component, in voxels. `None` if it is at least `volume_most`,
+    /// The volume of the cavity that contains a component, in voxels. `None` if it is at least `volume_max`,
     /// open, or already visited.
-    fn enclosed_volume(&mut self, component: u32, volume_most: f64) -> Option<u64> {
+    fn enclosed_volume(&mut self, component: u32, volume_max: f64) -> Option<u64> {
         if self.states[component as usize] != ComponentState::Unknown {
             return None;
         }
         let mut walk = CavityWalk { volume: self.volumes[component as usize], ..CavityWalk::default() };
         walk.components.insert(component);
         self.enter(component, &mut walk);
-        let mut is_enclosed = (walk.volume as f64) < volume_most;
+        let mut is_enclosed = (walk.volume as f64) < volume_max;
         while is_enclosed && let Some(leaf) = walk.queue.pop_front() {
             walk.volume += LEAF_VOXELS as u64;
             is_enclosed = self.extent.contains(leaf)
                 && !self.open.contains(&leaf)
                 && self.pass(leaf, &mut walk)
-                && (walk.volume as f64) < volume_most;
+                && (walk.volume as f64) < volume_max;
         }
         let state = if is_enclosed { ComponentState::Enclosed } else { ComponentState::Open };
         for component in walk.components {

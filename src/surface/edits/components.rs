@@ -127,11 +127,11 @@ fn parts_of(set: &LeafMask, connectivity: Connectivity) -> Vec<LeafMask> {
         let mut part = LeafMask::EMPTY;
         rest.iter().take(1).for_each(|seed| part.insert(seed));
         loop {
-            let grown = grown(&part, connectivity).and(&rest);
-            if grown == part {
+            let dilated = dilated(&part, connectivity).and(&rest);
+            if dilated == part {
                 break;
             }
-            part = grown;
+            part = dilated;
         }
         rest.remove_all(&part);
         parts.push(part);
@@ -140,7 +140,7 @@ fn parts_of(set: &LeafMask, connectivity: Connectivity) -> Vec<LeafMask> {
 }
 
 /// The voxels of a leaf that are in the mask or touch a voxel of it.
-fn grown(mask: &LeafMask, connectivity: Connectivity) -> LeafMask {
+fn dilated(mask: &LeafMask, connectivity: Connectivity) -> LeafMask {
     let [x, y, z] = [0, 1, 2].map(|axis| widened(mask, axis));
     match connectivity {
         Connectivity::Faces => x.or(&y).or(&z),
@@ -166,8 +166,8 @@ pub(super) fn across(mask: &LeafMask, step: IVec3, connectivity: Connectivity) -
     if connectivity == Connectivity::Faces || !is_face {
         return touched;
     }
-    let aside = (0..3).filter(|&axis| step[axis] == 0);
-    aside.fold(touched, |all, axis| all.or(&widened(&touched, axis)))
+    let other_axes = (0..3).filter(|&axis| step[axis] == 0);
+    other_axes.fold(touched, |all, axis| all.or(&widened(&touched, axis)))
 }
 
 /// Steps from a leaf to half of the leaves that share a face with it, and to half of those that share an

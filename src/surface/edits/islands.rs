@@ -27,18 +27,18 @@ pub struct DroppedIslands {
     is_dropped: Vec<bool>,
 }
 
-/// Removes the components of the inside with fewer than `particle_count_least` particles.
+/// Removes the components of the inside with fewer than `particle_count_min` particles.
 ///
 /// `particles` yields each leaf's origin and particle positions, in voxels relative to the origin (0 to 8 on
 /// each axis). Particles that are not given are not counted.
 pub fn drop_islands<P: AsRef<[Vec3]>>(
     band: &mut NarrowBand,
-    particle_count_least: u64,
+    particle_count_min: u64,
     particles: impl IntoIterator<Item = (IVec3, P)>,
 ) -> DroppedIslands {
     let topology = band.topology.clone();
     let components = Components::new(&topology, &negative_masks(&band.phi), Connectivity::Faces);
-    let mut is_candidate = vec![particle_count_least > 0; components.count];
+    let mut is_candidate = vec![particle_count_min > 0; components.count];
     for (component, _) in components.beyond(&topology) {
         is_candidate[component as usize] = false;
     }
@@ -52,7 +52,7 @@ pub fn drop_islands<P: AsRef<[Vec3]>>(
     };
     let counts = dropped.count_particles(particles);
     for (is_dropped, count) in dropped.is_dropped.iter_mut().zip(counts) {
-        *is_dropped &= count < particle_count_least;
+        *is_dropped &= count < particle_count_min;
         dropped.piece_count += usize::from(*is_dropped);
         dropped.particle_count += if *is_dropped { count } else { 0 };
     }

@@ -55,11 +55,11 @@ pub(super) fn carry(
             // Evaluated at the particles' mean position instead of on the surface, because more particles
             // surround the mean position.
             let Mean { vector: here, position } = mean(from, point, (limit, spacing), velocity_in(from))?;
-            let there = |position: DVec3| {
+            let velocity_at = |position: DVec3| {
                 Some(mean(to, position, (SEARCH_RADIUS * spacing, spacing), velocity_in(to))?.vector)
             };
-            let first = there(position + step * here)?;
-            let second = there(position + step * 0.5 * (here + first))?;
+            let first = velocity_at(position + step * here)?;
+            let second = velocity_at(position + step * 0.5 * (here + first))?;
             step * 0.5 * (here + second)
         }
     };

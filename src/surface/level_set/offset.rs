@@ -94,12 +94,12 @@ fn sweep(band: &mut NarrowBand, fixed: &[LeafMask], sweeps: Sweeps) {
 fn next_to_surface(band: &NarrowBand) -> Vec<LeafMask> {
     let inside = negative_masks(&band.phi);
     let outside: Vec<LeafMask> = inside.par_iter().map(LeafMask::complement).collect();
-    let beside = |leaf: usize| {
+    let adjacent = |leaf: usize| {
         let [inside, outside] =
             [&inside, &outside].map(|sides| next_to_other_side(&band.topology, sides, leaf));
         inside.or(&outside)
     };
-    (0..inside.len()).into_par_iter().map(beside).collect()
+    (0..inside.len()).into_par_iter().map(adjacent).collect()
 }
 
 /// The voxels of a leaf that are on one side of the surface and have a face neighbor on the other side.
@@ -109,9 +109,9 @@ fn next_to_other_side(topology: &Topology, side: &[LeafMask], leaf: usize) -> Le
         NO_LEAF => &LeafMask::FULL,
         neighbor => &side[neighbor as usize],
     });
-    let mut beside = side[leaf];
-    beside.remove_all(&side[leaf].surrounded(faces));
-    beside
+    let mut adjacent = side[leaf];
+    adjacent.remove_all(&side[leaf].surrounded(faces));
+    adjacent
 }
 
 #[cfg(test)]

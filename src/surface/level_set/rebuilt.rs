@@ -245,8 +245,8 @@ fn at_surface(inside: &[LeafMask], topology: &Topology, leaf: usize) -> LeafMask
             None => mirrored(&own, face),
         };
         let [before, after] = own.shifted(face / 2, 1, &across, &across);
-        let beside = if face.is_multiple_of(2) { before } else { after };
-        crossed = crossed.or(&own.and(&beside.complement())).or(&beside.and(&own.complement()));
+        let adjacent = if face.is_multiple_of(2) { before } else { after };
+        crossed = crossed.or(&own.and(&adjacent.complement())).or(&adjacent.and(&own.complement()));
     }
     crossed
 }
@@ -337,8 +337,8 @@ impl<'a> LevelSetLookup<'a> {
         }
         for (&(origin, size), &value) in self.tile_of.iter().filter(|(_, value)| is_inside(**value)) {
             for face in 0..6 {
-                let beside = self.tile_of.get(&(origin + step(face) * size, size));
-                if beside.is_some_and(|&beside| is_inside(beside) == is_inside(value)) {
+                let adjacent = self.tile_of.get(&(origin + step(face) * size, size));
+                if adjacent.is_some_and(|&adjacent| is_inside(adjacent) == is_inside(value)) {
                     continue;
                 }
                 for within in leaves_on_face(origin, size, face) {

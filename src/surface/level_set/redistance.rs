@@ -155,9 +155,9 @@ impl Kernel for Pin<'_> {
             let slab = self.around.slab(x);
             for y in 0..8 {
                 let row = x * 8 + y;
-                let (distance, beside) = pin_row::<V>(&slab, y);
+                let (distance, adjacent) = pin_row::<V>(&slab, y);
                 distance.store(self.distance.row_mut(row));
-                self.pinned.set_row(row, beside);
+                self.pinned.set_row(row, adjacent);
             }
         }
     }
@@ -174,15 +174,15 @@ fn pin_row<V: Lanes>(slab: &Slab, y: usize) -> (V, u8) {
     // A voxel is at most one voxel farther from the zero set than its neighbor. A neighbor on the other side
     // counts as lying on the zero set, so that distances are continuous as a neighbor's value passes through
     // zero.
-    let (mut beside, mut nearest) = (0, V::splat(f32::INFINITY));
+    let (mut adjacent, mut nearest) = (0, V::splat(f32::INFINITY));
     for [before, after] in [slab.along_x::<V>(y), slab.along_y(y), slab.along_z(y)] {
-        beside |= (V::bits(before.lt(zero)) ^ inside) | (V::bits(after.lt(zero)) ^ inside);
+        adjacent |= (V::bits(before.lt(zero)) ^ inside) | (V::bits(after.lt(zero)) ^ inside);
         nearest = nearest.min(side.mul(before).max(zero)).min(side.mul(after).max(zero));
     }
     let distance = c.abs().div(slab.gradient_norm(y)).min(one.add(nearest));
     // Avoids 0 / 0: a voxel where φ and its gradient are zero is on the zero set.
     let distance = V::select(c.ne(zero), distance, zero);
-    (V::select(V::mask(beside), distance, V::splat(UNREACHED)).mul(side), beside)
+    (V::select(V::mask(adjacent), distance, V::splat(UNREACHED)).mul(side), adjacent)
 }
 
 /// The rows of a leaf that changed, or have a changed row within two voxels along an axis.

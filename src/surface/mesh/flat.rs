@@ -346,7 +346,7 @@ mod tests {
         };
         let mut triangles = Vec::new();
         for axis in 0..3 {
-            for (end, turned) in [(0, true), (count, false)] {
+            for (end, is_reversed) in [(0, true), (count, false)] {
                 for i in 0..count {
                     for j in 0..count {
                         let corner = |u: u32, v: u32| {
@@ -357,7 +357,7 @@ mod tests {
                         };
                         let [a, b, c, d] =
                             [corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)].map(&mut vertex);
-                        let quad = if turned { [[a, c, b], [a, d, c]] } else { [[a, b, c], [a, c, d]] };
+                        let quad = if is_reversed { [[a, c, b], [a, d, c]] } else { [[a, b, c], [a, c, d]] };
                         triangles.extend(quad);
                     }
                 }

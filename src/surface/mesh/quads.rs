@@ -45,6 +45,6 @@ impl Mesh {
 fn are_halves(one: [u32; 3], other: [u32; 3]) -> bool {
     let [a, b, c] = one;
     let from_diagonal = other[0] == c && other[2] == a;
-    let turned = other[0] == b && other[1] == a;
-    from_diagonal || turned
+    let is_reversed = other[0] == b && other[1] == a;
+    from_diagonal || is_reversed
 }

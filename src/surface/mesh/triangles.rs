@@ -16,7 +16,7 @@ pub(crate) struct TriangleBatch {
 }
 
 /// A triangle is degenerate if its height is below this fraction of its longest edge.
-const LEAST_HEIGHT: f64 = 1e-9;
+const HEIGHT_MIN: f64 = 1e-9;
 
 impl TriangleBatch {
     /// The corners of up to [`LANES`] triangles.
@@ -70,7 +70,7 @@ impl TriangleBatch {
             let [a, b, c] = [self.corner(0, lane), self.corner(1, lane), self.corner(2, lane)];
             let longest_squared = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
             let doubled_area = (b - a).cross(c - a).length();
-            *degenerate = u32::from(doubled_area <= LEAST_HEIGHT * longest_squared);
+            *degenerate = u32::from(doubled_area <= HEIGHT_MIN * longest_squared);
         }
         degenerate
     }

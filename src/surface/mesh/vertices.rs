@@ -93,8 +93,8 @@ fn corner_part(to_next: DVec3, to_prev: DVec3) -> (DVec3, f64) {
     let curvature = 0.5 * (at_prev * to_next + at_next * to_prev) / doubled_area;
     let acute =
         (at_prev * to_next.length_squared() + at_next * to_prev.length_squared()) / (8.0 * doubled_area);
-    let beside_obtuse = if (at_next < 0.0) | (at_prev < 0.0) { doubled_area / 8.0 } else { acute };
-    let area = if at_here < 0.0 { doubled_area / 4.0 } else { beside_obtuse };
+    let next_to_obtuse = if (at_next < 0.0) | (at_prev < 0.0) { doubled_area / 8.0 } else { acute };
+    let area = if at_here < 0.0 { doubled_area / 4.0 } else { next_to_obtuse };
     let is_flat = doubled_area <= 0.0;
     let (zero, none) = (DVec3::ZERO, 0.0);
     (if is_flat { zero } else { curvature }, if is_flat { none } else { area })

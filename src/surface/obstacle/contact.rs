@@ -106,7 +106,7 @@ impl Kernel for ContactKernel<'_> {
     #[inline(always)]
     fn run<V: Lanes>(self) -> ContactStats {
         let (zero, threshold) = (V::splat(0.0), V::splat(self.void_threshold));
-        let mut tally = ContactStats::default();
+        let mut stats = ContactStats::default();
         for row in 0..ROW_COUNT {
             let obstacle = V::load(self.obstacle.row(row));
             let wall = zero.sub(obstacle);
@@ -122,13 +122,13 @@ impl Kernel for ContactKernel<'_> {
             let new_upper = V::select(is_held, upper.min(contact), upper).max(new_lower);
             let is_outside = V::both(zero.lt(phi), zero.lt(obstacle));
             let is_void = V::both(is_outside, gap.lt(zero));
-            tally.void_count += u64::from(V::bits(is_void).count_ones());
-            let is_taken = V::both(obstacle.lt(zero), upper.lt(wall));
-            tally.displaced_voxel_count += u64::from(V::bits(is_taken).count_ones());
+            stats.void_count += u64::from(V::bits(is_void).count_ones());
+            let is_displaced = V::both(obstacle.lt(zero), upper.lt(wall));
+            stats.displaced_voxel_count += u64::from(V::bits(is_displaced).count_ones());
             contact.max(new_lower).min(new_upper).store(self.phi.row_mut(row));
             new_lower.store(self.lower.row_mut(row));
             new_upper.store(self.upper.row_mut(row));
         }
-        tally
+        stats
     }
 }

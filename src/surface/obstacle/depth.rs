@@ -43,20 +43,20 @@ impl Obstacles {
     pub fn move_vertices_out(&self, mesh: &mut Mesh, lattice: &Lattice, half_width: f32) -> DepthStats {
         let origin = mesh.origin;
         let of_vertex = |(position, normal): (&mut Vec3, &mut Vec3)| {
-            let mut tally = DepthStats::default();
+            let mut stats = DepthStats::default();
             let point = origin + position.as_dvec3();
             let Some((depth, outside)) = self.depth(point, lattice, half_width) else {
-                return tally;
+                return stats;
             };
-            tally.deepest_voxels = depth;
+            stats.deepest_voxels = depth;
             if DEPTH_MAX < depth && depth < MOVE_MAX {
                 *position = (outside - origin).as_vec3();
                 *normal = (point - outside).normalize_or_zero().as_vec3();
                 // The vertex may now be inside another obstacle.
                 let left = self.depth(origin + position.as_dvec3(), lattice, half_width);
-                tally = DepthStats { deepest_voxels: left.map_or(0.0, |(depth, _)| depth), moved_count: 1 };
+                stats = DepthStats { deepest_voxels: left.map_or(0.0, |(depth, _)| depth), moved_count: 1 };
             }
-            tally
+            stats
         };
         let both = |one: DepthStats, other: DepthStats| DepthStats {
             deepest_voxels: one.deepest_voxels.max(other.deepest_voxels),

@@ -507,8 +507,8 @@ fn moved_vertices_face_the_wall() {
         normals: vec![Vec3::X; 3],
         ..crate::surface::mesh::Mesh::default()
     };
-    let tally = obstacles.move_vertices_out(&mut mesh, &UNIT, HALF_WIDTH);
-    assert_eq!(tally.moved_count, 1);
+    let stats = obstacles.move_vertices_out(&mut mesh, &UNIT, HALF_WIDTH);
+    assert_eq!(stats.moved_count, 1);
     assert!(mesh.positions[0].distance(Vec3::new(1.0, 2.0, 0.25)) < 1e-6, "{}", mesh.positions[0]);
     assert!(mesh.normals[0].distance(Vec3::NEG_Z) < 1e-6, "{}", mesh.normals[0]);
     assert_eq!(mesh.normals[1..], [Vec3::X; 2]);

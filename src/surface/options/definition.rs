@@ -252,9 +252,9 @@ impl MethodOptions {
     /// Whether a length other than the particle spacing and the voxel size is given in this unit.
     pub fn has_length_in(&self, unit: LengthUnit) -> bool {
         let pairs = self.to_pairs().into_iter();
-        let is_beside = |name: &str| !["spacing", "voxel_size"].contains(&name);
+        let is_dependent = |name: &str| !["spacing", "voxel_size"].contains(&name);
         let mut lengths = pairs.filter(|(name, _)| {
-            is_beside(name) && MethodOptions::info(name).is_some_and(|info| info.kind == ValueKind::Length)
+            is_dependent(name) && MethodOptions::info(name).is_some_and(|info| info.kind == ValueKind::Length)
         });
         lengths.any(|(_, text)| text.parse().is_ok_and(|length: Length| length.unit == unit))
     }
@@ -287,11 +287,11 @@ impl MethodOptions {
     /// The given options that have no effect, each with the option that it requires; `has_obstacles` says
     /// whether there are obstacles.
     pub fn ineffective(&self, has_obstacles: bool) -> Vec<(&'static str, &'static str)> {
-        let unmet = |name: &'static str| {
+        let unmet_need = |name: &'static str| {
             let need = MethodOptions::info(name)?.need.as_ref()?;
             (!(need.is_met)(self, has_obstacles)).then_some((name, need.what))
         };
-        self.to_pairs().into_iter().filter_map(|(name, _)| unmet(name)).collect()
+        self.to_pairs().into_iter().filter_map(|(name, _)| unmet_need(name)).collect()
     }
 }
 

@@ -35,8 +35,8 @@ impl OctantBall {
     pub(super) fn new(radius: f32) -> OctantBall {
         let limit = (2.0 * (radius - ROUNDING)).max(0.0).powi(2);
         let width = |x: i32, y: i32| {
-            let aside = [x, y].map(|along| if along < 0 { -along } else { along + 1 } as f32);
-            let across = aside[0] * aside[0] + aside[1] * aside[1];
+            let lateral = [x, y].map(|along| if along < 0 { -along } else { along + 1 } as f32);
+            let across = lateral[0] * lateral[0] + lateral[1] * lateral[1];
             (1..=REACH).take_while(|&m| across + (m * m) as f32 <= limit).count()
         };
         let mut rows_of_width = vec![Vec::new(); REACH];
@@ -171,8 +171,8 @@ mod tests {
             // The octants within the search range, and their farthest corners.
             let far = |voxel: IVec3, octant: IVec3| {
                 let corner = octant - 2 * voxel;
-                let aside = corner.abs().max((corner + 1).abs());
-                (aside.max_element() <= REACH as i32).then(|| 0.5 * aside.as_vec3().length())
+                let lateral = corner.abs().max((corner + 1).abs());
+                (lateral.max_element() <= REACH as i32).then(|| 0.5 * lateral.as_vec3().length())
             };
             let nearest =
                 |voxel: IVec3| all.iter().filter_map(|&octant| far(voxel, octant)).fold(99.0, f32::min);

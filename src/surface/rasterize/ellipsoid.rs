@@ -398,8 +398,8 @@ fn near_bits<V: Lanes>(boxes: &BoxPacket, step: Vec3) -> u8 {
 #[inline(always)]
 fn touches<V: Lanes>(centers: &[f32; 8], step: f32, extents: &[f32; 8]) -> u8 {
     let along = V::load(centers).add(V::splat(step));
-    let aside = along.sub(along.max(V::splat(0.0)).min(V::splat((LEAF_EDGE - 1) as f32)));
-    V::bits(V::not(V::load(extents).lt(aside.abs())))
+    let beyond_leaf = along.sub(along.max(V::splat(0.0)).min(V::splat((LEAF_EDGE - 1) as f32)));
+    V::bits(V::not(V::load(extents).lt(beyond_leaf.abs())))
 }
 
 /// Range of a leaf's voxels along an axis that lie within `extent` of `center`.
@@ -425,8 +425,8 @@ fn is_deep<V: Lanes>(leaves: &[Leaf; 3], row: usize) -> bool {
 /// Takes the minimum of a row's values and `values`, in the lanes of the mask.
 #[inline(always)]
 fn lower_row<V: Lanes>(row: &mut [f32; 8], counts: V::Mask, values: V) {
-    let there = V::load(row);
-    V::select(counts, values.min(there), there).store(row);
+    let previous = V::load(row);
+    V::select(counts, values.min(previous), previous).store(row);
 }
 
 impl ParticleShape for BallShape {

@@ -55,10 +55,10 @@ impl Regions {
 
 /// The box of the leaves within `margin` voxels of a box.
 fn leaves_around(voxels: CoordBox, margin: i32) -> CoordBox {
-    let (grown, edge) = (voxels.expanded(margin), IVec3::splat(LEAF_EDGE));
+    let (expanded, edge) = (voxels.expanded(margin), IVec3::splat(LEAF_EDGE));
     CoordBox {
-        min: grown.min.div_euclid(edge) * LEAF_EDGE,
-        max: grown.max.div_euclid(edge) * LEAF_EDGE + (LEAF_EDGE - 1),
+        min: expanded.min.div_euclid(edge) * LEAF_EDGE,
+        max: expanded.max.div_euclid(edge) * LEAF_EDGE + (LEAF_EDGE - 1),
     }
 }
 

@@ -58,7 +58,7 @@ fn known_voxels(
         side
     };
     let known = |leaf: usize| {
-        let beside = of_side(inside[leaf], leaf, &|neighbor| match neighbor {
+        let adjacent = of_side(inside[leaf], leaf, &|neighbor| match neighbor {
             NO_LEAF => LeafMask::FULL,
             neighbor => inside[neighbor as usize],
         });
@@ -73,7 +73,7 @@ fn known_voxels(
                 neighbor => outside(neighbor as usize),
             })
         };
-        beside.or(&known_outside)
+        adjacent.or(&known_outside)
     };
     (0..topology.len()).into_par_iter().map(known).collect()
 }

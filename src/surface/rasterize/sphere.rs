@@ -136,9 +136,9 @@ const LIMIT_PARTICLES: usize = 32;
 /// Bit mask of the eight particles within a squared distance of the box of a leaf's voxels.
 #[inline(always)]
 fn near_bits<V: Lanes>(eight: &Centers8, step: Vec3, limit: f32) -> u8 {
-    let x = squares_aside(V::load(&eight[0]).add(V::splat(step.x)));
-    let y = squares_aside(V::load(&eight[1]).add(V::splat(step.y)));
-    let z = squares_aside(V::load(&eight[2]).add(V::splat(step.z)));
+    let x = squares_beyond(V::load(&eight[0]).add(V::splat(step.x)));
+    let y = squares_beyond(V::load(&eight[1]).add(V::splat(step.y)));
+    let z = squares_beyond(V::load(&eight[2]).add(V::splat(step.z)));
     // Summed in the same order as distances, so that rounding never rejects a particle that lowers a value.
     V::bits(V::not(V::splat(limit).lt(x.add(y).add(z))))
 }
@@ -192,9 +192,9 @@ pub(super) fn greatest<V: Lanes>(values: V) -> f32 {
 /// Takes the minimum of each squared distance and that to `position`, in the slabs where it can be lower.
 #[inline(always)]
 fn lower_to_sphere<V: Lanes>(squared: &mut Leaf, limits: &SlabLimits, position: Vec3) {
-    let least_x = squares_aside(V::splat(position.x));
-    let least_y = squares_aside(V::splat(position.y));
-    let least_z = squares_aside(V::splat(position.z));
+    let least_x = squares_beyond(V::splat(position.x));
+    let least_y = squares_beyond(V::splat(position.y));
+    let least_z = squares_beyond(V::splat(position.z));
     let (dx, dy, dz) = (squares::<V>(position.x), squares::<V>(position.y), squares::<V>(position.z));
     // Summed in the same order as distances, so that rounding never rejects a slab that has a lower value.
     let slabs = is_within(dx.add(least_y).add(least_z), &limits.along[0]);
@@ -230,9 +230,9 @@ fn squares<V: Lanes>(along: f32) -> V {
 
 /// Along one axis, the squared distance to the leaf's range of voxels, 0 inside. For eight positions at once.
 #[inline(always)]
-fn squares_aside<V: Lanes>(along: V) -> V {
-    let aside = along.sub(along.max(V::splat(0.0)).min(V::splat((LEAF_EDGE - 1) as f32)));
-    aside.mul(aside)
+fn squares_beyond<V: Lanes>(along: V) -> V {
+    let beyond_leaf = along.sub(along.max(V::splat(0.0)).min(V::splat((LEAF_EDGE - 1) as f32)));
+    beyond_leaf.mul(beyond_leaf)
 }
 
 #[cfg(test)]

@@ -190,9 +190,10 @@ impl Distances {
     fn signed(&self, topology: &Topology, radius: f32, half_width: f32) -> Field {
         swept(topology, half_width, |voxel| {
             let nearest = self.at(voxel);
-            let beside =
+            let is_adjacent =
                 |step: &IVec3| topology.find_voxel(voxel + step).is_some() && self.at(voxel + step) >= radius;
-            let is_known = nearest != f32::INFINITY && (nearest >= radius || FACE_STEPS.iter().any(beside));
+            let is_known =
+                nearest != f32::INFINITY && (nearest >= radius || FACE_STEPS.iter().any(is_adjacent));
             (nearest - radius, is_known)
         })
     }

@@ -88,13 +88,13 @@ fn round_ellipsoids_approximate_balls() {
                 let (value, expected) =
                     (round.leaves[other].values[offset], balls.leaves[leaf].values[offset]);
                 assert_eq!(value < 0.0, expected < 0.0, "{value} for {expected} in field {field}");
-                let beside = |step: &IVec3| {
+                let is_adjacent = |step: &IVec3| {
                     let found = balls_topology.find_voxel(origin + voxel_in_leaf(offset) + step);
                     let value = found.map(|(leaf, at)| balls.leaves[leaf].values[offset_in_leaf(at)]);
                     value.is_some_and(|value| (value < 0.0) != (expected < 0.0))
                 };
                 // Values next to the surface come from the particles; the others are swept.
-                let allowed = if FACE_STEPS.iter().any(beside) { 1e-3 } else { 0.5 };
+                let allowed = if FACE_STEPS.iter().any(is_adjacent) { 1e-3 } else { 0.5 };
                 assert!((value - expected).abs() < allowed, "{value} for {expected} in field {field}");
             }
         }
@@ -245,12 +245,12 @@ impl Definition {
     fn signed(&self, topology: &Topology, surface: usize, half_width: f32) -> Field {
         swept(topology, half_width, |voxel| {
             let value = self.at(voxel, surface);
-            let beside = |step: &IVec3| {
+            let is_adjacent = |step: &IVec3| {
                 let is_other = (self.at(voxel + step, surface) < 0.0) != (value < 0.0);
                 topology.find_voxel(voxel + step).is_some() && is_other
             };
             let is_exact = value >= 0.0 && self.is_exact_outside;
-            (value, value != f32::INFINITY && (is_exact || FACE_STEPS.iter().any(beside)))
+            (value, value != f32::INFINITY && (is_exact || FACE_STEPS.iter().any(is_adjacent)))
         })
     }
 }

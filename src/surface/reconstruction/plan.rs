@@ -31,7 +31,7 @@ pub struct MemoryPlan {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooLarge {
     /// The smallest sufficient limit, in bytes.
-    pub least_bytes: u64,
+    pub needed_bytes: u64,
     /// The limit, in bytes.
     pub allowed_bytes: u64,
     /// True if tiles are impossible because the integrator is global.
@@ -44,7 +44,7 @@ impl fmt::Display for TooLarge {
         write!(
             f,
             "the frame needs {} MiB of memory and the limit is {} MiB: raise --memory or increase --voxel-size",
-            mebibytes(self.least_bytes),
+            mebibytes(self.needed_bytes),
             self.allowed_bytes / MEBIBYTE
         )?;
         if self.requires_in_core {
@@ -123,19 +123,19 @@ fn plan_with_tiles<S: ParticleSource>(
         return Ok(Ok(MemoryPlan { memory_bytes: whole, tile_leaves: None, in_core_bytes: whole }));
     }
     if matches!(settings.integrator, Integrator::Implicit | Integrator::Adaptive) {
-        let too_large = TooLarge { least_bytes: whole, allowed_bytes, requires_in_core: true };
+        let too_large = TooLarge { needed_bytes: whole, allowed_bytes, requires_in_core: true };
         return Ok(Err(MemoryPlanError::TooLarge(too_large)));
     }
-    let mut least_bytes = whole;
+    let mut needed_bytes = whole;
     for &tile_leaves in tile_edges {
         let memory_bytes = tiled_bytes(&footprint, settings, attribute_bytes, tile_leaves);
         if memory_bytes <= allowed_bytes {
             let tile_leaves = Some(tile_leaves);
             return Ok(Ok(MemoryPlan { memory_bytes, tile_leaves, in_core_bytes: whole }));
         }
-        least_bytes = least_bytes.min(memory_bytes);
+        needed_bytes = needed_bytes.min(memory_bytes);
     }
-    Ok(Err(MemoryPlanError::TooLarge(TooLarge { least_bytes, allowed_bytes, requires_in_core: false })))
+    Ok(Err(MemoryPlanError::TooLarge(TooLarge { needed_bytes, allowed_bytes, requires_in_core: false })))
 }
 
 /// Number of fields in memory during rasterization, including temporary fields of the sweeps. Anisotropic

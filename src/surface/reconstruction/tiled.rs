@@ -242,8 +242,8 @@ mod tests {
     impl Storage for InMemory {
         fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {
             let (stored, from) = (self.0.lock().unwrap(), offset as usize);
-            let there = stored.get(from..from + bytes.len()).ok_or(io::ErrorKind::UnexpectedEof)?;
-            bytes.copy_from_slice(there);
+            let stored_bytes = stored.get(from..from + bytes.len()).ok_or(io::ErrorKind::UnexpectedEof)?;
+            bytes.copy_from_slice(stored_bytes);
             Ok(())
         }
 

@@ -148,16 +148,16 @@ impl Lanes for Ymm {
     #[inline(always)]
     fn shift_up(self, first: f32) -> Ymm {
         ymm!({
-            let turned = _mm256_permutevar8x32_ps(self.0, _mm256_setr_epi32(7, 0, 1, 2, 3, 4, 5, 6));
-            _mm256_blend_ps::<0x01>(turned, _mm256_set1_ps(first))
+            let rotated = _mm256_permutevar8x32_ps(self.0, _mm256_setr_epi32(7, 0, 1, 2, 3, 4, 5, 6));
+            _mm256_blend_ps::<0x01>(rotated, _mm256_set1_ps(first))
         })
     }
 
     #[inline(always)]
     fn shift_down(self, last: f32) -> Ymm {
         ymm!({
-            let turned = _mm256_permutevar8x32_ps(self.0, _mm256_setr_epi32(1, 2, 3, 4, 5, 6, 7, 0));
-            _mm256_blend_ps::<0x80>(turned, _mm256_set1_ps(last))
+            let rotated = _mm256_permutevar8x32_ps(self.0, _mm256_setr_epi32(1, 2, 3, 4, 5, 6, 7, 0));
+            _mm256_blend_ps::<0x80>(rotated, _mm256_set1_ps(last))
         })
     }
 }

@@ -41,21 +41,21 @@ const SAFETY: f32 = 0.9;
 
 /// Minimum adaptive step, in units of h⁴, so that the loop ends for any φ. Values in a band never change so
 /// fast that a smaller step would be needed.
-const ADAPTIVE_STEP_LEAST: f32 = 1e-6;
+const ADAPTIVE_STEP_MIN: f32 = 1e-6;
 
-/// Takes the largest allowed step, at most `step_size_most` h⁴. Returns its size.
+/// Takes the largest allowed step, at most `step_size_max` h⁴. Returns its size.
 pub(super) fn adaptive_step(
     band: &mut NarrowBand,
     bounds: &Bounds,
     region: &FreeVoxels,
-    step_size_most: f32,
+    step_size_max: f32,
     workspace: &mut Workspace,
 ) -> f32 {
     inner_laplacian(&band.topology, region, &band.phi, &mut workspace.first);
-    let mut step_size = step_size_most.min(ADAPTIVE_STEP_MAX);
+    let mut step_size = step_size_max.min(ADAPTIVE_STEP_MAX);
     let moved_max = advance(band, bounds, region, step_size, workspace, None);
     if moved_max > 1.0 {
-        step_size = (step_size / moved_max).max(ADAPTIVE_STEP_LEAST);
+        step_size = (step_size / moved_max).max(ADAPTIVE_STEP_MIN);
         advance(band, bounds, region, step_size, workspace, None);
     }
     std::mem::swap(&mut band.phi, &mut workspace.second);
@@ -164,9 +164,9 @@ mod tests {
             let quickest = step(&mut band, &bounds, &region, SMALL, &mut workspace, None) / SMALL;
             assert_eq!(quickest < 1.0 / ADAPTIVE_STEP_MAX, is_stability_what_rules, "{quickest}");
             let mut band = start.clone();
-            let taken = adaptive_step(&mut band, &bounds, &region, 1.0, &mut workspace);
+            let time = adaptive_step(&mut band, &bounds, &region, 1.0, &mut workspace);
             let expected = ADAPTIVE_STEP_MAX.min(1.0 / quickest);
-            assert!((taken / expected - 1.0).abs() < 1e-4, "{taken} {expected}");
+            assert!((time / expected - 1.0).abs() < 1e-4, "{time} {expected}");
             let values = |band: &NarrowBand| -> Vec<f32> {
                 band.phi.leaves.iter().flat_map(|leaf| leaf.values).collect()
             };

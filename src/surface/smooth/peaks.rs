@@ -70,7 +70,7 @@ pub(super) fn pinned_peaks(topology: &Topology, phi: &Field) -> Vec<LeafMask> {
         pinned
             .par_iter_mut()
             .zip(near(phi, DEPTHS[0]))
-            .for_each(|(pinned, beside)| pinned.remove_all(&beside));
+            .for_each(|(pinned, adjacent)| pinned.remove_all(&adjacent));
     }
     pinned
 }

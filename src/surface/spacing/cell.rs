@@ -53,15 +53,15 @@ impl Section {
     /// above or below it; they are projected to the plane. The last neighbour is the farthest.
     pub(super) fn among(neighbors: &[DVec3], normal: DVec3) -> Section {
         let end = END * neighbors.last().map_or(0.0, |neighbor| neighbor.length());
-        let beside = |neighbor: &DVec3| {
+        let adjacent = |neighbor: &DVec3| {
             let height = neighbor.dot(normal);
             let flat = *neighbor - height * normal;
             (height * height <= STEEP * flat.length_squared()).then_some(flat)
         };
-        let beside: Vec<DVec3> = neighbors.iter().filter_map(beside).collect();
+        let adjacent: Vec<DVec3> = neighbors.iter().filter_map(adjacent).collect();
         let mut polygon = Polygon::default();
         polygon.start(DVec3::ZERO, normal, end);
-        polygon.cut_by_all(&beside);
+        polygon.cut_by_all(&adjacent);
         Section { area: polygon.area(), radius: polygon.radius() }
     }
 }

@@ -198,8 +198,8 @@ fn weighted_mean(first: Option<f64>, second: Option<f64>, weight: f64) -> Option
 /// Drops the smallest and the largest eighth.
 fn middle(mut numbers: Vec<f64>) -> Vec<f64> {
     numbers.sort_unstable_by(f64::total_cmp);
-    let aside = numbers.len() / 8;
-    numbers[aside..numbers.len() - aside].to_vec()
+    let trimmed_count = numbers.len() / 8;
+    numbers[trimmed_count..numbers.len() - trimmed_count].to_vec()
 }
 
 fn mean(numbers: &[f64]) -> Option<f64> {

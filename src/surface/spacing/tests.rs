@@ -173,12 +173,12 @@ fn sequence_estimate_is_the_confidence_weighted_median() {
 fn sequence_estimate_does_not_depend_on_frame_order() {
     let all = frames(&[(0.05, 0.9), (0.051, 0.7), (0.049, 0.8), (0.051, 0.6)]);
     let expected = combine_estimates(&all);
-    for turn in 0..4 {
-        let mut turned = all.clone();
-        turned.rotate_left(turn);
-        assert_eq!(combine_estimates(&turned), expected);
-        turned.reverse();
-        assert_eq!(combine_estimates(&turned), expected);
+    for rotation in 0..4 {
+        let mut rotated = all.clone();
+        rotated.rotate_left(rotation);
+        assert_eq!(combine_estimates(&rotated), expected);
+        rotated.reverse();
+        assert_eq!(combine_estimates(&rotated), expected);
     }
 }
 

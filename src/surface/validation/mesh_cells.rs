@@ -201,7 +201,7 @@ fn passed_cells(corners: &[DVec3; 3], mut each: impl FnMut(IVec3)) {
     let side = normal[axis].signum();
     let half_depth = 0.5 * (slope_u.abs() + slope_v.abs()) + FACE_MARGIN;
     let (low, high) = (a[axis].min(b[axis]).min(c[axis]), a[axis].max(b[axis]).max(c[axis]));
-    let is_beside = |from: DVec3, to: DVec3, [at_u, at_v]: [f64; 2]| {
+    let is_past_edge = |from: DVec3, to: DVec3, [at_u, at_v]: [f64; 2]| {
         let (along_u, along_v) = (to[u] - from[u], to[v] - from[v]);
         let distance = side * (along_u * (at_v - from[v]) - along_v * (at_u - from[u]));
         distance < -(0.5 + FACE_MARGIN) * (along_u.abs() + along_v.abs())
@@ -209,7 +209,7 @@ fn passed_cells(corners: &[DVec3; 3], mut each: impl FnMut(IVec3)) {
     for cell_u in first[u]..=last[u] {
         for cell_v in first[v]..=last[v] {
             let middle = [f64::from(cell_u) + 0.5, f64::from(cell_v) + 0.5];
-            if is_beside(a, b, middle) || is_beside(b, c, middle) || is_beside(c, a, middle) {
+            if is_past_edge(a, b, middle) || is_past_edge(b, c, middle) || is_past_edge(c, a, middle) {
                 continue;
             }
             let depth = a[axis] - slope_u * (middle[0] - a[u]) - slope_v * (middle[1] - a[v]);

@@ -217,24 +217,24 @@ mod tests {
     use super::*;
 
     /// An ellipsoid, its radius, and many points on its surface.
-    fn turned_ellipsoid() -> (Ellipsoid, f32, Vec<DVec3>) {
-        let turned = [Vec3::new(0.6, 0.8, 0.0), Vec3::new(-0.8, 0.6, 0.0), Vec3::Z];
+    fn rotated_ellipsoid() -> (Ellipsoid, f32, Vec<DVec3>) {
+        let axes = [Vec3::new(0.6, 0.8, 0.0), Vec3::new(-0.8, 0.6, 0.0), Vec3::Z];
         let (half_axes, radius) = ([4.0f32, 0.7, 1.3], 1.9f32);
         let on_surface = |u: usize, v: usize| {
             let (angle, height) =
                 (u as f64 * std::f64::consts::TAU / 600.0, v as f64 * std::f64::consts::PI / 300.0);
             let ball = [height.sin() * angle.cos(), height.sin() * angle.sin(), height.cos()];
             let along =
-                |axis: usize| turned[axis].as_dvec3() * f64::from(half_axes[axis] * radius) * ball[axis];
+                |axis: usize| axes[axis].as_dvec3() * f64::from(half_axes[axis] * radius) * ball[axis];
             along(0) + along(1) + along(2)
         };
         let points = (0..600).flat_map(|u| (0..=300).map(move |v| (u, v))).map(|(u, v)| on_surface(u, v));
-        (Ellipsoid::new(half_axes, turned), radius, points.collect())
+        (Ellipsoid::new(half_axes, axes), radius, points.collect())
     }
 
     #[test]
     fn depth_in_an_ellipsoid_matches_its_nearest_point() {
-        let (ellipsoid, radius, points) = turned_ellipsoid();
+        let (ellipsoid, radius, points) = rotated_ellipsoid();
         let shapes = Shapes::Ellipsoids(vec![ellipsoid]);
         for x in [
             DVec3::ZERO,
@@ -258,7 +258,7 @@ mod tests {
     /// Compares with the nearest of many points on the ellipsoid.
     #[test]
     fn distance_to_an_ellipsoid_matches_its_nearest_point() {
-        let (ellipsoid, radius, points) = turned_ellipsoid();
+        let (ellipsoid, radius, points) = rotated_ellipsoid();
         let shapes = Shapes::Ellipsoids(vec![ellipsoid]);
         for x in [
             DVec3::new(9.0, 1.0, 2.0),

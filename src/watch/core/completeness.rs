@@ -276,7 +276,7 @@ fn stem(frame: &Path) -> OsString {
 mod tests {
     use super::*;
 
-    const PATIENCE: StabilityTimeouts = StabilityTimeouts {
+    const TIMEOUTS: StabilityTimeouts = StabilityTimeouts {
         settle: Duration::from_millis(500),
         unverifiable: Duration::from_millis(2000),
         stalled: Duration::from_millis(10_000),
@@ -322,7 +322,7 @@ mod tests {
                 &Renamed(size, modified, inode, age) => (stamp(size, modified, inode), age, true),
                 Ask(sentinel, completeness, expected) => {
                     let candidate = candidate.expect("seen before");
-                    let answer = match candidate.readiness(at(*ms), &PATIENCE, *sentinel, || *completeness) {
+                    let answer = match candidate.readiness(at(*ms), &TIMEOUTS, *sentinel, || *completeness) {
                         Readiness::Ready(proof) => Ready(proof),
                         Readiness::Waiting { until: None, why } => Never(why),
                         Readiness::Waiting { until: Some(until), why } => {
@@ -514,7 +514,7 @@ mod tests {
 
     #[test]
     fn required_sentinel_is_awaited_and_optional_one_is_a_proof() {
-        let wanted = |is_there| Sentinel { is_required: true, exists: is_there };
+        let wanted = |exists| Sentinel { is_required: true, exists: exists };
         check(
             "required",
             &[
@@ -545,7 +545,7 @@ mod tests {
         let missing = Sentinel { is_required: true, exists: false };
         for (renamed, sentinel) in [(false, NONE), (true, NONE), (false, missing)] {
             let candidate = Candidate::new(start, &seen, renamed);
-            candidate.readiness(start, &PATIENCE, sentinel, || panic!("computed needlessly"));
+            candidate.readiness(start, &TIMEOUTS, sentinel, || panic!("computed needlessly"));
         }
     }
 

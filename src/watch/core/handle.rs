@@ -208,10 +208,10 @@ impl Core {
 
     /// Whether frames are in progress; with `with_stalled`, including those that hang.
     pub(crate) fn has_frames_in_progress(&self, with_stalled: bool) -> bool {
-        let is_under_way = |(id, frame): (&FrameId, &FrameState)| {
+        let is_in_progress = |(id, frame): (&FrameId, &FrameState)| {
             matches!(frame.phase, FramePhase::InProgress(_)) && (with_stalled || self.may_begin(id.root))
         };
-        self.frames.iter().any(is_under_way)
+        self.frames.iter().any(is_in_progress)
     }
 
     pub(crate) fn is_stopping(&self) -> bool {

@@ -33,13 +33,13 @@ use super::frames::FrameId;
 pub(crate) struct Sequences {
     all: Vec<WatchedSequence>,
     index_of: HashMap<(usize, PathBuf, String), usize>,
-    /// Groups files whose names differ only in their numbers, by their root and [`FrameFile::kin`].
-    kin: HashMap<(usize, PathBuf, String), Kin>,
+    /// Groups files whose names differ only in their numbers, by their root and [`FrameFile::group_key`].
+    name_groups: HashMap<(usize, PathBuf, String), NameGroup>,
 }
 
 /// Sequences whose names differ only in their numbers.
 #[derive(Debug, Default)]
-struct Kin {
+struct NameGroup {
     sequence_count: usize,
     /// How many of them have only one frame.
     single_count: usize,
@@ -53,7 +53,7 @@ pub(crate) struct WatchedSequence {
     pub(crate) key: SequenceKey,
     /// The index of its root.
     pub(crate) root: usize,
-    /// The key of the [`Kin`] that counts it as a sequence with one frame, while it has only one.
+    /// The key of the [`NameGroup`] that counts it as a sequence with one frame, while it has only one.
     single_in: Option<(usize, PathBuf, String)>,
     /// Its settings, or what is missing for them.
     pub(crate) settings: SequenceSettings,
@@ -106,17 +106,17 @@ impl Sequences {
         let location = (id.root, folder, name);
         let known = self.index_of.get(&location).copied();
         if let Some(index) = known {
-            let kin = self.all[index].single_in.take();
-            if let Some(kin) = kin.and_then(|key| self.kin.get_mut(&key)) {
-                kin.single_count -= 1;
+            let group = self.all[index].single_in.take();
+            if let Some(group) = group.and_then(|key| self.name_groups.get_mut(&key)) {
+                group.single_count -= 1;
             }
             return index;
         }
-        let single_in = file.kin().map(|(folder, shared_name)| (id.root, folder, shared_name));
+        let single_in = file.group_key().map(|(folder, shared_name)| (id.root, folder, shared_name));
         if let Some(key) = &single_in {
-            let kin = self.kin.entry(key.clone()).or_default();
-            kin.sequence_count += 1;
-            kin.single_count += 1;
+            let group = self.name_groups.entry(key.clone()).or_default();
+            group.sequence_count += 1;
+            group.single_count += 1;
         }
         let (_, folder, name) = location.clone();
         let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
@@ -145,12 +145,12 @@ impl Sequences {
         count_min: usize,
     ) -> Vec<(usize, PathBuf, usize)> {
         let mut folders = Vec::new();
-        for ((root, folder, _), kin) in &mut self.kin {
-            let has_fallen =
-                kin.single_count >= count_min && are_single_frames(kin.sequence_count, kin.single_count);
-            if has_fallen && !kin.was_named {
-                kin.was_named = true;
-                folders.push((*root, folder.clone(), kin.single_count));
+        for ((root, folder, _), group) in &mut self.name_groups {
+            let has_fallen = group.single_count >= count_min
+                && are_single_frames(group.sequence_count, group.single_count);
+            if has_fallen && !group.was_named {
+                group.was_named = true;
+                folders.push((*root, folder.clone(), group.single_count));
             }
         }
         folders.sort();

@@ -609,8 +609,8 @@ fn stop_starts_no_further_frame() {
     assert!(rig.core.has_frames_in_progress(true));
     rig.convert("/in0/a.1.ply");
     assert!(!rig.core.has_frames_in_progress(true) && rig.started().is_empty());
-    let tally = rig.core.summary(EndReason::Finish);
-    assert_eq!((tally.done_count, tally.left_count), (1, 1));
+    let summary = rig.core.summary(EndReason::Finish);
+    assert_eq!((summary.done_count, summary.left_count), (1, 1));
 }
 
 #[test]

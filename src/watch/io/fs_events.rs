@@ -225,11 +225,11 @@ impl EventHandler {
         for path in event.paths {
             // Links are followed, because a link to a folder counts as a folder. A removed path was a folder
             // if it was watched.
-            let is_there = change != ChangeKind::Removed && path.is_dir();
+            let is_folder = change != ChangeKind::Removed && path.is_dir();
             let hints: Vec<FsEvent> = {
                 let folders = lock(&self.folders);
                 let hint = |path: PathBuf| match change {
-                    _ if is_there || folders.folder_of.contains_key(&path) => FsEvent::Folder(path),
+                    _ if is_folder || folders.folder_of.contains_key(&path) => FsEvent::Folder(path),
                     ChangeKind::FolderChanged => FsEvent::Folder(path),
                     ChangeKind::Renamed => FsEvent::Renamed(path),
                     ChangeKind::Changed | ChangeKind::Removed => FsEvent::Changed(path),
@@ -314,7 +314,7 @@ mod tests {
         watcher: Watcher,
         hints: Receiver<FsEvent>,
         folder: PathBuf,
-        beside: PathBuf,
+        outside: PathBuf,
         marker_count: usize,
         _base: TempDir,
     }
@@ -324,12 +324,12 @@ mod tests {
     impl Bench {
         fn new(capacity: usize) -> Bench {
             let base = tempdir().expect("a folder");
-            let (folder, beside) = (base.path().join("frames"), base.path().join("beside"));
+            let (folder, outside) = (base.path().join("frames"), base.path().join("beside"));
             fs::create_dir(&folder).expect("made");
-            fs::create_dir(&beside).expect("made");
+            fs::create_dir(&outside).expect("made");
             let (mut watcher, hints) = Watcher::with_capacity(capacity).expect("a watcher");
             watcher.watch(&folder).expect("watched");
-            Bench { watcher, hints, folder, beside, marker_count: 0, _base: base }
+            Bench { watcher, hints, folder, outside, marker_count: 0, _base: base }
         }
 
         fn path(&self, name: &str) -> PathBuf {
@@ -372,7 +372,7 @@ mod tests {
         let received = bench.until(&FsEvent::Renamed(renamed.clone()));
         assert!(received.contains(&FsEvent::Changed(written)), "the old name is not reported: {received:?}");
 
-        let elsewhere = bench.beside.join("a.ply");
+        let elsewhere = bench.outside.join("a.ply");
         let moved = bench.path("moved.ply");
         fs::write(&elsewhere, b"ply").expect("written");
         fs::rename(&elsewhere, &moved).expect("renamed");
@@ -426,7 +426,7 @@ mod tests {
         fs::write(made.join("a.ply"), b"ply").expect("written");
         bench.until(&FsEvent::Changed(made.join("a.ply")));
 
-        let (elsewhere, moved) = (bench.beside.join("sub"), bench.path("moved"));
+        let (elsewhere, moved) = (bench.outside.join("sub"), bench.path("moved"));
         fs::create_dir(&elsewhere).expect("made");
         fs::rename(&elsewhere, &moved).expect("renamed");
         bench.until(&FsEvent::Folder(moved.clone()));
@@ -459,7 +459,7 @@ mod tests {
         bench.so_far();
 
         // Another folder replaces it, while the first one still exists elsewhere.
-        let away = bench.beside.join("away");
+        let away = bench.outside.join("away");
         fs::rename(&root, &away).expect("renamed");
         bench.until(&FsEvent::Folder(root.clone()));
         fs::create_dir(&root).expect("made");
@@ -472,7 +472,7 @@ mod tests {
     #[test]
     fn folder_watched_by_two_paths_is_reported_for_both() {
         let mut bench = Bench::new(CAPACITY);
-        let other = bench.beside.join("link");
+        let other = bench.outside.join("link");
         symlink(&bench.folder, &other).expect("linked");
         bench.watcher.watch(&other).expect("watched");
         fs::write(bench.path("a.ply"), b"ply").expect("written");

@@ -100,8 +100,8 @@ fn changed_output_of(recorded: &Recorded) -> Option<(PathBuf, OutputCheck)> {
     let mut checks = recorded.record.outputs.iter().map(|output| (&output.path, output.check()));
     let (path, check) = checks.find(|(_, check)| *check != OutputCheck::Unchanged)?;
     // The check counts a truncated output as missing, although it exists: report it as touched.
-    let is_there = check == OutputCheck::Missing && path.symlink_metadata().is_ok();
-    Some((path.clone(), if is_there { OutputCheck::Touched } else { check }))
+    let exists = check == OutputCheck::Missing && path.symlink_metadata().is_ok();
+    Some((path.clone(), if exists { OutputCheck::Touched } else { check }))
 }
 
 fn has_recorded_settings(recorded: &Recorded, obstacles: Option<&ObstacleStamps>) -> bool {

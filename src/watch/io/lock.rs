@@ -112,7 +112,7 @@ impl OutputLock {
     pub fn is_in_place(&self, out_folder: &Path) -> bool {
         let stamp = |metadata: io::Result<Metadata>| metadata.map(|metadata| FileStamp::of(&metadata).inode);
         match (stamp(self.file.metadata()), stamp(lock_path(out_folder).symlink_metadata())) {
-            (Ok(held), Ok(there)) => held == there,
+            (Ok(held), Ok(at_path)) => held == at_path,
             _ => false,
         }
     }

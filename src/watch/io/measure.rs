@@ -91,6 +91,6 @@ fn with_camera(
 
 /// A box with room for the fluid in the given box to spread: wider by half its height on each side.
 fn widened([least, greatest]: [DVec3; 2], up: DVec3) -> [DVec3; 2] {
-    let aside = (DVec3::ONE - up) * (0.5 * (greatest - least).dot(up));
-    [least - aside, greatest + aside]
+    let lateral = (DVec3::ONE - up) * (0.5 * (greatest - least).dot(up));
+    [least - lateral, greatest + lateral]
 }

@@ -58,15 +58,15 @@ mod tests {
 
     /// The delays after this many losses; each loss occurs right after the scan for the previous one.
     fn waits(count: usize) -> Vec<u128> {
-        let mut pace = RescanBackoff::default();
+        let mut backoff = RescanBackoff::default();
         let mut now = Instant::now();
         let mut waits = Vec::new();
         for _ in 0..count {
-            pace.request(now);
-            let due_at = pace.due_at.expect("a scan is due");
+            backoff.request(now);
+            let due_at = backoff.due_at.expect("a scan is due");
             waits.push((due_at - now).as_millis());
             now = due_at;
-            assert!(pace.is_due(now) && !pace.is_due(now));
+            assert!(backoff.is_due(now) && !backoff.is_due(now));
         }
         waits
     }
@@ -79,13 +79,13 @@ mod tests {
 
     #[test]
     fn losses_while_a_scan_is_due_change_nothing() {
-        let mut pace = RescanBackoff::default();
+        let mut backoff = RescanBackoff::default();
         let now = Instant::now();
         for _ in 0..100 {
-            pace.request(now);
+            backoff.request(now);
         }
-        assert!(pace.is_due(now));
-        pace.request(now + RESET_AFTER + RESET_AFTER);
-        assert!(pace.is_due(now + RESET_AFTER + RESET_AFTER));
+        assert!(backoff.is_due(now));
+        backoff.request(now + RESET_AFTER + RESET_AFTER);
+        assert!(backoff.is_due(now + RESET_AFTER + RESET_AFTER));
     }
 }

@@ -240,12 +240,12 @@ impl Root {
             let found = self.scan_folder(folder)?;
             // A sub-folder that was not watched yet is watched now. The next scan of this loop finds the
             // files that appeared in it before.
-            let unheard: Vec<PathBuf> =
+            let unwatched: Vec<PathBuf> =
                 found.folders.iter().filter(|f| !self.watched_folders.contains(*f)).cloned().collect();
-            if unheard.is_empty() || self.poll.is_some() || self.watcher.is_none() {
+            if unwatched.is_empty() || self.poll.is_some() || self.watcher.is_none() {
                 return Ok(found);
             }
-            for folder in &unheard {
+            for folder in &unwatched {
                 self.listen(folder);
                 if self.poll.is_some() {
                     break;

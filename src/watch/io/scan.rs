@@ -301,10 +301,10 @@ mod tests {
         ] {
             let selection = FileFilter::new(pattern, recursive, excluded.to_vec()).expect("a pattern");
             assert_eq!(found(root, &selection), expected, "{pattern:?}");
-            let taken =
+            let selected =
                 paths.map(|path| root.join(path)).into_iter().filter(|path| selection.takes(root, path));
-            let taken: Vec<PathBuf> = taken.collect();
-            assert_eq!(names(root, taken.iter().map(|path| &**path)), expected, "{pattern:?}");
+            let selected: Vec<PathBuf> = selected.collect();
+            assert_eq!(names(root, selected.iter().map(|path| &**path)), expected, "{pattern:?}");
         }
         let flat = FileFilter::new(None, false, Vec::new()).expect("no pattern");
         let scan = scan(root, root, &flat, true).expect("readable");

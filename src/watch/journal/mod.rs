@@ -227,8 +227,8 @@ impl Journal {
     fn take_file(&mut self) -> io::Result<Option<File>> {
         match self.file.take() {
             Some(file) => {
-                let is_there = FileStamp::of_path(&self.path).is_ok_and(|stamp| stamp.inode == self.inode);
-                Ok(is_there.then_some(file))
+                let is_in_place = FileStamp::of_path(&self.path).is_ok_and(|stamp| stamp.inode == self.inode);
+                Ok(is_in_place.then_some(file))
             }
             None => self.reopen(),
         }
@@ -337,13 +337,13 @@ fn parse(mut reader: impl BufRead) -> io::Result<JournalFile> {
 
 /// Renames a journal of another version.
 fn set_aside(path: &Path) -> io::Result<()> {
-    let aside = path.with_file_name(SET_ASIDE_NAME);
+    let set_aside_path = path.with_file_name(SET_ASIDE_NAME);
     tracing::warn!(
         journal = %path.display(),
-        kept_as = %aside.display(),
+        kept_as = %set_aside_path.display(),
         "the journal is of another version of meniscus: starting a new one"
     );
-    fs::rename(path, aside)
+    fs::rename(path, set_aside_path)
 }
 
 /// Writes a journal of one line per record. Returns its size.

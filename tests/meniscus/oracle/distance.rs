@@ -73,13 +73,13 @@ impl LevelSet {
         let here = self.phi[index];
         let slope = self.grid.slope(&self.phi, index);
         let faces = self.grid.faces(index);
-        let beside = faces.as_flattened().iter().any(|&face| (self.phi[face] < 0.0) != (here < 0.0));
+        let is_adjacent = faces.as_flattened().iter().any(|&face| (self.phi[face] < 0.0) != (here < 0.0));
         // A neighbour is one voxel away. Beyond the surface it counts as distance 0.
         let side = if here < 0.0 { -1.0 } else { 1.0 };
         let nearest = faces.as_flattened().iter().map(|&face| (side * self.phi[face]).max(0.0));
         let farthest = 1.0 + nearest.fold(f64::INFINITY, f64::min);
         let distance = if here == 0.0 { 0.0 } else { (here.abs() / slope).min(farthest) };
-        beside.then_some(distance)
+        is_adjacent.then_some(distance)
     }
 }
 
@@ -106,8 +106,8 @@ fn signed_distance(grid: &Grid, nearest: &[f64], radius: f64, half_width: f64) -
     let mut known = vec![false; grid.len()];
     for &index in &grid.interior {
         let outside = nearest[index] >= radius;
-        let beside = grid.faces(index).as_flattened().iter().any(|&face| nearest[face] >= radius);
-        if (outside && nearest[index].is_finite()) || (!outside && beside) {
+        let is_adjacent = grid.faces(index).as_flattened().iter().any(|&face| nearest[face] >= radius);
+        if (outside && nearest[index].is_finite()) || (!outside && is_adjacent) {
             (distance[index], known[index]) = (nearest[index] - radius, true);
         }
     }

@@ -131,7 +131,10 @@ fn assert_fast_is_near_converged(name: &str, positions: &[DVec3]) {
 
 /// Files of real simulations, which are not part of this repository.
 fn shared(path: &str) -> Option<PathBuf> {
-    let beside = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared"));
-    let path = std::env::var_os("MENISCUS_SHARED").map_or_else(beside, PathBuf::from).join("data").join(path);
+    let default_folder = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared"));
+    let path = std::env::var_os("MENISCUS_SHARED")
+        .map_or_else(default_folder, PathBuf::from)
+        .join("data")
+        .join(path);
     path.exists().then_some(path)
 }

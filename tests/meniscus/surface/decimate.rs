@@ -8,7 +8,7 @@ use meniscus::surface::edits::{VoxelClip, clip};
 use meniscus::surface::mesh::{DecimateReport, Mesh, MeshMeasures, decimate};
 
 use super::bands::{band, block_band, sphere, torus};
-use super::{BOTH, Random, UNIT, sound};
+use super::{BOTH, Random, UNIT, checked_contour};
 
 /// Decimates a copy of a sound mesh, and checks every guarantee.
 fn decimated(mesh: &Mesh, error: f64) -> (Mesh, MeshMeasures, DecimateReport) {
@@ -83,7 +83,7 @@ fn balls_and_tori_stay_within_the_error_both_ways() {
         (&ring, Contouring::Dual, &[(0.15, 0.4)]),
         (&ball, Contouring::Tetrahedra, &[(0.15, 0.15)]),
     ] {
-        let (mesh, before) = sound(scene, &UNIT, contouring);
+        let (mesh, before) = checked_contour(scene, &UNIT, contouring);
         for &(error, left_most) in errors {
             let (thin, after, report) = decimated(&mesh, error);
             let left = after.triangle_count as f64 / before.triangle_count as f64;
@@ -102,7 +102,7 @@ fn flat_caps_become_few_triangles() {
     let mut ball = band(IVec3::splat(-40), IVec3::splat(40), sphere([0.3, -0.2, 0.4], 30.0));
     let clip_box = VoxelClip { min: DVec3::splat(-15.3), max: DVec3::splat(15.6) };
     clip(&mut ball, &UNIT, &clip_box);
-    let (mesh, before) = sound(&ball, &UNIT, Contouring::Dual);
+    let (mesh, before) = checked_contour(&ball, &UNIT, Contouring::Dual);
     let (_, after, _) = decimated(&mesh, 0.15);
     assert!(
         after.triangle_count * 6 < before.triangle_count,
@@ -120,7 +120,7 @@ fn noise_stays_sound() {
         let values: Vec<f32> = (0..16 * 16 * 16).map(|_| random.next() - 0.5).collect();
         let noise = block_band(IVec3::splat(round - 20), IVec3::splat(16), &values);
         for contouring in BOTH {
-            let (mesh, _) = sound(&noise, &UNIT, contouring);
+            let (mesh, _) = checked_contour(&noise, &UNIT, contouring);
             for error in [0.1, 1e30] {
                 decimated(&mesh, error);
             }
@@ -143,13 +143,13 @@ fn meshes_that_cannot_be_decimated_stay() {
     const CORNERS: [[f32; 3]; 5] =
         [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [f32::NAN; 3]];
     const TETRAHEDRON: [[u32; 3]; 4] = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
-    let turned = [[0, 1, 2], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+    let with_reversed_triangle = [[0, 1, 2], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
     let doubled = [TETRAHEDRON, TETRAHEDRON].concat();
     for (positions, triangles) in [
         (&CORNERS[..0], &[][..]),
         (&CORNERS[..4], &TETRAHEDRON),
         (&CORNERS[..4], &TETRAHEDRON[1..]),
-        (&CORNERS[..4], &turned),
+        (&CORNERS[..4], &with_reversed_triangle),
         (&CORNERS[..4], &doubled),
         (&CORNERS[..4], &[[0, 0, 1], [1, 1, 1], [0, 1, 2]]),
         (&CORNERS[1..], &TETRAHEDRON),

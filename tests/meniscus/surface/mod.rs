@@ -1,6 +1,6 @@
 //! Checks that meshes are sound and in the right position.
 //!
-//! Every mesh here first passes [`sound`]: closed, manifold, without degenerate triangles, oriented outward,
+//! Every mesh here first passes [`checked_contour`]: closed, manifold, without degenerate triangles, oriented outward,
 //! with unit normals.
 
 mod bands;
@@ -21,7 +21,7 @@ const UNIT: Lattice = Lattice { voxel_size: 1.0 };
 const BOTH: [Contouring; 2] = [Contouring::Dual, Contouring::Tetrahedra];
 
 /// The mesh of a band and its measures. Checks all guarantees that hold for any φ.
-fn sound(band: &NarrowBand, lattice: &Lattice, contouring: Contouring) -> (Mesh, MeshMeasures) {
+fn checked_contour(band: &NarrowBand, lattice: &Lattice, contouring: Contouring) -> (Mesh, MeshMeasures) {
     let mesh = contour(band, lattice, contouring);
     let measures = mesh.measure();
     assert!(measures.is_closed_manifold(), "{contouring:?}: {measures:?}");
@@ -56,7 +56,7 @@ fn sphere_is_at_the_right_position() {
     for (contouring, rms_limit, max_limit) in
         [(Contouring::Dual, 0.001, 0.01), (Contouring::Tetrahedra, 0.001, 0.02)]
     {
-        let (mesh, measures) = sound(&band, &UNIT, contouring);
+        let (mesh, measures) = checked_contour(&band, &UNIT, contouring);
         let (mut error_squares, mut error_max, mut angle_squares) = (0.0, 0.0f64, 0.0);
         for (position, normal) in mesh.positions.iter().zip(&mesh.normals) {
             let outward = position.as_dvec3() - DVec3::from_array(center);
@@ -100,7 +100,7 @@ fn torus_has_a_hole_and_its_bending_energy() {
     let ratio: f64 = major / minor;
     let willmore = PI * PI * ratio * ratio / (ratio * ratio - 1.0).sqrt();
     for contouring in BOTH {
-        let (mesh, measures) = sound(&band, &UNIT, contouring);
+        let (mesh, measures) = checked_contour(&band, &UNIT, contouring);
         assert_eq!((measures.component_count, measures.euler_characteristic), (1, 0));
         assert!((measures.volume / (2.0 * PI * PI * major * minor * minor) - 1.0).abs() < 0.004);
         assert!((bending_energy(&band, &UNIT, &mesh) / willmore - 1.0).abs() < 0.005);
@@ -114,7 +114,7 @@ fn errors_shrink_with_the_voxel_size() {
             let lattice = Lattice { voxel_size: 1.0 / voxels };
             let extent = IVec3::splat(voxels as i32 + 12);
             let band = band(-extent, extent, sphere([0.3, -0.2, 0.41], voxels));
-            let (_, measures) = sound(&band, &lattice, contouring);
+            let (_, measures) = checked_contour(&band, &lattice, contouring);
             [measures.volume / (4.0 / 3.0 * PI) - 1.0, measures.area / (4.0 * PI) - 1.0].map(f64::abs)
         });
         for pair in errors.windows(2) {
@@ -148,7 +148,7 @@ fn scenes_are_sound() {
     for (name, expected, phi) in scenes {
         let band = band(IVec3::splat(-26), IVec3::splat(26), phi);
         for contouring in BOTH {
-            let (_, measures) = sound(&band, &UNIT, contouring);
+            let (_, measures) = checked_contour(&band, &UNIT, contouring);
             assert!(measures.volume > 0.0, "{name} is inside out");
             if let Some(expected) = expected {
                 assert_eq!((measures.component_count, measures.euler_characteristic), expected, "{name}");
@@ -162,7 +162,7 @@ fn slab_on_half_voxels_is_exact() {
     let slab = |[x, y, z]: [f64; 3]| (z.abs() - 2.5).max(x.abs() - 9.5).max(y.abs() - 9.5);
     let band = band(IVec3::splat(-20), IVec3::splat(20), slab);
     for contouring in BOTH {
-        let (mesh, _) = sound(&band, &UNIT, contouring);
+        let (mesh, _) = checked_contour(&band, &UNIT, contouring);
         let on_top = mesh.positions.iter().filter(|position| position.z > 0.0);
         for position in on_top.filter(|position| position.x.abs() < 6.0 && position.y.abs() < 6.0) {
             assert!((position.z - 2.5).abs() < 1e-6);
@@ -194,7 +194,7 @@ fn ten_thousand_random_fields_are_sound() {
         // The block is across a corner where eight leaves meet.
         let band = block_band(IVec3::splat(6), extent, &values);
         for contouring in BOTH {
-            sound(&band, &UNIT, contouring);
+            checked_contour(&band, &UNIT, contouring);
         }
     }
 }
@@ -209,7 +209,7 @@ fn random_fields_far_out_are_sound_in_32_bits() {
         let band = block_band(corner, extent, &values);
         for voxel_size in [1.0, 0.01, 1.0 / 3.0] {
             for contouring in BOTH {
-                let (mesh, _) = sound(&band, &Lattice { voxel_size }, contouring);
+                let (mesh, _) = checked_contour(&band, &Lattice { voxel_size }, contouring);
                 assert_eq!(mesh.origin, DVec3::ZERO);
             }
         }
@@ -225,11 +225,11 @@ fn every_pair_of_cells_is_sound() {
                 (0..12).map(|corner| if signs >> corner & 1 == 1 { -0.7 } else { 0.4 }).collect();
             for corner in [IVec3::ONE, IVec3::splat(6)] {
                 let band = block_band(corner, extent, &values);
-                sound(&band, &UNIT, Contouring::Dual);
+                checked_contour(&band, &UNIT, Contouring::Dual);
                 // The same block, surrounded by inside voxels.
                 let outside_in: Vec<f32> = padded(extent, &values);
                 let band = block_band(corner, extent + 2, &outside_in);
-                sound(&band, &UNIT, Contouring::Dual);
+                checked_contour(&band, &UNIT, Contouring::Dual);
             }
         }
     }
@@ -255,7 +255,7 @@ fn number_of_threads_changes_nothing() {
         let results = [1, 2, 4].map(|threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
             pool.install(|| {
-                let (mesh, measures) = sound(band, &UNIT, contouring);
+                let (mesh, measures) = checked_contour(band, &UNIT, contouring);
                 let energy = bending_energy(band, &UNIT, &mesh);
                 (mesh, measures, energy)
             })
@@ -270,8 +270,8 @@ fn moving_by_whole_voxels_moves_the_mesh() {
     // Move by whole root children of the tree, so that the leaves keep their order.
     let step = IVec3::new(4096, -8192, 4096);
     for contouring in BOTH {
-        let (at_home, _) = sound(&here, &UNIT, contouring);
-        let (away, _) = sound(&moved(&here, step), &UNIT, contouring);
+        let (at_home, _) = checked_contour(&here, &UNIT, contouring);
+        let (away, _) = checked_contour(&moved(&here, step), &UNIT, contouring);
         assert!(at_home.triangles == away.triangles && at_home.normals == away.normals);
         for (one, other) in at_home.positions.iter().zip(&away.positions) {
             let error = (*other - step.as_vec3()) - *one;
@@ -285,7 +285,7 @@ fn moving_within_leaves_keeps_the_measures() {
     let bands = [[0.1, 0.2, 0.3], [3.1, -4.8, 1.3]]
         .map(|center| band(IVec3::splat(-32), IVec3::splat(32), torus(center, 12.0, 5.0)));
     for contouring in BOTH {
-        let [here, there] = bands.each_ref().map(|band| sound(band, &UNIT, contouring).1);
+        let [here, there] = bands.each_ref().map(|band| checked_contour(band, &UNIT, contouring).1);
         assert_eq!(here.triangle_count, there.triangle_count);
         assert!((here.area - there.area).abs() < 1e-3 && (here.volume - there.volume).abs() < 1e-2);
     }
@@ -298,8 +298,8 @@ fn far_frames_have_a_local_origin() {
     for step in [IVec3::splat(1 << 20), IVec3::new(16384, 0, 0), IVec3::new(0, -(1 << 29), 1 << 29)] {
         let band = moved(&here, step);
         for contouring in BOTH {
-            let (near, _) = sound(&here, &lattice, contouring);
-            let (far, _) = sound(&band, &lattice, contouring);
+            let (near, _) = checked_contour(&here, &lattice, contouring);
+            let (far, _) = checked_contour(&band, &lattice, contouring);
             assert_eq!(near.origin, DVec3::ZERO);
             assert_eq!(far.origin % 512.0, DVec3::ZERO, "a multiple of 1024 voxels of one half");
             assert!((far.origin - step.as_dvec3() * 0.5).length() <= 0.5 * 1024.0);
@@ -314,8 +314,8 @@ fn far_frames_have_a_local_origin() {
 fn halving_the_voxels_halves_the_positions_exactly() {
     let band = band(IVec3::splat(-16), IVec3::splat(16), sphere([0.1, 0.2, 0.3], 9.0));
     for contouring in BOTH {
-        let (whole, _) = sound(&band, &UNIT, contouring);
-        let (half, _) = sound(&band, &Lattice { voxel_size: 0.5 }, contouring);
+        let (whole, _) = checked_contour(&band, &UNIT, contouring);
+        let (half, _) = checked_contour(&band, &Lattice { voxel_size: 0.5 }, contouring);
         let halved: Vec<Vec3> = whole.positions.iter().map(|position| position * 0.5).collect();
         assert!(halved == half.positions);
     }
@@ -327,7 +327,7 @@ fn no_surface_gives_an_empty_mesh() {
     let empty = block_band(IVec3::ZERO, IVec3::ZERO, &[]);
     for contouring in BOTH {
         for band in [&outside, &empty] {
-            let (mesh, measures) = sound(band, &UNIT, contouring);
+            let (mesh, measures) = checked_contour(band, &UNIT, contouring);
             assert!(mesh.positions.is_empty() && measures == MeshMeasures::default());
         }
     }

@@ -4,12 +4,12 @@ use glam::IVec3;
 use meniscus::surface::contour::Contouring;
 
 use super::bands::{band, block_band, sphere};
-use super::{Random, UNIT, sound};
+use super::{Random, UNIT, checked_contour};
 
 #[test]
 fn triangles_of_a_ball_are_halves_of_quads() {
     let ball = band(IVec3::splat(-16), IVec3::splat(16), sphere([0.3, -0.2, 0.41], 11.3));
-    let (mesh, _) = sound(&ball, &UNIT, Contouring::Dual);
+    let (mesh, _) = checked_contour(&ball, &UNIT, Contouring::Dual);
     let quads = mesh.quads();
     assert!(quads.iter().enumerate().all(|(index, &is_quad)| is_quad == (index % 2 == 0)));
     // One quad around each grid edge that the surface crosses: four vertices, each in a different cell.
@@ -27,7 +27,7 @@ fn triangles_without_a_quad_are_in_a_fan() {
     let mut random = Random(3);
     let values: Vec<f32> = (0..24 * 24 * 24).map(|_| random.next() - 0.5).collect();
     let noise = block_band(IVec3::splat(-13), IVec3::splat(24), &values);
-    let (mesh, _) = sound(&noise, &UNIT, Contouring::Dual);
+    let (mesh, _) = checked_contour(&noise, &UNIT, Contouring::Dual);
     let quads = mesh.quads();
     let is_half = |index: usize| quads[index] || index > 0 && quads[index - 1];
     let mut index = 0;

@@ -10,7 +10,7 @@ use meniscus::surface::level_set::NarrowBand;
 use meniscus::surface::space::Lattice;
 
 use super::bands::{band, block_band, sphere};
-use super::{BOTH, Random, UNIT, sound};
+use super::{BOTH, Random, UNIT, checked_contour};
 
 /// The union of balls.
 fn balls(balls: &[([f64; 3], f64)]) -> impl Fn([f64; 3]) -> f64 {
@@ -97,7 +97,7 @@ fn removed_speck_moves_nothing_else() {
             }
         }
         for contouring in BOTH {
-            assert_eq!(sound(&band, &UNIT, contouring).1.component_count, left.len());
+            assert_eq!(checked_contour(&band, &UNIT, contouring).1.component_count, left.len());
         }
     }
 }
@@ -129,7 +129,7 @@ fn bubbles_up_to_a_volume_are_filled() {
         let error = farthest_from(&band, host_without(&BUBBLES[filled_count..]));
         assert!(error < 0.3, "{error}");
         for contouring in BOTH {
-            let (_, measures) = sound(&band, &UNIT, contouring);
+            let (_, measures) = checked_contour(&band, &UNIT, contouring);
             assert_eq!(measures.component_count, 4 - filled_count);
             let expected = volume(HOST) - BUBBLES[filled_count..].iter().map(|&b| volume(b)).sum::<f64>();
             assert!((measures.volume / expected - 1.0).abs() < 2e-3, "{measures:?} {expected}");
@@ -148,7 +148,7 @@ fn nested_components_are_judged_separately() {
     let whole = band(IVec3::splat(-40), IVec3::splat(47), shells);
     let all = particles(IVec3::splat(-40), IVec3::splat(47), shells);
     let given = || all.iter().map(|(origin, locals)| (*origin, locals));
-    let components = |band: &NarrowBand| sound(band, &UNIT, Contouring::Dual).1.component_count;
+    let components = |band: &NarrowBand| checked_contour(band, &UNIT, Contouring::Dual).1.component_count;
     assert_eq!(components(&whole), 5);
     let trimmed = |least: u64, most: f64| {
         let mut band = whole.clone();
@@ -173,7 +173,7 @@ fn clipped_ball(h: f64, clip_box: VoxelClip, contouring: Contouring) -> (f64, Cl
     let mut band = band(IVec3::splat(-40), IVec3::splat(40), sphere([0.3, -0.2, 0.4], 30.0));
     let lattice = Lattice { voxel_size: h };
     let clipped = clip(&mut band, &lattice, &clip_box);
-    let (mut mesh, _) = sound(&band, &lattice, contouring);
+    let (mut mesh, _) = checked_contour(&band, &lattice, contouring);
     let beyond = |p: &Vec3| clip_box.distance(mesh.origin + p.as_dvec3());
     let worst = mesh.positions.iter().map(beyond).fold(f64::MIN, f64::max);
     assert!(worst < 0.15 * h, "{worst}");
@@ -239,7 +239,7 @@ fn box_may_remove_everything_or_nothing() {
         let mut band = ball.clone();
         let clipped = clip(&mut band, &UNIT, &VoxelClip { min, max });
         assert!((clipped.voxel_count as f64 / (4.0 / 3.0 * PI * 27_000.0) - 1.0).abs() < 0.01, "{clipped:?}");
-        assert_eq!(sound(&band, &UNIT, Contouring::Dual).1.triangle_count, 0);
+        assert_eq!(checked_contour(&band, &UNIT, Contouring::Dual).1.triangle_count, 0);
     }
 }
 
@@ -267,8 +267,8 @@ fn trimmed_noise_is_sound() {
             let filled = fill_cavities(&mut band, 50.0, None);
             let clip_box = VoxelClip { min: DVec3::splat(-6.2), max: DVec3::splat(12.1) };
             let clipped = clip(&mut band, &UNIT, &clip_box);
-            sound(&band, &UNIT, Contouring::Tetrahedra);
-            let (mesh, _) = sound(&band, &UNIT, Contouring::Dual);
+            checked_contour(&band, &UNIT, Contouring::Tetrahedra);
+            let (mesh, _) = checked_contour(&band, &UNIT, Contouring::Dual);
             let counts = (dropped.piece_count, dropped.particle_count, filled, clipped);
             (counts, band.phi, mesh)
         })

@@ -12,7 +12,7 @@ use crate::scene::Daemon;
 use super::producer::Producer;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Trouble {
+pub(super) enum Fault {
     /// SIGKILL, followed by a restart.
     Kill,
     /// SIGTERM, followed by a restart.
@@ -29,23 +29,23 @@ pub(super) enum Trouble {
     Crowd,
 }
 
-impl Trouble {
-    pub(super) const ALL: [Trouble; 7] = [
-        Trouble::Kill,
-        Trouble::End,
-        Trouble::Reload,
-        Trouble::BrokenReload,
-        Trouble::FullDisk,
-        Trouble::FolderGone,
-        Trouble::Crowd,
+impl Fault {
+    pub(super) const ALL: [Fault; 7] = [
+        Fault::Kill,
+        Fault::End,
+        Fault::Reload,
+        Fault::BrokenReload,
+        Fault::FullDisk,
+        Fault::FolderGone,
+        Fault::Crowd,
     ];
 
     /// The faults that do not end the daemon.
-    pub(super) const OF_ONE_LIFE: [Trouble; 5] =
-        [Trouble::Reload, Trouble::BrokenReload, Trouble::FullDisk, Trouble::FolderGone, Trouble::Crowd];
+    pub(super) const OF_ONE_LIFE: [Fault; 5] =
+        [Fault::Reload, Fault::BrokenReload, Fault::FullDisk, Fault::FolderGone, Fault::Crowd];
 
     /// Causes the fault; faults that end the daemon are handled by the caller.
-    pub(super) fn befall(
+    pub(super) fn inject(
         self,
         folder: &Path,
         daemon: &Daemon,
@@ -53,27 +53,27 @@ impl Trouble {
         producer: &mut Producer,
     ) {
         match self {
-            Trouble::Kill | Trouble::End => {}
-            Trouble::Reload => {
+            Fault::Kill | Fault::End => {}
+            Fault::Reload => {
                 // Any other settings of the daemon work here, because done frames stay done.
                 write_config(folder, if producer.act_count().is_multiple_of(2) { "50ms" } else { "150ms" });
                 daemon.signal("HUP");
             }
-            Trouble::BrokenReload => {
+            Fault::BrokenReload => {
                 let sane = fs::read(folder.join(CONFIG)).expect("readable");
                 fs::write(folder.join(CONFIG), "[daemon]\nsettle = 12 parsecs\n").expect("written");
                 daemon.signal("HUP");
                 thread::sleep(Duration::from_millis(500));
                 fs::write(folder.join(CONFIG), sane).expect("written");
             }
-            Trouble::FullDisk => while_the_disk_is_full(folder, producer),
-            Trouble::FolderGone => {
+            Fault::FullDisk => while_the_disk_is_full(folder, producer),
+            Fault::FolderGone => {
                 let [inside, away] = ["in", "away"].map(|name| folder.join(name));
                 fs::rename(&inside, &away).expect("renamed");
                 thread::sleep(Duration::from_millis(1500));
                 fs::rename(away, inside).expect("renamed");
             }
-            Trouble::Crowd => http_address.into_iter().for_each(crowd),
+            Fault::Crowd => http_address.into_iter().for_each(open_many_connections),
         }
     }
 }
@@ -92,10 +92,10 @@ pub(super) fn write_config(folder: &Path, settle: &str) {
 
 fn while_the_disk_is_full(folder: &Path, producer: &mut Producer) {
     let path = folder.join("out/ballast");
-    let mut ballast = File::create(&path).expect("made");
+    let mut filler = File::create(&path).expect("made");
     let piece = [1; 1 << 16];
     for size in [piece.len(), 1] {
-        let error = (0..).find_map(|_| ballast.write(&piece[..size]).err()).expect("the disk is not endless");
+        let error = (0..).find_map(|_| filler.write(&piece[..size]).err()).expect("the disk is not endless");
         assert_eq!(error.kind(), ErrorKind::StorageFull, "{error}");
     }
     for _ in 0..20 {
@@ -106,7 +106,7 @@ fn while_the_disk_is_full(folder: &Path, producer: &mut Producer) {
 }
 
 /// Twenty clients that request everything: half of them read the response, the others disconnect.
-fn crowd(address: &str) {
+fn open_many_connections(address: &str) {
     for number in 0..20 {
         let path = ["/", "/metrics", "/events", "/api/frames"][number % 4];
         let Ok(mut stream) = TcpStream::connect(address) else { continue };

@@ -14,10 +14,10 @@ use twox_hash::XxHash3_128;
 use crate::scene::{Daemon, meniscus, status};
 
 /// Time limit of a wait: an event that has not happened by then will not happen.
-const PATIENCE: Duration = Duration::from_secs(180);
+const TIMEOUT: Duration = Duration::from_secs(180);
 
 /// Waits until every frame that can be read is done, or has failed for another reason.
-pub(super) fn await_calm(folder: &Path, daemon: &mut Daemon) {
+pub(super) fn await_idle(folder: &Path, daemon: &mut Daemon) {
     let start = Instant::now();
     loop {
         daemon.listen_for(Duration::from_millis(250));
@@ -25,7 +25,7 @@ pub(super) fn await_calm(folder: &Path, daemon: &mut Daemon) {
         if pending.is_empty() {
             return;
         }
-        if start.elapsed() > PATIENCE {
+        if start.elapsed() > TIMEOUT {
             panic!("these do not come: {pending:?}\n{}\n{:#}", why(folder, &pending[0]), status(folder));
         }
     }

@@ -35,19 +35,19 @@ use tempfile::{TempDir, tempdir};
 use crate::mounts::{mount_tmpfs, with_own_mounts};
 use crate::scene::{Daemon, assert_same_output, meniscus, message, names_in, print_line, status};
 
-use faults::{Trouble, write_config};
+use faults::{Fault, write_config};
 use producer::Producer;
 use random::Random;
-use resources::{Vitals, assert_flat, hourly_growth};
+use resources::{ResourceUsage, assert_flat, hourly_growth};
 
 /// Size of the disk: space for all outputs, and little more.
 const DISK_BYTES: u64 = 64 << 20;
 
 /// The fraction of the total time in which the daemon may be killed.
-const SHARE_OF_KILLS: f64 = 0.4;
+const KILL_SHARE: f64 = 0.4;
 
 /// The minimum time from one calm to the next.
-const BETWEEN_CALMS: Duration = Duration::from_secs(15);
+const BETWEEN_IDLE_CHECKS: Duration = Duration::from_secs(15);
 
 /// Longer than the time between two full scans.
 const AFTER_THE_LAST: Duration = Duration::from_secs(8);
@@ -99,12 +99,12 @@ struct Soak {
     producer: Producer,
     daemon: Daemon,
     life_count: usize,
-    trouble_count: usize,
+    fault_count: usize,
     converted_count: usize,
     /// The address of the daemon's HTTP server.
     http_address: Option<String>,
     /// The measurements of the daemon's current life.
-    vitals: Vec<Vitals>,
+    usages: Vec<ResourceUsage>,
     log: Option<File>,
 }
 
@@ -120,7 +120,7 @@ impl Soak {
         producer.clutter();
         let log = env::var_os("MENISCUS_SOAK_LOG").map(|path| {
             let mut log = File::create(path).expect("made");
-            writeln!(log, "{}", Vitals::HEADER).expect("written");
+            writeln!(log, "{}", ResourceUsage::HEADER).expect("written");
             log
         });
         Soak {
@@ -131,10 +131,10 @@ impl Soak {
             random: Random(!seed),
             producer,
             life_count: 1,
-            trouble_count: 0,
+            fault_count: 0,
             converted_count: 0,
             http_address: None,
-            vitals: Vec::new(),
+            usages: Vec::new(),
             log,
         }
     }
@@ -145,59 +145,59 @@ impl Soak {
 
     /// Runs the soak, and returns the summary.
     fn run(mut self) -> String {
-        self.rounds_until(self.time.mul_f64(SHARE_OF_KILLS), &Trouble::ALL);
+        self.rounds_until(self.time.mul_f64(KILL_SHARE), &Fault::ALL);
         self.kill();
-        self.rounds_until(self.time, &Trouble::OF_ONE_LIFE);
+        self.rounds_until(self.time, &Fault::OF_ONE_LIFE);
         self.producer.mend_most();
-        self.calm_down();
+        self.wait_until_idle();
         // A frame that failed before the producer repaired it counts as done until the daemon examines it
         // again.
         self.daemon.listen_for(AFTER_THE_LAST);
-        self.calm_down();
+        self.wait_until_idle();
         let figures = self.figures();
         self.count_log();
         self.daemon.end();
         assert_as_converted(self.folder.path());
-        assert_flat(&self.vitals);
+        assert_flat(&self.usages);
         figures
     }
 
     fn figures(&self) -> String {
-        let last = self.vitals.last().expect("there was a calm");
+        let last = self.usages.last().expect("there was a calm");
         format!(
             "{} acts, {} troubles, {} lives, {} conversions; the last life took {:.1} MiB ({:+.2} MiB an hour), {} handles, {} threads",
             self.producer.act_count(),
-            self.trouble_count,
+            self.fault_count,
             self.life_count,
             self.converted_count,
             last.resident_bytes as f64 / f64::from(1 << 20),
-            hourly_growth(&self.vitals) / f64::from(1 << 20),
+            hourly_growth(&self.usages) / f64::from(1 << 20),
             last.handle_count,
             last.thread_count,
         )
     }
 
-    fn rounds_until(&mut self, end: Duration, troubles: &[Trouble]) {
-        let mut last_calm = Instant::now();
+    fn rounds_until(&mut self, end: Duration, faults: &[Fault]) {
+        let mut last_idle_at = Instant::now();
         while self.start.elapsed() < end {
             for _ in 0..10 + self.random.below(40) {
                 self.producer.act();
                 thread::sleep(Duration::from_millis(self.random.below(120)));
             }
-            let trouble = troubles[self.random.index(troubles.len())];
-            self.befall(trouble);
-            if last_calm.elapsed() > BETWEEN_CALMS {
-                self.calm_down();
-                last_calm = Instant::now();
+            let fault = faults[self.random.index(faults.len())];
+            self.inject(fault);
+            if last_idle_at.elapsed() > BETWEEN_IDLE_CHECKS {
+                self.wait_until_idle();
+                last_idle_at = Instant::now();
             }
         }
     }
 
-    fn befall(&mut self, trouble: Trouble) {
-        self.trouble_count += 1;
-        match trouble {
-            Trouble::Kill => self.kill(),
-            Trouble::End => {
+    fn inject(&mut self, fault: Fault) {
+        self.fault_count += 1;
+        match fault {
+            Fault::Kill => self.kill(),
+            Fault::End => {
                 self.count_log();
                 self.daemon.end();
                 self.begin_life();
@@ -205,7 +205,7 @@ impl Soak {
             _ => {
                 self.count_log();
                 let http_address = self.http_address.as_deref();
-                trouble.befall(self.folder.path(), &self.daemon, http_address, &mut self.producer);
+                fault.inject(self.folder.path(), &self.daemon, http_address, &mut self.producer);
             }
         }
     }
@@ -220,19 +220,19 @@ impl Soak {
         thread::sleep(Duration::from_millis(self.random.below(300)));
         self.daemon = live(self.folder.path());
         self.life_count += 1;
-        self.vitals.clear();
+        self.usages.clear();
     }
 
     /// Waits until every possible conversion is done, and measures the daemon's resources.
-    fn calm_down(&mut self) {
-        idle::await_calm(self.folder.path(), &mut self.daemon);
+    fn wait_until_idle(&mut self) {
+        idle::await_idle(self.folder.path(), &mut self.daemon);
         self.count_log();
         let minute = self.start.elapsed().as_secs_f64() / 60.0;
-        let vitals = Vitals::of(self.daemon.pid(), self.folder.path(), minute, self.life_count);
+        let usages = ResourceUsage::of(self.daemon.pid(), self.folder.path(), minute, self.life_count);
         if let Some(log) = &mut self.log {
-            writeln!(log, "{}", vitals.line(self.converted_count)).expect("written");
+            writeln!(log, "{}", usages.line(self.converted_count)).expect("written");
         }
-        self.vitals.push(vitals);
+        self.usages.push(usages);
     }
 
     /// Counts the conversions, asserts that no line of the log reports a panic, and clears the log.

@@ -7,7 +7,7 @@ use crate::scene::memory_bytes;
 
 /// The resources of one process at one moment.
 #[derive(Clone, Debug)]
-pub(super) struct Vitals {
+pub(super) struct ResourceUsage {
     minute: f64,
     life: usize,
     pub(super) resident_bytes: u64,
@@ -16,13 +16,13 @@ pub(super) struct Vitals {
     journal_bytes: u64,
 }
 
-impl Vitals {
+impl ResourceUsage {
     /// The names of the columns of [`Vitals::line`].
     pub(super) const HEADER: &str = "minute,life,resident_bytes,handles,threads,journal_bytes,converted";
 
-    pub(super) fn of(pid: u32, folder: &Path, minute: f64, life: usize) -> Vitals {
+    pub(super) fn of(pid: u32, folder: &Path, minute: f64, life: usize) -> ResourceUsage {
         let count = |what: &str| fs::read_dir(format!("/proc/{pid}/{what}")).expect("it lives").count();
-        Vitals {
+        ResourceUsage {
             minute,
             life,
             resident_bytes: memory_bytes(pid, "VmRSS"),
@@ -47,34 +47,37 @@ impl Vitals {
 
 /// Asserts that the daemon uses no more resources in the last third of a life than in the first third. For
 /// memory, it compares the medians, with an allowance for the allocator.
-pub(super) fn assert_flat(vitals: &[Vitals]) {
-    let third = vitals.len().div_ceil(3);
-    let (first, last) = (&vitals[..third], &vitals[vitals.len() - third..]);
-    let most = |vitals: &[Vitals], figure: fn(&Vitals) -> usize| vitals.iter().map(figure).max().unwrap_or(0);
-    for figure in [|vitals: &Vitals| vitals.handle_count, |vitals: &Vitals| vitals.thread_count] {
+pub(super) fn assert_flat(usages: &[ResourceUsage]) {
+    let third = usages.len().div_ceil(3);
+    let (first, last) = (&usages[..third], &usages[usages.len() - third..]);
+    let most = |usages: &[ResourceUsage], figure: fn(&ResourceUsage) -> usize| {
+        usages.iter().map(figure).max().unwrap_or(0)
+    };
+    for figure in [|usages: &ResourceUsage| usages.handle_count, |usages: &ResourceUsage| usages.thread_count]
+    {
         // An HTTP client may be connected at that moment.
-        assert!(most(last, figure) <= most(first, figure) + 2, "{vitals:#?}");
+        assert!(most(last, figure) <= most(first, figure) + 2, "{usages:#?}");
     }
     let [before, after] = [first, last].map(median_bytes);
-    assert!(after <= before + before / 10 + (4 << 20), "{before} became {after} bytes: {vitals:#?}");
-    assert!(most(last, |vitals| vitals.journal_bytes as usize) < 1 << 20, "{vitals:#?}");
+    assert!(after <= before + before / 10 + (4 << 20), "{before} became {after} bytes: {usages:#?}");
+    assert!(most(last, |usages| usages.journal_bytes as usize) < 1 << 20, "{usages:#?}");
 }
 
-fn median_bytes(vitals: &[Vitals]) -> u64 {
-    let mut sizes: Vec<u64> = vitals.iter().map(|vitals| vitals.resident_bytes).collect();
+fn median_bytes(usages: &[ResourceUsage]) -> u64 {
+    let mut sizes: Vec<u64> = usages.iter().map(|usages| usages.resident_bytes).collect();
     sizes.sort_unstable();
     sizes.get(sizes.len() / 2).copied().unwrap_or(0)
 }
 
 /// The growth of memory in bytes per hour: the slope of a line through the last two thirds of a life.
-pub(super) fn hourly_growth(vitals: &[Vitals]) -> f64 {
-    let later = &vitals[vitals.len() / 3..];
+pub(super) fn hourly_growth(usages: &[ResourceUsage]) -> f64 {
+    let later = &usages[usages.len() / 3..];
     let count = later.len() as f64;
-    let mean = |figure: fn(&Vitals) -> f64| later.iter().map(figure).sum::<f64>() / count;
-    let (minute, bytes) = (mean(|vitals| vitals.minute), mean(|vitals| vitals.resident_bytes as f64));
+    let mean = |figure: fn(&ResourceUsage) -> f64| later.iter().map(figure).sum::<f64>() / count;
+    let (minute, bytes) = (mean(|usages| usages.minute), mean(|usages| usages.resident_bytes as f64));
     let mut sums = (0.0, 0.0);
-    for vitals in later {
-        let [run, rise] = [vitals.minute - minute, vitals.resident_bytes as f64 - bytes];
+    for usages in later {
+        let [run, rise] = [usages.minute - minute, usages.resident_bytes as f64 - bytes];
         sums = (sums.0 + run * rise, sums.1 + run * run);
     }
     if sums.1 > 0.0 { 60.0 * sums.0 / sums.1 } else { 0.0 }

@@ -12,7 +12,7 @@ use crate::pipeline::files::sweep::sweep_temporaries;
 
 /// The injected faults of this thread.
 #[derive(Clone, Copy, Default)]
-struct Trouble {
+struct InjectedFault {
     /// Number of changes of the file system that succeed before the fault.
     changes_left: usize,
     /// Number of changes that fail after that; `None` ends the process instead.
@@ -25,10 +25,10 @@ struct Trouble {
 /// failure.
 static ALONE: Mutex<()> = Mutex::new(());
 
-thread_local!(static TROUBLE: Cell<Option<Trouble>> = const { Cell::new(None) });
+thread_local!(static INJECTED_FAULT: Cell<Option<InjectedFault>> = const { Cell::new(None) });
 
 pub(super) fn before_change(is_link: bool) -> io::Result<()> {
-    let Some(mut trouble) = TROUBLE.get() else { return Ok(()) };
+    let Some(mut trouble) = INJECTED_FAULT.get() else { return Ok(()) };
     if is_link && trouble.without_links {
         return Err(io::ErrorKind::Unsupported.into());
     }
@@ -42,7 +42,7 @@ pub(super) fn before_change(is_link: bool) -> io::Result<()> {
             Some(failures) => *failures -= 1,
         }
     }
-    TROUBLE.set(Some(trouble));
+    INJECTED_FAULT.set(Some(trouble));
     if fails { Err(io::Error::other("a failing disk")) } else { Ok(()) }
 }
 
@@ -104,9 +104,9 @@ fn failure_of_any_change_leaves_all_old_or_all_new_files() {
         for changes_left in 0..20 {
             let folder = tempfile::tempdir().expect("a folder");
             write_old(folder.path(), old_count);
-            TROUBLE.set(Some(Trouble { changes_left, failures: Some(1), without_links }));
+            INJECTED_FAULT.set(Some(InjectedFault { changes_left, failures: Some(1), without_links }));
             let result = publish_new(folder.path());
-            TROUBLE.set(None);
+            INJECTED_FAULT.set(None);
             let wanted = expected(result.as_ref().err().map(|_| old_count));
             assert_eq!(contents(folder.path()), wanted, "{old_count} {without_links} {changes_left}");
             failed_count += usize::from(result.is_err());
@@ -122,9 +122,13 @@ fn lasting_failure_leaves_all_old_or_all_new_files_after_it_ends() {
         for changes_left in 0..20 {
             let folder = tempfile::tempdir().expect("a folder");
             write_old(folder.path(), old_count);
-            TROUBLE.set(Some(Trouble { changes_left, failures: Some(usize::MAX), without_links }));
+            INJECTED_FAULT.set(Some(InjectedFault {
+                changes_left,
+                failures: Some(usize::MAX),
+                without_links,
+            }));
             let result = publish_new(folder.path());
-            TROUBLE.set(None);
+            INJECTED_FAULT.set(None);
             recover_all(folder.path());
             let found = contents(folder.path());
             // All files are new if the first failure was in the last step.
@@ -144,7 +148,11 @@ fn process_killed_before_any_change_leaves_all_old_or_all_new_files() {
             panic!("{orders}")
         };
         let changes_left = changes_left.parse().expect("a number");
-        TROUBLE.set(Some(Trouble { changes_left, failures: None, without_links: without_links == "true" }));
+        INJECTED_FAULT.set(Some(InjectedFault {
+            changes_left,
+            failures: None,
+            without_links: without_links == "true",
+        }));
         publish_new(Path::new(folder)).expect("published");
         return;
     }
@@ -335,9 +343,9 @@ fn failed_recovery_names_the_record_and_what_to_do() {
     let folder = tempfile::tempdir().expect("a folder");
     let record_path = plant_record(folder.path());
     let _alone = ALONE.lock();
-    TROUBLE.set(Some(Trouble { failures: Some(usize::MAX), ..Trouble::default() }));
+    INJECTED_FAULT.set(Some(InjectedFault { failures: Some(usize::MAX), ..InjectedFault::default() }));
     let result = recover_out_folder(folder.path());
-    TROUBLE.set(None);
+    INJECTED_FAULT.set(None);
     let error = result.expect_err("a failing disk").to_string();
     assert!(error.starts_with(&record_path.display().to_string()), "{error}");
     assert!(error.contains("a failing disk; remove the cause and start again, or remove"), "{error}");

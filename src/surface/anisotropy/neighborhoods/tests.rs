@@ -165,10 +165,10 @@ fn shapes_match_the_weighted_covariance() {
 #[test]
 fn particles_of_a_sheet_are_flat() {
     let points = lattice([9, 9, 0], 0.2);
-    let turn = DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -0.7, 1.1);
-    let turned: Vec<DVec3> = points.iter().map(|&point| turn * point).collect();
-    let shapes = shapes_of(&turned, &CONFIG);
-    let normal = turn * DVec3::Z;
+    let rotation = DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -0.7, 1.1);
+    let rotated: Vec<DVec3> = points.iter().map(|&point| rotation * point).collect();
+    let shapes = shapes_of(&rotated, &CONFIG);
+    let normal = rotation * DVec3::Z;
     for shape in inner(&points, &shapes, 6.0) {
         let ([shortest, middle, longest], direction) = half_axes(shape);
         assert!((longest / shortest - 4.0).abs() < 1e-3 && middle / longest > 0.85, "{shape:?}");
@@ -213,12 +213,13 @@ fn particles_inside_are_balls_and_at_a_plane_surface_flat() {
 fn rotated_particles_have_rotated_shapes() {
     let points = lattice([4, 4, 1], 0.7);
     let turn = DQuat::from_euler(glam::EulerRot::XYZ, -1.2, 0.4, 2.0);
-    let turned: Vec<DVec3> = points.iter().map(|&point| turn * point + DVec3::new(5.0, -70.0, 0.3)).collect();
+    let rotated: Vec<DVec3> =
+        points.iter().map(|&point| turn * point + DVec3::new(5.0, -70.0, 0.3)).collect();
     let rotation = DMat3::from_quat(turn);
-    let pairs = shapes_of(&points, &CONFIG).into_iter().zip(shapes_of(&turned, &CONFIG));
-    for (shape, of_turned) in pairs {
+    let pairs = shapes_of(&points, &CONFIG).into_iter().zip(shapes_of(&rotated, &CONFIG));
+    for (shape, of_rotated) in pairs {
         let expected = rotation * matrix(&shape) * rotation.transpose();
-        let error = difference(&matrix(&of_turned), &expected);
+        let error = difference(&matrix(&of_rotated), &expected);
         assert!(error < 1e-4, "{error}");
     }
 }

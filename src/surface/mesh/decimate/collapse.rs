@@ -29,11 +29,11 @@ pub(super) struct Collapse {
 const RING_MAX: usize = 12;
 
 /// Cosine of the maximum angle between triangle normals and the mean normal: 75°.
-const LEAST_COSINE: f32 = 0.26;
+const COSINE_MIN: f32 = 0.26;
 
 /// Minimum shape quality of a new triangle (1 if equilateral, 0 without area), unless an old triangle was
 /// worse.
-const LEAST_SHAPE: f32 = 0.25;
+const SHAPE_MIN: f32 = 0.25;
 
 /// Maximum number of neighbors that are tried as targets.
 const TRIES: usize = 3;
@@ -79,7 +79,7 @@ impl<'a> VertexStar<'a> {
             neighbor_bounds[i] = bounds[neighbor as usize];
         }
         let mut normals = [Vec3::ZERO; RING_MAX];
-        let (mut sum, mut bound, mut least_shape) = (Vec3::ZERO, 0.0f32, LEAST_SHAPE);
+        let (mut sum, mut bound, mut least_shape) = (Vec3::ZERO, 0.0f32, SHAPE_MIN);
         for i in 0..count {
             let after = if i + 1 == count { 0 } else { i + 1 };
             normals[i] = around[i].cross(around[after]);
@@ -91,7 +91,7 @@ impl<'a> VertexStar<'a> {
         }
         let bound = bound.min(bounds[vertex as usize]);
         let mean_normal = sum / sum.length();
-        let is_unfolded = |normal: &Vec3| normal.dot(mean_normal) > LEAST_COSINE * normal.length();
+        let is_unfolded = |normal: &Vec3| normal.dot(mean_normal) > COSINE_MIN * normal.length();
         // Comparison with NaN is false, so NaN counts as folded.
         if !normals[..count].iter().all(is_unfolded) {
             return None;
@@ -176,7 +176,7 @@ impl<'a> VertexStar<'a> {
             let (one, other) = (self.around[from] - origin, self.around[to] - origin);
             let normal = one.cross(other);
             let length = normal.length();
-            let faces_out = normal.dot(self.mean_normal) > LEAST_COSINE * length;
+            let faces_out = normal.dot(self.mean_normal) > COSINE_MIN * length;
             if !(faces_out && shape(length, one, other) >= self.least_shape) {
                 return false;
             }

@@ -22,7 +22,7 @@ use super::super::{CHUNK, Mesh};
 pub(super) const DEGREE_MAX: usize = 16;
 
 /// Minimum number of neighbors of a vertex after a collapse.
-const DEGREE_LEAST: usize = 3;
+const DEGREE_MIN: usize = 3;
 
 /// Position of a ring in the array.
 #[derive(Clone, Copy, Debug, Default)]
@@ -80,8 +80,8 @@ impl Rings {
         let (before, after) = adjacent(ring, index);
         let common = around_target.iter().filter(|neighbor| ring.contains(neighbor)).count();
         common == 2
-            && self.of(before).len() > DEGREE_LEAST
-            && self.of(after).len() > DEGREE_LEAST
+            && self.of(before).len() > DEGREE_MIN
+            && self.of(after).len() > DEGREE_MIN
             && ring.len() + around_target.len() <= DEGREE_MAX + 4
     }
 
@@ -190,7 +190,7 @@ fn rings_of_chunk(
 /// the appended values are then meaningless.
 fn push_ring(neighbors: &mut Vec<u32>, vertex: u32, corners: &[[u32; 2]]) -> bool {
     let start = neighbors.len();
-    let is_sound = (DEGREE_LEAST..=DEGREE_MAX).contains(&corners.len());
+    let is_sound = (DEGREE_MIN..=DEGREE_MAX).contains(&corners.len());
     let Some(&[first, mut at]) = corners.first().filter(|_| is_sound) else { return false };
     neighbors.push(first);
     for _ in 1..corners.len() {

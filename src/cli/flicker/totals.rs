@@ -118,22 +118,22 @@ mod tests {
 
     #[test]
     fn worst_points_and_frames_are_kept() {
-        let mut tally = FlickerTotals::new(true);
+        let mut totals = FlickerTotals::new(true);
         for number in 1..=10 {
             // Frame 7 is the worst; frames 3 and 4 are equal.
             let size = [0.0, 1.0, 2.0, 5.0, 5.0, 3.0, 4.0, 9.0, 0.5, 0.25, 8.0][number as usize];
-            tally.add(frame(number, &[size, -2.0 * size]));
+            totals.add(frame(number, &[size, -2.0 * size]));
         }
-        tally.add(frame(11, &[]));
-        assert_eq!(tally.worst_frames(), [6, 9, 2, 3, 5, 4]);
-        let with_points = tally.frames.iter().filter(|frame| !frame.points().is_empty());
+        totals.add(frame(11, &[]));
+        assert_eq!(totals.worst_frames(), [6, 9, 2, 3, 5, 4]);
+        let with_points = totals.frames.iter().filter(|frame| !frame.points().is_empty());
         assert_eq!(with_points.map(|frame| frame.number).collect::<Vec<_>>(), [3, 4, 5, 6, 7, 10]);
         let first: Vec<(u64, f64)> =
-            tally.worst_points.iter().take(4).map(|point| (point.frame, point.value)).collect();
+            totals.worst_points.iter().take(4).map(|point| (point.frame, point.value)).collect();
         assert_eq!(first, [(7, -18.0), (10, -16.0), (3, -10.0), (4, -10.0)]);
-        assert_eq!((tally.summary().count, tally.summary().max), (20, 18.0));
-        assert_eq!(tally.frames[6].worst.map(|point| point.value), Some(-18.0));
-        tally.add(frame(12, &[1.0; 2000]));
-        assert_eq!(tally.worst_points.len(), WORST_POINTS);
+        assert_eq!((totals.summary().count, totals.summary().max), (20, 18.0));
+        assert_eq!(totals.frames[6].worst.map(|point| point.value), Some(-18.0));
+        totals.add(frame(12, &[1.0; 2000]));
+        assert_eq!(totals.worst_points.len(), WORST_POINTS);
     }
 }
