@@ -247,8 +247,9 @@ impl Family<'_> {
     fn contiguous(&mut self) -> Vec<usize> {
         self.components.sort_unstable();
         self.components.dedup_by_key(|(component, _)| *component);
-        let unbroken = self.components.iter().enumerate().take_while(|(expected, (got, _))| expected == got);
-        unbroken.map(|(_, &(_, column))| column).collect()
+        let consecutive =
+            self.components.iter().enumerate().take_while(|(expected, (got, _))| expected == got);
+        consecutive.map(|(_, &(_, column))| column).collect()
     }
 
     fn arity_min(&self) -> usize {

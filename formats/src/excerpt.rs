@@ -29,13 +29,13 @@ struct Escaper<'a, 'b>(&'a mut fmt::Formatter<'b>);
 
 impl Write for Escaper<'_, '_> {
     fn write_str(&mut self, text: &str) -> fmt::Result {
-        let mut plain_from = 0;
+        let mut plain_start = 0;
         for (at, char) in text.char_indices().filter(|&(_, char)| is_unsafe(char)) {
-            self.0.write_str(&text[plain_from..at])?;
+            self.0.write_str(&text[plain_start..at])?;
             write!(self.0, "{}", char.escape_default())?;
-            plain_from = at + char.len_utf8();
+            plain_start = at + char.len_utf8();
         }
-        self.0.write_str(&text[plain_from..])
+        self.0.write_str(&text[plain_start..])
     }
 }
 

@@ -342,10 +342,10 @@ fn obj_quads_are_written_as_quads() {
     let mut at_end = quads.to_vec();
     at_end[count - 2..].fill(false);
     at_end[count - 1] = true;
-    for senseless in
+    for invalid in
         [vec![true; 3], vec![true; count], at_end, [vec![true, false], quads[2..].to_vec()].concat()]
     {
-        let error = OutputFormat::Obj.write_mesh(&mesh.view(), &marked(senseless), &[], &mut Vec::new());
+        let error = OutputFormat::Obj.write_mesh(&mesh.view(), &marked(invalid), &[], &mut Vec::new());
         assert!(matches!(error, Err(Error::Invalid { .. })), "{error:?}");
     }
 }

@@ -196,10 +196,10 @@ impl<'a> RenderSession<'a> {
             RenderSource::LevelSet(level_set) => &level_set.warnings,
             RenderSource::Reconstructed(reconstructed) => &reconstructed.made.warnings,
         };
-        let is_asked = self.method.options.attributes.is_some();
+        let is_requested = self.method.options.attributes.is_some();
         let is_velocity =
             |warning: &Warning| matches!(warning, Warning::MissingAttribute { name, .. } if name == VELOCITY);
-        for warning in warnings.iter().filter(|warning| is_asked || !is_velocity(warning)) {
+        for warning in warnings.iter().filter(|warning| is_requested || !is_velocity(warning)) {
             console.warning(format_args!("{}: {}", file.path.display(), with_remedy(warning)));
         }
     }

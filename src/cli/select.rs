@@ -67,7 +67,7 @@ pub(super) fn select_frames(
     if method.to_options().needs_spacing() {
         warn_of_single_frames(&sequences, console);
     }
-    let sequences = without_rivals(selected_of(sequences, numbers)?, console);
+    let sequences = without_conflicts(selected_of(sequences, numbers)?, console);
     if let Some(selection) = numbers {
         let existing = selected_files(&sequences).filter_map(FrameFile::number).collect();
         for (range, count) in selection.missing(&existing) {
@@ -127,20 +127,20 @@ pub(super) fn selected_files(sequences: &[SelectedSequence]) -> impl Iterator<It
 /// as with `dam.1.ply` and `dam.1.bgeo`. (The daemon converts whichever of the two is complete first.) Adding
 /// the extensions to the names of such outputs is no alternative: the name of an output would then depend on
 /// the other files in the folder.
-fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Vec<SelectedSequence> {
+fn without_conflicts(sequences: Vec<SelectedSequence>, console: &mut Console) -> Vec<SelectedSequence> {
     let mut owner_of: HashMap<(PathBuf, String), PathBuf> = HashMap::new();
     let mut kept = Vec::new();
     for mut selected in sequences {
-        let mut rivals: Vec<(PathBuf, PathBuf)> = Vec::new();
+        let mut conflicts: Vec<(PathBuf, PathBuf)> = Vec::new();
         selected.selected.retain(|file| {
             let folder = file_of(&file.path).parent().map(Path::to_owned).unwrap_or_default();
             let owner = owner_of.entry((folder, file.stem())).or_insert_with(|| file.path.clone());
-            let is_rival = *owner != file.path;
-            rivals.extend(is_rival.then(|| (owner.clone(), file.path.clone())));
-            !is_rival
+            let is_conflict = *owner != file.path;
+            conflicts.extend(is_conflict.then(|| (owner.clone(), file.path.clone())));
+            !is_conflict
         });
-        if let Some((owner, rival)) = rivals.first() {
-            let left_out = match rivals.len() - 1 {
+        if let Some((owner, other)) = conflicts.first() {
+            let left_out = match conflicts.len() - 1 {
                 0 => "is left out: convert it".to_owned(),
                 count => format!(
                     "and {} of {} are left out: convert them",
@@ -149,11 +149,11 @@ fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Ve
                 ),
             };
             console.fail(format_args!(
-                "{} and {rival} would both become {}.*: \
-                 {rival} {left_out} with a separate command and another --out",
+                "{} and {other} would both become {}.*: \
+                 {other} {left_out} with a separate command and another --out",
                 owner.display(),
-                FrameFile::new(rival.clone()).stem(),
-                rival = rival.display()
+                FrameFile::new(other.clone()).stem(),
+                other = other.display()
             ));
         }
         kept.extend((!selected.selected.is_empty()).then_some(selected));

@@ -28,18 +28,18 @@ use super::watch::make_plan;
 /// If there is neither such a file nor a record of it, or something cannot be read.
 pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcome> {
     let frame = known_frame(&args.file).context("the file has no name")?;
-    let asked = match &args.config {
+    let requested = match &args.config {
         Some(file) => DaemonSettings::of_file(file, args)?,
         None => DaemonSettings::of_journal(args, &frame)?,
     };
     // Only a configuration file may name several output folders, among which `--out` selects. A journal
     // belongs to one output folder.
     let output = args.out.as_deref().filter(|_| args.config.is_some());
-    let watch = asked.watch_of(&frame, output)?;
+    let watch = requested.watch_of(&frame, output)?;
     let frame = below(&watch.input, &frame).unwrap_or(frame);
     let output = &watch.outputs.folder;
-    let journal = journal_folder(output, asked.journal.as_deref());
-    let state = match asked.state {
+    let journal = journal_folder(output, requested.journal.as_deref());
+    let state = match requested.state {
         Some(ref state) => state,
         None => &read_journal(&journal)?,
     };
@@ -60,19 +60,19 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
         bail!("{}: no such {what}, and nothing is recorded of it in {}", frame.display(), journal.display());
     }
     let output_folders: Vec<PathBuf> =
-        asked.watches.iter().map(|watch| watch.outputs.folder.clone()).collect();
-    let settings = remembered_fingerprint(watch, &frame, state).filter(|_| asked.is_known);
+        requested.watches.iter().map(|watch| watch.outputs.folder.clone()).collect();
+    let settings = remembered_fingerprint(watch, &frame, state).filter(|_| requested.is_known);
     let explanation = explain(&Question {
         frame: &frame,
         watch,
         output_folders: &output_folders,
-        timeouts: &asked.timeouts,
+        timeouts: &requested.timeouts,
         record,
         settings: settings.as_deref(),
     })
     .with_context(|| frame.display().to_string())?;
-    console.print_lines(lines(&frame, record, &explanation, asked.is_known, now_ms()));
-    if !asked.is_known && !matches!(explanation.verdict, Fate::Found(_)) {
+    console.print_lines(lines(&frame, record, &explanation, requested.is_known, now_ms()));
+    if !requested.is_known && !matches!(explanation.verdict, Fate::Found(_)) {
         console.print_line(UNKNOWN);
     }
     let is_to_come = matches!(explanation.verdict, Fate::Waits(_) | Fate::Converted(_));

@@ -113,7 +113,7 @@ fn is_name_of(authority: &str, local: IpAddr) -> bool {
 mod tests {
     use super::*;
 
-    fn asked(host: &str) -> Request<()> {
+    fn request_to(host: &str) -> Request<()> {
         Request::get("/").header(HOST, host).body(()).expect("a request")
     }
 
@@ -121,12 +121,12 @@ mod tests {
     fn only_names_of_this_machine_are_accepted_as_host() {
         let local: IpAddr = "192.168.1.7".parse().expect("an address");
         for host in ["localhost", "LOCALHOST:7700", "127.0.0.1:1", "[::1]:7700", "192.168.1.7:7700"] {
-            assert!(is_for_this_host(&asked(host), local), "{host}");
+            assert!(is_for_this_host(&request_to(host), local), "{host}");
         }
         for host in
             ["evil.example", "localhost.evil.example", "192.168.1.8", "a@localhost", "", "127.0.0.1.nip.io"]
         {
-            assert!(!is_for_this_host(&asked(host), local), "{host}");
+            assert!(!is_for_this_host(&request_to(host), local), "{host}");
         }
         let none = Request::get("/").body(()).expect("a request");
         let two =
@@ -163,7 +163,7 @@ mod tests {
         assert!(!is_in("authorization", "0123456789abcdef"));
         assert!(!is_in("cookie", "xmeniscus_token_7700=0123456789abcdef"));
         assert!(!is_in("cookie", "meniscus_token_7701=0123456789abcdef"), "that is for another port");
-        assert!(!token.is_in(&asked("localhost"), 7700));
+        assert!(!token.is_in(&request_to("localhost"), 7700));
         assert!(token.cookie(7700).starts_with("meniscus_token_7700=0123456789abcdef; "));
     }
 }

@@ -93,8 +93,8 @@ impl<'a> Tracer<'a> {
     fn ground_at(&self, ray: &Ray) -> Option<f64> {
         let up = self.view.up.direction();
         let above = ray.origin.dot(up) - self.view.ground? / self.voxel_size;
-        let sinking = -ray.direction.dot(up);
-        (above > 0.0 && sinking > 1e-6).then(|| above / sinking)
+        let descent = -ray.direction.dot(up);
+        (above > 0.0 && descent > 1e-6).then(|| above / descent)
     }
 }
 

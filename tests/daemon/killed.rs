@@ -57,7 +57,7 @@ fn killed_daemon_loses_no_frame_and_shows_no_incomplete_output() {
     scene.assert_as_converted(&FORMATS);
     scene.assert_no_temporaries();
     assert_eq!(names_seen(&seen), 4 * frame_count);
-    for Sight { name, bytes } in seen {
+    for Snapshot { name, bytes } in seen {
         assert!(is_complete(kind(&name), &mut Cursor::new(&bytes)).unwrap_or(false), "{name} was not whole");
         // The same frame gives the same bytes in every conversion.
         assert!(scene.bytes(&format!("out/{name}")) == bytes, "{name} was not what it is now");
@@ -89,20 +89,20 @@ fn produce(scene: &Scene, number: usize) {
 }
 
 /// An output, with its contents when it appeared.
-struct Sight {
+struct Snapshot {
     name: String,
     bytes: Vec<u8>,
 }
 
-fn names_seen(seen: &[Sight]) -> usize {
-    let mut names: Vec<&str> = seen.iter().map(|sight| &*sight.name).collect();
+fn names_seen(seen: &[Snapshot]) -> usize {
+    let mut names: Vec<&str> = seen.iter().map(|snapshot| &*snapshot.name).collect();
     names.sort_unstable();
     names.dedup();
     names.len()
 }
 
 /// Opens every visible file as soon as it appears, and again whenever another file replaces it.
-fn observe(folder: &Path, is_over: &AtomicBool) -> Vec<Sight> {
+fn observe(folder: &Path, is_over: &AtomicBool) -> Vec<Snapshot> {
     let mut seen = Vec::new();
     let mut inodes: HashMap<PathBuf, u64> = HashMap::new();
     loop {
@@ -115,7 +115,7 @@ fn observe(folder: &Path, is_over: &AtomicBool) -> Vec<Sight> {
             }
             let bytes = fs::read(entry.path()).expect("an output is never taken away");
             inodes.insert(entry.path(), entry.ino());
-            seen.push(Sight { name, bytes });
+            seen.push(Snapshot { name, bytes });
         }
         if is_last {
             return seen;

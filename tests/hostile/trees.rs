@@ -55,7 +55,7 @@ fn link_cycles_do_not_stop_the_daemon() {
 }
 
 /// Runs the command as a user without root's rights; `None` if that is impossible.
-fn run_as_nobody(scene: &Scene, arguments: &[&str]) -> Option<RunResult> {
+fn run_without_privileges(scene: &Scene, arguments: &[&str]) -> Option<RunResult> {
     let program = scene.path("meniscus");
     // A separate process copies the program. If this process copied it, a test that starts a child at this
     // moment would pass on the open descriptor, and a file that is open for writing cannot be executed.
@@ -87,19 +87,19 @@ fn unreadable_frame_does_not_stop_others() {
     }
     ["in/closed", "in/closed.1.ply", "in/closed.1.txt"].iter().for_each(|within| forbid(&scene, within));
     let arguments = ["convert", "in", "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
-    let Some(result) = run_as_nobody(&scene, &arguments) else { return };
+    let Some(result) = run_without_privileges(&scene, &arguments) else { return };
     assert_eq!(result.status, Some(1), "{}", result.err);
     assert!(result.err.contains("closed.1.ply") && result.err.contains("ermission denied"), "{}", result.err);
     scene.assert_good_frames_are_there();
     // A glob reads folders, and reports those that it cannot read.
     let globbed = ["convert", "in/**/dam.*.ply", "--out", "out2", "--voxel-size", "0.1", "--format", "obj"];
-    let Some(result) = run_as_nobody(&scene, &globbed) else { return };
+    let Some(result) = run_without_privileges(&scene, &globbed) else { return };
     assert_eq!(result.status, Some(1), "{}", result.err);
     assert!(scene.path("out2/dam.2.obj").is_file(), "{}", result.err);
     let watched =
         ["watch", "in", "--recursive", "--once", "--out", "out3", "--voxel-size", "0.1", "--format", "obj"];
     let watched = [&watched[..], &["--settle", "50ms", "--stalled", "300ms"]].concat();
-    let Some(result) = run_as_nobody(&scene, &watched) else { return };
+    let Some(result) = run_without_privileges(&scene, &watched) else { return };
     assert_eq!(result.status, Some(1), "{}", result.err);
     assert!(scene.path("out3/dam.2.obj").is_file(), "{}", result.err);
 }
@@ -113,7 +113,7 @@ fn unreadable_subfolder_fails_the_run() {
     // A closed folder in a path without a wildcard is also an error with a reason.
     for (input, status) in [("in/**/dam.*.ply", 1), ("in/*/../dam.*.ply", 2), ("in/closed/dam.#.ply", 2)] {
         let arguments = ["convert", input, "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
-        let Some(result) = run_as_nobody(&scene, &arguments) else { return };
+        let Some(result) = run_without_privileges(&scene, &arguments) else { return };
         assert_eq!(result.status, Some(status), "{input}: {}", result.err);
         assert!(
             result.err.contains("closed") && result.err.contains("ermission denied"),
@@ -124,7 +124,7 @@ fn unreadable_subfolder_fails_the_run() {
     scene.assert_good_frames_are_there();
     let plan = ["plan", "in/**/dam.*.ply", "--out", "out", "--voxel-size", "0.1"];
     let plan = [&plan[..], &["--output", "plan.json", "--shards", "1"]].concat();
-    let Some(result) = run_as_nobody(&scene, &plan) else { return };
+    let Some(result) = run_without_privileges(&scene, &plan) else { return };
     assert_eq!(result.status, Some(2), "{}", result.err);
     assert!(
         result.err.contains("closed: Permission denied") && !scene.path("plan.json").exists(),
@@ -133,7 +133,7 @@ fn unreadable_subfolder_fails_the_run() {
     );
     let watched = ["watch", "in", "--recursive", "--once", "--out", "out3", "--voxel-size", "0.1"];
     let watched = [&watched[..], &["--format", "obj", "--settle", "50ms", "--pattern", "dam.?.ply"]].concat();
-    let Some(result) = run_as_nobody(&scene, &watched) else { return };
+    let Some(result) = run_without_privileges(&scene, &watched) else { return };
     assert_eq!(result.status, Some(1), "{}", result.err);
     assert!(result.err.contains("in/closed") && scene.path("out3/dam.2.obj").is_file(), "{}", result.err);
 }
@@ -145,12 +145,12 @@ fn frames_in_a_folder_without_the_right_to_enter_fail() {
     fs::set_permissions(scene.path("in"), Permissions::from_mode(0o744)).expect("changed");
     for input in ["in", "in/dam.*.ply", "in/dam.#.ply"] {
         let arguments = ["convert", input, "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
-        let Some(result) = run_as_nobody(&scene, &arguments) else { return };
+        let Some(result) = run_without_privileges(&scene, &arguments) else { return };
         assert_eq!(result.status, Some(2), "{input}: {}", result.err);
         assert!(result.err.contains("dam.1.ply: Permission denied"), "{input}: {}", result.err);
     }
     let watched = ["watch", "in", "--once", "--out", "out", "--voxel-size", "0.1", "--settle", "50ms"];
-    let Some(result) = run_as_nobody(&scene, &watched) else { return };
+    let Some(result) = run_without_privileges(&scene, &watched) else { return };
     assert_eq!(result.status, Some(2), "{}", result.err);
     assert!(result.err.contains("dam.1.ply") && result.err.contains("ermission denied"), "{}", result.err);
 }
@@ -164,11 +164,11 @@ fn unwritable_output_is_an_error() {
     }
     for out in ["out", "out/inner", "out/new"] {
         let arguments = ["convert", "in", "--out", out, "--voxel-size", "0.1", "--format", "obj"];
-        let Some(result) = run_as_nobody(&scene, &arguments) else { return };
+        let Some(result) = run_without_privileges(&scene, &arguments) else { return };
         assert!(matches!(result.status, Some(1 | 2)), "{}", result.err);
         assert!(result.err.contains("ermission denied"), "{}", result.err);
         let watched = ["watch", "in", "--once", "--out", out, "--voxel-size", "0.1", "--settle", "50ms"];
-        let Some(result) = run_as_nobody(&scene, &watched) else { return };
+        let Some(result) = run_without_privileges(&scene, &watched) else { return };
         assert!(matches!(result.status, Some(1 | 2)), "{}", result.err);
         assert!(result.err.contains("ermission denied"), "{}", result.err);
     }

@@ -65,11 +65,12 @@ impl DataArray<'_> {
             ArrayForm::Appended(start) => self.appended(start, appended)?,
         };
         // Remove line breaks from the base64 text.
-        let unbroken: Vec<u8>;
+        let without_spaces: Vec<u8>;
         let is_broken = self.form == ArrayForm::Binary && encoded.bytes.iter().any(u8::is_ascii_whitespace);
         let encoded = if is_broken {
-            unbroken = encoded.bytes.iter().copied().filter(|byte| !byte.is_ascii_whitespace()).collect();
-            EncodedArray { bytes: &unbroken, ..encoded }
+            without_spaces =
+                encoded.bytes.iter().copied().filter(|byte| !byte.is_ascii_whitespace()).collect();
+            EncodedArray { bytes: &without_spaces, ..encoded }
         } else {
             encoded
         };

@@ -148,8 +148,8 @@ pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<Command
 /// The journal folder of a daemon that writes to `output`.
 pub(super) fn journal_folder(output: &Path, given: Option<&Path>) -> PathBuf {
     // The same rule as in the daemon.
-    let asked = given.map(|given| given.canonicalize().unwrap_or_else(|_| given.to_owned()));
-    asked.unwrap_or_else(|| output.join(STATE_FOLDER))
+    let canonical = given.map(|given| given.canonicalize().unwrap_or_else(|_| given.to_owned()));
+    canonical.unwrap_or_else(|| output.join(STATE_FOLDER))
 }
 
 /// Reads the journal in a folder.

@@ -176,10 +176,10 @@ mod tests {
     fn files_of_a_set_appear_together_or_not_at_all() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = |name: &str| folder.path().join(name);
-        let unseen =
+        let staged =
             |name: &str| stage(&path(name), |out| Ok(out.write_all(name.as_bytes())?)).expect("written");
         let names = ["a.glb", "a.vdb", "a.obj"];
-        let files: Vec<StagedFile> = names.map(unseen).into();
+        let files: Vec<StagedFile> = names.map(staged).into();
         assert!(names.iter().all(|name| !path(name).exists()));
         assert_eq!(files[1].size_bytes(), 5);
         assert_eq!(commit(files).expect("published"), names.map(path));
@@ -189,11 +189,11 @@ mod tests {
         fs::write(path("a.glb"), "old").expect("written");
         fs::remove_file(path("a.vdb")).expect("removed");
         fs::create_dir(path("a.vdb")).expect("made");
-        let (culprit, _) = commit(names.map(unseen).into()).expect_err("the path is a folder");
+        let (culprit, _) = commit(names.map(staged).into()).expect_err("the path is a folder");
         assert_eq!(culprit, path("a.vdb"));
         assert_eq!(fs::read_to_string(path("a.glb")).expect("readable"), "old");
         fs::remove_dir(path("a.vdb")).expect("removed");
-        let files: Vec<StagedFile> = names.map(unseen).into();
+        let files: Vec<StagedFile> = names.map(staged).into();
         fs::remove_file(files[2].written_path()).expect("removed");
         fs::write(path("a.obj"), "old").expect("written");
         assert_eq!(commit(files).expect_err("the last is gone").0, path("a.obj"));
@@ -211,8 +211,8 @@ mod tests {
         for name in names {
             fs::write(path(name), "old").expect("written");
         }
-        let unseen = |name: &str| stage(&path(name), |out| Ok(out.write_all(b"new")?)).expect("written");
-        let files: Vec<StagedFile> = names.map(unseen).into();
+        let staged = |name: &str| stage(&path(name), |out| Ok(out.write_all(b"new")?)).expect("written");
+        let files: Vec<StagedFile> = names.map(staged).into();
         fs::remove_file(files[1].written_path()).expect("removed");
         assert_eq!(commit(files).expect_err("the second is gone").0, path("a.vdb"));
         assert_eq!(names_in(folder.path()).len(), 3);
@@ -254,12 +254,12 @@ mod tests {
     #[cfg(unix)]
     fn links_are_replaced_and_never_written_through() {
         let folder = tempfile::tempdir().expect("a folder");
-        let precious = folder.path().join("precious");
-        fs::write(&precious, "precious").expect("written");
+        let users_file = folder.path().join("precious");
+        fs::write(&users_file, "precious").expect("written");
         let path = folder.path().join("a.glb");
-        std::os::unix::fs::symlink(&precious, &path).expect("linked");
+        std::os::unix::fs::symlink(&users_file, &path).expect("linked");
         write(&path, "text").expect("written");
-        assert_eq!(fs::read_to_string(&precious).expect("readable"), "precious");
+        assert_eq!(fs::read_to_string(&users_file).expect("readable"), "precious");
         assert!(!path.is_symlink());
     }
 }

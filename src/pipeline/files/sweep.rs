@@ -175,12 +175,12 @@ mod tests {
     #[cfg(unix)]
     fn a_link_is_not_followed_and_not_swept() {
         let folder = tempdir().expect("a folder");
-        let precious = folder.path().join("precious");
-        fs::write(&precious, "precious").expect("written");
+        let users_file = folder.path().join("precious");
+        fs::write(&users_file, "precious").expect("written");
         let link = folder.path().join(temporary_name("a.glb", 7));
-        std::os::unix::fs::symlink(&precious, &link).expect("linked");
+        std::os::unix::fs::symlink(&users_file, &link).expect("linked");
         assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 0);
-        assert!(link.is_symlink() && precious.exists());
+        assert!(link.is_symlink() && users_file.exists());
     }
 
     /// The folder is replaced by a file, so nothing in it can be removed.

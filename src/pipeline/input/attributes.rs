@@ -163,14 +163,14 @@ impl AttributeRequest {
 
     /// Whether to transfer the particles' velocities to the surface; `name` is their name in the file.
     pub(crate) fn has_velocity(&self, name: &str) -> bool {
-        let asked = |asked: &String| {
-            let is = |other: &str| asked.eq_ignore_ascii_case(other);
+        let is_velocity = |selected: &String| {
+            let is = |other: &str| selected.eq_ignore_ascii_case(other);
             is(name) || aliases(AttributeRole::Velocity).iter().any(|alias| is(alias))
         };
         match &self.selected {
             None => false,
             Some(AttributeSelection::All) => true,
-            Some(AttributeSelection::Named(names)) => names.iter().any(asked),
+            Some(AttributeSelection::Named(names)) => names.iter().any(is_velocity),
         }
     }
 

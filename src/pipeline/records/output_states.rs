@@ -115,7 +115,7 @@ struct NamedRecord {
 impl OutputStates {
     /// Records the state of an output.
     pub fn put(&self, path: &Path, state: OutputState) {
-        self.put_made(path, state, String::new(), None);
+        self.insert_record(path, state, String::new(), None);
     }
 
     /// Removes and returns the recorded state of an output.
@@ -134,7 +134,7 @@ impl OutputStates {
     pub(crate) fn record(&self, paths: &[PathBuf], fault: Option<&str>) {
         for path in paths {
             match OutputState::of_path(path) {
-                Ok(state) => self.put_made(path, state, made_from(path), fault.map(str::to_owned)),
+                Ok(state) => self.insert_record(path, state, made_from(path), fault.map(str::to_owned)),
                 Err(_) => drop(self.take(path)),
             }
         }
@@ -170,11 +170,11 @@ impl OutputStates {
             Some(recorded) if recorded.state.hash != now.hash => return None,
             recorded => recorded.and_then(|recorded| recorded.fault),
         };
-        self.put_made(path, now, made_from, fault.clone());
+        self.insert_record(path, now, made_from, fault.clone());
         Some(fault)
     }
 
-    fn put_made(&self, path: &Path, state: OutputState, made_from: String, fault: Option<String>) {
+    fn insert_record(&self, path: &Path, state: OutputState, made_from: String, fault: Option<String>) {
         self.known().insert(path.to_owned(), Record { state, made_from, fault, is_loaded: false });
     }
 

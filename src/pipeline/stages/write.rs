@@ -87,12 +87,12 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
         let surface = Arc::new(surface);
         let preview_time = Mutex::new(Duration::ZERO);
         // Everything runs within `catch`, so that a panic in the framing, too, fails only this frame.
-        let asked = frame;
-        let written = FrameError::catch(&asked.input, Stage::Write, || {
-            self.shared.refuse_links(&asked.outputs.folder)?;
-            let frame = &match asked.framing.as_ref().filter(|_| asked.has_pictures()) {
-                Some(framing) => asked.with_camera(framing.camera_for(bounds_of(&surface, asked))),
-                None => asked.clone(),
+        let requested = frame;
+        let written = FrameError::catch(&requested.input, Stage::Write, || {
+            self.shared.refuse_links(&requested.outputs.folder)?;
+            let frame = &match requested.framing.as_ref().filter(|_| requested.has_pictures()) {
+                Some(framing) => requested.with_camera(framing.camera_for(bounds_of(&surface, requested))),
+                None => requested.clone(),
             };
             let write = |format: OutputFormat, out: &mut BufWriter<&File>| {
                 let mut write =

@@ -143,16 +143,16 @@ mod tests {
 
     #[test]
     fn growing_splash_is_never_cropped_and_refits_are_rare() {
-        for asked in ["auto", "azimuth=120,elevation=60,view=60", "zoom=0.5"] {
-            let framing = framing(asked);
+        for choice in ["auto", "azimuth=120,elevation=60,view=60", "zoom=0.5"] {
+            let framing = framing(choice);
             for frame in 0..200 {
                 let reach = 1.0 + 0.1 * f64::from(frame);
                 let bounds = [DVec3::new(-reach, 0.0, -reach), DVec3::new(reach, 0.5 * reach, reach)];
                 let camera = framing.camera_for(Some(bounds));
-                assert!(shows(&framing, camera, bounds), "{asked}: frame {frame} is cropped");
+                assert!(shows(&framing, camera, bounds), "{choice}: frame {frame} is cropped");
             }
             let Framed { earlier, around, .. } = framing.framed();
-            assert!(earlier.len() < 20, "{asked}: {} refits", earlier.len());
+            assert!(earlier.len() < 20, "{choice}: {} refits", earlier.len());
             // Everything that was in view before still is.
             let around = around.expect("known");
             assert!(around[0].cmple(DVec3::ZERO).all() && around[1].cmpge(DVec3::ONE).all());

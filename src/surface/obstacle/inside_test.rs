@@ -33,7 +33,7 @@ pub(super) trait WindingField {
 pub(super) fn sign(distances: &mut Leaf, surface: &impl WindingField, slope: f64) {
     let mut reached = Classification { distances, margins: [None; LEAF_VOXELS], slope, pending: Vec::new() };
     for offset in 0..LEAF_VOXELS {
-        if reached.margins[offset].is_none() && !reached.classify_from_afar(offset) {
+        if reached.margins[offset].is_none() && !reached.classify_distant(offset) {
             reached.evaluate(surface, offset);
         }
         reached.spread();
@@ -83,7 +83,7 @@ impl Classification<'_> {
     }
 
     /// Gives a voxel the side of one that is not a direct neighbour, if nothing lies between them.
-    fn classify_from_afar(&mut self, offset: usize) -> bool {
+    fn classify_distant(&mut self, offset: usize) -> bool {
         let voxel = voxel_in_leaf(offset);
         for step in FAR_STEPS {
             for [x, y, z] in [step, [step[1], step[2], step[0]], [step[2], step[0], step[1]]] {

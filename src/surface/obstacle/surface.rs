@@ -277,8 +277,8 @@ fn flip_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], flipped: 
         volumes.iter_mut().for_each(|volume| *volume = -*volume);
     }
     let suspect_count = volumes.iter().filter(|&&volume| volume < 0.0).count();
-    let is_asked = part_count <= PARTS_MAX;
-    if suspect_count > 0 && is_asked {
+    let is_tested = part_count <= PARTS_MAX;
+    if suspect_count > 0 && is_tested {
         let is_cavity = are_cavities(points, faces, parts, (&volumes, is_inside_out));
         for ((wrong, volume), is_cavity) in wrong.iter_mut().zip(&volumes).zip(is_cavity) {
             *wrong ^= *volume < 0.0 && !is_cavity;
@@ -290,7 +290,7 @@ fn flip_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], flipped: 
             *flipped ^= true;
         }
     }
-    if is_asked { 0 } else { suspect_count }
+    if is_tested { 0 } else { suspect_count }
 }
 
 /// For each part, whether its volume is negative and it lies within parts of positive volume. If `inside_out`

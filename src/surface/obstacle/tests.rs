@@ -303,14 +303,14 @@ fn inward_facing_parts_are_flipped_or_reported() {
         TestMesh::cuboid(min, min + size)
     };
     let block = TestMesh::cuboid(DVec3::new(-2.0, -2.0, -2.0), DVec3::new(262.0, 262.0, 3.0));
-    for (cavity_count, is_asked) in [(3, true), (4000, true), (4100, false)] {
+    for (cavity_count, is_tested) in [(3, true), (4000, true), (4100, false)] {
         let aside = TestMesh::cuboid(DVec3::new(-9.0, -9.0, -9.0), DVec3::splat(-5.0)).flipped();
         let mut mesh = aside.and(block.clone());
         for index in 0..cavity_count {
             mesh = mesh.and(cube(index % 65, index / 65, 1.0).flipped());
         }
         let findings = *mesh.solid().findings();
-        let expected = if is_asked { (12, 0) } else { (0, cavity_count + 1) };
+        let expected = if is_tested { (12, 0) } else { (0, cavity_count + 1) };
         assert_eq!((findings.flipped_count, findings.unchecked_part_count), expected, "{cavity_count}");
     }
 }

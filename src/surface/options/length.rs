@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::fields::{OptionValue, ValueKind};
-use super::presets::tidy;
+use super::presets::rounded_to_digits;
 
 /// A length in one of the units that options take.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,8 +33,8 @@ impl Length {
     pub fn resolve(self, spacing: f64, voxel_size: f64) -> f64 {
         match self.unit {
             LengthUnit::World => self.value,
-            LengthUnit::Spacing => tidy(self.value * spacing),
-            LengthUnit::Voxel => tidy(self.value * voxel_size),
+            LengthUnit::Spacing => rounded_to_digits(self.value * spacing),
+            LengthUnit::Voxel => rounded_to_digits(self.value * voxel_size),
         }
     }
 

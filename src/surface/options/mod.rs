@@ -24,7 +24,7 @@ pub use fields::{OptionGroup, OptionInfo, OptionValue, ValueKind};
 pub(crate) use fields::{expected, ranged};
 pub use length::{Length, LengthUnit};
 pub use pairs::Pairs;
-use presets::{InitialRadius, Recipe, Scale, Unit, tidy};
+use presets::{InitialRadius, Recipe, Scale, Unit, rounded_to_digits};
 pub use presets::{Preset, SequenceSpacing};
 pub use values::{AnisotropyKind, AttributeSelection, ClipBox};
 
@@ -459,7 +459,7 @@ fn default_steps(recipe: &Recipe, integrator: Integrator, voxels: f64) -> u32 {
 fn default_step_size(recipe: &Recipe, integrator: Integrator, voxels: f64) -> f64 {
     match is_explicit(integrator) {
         true => EXPLICIT_STEP_SIZE,
-        false => tidy(recipe.step_size * voxels.powi(4)).clamp(STEP_SIZE_MIN, STEP_SIZE_MAX),
+        false => rounded_to_digits(recipe.step_size * voxels.powi(4)).clamp(STEP_SIZE_MIN, STEP_SIZE_MAX),
     }
 }
 
@@ -472,7 +472,7 @@ fn laplacian_steps(recipe: &Recipe, voxels: f64) -> u32 {
 
 /// Default of the volume below which cavities are filled, in units of h³.
 fn cavities(recipe: &Recipe, voxels: f64) -> f64 {
-    tidy(recipe.fill_cavities * voxels.powi(3)).min(CAVITY_VOXELS_MAX)
+    rounded_to_digits(recipe.fill_cavities * voxels.powi(3)).min(CAVITY_VOXELS_MAX)
 }
 
 /// Default r_init, for r_min and r_max = `ratio` · r_min.
@@ -480,7 +480,7 @@ fn initial_radius(recipe: &Recipe, radius_min: f64, ratio: f64) -> f64 {
     let radius_max = ratio * radius_min;
     match recipe.radius_init {
         InitialRadius::Middle => 0.5 * (radius_min + radius_max),
-        InitialRadius::Times(factor) => tidy(factor * radius_min).min(radius_max),
+        InitialRadius::Times(factor) => rounded_to_digits(factor * radius_min).min(radius_max),
     }
 }
 
@@ -593,7 +593,8 @@ fn flattened_radii(
     let (recipe, h) = (options.recipe(), scale.voxel_size);
     let (length, held) = (|count| scale.units(recipe.unit, count), 3f64.sqrt() * h);
     let [least, most] = [THIN_MIN_VOXELS * h, radius_min.max(held)];
-    let thin = recipe.thin_radius.map_or(held, |radius| length(radius).max(tidy(least)).min(most));
+    let thin =
+        recipe.thin_radius.map_or(held, |radius| length(radius).max(rounded_to_digits(least)).min(most));
     let thin = positive_length(
         SMALLEST_SEMI_AXIS,
         options.thin_radius,

@@ -146,7 +146,7 @@ impl Preset {
 
     /// The default voxel size for a particle spacing.
     pub fn voxel_size(self, spacing: f64) -> f64 {
-        tidy(self.recipe().voxel_size * spacing)
+        rounded_to_digits(self.recipe().voxel_size * spacing)
     }
 
     pub(super) fn recipe(self) -> Recipe {
@@ -227,13 +227,13 @@ impl Scale {
         let spacing = options.spacing.or(measured.map(|measured| measured.spacing));
         let spacing = match (spacing, in_world_units) {
             (Some(spacing), _) => super::positive("particle spacing", spacing)?,
-            (None, Some(h)) => tidy(h / recipe.voxel_size),
+            (None, Some(h)) => rounded_to_digits(h / recipe.voxel_size),
             (None, None) => {
                 require(false, || "the particle spacing is unknown: give --spacing".into())?;
                 f64::NAN
             }
         };
-        let usual = tidy(recipe.voxel_size * spacing);
+        let usual = rounded_to_digits(recipe.voxel_size * spacing);
         let for_radii = |radius: f64| (radius / 3f64.sqrt()).max(spacing / VOXELS_PER_SPACING_MAX).min(usual);
         let median = measured.and_then(|measured| measured.radius_median);
         let voxel_size = match options.voxel_size {
@@ -259,7 +259,7 @@ impl Scale {
     pub(super) fn units(&self, unit: Unit, count: f64) -> f64 {
         match unit {
             Unit::VoxelSize => count * self.voxel_size,
-            Unit::Spacing => tidy(count * self.spacing),
+            Unit::Spacing => rounded_to_digits(count * self.spacing),
         }
     }
 
@@ -274,7 +274,7 @@ impl Scale {
 
 /// Removes the digits that binary rounding adds to a product of decimal numbers: 0.020000000000000004 becomes
 /// 0.02.
-pub(super) fn tidy(number: f64) -> f64 {
+pub(super) fn rounded_to_digits(number: f64) -> f64 {
     format!("{number:.12e}").parse().unwrap_or(number)
 }
 

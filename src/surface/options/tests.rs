@@ -248,7 +248,7 @@ fn options_are_checked_before_the_voxel_size_is_known() {
     ] {
         assert_eq!(Settings::check(&sound), Ok(()), "{sound:?}");
     }
-    for (senseless, word) in [
+    for (invalid, word) in [
         (choices(None, Some(0.5), None), "ratio"),
         (choices(None, Some(-1.0), Some(1.0)), "ratio"),
         (choices(None, Some(f64::NAN), Some(1.0)), "ratio"),
@@ -297,8 +297,8 @@ fn options_are_checked_before_the_voxel_size_is_known() {
             "box",
         ),
     ] {
-        let error = Settings::check(&senseless).expect_err("senseless");
-        assert!(error.what.contains(word), "{senseless:?}: {error}");
+        let error = Settings::check(&invalid).expect_err("senseless");
+        assert!(error.what.contains(word), "{invalid:?}: {error}");
     }
 }
 

@@ -63,7 +63,7 @@ pub struct NearSurface {
 impl NearSurface {
     /// True if this many particles in a leaf, arranged as a regular lattice, would certainly cover each of
     /// its voxels.
-    fn is_surely_covered(&self, particle_count: usize) -> bool {
+    fn is_certainly_covered(&self, particle_count: usize) -> bool {
         let spacing = LEAF_EDGE as f32 / (particle_count as f32).cbrt();
         // Half the diagonal of the lattice's cells, plus most of an octant's diagonal: the particle may be
         // anywhere in its octant.
@@ -79,7 +79,7 @@ fn shaped_count(occupied: &FxHashMap<IVec3, (usize, bool)>, near: NearSurface) -
     let count_of = |deep: &FxHashSet<IVec3>| -> usize {
         deep.iter().filter_map(|origin| occupied.get(origin)).map(|(count, _)| count).sum()
     };
-    let is_deep = |&(count, is_full): &(usize, bool)| is_full && near.is_surely_covered(count);
+    let is_deep = |&(count, is_full): &(usize, bool)| is_full && near.is_certainly_covered(count);
     let mut deep: FxHashSet<IVec3> =
         occupied.iter().filter(|(_, leaf)| is_deep(leaf)).map(|(&origin, _)| origin).collect();
     let all: usize = occupied.values().map(|(count, _)| count).sum();

@@ -83,10 +83,10 @@ impl SimdLevel {
     pub fn current() -> SimdLevel {
         static CURRENT: OnceLock<SimdLevel> = OnceLock::new();
         *CURRENT.get_or_init(|| {
-            let asked = std::env::var(LEVEL_VARIABLE).ok();
+            let requested = std::env::var(LEVEL_VARIABLE).ok();
             let most = SimdLevel::ALL
                 .into_iter()
-                .find(|level| asked.as_deref() == Some(level.name()))
+                .find(|level| requested.as_deref() == Some(level.name()))
                 .unwrap_or(SimdLevel::Avx512);
             SimdLevel::ALL
                 .into_iter()
@@ -99,21 +99,22 @@ impl SimdLevel {
 
 /// A warning for users if [`LEVEL_VARIABLE`] has no effect; without a full stop.
 pub fn level_warning() -> Option<String> {
-    let asked = std::env::var_os(LEVEL_VARIABLE)?;
-    warning_of(&asked.to_string_lossy(), SimdLevel::current())
+    let requested = std::env::var_os(LEVEL_VARIABLE)?;
+    warning_of(&requested.to_string_lossy(), SimdLevel::current())
 }
 
 /// The warning if the requested level differs from the one used. An empty value requests nothing.
-fn warning_of(asked: &str, used: SimdLevel) -> Option<String> {
-    match SimdLevel::ALL.into_iter().find(|level| level.name() == asked) {
+fn warning_of(requested: &str, used: SimdLevel) -> Option<String> {
+    match SimdLevel::ALL.into_iter().find(|level| level.name() == requested) {
         Some(level) if level <= used => None,
-        Some(_) => {
-            Some(format!("{LEVEL_VARIABLE}={asked}: not supported by this processor, using {}", used.name()))
-        }
-        None if asked.is_empty() => None,
+        Some(_) => Some(format!(
+            "{LEVEL_VARIABLE}={requested}: not supported by this processor, using {}",
+            used.name()
+        )),
+        None if requested.is_empty() => None,
         None => {
             let [first, second, third] = SimdLevel::ALL.map(SimdLevel::name);
-            Some(format!("{LEVEL_VARIABLE}={asked} is ignored: expected {first}, {second} or {third}"))
+            Some(format!("{LEVEL_VARIABLE}={requested} is ignored: expected {first}, {second} or {third}"))
         }
     }
 }
@@ -208,10 +209,10 @@ mod tests {
     #[test]
     fn unavailable_or_unknown_level_gives_a_warning() {
         for used in SimdLevel::ALL {
-            for asked in SimdLevel::ALL {
-                let warning = warning_of(asked.name(), used);
-                assert_eq!(warning.is_some(), asked > used, "{asked:?} {used:?}");
-                assert!(warning.is_none_or(|text| text.contains(used.name())), "{asked:?} {used:?}");
+            for requested in SimdLevel::ALL {
+                let warning = warning_of(requested.name(), used);
+                assert_eq!(warning.is_some(), requested > used, "{requested:?} {used:?}");
+                assert!(warning.is_none_or(|text| text.contains(used.name())), "{requested:?} {used:?}");
             }
             assert_eq!(warning_of("", used), None);
             let unknown = "MENISCUS_SIMD=xyz is ignored: expected baseline, avx2 or avx512";

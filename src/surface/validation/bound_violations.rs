@@ -131,11 +131,11 @@ mod tests {
             };
             let (before, found) = check(&part);
             assert!(before.vertices_inside_min == 1 && before.vertices_outside_max == 1, "{before:?}");
-            let mut mended = mesh.clone();
+            let mut corrected = mesh.clone();
             for violation in &found {
-                mended.positions[violation.vertex] = violation.position;
+                corrected.positions[violation.vertex] = violation.position;
             }
-            let (after, _) = check(&CheckedRegion { mesh: &mended, ..part });
+            let (after, _) = check(&CheckedRegion { mesh: &corrected, ..part });
             assert_eq!(found.len(), 2, "{found:?}");
             assert_eq!(after.vertices_inside_min + after.vertices_outside_max, 0, "{after:?}");
         }

@@ -514,7 +514,7 @@ mod tests {
 
     #[test]
     fn required_sentinel_is_awaited_and_optional_one_is_a_proof() {
-        let wanted = |exists| Sentinel { is_required: true, exists: exists };
+        let wanted = |exists| Sentinel { is_required: true, exists };
         check(
             "required",
             &[

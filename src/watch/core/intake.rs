@@ -203,11 +203,13 @@ impl Core {
             return;
         }
         self.claims.remove(&claimed);
-        let is_rival =
+        let is_competitor =
             |(id, failure): &(&FrameId, &Failure)| failure.is_refusal && self.claimed_stem(id) == claimed;
-        for rival in self.failed.iter().filter(is_rival).map(|(id, _)| id.clone()).collect::<Vec<_>>() {
-            self.failed.remove(&rival);
-            self.inspect(&rival, None, None);
+        for competitor in
+            self.failed.iter().filter(is_competitor).map(|(id, _)| id.clone()).collect::<Vec<_>>()
+        {
+            self.failed.remove(&competitor);
+            self.inspect(&competitor, None, None);
         }
     }
 

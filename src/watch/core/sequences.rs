@@ -201,9 +201,9 @@ impl SequenceSettings {
 
 /// The remembered camera of a sequence, if it was fitted for the current options.
 pub(crate) fn framing_of(watch: &Watch, remembered: Option<&JournaledSequence>) -> Option<Arc<Framing>> {
-    let SequenceCamera { requested: asked, framed } = remembered?.camera.as_ref()?;
-    let is_asked = watch.outputs.needs_camera() && *asked == requested_camera(&watch.outputs);
-    is_asked.then(|| Arc::new(Framing::new(&watch.outputs, framed.clone())))
+    let SequenceCamera { requested, framed } = remembered?.camera.as_ref()?;
+    let is_requested = watch.outputs.needs_camera() && *requested == requested_camera(&watch.outputs);
+    is_requested.then(|| Arc::new(Framing::new(&watch.outputs, framed.clone())))
 }
 
 /// The options that the camera depends on.

@@ -87,11 +87,11 @@ impl Watcher {
     }
 
     fn with_capacity(capacity: usize) -> Result<(Watcher, Receiver<FsEvent>), WatchError> {
-        let (queue, hints) = bounded(capacity);
+        let (queue, fs_events) = bounded(capacity);
         let folders = Arc::new(Mutex::new(Folders::default()));
         let mut handler = EventHandler { queue, capacity, last: None, folders: folders.clone() };
         let notify = notify::recommended_watcher(move |event| handler.receive(event)).map_err(watch_error)?;
-        Ok((Watcher { notify, folders }, hints))
+        Ok((Watcher { notify, folders }, fs_events))
     }
 
     /// Watches a folder. Events name its files by the path given here. A folder may be watched again; if
@@ -226,30 +226,30 @@ impl EventHandler {
             // Links are followed, because a link to a folder counts as a folder. A removed path was a folder
             // if it was watched.
             let is_folder = change != ChangeKind::Removed && path.is_dir();
-            let hints: Vec<FsEvent> = {
+            let fs_events: Vec<FsEvent> = {
                 let folders = lock(&self.folders);
-                let hint = |path: PathBuf| match change {
+                let fs_event = |path: PathBuf| match change {
                     _ if is_folder || folders.folder_of.contains_key(&path) => FsEvent::Folder(path),
                     ChangeKind::FolderChanged => FsEvent::Folder(path),
                     ChangeKind::Renamed => FsEvent::Renamed(path),
                     ChangeKind::Changed | ChangeKind::Removed => FsEvent::Changed(path),
                 };
-                folders.requested_paths(&path).into_iter().map(hint).collect()
+                folders.requested_paths(&path).into_iter().map(fs_event).collect()
             };
-            hints.into_iter().for_each(|hint| self.send(hint));
+            fs_events.into_iter().for_each(|fs_event| self.send(fs_event));
         }
     }
 
     /// Sends an event or, if only one slot is left, `Rescan`.
-    fn send(&mut self, hint: FsEvent) {
+    fn send(&mut self, fs_event: FsEvent) {
         // The event that was sent last is the same, and still in the queue.
-        if !self.queue.is_empty() && self.last.as_ref() == Some(&hint) {
+        if !self.queue.is_empty() && self.last.as_ref() == Some(&fs_event) {
             return;
         }
-        let hint = if self.queue.len() + 1 < self.capacity { hint } else { FsEvent::Rescan };
+        let fs_event = if self.queue.len() + 1 < self.capacity { fs_event } else { FsEvent::Rescan };
         // Only `Rescan` takes the last slot: if no slot is left, `Rescan` is the last event in the queue.
-        if self.queue.try_send(hint.clone()).is_ok() {
-            self.last = Some(hint);
+        if self.queue.try_send(fs_event.clone()).is_ok() {
+            self.last = Some(fs_event);
         }
     }
 }
@@ -312,7 +312,7 @@ mod tests {
     /// A watched folder, a sibling folder that is not watched, and the events received.
     struct Bench {
         watcher: Watcher,
-        hints: Receiver<FsEvent>,
+        fs_events: Receiver<FsEvent>,
         folder: PathBuf,
         outside: PathBuf,
         marker_count: usize,
@@ -327,9 +327,9 @@ mod tests {
             let (folder, outside) = (base.path().join("frames"), base.path().join("beside"));
             fs::create_dir(&folder).expect("made");
             fs::create_dir(&outside).expect("made");
-            let (mut watcher, hints) = Watcher::with_capacity(capacity).expect("a watcher");
+            let (mut watcher, fs_events) = Watcher::with_capacity(capacity).expect("a watcher");
             watcher.watch(&folder).expect("watched");
-            Bench { watcher, hints, folder, outside, marker_count: 0, _base: base }
+            Bench { watcher, fs_events, folder, outside, marker_count: 0, _base: base }
         }
 
         fn path(&self, name: &str) -> PathBuf {
@@ -340,7 +340,7 @@ mod tests {
         fn until(&self, expected: &FsEvent) -> Vec<FsEvent> {
             let mut received = Vec::new();
             while received.last() != Some(expected) {
-                let next = self.hints.recv_timeout(Duration::from_secs(300));
+                let next = self.fs_events.recv_timeout(Duration::from_secs(300));
                 received.push(next.unwrap_or_else(|_| panic!("{expected:?} is missing after {received:?}")));
             }
             received
@@ -354,7 +354,7 @@ mod tests {
             File::create(&marker).expect("made");
             let mut received = self.until(&FsEvent::Changed(marker));
             received.retain(
-                |hint| !matches!(hint, FsEvent::Changed(path) if path.to_string_lossy().contains(MARKER)),
+                |fs_event| !matches!(fs_event, FsEvent::Changed(path) if path.to_string_lossy().contains(MARKER)),
             );
             received
         }
@@ -504,7 +504,7 @@ mod tests {
     #[test]
     fn overflow_of_the_queue_sends_rescan() {
         let bench = Bench::new(4);
-        for index in (0..100_000).take_while(|_| !bench.hints.is_full()) {
+        for index in (0..100_000).take_while(|_| !bench.fs_events.is_full()) {
             fs::write(bench.path(&format!("{index}.ply")), b"ply").expect("written");
         }
         assert_eq!(bench.until(&FsEvent::Rescan).len(), 4);
@@ -513,16 +513,16 @@ mod tests {
     /// A queue that is filled with artificial events.
     struct Rig {
         handler: EventHandler,
-        hints: Receiver<FsEvent>,
+        fs_events: Receiver<FsEvent>,
     }
 
     impl Rig {
         fn new(capacity: usize) -> Rig {
-            let (queue, hints) = bounded(capacity);
+            let (queue, fs_events) = bounded(capacity);
             let mut folders = Folders::default();
             folders.add(Path::new("/f"), WatchedFolder { path: "/true".into(), inode: 1 });
             let folders = Arc::new(Mutex::new(folders));
-            Rig { handler: EventHandler { queue, capacity, last: None, folders }, hints }
+            Rig { handler: EventHandler { queue, capacity, last: None, folders }, fs_events }
         }
 
         fn handle_event(&mut self, kind: EventKind, name: &str) {
@@ -530,7 +530,7 @@ mod tests {
         }
 
         fn received(&self) -> Vec<FsEvent> {
-            self.hints.try_iter().collect()
+            self.fs_events.try_iter().collect()
         }
     }
 
@@ -548,7 +548,7 @@ mod tests {
         assert_eq!(rig.received(), [changed("a"), changed("b"), changed("c"), FsEvent::Rescan]);
         // Events are lost again while `Rescan` is still in the queue.
         names.iter().for_each(|name| rig.handle_event(WRITTEN, name));
-        assert_eq!(rig.hints.try_recv(), Ok(changed("a")));
+        assert_eq!(rig.fs_events.try_recv(), Ok(changed("a")));
         names.iter().for_each(|name| rig.handle_event(WRITTEN, name));
         assert_eq!(rig.received().last(), Some(&FsEvent::Rescan));
         rig.handle_event(WRITTEN, "g");

@@ -289,18 +289,18 @@ mod tests {
     fn lock_that_is_a_link_is_refused_and_its_target_unchanged() {
         use std::os::unix::fs::symlink;
         let out = folder();
-        let precious = out.path().join("precious");
-        fs::write(&precious, "precious").expect("written");
+        let users_file = out.path().join("precious");
+        fs::write(&users_file, "precious").expect("written");
         fs::create_dir(out.path().join(STATE_FOLDER)).expect("made");
-        symlink(&precious, lock_path(out.path())).expect("a link");
+        symlink(&users_file, lock_path(out.path())).expect("a link");
         for error in [OutputLock::take(out.path()).err(), OutputLock::holder(out.path()).err()] {
             let error = error.expect("a link").to_string();
             assert!(error.ends_with("lock: not a regular file: a symbolic link"), "{error}");
         }
         fs::remove_file(lock_path(out.path())).expect("removed");
-        fs::hard_link(&precious, lock_path(out.path())).expect("a second name");
+        fs::hard_link(&users_file, lock_path(out.path())).expect("a second name");
         OutputLock::take(out.path()).expect("a lock, which does not say whose");
-        assert_eq!(fs::read_to_string(&precious).expect("there"), "precious");
+        assert_eq!(fs::read_to_string(&users_file).expect("there"), "precious");
 
         let [elsewhere, linked] = ["elsewhere", "linked"].map(|name| out.path().join(name));
         fs::create_dir(&elsewhere).expect("made");
@@ -341,8 +341,8 @@ mod tests {
             .spawn()
             .expect("a child");
         let stdout = BufReader::new(child.stdout.take().expect("piped"));
-        let says_locked = |line: io::Result<String>| line.is_ok_and(|line| line.contains("locked"));
-        assert!(stdout.lines().any(says_locked), "the child takes the lock");
+        let is_locked_line = |line: io::Result<String>| line.is_ok_and(|line| line.contains("locked"));
+        assert!(stdout.lines().any(is_locked_line), "the child takes the lock");
 
         let error = OutputLock::take(out.path()).expect_err("the child has it");
         assert!(matches!(error, LockError::Held { .. }), "{error}");

@@ -84,9 +84,10 @@ impl OutputDir {
         let lock = OutputLock::take(&folder).map_err(DaemonError::Locked)?;
         // The journal folder in the configuration may be a link; the default one (`.meniscus`), whose name
         // the daemon chooses, may not.
-        let asked = config.journal.as_deref();
-        let asked = asked.map(|asked| asked.canonicalize().unwrap_or_else(|_| asked.to_owned()));
-        let journal_folder = asked.unwrap_or_else(|| folder.join(STATE_FOLDER));
+        let configured = config.journal.as_deref();
+        let configured =
+            configured.map(|configured| configured.canonicalize().unwrap_or_else(|_| configured.to_owned()));
+        let journal_folder = configured.unwrap_or_else(|| folder.join(STATE_FOLDER));
         let is_elsewhere = journal_folder.canonicalize().is_ok_and(|journal| !journal.starts_with(&folder));
         let journal_lock = match is_elsewhere || !journal_folder.exists() {
             true => Some(OutputLock::take(&journal_folder).map_err(DaemonError::Locked)?),

@@ -356,12 +356,12 @@ fn journal_that_is_a_link_is_refused_and_replaced_under_a_running_daemon() {
     use std::os::unix::fs::symlink;
     let folder = folder();
     write_some(folder.path());
-    let [path, precious] = [FILE_NAME, "precious"].map(|name| folder.path().join(name));
-    fs::copy(&path, &precious).expect("copied");
-    let bytes = fs::read(&precious).expect("there");
+    let [path, users_file] = [FILE_NAME, "precious"].map(|name| folder.path().join(name));
+    fs::copy(&path, &users_file).expect("copied");
+    let bytes = fs::read(&users_file).expect("there");
     let mut journal = open(folder.path());
     fs::remove_file(&path).expect("removed");
-    symlink(&precious, &path).expect("a link");
+    symlink(&users_file, &path).expect("a link");
     let error = Journal::open(folder.path()).expect_err("a link").to_string();
     assert_eq!(error, "not a regular file: a symbolic link");
     assert!(Journal::read(folder.path()).is_err());
@@ -369,7 +369,7 @@ fn journal_that_is_a_link_is_refused_and_replaced_under_a_running_daemon() {
     journal.note_frame(&input(7), frame_record(JournaledStatus::Done, 1)).expect("noted");
     assert!(!path.is_symlink());
     assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
-    assert!(fs::read(&precious).expect("there") == bytes);
+    assert!(fs::read(&users_file).expect("there") == bytes);
 
     // A hard link cannot be refused like a symbolic link. The journal is written to a new file, and the other
     // name keeps the old one.

@@ -66,9 +66,9 @@ fn random_faults_lose_no_frame_and_leak_no_resources() {
             let over = Over(&is_over);
             let summary = soak.run();
             drop(over);
-            let sight_count = observer.join().expect("no panic");
+            let snapshot_count = observer.join().expect("no panic");
             print_line(&format!(
-                "soak of {minutes} minutes, seed {seed}: {summary}; {sight_count} outputs seen, all whole"
+                "soak of {minutes} minutes, seed {seed}: {summary}; {snapshot_count} outputs seen, all whole"
             ));
         });
     });
@@ -148,7 +148,7 @@ impl Soak {
         self.rounds_until(self.time.mul_f64(KILL_SHARE), &Fault::ALL);
         self.kill();
         self.rounds_until(self.time, &Fault::OF_ONE_LIFE);
-        self.producer.mend_most();
+        self.producer.repair_most();
         self.wait_until_idle();
         // A frame that failed before the producer repaired it counts as done until the daemon examines it
         // again.

@@ -15,7 +15,7 @@ use meniscus_formats::is_complete;
 /// Opens every output as soon as it appears, and again whenever another file replaces it; returns their
 /// number.
 pub(super) fn observe(folder: &Path, is_over: &AtomicBool) -> usize {
-    let mut sight_count = 0;
+    let mut snapshot_count = 0;
     let mut inodes: HashMap<PathBuf, u64> = HashMap::new();
     loop {
         // After the end, the observer reads the final files once more.
@@ -34,10 +34,10 @@ pub(super) fn observe(folder: &Path, is_over: &AtomicBool) -> usize {
             };
             assert!(is_complete(kind, &mut file).unwrap_or(false), "{} was not whole", path.display());
             inodes.insert(path, entry.ino());
-            sight_count += 1;
+            snapshot_count += 1;
         }
         if is_last {
-            return sight_count;
+            return snapshot_count;
         }
         thread::sleep(Duration::from_millis(2));
     }

@@ -88,7 +88,7 @@ impl Producer {
     }
 
     /// Rewrites most of the unreadable frames.
-    pub(super) fn mend_most(&mut self) {
+    pub(super) fn repair_most(&mut self) {
         for (path, form) in self.frames() {
             let Ok(bytes) = fs::read(&path) else { continue };
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();

@@ -28,21 +28,21 @@ static ALONE: Mutex<()> = Mutex::new(());
 thread_local!(static INJECTED_FAULT: Cell<Option<InjectedFault>> = const { Cell::new(None) });
 
 pub(super) fn before_change(is_link: bool) -> io::Result<()> {
-    let Some(mut trouble) = INJECTED_FAULT.get() else { return Ok(()) };
-    if is_link && trouble.without_links {
+    let Some(mut fault) = INJECTED_FAULT.get() else { return Ok(()) };
+    if is_link && fault.without_links {
         return Err(io::ErrorKind::Unsupported.into());
     }
-    let left = trouble.changes_left;
-    trouble.changes_left = left.saturating_sub(1);
+    let left = fault.changes_left;
+    fault.changes_left = left.saturating_sub(1);
     let fails = left == 0;
     if fails {
-        match &mut trouble.failures {
+        match &mut fault.failures {
             None => std::process::abort(),
             Some(0) => return Ok(()),
             Some(failures) => *failures -= 1,
         }
     }
-    INJECTED_FAULT.set(Some(trouble));
+    INJECTED_FAULT.set(Some(fault));
     if fails { Err(io::Error::other("a failing disk")) } else { Ok(()) }
 }
 
@@ -56,11 +56,11 @@ fn write_old(folder: &Path, count: usize) {
 }
 
 fn publish_new(folder: &Path) -> Result<(), (PathBuf, io::Error)> {
-    let unseen = NAMES.map(|name| {
+    let staged = NAMES.map(|name| {
         let write = |out: &mut io::BufWriter<&File>| Ok(write!(out, "the new {name}")?);
         stage(&folder.join(name), write).expect("written")
     });
-    commit(unseen.into()).map(|_| ())
+    commit(staged.into()).map(|_| ())
 }
 
 /// Recovers as another process would. Other threads of this process may recover at the same time.
@@ -262,19 +262,19 @@ fn set_whose_new_file_is_missing_is_undone() {
     for old_count in [3, 1, 0] {
         let folder = tempfile::tempdir().expect("a folder");
         write_old(folder.path(), old_count);
-        let unseen = NAMES.map(|name| {
+        let staged = NAMES.map(|name| {
             let write = |out: &mut io::BufWriter<&File>| Ok(write!(out, "the new {name}")?);
             stage(&folder.path().join(name), write).expect("written")
         });
-        let members: Vec<Member> = unseen.iter().map(|file| member(file).expect("known")).collect();
+        let members: Vec<Member> = staged.iter().map(|file| member(file).expect("known")).collect();
         let record_path = folder.path().join(".meniscus-set-0123456789abcdef");
         fs::write(&record_path, record_bytes(&members)).expect("written");
         let set = FileSet { record_path, members };
-        for (index, file) in unseen.iter().enumerate().take(old_count) {
+        for (index, file) in staged.iter().enumerate().take(old_count) {
             fs::hard_link(file.path(), set.old_path(index)).expect("linked");
         }
-        fs::rename(unseen[0].written_path(), unseen[0].path()).expect("renamed");
-        drop(unseen);
+        fs::rename(staged[0].written_path(), staged[0].path()).expect("renamed");
+        drop(staged);
         sweep_temporaries(folder.path()).expect("there");
         assert_eq!(contents(folder.path()), expected(Some(old_count)), "{old_count}");
     }

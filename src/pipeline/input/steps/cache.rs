@@ -115,8 +115,10 @@ impl StepIndexCache {
 
     /// Stores the result of a pass, under the stamp that the pass found. Removes the file from the cache if
     /// the pass failed, or if the file has no steps: then reading its head again is enough.
-    fn note(&mut self, file: &Path, asked: FileStamp, found: Option<&Arc<StepIndex>>) {
-        let Some(known) = self.files.get_mut(file).filter(|known| known.stamp == asked) else { return };
+    fn note(&mut self, file: &Path, requested_stamp: FileStamp, found: Option<&Arc<StepIndex>>) {
+        let Some(known) = self.files.get_mut(file).filter(|known| known.stamp == requested_stamp) else {
+            return;
+        };
         match found.filter(|contents| !contents.steps.is_empty()) {
             None => drop(self.files.remove(file)),
             Some(contents) => {
