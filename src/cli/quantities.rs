@@ -66,7 +66,7 @@ pub(super) fn parse_rescan(text: &str) -> Result<Duration, String> {
 pub(super) fn parse_poll(text: &str) -> Result<Poll, String> {
     match text {
         "auto" => Ok(Poll::Auto),
-        _ => parse_rescan(text).map(Poll::Every).map_err(|why| format!("{why}; or auto")),
+        _ => parse_rescan(text).map(Poll::Every).map_err(|why| format!("{why}; auto is also allowed")),
     }
 }
 

@@ -11,8 +11,8 @@
 //!                                        assets    the page
 //! ```
 //!
-//! One thread serves all clients, so clients never take more than the time of one thread from the conversion
-//! of frames. The server only reads. It builds no path from a request: it looks names up in the status store,
+//! One thread serves all clients, and at most [`READERS_MAX`] threads read files for it. So the conversion of
+//! frames loses at most the time of these threads to clients, however many there are. The server only reads. It builds no path from a request: it looks names up in the status store,
 //! and serves nothing else. `docs/status-page.md` describes the interface for users.
 
 mod access;

@@ -3,14 +3,16 @@
 //! ```text
 //!   velocity   velocities, for motion blur     colour     primvars:displayColor, displayOpacity
 //!   floats     primvars:NAME, as vectors if a vertex has two to four values
-//!   integers   the same with the type int, or single values of the type int64 if a value needs it
+//!   integers   the same with the type int; if a value needs 64 bits, scalars of the type int64 instead of
+//!              vectors, of which elementSize says how many belong to a vertex
 //!   strings    primvars:NAME, the distinct strings, and primvars:NAME:indices
 //! ```
 
 use crate::data::{MeshView, VertexAttribute, VertexValues};
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
 
-/// The root prim: a stage that references the layer gets this prim.
+/// The root prim. It is the `defaultPrim` of the layer: a reference to the layer that names no prim refers to
+/// this one.
 pub(crate) const ROOT: &str = "root";
 
 /// The property with the origin of the mesh.
@@ -65,8 +67,8 @@ pub(crate) struct MeshProperty<'a> {
     pub(crate) element_size: usize,
 }
 
-/// The time code of the samples in the file of a frame. It is the same in all of them: a stage maps the times
-/// of the shot to it.
+/// The time code of the samples in the file of a frame. It is the same in the files of all frames: a stage
+/// maps the times of the shot to it.
 pub(crate) const SAMPLE_CODE: u64 = 0;
 
 /// The value of a property.
@@ -108,8 +110,9 @@ impl<'a> MeshProperty<'a> {
     }
 }
 
-/// The properties of a mesh, in the order of the file. `is_clip`: a stage may play the file, and takes the
-/// translation from each frame, so it is there even if it is zero and has no effect on the file alone.
+/// The properties of a mesh, in the order of the file. `is_clip`: a stage may use the file as a
+/// value clip. The stage takes the translation from the file of each frame, so the file has one even if it is
+/// zero. A zero translation has no `xformOpOrder`, and thus no effect if the file is opened without the stage.
 pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool], is_clip: bool) -> Vec<MeshProperty<'a>> {
     let triangles = mesh.triangles;
     let mut found = Vec::new();

@@ -62,18 +62,19 @@ option_set! {
         #[arg(long, help_heading = FORMATS, value_name = "SIZE", value_parser = parse_picture_size)]
         pub(in crate::cli) preview_size: Option<PictureSize>,
 
-        /// Where pictures are taken from: auto, or a list such as azimuth=32,elevation=22,view=30,zoom=1,up=z
-        /// or eye=1:2:3,target=0:0:0,view=40,up=y [default: auto]
+        /// Camera of the pictures: auto, or a list such as azimuth=32,elevation=22,view=30,zoom=1,up=z or
+        /// eye=1:2:3,target=0:0:0,view=40,up=y. Angles are in degrees; `view` is the vertical field of view, and
+        /// `zoom=1` fits the surface into the picture [default: auto]
         #[arg(long, help_heading = FORMATS, value_name = "SPEC")]
         pub(in crate::cli) camera: Option<CameraChoice>,
 
         /// Write a small USD stage that plays the .usdc or .usda files of the frames, and their .vdb files;
-        /// requires one of these formats in --format
+        /// requires usdc or usda in --format, or vdb without any mesh format
         ///
         /// FILE must end in .usda. It is replaced while frames arrive: it plays the frames that are complete,
         /// and holds the previous one where a frame is missing. Its paths are relative to its folder, so move
-        /// it together with the results. Each sequence is a prim. In a plan, FILE must be in the folder of
-        /// the results; every shard updates it.
+        /// it together with the results. Each sequence is a prim. With `meniscus plan`, FILE must be in
+        /// the folder of the results; every shard updates it.
         #[arg(long, help_heading = SEQUENCE_FILE, value_name = "FILE")]
         pub(in crate::cli) stage: Option<PathBuf>,
 

@@ -88,9 +88,9 @@ option_set! {
     pub(super) struct ConvertArgs {
         /// Files, folders, globs, or numbered patterns such as dam.####.bgeo, dam.%04d.bgeo, dam.{}.bgeo
         ///
-        /// PLY, BGEO of any version, VTK, NumPy arrays, LAMMPS dumps, atoms in .xyz, raw XYZ and delimited
-        /// text, optionally compressed by gzip or zstd; the format is detected from the content, not from the
-        /// name. Level sets in .vdb are converted to meshes. Frames are in natural order (9 before 10); files
+        /// PLY, BGEO of any version, VTK, NumPy arrays, LAMMPS dumps, XYZ files of atoms, raw XYZ (32-bit
+        /// binary positions without a header) and delimited text, optionally compressed by gzip or zstd. The
+        /// format is detected from the content, except for raw XYZ, which has no signature. Level sets in .vdb are converted to meshes. Frames are in natural order (9 before 10); files
         /// whose names differ only in the frame number form one sequence, and share their settings. `-` reads
         /// one file from the standard input.
         #[arg(required_unless_present_any = ["print_settings", "plan"], value_name = "INPUT")]

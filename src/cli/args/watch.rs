@@ -185,7 +185,7 @@ When a frame is read:
     it was renamed into place
     its sentinel exists
     its format shows that it is complete, and it has not changed for --settle
-    it has not changed for --settle-unverifiable
+    its format cannot show whether it is complete, and it has not changed for --settle-unverifiable
   A file that is written again later is converted again. Inputs are never moved, changed or removed.
 
   A journal records the finished frames, so a restarted daemon resumes where it left off.

@@ -27,7 +27,7 @@ pub struct BandAttribute {
     values: Vec<f32>,
 }
 
-/// The nodes of a band that have values.
+/// The nodes of a band that have values: every second voxel along each axis.
 #[derive(Debug)]
 struct Nodes {
     topology: Arc<Topology>,
@@ -39,8 +39,8 @@ struct Nodes {
 
 /// Transfers the numeric attributes of the particles to voxels with |φ| below the half width.
 ///
-/// Panics if an attribute does not have `arity` values per particle, or if the number of shapes does not
-/// match.
+/// Panics if an attribute does not have `arity` values per particle, or if `support` has too few
+/// shapes for them.
 pub fn interpolate_to_band<'a>(
     particles: impl Into<Positions<'a>>,
     attributes: &[&'a Attribute],

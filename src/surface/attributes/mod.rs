@@ -95,8 +95,8 @@ pub struct TransferCounts {
 
 /// The attributes of a mesh's vertices, in the order of the particles' attributes.
 ///
-/// Panics if an attribute does not have `arity` values per particle, or if the number of shapes does not
-/// match.
+/// Panics if an attribute does not have `arity` values per particle, or if `support` has too few
+/// shapes for them.
 pub fn interpolate_to_vertices<'a>(
     particles: impl Into<Positions<'a>>,
     attributes: &[&'a Attribute],

@@ -143,7 +143,8 @@ fn near_bits<V: Lanes>(eight: &Centers8, step: Vec3, limit: f32) -> u8 {
     V::bits(V::not(V::splat(limit).lt(x.add(y).add(z))))
 }
 
-/// For each slab of one x, one y or one z, the squared distance from which on a particle changes no value.
+/// For each slab of one x, one y or one z: a particle whose squared distance to the slab is greater than this
+/// changes no value in it.
 struct SlabLimits {
     along: [[f32; 8]; 3],
     /// The maximum of all limits.
@@ -196,7 +197,8 @@ fn lower_to_sphere<V: Lanes>(squared: &mut Leaf, limits: &SlabLimits, position: 
     let least_y = squares_beyond(V::splat(position.y));
     let least_z = squares_beyond(V::splat(position.z));
     let (dx, dy, dz) = (squares::<V>(position.x), squares::<V>(position.y), squares::<V>(position.z));
-    // Summed in the same order as distances, so that rounding never rejects a slab that has a lower value.
+    // Summed in the same order as distances, so that rounding never rejects a slab in which the particle
+    // lowers a value.
     let slabs = is_within(dx.add(least_y).add(least_z), &limits.along[0]);
     let is_within_y = is_within(least_x.add(dy).add(least_z), &limits.along[1]) != 0;
     if !is_within_y || is_within(least_x.add(least_y).add(dz), &limits.along[2]) == 0 {

@@ -3,7 +3,8 @@
 //! ```text
 //!   distance of most particles from their median, in voxels    65 536      1 048 576      16 777 216
 //!   rounding error of a 32-bit vertex position                 1/256       1/16           1 voxel
-//!                                                              warning     error          no surface
+//!   consequence                                                warning     error          error: no surface
+//!                                                                                         is possible
 //! ```
 //!
 //! Such a voxel size is a mistake, for example a wrong unit of length or an extra zero, and the user would
@@ -58,8 +59,8 @@ impl fmt::Display for VoxelTooSmall {
         match limit {
             PrecisionLimit::Spread => write!(
                 f,
-                "the voxel size {h} (--voxel-size) is too small: particles are {shown_spacing} apart ({voxels} voxels), \
-                 and 32-bit positions cannot resolve that over the whole frame"
+                "the voxel size {h} (--voxel-size) is too small: 32-bit positions cannot resolve such voxels over the \
+                 whole frame; particles are {shown_spacing} apart ({voxels} voxels)"
             )?,
             PrecisionLimit::Reach => write!(
                 f,
@@ -81,7 +82,7 @@ impl fmt::Display for VoxelTooSmall {
 impl std::error::Error for VoxelTooSmall {}
 
 /// Checks whether the voxels are too small for a frame with this footprint. If the footprint suggests that
-/// they are, the particles are read once more, or three times if there are many.
+/// they are, the particles are read once more, or twice more if there are many.
 ///
 /// # Errors
 /// Returns the source's error if a batch cannot be read.
