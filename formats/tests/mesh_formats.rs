@@ -280,7 +280,7 @@ fn quantization_error_is_at_most_half_a_step() {
                 assert!((0..3).all(|axis| (found[axis] - world[axis]).abs() < 0.01 * error + 1e-9));
             }
             for (found, expected) in found.positions.iter().zip(mesh.world()) {
-                let expected = turn(expected);
+                let expected = rotated(expected);
                 // The tolerance includes the rounding of far coordinates to 64 bits.
                 assert!(
                     (0..3).all(|axis| (found[axis] - expected[axis]).abs() <= error * 1.0001 + 1e-9),
@@ -288,7 +288,7 @@ fn quantization_error_is_at_most_half_a_step() {
                 );
             }
             for (found, expected) in found.normals.iter().zip(&mesh.normals) {
-                let expected = turn(expected.map(f64::from));
+                let expected = rotated(expected.map(f64::from));
                 assert!((0..3).all(|axis| (f64::from(found[axis]) - expected[axis]).abs() < 0.008));
             }
         }

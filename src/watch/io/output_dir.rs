@@ -208,7 +208,7 @@ impl Work for OutputDir {
 impl OutputGuard {
     /// Whether the folder exists and is the one that was opened.
     pub(crate) fn is_in_place(&self) -> bool {
-        self.held().lock.is_in_place(&self.folder)
+        self.locked().lock.is_in_place(&self.folder)
     }
 
     /// Whether frames with outputs here may start.
