@@ -34,7 +34,7 @@ pub(crate) fn hold(target: &Target, bytes: &[u8]) {
 fn held_bytes_max(target: &Target, length: u64) -> u64 {
     let unpacked = match target.content {
         Content::Plain => 0,
-        Content::Packed => length * Limits::default().decompression_ratio + RATIO_FREE_BYTES,
+        Content::Compressed => length * Limits::default().decompression_ratio + RATIO_FREE_BYTES,
         Content::Picture => (length * PIXELS_PER_BYTE_MAX).min(PIXELS_MAX) * PIXEL_BYTES,
     };
     (length + unpacked) * BYTES_PER_INPUT_BYTE + BASE_BYTES
