@@ -39,13 +39,13 @@ option_set! {
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) sequence_glb: Option<PathBuf>,
 
-        /// After the conversion, combine the .glb files of the frames into one .usda with time samples; requires a single
-        /// sequence, and glb in --format
+        /// After the conversion, combine the .glb files of the frames into one .usda with time samples;
+        /// requires a single sequence, and glb in --format
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) sequence_usda: Option<PathBuf>,
 
-        /// After the conversion, combine the .glb files of the frames into one .usdc with time samples, for motion blur; requires
-        /// a single sequence, and glb in --format
+        /// After the conversion, combine the .glb files of the frames into one .usdc with time samples,
+        /// for motion blur; requires a single sequence, and glb in --format
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) sequence_usdc: Option<PathBuf>,
 
