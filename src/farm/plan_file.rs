@@ -320,7 +320,9 @@ impl StageEntry {
 
     fn into_options(self, folder: &Path) -> Result<StageOptions, PlanError> {
         let StageEntry { name, fps } = self;
-        if !is_plain_name(&name) || Path::new(&name).extension().is_none_or(|extension| extension != "usda") {
+        let extension = Path::new(&name).extension();
+        if !is_plain_name(&name) || extension.is_none_or(|extension| !extension.eq_ignore_ascii_case("usda"))
+        {
             let what = format!("`{name}` is not a plain file name that ends in .usda");
             return Err(PlanError::at("/outputs/stage/name", what));
         }

@@ -1,6 +1,10 @@
 //! Stages grow with the frames, and survive restarts.
 
 use std::fs;
+use std::io::Write;
+
+use flate2::Compression;
+use flate2::write::GzEncoder;
 
 use crate::scene::{Scene, await_that};
 
@@ -94,4 +98,29 @@ fn file_that_is_not_a_stage_is_not_replaced() {
     daemon.await_converted("dam.1.ply");
     assert_eq!(stage(&scene), "#usda 1.0\n");
     daemon.finish();
+}
+
+#[test]
+fn frames_whose_inputs_were_replaced_are_listed_once() {
+    let scene = Scene::new();
+    scene.put_moving([1, 2]);
+    let daemon = scene.watch(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    await_frames(&scene, &[1, 2]);
+    let outputs = || [1, 2].map(|number| scene.bytes(&format!("out/dam.{number}.usdc")));
+    let [first, second] = outputs();
+    // The compressed files contain other particles, so that their results can be told from the old ones.
+    for (number, content) in [(1, 7), (2, 8)] {
+        scene.put_moving([content]);
+        let bytes = scene.bytes(&format!("in/dam.{content}.ply"));
+        let mut packed = GzEncoder::new(Vec::new(), Compression::fast());
+        packed.write_all(&bytes).expect("compressed");
+        scene.remove(&format!("in/dam.{number}.ply"));
+        scene.put(&format!("in/dam.{number}.ply.gz"), packed.finish().expect("compressed"));
+    }
+    await_that("the new inputs are converted", || {
+        let [new_first, new_second] = outputs();
+        new_first != first && new_second != second
+    });
+    daemon.finish();
+    await_frames(&scene, &[1, 2, 7, 8]);
 }

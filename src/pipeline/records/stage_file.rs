@@ -10,13 +10,13 @@
 //! again after it has written, so the last one to write has seen the files of all.
 
 use std::cmp::Reverse;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fs;
-use std::io::{self, Read, Write};
+use std::io::{self, Cursor, Read, Write};
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::usda::{ClipFile, StageClips, UsdStage, stage_text};
-use meniscus_formats::{read_provenance, vdb};
+use meniscus_formats::{is_complete, read_provenance, vdb};
 
 use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use super::sequence_file::{SequenceError, increasing};
@@ -109,7 +109,8 @@ fn provenance(report: StageReport) -> Vec<(String, String)> {
 }
 
 /// The bytes of an existing stage; `None` if there is no file. Refuses a file that is not a stage of this
-/// program: a user may keep a shot under this name.
+/// program, or that another program has changed, which drops the comment at its end: a user may keep a shot
+/// under this name.
 fn known_text(path: &Path) -> Result<Option<Vec<u8>>, String> {
     let refused = || "exists, and is not a stage of meniscus: choose another name".to_owned();
     let mut file = match open_regular(path) {
@@ -123,6 +124,9 @@ fn known_text(path: &Path) -> Result<Option<Vec<u8>>, String> {
         return Err(refused());
     }
     file.read_to_end(&mut text).map_err(|error| error.to_string())?;
+    if !is_complete(OutputFormat::Usda, &mut Cursor::new(&text)).map_err(|error| error.to_string())? {
+        return Err("was changed by another program: choose another name".to_owned());
+    }
     Ok(Some(text))
 }
 
@@ -134,7 +138,11 @@ fn stage_of(
 ) -> Result<Option<(UsdStage, StageReport)>, String> {
     let mut assets = AssetPaths::new(path)?;
     let (mut found, mut report) = (Vec::new(), StageReport::default());
+    // Inputs may have the same outputs, as when a file was compressed: a stage lists these once.
+    let mut listed = HashSet::new();
     for StageSequence { name, frames } in sequences {
+        let frames: Vec<&StageFrame> =
+            frames.iter().filter(|frame| listed.insert((&frame.mesh, &frame.volume))).collect();
         let numbers: Vec<Option<u64>> = frames.iter().map(|frame| frame.number).collect();
         let codes = increasing(&numbers);
         let meshes =
@@ -328,6 +336,26 @@ mod tests {
     }
 
     #[test]
+    fn outputs_that_two_inputs_have_in_common_are_listed_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let outputs = outputs(folder.path(), &[OutputFormat::Usdc]);
+        fs::create_dir(folder.path().join("out")).expect("made");
+        for number in 1..=3 {
+            fs::write(folder.path().join(format!("out/dam.{number}.usdc")), "mesh").expect("written");
+        }
+        let mut frames = sequence(&outputs, &[1, 1, 2, 2]);
+        frames.extend(sequence(&outputs, &[1, 2, 3]));
+        let report = write_stage(&outputs, &frames).expect("written").expect("frames");
+        assert_eq!((report.mesh_count, report.missing_count), (3, 0));
+        let text = fs::read_to_string(folder.path().join("shot.usda")).expect("written");
+        for part in
+            ["[@./out/dam.1.usdc@, @./out/dam.2.usdc@]", "active = [(1, 0), (2, 1)]", "[@./out/dam.3.usdc@]"]
+        {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+    }
+
+    #[test]
     fn stage_that_is_up_to_date_is_not_written_again_and_another_file_never() {
         let folder = tempfile::tempdir().expect("a folder");
         let outputs = outputs(folder.path(), &[OutputFormat::Usda]);
@@ -339,10 +367,18 @@ mod tests {
         let before = modified();
         write_stage(&outputs, &frames).expect("up to date");
         assert_eq!(modified(), before);
-        for foreign in ["", "#usda 1.0\n(\n)\n", "text"] {
+        let stage = fs::read_to_string(&path).expect("there");
+        // OpenUSD drops comments when it saves a layer.
+        let saved = stage.lines().filter(|line| !line.starts_with("# end")).collect::<Vec<_>>().join("\n");
+        for (foreign, why) in [
+            ("", "exists, and is not a stage of meniscus"),
+            ("#usda 1.0\n(\n)\n", "exists, and is not a stage of meniscus"),
+            ("text", "exists, and is not a stage of meniscus"),
+            (&saved, "was changed by another program"),
+        ] {
             fs::write(&path, foreign).expect("written");
             let error = write_stage(&outputs, &frames).expect_err("not a stage").to_string();
-            assert!(error.contains("shot.usda: exists, and is not a stage of meniscus"), "{error}");
+            assert!(error.contains(&format!("shot.usda: {why}")), "{error}");
             assert_eq!(fs::read_to_string(&path).expect("there"), foreign);
         }
         let stage = StageOptions { path: folder.path().join("out/dam.1.usda"), fps: 24.0 };
