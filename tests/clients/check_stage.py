@@ -128,7 +128,7 @@ def held(numbers):
 
 
 def of_mesh(stage, folder, numbers):
-    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/root/dam/surface"))
+    mesh = UsdGeom.Mesh(stage.GetDefaultPrim().GetPrimAtPath("dam/surface"))
     faults = []
     codes = held(numbers)
     samples = mesh.GetPointsAttr().GetTimeSamples()
@@ -179,7 +179,7 @@ def of_frame(mesh, time_code, ply):
 
 
 def of_volume(stage, folder, numbers, is_alone):
-    volume = UsdVol.Volume(stage.GetPrimAtPath("/root/dam/volume"))
+    volume = UsdVol.Volume(stage.GetDefaultPrim().GetPrimAtPath("dam/volume"))
     faults = []
     if (volume.GetVisibilityAttr().Get() == "invisible") == is_alone:
         faults.append("the volume is visible together with the mesh, or never")

@@ -298,6 +298,10 @@ fn previews_of_a_sequence_have_one_camera() {
     assert_eq!(meniscus(path, &other).out.matches("done already").count(), 0);
 }
 
+/// Converts the files of `in` once, without waiting.
+const WATCH: [&str; 9] =
+    ["watch", "in", "--out", "o", "--once", "--settle=0", "--settle-unverifiable=0", "--format", "vdb"];
+
 #[test]
 fn splash_that_leaves_the_picture_of_watch_is_not_cropped() {
     let folder = tempdir().expect("a folder");
@@ -309,21 +313,8 @@ fn splash_that_leaves_the_picture_of_watch_is_not_cropped() {
         let moved: Vec<[f64; 3]> = moved.collect();
         write_ply(&path.join(format!("in/dam.{number}.ply")), &moved);
     };
-    let watch = [
-        "watch",
-        "in",
-        "--out",
-        "o",
-        "--once",
-        "--settle",
-        "0",
-        "--settle-unverifiable",
-        "0",
-        "--format",
-        "vdb",
-    ];
     let watch =
-        [&watch[..], &["--preview", "png", "--preview-size", "64x48", "--voxel-size", "0.05"]].concat();
+        [&WATCH[..], &["--preview", "png", "--preview-size", "64x48", "--voxel-size", "0.05"]].concat();
     let run = || {
         let result = meniscus(path, &watch);
         assert_eq!(result.status, 0, "{}", result.err);
@@ -357,21 +348,8 @@ fn daemon_keeps_its_camera() {
     let path = folder.path();
     fs::create_dir(path.join("in")).expect("made");
     write_sequence(&path.join("in"), 1, 2);
-    let watch = [
-        "watch",
-        "in",
-        "--out",
-        "o",
-        "--once",
-        "--settle",
-        "0",
-        "--settle-unverifiable",
-        "0",
-        "--format",
-        "vdb",
-    ];
     let watch =
-        [&watch[..], &["--preview", "exr", "--preview-size", "64x48", "--voxel-size", "0.05"]].concat();
+        [&WATCH[..], &["--preview", "exr", "--preview-size", "64x48", "--voxel-size", "0.05"]].concat();
     let result = meniscus(path, &watch);
     assert_eq!(result.status, 0, "{}", result.err);
     let picture = |name: &str| path.join("o").join(name);

@@ -292,11 +292,11 @@ def Xform \"root\"
         let text = text(vec![sequence.clone()]);
         let (_, volume) = text.split_once("    def Xform \"dam\"\n    {\n").expect("no clips");
         assert_eq!(
-            volume,
+            volume.replace(&format!("/{ROOT}/dam/volume"), "PATH"),
             "        def Volume \"volume\"
         {
-            rel field:surface = </root/dam/volume/surface>
-            rel field:velocity = </root/dam/volume/velocity>
+            rel field:surface = <PATH/surface>
+            rel field:velocity = <PATH/velocity>
 
             def OpenVDBAsset \"surface\"
             {
