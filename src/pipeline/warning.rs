@@ -240,7 +240,7 @@ impl Warning {
                 (count, "sampled voxel", "of the .vdb without a particle in range: attributes are 0 there")
             }
             Warning::CflExceeded { step_count } => {
-                (step_count, "explicit step", "exceeded the CFL bound (Eq. 8)")
+                (step_count, "explicit step", "exceeded the CFL limit of one voxel per step")
             }
             Warning::NotEnclosed { count } => (count, "particle", "outside the surface"),
             _ => return None,
@@ -329,7 +329,7 @@ impl Warning {
                     false => Ok(()),
                 }
             }
-            Warning::NotConverged => f.write_str("the conjugate gradients did not reach their tolerance"),
+            Warning::NotConverged => f.write_str("the implicit solver did not converge to its tolerance"),
             Warning::CoarsePositions { voxels } => write!(
                 f,
                 "parts of this frame lie so far apart that the 32-bit positions of some vertices are off by up to {} voxels",
@@ -341,7 +341,11 @@ impl Warning {
                 pluralize(particle_count, "particle")
             ),
             Warning::OutOfBounds { voxel_count } => {
-                write!(f, "the level set leaves its bounds (Eq. 6) at {}", pluralize(voxel_count, "voxel"))
+                write!(
+                    f,
+                    "the level set is outside its bounds (distances to the r_min and r_max spheres) at {}",
+                    pluralize(voxel_count, "voxel")
+                )
             }
             Warning::VerticesTooNear { count, nearest_voxels } => write!(
                 f,
@@ -376,26 +380,30 @@ impl fmt::Display for ObstacleFinding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             ObstacleFinding::Open { edge_count, encloses_nothing: true } => {
-                write!(f, "the mesh has {edge_count} open edges and encloses no volume: give it a thickness")
+                let edges = pluralize(*edge_count, "open edge");
+                write!(f, "the mesh has {edges} and encloses no volume: give it a thickness")
             }
             ObstacleFinding::Open { edge_count, encloses_nothing: false } => {
+                let edges = pluralize(*edge_count, "open edge");
                 write!(
                     f,
-                    "the mesh has {edge_count} open edges: its holes were closed approximately (where the winding number is 1/2); \
+                    "the mesh has {edges}: its holes were closed approximately (where the winding number is 1/2); \
                      close them in the model for an exact obstacle"
                 )
             }
             ObstacleFinding::Flipped { triangle_count } => write!(
                 f,
-                "{} flipped: facing inwards, or oriented opposite to adjacent triangles",
+                "flipped {} that faced inwards, or opposite to adjacent triangles",
                 pluralize(*triangle_count, "triangle")
             ),
             ObstacleFinding::PossiblyInverted { part_count } => write!(
                 f,
-                "{part_count} parts seem to face inwards and were not flipped: too many parts to detect cavities"
+                "did not flip {} that may face inwards: the mesh has too many parts to detect cavities; correct the normals in the model",
+                pluralize(*part_count, "part")
             ),
             ObstacleFinding::InvalidTriangles { triangle_count } => {
-                write!(f, "{triangle_count} triangles ignored: a vertex is not finite, or does not exist")
+                let triangles = pluralize(*triangle_count, "triangle");
+                write!(f, "{triangles} ignored: a vertex is not finite, or does not exist")
             }
             ObstacleFinding::Flat => f.write_str("no triangle has an area, so the obstacle has no effect"),
             ObstacleFinding::Rebuilt(reason) => reason.fmt(f),

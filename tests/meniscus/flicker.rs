@@ -279,7 +279,7 @@ fn open_meshes_and_meshes_elsewhere_are_warned_about() {
     let result = run(&folder, &[]);
     assert_eq!(result.status, 0, "{}", result.err);
     assert!(
-        result.err.contains("dam.1.obj: the mesh is open at 48 edges") && result.err.lines().count() == 1,
+        result.err.contains("dam.1.obj: the mesh has 48 open edges") && result.err.lines().count() == 1,
         "{}",
         result.err
     );
