@@ -42,6 +42,8 @@ pub enum Warning {
     SurfaceInsideObstacles,
     /// The particles are so small that no voxel is inside any of their spheres. Lengths are in world units.
     BetweenVoxels { voxel_size: f64, radius_min: f64, radius_max: f64 },
+    /// An inward offset moved all of the surface away. A length in world units.
+    OffsetAway { offset: f64 },
     /// Most pieces of the surface come from a single particle.
     Spray { particle_count: usize, piece_count: usize, voxel_size: f64 },
     /// The surface has many holes.
@@ -79,7 +81,7 @@ pub enum Warning {
     /// The frame is so wide that 32-bit positions are coarse.
     CoarsePositions { voxels: f64 },
     /// Particles outside the surface, which an offset or smoothed positions allow.
-    ParticlesOutside { count: usize, particle_count: usize },
+    ParticlesOutside { count: usize, particle_count: usize, is_offset: bool, is_smoothed: bool },
     /// Failed validation: φ leaves its bounds.
     OutOfBounds { voxel_count: usize },
     /// Failed validation: vertices nearer to a particle than r_min, by more than half a voxel.
@@ -264,6 +266,11 @@ impl Warning {
             Warning::SurfaceInsideObstacles => {
                 f.write_str("all of the surface is inside obstacles: the mesh is empty")
             }
+            Warning::OffsetAway { offset } => write!(
+                f,
+                "the offset {} removed the whole surface: the mesh is empty",
+                significant(*offset)
+            ),
             Warning::BetweenVoxels { voxel_size, radius_min, radius_max } => {
                 let [least, most] = [radius_min / voxel_size, radius_max / voxel_size].map(significant);
                 write!(
@@ -335,11 +342,16 @@ impl Warning {
                 "parts of this frame lie so far apart that the 32-bit positions of some vertices are off by up to {} voxels",
                 significant(voxels)
             ),
-            Warning::ParticlesOutside { count, particle_count } => write!(
-                f,
-                "{count} of {} are outside the surface: an offset moved it inward, or their positions were smoothed",
-                pluralize(particle_count, "particle")
-            ),
+            Warning::ParticlesOutside { count, particle_count, is_offset, is_smoothed } => {
+                let verb = if count == 1 { "is" } else { "are" };
+                let cause = match (is_offset, is_smoothed) {
+                    (true, true) => "an offset moved it inward, and positions were smoothed",
+                    (true, false) => "an offset moved it inward",
+                    (false, _) => "positions were smoothed",
+                };
+                let particles = pluralize(particle_count, "particle");
+                write!(f, "{count} of {particles} {verb} outside the surface: {cause}")
+            }
             Warning::OutOfBounds { voxel_count } => {
                 write!(
                     f,
