@@ -23,7 +23,9 @@ fn remedy(warning: &Warning) -> Option<String> {
         Warning::SmallRadii { radius_min, .. } => {
             format!("--voxel-size {} or less resolves all of them", rounded_down(radius_min / 3f64.sqrt()))
         }
-        Warning::OffsetAway { .. } => "use an --offset nearer to 0, or larger radii (--radius-min, --lone-radius)".to_owned(),
+        Warning::OffsetAway { .. } => {
+            "use an --offset nearer to 0, or larger radii (--radius-min, --lone-radius)".to_owned()
+        }
         Warning::BetweenVoxels { voxel_size, .. } => {
             format!("use --radius-min {} or more", significant(3f64.sqrt() * voxel_size))
         }
