@@ -7,7 +7,7 @@ use anyhow::{Result, bail};
 use meniscus_formats::{WriteOption, listed};
 
 use crate::pipeline::{ObstacleFiles, OutputFormat};
-use crate::surface::options::{MethodOptions, OptionGroup, Settings};
+use crate::surface::options::{MethodOptions, OptionGroup, Preset, Settings};
 
 use super::args::{FormatArgs, MethodArgs, OptionSet};
 use super::console::Console;
@@ -44,12 +44,26 @@ pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
     Ok(obstacles)
 }
 
+/// The options that give the same surface as a deprecated preset.
+fn equivalent(preset: Preset) -> Option<&'static str> {
+    match preset {
+        Preset::Water => Some("--preset paper --fill-cavities 200"),
+        Preset::Smooth => Some("--preset paper --radius-ratio 3 --steps 10 --fill-cavities 200"),
+        Preset::Faithful => Some("--preset paper --radius-ratio 1.25"),
+        _ => None,
+    }
+}
+
 /// Warnings about given options that have no effect, one sentence each.
 pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[OutputFormat]) -> Vec<String> {
     let options = method.to_options();
     let successor = options.preset.and_then(|preset| Some((preset, preset.successor()?)));
-    let deprecated = successor
-        .map(|(preset, successor)| format!("the preset `{preset}` is deprecated: use --preset {successor}"));
+    let deprecated = successor.map(|(preset, successor)| match equivalent(preset) {
+        Some(options) => format!(
+            "the preset `{preset}` is deprecated: use --preset {successor}, or {options} for the same surface"
+        ),
+        None => format!("the preset `{preset}` is deprecated: use --preset {successor}"),
+    });
     let ignored = options.ineffective(!method.obstacle.is_empty()).into_iter();
     let ignored =
         ignored.map(|(name, need)| format!("{} is ignored: it is for {need} only", option_name(name)));

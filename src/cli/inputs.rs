@@ -30,6 +30,7 @@ use crate::pipeline::{
 };
 
 use super::console::Console;
+use super::wording::pluralize;
 
 /// The files that the inputs name.
 #[derive(Debug, Default)]
@@ -213,10 +214,15 @@ impl MatchedInputs {
             }
         }
         if self.count() == count_before && !may_be_empty {
-            let hint = if has_level_set { ": level sets are given by name, or by a pattern" } else { "" };
+            let hint = match subfolder_count(folder) {
+                _ if has_level_set => ": `convert` takes level sets by name, or by a pattern".to_owned(),
+                0 => String::new(),
+                count => format!("; it has {}: give them by name", pluralize(count, "sub-folder")),
+            };
             bail!(
-                "{}: no frames of particles among the {file_count} files of this folder{hint}",
-                folder.display()
+                "{}: no frames of particles among the {} of this folder{hint}",
+                folder.display(),
+                pluralize(file_count, "file")
             );
         }
         Ok(())
@@ -395,6 +401,13 @@ impl<'p> Glob<'p> {
 
 /// The characters that make text a glob.
 const WILDCARDS: [char; 3] = ['*', '?', '['];
+
+/// The number of sub-folders of a folder, without hidden ones.
+fn subfolder_count(folder: &Path) -> usize {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let is_hidden = |name: &std::ffi::OsStr| name.as_encoded_bytes().starts_with(b".");
+    entries.filter(|entry| !is_hidden(&entry.file_name()) && entry.path().is_dir()).count()
+}
 
 /// Whether a path can be a pattern: its name has a placeholder for a number, or it contains wildcards.
 fn is_pattern(path: &Path) -> bool {

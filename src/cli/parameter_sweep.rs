@@ -79,7 +79,7 @@ static PARAMETERS: [Parameter; 14] = [
     parameter("thin", "thin_radius", "least semi-axis of flattened particles", Times, &[1.5, 2.0, 3.0]),
     parameter("alone", "lone_radius", "r_min of particles without neighbours", Times, &[1.2, 1.4, 1.6]),
     parameter("stretch", "max_stretch", "greatest stretch of particles", PLAIN, &[1.0, 2.0, 4.0, 8.0]),
-    parameter("neighbors", "neighbor_radius", "how far neighbours count", Times, &[0.75, 1.25, 1.5]),
+    parameter("neighbors", "neighbor_radius", "search radius for neighbours", Times, &[0.75, 1.25, 1.5]),
     parameter("laplacian", "laplacian_steps", "Laplacian steps", Times, &[0.0, 0.5, 2.0, 4.0]),
     parameter("step", "step_size", "size of a step, h\u{2074}", Times, &[0.25, 4.0, 16.0]),
     parameter("redistance", "redistance_every", "steps between redistancings", PLAIN, &[1.0, 2.0, 4.0]),

@@ -18,9 +18,13 @@ fn remedy(warning: &Warning) -> Option<String> {
     let of_spacing = "check --spacing and --voxel-size, or leave them out: then the spacing is measured";
     Some(match warning {
         Warning::Tiled { .. } => "raise the limit with --memory".to_owned(),
+        Warning::NotConverged => "choose a smaller --step-size or a larger --cg-tolerance".to_owned(),
         Warning::CflExceeded { .. } => "choose a smaller --step-size".to_owned(),
         Warning::SmallRadii { radius_min, .. } => {
             format!("--voxel-size {} or less resolves all of them", rounded_down(radius_min / 3f64.sqrt()))
+        }
+        Warning::OffsetAway { .. } => {
+            "use an --offset nearer to 0, or larger radii (--radius-min, --lone-radius)".to_owned()
         }
         Warning::BetweenVoxels { voxel_size, .. } => {
             format!("use --radius-min {} or more", significant(3f64.sqrt() * voxel_size))

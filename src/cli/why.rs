@@ -47,7 +47,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
     if let [first, .., last] = &frames_in(&frame).unwrap_or_default()[..] {
         let [first, last] = [first, last].map(|step| step.display());
         console.print_line(format_args!(
-            "{}: a file of several frames: ask for one, from {first} to {last}",
+            "{} has several frames: give one of them, from {first} to {last}",
             frame.display()
         ));
         return Ok(CommandOutcome::Done);
@@ -205,7 +205,7 @@ fn lines(
                 },
             );
             match output_missing {
-                Some(path) => line("outputs", &format!("{} is not there", path.display())),
+                Some(path) => line("outputs", &format!("{} is missing", path.display())),
                 None if record.outputs.is_empty() => line("outputs", "none recorded"),
                 None => line("outputs", "all recorded outputs exist"),
             }
@@ -225,8 +225,10 @@ fn recorded(record: &JournaledFrame, now_ms: u64) -> String {
         JournaledStatus::Done => "done",
         JournaledStatus::Failed => "failed",
         JournaledStatus::Retrying => "failed, will be retried",
-        JournaledStatus::Refused => "refused because of other files",
-        JournaledStatus::RetriesExhausted => "failed, will be retried at the next start",
+        JournaledStatus::Refused => "not converted: its outputs conflict with other files",
+        JournaledStatus::RetriesExhausted => {
+            "failed; will be retried when the file changes or the daemon restarts"
+        }
     };
     format!("{status}, {}{attempts}", ago(record.at_ms, now_ms))
 }

@@ -380,7 +380,12 @@ impl SequenceEntry {
         for (name, value) in &self.settings {
             options.set(name, value).ok_or_else(|| {
                 let pointer = format!("{pointer}/settings/{}", escaped(name));
-                PlanError::at(pointer, format!("unknown setting, or invalid value `{value}`"))
+                let message = match (MethodOptions::info(name), MethodOptions::range(name)) {
+                    (None, _) => "unknown setting".to_owned(),
+                    (_, Some(range)) => format!("invalid value `{value}`: expected {range}"),
+                    (_, None) => format!("invalid value `{value}`: run `meniscus plan` again"),
+                };
+                PlanError::at(pointer, message)
             })?;
         }
         let settings = Settings::resolve(&options, None)

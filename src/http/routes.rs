@@ -48,7 +48,7 @@ fn refusal<B: Body>(shared: &ServerState, request: &Request<B>, local: SocketAdd
     if !is_for_this_host(request, local.ip()) {
         return Some(closing(text(
             StatusCode::MISDIRECTED_REQUEST,
-            "this server does not serve that host name",
+            "unknown host name: open this page by IP address, or as localhost",
         )));
     }
     if !matches!(*request.method(), Method::GET | Method::HEAD) {

@@ -42,6 +42,8 @@ pub enum Warning {
     SurfaceInsideObstacles,
     /// The particles are so small that no voxel is inside any of their spheres. Lengths are in world units.
     BetweenVoxels { voxel_size: f64, radius_min: f64, radius_max: f64 },
+    /// An inward offset moved all of the surface away. A length in world units.
+    OffsetAway { offset: f64 },
     /// Most pieces of the surface come from a single particle.
     Spray { particle_count: usize, piece_count: usize, voxel_size: f64 },
     /// The surface has many holes.
@@ -79,7 +81,7 @@ pub enum Warning {
     /// The frame is so wide that 32-bit positions are coarse.
     CoarsePositions { voxels: f64 },
     /// Particles outside the surface, which an offset or smoothed positions allow.
-    ParticlesOutside { count: usize, particle_count: usize },
+    ParticlesOutside { count: usize, particle_count: usize, is_offset: bool, is_smoothed: bool },
     /// Failed validation: φ leaves its bounds.
     OutOfBounds { voxel_count: usize },
     /// Failed validation: vertices nearer to a particle than r_min, by more than half a voxel.
@@ -240,7 +242,7 @@ impl Warning {
                 (count, "sampled voxel", "of the .vdb without a particle in range: attributes are 0 there")
             }
             Warning::CflExceeded { step_count } => {
-                (step_count, "explicit step", "exceeded the CFL bound (Eq. 8)")
+                (step_count, "explicit step", "exceeded the CFL limit of one voxel per step")
             }
             Warning::NotEnclosed { count } => (count, "particle", "outside the surface"),
             _ => return None,
@@ -264,6 +266,11 @@ impl Warning {
             Warning::SurfaceInsideObstacles => {
                 f.write_str("all of the surface is inside obstacles: the mesh is empty")
             }
+            Warning::OffsetAway { offset } => write!(
+                f,
+                "the offset {} removed the whole surface: the mesh is empty",
+                significant(*offset)
+            ),
             Warning::BetweenVoxels { voxel_size, radius_min, radius_max } => {
                 let [least, most] = [radius_min / voxel_size, radius_max / voxel_size].map(significant);
                 write!(
@@ -329,19 +336,28 @@ impl Warning {
                     false => Ok(()),
                 }
             }
-            Warning::NotConverged => f.write_str("the conjugate gradients did not reach their tolerance"),
+            Warning::NotConverged => f.write_str("the implicit solver did not converge to its tolerance"),
             Warning::CoarsePositions { voxels } => write!(
                 f,
                 "parts of this frame lie so far apart that the 32-bit positions of some vertices are off by up to {} voxels",
                 significant(voxels)
             ),
-            Warning::ParticlesOutside { count, particle_count } => write!(
-                f,
-                "{count} of {} are outside the surface: an offset moved it inward, or their positions were smoothed",
-                pluralize(particle_count, "particle")
-            ),
+            Warning::ParticlesOutside { count, particle_count, is_offset, is_smoothed } => {
+                let verb = if count == 1 { "is" } else { "are" };
+                let cause = match (is_offset, is_smoothed) {
+                    (true, true) => "an offset moved it inward, and positions were smoothed",
+                    (true, false) => "an offset moved it inward",
+                    (false, _) => "positions were smoothed",
+                };
+                let particles = pluralize(particle_count, "particle");
+                write!(f, "{count} of {particles} {verb} outside the surface: {cause}")
+            }
             Warning::OutOfBounds { voxel_count } => {
-                write!(f, "the level set leaves its bounds (Eq. 6) at {}", pluralize(voxel_count, "voxel"))
+                write!(
+                    f,
+                    "the level set is outside its bounds (distances to the r_min and r_max spheres) at {}",
+                    pluralize(voxel_count, "voxel")
+                )
             }
             Warning::VerticesTooNear { count, nearest_voxels } => write!(
                 f,
@@ -376,26 +392,30 @@ impl fmt::Display for ObstacleFinding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             ObstacleFinding::Open { edge_count, encloses_nothing: true } => {
-                write!(f, "the mesh has {edge_count} open edges and encloses no volume: give it a thickness")
+                let edges = pluralize(*edge_count, "open edge");
+                write!(f, "the mesh has {edges} and encloses no volume: give it a thickness")
             }
             ObstacleFinding::Open { edge_count, encloses_nothing: false } => {
+                let edges = pluralize(*edge_count, "open edge");
                 write!(
                     f,
-                    "the mesh has {edge_count} open edges: its holes were closed approximately (where the winding number is 1/2); \
+                    "the mesh has {edges}: its holes were closed approximately (where the winding number is 1/2); \
                      close them in the model for an exact obstacle"
                 )
             }
             ObstacleFinding::Flipped { triangle_count } => write!(
                 f,
-                "{} flipped: facing inwards, or oriented opposite to adjacent triangles",
+                "flipped {} that faced inwards, or opposite to adjacent triangles",
                 pluralize(*triangle_count, "triangle")
             ),
             ObstacleFinding::PossiblyInverted { part_count } => write!(
                 f,
-                "{part_count} parts seem to face inwards and were not flipped: too many parts to detect cavities"
+                "did not flip {} that may face inwards: the mesh has too many parts to detect cavities; correct the normals in the model",
+                pluralize(*part_count, "part")
             ),
             ObstacleFinding::InvalidTriangles { triangle_count } => {
-                write!(f, "{triangle_count} triangles ignored: a vertex is not finite, or does not exist")
+                let triangles = pluralize(*triangle_count, "triangle");
+                write!(f, "{triangles} ignored: a vertex is not finite, or does not exist")
             }
             ObstacleFinding::Flat => f.write_str("no triangle has an area, so the obstacle has no effect"),
             ObstacleFinding::Rebuilt(reason) => reason.fmt(f),

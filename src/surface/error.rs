@@ -71,7 +71,11 @@ impl fmt::Display for Error {
             ),
             Error::NoParticles { input_count: 0 } => f.write_str("the frame has no particles"),
             Error::NoParticles { input_count: given } => {
-                write!(f, "none of the {given} particles has a finite position inside the grid")
+                write!(
+                    f,
+                    "no usable particle among {given}: all positions are NaN or infinite, or too far from the origin for this \
+                     voxel size; check the unit of length, or choose a larger voxel size"
+                )
             }
             Error::MissingAttribute { name, arity } => {
                 let numbers = if *arity == 1 { "number" } else { "numbers" };

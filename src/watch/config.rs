@@ -133,7 +133,12 @@ mod by_name {
 
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<MethodOptions, D::Error> {
         let pairs = BTreeMap::<String, String>::deserialize(from)?;
-        let options = MethodOptions::from_pairs(pairs.iter().map(|(name, value)| (&**name, &**value)));
-        options.ok_or_else(|| D::Error::custom("an option of the method is unknown or has an invalid value"))
+        let mut options = MethodOptions::default();
+        for (name, value) in &pairs {
+            options.set(name, value).ok_or_else(|| {
+                D::Error::custom(format!("unknown option or invalid value: {name} = {value}"))
+            })?;
+        }
+        Ok(options)
     }
 }

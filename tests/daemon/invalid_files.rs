@@ -105,8 +105,9 @@ fn frame_that_cannot_be_examined_fails_the_run() {
     let once = scene.once(&[&QUICK[..], &FORMATS].concat());
     once.assert_status(1);
     assert_eq!(once.converted(), ["dam.1.ply"]);
-    let is_error =
-        |line: &&Line| line.level == "ERROR" && line.message.starts_with("cannot be read: Too many levels");
+    let is_error = |line: &&Line| {
+        line.level == "ERROR" && line.message.starts_with("path cannot be read: Too many levels")
+    };
     assert_eq!(once.log.iter().filter(is_error).count(), 1, "{}", log_text(&once.log));
 }
 

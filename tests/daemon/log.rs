@@ -49,7 +49,7 @@ fn status_describes_running_and_stopped_daemons() {
     assert_eq!(text.status, Some(1), "{}", text.err);
     for expected in [
         "2 ",
-        "waiting for the writers of 1 file:",
+        "1 file not yet complete:",
         "dam.4.ply: it is not",
         "dam.3.ply",
         reason,

@@ -279,7 +279,7 @@ fn open_meshes_and_meshes_elsewhere_are_warned_about() {
     let result = run(&folder, &[]);
     assert_eq!(result.status, 0, "{}", result.err);
     assert!(
-        result.err.contains("dam.1.obj: the mesh is open at 48 edges") && result.err.lines().count() == 1,
+        result.err.contains("dam.1.obj: the mesh has 48 open edges") && result.err.lines().count() == 1,
         "{}",
         result.err
     );
@@ -312,6 +312,7 @@ fn inputs_without_a_score_are_refused_with_a_remedy() {
         ("--dt", "0", "`0` is not a positive number"),
         ("--dt", "-1", "`-1` is not a positive number"),
         ("--fps", "0", "frames per second"),
+        ("--fps", "-25", "frames per second"),
         ("--spacing", "inf", "`inf` is not a positive number"),
         ("--picture", "p.jpg", "ends with .png"),
         ("--csv", "there/s.csv", "there: the folder for --csv does not exist"),

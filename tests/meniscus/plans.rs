@@ -461,7 +461,7 @@ const CASES: [Case; 12] = [
             let arguments = ["convert", "in/dam.1.ply", "--out=out", "--voxel-size=0.07", "--format=glb"];
             succeeded(&meniscus(f, &arguments));
         },
-        "dam.1.glb: voxel_size is 0.07, expected 0.04",
+        "dam.1.glb: made with voxel_size 0.07; the current setting is 0.04",
     ),
     (
         "stale",
@@ -592,10 +592,11 @@ fn edits() -> Vec<(&'static str, Value, &'static str)> {
         (
             "/sequences/0/settings/voxel_size",
             json!("wide"),
-            "/sequences/0/settings/voxel_size: unknown setting, or invalid value `wide`",
+            "/sequences/0/settings/voxel_size: invalid value `wide`",
         ),
         ("/sequences/0/settings/voxel_size", json!("-1"), "/sequences/0/settings: the voxel size is -1"),
-        ("/sequences/0/settings/steps", json!("1e99"), "/sequences/0/settings/steps: unknown setting, or"),
+        ("/sequences/0/settings/steps", json!("1e99"), "/sequences/0/settings/steps: invalid value `1e99`"),
+        ("/sequences/0/settings", json!({"drop_size": "1"}), "/0/settings/drop_size: unknown setting"),
         ("/sequences/0/settings/step_size", json!("-1"), "/sequences/0/settings: step_size is -1"),
         ("/sequences/0/settings", json!({}), "/sequences/0/settings: the particle spacing is unknown"),
         ("/sequences/0/camera", json!("auto"), "/sequences/0/camera: not allowed, because no format"),

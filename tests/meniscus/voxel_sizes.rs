@@ -137,6 +137,13 @@ fn empty_surface_causes_a_warning_with_a_remedy() {
     for word in ["all particles fall between the voxels", "are 0.02 and 0.04 voxels", "--radius-min 0.0866"] {
         assert!(warnings.contains(word), "it does not say {word}: {warnings}");
     }
+    let inward = ["--spacing", "0.1", "--offset", "-0.6d", "--allow-violations"];
+    let warnings = warnings_of(folder.path(), &[[0.5; 3]], &inward);
+    for word in ["the offset -0.06 removed the whole surface", "--lone-radius", "1 of 1 particle is outside"]
+    {
+        assert!(warnings.contains(word), "it does not say {word}: {warnings}");
+    }
+    write_ply(&folder.path().join("a.ply"), &block(6, 0.013));
     let command = ["convert", "a.ply", "--out", "out"];
     let result = meniscus(folder.path(), &[&command[..], &small].concat());
     assert_eq!(result.status, 1, "{}", result.err);

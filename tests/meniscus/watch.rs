@@ -203,7 +203,7 @@ fn why_lists_everything_that_decides() {
     let config = "[daemon]\nsettle = \"0s\"\n[[watch]]\ninput = \"in\"\noutput = \"out\"\n";
     fs::write(path.join("meniscus.toml"), config).expect("written");
     let configured = ["--config", "meniscus.toml"];
-    let words = ["dam.1.glb is not there", "It will be converted because its output", "No daemon is"];
+    let words = ["dam.1.glb is missing", "It will be converted because its output", "No daemon is"];
     assert_explains("in/dam.1.ply", &configured, &words);
     fs::write(path.join("meniscus.toml"), format!("{config}spacing = 0.1\n")).expect("written");
     assert_explains(

@@ -66,8 +66,8 @@ fn unresponsive_file_system_blocks_only_its_folder() {
         daemon.until_converted(&drops(3, 6));
         assert!(since.elapsed() < SOON, "the other folder waited for {:?}", since.elapsed());
         daemon.until("it says which folder hangs", |daemon| daemon.has_status("hanging is unavailable"));
-        assert_eq!(daemon.count_logged("has not answered"), 1);
-        assert!(get(&address, "/api/status").contains("does not answer"));
+        assert_eq!(daemon.count_logged("has not responded"), 1);
+        assert!(get(&address, "/api/status").contains("does not respond"));
         let signs = daemon.signs_of_life();
         daemon.listen_for(Duration::from_secs(5));
         assert!(daemon.signs_of_life() >= signs + 3, "it gives no signs of life");

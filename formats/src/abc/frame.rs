@@ -102,6 +102,9 @@ pub fn read_attribute_names(bytes: &[u8]) -> Result<Vec<String>> {
     Ok(velocity.into_iter().chain(archive.params()?.into_iter().map(|(header, _)| header.name)).collect())
 }
 
+const NOT_OURS: &str =
+    "this .abc was not written by meniscus, or was changed: use the .abc files of the frames";
+
 /// The name of the attribute in the property for velocities.
 const VELOCITY: &str = "velocity";
 
@@ -113,7 +116,7 @@ fn placement(matrix: &Matrix) -> Result<(UpAxis, [f64; 3])> {
             return Ok((up, origin));
         }
     }
-    Err(Error::invalid(FORMAT, Position::File, "the transform is not one that this program writes"))
+    Err(Error::invalid(FORMAT, Position::File, NOT_OURS))
 }
 
 fn attributes(archive: &MeshArchive) -> Result<Vec<FrameAttribute>> {
@@ -134,8 +137,7 @@ fn attributes(archive: &MeshArchive) -> Result<Vec<FrameAttribute>> {
         };
         byte_count += values.byte_count();
         if byte_count > archive.container.bytes.len() {
-            let what = "several attributes share their data; files of this program never do";
-            return Err(Error::invalid(FORMAT, Position::Offset(*reference), what));
+            return Err(Error::invalid(FORMAT, Position::Offset(*reference), NOT_OURS));
         }
         let is_color = header.metadata.contains(";interpretation=rgb");
         let role = is_color.then_some(AttributeRole::Color);
@@ -159,10 +161,7 @@ fn numbers(archive: &MeshArchive, name: &str, pod: u32, reference: Reference) ->
         pod if pod == Pod::I64 as u32 => {
             Ok(FrameValues::Integers(wide.map(|bytes| i64::from_le_bytes(*bytes)).collect()))
         }
-        pod => {
-            let what = format!("{name} has values of the type {pod}, which this program does not write");
-            Err(Error::invalid(FORMAT, Position::Offset(at), what))
-        }
+        _ => Err(Error::invalid(FORMAT, Position::Offset(at), NOT_OURS)),
     }
 }
 

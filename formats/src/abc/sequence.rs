@@ -78,7 +78,10 @@ impl AbcSequence<'_> {
     fn numbers(&self) -> Result<Vec<u64>> {
         if let Some(pair) = self.frames.windows(2).find(|pair| pair[1].code <= pair[0].code) {
             let [a, b] = [0, 1].map(|index| (&pair[index].name, pair[index].code));
-            let what = format!("{} and {} have the frame numbers {} and {}", a.0, b.0, a.1, b.1);
+            let what = format!(
+                "frame numbers must increase: {} has {}, and {}, which follows it, has {}",
+                a.0, a.1, b.0, b.1
+            );
             return Err(Error::invalid(FORMAT, Position::File, what));
         }
         let Some(last) = self.frames.last() else {

@@ -122,7 +122,11 @@ fn column(words: &mut WordReader, limits: &Limits) -> Result<TextColumn> {
     let arity: u16 = words.number("the size of an attribute")?;
     let arity = usize::from(arity);
     if arity == 0 || arity > limits.attribute_count {
-        return Err(words.invalid(format!("the attribute `{}` has {arity} values", excerpt(&name))));
+        return Err(words.invalid(format!(
+            "the attribute `{}` has {arity} values per point; expected 1 to {}",
+            excerpt(&name),
+            limits.attribute_count
+        )));
     }
     let kind = words.next("the type of an attribute")?;
     let mut table = Vec::new();

@@ -31,7 +31,8 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<TableLayout> {
     let mut lines = HeadLines::new(bytes, limits);
     while let Some(line) = lines.next_line()? {
         if line.text.starts_with(b"ITEM:") {
-            let what = "this LAMMPS dump is not supported: write it as CSV or VTK instead";
+            let what =
+                "found a LAMMPS `ITEM:` line in delimited text: a dump must begin with `ITEM: TIMESTEP`";
             return Err(Error::unsupported(FORMAT, what));
         }
         if let Some(comment) = comment(line.text) {
@@ -372,7 +373,7 @@ impl<'a> HeadLines<'a> {
                 Some(length) => length,
                 None if self.end == self.bytes.len() => rest.len(),
                 None => {
-                    let what = format!("no row in the first {} bytes", self.end);
+                    let what = format!("no line end in the first {} bytes: this is not a table", self.end);
                     return Err(Error::too_large(FORMAT, what));
                 }
             };

@@ -172,7 +172,7 @@ impl GlbFrame {
     }
 
     fn accessor(&self, index: &Value) -> Result<VertexColumn> {
-        let missing = || invalid(format!("the accessor {index} is not one that this program writes"));
+        let missing = || invalid(NOT_OURS);
         let at = |array: &'static str, index: &Value| {
             let index = usize::try_from(index.as_u64()?).ok()?;
             self.document[array].as_array()?.get(index)
@@ -318,7 +318,8 @@ const HEAD_BYTES: u64 = 20;
 
 const NO_GLB: &str = "this is not a .glb: use the .glb files of the frames";
 
-const NOT_OURS: &str = "this .glb was not written by meniscus: use the .glb files of the frames";
+const NOT_OURS: &str =
+    "this .glb was not written by meniscus, or was changed: use the .glb files of the frames";
 
 /// The names of vectors with one to four components.
 const TYPES: [&str; 4] = ["SCALAR", "VEC2", "VEC3", "VEC4"];

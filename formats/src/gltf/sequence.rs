@@ -174,7 +174,11 @@ fn keys(frames: &[SequenceFrame], fps: f64) -> Result<Vec<Vec<ScaleKey>>> {
         let end = next.unwrap_or_else(|| seconds(frame.code.saturating_add(1)));
         let start = if index == 0 { 0.0 } else { seconds(frame.code) };
         if end <= seconds(frame.code) {
-            return Err(invalid(format!("{} and the next frame are shown at the same time", frame.name)));
+            return Err(invalid(format!(
+                "the frame number of {} is too large, or equal to the next: 32-bit times cannot separate the two; \
+                 renumber the frames, or write .usdc or .abc",
+                frame.name
+            )));
         }
         if !frame.file.has_mesh() {
             all.push(Vec::new());

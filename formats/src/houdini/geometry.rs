@@ -80,7 +80,8 @@ fn point_attributes(walk: &mut TokenWalk, found: &mut FoundGeometry, limits: &Li
         match point_attribute(walk, count, limits)? {
             PointAttribute::Read(array) if array.name == "P" => {
                 let arity = array.arity;
-                let no_positions = || walk.invalid(format!("P has {arity} values for each point"));
+                let no_positions =
+                    || walk.invalid(format!("P must have 3 or 4 numbers per point, found {arity} values"));
                 found.positions = Some(positions(array).ok_or_else(no_positions)?);
             }
             PointAttribute::Read(array) if array.arity == 0 => {

@@ -52,7 +52,10 @@ impl<'a> UsdSequence<'a> {
         let invalid = |what: String| Error::invalid(FORMAT, Position::File, what);
         if let Some(pair) = frames.windows(2).find(|pair| pair[1].code <= pair[0].code) {
             let [a, b] = [0, 1].map(|index| (&pair[index].name, pair[index].code));
-            return Err(invalid(format!("{} and {} have the time codes {} and {}", a.0, b.0, a.1, b.1)));
+            return Err(invalid(format!(
+                "frame numbers must increase: {} has {}, and {}, which follows it, has {}",
+                a.0, a.1, b.0, b.1
+            )));
         }
         if let Some(SequenceFrame { name, code, .. }) = frames.last().filter(|frame| frame.code > CODE_MAX) {
             let what =
@@ -66,7 +69,9 @@ impl<'a> UsdSequence<'a> {
         let up = ups.next().unwrap_or_default();
         match ups.all(|other| other == up) {
             true => Ok(UsdSequence { frames, placements, up }),
-            false => Err(invalid("some frames have y up and others z up".to_owned())),
+            false => Err(invalid(
+                "some frames have Y up and others Z up: convert all frames with the same --up".to_owned(),
+            )),
         }
     }
 

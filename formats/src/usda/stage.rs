@@ -105,8 +105,8 @@ fn check(files: &[ClipFile]) -> Result<()> {
     if let Some(pair) = files.windows(2).find(|pair| pair[1].code <= pair[0].code) {
         let [a, b] = [&pair[0], &pair[1]];
         return Err(invalid(format!(
-            "{} and {} have the time codes {} and {}",
-            a.path, b.path, a.code, b.code
+            "frame numbers must increase: {} has {}, and {}, which follows it, has {}",
+            a.path, a.code, b.path, b.code
         )));
     }
     if let Some(ClipFile { code, path }) = files.last().filter(|file| file.code > CODE_MAX) {

@@ -59,7 +59,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
         read_mesh: Some(|bytes, limits, _| read_mesh(bytes, limits)),
         ..FormatRow::new("binary USD", &["usdc"])
     },
-    help: "binary USD",
+    help: "Binary USD",
     content: Content::Mesh(MeshWriter {
         attribute_notes: |attributes| renamed(attributes, "usdc"),
         ..MeshWriter::new(MeshEncoder::Stream(|mesh, options, provenance, mut out| {

@@ -86,6 +86,9 @@ fn find_level_set<'a>(entries: &'a [GridEntry], name: Option<&str>) -> Result<&'
         }
     };
     let Some(entry) = found.filter(|entry| entry.info.type_name == TYPE_FLOAT) else {
+        if entries.is_empty() {
+            return Err(Error::unsupported(FORMAT, "the file has no grids"));
+        }
         let wanted = name.map_or("no float grid".into(), |name| format!("no float grid named \"{name}\""));
         let mut names: Vec<String> = (entries.iter().take(8))
             .map(|e| format!("\"{}\" of type {}", excerpt(&e.info.unique_name), excerpt(&e.info.type_name)))
@@ -131,7 +134,8 @@ fn tree_cursor<'a>(
 ) -> Result<(VdbCursor<'a>, ValueStorage, Transform)> {
     let (Some(tree), Some(transform)) = (entry.tree_of(entries), entry.info.transform) else {
         let what = format!(
-            "grid \"{}\" has an unsupported map, or is an instance of an unsupported grid",
+            "grid \"{}\" has an unsupported transform, or is an instance of such a grid: resample it with a \
+             uniform voxel size, and save it without instances",
             excerpt(&entry.info.name)
         );
         return Err(Error::unsupported(FORMAT, what));

@@ -139,7 +139,9 @@ fn decode_blocks(
     let first = words(&encoded.take(0, 3 * word_bytes, name)?, encoding);
     let (block_count, block_bytes, last_bytes) = (first[0], first[1], first[2]);
     if last_bytes > block_bytes {
-        let what = format!("`{name}`: the last block has {last_bytes} bytes, all others {block_bytes}");
+        let what = format!(
+            "`{name}`: the last block has {last_bytes} bytes, more than the block size of {block_bytes}"
+        );
         return Err(Error::invalid(XML, Position::Offset(encoded.offset), what));
     }
     let header_bytes = usize::try_from(block_count)

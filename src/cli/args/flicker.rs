@@ -25,7 +25,13 @@ pub(in crate::cli) struct FlickerArgs {
     pub(in crate::cli) particles: Vec<PathBuf>,
 
     /// Frames of particles per second; needed if the particles have velocities but no ids
-    #[arg(long, value_name = "N", value_parser = parse_fps, conflicts_with = "dt")]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        value_parser = parse_fps,
+        conflicts_with = "dt"
+    )]
     pub(in crate::cli) fps: Option<f64>,
 
     /// Time between consecutive frames of particles, in the unit of time of the velocities, instead of --fps
@@ -37,7 +43,13 @@ pub(in crate::cli) struct FlickerArgs {
     pub(in crate::cli) spacing: Option<f64>,
 
     /// Points on the surface of each frame
-    #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = ranged::<u32>(100..=1_000_000))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 20_000,
+        allow_negative_numbers = true,
+        value_parser = ranged::<u32>(100..=1_000_000)
+    )]
     pub(in crate::cli) samples: u32,
 
     /// Score only frames with these numbers, such as 1-240 or 1-10,20; their neighbours are read as well

@@ -77,7 +77,8 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
     let summary = totals.summary();
     let (Some(carrier), true) = (carrier, summary.count > 0) else {
         bail!(
-            "no frame is scored: none has a surface, particles that carry it, and two neighbours that were read"
+            "no frame can be scored: a frame needs a mesh with triangles, particles near it, and readable frames before and \
+             after it"
         );
     };
     report(&frames, &totals, &summary, (spacing, carrier), console);
@@ -161,9 +162,9 @@ impl Scoring<'_> {
             && !std::mem::replace(&mut self.has_warned_of_open_mesh, true)
         {
             console.warning(format_args!(
-                "{}: the mesh is open at {}: beyond the boundary of the mesh, the distance to the boundary is used",
+                "{}: the mesh has {}: scores near them are less exact; close the mesh",
                 shown(&files.mesh),
-                pluralize(frame.surface().open_edge_count(), "edge")
+                pluralize(frame.surface().open_edge_count(), "open edge")
             ));
         }
         let carrier = match self.carrier {

@@ -112,7 +112,10 @@ impl fmt::Display for MeshInfo {
         row(f, "vertices", format_args!("{}{normals}", self.vertices))?;
         row(f, "triangles", self.triangles)?;
         if let Some([x, y, z]) = self.first_not_finite {
-            let first = format_args!("{}, the first at ({x}, {y}, {z}): not measured", self.not_finite);
+            let first = format_args!(
+                "{}, the first at ({x}, {y}, {z}); triangles with them are not in the area and volume",
+                self.not_finite
+            );
             row(f, "vertices not finite", first)?;
         }
         if let Some(bounds) = self.bounds {

@@ -25,14 +25,14 @@ impl StatusRecord {
             lines.extend(watches.iter().map(|watch| format!("  {}", watch.text())));
         }
         if !self.waiting.is_empty() {
-            lines.push(format!("waiting for the writers of {}:", pluralize(self.waiting.len(), "file")));
+            lines.push(format!("{} not yet complete:", pluralize(self.waiting.len(), "file")));
             for WaitingStatus { input, reason } in self.waiting.iter().take(LISTED_MAX) {
                 lines.push(format!("  {input}: {reason}"));
             }
             lines.extend(more(self.waiting.len()));
         }
         if self.waiting_cut_short {
-            lines.push("not all files were examined: more may wait for their writers".to_owned());
+            lines.push("not all files were examined: more may be incomplete".to_owned());
         }
         let lists = [
             ("failed", &self.failed),
@@ -46,9 +46,9 @@ impl StatusRecord {
             lines.extend(more(frames.len()));
         }
         if self.damaged_lines > 0 {
-            let damaged = pluralize(self.damaged_lines, "line");
+            let damaged = pluralize(self.damaged_lines, "damaged line");
             lines.push(format!(
-                "{damaged} of the journal cannot be read: the daemon determines their content again"
+                "{damaged} in the journal: the daemon checks or converts the frames concerned again"
             ));
         }
         lines
@@ -107,7 +107,7 @@ impl FrameStatus {
             about.push(format!("{} attempts", self.attempts));
         }
         if self.is_for_next_start {
-            about.push("tried again at the next start".to_owned());
+            about.push("will be retried when the file changes or the daemon restarts".to_owned());
         }
         about.push(ago(self.at_ms, now_ms));
         let input = &self.input;

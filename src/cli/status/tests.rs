@@ -121,7 +121,7 @@ fn text_has_the_values_of_the_json() {
     let given_up = record(&state(), Holder::Unlocked).failed[25].text(64_000);
     assert_eq!(
         given_up,
-        "/sim/cut.ply: PLY, at byte 9: too short (4 attempts, tried again at the next start, 55s ago)"
+        "/sim/cut.ply: PLY, at byte 9: too short (4 attempts, will be retried when the file changes or the daemon restarts, 55s ago)"
     );
     let mut flawed = state();
     let two = flawed.frames.get_mut(Path::new("/sim/dam.2.ply")).expect("a frame");
@@ -131,11 +131,7 @@ fn text_has_the_values_of_the_json() {
                   1 particle left out; failed validation";
     assert!(text.ends_with(marked), "{text}");
     let cut_short = StatusRecord { waiting_cut_short: true, ..record(&state(), Holder::Unlocked) };
-    assert!(
-        cut_short.lines(0).join("\n").contains("more may wait for their writers"),
-        "{:?}",
-        cut_short.lines(0)
-    );
+    assert!(cut_short.lines(0).join("\n").contains("more may be incomplete"), "{:?}", cut_short.lines(0));
     let damaged = JournalState { damaged_line_count: 2, ..state() };
     assert!(
         record(&damaged, Holder::Unlocked)

@@ -500,7 +500,7 @@ function drawFlow() {
   drawLabel(ago(end - begin), 'faint', 'left', height - 3);
   drawLabel('now', 'faint', 'right', height - 3);
   $('flow-rate').textContent = `${rates.at(-1).toFixed(0)} frames a minute`;
-  $('flow-queue').textContent = `${number(queues.at(-1))} queued and in progress`;
+  $('flow-queue').textContent = `${number(queues.at(-1))} queued or in progress`;
   $('flow-resources').textContent = `${bytes(samples.at(-1).memory_bytes) ?? 'unknown'} of memory · ${bytes(status.disk_free_bytes) ?? 'unknown'} of disk free`;
 }
 

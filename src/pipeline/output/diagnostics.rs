@@ -39,8 +39,11 @@ fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<Warni
         Warning::SurfaceInsideObstacles
     } else {
         // A ball with a radius of √3 voxels or more always has voxels inside, so the balls of this frame are
-        // smaller.
-        let Settings { voxel_size, radius_min, radius_max, .. } = *settings;
+        // smaller, or an offset moved their surface inward.
+        let Settings { voxel_size, radius_min, radius_max, offset, .. } = *settings;
+        if offset < 0.0 && radius_min >= 3f64.sqrt() * voxel_size {
+            return Some(Warning::OffsetAway { offset });
+        }
         Warning::BetweenVoxels { voxel_size, radius_min, radius_max }
     })
 }

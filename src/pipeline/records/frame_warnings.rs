@@ -45,8 +45,12 @@ fn outside(report: &ReconstructionReport) -> Option<Warning> {
     let of_offset = certificate.may_leave_particles_outside.then_some(certificate.particles_outside);
     let ParticlesOutside { count, .. } = certificate.input_positions_outside.or(of_offset)?;
     let particle_count = report.particle_count;
-    (count as f64 > OUTSIDE_REPORTED_FROM * particle_count as f64)
-        .then_some(Warning::ParticlesOutside { count, particle_count })
+    (count as f64 > OUTSIDE_REPORTED_FROM * particle_count as f64).then_some(Warning::ParticlesOutside {
+        count,
+        particle_count,
+        is_offset: certificate.may_leave_particles_outside,
+        is_smoothed: certificate.input_positions_outside.is_some(),
+    })
 }
 
 /// There is a warning if more than this fraction of the particles is outside.

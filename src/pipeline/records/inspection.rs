@@ -217,9 +217,9 @@ fn difference(
     Some(match (name, value_in(recorded, name), value_in(wanted, name)) {
         ("input_hash", Some(_), Some(_)) => "the input has changed since it was made".to_owned(),
         ("obstacles", Some(_), Some(_)) => "the obstacles have changed since it was made".to_owned(),
-        (_, Some(was), Some(wanted)) => format!("{name} is {was}, expected {wanted}"),
-        (_, None, Some(wanted)) => format!("{name} is not recorded, expected {wanted}"),
-        (_, was, _) => format!("{name} is {}, but is not set now", was.unwrap_or_default()),
+        (_, Some(was), Some(wanted)) => format!("made with {name} {was}; the current setting is {wanted}"),
+        (_, None, Some(wanted)) => format!("made without {name}; the current setting is {wanted}"),
+        (_, was, _) => format!("made with {name} {}, which is no longer set", was.unwrap_or_default()),
     })
 }
 

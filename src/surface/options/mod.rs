@@ -399,7 +399,8 @@ impl Settings {
         let mut warnings = Vec::new();
         if self.integrator == Integrator::Explicit && self.step_size >= EXPLICIT_STEP_MAX {
             warnings.push(format!(
-                "explicit steps of {} h⁴ exceed the stability limit of 2/144 = {EXPLICIT_STEP_MAX:.5} h⁴",
+                "the explicit step size of {} h⁴ is not below the stability limit, 2/144 = {EXPLICIT_STEP_MAX:.5} h⁴: choose a \
+                 smaller step size",
                 self.step_size
             ));
         }

@@ -189,8 +189,7 @@ impl fmt::Display for Proof {
             Proof::Renamed => "it was renamed into place",
             Proof::Sentinel => "its sentinel exists",
             Proof::Format => {
-                "it has not changed for --settle, and its format shows, at the latest when it is read, \
-                 whether it is complete"
+                "it has not changed for --settle; if it is incomplete, reading it will detect that"
             }
             Proof::Unchanged => "it has not changed for --settle-unverifiable, so it counts as complete",
             Proof::Stalled => {
@@ -206,7 +205,7 @@ impl fmt::Display for WaitReason {
             WaitReason::Sentinel => f.write_str("its sentinel is missing, or older than the frame"),
             WaitReason::Changing => f.write_str("it changed just now"),
             WaitReason::Unverifiable => f.write_str(
-                "its format cannot show whether it is complete, so it must be unchanged for longer",
+                "its format cannot show whether it is complete, so it must be unchanged for --settle-unverifiable",
             ),
             WaitReason::Incomplete { expected, found } => {
                 write!(f, "it is not complete: {found} of at least {expected} bytes")

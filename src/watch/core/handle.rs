@@ -105,7 +105,7 @@ impl Core {
             return;
         }
         self.pipeline += 1;
-        self.log(|| tracing::warn!("frames in progress wait for a file system that does not answer: a second pipeline converts the frames of other folders"));
+        self.log(|| tracing::warn!("in-flight frames are blocked by a file system that does not respond: starting another pipeline for the other folders"));
         self.effects.push(Effect::StartPipeline(self.pipeline));
     }
 
@@ -124,9 +124,9 @@ impl Core {
         self.log_about(path, move |folder| match since {
             Some(_) => tracing::warn!(
                 %folder,
-                "unavailable: its file system has not answered for {STALL_AFTER:?}; other folders continue"
+                "folder is unavailable: its file system has not responded for {STALL_AFTER:?}; other folders continue"
             ),
-            None => tracing::info!(%folder, "answers again"),
+            None => tracing::info!(%folder, "file system responds again"),
         });
     }
 
@@ -138,7 +138,7 @@ impl Core {
             let folder = dir.folder.clone();
             self.log_about(
                 folder,
-                |folder| tracing::warn!(%folder, "was removed, and has been created again"),
+                |folder| tracing::warn!(%folder, "output folder was removed and created again"),
             );
             // Its outputs may be gone as well.
             self.scan_all();

@@ -88,7 +88,7 @@ impl Core {
         }
         if self.roots[root].unavailable.take().is_some() {
             let path = self.root_path(root).to_owned();
-            self.log_about(path, |folder| tracing::info!(%folder, "is available again"));
+            self.log_about(path, |folder| tracing::info!(%folder, "folder is available again"));
         }
         self.note_unreadable(root, &problems, dangling);
         self.on_files_scanned(root, files, at);
@@ -135,7 +135,7 @@ impl Core {
             .map(|(path, why)| (path.clone(), why.clone()))
             .collect();
         for (path, why) in news {
-            self.log_about(path, move |path| tracing::error!(%path, "cannot be read: {why}"));
+            self.log_about(path, move |path| tracing::error!(%path, "path cannot be read: {why}"));
         }
     }
 
@@ -144,7 +144,10 @@ impl Core {
         let known = self.roots[root].unavailable.replace(why.clone());
         if known.as_ref() != Some(&why) && !self.config.once {
             let path = self.root_path(root).to_owned();
-            self.log_about(path, move |folder| tracing::warn!(%folder, "unavailable: {why}; waiting for it"));
+            self.log_about(
+                path,
+                move |folder| tracing::warn!(%folder, "folder is unavailable: {why}; waiting for it"),
+            );
         }
     }
 

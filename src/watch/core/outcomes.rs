@@ -27,7 +27,7 @@ impl Core {
             Outcome::Converted(report) => self.on_converted(&id, &report, outputs),
             Outcome::AlreadyDone { input, .. } => self.on_already_done(&id, &input, outputs),
             Outcome::Changed => {
-                let what = "was written while it was read: reading it again";
+                let what = "frame was written while it was read: reading it again";
                 self.log_about(&*id.path, move |frame| tracing::info!(%frame, "{what}"));
                 return self.start_over(&id);
             }
@@ -108,7 +108,7 @@ impl Core {
         let record = JournaledFrame { stamp: input.stamp, hash: Some(input.hash), outputs, ..record };
         self.counters.found_done += 1;
         let (path, queue) = (Arc::clone(&id.path), self.queue.len());
-        let log = Log::new(move || tracing::info!(frame = %path.display(), queue, "was done already"));
+        let log = Log::new(move || tracing::info!(frame = %path.display(), queue, "frame was done already"));
         self.note_done(id, record, log);
     }
 
@@ -126,7 +126,7 @@ impl Core {
         let (now, reason) = (self.now.at, error.to_string());
         match recovery(error) {
             RetryAction::Forget => {
-                self.log_about(&*id.path, |frame| tracing::info!(%frame, "was removed"));
+                self.log_about(&*id.path, |frame| tracing::info!(%frame, "frame was removed"));
                 self.set_phase(id, FramePhase::Failed);
                 self.remove(id);
             }

@@ -157,7 +157,7 @@ impl Core {
 }
 
 /// Why a folder is unavailable if its file system hangs.
-const STALLED: &str = "its file system does not answer";
+const STALLED: &str = "its file system does not respond";
 
 /// The state that clients see; `None` for files that are not frames.
 fn state_of(phase: FramePhase) -> Option<FrameProgress> {

@@ -101,7 +101,7 @@ impl OutputLock {
             tracing::warn!(
                 lock = %path.display(),
                 %error,
-                "the folder is locked, but the lock file does not say by whom: cannot write to it"
+                "locked the folder, but cannot write the process id into the lock file"
             );
         }
         Ok(OutputLock { file })
@@ -187,7 +187,7 @@ fn has_no_lock_service(_error: &io::Error) -> bool {
 /// it is never empty.
 fn write_holder(mut file: &File) -> io::Result<()> {
     if has_other_names(&file.metadata()?) {
-        return Err(io::Error::other("the file has other hard links, whose contents would change as well"));
+        return Err(io::Error::other("the file has more than one hard link: remove it"));
     }
     let text = format!("pid {} on {} since {}\n", std::process::id(), host_name(), since(SystemTime::now()));
     file.write_all(text.as_bytes())?;

@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::pipeline::{make_out_folder, remove_left_behind, sweep_temporaries};
+use crate::surface::words::pluralize;
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, OutputDirState, OutputRequest, Presence};
 use crate::watch::journal::{FILE_NAME as JOURNAL_FILE_NAME, Journal, STATE_FOLDER};
@@ -101,7 +102,10 @@ impl OutputDir {
         })?;
         match sweep(&folder) + sweep_one(&journal_folder) {
             0 => {}
-            count => tracing::info!(folder = %folder.display(), "removed {count} half-written files"),
+            count => {
+                let files = pluralize(count, "half-written file");
+                tracing::info!(folder = %folder.display(), "removed {files}");
+            }
         }
         let locked = Mutex::new(LockedFolder { lock, identity });
         let stages = FolderStages::new(&folder, config);

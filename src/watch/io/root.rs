@@ -281,7 +281,7 @@ impl Root {
         {
             tracing::info!(
                 folder = %self.path.display(),
-                "is on {name}, which sends no file-system events: it is scanned every {POLL_DEFAULT:?}"
+                "folder is on {name}, which sends no file-system events; scanning it every {POLL_DEFAULT:?}"
             );
             self.poll = Some(POLL_DEFAULT);
         }
@@ -305,7 +305,7 @@ impl Root {
         let interval = *self.poll.get_or_insert(POLL_DEFAULT);
         tracing::warn!(
             folder = %self.path.display(),
-            "cannot be watched: {error}; it is scanned every {interval:?} instead"
+            "cannot watch the folder: {error}; scanning it every {interval:?} instead"
         );
     }
 
