@@ -4,7 +4,7 @@ use std::collections::{BTreeSet, HashSet};
 use std::fmt;
 use std::str::FromStr;
 
-use crate::pipeline::FrameFile;
+use crate::pipeline::{FrameFile, common_step};
 use crate::surface::options::expected;
 
 /// A set of frame numbers.
@@ -59,19 +59,6 @@ pub(super) fn gaps(numbers: impl IntoIterator<Item = u64>) -> Option<(String, u6
 pub(super) fn held_gaps(numbers: &[u64]) -> Option<(String, u64)> {
     let is_increasing = numbers.is_sorted_by(|one, next| one < next);
     is_increasing.then(|| gaps_in_steps(numbers, common_step(numbers))).flatten()
-}
-
-/// The greatest common divisor of the differences between these ascending numbers; 1 if there are no
-/// differences.
-pub(super) fn common_step(numbers: &[u64]) -> u64 {
-    let greatest = numbers.windows(2).map(|pair| pair[1] - pair[0]).fold(0, |a, b| {
-        let (mut a, mut b) = (a, b);
-        while b > 0 {
-            (a, b) = (b, a % b);
-        }
-        a
-    });
-    greatest.max(1)
 }
 
 /// The numbers that are missing between these ascending numbers, whose differences are multiples of `step`.
@@ -212,20 +199,6 @@ mod tests {
         ] {
             let expected = expected.map(|(gaps, count)| (gaps.to_owned(), count));
             assert_eq!(held_gaps(numbers), expected, "{numbers:?}");
-        }
-    }
-
-    #[test]
-    fn step_divides_all_differences() {
-        for (numbers, step) in [
-            (&[][..], 1),
-            (&[5], 1),
-            (&[0, 100, 300], 100),
-            (&[1, 3, 5], 2),
-            (&[1, 3, 6], 1),
-            (&[0, u64::MAX], u64::MAX),
-        ] {
-            assert_eq!(common_step(numbers), step, "{numbers:?}");
         }
     }
 

@@ -1,8 +1,8 @@
 //! The stage of `--stage`, which is updated while frames are converted.
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use crate::pipeline::{OutputOptions, StageReport, StageSequence, write_stage};
+use crate::pipeline::{OutputOptions, StageReport, StageSequence, next_stage_update, write_stage};
 
 use super::CommandOutcome;
 use super::console::Console;
@@ -16,10 +16,6 @@ pub(super) struct StageWriter {
     /// When the next update is due.
     due: Instant,
 }
-
-/// The shortest time between two updates, and how many times longer it is than writing the stage takes.
-const UPDATE_EVERY: Duration = Duration::from_secs(1);
-const PAUSE_FACTOR: u32 = 20;
 
 impl StageWriter {
     /// The stage that the options name, if they name one, with these frames.
@@ -38,7 +34,7 @@ impl StageWriter {
             return;
         }
         let _ = write_stage(&self.outputs, &self.sequences);
-        self.due = Instant::now() + UPDATE_EVERY.max(PAUSE_FACTOR * start.elapsed());
+        self.due = next_stage_update(start);
     }
 
     /// Writes the stage a last time, and reports it.

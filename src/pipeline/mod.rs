@@ -118,10 +118,10 @@ pub use records::provenance::{
 };
 pub use records::record::{RunRecord, SequenceRecord};
 pub use records::sequence_file::{
-    SequenceError, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource, is_sequence_file,
-    write_sequence_file,
+    SequenceError, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource, common_step,
+    is_sequence_file, write_sequence_file,
 };
-pub use records::stage_file::{StageFrame, StageReport, StageSequence, write_stage};
+pub use records::stage_file::{StageFrame, StageReport, StageSequence, next_stage_update, write_stage};
 pub use stages::{OnError, PipelineOptions, default_in_flight, run, stream};
 pub use target::close_up::close_up;
 pub use target::framing::{Framed, Framing};

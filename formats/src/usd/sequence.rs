@@ -49,19 +49,7 @@ impl SequenceAttribute {
 impl<'a> UsdSequence<'a> {
     /// Checks the frames, whose numbers must increase.
     pub(crate) fn of(frames: &'a [SequenceFrame]) -> Result<UsdSequence<'a>> {
-        let invalid = |what: String| Error::invalid(FORMAT, Position::File, what);
-        if let Some(pair) = frames.windows(2).find(|pair| pair[1].code <= pair[0].code) {
-            let [a, b] = [0, 1].map(|index| (&pair[index].name, pair[index].code));
-            return Err(invalid(format!(
-                "frame numbers must increase: {} has {}, and {}, which follows it, has {}",
-                a.0, a.1, b.0, b.1
-            )));
-        }
-        if let Some(SequenceFrame { name, code, .. }) = frames.last().filter(|frame| frame.code > CODE_MAX) {
-            let what =
-                format!("the frame number {code} of {name} exceeds the limit for time codes, {CODE_MAX}");
-            return Err(Error::unsupported(FORMAT, what));
-        }
+        check_codes(frames.iter().map(|frame| (frame.name.as_str(), frame.code)))?;
         let placement =
             |frame: &SequenceFrame| frame.file.has_mesh().then(|| frame.file.placement()).transpose();
         let placements: Vec<Option<FramePlacement>> = frames.iter().map(placement).collect::<Result<_>>()?;
@@ -69,8 +57,10 @@ impl<'a> UsdSequence<'a> {
         let up = ups.next().unwrap_or_default();
         match ups.all(|other| other == up) {
             true => Ok(UsdSequence { frames, placements, up }),
-            false => Err(invalid(
-                "some frames have Y up and others Z up: convert all frames with the same --up".to_owned(),
+            false => Err(Error::invalid(
+                FORMAT,
+                Position::File,
+                "some frames have Y up and others Z up: convert all frames with the same --up",
             )),
         }
     }
@@ -180,6 +170,26 @@ impl<'a> UsdSequence<'a> {
     pub(crate) fn held_codes(&self, index: usize) -> impl Iterator<Item = u64> {
         held_codes(self.frames[index].code, self.frames.get(index + 1).map(|next| next.code))
     }
+}
+
+/// Checks that the time codes of named frames increase and are exact as 64-bit floats.
+pub(crate) fn check_codes<'a>(frames: impl Iterator<Item = (&'a str, u64)>) -> Result<()> {
+    let mut last: Option<(&str, u64)> = None;
+    for (name, code) in frames {
+        if let Some((before, number)) = last.filter(|(_, number)| *number >= code) {
+            let what = format!(
+                "frame numbers must increase: {before} has {number}, and {name}, which follows it, has {code}"
+            );
+            return Err(Error::invalid(FORMAT, Position::File, what));
+        }
+        if code > CODE_MAX {
+            let what =
+                format!("the frame number {code} of {name} exceeds the limit for time codes, {CODE_MAX}");
+            return Err(Error::unsupported(FORMAT, what));
+        }
+        last = Some((name, code));
+    }
+    Ok(())
 }
 
 /// The time codes at which the frame at time code `code` needs a sample: its own and, if frames are missing

@@ -29,7 +29,7 @@
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
 use crate::mesh_options::UpAxis;
-use crate::usd::{CODE_MAX, FORMAT, PRIM, ROOT, SAMPLE_CODE, TRANSLATE, held_codes, identifier};
+use crate::usd::{FORMAT, PRIM, ROOT, SAMPLE_CODE, TRANSLATE, check_codes, held_codes, identifier};
 use crate::vertex_attributes::UsedNames;
 
 use super::head::{LAST_LINE, head, times};
@@ -102,17 +102,7 @@ fn invalid(what: String) -> Error {
 }
 
 fn check(files: &[ClipFile]) -> Result<()> {
-    if let Some(pair) = files.windows(2).find(|pair| pair[1].code <= pair[0].code) {
-        let [a, b] = [&pair[0], &pair[1]];
-        return Err(invalid(format!(
-            "frame numbers must increase: {} has {}, and {}, which follows it, has {}",
-            a.path, a.code, b.path, b.code
-        )));
-    }
-    if let Some(ClipFile { code, path }) = files.last().filter(|file| file.code > CODE_MAX) {
-        let what = format!("the frame number {code} of {path} exceeds the limit for time codes, {CODE_MAX}");
-        return Err(Error::unsupported(FORMAT, what));
-    }
+    check_codes(files.iter().map(|file| (file.path.as_str(), file.code)))?;
     match files.iter().find(|file| file.path.contains(char::is_control)) {
         Some(file) => {
             Err(invalid(format!("{:?} has control characters, which USD does not allow", file.path)))
@@ -219,6 +209,7 @@ fn asset(path: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::usd::CODE_MAX;
 
     fn files(codes: &[u64], extension: &str) -> Vec<ClipFile> {
         let file = |&code: &u64| ClipFile { code, path: format!("./out/dam.{code}.{extension}") };

@@ -15,10 +15,10 @@ use meniscus_formats::Format;
 
 use crate::cli::args::FlickerArgs;
 use crate::cli::console::Console;
-use crate::cli::frame_selection::{FrameSelection, common_step};
+use crate::cli::frame_selection::FrameSelection;
 use crate::cli::inputs::{find_inputs, with_files_of_folders};
 use crate::cli::select::only_sequence;
-use crate::pipeline::{FrameFile, Sequence, shown};
+use crate::pipeline::{FrameFile, Sequence, common_step, shown};
 
 /// The files of a frame.
 #[derive(Clone, Debug)]

@@ -314,24 +314,42 @@ pub(super) fn increasing(numbers: &[Option<u64>]) -> Vec<u64> {
     increasing.unwrap_or_else(|| (1..=numbers.len() as u64).collect())
 }
 
-/// The positions in the animation of frames with these increasing numbers. The greatest common divisor of the
-/// differences between the numbers becomes one frame of the animation. If it is 1, the positions are the
-/// numbers themselves. Otherwise they are the numbers divided by it or, if that leaves a remainder, counted
-/// from the first number on.
+/// The positions in the animation of frames with these increasing numbers. The [common step](common_step) of
+/// the numbers becomes one frame of the animation. If it is 1, the positions are the numbers themselves.
+/// Otherwise they are the numbers divided by it or, if that leaves a remainder, counted from the first number on.
 fn in_steps(numbers: &[u64]) -> Vec<u64> {
-    let step = numbers.windows(2).map(|pair| pair[1] - pair[0]).fold(0, common_divisor).max(1);
+    let step = common_step(numbers);
     let Some(&first) = numbers.first() else { return Vec::new() };
     let start = if first.is_multiple_of(step) { first / step } else { first };
     numbers.iter().map(|number| start + (number - first) / step).collect()
 }
 
-fn common_divisor(a: u64, b: u64) -> u64 {
-    if b == 0 { a } else { common_divisor(b, a % b) }
+/// The greatest common divisor of the differences between these ascending numbers; 1 if there are no
+/// differences.
+pub fn common_step(numbers: &[u64]) -> u64 {
+    fn common_divisor(a: u64, b: u64) -> u64 {
+        if b == 0 { a } else { common_divisor(b, a % b) }
+    }
+    numbers.windows(2).map(|pair| pair[1] - pair[0]).fold(0, common_divisor).max(1)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn step_divides_all_differences() {
+        for (numbers, step) in [
+            (&[][..], 1),
+            (&[5], 1),
+            (&[0, 100, 300], 100),
+            (&[1, 3, 5], 2),
+            (&[1, 3, 6], 1),
+            (&[0, u64::MAX], u64::MAX),
+        ] {
+            assert_eq!(common_step(numbers), step, "{numbers:?}");
+        }
+    }
 
     #[test]
     fn greatest_common_step_becomes_one_frame() {

@@ -14,6 +14,7 @@ use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::io::{self, Cursor, Read, Write};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use meniscus_formats::usda::{ClipFile, StageClips, UsdStage, stage_text};
 use meniscus_formats::{is_complete, read_provenance, vdb};
@@ -98,6 +99,12 @@ pub fn write_stage(
 
 /// If files change faster than this, the next frame updates the stage.
 const ROUNDS_MAX: usize = 8;
+
+/// The earliest time for the next update of stages, after they were written from `start` until now: a second
+/// later, and so late that frames wait for stages for at most a twentieth of the time.
+pub fn next_stage_update(start: Instant) -> Instant {
+    Instant::now() + Duration::from_secs(1).max(20 * start.elapsed())
+}
 
 /// The name whose value is the number of frames of a stage.
 const STAGE_FRAMES: &str = "stage_frames";

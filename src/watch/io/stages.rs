@@ -9,17 +9,13 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::pipeline::{
-    FrameFile, OutputFormat, OutputOptions, Sequence, StageFrame, StageSequence, sequences,
-    sweep_temporaries, write_stage,
+    FrameFile, OutputFormat, OutputOptions, Sequence, StageFrame, StageSequence, next_stage_update,
+    sequences, sweep_temporaries, write_stage,
 };
 use crate::watch::config::WatchConfig;
 use crate::watch::journal::{Entry, JournaledFrame};
 
 use super::canonical_path::canonical_path;
-
-/// The shortest time between two updates, and how many times longer it is than writing takes.
-const UPDATE_EVERY: Duration = Duration::from_secs(1);
-const PAUSE_FACTOR: u32 = 20;
 
 /// How soon a stage that cannot be written is tried again.
 const RETRY: Duration = Duration::from_secs(10);
@@ -87,8 +83,7 @@ impl FolderStages {
         for stage in &mut self.stages {
             has_failed |= !stage.write(frames);
         }
-        let pause = UPDATE_EVERY.max(PAUSE_FACTOR * start.elapsed());
-        self.paused_until = Instant::now() + pause;
+        self.paused_until = next_stage_update(start);
         self.due = has_failed.then(|| Instant::now() + RETRY);
     }
 }
