@@ -477,6 +477,6 @@ mod tests {
         report.certificate.mesh_is_closed_manifold = true;
         let written = serde_json::to_string(&certificate_record(&report)).expect("written");
         let read: CertificateRecord = serde_json::from_str(&written).expect("read");
-        assert_eq!(read.fault(), Ok(Some("1 vertices too far from particles".to_owned())));
+        assert_eq!(read.fault(), Ok(Some("1 vertex too far from particles".to_owned())));
     }
 }
