@@ -48,7 +48,7 @@ pub struct SequenceRecord {
     spacing_confidence: Option<f64>,
     /// Null if `spacing_confidence` is null.
     spacing_measured_on: Option<String>,
-    /// The median of per-particle radii, if the spacing was measured; else null.
+    /// The median r_min of particles with radii of their own, if it was measured; else null.
     radius_median: Option<f64>,
     #[serde(flatten)]
     settings: Option<Object>,
