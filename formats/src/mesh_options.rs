@@ -42,8 +42,9 @@ pub struct MeshOptions {
     /// For each triangle, whether it and the next one form a quad, which is then written as one face. Empty:
     /// all faces are triangles.
     pub quads: Arc<[bool]>,
-    /// Whether to write the arrays of text USD a second time, as time samples, which a stage plays. Binary
-    /// USD always has them, because there they refer to the same arrays.
+    /// Whether to write the arrays of text USD, except uniform ones, a second time as time samples, because a
+    /// stage plays only time samples. Binary USD always has time samples: they need no second copy there,
+    /// because a time sample and the default value refer to one array.
     pub time_samples: bool,
 }
 
@@ -79,7 +80,7 @@ pub enum WriteOption {
     Size,
     /// The camera of a picture.
     Camera,
-    /// Arrays as time samples, which a stage needs: no setting of its own.
+    /// Arrays as time samples, which a stage that plays text USD needs. Not a setting: the caller decides.
     TimeSamples,
 }
 

@@ -97,8 +97,8 @@ fn rows_columns_and_head_beyond_limits_are_an_error() {
         ("rows", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n", "more rows than the limit of 2"),
         ("columns", wide.as_str(), "more columns than the limit of 4096"),
         ("columns of numbers", &"1,".repeat(5000), "more columns than the limit of 4096"),
-        ("head", &long_head, "no line end in the first 1048576 bytes"),
-        ("line", &long_line, "no line end in the first 1048576 bytes"),
+        ("head", &long_head, "no row ends in the first 1048576 bytes"),
+        ("line", &long_line, "no row ends in the first 1048576 bytes"),
     ];
     let limits = Limits { particle_count: 2, ..Limits::default() };
     for (case, text, expected) in table {

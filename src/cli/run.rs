@@ -85,7 +85,7 @@ pub(super) struct Batch<'a> {
     sequence_names: Vec<String>,
     record: RunRecord,
     outcomes: Outcomes,
-    /// The stage of the frames, if there is one.
+    /// The USD stage of `--stage`, which plays the frames, if one is written.
     pub(super) stage: Option<StageWriter>,
 }
 
@@ -101,12 +101,14 @@ struct Outcomes {
     failures: Vec<String>,
     /// The value of `noted_count` at the first failure.
     failed_first: Option<usize>,
-    /// The warnings that were printed for each sequence, and the number of similar ones that were suppressed.
+    /// The warnings that were printed, by the index of their sequence.
     printed: HashMap<usize, ReportedWarnings>,
+    /// The number of warnings, of all sequences, that were not printed because a similar one of the same
+    /// sequence was.
     suppressed_count: usize,
     /// Whether the hint about unused velocities was printed.
     is_velocity_hinted: bool,
-    /// The .glb files of the converted frames.
+    /// The .glb files of the frames that were converted, by this run or an earlier one.
     sequence_frames: Vec<SequenceSource>,
 }
 
@@ -311,7 +313,8 @@ impl<'a> Batch<'a> {
         self.outcomes.noted_count
     }
 
-    /// The .glb files of the converted frames, in the order of the inputs.
+    /// The .glb files of the frames that were converted, by this run or an earlier one, in the order of the
+    /// inputs.
     pub(super) fn sequence_frames(&self) -> &[SequenceSource] {
         &self.outcomes.sequence_frames
     }

@@ -1,6 +1,5 @@
 //! Formats numbers and counts for messages.
 
-#[cfg(any(test, feature = "pipeline"))]
 /// A count with its noun, in the plural unless the count is 1.
 pub(crate) fn pluralize(count: usize, noun: &str) -> String {
     if count == 1 {

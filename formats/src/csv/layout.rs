@@ -56,7 +56,8 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<TableLayout> {
     head.above_nothing(bytes, lines.number, limits)
 }
 
-/// Whether a text starts like a table: with a header that fits the line below it, or with a row.
+/// Whether a text starts like a table: with a row, or with a header that fits the line below it, if there is
+/// one. A text of comments only is a table without rows if a comment is a header.
 ///
 /// This test is stricter than [`layout()`], whose callers expect a table: in other text, a sequence of words
 /// can name a position by chance.
@@ -255,7 +256,7 @@ fn header(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Option<C
         names.pop();
     }
     if delimiter == Delimiter::Byte(b'\t') && names.iter().skip(1).any(String::is_empty) {
-        return Ok(None); // several tabs in a row align the columns: blanks are the delimiter
+        return Ok(None); // consecutive tabs align the columns: blanks are the delimiter
     }
     for (index, name) in names.iter_mut().enumerate() {
         if name.is_empty() {
@@ -373,7 +374,7 @@ impl<'a> HeadLines<'a> {
                 Some(length) => length,
                 None if self.end == self.bytes.len() => rest.len(),
                 None => {
-                    let what = format!("no line end in the first {} bytes: this is not a table", self.end);
+                    let what = format!("expected a table, but no row ends in the first {} bytes", self.end);
                     return Err(Error::too_large(FORMAT, what));
                 }
             };

@@ -99,14 +99,16 @@ pub(super) fn document(json: &[u8]) -> Result<Document> {
             format!("the file requires the extension {extension}: export without it"),
         ));
     }
-    // Checks the accessors of attributes before the crate's validation, which would use an invalid index.
+    // Checks that the accessors of attributes exist. The crate's validation, which comes after this, indexes
+    // the accessors without a check, and would panic if one is missing.
     let attributes = root.meshes.iter().flat_map(|mesh| &mesh.primitives).flat_map(|part| &part.attributes);
     if let Some((_, index)) = attributes.into_iter().find(|(_, index)| root.get(**index).is_none()) {
         return Err(invalid(format!("there is no accessor {}", index.value())));
     }
     let mut wrong = None;
     validation::Validate::validate(&root, &root, json::Path::new, &mut |path, error| {
-        // Ignores missing items: this reader needs none of them, such as the bounds of positions.
+        // Ignores missing items, such as the bounds of positions, because this reader needs none of them.
+        // Ignores required extensions that the crate does not support, because they were checked above.
         if !matches!(error, validation::Error::Missing | validation::Error::Unsupported) && wrong.is_none() {
             wrong = Some(format!("{}: {error}", path()));
         }

@@ -281,7 +281,8 @@ fn values_of(source: &Source, spec: &Spec) -> Result<PropertyValues> {
     let times = times.offset(ValueType::DoubleVector).ok_or_else(|| unexpected(name))?;
     let mut cursor = source.at(times)?;
     if count(&mut cursor, "times")? != sample_count {
-        return Err(at.invalid(format!("{name} has {sample_count} samples, but a different number of times")));
+        let what = format!("{name} has {sample_count} time samples, but a different number of time codes");
+        return Err(at.invalid(what));
     }
     let times = cursor.take(sample_count.saturating_mul(8), "times")?.as_chunks().0;
     source.claim(sample_count, size_of::<(f64, ValueRep)>())?;

@@ -167,9 +167,9 @@ option_set! {
 
         /// Exit with status 0 even if some results fail validation
         ///
-        /// Each result is validated as it was written: every particle is inside, the surface is between its
-        /// bounds, the mesh is closed. A result that fails validation is kept, and the frame is named.
-        /// Without this option the exit status is then 1.
+        /// Each result is validated, with the vertex positions that are in its file: every particle is
+        /// inside, the surface is between its bounds, the mesh is closed. A result that fails validation is
+        /// kept, and the frame is named. Without this option the exit status is then 1.
         #[arg(long, help_heading = "Run")]
         pub(super) allow_violations: bool,
 
@@ -229,14 +229,14 @@ Choosing the spacing, the voxel size and the radii:
 
   --radius-ratio  r_max / r_min: how far smoothing may move the surface. More is smoother, less
                   follows the particles more closely.
-  --radius-init   where smoothing starts. The spheres of neighbouring particles must overlap, or the
-                  surface begins with holes that smoothing cannot close: about 0.9 spacings or more.
+  --radius-init   where smoothing starts: about 0.9 spacings or more. The spheres of neighbouring
+                  particles must overlap, or the surface begins with holes that smoothing cannot close.
   --position-smoothing
                   how far particles are first moved towards the mean of their neighbours. More makes the
                   surface smoother and steadier; 0 keeps every original position inside the surface.
 
   With --preset paper the radii follow h, as in the paper. If h is smaller than half the spacing,
-  also give the radii, in spacings; otherwise neighbouring spheres do not overlap:
+  neighbouring spheres would not overlap: also give the radii, in spacings, for example
   --voxel-size 0.25d --radius-min 0.866d --radius-init 1.3d.
 
 Exit status:

@@ -35,7 +35,8 @@ pub(in crate::cli) struct WatchArgs {
 
     /// Read folders and settings from this file; options given here override it
     ///
-    /// examples/meniscus.toml in the sources has every key, explained. SIGHUP reads it again.
+    /// examples/meniscus.toml in the sources has every key, explained. On SIGHUP, the daemon reads
+    /// FILE again.
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) config: Option<PathBuf>,
 

@@ -154,7 +154,7 @@ impl<'a> ConfigTable<'a> {
         };
         let wanted = wanted(option);
         if is_list(option) {
-            let wanted = format!("a list in brackets, each {wanted}");
+            let wanted = format!("a list in brackets, in which each item is {wanted}");
             let array = value.get_ref().as_array().ok_or_else(|| self.wrong(key, &wanted, value))?;
             if array.is_empty() && !is_path(option) {
                 let what = format_args!("`{key}` is empty: expected {wanted}");

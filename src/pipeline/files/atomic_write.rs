@@ -66,8 +66,8 @@ pub(crate) fn stage(
     StagedFile::write(path, write)
 }
 
-/// Renames a file under the lock, so that [`stop_writing`] runs before or after the rename, but not during
-/// it.
+/// Renames a file, and holds the lock of [`active_temporaries`] meanwhile, so that [`stop_writing`] runs
+/// before or after the rename, but not during it.
 fn rename_locked(from: &Path, to: &Path) -> io::Result<()> {
     let temporaries = active_temporaries();
     let renamed = fs::rename(from, to);

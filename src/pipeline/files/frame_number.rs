@@ -12,8 +12,8 @@
 //! ```
 //!
 //! These rules use only the name itself. If a name has only versions and counts, one of them is the frame
-//! number. Then [`varying_number`] and [`numbers_behind_shots`] correct the number: they compare names that
-//! differ only in numbers.
+//! number. Afterwards [`varying_number`] and [`numbers_behind_shots`] compare names that differ only in
+//! numbers, and correct the choice.
 
 use std::collections::HashSet;
 use std::ops::Range;

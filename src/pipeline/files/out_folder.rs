@@ -66,7 +66,7 @@ fn made(folder: &Path, result: io::Result<()>) -> Result<(), OutFolderError> {
 /// Refuses a path that cannot become a folder because it or one of its parents is a file. Creates nothing.
 ///
 /// # Errors
-/// The file.
+/// [`OutFolderError::File`], which names the file, if the path or one of its parents is one.
 pub fn refuse_file_for_folder(folder: &Path) -> Result<(), OutFolderError> {
     let file = folder.ancestors().find(|part| part.metadata().is_ok_and(|metadata| !metadata.is_dir()));
     match file {
@@ -79,7 +79,7 @@ pub fn refuse_file_for_folder(folder: &Path) -> Result<(), OutFolderError> {
 /// an error here: space may become free before the first output is written.
 ///
 /// # Errors
-/// When no file can be written.
+/// When no file can be written, for another reason than a full disk.
 pub fn check_out_folder(folder: &Path) -> Result<(), OutFolderError> {
     // Creates a file in the same way as for an output, because permissions alone do not show whether that
     // works.
@@ -91,11 +91,13 @@ pub fn check_out_folder(folder: &Path) -> Result<(), OutFolderError> {
     }
 }
 
-/// Removes the temporary files of a killed process from a folder, and completes or undoes its partial
-/// replacements. Returns warnings about files that were left in place.
+/// Removes the temporary files that killed processes left in a folder. If such a process has replaced only
+/// some files of a set (see `file_set`), replaces the others too, or restores the old ones. Returns warnings
+/// about files that were left in place.
 ///
 /// # Errors
-/// When a partial replacement cannot be undone.
+/// When the folder cannot be listed for another reason than missing permission, or a set of files is only
+/// partly replaced and its old files cannot be restored.
 pub fn recover_out_folder(folder: &Path) -> Result<Vec<String>, OutFolderError> {
     let shown = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     match sweep_temporaries(shown) {
@@ -107,8 +109,8 @@ pub fn recover_out_folder(folder: &Path) -> Result<Vec<String>, OutFolderError> 
     }
 }
 
-/// The final name of the temporary file by which [`check_out_folder`] tests a folder. No file ever gets this
-/// name.
+/// [`check_out_folder`] tests a folder with a temporary file whose name is formed from this one. That file is
+/// removed and never renamed, so no file ever has exactly this name.
 const TRIED: &str = "tried";
 
 /// Whether the disk or a quota is full: the operation can succeed once there is space.
@@ -126,7 +128,7 @@ impl fmt::Display for OutFolderError {
             OutFolderError::Recover { source: SweepError::Folder(source), .. } => {
                 return write!(f, "{}: cannot look for interrupted conversions: {source}", folder.display());
             }
-            // The error names the record.
+            // The text of this error already begins with a path, that of the record of the file set.
             OutFolderError::Recover { source, .. } => return source.fmt(f),
             _ => {}
         }
@@ -182,10 +184,8 @@ mod tests {
         fs::write(&left, "half a fra").expect("written");
         make_out_folder(folder.path()).expect("there");
         assert!(left.exists());
-        // Another thread of this process may be starting a child, which holds the lock for a moment.
-        while left.exists() {
-            recover_out_folder(folder.path()).expect("readable");
-        }
+        recover_out_folder(folder.path()).expect("readable");
+        assert!(!left.exists());
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! Paths in messages: the copy of the standard input is shown as the standard input.
+//! Paths in messages. The standard input is copied to a file before it is read: messages show the path of
+//! this file as the standard input.
 
 use std::fmt;
 use std::path::{Path, PathBuf};

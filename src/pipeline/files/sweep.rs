@@ -1,4 +1,5 @@
-//! Cleans up after killed processes: removes temporary files, and completes or undoes partial replacements.
+//! Cleans up after killed processes: removes temporary files. If a process has replaced only some files of a
+//! [set](super::file_set), replaces the others too, or restores the old ones.
 
 use std::fmt;
 use std::fs;
@@ -29,7 +30,7 @@ pub fn remove_left_behind() -> usize {
 pub struct Swept {
     /// The number of temporary files it removed, plus the number of file sets it completed or undid.
     pub count: usize,
-    /// Records that it left in place, with the reason and the remedy.
+    /// Warnings about records of file sets that it left in place, with the reason and the remedy.
     pub warnings: Vec<String>,
 }
 
@@ -38,9 +39,9 @@ pub struct Swept {
 pub enum SweepError {
     /// The folder cannot be listed.
     Folder(io::Error),
-    /// A partial replacement of an interrupted process cannot be undone.
+    /// An interrupted process replaced only some files of a set, and the old ones cannot be restored.
     Recover {
-        /// The record of these files.
+        /// The record of the set.
         record: PathBuf,
         /// Why.
         source: io::Error,
@@ -79,7 +80,7 @@ fn is_gone(error: &io::Error) -> bool {
 /// counts as abandoned if it was not written for a day. Leaves files that it may not remove.
 ///
 /// # Errors
-/// When the folder cannot be read, or a partial replacement cannot be undone.
+/// When the folder cannot be read, or the old files of a partly replaced set cannot be restored.
 pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
     let (mut records, mut temporaries, mut old_files) = (Vec::new(), Vec::new(), Vec::new());
     for entry in fs::read_dir(folder).map_err(SweepError::Folder)? {
@@ -114,7 +115,7 @@ pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
             Err(source) => failure = Some(SweepError::Recover { record: path, source }),
         }
     }
-    // Whichever process recovers the remaining sets needs their temporary files.
+    // If sets remain, the process that recovers them needs their temporary files.
     if !is_other_at_it && failure.is_none() {
         swept.count += temporaries.iter().filter(|path| sweep(path).unwrap_or(false)).count();
     }

@@ -48,7 +48,8 @@ impl Temporary {
     /// # Errors
     /// When the system reports an error.
     pub(crate) fn create_named(path: &Path, mut next_name: impl FnMut() -> String) -> io::Result<Temporary> {
-        // Locked until the file is registered, so that `stop_writing` misses none.
+        // The mutex of the set is held until the new file is in the set, so that `stop_writing`, which locks
+        // the same mutex, removes every temporary file.
         let mut temporaries = active_temporaries();
         let mut attempt_count = 0;
         loop {
@@ -143,7 +144,7 @@ pub(crate) fn active_temporaries() -> MutexGuard<'static, HashSet<PathBuf>> {
 
 /// Creates a locked file; `None` if another process swept it away before it was locked.
 fn create_locked(path: &Path) -> io::Result<Option<File>> {
-    // Never opens an existing file, which another process may be writing, or a link.
+    // Opens neither an existing file, because another process may be writing it, nor a link.
     let file = OpenOptions::new().write(true).create_new(true).open(path)?;
     match file.try_lock() {
         Err(TryLockError::WouldBlock) => return Ok(None),

@@ -4,13 +4,13 @@
 //! ```text
 //!   dam.0012.glb                 records its input and settings
 //!   dam.0012.vdb                 the same
-//!   dam.0012.certificate.json    records what was checked of them, and the hash of each
+//!   dam.0012.certificate.json    records what was checked in them, and the hash of each
 //! ```
 //!
 //! An output cannot record the checks of its own final bytes, and the log of a run may be lost or belong to
-//! another run. The hashes bind the certificate to the exact bytes that were checked, so later readers need
-//! neither the run nor its machine to trust them. The certificate appears after the outputs: if it exists,
-//! they do.
+//! another run. The hashes bind the certificate to the exact bytes that were checked, so a later reader can
+//! trust the outputs without the run and its machine. The certificate appears after the outputs: if it
+//! exists, the outputs exist too.
 //!
 //! Like all outputs, it depends only on the input, the settings and the version of this program.
 

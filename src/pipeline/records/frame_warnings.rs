@@ -66,8 +66,8 @@ pub(crate) fn left_out(report: &ReconstructionReport) -> Option<Warning> {
 }
 
 /// Warnings about the shapes of particles. Thin ellipsoids that are widened to the grid's resolution cause no
-/// warning, because at the default radii nearly all are. A few particles that are not stretched cause none
-/// either, because isolated drops are not.
+/// warning, because at the default radii nearly all are widened. A few particles that are not stretched cause
+/// no warning either, because isolated drops are not stretched.
 fn shape_warnings(report: &ReconstructionReport) -> impl Iterator<Item = Warning> {
     let shape_stats = &report.shapes;
     // If the neighbour search found near particles, isolated ones are normal.

@@ -46,7 +46,7 @@ pub enum InspectedState {
     /// A file was truncated or changed.
     Damaged(String),
     /// A file was made from another version of the input, with other settings, or by another version of the
-    /// program.
+    /// program; or the input or an obstacle exists but cannot be read, so that this is unknown.
     Stale(String),
     /// All outputs are complete and up to date, but a check failed.
     Uncertified(String),
@@ -55,9 +55,9 @@ pub enum InspectedState {
 /// The known inputs of a frame; `None` is unknown, and not compared.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct MadeFrom {
-    /// The hash of the file.
+    /// The hash of the input file.
     pub(crate) input_hash: Option<u128>,
-    /// The record of its obstacles.
+    /// The names and hashes of its obstacle files, as provenance has them.
     pub(crate) obstacles: Option<String>,
 }
 

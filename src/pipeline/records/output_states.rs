@@ -12,12 +12,12 @@
 //! The daemon keeps these records in its journal. `convert --skip-done` keeps them in
 //! `.meniscus/outputs.json` in the folder of the outputs, together with failed checks, so that a frame that
 //! failed validation still counts as failed when it is skipped. A plain `convert` records the outputs of
-//! frames that failed validation, and outputs that have a record already. Without that file, hashes are not
-//! compared.
+//! frames that failed validation, and outputs that have a record already. Without `outputs.json`, hashes are
+//! not compared.
 //!
-//! `watch` and older versions of this program replace outputs without an update of this file. So each record
-//! has the hash of the output's provenance, which names the input and the settings. A record with another
-//! provenance describes an earlier file, and is ignored.
+//! `watch` and older versions of this program replace outputs and do not update `outputs.json`. So each
+//! record has the hash of the output's provenance, which names the input and the settings. A record with
+//! another provenance describes an earlier file, and is ignored.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, OpenOptions, TryLockError};
@@ -63,8 +63,8 @@ impl OutputState {
         }
     }
 
-    /// The current state of the file at `path`, which was recorded with this state. If its stamp is
-    /// unchanged, the file is not read, and this state is returned.
+    /// The current state of the file at `path`, whose recorded state is `self`. If the stamp of the file is
+    /// unchanged, the file is not read, and `self` is returned.
     ///
     /// # Errors
     /// Those of [`of_path`](OutputState::of_path).
@@ -92,7 +92,7 @@ struct Record {
     /// The failed checks of its frame; `None` if all passed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     fault: Option<String>,
-    /// Whether it was loaded from a file of records, and that file still has it.
+    /// Whether the file of records has it, because it was loaded from there or saved there.
     #[serde(skip)]
     is_loaded: bool,
 }

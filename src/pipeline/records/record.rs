@@ -1,7 +1,8 @@
 //! The report of a run, as JSON.
 //!
-//! Measurements of the method are written with the serde names of its types. Lengths are in world units
-//! unless the name says otherwise; infinite or unknown values are null.
+//! Structs of measurements from `crate::surface`, such as [`MeshMeasures`], are serialized as they are: the
+//! names in the report are the serde names of their fields. Lengths are in world units unless the name says
+//! otherwise; infinite or unknown values are null.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -41,13 +42,13 @@ pub struct RunRecord {
 #[derive(Clone, Debug, Serialize)]
 pub struct SequenceRecord {
     sequence: String,
-    /// Null where there are no settings.
+    /// Null without settings, and for level sets.
     spacing: Option<f64>,
     /// From 0 to 1; null if the spacing was given, or is not needed.
     spacing_confidence: Option<f64>,
     /// Null if `spacing_confidence` is null.
     spacing_measured_on: Option<String>,
-    /// The median of per-particle radii, if the spacing was measured; else null.
+    /// The median r_min of particles with radii of their own, if it was measured; else null.
     radius_median: Option<f64>,
     #[serde(flatten)]
     settings: Option<Object>,
@@ -116,11 +117,12 @@ struct ObstaclesRecord {
     particles_inside: usize,
     /// Voxels that were filled because the gap to an obstacle was too narrow.
     void_voxels_filled: u64,
-    /// Voxels that obstacles removed from the inner spheres of particles.
+    /// Voxels in an obstacle that are in the r_min sphere of a particle, or nearer to one than to the
+    /// obstacle's surface.
     voxels_taken: u64,
     /// How deep the deepest vertex is in an obstacle; 0 if none is inside.
     deepest_vertex_voxels: f64,
-    /// Vertices that were moved out of an obstacle that is sharper than the grid.
+    /// Vertices that were inside an obstacle, at edges that the grid cannot resolve, and were moved out.
     vertices_cleared: u64,
 }
 
@@ -151,8 +153,8 @@ pub(crate) struct CertificateRecord {
     /// The particles whose positions in the file are outside the surface. Null unless position smoothing
     /// moved the particles.
     given_outside: Option<ParticlesOutside>,
-    /// Particles that were not checked, because they are in a dropped island, beyond or beside the faces of a
-    /// box, or in or beside an obstacle.
+    /// Particles near the surface that were not checked, because they are in a dropped island, outside the
+    /// clip box or within a voxel of its faces, or in an obstacle or within a voxel of it.
     particles_exempt: usize,
     /// Vertices that were out of their bounds, and were moved back.
     vertices_returned: usize,
@@ -259,8 +261,8 @@ impl RunRecord {
 }
 
 impl SequenceRecord {
-    /// A sequence with its settings, the source of its voxel size unless that was given, its outputs, and its
-    /// obstacles.
+    /// A sequence with its settings. `measured`: its particle spacing, with confidence and source, if it was
+    /// measured. `written`: the options of its outputs, and its obstacles.
     pub fn new(
         name: &str,
         job: &Job,
@@ -310,7 +312,8 @@ impl Serialize for Object {
     }
 }
 
-/// The settings for particles: some as numbers, and the others, if they were given, as text by name.
+/// The settings for particles. The main ones have keys of their own, with numbers or names as values. The
+/// others are in the object `more`, with text as values; those that change nothing are left out.
 fn settings_of_particles(
     settings: &Settings,
     (outputs, obstacles): (&OutputOptions, &ObstacleFiles),
@@ -477,6 +480,6 @@ mod tests {
         report.certificate.mesh_is_closed_manifold = true;
         let written = serde_json::to_string(&certificate_record(&report)).expect("written");
         let read: CertificateRecord = serde_json::from_str(&written).expect("read");
-        assert_eq!(read.fault(), Ok(Some("1 vertices too far from particles".to_owned())));
+        assert_eq!(read.fault(), Ok(Some("1 vertex too far from particles".to_owned())));
     }
 }

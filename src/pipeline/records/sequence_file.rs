@@ -216,7 +216,7 @@ impl FrameReader {
     }
 }
 
-/// Enough bytes to recognise an archive.
+/// Enough bytes to recognise an `.abc`.
 const MAGIC_BYTES: u64 = 8;
 
 impl Read for FrameReader {
@@ -245,7 +245,7 @@ fn read_frame(source: &SequenceSource) -> Result<SourceFrame<'_>, meniscus_forma
     Ok(SourceFrame { source, stamp, file, notes })
 }
 
-/// Opens the frames; returns those that cannot be read with the reason.
+/// Opens the frames. Returns those that can be read, and the paths of the others, each with the reason.
 fn read_frames(sources: &[SequenceSource]) -> (Vec<SourceFrame<'_>>, Vec<(PathBuf, String)>) {
     let (mut source_frames, mut left_out) = (Vec::new(), Vec::new());
     for source in sources {

@@ -7,7 +7,7 @@
 //! A stage depends only on the names of the frames and on which of their files exist: outputs appear
 //! complete, by rename. So every process that knows the frames writes the same stage at any time: `convert`
 //! and the daemon while frames arrive, and each shard of a farm. Shards need no order: each looks for files
-//! again after it has written, so the last one to write has seen the files of all.
+//! again after it has written the stage, so the last one to write it has seen the files of all.
 
 use std::cmp::Reverse;
 use std::collections::{HashMap, HashSet};
@@ -97,7 +97,7 @@ pub fn write_stage(
     Ok(stage_of(outputs, (path, fps), sequences).map_err(fail)?.map(|(_, report)| report))
 }
 
-/// If files change faster than this, the next frame updates the stage.
+/// How many times to write the stage. If files still change then, the next frame updates it.
 const ROUNDS_MAX: usize = 8;
 
 /// The earliest time for the next update of stages, after they were written from `start` until now: a second
@@ -106,7 +106,7 @@ pub fn next_stage_update(start: Instant) -> Instant {
     Instant::now() + Duration::from_secs(1).max(20 * start.elapsed())
 }
 
-/// The name whose value is the number of frames of a stage.
+/// The name in provenance whose value is the number of frames of a stage.
 const STAGE_FRAMES: &str = "stage_frames";
 
 fn provenance(report: StageReport) -> Vec<(String, String)> {
@@ -116,8 +116,8 @@ fn provenance(report: StageReport) -> Vec<(String, String)> {
 }
 
 /// The bytes of an existing stage; `None` if there is no file. Refuses a file that is not a stage of this
-/// program, or that another program has changed, which drops the comment at its end: a user may keep a shot
-/// under this name.
+/// program, because it may be a user's shot. Also refuses a stage that another program has changed: when such
+/// a program saves the stage, it drops the comment at the end.
 fn known_text(path: &Path) -> Result<Option<Vec<u8>>, String> {
     let refused = || "exists, and is not a stage of meniscus: choose another name".to_owned();
     let mut file = match open_regular(path) {
@@ -145,7 +145,8 @@ fn stage_of(
 ) -> Result<Option<(UsdStage, StageReport)>, String> {
     let mut assets = AssetPaths::new(path)?;
     let (mut found, mut report) = (Vec::new(), StageReport::default());
-    // Inputs may have the same outputs, as when a file was compressed: a stage lists these once.
+    // Two inputs may have the same outputs, for example a file and its compressed copy: a stage lists these
+    // outputs once.
     let mut listed = HashSet::new();
     for StageSequence { name, frames } in sequences {
         let frames: Vec<&StageFrame> =
@@ -178,7 +179,8 @@ fn stage_of(
 /// Files of frames that exist.
 struct ExistingFiles<'a> {
     clips: Vec<ClipFile>,
-    /// The index and path of the largest file. An empty frame may lack attributes, so this one declares them.
+    /// The index and path of the largest file, which declares the attributes, because the file of an empty
+    /// frame may lack some.
     largest: Option<(usize, &'a Path)>,
 }
 
@@ -243,8 +245,9 @@ fn not_unicode(path: &Path) -> String {
     format!("{} is not Unicode, so a stage cannot name it", path.display())
 }
 
-/// The path from one folder to another, with `/` after each name. It starts with a dot: otherwise programs
-/// would look for it elsewhere, too. It is absolute if the folders have only the root in common.
+/// The path from one folder to another, with `/` after each name; absolute if the folders have only the root
+/// in common. A relative path starts with a dot: otherwise programs would also search for it in other
+/// folders.
 fn relative_folder(from: &Path, to: &Path) -> Result<String, String> {
     let common = from.components().zip(to.components()).take_while(|(from, to)| from == to).count();
     let mut relative = match from.components().count() - common {

@@ -1,28 +1,30 @@
 //! The contact of fluid and obstacles: makes φ and its bounds respect the obstacles (paper, §3.6, Eq. 12).
 //!
 //! ```text
-//!          fluid                    fluid                 φ_0    initial signed distance of the fluid
-//!       ╭───╮  ╭──╮              ·        ·               φ_o    signed distance to the obstacle
-//!     ──╯   ╰──╯  ╰──          ──╮        ╭──
-//!      void     ▲                ╰────────╯               φ_0 + φ_o < ε: the void is filled, and the
-//!   ───────────────────       ───────────────────         fluid touches the obstacle without a gap
-//!        obstacle                  obstacle
+//!   ──╮    fluid     ╭──    ──╮    fluid     ╭──          φ_0    initial signed distance of the fluid
+//!     │              │        │              │            φ_o    signed distance to the obstacle
+//!     │              │        │              │
+//!     ╰──────────────╯        │              │            φ_0 + φ_o < ε in the void below the fluid: it is
+//!           void              │              │            filled, and the fluid touches the obstacle
+//!   ────────────────────    ──┴──────────────┴──          without a gap. Beside it, the gap is wider, and
+//!         obstacle                obstacle                stays.
 //! ```
 //!
 //! Intersections: φ ≥ −φ_o is a lower bound. It overrides the inner spheres of particles inside the obstacle.
 //!
 //! Voids: the paper sets φ = −φ_o where φ_0 > 0, φ_o > 0 and φ_0 + φ_o < ε. The filled part then ends in
-//! steps of one voxel. Here it ends where φ_0 + φ_o = ε, between voxels. With a steepness k:
+//! steps of one voxel. Here it ends where φ_0 + φ_o = ε, between voxels. With a steepness k, where φ_o < ε:
 //!
 //! ```text
 //!   φ = max(min(φ_0, k·(φ_0 + φ_o − ε)), −φ_o)
 //! ```
 //!
-//! This is the paper's value, except within ε/k of the end of the filled part. (Compared with the paper's
-//! steps, the edge around a drop on a floor has three quarters of the bending energy, and vertices are half
-//! as deep in the floor.) The same formula applies inside the wall. If only the voxels outside the obstacle
-//! had this value, the zero crossing would be interpolated between them and the φ_0 inside the wall, which is
-//! too large there.
+//! Where φ_0 > 0 and φ_o > 0, this is the paper's value, unless φ_0 + φ_o is between ε − ε/k and
+//! ε + ε/(k − 1). In the fluid near a wall it may be lower than the paper's, with the same sign. (Compared
+//! with the paper's steps, the edge around a drop on a floor has three quarters of the bending energy, and
+//! vertices are half as deep in the floor.) The same formula applies inside the wall. If only the voxels
+//! outside the obstacle had this value, the zero crossing would be interpolated between them and the φ_0
+//! inside the wall, which is too large there.
 //!
 //! The voids are found once, from φ_0. If they were searched again after smoothing, the fluid would climb the
 //! walls. Instead, the φ of the formula above is kept as an upper bound where a void was filled, and where
@@ -45,7 +47,8 @@ use crate::surface::simd::{self, Kernel, Lanes};
 pub struct ContactStats {
     /// Voxels between surface and obstacle that were filled.
     pub void_count: u64,
-    /// Voxels that obstacles removed from the inner spheres of particles.
+    /// Voxels in an obstacle that are in the r_min sphere of a particle, or nearer to one than to the
+    /// obstacle's surface.
     pub displaced_voxel_count: u64,
     /// Particles inside an obstacle.
     pub particle_count: usize,

@@ -124,8 +124,8 @@ impl LeafView<'_> {
         Some(squared.sqrt() / self.voxel_size)
     }
 
-    /// The side of the whole leaf, if no patch over a hole is within `far` voxels of the leaf. The caller
-    /// must ensure that no triangle is within this distance.
+    /// The side of the whole leaf, if certainly no patch over a hole is within `far` voxels of the leaf. The
+    /// caller must ensure that no triangle is within this distance.
     fn side(&self, far: f64) -> Option<ObstacleLeaf> {
         let slope = self.slope_bound(RADIUS + far);
         if slope == f64::INFINITY {
@@ -136,13 +136,15 @@ impl LeafView<'_> {
         is_certain.then_some(if beyond > 0.0 { ObstacleLeaf::Inside } else { ObstacleLeaf::Outside })
     }
 
-    /// Upper bound of the change of the winding number per voxel, within `radius` voxels of the centre.
+    /// Upper bound of the change of the winding number per voxel, within `radius` voxels of the centre,
+    /// between triangles. (Across a triangle, the number jumps.)
     fn slope_bound(&self, radius: f64) -> f64 {
         self.surface.boundary.slope_bound(self.center, radius * self.voxel_size) * self.voxel_size
     }
 
-    /// The triangles within `far` of the leaf's box and within `reach` of its centre, in voxels, and the
-    /// triangles that share a leaf of the tree with them.
+    /// All triangles within `far` of the leaf's box and within `reach` of its centre, in voxels, and some
+    /// that are farther away: whole nodes of the triangle tree, of up to eight triangles, are tested by their
+    /// boxes.
     fn near(&self, far: f64, reach: f64) -> Vec<Triangle8> {
         let mut packets = Vec::new();
         let [half_edge, far, reach] =

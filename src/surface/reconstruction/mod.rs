@@ -78,8 +78,8 @@ pub struct RasterizedFrame {
     band: NarrowBand,
     bounds: Bounds,
     obstacles: Obstacles,
-    /// Original positions of moved particles that may lie outside the surface; `None` if no particle was
-    /// moved.
+    /// The particles that position smoothing moved and whose input positions may be outside the surface,
+    /// batch by batch; `None` if it moved no particle.
     possibly_outside: Option<Vec<Vec<MovedParticle>>>,
     report: ReconstructionReport,
 }
@@ -111,9 +111,10 @@ impl SmoothedFrame {
 
 /// Reconstructs the surface of one frame: applies anisotropy, rasterizes, smooths, contours. Runs in the
 /// caller's rayon pool; the same particles and settings give bit-identical results on any number of threads.
-/// Particles are dropped, and counted in the report, if their position is not finite or outside the grid, or
-/// if they are outliers: more than 2²⁰ voxels from the median particle along an axis, and few (at most 8 or 1 %
-/// of all, and fewer than half). [`plan_memory()`] detects voxels that are too small for a frame.
+/// Particles are dropped, and counted in the report, if their position is not finite or outside the grid's
+/// range of indices, or if they are outliers: more than 2²⁰ voxels from the median of the particles along an
+/// axis. If outliers are more than 8 particles and more than 1 % of all, or at least half of all, none of
+/// them is dropped. [`plan_memory()`] detects voxels that are too small for a frame.
 ///
 /// Positions are in world units, like the voxel size and the radii in the settings. `docs/method.md` explains
 /// the method, after Bhattacharya, Gao and Bargteil.
@@ -125,7 +126,8 @@ impl SmoothedFrame {
 ///
 /// let settings = Settings::paper(0.1, &MethodOptions::default())?;
 /// let drop = reconstruct_frame(&OwnedPositions::F32(vec![[1.0, 2.0, 3.0]]), &settings);
-/// // An isolated particle becomes a ball, and the certificate confirms that it lies between its two radii.
+/// // An isolated particle becomes a ball, and the certificate confirms that the surface of the ball is
+/// // between the particle's r_min and r_max.
 /// assert!(drop.report.certificate.holds());
 /// assert_eq!(drop.mesh.measure().euler_characteristic, 2);
 /// # Ok::<(), meniscus::surface::options::SettingsError>(())
@@ -349,7 +351,7 @@ fn smooth_config(settings: &Settings) -> smooth::SmoothConfig {
         redistance_every: settings.redistance_every,
         cg_tolerance: settings.cg_tolerance,
         pin_isolated_spheres: can_spheres_shrink(settings),
-        // The offset makes the level at this distance the surface, so distances must be accurate up to there.
+        // The offset moves the surface to the level φ = offset, so distances must be accurate up to there.
         distances_voxels: (settings.offset / settings.voxel_size).abs() as f32,
     }
 }

@@ -44,6 +44,7 @@ pub use particle_checks::{CheckedRegion, ParticleChecks, check};
 use crate::surface::mesh::{Mesh, MeshMeasures};
 use crate::surface::rasterize::Radii;
 use crate::surface::space::Lattice;
+use crate::surface::words::pluralize;
 
 /// The results of the checks of the finished surface. [`holds`](Self::holds) says whether it passed all of
 /// them, and [`violations`](Self::violations) which ones failed. Distances are to the centre of the nearest
@@ -106,14 +107,20 @@ impl Certificate {
 
     /// The failed checks as text; empty if the surface passed all.
     pub fn violations(&self) -> String {
+        let mut faults = Vec::new();
+        if self.bound_violation_count > 0 {
+            faults.push(format!(
+                "the level set is outside its bounds (distances to the r_min and r_max spheres) at {}",
+                pluralize(self.bound_violation_count, "voxel")
+            ));
+        }
         let counts = [
-            (self.bound_violation_count, "voxels out of bounds"),
-            (self.vertices_inside_min, "vertices too near to particles"),
-            (self.vertices_outside_max, "vertices too far from particles"),
-            (self.particle_violation_count(), "particles outside"),
+            (self.vertices_inside_min, "vertex", "too near to particles"),
+            (self.vertices_outside_max, "vertex", "too far from particles"),
+            (self.particle_violation_count(), "particle", "outside"),
         ];
-        let counts = counts.into_iter().filter(|&(count, _)| count > 0);
-        let mut faults: Vec<String> = counts.map(|(count, what)| format!("{count} {what}")).collect();
+        let counts = counts.into_iter().filter(|&(count, ..)| count > 0);
+        faults.extend(counts.map(|(count, noun, what)| format!("{} {what}", pluralize(count, noun))));
         if !self.mesh_is_closed_manifold {
             faults.push("the mesh is not a closed 2-manifold".to_owned());
         }
