@@ -169,24 +169,40 @@ impl FileInfo {
         let limits = Limits::default();
         self.made_by = if codec.is_none() { made_by(kind, &bytes) } else { None };
         match kind {
-            ProbedKind::Format(Format::Vdb) if codec.is_none() => {
-                self.grids = Some(vdb::grids(&bytes, &limits)?.into_iter().map(GridRecord::from).collect());
+            ProbedKind::Format(format)
+                if codec.is_none() && self.fill_surface(format, &bytes, (&name, &limits))? => {}
+            _ => {
+                let frame = read_particles(&bytes, &name, &limits)?;
+                self.notes.clone_from(&frame.notes);
+                let measured = measure_spacing([path], None).ok();
+                self.particles = Some(ParticlesInfo::of(frame, measured.as_ref()));
             }
-            ProbedKind::Format(Format::Glb | Format::Gltf) if codec.is_none() => {
-                match gltf::read_sequence_info(&bytes)? {
-                    Some(gltf::SequenceInfo { frames, vertices, triangles }) => {
-                        let attributes = gltf::read_attribute_names(&bytes)?;
-                        self.set_sequence(frames, [vertices, triangles], attributes);
-                    }
-                    None => {
-                        let mesh = MeshInfo::of(&gltf::read_mesh(&bytes, &limits)?);
-                        self.mesh = Some(mesh.with_attributes(&gltf::read_attributes(&bytes, &limits)?));
-                    }
+        }
+        Ok(())
+    }
+
+    /// Describes a surface: grids, a mesh, a layer or a sequence of meshes. Returns whether the file has one;
+    /// all other files are read as particles.
+    fn fill_surface(
+        &mut self,
+        format: Format,
+        bytes: &[u8],
+        (name, limits): (&str, &Limits),
+    ) -> Result<bool> {
+        match format {
+            Format::Vdb => {
+                self.grids = Some(vdb::grids(bytes, limits)?.into_iter().map(GridRecord::from).collect());
+            }
+            Format::Glb | Format::Gltf => match gltf::read_sequence_info(bytes)? {
+                Some(info) => self.set_glb_sequence(info, gltf::read_attribute_names(bytes)?),
+                None => {
+                    let mesh = MeshInfo::of(&gltf::read_mesh(bytes, limits)?);
+                    self.mesh = Some(mesh.with_attributes(&gltf::read_attributes(bytes, limits)?));
                 }
-            }
-            ProbedKind::Format(Format::Usda) if codec.is_none() => match usda::read_layer_info(&bytes)? {
+            },
+            Format::Usda => match usda::read_layer_info(bytes)? {
                 Some(usda::LayerInfo { vertices, faces, frames: Some(frames) }) => {
-                    self.set_sequence(frames, [vertices, faces], usda::read_attribute_names(&bytes));
+                    self.set_sequence(frames, [vertices, faces], usda::read_attribute_names(bytes));
                 }
                 Some(usda::LayerInfo { vertices, faces, frames: None }) => {
                     self.layer = Some(LayerRecord { vertices, faces });
@@ -196,8 +212,8 @@ impl FileInfo {
                 }
                 None => self.notes.push("USD files of other programs are not read".to_owned()),
             },
-            ProbedKind::Format(Format::Usdc) if codec.is_none() => {
-                let layer = usdc::UsdcLayer::read(&bytes, &limits)?;
+            Format::Usdc => {
+                let layer = usdc::UsdcLayer::read(bytes, limits)?;
                 match layer.info() {
                     usdc::LayerInfo { vertices, faces, frames: Some(frames) } => {
                         let attributes = layer.attribute_names().map(str::to_owned).collect();
@@ -209,38 +225,35 @@ impl FileInfo {
                     }
                 }
             }
-            ProbedKind::Format(Format::Abc) if codec.is_none() => match abc::read_sequence_info(&bytes)? {
-                Some(gltf::SequenceInfo { frames, vertices, triangles }) => {
-                    let attributes = abc::read_attribute_names(&bytes)?;
-                    self.set_sequence(frames, [vertices, triangles], attributes);
-                }
-                None => self.mesh = Some(MeshInfo::of(&abc::read_mesh(&bytes, &limits)?)),
+            Format::Abc => match abc::read_sequence_info(bytes)? {
+                Some(info) => self.set_glb_sequence(info, abc::read_attribute_names(bytes)?),
+                None => self.mesh = Some(MeshInfo::of(&abc::read_mesh(bytes, limits)?)),
             },
-            ProbedKind::Format(Format::Vtp) if codec.is_none() && holds_polys(&bytes) => {
-                let mesh = vtk::read_mesh(&bytes, &limits)?;
-                let vertices = read_particles(&bytes, &name, &limits)?;
+            Format::Vtp if holds_polys(bytes) => {
+                let mesh = vtk::read_mesh(bytes, limits)?;
+                let vertices = read_particles(bytes, name, limits)?;
                 // The polygons are reported as a mesh, so the note that they are ignored is omitted.
                 let notes = vertices.notes.iter().filter(|note| *note != vtk::POLYGONS_NOTE);
                 self.notes = notes.cloned().collect();
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
             }
-            ProbedKind::Format(Format::Ply) if codec.is_none() && holds_mesh(&bytes, &limits)? => {
-                let (mesh, vertices) = ply::read_mesh_and_vertices(&bytes, &limits)?;
+            Format::Ply if holds_mesh(bytes, limits)? => {
+                let (mesh, vertices) = ply::read_mesh_and_vertices(bytes, limits)?;
                 self.notes.clone_from(&vertices.notes);
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
             }
-            ProbedKind::Format(format) if codec.is_none() && format.has_mesh() && !format.has_particles() => {
+            format if format.has_mesh() && !format.has_particles() => {
                 let no_files = |_: &str| -> io::Result<Vec<u8>> { Err(io::ErrorKind::NotFound.into()) };
-                self.mesh = Some(MeshInfo::of(&read_mesh(&bytes, &name, &limits, &no_files)?));
+                self.mesh = Some(MeshInfo::of(&read_mesh(bytes, name, limits, &no_files)?));
             }
-            _ => {
-                let frame = read_particles(&bytes, &name, &limits)?;
-                self.notes.clone_from(&frame.notes);
-                let measured = measure_spacing([path], None).ok();
-                self.particles = Some(ParticlesInfo::of(frame, measured.as_ref()));
-            }
+            _ => return Ok(false),
         }
-        Ok(())
+        Ok(true)
+    }
+
+    fn set_glb_sequence(&mut self, info: gltf::SequenceInfo, attributes: Vec<String>) {
+        let gltf::SequenceInfo { frames, vertices, triangles } = info;
+        self.set_sequence(frames, [vertices, triangles], attributes);
     }
 
     fn set_sequence(&mut self, frames: u64, counts: [u64; 2], attributes: Vec<String>) {
