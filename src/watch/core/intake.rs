@@ -147,7 +147,7 @@ impl Core {
             let path = self.root_path(root).to_owned();
             self.log_about(
                 path,
-                move |folder| tracing::warn!(%folder, "folder is unavailable: {why}; waiting for it"),
+                move |folder| tracing::warn!(%folder, "folder is unavailable: {why}; waiting until this changes"),
             );
         }
     }

@@ -483,7 +483,7 @@ fn unmounted_root_keeps_its_state() {
     rig.convert("/in0/a.1.ply");
     rig.started();
     for _ in 0..2 {
-        let found = Err("it is empty but had files before".to_owned());
+        let found = Err("it is empty but had files before (is it mounted?)".to_owned());
         rig.event(Event::RootScanned { root: 0, found, at: rig.now.at });
     }
     assert_eq!(rig.status(), "1 done, 0 queued; /in0 is unavailable");
