@@ -251,11 +251,11 @@ fn convert_shard(
     if let Some(sequence) = plan.sequences.first() {
         check_outputs(&planned, &inputs, &obstacles, &sequence.outputs, None)?;
     }
-    console.print_line(format_args!(
-        "shard {shard} of {}: {}",
-        plan.shards.len(),
-        pluralize(frames.len(), "frame")
-    ));
+    let numbers = match plan.shards.len() {
+        1 => "the only one".to_owned(),
+        count => format!("of 0 to {}", count - 1),
+    };
+    console.print_line(format_args!("shard {shard} ({numbers}): {}", pluralize(frames.len(), "frame")));
     for planned in frames {
         add_planned(&mut batch, planned, plan.frame(planned, &obstacles), console);
     }

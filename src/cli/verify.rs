@@ -106,7 +106,8 @@ fn summarize(verdicts: &PlanVerification, seconds: f64, console: &mut Console) {
     }
     let shards = verdicts.shards_to_run();
     if !shards.is_empty() {
-        console.print_line(format_args!("shards to run again: {}", in_ranges(&shards)));
+        let what = if shards.len() == 1 { "shard" } else { "shards" };
+        console.print_line(format_args!("run again: {what} {}", in_ranges(&shards)));
     }
 }
 

@@ -61,6 +61,8 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
     }
     let output_folders: Vec<PathBuf> =
         requested.watches.iter().map(|watch| watch.outputs.folder.clone()).collect();
+    let is_queued = record.is_some_and(|record| record.status == JournaledStatus::Queued);
+    let has_daemon = is_queued && !matches!(Holder::of(output)?, Holder::Unlocked);
     let settings = remembered_fingerprint(watch, &frame, state).filter(|_| requested.is_known);
     let explanation = explain(&Question {
         frame: &frame,
@@ -69,6 +71,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
         timeouts: &requested.timeouts,
         record,
         settings: settings.as_deref(),
+        has_daemon,
     })
     .with_context(|| frame.display().to_string())?;
     console.print_lines(lines(&frame, record, &explanation, requested.is_known, now_ms()));
@@ -225,7 +228,7 @@ fn recorded(record: &JournaledFrame, now_ms: u64) -> String {
         JournaledStatus::Done => "done",
         JournaledStatus::Failed => "failed",
         JournaledStatus::Retrying => "failed, will be retried",
-        JournaledStatus::Refused => "not converted: its outputs conflict with other files",
+        JournaledStatus::Refused => "not converted",
         JournaledStatus::RetriesExhausted => {
             "failed; will be retried when the file changes or the daemon restarts"
         }

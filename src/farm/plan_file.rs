@@ -183,7 +183,9 @@ pub fn parse(bytes: &[u8]) -> Result<ShardPlan, PlanError> {
         Some(other) => {
             return Err(PlanError::at(
                 "/meniscus_plan",
-                format!("plan version {other} is not supported (expected {VERSION})"),
+                format!(
+                    "plan version {other} is not supported (expected {VERSION}): run `meniscus plan` again, or use the version that wrote it"
+                ),
             ));
         }
     }

@@ -318,7 +318,11 @@ impl Warning {
                 "{name} is not in the .vdb, which can store only attributes of one or three floating-point numbers"
             ),
             Warning::ParticlesIgnored { count, near } => {
-                write!(f, "{} left out: not finite, or too far away", pluralize(count, "particle"))?;
+                let particles = pluralize(count, "particle");
+                write!(
+                    f,
+                    "{particles} left out: not finite, or too far from the origin or from the other particles"
+                )?;
                 near.map_or(Ok(()), |near| {
                     let [x, y, z] = near.to_array().map(significant);
                     write!(f, "; one is near ({x}, {y}, {z})")

@@ -244,8 +244,12 @@ impl<'a> EventLoop<'a> {
             }
             if overdue_at.is_some_and(|at| at <= Instant::now()) {
                 overdue_at = None;
+                let next = match command {
+                    DaemonRequest::Finish => "exiting without them; the next start converts them",
+                    DaemonRequest::Reload => "the reload still waits for those whose file system responds",
+                };
                 tracing::warn!(
-                    "frames in progress did not finish within {stop_deadline:?} (--stop-deadline)"
+                    "frames in progress did not finish within {stop_deadline:?} (--stop-deadline): {next}"
                 );
                 self.core.record_daemon(DaemonState::Stopped);
                 self.sync_journals()?;

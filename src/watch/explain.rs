@@ -43,6 +43,8 @@ pub struct Question<'a> {
     /// The [fingerprint](remembered_fingerprint) of its current settings. If it is unknown, the settings
     /// count as unchanged.
     pub settings: Option<&'a str>,
+    /// Whether a daemon writes into the folder of its outputs, or may do so.
+    pub has_daemon: bool,
 }
 
 /// The results of all checks.
@@ -97,7 +99,9 @@ pub enum FrameExplanation {
     NotAFrame(SniffedContent),
     /// The journal has no record of it, and these outputs say that they were made from the current file.
     Found(Vec<PathBuf>),
-    /// It is, or will be, converted, for this reason.
+    /// A running daemon has queued it, is converting it, or holds it for this reason.
+    Pending(Option<String>),
+    /// It will be converted, for this reason.
     Converted(Decision),
 }
 
@@ -137,7 +141,10 @@ pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
         None => (None, FrameExplanation::Missing),
         Some(seen) => {
             let (file, decision) = facts(question, &seen, output_missing.as_deref())?;
-            let verdict = if is_selected { verdict(&file, decision) } else { FrameExplanation::NotSelected };
+            let verdict = match is_selected {
+                true => verdict(question, &file, decision),
+                false => FrameExplanation::NotSelected,
+            };
             (Some(file), found_done(question, verdict)?)
         }
     };
@@ -146,12 +153,17 @@ pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
 
 /// Combines the checks in the order of the loop: first the record, then whether the file is complete, then
 /// its kind.
-fn verdict(file: &FileFacts, decision: Decision) -> FrameExplanation {
+fn verdict(question: &Question<'_>, file: &FileFacts, decision: Decision) -> FrameExplanation {
     match (decision, file.readiness, file.content) {
         (Decision::Skip(reason), _, _) => FrameExplanation::Skipped(reason),
         (_, Readiness::Waiting { why, .. }, _) => FrameExplanation::Waits(why),
         (_, _, other @ (SniffedContent::OwnOutput | SniffedContent::NotParticles)) => {
             FrameExplanation::NotAFrame(other)
+        }
+        // The journal has the same status for a frame of a running daemon and for one that an earlier daemon
+        // did not finish.
+        (Decision::Convert(ConvertReason::WasInterrupted), ..) if question.has_daemon => {
+            FrameExplanation::Pending(question.record.and_then(|record| record.reason.clone()))
         }
         (decision, _, SniffedContent::Particles) => FrameExplanation::Converted(decision),
     }
@@ -218,6 +230,9 @@ impl fmt::Display for FrameExplanation {
             FrameExplanation::NotSelected => {
                 f.write_str("is not converted because its path is not selected: a frame must be in a watched folder, must not be hidden, and must match --pattern (by default: be a particle file)")
             }
+            FrameExplanation::Skipped(reason @ SkipReason::Done) => {
+                write!(f, "is not converted again because {reason}")
+            }
             FrameExplanation::Skipped(reason) => write!(f, "is not converted because {reason}"),
             FrameExplanation::Waits(why) => write!(f, "is not converted yet because {why}"),
             FrameExplanation::NotAFrame(SniffedContent::OwnOutput) => {
@@ -237,10 +252,11 @@ impl fmt::Display for FrameExplanation {
                     names.join(", ")
                 )
             }
-            // The record says that other files blocked the frame. Whether they still exist is not checked
-            // here.
+            FrameExplanation::Pending(None) => f.write_str("is queued or in flight"),
+            FrameExplanation::Pending(Some(reason)) => write!(f, "is not converted yet: {reason}"),
+            // The record has the reason. Whether it still holds is not checked here.
             FrameExplanation::Converted(Decision::Convert(ConvertReason::WasRefused)) => {
-                f.write_str("will be converted as soon as the files that blocked it are gone")
+                f.write_str("will be converted when the reason in the journal no longer holds: a daemon checks that at each scan (--rescan), and when it starts")
             }
             FrameExplanation::Converted(decision) => write!(f, "will be converted because {decision}"),
         }
@@ -271,6 +287,7 @@ mod tests {
         frame: PathBuf,
         output: PathBuf,
         watch: Watch,
+        has_daemon: bool,
     }
 
     impl Bench {
@@ -302,7 +319,7 @@ mod tests {
                 choices: MethodOptions::default(),
                 obstacles: Vec::new(),
             };
-            let bench = Bench { _folder: folder, frame, output, watch };
+            let bench = Bench { _folder: folder, frame, output, watch, has_daemon: false };
             bench.write(FRAME);
             bench
         }
@@ -343,6 +360,7 @@ mod tests {
                 timeouts: &StabilityTimeouts { settle, unverifiable: settle, stalled: settle },
                 record,
                 settings,
+                has_daemon: self.has_daemon,
             })
             .expect("an explanation")
         }
@@ -398,7 +416,24 @@ mod tests {
         assert_eq!(bench.verdict(Some(&failed)), FrameExplanation::Skipped(SkipReason::FailedUnchanged));
         let refused = bench.record(JournaledStatus::Refused);
         let explanation = bench.verdict(Some(&refused)).to_string();
-        assert!(explanation.contains("as soon as the files that blocked it are gone"), "{explanation}");
+        assert!(explanation.starts_with("will be converted when the reason in the journal"), "{explanation}");
+    }
+
+    #[test]
+    fn unfinished_frame_is_pending_while_a_daemon_runs() {
+        let mut bench = Bench::new();
+        let queued = bench.record(JournaledStatus::Queued);
+        let interrupted = FrameExplanation::Converted(Decision::Convert(ConvertReason::WasInterrupted));
+        assert_eq!(bench.verdict(Some(&queued)), interrupted);
+        bench.has_daemon = true;
+        let verdict = bench.verdict(Some(&queued));
+        assert_eq!(verdict, FrameExplanation::Pending(None));
+        assert_eq!(verdict.to_string(), "is queued or in flight");
+        let held = JournaledFrame { reason: Some("too few particles".to_owned()), ..queued };
+        assert_eq!(bench.verdict(Some(&held)).to_string(), "is not converted yet: too few particles");
+        let retrying = bench.record(JournaledStatus::Retrying);
+        let retry = FrameExplanation::Converted(Decision::Convert(ConvertReason::Retry));
+        assert_eq!(bench.verdict(Some(&retrying)), retry);
     }
 
     #[test]
@@ -445,6 +480,7 @@ mod tests {
             },
             record: None,
             settings: None,
+            has_daemon: false,
         };
         assert!(explain(&question).is_err_and(|error| error.kind() == io::ErrorKind::InvalidInput));
 

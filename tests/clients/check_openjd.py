@@ -42,7 +42,7 @@ def main():
         task_count = said.count("Running Task")
         found = [task_count == 4, f"{FRAME_COUNT} frames: {FRAME_COUNT} done" in said, said.count(": done already") == already]
         for shard in range(SHARD_COUNT):
-            found.append(f"shard {shard} of {SHARD_COUNT}: " in said)
+            found.append(f"shard {shard} (of 0 to {SHARD_COUNT - 1}): " in said)
         faults = [said] if status or not all(found) else []
         check.line(label, f"{task_count} tasks, {already} frames done already", faults)
 

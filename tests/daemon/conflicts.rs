@@ -123,6 +123,23 @@ fn output_does_not_replace_a_frame() {
     }
 }
 
+/// A running daemon checks a refused frame again at each scan, and complains about it once.
+#[test]
+fn refused_frame_is_converted_when_the_other_file_is_removed() {
+    let scene = Scene::new();
+    scene.write("out/dam.1.ply", ply(&moving(7)));
+    let arguments = ["watch", "in", "--out", "out", "--format", "ply", "--log", "json", "--rescan", "50ms"];
+    let daemon = scene.start_as(&[&arguments[..], &QUICK].concat());
+    let is_refusal = |line: &Line| line.message.contains("would replace a particle file");
+    scene.put_moving([1]);
+    daemon.await_line("the refusal", is_refusal);
+    scene.put_moving([2]);
+    daemon.await_converted("dam.2.ply");
+    scene.remove("out/dam.1.ply");
+    daemon.await_converted("dam.1.ply");
+    assert_eq!(daemon.finish().iter().filter(|line| is_refusal(line)).count(), 1);
+}
+
 /// The first frame keeps its outputs. The error for the second frame names both frames.
 #[test]
 fn error_names_both_frames_with_the_same_output() {

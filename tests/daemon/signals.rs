@@ -101,7 +101,8 @@ fn frame_beyond_the_deadline_is_given_up() {
     let elapsed = start.elapsed();
     assert_eq!(status.code(), Some(0), "{}", daemon.log_text());
     assert!(elapsed >= Duration::from_millis(300), "{elapsed:?}");
-    let overdue = "frames in progress did not finish within 300ms (--stop-deadline)";
+    let overdue = "frames in progress did not finish within 300ms (--stop-deadline): exiting without them; the \
+                   next start converts them";
     assert_eq!(daemon.lines(|line| line.message == overdue).len(), 1, "{}", daemon.log_text());
     assert!(daemon.lines(Line::is_converted).is_empty(), "{}", daemon.log_text());
     assert!(contents(&scene.path("out")).is_empty());

@@ -193,7 +193,10 @@ fn escaped_particle_causes_a_warning_and_exit_status_0() {
     );
     assert_eq!(result.status, 0, "{}", result.err);
     assert!(
-        result.err.contains("1 particle left out: not finite, or too far away; one is near (1000000, "),
+        result.err.contains(
+            "1 particle left out: not finite, or too far from the origin or from the other particles; one is \
+             near (1000000, "
+        ),
         "{}",
         result.err
     );

@@ -319,7 +319,7 @@ fn error_for_unreadable_inputs_begins_with_the_reason() {
     write_ply(&path.join("mixed/f.1.ply"), &block(1, 0.0));
     fs::write(path.join("mixed/f.2.ply"), "ply\n").expect("written");
     let err = err(&["mixed"]);
-    assert!(err.contains("give --spacing; 1 cannot be read: ") && err.contains("f.2.ply"), "{err}");
+    assert!(err.contains("give --spacing; 1 frame cannot be read: ") && err.contains("f.2.ply"), "{err}");
 }
 
 #[test]

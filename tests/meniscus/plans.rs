@@ -219,7 +219,7 @@ fn failed_shard_repeats_no_finished_frame() {
     let verified = verify(folder);
     assert_eq!(verified.status, 1);
     assert!(verified.out.contains("5 frames: 4 done, 1 missing, in "), "{}", verified.out);
-    assert!(verified.out.contains("shards to run again: 0\n"), "{}", verified.out);
+    assert!(verified.out.contains("run again: shard 0\n"), "{}", verified.out);
     assert!(verified.err.starts_with("dam.2 (shard 0): missing: dam.2.glb, dam.2.vdb, "), "{}", verified.err);
 
     fs::write(&broken, sound).expect("written");
@@ -335,7 +335,7 @@ fn shards_without_frames_succeed() {
         let result = shard(folder, number);
         succeeded(&result);
         let count = if number < 2 { "1 frame" } else { "0 frames" };
-        assert!(result.out.starts_with(&format!("shard {number} of 5: {count}\n")), "{}", result.out);
+        assert!(result.out.starts_with(&format!("shard {number} (of 0 to 4): {count}\n")), "{}", result.out);
     }
     succeeded(&verify(folder));
     let result = shard(folder, 5);

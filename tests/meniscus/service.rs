@@ -121,7 +121,7 @@ fn status_and_why_describe_a_busy_daemon() {
     assert!(status.out.contains("out: running (pid "), "{} {}", status.out, status.err);
     let why = meniscus(service.path(), &["why", "in/dam.1.ply", "--config", "meniscus.toml"]);
     assert!(why.out.contains("settings  as recorded"), "{} {}", why.out, why.err);
-    assert!(why.out.contains("It is not converted because it is done"), "{}", why.out);
+    assert!(why.out.contains("It is not converted again because it is done"), "{}", why.out);
     let second = meniscus(service.path(), &["watch", "--config", "meniscus.toml"]);
     assert_eq!(second.status, 2);
     assert!(second.err.contains(&format!("pid {}", service.child.id())), "{}", second.err);

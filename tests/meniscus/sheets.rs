@@ -258,14 +258,14 @@ fn invalid_setting_leaves_the_other_cells() {
     assert_eq!(result.status, 1, "{} {}", result.out, result.err);
     assert!(result.err.contains("cell 1: ratio 0.5: the radius ratio is 0.5"), "{}", result.err);
     assert!(
-        result.out.contains("dam.2.ply: of 3 frames") && commands(&result.out).len() == 1,
+        result.out.contains("showing dam.2.ply, one of 3 frames of ") && commands(&result.out).len() == 1,
         "{}",
         result.out
     );
     let result =
         meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "time=0", "--frames", "3"]);
     assert_eq!(result.status, 0, "{}", result.err);
-    assert!(result.out.contains("dam.3.ply: of 3 frames"), "{}", result.out);
+    assert!(result.out.contains("showing dam.3.ply, one of 3 frames of "), "{}", result.out);
     assert!(!result.err.contains("its sequence has"), "{}", result.err);
     // The spacing of a frame of a sequence is that of the whole sequence only if the sequence is named.
     let result = meniscus(path, &["tune", "dam.3.ply", "-o", "t.png", "--size", SIZE, "--vary", "time=0"]);

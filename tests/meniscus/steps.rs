@@ -231,7 +231,7 @@ fn steps_are_divided_into_shards_and_verified() {
     let result = meniscus(folder, &["verify", "out", "--plan=plan.json"]);
     assert!(result.err.contains("d.5 (shard 0): stale"), "{}", result.err);
     assert!(
-        result.out.contains("2 done, 1 stale") && result.out.contains("shards to run again: 0"),
+        result.out.contains("2 done, 1 stale") && result.out.contains("run again: shard 0"),
         "{}",
         result.out
     );

@@ -432,7 +432,7 @@ fn skip_tree(cursor: &mut VdbCursor, entry: &GridEntry, limits: &Limits) -> Resu
         (_, type_name) => {
             let name = &entry.info.name;
             let what = format!(
-                "the file is a stream without offsets, and grid \"{name}\" of type {type_name} cannot be skipped"
+                "the file is a stream without offsets, and grid \"{name}\" of type {type_name} cannot be skipped: remove that grid, or save the file with openvdb::io::File, which stores offsets"
             );
             Err(Error::unsupported(FORMAT, what))
         }

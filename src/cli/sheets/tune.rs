@@ -60,7 +60,10 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
     let grid = Grid::new(args, &tuning.without)?;
     if sequence.frames.len() > 1 {
         let frame_count = pluralize(sequence.frames.len(), "frame");
-        console.print_line(format_args!("{}: of {frame_count} of {}", frame.name(), sequence.name));
+        let (frame, name) = (frame.name(), &sequence.name);
+        console.print_line(format_args!(
+            "showing {frame}, one of {frame_count} of {name}; --frames selects another"
+        ));
     }
     console.show_bar(grid.settings.len());
     let (cells, counts) = pool.install(|| tuning.cells(&grid, console));

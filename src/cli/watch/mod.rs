@@ -125,7 +125,11 @@ fn log_summary(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) ->
     if *ended == EndReason::Drained && done_count + failed.len() + left_count == 0 {
         warn!("there are no frames to convert{}", level_sets_left(watches));
     }
-    let why = if *ended == EndReason::Drained { "all frames are done" } else { "stopped on request" };
+    let why = match ended {
+        EndReason::Drained if failed.len() + left_count == 0 => "no frames are left to convert",
+        EndReason::Drained => "not all frames are converted",
+        _ => "stopped on request",
+    };
     info!(done = done_count, failed = failed.len(), left = left_count, "ended: {why}");
     let Some(allow_violations) = once else { return CommandOutcome::Done };
     if *broken_count > 0 {

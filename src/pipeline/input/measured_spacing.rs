@@ -24,7 +24,7 @@ use crate::surface::spacing::{
     CONFIDENCE_MIN, SequenceEstimate, SourceSample, SpacingEstimate, combine_estimates, estimate_spacing,
     median, rounded,
 };
-use crate::surface::words::significant;
+use crate::surface::words::{pluralize, significant};
 
 use super::attributes::AttributeRequest;
 use super::frame_input::{FileParticles, FrameInput};
@@ -94,11 +94,15 @@ impl fmt::Display for NoSpacing {
                 ..=1 => write!(f, "{error}"),
                 _ => write!(f, "{error}; none of the {unreadable_count} frames can be read"),
             },
-            Some(error) => write!(
-                f,
-                "cannot measure the particle spacing, because no readable frame has two particles in different \
-                 places: give --spacing; {unreadable_count} cannot be read: {error}"
-            ),
+            Some(error) => {
+                let first = if *unreadable_count == 1 { ":" } else { "; the first:" };
+                write!(
+                    f,
+                    "cannot measure the particle spacing, because no readable frame has two particles in \
+                     different places: give --spacing; {} cannot be read{first} {error}",
+                    pluralize(*unreadable_count, "frame")
+                )
+            }
         }
     }
 }

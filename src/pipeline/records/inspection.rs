@@ -214,13 +214,21 @@ fn difference(
     let all = wanted.iter().chain(recorded).map(|(name, _)| name.as_str());
     let differs = |name: &&str| value_in(recorded, name) != value_in(wanted, name);
     let name = all.filter(|name| is_compared(name)).find(differs)?;
-    Some(match (name, value_in(recorded, name), value_in(wanted, name)) {
+    Some(describe_difference(name, value_in(recorded, name), value_in(wanted, name)))
+}
+
+/// Describes an entry that was recorded with one value and is expected with another; `None` is no such entry.
+fn describe_difference(name: &str, was: Option<String>, wanted: Option<String>) -> String {
+    match (name, was, wanted) {
         ("input_hash", Some(_), Some(_)) => "the input has changed since it was made".to_owned(),
         ("obstacles", Some(_), Some(_)) => "the obstacles have changed since it was made".to_owned(),
+        // An .stl has no room for the settings themselves.
+        ("settings", ..) => "made with other settings (an .stl records only their hash)".to_owned(),
+        ("generator", Some(was), Some(wanted)) => format!("made by {was}; this is {wanted}"),
         (_, Some(was), Some(wanted)) => format!("made with {name} {was}; the current setting is {wanted}"),
         (_, None, Some(wanted)) => format!("made without {name}; the current setting is {wanted}"),
         (_, was, _) => format!("made with {name} {}, which is no longer set", was.unwrap_or_default()),
-    })
+    }
 }
 
 /// Checks that a certificate describes these files and this input, and that all its checks passed.
@@ -244,4 +252,30 @@ fn agrees(certified: &CertifiedFrame, made_from: &MadeFrom, paths: &[PathBuf]) -
 
 fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn difference_names_the_setting_or_the_program() {
+        for (name, was, wanted, expected) in [
+            (
+                "settings",
+                "789771c6485c",
+                "b66773ec3eb2",
+                "made with other settings (an .stl records only their hash)",
+            ),
+            (
+                "generator",
+                "meniscus 0.1.0",
+                "meniscus 0.2.0",
+                "made by meniscus 0.1.0; this is meniscus 0.2.0",
+            ),
+            ("voxel_size", "0.07", "0.04", "made with voxel_size 0.07; the current setting is 0.04"),
+        ] {
+            assert_eq!(describe_difference(name, Some(was.to_owned()), Some(wanted.to_owned())), expected);
+        }
+    }
 }

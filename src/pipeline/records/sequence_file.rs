@@ -32,6 +32,7 @@ use crate::pipeline::files::atomic_write::write_atomically;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::path_identity::are_same_file;
 use crate::pipeline::files::stamp::FileStamp;
+use crate::surface::words::pluralize;
 
 /// A format of sequence files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -275,7 +276,8 @@ fn no_frame(left_out: &[(PathBuf, String)], shot: &Path) -> SequenceError {
         [] => SequenceError { path: shot.to_owned(), what: nothing.to_owned() },
         [(path, why)] => SequenceError { path: path.clone(), what: format!("{why}; {nothing}") },
         [(path, why), others @ ..] => {
-            let what = format!("{why}; {} others cannot be read either: {nothing}", others.len());
+            let others = pluralize(others.len(), "other frame");
+            let what = format!("{why}; {others} cannot be read either: {nothing}");
             SequenceError { path: path.clone(), what }
         }
     }

@@ -58,7 +58,7 @@ pub enum ConvertReason {
     WasInterrupted,
     /// It failed with an error that may be temporary.
     Retry,
-    /// Other files blocked its conversion; they may be gone now.
+    /// It was refused, usually because its outputs conflict with other files; the reason may be gone now.
     WasRefused,
 }
 
@@ -135,9 +135,9 @@ impl fmt::Display for ConvertReason {
             ConvertReason::OutputMissing(path) => {
                 write!(f, "its output {} is missing or was changed", path.display())
             }
-            ConvertReason::WasInterrupted => f.write_str("the daemon exited before it was finished"),
+            ConvertReason::WasInterrupted => f.write_str("the daemon exited before it finished the frame"),
             ConvertReason::Retry => f.write_str("it failed with an error that may be temporary"),
-            ConvertReason::WasRefused => f.write_str("other files blocked it, and they may be gone now"),
+            ConvertReason::WasRefused => f.write_str("it was refused for a reason that may be gone now"),
         }
     }
 }

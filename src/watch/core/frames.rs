@@ -166,7 +166,8 @@ pub(crate) enum FramePhase {
     Retrying(Instant),
     /// Its outputs exist.
     Done,
-    /// Failed; only a changed file can help.
+    /// Failed; only a changed file can help. A refused frame is checked again at each scan, because the other
+    /// files may have changed.
     Failed,
     /// No particles: an unrelated file, or an output of this program.
     Ignored,

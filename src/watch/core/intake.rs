@@ -52,6 +52,7 @@ impl Core {
             }
             FramePhase::Done if is_same => return self.check_outputs(id),
             FramePhase::Steps if is_same => return self.check_steps(id),
+            FramePhase::Failed if is_same => return self.check_refusal(id),
             // The file is inspected when the conversion ends.
             FramePhase::InProgress(_) => return,
             _ if is_same => return,
@@ -146,7 +147,7 @@ impl Core {
             let path = self.root_path(root).to_owned();
             self.log_about(
                 path,
-                move |folder| tracing::warn!(%folder, "folder is unavailable: {why}; waiting for it"),
+                move |folder| tracing::warn!(%folder, "folder is unavailable: {why}; waiting until this changes"),
             );
         }
     }
@@ -240,6 +241,17 @@ impl Core {
         if let Some(record) = record.filter(|_| self.output(id.root).is_mounted).map(Arc::clone) {
             // Without settings: these are current, and obstacles are inspected separately.
             self.inspect(id, None, Some(Recorded { record, settings: None }));
+        }
+    }
+
+    /// Checks a refused frame again: the other files may be gone. If another frame owns its outputs, it is
+    /// checked when that frame releases them.
+    pub(super) fn check_refusal(&mut self, id: &FrameId) {
+        let is_refused = self.failed.get(id).is_some_and(|failure| failure.is_refusal);
+        let owner = self.claims.get(&self.claimed_stem(id));
+        let is_owned = owner.is_some_and(|owner| owner != id && self.frames.get(owner).is_some());
+        if is_refused && !is_owned && self.output(id.root).is_mounted {
+            self.inspect(id, None, None);
         }
     }
 
@@ -356,6 +368,13 @@ impl Core {
     /// A file is complete.
     fn on_complete(&mut self, id: &FrameId, complete: Complete) {
         let Complete { proof, changed_output, contents, conflict } = complete;
+        if let Some(refusal) = self.failed.get(id).filter(|failure| failure.is_refusal) {
+            // The reason is logged and recorded already.
+            if conflict.as_ref() == Some(&refusal.reason) {
+                return;
+            }
+            self.failed.remove(id);
+        }
         let is_done = self.frames.phase(id) == Some(FramePhase::Done);
         self.log_about(&*id.path, move |frame| match (proof, changed_output) {
             (Some(proof), _) => tracing::debug!(%frame, "ready: {proof}"),

@@ -169,6 +169,7 @@ impl Core {
         log: impl FnOnce(&Path, &str) + Send + 'static,
     ) {
         self.counters.retries += 1;
+        self.failed.remove(id);
         self.set_phase(id, FramePhase::Retrying(at));
         let (path, why) = (Arc::clone(&id.path), reason.to_owned());
         let log = Log::new(move || log(&path, &why));
@@ -183,12 +184,12 @@ impl Core {
     }
 
     /// Refuses a frame because of other files. They may change while the frame does not, so it is checked
-    /// again after a restart.
+    /// again at each scan, and after a restart.
     pub(super) fn refuse(&mut self, id: &FrameId, reason: String) {
         self.fail(id, JournaledStatus::Refused, reason);
     }
 
-    /// Marks a frame as failed until its file changes or, depending on its status, until a restart.
+    /// Marks a frame as failed until its file changes or, depending on its status, until a scan or a restart.
     fn fail(&mut self, id: &FrameId, status: JournaledStatus, reason: String) {
         self.set_phase(id, FramePhase::Failed);
         let attempts = self.frames.get(id).map_or(0, |frame| frame.attempt_count);

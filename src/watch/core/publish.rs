@@ -136,7 +136,7 @@ impl Core {
             self.frames.counts();
         let mut status = format!("{done} done, {queued} queued");
         for (count, what) in [
-            (settling, "being written"),
+            (settling, "not yet complete"),
             (finding_steps, "being indexed"),
             (held, "waiting until the spacing or camera of the sequence is determined"),
             (retrying, "to retry"),

@@ -131,7 +131,8 @@ impl Core {
         }
         if let Some(record) = record {
             let key = self.sequences.get(index).key.clone();
-            let log = self.log_of_settings(index, warnings);
+            let known = self.output(root).journal.sequences.get(&key);
+            let log = self.log_of_settings(index, headline_of(&record, known), warnings);
             self.record(self.output_of[root], Entry::Sequence { key, record: Box::new(record) }, log);
             self.changed_sequences.push(index);
             for id in
@@ -175,7 +176,7 @@ impl Core {
         }
     }
 
-    fn log_of_settings(&self, index: usize, warnings: Vec<String>) -> Option<Log> {
+    fn log_of_settings(&self, index: usize, headline: &'static str, warnings: Vec<String>) -> Option<Log> {
         let sequence = self.sequences.get(index);
         let SequenceSettings::Fixed(settings, _) = &sequence.settings else { return None };
         // Nothing was measured for level sets: their files contain the voxel size.
@@ -191,7 +192,7 @@ impl Core {
                 radius_min = six_digits(settings.radius_min),
                 radius_init = six_digits(settings.radius_init),
                 radius_max = six_digits(settings.radius_max),
-                "measured the particle spacing, for all frames of the sequence"
+                "{headline}"
             );
             for warning in warnings {
                 tracing::warn!(sequence = %key.name, "{warning}");
@@ -205,6 +206,16 @@ impl Core {
     /// Whether a frame is still in this phase, and its file unchanged.
     pub(super) fn is_still(&self, id: &FrameId, phase: FramePhase, stamp: &FileStamp) -> bool {
         self.frames.get(id).is_some_and(|frame| frame.phase == phase && frame.stamp == *stamp)
+    }
+}
+
+/// The message about the settings of a sequence: its particle spacing was measured, or was given or known
+/// already.
+fn headline_of(record: &JournaledSequence, known: Option<&JournaledSequence>) -> &'static str {
+    let was_known = known.is_some_and(|known| known.measured.is_some());
+    match record.measured.is_some() && !was_known {
+        true => "measured the particle spacing, for all frames of the sequence",
+        false => "settings of the sequence",
     }
 }
 
@@ -224,4 +235,29 @@ const TOO_SPARSE_YET: &str = "cannot measure the particle spacing yet, because n
 /// Rounds to six significant digits, which is enough for people.
 fn six_digits(value: f64) -> f64 {
     format!("{value:.5e}").parse().unwrap_or(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::MeasuredSpacing;
+
+    #[test]
+    fn only_a_new_spacing_is_announced_as_measured() {
+        let given = JournaledSequence::default();
+        let spacing = MeasuredSpacing {
+            spacing: 0.1,
+            confidence: 1.0,
+            radius_median: None,
+            measured_on: "/in/a.1.ply".into(),
+            measured_count: 1,
+            warnings: Vec::new(),
+        };
+        let measured = JournaledSequence { measured: Some(spacing), camera: None };
+        let is_announced =
+            |record, known| headline_of(record, known).starts_with("measured the particle spacing");
+        assert!(is_announced(&measured, None));
+        assert!(!is_announced(&measured, Some(&measured)));
+        assert!(!is_announced(&given, None));
+    }
 }

@@ -125,11 +125,13 @@ impl Core {
         }
     }
 
-    /// Checks the outputs of done steps.
+    /// Checks the outputs of done steps, and whether refused steps are still refused.
     pub(super) fn check_steps(&mut self, file: &FrameId) {
         for step in self.known_steps(file) {
-            if self.frames.phase(&step) == Some(FramePhase::Done) {
-                self.check_outputs(&step);
+            match self.frames.phase(&step) {
+                Some(FramePhase::Done) => self.check_outputs(&step),
+                Some(FramePhase::Failed) => self.check_refusal(&step),
+                _ => {}
             }
         }
     }

@@ -483,7 +483,7 @@ fn unmounted_root_keeps_its_state() {
     rig.convert("/in0/a.1.ply");
     rig.started();
     for _ in 0..2 {
-        let found = Err("it is empty but had files before".to_owned());
+        let found = Err("it is empty but had files before (is it mounted?)".to_owned());
         rig.event(Event::RootScanned { root: 0, found, at: rig.now.at });
     }
     assert_eq!(rig.status(), "1 done, 0 queued; /in0 is unavailable");
@@ -532,6 +532,34 @@ fn frame_whose_output_would_replace_a_users_file_is_refused() {
     rig.put("/in0/a.1.ply", 1);
     assert!(rig.started().is_empty());
     assert_eq!(rig.statuses("/in0/a.1.ply"), [JournaledStatus::Refused]);
+}
+
+#[test]
+fn refused_frame_is_checked_at_each_scan() {
+    let mut rig = Rig::new(1);
+    rig.want(0);
+    let output = PathBuf::from("/out0/a.1.glb");
+    rig.conflicts.insert(output.clone(), "its output would replace a particle file".to_owned());
+    rig.put("/in0/a.1.ply", 1);
+    // The same conflict is reported once.
+    rig.scan(0);
+    rig.scan(0);
+    assert!(rig.started().is_empty());
+    assert_eq!(rig.statuses("/in0/a.1.ply"), [JournaledStatus::Refused]);
+    rig.conflicts.insert(output, "its output would replace an obstacle".to_owned());
+    rig.scan(0);
+    assert_eq!(rig.statuses("/in0/a.1.ply"), [JournaledStatus::Refused; 2]);
+    // While the outputs are not mounted, the other file only seems to be gone.
+    rig.conflicts.clear();
+    rig.output_dir(0, Presence::Missing, 2 * GIB);
+    rig.scan(0);
+    assert_eq!(rig.status().split(';').next(), Some("0 done, 0 queued, 1 failed"));
+    rig.output_dir(0, Presence::Present, 2 * GIB);
+    rig.scan(0);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    rig.convert("/in0/a.1.ply");
+    let refused = rig.core.summary(EndReason::Finish).failed;
+    assert!(refused.is_empty(), "{refused:?}");
 }
 
 /// A journal with a record of one frame with this status.

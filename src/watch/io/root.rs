@@ -209,7 +209,7 @@ impl Root {
             if self.had_frames && found.files.is_empty() {
                 // An empty mount point looks like a folder whose files were all deleted. In both cases there
                 // is nothing to do until files appear.
-                return Err("it is empty but had files before".to_owned());
+                return Err("it is empty but had files before (is it mounted?)".to_owned());
             }
             Ok(found)
         });

@@ -143,7 +143,8 @@ impl Journal {
         match load(&folder.join(FILE_NAME))? {
             JournalFile::Journal(loaded) => Ok(loaded.state),
             JournalFile::OtherVersion => {
-                let what = "the journal was written by another version of meniscus";
+                let what = "it was written by another version of meniscus: use that version, or start \
+                            `meniscus watch` of this one, which begins a new journal";
                 Err(io::Error::new(io::ErrorKind::InvalidData, what))
             }
         }

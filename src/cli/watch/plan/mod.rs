@@ -207,8 +207,8 @@ fn refuse_shared_stage(watches: &[Watch]) -> Result<()> {
         };
         if watches[..index].iter().any(|other| is_unlike(&other)) {
             bail!(
-                "{}: several watched folders have this stage, but different outputs, axes, units or frame \
-                 rates: give each a stage of its own",
+                "{}: several watched folders have this stage, but different outputs, formats, axes, units or \
+                 frame rates: give each a stage of its own",
                 stage.path.display()
             );
         }

@@ -461,7 +461,9 @@ pub(crate) fn recover(record_path: &Path) -> io::Result<RecordRecovery> {
     // forged record, or a hard link to a record in another folder.
     if !is_own_file(&file.metadata()?) {
         return Ok(left(
-            "this record of an interrupted conversion belongs to another user or has a second hard link",
+            "this record of an interrupted conversion belongs to another user or has a second hard link: run \
+             meniscus on this folder as that user, or, if the outputs are as you want them, remove the record \
+             and its files",
         ));
     }
     let mut bytes = Vec::new();
