@@ -134,10 +134,7 @@ fn text_has_the_values_of_the_json() {
     assert!(cut_short.lines(0).join("\n").contains("more may be incomplete"), "{:?}", cut_short.lines(0));
     let damaged = JournalState { damaged_line_count: 2, ..state() };
     assert!(
-        record(&damaged, Holder::Unlocked)
-            .lines(0)
-            .join("\n")
-            .contains("2 lines of the journal cannot be read")
+        record(&damaged, Holder::Unlocked).lines(0).join("\n").contains("2 damaged lines in the journal")
     );
 }
 

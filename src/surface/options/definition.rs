@@ -19,8 +19,9 @@ use super::fields::{self, OptionGroup, OptionInfo, OptionValue, ValueKind, metho
 use super::length::{Length, LengthUnit};
 use super::pairs::Pairs;
 use super::presets::{Preset, Recipe};
+use super::resolution::positive;
 use super::values::{AnisotropyKind, AttributeSelection, ClipBox};
-use super::{PerParticleRadius, SettingsError, positive};
+use super::{PerParticleRadius, SettingsError};
 
 /// Upper limit of `drop_islands`. A larger piece is not an island to drop. It may also be so thick that its
 /// deep leaves are not stored, and its particles cannot be counted.

@@ -245,7 +245,7 @@ pub(super) fn neighbor_radius(
     Ok(radius)
 }
 
-fn checked_box(clip: ClipBox) -> Result<ClipBox, SettingsError> {
+pub(super) fn checked_box(clip: ClipBox) -> Result<ClipBox, SettingsError> {
     require(clip.min.iter().chain(&clip.max).all(|number| number.is_finite()), || {
         format!(
             "the box {clip} has a number that is not finite: x0,y0,z0,x1,y1,z1 must be six finite numbers"
@@ -263,7 +263,7 @@ fn checked_box(clip: ClipBox) -> Result<ClipBox, SettingsError> {
     Ok(clip)
 }
 
-fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
+pub(super) fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
     require(value.is_finite() && value > 0.0, || {
         format!("the {name} is {value}; it must be a positive number")
     })?;
@@ -271,7 +271,7 @@ fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
 }
 
 /// As [`positive`], for a length that was given as `given`, or has its default value.
-fn positive_length(name: &str, given: Option<Length>, value: f64) -> Result<f64, SettingsError> {
+pub(super) fn positive_length(name: &str, given: Option<Length>, value: f64) -> Result<f64, SettingsError> {
     require(value.is_finite() && value > 0.0, || {
         format!("the {}; it must be a positive number", stated(name, given, value))
     })?;
