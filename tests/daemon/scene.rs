@@ -323,7 +323,7 @@ impl Line {
     }
 
     pub(crate) fn is_found_done(&self) -> bool {
-        self.message == "was done already"
+        self.message == "frame was done already"
     }
 
     /// Whether the line is a warning or an error.
