@@ -21,6 +21,7 @@ pub mod data;
 pub mod error;
 mod excerpt;
 pub mod exr;
+mod frame_numbers;
 pub mod gltf;
 mod gzip;
 pub mod houdini;

@@ -274,7 +274,7 @@ class Watch:
         path, message = Path(event["frame"]), str(event.get("message", ""))
         if "particles" in event and "read_s" in event:
             return FinishedFrame(path, "converted", self._outputs(path), int(event["particles"]), message)
-        if message == "was done already":
+        if message == "frame was done already":
             return FinishedFrame(path, "already_done", self._outputs(path), None, message)
         if event.get("level") == "ERROR":
             return FinishedFrame(path, "failed", (), None, message)

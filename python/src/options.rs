@@ -95,7 +95,7 @@ pub(crate) fn check_options(pairs: Pairs) -> PyResult<Vec<(&'static str, String)
     Ok(parse(&pairs)?.to_pairs())
 }
 
-/// Warnings about options that have no effect, as the command prints them; empty for invalid options.
+/// Warnings about deprecated presets and about options that have no effect; empty for invalid options.
 #[pyfunction]
 pub(crate) fn option_warnings(pairs: Pairs, has_obstacles: bool) -> PyResult<Vec<String>> {
     let options = parse(&pairs)?;

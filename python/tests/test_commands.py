@@ -60,6 +60,10 @@ def test_watch_once(frame, tmp_path):
     assert all(finished.outputs and finished.outputs[0].suffix == ".glb" and finished.particles for finished in found)
     with pytest.raises(RuntimeError, match="started before"):
         frames.__enter__()
+    # Without the journal, frames are recognized by their outputs.
+    shutil.rmtree(tmp_path / "out" / ".meniscus")
+    with pm.watch(cache, tmp_path / "out", once=True, format="glb") as frames:
+        assert [finished.state for finished in frames] == ["already_done", "already_done"]
 
 
 def test_watch_sees_new_frames_and_stops(frame, tmp_path):

@@ -7,7 +7,7 @@ use anyhow::{Result, bail};
 use meniscus_formats::{WriteOption, listed};
 
 use crate::pipeline::{ObstacleFiles, OutputFormat};
-use crate::surface::options::{MethodOptions, OptionGroup, Preset, Settings};
+use crate::surface::options::{Integrator, MethodOptions, OptionGroup, Preset, Settings};
 
 use super::args::{FormatArgs, MethodArgs, OptionSet};
 use super::console::Console;
@@ -44,9 +44,12 @@ pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
     Ok(obstacles)
 }
 
-/// The options that give the same surface as a deprecated preset.
-fn equivalent(preset: Preset) -> Option<&'static str> {
+/// The options that have the same defaults as a deprecated preset. With explicit integrators, those of
+/// `smooth` depend on the voxel size.
+fn equivalent(preset: Preset, options: &MethodOptions) -> Option<&'static str> {
+    let is_explicit = matches!(options.integrator, Some(Integrator::Explicit | Integrator::Adaptive));
     match preset {
+        Preset::Smooth if is_explicit => None,
         Preset::Water => Some("--preset paper --fill-cavities 200"),
         Preset::Smooth => Some("--preset paper --radius-ratio 3 --steps 10 --fill-cavities 200"),
         Preset::Faithful => Some("--preset paper --radius-ratio 1.25"),
@@ -58,9 +61,9 @@ fn equivalent(preset: Preset) -> Option<&'static str> {
 pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[OutputFormat]) -> Vec<String> {
     let options = method.to_options();
     let successor = options.preset.and_then(|preset| Some((preset, preset.successor()?)));
-    let deprecated = successor.map(|(preset, successor)| match equivalent(preset) {
+    let deprecated = successor.map(|(preset, successor)| match equivalent(preset, &options) {
         Some(options) => format!(
-            "the preset `{preset}` is deprecated: use --preset {successor}, or {options} for the same surface"
+            "the preset `{preset}` is deprecated: use --preset {successor}, or {options} for the same defaults"
         ),
         None => format!("the preset `{preset}` is deprecated: use --preset {successor}"),
     });

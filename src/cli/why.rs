@@ -11,7 +11,7 @@ use crate::watch::canonical_path::{below, canonical_path};
 use crate::watch::explain::{
     Explanation, FileChange, FileFacts, FrameExplanation as Fate, Question, explain, remembered_fingerprint,
 };
-use crate::watch::journal::{JournalState, JournaledFrame, JournaledStatus, PlanRecord, now_ms};
+use crate::watch::journal::{DaemonState, JournalState, JournaledFrame, JournaledStatus, PlanRecord, now_ms};
 use crate::watch::selection::{FileFilter, SniffedContent};
 use crate::watch::{StabilityTimeouts, Watch, WatchConfig};
 
@@ -62,7 +62,16 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
     let output_folders: Vec<PathBuf> =
         requested.watches.iter().map(|watch| watch.outputs.folder.clone()).collect();
     let is_queued = record.is_some_and(|record| record.status == JournaledStatus::Queued);
-    let has_daemon = is_queued && !matches!(Holder::of(output)?, Holder::Unlocked);
+    let has_daemon = is_queued
+        && match Holder::of(output)? {
+            Holder::Daemon(_) => true,
+            Holder::Unlocked => false,
+            // On a file system without locks, only the journal says whether the daemon has stopped.
+            Holder::Unknown => !matches!(
+                state.daemon.as_ref().map(|daemon| &daemon.state),
+                None | Some(DaemonState::Stopped)
+            ),
+        };
     let settings = remembered_fingerprint(watch, &frame, state).filter(|_| requested.is_known);
     let explanation = explain(&Question {
         frame: &frame,

@@ -48,7 +48,7 @@ fn refusal<B: Body>(shared: &ServerState, request: &Request<B>, local: SocketAdd
     if !is_for_this_host(request, local.ip()) {
         return Some(closing(text(
             StatusCode::MISDIRECTED_REQUEST,
-            "unknown host name: open this page by IP address, or as localhost",
+            "unknown host name: open this page by the IP address of this machine, or as localhost",
         )));
     }
     if !matches!(*request.method(), Method::GET | Method::HEAD) {

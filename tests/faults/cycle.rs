@@ -250,7 +250,8 @@ fn is_printed_done(out: &str, number: usize) -> bool {
 fn is_logged_done(log: &str, number: usize) -> bool {
     let name = format!("{}.ply", stem(number));
     let lines = log.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
-    let is_done = |line: &Value| matches!(line["message"].as_str(), Some("converted" | "frame was done already"));
+    let is_done =
+        |line: &Value| matches!(line["message"].as_str(), Some("converted" | "frame was done already"));
     let is_about = |line: &Value| line["frame"].as_str().is_some_and(|frame| frame.ends_with(&name));
     lines.filter(is_about).filter(is_done).count() > 0
 }

@@ -138,10 +138,10 @@ fn empty_surface_causes_a_warning_with_a_remedy() {
         assert!(warnings.contains(word), "it does not say {word}: {warnings}");
     }
     let inward = ["--spacing", "0.1", "--offset", "-0.6d", "--allow-violations"];
-    let warnings = warnings_of(folder.path(), &[[0.5; 3]], &inward);
+    let of_offset = warnings_of(folder.path(), &[[0.5; 3]], &inward);
     for word in ["the offset -0.06 removed the whole surface", "--lone-radius", "1 of 1 particle is outside"]
     {
-        assert!(warnings.contains(word), "it does not say {word}: {warnings}");
+        assert!(of_offset.contains(word), "it does not say {word}: {of_offset}");
     }
     write_ply(&folder.path().join("a.ply"), &block(6, 0.013));
     let command = ["convert", "a.ply", "--out", "out"];

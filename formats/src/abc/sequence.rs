@@ -15,6 +15,7 @@ use std::io::{self, Read, Seek, Write};
 
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
+use crate::frame_numbers::check_numbers;
 use crate::gltf::{FramePlacement, SequenceFrame, VertexColumn};
 use crate::vertex_attributes::{UsedNames, plain_name};
 
@@ -76,22 +77,10 @@ struct AbcSequence<'a> {
 impl AbcSequence<'_> {
     /// The frame numbers of the samples, in order.
     fn numbers(&self) -> Result<Vec<u64>> {
-        if let Some(pair) = self.frames.windows(2).find(|pair| pair[1].code <= pair[0].code) {
-            let [a, b] = [0, 1].map(|index| (&pair[index].name, pair[index].code));
-            let what = format!(
-                "frame numbers must increase: {} has {}, and {}, which follows it, has {}",
-                a.0, a.1, b.0, b.1
-            );
-            return Err(Error::invalid(FORMAT, Position::File, what));
-        }
-        let Some(last) = self.frames.last() else {
+        if self.frames.is_empty() {
             return Err(Error::invalid(FORMAT, Position::File, "the sequence has no frames"));
-        };
-        if last.code > NUMBER_MAX {
-            let what =
-                format!("the frame number {} of {} exceeds the limit, {NUMBER_MAX}", last.code, last.name);
-            return Err(Error::unsupported(FORMAT, what));
         }
+        check_numbers(FORMAT, NUMBER_MAX, self.frames.iter().map(|frame| (frame.name.as_str(), frame.code)))?;
         for frame in self.frames {
             check_vertex_count(frame.file.vertex_count() as u64)?;
         }

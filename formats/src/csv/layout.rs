@@ -31,8 +31,7 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<TableLayout> {
     let mut lines = HeadLines::new(bytes, limits);
     while let Some(line) = lines.next_line()? {
         if line.text.starts_with(b"ITEM:") {
-            let what =
-                "found a LAMMPS `ITEM:` line in delimited text: a dump must begin with `ITEM: TIMESTEP`";
+            let what = "found a LAMMPS `ITEM:` line in delimited text: a dump must begin with such a line";
             return Err(Error::unsupported(FORMAT, what));
         }
         if let Some(comment) = comment(line.text) {

@@ -15,9 +15,7 @@ pub use mesh::LayerInfo;
 pub(crate) use mesh::{
     Elements, MeshProperty, PropertyValue, ROOT, SAMPLE_CODE, TRANSLATE, identifier, properties, renamed,
 };
-#[cfg(test)]
-pub(crate) use sequence::CODE_MAX;
-pub(crate) use sequence::{POSITION, PRIM, SequenceAttribute, UsdSequence, check_codes, held_codes};
+pub(crate) use sequence::{CODE_MAX, POSITION, PRIM, SequenceAttribute, UsdSequence, held_codes};
 
 /// The name of the vertex attribute in a property; `None` for other properties.
 pub(crate) fn attribute_of(property: &str) -> Option<&str> {

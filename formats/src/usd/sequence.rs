@@ -1,6 +1,7 @@
 //! The frames of a sequence, and the attributes that all of them have.
 
 use crate::error::{Error, Position, Result};
+use crate::frame_numbers::check_numbers;
 use crate::gltf::{FramePlacement, SequenceFrame, VertexColumn};
 use crate::mesh_options::UpAxis;
 use crate::vertex_attributes::UsedNames;
@@ -49,7 +50,7 @@ impl SequenceAttribute {
 impl<'a> UsdSequence<'a> {
     /// Checks the frames, whose numbers must increase.
     pub(crate) fn of(frames: &'a [SequenceFrame]) -> Result<UsdSequence<'a>> {
-        check_codes(frames.iter().map(|frame| (frame.name.as_str(), frame.code)))?;
+        check_numbers(FORMAT, CODE_MAX, frames.iter().map(|frame| (frame.name.as_str(), frame.code)))?;
         let placement =
             |frame: &SequenceFrame| frame.file.has_mesh().then(|| frame.file.placement()).transpose();
         let placements: Vec<Option<FramePlacement>> = frames.iter().map(placement).collect::<Result<_>>()?;
@@ -170,26 +171,6 @@ impl<'a> UsdSequence<'a> {
     pub(crate) fn held_codes(&self, index: usize) -> impl Iterator<Item = u64> {
         held_codes(self.frames[index].code, self.frames.get(index + 1).map(|next| next.code))
     }
-}
-
-/// Checks that the time codes of named frames increase and are exact as 64-bit floats.
-pub(crate) fn check_codes<'a>(frames: impl Iterator<Item = (&'a str, u64)>) -> Result<()> {
-    let mut last: Option<(&str, u64)> = None;
-    for (name, code) in frames {
-        if let Some((before, number)) = last.filter(|(_, number)| *number >= code) {
-            let what = format!(
-                "frame numbers must increase: {before} has {number}, and {name}, which follows it, has {code}"
-            );
-            return Err(Error::invalid(FORMAT, Position::File, what));
-        }
-        if code > CODE_MAX {
-            let what =
-                format!("the frame number {code} of {name} exceeds the limit for time codes, {CODE_MAX}");
-            return Err(Error::unsupported(FORMAT, what));
-        }
-        last = Some((name, code));
-    }
-    Ok(())
 }
 
 /// The time codes at which the frame at time code `code` needs a sample: its own and, if frames are missing

@@ -28,8 +28,9 @@
 
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
+use crate::frame_numbers::check_numbers;
 use crate::mesh_options::UpAxis;
-use crate::usd::{FORMAT, PRIM, ROOT, SAMPLE_CODE, TRANSLATE, check_codes, held_codes, identifier};
+use crate::usd::{CODE_MAX, FORMAT, PRIM, ROOT, SAMPLE_CODE, TRANSLATE, held_codes, identifier};
 use crate::vertex_attributes::UsedNames;
 
 use super::head::{LAST_LINE, head, times};
@@ -102,7 +103,7 @@ fn invalid(what: String) -> Error {
 }
 
 fn check(files: &[ClipFile]) -> Result<()> {
-    check_codes(files.iter().map(|file| (file.path.as_str(), file.code)))?;
+    check_numbers(FORMAT, CODE_MAX, files.iter().map(|file| (file.path.as_str(), file.code)))?;
     match files.iter().find(|file| file.path.contains(char::is_control)) {
         Some(file) => {
             Err(invalid(format!("{:?} has control characters, which USD does not allow", file.path)))
@@ -209,7 +210,6 @@ fn asset(path: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::usd::CODE_MAX;
 
     fn files(codes: &[u64], extension: &str) -> Vec<ClipFile> {
         let file = |&code: &u64| ClipFile { code, path: format!("./out/dam.{code}.{extension}") };

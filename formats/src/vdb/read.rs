@@ -134,7 +134,7 @@ fn tree_cursor<'a>(
 ) -> Result<(VdbCursor<'a>, ValueStorage, Transform)> {
     let (Some(tree), Some(transform)) = (entry.tree_of(entries), entry.info.transform) else {
         let what = format!(
-            "grid \"{}\" has an unsupported transform, or is an instance of such a grid: resample it with a \
+            "grid \"{}\" has an unsupported transform, or is an instance of a grid that is missing or unsupported: resample it with a \
              uniform voxel size, and save it without instances",
             excerpt(&entry.info.name)
         );

@@ -154,15 +154,16 @@ impl<'a> ConfigTable<'a> {
         };
         let wanted = wanted(option);
         if is_list(option) {
-            let wanted = format!("a list in brackets, in which each item is {wanted}");
-            let array = value.get_ref().as_array().ok_or_else(|| self.wrong(key, &wanted, value))?;
+            let list = format!("a list in brackets, in which each item is {wanted}");
+            let array = value.get_ref().as_array().ok_or_else(|| self.wrong(key, &list, value))?;
             if array.is_empty() && !is_path(option) {
-                let what = format_args!("`{key}` is empty: expected {wanted}");
+                let what = format_args!("`{key}` is empty: expected {list}");
                 return Err(self.source.error(value.span().start, what));
             }
-            return array.iter().map(|item| self.text(key, option, item, &wanted).map(word)).collect();
+            let text = |item| self.text(key, option, item, ("contains", &wanted));
+            return array.iter().map(|item| text(item).map(word)).collect();
         }
-        let text = self.text(key, option, value, &wanted)?;
+        let text = self.text(key, option, value, ("is", &wanted))?;
         Ok(match option.get_action() {
             ArgAction::SetTrue if text == "true" => vec![name.into()],
             ArgAction::SetTrue => Vec::new(),
@@ -170,8 +171,14 @@ impl<'a> ConfigTable<'a> {
         })
     }
 
-    /// A value in command-line syntax.
-    fn text(&self, key: &str, option: &Arg, value: ConfigValue<'a>, wanted: &str) -> Result<OsString> {
+    /// A value in command-line syntax. `verb` says what the key does with it: is, contains.
+    fn text(
+        &self,
+        key: &str,
+        option: &Arg,
+        value: ConfigValue<'a>,
+        (verb, wanted): (&str, &str),
+    ) -> Result<OsString> {
         let is_switch = is::<bool>(option);
         let is_length = is::<Length>(option);
         let is_number = is_length || is::<f64>(option) || is::<u32>(option) || is::<u16>(option);
@@ -184,7 +191,7 @@ impl<'a> ConfigTable<'a> {
             DeValue::String(text) if is_length || !is_number && !is_switch => Some(text.to_string()),
             _ => None,
         };
-        let text = text.ok_or_else(|| self.wrong(key, wanted, value))?;
+        let text = text.ok_or_else(|| self.unexpected(key, verb, wanted, value))?;
         if !is_path(option) {
             return Ok(text.into());
         }
@@ -197,7 +204,11 @@ impl<'a> ConfigTable<'a> {
     }
 
     fn wrong(&self, key: &str, wanted: &str, value: ConfigValue<'_>) -> anyhow::Error {
-        let is = match value.get_ref() {
+        self.unexpected(key, "is", wanted, value)
+    }
+
+    fn unexpected(&self, key: &str, verb: &str, wanted: &str, value: ConfigValue<'_>) -> anyhow::Error {
+        let found = match value.get_ref() {
             DeValue::Integer(integer) => integer.to_string(),
             DeValue::Float(float) => float.to_string(),
             DeValue::Boolean(boolean) => boolean.to_string(),
@@ -206,7 +217,7 @@ impl<'a> ConfigTable<'a> {
             DeValue::Table(_) => "one block".to_owned(),
             DeValue::Datetime(_) => "a date".to_owned(),
         };
-        self.source.error(value.span().start, format_args!("`{key}` is {is}: expected {wanted}"))
+        self.source.error(value.span().start, format_args!("`{key}` {verb} {found}: expected {wanted}"))
     }
 }
 

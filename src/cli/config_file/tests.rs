@@ -85,7 +85,7 @@ fn wrong_values_are_errors_with_their_line() {
         ("formats = \"glb\"", &["a list in brackets"]),
         ("formats = []", &["`formats` is empty"]),
         ("formats = [\"glb\", \"fbx\"]", &["`fbx` is not known", "\"gltf\""]),
-        ("formats = [1]", &["each one of"]),
+        ("formats = [1]", &["`formats` contains 1: expected one of"]),
         ("output = \"\"", &["`output` is empty"]),
         ("output = 1979-05-27", &["a date"]),
         ("pattern = [\"a\"]", &["a list"]),

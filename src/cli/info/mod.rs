@@ -181,8 +181,8 @@ impl FileInfo {
         Ok(())
     }
 
-    /// Describes a surface: grids, a mesh, a layer or a sequence of meshes. Returns whether the file has one;
-    /// all other files are read as particles.
+    /// Describes a surface: grids, a mesh, a layer or a sequence of meshes. Returns false for files that are
+    /// read as particles.
     fn fill_surface(
         &mut self,
         format: Format,
@@ -194,7 +194,7 @@ impl FileInfo {
                 self.grids = Some(vdb::grids(bytes, limits)?.into_iter().map(GridRecord::from).collect());
             }
             Format::Glb | Format::Gltf => match gltf::read_sequence_info(bytes)? {
-                Some(info) => self.set_glb_sequence(info, gltf::read_attribute_names(bytes)?),
+                Some(info) => self.set_sequence_info(info, gltf::read_attribute_names(bytes)?),
                 None => {
                     let mesh = MeshInfo::of(&gltf::read_mesh(bytes, limits)?);
                     self.mesh = Some(mesh.with_attributes(&gltf::read_attributes(bytes, limits)?));
@@ -226,7 +226,7 @@ impl FileInfo {
                 }
             }
             Format::Abc => match abc::read_sequence_info(bytes)? {
-                Some(info) => self.set_glb_sequence(info, abc::read_attribute_names(bytes)?),
+                Some(info) => self.set_sequence_info(info, abc::read_attribute_names(bytes)?),
                 None => self.mesh = Some(MeshInfo::of(&abc::read_mesh(bytes, limits)?)),
             },
             Format::Vtp if holds_polys(bytes) => {
@@ -251,7 +251,7 @@ impl FileInfo {
         Ok(true)
     }
 
-    fn set_glb_sequence(&mut self, info: gltf::SequenceInfo, attributes: Vec<String>) {
+    fn set_sequence_info(&mut self, info: gltf::SequenceInfo, attributes: Vec<String>) {
         let gltf::SequenceInfo { frames, vertices, triangles } = info;
         self.set_sequence(frames, [vertices, triangles], attributes);
     }

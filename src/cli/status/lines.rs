@@ -106,9 +106,7 @@ impl FrameStatus {
         if self.attempts > 1 {
             about.push(format!("{} attempts", self.attempts));
         }
-        if self.is_for_next_start {
-            about.push("will be retried when the file changes or the daemon restarts".to_owned());
-        }
+        about.extend(self.retried.map(str::to_owned));
         about.push(ago(self.at_ms, now_ms));
         let input = &self.input;
         match &self.reason {

@@ -101,9 +101,9 @@ struct FrameStatus {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     flaws: Vec<String>,
     at_ms: u64,
-    /// Whether the daemon retries the failed frame at its next start although the file has not changed.
+    /// When the daemon tries the failed frame again although its file has not changed.
     #[serde(skip)]
-    is_for_next_start: bool,
+    retried: Option<&'static str>,
 }
 
 #[derive(Debug, PartialEq, Serialize)]
@@ -343,10 +343,13 @@ impl FrameStatus {
             seconds: frame.seconds,
             flaws: frame.flaws.clone(),
             at_ms: frame.at_ms,
-            is_for_next_start: matches!(
-                frame.status,
-                JournaledStatus::Refused | JournaledStatus::RetriesExhausted
-            ),
+            retried: match frame.status {
+                JournaledStatus::Refused => Some("will be checked again at each scan"),
+                JournaledStatus::RetriesExhausted => {
+                    Some("will be retried when the file changes or the daemon restarts")
+                }
+                _ => None,
+            },
         }
     }
 }

@@ -117,7 +117,7 @@ struct ObstaclesRecord {
     particles_inside: usize,
     /// Voxels that were filled because the gap to an obstacle was too narrow.
     void_voxels_filled: u64,
-    /// Voxels in an obstacle that are in the r_min sphere of a particle, or nearer to one than to the
+    /// Voxels in an obstacle that are in the r_min sphere of a particle, or nearer to such a sphere than to the
     /// obstacle's surface.
     voxels_taken: u64,
     /// How deep the deepest vertex is in an obstacle; 0 if none is inside.

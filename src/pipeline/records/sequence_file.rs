@@ -318,7 +318,8 @@ pub(super) fn increasing(numbers: &[Option<u64>]) -> Vec<u64> {
 
 /// The positions in the animation of frames with these increasing numbers. The [common step](common_step) of
 /// the numbers becomes one frame of the animation. If it is 1, the positions are the numbers themselves.
-/// Otherwise they are the numbers divided by it or, if that leaves a remainder, counted from the first number on.
+/// Otherwise they are the numbers divided by it or, if that leaves a remainder, counted from the first number
+/// on.
 fn in_steps(numbers: &[u64]) -> Vec<u64> {
     let step = common_step(numbers);
     let Some(&first) = numbers.first() else { return Vec::new() };

@@ -15,11 +15,11 @@ use std::ops::RangeInclusive;
 use crate::surface::contour::Contouring;
 use crate::surface::smooth::Integrator;
 
+use super::checks::positive;
 use super::fields::{self, OptionGroup, OptionInfo, OptionValue, ValueKind, method_options};
 use super::length::{Length, LengthUnit};
 use super::pairs::Pairs;
 use super::presets::{Preset, Recipe};
-use super::resolution::positive;
 use super::values::{AnisotropyKind, AttributeSelection, ClipBox};
 use super::{PerParticleRadius, SettingsError};
 

@@ -3,6 +3,7 @@
 //! [`MethodOptions`] holds what the user set; [`Settings`] holds every value. A sequence has one `Settings`
 //! for all its frames: an estimate per frame would make it flicker.
 
+mod checks;
 mod definition;
 mod fields;
 mod length;
@@ -18,6 +19,7 @@ use crate::surface::particles::{Attribute, find_attribute};
 use crate::surface::smooth::EIGENVALUE_MAX;
 pub use crate::surface::smooth::Integrator;
 use crate::surface::words::significant;
+use checks::{named, require};
 pub use definition::MethodOptions;
 pub use fields::{OptionGroup, OptionInfo, OptionValue, ValueKind};
 #[cfg(feature = "cli")]
@@ -28,7 +30,7 @@ pub use presets::{Preset, SequenceSpacing};
 use presets::{Scale, Unit};
 use resolution::{
     anisotropy, cavities, check_offset, checked_box, default_step_size, default_steps, initial_radius,
-    is_explicit, laplacian_steps, named, neighbor_radius, offset, radii, require,
+    is_explicit, laplacian_steps, neighbor_radius, offset, radii,
 };
 pub use values::{AnisotropyKind, AttributeSelection, ClipBox};
 

@@ -223,10 +223,10 @@ impl Scale {
     ) -> Result<Scale, SettingsError> {
         let recipe = options.recipe();
         let in_world_units = options.voxel_size.and_then(Length::world);
-        in_world_units.map_or(Ok(0.0), |h| super::resolution::positive("voxel size", h))?;
+        in_world_units.map_or(Ok(0.0), |h| super::checks::positive("voxel size", h))?;
         let spacing = options.spacing.or(measured.map(|measured| measured.spacing));
         let spacing = match (spacing, in_world_units) {
-            (Some(spacing), _) => super::resolution::positive("particle spacing", spacing)?,
+            (Some(spacing), _) => super::checks::positive("particle spacing", spacing)?,
             (None, Some(h)) => rounded_to_digits(h / recipe.voxel_size),
             (None, None) => {
                 require(false, || "the particle spacing is unknown: give --spacing".into())?;
@@ -243,7 +243,7 @@ impl Scale {
                         "the voxel size is {length}; give it in world units or particle spacings, such as 0.4d"
                     )
                 })?;
-                super::resolution::positive_length(
+                super::checks::positive_length(
                     "voxel size",
                     options.voxel_size,
                     length.resolve(spacing, f64::NAN),

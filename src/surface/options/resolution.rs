@@ -1,10 +1,10 @@
 //! Defaults and checks of settings that depend on the preset, the voxel size or each other.
 
+use super::checks::{named, positive, positive_length, require, stated};
 use super::definition::{CAVITY_VOXELS_MAX, STEP_SIZE_MAX, STEP_SIZE_MIN, STEPS_MAX};
 use super::presets::{InitialRadius, Recipe, Scale, Unit, rounded_to_digits};
 use super::{
-    Anisotropy, AnisotropyKind, ClipBox, Integrator, Length, LengthUnit, MethodOptions, RADIUS_MAX_VOXELS,
-    SettingsError,
+    Anisotropy, AnisotropyKind, ClipBox, Integrator, Length, MethodOptions, RADIUS_MAX_VOXELS, SettingsError,
 };
 use crate::surface::words::significant;
 
@@ -133,8 +133,8 @@ pub(super) fn offset(options: &MethodOptions, radius_min: f64, scale: &Scale) ->
     Ok(offset)
 }
 
-/// Checks that an offset, as given and in world units, moves the surface inward by at most a radius, which has
-/// this name in the error.
+/// Checks that an offset, as given and in world units, moves the surface inward by at most a radius, which
+/// has this name in the error.
 pub(super) fn check_offset(
     (given, offset): (Option<Length>, f64),
     (radius, radius_name): (f64, &str),
@@ -261,39 +261,4 @@ pub(super) fn checked_box(clip: ClipBox) -> Result<ClipBox, SettingsError> {
         })?;
     }
     Ok(clip)
-}
-
-pub(super) fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
-    require(value.is_finite() && value > 0.0, || {
-        format!("the {name} is {value}; it must be a positive number")
-    })?;
-    Ok(value)
-}
-
-/// As [`positive`], for a length that was given as `given`, or has its default value.
-pub(super) fn positive_length(name: &str, given: Option<Length>, value: f64) -> Result<f64, SettingsError> {
-    require(value.is_finite() && value > 0.0, || {
-        format!("the {}; it must be a positive number", stated(name, given, value))
-    })?;
-    Ok(value)
-}
-
-/// The name of a length and its value in world units, such as `offset 5h is 0.1`.
-fn stated(name: &str, given: Option<Length>, value: f64) -> String {
-    match given.and_then(Length::world) {
-        Some(typed) => format!("{name} is {typed}"),
-        None => format!("{} is {}", named(name, given), significant(value)),
-    }
-}
-
-/// The name of a length, followed by the length as typed if it has a unit.
-pub(super) fn named(name: &str, given: Option<Length>) -> String {
-    match given.filter(|length| length.unit != LengthUnit::World) {
-        Some(length) => format!("{name} {length}"),
-        None => name.to_owned(),
-    }
-}
-
-pub(super) fn require(holds: bool, what: impl FnOnce() -> String) -> Result<(), SettingsError> {
-    if holds { Ok(()) } else { Err(SettingsError { what: what() }) }
 }

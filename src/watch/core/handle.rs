@@ -91,7 +91,7 @@ impl Core {
         }
     }
 
-    /// Starts another pipeline if frames of the current one wait for a file system that does not answer, so
+    /// Starts another pipeline if frames of the current one wait for a file system that does not respond, so
     /// that frames of other folders are converted meanwhile.
     fn replace_stalled_pipeline(&mut self) {
         let may_others_begin = (0..self.roots.len()).any(|root| self.may_begin(root));

@@ -212,8 +212,7 @@ impl Core {
         for competitor in
             self.failed.iter().filter(is_competitor).map(|(id, _)| id.clone()).collect::<Vec<_>>()
         {
-            self.failed.remove(&competitor);
-            self.inspect(&competitor, None, None);
+            self.check_refusal(&competitor);
         }
     }
 
@@ -313,6 +312,7 @@ impl Core {
         let Inspected { id, number, found, obstacles } = inspected;
         let Some(frame) = self.frames.take_inspection(&id, number) else { return };
         let is_settling = matches!(frame.phase, FramePhase::Settling(_));
+        let is_waiting = is_settling || matches!(frame.phase, FramePhase::Retrying(_));
         let bytes = frame.stamp.size;
         frame.obstacles = obstacles;
         let was_inspected = std::mem::replace(&mut frame.was_inspected, true);
@@ -326,7 +326,7 @@ impl Core {
             InspectionResult::Unreadable(error) => self.on_file_unreadable(&id, error),
             InspectionResult::Changed(seen, at) => self.on_file_seen(&id, &seen, at, false),
             InspectionResult::AsRecorded if is_settling => self.take_record(&id),
-            InspectionResult::OutputsAway if is_settling => {
+            InspectionResult::OutputsAway if is_waiting => {
                 self.frames.set_alarm(&id, self.now.at + AWAY_RETRY)
             }
             InspectionResult::Same | InspectionResult::AsRecorded | InspectionResult::OutputsAway => {}

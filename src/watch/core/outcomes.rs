@@ -183,8 +183,8 @@ impl Core {
         self.release_claim(id);
     }
 
-    /// Refuses a frame because of other files. They may change while the frame does not, so it is checked
-    /// again at each scan, and after a restart.
+    /// Refuses a frame, usually because of other files. They may change while the frame does not, so it is
+    /// checked again at each scan, and after a restart.
     pub(super) fn refuse(&mut self, id: &FrameId, reason: String) {
         self.fail(id, JournaledStatus::Refused, reason);
     }

@@ -91,7 +91,7 @@ pub(crate) struct Failure {
     /// The number of frames that were finished when the failure was logged; `None` if it was not logged in
     /// this run.
     pub(super) logged_at: Option<usize>,
-    /// Whether the frame was refused because of other files.
+    /// Whether the frame was refused, usually because of other files.
     pub(super) is_refusal: bool,
 }
 

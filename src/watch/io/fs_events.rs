@@ -211,7 +211,7 @@ impl EventHandler {
             Ok(event) if event.need_rescan() => self.send(FsEvent::Rescan),
             Ok(event) => self.on_event(event),
             Err(error) => {
-                tracing::warn!(%error, "the file watcher failed to report an event: scanning all folders");
+                tracing::warn!(%error, "the file watcher failed to report an event: scanning its folder again");
                 self.send(FsEvent::Rescan);
             }
         }

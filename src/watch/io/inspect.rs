@@ -70,7 +70,11 @@ impl Root {
         }
         let contents = contents_of(id);
         let conflict = match contents {
-            FileContents::Frame | FileContents::MaybeSteps => self.conflict_of(outputs),
+            FileContents::Frame | FileContents::MaybeSteps => match self.conflict_of(outputs) {
+                // The other file only seems to be gone: the pipeline does not check it again.
+                None if !self.output.is_in_place() => return InspectionResult::OutputsAway,
+                conflict => conflict,
+            },
             FileContents::NotParticles | FileContents::Unreadable(_) => None,
         };
         InspectionResult::Complete(Complete { proof, changed_output, contents, conflict })

@@ -1,6 +1,6 @@
 //! Pipelines: threads that convert the frames that the core gives them.
 //!
-//! Usually there is one pipeline. If its frames wait for a file system that does not answer, a second
+//! Usually there is one pipeline. If its frames wait for a file system that does not respond, a second
 //! pipeline converts the frames of the other folders. Therefore each pipeline has its own threads, and
 //! nothing waits for these threads to end.
 
