@@ -127,7 +127,7 @@ def reconstruct(
     """
     given = _Given(points, radii, velocity, attributes)
     bodies = as_obstacles(obstacles)
-    _warn_of_ignored(given.pairs(options), bodies)
+    _warn_of_ignored(given, options, bodies)
     native = _native.Reconstructor(
         given.pairs(options), given.selects_all, given.selected, _bytes_of(memory), _folder_of(scratch)
     )
@@ -209,7 +209,7 @@ class Sequence:
         bodies = as_obstacles(obstacles)
         if not self._has_frame:
             self._has_frame = True
-            _warn_of_ignored(given.pairs(self._options), bodies)
+            _warn_of_ignored(given, self._options, bodies)
         options: Mapping[str, Any] = self._options if self._resolved is None else self._resolved
         pairs = given.pairs(options)
         # A native reconstructor keeps the settings and the distances from obstacles. A frame with other
@@ -285,8 +285,11 @@ class _Given:
         return as_pairs(options)
 
 
-def _warn_of_ignored(pairs: list[tuple[str, str]], obstacles: list[_native.Obstacle]) -> None:
+def _warn_of_ignored(given: _Given, options: Mapping[str, Any], obstacles: list[_native.Obstacle]) -> None:
     """Warn about options that have no effect. The warning points to the caller of the public function."""
+    pairs = given.pairs(options)
+    if given.selects_all or given.selected:
+        pairs.append(("attributes", "all"))
     for warning in _native.option_warnings(pairs, bool(obstacles)):
         text = re.sub(r"--([a-z][a-z-]*)", lambda flag: f"`{flag[1].replace('-', '_')}`", warning)
         warnings.warn(text, stacklevel=3)
