@@ -20,6 +20,12 @@ pub(crate) fn significant(value: f64) -> String {
     if is_plain { rounded.to_string() } else { format!("{rounded:e}") }
 }
 
+/// Removes the digits that binary rounding adds to a product of decimal numbers: 0.020000000000000004 becomes
+/// 0.02.
+pub(crate) fn rounded_to_digits(number: f64) -> f64 {
+    format!("{number:.12e}").parse().unwrap_or(number)
+}
+
 /// A positive number rounded down to three significant digits.
 #[cfg(any(test, feature = "cli"))]
 pub(crate) fn rounded_down(value: f64) -> String {

@@ -1,6 +1,7 @@
 //! Checks of numbers and lengths, and how errors name them.
 
-use super::{Length, LengthUnit, SettingsError};
+use super::SettingsError;
+use super::length::{Length, LengthUnit};
 use crate::surface::words::significant;
 
 /// The value, if it is positive and finite.

@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::fields::{OptionValue, ValueKind};
-use super::presets::rounded_to_digits;
+use crate::surface::words::rounded_to_digits;
 
 /// A length in one of the units that options take.
 #[derive(Clone, Copy, Debug, PartialEq)]

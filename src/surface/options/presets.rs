@@ -3,7 +3,7 @@
 //! The lengths of most presets are in particle spacings d: a finer grid then shows the same surface in more
 //! detail. Those of the paper's presets are in voxels h, as in the paper.
 
-use crate::surface::words::word_enum;
+use crate::surface::words::{rounded_to_digits, word_enum};
 
 use super::length::{Length, LengthUnit};
 use super::values::AnisotropyKind;
@@ -274,12 +274,6 @@ impl Scale {
             Unit::Spacing => self.spacing / self.voxel_size,
         }
     }
-}
-
-/// Removes the digits that binary rounding adds to a product of decimal numbers: 0.020000000000000004 becomes
-/// 0.02.
-pub(super) fn rounded_to_digits(number: f64) -> f64 {
-    format!("{number:.12e}").parse().unwrap_or(number)
 }
 
 /// Upper limit of voxels per particle spacing, however small the particles' own radii are. Without this

@@ -2,11 +2,11 @@
 
 use super::checks::{named, positive, positive_length, require, stated};
 use super::definition::{CAVITY_VOXELS_MAX, STEP_SIZE_MAX, STEP_SIZE_MIN, STEPS_MAX};
-use super::presets::{InitialRadius, Recipe, Scale, Unit, rounded_to_digits};
+use super::presets::{InitialRadius, Recipe, Scale, Unit};
 use super::{
     Anisotropy, AnisotropyKind, ClipBox, Integrator, Length, MethodOptions, RADIUS_MAX_VOXELS, SettingsError,
 };
-use crate::surface::words::significant;
+use crate::surface::words::{rounded_to_digits, significant};
 
 /// The smallest r_min in voxels. Semi-axes are in units of r_min, and the voxel size in this unit must fit
 /// into a 32-bit number.

@@ -22,7 +22,7 @@ const KNOWN_CYCLES: &[&str] = &[
     "src/surface/anisotropy: half_axes, neighborhoods",
     "src/surface/contour: dual_contouring, quads",
     "src/surface/obstacle: surface, tree, winding",
-    "src/surface/options: definition, length, pairs, presets, values",
+    "src/surface/options: definition, pairs, presets, values",
     "src/surface/rasterize: distances, signed_distance",
     "src/surface/smooth: explicit, schedule",
     "src/surface/validation: bound_violations, containment, distances, particle_checks, rays, surfaces",
