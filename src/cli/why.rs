@@ -186,9 +186,9 @@ fn lines(
         line(
             "content",
             match content {
-                SniffedContent::Particles => "particles",
+                SniffedContent::Particles => "a frame",
                 SniffedContent::OwnOutput => "made by this program",
-                SniffedContent::NotParticles => "not particles",
+                SniffedContent::NotParticles => "not a frame",
             },
         );
         line("complete", &readiness.to_string());

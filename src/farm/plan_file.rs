@@ -425,11 +425,12 @@ impl PlannedSpacing {
 
 /// The job for level sets whose surfaces smoothing may move by this many voxels.
 fn level_set_job(pointer: &str, voxels: &str) -> Result<Job, PlanError> {
-    let max_deviation_voxels = number(pointer, voxels)?;
-    match (0.0..=f64::from(DEVIATION_MAX_VOXELS)).contains(&max_deviation_voxels) {
-        true => Ok(Job::level_set(max_deviation_voxels)),
-        false => Err(PlanError::at(pointer, format!("it must be from 0 to {DEVIATION_MAX_VOXELS} voxels"))),
-    }
+    let range = 0.0..=f64::from(DEVIATION_MAX_VOXELS);
+    let max_deviation_voxels = voxels.parse().ok().filter(|voxels| range.contains(voxels));
+    max_deviation_voxels.map(Job::level_set).ok_or_else(|| {
+        let what = format!("`{voxels}` is not a number of voxels from 0 to {DEVIATION_MAX_VOXELS}");
+        PlanError::at(pointer, what)
+    })
 }
 
 /// The same outputs with the camera of a sequence.

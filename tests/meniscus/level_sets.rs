@@ -221,6 +221,24 @@ fn former_name_of_max_deviation_is_accepted() {
 }
 
 #[test]
+fn plan_of_level_sets_that_are_not_smoothed_is_converted_and_verified() {
+    let folder = sequence();
+    let folder = folder.path();
+    succeeded(&meniscus(folder, &["plan", "in/f.#.vdb", "--out=out", "--shards=1", "-o=p.json"]));
+    succeeded(&meniscus(folder, &["convert", "--plan=p.json", "--shard=0"]));
+    succeeded(&meniscus(folder, &["verify", "out", "--plan=p.json"]));
+    let plan = fs::read_to_string(folder.join("p.json")).expect("there");
+    for wrong in ["-1", "3.5", "NaN", "x"] {
+        let wrong = plan.replace("\"max_deviation\": \"0\"", &format!("\"max_deviation\": \"{wrong}\""));
+        assert_ne!(wrong, plan);
+        fs::write(folder.join("p.json"), wrong).expect("written");
+        let refused = meniscus(folder, &["convert", "--plan=p.json", "--shard=0"]);
+        assert_eq!(refused.status, 2, "{}", refused.err);
+        assert!(refused.err.contains("is not a number of voxels from 0 to 3"), "{}", refused.err);
+    }
+}
+
+#[test]
 fn shards_of_level_sets_give_the_results_of_convert() {
     let folder = sequence();
     let folder = folder.path();

@@ -183,7 +183,7 @@ fn why_lists_everything_that_decides() {
     let typed = ["--out", "out"];
     // The file is new: it counts as stable only after half a second.
     let unknown = "The journal does not record the daemon's settings";
-    assert_explains("in/dam.1.ply", &typed, &["journal   nothing", "content   particles", "It ", unknown]);
+    assert_explains("in/dam.1.ply", &typed, &["journal   nothing", "content   a frame", "It ", unknown]);
     assert_explains(
         "in/notes.md",
         &typed,

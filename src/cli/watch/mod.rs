@@ -153,7 +153,7 @@ fn level_sets_left(watches: &[Watch]) -> String {
     match watches.iter().map(|watch| level_sets_in(&watch.input).len()).sum() {
         0 => String::new(),
         count => format!(
-            ": {} left alone; --pattern '*.vdb' takes those that meniscus did not write",
+            ": {} left alone; --pattern '*.vdb' selects level sets, except those that meniscus wrote",
             pluralize(count, "level set")
         ),
     }

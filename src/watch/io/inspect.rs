@@ -86,7 +86,7 @@ impl Root {
         for output in outputs {
             if output.symlink_metadata().is_ok() && matches!(content(output), Ok(SniffedContent::Particles)) {
                 return Some(format!(
-                    "its output {} would replace a particle file: choose another folder or format",
+                    "its output {} would replace a particle file: move that file away, or choose another folder or format",
                     output.display()
                 ));
             }
