@@ -2,6 +2,8 @@
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
+use std::io::Cursor;
+
 use meniscus_formats::{
     Limits, MeshOptions, OutputFormat, Values, VertexAttribute, VertexValues, gltf, read_mesh, usda, usdc,
 };
@@ -94,6 +96,47 @@ fn usda_for_a_stage_repeats_every_value_as_a_time_sample() {
         assert_eq!(sample("xformOp:translate"), format!("({origin})"));
         assert_eq!(text.contains("xformOpOrder"), mesh.origin == FAR);
         assert!(!text.contains("orientation.timeSamples") && !text.contains("Scheme.timeSamples"));
+    }
+}
+
+#[test]
+fn properties_with_time_samples_are_read_without_the_arrays() {
+    let limits = Limits::default();
+    for mesh in [torus(20, 12, [0.0; 3]), torus(130, 70, FAR), nothing()] {
+        let options = MeshOptions { time_samples: true, ..MeshOptions::default() };
+        let mut text = Vec::new();
+        OutputFormat::Usda
+            .write_mesh(&mesh.view(&mesh.attributes()), &options, &[], &mut text)
+            .expect("writing to memory");
+        let of_text = usda::read_sampled_properties(&text[..text.len().min(4096)]).expect("a head");
+        let bytes = usdc_bytes(&mesh, true, gltf::UpAxis::Y);
+        let read = |bytes: &[u8]| usdc::read_sampled_properties(&mut Cursor::new(bytes), &limits);
+        let found = read(&bytes).expect("our own file");
+        assert_eq!(found, of_text);
+        for (kind, name) in [
+            ("point3f[]", "points"),
+            ("int[]", "faceVertexIndices"),
+            ("vector3f[]", "velocities"),
+            ("color3f[]", "primvars:displayColor"),
+            ("string[]", "primvars:_2nd"),
+            ("int[]", "primvars:_2nd:indices"),
+            ("double3", "xformOp:translate"),
+        ] {
+            assert!(
+                found.iter().any(|property| (&*property.kind, &*property.name) == (kind, name)),
+                "{name}"
+            );
+        }
+        assert!(!found.iter().any(|property| property.name == "orientation"));
+        assert_eq!(found.iter().any(|property| property.name == "extent"), !mesh.positions.is_empty());
+        let plain = usda_text(&mesh, true, gltf::UpAxis::Y);
+        assert_eq!(usda::read_sampled_properties(plain.as_bytes()).expect("a head"), []);
+        // The arrays are in the first half of a large file.
+        if bytes.len() > 100_000 {
+            let mut overwritten = bytes.clone();
+            overwritten[1000..bytes.len() / 2].fill(0xff);
+            assert_eq!(read(&overwritten).expect("the tables are intact"), found);
+        }
     }
 }
 
@@ -196,9 +239,11 @@ fn truncated_and_damaged_usdc_is_an_error() {
     let mesh = torus(9, 7, FAR);
     let (bytes, limits) = (usdc_bytes(&mesh, true, gltf::UpAxis::Y), Limits::default());
     let read = |bytes: &[u8]| usdc::UsdcLayer::read(bytes, &limits)?.frame(0);
+    let sampled = |bytes: &[u8]| usdc::read_sampled_properties(&mut Cursor::new(bytes), &limits);
     for length in 0..bytes.len() {
         let error = read(&bytes[..length]).expect_err("truncated");
         assert!(length < 8 || error.is_truncated(), "{length}: {error}");
+        assert!(sampled(&bytes[..length]).is_err(), "{length}");
         assert!(error.to_string().starts_with("USD, at byte "), "{length}: {error}");
     }
     // Any result is valid, as long as nothing panics.
@@ -207,6 +252,7 @@ fn truncated_and_damaged_usdc_is_an_error() {
             let mut damaged = bytes.clone();
             damaged[at] ^= damage;
             let _ = read(&damaged);
+            let _ = sampled(&damaged);
         }
     }
     let mut newer = bytes.clone();

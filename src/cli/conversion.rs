@@ -6,7 +6,7 @@ use std::sync::Arc;
 use anyhow::{Result, bail};
 use rayon::ThreadPool;
 
-use crate::pipeline::{Job, MeasuredSpacing, ObstacleFiles, OutputOptions, check_outputs};
+use crate::pipeline::{Job, MeasuredSpacing, ObstacleFiles, OutputOptions, Sequence, check_outputs};
 use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::simd::level_warning;
 
@@ -21,6 +21,8 @@ use super::wording::option_names;
 /// The frames and their outputs, checked before anything is written.
 pub(super) struct Conversion {
     pub(super) sequences: Vec<SelectedSequence>,
+    /// The sequences without any selected frame, which a stage plays nevertheless.
+    pub(super) unselected: Vec<Sequence>,
     /// Every file that the inputs name, selected or not.
     found: Vec<PathBuf>,
     pub(super) job: Job,
@@ -44,8 +46,9 @@ impl Conversion {
     ) -> Result<Conversion> {
         let obstacles = Arc::new(obstacle_files(method)?);
         let folder = OutFolder::make(&outputs.folder)?;
-        let InputSelection { sequences, found, .. } = selection;
-        Ok(Conversion { sequences, found, job, options: method.to_options(), obstacles, outputs, folder })
+        let InputSelection { sequences, unselected, found, .. } = selection;
+        let options = method.to_options();
+        Ok(Conversion { sequences, unselected, found, job, options, obstacles, outputs, folder })
     }
 
     /// Refuses outputs, or another file such as the report, that would replace inputs, obstacles or each

@@ -9,8 +9,9 @@ use meniscus_formats::listed;
 
 use crate::farm::{PlannedFrame, ShardPlan};
 use crate::pipeline::{
-    Frame, FrameFile, InspectedState, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions,
-    SequenceRecord, StageFrame, StageSequence, check_out_folder, check_outputs, file_of, inspect, size_bytes,
+    Frame, FrameFile, InspectedState, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions, Sequence,
+    SequenceRecord, StageFrame, StageSequence, check_out_folder, check_outputs, file_of, inspect,
+    output_sequence, size_bytes,
 };
 
 use super::CommandOutcome;
@@ -123,8 +124,10 @@ fn convert_all(
     refuse_file_conflicts(&conversion, args.report.as_deref(), &shots)?;
     let options = RunOptions::new(args, start)?;
     let mut batch = Batch::new(&options);
-    batch.stage =
-        StageWriter::new(outputs, || sequences.iter().map(|s| stage_sequence(s, outputs)).collect());
+    batch.stage = StageWriter::new(outputs, || {
+        let all = sequences.iter().map(|selected| &selected.sequence).chain(&conversion.unselected);
+        all.map(|sequence| stage_sequence(sequence, outputs)).collect()
+    });
     for sequence in sequences {
         add(&mut batch, sequence, &conversion, console)?;
     }
@@ -159,12 +162,9 @@ fn refuse_file_conflicts(
 }
 
 /// All frames of a sequence, selected or not.
-fn stage_sequence(
-    SelectedSequence { sequence, .. }: &SelectedSequence,
-    outputs: &OutputOptions,
-) -> StageSequence {
+fn stage_sequence(sequence: &Sequence, outputs: &OutputOptions) -> StageSequence {
     let frame = |file: &FrameFile| StageFrame::new(outputs, &file.stem(), file.number());
-    let name = sequence.frames.first().map_or(String::new(), |file| file.sequence().1);
+    let name = sequence.frames.first().map_or(String::new(), |file| output_sequence(&file.sequence().1));
     StageSequence { name, frames: sequence.frames.iter().map(frame).collect() }
 }
 
@@ -269,13 +269,19 @@ fn convert_shard(
 
 /// All frames of a plan, which are those of all shards.
 fn planned_stage_sequences(plan: &ShardPlan) -> Vec<StageSequence> {
-    let mut sequences: Vec<StageSequence> = Vec::new();
-    for sequence in &plan.sequences {
-        sequences.push(StageSequence { name: sequence.name.clone(), frames: Vec::new() });
-    }
-    for PlannedFrame { stem, number, sequence, .. } in &plan.frames {
-        let frame = StageFrame::new(&plan.sequences[*sequence].outputs, stem, *number);
-        sequences[*sequence].frames.push(frame);
+    let none = || StageSequence { name: String::new(), frames: Vec::new() };
+    let mut sequences: Vec<StageSequence> = plan.sequences.iter().map(|_| none()).collect();
+    for PlannedFrame { input, stem, number, sequence, .. } in &plan.frames {
+        let (planned, staged) = (&plan.sequences[*sequence], &mut sequences[*sequence]);
+        if staged.frames.is_empty() {
+            // The name of a sequence with a single frame is that of the file.
+            let name = match planned.name.contains("{}") {
+                true => planned.name.clone(),
+                false => FrameFile::of_outputs(input.clone(), stem).sequence().1,
+            };
+            staged.name = output_sequence(&name);
+        }
+        staged.frames.push(StageFrame::new(&planned.outputs, stem, *number));
     }
     sequences
 }

@@ -4,14 +4,14 @@
 //! A `[[watch]]` block with these keys produces the same files. Keys without effect are left out, because a
 //! file with them would cause warnings.
 
-use std::path::absolute;
+use std::path::{Path, absolute};
 
 use anyhow::{Context, Result, bail};
 use meniscus_formats::WriteOption;
 use rayon::ThreadPool;
 use toml::Value;
 
-use crate::pipeline::{Job, OutputOptions};
+use crate::pipeline::{Job, OutputOptions, StageOptions};
 use crate::surface::options::{
     Length, LengthUnit, MethodOptions, OptionGroup, SequenceSpacing, Settings, ValueKind,
 };
@@ -122,19 +122,22 @@ fn keys(
         });
     }
     keys.extend(format_keys(outputs));
+    if let Some(StageOptions { path, fps }) = &outputs.stage {
+        keys.push(format!("stage = {}", quoted(&absolute_text(path)?)));
+        keys.push(format!("fps = {fps}"));
+    }
     Ok(keys)
 }
 
 /// The obstacles as absolute paths, which are valid wherever the file is.
 fn obstacle_paths(args: &MethodArgs) -> Result<Vec<String>> {
-    let paths = args.obstacle.iter().map(|path| {
-        let whole = absolute(path).with_context(|| format!("`{}` is not a valid path", path.display()))?;
-        let text = whole.to_str().map(str::to_owned);
-        text.with_context(|| {
-            format!("{}: a configuration file can name only paths in Unicode", whole.display())
-        })
-    });
-    paths.collect()
+    args.obstacle.iter().map(|path| absolute_text(path)).collect()
+}
+
+fn absolute_text(path: &Path) -> Result<String> {
+    let whole = absolute(path).with_context(|| format!("`{}` is not a valid path", path.display()))?;
+    let text = whole.to_str().map(str::to_owned);
+    text.with_context(|| format!("{}: a configuration file can name only paths in Unicode", whole.display()))
 }
 
 /// The output options for the written formats.

@@ -23,6 +23,8 @@ use super::wording::{counted_are, pluralize};
 pub(super) struct InputSelection {
     /// At least one.
     pub(super) sequences: Vec<SelectedSequence>,
+    /// The sequences without any selected frame.
+    pub(super) unselected: Vec<Sequence>,
     /// Every file that the inputs name, selected or not.
     pub(super) found: Vec<PathBuf>,
     /// Whether every path was readable, so that these are all the frames.
@@ -67,6 +69,9 @@ pub(super) fn select_frames(
     if method.to_options().needs_spacing() {
         warn_of_single_frames(&sequences, console);
     }
+    let has_selected =
+        |sequence: &Sequence| sequence.frames.iter().any(|file| FrameSelection::takes(numbers, file));
+    let unselected = sequences.iter().filter(|sequence| !has_selected(sequence)).cloned().collect();
     let sequences = without_conflicts(selected_of(sequences, numbers)?, console);
     if let Some(selection) = numbers {
         let existing = selected_files(&sequences).filter_map(FrameFile::number).collect();
@@ -74,7 +79,7 @@ pub(super) fn select_frames(
             console.warning(format_args!("--frames {range}: {} missing", counted_are(count)));
         }
     }
-    Ok(InputSelection { sequences, found: paths, is_complete })
+    Ok(InputSelection { sequences, unselected, found: paths, is_complete })
 }
 
 /// The sequences with their selected frames; sequences without any are dropped.

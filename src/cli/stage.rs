@@ -2,7 +2,9 @@
 
 use std::time::Instant;
 
-use crate::pipeline::{OutputOptions, StageReport, StageSequence, next_stage_update, write_stage};
+use crate::pipeline::{
+    OutputOptions, StageReport, StageSequence, next_stage_update, stage_frame_count, write_stage,
+};
 
 use super::CommandOutcome;
 use super::console::Console;
@@ -13,9 +15,14 @@ pub(super) struct StageWriter {
     outputs: OutputOptions,
     /// All frames that the stage will have.
     sequences: Vec<StageSequence>,
+    /// The number of frames in the stage that is replaced.
+    former_count: usize,
     /// When the next update is due.
     due: Instant,
 }
+
+/// Maximum number of missing files that are named.
+const MISSING_NAMED: usize = 3;
 
 impl StageWriter {
     /// The stage that the options name, if they name one, with these frames.
@@ -23,8 +30,9 @@ impl StageWriter {
         outputs: &OutputOptions,
         sequences: impl FnOnce() -> Vec<StageSequence>,
     ) -> Option<StageWriter> {
-        outputs.stage.as_ref()?;
-        Some(StageWriter { outputs: outputs.clone(), sequences: sequences(), due: Instant::now() })
+        let former_count = stage_frame_count(&outputs.stage.as_ref()?.path).unwrap_or(0);
+        let (outputs, sequences) = (outputs.clone(), sequences());
+        Some(StageWriter { outputs, sequences, former_count, due: Instant::now() })
     }
 
     /// A frame is done. An error is left to [`StageWriter::finish`], because it may go away.
@@ -43,13 +51,15 @@ impl StageWriter {
             return outcome;
         };
         match write_stage(&self.outputs, &self.sequences) {
-            Ok(Some(StageReport { mesh_count, volume_count, missing_count })) => {
-                let frames = pluralize(mesh_count.max(volume_count), "frame");
-                let missing = match missing_count {
-                    0 => String::new(),
-                    count => format!("; {} missing so far", counted_are(count as u64)),
-                };
-                console.print_line(format_args!("{path}: a stage of {frames}{missing}"));
+            Ok(Some(StageReport { frame_count, missing, .. })) => {
+                let frames = pluralize(frame_count, "frame");
+                console.print_line(format_args!("{path}: a stage of {frames}{}", named(&missing)));
+                if frame_count < self.former_count {
+                    console.warning(format_args!(
+                        "{path}: it had {} before: a stage plays only the frames of the inputs of one command",
+                        pluralize(self.former_count, "frame")
+                    ));
+                }
                 outcome
             }
             Ok(None) => {
@@ -62,4 +72,14 @@ impl StageWriter {
             }
         }
     }
+}
+
+/// The files that are missing, one for each frame.
+fn named(missing: &[String]) -> String {
+    if missing.is_empty() {
+        return String::new();
+    }
+    let others = (missing.len() > MISSING_NAMED).then_some("..");
+    let names: Vec<&str> = missing.iter().take(MISSING_NAMED).map(String::as_str).chain(others).collect();
+    format!("; {} missing so far: {}", counted_are(missing.len() as u64), names.join(", "))
 }

@@ -80,7 +80,7 @@ pub use files::out_folder::{
 pub use files::path_identity::{are_same_file, canonical_entry};
 pub use files::shown::{STANDARD_INPUT, show_as, shown};
 pub use files::stamp::FileStamp;
-pub use files::sweep::{SweepError, Swept, remove_left_behind, sweep_temporaries};
+pub use files::sweep::{SweepError, Swept, remove_left_behind, sweep_temporaries, sweep_temporaries_of};
 pub use in_memory::{EmbeddedSurface, in_memory_attributes, in_memory_obstacle, in_memory_parts};
 pub use input::attributes::AttributeRequest;
 pub use input::bounds::{EMPTY_BOUNDS, bounds_of_particles, sequence_bounds};
@@ -96,7 +96,7 @@ pub use input::reading::{ReadFrame, parse_particles, particles, read_file};
 pub(crate) use input::source::output_stem;
 pub use input::source::{
     FrameFile, Sequence, are_single_frames, has_particle_extension, natural_order, order_subframes,
-    promises_particles, sequences, single_frame_sequences, single_frames_note,
+    output_sequence, promises_particles, sequences, single_frame_sequences, single_frames_note,
 };
 pub use input::steps::{
     FileFrames, IndexPolicy, file_of, frame_name, frames_in, frames_in_unless, is_missing_step,
@@ -121,7 +121,9 @@ pub use records::sequence_file::{
     SequenceError, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource, common_step,
     is_sequence_file, write_sequence_file,
 };
-pub use records::stage_file::{StageFrame, StageReport, StageSequence, next_stage_update, write_stage};
+pub use records::stage_file::{
+    StageFrame, StageReport, StageSequence, next_stage_update, stage_frame_count, write_stage,
+};
 pub use stages::{OnError, PipelineOptions, default_in_flight, run, stream};
 pub use target::close_up::close_up;
 pub use target::framing::{Framed, Framing};

@@ -5,7 +5,8 @@
     volumes           the .vdb of the frame, its level set and its velocities
     usdchecker        reports nothing
 
-Frames arrive one by one, the first one without particles; at the end the daemon starts again, without the stage.
+Frames arrive one by one, the first one without particles, and one without velocities, which then has none in the stage;
+at the end the daemon starts again, without the stage.
 """
 
 import shutil
@@ -21,6 +22,7 @@ from project import PROGRAM, WORK, Check
 FOLDER = WORK / "stage"
 # In the order of their arrival. Frames 3 and 6 are missing.
 NUMBERS = (0, 2, 1, 7, 4, 5)
+WITHOUT_VELOCITY = 4
 FPS = 25
 PATIENCE_SECONDS = 120
 
@@ -70,6 +72,8 @@ def put(folder, number):
     shift = 1000.0 if number >= 5 else 0.0
     points = [(0.1 * x + shift, 0.1 * y, 0.1 * z) for x in range(4 + number) for y in range(5) for z in range(4)]
     rows = ["x,y,z,vx,vy,vz", *(f"{x!r},{y!r},{z!r},{x!r},2,{number}" for x, y, z in points if number)]
+    if number == WITHOUT_VELOCITY:
+        rows = [",".join(row.split(",")[:3]) for row in rows]
     (folder / "new.csv").write_text("\n".join(rows) + "\n")
     (folder / "new.csv").rename(folder / "in" / f"dam.{number:03}.csv")
 
@@ -162,19 +166,31 @@ def of_frame(mesh, time_code, ply):
         faults.append("its normals are of other points")
     if mesh.GetSubdivisionSchemeAttr().Get() != "none":
         faults.append("it would be subdivided")
+    faults += of_varying(mesh, time_code, found, vertices)
     if not len(points):
         return faults
-    velocities = np.array(mesh.GetVelocitiesAttr().Get(time_code))
-    expected = np.stack([vertices[name] for name in ("vx", "vy", "vz")], axis=1)
-    if not np.array_equal(velocities, expected):
-        faults.append("its velocities are others")
-    extent = np.array(mesh.GetExtentAttr().Get(time_code))
-    if abs(extent - [found.min(axis=0), found.max(axis=0)]).max() > 0:
-        faults.append(f"its extent is {extent.tolist()}")
     # Motion blur: USD moves the points by the velocities of the sample at or before the time.
     blurred = UsdGeom.PointBased(mesh).ComputePointsAtTime(Usd.TimeCode(time_code), Usd.TimeCode(time_code))
     if len(blurred) != len(points):
         faults.append("USD does not move its points")
+    return faults
+
+
+def of_varying(mesh, time_code, points, vertices):
+    """Attributes that a frame may lack: it has none of them then, and not those of another frame."""
+    faults = []
+    velocities, extent = mesh.GetVelocitiesAttr().Get(time_code), mesh.GetExtentAttr().Get(time_code)
+    if not len(points):
+        if velocities or extent is not None:
+            faults.append("it has no points, but velocities or an extent of another frame")
+        return faults
+    if "vx" not in vertices.dtype.names:
+        if velocities is not None:
+            faults.append(f"it has {len(velocities)} velocities of another frame")
+    elif not np.array_equal(velocities, np.stack([vertices[name] for name in ("vx", "vy", "vz")], axis=1)):
+        faults.append("its velocities are others")
+    if extent is None or abs(np.array(extent) - [points.min(axis=0), points.max(axis=0)]).max() > 0:
+        faults.append(f"its extent is {extent}")
     return faults
 
 

@@ -6,7 +6,7 @@ use std::io::Write;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
-use crate::scene::{Scene, await_that};
+use crate::scene::{Scene, await_that, block, log_text, moving, ply};
 
 const FORMATS: [&str; 4] = ["--format", "usdc,vdb", "--stage", "dam.usda"];
 
@@ -38,7 +38,10 @@ fn assert_as_converted(scene: &Scene) {
         "c.usda",
     ]);
     assert_eq!(result.status, Some(0), "{}", result.err);
-    assert_eq!(stage(scene), String::from_utf8(scene.bytes("c.usda")).expect("text"));
+    let converted = String::from_utf8(scene.bytes("c.usda")).expect("text");
+    // Each is its own manifest.
+    assert!(converted.contains("manifestAssetPath = @./c.usda@"), "{converted}");
+    assert_eq!(stage(scene), converted.replace("@./c.usda@", "@./dam.usda@"));
 }
 
 #[test]
@@ -123,4 +126,103 @@ fn frames_whose_inputs_were_replaced_are_listed_once() {
     });
     daemon.finish();
     await_frames(&scene, &[1, 2, 7, 8]);
+}
+
+/// A dump with these steps.
+fn dump(numbers: &[usize]) -> String {
+    let mut text = String::new();
+    for number in numbers {
+        let particles = block(6, 0.1, 0.001 * *number as f32);
+        text += &format!("ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n{}\n", particles.len());
+        text += "ITEM: BOX BOUNDS pp pp pp\n0 1\n0 1\n0 1\nITEM: ATOMS id x y z\n";
+        for (id, [x, y, z]) in particles.iter().enumerate() {
+            text += &format!("{id} {x} {y} {z}\n");
+        }
+    }
+    text
+}
+
+#[test]
+fn steps_have_their_own_numbers_and_the_prim_that_convert_gives_them() {
+    let scene = Scene::new();
+    scene.put("in/run.0002.lammpstrj", dump(&[0, 100, 200]));
+    scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat()).assert_status(0);
+    let text = stage(&scene);
+    for part in [
+        "    def Xform \"run_0002\" (",
+        "@./out/run.0002.200.usdc@",
+        "active = [(0, 0), (99, 0), (100, 1), (199, 1), (200, 2)]",
+    ] {
+        assert!(text.contains(part), "{part} is not in {text}");
+    }
+    assert_as_converted(&scene);
+}
+
+#[test]
+fn prims_of_sub_folders_keep_their_names_when_others_arrive() {
+    let scene = Scene::new();
+    let options = [&["--settle", "10ms", "--recursive"], &FORMATS[..]].concat();
+    let clip = |folder: &str| format!("asset[] assetPaths = [@./out/{folder}/dam.1.usdc@]");
+    // The clips of the prim with this name.
+    let clips_of = |name: &str| {
+        let text = stage(&scene);
+        let (_, prim) = text.split_once(&format!("    def Xform \"{name}\" (")).expect(name);
+        prim.lines().find(|line| line.contains("assetPaths")).expect("clips").trim().to_owned()
+    };
+    scene.write("in/b/dam.1.ply", ply(&moving(2)));
+    scene.once(&options).assert_status(0);
+    assert_eq!(clips_of("b_dam"), clip("b"));
+    scene.write("in/a/dam.1.ply", ply(&moving(3)));
+    scene.once(&options).assert_status(0);
+    assert_eq!((clips_of("a_dam"), clips_of("b_dam")), (clip("a"), clip("b")));
+}
+
+#[test]
+fn old_file_of_a_failed_frame_stays_in_the_stage() {
+    let scene = Scene::new();
+    scene.put_moving([1, 2]);
+    let options = [&["--settle", "10ms"], &FORMATS[..]].concat();
+    scene.once(&options).assert_status(0);
+    let mut corrupt = ply(&moving(2));
+    corrupt[20..30].copy_from_slice(b"nonsense..");
+    scene.put("in/dam.2.ply", &corrupt);
+    scene.remove("dam.usda");
+    scene.once(&options).assert_status(1);
+    await_frames(&scene, &[1, 2]);
+}
+
+#[test]
+fn other_block_of_the_same_folder_is_not_in_the_stage() {
+    let scene = Scene::new();
+    scene.put_moving([1, 2]);
+    scene.put("in/spray.1.ply", ply(&moving(2)));
+    let block = |pattern: &str, more: &str| {
+        format!(
+            "[[watch]]\ninput = \"in\"\noutput = \"out\"\npattern = \"{pattern}\"\nformats = [\"usdc\"]\n{more}"
+        )
+    };
+    scene.write(
+        "meniscus.toml",
+        block("dam.*.ply", "stage = \"dam.usda\"\nfps = 25\n") + &block("spray.*.ply", ""),
+    );
+    let result = scene.run(&["watch", "--config", "meniscus.toml", "--once", "--settle", "10ms"]);
+    assert_eq!(result.status, Some(0), "{}", result.err);
+    assert!(scene.path("out/spray.1.usdc").exists());
+    await_frames(&scene, &[1, 2]);
+    assert!(!stage(&scene).contains("spray"), "{}", stage(&scene));
+}
+
+#[test]
+fn frame_that_would_replace_the_stage_is_refused() {
+    let scene = Scene::new();
+    scene.put_moving([1, 2]);
+    let once = scene.once(&["--settle", "10ms", "--format", "usda", "--stage", "out/dam.1.usda"]);
+    once.assert_status(1);
+    assert!(
+        once.log.iter().any(|line| line.message.contains("dam.1.usda would replace the stage")),
+        "{}",
+        log_text(&once.log)
+    );
+    let text = String::from_utf8(scene.bytes("out/dam.1.usda")).expect("text");
+    assert!(text.contains("stage_frames") && text.contains("@./dam.2.usda@"), "{text}");
 }

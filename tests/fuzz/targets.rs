@@ -70,7 +70,7 @@ pub(crate) const TARGETS: [Target; 35] = [
     compressed("vdb_grids", vdb_grids),
     plain("gltf", gltf_parts),
     plain("gltf_frame", gltf_frame),
-    plain("usda_head", |bytes| drop(usda::read_layer_info(bytes))),
+    plain("usda_head", |bytes| drop((usda::read_layer_info(bytes), usda::read_sampled_properties(bytes)))),
     compressed("usdc", usdc_frames),
     plain("abc", alembic),
     plain("stl", |bytes| drop(stl::read_mesh(bytes, &limits()))),
@@ -210,8 +210,9 @@ fn gltf_frame(bytes: &[u8]) {
     let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut std::io::sink());
 }
 
-/// Reads the first frames of a file.
+/// Reads the declarations and the first frames of a file.
 fn usdc_frames(bytes: &[u8]) {
+    let _ = usdc::read_sampled_properties(&mut Cursor::new(bytes), &limits());
     let Ok(layer) = usdc::UsdcLayer::read(bytes, &limits()) else { return };
     for index in 0..layer.codes().map_or(1, <[f64]>::len).min(4) {
         let _ = layer.frame(index);

@@ -6,6 +6,7 @@ use std::path::Path;
 use tempfile::{TempDir, tempdir};
 
 use crate::scene::{RunResult, block, meniscus, write_ply, write_sequence};
+use crate::steps::step;
 
 fn succeeded(result: &RunResult) {
     assert_eq!(result.status, 0, "{}{}", result.out, result.err);
@@ -54,7 +55,9 @@ fn stage_holds_missing_frames_until_they_are_converted() {
     let result = meniscus(path, &convert);
     assert_eq!(result.status, 1, "{}{}", result.out, result.err);
     assert!(
-        result.out.contains("shot.usda: a stage of 3 frames; 2 frames are missing so far"),
+        result.out.contains(
+            "shot.usda: a stage of 3 frames; 2 frames are missing so far: dam.3.usdc, dam.4.usdc\n"
+        ),
         "{}",
         result.out
     );
@@ -77,7 +80,11 @@ fn stage_holds_missing_frames_until_they_are_converted() {
     write_sequence(&path.join("in"), 3, 3);
     let result = meniscus(path, &[&convert[..], &["--frames", "3"]].concat());
     succeeded(&result);
-    assert!(result.out.contains("a stage of 4 frames; 1 frame is missing so far"), "{}", result.out);
+    assert!(
+        result.out.contains("a stage of 4 frames; 1 frame is missing so far: dam.4.usdc\n"),
+        "{}",
+        result.out
+    );
     let stage = text(&path.join("shot.usda"));
     assert_eq!(clips(&stage), ["dam.1.usdc", "dam.2.usdc", "dam.3.usdc", "dam.5.usdc"]);
     // Frames that are done need no conversion for a stage.
@@ -175,6 +182,72 @@ fn sequences_are_prims_and_volumes_may_be_alone() {
     assert!(!stage.contains("clips") && !stage.contains("invisible"), "{stage}");
     let info = meniscus(path, &["info", "shot.usda"]);
     assert!(info.status == 0 && info.out.contains("stage_frames"), "{}{}", info.out, info.err);
+}
+
+#[test]
+fn missing_files_are_named_and_a_stage_that_shrinks_is_reported() {
+    let folder = frames(6);
+    let path = folder.path();
+    let convert = |more: &[&'static str]| {
+        let result = meniscus(path, &[&CONVERT[..], &STAGE, &["--format", "usdc,vdb"], more].concat());
+        succeeded(&result);
+        result
+    };
+    let missing = "a stage of 1 frame; 5 frames are missing so far: dam.1.usdc, dam.2.usdc, dam.3.usdc, ..\n";
+    let result = convert(&["--frames", "6"]);
+    assert!(result.out.contains(missing), "{}", result.out);
+    convert(&["--skip-done"]);
+    // With its mesh, the frame is in the stage, but it is not complete.
+    fs::remove_file(path.join("out/dam.2.vdb")).expect("removed");
+    let result = convert(&["--frames", "1", "--skip-done"]);
+    assert!(
+        result.out.contains("a stage of 6 frames; 1 frame is missing so far: dam.2.vdb\n"),
+        "{}",
+        result.out
+    );
+    assert!(!result.err.contains("before"), "{}", result.err);
+    // Also a sequence of which no frame is selected stays in the stage.
+    write_ply(&path.join("in/spray.9.ply"), &block(3, 0.0));
+    let result = convert(&["--frames", "9"]);
+    assert!(
+        result.out.contains("a stage of 7 frames; 1 frame is missing so far: dam.2.vdb\n"),
+        "{}",
+        result.out
+    );
+    let one = ["convert", "in/dam.1.ply", "--out", "out", "--voxel-size=0.05", "--format", "usdc,vdb"];
+    let result = meniscus(path, &[&one[..], &STAGE].concat());
+    succeeded(&result);
+    assert!(result.err.contains("warning: shot.usda: it had 7 frames before"), "{}", result.err);
+}
+
+#[test]
+fn sequences_have_the_same_prims_from_shards() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    fs::create_dir(path.join("in")).expect("made");
+    let dump: String = [0, 100, 200].map(step).concat();
+    fs::write(path.join("in/run.0002.lammpstrj"), dump).expect("written");
+    for name in ["dam_0001.ply", "spray_0001_b7.ply", "spray_0002_b7.ply"] {
+        write_ply(&path.join("in").join(name), &block(5, 0.0));
+    }
+    let options = ["--voxel-size=0.05", "--format=usdc"];
+    let convert = ["convert", "in", "--out", "out", "--stage", "out/s.usda"];
+    succeeded(&meniscus(path, &[&convert[..], &options].concat()));
+    let plan = ["plan", "in", "--out", "farm", "--shards", "1", "-o", "p.json", "--stage", "farm/s.usda"];
+    succeeded(&meniscus(path, &[&plan[..], &options].concat()));
+    succeeded(&meniscus(path, &["convert", "--plan", "p.json", "--shard", "0"]));
+    let stage = text(&path.join("out/s.usda"));
+    assert_eq!(text(&path.join("farm/s.usda")), stage);
+    for part in [
+        "def Xform \"dam\" (",
+        "def Xform \"spray\" (",
+        "def Xform \"run_0002\" (",
+        "(99, 0), (100, 1), (199, 1), (200, 2)]",
+        "asset manifestAssetPath = @./s.usda@",
+        "    over \"surface\"\n    {\n        float3[] extent\n",
+    ] {
+        assert!(stage.contains(part), "{part} is not in {stage}");
+    }
 }
 
 #[test]

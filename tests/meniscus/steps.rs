@@ -17,7 +17,7 @@ fn particles(number: usize) -> Vec<[f64; 3]> {
 }
 
 /// A step of a dump.
-fn step(number: usize) -> String {
+pub(crate) fn step(number: usize) -> String {
     let particles = particles(number);
     let mut text = format!(
         "ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n{}\nITEM: BOX BOUNDS pp pp pp\n0 1\n0 1\n0 1\nITEM: ATOMS id x y z\n",

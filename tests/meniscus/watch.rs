@@ -376,6 +376,7 @@ fn printed_settings_are_keys_of_a_file() {
             &["steps = 13\n", "quads = true\n", "step_size = 0.01\n"],
         ),
         (&["--format", "vdb"], &["formats = [\"vdb\"]\n"]),
+        (&["--format", "obj,usdc", "--stage", "s.usda", "--fps", "30"], &["/s.usda\"\n", "fps = 30\n"]),
         (
             &["--spacing", "0.1", "--voxel-size", "0.5d", "--radius-min", "1.1d", "--offset", "1h"],
             &["voxel_size = 0.05\n", "radius_min = 0.11\n", "offset = 0.05\n"],

@@ -25,6 +25,27 @@ pub(crate) fn attribute_of(property: &str) -> Option<&str> {
     }
 }
 
+/// A property of a mesh that has time samples. A [stage](crate::usda::UsdStage) declares these properties.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SampledProperty {
+    /// Its type in USD, such as `point3f[]`.
+    pub kind: String,
+    /// Its name, such as `points` or `primvars:id`.
+    pub name: String,
+}
+
+impl SampledProperty {
+    /// A property from a file; `None` if the texts are not a type and a name. The file may be damaged, and
+    /// stages repeat the texts.
+    pub(crate) fn checked(kind: &str, name: &str) -> Option<SampledProperty> {
+        let has_only = |text: &str, others: &str| {
+            !text.is_empty() && text.chars().all(|c| c.is_ascii_alphanumeric() || others.contains(c))
+        };
+        let is_valid = has_only(kind, "[]") && has_only(name, "_:");
+        is_valid.then(|| SampledProperty { kind: kind.to_owned(), name: name.to_owned() })
+    }
+}
+
 /// The suffix in the name of the property that has the indices of an indexed primvar.
 pub(crate) const INDICES: &str = ":indices";
 

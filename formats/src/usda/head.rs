@@ -3,7 +3,7 @@
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
 use crate::mesh_options::UpAxis;
-use crate::usd::{FORMAT, LayerInfo, ROOT};
+use crate::usd::{FORMAT, LayerInfo, ROOT, SampledProperty};
 
 /// The beginning of the last line of a file.
 pub(super) const LAST_LINE: &str = "# end: ";
@@ -16,10 +16,12 @@ pub(super) fn times([first, last]: [u64; 2], fps: f64) -> String {
 }
 
 /// The text before the mesh, including the start of the prim that contains the mesh. `times` are the lines
-/// with the time codes of a sequence. A stage has no meshes of its own, and thus no summary.
+/// with the time codes of a sequence. A stage has no meshes of its own, and thus no summary. `sampled` are
+/// the properties with time samples in the file of a frame: stages read them here, because in the mesh they
+/// are between long arrays.
 pub(super) fn head(
     provenance: &Provenance,
-    info: Option<&LayerInfo>,
+    (info, sampled): (Option<&LayerInfo>, &[SampledProperty]),
     (up, meters_per_unit): (UpAxis, f64),
     times: &str,
 ) -> String {
@@ -32,6 +34,13 @@ pub(super) fn head(
         text += &format!("        dictionary meniscus_mesh = {{\n            int64 faces = {faces}\n");
         text += &frames.map(|frames| format!("            int64 frames = {frames}\n")).unwrap_or_default();
         text += &format!("            int64 vertices = {vertices}\n        }}\n");
+    }
+    if !sampled.is_empty() {
+        text += &format!("        dictionary {SAMPLED} = {{\n");
+        for SampledProperty { kind, name } in sampled {
+            text += &format!("            string {} = {}\n", key_of(name), quoted(kind));
+        }
+        text += "        }\n";
     }
     text += &format!("    }}\n    defaultPrim = \"{ROOT}\"\n");
     let up = match up {
@@ -64,6 +73,21 @@ pub fn read_layer_info(head: &[u8]) -> Result<Option<LayerInfo>> {
     };
     let info = number("vertices").zip(number("faces"));
     Ok(info.map(|(vertices, faces)| LayerInfo { vertices, faces, frames: number("frames") }))
+}
+
+/// The dictionary with the names and types of the properties that have time samples.
+const SAMPLED: &str = "meniscus_samples";
+
+/// Reads the properties with time samples from the head of the file of a frame; none if it was not written
+/// for a stage.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] if the file is not USD text.
+pub fn read_sampled_properties(head: &[u8]) -> Result<Vec<SampledProperty>> {
+    let text = head_text(head)?;
+    let found = entries(&text, SAMPLED).filter_map(string_entry);
+    Ok(found.filter_map(|(name, kind)| SampledProperty::checked(&kind, &name)).collect())
 }
 
 /// The part of the head that is text.
@@ -161,9 +185,13 @@ mod tests {
         ];
         for frames in [None, Some(240)] {
             let info = LayerInfo { vertices: u64::from(u32::MAX) + 1, faces: 7, frames };
-            let text = head(&provenance, Some(&info), (UpAxis::Z, 1.0), "") + "def Mesh \"surface\"\n";
+            let sampled = [("point3f[]", "points"), ("int[]", "primvars:id")]
+                .map(|(kind, name)| SampledProperty::checked(kind, name).expect("valid"));
+            let text =
+                head(&provenance, (Some(&info), &sampled), (UpAxis::Z, 1.0), "") + "def Mesh \"surface\"\n";
             assert_eq!(read_provenance(text.as_bytes()).expect("a head"), provenance);
             assert_eq!(read_layer_info(text.as_bytes()).expect("a head"), Some(info));
+            assert_eq!(read_sampled_properties(text.as_bytes()).expect("a head"), sampled);
             for length in 0..text.len() {
                 let _ = read_provenance(&text.as_bytes()[..length]);
             }
@@ -172,5 +200,21 @@ mod tests {
         assert_eq!(read_provenance(foreign).expect("a foreign file"), []);
         assert_eq!(read_layer_info(foreign).expect("a foreign file"), None);
         assert!(read_provenance(b"PXR-USDC").is_err() && read_layer_info(b"").is_err());
+        assert_eq!(read_sampled_properties(foreign).expect("a foreign file"), []);
+        assert!(read_sampled_properties(b"PXR-USDC").is_err());
+    }
+
+    #[test]
+    fn sampled_properties_that_could_change_a_stage_are_ignored() {
+        let entry = |line: &str| format!("#usda 1.0\ndictionary meniscus_samples = {{\n{line}\n}}\n");
+        for (line, count) in [
+            ("string points = \"point3f[]\"", 1),
+            ("string points = \"point3f[] x = 1\"", 0),
+            ("string points = \"\"", 0),
+            ("string \"a\\x0ab\" = \"int[]\"", 0),
+            ("string \"a { }\" = \"int[]\"", 0),
+        ] {
+            assert_eq!(read_sampled_properties(entry(line).as_bytes()).expect("text").len(), count, "{line}");
+        }
     }
 }

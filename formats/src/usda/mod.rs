@@ -4,6 +4,7 @@
 //!   #usda 1.0
 //!   (
 //!       customLayerData = { dictionary meniscus = { string radius = "0.025" .. } .. }     provenance
+//!           for a stage, also dictionary meniscus_samples: the properties that have time samples
 //!       defaultPrim, metersPerUnit, upAxis; for a sequence, its time codes
 //!   )
 //!   def Xform "root"
@@ -35,8 +36,8 @@ mod sequence;
 mod stage;
 mod write;
 
-pub use crate::usd::LayerInfo;
-pub use head::read_layer_info;
+pub use crate::usd::{LayerInfo, SampledProperty};
+pub use head::{read_layer_info, read_sampled_properties};
 pub use sequence::{read_attribute_names, write_sequence};
 pub use stage::{ClipFile, StageClips, UsdStage, stage_text};
 

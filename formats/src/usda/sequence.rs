@@ -46,7 +46,8 @@ pub fn write_sequence<R: Read + Seek>(
     let shot = UsdSequence::of(frames)?;
     let info = shot.layer_info()?;
     let (attributes, notes) = shot.attributes()?;
-    let head = head(provenance, Some(&info), (shot.up, meters_per_unit), &times(shot.code_range(), fps));
+    let head =
+        head(provenance, (Some(&info), &[]), (shot.up, meters_per_unit), &times(shot.code_range(), fps));
     write!(out, "{head}    def Mesh \"{PRIM}\"\n    {{\n")?;
 
     write_lines(&shot, "float3[] extent", out, |index| {

@@ -2,7 +2,8 @@
 //!
 //! ```text
 //!   def Xform "root"
-//!       def Xform "dam"              a sequence: references the file of one frame, for the attributes
+//!       over "surface"               the manifest: the attributes that have time samples, without values
+//!       def Xform "dam"              a sequence: references the file of one frame, for the definitions
 //!           over "surface"           clips: times ──▶ files
 //!           def Volume "volume"      OpenVDBAsset prims: times ──▶ files
 //! ```
@@ -22,15 +23,23 @@
 //! USD interpolates between values of the same size in consecutive clips, so a frame is repeated just before
 //! the next one if frames are missing in between.
 //!
-//! The declarations and the manifest are those of the file of one frame. So the stage needs no list of
-//! attributes, and primvars keep their types. Only `xformOpOrder` is here, because its value cannot depend on
-//! the time.
+//! The definitions of the attributes are those of the file of one frame, so primvars keep their types and
+//! interpolation. Only `xformOpOrder` is here, because its value cannot depend on the time.
+//!
+//! The manifest of the clips is the stage itself. It declares attributes without values, because where a
+//! file lacks an attribute, USD shows the value in the manifest: with the file of a frame as the manifest,
+//! other frames would have the velocities of that frame. Without a value, the attribute has none there.
+//! USD looks up attributes in the manifest as in a clip, below `primPath`, so one list serves all sequences.
+
+use std::collections::HashSet;
 
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
 use crate::frame_numbers::check_numbers;
 use crate::mesh_options::UpAxis;
-use crate::usd::{CODE_MAX, FORMAT, PRIM, ROOT, SAMPLE_CODE, TRANSLATE, held_codes, identifier};
+use crate::usd::{
+    CODE_MAX, FORMAT, PRIM, ROOT, SAMPLE_CODE, SampledProperty, TRANSLATE, held_codes, identifier,
+};
 use crate::vertex_attributes::UsedNames;
 
 use super::head::{LAST_LINE, head, times};
@@ -38,13 +47,16 @@ use super::head::{LAST_LINE, head, times};
 /// The sequences of a stage, and its units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UsdStage {
+    /// The path of the stage itself, relative to its folder, such as `./shot.usda`.
+    pub path: String,
     /// Which axis of the frames points up.
     pub up: UpAxis,
     /// The length of a world unit in metres.
     pub meters_per_unit: f64,
     /// Frames per second.
     pub fps: f64,
-    /// The sequences.
+    /// The sequences. Those without files have no prim yet, but take its name, so that the others keep theirs
+    /// when files arrive.
     pub sequences: Vec<StageClips>,
 }
 
@@ -55,8 +67,10 @@ pub struct StageClips {
     pub name: String,
     /// The meshes in USD, in the order of their time codes.
     pub meshes: Vec<ClipFile>,
-    /// The index of the mesh whose file declares the attributes of all.
+    /// The index of the mesh whose file defines the attributes of all.
     pub declared_by: usize,
+    /// The attributes that have time samples in that file.
+    pub properties: Vec<SampledProperty>,
     /// The level sets in OpenVDB, in the order of their time codes.
     pub volumes: Vec<ClipFile>,
     /// Whether the level sets have a grid of velocities.
@@ -79,18 +93,22 @@ pub struct ClipFile {
 /// [`Error::Invalid`] if there is no file, time codes do not increase, or a path has control characters;
 /// [`Error::Unsupported`] for time codes beyond 2⁵³.
 pub fn stage_text(stage: &UsdStage, provenance: &Provenance) -> Result<String> {
-    let UsdStage { up, meters_per_unit, fps, sequences } = stage;
+    let UsdStage { path, up, meters_per_unit, fps, sequences } = stage;
     let lists = || sequences.iter().flat_map(|sequence| [&sequence.meshes, &sequence.volumes]);
     lists().try_for_each(|files| check(files))?;
+    check_path(path)?;
     let codes = || lists().flatten().map(|file| file.code);
     let Some(range) = codes().min().zip(codes().max()) else {
         return Err(invalid("a stage needs at least one frame".to_owned()));
     };
-    let mut text = head(provenance, None, (*up, *meters_per_unit), &times(range.into(), *fps));
-    let mut used = UsedNames::new(&[]);
+    let mut text = head(provenance, (None, &[]), (*up, *meters_per_unit), &times(range.into(), *fps));
+    text += &manifest(sequences);
+    let mut used = UsedNames::new(&[PRIM]);
     for sequence in sequences {
         let name = used.take(&identifier(&sequence.name), |stem| vec![stem.to_owned()]).concat();
-        text += &sequence_text(sequence, &name);
+        if !sequence.meshes.is_empty() || !sequence.volumes.is_empty() {
+            text += &sequence_text(sequence, &name, path);
+        }
     }
     let (meshes, volumes) = sequences
         .iter()
@@ -104,20 +122,36 @@ fn invalid(what: String) -> Error {
 
 fn check(files: &[ClipFile]) -> Result<()> {
     check_numbers(FORMAT, CODE_MAX, files.iter().map(|file| (file.path.as_str(), file.code)))?;
-    match files.iter().find(|file| file.path.contains(char::is_control)) {
-        Some(file) => {
-            Err(invalid(format!("{:?} has control characters, which USD does not allow", file.path)))
-        }
-        None => Ok(()),
+    files.iter().try_for_each(|file| check_path(&file.path))
+}
+
+fn check_path(path: &str) -> Result<()> {
+    match path.contains(char::is_control) {
+        true => Err(invalid(format!("{path:?} has control characters, which USD does not allow"))),
+        false => Ok(()),
     }
 }
 
-/// The prim of a sequence.
-fn sequence_text(sequence: &StageClips, name: &str) -> String {
+/// The manifest: the attributes of all sequences, without values. Empty if there are no meshes.
+fn manifest(sequences: &[StageClips]) -> String {
+    let (mut lines, mut names) = (String::new(), HashSet::new());
+    for SampledProperty { kind, name } in sequences.iter().flat_map(|sequence| &sequence.properties) {
+        if names.insert(name) {
+            lines += &format!("        {kind} {name}\n");
+        }
+    }
+    match names.is_empty() {
+        true => String::new(),
+        false => format!("    over \"{PRIM}\"\n    {{\n{lines}    }}\n\n"),
+    }
+}
+
+/// The prim of a sequence in the stage with this path.
+fn sequence_text(sequence: &StageClips, name: &str, stage: &str) -> String {
     let StageClips { meshes, declared_by, volumes, has_velocity, .. } = sequence;
     let mut text = format!("    def Xform \"{name}\"");
     if let Some(declared) = meshes.get(*declared_by).map(|file| asset(&file.path)) {
-        text += &clips(meshes, &declared);
+        text += &clips(meshes, &declared, &asset(stage));
     }
     text += "\n    {\n";
     if !meshes.is_empty() {
@@ -138,7 +172,7 @@ fn sequence_text(sequence: &StageClips, name: &str) -> String {
 const VOLUME: &str = "volume";
 
 /// The metadata that makes all values come from the files of the frames.
-fn clips(meshes: &[ClipFile], declared: &str) -> String {
+fn clips(meshes: &[ClipFile], declared: &str, manifest: &str) -> String {
     let (mut active, mut times) = (Vec::new(), Vec::new());
     for (index, file) in meshes.iter().enumerate() {
         for code in held_codes(file.code, meshes.get(index + 1).map(|next| next.code)) {
@@ -154,7 +188,7 @@ fn clips(meshes: &[ClipFile], declared: &str) -> String {
             dictionary default = {{
                 double2[] active = [{active}]
                 asset[] assetPaths = [{assets}]
-                asset manifestAssetPath = {declared}
+                asset manifestAssetPath = {manifest}
                 string primPath = \"/{ROOT}\"
                 double2[] times = [{times}]
             }}
@@ -217,7 +251,8 @@ mod tests {
     }
 
     fn stage(sequences: Vec<StageClips>) -> UsdStage {
-        UsdStage { up: UpAxis::Z, meters_per_unit: 0.01, fps: 25.0, sequences }
+        let path = "./shot.usda".to_owned();
+        UsdStage { path, up: UpAxis::Z, meters_per_unit: 0.01, fps: 25.0, sequences }
     }
 
     fn text(sequences: Vec<StageClips>) -> String {
@@ -228,7 +263,10 @@ mod tests {
     fn stage_of_meshes_maps_times_to_files_and_holds_a_frame_before_a_gap() {
         let meshes = files(&[1, 2, 5], "usdc");
         let name = "dam".to_owned();
-        let text = text(vec![StageClips { name, meshes, declared_by: 1, ..StageClips::default() }]);
+        let property = |kind: &str, name: &str| SampledProperty::checked(kind, name).expect("valid");
+        let properties = vec![property("point3f[]", "points"), property("int[]", "primvars:id")];
+        let text =
+            text(vec![StageClips { name, meshes, declared_by: 1, properties, ..StageClips::default() }]);
         assert_eq!(
             text,
             "#usda 1.0
@@ -249,12 +287,18 @@ mod tests {
 
 def Xform \"root\"
 {
+    over \"surface\"
+    {
+        point3f[] points
+        int[] primvars:id
+    }
+
     def Xform \"dam\" (
         clips = {
             dictionary default = {
                 double2[] active = [(1, 0), (2, 1), (4, 1), (5, 2)]
                 asset[] assetPaths = [@./out/dam.1.usdc@, @./out/dam.2.usdc@, @./out/dam.5.usdc@]
-                asset manifestAssetPath = @./out/dam.2.usdc@
+                asset manifestAssetPath = @./shot.usda@
                 string primPath = \"/root\"
                 double2[] times = [(1, 0), (2, 0), (4, 0), (5, 0)]
             }
@@ -328,9 +372,29 @@ def Xform \"root\"
             let meshes = files(&[1], "usda");
             StageClips { name: name.to_owned(), meshes, ..StageClips::default() }
         };
-        let text = text(["2 drops", "a.b", "a b"].map(sequence).to_vec());
-        let prims: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("    def Xform ")).collect();
-        assert_eq!(prims, ["\"_2_drops\" (", "\"a_b\" (", "\"a_b_2\" ("]);
+        let prims = |sequences: &[StageClips]| -> Vec<String> {
+            let text = text(sequences.to_vec());
+            let names = text.lines().filter_map(|line| line.strip_prefix("    def Xform "));
+            names.map(|name| name.trim_end_matches(" (").to_owned()).collect()
+        };
+        let mut sequences = ["2 drops", "a.b", "a b", "surface"].map(sequence);
+        assert_eq!(prims(&sequences), ["\"_2_drops\"", "\"a_b\"", "\"a_b_2\"", "\"surface_2\""]);
+        // A sequence keeps its name while the one before it has no files yet.
+        sequences[1].meshes.clear();
+        assert_eq!(prims(&sequences), ["\"_2_drops\"", "\"a_b_2\"", "\"surface_2\""]);
+    }
+
+    #[test]
+    fn manifest_lists_each_attribute_once() {
+        let sequence = |names: &[&str]| {
+            let property = |name: &&str| SampledProperty::checked("int[]", name).expect("valid");
+            let properties = names.iter().map(property).collect();
+            StageClips { meshes: files(&[1], "usdc"), properties, ..StageClips::default() }
+        };
+        let text = text(vec![sequence(&["points", "age"]), sequence(&["points", "id"])]);
+        let (_, manifest) = text.split_once("    over \"surface\"\n    {\n").expect("a manifest");
+        let (manifest, _) = manifest.split_once("    }\n\n").expect("an end");
+        assert_eq!(manifest, "        int[] points\n        int[] age\n        int[] id\n");
     }
 
     #[test]

@@ -15,7 +15,9 @@ use crate::data::{MeshView, Provenance};
 use crate::error::Result;
 use crate::mesh_options::MeshOptions;
 use crate::quads::{check_quads, quad_count};
-use crate::usd::{Elements, FORMAT, LayerInfo, MeshProperty, PropertyValue, SAMPLE_CODE, properties};
+use crate::usd::{
+    Elements, FORMAT, LayerInfo, MeshProperty, PropertyValue, SAMPLE_CODE, SampledProperty, properties,
+};
 use crate::vertex_attributes::plain_name;
 
 use super::head::{LAST_LINE, head, quoted};
@@ -48,7 +50,8 @@ pub(super) fn encode_batch(
         check_quads(FORMAT, mesh.triangles, &options.quads)?;
         let info = LayerInfo { vertices, faces, frames: None };
         let name = plain_name(&options.name);
-        let head = head(provenance, Some(&info), (options.up, options.meters_per_unit), "");
+        let sampled = sampled_properties(mesh, options);
+        let head = head(provenance, (Some(&info), &sampled), (options.up, options.meters_per_unit), "");
         return Ok(vec![format!("{head}    def Mesh \"{name}\"\n    {{\n").into_bytes()]);
     };
     let sections = sections(mesh, options);
@@ -60,6 +63,16 @@ pub(super) fn encode_batch(
         texts.push(format!("    }}\n}}\n\n{LAST_LINE}{vertices} vertices, {faces} faces\n").into_bytes());
     }
     Ok(texts)
+}
+
+/// The properties that are also written as time samples.
+fn sampled_properties(mesh: &MeshView, options: &MeshOptions) -> Vec<SampledProperty> {
+    if !options.time_samples {
+        return Vec::new();
+    }
+    let varying =
+        properties(mesh, &options.quads, true).into_iter().filter(|property| !property.is_uniform());
+    varying.map(|MeshProperty { kind, name, .. }| SampledProperty { kind, name }).collect()
 }
 
 /// The text of a property.

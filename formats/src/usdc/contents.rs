@@ -23,7 +23,7 @@ const NAME_BYTES: usize = 16;
 const ENTRY_BYTES: usize = NAME_BYTES + 16;
 
 /// The size of our table of contents.
-const TABLE_BYTES: usize = 8 + SECTIONS.len() * ENTRY_BYTES;
+pub(super) const TABLE_BYTES: usize = 8 + SECTIONS.len() * ENTRY_BYTES;
 
 /// The bootstrap of a file whose table of contents is at this offset.
 pub(super) fn bootstrap(contents_at: u64) -> [u8; BOOTSTRAP_BYTES] {
@@ -68,6 +68,16 @@ pub(super) fn contents_at(head: &[u8]) -> Result<u64> {
     let mut offset = [0; 8];
     offset.copy_from_slice(&bootstrap[CONTENTS_AT..CONTENTS_AT + 8]);
     Ok(u64::from_le_bytes(offset))
+}
+
+/// Fails unless the table of contents can be at this offset of a file with `file_bytes` bytes. The offset
+/// is 0 until a file is complete.
+pub(super) fn check_contents_at(at: u64, file_bytes: u64) -> Result<()> {
+    if at == 0 || at > file_bytes {
+        let what = format!("the table of contents at {at} is missing: the file is not complete");
+        return Err(Error::truncated(FORMAT, Position::Offset(CONTENTS_AT as u64), what));
+    }
+    Ok(())
 }
 
 pub(super) const NOT_OURS: &str =

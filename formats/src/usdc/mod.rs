@@ -38,14 +38,16 @@ mod layer;
 mod lz4;
 mod read;
 mod read_array;
+mod read_samples;
 mod read_tables;
 mod sequence;
 mod tables;
 mod value;
 mod write;
 
-pub use crate::usd::LayerInfo;
+pub use crate::usd::{LayerInfo, SampledProperty};
 pub use read::{UsdcFrame, UsdcLayer, read_layer_info};
+pub use read_samples::read_sampled_properties;
 pub use sequence::write_sequence;
 
 use contents::{MAGIC, claimed_bytes};

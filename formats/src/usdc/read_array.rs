@@ -13,17 +13,25 @@ use super::integers::{Integer, decode, encoded_bytes_max};
 use super::lz4::decompress;
 use super::value::{ValueRep, ValueType};
 
-/// The bytes of a file, and the number of bytes that were read since [`Source::start_anew`]. Several values
-/// can refer to the same bytes, so all that is read counts towards the limit of decompressed bytes.
+/// The bytes of a file or of its end, and the number of bytes that were read since
+/// [`Source::start_anew`]. Several values can refer to the same bytes, so all that is read counts towards the
+/// limit of decompressed bytes.
 pub(super) struct Source<'a> {
     pub(super) bytes: &'a [u8],
+    /// The offset of the bytes in the file.
+    base: u64,
     limits: Limits,
     unpacked: Cell<u64>,
 }
 
 impl<'a> Source<'a> {
     pub(super) fn new(bytes: &'a [u8], limits: &Limits) -> Source<'a> {
-        Source { bytes, limits: *limits, unpacked: Cell::new(0) }
+        Source::of_end(bytes, 0, limits)
+    }
+
+    /// The bytes of a file from the offset `base` on.
+    pub(super) fn of_end(bytes: &'a [u8], base: u64, limits: &Limits) -> Source<'a> {
+        Source { bytes, base, limits: *limits, unpacked: Cell::new(0) }
     }
 
     /// Sets the count of decompressed bytes to 0.
@@ -33,9 +41,13 @@ impl<'a> Source<'a> {
 
     /// A cursor at an offset of the file.
     pub(super) fn at(&self, offset: u64) -> Result<Cursor<'a>> {
-        let start = usize::try_from(offset).ok().filter(|&start| start <= self.bytes.len());
-        let start = start.ok_or_else(|| {
-            let what = format!("a value would be at {offset}, but the file ends at {}", self.bytes.len());
+        let start = offset.checked_sub(self.base).and_then(|start| usize::try_from(start).ok());
+        let start = start.filter(|&start| start <= self.bytes.len()).ok_or_else(|| {
+            let end = self.base + self.bytes.len() as u64;
+            let what = format!(
+                "a value would be at {offset}, but it can only be from {} to the end at {end}",
+                self.base
+            );
             Error::invalid(FORMAT, Position::Offset(offset), what)
         })?;
         Ok(Cursor::new(FORMAT, Endian::Little, self.bytes, start))

@@ -1,10 +1,10 @@
 //! Reads the tables of a layer.
 
 use crate::bytes::Cursor;
-use crate::error::{Error, Position, Result};
+use crate::error::{Error, Result};
 use crate::usd::FORMAT;
 
-use super::contents::{CONTENTS_AT, NOT_OURS, SECTIONS, contents_at, read_contents};
+use super::contents::{NOT_OURS, SECTIONS, check_contents_at, contents_at, read_contents};
 use super::read_array::{Source, count, unexpected};
 use super::tables::{JUMP_CHILD, JUMP_END, JUMP_SIBLING, SET_END, SpecType};
 use super::value::{ValueRep, ValueType};
@@ -39,13 +39,21 @@ impl LayerTables {
     /// [`Error::Invalid`] if it is damaged; [`Error::TooLarge`] if it exceeds the limits.
     pub(super) fn read(source: &Source) -> Result<LayerTables> {
         let at = contents_at(source.bytes)?;
-        if at == 0 || at > source.bytes.len() as u64 {
-            let what = format!("the table of contents at {at} is missing: the file is not complete");
-            return Err(Error::truncated(FORMAT, Position::Offset(CONTENTS_AT as u64), what));
-        }
+        check_contents_at(at, source.bytes.len() as u64)?;
         let mut contents = source.at(at)?;
         let rest = contents.take(contents.remaining(), "contents")?;
-        let sections = read_contents(rest, at)?;
+        LayerTables::in_sections(source, &read_contents(rest, at)?)
+    }
+
+    /// Reads the tables in these sections, given by their offsets and sizes.
+    ///
+    /// # Errors
+    ///
+    /// As [`LayerTables::read`].
+    pub(super) fn in_sections(
+        source: &Source,
+        sections: &[(u64, u64); SECTIONS.len()],
+    ) -> Result<LayerTables> {
         let section = |index: usize| source.at(sections[index].0);
         let tokens = read_tokens(source, section(0)?)?;
         let strings = read_strings(source, section(1)?)?;

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use super::file_set::{RecordRecovery, is_record_name, record_of_old_file, recover, remove_old_file};
 use super::temporary::{
     is_temporary_name, left_behind_count, lock_abandoned, record_left_behind, remove_if_exists,
-    take_left_behind,
+    take_left_behind, temporary_name,
 };
 
 /// Retries the removal of files that could not be removed before. Returns the number of remaining files.
@@ -71,7 +71,7 @@ impl std::error::Error for SweepError {
 }
 
 /// Whether the error means that a file disappeared between two calls.
-fn is_gone(error: &io::Error) -> bool {
+pub(crate) fn is_gone(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::StaleNetworkFileHandle)
 }
 
@@ -125,6 +125,25 @@ pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
     failure.map_or(Ok(swept), Err)
 }
 
+/// Removes the abandoned temporary files of one file. Its folder may be one that only holds this file of the
+/// program, so nothing else in it is touched. Returns their number.
+///
+/// # Errors
+/// When the folder cannot be read.
+pub fn sweep_temporaries_of(path: &Path) -> io::Result<usize> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let start = temporary_name(&path.file_name().unwrap_or_default().to_string_lossy(), 0);
+    let start = start.trim_end_matches('0');
+    let mut count = 0;
+    for entry in fs::read_dir(folder)?.flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let is_its = is_temporary_name(&name) && name.starts_with(start);
+        let is_file = || entry.file_type().is_ok_and(|kind| kind.is_file());
+        count += usize::from(is_its && is_file() && sweep(&entry.path()).unwrap_or(false));
+    }
+    Ok(count)
+}
+
 /// Removes an abandoned temporary file.
 fn sweep(path: &Path) -> io::Result<bool> {
     let Some(_locked) = lock_abandoned(path)? else { return Ok(false) };
@@ -138,7 +157,7 @@ fn sweep(path: &Path) -> io::Result<bool> {
 mod tests {
     use super::*;
     use crate::pipeline::files::atomic_write::stage;
-    use crate::pipeline::files::temporary::{Temporary, temporary_name};
+    use crate::pipeline::files::temporary::Temporary;
     use std::time::Duration;
     use tempfile::tempdir;
 
@@ -170,6 +189,22 @@ mod tests {
         assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 1);
         assert!(!killed.exists());
         assert!(sweep_temporaries(&folder.path().join("missing")).is_err());
+    }
+
+    #[test]
+    fn only_temporary_files_of_one_file_are_swept() {
+        let folder = tempdir().expect("a folder");
+        let path = folder.path().join("shot.usda");
+        let left = [temporary_name("shot.usda", 7), temporary_name("shot.usda", 0)];
+        let others =
+            [temporary_name("dam.usda", 7), temporary_name("shot.usda.b", 7), "shot.usda".to_owned()];
+        for name in left.iter().chain(&others) {
+            fs::write(folder.path().join(name), "half a sta").expect("written");
+        }
+        assert_eq!(sweep_temporaries_of(&path).expect("readable"), 2);
+        assert!(others.iter().all(|name| folder.path().join(name).exists()));
+        assert_eq!(fs::read_dir(folder.path()).expect("there").count(), others.len());
+        assert!(sweep_temporaries_of(&folder.path().join("missing/shot.usda")).is_err());
     }
 
     #[test]

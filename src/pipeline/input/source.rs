@@ -64,6 +64,13 @@ impl FrameFile {
         FrameFile { path, number_span, is_number_given: false, output_stem: None, is_step }
     }
 
+    /// The frame whose outputs have this base name, which shows whether the path is that of a step: makes no
+    /// file-system call.
+    pub fn of_outputs(path: PathBuf, stem: &str) -> FrameFile {
+        let is_step = step_in(&path, true).is_some() && output_stem(&path, true) == stem;
+        FrameFile::known(path, is_step)
+    }
+
     /// A file whose frame number is at a known position: a range of bytes in the file name, all digits.
     pub fn with_number_at(path: PathBuf, number_span: Range<usize>) -> FrameFile {
         let is_step = step_of(&path).is_some();
@@ -83,6 +90,11 @@ impl FrameFile {
     /// The file and the name of a step; `None` for a frame that is a whole file.
     fn step(&self) -> Option<(&Path, &str)> {
         step_in(&self.path, self.is_step)
+    }
+
+    /// The file; for a step, the one that contains it.
+    pub fn file(&self) -> &Path {
+        self.step().map_or(&*self.path, |(file, _)| file)
     }
 
     /// The base name of the outputs: the file name without its extension, unless another name was given.
@@ -139,16 +151,27 @@ impl FrameFile {
     }
 }
 
+/// The base name of the outputs of a sequence with this name, with `{}` in place of the frame's number:
+/// `dam.{}` of `dam.{}.bgeo.gz`, `dump.{}` of the steps `dump.lammpstrj/step={}`.
+pub fn output_sequence(sequence: &str) -> String {
+    match sequence.strip_suffix("{}").and_then(|rest| rest.strip_suffix(STEP)?.strip_suffix('/')) {
+        Some(file) => format!("{}.{{}}", stem(file)),
+        None => stem_of_file(sequence).to_owned(),
+    }
+}
+
 /// The base name of the outputs of a frame, derived from the frame's path only.
 pub(crate) fn output_stem(frame: &Path, is_step: bool) -> String {
     match step_in(frame, is_step) {
         Some((file, step)) => format!("{}.{step}", stem(&name_of(file, false))),
-        None => {
-            let name = name_of(frame, is_step);
-            // A level set is not a particle file, but its extension is removed as well.
-            strip_extension(&name, ".vdb").unwrap_or_else(|| stem(&name)).to_owned()
-        }
+        None => stem_of_file(&name_of(frame, is_step)).to_owned(),
     }
+}
+
+/// The name of a file without its extension. A level set is not a particle file, but its extension is removed
+/// as well.
+fn stem_of_file(name: &str) -> &str {
+    strip_extension(name, ".vdb").unwrap_or_else(|| stem(name))
 }
 
 /// Files whose names differ only in the frame's number, ordered by it.
@@ -522,6 +545,35 @@ mod tests {
         assert_eq!(numbers, [vec![None, Some(0), Some(1000)]]);
         assert_eq!(found[0].name, "d.7.dump.gz/step={}");
         assert_eq!(found[0].frames[0].sequence().0, Path::new("in"));
+    }
+
+    #[test]
+    fn outputs_of_a_sequence_have_its_name_without_the_extension() {
+        for (sequence, outputs) in [
+            ("dam.{}.bgeo.gz", "dam.{}"),
+            ("dam_{}_b7.ply", "dam_{}_b7"),
+            ("dam.{}.vdb", "dam.{}"),
+            ("{}.csv", "{}"),
+            ("water.ply", "water"),
+            ("dump.lammpstrj/step={}", "dump.{}"),
+            ("run.0002.lammpstrj.gz/step={}", "run.0002.{}"),
+        ] {
+            assert_eq!(output_sequence(sequence), outputs, "{sequence}");
+        }
+        for path in ["in/dam.0012.bgeo.gz", "in/dump.lammpstrj/step=7"] {
+            let (_, name) = file(path).sequence();
+            assert_eq!(output_sequence(&name).replace("{}", "7"), file(path).stem().replace("0012", "7"));
+        }
+    }
+
+    #[test]
+    fn outputs_show_whether_a_path_is_that_of_a_step() {
+        let steps = FrameFile::of_outputs("in/dump.lammpstrj/step=100".into(), "dump.100");
+        assert_eq!((steps.number(), steps.file()), (Some(100), Path::new("in/dump.lammpstrj")));
+        let named = FrameFile::of_outputs("in/dam/step=100".into(), "step=100");
+        assert_eq!((named.number(), named.file()), (Some(100), Path::new("in/dam/step=100")));
+        let plain = FrameFile::of_outputs("in/dam.7.ply".into(), "dam.7");
+        assert_eq!((plain.number(), plain.file()), (Some(7), Path::new("in/dam.7.ply")));
     }
 
     #[test]

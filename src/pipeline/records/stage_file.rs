@@ -4,10 +4,11 @@
 //!   out/dam.0012.usdc  out/dam.0013.usdc  ..  ◀── shot.usda ──▶  out/dam.0012.vdb  ..
 //! ```
 //!
-//! A stage depends only on the names of the frames and on which of their files exist: outputs appear
-//! complete, by rename. So every process that knows the frames writes the same stage at any time: `convert`
-//! and the daemon while frames arrive, and each shard of a farm. Shards need no order: each looks for files
-//! again after it has written the stage, so the last one to write it has seen the files of all.
+//! A stage depends only on the names of the frames, and on the files that exist, of which the largest define
+//! the attributes: outputs appear complete, by rename. So every process that knows the frames writes the same
+//! stage at any time: `convert` and the daemon while frames arrive, and each shard of a farm. Shards need no
+//! order: each looks for files again after it has written the stage, so the last one to write it has seen the
+//! files of all.
 
 use std::cmp::Reverse;
 use std::collections::{HashMap, HashSet};
@@ -16,19 +17,21 @@ use std::io::{self, Cursor, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use meniscus_formats::usda::{ClipFile, StageClips, UsdStage, stage_text};
-use meniscus_formats::{is_complete, read_provenance, vdb};
+use meniscus_formats::usda::{ClipFile, SampledProperty, StageClips, UsdStage, stage_text};
+use meniscus_formats::{Limits, is_complete, read_provenance, usda, usdc, vdb};
 
 use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use super::sequence_file::{SequenceError, increasing};
 use crate::pipeline::files::atomic_write::write_atomically;
 use crate::pipeline::files::open::open_regular;
+use crate::pipeline::files::sweep::is_gone;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, StageOptions, output_path};
 
 /// The frames of a sequence in a stage, whether their files exist or not.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StageSequence {
-    /// Its name, such as `dam.{}.bgeo`.
+    /// The base name of its outputs below the folder of outputs, with `{}` in place of the number: `dam.{}`,
+    /// or `sub/dam.{}` in a sub-folder. The prim gets its name from it.
     pub name: String,
     /// Its frames, in their order.
     pub frames: Vec<StageFrame>,
@@ -59,14 +62,16 @@ impl StageFrame {
 }
 
 /// What a stage plays.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StageReport {
+    /// The number of frames that have a file.
+    pub frame_count: usize,
     /// The number of meshes.
     pub mesh_count: usize,
     /// The number of level sets.
     pub volume_count: usize,
-    /// The number of frames that have no file yet.
-    pub missing_count: usize,
+    /// For each frame that lacks a file, the name of this file, or of the first one.
+    pub missing: Vec<String>,
 }
 
 /// Writes the stage of the [options](OutputOptions::stage) atomically, unless the file is up to date. Returns
@@ -87,7 +92,7 @@ pub fn write_stage(
         let Some((stage, report)) = stage_of(outputs, (path, fps), sequences).map_err(fail)? else {
             return Ok(None);
         };
-        let text = stage_text(&stage, &provenance(report)).map_err(|error| fail(error.to_string()))?;
+        let text = stage_text(&stage, &provenance(&report)).map_err(|error| fail(error.to_string()))?;
         if known_text(path).map_err(fail)?.as_deref() == Some(text.as_bytes()) {
             return Ok(Some(report));
         }
@@ -109,32 +114,47 @@ pub fn next_stage_update(start: Instant) -> Instant {
 /// The name in provenance whose value is the number of frames of a stage.
 const STAGE_FRAMES: &str = "stage_frames";
 
-fn provenance(report: StageReport) -> Vec<(String, String)> {
+fn provenance(report: &StageReport) -> Vec<(String, String)> {
     let pair = |name: &str, value: String| (name.to_owned(), value);
-    let frame_count = report.mesh_count.max(report.volume_count);
-    vec![pair("generator", GENERATOR_AND_VERSION.to_owned()), pair(STAGE_FRAMES, frame_count.to_string())]
+    vec![
+        pair("generator", GENERATOR_AND_VERSION.to_owned()),
+        pair(STAGE_FRAMES, report.frame_count.to_string()),
+    ]
+}
+
+/// The number of frames that the stage in a file lists; `None` if there is no stage of this program.
+pub fn stage_frame_count(path: &Path) -> Option<usize> {
+    recorded_frame_count(&known_text(path).ok()??)
+}
+
+fn recorded_frame_count(head: &[u8]) -> Option<usize> {
+    let recorded = read_provenance(OutputFormat::Usda, head).ok()?;
+    let (_, count) = recorded.iter().find(|(name, _)| name == STAGE_FRAMES)?;
+    count.parse().ok()
 }
 
 /// The bytes of an existing stage; `None` if there is no file. Refuses a file that is not a stage of this
 /// program, because it may be a user's shot. Also refuses a stage that another program has changed: when such
 /// a program saves the stage, it drops the comment at the end.
 fn known_text(path: &Path) -> Result<Option<Vec<u8>>, String> {
-    let refused = || "exists, and is not a stage of meniscus: choose another name".to_owned();
-    let mut file = match open_regular(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-        file => file.map_err(|error| error.to_string())?,
-    };
+    match read_stage(path) {
+        // Another shard may replace the file while it is read. Then it is written, and read again.
+        Err(error) if is_gone(&error) => Ok(None),
+        read => read.map_err(|error| error.to_string())?.map(Some),
+    }
+}
+
+/// The bytes of a stage, or why the file is none.
+fn read_stage(path: &Path) -> io::Result<Result<Vec<u8>, String>> {
+    let mut file = open_regular(path)?;
     let mut text = Vec::new();
-    Read::by_ref(&mut file).take(HEAD_BYTES).read_to_end(&mut text).map_err(|error| error.to_string())?;
-    let recorded = read_provenance(OutputFormat::Usda, &*text).map_err(|_| refused())?;
-    if !recorded.iter().any(|(name, _)| name == STAGE_FRAMES) {
-        return Err(refused());
+    Read::by_ref(&mut file).take(HEAD_BYTES).read_to_end(&mut text)?;
+    if recorded_frame_count(&text).is_none() {
+        return Ok(Err("exists, and is not a stage of meniscus: choose another name".to_owned()));
     }
-    file.read_to_end(&mut text).map_err(|error| error.to_string())?;
-    if !is_complete(OutputFormat::Usda, &mut Cursor::new(&text)).map_err(|error| error.to_string())? {
-        return Err("was changed by another program: choose another name".to_owned());
-    }
-    Ok(Some(text))
+    file.read_to_end(&mut text)?;
+    let is_ours = is_complete(OutputFormat::Usda, &mut Cursor::new(&text)).map_err(io::Error::other)?;
+    Ok(if is_ours { Ok(text) } else { Err("was changed by another program: choose another name".to_owned()) })
 }
 
 /// The stage of the files that exist; `None` without any.
@@ -144,44 +164,63 @@ fn stage_of(
     sequences: &[StageSequence],
 ) -> Result<Option<(UsdStage, StageReport)>, String> {
     let mut assets = AssetPaths::new(path)?;
+    let format = outputs.stage_mesh_format().unwrap_or(OutputFormat::Usdc);
     let (mut found, mut report) = (Vec::new(), StageReport::default());
-    // Two inputs may have the same outputs, for example a file and its compressed copy: a stage lists these
-    // outputs once.
-    let mut listed = HashSet::new();
-    for StageSequence { name, frames } in sequences {
-        let frames: Vec<&StageFrame> =
-            frames.iter().filter(|frame| listed.insert((&frame.mesh, &frame.volume))).collect();
+    for (name, frames) in merged(sequences) {
         let numbers: Vec<Option<u64>> = frames.iter().map(|frame| frame.number).collect();
         let codes = increasing(&numbers);
         let meshes =
             ExistingFiles::of(frames.iter().map(|frame| frame.mesh.as_deref()), &codes, &mut assets)?;
         let volumes =
             ExistingFiles::of(frames.iter().map(|frame| frame.volume.as_deref()), &codes, &mut assets)?;
-        report.mesh_count += meshes.clips.len();
-        report.volume_count += volumes.clips.len();
-        report.missing_count += frames.len() - meshes.clips.len().max(volumes.clips.len());
-        if !meshes.clips.is_empty() || !volumes.clips.is_empty() {
-            let largest = volumes.largest.and_then(|(_, path)| open_regular(path).ok());
-            found.push(StageClips {
-                name: prim_name(name).to_owned(),
-                declared_by: meshes.largest.map_or(0, |(index, _)| index),
-                meshes: meshes.clips,
-                volumes: volumes.clips,
-                has_velocity: largest.is_some_and(|mut file| vdb::has_velocity(&mut file).unwrap_or(false)),
-            });
-        }
+        report.add(&frames, &meshes, &volumes);
+        let largest =
+            volumes.largest_first().first().and_then(|&index| open_regular(volumes.sizes[index].1).ok());
+        let (declared_by, properties) = defining(&meshes, format)?;
+        found.push(StageClips {
+            name: prim_name(name).to_owned(),
+            declared_by,
+            properties,
+            meshes: meshes.clips,
+            volumes: volumes.clips,
+            has_velocity: largest.is_some_and(|mut file| vdb::has_velocity(&mut file).unwrap_or(false)),
+        });
     }
     let OutputOptions { up, meters_per_unit, .. } = *outputs;
-    let stage = UsdStage { up, meters_per_unit, fps, sequences: found };
-    Ok((!stage.sequences.is_empty()).then_some((stage, report)))
+    let stage = UsdStage { path: assets.of_stage()?, up, meters_per_unit, fps, sequences: found };
+    Ok((report.frame_count > 0).then_some((stage, report)))
+}
+
+/// The frames of each name, and each output once. Inputs of several sequences may have outputs of one name,
+/// such as files of which some are compressed. Two inputs may even have the same outputs, such as a file and
+/// its compressed copy.
+fn merged(sequences: &[StageSequence]) -> Vec<(&str, Vec<&StageFrame>)> {
+    let mut merged: Vec<(&str, Vec<&StageFrame>)> = Vec::new();
+    let (mut index_of, mut listed) = (HashMap::new(), HashSet::new());
+    for StageSequence { name, frames } in sequences {
+        let index = *index_of.entry(name).or_insert(merged.len());
+        if index == merged.len() {
+            merged.push((name.as_str(), Vec::new()));
+        }
+        let known = &mut merged[index].1;
+        let is_first = known.is_empty();
+        known.extend(frames.iter().filter(|frame| listed.insert((&frame.mesh, &frame.volume))));
+        if !is_first {
+            known.sort_by_key(|frame| frame.number);
+        }
+    }
+    // Of equal names, the prims are numbered in this order, which must not depend on the command.
+    merged.sort_by_key(|(name, _)| *name);
+    merged
 }
 
 /// Files of frames that exist.
 struct ExistingFiles<'a> {
     clips: Vec<ClipFile>,
-    /// The index and path of the largest file, which declares the attributes, because the file of an empty
-    /// frame may lack some.
-    largest: Option<(usize, &'a Path)>,
+    /// The size and path of each.
+    sizes: Vec<(u64, &'a Path)>,
+    /// For each frame, the file that it should have but that does not exist.
+    missing: Vec<Option<&'a Path>>,
 }
 
 impl<'a> ExistingFiles<'a> {
@@ -190,19 +229,77 @@ impl<'a> ExistingFiles<'a> {
         codes: &[u64],
         assets: &mut AssetPaths,
     ) -> Result<ExistingFiles<'a>, String> {
-        let (mut clips, mut sizes) = (Vec::new(), Vec::new());
+        let (mut clips, mut sizes, mut missing) = (Vec::new(), Vec::new(), Vec::new());
         for (path, &code) in paths.zip(codes) {
-            let Some(path) = path else { continue };
-            let Some(size) = path.metadata().ok().filter(fs::Metadata::is_file).map(|file| file.len()) else {
-                continue;
-            };
-            sizes.push((size, path));
-            clips.push(ClipFile { code, path: assets.of(path)? });
+            let metadata = path.and_then(|path| path.metadata().ok()).filter(fs::Metadata::is_file);
+            missing.push(path.filter(|_| metadata.is_none()));
+            if let Some((path, metadata)) = path.zip(metadata) {
+                sizes.push((metadata.len(), path));
+                clips.push(ClipFile { code, path: assets.of(path)? });
+            }
         }
-        let largest = (0..sizes.len()).max_by_key(|&index| (sizes[index].0, Reverse(index)));
-        Ok(ExistingFiles { clips, largest: largest.map(|index| (index, sizes[index].1)) })
+        Ok(ExistingFiles { clips, sizes, missing })
+    }
+
+    /// The indices of the files, by descending size.
+    fn largest_first(&self) -> Vec<usize> {
+        let mut indices: Vec<usize> = (0..self.sizes.len()).collect();
+        indices.sort_by_key(|&index| Reverse(self.sizes[index].0));
+        indices
     }
 }
+
+impl StageReport {
+    /// Adds the frames of a sequence.
+    fn add(&mut self, frames: &[&StageFrame], meshes: &ExistingFiles, volumes: &ExistingFiles) {
+        self.mesh_count += meshes.clips.len();
+        self.volume_count += volumes.clips.len();
+        for (index, frame) in frames.iter().enumerate() {
+            let (mesh, volume) = (meshes.missing[index], volumes.missing[index]);
+            let exists =
+                |wanted: &Option<PathBuf>, missing: Option<&Path>| wanted.is_some() && missing.is_none();
+            self.frame_count += usize::from(exists(&frame.mesh, mesh) || exists(&frame.volume, volume));
+            let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            self.missing.extend(mesh.or(volume).map(name));
+        }
+    }
+}
+
+/// The mesh that defines the attributes of all, by its index, and those that have time samples in it: the
+/// largest, because the file of an empty frame may lack some. A file that cannot define them, because it is
+/// damaged or another program wrote it, is passed over.
+fn defining(meshes: &ExistingFiles, format: OutputFormat) -> Result<(usize, Vec<SampledProperty>), String> {
+    let mut failure = None;
+    for index in meshes.largest_first().into_iter().take(DEFINING_MAX) {
+        let path = meshes.sizes[index].1;
+        let why = match sampled_properties(path, format) {
+            Ok(properties) if !properties.is_empty() => return Ok((index, properties)),
+            Ok(_) => {
+                "it has no time samples, so a stage cannot play it: convert it again, with --stage".to_owned()
+            }
+            Err(error) => error.to_string(),
+        };
+        failure.get_or_insert_with(|| format!("{}: {why}", path.display()));
+    }
+    failure.map_or(Ok((0, Vec::new())), Err)
+}
+
+/// How many files are read to find one that can define the attributes.
+const DEFINING_MAX: usize = 100;
+
+/// The attributes with time samples in a file.
+fn sampled_properties(path: &Path, format: OutputFormat) -> meniscus_formats::Result<Vec<SampledProperty>> {
+    let mut file = open_regular(path)?;
+    if format != OutputFormat::Usda {
+        return usdc::read_sampled_properties(&mut file, &Limits::default());
+    }
+    let mut head = Vec::new();
+    file.take(SAMPLED_HEAD_BYTES).read_to_end(&mut head)?;
+    usda::read_sampled_properties(&head)
+}
+
+/// Holds the head of a `.usda`, with hundreds of attributes.
+const SAMPLED_HEAD_BYTES: u64 = 64 << 10;
 
 /// Makes paths relative to the folder of a stage.
 struct AssetPaths {
@@ -217,6 +314,12 @@ impl AssetPaths {
     fn new(stage: &Path) -> Result<AssetPaths, String> {
         let folder = real_folder(stage)?;
         Ok(AssetPaths { stage: stage.to_owned(), folder, relative: HashMap::new() })
+    }
+
+    /// The path of the stage itself.
+    fn of_stage(&self) -> Result<String, String> {
+        let name = self.stage.file_name().unwrap_or_default();
+        Ok(format!("./{}", name.to_str().ok_or_else(|| not_unicode(&self.stage))?))
     }
 
     /// The path of a file, for the stage.
@@ -263,31 +366,30 @@ fn relative_folder(from: &Path, to: &Path) -> Result<String, String> {
     Ok(relative)
 }
 
-/// The part of a sequence's name before the number: `dam` of `dam.{}.bgeo`, `dump.lammpstrj` of its steps.
+/// The part of a sequence's name before the number: `dam` of `dam.{}`, `sub/dam` of `sub/dam.{}`.
 fn prim_name(sequence: &str) -> &str {
-    let file = sequence.split('/').next().unwrap_or_default();
-    let stem = match file.split_once("{}") {
-        Some((before, _)) => before,
-        None if sequence.len() > file.len() => file,
-        None => file.split_once('.').map_or(file, |(stem, _)| stem),
-    };
+    let stem = sequence.split_once("{}").map_or(sequence, |(before, _)| before);
     let plain = stem.trim_end_matches(|c: char| !c.is_alphanumeric());
     if plain.is_empty() { "frames" } else { plain }
 }
 
 #[cfg(test)]
 mod tests {
+    use meniscus_formats::{MeshOptions, MeshView};
+
     use super::*;
 
     #[test]
     fn prims_are_named_after_sequences() {
         for (name, prim) in [
-            ("dam.{}.bgeo", "dam"),
-            ("my sim_v2.{}.ply", "my sim_v2"),
-            ("dump.lammpstrj/step={}", "dump.lammpstrj"),
-            ("water.bgeo.sc", "water"),
-            ("{}.ply", "frames"),
-            ("dam_{}_b7.ply", "dam"),
+            ("dam.{}", "dam"),
+            ("my sim_v2.{}", "my sim_v2"),
+            ("run.0002.{}", "run.0002"),
+            ("water", "water"),
+            ("{}", "frames"),
+            ("dam_{}_b7", "dam"),
+            ("sub/dam.{}", "sub/dam"),
+            ("sub/{}", "sub"),
         ] {
             assert_eq!(prim_name(name), prim, "{name}");
         }
@@ -318,7 +420,30 @@ mod tests {
 
     fn sequence(outputs: &OutputOptions, numbers: &[u64]) -> Vec<StageSequence> {
         let frame = |number: &u64| StageFrame::new(outputs, &format!("dam.{number}"), Some(*number));
-        vec![StageSequence { name: "dam.{}.ply".to_owned(), frames: numbers.iter().map(frame).collect() }]
+        vec![StageSequence { name: "dam.{}".to_owned(), frames: numbers.iter().map(frame).collect() }]
+    }
+
+    /// A mesh in USD, with this many triangles.
+    fn mesh(path: &Path, triangle_count: usize) {
+        let positions = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].repeat(triangle_count);
+        let triangles: Vec<[u32; 3]> =
+            (0..).step_by(3).map(|i| [i, i + 1, i + 2]).take(triangle_count).collect();
+        let view = MeshView {
+            positions: &positions,
+            normals: &positions,
+            triangles: &triangles,
+            origin: [0.0; 3],
+            attributes: &[],
+        };
+        let format = if path.extension().is_some_and(|extension| extension == "usda") {
+            OutputFormat::Usda
+        } else {
+            OutputFormat::Usdc
+        };
+        let options = MeshOptions { time_samples: true, ..MeshOptions::default() };
+        let mut bytes = Vec::new();
+        format.write_mesh(&view, &options, &[], &mut bytes).expect("writing to memory");
+        fs::write(path, bytes).expect("written");
     }
 
     #[test]
@@ -329,15 +454,19 @@ mod tests {
         assert_eq!(write_stage(&outputs, &frames).expect("no error"), None);
         assert!(!folder.path().join("shot.usda").exists());
         fs::create_dir(folder.path().join("out")).expect("made");
-        for (name, size) in [("dam.1.usdc", 1), ("dam.2.usdc", 9), ("dam.4.usdc", 9), ("dam.4.vdb", 1)] {
-            fs::write(folder.path().join("out").join(name), vec![0; size]).expect("written");
+        for (name, triangle_count) in [("dam.1.usdc", 1), ("dam.2.usdc", 9), ("dam.4.usdc", 9)] {
+            mesh(&folder.path().join("out").join(name), triangle_count);
         }
-        let report = StageReport { mesh_count: 3, volume_count: 1, missing_count: 1 };
+        fs::write(folder.path().join("out/dam.4.vdb"), "volume").expect("written");
+        let missing = ["dam.1.vdb", "dam.2.vdb", "dam.3.usdc"].map(str::to_owned).to_vec();
+        let report = StageReport { frame_count: 3, mesh_count: 3, volume_count: 1, missing };
         assert_eq!(write_stage(&outputs, &frames).expect("written"), Some(report));
         let text = fs::read_to_string(folder.path().join("shot.usda")).expect("written");
         for part in [
             "[@./out/dam.1.usdc@, @./out/dam.2.usdc@, @./out/dam.4.usdc@]",
             "references = @./out/dam.2.usdc@",
+            "asset manifestAssetPath = @./shot.usda@",
+            "        point3f[] points\n",
             "4: @./out/dam.4.vdb@",
             "endTimeCode = 4",
         ] {
@@ -350,19 +479,66 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let outputs = outputs(folder.path(), &[OutputFormat::Usdc]);
         fs::create_dir(folder.path().join("out")).expect("made");
-        for number in 1..=3 {
-            fs::write(folder.path().join(format!("out/dam.{number}.usdc")), "mesh").expect("written");
+        for number in 1..=4 {
+            mesh(&folder.path().join(format!("out/dam.{number}.usdc")), 1);
         }
-        let mut frames = sequence(&outputs, &[1, 1, 2, 2]);
+        // Such as files of which some are compressed.
+        let mut frames = sequence(&outputs, &[1, 1, 3, 3]);
         frames.extend(sequence(&outputs, &[1, 2, 3]));
+        let mut others = sequence(&outputs, &[2, 4]);
+        others[0].name = "drops.{}".to_owned();
+        frames.extend(others);
         let report = write_stage(&outputs, &frames).expect("written").expect("frames");
-        assert_eq!((report.mesh_count, report.missing_count), (3, 0));
+        assert_eq!((report.mesh_count, report.missing.len()), (4, 0));
         let text = fs::read_to_string(folder.path().join("shot.usda")).expect("written");
-        for part in
-            ["[@./out/dam.1.usdc@, @./out/dam.2.usdc@]", "active = [(1, 0), (2, 1)]", "[@./out/dam.3.usdc@]"]
-        {
+        for part in [
+            "[@./out/dam.1.usdc@, @./out/dam.2.usdc@, @./out/dam.3.usdc@]",
+            "active = [(1, 0), (2, 1), (3, 2)]",
+            "[@./out/dam.4.usdc@]",
+        ] {
             assert!(text.contains(part), "{part}: {text}");
         }
+    }
+
+    #[test]
+    fn file_that_cannot_define_the_attributes_is_passed_over() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let outputs = outputs(folder.path(), &[OutputFormat::Usdc]);
+        let frames = sequence(&outputs, &[1, 2]);
+        fs::create_dir(folder.path().join("out")).expect("made");
+        fs::write(folder.path().join("out/dam.2.usdc"), vec![0; 1 << 20]).expect("written");
+        let error = write_stage(&outputs, &frames).expect_err("no attributes").to_string();
+        assert!(error.contains("dam.2.usdc: "), "{error}");
+        mesh(&folder.path().join("out/dam.1.usdc"), 1);
+        let report = write_stage(&outputs, &frames).expect("written").expect("frames");
+        assert_eq!(report.frame_count, 2);
+        let text = fs::read_to_string(folder.path().join("shot.usda")).expect("written");
+        assert!(text.contains("references = @./out/dam.1.usdc@"), "{text}");
+    }
+
+    #[test]
+    fn sequence_keeps_its_prim_while_others_have_no_files() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let outputs = outputs(folder.path(), &[OutputFormat::Usdc]);
+        fs::create_dir(folder.path().join("out")).expect("made");
+        let of = |name: &str, number: u64| StageSequence {
+            name: name.to_owned(),
+            frames: vec![StageFrame::new(&outputs, &name.replace("{}", &number.to_string()), Some(number))],
+        };
+        let sequences = [of("dam_{}_a", 1), of("dam_{}_b", 1)];
+        let prims = || {
+            let written = write_stage(&outputs, &sequences).expect("written").expect("frames");
+            let text = fs::read_to_string(folder.path().join("shot.usda")).expect("written");
+            let prims = ["dam", "dam_2"].map(|name| text.contains(&format!("    def Xform \"{name}\" (")));
+            (written.missing, prims)
+        };
+        mesh(&folder.path().join("out/dam_1_b.usdc"), 1);
+        assert_eq!(prims(), (vec!["dam_1_a.usdc".to_owned()], [false, true]));
+        assert_eq!(stage_frame_count(&folder.path().join("shot.usda")), Some(1));
+        mesh(&folder.path().join("out/dam_1_a.usdc"), 1);
+        assert_eq!(prims(), (vec![], [true, true]));
+        assert_eq!(stage_frame_count(&folder.path().join("shot.usda")), Some(2));
+        assert_eq!(stage_frame_count(&folder.path().join("out/dam_1_a.usdc")), None);
     }
 
     #[test]
@@ -371,7 +547,7 @@ mod tests {
         let outputs = outputs(folder.path(), &[OutputFormat::Usda]);
         let (path, frames) = (folder.path().join("shot.usda"), sequence(&outputs, &[1, 2]));
         fs::create_dir(folder.path().join("out")).expect("made");
-        fs::write(folder.path().join("out/dam.1.usda"), "1").expect("written");
+        mesh(&folder.path().join("out/dam.1.usda"), 1);
         write_stage(&outputs, &frames).expect("written");
         let modified = || path.metadata().and_then(|metadata| metadata.modified()).expect("there");
         let before = modified();

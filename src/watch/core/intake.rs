@@ -509,6 +509,7 @@ impl Core {
     /// Claims the names of a frame's outputs. If another frame owns them, or there is another conflict,
     /// refuses the frame and returns false.
     fn claim_outputs(&mut self, id: &FrameId, conflict: Option<String>) -> bool {
+        let conflict = conflict.or_else(|| self.replaced_stage(id));
         let claimed = self.claimed_stem(id);
         let owned = match self.claims.entry(claimed) {
             Entry::Occupied(claim) if claim.get() != id && self.frames.get(claim.get()).is_some() => {
@@ -532,6 +533,17 @@ impl Core {
             self.refuse(id, conflict);
         }
         is_free
+    }
+
+    /// The reason to refuse a frame with an output that would replace a stage; `None` if none would.
+    fn replaced_stage(&mut self, id: &FrameId) -> Option<String> {
+        let stages = self.config.watches.iter().filter_map(|watch| watch.outputs.stage.as_ref());
+        let stages: Vec<PathBuf> = stages.map(|stage| stage.path.clone()).collect();
+        if stages.is_empty() {
+            return None;
+        }
+        let output = self.output_paths(id).into_iter().find(|output| stages.contains(output))?;
+        Some(format!("its output {} would replace the stage: give another name to --stage", output.display()))
     }
 
     /// The path of a frame's outputs without their extensions.

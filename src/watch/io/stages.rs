@@ -1,7 +1,8 @@
 //! The stages of a folder of outputs: written from the journal, at the start and when frames are recorded.
 //!
-//! The journal has the outputs of all frames, also of those whose inputs were removed, and of frames that are
-//! converted again: their old files play until the new ones replace them.
+//! The journal knows all frames, also those whose inputs were removed. Their outputs have the same names as
+//! those of `convert`, and a stage lists the ones that exist. So the old file of a frame that is converted
+//! again, or that failed, plays until a new one replaces it.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -9,13 +10,14 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::pipeline::{
-    FrameFile, OutputFormat, OutputOptions, Sequence, StageFrame, StageSequence, next_stage_update,
-    sequences, sweep_temporaries, write_stage,
+    FrameFile, OutputOptions, Sequence, StageFrame, StageSequence, next_stage_update, output_sequence,
+    sequences, sweep_temporaries_of, write_stage,
 };
 use crate::watch::config::WatchConfig;
 use crate::watch::journal::{Entry, JournaledFrame};
 
 use super::canonical_path::canonical_path;
+use super::selection::FileFilter;
 
 /// How soon a stage that cannot be written is tried again.
 const RETRY: Duration = Duration::from_secs(10);
@@ -31,11 +33,18 @@ pub(super) struct FolderStages {
 
 /// A stage, and where its frames come from.
 struct WatchedStage {
+    /// At least one. All have this stage.
+    blocks: Vec<StagedWatch>,
+    /// The error that was logged last, until the stage can be written again.
+    logged_error: Option<String>,
+}
+
+/// A watched folder, and the files in it that are frames: other blocks may watch the same folder for other
+/// files.
+struct StagedWatch {
+    input: PathBuf,
+    filter: FileFilter,
     outputs: OutputOptions,
-    /// The watched folders.
-    inputs: Vec<PathBuf>,
-    /// Whether it was logged that it cannot be written.
-    is_failure_logged: bool,
 }
 
 impl FolderStages {
@@ -46,15 +55,19 @@ impl FolderStages {
             let is_here = watch.outputs.folder.canonicalize().is_ok_and(|of_watch| of_watch == folder);
             let Some(stage) = watch.outputs.stage.as_ref().filter(|_| is_here) else { continue };
             // Left by a killed daemon, if the stage is outside of the folder of outputs.
-            let _ = stage.path.parent().map(sweep_temporaries);
+            if let Err(error) = sweep_temporaries_of(&stage.path) {
+                let path = stage.path.display();
+                tracing::warn!("cannot look for half-written files of the stage {path}: {error}");
+            }
+            // The pattern is valid: the plan has checked it.
+            let Ok(filter) = FileFilter::new(watch.pattern.as_deref(), watch.recursive, Vec::new()) else {
+                continue;
+            };
             let input = canonical_path(&watch.input).unwrap_or_else(|_| watch.input.clone());
-            match stages.iter_mut().find(|known| known.outputs.stage.as_ref() == Some(stage)) {
-                Some(known) => known.inputs.push(input),
-                None => stages.push(WatchedStage {
-                    outputs: watch.outputs.clone(),
-                    inputs: vec![input],
-                    is_failure_logged: false,
-                }),
+            let block = StagedWatch { input, filter, outputs: watch.outputs.clone() };
+            match stages.iter_mut().find(|known| known.blocks[0].outputs.stage.as_ref() == Some(stage)) {
+                Some(known) => known.blocks.push(block),
+                None => stages.push(WatchedStage { blocks: vec![block], logged_error: None }),
             }
         }
         let now = Instant::now();
@@ -89,49 +102,48 @@ impl FolderStages {
 }
 
 impl WatchedStage {
-    /// Writes the stage, and returns whether that succeeded. A failure and the recovery are logged once.
+    /// Writes the stage, and returns whether that succeeded. An error is logged once, and so is the recovery.
     fn write(&mut self, frames: &HashMap<Arc<Path>, Arc<JournaledFrame>>) -> bool {
-        let written = write_stage(&self.outputs, &self.sequences(frames));
-        match &written {
-            Err(error) if !self.is_failure_logged => tracing::error!("cannot write the stage: {error}"),
-            Ok(_) if self.is_failure_logged => tracing::info!("the stage can be written again"),
+        let written = write_stage(&self.blocks[0].outputs, &self.sequences(frames));
+        let error = written.err().map(|error| error.to_string());
+        match (&error, &self.logged_error) {
+            (Some(error), logged) if logged.as_ref() != Some(error) => {
+                tracing::error!("cannot write the stage: {error}");
+            }
+            (None, Some(_)) => tracing::info!("the stage can be written again"),
             _ => {}
         }
-        self.is_failure_logged = written.is_err();
-        written.is_ok()
+        self.logged_error = error;
+        self.logged_error.is_none()
     }
 
-    /// The recorded frames, which their outputs identify: their numbers are those of the inputs.
+    /// The recorded frames, numbered and grouped by their inputs as `convert` does: the name of an output may
+    /// contain other numbers as well, such as that of the file whose step it is.
     fn sequences(&self, frames: &HashMap<Arc<Path>, Arc<JournaledFrame>>) -> Vec<StageSequence> {
-        let format = self.outputs.stage_mesh_format().unwrap_or(OutputFormat::Vdb);
-        let has_volumes = self.outputs.formats.contains(&OutputFormat::Vdb);
-        let mut volumes: HashMap<PathBuf, PathBuf> = HashMap::new();
-        let mut files = Vec::new();
-        for (input, record) in frames {
-            if !self.inputs.iter().any(|folder| input.starts_with(folder)) {
-                continue;
-            }
-            let Some(file) = output_in(record, format) else { continue };
-            files.push(FrameFile::known(file.to_owned(), false));
-            if let Some(volume) = output_in(record, OutputFormat::Vdb).filter(|_| has_volumes) {
-                volumes.insert(file.to_owned(), volume.to_owned());
+        let mut of_blocks: Vec<Vec<FrameFile>> = self.blocks.iter().map(|_| Vec::new()).collect();
+        for input in frames.keys() {
+            let file = FrameFile::new(input.to_path_buf());
+            let takes = |block: &StagedWatch| block.filter.takes(&block.input, file.file());
+            if let Some(index) = self.blocks.iter().position(takes) {
+                of_blocks[index].push(file);
             }
         }
-        let frame = |file: &FrameFile| StageFrame {
-            number: file.number(),
-            mesh: (format != OutputFormat::Vdb).then(|| file.path.clone()),
-            volume: volumes.get(&file.path).cloned(),
+        let of_block = |(block, files): (&StagedWatch, Vec<FrameFile>)| -> Vec<StageSequence> {
+            sequences(files).iter().map(|sequence| block.sequence(sequence)).collect()
         };
-        let sequence = |Sequence { frames, .. }: Sequence| {
-            let name = frames.first().map_or(String::new(), |file| file.sequence().1);
-            StageSequence { name, frames: frames.iter().map(frame).collect() }
-        };
-        sequences(files).into_iter().map(sequence).collect()
+        self.blocks.iter().zip(of_blocks).flat_map(of_block).collect()
     }
 }
 
-/// The output of a frame in a format.
-fn output_in(record: &JournaledFrame, format: OutputFormat) -> Option<&Path> {
-    let has_format = |path: &&Path| path.extension().is_some_and(|extension| extension == format.extension());
-    record.outputs.iter().map(|output| &*output.path).find(has_format)
+impl StagedWatch {
+    /// The outputs of a sequence: sub-folders are mirrored below the folder of outputs.
+    fn sequence(&self, Sequence { frames, .. }: &Sequence) -> StageSequence {
+        let (folder, sequence) = frames.first().map(FrameFile::sequence).unwrap_or_default();
+        let within = folder.strip_prefix(&self.input).unwrap_or(Path::new(""));
+        let outputs = OutputOptions { folder: self.outputs.folder.join(within), ..self.outputs.clone() };
+        let names = within.components().map(|name| name.as_os_str().to_string_lossy().into_owned());
+        let name = names.chain([output_sequence(&sequence)]).collect::<Vec<_>>().join("/");
+        let frame = |file: &FrameFile| StageFrame::new(&outputs, &file.stem(), file.number());
+        StageSequence { name, frames: frames.iter().map(frame).collect() }
+    }
 }

@@ -53,6 +53,10 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
         let watch = watch(&input, &output, &frames, &mut warnings);
         watches.push(watch.with_context(|| location)?);
     }
+    // One frame rate for all blocks is right if any of them has a stage.
+    if watches.iter().all(|watch| watch.outputs.stage.is_none()) {
+        args.frames.formats.refuse_idle_fps()?;
+    }
     refuse_twins(&watches)?;
     refuse_shared_stage(&watches)?;
     // A command-line option causes the same warning in every block: log it once.
@@ -122,7 +126,11 @@ fn folders_of_file(args: &WatchArgs, file: &ConfigFile) -> Result<Vec<Folder>> {
             anyhow!("{location}: this [[watch]] block names no output: add one, or give --out")
         })?;
         let (input, output) = (block.input.clone(), output.clone());
-        Ok(Folder { input, output, frames: args.frames.over_file(&block.frames), location })
+        let frames = args.frames.over_file(&block.frames);
+        if block.frames.formats.fps.is_some() {
+            frames.formats.refuse_idle_fps().with_context(|| location.clone())?;
+        }
+        Ok(Folder { input, output, frames, location })
     };
     file.watches.iter().map(folder).collect()
 }
@@ -139,7 +147,6 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     }
     refuse_file_name(output)?;
     let mut outputs = frames.formats.outputs(absolute(output)?)?;
-    frames.formats.refuse_idle_fps()?;
     if let Some(stage) = &mut outputs.stage {
         stage.path = absolute(&stage.path)?;
         // The folder of the results may not exist yet.

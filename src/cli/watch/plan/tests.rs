@@ -63,6 +63,24 @@ fn defaults_are_filled_in() {
 }
 
 #[test]
+fn frame_rate_needs_a_stage_in_the_block_or_in_any_block() {
+    let block =
+        |more: &str| format!("[[watch]]\ninput = \"a\"\noutput = \"o\"\nformats = [\"usdc\"]\n{more}");
+    let other = "[[watch]]\ninput = \"b\"\noutput = \"p\"\n";
+    // On the command line, it is for the blocks that have a stage.
+    let bench = Bench::new(&(block("stage = \"s.usda\"\n") + other));
+    let plan = bench.plan(&["--fps", "25"]).expect("a plan");
+    let fps = |watch: &Watch| watch.outputs.stage.as_ref().map(|stage| stage.fps);
+    assert_eq!(plan.config.watches.iter().map(fps).collect::<Vec<_>>(), [Some(25.0), None]);
+    Bench::new(other).refused(&["--fps", "25"], &["--fps is for a stage"]);
+    let bench = Bench::new(&(block("stage = \"s.usda\"\n") + other + "fps = 25\n"));
+    bench.refused(&[], &["meniscus.toml:", "--fps is for a stage"]);
+    // The stage may be on the command line.
+    let bench = Bench::new(&block("fps = 30\n"));
+    assert_eq!(fps(&bench.plan(&["--stage", "s.usda"]).expect("a plan").config.watches[0]), Some(30.0));
+}
+
+#[test]
 fn non_loopback_address_requires_token() {
     let bench =
         Bench::new("[daemon]\nlisten = \"127.0.0.1:7700\"\n[[watch]]\ninput = \"a\"\noutput = \"o\"\n");
