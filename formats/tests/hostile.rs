@@ -16,7 +16,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use meniscus_formats::{
     AttributeRole, BandGrid, FileAttribute, LeafValues, LevelSetView, Limits, MeshOptions, MeshView,
     OutputFormat, ParticleBatch, ParticleBatches, Result, Values, abc, bgeo, csv, gltf, lammps, obj, ply,
-    read_obstacle, read_particles, vdb,
+    read_obstacle, read_particles, usdc, vdb,
 };
 use peak_alloc::PeakAlloc;
 
@@ -304,6 +304,9 @@ fn damaged_meshes_do_not_panic() {
     OutputFormat::Abc.write_mesh(&mesh, &MeshOptions::default(), &[], &mut bytes).unwrap();
     sweep("written.abc", &bytes, |bytes| abc::read_mesh(bytes, &Limits::default()));
     sweep("written.abc", &bytes, |bytes| abc::to_glb(bytes, &Limits::default()));
+    bytes.clear();
+    OutputFormat::Usdc.write_mesh(&mesh, &MeshOptions::default(), &[], &mut bytes).unwrap();
+    sweep("written.usdc", &bytes, |bytes| usdc::to_glb(bytes, &Limits::default()));
     bytes.clear();
     ply::write::write_mesh(&mesh, &[], &mut bytes).unwrap();
     sweep("written.ply", &bytes, |bytes| ply::read_mesh(bytes, &Limits::default()));

@@ -8,7 +8,7 @@ use meniscus_formats::{
     Limits, MeshOptions, OutputFormat, Values, VertexAttribute, VertexValues, gltf, read_mesh, usda, usdc,
 };
 
-use crate::mesh_formats::{FAR, fans, nothing, torus, usda_text, usdc_bytes};
+use crate::mesh_formats::{FAR, fans, nothing, provenance, torus, usda_text, usdc_bytes};
 
 /// The text of an array property between its brackets.
 fn array<'a>(text: &'a str, name: &str) -> &'a str {
@@ -235,6 +235,27 @@ fn usdc_attributes_of_every_width_round_trip() {
 }
 
 #[test]
+fn usdc_becomes_the_glb_of_the_same_mesh() {
+    let limits = Limits::default();
+    for mesh in [torus(20, 12, [0.0; 3]), torus(130, 70, FAR), torus(2, 3, FAR), nothing()] {
+        for up in [gltf::UpAxis::Y, gltf::UpAxis::Z] {
+            let (glb, notes) = usdc::to_glb(&usdc_bytes(&mesh, false, up), &limits).expect("converted");
+            let (attributes, options) = (mesh.attributes(), MeshOptions { up, ..MeshOptions::default() });
+            let mut expected = Vec::new();
+            gltf::write_glb(&mesh.view(&attributes), &options, &provenance(), &mut expected)
+                .expect("writing to memory");
+            assert!(glb == expected, "{} vertices, {up:?}", mesh.positions.len());
+            // Nothing else is lost, and notes on glTF programs do not apply to the sequence.
+            let lost = notes.iter().filter(|note| note.starts_with("id is missing")).count();
+            assert_eq!((lost, notes.len()), (usize::from(!mesh.ids.is_empty()), lost), "{notes:?}");
+
+            let (glb, _) = usdc::to_glb(&usdc_bytes(&mesh, true, up), &limits).expect("converted");
+            assert_eq!(gltf::read_mesh(&glb, &limits).expect("our own file").triangles, fans(&mesh));
+        }
+    }
+}
+
+#[test]
 fn truncated_and_damaged_usdc_is_an_error() {
     let mesh = torus(9, 7, FAR);
     let (bytes, limits) = (usdc_bytes(&mesh, true, gltf::UpAxis::Y), Limits::default());
@@ -253,6 +274,7 @@ fn truncated_and_damaged_usdc_is_an_error() {
             damaged[at] ^= damage;
             let _ = read(&damaged);
             let _ = sampled(&damaged);
+            let _ = usdc::to_glb(&damaged, &limits);
         }
     }
     let mut newer = bytes.clone();

@@ -31,8 +31,9 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
         )
     })?;
     check_output_path("the sequence file", &args.output)?;
-    // Of a folder with both formats, the .glb files are used.
-    let inputs = with_files_of_folders(&args.inputs, &[&["glb"], &["abc"]], ".glb or .abc files of frames")?;
+    // Of a folder with several formats, the files of the first one in this list are used.
+    let formats: &[&[&str]] = &[&["glb"], &["abc"], &["usdc"]];
+    let inputs = with_files_of_folders(&args.inputs, formats, ".glb, .abc or .usdc files of frames")?;
     let found = find_inputs(&inputs)?;
     found.report(console);
     let frames = without_old_sequence_file(found.files, &args.output)?;
@@ -66,7 +67,7 @@ fn without_old_sequence_file(files: Vec<FrameFile>, output: &Path) -> Result<Vec
     }
     if frames.is_empty() {
         bail!(
-            "{}: this is a sequence file, and there is no frame to combine: give the .glb or .abc files of the frames",
+            "{}: this is a sequence file, and there is no frame to combine: give the .glb, .abc or .usdc files of the frames",
             output.display()
         );
     }

@@ -210,9 +210,10 @@ fn gltf_frame(bytes: &[u8]) {
     let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut std::io::sink());
 }
 
-/// Reads the declarations and the first frames of a file.
+/// Reads the declarations and the first frames of a file, and converts it.
 fn usdc_frames(bytes: &[u8]) {
     let _ = usdc::read_sampled_properties(&mut Cursor::new(bytes), &limits());
+    let _ = usdc::to_glb(bytes, &limits());
     let Ok(layer) = usdc::UsdcLayer::read(bytes, &limits()) else { return };
     for index in 0..layer.codes().map_or(1, <[f64]>::len).min(4) {
         let _ = layer.frame(index);

@@ -3,7 +3,7 @@
 
 use crate::data::{AttributeRole, MeshView, VertexAttribute, VertexValues};
 use crate::error::{Error, Position, Result};
-use crate::gltf::{attribute_notes, write_glb};
+use crate::gltf::{loss_notes, write_glb};
 use crate::limits::Limits;
 use crate::mesh_options::{MeshOptions, UpAxis};
 
@@ -88,7 +88,7 @@ pub fn to_glb(bytes: &[u8], limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
     };
     let mut glb = Vec::new();
     write_glb(&mesh, &MeshOptions { up, ..MeshOptions::default() }, &archive.provenance, &mut glb)?;
-    Ok((glb, attribute_notes(mesh.attributes)))
+    Ok((glb, loss_notes(mesh.attributes)))
 }
 
 /// The names of the vertex attributes of an archive, except normals.

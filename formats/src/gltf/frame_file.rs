@@ -316,7 +316,7 @@ impl GlbFrame {
 
 const HEAD_BYTES: u64 = 20;
 
-const NO_GLB: &str = "this is not a .glb: use the .glb files of the frames";
+const NO_GLB: &str = "this is not a .glb: use the .glb, .abc or .usdc files of the frames";
 
 const NOT_OURS: &str =
     "this .glb was not written by meniscus, or was changed: use the .glb files of the frames";

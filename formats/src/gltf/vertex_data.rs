@@ -49,6 +49,14 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     notes
 }
 
+/// Those of [`attribute_notes`] that are about values or names that change, for a `.glb` that only a sequence
+/// file is made from.
+pub(crate) fn loss_notes(attributes: &[VertexAttribute]) -> Vec<String> {
+    let mut notes = Vec::new();
+    assign_names(attributes, &mut notes);
+    notes
+}
+
 /// The attributes of a mesh that can be stored, in order.
 pub(super) fn stored_attributes<'a>(mesh: &MeshView<'a>) -> Vec<GltfAttribute<'a>> {
     assign_names(mesh.attributes, &mut Vec::new())

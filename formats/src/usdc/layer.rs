@@ -4,23 +4,32 @@
 use crate::data::Provenance;
 use crate::error::Result;
 use crate::mesh_options::UpAxis;
-use crate::provenance::comments;
+use crate::provenance::{comments, from_comments};
 use crate::usd::{LayerInfo, ROOT, SAMPLE_CODE};
 
 use super::array::{ALIGNMENT, CrateArray};
-use super::contents::{BOOTSTRAP_BYTES, bootstrap};
+use super::contents::{BOOTSTRAP_BYTES, bootstrap, check_magic};
 use super::tables::{SpecType, Tables, append_count};
 use super::value::{ValueRep, ValueType};
 
 /// The offset of the comment with the provenance.
-pub(super) const COMMENT_AT: usize = BOOTSTRAP_BYTES;
+const COMMENT_AT: usize = BOOTSTRAP_BYTES;
+
+/// The start of each of its lines.
+const COMMENT: &str = "# ";
 
 /// The bytes before the first array.
 pub(super) fn head(provenance: &Provenance, contents_at: u64) -> Vec<u8> {
     let mut bytes = bootstrap(contents_at).to_vec();
-    bytes.extend_from_slice(comments(provenance, "# ").as_bytes());
+    bytes.extend_from_slice(comments(provenance, COMMENT).as_bytes());
     bytes.extend_from_slice(b"end_header\n");
     bytes
+}
+
+/// The provenance in the first bytes of a file.
+pub(super) fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
+    check_magic(head)?;
+    Ok(from_comments(head.get(COMMENT_AT..).unwrap_or_default(), COMMENT))
 }
 
 /// The zeros that are inserted before an array.

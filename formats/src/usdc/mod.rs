@@ -25,7 +25,6 @@
 //! [Stages](crate::usda::UsdStage) see only time samples; programs that know no times find the default.
 
 use crate::mesh_options::WriteOption;
-use crate::provenance::from_comments;
 use crate::row::Integrity;
 use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow};
 use crate::usd::renamed;
@@ -33,6 +32,7 @@ use crate::usd::renamed;
 mod array;
 mod contents;
 mod floats;
+mod frame;
 mod integers;
 mod layer;
 mod lz4;
@@ -46,12 +46,13 @@ mod value;
 mod write;
 
 pub use crate::usd::{LayerInfo, SampledProperty};
+pub use frame::{is_layer, to_glb};
 pub use read::{UsdcFrame, UsdcLayer, read_layer_info};
 pub use read_samples::read_sampled_properties;
 pub use sequence::write_sequence;
 
 use contents::{MAGIC, claimed_bytes};
-use layer::COMMENT_AT;
+use layer::read_provenance;
 use read::read_mesh;
 
 /// The row in the table of formats.
@@ -71,9 +72,6 @@ pub(crate) static ROW: OutputRow = OutputRow {
     write_particles: None,
     has_attributes: true,
     options: &[WriteOption::Quads, WriteOption::Up, WriteOption::MetersPerUnit],
-    read_provenance: |head| {
-        contents::check_magic(head)?;
-        Ok(from_comments(head.get(COMMENT_AT..).unwrap_or_default(), "# "))
-    },
+    read_provenance,
     integrity: Integrity::Length(claimed_bytes),
 };

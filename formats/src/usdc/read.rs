@@ -3,6 +3,7 @@
 use crate::data::{AttributeRole, FileAttribute, MeshData, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
+use crate::mesh_options::UpAxis;
 use crate::usd::{FORMAT, INDICES, LayerInfo, attribute_of};
 
 use super::contents::NOT_OURS;
@@ -29,6 +30,17 @@ pub struct UsdcFrame {
     pub attributes: Vec<FileAttribute>,
 }
 
+/// A frame whose points are relative to its origin.
+pub(super) struct PlacedFrame {
+    /// Three coordinates for each point.
+    pub(super) points: Vec<f32>,
+    /// Three for each point.
+    pub(super) normals: Vec<f32>,
+    pub(super) triangles: Vec<[u32; 3]>,
+    pub(super) origin: [f64; 3],
+    pub(super) attributes: Vec<FileAttribute>,
+}
+
 /// The values of a property.
 enum PropertyValues {
     Always(ValueRep),
@@ -48,10 +60,8 @@ pub fn read_layer_info(bytes: &[u8], limits: &Limits) -> Result<LayerInfo> {
 /// Reads the mesh of a file with one frame.
 pub(super) fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     let layer = UsdcLayer::read(bytes, limits)?;
-    match layer.codes {
-        Some(_) => Err(Error::unsupported(FORMAT, "this file is a sequence: use the file of one frame")),
-        None => Ok(layer.frame(0)?.mesh),
-    }
+    layer.check_single_frame()?;
+    Ok(layer.frame(0)?.mesh)
 }
 
 impl<'a> UsdcLayer<'a> {
@@ -94,6 +104,25 @@ impl<'a> UsdcLayer<'a> {
         self.info
     }
 
+    /// Fails if the file is a sequence.
+    pub(super) fn check_single_frame(&self) -> Result<()> {
+        match self.codes {
+            Some(_) => Err(Error::unsupported(FORMAT, "this file is a sequence: use the file of one frame")),
+            None => Ok(()),
+        }
+    }
+
+    /// The axis of the points that points up.
+    pub(super) fn up(&self) -> Result<UpAxis> {
+        match self.tables.word(self.tables.specs[0].field("upAxis"), "upAxis")? {
+            "Y" => Ok(UpAxis::Y),
+            "Z" => Ok(UpAxis::Z),
+            axis => {
+                Err(Error::unsupported(FORMAT, format!("upAxis is {}: {NOT_OURS}", crate::escaped(axis))))
+            }
+        }
+    }
+
     /// The time codes of the frames; `None` for a file without time samples.
     pub fn codes(&self) -> Option<&[f64]> {
         self.codes.as_deref()
@@ -111,29 +140,36 @@ impl<'a> UsdcLayer<'a> {
     /// [`Error::Invalid`] if there is no such frame, or if it is damaged; [`Error::TooLarge`] if it exceeds
     /// the limits.
     pub fn frame(&self, index: usize) -> Result<UsdcFrame> {
+        let PlacedFrame { points, normals, triangles, origin, attributes } = self.placed_frame(index)?;
+        let points = points.as_chunks::<3>().0;
+        self.source.claim(points.len(), size_of::<[f64; 3]>())?;
+        let world = |point: &[f32; 3]| std::array::from_fn(|axis| origin[axis] + f64::from(point[axis]));
+        let positions: Vec<[f64; 3]> = points.iter().map(world).collect();
+        let normals = normals.as_chunks::<3>().0.to_vec();
+        Ok(UsdcFrame { mesh: MeshData { positions, normals, triangles }, attributes })
+    }
+
+    /// Reads a frame as it is stored.
+    pub(super) fn placed_frame(&self, index: usize) -> Result<PlacedFrame> {
         self.source.start_anew();
         let floats = |name: &str| self.source.read_floats(self.value(name, index)?, 3, name);
-        let points = floats("points")?;
-        let points = points.as_chunks::<3>().0;
-        let normals = floats("normals")?.as_chunks::<3>().0.to_vec();
-        if normals.len() != points.len() {
-            return Err(invalid(format!("{} normals for {} points", normals.len(), points.len())));
+        let (points, normals) = (floats("points")?, floats("normals")?);
+        let (point_count, normal_count) = (points.len() / 3, normals.len() / 3);
+        if normal_count != point_count {
+            return Err(invalid(format!("{normal_count} normals for {point_count} points")));
         }
         let integers = |name: &str| -> Result<Vec<i32>> {
             self.source.read_integers(self.value(name, index)?, (ValueType::Int, 1), name)
         };
         let (counts, corners) = (integers("faceVertexCounts")?, integers("faceVertexIndices")?);
         self.source.claim(corners.len(), size_of::<[u32; 3]>())?;
-        let triangles = fans(&counts, &corners, points.len())?;
-        self.source.claim(points.len(), size_of::<[f64; 3]>())?;
+        let triangles = fans(&counts, &corners, point_count)?;
         let origin = self.origin(index)?;
-        let world = |point: &[f32; 3]| std::array::from_fn(|axis| origin[axis] + f64::from(point[axis]));
-        let positions: Vec<[f64; 3]> = points.iter().map(world).collect();
         let mut attributes = Vec::new();
         for (spec, _) in &self.properties {
-            attributes.extend(self.attribute(&self.tables.specs[*spec], index, points.len())?);
+            attributes.extend(self.attribute(&self.tables.specs[*spec], index, point_count)?);
         }
-        Ok(UsdcFrame { mesh: MeshData { positions, normals, triangles }, attributes })
+        Ok(PlacedFrame { points, normals, triangles, origin, attributes })
     }
 
     fn values(&self, name: &str) -> Option<(&Spec, &PropertyValues)> {

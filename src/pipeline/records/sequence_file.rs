@@ -1,4 +1,4 @@
-//! Combines the `.glb` or `.abc` files of all frames into one file.
+//! Combines the `.glb`, `.abc` or `.usdc` files of all frames into one file.
 //!
 //! ```text
 //!   out/dam.0012.glb  out/dam.0013.glb  ..  ──▶  dam.glb     plays in a browser, and in Blender
@@ -61,7 +61,7 @@ impl SequenceFormat {
     }
 }
 
-/// The `.glb` or `.abc` of a frame, and its number.
+/// The `.glb`, `.abc` or `.usdc` of a frame, and its number.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SequenceSource {
     /// Its path.
@@ -177,7 +177,7 @@ struct SourceFrame<'a> {
     notes: Vec<String>,
 }
 
-/// The `.abc` of a frame, converted to `.glb`.
+/// The `.abc` or `.usdc` of a frame, converted to `.glb`.
 struct ConvertedFrame {
     /// The index of the frame.
     index: usize,
@@ -193,8 +193,8 @@ enum FrameReader {
 }
 
 impl FrameReader {
-    /// Opens the file of a frame. An `.abc` is converted to `.glb`, and the result is kept in `last`, because
-    /// the file is opened again for each of its arrays.
+    /// Opens the file of a frame. An `.abc` or `.usdc` is converted to `.glb`, and the result is kept in
+    /// `last`, because the file is opened again for each of its arrays.
     fn open(path: &Path, index: usize, last: &RefCell<Option<ConvertedFrame>>) -> io::Result<FrameReader> {
         if let Some(frame) = &*last.borrow()
             && frame.index == index
@@ -204,21 +204,35 @@ impl FrameReader {
         let mut file = open_regular(path)?;
         let mut bytes = Vec::new();
         Read::by_ref(&mut file).take(MAGIC_BYTES).read_to_end(&mut bytes)?;
-        if !abc::is_archive(&bytes) {
+        let Some(to_glb) = converter(&bytes) else {
             file.rewind()?;
             return Ok(FrameReader::File(BufReader::new(file)));
-        }
+        };
         last.take();
         file.read_to_end(&mut bytes)?;
-        let (glb, notes) = abc::to_glb(&bytes, &Limits::default()).map_err(io::Error::other)?;
+        let (glb, notes) = to_glb(&bytes, &Limits::default()).map_err(io::Error::other)?;
         let glb: Rc<[u8]> = glb.into();
         last.replace(Some(ConvertedFrame { index, glb: Rc::clone(&glb), notes }));
         Ok(FrameReader::Converted(Cursor::new(glb)))
     }
 }
 
-/// Enough bytes to recognise an `.abc`.
+/// Enough bytes to recognise an `.abc` or a `.usdc`.
 const MAGIC_BYTES: u64 = 8;
+
+/// Converts the bytes of a file to `.glb`. Also returns notes on attributes that are lost.
+type ToGlb = fn(&[u8], &Limits) -> meniscus_formats::Result<(Vec<u8>, Vec<String>)>;
+
+/// The converter for a file with this head; `None` for a `.glb`, and for files that cannot be read.
+fn converter(head: &[u8]) -> Option<ToGlb> {
+    if abc::is_archive(head) {
+        Some(abc::to_glb)
+    } else if usdc::is_layer(head) {
+        Some(usdc::to_glb)
+    } else {
+        None
+    }
+}
 
 impl Read for FrameReader {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
