@@ -18,6 +18,7 @@ pub mod columns;
 pub mod compression;
 pub mod csv;
 pub mod data;
+mod digest;
 pub mod error;
 mod excerpt;
 pub mod exr;

@@ -323,6 +323,31 @@ fn usdc_sequence_has_a_sample_per_frame() {
 }
 
 #[test]
+fn usdc_sequence_contains_equal_arrays_once() {
+    let (shot, files) = gathered(UpAxis::Y);
+    let sequence_of = |count: u64| {
+        let frame = |code| SequenceFrame { code, ..shot[3].clone() };
+        let frames: Vec<SequenceFrame> = (0..count).map(frame).collect();
+        let mut bytes = Cursor::new(Vec::new());
+        let open = |_: usize| Ok(Cursor::new(&files[3]));
+        usdc::write_sequence(&frames, (24.0, 1.0), &[], open, &mut bytes).expect("written");
+        bytes.into_inner()
+    };
+    let (one, three) = (sequence_of(1), sequence_of(3));
+    assert!(three.len() < one.len() + 2000, "{} bytes, {} bytes", one.len(), three.len());
+    let limits = Limits::default();
+    let [one, three] =
+        [&one, &three].map(|bytes| usdc::UsdcLayer::read(bytes, &limits).expect("our own file"));
+    let expected = one.frame(0).expect("a frame");
+    assert_eq!(three.codes(), Some(&[0.0, 1.0, 2.0][..]));
+    for index in 0..3 {
+        assert!(three.frame(index).expect("a frame") == expected, "{index}");
+    }
+    let error = usdc::to_glb(&sequence_of(1), &limits).expect_err("a sequence").to_string();
+    assert!(error.contains("this file is a sequence"), "{error}");
+}
+
+#[test]
 fn invalid_sequences_are_errors() {
     let (mut shot, files) = gathered(UpAxis::Y);
     let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };

@@ -3,9 +3,9 @@
 use crate::error::{Error, Position, Result};
 
 use super::FORMAT;
-use super::digest::DIGEST_BYTES;
 use super::document::{OBJECT_HASH_BYTES, Pod, bits};
 use super::ogawa::{DATA, EMPTY_GROUP, Reference};
+use crate::digest::DIGEST_BYTES;
 
 /// The limit of properties in a compound: more than any mesh that this program writes has.
 const PROPERTY_COUNT_MAX: usize = 1 << 16;

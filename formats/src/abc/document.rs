@@ -16,8 +16,8 @@ use crate::data::Provenance;
 use crate::error::Result;
 use crate::provenance::{GENERATOR, escape, prefixed};
 
-use super::digest::{Hasher, SampleKey};
 use super::ogawa::{Ogawa, Reference, Sample};
+use crate::digest::{Hasher, SampleKey};
 
 /// The version of Alembic's layout of archives in the container.
 const FILE_VERSION: i32 = 0;

@@ -13,7 +13,6 @@ use crate::mesh_options::WriteOption;
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
 
 mod container;
-mod digest;
 mod document;
 mod frame;
 mod mesh;

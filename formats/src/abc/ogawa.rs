@@ -18,7 +18,7 @@ use std::io::{self, Write};
 use crate::error::{Error, Position, Result};
 
 use super::FORMAT;
-use super::digest::{DIGEST_BYTES, Hasher, SampleKey};
+use crate::digest::{DIGEST_BYTES, Hasher, SampleKey};
 
 pub(super) const MAGIC: [u8; 5] = *b"Ogawa";
 

@@ -2,13 +2,16 @@
 //!
 //! The writer visits the frames once, in order. It writes their arrays one after the other, and at the end
 //! the time samples, which refer to the arrays. At any time, only one attribute of one frame is in memory.
+//! Equal arrays, such as those of a fluid at rest, are written once, as OpenUSD does.
 //! The attributes of a frame have the same time codes, so its `velocities` are valid for its `points`.
 //!
 //! USD allows samples with different numbers of vertices, and holds each of them until the next sample.
 
+use std::collections::HashMap;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 
 use crate::data::Provenance;
+use crate::digest::{Hasher, SampleKey};
 use crate::error::Result;
 use crate::gltf::SequenceFrame;
 use crate::usd::{Elements, POSITION, PRIM, SequenceAttribute, UsdSequence};
@@ -38,7 +41,7 @@ pub fn write_sequence<R: Read + Seek>(
     let (attributes, notes) = shot.attributes()?;
     let start = head(provenance, 0);
     out.write_all(&start)?;
-    let mut arrays = ArrayWriter { at: start.len() as u64, out };
+    let mut arrays = ArrayWriter { at: start.len() as u64, written: HashMap::new(), out };
     let (mut counts, mut corners) = (Vec::new(), Vec::new());
     let mut samples: Vec<Vec<(f64, ValueRep)>> = attributes.iter().map(|_| Vec::new()).collect();
     for (index, frame) in frames.iter().enumerate() {
@@ -96,17 +99,27 @@ fn write_faces(
 /// Writes arrays, and keeps track of their offsets.
 struct ArrayWriter<'a, W> {
     at: u64,
+    /// The arrays so far, by their types and 128-bit digests.
+    written: HashMap<(ValueRep, SampleKey), ValueRep>,
     out: &'a mut W,
 }
 
 impl<W: Write> ArrayWriter<'_, W> {
+    /// Writes an array, unless an equal one was written before.
     fn write(&mut self, elements: Elements) -> Result<ValueRep> {
         let array = CrateArray::of(elements)?;
+        let mut hasher = Hasher::default();
+        array.write(&mut hasher)?;
+        let key = (array.rep(0), hasher.finish());
+        if let Some(equal) = self.written.get(&key) {
+            return Ok(*equal);
+        }
         let padding = padding(self.at);
         self.out.write_all(padding)?;
         array.write(self.out)?;
         let offset = self.at + padding.len() as u64;
         self.at = offset + array.byte_count();
+        self.written.insert(key, array.rep(offset));
         Ok(array.rep(offset))
     }
 }

@@ -1,19 +1,19 @@
-//! MurmurHash3 of a stream, in the 128-bit variant for 64-bit machines with seed 0: Alembic identifies
-//! samples by this hash.
+//! MurmurHash3 of a stream, in the 128-bit variant for 64-bit machines with seed 0. Alembic identifies
+//! samples by this hash, and the writer of binary USD recognises equal arrays by it.
 
 use std::io::{self, Write};
 
 /// The size of a digest, in bytes.
-pub(super) const DIGEST_BYTES: usize = 16;
+pub(crate) const DIGEST_BYTES: usize = 16;
 
 /// A digest as stored.
-pub(super) type SampleKey = [u8; DIGEST_BYTES];
+pub(crate) type SampleKey = [u8; DIGEST_BYTES];
 
 const FACTORS: [u64; 2] = [0x87c3_7b91_1142_53d5, 0x4cf5_ad43_2745_937f];
 
 /// Computes the digest of the bytes that are written to it.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Hasher {
+pub(crate) struct Hasher {
     state: [u64; 2],
     /// Bytes of an incomplete block.
     pending: [u8; DIGEST_BYTES],
@@ -23,13 +23,13 @@ pub(super) struct Hasher {
 
 impl Hasher {
     /// The digest of these bytes.
-    pub(super) fn digest(bytes: &[u8]) -> SampleKey {
+    pub(crate) fn digest(bytes: &[u8]) -> SampleKey {
         let mut hasher = Hasher::default();
         hasher.update(bytes);
         hasher.finish()
     }
 
-    pub(super) fn update(&mut self, mut bytes: &[u8]) {
+    pub(crate) fn update(&mut self, mut bytes: &[u8]) {
         self.length = self.length.wrapping_add(bytes.len() as u64);
         if self.pending_count > 0 {
             let (head, rest) = bytes.split_at(bytes.len().min(DIGEST_BYTES - self.pending_count));
@@ -49,7 +49,7 @@ impl Hasher {
     }
 
     /// The digest of all bytes so far.
-    pub(super) fn finish(&self) -> SampleKey {
+    pub(crate) fn finish(&self) -> SampleKey {
         let [mut a, mut b] = self.state;
         // The unused bytes of the last block are zero. A block of zeros does not change the state.
         let mut last = [0; DIGEST_BYTES];
