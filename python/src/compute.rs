@@ -16,7 +16,7 @@ use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use crate::float_mode;
+use crate::audited::float_mode;
 
 /// Interval between checks for signals. Ctrl-C must take effect within 0.2 s.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(50);

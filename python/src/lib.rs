@@ -5,22 +5,21 @@
 //!   pymeniscus (Python)     names, types, conversions of arrays, documentation
 //!        │
 //!   _native (this crate)    reconstructor ─▶ compute (threads, Ctrl-C)    options    errors
-//!        │                  surface ─▶ views (unsafe)       level_set
+//!        │                  surface ─▶ audited (unsafe)     level_set
 //!        │                  program: everything that needs the pipeline or the command line
 //!        ▼
 //!   meniscus::surface, meniscus_formats, meniscus::pipeline, meniscus::cli
 //! ```
 
 mod arrays;
+mod audited;
 mod compute;
 mod errors;
-mod float_mode;
 mod level_set;
 mod options;
 mod program;
 mod reconstructor;
 mod surface;
-mod views;
 
 use pyo3::prelude::*;
 

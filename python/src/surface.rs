@@ -11,10 +11,10 @@ use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyReadonlyArray
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 
+use crate::audited::views::view;
 use crate::compute::run;
 use crate::level_set::Rows;
 use crate::program::{self, WriteOptions};
-use crate::views::view;
 
 /// A surface. It never changes, because arrays borrow its memory.
 #[pyclass(frozen, module = "pymeniscus._native")]

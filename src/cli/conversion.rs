@@ -6,7 +6,9 @@ use std::sync::Arc;
 use anyhow::{Result, bail};
 use rayon::ThreadPool;
 
-use crate::pipeline::{Job, MeasuredSpacing, ObstacleFiles, OutputOptions, Sequence, check_outputs};
+use crate::pipeline::{
+    Job, MeasuredSpacing, ObstacleFiles, OutputOptions, Sequence, check_existing, check_outputs,
+};
 use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::simd::level_warning;
 
@@ -51,18 +53,19 @@ impl Conversion {
         Ok(Conversion { sequences, unselected, found, job, options, obstacles, outputs, folder })
     }
 
-    /// Refuses outputs, or another file such as the report, that would replace inputs, obstacles or each
-    /// other. Inputs that are not selected are protected, too.
+    /// Refuses outputs, or `others` such as the report, that would replace inputs, obstacles, data of other
+    /// programs or each other. Inputs that are not selected are protected, too.
     ///
     /// # Errors
     /// If a file would replace another one; the error names both.
-    pub(super) fn refuse_conflicts(&self, other: Option<(&'static str, &Path)>) -> Result<()> {
-        if let Some((what, path)) = other {
+    pub(super) fn refuse_conflicts(&self, others: &[(&'static str, &Path)]) -> Result<()> {
+        for (what, path) in others {
             check_output_path(what, path)?;
         }
         let planned: Vec<_> =
             selected_files(&self.sequences).map(|file| (file.path.clone(), file.stem())).collect();
-        Ok(check_outputs(&planned, &self.found, &self.obstacles, &self.outputs, other)?)
+        check_outputs(&planned, &self.found, &self.obstacles, &self.outputs, others)?;
+        Ok(check_existing(&planned, &self.outputs, self.job)?)
     }
 
     /// The settings shared by the frames of a sequence, or why the frames cannot be converted.

@@ -1,6 +1,6 @@
 //! `meniscus convert`: converts frames of particles into meshes and level sets.
 
-use std::path::{Path, absolute};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -10,8 +10,8 @@ use meniscus_formats::listed;
 use crate::farm::{PlannedFrame, ShardPlan};
 use crate::pipeline::{
     Frame, FrameFile, InspectedState, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions, Sequence,
-    SequenceRecord, StageFrame, StageSequence, check_out_folder, check_outputs, file_of, inspect,
-    output_sequence, size_bytes,
+    SequenceRecord, StageFrame, StageSequence, check_existing, check_out_folder, check_outputs, file_of,
+    inspect, output_sequence, size_bytes,
 };
 
 use super::CommandOutcome;
@@ -148,17 +148,7 @@ fn refuse_file_conflicts(
     let written = report.into_iter().map(|path| ("the report", path));
     let written = written.chain(stage).chain(shots.paths().map(|path| ("the sequence file", path)));
     let written: Vec<(&'static str, &Path)> = written.collect();
-    if written.is_empty() {
-        conversion.refuse_conflicts(None)?;
-    }
-    for (index, &(what, path)) in written.iter().enumerate() {
-        conversion.refuse_conflicts(Some((what, path)))?;
-        let is_same = |(_, other): &&(&str, &Path)| absolute(other).ok() == absolute(path).ok();
-        if let Some((other, _)) = written[..index].iter().find(is_same) {
-            bail!("{other} and {what} would both become {}", path.display());
-        }
-    }
-    Ok(())
+    conversion.refuse_conflicts(&written)
 }
 
 /// All frames of a sequence, selected or not.
@@ -249,7 +239,8 @@ fn convert_shard(
     let inputs: Vec<_> = frames.iter().map(|frame| frame.input.clone()).collect();
     let planned: Vec<_> = frames.iter().map(|frame| (frame.input.clone(), frame.stem.clone())).collect();
     if let Some(sequence) = plan.sequences.first() {
-        check_outputs(&planned, &inputs, &obstacles, &sequence.outputs, None)?;
+        check_outputs(&planned, &inputs, &obstacles, &sequence.outputs, &[])?;
+        check_existing(&planned, &sequence.outputs, sequence.job)?;
     }
     let numbers = match plan.shards.len() {
         1 => "the only one".to_owned(),

@@ -1,5 +1,6 @@
 //! `meniscus plan`: determines settings and shards once, for all machines that convert a sequence.
 
+use std::iter;
 use std::path::{Path, PathBuf, absolute};
 
 use anyhow::{Context, Result, anyhow, bail};
@@ -39,10 +40,9 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<CommandOutc
     }
     warn_before(&args.method, &args.formats, console);
     let conversion = Conversion::new(selection, job, &args.method, outputs)?;
-    conversion.refuse_conflicts(Some(("the plan", &args.output)))?;
-    if let Some(stage) = &conversion.outputs.stage {
-        conversion.refuse_conflicts(Some(("the stage", &stage.path)))?;
-    }
+    let stage = conversion.outputs.stage.iter().map(|stage| ("the stage", &*stage.path));
+    let written: Vec<(&'static str, &Path)> = iter::once(("the plan", &*args.output)).chain(stage).collect();
+    conversion.refuse_conflicts(&written)?;
 
     let pool = thread_pool(None)?;
     let mut plan = ShardPlan {

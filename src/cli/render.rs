@@ -47,7 +47,7 @@ pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<Command
         stems.map(|stem| (file.path.clone(), stem))
     });
     let planned: Vec<(PathBuf, String)> = planned.collect();
-    check_outputs(&planned, &paths, &shots.session.obstacles, outputs, None)?;
+    check_outputs(&planned, &paths, &shots.session.obstacles, outputs, &[])?;
     folder.keep();
     let pool = thread_pool(args.pictures.run.threads)?;
     let mut counts = DoneCounts::default();

@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 
-use crate::pipeline::{file_of, frames_in, is_missing_step, step_of};
+use crate::pipeline::{SniffedContent, file_of, frames_in, is_missing_step, step_of};
 use crate::watch::canonical_path::{below, canonical_path};
 use crate::watch::explain::{
     Explanation, FileChange, FileFacts, FrameExplanation as Fate, Question, explain, remembered_fingerprint,
 };
 use crate::watch::journal::{DaemonState, JournalState, JournaledFrame, JournaledStatus, PlanRecord, now_ms};
-use crate::watch::selection::{FileFilter, SniffedContent};
+use crate::watch::selection::FileFilter;
 use crate::watch::{StabilityTimeouts, Watch, WatchConfig};
 
 use super::CommandOutcome;
@@ -186,7 +186,7 @@ fn lines(
         line(
             "content",
             match content {
-                SniffedContent::Particles => "a frame",
+                SniffedContent::Particles | SniffedContent::OwnParticles => "a frame",
                 SniffedContent::OwnOutput => "made by this program",
                 SniffedContent::NotParticles => "not a frame",
             },

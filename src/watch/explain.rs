@@ -15,7 +15,9 @@ use std::time::Instant;
 
 use twox_hash::XxHash3_128;
 
-use crate::pipeline::{FrameFile, ObstacleFiles, file_of, is_missing_step, outputs_made_from, read_file};
+use crate::pipeline::{
+    FrameFile, ObstacleFiles, SniffedContent, content, file_of, is_missing_step, outputs_made_from, read_file,
+};
 
 use super::config::{StabilityTimeouts, Watch};
 use super::core::completeness::{Candidate, Readiness, Seen, WaitReason};
@@ -24,7 +26,7 @@ use super::core::sequences::{SequenceSettings, choices_fingerprint, fingerprint_
 use super::io::evidence::readiness_of;
 use super::io::mounts::network_file_system;
 use super::io::scan::file_state;
-use super::io::selection::{FileFilter, SniffedContent, content};
+use super::io::selection::FileFilter;
 use super::journal::{JournalState, JournaledFrame, SequenceKey};
 
 /// A frame, and the inputs of the loop's checks.
@@ -165,7 +167,9 @@ fn verdict(question: &Question<'_>, file: &FileFacts, decision: Decision) -> Fra
         (Decision::Convert(ConvertReason::WasInterrupted), ..) if question.has_daemon => {
             FrameExplanation::Pending(question.record.and_then(|record| record.reason.clone()))
         }
-        (decision, _, SniffedContent::Particles) => FrameExplanation::Converted(decision),
+        (decision, _, SniffedContent::Particles | SniffedContent::OwnParticles) => {
+            FrameExplanation::Converted(decision)
+        }
     }
 }
 

@@ -21,14 +21,14 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::pipeline::{FileStamp, file_of};
+use crate::pipeline::{FileStamp, SniffedContent, content, file_of};
 
 use super::config::{StabilityTimeouts, Watch};
 use super::core::completeness::{Candidate, Readiness, Seen, WaitReason};
 use super::explain::trust_clock;
 use super::io::evidence::readiness_of;
 use super::io::scan::scan;
-use super::io::selection::{FileFilter, SniffedContent, content};
+use super::io::selection::FileFilter;
 use super::journal::{JournalState, PlanRecord};
 
 /// Files that wait for their writers.
@@ -133,9 +133,8 @@ fn why_waiting(path: &Path, seen: &Seen, watch: &Watch, timeouts: &StabilityTime
     let is_certain =
         seen.age.is_some() || matches!(why, WaitReason::Sentinel | WaitReason::Incomplete { .. });
     // A file that cannot be read may be a frame: the attempt to read it reports why it fails.
-    let is_no_frame =
-        || matches!(content(path), Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles));
-    (is_certain && !is_no_frame()).then_some(why)
+    let may_be_frame = || content(path).map_or(true, SniffedContent::is_frame);
+    (is_certain && may_be_frame()).then_some(why)
 }
 
 #[cfg(test)]

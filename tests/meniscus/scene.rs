@@ -71,3 +71,12 @@ pub(crate) fn names_in(folder: &Path) -> Vec<String> {
     names.sort();
     names
 }
+
+/// Asserts that a command does nothing, exits with status 2, and gives this reason.
+pub(crate) fn assert_refused(folder: &Path, arguments: &[&str], words: &[&str]) {
+    let result = meniscus(folder, arguments);
+    assert_eq!(result.status, 2, "{arguments:?}: {} {}", result.out, result.err);
+    for word in words {
+        assert!(result.err.contains(word), "{arguments:?} does not say {word}: {}", result.err);
+    }
+}

@@ -52,7 +52,7 @@ impl SheetFile {
         session.warn_of_ignored(written.unwrap_or(&session.outputs.formats), console);
         let out_folder = OutFolder::make(&folder)?;
         let planned = [(inputs.first().cloned().unwrap_or_default(), stem.clone())];
-        check_outputs(&planned, inputs, &session.obstacles, &session.outputs, None)?;
+        check_outputs(&planned, inputs, &session.obstacles, &session.outputs, &[])?;
         out_folder.keep();
         Ok((SheetFile { folder, stem }, session))
     }

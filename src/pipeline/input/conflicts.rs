@@ -1,9 +1,11 @@
-//! Finds outputs that would replace an input, an obstacle or each other.
+//! Finds outputs that would replace an input, an obstacle, other data or each other.
 
 use std::collections::HashMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use super::content::is_irreplaceable;
+use super::frame::Job;
 use super::obstacles::ObstacleFiles;
 use super::steps::file_of;
 use crate::pipeline::files::path_identity::{Identity, canonical_entry, identities};
@@ -33,6 +35,11 @@ pub enum Conflict {
         /// The two inputs.
         makers: [PathBuf; 2],
     },
+    /// An output would replace particles or a level set that are no input of this run.
+    ReplacesData {
+        /// The output.
+        output: PathBuf,
+    },
     /// Another written file, such as the report, has the name of an output.
     ReplacesOutput {
         /// The output.
@@ -41,6 +48,13 @@ pub enum Conflict {
         input: PathBuf,
         /// The other file.
         what: &'static str,
+    },
+    /// Two written files that are no outputs of frames have the same name.
+    SameFile {
+        /// Their name.
+        output: PathBuf,
+        /// The two files.
+        files: [&'static str; 2],
     },
 }
 
@@ -66,19 +80,27 @@ impl fmt::Display for Conflict {
                 second.display(),
                 output.display()
             ),
+            Conflict::ReplacesData { output } => write!(
+                f,
+                "the output {} would replace a particle file or level set: move that file away, or choose another folder or format",
+                output.display()
+            ),
             Conflict::ReplacesOutput { output, input, what } => write!(
                 f,
                 "{what} and the result of {} would both become {}: choose another name for {what}",
                 input.display(),
                 output.display()
             ),
+            Conflict::SameFile { output, files: [first, second] } => {
+                write!(f, "{first} and {second} would both become {}: choose two names", output.display())
+            }
         }
     }
 }
 
 impl std::error::Error for Conflict {}
 
-/// Checks that the outputs of all planned frames (input and stem), and all other written files (description
+/// Checks that the outputs of all planned frames (input and stem), and all other `written` files (description
 /// and path), do not replace one of `inputs`, an obstacle, or each other. The output folder must exist,
 /// because only then can its path be resolved.
 ///
@@ -89,7 +111,7 @@ pub fn check_outputs(
     inputs: &[PathBuf],
     obstacles: &ObstacleFiles,
     options: &OutputOptions,
-    written: Option<(&'static str, &Path)>,
+    written: &[(&'static str, &Path)],
 ) -> Result<(), Conflict> {
     let mut input_of: HashMap<Identity, &Path> = HashMap::new();
     let mut files: Vec<&Path> = inputs.iter().map(|input| file_of(input)).collect();
@@ -113,12 +135,35 @@ pub fn check_outputs(
             return Err(Conflict::SameOutput { output, makers: [other.to_owned(), maker.to_owned()] });
         }
     }
-    let Some((what, path)) = written else { return Ok(()) };
-    refuse_loss(path)?;
-    match maker_of.get(&canonical_entry(path)) {
-        Some(&input) => {
-            Err(Conflict::ReplacesOutput { output: path.to_owned(), input: input.to_owned(), what })
+    let mut other_of: HashMap<PathBuf, &'static str> = HashMap::new();
+    for &(what, path) in written {
+        refuse_loss(path)?;
+        let (output, entry) = (path.to_owned(), canonical_entry(path));
+        if let Some(&input) = maker_of.get(&entry) {
+            return Err(Conflict::ReplacesOutput { output, input: input.to_owned(), what });
         }
+        if let Some(other) = other_of.insert(entry, what) {
+            return Err(Conflict::SameFile { output, files: [other, what] });
+        }
+    }
+    Ok(())
+}
+
+/// Checks that no output of `job` for the planned frames (input and stem) replaces particles or a level set
+/// that this program did not write: they may be a simulation's only copy.
+///
+/// # Errors
+/// The first such output.
+pub fn check_existing(
+    planned: &[(PathBuf, String)],
+    options: &OutputOptions,
+    job: Job,
+) -> Result<(), Conflict> {
+    let mut outputs = planned.iter().flat_map(|(_, stem)| {
+        options.formats.iter().map(move |&format| output_path(&options.folder, stem, format))
+    });
+    match outputs.find(|output| is_irreplaceable(output, job)) {
+        Some(output) => Err(Conflict::ReplacesData { output }),
         None => Ok(()),
     }
 }

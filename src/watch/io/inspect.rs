@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{ObstacleStamps, may_hold_several};
+use crate::pipeline::{Conflict, ObstacleStamps, SniffedContent, content, may_hold_several};
 use crate::watch::core::completeness::Readiness;
 use crate::watch::core::events::{
     Complete, FileContents, Inspect, Inspected, InspectionExtent, InspectionResult, Recorded,
@@ -16,7 +16,6 @@ use crate::watch::journal::OutputCheck;
 use super::evidence::readiness_of;
 use super::root::Root;
 use super::scan::file_state;
-use super::selection::{SniffedContent, content};
 
 impl Root {
     /// Inspects a file.
@@ -84,11 +83,9 @@ impl Root {
     /// watched folder. `None` if nothing is wrong.
     fn conflict_of(&self, outputs: &[PathBuf]) -> Option<String> {
         for output in outputs {
-            if output.symlink_metadata().is_ok() && matches!(content(output), Ok(SniffedContent::Particles)) {
-                return Some(format!(
-                    "its output {} would replace a particle file: move that file away, or choose another folder or format",
-                    output.display()
-                ));
+            // A name suffices here: the file may be a frame that a simulation has only begun to write.
+            if content(output).is_ok_and(SniffedContent::is_frame) {
+                return Some(Conflict::ReplacesData { output: output.clone() }.to_string());
             }
             for obstacles in &self.obstacles {
                 if let Err(conflict) = obstacles.refuse_output(output) {

@@ -8,23 +8,18 @@
 //! ```
 //!
 //! The folder of the outputs is excluded if it lies in the watched folder. But it may also be the watched
-//! folder itself, or contain it: then frames and outputs lie side by side, and only [`content`] can
+//! folder itself, or contain it: then frames and outputs lie side by side, and only their [content](crate::pipeline::content) can
 //! distinguish them. So, of the watched and the excluded folders that contain a file, the innermost decides
 //! whether the file is excluded. Level sets (.vdb) are taken only if the pattern ends in `.vdb`, and never if
 //! this program wrote them.
 
 use std::ffi::OsStr;
 use std::fmt;
-use std::io;
 use std::path::{Path, PathBuf};
 
 use glob::{MatchOptions, Pattern};
-use meniscus_formats::compression::read_head;
-use meniscus_formats::{Format, looks_like_particles, probe, read_provenance};
 
-use crate::pipeline::{
-    are_particles, has_particle_extension, is_level_set, open_regular, promises_particles,
-};
+use crate::pipeline::{has_particle_extension, is_level_set};
 
 use crate::watch::config::names_level_sets;
 
@@ -40,17 +35,6 @@ pub struct FileFilter {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PatternError {
     what: String,
-}
-
-/// The kind of a file, by its first bytes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SniffedContent {
-    /// A frame, or a file whose name claims to be one: it is read, if only to report what is wrong with it.
-    Particles,
-    /// An output of this program.
-    OwnOutput,
-    /// Anything else.
-    NotParticles,
 }
 
 impl fmt::Display for PatternError {
@@ -129,27 +113,6 @@ fn parse_pattern(text: &str, recursive: bool) -> Result<Pattern, PatternError> {
     Ok(pattern)
 }
 
-/// Reads the first bytes of a file and returns its kind.
-///
-/// # Errors
-/// When the file cannot be read.
-pub fn content(path: &Path) -> io::Result<SniffedContent> {
-    const HEAD_BYTES: u64 = 64 << 10; // holds the provenance of every output
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    if !path.metadata()?.is_file() {
-        return Ok(SniffedContent::NotParticles);
-    }
-    let head = read_head(open_regular(path)?, HEAD_BYTES)?;
-    let promises = promises_particles(&name) || is_level_set(path);
-    Ok(if is_own_output(&head, &name) {
-        SniffedContent::OwnOutput
-    } else if promises || looks_like_particles(&head, &name) {
-        SniffedContent::Particles
-    } else {
-        SniffedContent::NotParticles
-    })
-}
-
 /// Whether the name is that of a hidden file.
 pub(crate) fn is_hidden(name: &OsStr) -> bool {
     name.as_encoded_bytes().starts_with(b".")
@@ -159,25 +122,12 @@ fn is_hidden_path(within: &Path) -> bool {
     within.components().any(|part| is_hidden(part.as_os_str()))
 }
 
-/// Whether these first bytes of a file contain this program's provenance.
-fn is_own_output(head: &[u8], name: &str) -> bool {
-    let format = probe(head, name).kind.format().and_then(Format::output);
-    let Some(format) = format.filter(|format| !format.is_picture()) else { return false };
-    // A damaged head contains no provenance.
-    read_provenance(format, head).is_ok_and(|recorded| {
-        recorded.iter().any(|(name, _)| name == "generator") && !are_particles(&recorded)
-    })
-}
-
 const MATCH_OPTIONS: MatchOptions =
     MatchOptions { case_sensitive: true, require_literal_separator: true, require_literal_leading_dot: true };
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::fs;
-
-    use tempfile::tempdir;
 
     #[test]
     fn pattern_matches_the_name_or_with_a_slash_the_path() {
@@ -219,44 +169,5 @@ mod tests {
             let error = FileFilter::new(Some(pattern), recursive, Vec::new()).expect_err(pattern).to_string();
             assert!(error.contains(words), "{error}");
         }
-    }
-
-    #[test]
-    fn content_distinguishes_frames_outputs_and_other_files() {
-        use meniscus_formats::{MeshOptions, MeshView, OutputFormat, gltf, ply};
-        let folder = tempdir().expect("a folder");
-        let of = |name: &str, bytes: &[u8]| {
-            let path = folder.path().join(name);
-            fs::write(&path, bytes).expect("written");
-            content(&path).expect("readable")
-        };
-        assert_eq!(of("a.ply", b"ply\nformat ascii 1.0\ncomment by hand\n"), SniffedContent::Particles);
-        assert_eq!(of("broken.ply", b"what is this"), SniffedContent::Particles);
-        assert_eq!(of("empty.bgeo", b""), SniffedContent::Particles);
-        assert_eq!(of("table.txt", b"x y z\n1 2 3\n"), SniffedContent::Particles);
-        assert_eq!(of("frame.0001", b"BgeoV\0\0\0\x05"), SniffedContent::Particles);
-        assert_eq!(of("readme.txt", b"Read me, please.\n"), SniffedContent::NotParticles);
-        assert_eq!(of("mesh.obj", b"v 1 2 3\nv 4 5 6\n"), SniffedContent::NotParticles);
-        let mesh = MeshView {
-            positions: &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
-            normals: &[[0.0, 0.0, 1.0]; 3],
-            triangles: &[[0, 1, 2]],
-            origin: [0.0; 3],
-            attributes: &[],
-        };
-        let maker = [("generator".to_owned(), "meniscus".to_owned())];
-        let mut bytes = Vec::new();
-        ply::write::write_mesh(&mesh, &maker, &mut bytes).expect("written");
-        assert_eq!(of("surface.ply", &bytes), SniffedContent::OwnOutput);
-        bytes.clear();
-        ply::write::write_mesh(&mesh, &[], &mut bytes).expect("written");
-        assert_eq!(of("foreign.ply", &bytes), SniffedContent::Particles);
-        bytes.clear();
-        OutputFormat::Obj.write_mesh(&mesh, &MeshOptions::default(), &maker, &mut bytes).expect("written");
-        assert_eq!(of("surface.obj", &bytes), SniffedContent::OwnOutput);
-        bytes.clear();
-        gltf::write_glb(&mesh, &MeshOptions::default(), &maker, &mut bytes).expect("written");
-        assert_eq!(of("surface.glb", &bytes), SniffedContent::OwnOutput);
-        assert!(content(&folder.path().join("gone.ply")).is_err());
     }
 }

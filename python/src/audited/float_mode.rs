@@ -3,7 +3,6 @@
 //! A new thread inherits the mode of the thread that starts it. Some libraries, such as Taichi and everything
 //! that GCC links with `-ffast-math`, make the processor replace denormal numbers by zero. With that mode, a
 //! surface would differ in some bytes from the surface that the command line writes.
-#![expect(unsafe_code, reason = "the control register has no safe interface")]
 
 /// Sets the default mode for this thread: keep denormal numbers, round to nearest, mask all exceptions.
 pub(crate) fn set_default() {

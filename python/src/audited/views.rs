@@ -4,7 +4,6 @@
 //! that memory either: a surface is a frozen class, so that Python code only ever gets shared references to
 //! it, and its vectors have no interior mutability. So the memory is not moved, freed or changed while the
 //! array exists.
-#![expect(unsafe_code, reason = "rust-numpy has no safe way to borrow memory from a Python object")]
 
 use numpy::ndarray::{ArrayView, IntoDimension};
 use numpy::{Element, PyArray, PyArrayMethods};

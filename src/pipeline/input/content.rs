@@ -1,0 +1,131 @@
+//! Recognises frames, outputs of this program and other files by their first bytes.
+
+use std::io;
+use std::path::Path;
+
+use meniscus_formats::compression::read_head;
+use meniscus_formats::{Format, looks_like_particles, probe, read_provenance};
+
+use super::frame::Job;
+use super::level_set_file::is_level_set;
+use super::source::promises_particles;
+use crate::pipeline::files::open::open_regular;
+use crate::pipeline::records::provenance::are_particles;
+
+/// The kind of a file, by its first bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SniffedContent {
+    /// A frame, or a file whose name claims to be one: it is read, if only to report what is wrong with it.
+    Particles,
+    /// Particles that this program wrote, with `--particles-only`: a frame, too.
+    OwnParticles,
+    /// Another output of this program.
+    OwnOutput,
+    /// Anything else.
+    NotParticles,
+}
+
+impl SniffedContent {
+    /// Whether the file counts as a frame.
+    pub fn is_frame(self) -> bool {
+        matches!(self, SniffedContent::Particles | SniffedContent::OwnParticles)
+    }
+}
+
+/// Reads the first bytes of a file and returns its kind.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn content(path: &Path) -> io::Result<SniffedContent> {
+    if !path.metadata()?.is_file() {
+        return Ok(SniffedContent::NotParticles);
+    }
+    let (head, name) = head_and_name(path)?;
+    let promises = promises_particles(&name) || is_level_set(path);
+    Ok(match own_content(&head, &name) {
+        Some(own) => own,
+        None if promises || looks_like_particles(&head, &name) => SniffedContent::Particles,
+        None => SniffedContent::NotParticles,
+    })
+}
+
+/// Whether a file must not be replaced by an output of `job`: its format is one for particles or level sets,
+/// and this program did not write it. Particles that it wrote may only be replaced by particles. A name with
+/// an extension of such a format is not sufficient, so an empty file may be replaced. `false` if there is no
+/// such file, or it cannot be read.
+pub(super) fn is_irreplaceable(path: &Path, job: Job) -> bool {
+    if !path.metadata().is_ok_and(|metadata| metadata.is_file()) {
+        return false;
+    }
+    let Ok((head, name)) = head_and_name(path) else { return false };
+    match own_content(&head, &name) {
+        Some(SniffedContent::OwnParticles) => job != Job::Particles,
+        Some(_) => false,
+        None => probe(&head, &name).kind.format() == Some(Format::Vdb) || looks_like_particles(&head, &name),
+    }
+}
+
+fn head_and_name(path: &Path) -> io::Result<(Vec<u8>, String)> {
+    const HEAD_BYTES: u64 = 64 << 10; // holds the provenance of every output
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    Ok((read_head(open_regular(path)?, HEAD_BYTES)?, name))
+}
+
+/// The content of a file whose first bytes contain this program's provenance.
+fn own_content(head: &[u8], name: &str) -> Option<SniffedContent> {
+    let format = probe(head, name).kind.format().and_then(Format::output);
+    let format = format.filter(|format| !format.is_picture())?;
+    // A damaged head contains no provenance.
+    let recorded = read_provenance(format, head).ok()?;
+    let is_own = recorded.iter().any(|(name, _)| name == "generator");
+    let content =
+        if are_particles(&recorded) { SniffedContent::OwnParticles } else { SniffedContent::OwnOutput };
+    is_own.then_some(content)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    use tempfile::tempdir;
+
+    #[test]
+    fn content_distinguishes_frames_outputs_and_other_files() {
+        use meniscus_formats::{MeshOptions, MeshView, OutputFormat, gltf, ply};
+        let folder = tempdir().expect("a folder");
+        let of = |name: &str, bytes: &[u8]| {
+            let path = folder.path().join(name);
+            fs::write(&path, bytes).expect("written");
+            content(&path).expect("readable")
+        };
+        assert_eq!(of("a.ply", b"ply\nformat ascii 1.0\ncomment by hand\n"), SniffedContent::Particles);
+        assert_eq!(of("broken.ply", b"what is this"), SniffedContent::Particles);
+        assert_eq!(of("empty.bgeo", b""), SniffedContent::Particles);
+        assert_eq!(of("table.txt", b"x y z\n1 2 3\n"), SniffedContent::Particles);
+        assert_eq!(of("frame.0001", b"BgeoV\0\0\0\x05"), SniffedContent::Particles);
+        assert_eq!(of("readme.txt", b"Read me, please.\n"), SniffedContent::NotParticles);
+        assert_eq!(of("mesh.obj", b"v 1 2 3\nv 4 5 6\n"), SniffedContent::NotParticles);
+        let mesh = MeshView {
+            positions: &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+            normals: &[[0.0, 0.0, 1.0]; 3],
+            triangles: &[[0, 1, 2]],
+            origin: [0.0; 3],
+            attributes: &[],
+        };
+        let maker = [("generator".to_owned(), "meniscus".to_owned())];
+        let mut bytes = Vec::new();
+        ply::write::write_mesh(&mesh, &maker, &mut bytes).expect("written");
+        assert_eq!(of("surface.ply", &bytes), SniffedContent::OwnOutput);
+        bytes.clear();
+        ply::write::write_mesh(&mesh, &[], &mut bytes).expect("written");
+        assert_eq!(of("foreign.ply", &bytes), SniffedContent::Particles);
+        bytes.clear();
+        OutputFormat::Obj.write_mesh(&mesh, &MeshOptions::default(), &maker, &mut bytes).expect("written");
+        assert_eq!(of("surface.obj", &bytes), SniffedContent::OwnOutput);
+        bytes.clear();
+        gltf::write_glb(&mesh, &MeshOptions::default(), &maker, &mut bytes).expect("written");
+        assert_eq!(of("surface.glb", &bytes), SniffedContent::OwnOutput);
+        assert!(content(&folder.path().join("gone.ply")).is_err());
+    }
+}
