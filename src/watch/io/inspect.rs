@@ -1,10 +1,10 @@
 //! Inspects one file, as far as the core requests.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{ObstacleStamps, may_hold_several};
+use crate::pipeline::{ObstacleStamps, is_level_set, may_hold_several};
 use crate::watch::core::completeness::Readiness;
 use crate::watch::core::events::{
     Complete, FileContents, Inspect, Inspected, InspectionExtent, InspectionResult, Recorded,
@@ -80,15 +80,12 @@ impl Root {
         InspectionResult::Complete(Complete { proof, changed_output, contents, conflict })
     }
 
-    /// Why these outputs must not be written: one would replace a particle file, or an obstacle of any
-    /// watched folder. `None` if nothing is wrong.
+    /// Why these outputs must not be written: one would replace a particle file, a level set of another
+    /// program, or an obstacle of any watched folder. `None` if nothing is wrong.
     fn conflict_of(&self, outputs: &[PathBuf]) -> Option<String> {
         for output in outputs {
-            if output.symlink_metadata().is_ok() && matches!(content(output), Ok(SniffedContent::Particles)) {
-                return Some(format!(
-                    "its output {} would replace a particle file: move that file away, or choose another folder or format",
-                    output.display()
-                ));
+            if replaces_data(output) {
+                return Some(replacement(output));
             }
             for obstacles in &self.obstacles {
                 if let Err(conflict) = obstacles.refuse_output(output) {
@@ -98,6 +95,20 @@ impl Root {
         }
         None
     }
+}
+
+/// Whether an output would replace a particle file, or a level set of another program.
+pub(in crate::watch) fn replaces_data(output: &Path) -> bool {
+    output.symlink_metadata().is_ok() && matches!(content(output), Ok(SniffedContent::Particles))
+}
+
+/// Why such an output is not written.
+pub(in crate::watch) fn replacement(output: &Path) -> String {
+    let what = if is_level_set(output) { "level set of another program" } else { "particle file" };
+    format!(
+        "its output {} would replace a {what}: move that file away, or choose another folder or format",
+        output.display()
+    )
 }
 
 fn changed_output_of(recorded: &Recorded) -> Option<(PathBuf, OutputCheck)> {

@@ -110,7 +110,7 @@ mod tests {
             particle_count: Some(250_000),
             seconds: Some(0.25),
             flaws: vec!["1 particle left out".to_owned()],
-            figures: Some(Arc::new(Figures { particles: 250_000, vertices: 3, ..Figures::default() })),
+            figures: Some(Arc::new(Figures { particles: Some(250_000), vertices: 3, ..Figures::default() })),
         };
         Entry::Frame { input: input.into().into(), record: Arc::new(record) }
     }
