@@ -62,7 +62,7 @@ mod tests {
 
     use super::super::state::{
         DaemonRecord, DaemonState, JournaledFrame, JournaledSequence, JournaledStatus, OutputRecord,
-        SequenceCamera, SequenceKey,
+        RefusedReload, SequenceCamera, SequenceKey,
     };
     use super::*;
     use crate::pipeline::{FileStamp, Framed, MeasuredSpacing, OutputState};
@@ -225,6 +225,7 @@ mod tests {
                 started_ms: 1,
                 state,
                 at_ms: 2,
+                refused_reload: Some(RefusedReload { at_ms: 3, reason: "m.toml:2: unknown key".to_owned() }),
             }));
         }
     }
