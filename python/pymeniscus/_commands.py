@@ -133,13 +133,13 @@ class FinishedFrame:
     Attributes
     ----------
     path : pathlib.Path
-        The particle file.
+        The particle file, or the level set.
     state : str
         ``"converted"``, ``"already_done"`` (by an earlier run), or ``"failed"``.
     outputs : tuple of pathlib.Path
         The files with the results.
     particles : int or None
-        The number of particles; None unless the frame was converted now.
+        The number of particles; None for a level set, and unless the frame was converted now.
     message : str
         The message in the log; for a failed frame, the reason.
     """
@@ -272,8 +272,9 @@ class Watch:
         if "frame" not in event:
             return None
         path, message = Path(event["frame"]), str(event.get("message", ""))
-        if "particles" in event and "read_s" in event:
-            return FinishedFrame(path, "converted", self._outputs(path), int(event["particles"]), message)
+        if "read_s" in event:
+            particles = event.get("particles")
+            return FinishedFrame(path, "converted", self._outputs(path), particles, message)
         if message == "frame was done already":
             return FinishedFrame(path, "already_done", self._outputs(path), None, message)
         if event.get("level") == "ERROR":

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use crate::farm::{
     FrameCheck, PlanVerification, PlannedFrame, ShardPlan, VerificationReport, verify as verify_plan,
 };
-use crate::pipeline::{InspectedState, are_same_file};
+use crate::pipeline::{InspectedState, are_same_file, stage_frame_count};
 
 use super::CommandOutcome;
 use super::args::VerifyArgs;
@@ -46,6 +46,16 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
         }
     }
     summarize(&verdicts, start.elapsed().as_secs_f64(), console);
+    if let Some(stage) = plan.stage() {
+        let (listed, done) = (stage_frame_count(stage).unwrap_or(0), verdicts.done_count());
+        if listed < done {
+            console.warning(format_args!(
+                "{}: the stage has {listed} of {}: run any shard again, which updates it",
+                stage.display(),
+                pluralize(done, "finished frame")
+            ));
+        }
+    }
     if let Some(planned) = planned.filter(|_| !verdicts.shards_to_run().is_empty()) {
         console.warning(format_args!(
             "checked {}, but the plan writes to {planned}: shards that run again will write to {planned}",

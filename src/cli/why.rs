@@ -87,7 +87,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<CommandOutcom
     if !requested.is_known && !matches!(explanation.verdict, Fate::Found(_)) {
         console.print_line(UNKNOWN);
     }
-    let is_to_come = matches!(explanation.verdict, Fate::Waits(_) | Fate::Converted(_));
+    let is_to_come = matches!(explanation.verdict, Fate::Waits(_) | Fate::Unblocked | Fate::Converted(_));
     if is_to_come && matches!(Holder::of(output)?, Holder::Unlocked) {
         console.print_line(format_args!(
             "No daemon is running for {}: start one to convert the frame.",
@@ -210,6 +210,9 @@ fn lines(
             line(
                 "settings",
                 match settings_hold {
+                    Some(false) if record.status == JournaledStatus::Refused => {
+                        "not recorded, because it was not converted"
+                    }
                     None if is_known => "not compared, because the particle spacing is not known yet",
                     None => "not compared, because the daemon's settings are unknown: give --config",
                     Some(true) => "as recorded",

@@ -64,10 +64,21 @@ impl ShardPlan {
         self.sequences.first().map(|sequence| sequence.outputs.folder.as_path())
     }
 
-    /// The same plan with another output folder.
+    /// The stage of all frames.
+    pub fn stage(&self) -> Option<&Path> {
+        Some(self.sequences.first()?.outputs.stage.as_ref()?.path.as_path())
+    }
+
+    /// The same plan with another output folder, which then also has the stage.
     pub fn with_out(mut self, folder: &Path) -> ShardPlan {
         for sequence in &mut self.sequences {
-            Arc::make_mut(&mut sequence.outputs).folder = folder.to_owned();
+            let outputs = Arc::make_mut(&mut sequence.outputs);
+            folder.clone_into(&mut outputs.folder);
+            if let Some(stage) = &mut outputs.stage
+                && let Some(name) = stage.path.file_name()
+            {
+                stage.path = folder.join(name);
+            }
         }
         self
     }
@@ -85,9 +96,8 @@ impl ShardPlan {
             // Names are compared first: a stat call for every file of a shot would load a file server.
             input.file_name() == path.file_name() && are_same_file(input, &path)
         };
-        let stage = self.sequences.first().and_then(|sequence| sequence.outputs.stage.as_ref());
         self.frames.iter().any(is_input)
-            || stage.is_some_and(|stage| canonical_entry(&stage.path) == path)
+            || self.stage().is_some_and(|stage| canonical_entry(stage) == path)
             || (folder.as_deref() == path.parent() && self.frames.iter().any(is_output))
     }
 

@@ -172,11 +172,10 @@ impl ShardPlan {
 /// # Errors
 /// The first error, and its place.
 pub fn parse(bytes: &[u8]) -> Result<ShardPlan, PlanError> {
-    let of_form = |error: serde_json::Error| PlanError::at("", error.to_string());
     if !bytes.trim_ascii_start().starts_with(b"{") {
         return Err(PlanError::at("", "this is not a meniscus plan: expected a JSON object"));
     }
-    let head: Head = serde_json::from_slice(bytes).map_err(of_form)?;
+    let head: Head = serde_json::from_slice(bytes).map_err(|error| in_words(&error))?;
     match head.meniscus_plan {
         None => return Err(PlanError::at("/meniscus_plan", "missing: this is not a meniscus plan")),
         Some(VERSION) => {}
@@ -200,7 +199,27 @@ pub fn parse(bytes: &[u8]) -> Result<ShardPlan, PlanError> {
             ),
         ));
     }
-    serde_json::from_slice::<PlanFile>(bytes).map_err(of_form)?.into_plan()
+    serde_json::from_slice::<PlanFile>(bytes).map_err(|error| in_words(&error))?.into_plan()
+}
+
+/// An error of the parser, with its place first, in words that do not depend on the parser.
+fn in_words(error: &serde_json::Error) -> PlanError {
+    let line = error.line();
+    if error.is_eof() {
+        let what = "the file ends before the plan does: copy it again, or run `meniscus plan` again";
+        return PlanError::at("", format!("line {line}: {what}"));
+    }
+    let text = error.to_string();
+    let what = text.rsplit_once(" at line ").map_or(&*text, |(what, _)| what);
+    let found_and_expected = ["invalid type: ", "invalid value: ", "invalid length "]
+        .iter()
+        .find_map(|start| what.strip_prefix(start)?.rsplit_once(", expected "));
+    let what = match found_and_expected {
+        Some((found, "u64" | "usize")) => format!("expected a whole number from 0, but found {found}"),
+        Some((found, expected)) => format!("expected {expected}, but found {found}"),
+        None => what.replacen(" field `", " key `", 1).replacen("unknown variant `", "unknown value `", 1),
+    };
+    PlanError::at("", format!("line {line}, column {}: {what}", error.column()))
 }
 
 impl PlanFile {

@@ -84,8 +84,7 @@ pub use files::sweep::{SweepError, Swept, remove_left_behind, sweep_temporaries,
 pub use in_memory::{EmbeddedSurface, in_memory_attributes, in_memory_obstacle, in_memory_parts};
 pub use input::attributes::AttributeRequest;
 pub use input::bounds::{EMPTY_BOUNDS, bounds_of_particles, sequence_bounds};
-pub use input::conflicts::{Conflict, check_existing, check_outputs};
-pub use input::content::{SniffedContent, content};
+pub use input::conflicts::{Conflict, check_outputs};
 pub use input::frame::{Frame, FrameReport, Job, Outcome, ReadInput, Seconds};
 pub use input::frame_input::FrameInput;
 pub use input::level_set_file::{LevelSetFile, is_level_set};
@@ -110,6 +109,7 @@ pub use output::writing::{encode_level_set, mesh_view, vertex_attributes};
 pub use phase_timer::PhaseTimer;
 pub use reconstruct::{LoadedFrame, Reconstruction};
 pub use records::certificate_file::certificate_path;
+pub use records::content::{SniffedContent, check_existing, content};
 pub use records::inspection::{InspectedState, Inspection, inspect};
 pub use records::output_states::{OutputState, OutputStates};
 pub use records::picture_file::{camera_of_picture, read_picture};

@@ -1,12 +1,14 @@
 //! The requests that a caller sends to the daemon, and what the daemon reports back.
 
 /// A request to a running daemon.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum DaemonRequest {
     /// Finish the frames in progress, then exit.
     Finish,
     /// Finish the frames in progress, then return so that the caller can start with a new configuration.
     Reload,
+    /// Record that the caller could not read a new configuration, for this reason, and continue.
+    ReloadRefused(String),
 }
 
 /// What a running daemon reports to its caller.

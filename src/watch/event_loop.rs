@@ -111,7 +111,9 @@ impl<'a> EventLoop<'a> {
             select! {
                 recv(self.events) -> event => self.take_batch(event.ok())?,
                 recv(commands) -> command => match command {
-                    Ok(command) => return self.shut_down(command, &commands),
+                    Ok(DaemonRequest::Finish) => return self.shut_down(EndReason::Finish, &commands),
+                    Ok(DaemonRequest::Reload) => return self.shut_down(EndReason::Reload, &commands),
+                    Ok(DaemonRequest::ReloadRefused(why)) => self.core.record_refused_reload(why),
                     // All senders are gone: no further commands can arrive.
                     Err(_) => commands = never(),
                 },
@@ -211,7 +213,7 @@ impl<'a> EventLoop<'a> {
     /// Finishes the frames in progress. A reload may be upgraded to a stop while this runs.
     fn shut_down(
         mut self,
-        mut command: DaemonRequest,
+        mut reason: EndReason,
         commands: &Receiver<DaemonRequest>,
     ) -> Result<WatchSummary, DaemonError> {
         let stop_deadline = self.context.config.stop_deadline;
@@ -232,8 +234,8 @@ impl<'a> EventLoop<'a> {
             select! {
                 recv(self.events) -> event => self.take_batch(event.ok())?,
                 recv(commands) -> another => match another {
-                    Ok(DaemonRequest::Finish) if command == DaemonRequest::Reload => {
-                        command = DaemonRequest::Finish;
+                    Ok(DaemonRequest::Finish) if reason == EndReason::Reload => {
+                        reason = EndReason::Finish;
                         (self.notices)(Notice::Stopping);
                         overdue_at = Some(Instant::now() + stop_deadline);
                     }
@@ -244,9 +246,9 @@ impl<'a> EventLoop<'a> {
             }
             if overdue_at.is_some_and(|at| at <= Instant::now()) {
                 overdue_at = None;
-                let next = match command {
-                    DaemonRequest::Finish => "exiting without them; the next start converts them",
-                    DaemonRequest::Reload => "the reload still waits for those whose file system responds",
+                let next = match reason {
+                    EndReason::Reload => "the reload still waits for those whose file system responds",
+                    _ => "exiting without them; the next start converts them",
                 };
                 tracing::warn!(
                     "frames in progress did not finish within {stop_deadline:?} (--stop-deadline): {next}"
@@ -256,10 +258,7 @@ impl<'a> EventLoop<'a> {
                 (self.notices)(Notice::Overdue);
             }
         }
-        self.finish(match command {
-            DaemonRequest::Finish => EndReason::Finish,
-            DaemonRequest::Reload => EndReason::Reload,
-        })
+        self.finish(reason)
     }
 
     /// Records that the daemon has stopped, waits for the journals, and ends the workers.

@@ -16,7 +16,8 @@ use std::time::Instant;
 use twox_hash::XxHash3_128;
 
 use crate::pipeline::{
-    FrameFile, ObstacleFiles, SniffedContent, content, file_of, is_missing_step, outputs_made_from, read_file,
+    FrameFile, ObstacleFiles, SniffedContent, content, file_of, is_missing_step, output_path,
+    outputs_made_from, read_file,
 };
 
 use super::config::{StabilityTimeouts, Watch};
@@ -24,6 +25,7 @@ use super::core::completeness::{Candidate, Readiness, Seen, WaitReason};
 use super::core::decision::{ConvertReason, Decision, SkipReason, decide};
 use super::core::sequences::{SequenceSettings, choices_fingerprint, fingerprint_with};
 use super::io::evidence::readiness_of;
+use super::io::inspect::{replacement, replaces_data};
 use super::io::mounts::network_file_system;
 use super::io::scan::file_state;
 use super::io::selection::FileFilter;
@@ -103,6 +105,8 @@ pub enum FrameExplanation {
     Found(Vec<PathBuf>),
     /// A running daemon has queued it, is converting it, or holds it for this reason.
     Pending(Option<String>),
+    /// It will be converted: it was refused because of another file, which is gone.
+    Unblocked,
     /// It will be converted, for this reason.
     Converted(Decision),
 }
@@ -147,7 +151,7 @@ pub fn explain(question: &Question<'_>) -> io::Result<Explanation> {
                 true => verdict(question, &file, decision),
                 false => FrameExplanation::NotSelected,
             };
-            (Some(file), found_done(question, verdict)?)
+            (Some(file), unblocked(question, found_done(question, verdict)?))
         }
     };
     Ok(Explanation { is_selected, file, settings_hold, output_missing, verdict })
@@ -180,11 +184,34 @@ fn found_done(question: &Question<'_>, verdict: FrameExplanation) -> io::Result<
     if verdict != FrameExplanation::Converted(Decision::Convert(ConvertReason::New)) {
         return Ok(verdict);
     }
-    let within = file_of(frame).parent().and_then(|folder| folder.strip_prefix(&watch.input).ok());
-    let folder = watch.outputs.folder.join(within.unwrap_or(Path::new("")));
-    let stem = FrameFile::new(frame.to_owned()).stem();
+    let (folder, stem) = names_of_outputs(frame, watch);
     let found = outputs_made_from(&folder, &stem, || hash_of(frame))?;
     Ok(if found.is_empty() { verdict } else { FrameExplanation::Found(found) })
+}
+
+/// Returns the verdict unchanged, unless the frame was refused because of a file in the place of an output,
+/// and that file is gone.
+fn unblocked(question: &Question<'_>, verdict: FrameExplanation) -> FrameExplanation {
+    let Question { frame, watch, .. } = *question;
+    let reason = question.record.and_then(|record| record.reason.as_deref());
+    let (folder, stem) = names_of_outputs(frame, watch);
+    let outputs = watch.outputs.formats.iter().map(|&format| output_path(&folder, &stem, format));
+    let outputs: Vec<PathBuf> = outputs.collect();
+    let is_reason = |output: &PathBuf| reason == Some(&*replacement(output));
+    let is_gone = outputs.iter().any(is_reason) && !outputs.iter().any(|output| replaces_data(output));
+    match verdict {
+        FrameExplanation::Converted(Decision::Convert(ConvertReason::WasRefused)) if is_gone => {
+            FrameExplanation::Unblocked
+        }
+        verdict => verdict,
+    }
+}
+
+/// The folder and the stem of a frame's outputs.
+fn names_of_outputs(frame: &Path, watch: &Watch) -> (PathBuf, String) {
+    let within = file_of(frame).parent().and_then(|folder| folder.strip_prefix(&watch.input).ok());
+    let folder = watch.outputs.folder.join(within.unwrap_or(Path::new("")));
+    (folder, FrameFile::new(frame.to_owned()).stem())
 }
 
 fn facts(
@@ -258,7 +285,10 @@ impl fmt::Display for FrameExplanation {
             }
             FrameExplanation::Pending(None) => f.write_str("is queued or in flight"),
             FrameExplanation::Pending(Some(reason)) => write!(f, "is not converted yet: {reason}"),
-            // The record has the reason. Whether it still holds is not checked here.
+            FrameExplanation::Unblocked => {
+                f.write_str("will be converted because the other file, which is the reason in the journal, is gone: a daemon checks that at each scan (--rescan), and when it starts")
+            }
+            // The record has the reason.
             FrameExplanation::Converted(Decision::Convert(ConvertReason::WasRefused)) => {
                 f.write_str("will be converted when the reason in the journal no longer holds: a daemon checks that at each scan (--rescan), and when it starts")
             }
@@ -421,6 +451,12 @@ mod tests {
         let refused = bench.record(JournaledStatus::Refused);
         let explanation = bench.verdict(Some(&refused)).to_string();
         assert!(explanation.starts_with("will be converted when the reason in the journal"), "{explanation}");
+        // A particle file was in the place of the output.
+        let reason = Some(replacement(&bench.output));
+        let refused = JournaledFrame { reason, ..refused };
+        assert_eq!(bench.verdict(Some(&refused)), FrameExplanation::Unblocked);
+        fs::write(&bench.output, FRAME).expect("written");
+        assert_eq!(bench.verdict(Some(&refused)).to_string(), explanation);
     }
 
     #[test]

@@ -121,6 +121,15 @@ fn output_does_not_replace_a_frame() {
     for (within, number) in [("in/dam.1.ply", 1), ("in/dam.2.ply", 2), ("out/dam.1.ply", 7)] {
         assert!(scene.bytes(within) == ply(&moving(number)), "{within}");
     }
+    // No daemon runs that scans. When the other file is gone, so is the reason.
+    let output = |arguments: &[&str]| scene.run(arguments).out;
+    let status = output(&["status", "--out", "out"]);
+    assert!(status.contains("will be checked again when a daemon starts"), "{status}");
+    let why = || output(&["why", "in/dam.1.ply", "--out", "out"]);
+    assert!(why().contains("when the reason in the journal no longer holds"), "{}", why());
+    assert!(!why().contains("settings  not as recorded"), "{}", why());
+    scene.remove("out/dam.1.ply");
+    assert!(why().contains("because the other file") && why().contains("No daemon is running"), "{}", why());
 }
 
 /// A running daemon checks a refused frame again at each scan, and complains about it once.

@@ -6,7 +6,8 @@ use crate::scene::{NO_SCANS, Scene, Watching, await_that, moving, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj"];
 
-fn status(scene: &Scene) -> Value {
+/// What `status` prints as JSON.
+pub(crate) fn status(scene: &Scene) -> Value {
     let result = scene.run(&["status", "--out", "out", "--json"]);
     serde_json::from_str(&result.out).unwrap_or_else(|error| panic!("{error}: {}{}", result.out, result.err))
 }

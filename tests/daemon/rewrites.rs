@@ -328,10 +328,25 @@ fn frames_are_converted_when_their_obstacle_becomes_valid() {
     let is_wrong = |name: &'static str, what: &'static str| {
         move |line: &Line| line.is_about(name) && line.message.contains(what)
     };
-    daemon.await_line("the broken one", is_wrong("dam.1.ply", "in/dam.1.ply: obstacle "));
+    daemon.await_line("the broken one", is_wrong("dam.1.ply", "obstacle "));
     daemon.await_line("the missing one", is_wrong("dam.2.ply", "body.2.obj: no such file"));
     (1..=2).for_each(|number| scene.put(&format!("body.{number}.obj"), floor(-0.2)));
     daemon.await_lines(2, "both are converted", Line::is_converted);
     daemon.finish();
     scene.assert_as_converted(&[&FORMATS[..], &["--obstacle", "body.#.obj"]].concat());
+}
+
+/// A run with `--once` gives up soon. Its log names the obstacle, has the frame only as a field, and promises
+/// nothing that happens after its end.
+#[test]
+fn missing_obstacle_is_explained_at_the_end_of_one_run() {
+    let scene = Scene::new();
+    scene.put_moving([1]);
+    let once = scene.once(&[&FORMATS[..], &["--settle", "10ms", "--obstacle", "none.obj"]].concat());
+    once.assert_status(2);
+    let is_failure = |line: &&Line| line.is_about("dam.1.ply") && line.message.contains("none.obj");
+    let about: Vec<&Line> = once.log.iter().filter(is_failure).collect();
+    assert!(about.len() == 4 && about.iter().all(|line| line.message.starts_with("obstacle ")), "{about:?}");
+    let end = "none.obj: no such file; gave up: run the command again when the cause is gone";
+    assert!(about[3].message.ends_with(end), "{about:?}");
 }

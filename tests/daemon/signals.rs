@@ -5,7 +5,10 @@ use std::time::{Duration, Instant};
 use rustix::process::Signal;
 
 use crate::http::get;
-use crate::scene::{Line, NO_SCANS, Scene, WINDOW, Watching, block, contents, moving, names_in, ply};
+use crate::log::status;
+use crate::scene::{
+    Line, NO_SCANS, Scene, WINDOW, Watching, await_that, block, contents, moving, names_in, ply,
+};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 
@@ -173,6 +176,7 @@ fn configuration_is_reloaded_on_a_signal() {
     scene.write(CONFIG, config("dam.*.ply", "obj"));
     let daemon = scene.start_as(&["watch", "--config", CONFIG]);
     daemon.await_ready();
+    let started_ms = status(&scene)["daemon"]["started_ms"].clone();
     scene.put("in/drop.1.ply", ply(&block(6, 0.1, 0.0)));
     scene.put_moving([1]);
     daemon.await_converted("dam.1.ply");
@@ -189,7 +193,14 @@ fn configuration_is_reloaded_on_a_signal() {
         daemon.signal(Signal::HUP);
         let errors = daemon.await_lines(count + 1, "the error is logged", |line| line.level == "ERROR");
         assert!(errors[count].message.contains(named), "{}", errors[count].message);
+        let is_recorded = || {
+            let reason = status(&scene)["daemon"]["refused_reload"]["reason"].clone();
+            reason.as_str().is_some_and(|reason| errors[count].message.ends_with(reason))
+        };
+        await_that("`status` has the reason", is_recorded);
     }
+    let text = scene.run(&["status", "--out", "out"]).out;
+    assert!(text.contains("the configuration was not reloaded, "), "{text}");
     scene.put_moving([2]);
     daemon.await_converted("dam.2.ply");
     assert_eq!(names_in(&scene.path("out")), [".meniscus", "dam.1.obj", "dam.2.obj"]);
@@ -197,6 +208,8 @@ fn configuration_is_reloaded_on_a_signal() {
     scene.write(CONFIG, config("dr*.ply", "ply"));
     daemon.signal(Signal::HUP);
     daemon.await_converted("drop.1.ply");
+    let reloaded = status(&scene)["daemon"].clone();
+    assert!(reloaded["started_ms"] == started_ms && reloaded["refused_reload"].is_null(), "{reloaded}");
     scene.put("in/drop.2.ply", ply(&block(6, 0.1, 0.2)));
     daemon.await_converted("drop.2.ply");
     scene.put_moving([3]);

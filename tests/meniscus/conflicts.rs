@@ -88,12 +88,25 @@ fn particles_and_level_sets_of_others_are_not_replaced() {
     fs::create_dir(path.join("out")).expect("made");
     let output = path.join("out/dam.2.ply");
     let convert = ["convert", ".", "--out", "out", "--format", "ply", "--spacing", "0.1"];
-    let plan = ["plan", ".", "--out", "out", "--format", "ply", "--spacing", "0.1", "--output", "p.json"];
+    let plan = [
+        "plan",
+        ".",
+        "--out",
+        "out",
+        "--format",
+        "ply",
+        "--spacing",
+        "0.1",
+        "--output",
+        "p.json",
+        "--shards",
+        "1",
+    ];
     assert_eq!(meniscus(path, &plan).status, 0);
 
     fs::copy(path.join("dam.1.ply"), &output).expect("copied");
     let particles = fs::read(&output).expect("readable");
-    let words = ["dam.2.ply would replace a particle file or level set", "move that file away"];
+    let words = ["dam.2.ply would replace a particle file", "move that file away"];
     let shard = ["convert", "--plan", "p.json", "--shard", "0"];
     for arguments in [&convert[..], &plan, &shard, &[&convert[..6], &["--particles-only"]].concat()] {
         assert_refused(path, arguments, &words);
@@ -117,6 +130,6 @@ fn particles_and_level_sets_of_others_are_not_replaced() {
     let foreign = fs::read(&volume).expect("readable");
     let at = foreign.windows(9).position(|bytes| bytes == b"generator").expect("provenance");
     fs::write(&volume, [&foreign[..at], b"gonerator", &foreign[at + 9..]].concat()).expect("written");
-    let words = ["dam.1.vdb would replace a particle file or level set"];
+    let words = ["dam.1.vdb would replace a level set of another program"];
     assert_refused(path, &[&convert[..4], &["--format", "vdb"]].concat(), &words);
 }

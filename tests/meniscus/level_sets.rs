@@ -300,6 +300,10 @@ fn watch_converts_foreign_level_sets_that_a_pattern_names() {
     succeeded(&expected);
     let bytes = |path: &str| fs::read(folder.join(path)).expect("there");
     assert!(bytes("in/ball.1.obj") == bytes("expected/ball.1.obj"));
+    // A level set has no particles to count.
+    assert!(result.err.contains("converted") && !result.err.contains("particles="), "{}", result.err);
+    let status = meniscus(folder, &["status", "--out=in"]);
+    assert!(status.out.contains("in/ball.1.vdb: ") && !status.out.contains("particle"), "{}", status.out);
     let again = watch(&["--pattern=*.vdb", "--preview=png", "--preview-size=64x64"]);
     assert_eq!(again.status, 0, "{} {}", again.out, again.err);
 }

@@ -580,13 +580,14 @@ fn outputs_are_verified_in_another_folder() {
 fn edits() -> Vec<(&'static str, Value, &'static str)> {
     vec![
         ("/meniscus_plan", json!(2), "/meniscus_plan: plan version 2 is not supported"),
-        ("/meniscus_plan", json!("1"), "invalid type: string"),
+        ("/meniscus_plan", json!("1"), "expected a whole number from 0, but found string \"1\""),
         ("/generator", json!("meniscus 0.0.1"), "/generator: the plan was made by `meniscus 0.0.1`"),
         ("/out", json!("out"), "/out: `out` is not an absolute path"),
-        ("/out", Value::Null, "invalid type: null"),
+        ("/out", Value::Null, "expected a string, but found null"),
+        ("/out", json!(1), ": expected a string, but found integer `1`"),
         ("/outputs/formats", json!(["glb", "exe"]), "unknown format `exe`"),
         ("/outputs/formats", json!([]), "/outputs/formats: must not be empty"),
-        ("/outputs/up", json!("x"), "unknown variant `x`"),
+        ("/outputs/up", json!("x"), "unknown value `x`"),
         ("/outputs/picture_size", json!([1, 99999999]), "/outputs/picture_size: each must be 16 to 8192"),
         ("/sequences", json!([]), "/sequences: must not be empty"),
         (
@@ -604,14 +605,18 @@ fn edits() -> Vec<(&'static str, Value, &'static str)> {
         ("/shards/1/first", json!(0), "/shards/1: "),
         ("/shards/1/count", json!(u64::MAX), "/shards/1: "),
         ("/shards/1/count", json!(0), "/shards: the shards cover only 2 of the 4 frames"),
-        ("/shards/1/count", json!(-1), "invalid value"),
+        ("/shards/1/count", json!(-1), "expected a whole number from 0, but found integer `-1`"),
         ("/frames", json!([]), "`first` + `count` at most 0, the number of frames"),
         ("/frames/0/stem", json!("../dam"), "/frames/0/stem: `../dam` is not a plain file name"),
         ("/frames/0/stem", json!("/tmp/dam"), "/frames/0/stem: `/tmp/dam` is not a plain file name"),
         ("/frames/1/stem", json!("dam.1"), "/frames/1/stem: `dam.1` is already the stem of frame 0"),
         ("/frames/1/sequence", json!(7), "/frames/1/sequence: there is no sequence 7"),
         ("/frames/1/input", json!("in/dam.2.ply"), "/frames/1/input: `in/dam.2.ply` is not an absolute path"),
-        ("/frames/1/size_bytes", json!(1.5), "invalid type: floating point"),
+        (
+            "/frames/1/size_bytes",
+            json!(1.5),
+            "expected a whole number from 0, but found floating point `1.5`",
+        ),
     ]
 }
 
@@ -638,18 +643,18 @@ fn edited_plan_is_refused() {
     }
     let mut plan: Value = serde_json::from_str(&text).expect("JSON");
     plan["voxel_size"] = json!("1");
-    refused(&serde_json::to_vec(&plan).expect("JSON"), "unknown field `voxel_size`");
+    refused(&serde_json::to_vec(&plan).expect("JSON"), "unknown key `voxel_size`");
     let mut plan: Value = serde_json::from_str(&text).expect("JSON");
     plan["sequences"][0]["settings"]["cg_tolerance"] = json!("0.1");
     refused(&serde_json::to_vec(&plan).expect("JSON"), "/sequences/0/settings/cg_tolerance: not allowed");
     for end in [1, text.len() / 2, text.len() - 3] {
-        refused(&text.as_bytes()[..end], "EOF while parsing");
+        refused(&text.as_bytes()[..end], "the file ends before the plan does");
     }
     for other in [&b""[..], b"[]", b"ply\nformat ascii 1.0\n"] {
         refused(other, "this is not a meniscus plan");
     }
     refused(b"{}", "/meniscus_plan: missing");
-    refused(&[br#"{"a":"#.to_vec(), b"[".repeat(100_000)].concat(), "at line 1");
+    refused(&[br#"{"a":"#.to_vec(), b"[".repeat(100_000)].concat(), "line 1, column ");
     assert!(names_in(&folder.join("out")).is_empty(), "nothing is written");
     // The original plan is valid, and a missing input makes only its own frame fail.
     fs::write(folder.join("plan.json"), &text).expect("written");

@@ -116,7 +116,21 @@ fn stage_is_the_same_from_shards() {
     }
     assert!(seen[0] < seen[1] && seen[1] < seen[2] && seen[2] == 4, "{seen:?}");
     assert_eq!(text(&path.join("farm/dam.usda")), text(&path.join("out/dam.usda")));
-    succeeded(&meniscus(path, &["verify", "farm", "--plan", "plan.json"]));
+    let verify = |folder: &str| {
+        let result = meniscus(path, &["verify", folder, "--plan", "plan.json"]);
+        succeeded(&result);
+        result.err
+    };
+    assert!(!verify("farm").contains("stage"), "{}", verify("farm"));
+    // The stage moves with the results.
+    fs::rename(path.join("farm"), path.join("moved")).expect("moved");
+    assert!(!verify("moved").contains("stage"), "{}", verify("moved"));
+    fs::rename(path.join("moved"), path.join("farm")).expect("moved back");
+    fs::remove_file(path.join("farm/dam.usda")).expect("removed");
+    let incomplete = "dam.usda: the stage has 0 of 4 finished frames: run any shard again";
+    assert!(verify("farm").contains(incomplete), "{}", verify("farm"));
+    succeeded(&meniscus(path, &["convert", "--plan", "plan.json", "--shard", "1"]));
+    assert_eq!(text(&path.join("farm/dam.usda")), text(&path.join("out/dam.usda")));
     refused(path, &["convert", "--plan", "plan.json", "--shard", "0", "--stage", "s.usda"], &["--stage"]);
     let plan = text(&path.join("plan.json"));
     for (old, new, why) in [

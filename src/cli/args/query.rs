@@ -54,6 +54,8 @@ JSON: an object with
                      paused_because  the reason, if it is paused
                      pid, host, started_ms, at_ms
                                      of the last daemon; at_ms: when it entered this state
+                     refused_reload  at_ms and reason, if the last SIGHUP could not reload the
+                                     configuration; otherwise null
   watches          the folders that are, or were last, watched for these results, each with input,
                    pattern, recursive, sentinel and formats; null if the journal does not say
   counts           the numbers of frames that are done, queued, retrying, failed

@@ -12,12 +12,14 @@ use std::time::Duration;
 
 use anyhow::{Result, anyhow};
 use clap::error::{ContextKind, ContextValue};
-use clap::{Arg, ArgAction, Args, Command};
+use clap::{Arg, ArgAction, Args, CommandFactory as _};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::key_lines::BlockKeys;
+use super::option_keys::{command, has_former_key, is_list, key_of};
 use super::{current_key, keys_of};
-use crate::cli::args::OptionSet;
+use crate::cli::args::Cli;
 use crate::cli::wording::option_name;
 use crate::surface::options::Length;
 use crate::watch::Poll;
@@ -108,6 +110,10 @@ impl<'a> ConfigTable<'a> {
     pub(super) fn blocks(&self, name: &str) -> Result<Vec<ConfigTable<'a>>> {
         let wanted = format!("any number of blocks, [[{name}]]");
         let Some(value) = self.table.get(name) else { return Ok(Vec::new()) };
+        if value.get_ref().is_table() {
+            let what = format_args!("`{name}` is one block: write [[{name}]], not [{name}]");
+            return Err(self.source.error(value.span().start, what));
+        }
         let array = value.get_ref().as_array().ok_or_else(|| self.wrong(name, &wanted, value))?;
         let block = |item: ConfigValue<'a>| match item.get_ref().as_table() {
             Some(table) => ConfigTable::new(self.source, name, table, item.span().start),
@@ -116,12 +122,12 @@ impl<'a> ConfigTable<'a> {
         array.iter().map(block).collect()
     }
 
-    /// The options that the keys of the block set.
+    /// The options that each key of the block sets.
     ///
     /// # Errors
     /// If a value is invalid. The message is about the first invalid value in the file, and states the valid
     /// ones.
-    pub(super) fn options<O: Args + OptionSet>(&self) -> Result<O> {
+    pub(super) fn keys<O: Args>(&self) -> Result<BlockKeys<O>> {
         let command = command::<O>();
         let parsed = |words: &[OsString]| {
             let matches = command.clone().try_get_matches_from(words);
@@ -129,7 +135,7 @@ impl<'a> ConfigTable<'a> {
         };
         let mut entries: Vec<_> = self.table.iter().collect();
         entries.sort_by_key(|(key, _)| key.span().start);
-        let mut options = parsed(&[])?;
+        let mut keys = BlockKeys::new(self.source.path, self.source.line(self.start));
         for (key, value) in entries {
             let key = key.get_ref();
             let is_meant = |option: &&Arg| key_of(option) == *key || has_former_key(option, key);
@@ -139,9 +145,9 @@ impl<'a> ConfigTable<'a> {
             let set = parsed(&self.words(key, option, value)?).map_err(|error| {
                 self.source.error(value.span().start, format_args!("`{key}`: {}", reason(&error, option)))
             })?;
-            options = options.over(set);
+            keys.add(&key_of(option), self.source.line(value.span().start), set);
         }
-        Ok(options)
+        Ok(keys)
     }
 
     /// The command-line arguments that set an option to a value.
@@ -221,35 +227,6 @@ impl<'a> ConfigTable<'a> {
     }
 }
 
-/// A command line with these options only.
-fn command<O: Args>() -> Command {
-    O::augment_args(Command::new("file").no_binary_name(true).disable_help_flag(true))
-}
-
-/// The keys of these options, in the order of their definition.
-pub(super) fn keys<O: Args>() -> Vec<String> {
-    command::<O>().get_arguments().map(key_of).collect()
-}
-
-/// The key of an option: its name, or the plural if it takes a list.
-fn key_of(option: &Arg) -> String {
-    let plural = if is_list(option) { "s" } else { "" };
-    format!("{}{plural}", option.get_id())
-}
-
-/// The current key of an option that had another one, which is a hidden alias of the option.
-pub(super) fn renamed<O: Args>(former: &str) -> Option<String> {
-    command::<O>().get_arguments().find(|option| has_former_key(option, former)).map(key_of)
-}
-
-fn has_former_key(option: &Arg, key: &str) -> bool {
-    option.get_all_aliases().is_some_and(|all| all.iter().any(|alias| alias.replace('-', "_") == key))
-}
-
-fn is_list(option: &Arg) -> bool {
-    matches!(option.get_action(), ArgAction::Append)
-}
-
 fn is_path(option: &Arg) -> bool {
     is::<PathBuf>(option)
 }
@@ -302,11 +279,30 @@ fn unknown_key(key: &str, block: &str) -> String {
     if let Some(other) = ["watch", "daemon"].into_iter().find(has_key) {
         return format!("`{key}` does not belong in {}, but in {}", location(block), location(other));
     }
-    match nearest(key, &known) {
-        Some(nearest) => format!("unknown key `{key}` in {}; did you mean `{nearest}`?", location(block)),
-        None => format!("unknown key `{key}` in {}; it knows {}", location(block), known.join(", ")),
+    let location = location(block);
+    if let Some(nearest) = nearest(key, &known) {
+        return format!("unknown key `{key}` in {location}; did you mean `{nearest}`?");
+    }
+    let convert = Cli::command().find_subcommand("convert").cloned().unwrap_or_default();
+    let is_meant = |option: &&Arg| option.get_id() == key || has_former_key(option, key);
+    match convert.get_arguments().find(is_meant) {
+        Some(option) if option.get_id() == "max_deviation" => format!(
+            "unknown key `{key}` in {location}: the daemon does not smooth level sets; `meniscus convert \
+             --max-deviation` does"
+        ),
+        Some(option) => format!(
+            "unknown key `{key}` in {location}: {} is an option of `meniscus convert` only",
+            option_name(option.get_id().as_str())
+        ),
+        None if known.len() <= LISTED_MAX => {
+            format!("unknown key `{key}` in {location}; it knows {}", known.join(", "))
+        }
+        None => format!("unknown key `{key}` in {location}: examples/meniscus.toml has every key, explained"),
     }
 }
+
+/// Maximum number of known keys in a message: more would hide the cause.
+const LISTED_MAX: usize = 20;
 
 /// The most similar known key, if one is similar enough.
 fn nearest<'k>(key: &str, known: &'k [String]) -> Option<&'k str> {

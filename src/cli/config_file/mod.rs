@@ -11,17 +11,23 @@
 //! waste a night of computation.
 
 mod block;
+mod key_lines;
+mod option_keys;
 
+use std::io;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Error, Result, anyhow};
 use clap::Args;
 use toml::de::DeTable;
 
 use super::args::{DaemonArgs, FrameArgs, option_set};
 use crate::pipeline::read_regular_text;
 
-use block::{ConfigSource, ConfigTable, keys, renamed};
+pub(super) use key_lines::BlockKeys;
+
+use block::{ConfigSource, ConfigTable};
+use option_keys::{keys, renamed};
 
 /// The content of a file.
 #[derive(Clone, Debug)]
@@ -30,7 +36,7 @@ pub(super) struct ConfigFile {
     pub(super) path: PathBuf,
     /// In the order of the file.
     pub(super) watches: Vec<WatchBlock>,
-    pub(super) daemon: DaemonArgs,
+    pub(super) daemon: BlockKeys<DaemonArgs>,
     /// Warnings about keys with former names.
     pub(super) warnings: Vec<String>,
 }
@@ -38,8 +44,7 @@ pub(super) struct ConfigFile {
 /// A `[[watch]]` block.
 #[derive(Clone, Debug)]
 pub(super) struct WatchBlock {
-    /// The line where it starts.
-    pub(super) line: usize,
+    pub(super) keys: BlockKeys<WatchKeys>,
     pub(super) input: PathBuf,
     pub(super) output: Option<PathBuf>,
     pub(super) frames: FrameArgs,
@@ -50,7 +55,10 @@ pub(super) struct WatchBlock {
 /// # Errors
 /// If it cannot be read, or is invalid: the message has the file, the line and the valid values.
 pub(super) fn read_config_file(path: &Path) -> Result<ConfigFile> {
-    let text = read_regular_text(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = read_regular_text(path).map_err(|error| match error.kind() {
+        io::ErrorKind::InvalidData => anyhow!("{}: this is not a text file", path.display()),
+        _ => Error::new(error).context(format!("cannot read {}", path.display())),
+    })?;
     parse(&ConfigSource { path, text: &text })
 }
 
@@ -61,28 +69,34 @@ pub(super) fn check(text: &str) -> Result<()> {
 
 fn parse(source: &ConfigSource<'_>) -> Result<ConfigFile> {
     let root = DeTable::parse(source.text).map_err(|error| {
-        let message = error.message().replace('\n', ", ");
-        source.error(error.span().map_or(0, |span| span.start), message)
+        let span = error.span().unwrap_or_default();
+        let mut message = error.message().replace('\n', ", ");
+        if let ("duplicate key", Some(key)) = (&*message, source.text.get(span.clone())) {
+            message = format!("duplicate key `{key}`: remove one");
+        }
+        source.error(span.start, message)
     })?;
     let root = ConfigTable::new(source, "", root.get_ref(), 0)?;
     let blocks = root.blocks("watch")?;
-    let watches: Result<Vec<WatchBlock>> = blocks.iter().map(|block| watch_block(source, block)).collect();
+    let watches: Result<Vec<WatchBlock>> = blocks.iter().map(watch_block).collect();
     let daemon_block = root.block("daemon")?;
-    let daemon = daemon_block.as_ref().map_or_else(|| Ok(DaemonArgs::default()), |block| block.options());
+    let no_block = || Ok(BlockKeys::new(source.path, 1));
+    let daemon = daemon_block.as_ref().map_or_else(no_block, ConfigTable::keys);
     let warnings = blocks.iter().chain(&daemon_block).flat_map(ConfigTable::warnings).collect();
     Ok(ConfigFile { path: source.path.to_owned(), watches: watches?, daemon: daemon?, warnings })
 }
 
-fn watch_block(source: &ConfigSource<'_>, block: &ConfigTable<'_>) -> Result<WatchBlock> {
-    let WatchKeys { input, output, frames } = block.options()?;
+fn watch_block(block: &ConfigTable<'_>) -> Result<WatchBlock> {
+    let keys: BlockKeys<WatchKeys> = block.keys()?;
+    let WatchKeys { input, output, frames } = keys.options();
     let input = input.ok_or_else(|| block.error("this [[watch]] block names no input"))?;
-    Ok(WatchBlock { line: source.line(block.start), input, output, frames })
+    Ok(WatchBlock { keys, input, output, frames })
 }
 
 option_set! {
     /// The keys of a `[[watch]]` block.
-    #[derive(Args)]
-    struct WatchKeys {
+    #[derive(Clone, Debug, Default, Args)]
+    pub(super) struct WatchKeys {
         #[arg(long)]
         input: Option<PathBuf>,
 
@@ -90,7 +104,7 @@ option_set! {
         output: Option<PathBuf>,
 
         #[command(flatten)]
-        frames: FrameArgs,
+        pub(super) frames: FrameArgs,
     }
 }
 

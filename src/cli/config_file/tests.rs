@@ -29,13 +29,13 @@ fn keys_of_blocks_become_options() {
          up = \"Z\"\n",
     )
     .expect("a good file");
-    let DaemonArgs { order, run, disk_floor, poll, log, settle, rescan, .. } = file.daemon;
+    let DaemonArgs { order, run, disk_floor, poll, log, settle, rescan, .. } = file.daemon.options();
     assert_eq!((order, log), (Some(Order::Latest), Some(LogChoice::Json)));
     assert_eq!((run, disk_floor), (RunArgs { threads: Some(4), memory: Some(8 << 30) }, Some(1024)));
     assert_eq!((poll, settle), (Some(Poll::Auto), Some(Duration::from_secs(2))));
     assert_eq!(rescan, None);
     let [first, second] = &file.watches[..] else { panic!("two blocks") };
-    assert_eq!((first.line, second.line), (10, 19));
+    assert_eq!((first.keys.line(), second.keys.line()), (10, 19));
     assert_eq!((&*first.input, first.output.as_deref()), (Path::new("farm/a"), Some(Path::new("/out"))));
     assert_eq!((&*second.input, second.output.as_deref()), (Path::new("farm/b"), None));
     assert_eq!(first.frames.formats.format, Some(vec![OutputFormat::Glb, OutputFormat::Ply]));
@@ -62,6 +62,14 @@ fn unknown_keys_are_errors_that_name_the_nearest() {
         ("[[watch]]\ninput = \"a\"\nformat = []\n", 3, &["mean `formats`?"]),
         ("[daemon]\n\ndisk_flor = \"1GiB\"\n", 3, &["in the [daemon] block", "mean `disk_floor`?"]),
         ("[daemon]\nzzz = 1\naaa = 1\n", 2, &["`zzz`", "it knows order, threads"]),
+        ("[[watch]]\nqqq = 1\n", 2, &["`qqq` in a [[watch]] block: examples/meniscus.toml has every key"]),
+        ("[[watch]]\nmax_deviation = 1\n", 2, &["`max_deviation`", "the daemon does not smooth level sets"]),
+        ("[[watch]]\nband_slack = 1\n", 2, &["`band_slack`", "`meniscus convert --max-deviation`"]),
+        (
+            "[[watch]]\nsequence_glb = \"a.glb\"\n",
+            2,
+            &["`sequence_glb`", "--sequence-glb is an option of `meniscus convert`"],
+        ),
         ("[demon]\n", 1, &["unknown key `demon`", "mean `daemon`?"]),
         ("[[watches]]\n", 1, &["mean `watch`?"]),
         ("input = \"a\"\n", 1, &["`input`", "but in a [[watch]] block"]),
@@ -89,7 +97,7 @@ fn wrong_values_are_errors_with_their_line() {
         ("output = \"\"", &["`output` is empty"]),
         ("output = 1979-05-27", &["a date"]),
         ("pattern = [\"a\"]", &["a list"]),
-        ("output = \"b\"\noutput = \"c\"", &["duplicate key"]),
+        ("output = \"b\"\noutput = \"c\"", &["duplicate key `output`"]),
     ] {
         let line = 3 + entry.matches('\n').count();
         assert_wrong(&format!("[[watch]]\ninput = \"a\"\n{entry}\n"), line, words);
@@ -111,7 +119,7 @@ fn wrong_values_are_errors_with_their_line() {
 
 #[test]
 fn wrong_number_of_brackets_is_refused() {
-    assert_wrong("\n[watch]\ninput = \"a\"\n", 2, &["`watch` is one block", "[[watch]]"]);
+    assert_wrong("\n[watch]\ninput = \"a\"\n", 2, &["`watch` is one block", "write [[watch]], not [watch]"]);
     assert_wrong("[[daemon]]\n", 1, &["`daemon` is a list", "one block, [daemon]"]);
     assert_wrong("watch = [1]\n", 1, &["[[watch]]"]);
     assert_wrong("\n\n[[watch]]\noutput = \"a\"\n", 3, &["names no input"]);
@@ -158,7 +166,7 @@ fn mention(key: &str) -> Option<String> {
 #[test]
 fn former_key_is_accepted_with_a_warning() {
     let file = parsed("[daemon]\nunproven = \"3s\"\n").expect("a former key");
-    assert_eq!(file.daemon.settle_unverifiable, Some(Duration::from_secs(3)));
+    assert_eq!(file.daemon.options().settle_unverifiable, Some(Duration::from_secs(3)));
     assert_eq!(file.warnings, ["farm/meniscus.toml:2: `unproven` is deprecated: use `settle_unverifiable`"]);
     let both = "[daemon]\nsettle_unverifiable = \"3s\"\nunproven = \"3s\"\n";
     assert_wrong(both, 3, &["`unproven` is the former name of `settle_unverifiable`"]);

@@ -2,6 +2,7 @@
 
 use crate::cli::clock::ago;
 use crate::cli::wording::{pluralize, significant};
+use crate::watch::journal::RefusedReload;
 
 use super::{DaemonStatus, FrameStatus, StatusCounts, StatusRecord, WaitingStatus, WatchStatus};
 
@@ -20,6 +21,14 @@ impl StatusRecord {
             format!("{}: {daemon}", self.output),
             format!("{done} done, {queued} queued, {retrying} to retry, {failed} failed"),
         ];
+        let running = self.daemon.as_ref().filter(|daemon| daemon.is_running());
+        if let Some(refused) = running.and_then(|daemon| daemon.refused_reload.as_ref()) {
+            let RefusedReload { at_ms, reason } = refused;
+            lines.push(format!(
+                "the configuration was not reloaded, {}: {reason}; the earlier one still applies",
+                ago(*at_ms, now_ms)
+            ));
+        }
         if let Some(watches) = &self.watches {
             lines.push("watched:".to_owned());
             lines.extend(watches.iter().map(|watch| format!("  {}", watch.text())));
@@ -62,6 +71,10 @@ fn more(count: usize) -> Option<String> {
 }
 
 impl DaemonStatus {
+    pub(super) fn is_running(&self) -> bool {
+        !["stopped", "killed"].contains(&self.state)
+    }
+
     pub(super) fn text(&self, now_ms: u64) -> String {
         let since =
             |at_ms: Option<u64>| at_ms.map_or_else(String::new, |at| format!(", {}", ago(at, now_ms)));

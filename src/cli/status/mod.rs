@@ -20,7 +20,7 @@ use serde::Serialize;
 use crate::pipeline::{FileStamp, file_of, is_absent, is_missing_step, natural_order};
 use crate::watch::Watch;
 use crate::watch::journal::{
-    DaemonState, Journal, JournalState, JournaledFrame, JournaledStatus, STATE_FOLDER, now_ms,
+    DaemonState, Journal, JournalState, JournaledFrame, JournaledStatus, RefusedReload, STATE_FOLDER, now_ms,
 };
 use crate::watch::lock::{LockError, OutputLock};
 use crate::watch::waiting::{Waiting, waiting};
@@ -68,6 +68,8 @@ struct DaemonStatus {
     started_ms: Option<u64>,
     /// When it entered this state.
     at_ms: Option<u64>,
+    /// Why the last reload of the configuration was refused; null if it was not.
+    refused_reload: Option<RefusedReload>,
 }
 
 #[derive(Debug, PartialEq, Serialize)]
@@ -197,8 +199,10 @@ impl StatusRecord {
             frames.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
             frames
         };
+        let daemon = DaemonStatus::new(state, holder);
+        let is_running = daemon.as_ref().is_some_and(DaemonStatus::is_running);
         let statuses = |frames: &[(&Arc<Path>, &Arc<JournaledFrame>)]| {
-            frames.iter().map(|(input, frame)| FrameStatus::new(input, frame)).collect()
+            frames.iter().map(|(input, frame)| FrameStatus::new(input, frame, is_running)).collect()
         };
         let retrying = with_status(JournaledStatus::Retrying);
         let mut failed = with_status(JournaledStatus::Failed);
@@ -221,7 +225,7 @@ impl StatusRecord {
         StatusRecord {
             output: shown(output),
             journal: shown(journal),
-            daemon: DaemonStatus::new(state, holder),
+            daemon,
             watches: state.plan.as_ref().map(|plan| plan.watches.iter().map(WatchStatus::new).collect()),
             counts,
             failed: statuses(&failed),
@@ -306,6 +310,7 @@ impl DaemonStatus {
             host: record.map(|record| record.host.clone()),
             started_ms: record.map(|record| record.started_ms),
             at_ms: record.map(|record| record.at_ms),
+            refused_reload: record.and_then(|record| record.refused_reload.clone()),
         })
     }
 }
@@ -333,7 +338,7 @@ impl WaitingStatus {
 }
 
 impl FrameStatus {
-    fn new(input: &Path, frame: &JournaledFrame) -> FrameStatus {
+    fn new(input: &Path, frame: &JournaledFrame, is_running: bool) -> FrameStatus {
         FrameStatus {
             input: shown(input),
             outputs: frame.outputs.iter().map(|output| shown(&output.path)).collect(),
@@ -344,7 +349,8 @@ impl FrameStatus {
             flaws: frame.flaws.clone(),
             at_ms: frame.at_ms,
             retried: match frame.status {
-                JournaledStatus::Refused => Some("will be checked again at each scan"),
+                JournaledStatus::Refused if is_running => Some("will be checked again at each scan"),
+                JournaledStatus::Refused => Some("will be checked again when a daemon starts"),
                 JournaledStatus::RetriesExhausted => {
                     Some("will be retried when the file changes or the daemon restarts")
                 }

@@ -24,7 +24,14 @@ fn frame(status: JournaledStatus, at_ms: u64) -> JournaledFrame {
 }
 
 fn daemon(state: DaemonState) -> DaemonRecord {
-    DaemonRecord { pid: 12, host: "render-04".into(), started_ms: 1000, state, at_ms: 60_000 }
+    DaemonRecord {
+        pid: 12,
+        host: "render-04".into(),
+        started_ms: 1000,
+        state,
+        at_ms: 60_000,
+        refused_reload: None,
+    }
 }
 
 /// The state of a journal with 30 finished frames, 25 failed frames, and others.
@@ -132,6 +139,15 @@ fn text_has_the_values_of_the_json() {
     assert!(text.ends_with(marked), "{text}");
     let cut_short = StatusRecord { waiting_cut_short: true, ..record(&state(), Holder::Unlocked) };
     assert!(cut_short.lines(0).join("\n").contains("more may be incomplete"), "{:?}", cut_short.lines(0));
+    let refused_reload =
+        Some(RefusedReload { at_ms: 61_000, reason: "m.toml:3: unknown key `a`".to_owned() });
+    let refused = DaemonRecord { refused_reload, ..daemon(DaemonState::Running) };
+    let refused = JournalState { daemon: Some(refused), ..state() };
+    let line = "the configuration was not reloaded, 3s ago: m.toml:3: unknown key `a`; the earlier one still \
+                applies";
+    let lines = |holder| record(&refused, holder).lines(64_000);
+    assert_eq!(lines(Holder::Daemon("pid 12 on render-04".into()))[2], line);
+    assert!(!lines(Holder::Unlocked).iter().any(|text| text == line));
     let damaged = JournalState { damaged_line_count: 2, ..state() };
     assert!(
         record(&damaged, Holder::Unlocked).lines(0).join("\n").contains("2 damaged lines in the journal")

@@ -21,7 +21,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use crossbeam::channel::{Sender, bounded};
+use crossbeam::channel::{Sender, unbounded};
 use tracing::{error, info, warn};
 
 use crate::http::{HttpServer, Listen};
@@ -49,8 +49,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
     if let Some(warning) = level_warning() {
         warn!("{warning}");
     }
-    // Each of the two commands is in the channel at most once, so a sender never blocks.
-    let (sender, commands) = bounded(2);
+    let (sender, commands) = unbounded();
     let control = Arc::new(Control::new(args.clone(), (plan.log, plan.listen.clone()), sender));
     signals::listen(Arc::clone(&control))?;
     let mut service = Service::new();
@@ -76,6 +75,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
             Err(error) => match previous.take() {
                 Some(old) => {
                     error!("continuing with the old configuration: {error}");
+                    control.record_refused_reload(error.to_string());
                     plan = old;
                     continue;
                 }
@@ -229,9 +229,16 @@ impl Control {
             Err(error) => {
                 let error = with_causes(&error);
                 error!("configuration not reloaded: {error}");
+                self.record_refused_reload(error.clone());
                 service::notify_reload_failed(&format!("continues with the old configuration: {error}"));
             }
         }
+    }
+
+    /// Sends the loop the reason why it continues with the old configuration, for the journal.
+    fn record_refused_reload(&self, reason: String) {
+        // Sending fails only if the loop has ended.
+        let _ = self.commands.send(DaemonRequest::ReloadRefused(reason));
     }
 
     fn plan_again(&self) -> Result<WatchPlan> {

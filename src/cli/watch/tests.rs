@@ -47,7 +47,7 @@ fn recent_failures_are_not_logged_again() {
 
 /// Sends signals to a daemon with this file, and returns the resulting commands.
 fn control(config: Option<&std::path::Path>) -> (Control, crossbeam::channel::Receiver<DaemonRequest>) {
-    let (sender, commands) = bounded(2);
+    let (sender, commands) = unbounded();
     let args = WatchArgs { config: config.map(Into::into), ..WatchArgs::default() };
     (Control::new(args, (LogChoice::Text, None), sender), commands)
 }
@@ -66,11 +66,13 @@ fn reload_reads_the_current_file() {
     let path = folder.path().join("meniscus.toml");
     let (control, commands) = control(Some(&path));
     let write = |text: &str| fs::write(&path, text).expect("written");
-    // If the file is invalid or missing, the loop gets no command.
+    // If the file is invalid or missing, the loop continues, and gets the reason.
     control.reload();
     write("[[watch]]\ninputt = \"in\"\n");
     control.reload();
-    assert!(commands.is_empty() && !control.is_reloading());
+    let is_refusal =
+        |request| matches!(request, DaemonRequest::ReloadRefused(why) if why.contains("meniscus.toml"));
+    assert!(commands.try_iter().map(is_refusal).eq([true; 2]) && !control.is_reloading());
     // After two reloads of a valid file, the loop gets one command, and uses the last plan.
     for output in ["first", "last"] {
         write(&format!("[[watch]]\ninput = \"in\"\noutput = \"{output}\"\n"));
@@ -87,7 +89,10 @@ fn reload_reads_the_current_file() {
 fn reload_without_config_is_refused() {
     let (control, commands) = control(None);
     control.reload();
-    assert!(commands.is_empty() && control.next_plan().is_none());
+    let [DaemonRequest::ReloadRefused(why)] = &commands.try_iter().collect::<Vec<_>>()[..] else {
+        panic!("one request")
+    };
+    assert!(why.contains("nothing to reload") && control.next_plan().is_none());
 }
 
 #[test]

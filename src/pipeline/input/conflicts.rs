@@ -1,11 +1,10 @@
-//! Finds outputs that would replace an input, an obstacle, other data or each other.
+//! Finds outputs that would replace an input, an obstacle or each other.
 
 use std::collections::HashMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use super::content::is_irreplaceable;
-use super::frame::Job;
+use super::level_set_file::is_level_set;
 use super::obstacles::ObstacleFiles;
 use super::steps::file_of;
 use crate::pipeline::files::path_identity::{Identity, canonical_entry, identities};
@@ -82,8 +81,9 @@ impl fmt::Display for Conflict {
             ),
             Conflict::ReplacesData { output } => write!(
                 f,
-                "the output {} would replace a particle file or level set: move that file away, or choose another folder or format",
-                output.display()
+                "the output {} would replace a {}: move that file away, or choose another folder or format",
+                output.display(),
+                if is_level_set(output) { "level set of another program" } else { "particle file" }
             ),
             Conflict::ReplacesOutput { output, input, what } => write!(
                 f,
@@ -147,25 +147,6 @@ pub fn check_outputs(
         }
     }
     Ok(())
-}
-
-/// Checks that no output of `job` for the planned frames (input and stem) replaces particles or a level set
-/// that this program did not write: they may be a simulation's only copy.
-///
-/// # Errors
-/// The first such output.
-pub fn check_existing(
-    planned: &[(PathBuf, String)],
-    options: &OutputOptions,
-    job: Job,
-) -> Result<(), Conflict> {
-    let mut outputs = planned.iter().flat_map(|(_, stem)| {
-        options.formats.iter().map(move |&format| output_path(&options.folder, stem, format))
-    });
-    match outputs.find(|output| is_irreplaceable(output, job)) {
-        Some(output) => Err(Conflict::ReplacesData { output }),
-        None => Ok(()),
-    }
 }
 
 impl ObstacleFiles {

@@ -7,14 +7,13 @@
 //!   reading     reads files and parses particles         attributes   the attributes that a frame needs
 //!   level_set_file  level sets from .vdb                 mesh_file    meshes of any supported format
 //!   measured_spacing  the spacing of a sequence          conflicts    outputs that would replace inputs
-//!   obstacles   the obstacles of a frame              content      frames, outputs and other files
+//!   obstacles   the obstacles of a frame
 //!   obstacle_warnings, out_of_reach   likely mistakes in obstacles
 //! ```
 
 pub(super) mod attributes;
 pub(super) mod bounds;
 pub(super) mod conflicts;
-pub(super) mod content;
 pub(super) mod frame;
 pub(super) mod frame_input;
 pub(super) mod level_set_file;

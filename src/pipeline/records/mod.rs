@@ -5,10 +5,11 @@
 //!   inspection        the state of a frame's outputs     output_states     finds outputs with damaged bytes
 //!   record            the report of a run                frame_warnings    warnings from measurements
 //!   sequence_file     all frames in one file             stage_file        plays the files of the frames
-//!   picture_file      reads pictures from .png
+//!   picture_file      reads pictures from .png           content           frames, outputs and other files
 //! ```
 
 pub(super) mod certificate_file;
+pub(super) mod content;
 pub(super) mod frame_warnings;
 pub(super) mod inspection;
 pub(super) mod output_states;

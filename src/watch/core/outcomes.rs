@@ -43,14 +43,13 @@ impl Core {
             self.note_camera(index);
         }
         self.guard.on_success();
-        let reconstruction = &report.reconstruction;
         let seconds = report.seconds.total();
-        let figures = Arc::new(Figures::of(report));
+        let figures = Arc::new(Figures::of(report, self.config.watches[id.root].job()));
         self.counters.add_converted(&figures, report.input.stamp.size, report.output_bytes.iter().sum());
         let record = JournaledFrame {
             outputs,
             hash: Some(report.input.hash),
-            particle_count: Some(reconstruction.particle_count),
+            particle_count: figures.particles,
             seconds: Some(rounded(seconds)),
             flaws: report.all_warnings().iter().filter(|w| w.is_flaw()).map(Warning::to_string).collect(),
             figures: Some(Arc::clone(&figures)),
@@ -140,7 +139,7 @@ impl Core {
                     false => self.guard.on_refusal(reason.clone(), now),
                 }
                 self.retry_at(id, now, &reason, |path, why| {
-                    tracing::warn!(frame = %path.display(), "{why}; paused until writing succeeds again");
+                    tracing::warn!(frame = %path.display(), "{}; paused until writing succeeds again", without_path(path, why));
                 });
             }
             RetryAction::Retry => self.fail_for_now(id, reason, now),
@@ -157,7 +156,7 @@ impl Core {
             return self.fail(id, JournaledStatus::RetriesExhausted, reason);
         };
         self.retry_at(id, now + wait, &reason, move |path, why| {
-            tracing::warn!(frame = %path.display(), attempt, "{why}; retry in {wait:?}");
+            tracing::warn!(frame = %path.display(), attempt, "{}; retry in {wait:?}", without_path(path, why));
         });
     }
 
@@ -194,11 +193,19 @@ impl Core {
         self.set_phase(id, FramePhase::Failed);
         let attempts = self.frames.get(id).map_or(0, |frame| frame.attempt_count);
         let (path, why) = (Arc::clone(&id.path), reason.clone());
-        let log = Log::new(move || match status {
-            JournaledStatus::RetriesExhausted if attempts > 0 => {
-                tracing::error!(frame = %path.display(), attempt = attempts, "{why}; gave up: will retry when the file changes or the daemon restarts");
+        let next = match (self.config.once, self.config.watches[id.root].obstacles.is_empty()) {
+            (true, _) => "run the command again when the cause is gone",
+            (false, true) => "will retry when the file changes or the daemon restarts",
+            (false, false) => "will retry when the file or an obstacle changes, or the daemon restarts",
+        };
+        let log = Log::new(move || {
+            let why = without_path(&path, &why);
+            match status {
+                JournaledStatus::RetriesExhausted if attempts > 0 => {
+                    tracing::error!(frame = %path.display(), attempt = attempts, "{why}; gave up: {next}");
+                }
+                _ => tracing::error!(frame = %path.display(), "{why}"),
             }
-            _ => tracing::error!(frame = %path.display(), "{why}"),
         });
         self.record_status(id, status, Some(reason.clone()), Some(log));
         let (logged_at, is_refusal) = (Some(self.finished_count), status == JournaledStatus::Refused);
@@ -286,6 +293,12 @@ impl Core {
             figures: None,
         }
     }
+}
+
+/// A reason for a line of the log, which has the path as a field: without the path at its start.
+fn without_path<'a>(path: &Path, reason: &'a str) -> &'a str {
+    let start = format!("{}: ", path.display());
+    reason.strip_prefix(&*start).unwrap_or(reason)
 }
 
 /// Copies the measurements of the known record.

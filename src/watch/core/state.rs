@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use crate::pipeline::{ObstacleFiles, OutputOptions};
 use crate::watch::config::{Watch, WatchConfig};
-use crate::watch::journal::{DaemonRecord, DaemonState, Entry, JournalState, PlanRecord};
+use crate::watch::journal::{DaemonRecord, DaemonState, Entry, JournalState, PlanRecord, RefusedReload};
 use crate::watch::status_store::Counters;
 
 use super::disk_guard::{DiskGuard, FoundSpace};
@@ -20,7 +20,7 @@ use super::sequences::Sequences;
 /// each event, and actions are collected as effects.
 pub(crate) struct Core {
     pub(super) config: Arc<WatchConfig>,
-    /// Identifies this daemon in the journal.
+    /// Identifies this daemon in the journal, with its last recorded state.
     identity: DaemonRecord,
     pub(super) roots: Vec<RootState>,
     pub(super) outputs: Vec<OutputFolder>,
@@ -57,7 +57,6 @@ pub(crate) struct Core {
     pub(super) changed: Vec<FrameId>,
     /// Sequences whose settings were determined.
     pub(super) changed_sequences: Vec<usize>,
-    last_state: DaemonState,
 }
 
 /// A watched folder.
@@ -150,7 +149,6 @@ impl Core {
             effects: Vec::new(),
             changed: Vec::new(),
             changed_sequences: Vec::new(),
-            last_state: DaemonState::Running,
         }
     }
 
@@ -225,18 +223,26 @@ impl Core {
 
     /// Records the state of the daemon.
     pub(crate) fn record_daemon(&mut self, state: DaemonState) {
+        self.identity = DaemonRecord { state, at_ms: self.now.unix_ms, ..self.identity.clone() };
+        self.record_identity();
+    }
+
+    /// Records that the configuration could not be reloaded.
+    pub(crate) fn record_refused_reload(&mut self, reason: String) {
+        self.identity.refused_reload = Some(RefusedReload { at_ms: self.now.unix_ms, reason });
+        self.record_identity();
+    }
+
+    fn record_identity(&mut self) {
         for output in 0..self.outputs.len() {
-            let record =
-                DaemonRecord { state: state.clone(), at_ms: self.now.unix_ms, ..self.identity.clone() };
-            self.record(output, Entry::Daemon(record), None);
+            self.record(output, Entry::Daemon(self.identity.clone()), None);
         }
-        self.last_state = state;
     }
 
     /// Records whether the daemon is paused, if that has changed.
     pub(crate) fn record_pause(&mut self) {
         let state = self.guard.reason().map_or(DaemonState::Running, DaemonState::Paused);
-        if state != self.last_state && !self.is_stopping {
+        if state != self.identity.state && !self.is_stopping {
             self.record_daemon(state);
         }
     }

@@ -98,6 +98,7 @@ impl Rig {
             started_ms: 0,
             state: DaemonState::Running,
             at_ms: 0,
+            refused_reload: None,
         };
         let roots = (0..count).map(|root| (format!("/in{root}").into(), Arc::default())).collect();
         let outputs = (0..count).map(|root| (format!("/out{root}").into(), journal.clone())).collect();

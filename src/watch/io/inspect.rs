@@ -1,6 +1,6 @@
 //! Inspects one file, as far as the core requests.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -79,13 +79,12 @@ impl Root {
         InspectionResult::Complete(Complete { proof, changed_output, contents, conflict })
     }
 
-    /// Why these outputs must not be written: one would replace a particle file, or an obstacle of any
-    /// watched folder. `None` if nothing is wrong.
+    /// Why these outputs must not be written: one would replace a particle file, a level set of another
+    /// program, or an obstacle of any watched folder. `None` if nothing is wrong.
     fn conflict_of(&self, outputs: &[PathBuf]) -> Option<String> {
         for output in outputs {
-            // A name suffices here: the file may be a frame that a simulation has only begun to write.
-            if content(output).is_ok_and(SniffedContent::is_frame) {
-                return Some(Conflict::ReplacesData { output: output.clone() }.to_string());
+            if replaces_data(output) {
+                return Some(replacement(output));
             }
             for obstacles in &self.obstacles {
                 if let Err(conflict) = obstacles.refuse_output(output) {
@@ -95,6 +94,17 @@ impl Root {
         }
         None
     }
+}
+
+/// Whether an output would replace a particle file, or a level set of another program. An extension suffices
+/// here: the file may be a frame that a simulation has only begun to write.
+pub(in crate::watch) fn replaces_data(output: &Path) -> bool {
+    content(output).is_ok_and(SniffedContent::is_frame)
+}
+
+/// Why such an output is not written.
+pub(in crate::watch) fn replacement(output: &Path) -> String {
+    Conflict::ReplacesData { output: output.to_owned() }.to_string()
 }
 
 fn changed_output_of(recorded: &Recorded) -> Option<(PathBuf, OutputCheck)> {

@@ -12,7 +12,7 @@ pub mod canonical_path;
 pub(crate) mod error;
 pub(crate) mod evidence;
 pub mod fs_events;
-mod inspect;
+pub(crate) mod inspect;
 pub mod lock;
 mod measure;
 pub mod mounts;

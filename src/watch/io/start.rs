@@ -1,7 +1,7 @@
 //! Opens the folders, and starts the workers.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, OnceLock, Weak};
 use std::time::Instant;
 
 use crossbeam::channel::Sender;
@@ -131,11 +131,15 @@ fn identity() -> DaemonRecord {
     DaemonRecord {
         pid: std::process::id(),
         host: host_name(),
-        started_ms: now_ms(),
+        started_ms: *STARTED_MS.get_or_init(now_ms),
         state: DaemonState::Running,
         at_ms: now_ms(),
+        refused_reload: None,
     }
 }
+
+/// When the first run of this process began: a reload starts a new run, and no new daemon.
+static STARTED_MS: OnceLock<u64> = OnceLock::new();
 
 /// The current time.
 pub(crate) fn now() -> Now {

@@ -62,7 +62,7 @@ mod tests {
 
     use super::super::state::{
         DaemonRecord, DaemonState, JournaledFrame, JournaledSequence, JournaledStatus, OutputRecord,
-        SequenceCamera, SequenceKey,
+        RefusedReload, SequenceCamera, SequenceKey,
     };
     use super::*;
     use crate::pipeline::{FileStamp, Framed, MeasuredSpacing, OutputState};
@@ -110,7 +110,7 @@ mod tests {
             particle_count: Some(250_000),
             seconds: Some(0.25),
             flaws: vec!["1 particle left out".to_owned()],
-            figures: Some(Arc::new(Figures { particles: 250_000, vertices: 3, ..Figures::default() })),
+            figures: Some(Arc::new(Figures { particles: Some(250_000), vertices: 3, ..Figures::default() })),
         };
         Entry::Frame { input: input.into().into(), record: Arc::new(record) }
     }
@@ -225,6 +225,7 @@ mod tests {
                 started_ms: 1,
                 state,
                 at_ms: 2,
+                refused_reload: Some(RefusedReload { at_ms: 3, reason: "m.toml:2: unknown key".to_owned() }),
             }));
         }
     }

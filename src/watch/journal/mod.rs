@@ -48,7 +48,7 @@ use state::RecordKey;
 
 pub use state::{
     DaemonRecord, DaemonState, JournalState, JournaledFrame, JournaledSequence, JournaledStatus, OutputCheck,
-    OutputRecord, PlanRecord, SequenceCamera, SequenceKey,
+    OutputRecord, PlanRecord, RefusedReload, SequenceCamera, SequenceKey,
 };
 
 /// The folder for the daemon's own files, in the folder of outputs.

@@ -58,7 +58,7 @@ pub struct JournaledFrame {
     pub attempt_count: u32,
     /// When this was recorded, in milliseconds since 1970.
     pub at_ms: u64,
-    /// The number of its particles, if it was converted.
+    /// The number of its particles, if it was converted from particles.
     #[serde(rename = "particles", skip_serializing_if = "Option::is_none")]
     pub particle_count: Option<usize>,
     /// The time of its conversion in seconds, if it was converted.
@@ -316,12 +316,24 @@ pub struct DaemonRecord {
     pub pid: u32,
     /// The host name of its machine.
     pub host: String,
-    /// When it started, in milliseconds since 1970.
+    /// When its process started to watch, in milliseconds since 1970.
     pub started_ms: u64,
     /// Its state.
     pub state: DaemonState,
     /// When it entered this state, in milliseconds since 1970.
     pub at_ms: u64,
+    /// The last reload of its configuration, if that was refused.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refused_reload: Option<RefusedReload>,
+}
+
+/// A reload of the configuration that failed, so that the earlier configuration still applies.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RefusedReload {
+    /// When it failed, in milliseconds since 1970.
+    pub at_ms: u64,
+    /// What is wrong with the new configuration.
+    pub reason: String,
 }
 
 /// The part of a daemon's configuration that concerns the outputs of this journal. Separate from

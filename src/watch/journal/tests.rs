@@ -74,7 +74,14 @@ fn sequence() -> (SequenceKey, JournaledSequence) {
 }
 
 fn daemon_record(state: DaemonState) -> DaemonRecord {
-    DaemonRecord { pid: 12, host: "render-04".to_owned(), started_ms: 1, state, at_ms: 2 }
+    DaemonRecord {
+        pid: 12,
+        host: "render-04".to_owned(),
+        started_ms: 1,
+        state,
+        at_ms: 2,
+        refused_reload: None,
+    }
 }
 
 fn plan_record() -> PlanRecord {

@@ -2,15 +2,16 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::pipeline::{FrameReport, Seconds};
+use crate::pipeline::{FrameReport, Job, Seconds};
 use crate::surface::grid::LEAF_VOXELS;
 
 /// The measurements of a converted frame, as clients see them and as the journal stores them. Lengths in
 /// voxels, times in seconds, sizes in bytes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
-    /// Particles that the surface was reconstructed from.
-    pub particles: usize,
+    /// Particles that the surface was reconstructed from; `None` for a level set.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub particles: Option<usize>,
     /// Particles that were dropped: not finite, or out of range.
     pub dropped: usize,
     /// Voxels that were stored.
@@ -45,11 +46,11 @@ pub struct CertificateView {
 }
 
 impl Figures {
-    /// The figures of a report.
-    pub fn of(report: &FrameReport) -> Figures {
+    /// The figures of a report about a frame with this kind of job.
+    pub fn of(report: &FrameReport, job: Job) -> Figures {
         let reconstruction = &report.reconstruction;
         Figures {
-            particles: reconstruction.particle_count,
+            particles: (job == Job::Surface).then_some(reconstruction.particle_count),
             dropped: reconstruction.dropped_count,
             voxels: reconstruction.leaf_count * LEAF_VOXELS,
             vertices: reconstruction.mesh.vertex_count,

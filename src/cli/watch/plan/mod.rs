@@ -44,66 +44,59 @@ pub(in crate::cli) struct WatchPlan {
 /// Makes the plan from the options and the file, and checks it.
 ///
 /// # Errors
-/// If the file cannot be read, or a setting is invalid.
+/// If the file cannot be read, or a setting is invalid. An error that the file causes has the file, the line
+/// and the key.
 pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
     let file = args.config.as_deref().map(read_config_file).transpose()?;
-    let mut watches = Vec::new();
     let mut warnings = file.as_ref().map(|file| file.warnings.clone()).unwrap_or_default();
-    for Folder { input, output, frames, location } in folders(args, file.as_ref())? {
-        let watch = watch(&input, &output, &frames, &mut warnings);
-        watches.push(watch.with_context(|| location)?);
-    }
+    let blocks = file.as_ref().filter(|_| args.inputs.is_empty());
+    let watches = match blocks {
+        Some(file) => watches_of_file(args, file, &mut warnings)?,
+        None => typed_watches(args, &mut warnings)?,
+    };
     // One frame rate for all blocks is right if any of them has a stage.
     if watches.iter().all(|watch| watch.outputs.stage.is_none()) {
         args.frames.formats.refuse_idle_fps()?;
     }
-    refuse_twins(&watches)?;
-    refuse_shared_stage(&watches)?;
+    let blocks = blocks.map_or(&[][..], |file| &file.watches);
+    refuse_twins(&watches, blocks)?;
+    refuse_shared_stage(&watches, blocks)?;
     // A command-line option causes the same warning in every block: log it once.
     let mut seen = HashSet::new();
     warnings.retain(|warning: &String| seen.insert(warning.clone()));
-    let daemon = args.daemon.clone().over(file.map(|file| file.daemon).unwrap_or_default());
-    refuse_shared_journal(&watches, daemon.journal.as_deref())?;
-    let config = config(watches, args.once, &daemon)?;
-    let listen = listen(&daemon, args.token.as_deref())?;
-    Ok(WatchPlan { config, log: daemon.log.unwrap_or(LogChoice::Text), listen, warnings })
+    let resolved = |daemon: &DaemonArgs| {
+        let daemon = args.daemon.clone().over(daemon.clone());
+        refuse_shared_journal(&watches, daemon.journal.as_deref())?;
+        let config = config(watches.clone(), args.once, &daemon)?;
+        let listen = listen(&daemon, args.token.as_deref())?;
+        Ok(WatchPlan { config, log: daemon.log.unwrap_or(LogChoice::Text), listen, warnings: Vec::new() })
+    };
+    let plan = match &file {
+        Some(ConfigFile { daemon, .. }) => {
+            resolved(&daemon.options()).map_err(|error| daemon.locate(error, &[], resolved))?
+        }
+        None => resolved(&DaemonArgs::default())?,
+    };
+    Ok(WatchPlan { warnings, ..plan })
 }
 
-/// A folder to watch, with unresolved settings.
-struct Folder {
-    input: PathBuf,
-    output: PathBuf,
-    frames: FrameArgs,
-    /// Where the user named it, for error messages: a line of the configuration file, or the path.
-    location: String,
-}
-
-fn folders(args: &WatchArgs, file: Option<&ConfigFile>) -> Result<Vec<Folder>> {
-    match file {
-        Some(file) if args.inputs.is_empty() => folders_of_file(args, file),
-        _ => typed_folders(args),
-    }
-}
-
-fn typed_folders(args: &WatchArgs) -> Result<Vec<Folder>> {
+fn typed_watches(args: &WatchArgs, warnings: &mut Vec<String>) -> Result<Vec<Watch>> {
     refuse_misplaced_rounds(&args.frames.method, &args.inputs)?;
     let Some(output) = &args.out else {
         bail!("DIR replaces the [[watch]] blocks of the file, so it needs --out as well");
     };
-    let folder = |input: &PathBuf| Folder {
-        input: input.clone(),
-        output: output.clone(),
-        frames: args.frames.clone(),
-        location: input.display().to_string(),
-    };
-    let mut inputs = args.inputs.clone();
     // Shell globs may name a folder twice.
     let mut seen = HashSet::new();
-    inputs.retain(|input| seen.insert(input.clone()));
-    Ok(inputs.iter().map(folder).collect())
+    let inputs = args.inputs.iter().filter(|input| seen.insert(*input));
+    let typed = |input: &PathBuf| {
+        check_input(input)?;
+        check_output(output)?;
+        watch(input, output, &args.frames, warnings).with_context(|| input.display().to_string())
+    };
+    inputs.map(typed).collect()
 }
 
-fn folders_of_file(args: &WatchArgs, file: &ConfigFile) -> Result<Vec<Folder>> {
+fn watches_of_file(args: &WatchArgs, file: &ConfigFile, warnings: &mut Vec<String>) -> Result<Vec<Watch>> {
     let path = file.path.display();
     let Some(first) = file.watches.first() else {
         bail!("{path}: no folder to watch: add a [[watch]] block, or give DIR and --out");
@@ -115,24 +108,45 @@ fn folders_of_file(args: &WatchArgs, file: &ConfigFile) -> Result<Vec<Folder>> {
         bail!(
             "{path}: the [[watch]] blocks at lines {} and {} have different outputs, but --out names only one: \
              leave it out, or give DIR as well",
-            first.line,
-            other.line
+            first.keys.line(),
+            other.keys.line()
         );
     }
-    let folder = |block: &WatchBlock| {
-        let location = format!("{path}:{}", block.line);
-        let output = args.out.as_ref().or(block.output.as_ref());
-        let output = output.ok_or_else(|| {
-            anyhow!("{location}: this [[watch]] block names no output: add one, or give --out")
-        })?;
-        let (input, output) = (block.input.clone(), output.clone());
-        let frames = args.frames.over_file(&block.frames);
-        if block.frames.formats.fps.is_some() {
-            frames.formats.refuse_idle_fps().with_context(|| location.clone())?;
+    file.watches.iter().map(|block| watch_of_block(args, block, warnings)).collect()
+}
+
+fn watch_of_block(args: &WatchArgs, block: &WatchBlock, warnings: &mut Vec<String>) -> Result<Watch> {
+    let (input, keys) = (&block.input, &block.keys);
+    let output = args.out.as_ref().or(block.output.as_ref()).ok_or_else(|| {
+        anyhow!("{}: this [[watch]] block names no output: add one, or give --out", keys.place("output"))
+    })?;
+    check_input(input).with_context(|| keys.place("input"))?;
+    check_output(output).with_context(|| keys.place("output"))?;
+    let checked = |frames: &FrameArgs, warnings: &mut Vec<String>| {
+        let all = args.frames.over_file(frames);
+        if frames.formats.fps.is_some() {
+            all.formats.refuse_idle_fps()?;
         }
-        Ok(Folder { input, output, frames, location })
+        watch(input, output, &all, warnings)
     };
-    file.watches.iter().map(folder).collect()
+    let located =
+        |error| keys.locate(error, &["input", "output"], |keys| checked(&keys.frames, &mut Vec::new()));
+    checked(&block.frames, warnings).map_err(located)
+}
+
+fn check_input(input: &Path) -> Result<()> {
+    if input.exists() && !input.is_dir() {
+        bail!(
+            "{}: this is a file, and watch needs a folder: use `meniscus convert` for files",
+            input.display()
+        );
+    }
+    Ok(())
+}
+
+fn check_output(output: &Path) -> Result<()> {
+    refuse_file_name(output)?;
+    Ok(refuse_file_for_folder(&absolute(output)?)?)
 }
 
 fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<String>) -> Result<Watch> {
@@ -145,7 +159,6 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     } else {
         warnings.extend(Settings::resolve(&choices, None)?.warnings());
     }
-    refuse_file_name(output)?;
     let mut outputs = frames.formats.outputs(absolute(output)?)?;
     if let Some(stage) = &mut outputs.stage {
         stage.path = absolute(&stage.path)?;
@@ -159,13 +172,6 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     if let Some(sentinel) = &frames.sentinel {
         check_sentinel(sentinel)?;
     }
-    if input.exists() && !input.is_dir() {
-        bail!(
-            "{}: this is a file, and watch needs a folder: use `meniscus convert` for files",
-            input.display()
-        );
-    }
-    refuse_file_for_folder(&outputs.folder)?;
     Ok(Watch {
         input: absolute(input)?,
         pattern: frames.pattern.clone(),
@@ -186,23 +192,32 @@ fn check_sentinel(name: &str) -> Result<()> {
     Ok(())
 }
 
-/// Refuses two watches of the same files for the same outputs.
-fn refuse_twins(watches: &[Watch]) -> Result<()> {
+/// Refuses two watches of the same files for the same outputs. `blocks` are those of the watches, unless
+/// they are from the command line.
+fn refuse_twins(watches: &[Watch], blocks: &[WatchBlock]) -> Result<()> {
     for (index, watch) in watches.iter().enumerate() {
         let is_twin = |other: &&Watch| {
             same_folder(&other.input, &watch.input)
                 && same_folder(&other.outputs.folder, &watch.outputs.folder)
                 && other.pattern == watch.pattern
         };
-        if watches[..index].iter().any(|other| is_twin(&other)) {
-            bail!("{}: watched twice for the same output", watch.input.display());
+        let Some(twin) = watches[..index].iter().position(|other| is_twin(&other)) else { continue };
+        let input = watch.input.display();
+        match (blocks.get(twin), blocks.get(index)) {
+            (Some(first), Some(block)) => bail!(
+                "{}: {input} is watched twice for the same output, also by the block at line {}: remove one \
+                 of the two",
+                block.keys.place(""),
+                first.keys.line()
+            ),
+            _ => bail!("{input}: watched twice for the same output"),
         }
     }
     Ok(())
 }
 
 /// Refuses a stage for folders whose frames cannot be in the same one.
-fn refuse_shared_stage(watches: &[Watch]) -> Result<()> {
+fn refuse_shared_stage(watches: &[Watch], blocks: &[WatchBlock]) -> Result<()> {
     for (index, watch) in watches.iter().enumerate() {
         let Some(stage) = &watch.outputs.stage else { continue };
         let is_unlike = |other: &&Watch| {
@@ -213,8 +228,9 @@ fn refuse_shared_stage(watches: &[Watch]) -> Result<()> {
             b.stage.as_ref().is_some_and(|other| other.path == stage.path) && !is_same
         };
         if watches[..index].iter().any(|other| is_unlike(&other)) {
+            let place = blocks.get(index).map(|block| block.keys.place("stage") + ": ").unwrap_or_default();
             bail!(
-                "{}: several watched folders have this stage, but different outputs, formats, axes, units or \
+                "{place}{}: several watched folders have this stage, but different outputs, formats, axes, units or \
                  frame rates: give each a stage of its own",
                 stage.path.display()
             );

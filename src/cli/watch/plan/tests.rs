@@ -74,7 +74,7 @@ fn frame_rate_needs_a_stage_in_the_block_or_in_any_block() {
     assert_eq!(plan.config.watches.iter().map(fps).collect::<Vec<_>>(), [Some(25.0), None]);
     Bench::new(other).refused(&["--fps", "25"], &["--fps is for a stage"]);
     let bench = Bench::new(&(block("stage = \"s.usda\"\n") + other + "fps = 25\n"));
-    bench.refused(&[], &["meniscus.toml:", "--fps is for a stage"]);
+    bench.refused(&[], &["meniscus.toml:9: `fps` is for a stage: give `stage` as well"]);
     // The stage may be on the command line.
     let bench = Bench::new(&block("fps = 30\n"));
     assert_eq!(fps(&bench.plan(&["--stage", "s.usda"]).expect("a plan").config.watches[0]), Some(30.0));
@@ -178,7 +178,7 @@ fn journal_for_two_output_folders_is_refused() {
 fn duplicate_watch_is_refused() {
     let block = |input: &str, more: &str| format!("[[watch]]\ninput = \"{input}\"\noutput = \"o\"\n{more}\n");
     let bench = Bench::new(&(block("a", "") + &block("./a", "voxel_size = 1")));
-    bench.refused(&[], &["watched twice for the same output"]);
+    bench.refused(&[], &["meniscus.toml:5: ", "watched twice for the same output", "the block at line 1"]);
     let with_patterns = block("a", "pattern = \"dam*\"") + &block("a", "pattern = \"spray*\"");
     assert_eq!(Bench::new(&with_patterns).plan(&[]).expect("a plan").config.watches.len(), 2);
 }
@@ -186,7 +186,7 @@ fn duplicate_watch_is_refused() {
 #[test]
 fn invalid_options_are_refused() {
     let bench = Bench::new("[[watch]]\ninput = \"a\"\noutput = \"o\"\nradius_ratio = 0.5\n");
-    bench.refused(&[], &["meniscus.toml:1", "radius ratio is 0.5"]);
+    bench.refused(&[], &["meniscus.toml:4: `radius_ratio`: ", "radius ratio is 0.5"]);
     assert!(bench.plan(&["--radius-ratio", "1.5"]).is_ok());
     for (options, words) in [
         (&["--voxel-size", "-1"][..], &["in: ", "voxel size"][..]),
@@ -219,6 +219,47 @@ fn invalid_options_are_refused() {
         plan(&["in", "--out", file.to_str().expect("text")]),
         &["expected a folder for the results"],
     );
+}
+
+/// An error that concerns keys together, or a file that they name, has the line of a key as well, and names
+/// keys and not options.
+#[test]
+fn errors_name_the_line_and_the_key() {
+    for (entry, words) in [
+        ("stage = \"s.usda\"", &["`stage` plays", "add usdc to `formats`"][..]),
+        ("quantize = true\nformats = [\"obj\"]", &["`quantize` requires .glb output", "to `formats`"]),
+        ("clip = \"1,1,1,0,0,0\"", &["`clip`: ", "the box"]),
+        ("pattern = \"a[\"", &["`pattern`: ", "not a valid pattern"]),
+        ("radius_ratio = 0.5\npreset = \"granular\"", &["`radius_ratio`: ", "radius ratio is 0.5"]),
+        ("sentinel = \"../a\"", &["`sentinel`: ", "beside the frame"]),
+        ("spacing = 0.1\npattern = \"*.vdb\"", &["`spacing` cannot be given with a level set"]),
+    ] {
+        let bench = Bench::new(&format!("[[watch]]\noutput = \"o\"\ninput = \"a\"\n{entry}\n"));
+        bench.refused(&[], &[&["meniscus.toml:4: "][..], words].concat());
+        // The blocks do not matter if folders are given.
+        assert!(bench.plan(&["b", "--out", "o"]).is_ok(), "{entry}");
+    }
+    for (entry, words) in [
+        ("memory = 8", &["`memory`: ", "too small"][..]),
+        ("listen = \"0.0.0.0:7700\"", &["`listen`: ", "give `token_file` or --token"]),
+        ("token_file = \"none\"\nlisten = \"127.0.0.1:1\"", &["`token_file`: cannot read"]),
+        ("token_file = \"meniscus.toml\"", &["`token_file`"]),
+        ("stalled = \"1ms\"", &["`stalled` is 1ms"]),
+    ] {
+        let block = "[[watch]]\ninput = \"a\"\noutput = \"o\"\n";
+        let bench = Bench::new(&format!("{block}[daemon]\n{entry}\n"));
+        bench.refused(&[], &[&["meniscus.toml:5: "][..], words].concat());
+        // An error of the command line has no line.
+        let error = bench.plan(&["--memory", "8"]).expect_err("too small");
+        assert!(format!("{error:#}").starts_with("a memory limit"), "{entry}: {error:#}");
+    }
+    let block = "[[watch]]\ninput = \"meniscus.toml\"\noutput = \"o\"\n";
+    Bench::new(block).refused(&[], &["meniscus.toml:2: `input`: ", "this is a file"]);
+    let block = "[[watch]]\ninput = \"a\"\noutput = \"meniscus.toml\"\n";
+    Bench::new(block).refused(&[], &["meniscus.toml:3: `output`: "]);
+    let bench = Bench::new("");
+    fs::write(bench.config_path(), [0xff, 0xfe]).expect("written");
+    bench.refused(&[], &["meniscus.toml: this is not a text file"]);
 }
 
 #[test]

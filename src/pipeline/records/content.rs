@@ -1,16 +1,18 @@
 //! Recognises frames, outputs of this program and other files by their first bytes.
 
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use meniscus_formats::compression::read_head;
 use meniscus_formats::{Format, looks_like_particles, probe, read_provenance};
 
-use super::frame::Job;
-use super::level_set_file::is_level_set;
-use super::source::promises_particles;
+use super::provenance::are_particles;
 use crate::pipeline::files::open::open_regular;
-use crate::pipeline::records::provenance::are_particles;
+use crate::pipeline::input::conflicts::Conflict;
+use crate::pipeline::input::frame::Job;
+use crate::pipeline::input::level_set_file::is_level_set;
+use crate::pipeline::input::source::promises_particles;
+use crate::pipeline::target::outputs::{OutputOptions, output_path};
 
 /// The kind of a file, by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,11 +51,30 @@ pub fn content(path: &Path) -> io::Result<SniffedContent> {
     })
 }
 
+/// Checks that no output of `job` for the planned frames (input and stem) replaces particles or a level set
+/// that this program did not write: they may be a simulation's only copy.
+///
+/// # Errors
+/// The first such output.
+pub fn check_existing(
+    planned: &[(PathBuf, String)],
+    options: &OutputOptions,
+    job: Job,
+) -> Result<(), Conflict> {
+    let mut outputs = planned.iter().flat_map(|(_, stem)| {
+        options.formats.iter().map(move |&format| output_path(&options.folder, stem, format))
+    });
+    match outputs.find(|output| is_irreplaceable(output, job)) {
+        Some(output) => Err(Conflict::ReplacesData { output }),
+        None => Ok(()),
+    }
+}
+
 /// Whether a file must not be replaced by an output of `job`: its format is one for particles or level sets,
 /// and this program did not write it. Particles that it wrote may only be replaced by particles. A name with
 /// an extension of such a format is not sufficient, so an empty file may be replaced. `false` if there is no
 /// such file, or it cannot be read.
-pub(super) fn is_irreplaceable(path: &Path, job: Job) -> bool {
+fn is_irreplaceable(path: &Path, job: Job) -> bool {
     if !path.metadata().is_ok_and(|metadata| metadata.is_file()) {
         return false;
     }
