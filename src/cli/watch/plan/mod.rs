@@ -50,6 +50,7 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
     let mut watches = Vec::new();
     let mut warnings = file.as_ref().map(|file| file.warnings.clone()).unwrap_or_default();
     for Folder { input, output, frames, location } in folders(args, file.as_ref())? {
+        refuse_file_as_input(&input, &location)?;
         let watch = watch(&input, &output, &frames, &mut warnings);
         watches.push(watch.with_context(|| location)?);
     }
@@ -135,6 +136,16 @@ fn folders_of_file(args: &WatchArgs, file: &ConfigFile) -> Result<Vec<Folder>> {
     file.watches.iter().map(folder).collect()
 }
 
+/// Refuses a file where a folder is needed. `location` is where the user named it.
+fn refuse_file_as_input(input: &Path, location: &str) -> Result<()> {
+    if input.is_dir() || !input.exists() {
+        return Ok(());
+    }
+    let name = input.display().to_string();
+    let name = if name == location { name } else { format!("{location}: {name}") };
+    bail!("{name}: this is a file, and watch needs a folder: use `meniscus convert` for files")
+}
+
 fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<String>) -> Result<Watch> {
     let choices = frames.method.to_options();
     if names_level_sets(frames.pattern.as_deref()) {
@@ -158,12 +169,6 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     FileFilter::new(frames.pattern.as_deref(), frames.recursive, Vec::new())?;
     if let Some(sentinel) = &frames.sentinel {
         check_sentinel(sentinel)?;
-    }
-    if input.exists() && !input.is_dir() {
-        bail!(
-            "{}: this is a file, and watch needs a folder: use `meniscus convert` for files",
-            input.display()
-        );
     }
     refuse_file_for_folder(&outputs.folder)?;
     Ok(Watch {
