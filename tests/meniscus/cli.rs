@@ -27,6 +27,9 @@ fn contradictory_arguments_are_refused() {
     write_sequence(path, 1, 2);
     fs::create_dir(path.join("empty")).expect("made");
     fs::write(path.join("empty/README.txt"), "Nothing to see here.\n").expect("written");
+    fs::create_dir(path.join("nothing")).expect("made");
+    fs::create_dir(path.join("level_sets")).expect("made");
+    fs::write(path.join("level_sets/dam.1.vdb"), "").expect("written");
     assert_refused(path, &[], &["Usage"]);
     assert_refused(path, &["convert", "dam.1.ply"], &["--out"]);
     assert_refused(path, &["convert", "--out", "o"], &["INPUT"]);
@@ -58,6 +61,16 @@ fn contradictory_arguments_are_refused() {
         (&["dam.1.ply", "--clip", "0,0,0,1,1"], &["0,0,0,1,1", "six numbers x0,y0,z0,x1,y1,z1"]),
         (&["dam.1.ply", "--smooth-normals", "5"], &["5: no such file", "--smooth-normals=5"]),
         (&["dam.1.ply", "--attributes", "all,age"], &["`all,age`", "or only names"]),
+        (
+            &["dam.1.ply", "--print-settings", "--format", "abc", "--sequence-glb", "x.glb"],
+            &["--sequence-glb: a sequence file is made from the .glb files", "add glb to --format"],
+        ),
+        (&["--print-settings", "--sequence-glb", "x.abc"], &["must end in .glb"]),
+        (&["nothing"], &["nothing: the folder is empty"]),
+        (
+            &["level_sets"],
+            &["`convert` takes level sets by name, or by a pattern such as 'level_sets/*.vdb'"],
+        ),
     ] {
         assert_refused(path, &[&["convert", "--out", "o/deep"], arguments].concat(), words);
         assert!(!path.join("o").exists(), "{arguments:?} left the folder that it made");
@@ -185,6 +198,34 @@ fn misspelt_option_is_refused_with_a_suggestion() {
     }
 }
 
+#[test]
+fn option_of_another_command_is_refused_with_the_name_of_that_command() {
+    let folder = folder();
+    for (typed, tip) in [
+        (
+            &["watch", "in", "--out=o", "--max-deviation=1"][..],
+            "--max-deviation is an option of convert and plan",
+        ),
+        (&["watch", "in", "--out=o", "--report", "r.json"], "--report is an option of convert and verify"),
+        (&["watch", "in", "--out=o", "--sequence-glb=s.glb"], "--sequence-glb is an option of convert"),
+        (&["plan", "in", "--out=o", "--sequence-glb=s.glb"], "--sequence-glb is an option of convert"),
+        (&["watch", "in", "--out=o", "--print-settings"], "--print-settings is an option of convert"),
+        (&["convert", "a.ply", "--out=o", "--settle=1s"], "--settle is an option of watch"),
+    ] {
+        let result = meniscus(folder.path(), typed);
+        let tips: Vec<&str> = result.err.lines().filter(|line| line.contains("tip:")).collect();
+        assert_eq!((result.status, tips), (2, vec![&*format!("  tip: {tip}")]), "{typed:?}: {}", result.err);
+        assert!(result.err.contains("Usage: ") && !result.err.contains("--radius-ratio"), "{}", result.err);
+    }
+    // An argument that resembles no option has no tip.
+    for typed in ["--zzzz", "--grxqw=1"] {
+        let result = meniscus(folder.path(), &["convert", "a.ply", "--out=o", typed]);
+        assert!(result.status == 2 && !result.err.contains("tip:"), "{}", result.err);
+    }
+    let negative = ["convert", "--plan=p.json", "--shard", "-1"];
+    assert_refused(folder.path(), &negative, &["'-1' for '--shard <K>'", "a number from 0, or slurm"]);
+}
+
 /// Two presets with the same radii differ by their smoothing time.
 #[test]
 fn presets_differ_in_their_settings() {
@@ -298,6 +339,27 @@ fn unmeasurable_spacing_is_an_error_that_names_the_option() {
     for name in ["one.ply", "none.ply"] {
         assert_refused(folder.path(), &["convert", name, "--out", "o"], &[name, "--spacing"]);
     }
+}
+
+#[test]
+fn unmeasurable_spacing_of_unusable_particles_is_explained() {
+    let folder = folder();
+    let path = folder.path();
+    // With a given spacing, the surface would be empty.
+    write_ply(&path.join("nan.ply"), &[[f64::NAN; 3]; 4]);
+    fs::write(path.join("nan.csv"), "x,y,z\nnan,0,0\n0,inf,0\n").expect("written");
+    for (name, words) in [
+        ("nan.ply", "because no particle of nan.ply has a finite position"),
+        ("nan.csv", "(skipped 2 of 2 rows without a finite position)"),
+    ] {
+        let result = meniscus(path, &["convert", name, "--out", "o"]);
+        assert!(result.status == 2 && result.err.contains(words), "{}", result.err);
+        assert!(!result.err.contains("--spacing"), "{}", result.err);
+    }
+    write_sequence(path, 1, 3);
+    let result = meniscus(path, &["convert", "dam.#.ply", "--out", "o", "--radius-attribute", "pscale"]);
+    assert!(result.err.contains("`pscale`") && result.err.contains("; the same applies to all 3 frames"));
+    assert!(!result.err.contains("can be read"), "{}", result.err);
 }
 
 #[test]
