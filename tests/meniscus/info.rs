@@ -40,6 +40,16 @@ fn missing_file_is_reported_as_by_other_commands() {
     let folder = tempdir().expect("a folder");
     let result = meniscus(folder.path(), &["info", "nowhere.ply"]);
     assert_eq!((result.status, &*result.err), (2, "error: nowhere.ply: no such file or folder\n"));
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink("nowhere.ply", folder.path().join("link.ply")).expect("linked");
+        let result = meniscus(folder.path(), &["info", "link.ply"]);
+        assert!(
+            result.err.contains("link.ply: this link leads to a file that does not exist"),
+            "{}",
+            result.err
+        );
+    }
 }
 
 #[test]

@@ -156,6 +156,9 @@ impl FileInfo {
         if path.symlink_metadata().is_err_and(|error| is_absent(path, &error)) && step_of(path).is_none() {
             bail!("no such file or folder");
         }
+        if path.is_symlink() && path.metadata().is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
+            bail!("this link leads to a file that does not exist");
+        }
         let bytes = match step_of(path) {
             None => {
                 // A file with too many frames is refused before it is read as a whole.
