@@ -175,57 +175,6 @@ fn folder_without_write_permission_is_refused() {
     }
 }
 
-#[test]
-fn misspelt_option_is_refused_with_a_suggestion() {
-    let folder = folder();
-    for (typed, meant) in [
-        (&["convert", "a.ply", "--ouput", "o"][..], "'--out'"),
-        (&["convert", "a.ply", "--output=o"], "'--out'"),
-        (&["watch", "in", "--outptu", "o"], "'--out'"),
-        (&["convert", "a.ply", "--upp", "z"], "'--up'"),
-        (&["convert", "a.ply", "--presett", "water"], "'--preset'"),
-        (&["tune", "a.ply", "--ouput", "t.png"], "'--output'"),
-    ] {
-        let result = meniscus(folder.path(), typed);
-        assert_eq!(result.status, 2);
-        let tip = result.err.lines().find(|line| line.contains("similar argument"));
-        assert!(tip.is_some_and(|tip| tip.ends_with(meant)), "{typed:?}: {}", result.err);
-        assert!(
-            result.err.contains("Usage: ") && !result.err.contains("--up <AXIS>") || meant == "'--up'",
-            "{}",
-            result.err
-        );
-    }
-}
-
-#[test]
-fn option_of_another_command_is_refused_with_the_name_of_that_command() {
-    let folder = folder();
-    for (typed, tip) in [
-        (
-            &["watch", "in", "--out=o", "--max-deviation=1"][..],
-            "--max-deviation is an option of convert and plan",
-        ),
-        (&["watch", "in", "--out=o", "--report", "r.json"], "--report is an option of convert and verify"),
-        (&["watch", "in", "--out=o", "--sequence-glb=s.glb"], "--sequence-glb is an option of convert"),
-        (&["plan", "in", "--out=o", "--sequence-glb=s.glb"], "--sequence-glb is an option of convert"),
-        (&["watch", "in", "--out=o", "--print-settings"], "--print-settings is an option of convert"),
-        (&["convert", "a.ply", "--out=o", "--settle=1s"], "--settle is an option of watch"),
-    ] {
-        let result = meniscus(folder.path(), typed);
-        let tips: Vec<&str> = result.err.lines().filter(|line| line.contains("tip:")).collect();
-        assert_eq!((result.status, tips), (2, vec![&*format!("  tip: {tip}")]), "{typed:?}: {}", result.err);
-        assert!(result.err.contains("Usage: ") && !result.err.contains("--radius-ratio"), "{}", result.err);
-    }
-    // An argument that resembles no option has no tip.
-    for typed in ["--zzzz", "--grxqw=1"] {
-        let result = meniscus(folder.path(), &["convert", "a.ply", "--out=o", typed]);
-        assert!(result.status == 2 && !result.err.contains("tip:"), "{}", result.err);
-    }
-    let negative = ["convert", "--plan=p.json", "--shard", "-1"];
-    assert_refused(folder.path(), &negative, &["'-1' for '--shard <K>'", "a number from 0, or slurm"]);
-}
-
 /// Two presets with the same radii differ by their smoothing time.
 #[test]
 fn presets_differ_in_their_settings() {
@@ -329,37 +278,6 @@ fn two_inputs_with_the_same_output_are_refused() {
     let arguments = ["convert", "a", "--out", "o", "--report", "o/dam.1.glb"];
     assert_refused(path, &arguments, &["the report", "would both become"]);
     assert!(!path.join("o").exists());
-}
-
-#[test]
-fn unmeasurable_spacing_is_an_error_that_names_the_option() {
-    let folder = folder();
-    write_ply(&folder.path().join("one.ply"), &block(1, 0.0));
-    write_ply(&folder.path().join("none.ply"), &[]);
-    for name in ["one.ply", "none.ply"] {
-        assert_refused(folder.path(), &["convert", name, "--out", "o"], &[name, "--spacing"]);
-    }
-}
-
-#[test]
-fn unmeasurable_spacing_of_unusable_particles_is_explained() {
-    let folder = folder();
-    let path = folder.path();
-    // With a given spacing, the surface would be empty.
-    write_ply(&path.join("nan.ply"), &[[f64::NAN; 3]; 4]);
-    fs::write(path.join("nan.csv"), "x,y,z\nnan,0,0\n0,inf,0\n").expect("written");
-    for (name, words) in [
-        ("nan.ply", "because no particle of nan.ply has a finite position"),
-        ("nan.csv", "(skipped 2 of 2 rows without a finite position)"),
-    ] {
-        let result = meniscus(path, &["convert", name, "--out", "o"]);
-        assert!(result.status == 2 && result.err.contains(words), "{}", result.err);
-        assert!(!result.err.contains("--spacing"), "{}", result.err);
-    }
-    write_sequence(path, 1, 3);
-    let result = meniscus(path, &["convert", "dam.#.ply", "--out", "o", "--radius-attribute", "pscale"]);
-    assert!(result.err.contains("`pscale`") && result.err.contains("; the same applies to all 3 frames"));
-    assert!(!result.err.contains("can be read"), "{}", result.err);
 }
 
 #[test]

@@ -482,19 +482,8 @@ fn invalid_obstacle_is_an_error() {
     let empty = convert(path, &[&arguments[..], &["empty.obj"]].concat());
     assert!(empty.err.contains("obstacle empty.obj: the file is empty"), "{}", empty.err);
     // A file that is certainly no obstacle is refused once, and not for each frame.
-    for (name, bytes) in [("table.csv", &b"x,y,z\n0,0,0\n"[..]), ("noise", &[1, 2, 3, 200, 255])] {
-        fs::write(path.join(name), bytes).expect("written");
-        let refused = convert(path, &[&["dam.#.ply"][..], &arguments[1..], &[name]].concat());
-        let message = format!("error: obstacle {name}: ");
-        assert!(refused.err.starts_with(&message) && refused.err.lines().count() == 1, "{}", refused.err);
-        assert!(refused.err.contains("not a supported obstacle format: use ."), "{}", refused.err);
-    }
-    let particles = convert(path, &[&arguments[..], &["dam.1.ply"]].concat());
-    assert!(
-        particles.err.starts_with("error: obstacle dam.1.ply: ") && particles.err.contains("no triangle"),
-        "{}",
-        particles.err
-    );
+    let err = convert(path, &[&["dam.#.ply"][..], &arguments[1..], &["dam.1.ply"]].concat()).err;
+    assert!(err.contains("no triangle") && err.lines().count() == 1, "{err}");
     let mut open = ball(DVec3::new(0.9, 0.35, 0.35), 0.3);
     open.triangles.truncate(open.triangles.len() - 100);
     fs::write(path.join("open.obj"), open.obj()).expect("written");
