@@ -74,7 +74,7 @@ pub use integrity::{completeness, is_complete};
 pub use limits::Limits;
 pub use mesh::read_mesh;
 pub use mesh_options::{MeshOptions, UpAxis, WriteOption};
-pub use obstacle::{ObstacleData, read_obstacle};
+pub use obstacle::{ObstacleData, check_obstacle, read_obstacle};
 pub use picture::{ColorPicture, PictureCamera, PictureLayer, PictureView, PixelSamples};
 use probe::LAMMPS_DATA;
 pub use probe::{Probe, ProbedKind, looks_like_particles, probe};
@@ -103,7 +103,7 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
     if !bytes.is_empty() && integrity::truncated_signature(bytes).is_some() {
         return Err(Error::truncated("", Position::File, "the file ends within its signature"));
     }
-    let read = reader_of(kind)?;
+    let read = reader_of(kind, codec)?;
     read(&compression::decompressed(bytes, limits)?, limits)
 }
 
@@ -113,9 +113,10 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
 /// # Errors
 /// `Unsupported`, the same error as [`read_particles`] returns for the whole file.
 pub fn check_supported(head: &[u8], file_name: &str) -> Result<()> {
-    match probe(head, file_name).kind {
-        kind @ (ProbedKind::Foreign(_) | ProbedKind::UnknownText | ProbedKind::Unknown) => {
-            reader_of(kind).map(drop)
+    let Probe { kind, codec } = probe(head, file_name);
+    match kind {
+        ProbedKind::Foreign(_) | ProbedKind::UnknownText | ProbedKind::Unknown => {
+            reader_of(kind, codec).map(drop)
         }
         _ => Ok(()),
     }
@@ -126,7 +127,7 @@ type ParticleReader = fn(&[u8], &Limits) -> Result<ParticleFrame>;
 
 /// The particle reader for files of this kind. If there is none, the error says what the file is and what to
 /// do instead.
-fn reader_of(kind: ProbedKind) -> Result<ParticleReader> {
+fn reader_of(kind: ProbedKind, codec: Option<Codec>) -> Result<ParticleReader> {
     if kind == ProbedKind::Empty {
         return Err(Error::truncated("", Position::File, "the file is empty"));
     }
@@ -135,12 +136,16 @@ fn reader_of(kind: ProbedKind) -> Result<ParticleReader> {
     }
     let content = kind.format().and_then(Format::output).map(OutputFormat::content);
     let refusal = match (content, kind) {
+        (Some(Content::LevelSet), _) if codec.is_some() => {
+            "this is a volume, not particles: to convert a level set, decompress it to a file whose name ends in .vdb"
+        }
         (Some(Content::LevelSet), _) => {
-            "this is a volume, not particles: `meniscus convert` reads a level set only from an uncompressed file whose name ends in .vdb"
+            "this is a volume, not particles: to convert a level set, rename it so that its name ends in .vdb"
         }
         (Some(Content::Mesh(_)), _) => {
             "this is a mesh, not particles: use the particle file, or save the mesh's vertices as PLY"
         }
+        (Some(Content::Picture(_)), _) => "this is a picture, not particles: give the particle file",
         (_, ProbedKind::Foreign(LAMMPS_DATA)) => {
             "this is a `write_data` file, and only dumps are supported: write one with `write_dump all custom FILE id type x y z`"
         }

@@ -6,6 +6,7 @@ use crate::excerpt::excerpt;
 use crate::gltf::ReadExternal;
 use crate::limits::Limits;
 use crate::mesh::{probe_mesh, read_mesh, readable, reader_of};
+use crate::ply;
 use crate::probe::{Probe, ProbedKind};
 use crate::table::Format;
 use crate::vdb::{self, LevelSetData};
@@ -38,15 +39,48 @@ pub fn read_obstacle(
             None => level_set(bytes, limits),
         };
     }
+    check_kind(kind)?;
+    let mesh = read_mesh(bytes, file_name, limits, read_external)?;
+    if mesh.triangles.is_empty() {
+        return Err(without_triangles(kind));
+    }
+    Ok(ObstacleData::Mesh(mesh))
+}
+
+/// Refuses a file that [`read_obstacle`] certainly refuses, judged by its first bytes: particles, for example.
+///
+/// # Errors
+/// The error of [`read_obstacle`].
+pub fn check_obstacle(head: &[u8], file_name: &str) -> Result<()> {
+    let Probe { kind, codec } = probe_mesh(head, file_name);
+    if kind == ProbedKind::Format(Format::Vdb) {
+        return Ok(());
+    }
+    check_kind(kind)?;
+    let is_ply = kind == ProbedKind::Format(Format::Ply) && codec.is_none();
+    // A header that ends after these bytes is checked when the file is read.
+    match is_ply.then(|| ply::read_header(head, &Limits::default())) {
+        Some(Ok(header)) => {
+            let is_mesh = |element: &ply::Element| {
+                let is_named = |name: &str| element.name.eq_ignore_ascii_case(name);
+                element.count > 0 && (is_named("face") || is_named("tristrips"))
+            };
+            if header.elements.iter().any(is_mesh) { Ok(()) } else { Err(without_triangles(kind)) }
+        }
+        _ => Ok(()),
+    }
+}
+
+fn check_kind(kind: ProbedKind) -> Result<()> {
     if reader_of(kind).is_none() && kind != ProbedKind::Empty {
         let what = format!("not a supported obstacle format: use {}", readable(&[Format::Vdb]));
         return Err(Error::unsupported(kind.name(), what));
     }
-    let mesh = read_mesh(bytes, file_name, limits, read_external)?;
-    if mesh.triangles.is_empty() {
-        return Err(Error::invalid(kind.name(), Position::File, "the obstacle mesh has no triangles"));
-    }
-    Ok(ObstacleData::Mesh(mesh))
+    Ok(())
+}
+
+fn without_triangles(kind: ProbedKind) -> Error {
+    Error::invalid(kind.name(), Position::File, "the obstacle mesh has no triangles")
 }
 
 fn level_set(bytes: &[u8], limits: &Limits) -> Result<ObstacleData> {

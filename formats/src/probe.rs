@@ -145,6 +145,7 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
         return if name.ends_with(".xyz") { ProbedKind::Format(Format::RawXyz) } else { ProbedKind::Unknown };
     }
     match text.first() {
+        Some(b'[') if starts_with_toml_table(text) => ProbedKind::Foreign("TOML"),
         Some(b'{' | b'[') => json_kind(text, name),
         Some(b'<') => ProbedKind::Foreign("XML"),
         _ if text.starts_with(b"solid") && name.ends_with(".stl") => {
@@ -165,6 +166,16 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
 fn first_member(head: &[u8]) -> Option<&[u8]> {
     let length = u16::from_le_bytes(*head.get(26..)?.first_chunk()?);
     head.get(30..)?.get(..length.into())
+}
+
+/// Whether a text starts with the header of a table: a name in single or double brackets, which is not a value
+/// of JSON.
+fn starts_with_toml_table(text: &[u8]) -> bool {
+    let name = text.strip_prefix(b"[[").or_else(|| text.strip_prefix(b"[")).unwrap_or_default();
+    let name = name.split(|&byte| byte == b']').next().unwrap_or_default().trim_ascii();
+    let is_name = |byte: &u8| byte.is_ascii_alphanumeric() || b"_-.".contains(byte);
+    let is_value = [&b"true"[..], b"false", b"null"].contains(&name);
+    name.first().is_some_and(u8::is_ascii_alphabetic) && name.iter().all(is_name) && !is_value
 }
 
 fn json_kind(text: &[u8], name: &str) -> ProbedKind {

@@ -5,7 +5,7 @@ use std::io;
 
 use base64::Engine;
 use meniscus_formats::{
-    Error, LevelSetView, Limits, MeshData, ObstacleData, Result, gltf, read_obstacle, vdb,
+    Error, LevelSetView, Limits, MeshData, ObstacleData, Result, check_obstacle, gltf, read_obstacle, vdb,
 };
 
 fn no_external(_: &str) -> io::Result<Vec<u8>> {
@@ -13,7 +13,11 @@ fn no_external(_: &str) -> io::Result<Vec<u8>> {
 }
 
 fn read(bytes: &[u8], name: &str) -> Result<ObstacleData> {
-    read_obstacle(bytes, name, &Limits::default(), &no_external)
+    let read = read_obstacle(bytes, name, &Limits::default(), &no_external);
+    // What the first bytes rule out is refused.
+    let refused = check_obstacle(&bytes[..bytes.len().min(64 << 10)], name).is_err();
+    assert!(!refused || read.is_err(), "{name}");
+    read
 }
 
 fn mesh(bytes: &[u8], name: &str) -> MeshData {
@@ -263,5 +267,10 @@ fn other_files_are_not_obstacles() {
     ] {
         let error = read(bytes, name).expect_err(name).to_string();
         assert!(error.contains(word), "{name}: {error}");
+        // The first bytes show it, except where only the whole file does.
+        match check_obstacle(bytes, name) {
+            Err(refused) => assert_eq!(refused.to_string(), error, "{name}"),
+            Ok(()) => assert!(["empty.obj", "a.vtk"].contains(&name), "{name}"),
+        }
     }
 }

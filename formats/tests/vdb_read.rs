@@ -7,7 +7,7 @@ use crate::solids;
 
 use std::path::PathBuf;
 
-use meniscus_formats::vdb::{Compression, WriteOptions, grids, read_level_set, write};
+use meniscus_formats::vdb::{Compression, WriteOptions, grids, level_set_outline, read_level_set, write};
 use meniscus_formats::{Error, Limits};
 use solids::Dice;
 
@@ -120,9 +120,30 @@ fn damaged_files_are_errors_without_panics() {
                     broken[at] ^= 1 << dice.below(8);
                 }
                 let _ = read_level_set(&broken, None, &Limits::default());
+                let _ = level_set_outline(&broken, None, &Limits::default());
             }
         }
     }
+}
+
+#[test]
+fn outline_of_a_level_set_has_its_leaves_and_the_memory_for_them() {
+    let solid = solids::sphere([0.0; 3], 40.0);
+    let mut bytes = Vec::new();
+    write(&solid.view(), &WriteOptions::default(), &[], &mut bytes).expect("writing to memory");
+    let data = read_level_set(&bytes, None, &Limits::default()).expect("a level set");
+    let outline = level_set_outline(&bytes, None, &Limits::default()).expect("a level set");
+    let error = |using_bytes: u64, level_set_bytes: u64| {
+        let limits = Limits { level_set_bytes, ..Limits::default() };
+        let checked = outline.check_memory(bytes.len() as u64, using_bytes, &limits);
+        checked.err().map_or(String::new(), |error| error.to_string())
+    };
+    assert_eq!(error(0, bytes.len() as u64 + data.memory_bytes()), "");
+    let reading = read_level_set(&bytes, None, &Limits { level_set_bytes: 1 << 20, ..Limits::default() });
+    assert_eq!(error(0, 1 << 20), reading.expect_err("too large").to_string());
+    assert!(error(1 << 30, 1 << 20).contains("needs 1024 MiB of memory"), "{}", error(1 << 30, 1 << 20));
+    assert_eq!((outline.origins, outline.background), (data.origins, data.background));
+    assert_eq!(outline.transform, data.transform);
 }
 
 #[test]

@@ -3,10 +3,11 @@
 use std::io;
 use std::path::PathBuf;
 
-use anyhow::{Result, bail};
-use meniscus_formats::{WriteOption, listed};
+use anyhow::{Result, anyhow, bail};
+use meniscus_formats::compression::read_head;
+use meniscus_formats::{WriteOption, check_obstacle, listed};
 
-use crate::pipeline::{ObstacleFiles, OutputFormat};
+use crate::pipeline::{ObstacleFiles, OutputFormat, open_regular};
 use crate::surface::options::{Integrator, MethodOptions, OptionGroup, Preset, Settings};
 
 use super::args::{FormatArgs, MethodArgs, OptionSet};
@@ -25,7 +26,7 @@ pub(super) fn warn_of_ignored(method: &MethodArgs, formats: &FormatArgs, console
 /// The obstacle files that the options name.
 ///
 /// # Errors
-/// If a file is missing, or is not a regular file.
+/// If a file is missing, or is neither a mesh nor a level set.
 pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
     let obstacles = ObstacleFiles::new(method.obstacle.clone());
     if let Some(missing) = obstacles.missing() {
@@ -41,8 +42,19 @@ pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
             Err(_) => bail!("{name}: obstacle not found"),
         }
     }
+    for path in method.obstacle.iter().filter(|path| path.is_file()) {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let head = open_regular(path).and_then(|file| read_head(file, HEAD_BYTES));
+        // An error of reading is reported for each frame, because it may be temporary.
+        if let Ok(head) = head {
+            check_obstacle(&head, &name).map_err(|error| anyhow!("obstacle {}: {error}", path.display()))?;
+        }
+    }
     Ok(obstacles)
 }
+
+/// More bytes than are needed to recognise a mesh.
+const HEAD_BYTES: u64 = 64 << 10;
 
 /// The options that have the same defaults as a deprecated preset. With explicit integrators, those of
 /// `smooth` depend on the voxel size.

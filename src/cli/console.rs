@@ -19,13 +19,21 @@ pub(super) struct Console {
     muted: bool,
     failure: Option<io::Error>,
     failed_count: usize,
+    left_out_count: usize,
     /// Whether the standard output is reserved for a file.
     out_is_taken: bool,
 }
 
 impl Console {
     pub(super) fn new() -> Console {
-        Console { bar: None, muted: false, failure: None, failed_count: 0, out_is_taken: false }
+        Console {
+            bar: None,
+            muted: false,
+            failure: None,
+            failed_count: 0,
+            left_out_count: 0,
+            out_is_taken: false,
+        }
     }
 
     /// Sends all lines to the standard error from now on, because a file is written to the standard output.
@@ -92,6 +100,17 @@ impl Console {
     pub(super) fn fail(&mut self, what: impl Display) {
         self.error(what);
         self.failed_count += 1;
+    }
+
+    /// Like [`fail`](Console::fail), for an error about this number of frames, which are left out.
+    pub(super) fn leave_out(&mut self, count: usize, what: impl Display) {
+        self.fail(what);
+        self.left_out_count += count;
+    }
+
+    /// The number of frames that are left out.
+    pub(super) fn left_out_count(&self) -> usize {
+        self.left_out_count
     }
 
     /// The number of errors that [`fail`](Console::fail) printed.

@@ -51,7 +51,11 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     if args.particles_only {
         refuse_surface_formats(&outputs)?;
     }
+    // Printing settings refuses the sequence files that a conversion would refuse.
+    let check_sequence_files =
+        |sequence_count| SequenceOutputs::new((&args.shot, None), &outputs, sequence_count, false).map(drop);
     if args.print_settings && args.inputs.is_empty() {
+        check_sequence_files(1)?;
         print_settings_of_any(&args.method, &outputs, console)?;
         return Ok(CommandOutcome::Done);
     }
@@ -75,6 +79,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         job
     };
     if args.print_settings {
+        check_sequence_files(selection.sequences.len())?;
         let pool = thread_pool(args.run.threads)?;
         print_settings(&selection.sequences, job, (&args.method, &outputs), &pool, console)?;
         return Ok(CommandOutcome::Done);

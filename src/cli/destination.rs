@@ -15,6 +15,7 @@ use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use meniscus_formats::listed;
 use tempfile::TempDir;
 
 use crate::pipeline::OutputFormat;
@@ -60,6 +61,7 @@ impl Destination {
         } else if let Some(extension) = file_extension(&out) {
             Destination::file(out, &extension, args.formats.format.as_deref())?
         } else {
+            refuse_foreign_extension(&out)?;
             (Destination::Folder, out, args.particles_only.then_some(OutputFormat::Ply))
         };
         let mut formats = args.formats.clone();
@@ -171,9 +173,53 @@ pub(super) fn refuse_file_name(out: &Path) -> Result<()> {
             out.display(),
             out.with_extension("").display()
         ),
-        None => Ok(()),
+        None => refuse_foreign_extension(out),
     }
 }
+
+/// Refuses the name of a file in a format that is not written, or in one that is misspelt. It would become a
+/// folder, which the user hardly expects. Folders may have other names with dots, such as `run.v2`.
+///
+/// # Errors
+/// If the path has such an extension and is not a folder. The message says what to write instead.
+fn refuse_foreign_extension(out: &Path) -> Result<()> {
+    let Some(given) = out.extension().and_then(|extension| extension.to_str()) else { return Ok(()) };
+    let extension = given.to_ascii_lowercase();
+    let written = || OutputFormat::ALL.into_iter().filter(|format| !format.is_picture());
+    let meant = written().find(|format| is_misspelt(&extension, format.extension()));
+    let is_foreign = FOREIGN_EXTENSIONS.contains(&&*extension);
+    if is_existing_or_named_folder(out) || !(is_foreign || meant.is_some()) {
+        return Ok(());
+    }
+    let name = out.display();
+    let instead = match meant.filter(|_| !is_foreign) {
+        Some(format) => format!("write {}", out.with_extension(format.extension()).display()),
+        None => format!("use {}", listed(written().map(|format| format!(".{format}")).collect(), "or")),
+    };
+    bail!("{name}: .{given} is not an output format: {instead}; for a folder of this name, write {name}/")
+}
+
+/// Whether an extension is that of a format with one letter missing or added, or two letters exchanged. With
+/// other letters, digits or a plural s, it may be part of a folder's name.
+fn is_misspelt(extension: &str, format: &str) -> bool {
+    let letters = |text: &str| {
+        let mut letters: Vec<char> = text.chars().collect();
+        letters.sort_unstable();
+        letters
+    };
+    let is_near = strsim::osa_distance(extension, format) == 1;
+    let has_same_letters = extension.len() != format.len() || letters(extension) == letters(format);
+    let is_plural = extension.strip_suffix('s') == Some(format);
+    let is_word = extension.len() > 2 && extension.bytes().all(|byte| byte.is_ascii_lowercase());
+    is_near && has_same_letters && is_word && !is_plural
+}
+
+/// Extensions of files that other programs write: meshes, volumes, scenes and particles. Extensions that this
+/// program writes are not among them.
+const FOREIGN_EXTENSIONS: [&str; 25] = [
+    "3dm", "3ds", "3mf", "bgeo", "blend", "c4d", "csv", "dae", "dxf", "fbx", "geo", "hdf5", "iges", "json",
+    "lwo", "mdd", "nvdb", "pc2", "usd", "usdz", "vtk", "vtu", "wrl", "x3d", "xyz",
+];
 
 fn is_stdout(out: &Path) -> bool {
     ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"].iter().any(|name| out == Path::new(name))
@@ -183,8 +229,12 @@ fn is_stdout(out: &Path) -> bool {
 fn file_extension(out: &Path) -> Option<String> {
     let extension = out.extension()?.to_str()?.to_ascii_lowercase();
     let is_known = OutputFormat::from_extension(&extension).is_some();
-    let ends_like_a_folder = out.as_os_str().to_string_lossy().ends_with(std::path::is_separator);
-    (is_known && !ends_like_a_folder && !out.is_dir()).then_some(extension)
+    (is_known && !is_existing_or_named_folder(out)).then_some(extension)
+}
+
+/// Whether a path is a folder, or ends like the name of one.
+fn is_existing_or_named_folder(out: &Path) -> bool {
+    out.as_os_str().to_string_lossy().ends_with(std::path::is_separator) || out.is_dir()
 }
 
 /// The format for the standard output.

@@ -215,7 +215,11 @@ impl MatchedInputs {
         }
         if self.count() == count_before && !may_be_empty {
             let hint = match subfolder_count(folder) {
-                _ if has_level_set => ": `convert` takes level sets by name, or by a pattern".to_owned(),
+                _ if has_level_set => format!(
+                    ": `convert` takes level sets by name, or by a pattern such as '{}'",
+                    folder.join("*.vdb").display()
+                ),
+                0 if file_count == 0 => bail!("{}: the folder is empty", folder.display()),
                 0 => String::new(),
                 count => format!("; it has {}: give them by name", pluralize(count, "sub-folder")),
             };

@@ -163,9 +163,12 @@ impl SweepAxis {
     fn values(&self, settings: &Settings) -> Result<Vec<SweepValue>, String> {
         let &Parameter { name, amounts: (unit, numbers), .. } = self.parameter;
         if self.parameter.value_in(settings).is_none() {
-            return Err(format!(
-                "--vary {name} has no effect, because particles do not depend on their neighbours: add --anisotropy neighbors"
-            ));
+            let needed = MethodOptions::info(self.parameter.option).and_then(|info| info.need.as_ref());
+            let reason = needed.map_or("with the other options".to_owned(), |need| {
+                // Each of two needs is sufficient.
+                format!("without {}", need.what.replace(" and ", " or "))
+            });
+            return Err(format!("--vary {name} has no effect {reason}"));
         }
         let value = |amount: AxisValue| self.parameter.value(amount, settings);
         if let Some(amounts) = &self.amounts {
@@ -449,8 +452,16 @@ mod tests {
             let vary: ParameterSweep = text.parse().expect(text);
             vary.values(&settings()).err().unwrap_or_default()
         };
-        for name in ["thin", "alone", "stretch", "neighbors=1,2"] {
-            assert!(refused(name).contains("has no effect"), "{name}: {}", refused(name));
+        for (name, reason) in [
+            ("thin", "--vary thin has no effect without --anisotropy neighbors"),
+            ("alone", "--vary alone has no effect without --anisotropy neighbors"),
+            ("stretch", "--vary stretch has no effect without --anisotropy"),
+            (
+                "neighbors=1,2",
+                "--vary neighbors has no effect without --anisotropy neighbors or --position-smoothing",
+            ),
+        ] {
+            assert_eq!(refused(name), reason);
         }
         assert_eq!(refused("offset"), "--vary offset has no values: write offset=VALUE,VALUE");
         assert_eq!(refused("offset=0,0.1"), "");

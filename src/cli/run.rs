@@ -331,7 +331,11 @@ impl<'a> Batch<'a> {
         let failed_count = self.outcomes.failures.len();
         let mut summary =
             format!("{}: {} done", pluralize(self.outcomes.noted_count, "frame"), self.outcomes.done_count);
-        for (count, what) in [(failed_count, "failed"), (self.outcomes.not_started_count, "not started")] {
+        for (count, what) in [
+            (failed_count, "failed"),
+            (self.outcomes.not_started_count, "not started"),
+            (console.left_out_count(), "left out"),
+        ] {
             if count > 0 {
                 summary += &format!(", {count} {what}");
             }

@@ -153,13 +153,14 @@ fn without_conflicts(sequences: Vec<SelectedSequence>, console: &mut Console) ->
                     selected.sequence.name
                 ),
             };
-            console.fail(format_args!(
+            let what = format!(
                 "{} and {other} would both become {}.*: \
                  {other} {left_out} with a separate command and another --out",
                 owner.display(),
                 FrameFile::new(other.clone()).stem(),
                 other = other.display()
-            ));
+            );
+            console.leave_out(conflicts.len(), what);
         }
         kept.extend((!selected.selected.is_empty()).then_some(selected));
     }

@@ -18,6 +18,9 @@ fn contradictory_arguments_are_refused() {
     write_sequence(path, 1, 2);
     fs::create_dir(path.join("empty")).expect("made");
     fs::write(path.join("empty/README.txt"), "Nothing to see here.\n").expect("written");
+    fs::create_dir(path.join("nothing")).expect("made");
+    fs::create_dir(path.join("level_sets")).expect("made");
+    fs::write(path.join("level_sets/dam.1.vdb"), "").expect("written");
     assert_refused(path, &[], &["Usage"]);
     assert_refused(path, &["convert", "dam.1.ply"], &["--out"]);
     assert_refused(path, &["convert", "--out", "o"], &["INPUT"]);
@@ -49,6 +52,16 @@ fn contradictory_arguments_are_refused() {
         (&["dam.1.ply", "--clip", "0,0,0,1,1"], &["0,0,0,1,1", "six numbers x0,y0,z0,x1,y1,z1"]),
         (&["dam.1.ply", "--smooth-normals", "5"], &["5: no such file", "--smooth-normals=5"]),
         (&["dam.1.ply", "--attributes", "all,age"], &["`all,age`", "or only names"]),
+        (
+            &["dam.1.ply", "--print-settings", "--format", "abc", "--sequence-glb", "x.glb"],
+            &["--sequence-glb: a sequence file is made from the .glb files", "add glb to --format"],
+        ),
+        (&["--print-settings", "--sequence-glb", "x.abc"], &["must end in .glb"]),
+        (&["nothing"], &["nothing: the folder is empty"]),
+        (
+            &["level_sets"],
+            &["`convert` takes level sets by name, or by a pattern such as 'level_sets/*.vdb'"],
+        ),
     ] {
         assert_refused(path, &[&["convert", "--out", "o/deep"], arguments].concat(), words);
         assert!(!path.join("o").exists(), "{arguments:?} left the folder that it made");
@@ -153,29 +166,6 @@ fn folder_without_write_permission_is_refused() {
     }
 }
 
-#[test]
-fn misspelt_option_is_refused_with_a_suggestion() {
-    let folder = folder();
-    for (typed, meant) in [
-        (&["convert", "a.ply", "--ouput", "o"][..], "'--out'"),
-        (&["convert", "a.ply", "--output=o"], "'--out'"),
-        (&["watch", "in", "--outptu", "o"], "'--out'"),
-        (&["convert", "a.ply", "--upp", "z"], "'--up'"),
-        (&["convert", "a.ply", "--presett", "water"], "'--preset'"),
-        (&["tune", "a.ply", "--ouput", "t.png"], "'--output'"),
-    ] {
-        let result = meniscus(folder.path(), typed);
-        assert_eq!(result.status, 2);
-        let tip = result.err.lines().find(|line| line.contains("similar argument"));
-        assert!(tip.is_some_and(|tip| tip.ends_with(meant)), "{typed:?}: {}", result.err);
-        assert!(
-            result.err.contains("Usage: ") && !result.err.contains("--up <AXIS>") || meant == "'--up'",
-            "{}",
-            result.err
-        );
-    }
-}
-
 /// Two presets with the same radii differ by their smoothing time.
 #[test]
 fn presets_differ_in_their_settings() {
@@ -206,16 +196,6 @@ fn help_and_version_succeed() {
     let help = meniscus(folder.path(), &["convert", "--help"]).out;
     for word in ["[default: 0.4d", "√3·h", "r_max / r_min", "0.9 spacings", "Exit status"] {
         assert!(help.contains(word), "the help does not say {word}");
-    }
-}
-
-#[test]
-fn unmeasurable_spacing_is_an_error_that_names_the_option() {
-    let folder = folder();
-    write_ply(&folder.path().join("one.ply"), &block(1, 0.0));
-    write_ply(&folder.path().join("none.ply"), &[]);
-    for name in ["one.ply", "none.ply"] {
-        assert_refused(folder.path(), &["convert", name, "--out", "o"], &[name, "--spacing"]);
     }
 }
 

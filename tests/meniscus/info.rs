@@ -1,8 +1,11 @@
 //! The command `info`, which describes files.
 
 use std::fs;
+use std::io::Write;
 use std::process::Stdio;
 
+use flate2::Compression;
+use flate2::write::GzEncoder;
 use serde_json::Value;
 use tempfile::tempdir;
 
@@ -33,11 +36,20 @@ fn particles_are_described() {
 }
 
 #[test]
-fn system_error_is_printed_once() {
+fn missing_file_is_reported_as_by_other_commands() {
     let folder = tempdir().expect("a folder");
     let result = meniscus(folder.path(), &["info", "nowhere.ply"]);
-    assert_eq!(result.status, 2, "{}", result.err);
-    assert_eq!(result.err.matches("os error 2").count(), 1, "{}", result.err);
+    assert_eq!((result.status, &*result.err), (2, "error: nowhere.ply: no such file or folder\n"));
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink("nowhere.ply", folder.path().join("link.ply")).expect("linked");
+        let result = meniscus(folder.path(), &["info", "link.ply"]);
+        assert!(
+            result.err.contains("link.ply: this link leads to a file that does not exist"),
+            "{}",
+            result.err
+        );
+    }
 }
 
 #[test]
@@ -90,6 +102,30 @@ fn meshes_are_described() {
     assert_eq!((&mesh["boundary_edges"], &mesh["non_manifold_edges"]), (&0.into(), &0.into()));
     let volume = mesh["volume"].as_f64().expect("a number");
     assert!((volume - 1.0 / 6.0).abs() < 1e-12, "{volume}");
+    // A compressed mesh is described, too.
+    let mut packed = GzEncoder::new(Vec::new(), Compression::default());
+    packed.write_all(tetrahedron.as_bytes()).expect("packed");
+    fs::write(folder.path().join("t.obj.gz"), packed.finish().expect("packed")).expect("written");
+    let packed: Value = serde_json::from_str(&meniscus(folder.path(), &["info", "--json", "t.obj.gz"]).out)
+        .expect("the output is JSON");
+    assert_eq!((&packed[0]["mesh"], &packed[0]["gzipped"]), (mesh, &true.into()), "{packed}");
+}
+
+#[test]
+fn files_that_are_neither_particles_nor_surfaces_are_named() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    fs::write(path.join("picture.png"), b"\x89PNG\r\n\x1a\n and so on").expect("written");
+    fs::write(path.join("daemon.toml"), "[[watch]]\ninput = \"in\"\n").expect("written");
+    fs::write(path.join("data.json"), "[[1, 2], [3, 4]]\n").expect("written");
+    for (file, words) in [
+        ("picture.png", "PNG image: this is a picture, not particles"),
+        ("daemon.toml", "TOML: not a supported particle format"),
+        ("data.json", "JSON: not a supported particle format"),
+    ] {
+        let result = meniscus(path, &["info", file]);
+        assert!(result.status == 2 && result.err.contains(words), "{}", result.err);
+    }
 }
 
 /// Meshes have 32-bit positions relative to an origin; their sums have more digits than the positions.

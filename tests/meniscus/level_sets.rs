@@ -2,8 +2,11 @@
 //! options.
 
 use std::fs;
+use std::io::Write;
 use std::path::Path;
 
+use flate2::Compression;
+use flate2::write::GzEncoder;
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
@@ -145,7 +148,30 @@ fn options_that_need_particles_are_refused_by_name() {
             &["convert", "--particles-only", "in/block.vdb", "--out=out"],
             "block.vdb: --particles-only needs particles",
         ),
-        (&["watch", "in", "--out=watched", "--once"], "no frames to convert: 1 level set left alone"),
+        (
+            &["watch", "in", "--out=watched", "--once"],
+            "no frames to convert: 1 level set left alone; --pattern '*.vdb' selects level sets",
+        ),
+        (
+            &["watch", "in", "--out=watched", "--once", "--pattern=*"],
+            "no frames to convert: 1 level set left alone; --pattern '*.vdb' selects level sets",
+        ),
+        (
+            &["watch", "in", "--out=watched", "--once", "--pattern=*.vdb"],
+            "no frames to convert: 1 level set left alone: results that meniscus wrote are not inputs",
+        ),
+        (
+            &["watch", "in", "--out=watched", "--once", "--pattern=foo*.ply"],
+            "no frames to convert: none of the 2 files in this folder matches foo*.ply",
+        ),
+        (
+            &["watch", "in", "--out=watched", "--once", "--pattern=*.VDB"],
+            "matches *.VDB; capital and small letters differ",
+        ),
+        (
+            &["watch", "in", "--out=watched", "--once", "--pattern={*.vdb,*.obj}"],
+            "matches {*.vdb,*.obj}; braces have no meaning in a pattern",
+        ),
     ] {
         let result = meniscus(folder, arguments);
         assert_eq!(result.status, 2, "{arguments:?}");
@@ -154,6 +180,32 @@ fn options_that_need_particles_are_refused_by_name() {
     }
     let result = meniscus(folder, &["convert", "block.ply", "--out=out", "--max-deviation=1"]);
     assert!(result.status == 2 && result.err.contains("--max-deviation is for level sets"), "{}", result.err);
+}
+
+#[test]
+fn file_that_only_has_the_name_of_a_level_set_is_refused_with_its_format() {
+    let folder = scene();
+    let folder = folder.path();
+    let level_set = fs::read(folder.join("in/block.vdb")).expect("there");
+    let mut packed = GzEncoder::new(Vec::new(), Compression::default());
+    packed.write_all(&level_set).expect("packed");
+    for (bytes, words) in [
+        (Vec::new(), "in/block.vdb: the file is empty"),
+        (
+            fs::read(folder.join("block.ply")).expect("there"),
+            "the file has another format (PLY): change its extension",
+        ),
+        (packed.finish().expect("packed"), "the file is gzipped: decompress it"),
+    ] {
+        fs::write(folder.join("in/block.vdb"), bytes).expect("written");
+        let result = convert(folder, &["--format=obj"]);
+        assert!(result.status == 2 && result.err.contains(words), "{words}: {}", result.err);
+    }
+    // A level set with another name.
+    fs::write(folder.join("level_set.ply"), level_set).expect("written");
+    let result = meniscus(folder, &["convert", "level_set.ply", "--out=out"]);
+    let words = "this is a volume, not particles: to convert a level set, rename it";
+    assert!(result.status == 2 && result.err.contains(words), "{}", result.err);
 }
 
 /// Two level sets of one sequence, `in/f.1.vdb` and `in/f.2.vdb`.
@@ -443,9 +495,15 @@ fn level_set_beyond_the_memory_fails_and_says_how_much_would_do() {
         false => Cell::Tile(0.3),
     });
     fs::write(folder.join("in/block.vdb"), bytes).expect("written");
-    let result = convert(folder, &["--format=obj", "--max-deviation=1", "--memory=16MiB"]);
-    assert_eq!(result.status, 2, "{}", result.err);
-    let needed = result.err.split("use --memory ").nth(1).and_then(|rest| rest.split(' ').next());
-    let needed = needed.unwrap_or_else(|| panic!("{}", result.err));
-    succeeded(&convert(folder, &["--format=obj", "--max-deviation=1", &format!("--memory={needed}")]));
+    // The first limit is too small for reading the file, the second for smoothing. Either error has the
+    // memory for both.
+    for memory in ["--memory=2MiB", "--memory=16MiB"] {
+        let result = convert(folder, &["--format=obj", "--max-deviation=1", memory]);
+        assert_eq!(result.status, 2, "{}", result.err);
+        let needed = result.err.split("use --memory ").nth(1).and_then(|rest| rest.split(' ').next());
+        let needed = needed.unwrap_or_else(|| panic!("{}", result.err));
+        succeeded(&convert(folder, &["--format=obj", "--max-deviation=1", &format!("--memory={needed}")]));
+    }
+    let result = convert(folder, &["--format=obj", "--memory=1MiB"]);
+    assert!(result.err.contains("the level set, in a file of 2 MiB, needs"), "{}", result.err);
 }

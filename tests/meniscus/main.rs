@@ -38,6 +38,7 @@ mod sphere_flow; // a noisy sphere under both flows (paper, Fig. 5)
 mod stages; // stages that play the files of the frames
 mod steps; // files with several frames: LAMMPS dumps and atoms
 mod stream; // frames that arrive over time: order, limits, failures
+mod suggestions; // unknown options: misspelt ones, and those of other commands
 mod surface; // meshes are sound, and in the right position
 mod union_of_spheres; // rasterization, compared with the geometry of spheres
 #[cfg(target_os = "linux")]

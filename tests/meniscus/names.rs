@@ -147,6 +147,19 @@ fn file_name_that_cannot_be_written_is_refused_with_a_remedy() {
         (&["convert", "dam.1.ply", "-o", "X.PLY"], &["X.PLY", "use X.ply"]),
         (&["convert", "dam.1.ply", "-o", "x.Png"], &["x.Png", "meniscus render"]),
         (&["watch", ".", "--once", "--out", "dam.GLB"], &["dam.GLB", "folder"]),
+        (
+            &["convert", "dam.#.ply", "--out", "x.fbx"],
+            &["x.fbx: .fbx is not an output format: use .glb,", "for a folder of this name, write x.fbx/"],
+        ),
+        (&["convert", "dam.1.ply", "-o", "new/x.USD"], &["new/x.USD: .USD is not", "write new/x.USD/"]),
+        (&["convert", "dam.1.ply", "-o", "x.gbl"], &["x.gbl: .gbl is not", "write x.glb", "write x.gbl/"]),
+        (&["convert", "dam.1.ply", "-o", "x.glft"], &["write x.gltf"]),
+        (&["convert", "dam.1.ply", "-o", "x.us.objj"], &["write x.us.obj"]),
+        (
+            &["plan", "dam.#.ply", "--out", "x.dae", "--output", "p.json", "--shards", "1"],
+            &["x.dae: .dae is not an output format"],
+        ),
+        (&["watch", ".", "--once", "--out", "x.bgeo"], &["x.bgeo: .bgeo is not an output format"]),
     ] {
         let result = meniscus(path, arguments);
         assert_eq!(result.status, 2, "{arguments:?}: {} {}", result.out, result.err);
@@ -157,7 +170,10 @@ fn file_name_that_cannot_be_written_is_refused_with_a_remedy() {
     assert_eq!(names_in(path), ["dam.1.ply", "dam.2.ply"]);
     // A folder may have any name.
     fs::create_dir(path.join("old.obj")).expect("made");
-    for out in ["old.obj", "new.obj/"] {
+    fs::create_dir(path.join("old.fbx")).expect("made");
+    for out in
+        ["old.obj", "new.obj/", "old.fbx", "new.fbx/", "run.v2", "cache.0001", "all.objs", "a.old", "b.max"]
+    {
         let result = convert(path, &["dam.#.ply", "--format", "obj", "--out", out]);
         assert_eq!(result.status, 0, "{}", result.err);
         assert_eq!(names_in(&path.join(out)), ["dam.1.obj", "dam.2.obj"]);
@@ -280,6 +296,7 @@ fn one_of_two_files_for_one_result_is_converted() {
         assert!(result.err.contains(words), "{words}: {}", result.err);
     }
     assert!(result.err.contains("in/dam.1.csv and in/dam.1.ply.gz would both become"), "{}", result.err);
+    assert!(result.out.contains("2 frames: 2 done, 3 left out"), "{}", result.out);
     // The daemon gives the output name to the file that is complete first. By default, it waits longer until
     // it considers a table complete.
     let watch = ["watch", "in", "--once", "--out", "watched", "--format", "obj"];

@@ -2,6 +2,7 @@
 //! the volume per random particle, and twice the radius of the particles of a simulation.
 
 use std::f64::consts::PI;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
@@ -12,7 +13,7 @@ use meniscus_formats::{Limits, read_particles};
 use serde_json::Value;
 use tempfile::tempdir;
 
-use crate::scene::{block, meniscus, write_ply};
+use crate::scene::{block, meniscus, write_ply, write_sequence};
 
 /// A generator of pseudo-random numbers from 0 to 1, the same on every machine.
 struct Random(u64);
@@ -405,4 +406,37 @@ fn one_particle_alone_has_no_spacing() {
     assert!(result.err.contains("about 0.1 apart, which is uncertain"), "{}", result.err);
     let result = meniscus(path, &["info", "two.ply"]);
     assert!(result.out.contains("0.1, confidence 29 %"), "{}", result.out);
+}
+
+#[test]
+fn unmeasurable_spacing_is_an_error_that_names_the_option() {
+    let folder = tempdir().expect("a folder");
+    write_ply(&folder.path().join("one.ply"), &block(1, 0.0));
+    write_ply(&folder.path().join("none.ply"), &[]);
+    for name in ["one.ply", "none.ply"] {
+        let result = meniscus(folder.path(), &["convert", name, "--out", "o"]);
+        assert_eq!(result.status, 2, "{}", result.err);
+        assert!(result.err.contains(name) && result.err.contains("--spacing"), "{}", result.err);
+    }
+}
+
+#[test]
+fn unmeasurable_spacing_of_unusable_particles_is_explained() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    // With a given spacing, the surface would be empty.
+    write_ply(&path.join("nan.ply"), &[[f64::NAN; 3]; 4]);
+    fs::write(path.join("nan.csv"), "x,y,z\nnan,0,0\n0,inf,0\n").expect("written");
+    for (name, words) in [
+        ("nan.ply", "because no particle of nan.ply has a finite position"),
+        ("nan.csv", "(skipped 2 of 2 rows without a finite position)"),
+    ] {
+        let result = meniscus(path, &["convert", name, "--out", "o"]);
+        assert!(result.status == 2 && result.err.contains(words), "{}", result.err);
+        assert!(!result.err.contains("--spacing"), "{}", result.err);
+    }
+    write_sequence(path, 1, 3);
+    let result = meniscus(path, &["convert", "dam.#.ply", "--out", "o", "--radius-attribute", "pscale"]);
+    assert!(result.err.contains("`pscale`") && result.err.contains("; the same applies to all 3 frames"));
+    assert!(!result.err.contains("can be read"), "{}", result.err);
 }

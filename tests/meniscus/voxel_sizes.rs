@@ -92,13 +92,16 @@ fn every_command_refuses_voxels_that_are_too_small() {
         &["watch", "in", "--out", "seen", "--once", "--settle", "0s"],
     ] {
         let result = meniscus(path, &[command, &["--voxel-size", "1e-9"]].concat());
-        let words = "r_max is 230000000 voxels; it must be at most 64: choose a larger voxel size";
+        // A smaller ratio would not help.
+        let words = "the voxel size 1e-9 is too small: r_max is 230000000 voxels; it must be at most 64; \
+                     use a voxel size of at least 0.0036";
         assert!(
             result.status != 0 && result.err.contains(words),
             "{command:?}: {}{}",
             result.out,
             result.err
         );
+        assert!(!result.err.contains("smaller ratio"), "{}", result.err);
         let result = meniscus(path, &[command, &["--preset", "paper", "--voxel-size", "1e-9"]].concat());
         assert_ne!(result.status, 0, "{command:?}: {}{}", result.out, result.err);
         for word in [

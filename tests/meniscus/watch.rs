@@ -41,7 +41,8 @@ fn contradictory_arguments_are_refused_before_any_output() {
     ] {
         assert_refused(path, &[&["in", "--out", "out"], arguments].concat(), words);
     }
-    assert_refused(path, &["meniscus.toml", "--out", "out"], &["this is a file, and watch needs a folder"]);
+    let file = "error: meniscus.toml: this is a file, and watch needs a folder";
+    assert_refused(path, &["meniscus.toml", "--out", "out"], &[file]);
     assert!(!path.join("out").exists());
 }
 

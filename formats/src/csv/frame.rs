@@ -6,12 +6,15 @@ use super::rows::Table;
 use crate::columns::{self, Group};
 use crate::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values};
 
+/// The end of the note about particles that were skipped.
+pub const NOT_FINITE_NOTE: &str = "rows without a finite position";
+
 /// Groups the columns by their names.
 pub(super) fn frame(layout: TableLayout, mut table: Table) -> ParticleFrame {
     let mut notes = layout.notes;
     if table.dropped_row_count != 0 {
         let (dropped, all) = (table.dropped_row_count, table.dropped_row_count + table.row_count as u64);
-        notes.push(format!("skipped {dropped} of {all} rows without a finite position"));
+        notes.push(format!("skipped {dropped} of {all} {NOT_FINITE_NOTE}"));
     }
     let [x, ..] = layout.position;
     if let Some(unit) = columns::unit_of(&layout.names[x]).filter(|&unit| unit != "m") {

@@ -28,6 +28,7 @@ mod layout;
 mod parts;
 mod rows;
 
+pub use frame::NOT_FINITE_NOTE;
 pub(crate) use layout::{looks_like_particles, names_position};
 
 use crate::row::{FormatRow, ParticleInput};

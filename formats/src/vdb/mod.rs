@@ -42,7 +42,9 @@ mod uuid;
 mod write;
 
 pub use metadata::MetaValue;
-pub use read::{GridInfo, grids, has_velocity, read_level_set, read_vectors};
+pub use read::{
+    GridInfo, LevelSetOutline, grids, has_velocity, level_set_outline, read_level_set, read_vectors,
+};
 pub use read_tree::{ConstantTile, GridData, LevelSetData, VectorGridData};
 pub use transform::Transform;
 pub use write::{EncodedVdb, WriteOptions, encode, grid_notes, write};

@@ -11,8 +11,8 @@ use super::layout::{
 };
 use super::metadata::{MetaValue, read_metadata};
 use super::read_tree::{
-    GridData, LevelSetData, TreeBudget, ValueStorage, VectorGridData, VoxelValue, count_tree, pass_tree,
-    read_tree,
+    GridData, LevelSetData, TreeBudget, TreeSize, ValueStorage, VectorGridData, VoxelValue, count_tree,
+    outline_of_tree, pass_tree, read_tree,
 };
 use super::transform::Transform;
 use super::{DESCRIPTOR_BYTES_MAX, FORMAT};
@@ -68,9 +68,47 @@ pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Resu
     let entry = find_level_set(&entries, name)?;
     let (mut cursor, storage, _) = tree_cursor(bytes, &entries, entry)?;
     let size = count_tree::<f32>(&mut cursor, storage, &mut TreeBudget::new(bytes.len(), limits))?;
-    let content = format!(", with {} leaves and {} tiles,", size.leaf_count, size.tile_count);
-    limits.check_level_set(bytes.len() as u64 + size.memory_bytes(), &content)?;
+    limits.check_level_set(bytes.len() as u64 + size.memory_bytes(), &size.described())?;
     read_grid(bytes, &entries, entry, limits)
+}
+
+/// The part of a level set that determines how much memory it needs.
+#[derive(Clone, Debug)]
+pub struct LevelSetOutline {
+    /// Maps voxel coordinates to world positions.
+    pub transform: Transform,
+    /// Half the thickness of the band, world units.
+    pub background: f32,
+    /// Origins of the leaves, in voxels.
+    pub origins: Vec<[i32; 3]>,
+    size: TreeSize,
+}
+
+impl LevelSetOutline {
+    /// Fails, like [`Limits::check_level_set`], if reading the file of this size, or using its level set,
+    /// needs more memory than the limit.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`] with the larger of the two amounts.
+    pub fn check_memory(&self, file_bytes: u64, using_bytes: u64, limits: &Limits) -> Result<()> {
+        let reading_bytes = file_bytes.saturating_add(self.size.memory_bytes());
+        limits.check_level_set(reading_bytes.max(using_bytes), &self.size.described())
+    }
+}
+
+/// The outline of the grid that [`read_level_set`] reads. Takes much less memory: at most a fifth of the
+/// file's size.
+///
+/// # Errors
+///
+/// Those of [`read_level_set`], except that for too little memory.
+pub fn level_set_outline(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Result<LevelSetOutline> {
+    let entries = entries(bytes, limits)?;
+    let entry = find_level_set(&entries, name)?;
+    let (mut cursor, storage, transform) = tree_cursor(bytes, &entries, entry)?;
+    let mut budget = TreeBudget::new(bytes.len(), limits);
+    let (background, origins, size) = outline_of_tree(&mut cursor, storage, &mut budget)?;
+    Ok(LevelSetOutline { transform, background, origins, size })
 }
 
 fn find_level_set<'a>(entries: &'a [GridEntry], name: Option<&str>) -> Result<&'a GridEntry> {

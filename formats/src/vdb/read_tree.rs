@@ -55,13 +55,18 @@ impl GridData<f32> {
 }
 
 /// The size of a tree of floats.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct TreeSize {
     pub(super) leaf_count: usize,
     pub(super) tile_count: usize,
 }
 
 impl TreeSize {
+    /// The contents of the tree, in words.
+    pub(super) fn described(self) -> String {
+        format!(", with {} leaves and {} tiles,", self.leaf_count, self.tile_count)
+    }
+
     pub(super) fn memory_bytes(self) -> u64 {
         self.leaf_count as u64 * LEAF_BYTES + self.tile_count as u64 * TILE_BYTES
     }
@@ -182,6 +187,16 @@ pub(super) fn count_tree<V: VoxelValue>(
     Ok(TreeReader::<V>::of_topology(cursor, storage, budget, Keep::Counts)?.size)
 }
 
+/// The background of a tree, the origins of its leaves, and its size. Stores no values.
+pub(super) fn outline_of_tree<V: VoxelValue>(
+    cursor: &mut VdbCursor,
+    storage: ValueStorage,
+    budget: &mut TreeBudget,
+) -> Result<(V, Vec<[i32; 3]>, TreeSize)> {
+    let reader = TreeReader::of_topology(cursor, storage, budget, Keep::Origins)?;
+    Ok((reader.background, reader.data.origins, reader.size))
+}
+
 /// Reads the topology of a tree, but not the values of its leaves, which follow.
 fn read_topology<V: VoxelValue>(reader: &mut TreeReader<V>, cursor: &mut VdbCursor) -> Result<()> {
     const CHILD_BYTES_MIN: usize = 12 + 2 * 4096 + 1;
@@ -229,10 +244,13 @@ fn empty<V>(background: V) -> GridData<V> {
     }
 }
 
-/// Whether a reader stores the leaves and tiles or only counts them.
+/// What a reader stores of the leaves and tiles.
 #[derive(Clone, Copy, PartialEq)]
 enum Keep {
     All,
+    /// The origins of the leaves.
+    Origins,
+    /// Nothing: it only counts.
     Counts,
 }
 
@@ -299,7 +317,7 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
                 cursor.take(64, "the mask of a leaf")?; // repeated with the leaf's values
                 self.budget.spend(12 + 2048 * V::COUNT + 64)?;
                 self.size.leaf_count += 1;
-                if self.keep == Keep::All {
+                if self.keep != Keep::Counts {
                     self.data.origins.push(origin);
                 }
             } else {

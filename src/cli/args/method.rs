@@ -21,8 +21,8 @@ option_set! {
         #[command(flatten)]
         pub(in crate::cli) options: MethodOptions,
 
-        /// Obstacles that the surface must not enter: .obj, .glb, .gltf, .ply, .stl, .vtk, .vtp, .vtu, or a
-        /// .vdb level set; may be repeated
+        /// Obstacles that the surface must not enter: .obj, .glb, .gltf, .ply, .stl, .vtk, .vtp, .vtu, .usdc,
+        /// .abc, or a .vdb level set; may be repeated
         ///
         /// A file applies to all frames. With a numbered pattern such as body.####.obj, each frame uses the
         /// file with its own number.

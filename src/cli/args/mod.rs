@@ -105,9 +105,9 @@ option_set! {
         /// output
         ///
         /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is created. If PATH is a file,
-        /// its extension selects the format. Files are written under temporary names, and renamed when they
-        /// are complete. A result that would replace an input, or particles or a level set of another program,
-        /// is refused.
+        /// its extension selects the format. A new folder whose name ends like a file, such as shot.obj, is
+        /// written shot.obj/. Files are written under temporary names, and renamed when they are complete. A
+        /// result that would replace an input, or particles or a level set of another program, is refused.
         #[arg(short, long, value_name = "PATH", required_unless_present_any = ["print_settings", "plan"])]
         pub(super) out: Option<PathBuf>,
 
@@ -153,7 +153,10 @@ option_set! {
         pub(super) plan: Option<PathBuf>,
 
         /// Index of the shard to convert, from 0; or slurm, for the value of SLURM_ARRAY_TASK_ID
-        #[arg(long, value_name = "K", requires = "plan", value_parser = parse_shard, help_heading = "Farm")]
+        #[arg(
+            long, value_name = "K", requires = "plan", allow_negative_numbers = true, value_parser = parse_shard,
+            help_heading = "Farm"
+        )]
         pub(super) shard: Option<ShardChoice>,
 
         #[command(flatten)]

@@ -23,7 +23,8 @@ use meniscus_formats::{
 use serde::Serialize;
 
 use crate::pipeline::{
-    FrameError, file_of, frames_in, frames_in_unless, measure_spacing, read_file, read_regular, step_of,
+    FrameError, file_of, frames_in, frames_in_unless, is_absent, measure_spacing, read_file, read_regular,
+    step_of,
 };
 
 use super::args::InfoArgs;
@@ -152,6 +153,12 @@ impl FileInfo {
                 path.join("*.glb").display()
             );
         }
+        if path.symlink_metadata().is_err_and(|error| is_absent(path, &error)) && step_of(path).is_none() {
+            bail!("no such file or folder");
+        }
+        if path.is_symlink() && path.metadata().is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
+            bail!("this link leads to a file that does not exist");
+        }
         let bytes = match step_of(path) {
             None => {
                 // A file with too many frames is refused before it is read as a whole.
@@ -168,6 +175,15 @@ impl FileInfo {
         self.bytes = bytes.len();
         let limits = Limits::default();
         self.made_by = if codec.is_none() { made_by(kind, &bytes) } else { None };
+        // The readers of surfaces read uncompressed bytes. Particle files are decompressed by their reader, and
+        // compressed level sets are refused by it.
+        let is_packed_mesh = codec.is_some()
+            && kind.format().is_some_and(|format| format.has_mesh() && !format.has_particles());
+        if is_packed_mesh {
+            let no_files = |_: &str| -> io::Result<Vec<u8>> { Err(io::ErrorKind::NotFound.into()) };
+            self.mesh = Some(MeshInfo::of(&read_mesh(&bytes, &name, &limits, &no_files)?));
+            return Ok(());
+        }
         match kind {
             ProbedKind::Format(format)
                 if codec.is_none() && self.fill_surface(format, &bytes, (&name, &limits))? => {}

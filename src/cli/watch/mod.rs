@@ -11,6 +11,7 @@
 //! with the old plan.
 
 mod log;
+mod no_frames;
 mod plan;
 mod service;
 mod signals;
@@ -32,8 +33,7 @@ use crate::watch::{self, DaemonRequest, EndReason, FailedFrame, Notice, Watch, W
 
 use super::CommandOutcome;
 use super::args::{LogChoice, WatchArgs};
-use super::render_session::level_sets_in;
-use super::wording::{FRAMES_IN_VIEW, failed_validation, pluralize, with_causes};
+use super::wording::{FRAMES_IN_VIEW, failed_validation, with_causes};
 
 use plan::WatchPlan;
 pub(super) use plan::make_plan;
@@ -123,7 +123,7 @@ fn log_summary(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) ->
         }
     }
     if *ended == EndReason::Drained && done_count + failed.len() + left_count == 0 {
-        warn!("there are no frames to convert{}", level_sets_left(watches));
+        warn!("there are no frames to convert{}", no_frames::reasons(watches));
     }
     let why = match ended {
         EndReason::Drained if failed.len() + left_count == 0 => "no frames are left to convert",
@@ -144,18 +144,6 @@ fn log_summary(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) ->
         _ => {
             CommandOutcome::of(*done_count, failed.len() + left_count, *broken_count > 0 && !allow_violations)
         }
-    }
-}
-
-/// The number of level sets in the watched folders, which were not converted, as text; empty if there are
-/// none.
-fn level_sets_left(watches: &[Watch]) -> String {
-    match watches.iter().map(|watch| level_sets_in(&watch.input).len()).sum() {
-        0 => String::new(),
-        count => format!(
-            ": {} left alone; --pattern '*.vdb' selects level sets, except those that meniscus wrote",
-            pluralize(count, "level set")
-        ),
     }
 }
 

@@ -6,7 +6,8 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use glam::DVec3;
+use glam::{DVec3, IVec3};
+use meniscus_formats::vdb;
 use meniscus_formats::{Error, FilePositions, Limits, ParticleBatch, ParticleBatches};
 
 use crate::surface::grid::Leaf;
@@ -14,11 +15,11 @@ use crate::surface::level_set::NarrowBand;
 use crate::surface::particles::{self, ParticleCloud, ParticleSource, Shapes};
 
 use crate::surface::options::Settings;
-use crate::surface::reconstruction::{self, ShapedSource};
+use crate::surface::reconstruction::{self, ShapedSource, smooth_level_set_bytes_max};
 use crate::surface::report::ShapeStats;
 
 use super::frame::{Frame, Job};
-use super::level_set_file::LevelSetFile;
+use super::level_set_file::{LevelSetFile, is_leaf_origin, level_set_limits, voxel_size};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::target::outputs::OutputFormat;
@@ -66,7 +67,8 @@ pub(crate) fn read_input(
     bytes: &[u8],
     memory_bytes: u64,
 ) -> Result<(Frame, LevelSetFile), FrameError> {
-    let file = LevelSetFile::of_bytes(&frame.input, bytes, false, memory_bytes)?;
+    let file = LevelSetFile::of_bytes(&frame.input, bytes, false, memory_bytes)
+        .map_err(|error| too_large(frame, bytes, memory_bytes).unwrap_or(error))?;
     let refused =
         |what: String| FrameError::file(&frame.input, Stage::Read, Error::unsupported("OpenVDB", what));
     file.require_level_set().map_err(refused)?;
@@ -83,6 +85,24 @@ pub(crate) fn read_input(
     }
     let job = Job::LevelSet { max_deviation_voxels: frame.job.max_deviation_voxels(), origin: file.origin() };
     Ok((Frame { settings: settings.into(), job, ..frame.clone() }, file))
+}
+
+/// The error of a level set that exceeds the memory limit, with the memory for all stages and not only for
+/// reading it: the user should have to raise the limit only once. `None` for other level sets.
+fn too_large(frame: &Frame, bytes: &[u8], memory_bytes: u64) -> Option<FrameError> {
+    let limits = level_set_limits(memory_bytes);
+    let outline = vdb::level_set_outline(bytes, None, &limits).ok()?;
+    let voxel_size = voxel_size(&outline.transform)?;
+    let settings = frame.settings.with_voxel_size(voxel_size).ok()?;
+    let half_width = (f64::from(outline.background) / voxel_size) as f32;
+    let origins: Vec<IVec3> = outline.origins.iter().copied().map(IVec3::from).collect();
+    if !origins.iter().all(is_leaf_origin) {
+        return None;
+    }
+    let deviation = frame.job.max_deviation_voxels() as f32;
+    let needed_bytes = smooth_level_set_bytes_max(&origins, half_width, deviation, &settings);
+    let error = outline.check_memory(bytes.len() as u64, needed_bytes, &limits).err()?;
+    Some(FrameError::file(&frame.input, Stage::Read, error))
 }
 
 /// The particles in a file.

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use glam::{DVec3, IVec3};
 use meniscus_formats::vdb::{self, LevelSetData, Transform, VectorGridData};
-use meniscus_formats::{Error, Limits};
+use meniscus_formats::{Error, Format, Limits, Position, Probe, ProbedKind, probe};
 use twox_hash::XxHash3_128;
 
 use crate::surface::grid::{Field, LEAF_EDGE, Leaf, Topology};
@@ -58,6 +58,7 @@ impl LevelSetFile {
     ) -> Result<LevelSetFile, FrameError> {
         let fail = |error| FrameError::file(path, Stage::Read, error);
         let hash = XxHash3_128::oneshot(bytes);
+        refuse_other_format(bytes).map_err(fail)?;
         let limits = level_set_limits(memory_bytes);
         let data = vdb::read_level_set(bytes, None, &limits).map_err(fail)?;
         let (transform, name, class) = (data.transform, data.name.clone(), data.class.clone());
@@ -117,6 +118,23 @@ impl LevelSetFile {
     }
 }
 
+/// Refuses a file in another format, which only has the name of a level set.
+fn refuse_other_format(bytes: &[u8]) -> Result<(), Error> {
+    if bytes.is_empty() {
+        return Err(Error::truncated("", Position::File, "the file is empty"));
+    }
+    let what = match probe(bytes, "") {
+        Probe { kind: ProbedKind::Format(Format::Vdb), codec: None } => return Ok(()),
+        Probe { codec: Some(codec), .. } => format!("the file is {}: decompress it", codec.adjective()),
+        // What is not recognised may be a damaged file.
+        Probe { kind: ProbedKind::Unknown, codec: None } => return Ok(()),
+        Probe { kind, codec: None } => {
+            format!("the file has another format ({kind}): change its extension to that of its format")
+        }
+    };
+    Err(Error::unsupported("OpenVDB", what))
+}
+
 /// Whether a file is a level set, judged by its name.
 pub fn is_level_set(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("vdb"))
@@ -154,10 +172,6 @@ fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxe
         ));
     }
     let leaf_origins: Vec<IVec3> = origins.iter().map(|&origin| IVec3::from(origin)).collect();
-    let is_leaf_origin = |origin: &IVec3| {
-        let limit = IVec3::splat(INDEX_LIMIT);
-        origin.cmpge(-limit).all() && origin.cmplt(limit).all() && (*origin & (LEAF_EDGE - 1)) == IVec3::ZERO
-    };
     if !leaf_origins.iter().all(is_leaf_origin) {
         return Err(format!("the grid \"{name}\" has voxels beyond the range of indices"));
     }
@@ -194,6 +208,12 @@ fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxe
     Ok((band, Lattice { voxel_size }, origin, None))
 }
 
+/// Whether a leaf can have this origin: it is a multiple of 8 within the range of indices.
+pub(crate) fn is_leaf_origin(origin: &IVec3) -> bool {
+    let limit = IVec3::splat(INDEX_LIMIT);
+    origin.cmpge(-limit).all() && origin.cmplt(limit).all() && (*origin & (LEAF_EDGE - 1)) == IVec3::ZERO
+}
+
 /// The velocities at the voxels of a band.
 fn velocities(
     vectors: &VectorGridData,
@@ -227,7 +247,7 @@ fn velocities(
 }
 
 /// The edge of a voxel; `None` if the voxels are not axis-aligned cubes.
-fn voxel_size(transform: &Transform) -> Option<f64> {
+pub(crate) fn voxel_size(transform: &Transform) -> Option<f64> {
     let [[x, a, b], [c, y, d], [e, f, z]] = transform.axes;
     let is_straight = [a, b, c, d, e, f].iter().all(|across| across.abs() <= SKEW_MAX * x);
     let is_even = (y - x).abs() <= SKEW_MAX * x && (z - x).abs() <= SKEW_MAX * x;

@@ -16,6 +16,7 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use meniscus_formats::csv;
 use serde::{Deserialize, Serialize};
 
 use crate::surface::options::{self, PerParticleRadius};
@@ -30,7 +31,7 @@ use super::attributes::AttributeRequest;
 use super::frame_input::{FileParticles, FrameInput};
 use super::reading::{ReadFrame, parse_particles, read_file};
 use super::steps::{frame_name, step_of};
-use crate::pipeline::error::{FrameError, Stage};
+use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::json::{path, text};
 
@@ -72,15 +73,23 @@ pub struct NoSpacing {
     pub sparse_count: usize,
     /// How many of these have no particles.
     pub empty_count: usize,
-    /// The number of unreadable frames.
+    /// The first of these that has particles but no finite position, as a sentence.
+    pub not_finite: Option<String>,
+    /// The number of frames that cannot be used: they are unreadable, or lack the radii.
     pub unreadable_count: usize,
-    /// The error of the first unreadable frame.
-    pub unreadable: Option<FrameError>,
+    /// How many of these lack the radii.
+    pub missing_count: usize,
+    /// The error of the first of these frames.
+    pub unreadable: Option<Box<FrameError>>,
 }
 
 impl fmt::Display for NoSpacing {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let NoSpacing { sparse_count, empty_count, unreadable_count, unreadable } = self;
+        let NoSpacing { sparse_count, empty_count, unreadable_count, missing_count, unreadable, .. } = self;
+        // No hint to give --spacing: the surface would be empty.
+        if let (None, Some(not_finite)) = (unreadable, &self.not_finite) {
+            return write!(f, "cannot measure the particle spacing, because {not_finite}");
+        }
         match unreadable {
             None if empty_count == sparse_count => f.write_str(
                 "cannot measure the particle spacing, because there are no particles: give --spacing",
@@ -92,7 +101,10 @@ impl fmt::Display for NoSpacing {
             // No hint to give --spacing: it would not help, because the files are unreadable.
             Some(error) if *sparse_count == 0 => match unreadable_count {
                 ..=1 => write!(f, "{error}"),
-                _ => write!(f, "{error}; none of the {unreadable_count} frames can be read"),
+                count if count == missing_count => {
+                    write!(f, "{error}; the same applies to all {count} frames")
+                }
+                count => write!(f, "{error}; none of the {count} frames can be read"),
             },
             Some(error) => {
                 let first = if *unreadable_count == 1 { ":" } else { "; the first:" };
@@ -119,19 +131,49 @@ pub fn measure_spacing<'a>(
     per_particle_radius: Option<&PerParticleRadius>,
 ) -> Result<MeasuredSpacing, NoSpacing> {
     let files: Vec<&Path> = files.into_iter().collect();
-    let mut none = NoSpacing { sparse_count: 0, empty_count: 0, unreadable_count: 0, unreadable: None };
-    let note = |_: &Path, attempt: Attempt| match attempt {
+    let mut none = NoSpacing {
+        sparse_count: 0,
+        empty_count: 0,
+        not_finite: None,
+        unreadable_count: 0,
+        missing_count: 0,
+        unreadable: None,
+    };
+    let mut first_sparse = None;
+    let note = |path: &Path, attempt: Attempt| match attempt {
         Attempt::Measured => {}
         Attempt::TooFewParticles { count } => {
+            first_sparse.get_or_insert_with(|| path.to_owned());
             none.sparse_count += 1;
             none.empty_count += usize::from(count == 0);
         }
         Attempt::Unreadable(error) => {
             none.unreadable_count += 1;
-            none.unreadable.get_or_insert(error);
+            none.missing_count += usize::from(matches!(error.cause, Cause::Missing(_)));
+            none.unreadable.get_or_insert_with(|| Box::new(error));
         }
     };
-    measure_sequence(&files, per_particle_radius, note).ok_or(none)
+    let measured = measure_sequence(&files, per_particle_radius, note);
+    measured.ok_or_else(|| NoSpacing { not_finite: first_sparse.and_then(|path| not_finite(&path)), ..none })
+}
+
+/// Says that a frame has particles and none of them a finite position, if that is so. Reads the frame again,
+/// because this is an exception.
+fn not_finite(path: &Path) -> Option<String> {
+    if large_file(path).ok()?.is_some() {
+        return None;
+    }
+    let read = parse_particles(path, &read_file(path).ok()?, &AttributeRequest::default()).ok()?;
+    let positions = &read.cloud.positions;
+    let is_finite = |index: usize| positions.position(index).is_finite();
+    // The reader of tables skips such particles, with a warning.
+    let warnings = read.warnings.iter().map(ToString::to_string);
+    let skipped = warnings.into_iter().find(|warning| warning.ends_with(csv::NOT_FINITE_NOTE));
+    if (0..positions.len()).any(is_finite) || positions.is_empty() && skipped.is_none() {
+        return None;
+    }
+    let skipped = skipped.map_or(String::new(), |warning| format!(" ({warning})"));
+    Some(format!("no particle of {} has a finite position{skipped}", frame_name(path)))
 }
 
 /// The result of measuring a frame.

@@ -104,7 +104,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         let failed = |error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
         let memory_bytes = self.shared.options.memory_bytes;
         let file_bytes = frame.input.metadata().map_or(0, |metadata| metadata.len());
-        level_set_limits(memory_bytes).check_level_set(file_bytes, "").map_err(failed)?;
+        check_file_of_level_set(file_bytes, &frame.job, memory_bytes).map_err(failed)?;
         let unchanged = read_unchanged(&frame.input).map_err(|error| failed(error.into()))?;
         let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
         let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
@@ -238,6 +238,21 @@ fn reading_memory(job: &Job) -> u64 {
         // The values in the file are compressed to about a quarter.
         Job::LevelSet { .. } => 5,
     }
+}
+
+/// Refuses the file of a level set that is larger than the memory limit. Its leaves cannot be counted within
+/// the limit, so the error has a typical amount for such a file: 12 times its size, or 27 if it is smoothed.
+fn check_file_of_level_set(
+    file_bytes: u64,
+    job: &Job,
+    memory_bytes: u64,
+) -> Result<(), meniscus_formats::Error> {
+    if file_bytes <= memory_bytes {
+        return Ok(());
+    }
+    let times = if job.max_deviation_voxels() > 0.0 { 32 } else { 16 };
+    let content = format!(", in a file of {} MiB,", file_bytes.div_ceil(1 << 20));
+    level_set_limits(memory_bytes).check_level_set(file_bytes.saturating_mul(times), &content)
 }
 
 /// Files of this size and larger are read in batches if their format allows it. A smaller file is faster to

@@ -22,7 +22,7 @@ pub use rebuilt::{
     REBUILT_HALF_WIDTH, RebuildReason, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt,
 };
 pub use redistance::{Sweeps, UNREACHED, extend, redistance, redistance_in};
-pub use widen::{WIDENED_MAX, widened, widened_leaf_count};
+pub use widen::{WIDENED_MAX, widened, widened_leaf_count, widened_leaf_count_max};
 
 use glam::IVec3;
 

@@ -46,8 +46,20 @@ pub fn widened(band: &NarrowBand, half_width: f32) -> NarrowBand {
     widened
 }
 
-/// Number of leaves of the widened band, counted with one bit per leaf.
+/// Number of leaves of the widened band.
 pub fn widened_leaf_count(band: &NarrowBand) -> usize {
+    let leaves = band.topology.origins().iter().zip(&band.phi.leaves);
+    leaf_count_with_neighbors(leaves.map(|(&origin, leaf)| (origin, has_surface(band, leaf))))
+}
+
+/// Upper limit of the number of leaves of the widened band, for leaves whose values are unknown.
+pub fn widened_leaf_count_max(origins: impl Iterator<Item = IVec3>) -> usize {
+    leaf_count_with_neighbors(origins.map(|origin| (origin, true)))
+}
+
+/// Number of leaves with these origins, and around those of them that are marked, counted with one bit per
+/// leaf.
+fn leaf_count_with_neighbors(leaves: impl Iterator<Item = (IVec3, bool)>) -> usize {
     const NODE_LEAVES: i32 = 16;
     let mut nodes: FxHashMap<IVec3, [u64; 64]> = FxHashMap::default();
     let mut insert = |origin: IVec3| {
@@ -56,9 +68,9 @@ pub fn widened_leaf_count(band: &NarrowBand) -> usize {
         let words = nodes.entry(leaf.div_euclid(IVec3::splat(NODE_LEAVES))).or_insert([0; 64]);
         words[x * 4 + y / 4] |= 1 << (y % 4 * 16 + z);
     };
-    for (&origin, leaf) in band.topology.origins().iter().zip(&band.phi.leaves) {
+    for (origin, is_marked) in leaves {
         insert(origin);
-        if has_surface(band, leaf) {
+        if is_marked {
             around(origin).for_each(&mut insert);
         }
     }
@@ -126,7 +138,10 @@ mod tests {
         for (narrow, most) in [(1.5, 0.25), (2.0, 0.02), (3.0, 0.02)] {
             let wide = widened(&ball(18.3, narrow), 6.0);
             assert!(wide.topology.len() > ball(18.3, narrow).topology.len());
-            assert_eq!(widened_leaf_count(&ball(18.3, narrow)), wide.topology.len());
+            let narrow = ball(18.3, narrow);
+            assert_eq!(widened_leaf_count(&narrow), wide.topology.len());
+            let limit = widened_leaf_count_max(narrow.topology.origins().iter().copied());
+            assert!((wide.topology.len()..2 * wide.topology.len()).contains(&limit), "{limit}");
             let (mut near, mut far) = (0, 0);
             for (leaf, &origin) in wide.phi.leaves.iter().zip(wide.topology.origins()) {
                 for (offset, &phi) in leaf.values.iter().enumerate() {

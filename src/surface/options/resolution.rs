@@ -112,16 +112,25 @@ pub(super) fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Resul
         )
     })?;
     require(radius_max <= RADIUS_MAX_VOXELS * h, || {
-        format!(
-            "r_max is {} voxels; it must be at most {RADIUS_MAX_VOXELS}: choose {}",
-            significant(radius_max / h),
-            match (options.radius_min, recipe.unit) {
-                (Some(_), _) => "a smaller r_min or ratio, or a larger voxel size",
-                (None, Unit::VoxelSize) =>
-                    "a smaller ratio, or a larger voxel size with r_min in world units",
-                (None, Unit::Spacing) => "a larger voxel size or a smaller ratio",
+        let what = format!(
+            "r_max is {} voxels; it must be at most {RADIUS_MAX_VOXELS}",
+            significant(radius_max / h)
+        );
+        match (options.radius_min, recipe.unit) {
+            (Some(_), _) => format!("{what}: choose a smaller r_min or ratio, or a larger voxel size"),
+            (None, Unit::VoxelSize) => {
+                format!("{what}: choose a smaller ratio, or a larger voxel size with r_min in world units")
             }
-        )
+            (None, Unit::Spacing) => {
+                // Rounded up, so that the number in the message, which has few digits, is not below the limit.
+                let least = significant(1.001 * radius_max / RADIUS_MAX_VOXELS);
+                let ratio = if options.radius_ratio.is_some() { ", or a smaller ratio" } else { "" };
+                let h = significant(h);
+                format!(
+                    "the voxel size {h} is too small: {what}; use a voxel size of at least {least}{ratio}"
+                )
+            }
+        }
     })?;
     Ok([radius_min, radius_init.clamp(radius_min, radius_max), radius_max])
 }

@@ -11,7 +11,7 @@
 use std::convert::Infallible;
 use std::ops::ControlFlow;
 
-use glam::DVec3;
+use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
 use super::plan::{FIELD_BYTES, mesh_bytes, smoothing_fields};
@@ -20,7 +20,7 @@ use super::{FrameSurface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, lattice, postp
 use crate::surface::contour;
 use crate::surface::grid::{Field, negative_masks};
 use crate::surface::level_set::{
-    Bounds, NarrowBand, WIDENED_MAX, offset_surface, widened, widened_leaf_count,
+    Bounds, NarrowBand, WIDENED_MAX, offset_surface, widened, widened_leaf_count, widened_leaf_count_max,
 };
 use crate::surface::options::Settings;
 use crate::surface::report::ReconstructionReport;
@@ -70,7 +70,7 @@ pub fn bound_level_set(
     settings: &Settings,
 ) -> BoundedBand {
     let max_deviation = max_deviation_voxels.clamp(0.0, DEVIATION_MAX_VOXELS);
-    let band = match working_half_width(&band, max_deviation, offset_voxels(settings)) {
+    let band = match working_half_width(band.half_width, max_deviation, offset_voxels(settings)) {
         Some(half_width) => widened(&band, half_width),
         None => band,
     };
@@ -139,10 +139,10 @@ fn offset_voxels(settings: &Settings) -> f32 {
 /// Half width of the working band; `None` to keep that of the given band. An offset requires a wider band,
 /// for two reasons: values in the file need not be distances that far out, and the band left after the offset
 /// must not be narrower than without one.
-fn working_half_width(band: &NarrowBand, max_deviation: f32, offset: f32) -> Option<f32> {
+fn working_half_width(given_half_width: f32, max_deviation: f32, offset: f32) -> Option<f32> {
     let without_offset = match max_deviation > 0.0 {
         true => Some(MARGIN + max_deviation.ceil()),
-        false => (band.half_width < HALF_WIDTH_MIN).then_some(HALF_WIDTH_MIN),
+        false => (given_half_width < HALF_WIDTH_MIN).then_some(HALF_WIDTH_MIN),
     };
     if offset == 0.0 {
         return without_offset;
@@ -153,16 +153,48 @@ fn working_half_width(band: &NarrowBand, max_deviation: f32, offset: f32) -> Opt
 /// Upper estimate of the peak memory of [`smooth_level_set`] with these arguments, in bytes. It includes the
 /// given band.
 pub fn smooth_level_set_bytes(band: &NarrowBand, max_deviation_voxels: f32, settings: &Settings) -> u64 {
-    let given = band.topology.len() as f64;
-    let (leaves, widening) = match working_half_width(band, max_deviation_voxels, offset_voxels(settings)) {
-        Some(_) => {
-            let wide = widened_leaf_count(band) as f64;
+    let half_width = working_half_width(band.half_width, max_deviation_voxels, offset_voxels(settings));
+    let wide = half_width.map(|_| widened_leaf_count(band));
+    let crossed = crossed_edge_count(band) as f64;
+    working_bytes((band.topology.len(), wide), crossed, max_deviation_voxels, settings)
+}
+
+/// Upper estimate of [`smooth_level_set_bytes`] for a band with leaves at these origins, whose values are
+/// unknown.
+pub fn smooth_level_set_bytes_max(
+    origins: &[IVec3],
+    half_width: f32,
+    max_deviation_voxels: f32,
+    settings: &Settings,
+) -> u64 {
+    let working = working_half_width(half_width, max_deviation_voxels, offset_voxels(settings));
+    let wide = working.map(|_| widened_leaf_count_max(origins.iter().copied()));
+    let crossed = CROSSED_EDGES_PER_LEAF * origins.len() as f64;
+    working_bytes((origins.len(), wide), crossed, max_deviation_voxels, settings)
+}
+
+/// Edges of the grid in a leaf that the surface crosses, at most, as the mean of a band: those of a plane
+/// through the middle of every leaf, which is inclined to all axes, and a third more.
+const CROSSED_EDGES_PER_LEAF: f64 = 128.0;
+
+/// The memory for a band with `given` leaves, which is widened to `wide` leaves unless that is `None`, in
+/// bytes.
+fn working_bytes(
+    (given, wide): (usize, Option<usize>),
+    crossed_edge_count: f64,
+    max_deviation_voxels: f32,
+    settings: &Settings,
+) -> u64 {
+    let given = given as f64;
+    let (leaves, widening) = match wide {
+        Some(wide) => {
+            let wide = wide as f64;
             // The given band, two fields of the wide band, and the list used to find its leaves.
             (wide, FIELD_BYTES * (given + 2.2 * wide) + WIDENING_LEAF_BYTES * given)
         }
         None => (given, 0.0),
     };
-    let mesh = mesh_bytes(settings) * crossed_edge_count(band) as f64;
+    let mesh = mesh_bytes(settings) * crossed_edge_count;
     let smoothing = match max_deviation_voxels > 0.0 {
         true => FIELD_BYTES * smoothing_fields(settings) * leaves,
         false => 0.0,
@@ -202,11 +234,39 @@ fn moved(phi: &Field, by: f32) -> Field {
 
 #[cfg(test)]
 mod tests {
-    use glam::{IVec3, Vec3};
+    use glam::Vec3;
 
     use super::*;
     use crate::surface::grid::{LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
     use crate::surface::options::MethodOptions;
+
+    /// A ball in the middle of eight leaves.
+    fn ball() -> NarrowBand {
+        let corners = (0..8).map(|slot| IVec3::new(slot / 4 - 1, slot / 2 % 2 - 1, slot % 2 - 1) * LEAF_EDGE);
+        let topology = Topology::new(corners.collect());
+        let distance = |voxel: IVec3| (voxel.as_vec3().length() - 5.0).clamp(-3.0, 3.0);
+        let leaf = |origin: &IVec3| Leaf {
+            values: std::array::from_fn(|offset| distance(*origin + voxel_in_leaf(offset))),
+        };
+        let phi = Field { leaves: topology.origins().iter().map(leaf).collect() };
+        NarrowBand { topology: topology.into(), phi, half_width: 3.0 }
+    }
+
+    #[test]
+    fn memory_is_estimated_without_the_values() {
+        let band = ball();
+        let settings = Settings::paper(0.01, &MethodOptions::default()).expect("sound");
+        for max_deviation in [0.0, 1.0] {
+            let exact = smooth_level_set_bytes(&band, max_deviation, &settings);
+            let most = smooth_level_set_bytes_max(
+                band.topology.origins(),
+                band.half_width,
+                max_deviation,
+                &settings,
+            );
+            assert!((exact..2 * exact).contains(&most), "{exact} {most}");
+        }
+    }
 
     #[test]
     fn distant_mesh_is_validated_at_rounded_world_positions() {
@@ -218,14 +278,7 @@ mod tests {
             };
             positions.iter().map(read).collect()
         });
-        let corners = (0..8).map(|slot| IVec3::new(slot / 4 - 1, slot / 2 % 2 - 1, slot % 2 - 1) * LEAF_EDGE);
-        let topology = Topology::new(corners.collect());
-        let distance = |voxel: IVec3| (voxel.as_vec3().length() - 5.0).clamp(-3.0, 3.0);
-        let leaf = |origin: &IVec3| Leaf {
-            values: std::array::from_fn(|offset| distance(*origin + voxel_in_leaf(offset))),
-        };
-        let phi = Field { leaves: topology.origins().iter().map(leaf).collect() };
-        let band = NarrowBand { topology: topology.into(), phi, half_width: 3.0 };
+        let band = ball();
         let settings = Settings::paper(0.01, &MethodOptions::default()).expect("sound");
         let flat_count = |translation: DVec3| {
             let surface = smooth_level_set(band.clone(), translation, 0.0, &settings, &[world_positions]);

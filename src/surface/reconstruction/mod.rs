@@ -23,6 +23,7 @@ pub(crate) use attributes::transfer_attributes_from;
 pub use attributes::{SurfaceAttributes, Targets, transfer_attributes};
 pub use band::{
     BoundedBand, DEVIATION_MAX_VOXELS, bound_level_set, smooth_level_set, smooth_level_set_bytes,
+    smooth_level_set_bytes_max,
 };
 pub use field_store::{FIELD_STORE_FILES, Storage};
 pub(crate) use plan::plan_in_core;
