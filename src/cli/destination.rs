@@ -196,7 +196,9 @@ fn refuse_foreign_extension(out: &Path) -> Result<()> {
         Some(format) => format!("write {}", out.with_extension(format.extension()).display()),
         None => format!("use {}", listed(written().map(|format| format!(".{format}")).collect(), "or")),
     };
-    bail!("{name}: .{given} is not an output format: {instead}; for a folder of this name, write {name}/")
+    bail!(
+        "{name}: .{given} is not an output format: {instead}; for a folder of this name, write {name}/ or create it first"
+    )
 }
 
 /// Whether an extension is that of a format with one letter missing or added, or two letters exchanged. With
@@ -216,9 +218,10 @@ fn is_misspelt(extension: &str, format: &str) -> bool {
 
 /// Extensions of files that other programs write: meshes, volumes, scenes and particles. Extensions that this
 /// program writes are not among them.
-const FOREIGN_EXTENSIONS: [&str; 25] = [
-    "3dm", "3ds", "3mf", "bgeo", "blend", "c4d", "csv", "dae", "dxf", "fbx", "geo", "hdf5", "iges", "json",
-    "lwo", "mdd", "nvdb", "pc2", "usd", "usdz", "vtk", "vtu", "wrl", "x3d", "xyz",
+const FOREIGN_EXTENSIONS: [&str; 35] = [
+    "3dm", "3ds", "3mf", "bgeo", "blend", "c4d", "csv", "dae", "dxf", "fbx", "geo", "gz", "h5", "hdf5",
+    "hip", "iges", "json", "lwo", "ma", "max", "mb", "mdd", "npy", "npz", "nvdb", "off", "pc2", "usd",
+    "usdz", "vtk", "vtu", "wrl", "x3d", "xyz", "zst",
 ];
 
 fn is_stdout(out: &Path) -> bool {

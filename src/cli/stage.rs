@@ -8,7 +8,7 @@ use crate::pipeline::{
 
 use super::CommandOutcome;
 use super::console::Console;
-use super::wording::{counted_are, pluralize};
+use super::wording::pluralize;
 
 /// Updates a stage.
 pub(super) struct StageWriter {
@@ -30,7 +30,7 @@ impl StageWriter {
         outputs: &OutputOptions,
         sequences: impl FnOnce() -> Vec<StageSequence>,
     ) -> Option<StageWriter> {
-        let former_count = stage_frame_count(&outputs.stage.as_ref()?.path).unwrap_or(0);
+        let former_count = stage_frame_count(&outputs.stage.as_ref()?.path).ok().flatten().unwrap_or(0);
         let (outputs, sequences) = (outputs.clone(), sequences());
         Some(StageWriter { outputs, sequences, former_count, due: Instant::now() })
     }
@@ -74,12 +74,13 @@ impl StageWriter {
     }
 }
 
-/// The files that are missing, one for each frame.
+/// The files that are missing.
 fn named(missing: &[String]) -> String {
     if missing.is_empty() {
         return String::new();
     }
     let others = (missing.len() > MISSING_NAMED).then_some("..");
     let names: Vec<&str> = missing.iter().take(MISSING_NAMED).map(String::as_str).chain(others).collect();
-    format!("; {} missing so far: {}", counted_are(missing.len() as u64), names.join(", "))
+    let are = if missing.len() == 1 { "is" } else { "are" };
+    format!("; {} {are} missing so far: {}", pluralize(missing.len(), "file"), names.join(", "))
 }

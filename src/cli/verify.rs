@@ -47,13 +47,16 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     }
     summarize(&verdicts, start.elapsed().as_secs_f64(), console);
     if let Some(stage) = plan.stage() {
-        let (listed, done) = (stage_frame_count(stage).unwrap_or(0), verdicts.done_count());
-        if listed < done {
-            console.warning(format_args!(
-                "{}: the stage has {listed} of {}: run any shard again, which updates it",
+        let done = verdicts.done_count();
+        match stage_frame_count(stage) {
+            Ok(listed) if listed.unwrap_or(0) < done => console.warning(format_args!(
+                "{}: the stage has {} of {}: run any shard again, which updates it",
                 stage.display(),
+                listed.unwrap_or(0),
                 pluralize(done, "finished frame")
-            ));
+            )),
+            Ok(_) => {}
+            Err(why) => console.warning(format_args!("{}: {why}", stage.display())),
         }
     }
     if let Some(planned) = planned.filter(|_| !verdicts.shards_to_run().is_empty()) {

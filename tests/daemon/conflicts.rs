@@ -139,7 +139,8 @@ fn refused_frame_is_converted_when_the_other_file_is_removed() {
     scene.write("out/dam.1.ply", ply(&moving(7)));
     let arguments = ["watch", "in", "--out", "out", "--format", "ply", "--log", "json", "--rescan", "50ms"];
     let daemon = scene.start_as(&[&arguments[..], &QUICK].concat());
-    let is_refusal = |line: &Line| line.message.contains("would replace a particle file");
+    let is_refusal =
+        |line: &Line| line.message.contains("would replace a file that is not a surface of meniscus");
     scene.put_moving([1]);
     daemon.await_line("the refusal", is_refusal);
     scene.put_moving([2]);

@@ -225,4 +225,11 @@ fn frame_that_would_replace_the_stage_is_refused() {
     );
     let text = String::from_utf8(scene.bytes("out/dam.1.usda")).expect("text");
     assert!(text.contains("stage_frames") && text.contains("@./dam.2.usda@"), "{text}");
+
+    // The refused frame does not prevent the stage from growing.
+    scene.put_moving([3]);
+    let again = scene.once(&["--settle", "10ms", "--format", "usda", "--stage", "out/dam.1.usda"]);
+    assert!(!log_text(&again.log).contains("cannot write the stage"), "{}", log_text(&again.log));
+    let text = String::from_utf8(scene.bytes("out/dam.1.usda")).expect("text");
+    assert!(text.contains("@./dam.2.usda@") && text.contains("@./dam.3.usda@"), "{text}");
 }

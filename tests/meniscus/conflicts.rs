@@ -106,7 +106,7 @@ fn particles_and_level_sets_of_others_are_not_replaced() {
 
     fs::copy(path.join("dam.1.ply"), &output).expect("copied");
     let particles = fs::read(&output).expect("readable");
-    let words = ["dam.2.ply would replace a particle file", "move that file away"];
+    let words = ["dam.2.ply would replace a file that is not a surface of meniscus", "move that file away"];
     let shard = ["convert", "--plan", "p.json", "--shard", "0"];
     for arguments in [&convert[..], &plan, &shard, &[&convert[..6], &["--particles-only"]].concat()] {
         assert_refused(path, arguments, &words);
@@ -130,6 +130,6 @@ fn particles_and_level_sets_of_others_are_not_replaced() {
     let foreign = fs::read(&volume).expect("readable");
     let at = foreign.windows(9).position(|bytes| bytes == b"generator").expect("provenance");
     fs::write(&volume, [&foreign[..at], b"gonerator", &foreign[at + 9..]].concat()).expect("written");
-    let words = ["dam.1.vdb would replace a level set of another program"];
+    let words = ["dam.1.vdb would replace a file that is not a surface of meniscus"];
     assert_refused(path, &[&convert[..4], &["--format", "vdb"]].concat(), &words);
 }

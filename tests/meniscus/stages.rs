@@ -55,9 +55,9 @@ fn stage_holds_missing_frames_until_they_are_converted() {
     let result = meniscus(path, &convert);
     assert_eq!(result.status, 1, "{}{}", result.out, result.err);
     assert!(
-        result.out.contains(
-            "shot.usda: a stage of 3 frames; 2 frames are missing so far: dam.3.usdc, dam.4.usdc\n"
-        ),
+        result
+            .out
+            .contains("shot.usda: a stage of 3 frames; 2 files are missing so far: dam.3.usdc, dam.4.usdc\n"),
         "{}",
         result.out
     );
@@ -81,7 +81,7 @@ fn stage_holds_missing_frames_until_they_are_converted() {
     let result = meniscus(path, &[&convert[..], &["--frames", "3"]].concat());
     succeeded(&result);
     assert!(
-        result.out.contains("a stage of 4 frames; 1 frame is missing so far: dam.4.usdc\n"),
+        result.out.contains("a stage of 4 frames; 1 file is missing so far: dam.4.usdc\n"),
         "{}",
         result.out
     );
@@ -207,7 +207,7 @@ fn missing_files_are_named_and_a_stage_that_shrinks_is_reported() {
         succeeded(&result);
         result
     };
-    let missing = "a stage of 1 frame; 5 frames are missing so far: dam.1.usdc, dam.2.usdc, dam.3.usdc, ..\n";
+    let missing = "a stage of 1 frame; 5 files are missing so far: dam.1.usdc, dam.2.usdc, dam.3.usdc, ..\n";
     let result = convert(&["--frames", "6"]);
     assert!(result.out.contains(missing), "{}", result.out);
     convert(&["--skip-done"]);
@@ -215,7 +215,7 @@ fn missing_files_are_named_and_a_stage_that_shrinks_is_reported() {
     fs::remove_file(path.join("out/dam.2.vdb")).expect("removed");
     let result = convert(&["--frames", "1", "--skip-done"]);
     assert!(
-        result.out.contains("a stage of 6 frames; 1 frame is missing so far: dam.2.vdb\n"),
+        result.out.contains("a stage of 6 frames; 1 file is missing so far: dam.2.vdb\n"),
         "{}",
         result.out
     );
@@ -224,7 +224,7 @@ fn missing_files_are_named_and_a_stage_that_shrinks_is_reported() {
     write_ply(&path.join("in/spray.9.ply"), &block(3, 0.0));
     let result = convert(&["--frames", "9"]);
     assert!(
-        result.out.contains("a stage of 7 frames; 1 frame is missing so far: dam.2.vdb\n"),
+        result.out.contains("a stage of 7 frames; 1 file is missing so far: dam.2.vdb\n"),
         "{}",
         result.out
     );

@@ -80,8 +80,7 @@ pub(super) fn check_contents_at(at: u64, file_bytes: u64) -> Result<()> {
     Ok(())
 }
 
-pub(super) const NOT_OURS: &str =
-    "binary USD is read only as meniscus writes it; save the mesh as .ply, .obj or .glb";
+pub(super) const NOT_OURS: &str = "binary USD is read only as meniscus writes it: give a file of meniscus, or save the mesh as .ply or .obj";
 
 /// The offset and size of each section, from a table of contents with all sections in our order.
 pub(super) fn read_contents(table: &[u8], at: u64) -> Result<[(u64, u64); SECTIONS.len()]> {

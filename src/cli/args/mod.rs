@@ -107,7 +107,8 @@ option_set! {
         /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is created. If PATH is a file,
         /// its extension selects the format. A new folder whose name ends like a file, such as shot.obj, is
         /// written shot.obj/. Files are written under temporary names, and renamed when they are complete. A
-        /// result that would replace an input, or particles or a level set of another program, is refused.
+        /// result that would replace an input, particles, or a mesh or a level set of another program is
+        /// refused.
         #[arg(short, long, value_name = "PATH", required_unless_present_any = ["print_settings", "plan"])]
         pub(super) out: Option<PathBuf>,
 

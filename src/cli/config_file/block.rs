@@ -291,7 +291,7 @@ fn unknown_key(key: &str, block: &str) -> String {
              --max-deviation` does"
         ),
         Some(option) => format!(
-            "unknown key `{key}` in {location}: {} is an option of `meniscus convert` only",
+            "unknown key `{key}` in {location}: {} is an option of `meniscus convert`, and not of the daemon",
             option_name(option.get_id().as_str())
         ),
         None if known.len() <= LISTED_MAX => {

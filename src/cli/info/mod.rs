@@ -175,8 +175,8 @@ impl FileInfo {
         self.bytes = bytes.len();
         let limits = Limits::default();
         self.made_by = if codec.is_none() { made_by(kind, &bytes) } else { None };
-        // The readers of surfaces read uncompressed bytes. Particle files are decompressed by their reader, and
-        // compressed level sets are refused by it.
+        // `read_mesh` decompresses; the readers below expect uncompressed meshes. They refuse compressed level
+        // sets.
         let is_packed_mesh = codec.is_some()
             && kind.format().is_some_and(|format| format.has_mesh() && !format.has_particles());
         if is_packed_mesh {

@@ -2,9 +2,9 @@
 
 use std::collections::HashMap;
 use std::fmt;
+use std::io;
 use std::path::{Path, PathBuf};
 
-use super::level_set_file::is_level_set;
 use super::obstacles::ObstacleFiles;
 use super::steps::file_of;
 use crate::pipeline::files::path_identity::{Identity, canonical_entry, identities};
@@ -34,10 +34,19 @@ pub enum Conflict {
         /// The two inputs.
         makers: [PathBuf; 2],
     },
-    /// An output would replace particles or a level set that are no input of this run.
+    /// An output would replace particles, or a mesh or a level set of another program.
     ReplacesData {
         /// The output.
         output: PathBuf,
+        /// The number of other outputs with the same fault.
+        other_count: usize,
+    },
+    /// An output exists and cannot be read, so it may be such a file.
+    Unreadable {
+        /// The output.
+        output: PathBuf,
+        /// The reason.
+        source: io::Error,
     },
     /// Another written file, such as the report, has the name of an output.
     ReplacesOutput {
@@ -79,11 +88,25 @@ impl fmt::Display for Conflict {
                 second.display(),
                 output.display()
             ),
-            Conflict::ReplacesData { output } => write!(
+            Conflict::ReplacesData { output, other_count } => {
+                let output = output.display();
+                write!(f, "the output {output} would replace a file that is not a surface of meniscus")?;
+                match other_count {
+                    0 => write!(f, ": move that file away, or choose another folder or format"),
+                    1 => write!(
+                        f,
+                        ", and so would another: move these files away, or choose another folder or format"
+                    ),
+                    _ => write!(
+                        f,
+                        ", and so would {other_count} others: move these files away, or choose another folder or format"
+                    ),
+                }
+            }
+            Conflict::Unreadable { output, source } => write!(
                 f,
-                "the output {} would replace a {}: move that file away, or choose another folder or format",
-                output.display(),
-                if is_level_set(output) { "level set of another program" } else { "particle file" }
+                "cannot check whether the output {} would replace particles: {source}: make it readable, or move it away",
+                output.display()
             ),
             Conflict::ReplacesOutput { output, input, what } => write!(
                 f,

@@ -67,8 +67,13 @@ pub(crate) fn read_input(
     bytes: &[u8],
     memory_bytes: u64,
 ) -> Result<(Frame, LevelSetFile), FrameError> {
-    let file = LevelSetFile::of_bytes(&frame.input, bytes, false, memory_bytes)
-        .map_err(|error| too_large(frame, bytes, memory_bytes).unwrap_or(error))?;
+    let file =
+        LevelSetFile::of_bytes(&frame.input, bytes, false, memory_bytes).map_err(|error| {
+            match error.cause {
+                Cause::File(Error::TooLarge { .. }) => too_large(frame, bytes, memory_bytes).unwrap_or(error),
+                _ => error,
+            }
+        })?;
     let refused =
         |what: String| FrameError::file(&frame.input, Stage::Read, Error::unsupported("OpenVDB", what));
     file.require_level_set().map_err(refused)?;

@@ -4,15 +4,15 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::compression::read_head;
-use meniscus_formats::{Format, looks_like_particles, probe, read_provenance};
+use meniscus_formats::{Content, Format, looks_like_particles, probe, read_provenance};
 
-use super::provenance::are_particles;
+use super::provenance::{HEAD_BYTES, are_particles};
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::input::conflicts::Conflict;
 use crate::pipeline::input::frame::Job;
 use crate::pipeline::input::level_set_file::is_level_set;
 use crate::pipeline::input::source::promises_particles;
-use crate::pipeline::target::outputs::{OutputOptions, output_path};
+use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, output_path};
 
 /// The kind of a file, by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,43 +51,62 @@ pub fn content(path: &Path) -> io::Result<SniffedContent> {
     })
 }
 
-/// Checks that no output of `job` for the planned frames (input and stem) replaces particles or a level set
-/// that this program did not write: they may be a simulation's only copy.
+/// Checks that no output of `job` for the planned frames (input and stem) replaces particles, or a mesh or a
+/// level set of another program: they may be the only copy.
 ///
 /// # Errors
-/// The first such output.
+/// The first such output, and the number of others; or the first that exists but cannot be read.
 pub fn check_existing(
     planned: &[(PathBuf, String)],
     options: &OutputOptions,
     job: Job,
 ) -> Result<(), Conflict> {
-    let mut outputs = planned.iter().flat_map(|(_, stem)| {
-        options.formats.iter().map(move |&format| output_path(&options.folder, stem, format))
-    });
-    match outputs.find(|output| is_irreplaceable(output, job)) {
-        Some(output) => Err(Conflict::ReplacesData { output }),
+    let may_hold_data = |format: &&OutputFormat| {
+        format.particles().is_some() || matches!(format.content(), Content::LevelSet)
+    };
+    let formats: Vec<OutputFormat> = options.formats.iter().filter(may_hold_data).copied().collect();
+    let conflict = |(_, stem): &(PathBuf, String)| {
+        formats.iter().find_map(|&format| {
+            let output = output_path(&options.folder, stem, format);
+            match is_irreplaceable(&output, job) {
+                Ok(false) => None,
+                Ok(true) => Some(Conflict::ReplacesData { output, other_count: 0 }),
+                Err(source) => Some(Conflict::Unreadable { output, source }),
+            }
+        })
+    };
+    let mut conflicts: Vec<Conflict> = planned.iter().filter_map(conflict).collect();
+    let count = conflicts.len();
+    match conflicts.drain(..).next() {
         None => Ok(()),
+        Some(Conflict::ReplacesData { output, .. }) => {
+            Err(Conflict::ReplacesData { output, other_count: count - 1 })
+        }
+        Some(other) => Err(other),
     }
 }
 
 /// Whether a file must not be replaced by an output of `job`: its format is one for particles or level sets,
-/// and this program did not write it. Particles that it wrote may only be replaced by particles. A name with
-/// an extension of such a format is not sufficient, so an empty file may be replaced. `false` if there is no
-/// such file, or it cannot be read.
-fn is_irreplaceable(path: &Path, job: Job) -> bool {
-    if !path.metadata().is_ok_and(|metadata| metadata.is_file()) {
-        return false;
-    }
-    let Ok((head, name)) = head_and_name(path) else { return false };
-    match own_content(&head, &name) {
+/// and this program did not write it. Particles that it wrote may only be replaced by particles. An extension
+/// is not sufficient, so an empty file, such as one that reserves a name, may be replaced.
+///
+/// # Errors
+/// When the file exists but cannot be read.
+fn is_irreplaceable(path: &Path, job: Job) -> io::Result<bool> {
+    let (head, name) = match path.metadata() {
+        Ok(metadata) if metadata.is_file() => head_and_name(path)?,
+        Ok(_) => return Ok(false),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+        Err(error) => return Err(error),
+    };
+    Ok(match own_content(&head, &name) {
         Some(SniffedContent::OwnParticles) => job != Job::Particles,
         Some(_) => false,
         None => probe(&head, &name).kind.format() == Some(Format::Vdb) || looks_like_particles(&head, &name),
-    }
+    })
 }
 
 fn head_and_name(path: &Path) -> io::Result<(Vec<u8>, String)> {
-    const HEAD_BYTES: u64 = 64 << 10; // holds the provenance of every output
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     Ok((read_head(open_regular(path)?, HEAD_BYTES)?, name))
 }

@@ -70,7 +70,7 @@ pub struct StageReport {
     pub mesh_count: usize,
     /// The number of level sets.
     pub volume_count: usize,
-    /// For each frame that lacks a file, the name of this file, or of the first one.
+    /// The names of the files that do not exist yet, in the order of the frames.
     pub missing: Vec<String>,
 }
 
@@ -122,9 +122,12 @@ fn provenance(report: &StageReport) -> Vec<(String, String)> {
     ]
 }
 
-/// The number of frames that the stage in a file lists; `None` if there is no stage of this program.
-pub fn stage_frame_count(path: &Path) -> Option<usize> {
-    recorded_frame_count(&known_text(path).ok()??)
+/// The number of frames that the stage in a file lists; `None` if there is no file.
+///
+/// # Errors
+/// When the file is not a stage of this program, or another program has changed it.
+pub fn stage_frame_count(path: &Path) -> Result<Option<usize>, String> {
+    Ok(known_text(path)?.and_then(|text| recorded_frame_count(&text)))
 }
 
 fn recorded_frame_count(head: &[u8]) -> Option<usize> {
@@ -260,7 +263,7 @@ impl StageReport {
                 |wanted: &Option<PathBuf>, missing: Option<&Path>| wanted.is_some() && missing.is_none();
             self.frame_count += usize::from(exists(&frame.mesh, mesh) || exists(&frame.volume, volume));
             let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            self.missing.extend(mesh.or(volume).map(name));
+            self.missing.extend([mesh, volume].into_iter().flatten().map(name));
         }
     }
 }
@@ -458,7 +461,7 @@ mod tests {
             mesh(&folder.path().join("out").join(name), triangle_count);
         }
         fs::write(folder.path().join("out/dam.4.vdb"), "volume").expect("written");
-        let missing = ["dam.1.vdb", "dam.2.vdb", "dam.3.usdc"].map(str::to_owned).to_vec();
+        let missing = ["dam.1.vdb", "dam.2.vdb", "dam.3.usdc", "dam.3.vdb"].map(str::to_owned).to_vec();
         let report = StageReport { frame_count: 3, mesh_count: 3, volume_count: 1, missing };
         assert_eq!(write_stage(&outputs, &frames).expect("written"), Some(report));
         let text = fs::read_to_string(folder.path().join("shot.usda")).expect("written");
@@ -534,11 +537,11 @@ mod tests {
         };
         mesh(&folder.path().join("out/dam_1_b.usdc"), 1);
         assert_eq!(prims(), (vec!["dam_1_a.usdc".to_owned()], [false, true]));
-        assert_eq!(stage_frame_count(&folder.path().join("shot.usda")), Some(1));
+        assert_eq!(stage_frame_count(&folder.path().join("shot.usda")), Ok(Some(1)));
         mesh(&folder.path().join("out/dam_1_a.usdc"), 1);
         assert_eq!(prims(), (vec![], [true, true]));
-        assert_eq!(stage_frame_count(&folder.path().join("shot.usda")), Some(2));
-        assert_eq!(stage_frame_count(&folder.path().join("out/dam_1_a.usdc")), None);
+        assert_eq!(stage_frame_count(&folder.path().join("shot.usda")), Ok(Some(2)));
+        assert!(stage_frame_count(&folder.path().join("out/dam_1_a.usdc")).is_err());
     }
 
     #[test]

@@ -79,8 +79,8 @@ impl Root {
         InspectionResult::Complete(Complete { proof, changed_output, contents, conflict })
     }
 
-    /// Why these outputs must not be written: one would replace a particle file, a level set of another
-    /// program, or an obstacle of any watched folder. `None` if nothing is wrong.
+    /// Why these outputs must not be written: one would replace particles, a mesh or a level set of
+    /// another program, or an obstacle of any watched folder. `None` if nothing is wrong.
     fn conflict_of(&self, outputs: &[PathBuf]) -> Option<String> {
         for output in outputs {
             if replaces_data(output) {
@@ -96,15 +96,15 @@ impl Root {
     }
 }
 
-/// Whether an output would replace a particle file, or a level set of another program. An extension suffices
-/// here: the file may be a frame that a simulation has only begun to write.
+/// Whether an output would replace particles, or a mesh or a level set of another program. An extension
+/// suffices here: the file may be a frame that a simulation has only begun to write.
 pub(in crate::watch) fn replaces_data(output: &Path) -> bool {
     content(output).is_ok_and(SniffedContent::is_frame)
 }
 
 /// Why such an output is not written.
 pub(in crate::watch) fn replacement(output: &Path) -> String {
-    Conflict::ReplacesData { output: output.to_owned() }.to_string()
+    Conflict::ReplacesData { output: output.to_owned(), other_count: 0 }.to_string()
 }
 
 fn changed_output_of(recorded: &Recorded) -> Option<(PathBuf, OutputCheck)> {

@@ -14,7 +14,7 @@ use crate::pipeline::{
     sequences, sweep_temporaries_of, write_stage,
 };
 use crate::watch::config::WatchConfig;
-use crate::watch::journal::{Entry, JournaledFrame};
+use crate::watch::journal::{Entry, JournaledFrame, JournaledStatus};
 
 use super::canonical_path::canonical_path;
 use super::selection::FileFilter;
@@ -121,7 +121,9 @@ impl WatchedStage {
     /// contain other numbers as well, such as that of the file whose step it is.
     fn sequences(&self, frames: &HashMap<Arc<Path>, Arc<JournaledFrame>>) -> Vec<StageSequence> {
         let mut of_blocks: Vec<Vec<FrameFile>> = self.blocks.iter().map(|_| Vec::new()).collect();
-        for input in frames.keys() {
+        // A file with the name of an output of a refused frame is not that output.
+        let played = frames.iter().filter(|(_, frame)| frame.status != JournaledStatus::Refused);
+        for (input, _) in played {
             let file = FrameFile::new(input.to_path_buf());
             let takes = |block: &StagedWatch| block.filter.takes(&block.input, file.file());
             if let Some(index) = self.blocks.iter().position(takes) {

@@ -138,7 +138,8 @@ fn identity() -> DaemonRecord {
     }
 }
 
-/// When the first run of this process began: a reload starts a new run, and no new daemon.
+/// When the first run of this process began: a reload starts a new run, and no new daemon. A process has only
+/// one daemon.
 static STARTED_MS: OnceLock<u64> = OnceLock::new();
 
 /// The current time.

@@ -14,7 +14,7 @@ use glam::DVec3;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::pipeline::files::json::{hex, path, text};
-use crate::pipeline::{CameraChoice, FileStamp, Framed, MeasuredSpacing, OutputState};
+use crate::pipeline::{CameraChoice, FileStamp, Framed, MeasuredSpacing, OutputState, is_level_set};
 use crate::watch::config::{StabilityTimeouts, Watch};
 use crate::watch::status_store::Figures;
 
@@ -216,7 +216,8 @@ fn read_frame<'de, D: Deserializer<'de>>(from: D) -> Result<(Arc<Path>, Arc<Jour
         reason: form.reason,
         attempt_count: form.attempts,
         at_ms: form.at_ms,
-        particle_count: form.particles,
+        // Journals of earlier versions have 0 for a level set.
+        particle_count: form.particles.filter(|&count| count > 0 || !is_level_set(&form.input)),
         seconds: form.seconds,
         flaws: form.flaws,
         figures: form.figures,
