@@ -102,6 +102,7 @@ fn quantizing_changes_only_glb() {
         "[[watch]]\ninput = \"in\"\noutput = \"o\"\nformats = [\"ply\"]\nquantize = true\n",
     )
     .expect("written");
+    let words = ["w.toml:4: `quantize` requires .glb output", "add glb to `formats`"];
     refused(path, &["watch", "--config", "w.toml", "--once"], &words);
     assert!(!path.join("o").exists());
 

@@ -157,7 +157,7 @@ fn once_exits_with_the_status_of_convert() {
     fs::write(path.join("in/dam.3.ply"), "ply\nnothing\n").expect("written");
     let failed = once(&["--settle", "0", "--log", "json"]);
     assert_eq!(failed.status, 1, "{}", failed.err);
-    assert_eq!(failed.err.matches("dam.3.ply: PLY").count(), 1, "{}", failed.err);
+    assert_eq!(failed.err.matches("PLY, at line 2").count(), 1, "{}", failed.err);
     let line: serde_json::Value =
         serde_json::from_str(failed.err.lines().next_back().expect("a log")).expect("JSON");
     assert_eq!((&line["done"], &line["failed"], &line["level"]), (&2.into(), &1.into(), &"INFO".into()));

@@ -295,7 +295,7 @@ fn invalid_sheet_arguments_are_refused() {
         (&["contact-sheet", ".", "-o", "a.jpg"], &["a.jpg", ".png"]),
         (&["contact-sheet", ".", "-o", "a.exr"], &["a.exr", ".png"]),
         (&["contact-sheet", "missing", "-o", "a.png"], &["missing", "no such file or folder"]),
-        (&["contact-sheet", "empty", "-o", "a.png"], &["empty", "no frames"]),
+        (&["contact-sheet", "empty", "-o", "a.png"], &["empty: the folder is empty"]),
         (&["contact-sheet", "dam.#.ply", "-o", "a.png", "--frames", "7"], &["--frames selects none"]),
         (&["contact-sheet", "picture.png", "-o", "picture.png"], &["picture.png", "replace the input"]),
         (&["contact-sheet", ".", "-o", "picture.png"], &["picture.png", "replace the input"]),

@@ -122,8 +122,10 @@ pub(super) fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Resul
                 format!("{what}: choose a smaller ratio, or a larger voxel size with r_min in world units")
             }
             (None, Unit::Spacing) => {
-                // Rounded up, so that the number in the message, which has few digits, is not below the limit.
-                let least = significant(1.001 * radius_max / RADIUS_MAX_VOXELS);
+                // Rounded up to two digits.
+                let least = radius_max / RADIUS_MAX_VOXELS;
+                let digit = 10f64.powf(least.log10().floor() - 1.0);
+                let least = significant((least / digit).ceil() * digit);
                 let ratio = if options.radius_ratio.is_some() { ", or a smaller ratio" } else { "" };
                 let h = significant(h);
                 format!(
