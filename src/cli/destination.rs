@@ -218,10 +218,10 @@ fn is_misspelt(extension: &str, format: &str) -> bool {
 
 /// Extensions of files that other programs write: meshes, volumes, scenes and particles. Extensions that this
 /// program writes are not among them.
-const FOREIGN_EXTENSIONS: [&str; 35] = [
+const FOREIGN_EXTENSIONS: [&str; 31] = [
     "3dm", "3ds", "3mf", "bgeo", "blend", "c4d", "csv", "dae", "dxf", "fbx", "geo", "gz", "h5", "hdf5",
-    "hip", "iges", "json", "lwo", "ma", "max", "mb", "mdd", "npy", "npz", "nvdb", "off", "pc2", "usd",
-    "usdz", "vtk", "vtu", "wrl", "x3d", "xyz", "zst",
+    "hip", "iges", "json", "lwo", "mdd", "npy", "npz", "nvdb", "pc2", "usd", "usdz", "vtk", "vtu", "wrl",
+    "x3d", "xyz", "zst",
 ];
 
 fn is_stdout(out: &Path) -> bool {

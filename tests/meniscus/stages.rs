@@ -57,7 +57,7 @@ fn stage_holds_missing_frames_until_they_are_converted() {
     assert!(
         result
             .out
-            .contains("shot.usda: a stage of 3 frames; 2 files are missing so far: dam.3.usdc, dam.4.usdc\n"),
+            .contains("shot.usda: a stage of 3 frames; 4 files are missing so far: dam.3.usdc, dam.3.vdb, dam.4.usdc, ..\n"),
         "{}",
         result.out
     );
@@ -81,7 +81,7 @@ fn stage_holds_missing_frames_until_they_are_converted() {
     let result = meniscus(path, &[&convert[..], &["--frames", "3"]].concat());
     succeeded(&result);
     assert!(
-        result.out.contains("a stage of 4 frames; 1 file is missing so far: dam.4.usdc\n"),
+        result.out.contains("a stage of 4 frames; 2 files are missing so far: dam.4.usdc, dam.4.vdb\n"),
         "{}",
         result.out
     );
@@ -207,7 +207,7 @@ fn missing_files_are_named_and_a_stage_that_shrinks_is_reported() {
         succeeded(&result);
         result
     };
-    let missing = "a stage of 1 frame; 5 files are missing so far: dam.1.usdc, dam.2.usdc, dam.3.usdc, ..\n";
+    let missing = "a stage of 1 frame; 10 files are missing so far: dam.1.usdc, dam.1.vdb, dam.2.usdc, ..\n";
     let result = convert(&["--frames", "6"]);
     assert!(result.out.contains(missing), "{}", result.out);
     convert(&["--skip-done"]);
