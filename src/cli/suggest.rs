@@ -29,7 +29,8 @@ pub(super) fn with_suggestion(mut error: Error, arguments: &[OsString]) -> Error
     let usage = command.clone().render_usage();
     let owners = typed.strip_prefix("--").map(|name| commands_with(&program, name)).unwrap_or_default();
     error.remove(ContextKind::Suggested);
-    if !owners.is_empty() && !(is_out_alone && typed == "--output") {
+    let is_out_meant = is_out_alone && typed == "--output";
+    if !(owners.is_empty() || is_out_meant) {
         error.remove(ContextKind::SuggestedArg);
         error.insert(ContextKind::Usage, ContextValue::StyledStr(usage));
         let tip = StyledStr::from(format!("{typed} is an option of {}", listed(owners, "and")));
