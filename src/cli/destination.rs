@@ -217,7 +217,7 @@ fn is_misspelt(extension: &str, format: &str) -> bool {
 }
 
 /// Extensions of files that other programs write: meshes, volumes, scenes and particles. Extensions that this
-/// program writes are not among them.
+/// program writes are accepted before.
 const FOREIGN_EXTENSIONS: [&str; 31] = [
     "3dm", "3ds", "3mf", "bgeo", "blend", "c4d", "csv", "dae", "dxf", "fbx", "geo", "gz", "h5", "hdf5",
     "hip", "iges", "json", "lwo", "mdd", "npy", "npz", "nvdb", "pc2", "usd", "usdz", "vtk", "vtu", "wrl",
