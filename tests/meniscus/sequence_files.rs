@@ -156,18 +156,25 @@ const SHOTS: [&str; 10] = [
     "25",
 ];
 
+const CONVERT_TO_FRAMES: [&str; 8] =
+    ["convert", "in", "--out", "out", "--voxel-size=0.05", "--format=glb,abc,usdc", "--up", "z"];
+
+/// Converts frames to files in every format, and to the [sequence files](SHOTS). Returns the bytes of these.
+fn convert_to_shots(path: &Path) -> [Vec<u8>; 4] {
+    succeeded(&meniscus(path, &[&CONVERT_TO_FRAMES[..], &SHOTS].concat()));
+    ["shot.glb", "shot.usda", "shot.usdc", "shot.abc"]
+        .map(|name| fs::read(path.join(name)).expect("readable"))
+}
+
 #[test]
 fn sequence_file_is_the_same_from_every_command() {
     let folder = frames(4);
     let path = folder.path();
-    let convert =
-        ["convert", "in", "--out", "out", "--voxel-size=0.05", "--format=glb,abc,usdc", "--up", "z"];
-    succeeded(&meniscus(path, &[&convert[..], &SHOTS].concat()));
+    let [glb, usda, usdc, abc] = convert_to_shots(path);
     let read = |name: &str| fs::read(path.join(name)).expect("readable");
-    let [glb, usda, usdc, abc] = ["shot.glb", "shot.usda", "shot.usdc", "shot.abc"].map(read);
 
     let plan = ["--shards", "3", "-o", "plan.json"];
-    let planned: Vec<&str> = convert
+    let planned: Vec<&str> = CONVERT_TO_FRAMES
         .iter()
         .map(|word| match *word {
             "convert" => "plan",
@@ -195,11 +202,14 @@ fn sequence_file_is_the_same_from_every_command() {
     // A command that selects some frames does not warn about the others.
     for frames in ["1,4", "1-4x2"] {
         let frames = ["--frames", frames];
-        succeeded(&meniscus(path, &[&convert[..], &["--sequence-glb", "some.glb"], &frames].concat()));
+        succeeded(&meniscus(
+            path,
+            &[&CONVERT_TO_FRAMES[..], &["--sequence-glb", "some.glb"], &frames].concat(),
+        ));
     }
     // A restart with nothing to convert still writes the sequence file.
     fs::remove_file(path.join("shot.glb")).expect("removed");
-    let result = meniscus(path, &[&convert[..], &SHOTS, &["--skip-done"]].concat());
+    let result = meniscus(path, &[&CONVERT_TO_FRAMES[..], &SHOTS, &["--skip-done"]].concat());
     assert!(result.out.contains("done already") && read("shot.glb") == glb, "{}{}", result.out, result.err);
 }
 
@@ -207,11 +217,8 @@ fn sequence_file_is_the_same_from_every_command() {
 fn sequence_file_is_the_same_from_frames_in_every_format() {
     let folder = frames(4);
     let path = folder.path();
-    let convert =
-        ["convert", "in", "--out", "out", "--voxel-size=0.05", "--format=glb,abc,usdc", "--up", "z"];
-    succeeded(&meniscus(path, &[&convert[..], &SHOTS].concat()));
+    let [glb, usda, usdc, abc] = convert_to_shots(path);
     let read = |name: &str| fs::read(path.join(name)).expect("readable");
-    let [glb, usda, usdc, abc] = ["shot.glb", "shot.usda", "shot.usdc", "shot.abc"].map(read);
     // In a .glb, each mesh has the provenance of its frame, which depends on the format of the frame; so only
     // the data are the same.
     let data = |glb: &[u8]| {

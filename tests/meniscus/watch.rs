@@ -410,7 +410,13 @@ fn printed_settings_are_keys_of_a_file() {
         }
         assert!(count > 0);
     }
-    // Without a spacing, a relative length has no value.
+}
+
+/// Without a spacing, a relative length has no value.
+#[test]
+fn printed_settings_without_inputs_keep_relative_lengths() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
     let refused = meniscus(path, &["convert", "--print-settings", "--radius-min", "0.02"]);
     assert!(refused.status == 2 && refused.err.contains("--spacing"), "{}", refused.err);
     let printed = meniscus(path, &["convert", "--print-settings", "--radius-min", "0.9d", "--offset=-0.5h"]);
