@@ -28,3 +28,17 @@ pub(crate) fn check_numbers<'a>(
     }
     Ok(())
 }
+
+/// The time between the last sample of a frame and the next frame, in frames. No program evaluates a scene at
+/// such short intervals, and the times are exact.
+const LAST_MOMENT: f64 = 1.0 / 1024.0;
+
+/// The times, in frames, at which the frame with this number needs a sample, if programs interpolate between it
+/// and the frame with the number `next`: its own, and the last moment before the next frame. Programs interpolate
+/// between samples of the same size, but the vertices of two frames do not correspond.
+#[expect(clippy::cast_precision_loss, reason = "the formats refuse numbers beyond 2⁵³")]
+pub(crate) fn held_times(number: u64, next: Option<u64>) -> impl Iterator<Item = f64> {
+    let (own, next) = (number as f64, next.map(|next| next as f64));
+    let held = next.map(|next| next - LAST_MOMENT).filter(|held| own < *held && Some(*held) < next);
+    [own].into_iter().chain(held)
+}

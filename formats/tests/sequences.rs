@@ -18,15 +18,21 @@ struct Frame {
     quantize: bool,
 }
 
-const FAR: [f64; 3] = [1e6 + 0.5, -2e6, 0.25];
+const FAR: [f64; 3] = [1e6, -2e6, 0.25];
+
+/// The origin of later frames.
+const MOVED: [f64; 3] = [1e6 + 64.5, -2e6 - 32.0, 0.25];
+
+/// The rounding of a position relative to the origin of the first frame, at most 128 units away.
+const MOVED_ROUNDING: f64 = 1e-5;
 
 fn frames() -> Vec<Frame> {
     let frame = |code, sides, origin, quantize| Frame { code, sides, origin, quantize };
     vec![
-        frame(5, 3, [0.0; 3], false),
-        frame(6, 5, FAR, true),
-        frame(9, 0, FAR, false),
-        frame(10, 70_000, FAR, false),
+        frame(5, 3, FAR, false),
+        frame(6, 5, MOVED, true),
+        frame(9, 0, MOVED, false),
+        frame(10, 70_000, MOVED, false),
     ]
 }
 
@@ -176,9 +182,12 @@ fn glb_sequence_contains_the_data_of_every_frame() {
     }
 }
 
-/// The samples in a .abc: the frame number of the time, and the index of the frame. A frame before missing
-/// frames has two samples.
-const ABC_SAMPLES: [(u64, usize); 5] = [(5, 0), (6, 1), (8, 1), (9, 2), (10, 3)];
+/// The last moment before frame 9.
+const BEFORE_9: f64 = 9.0 - 1.0 / 1024.0;
+
+/// The samples in a .abc: the time in frames, and the index of the frame. A frame before missing frames has two
+/// samples.
+const ABC_SAMPLES: [(f64, usize); 5] = [(5.0, 0), (6.0, 1), (BEFORE_9, 1), (9.0, 2), (10.0, 3)];
 
 #[test]
 fn abc_sequence_has_a_sample_per_frame() {
@@ -190,7 +199,7 @@ fn abc_sequence_has_a_sample_per_frame() {
         assert!(notes.len() == 1 && notes[0].starts_with("_HEAT is missing"), "{notes:?}");
         let limits = Limits::default();
         let times = abc::read_times(&bytes).expect("times");
-        assert_eq!(times, ABC_SAMPLES.map(|(number, _)| number as f64 / 25.0));
+        assert_eq!(times, ABC_SAMPLES.map(|(time, _)| time / 25.0));
         for (index, (number, frame)) in ABC_SAMPLES.into_iter().enumerate() {
             let mesh = abc::read_sample(&bytes, index, &limits).expect("a mesh");
             let expected = if frames()[frame].sides == 0 {
@@ -201,7 +210,7 @@ fn abc_sequence_has_a_sample_per_frame() {
             assert_eq!(mesh.triangles, expected.triangles, "{number}");
             assert_eq!(mesh.positions.len(), expected.positions.len(), "{number}");
             let apart = mesh.positions.as_flattened().iter().zip(expected.positions.as_flattened());
-            assert!(apart.into_iter().all(|(a, b)| (a - b).abs() < 1e-6), "{number}");
+            assert!(apart.into_iter().all(|(a, b)| (a - b).abs() < MOVED_ROUNDING), "{number}");
         }
         assert!(matches!(abc::read_sample(&bytes, 5, &limits), Err(Error::Invalid { .. })));
         let info = abc::read_sequence_info(&bytes).expect("read").expect("a sequence");
@@ -246,8 +255,11 @@ fn usda_sequence_has_a_sample_per_frame() {
         assert!(text.contains("    startTimeCode = 5\n    timeCodesPerSecond = 25\n"));
         assert!(text.contains("    defaultPrim = \"root\"\n") && text.contains("    metersPerUnit = 0.01\n"));
         assert!(text.contains("\ndef Xform \"root\"\n{\n    def Mesh \"surface\"\n    {\n"));
-        let [points, corners, origins, extents] =
-            ["points", "faceVertexIndices", "xformOp:translate", "extent"].map(|name| samples(&text, name));
+        let [points, corners, extents] =
+            ["points", "faceVertexIndices", "extent"].map(|name| samples(&text, name));
+        let (_, origin) = text.split_once(" xformOp:translate = ").expect("a translation of all frames");
+        let origin = numbers(origin.lines().next().expect("a value"));
+        assert_eq!(origin, FAR);
         let velocities = samples(&text, "velocities");
         for (index, frame) in frames().iter().enumerate() {
             let (positions, _, triangles) = frame.mesh();
@@ -257,10 +269,9 @@ fn usda_sequence_has_a_sample_per_frame() {
                 let found = samples.iter().find(|(other, _)| *other == code);
                 numbers(found.unwrap_or_else(|| panic!("no sample at {code}")).1)
             };
-            let (found, origin) = (numbers(points[index].1), at(&origins, &code));
-            // During missing frames (here 7 and 8), the last value is held until the next frame.
-            assert_eq!(at(&origins, "8"), at(&origins, "6"));
-            assert_eq!(origins.len(), frames().len() + 1);
+            let found = numbers(points[index].1);
+            // While frames are missing (here 7 and 8), the last value is held until the next frame.
+            assert_eq!(at(&extents, &BEFORE_9.to_string()), at(&extents, "6"));
             // The tolerance is the rounding of a quantized frame, whose coordinates are in a cube from (−1,
             // −1, 0) with an edge length of 2. The other frames must be unchanged.
             let tolerance = if frame.quantize { 2.0 / 65535.0 / 2.0 * 1.001 + 1e-6 } else { 0.0 };
@@ -302,10 +313,10 @@ fn usdc_sequence_has_a_sample_per_frame() {
             let usdc::UsdcFrame { mesh, attributes } = layer.frame(index).expect("our own file");
             assert_eq!(mesh.triangles, triangles);
             assert_eq!(mesh.positions.len(), positions.len());
-            let rounding = if frame.quantize { 1e-4 } else { 0.0 };
+            let rounding = if frame.quantize { 1e-4 } else { MOVED_ROUNDING };
             for (found, position) in mesh.positions.iter().zip(&positions) {
                 let is_near = |axis: usize| {
-                    (found[axis] - frame.origin[axis] - f64::from(position[axis])).abs() <= rounding + 1e-9
+                    (found[axis] - frame.origin[axis] - f64::from(position[axis])).abs() <= rounding
                 };
                 assert!((0..3).all(is_near), "{found:?} is not {position:?}");
             }
@@ -320,6 +331,41 @@ fn usdc_sequence_has_a_sample_per_frame() {
             assert!(usdc::UsdcLayer::read(&bytes[..length], &Limits::default()).is_err(), "{length}");
         }
     }
+}
+
+/// Three frames with the same mesh: programs would interpolate between them.
+fn equal_frames() -> (Vec<SequenceFrame>, Vec<u8>) {
+    let (shot, mut files) = gathered(UpAxis::Y);
+    let frame = |code| SequenceFrame { code, ..shot[1].clone() };
+    ((1..=3).map(frame).collect(), files.swap_remove(1))
+}
+
+#[test]
+fn frames_with_the_same_number_of_vertices_are_repeated_just_before_the_next() {
+    let (frames, file) = equal_frames();
+    let open = |_: usize| Ok(Cursor::new(&file));
+    let times = [1.0, 2.0 - 1.0 / 1024.0, 2.0, 3.0 - 1.0 / 1024.0, 3.0];
+    let codes = times.map(|time| time.to_string());
+
+    let mut text = Vec::new();
+    usda::write_sequence(&frames, (24.0, 1.0), &[], open, &mut text).expect("written");
+    let text = String::from_utf8(text).expect("UTF-8");
+    for name in ["points", "velocities", "normals", "faceVertexIndices", "extent"] {
+        let found: Vec<&str> = samples(&text, name).iter().map(|(code, _)| *code).collect();
+        assert_eq!(found, codes, "{name}");
+    }
+
+    let mut bytes = Vec::new();
+    abc::write_sequence(&frames, 24.0, &provenance(), open, &mut bytes).expect("written");
+    assert_eq!(abc::read_times(&bytes).expect("times"), times.map(|time| time / 24.0));
+
+    let mut bytes = Cursor::new(Vec::new());
+    usdc::write_sequence(&frames, (24.0, 1.0), &[], open, &mut bytes).expect("written");
+    let bytes = bytes.into_inner();
+    let layer = usdc::UsdcLayer::read(&bytes, &Limits::default()).expect("our own file");
+    assert_eq!(layer.codes(), Some(&[1.0, 2.0, 3.0][..]));
+    let stored = times.map(f64::to_le_bytes);
+    assert!(bytes.windows(40).any(|window| window == stored.as_flattened()));
 }
 
 #[test]

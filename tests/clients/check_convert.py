@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import flow
+import glide
 from project import DATA, OUT, OWN, WORK, Check, convert, data_is_there
 
 FORMATS = ["glb", "obj", "ply", "vdb"]
@@ -35,6 +36,7 @@ def main():
     awkward(check)
     flowing(check)
     moving(check)
+    gliding(check)
     check.end()
 
 
@@ -159,6 +161,20 @@ def moving(check):
         reads(check, label, folder, options, ["glb", "obj", "ply", "vtp", "stl", "usda", "usdc", "abc"])
         faults = [f"no {name}" for name in names if not (out / name).is_file()]
         check.line(f"{label} shots", f"{len(MOVING)} frames", faults)
+
+
+def gliding(check):
+    """Converts a block that glides far from the world's origin; see glide.py."""
+    folder = WORK / "awkward" / "gliding"
+    folder.mkdir(parents=True, exist_ok=True)
+    for frame in glide.FRAMES:
+        rows = ["x,y,z,vx,vy,vz", *(f"{x!r},{y!r},{z!r},{glide.SPEED!r},0,0" for x, y, z in glide.positions(frame))]
+        (folder / f"gliding.{frame:03}.csv").write_text("\n".join(rows) + "\n")
+    out = OUT / "gliding"
+    out.mkdir(parents=True, exist_ok=True)
+    shots = ["--sequence-usdc", out / "shot.usdc", "--sequence-abc", out / "shot.abc", "--stage", out / "stage.usda"]
+    options = ["--voxel-size", str(glide.VOXEL_SIZE), "--attributes", "velocity", "--up", "z", "--fps", str(glide.FPS)]
+    reads(check, "gliding", folder, [*options, *shots], ["glb", "ply", "usdc"])
 
 
 # Numbers of the frames; frame 3 is missing.

@@ -5,15 +5,20 @@
     shot.glb      one object for each frame; only the object of the current frame has a scale other than 0
     shot.usda     one object, whose mesh is that of the current frame
     shot.abc      one object, whose mesh is that of the current frame, with velocities
+    gliding       shot.usdc, shot.abc and the stage: the mesh between two frames is that of the first, and motion
+                  blur by the velocities is as long as the motion during the exposure
     rendered      shots_glb.png, shots_usda.png, shots_abc.png: the last frame of each shot; all show the same
 
 Runs in a separate Python, with Blender as a module.
 """
 
+import math
+
 import bpy
 import numpy as np
 from mathutils import Matrix
 
+import glide
 from check_blender import PICTURE_DIFFERENCE_MAX, positions_of, render, stage, to_log, transformed
 from mesh_files import read_ply
 from project import OUT, WORK, Check, frame_of
@@ -33,6 +38,8 @@ def main():
         check.line(f"{label}/shot.glb", *attempted(shot, folder, "glb"))
         check.line(f"{label}/shot.usda", *attempted(shot, folder, "usda"))
         check.line(f"{label}/shot.abc", *attempted(shot, folder, "abc"))
+    for name in ("shot.usdc", "shot.abc", "stage.usda"):
+        check.line(f"gliding/{name}", *attempted(glided, OUT / "gliding" / name))
     check.line("pictures", *attempted(pictures, OUT / "moving"))
     check.end()
 
@@ -52,6 +59,7 @@ def imported(path):
         ".glb": lambda: bpy.ops.import_scene.gltf(filepath=str(path)),
         ".stl": lambda: bpy.ops.wm.stl_import(filepath=str(path)),
         ".usda": lambda: bpy.ops.wm.usd_import(filepath=str(path)),
+        ".usdc": lambda: bpy.ops.wm.usd_import(filepath=str(path)),
         ".abc": lambda: bpy.ops.wm.alembic_import(filepath=str(path)),
     }[path.suffix]()
     bpy.context.view_layer.update()
@@ -122,15 +130,75 @@ def shot(folder, kind):
         bpy.context.scene.frame_set(code - codes[0] + 1 if kind == "glb" else code)
         faults += [f"frame {code}: {fault}" for fault in faults_of(objects, ply)]
         seen.append(len(shown(objects)[0]))
-    if kind != "usda":
-        # The frame before a missing frame stays visible at the time of the missing one.
-        bpy.context.scene.frame_set(3 - codes[0] + 1 if kind == "glb" else 3)
-        faults += [f"frame 3: {fault}" for fault in faults_of(objects, plys[1])]
+    # The frame before a missing frame stays visible at the time of the missing one.
+    bpy.context.scene.frame_set(3 - codes[0] + 1 if kind == "glb" else 3)
+    faults += [f"frame 3: {fault}" for fault in faults_of(objects, plys[1])]
     if kind == "abc" and "velocity" not in evaluated_attributes(objects[0]):
         faults.append("it has no velocities, so its motion is not blurred")
     if len(set(seen)) != len(seen):
         faults.append("frames that should differ are the same")
     return f"{len(objects)} objects, {' '.join(map(str, seen))} vertices at {' '.join(map(str, codes))}", faults
+
+
+def glided(path):
+    """Compares the mesh between two frames with that of the first, and measures motion blur in pictures. The camera
+    looks along y; x is to the right."""
+    objects = imported(path)
+    scene = bpy.context.scene
+    plys = sorted(path.parent.glob("gliding.*.ply"))
+    counts = [len(read_ply(ply)[0]) for ply in plys]
+    faults = [] if len(set(counts)) == 1 else [f"the frames have {counts} vertices, and should have equally many"]
+    for frame, subframe in ((1, 0.0), (1, 0.5), (2, 0.0), (2, 0.75), (3, 0.0)):
+        scene.frame_set(frame, subframe=subframe)
+        faults += [f"at {frame + subframe}: {fault}" for fault in faults_of(objects, plys[frame - 1])]
+
+    scene.frame_set(2)
+    points, _ = read_ply(plys[1])
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, width = (low + high) / 2, 4.0
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    camera.data.type, camera.data.ortho_scale = "ORTHO", width
+    camera.location, camera.rotation_euler = (middle[0], low[1] - 5, middle[2]), (math.pi / 2, 0, 0)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    objects[0].data.materials.append(glowing())
+    scene.render.motion_blur_shutter = SHUTTER
+    seen = {}
+    for name, motion in (("still", False), ("blurred", True)):
+        scene.render.use_motion_blur = motion
+        picture = WORK / f"shots_gliding_{path.stem}_{path.suffix[1:]}_{name}.png"
+        seen[name] = np.sqrt(render(picture, (480, 320), 64).mean(axis=1).reshape(320, 480))
+    # The length of the blur: the width in which a row changes from dark to bright, beyond that of the picture at rest.
+    size = width / 480
+    ramps = {name: (partial(image).sum(axis=1)[150:170].mean() * size, partial(image).sum(axis=0)[230:250].mean() * size)
+             for name, image in seen.items()}
+    along, across = np.array(ramps["blurred"]) - np.array(ramps["still"])
+    expected = 2 * SHUTTER * glide.STEP  # at both sides of the block
+    if seen["still"].max() < 0.5:
+        faults.append("the picture shows nothing")
+    if abs(along / expected - 1) > 0.1 or across > 0.02 * expected:
+        faults.append(f"it is blurred by {along:.3f} along x and {across:.3f} along z, not by {expected:.3f} and 0")
+    return f"{counts[0]} vertices in each frame, blur {along / expected:.2f} as long as the motion", faults
+
+
+# The exposure, in frames.
+SHUTTER = 0.5
+
+
+def partial(image):
+    """Which pixels are neither dark nor bright."""
+    return (image > 0.03 * image.max()) & (image < 0.97 * image.max())
+
+
+def glowing():
+    """A material that is equally bright everywhere."""
+    material = bpy.data.materials.new("glowing")
+    material.use_nodes = True
+    nodes = material.node_tree.nodes
+    nodes.clear()
+    emission, output = nodes.new("ShaderNodeEmission"), nodes.new("ShaderNodeOutputMaterial")
+    material.node_tree.links.new(emission.outputs["Emission"], output.inputs["Surface"])
+    return material
 
 
 def evaluated_attributes(obj):

@@ -208,8 +208,8 @@ def shot(folder, name):
     frames = sorted(folder.glob("moving.*.ply"))
     codes = [int(path.stem.split(".")[1]) for path in frames]
     faults = layer_faults(folder / name) if name.endswith("c") else []
-    if mesh.GetVelocitiesAttr().GetTimeSamples() != codes:
-        faults.append("its velocities have other time codes than the frames")
+    if mesh.GetVelocitiesAttr().GetTimeSamples() != mesh.GetPointsAttr().GetTimeSamples():
+        faults.append("its velocities have other time codes than its points")
     if mesh.GetPointsAttr().GetTimeSamples() != codes:
         faults.append(f"its time codes are {mesh.GetPointsAttr().GetTimeSamples()}, the frames are {codes}")
     if [stage.GetStartTimeCode(), stage.GetEndTimeCode()] != [codes[0], codes[-1]] or stage.GetTimeCodesPerSecond() != 24:

@@ -70,8 +70,8 @@ pub(super) mod bits {
 pub(super) enum Times {
     /// One sample, valid at all times.
     Static,
-    /// One sample per frame number, at number / fps seconds. The numbers increase; there is at least one.
-    Frames { numbers: Vec<u64>, fps: f64 },
+    /// Samples at these times, in frames. They increase; there is at least one.
+    Frames { times: Vec<f64>, fps: f64 },
 }
 
 impl Times {
@@ -79,7 +79,7 @@ impl Times {
     fn count(&self) -> usize {
         match self {
             Times::Static => 1,
-            Times::Frames { numbers, .. } => numbers.len(),
+            Times::Frames { times, .. } => times.len(),
         }
     }
 
@@ -94,7 +94,6 @@ impl Times {
     /// The time samplings as stored. Each has its number of samples, the time per cycle, the number of times
     /// in a cycle, and these times.
     #[expect(clippy::cast_possible_truncation, reason = "there are fewer than 2³² frames")]
-    #[expect(clippy::cast_precision_loss, reason = "the caller refuses numbers beyond 2⁵³")]
     fn stored(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         let mut put = |count: usize, per_cycle: f64, times: &[f64]| {
@@ -104,12 +103,12 @@ impl Times {
             times.iter().for_each(|time| bytes.extend(time.to_le_bytes()));
         };
         put(1, 1.0, &[0.0]);
-        if let Times::Frames { numbers, fps } = self {
-            let times: Vec<f64> = numbers.iter().map(|&number| number as f64 / fps).collect();
-            if numbers.windows(2).all(|pair| pair[1] - pair[0] == 1) {
-                put(numbers.len(), 1.0 / fps, &times[..1]);
+        if let Times::Frames { times, fps } = self {
+            let seconds: Vec<f64> = times.iter().map(|time| time / fps).collect();
+            if times.windows(2).all(|pair| pair[1] - pair[0] == 1.0) {
+                put(times.len(), 1.0 / fps, &seconds[..1]);
             } else {
-                put(numbers.len(), ACYCLIC, &times);
+                put(times.len(), ACYCLIC, &seconds);
             }
         }
         bytes

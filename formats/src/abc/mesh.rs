@@ -119,7 +119,6 @@ impl ParamType {
 /// The samples of a mesh at one time.
 #[derive(Clone, Copy)]
 pub(super) struct FrameSamples {
-    pub(super) matrix: Matrix,
     pub(super) bounds: Sample,
     pub(super) positions: Sample,
     /// The vertex indices at the faces' corners, and the number of corners of each face.
@@ -128,10 +127,9 @@ pub(super) struct FrameSamples {
     pub(super) velocities: Option<Sample>,
 }
 
-/// The samples of a mesh, one for each time.
-#[derive(Default)]
+/// The transform of a mesh, and its samples, one for each time.
 pub(super) struct MeshSamples {
-    matrices: MatrixSamples,
+    matrix: Matrix,
     bounds: Vec<Sample>,
     positions: Vec<Sample>,
     corners: Vec<Sample>,
@@ -142,9 +140,14 @@ pub(super) struct MeshSamples {
 }
 
 impl MeshSamples {
+    /// No samples yet, with this transform.
+    pub(super) fn at(matrix: Matrix) -> MeshSamples {
+        let [bounds, positions, corners, counts, normals, velocities] = Default::default();
+        MeshSamples { matrix, bounds, positions, corners, counts, normals, velocities }
+    }
+
     pub(super) fn push(&mut self, frame: FrameSamples) {
         let [corners, counts] = frame.faces;
-        self.matrices.matrices.push(frame.matrix);
         self.bounds.push(frame.bounds);
         self.positions.push(frame.positions);
         self.corners.push(corners);
@@ -189,7 +192,7 @@ impl MeshSamples {
             properties: vec![AbcProperty::compound(
                 names::TRANSFORM,
                 schema,
-                self.matrices.properties(ogawa)?,
+                transform_properties(&self.matrix, ogawa)?,
             )],
             children: vec![mesh],
         })
@@ -199,35 +202,18 @@ impl MeshSamples {
 /// Alembic's code for a transform that is given as a matrix.
 const MATRIX_OPERATION: u8 = 0x30;
 
-/// The transforms of a mesh.
-#[derive(Default)]
-struct MatrixSamples {
-    matrices: Vec<Matrix>,
-}
-
-impl MatrixSamples {
-    /// The properties of the transform. A transform that never changes has one sample; the identity has none.
-    fn properties(mut self, ogawa: &mut Ogawa) -> Result<Vec<AbcProperty>> {
-        let yes = ogawa.small_sample(1, &[1])?;
-        let mut properties = vec![AbcProperty::scalar(".inherits", "", (Pod::Bool, 1), vec![yes])];
-        if self.matrices.iter().all(|matrix| *matrix == IDENTITY) {
-            return Ok(properties);
-        }
+/// The properties of a transform that is the same at all times. The identity has no matrix.
+fn transform_properties(matrix: &Matrix, ogawa: &mut Ogawa) -> Result<Vec<AbcProperty>> {
+    let yes = ogawa.small_sample(1, &[1])?;
+    let mut properties = vec![AbcProperty::scalar(".inherits", "", (Pod::Bool, 1), vec![yes])];
+    if *matrix != IDENTITY {
         let operation = ogawa.small_sample(1, &[MATRIX_OPERATION])?;
+        let matrix = ogawa.small_sample(1, &real_bytes(matrix.as_flattened()))?;
         properties.push(AbcProperty::scalar(".ops", "", (Pod::U8, 1), vec![operation]));
-        let is_animated = self.matrices.windows(2).any(|pair| pair[0] != pair[1]);
-        self.matrices.truncate(if is_animated { usize::MAX } else { 1 });
-        let sample = |matrix: &Matrix| ogawa.small_sample(1, &real_bytes(matrix.as_flattened()));
-        let samples: Vec<Sample> = self.matrices.iter().map(sample).collect::<Result<_>>()?;
-        properties.push(AbcProperty::scalar(names::MATRIX, "", (Pod::F64, 16), samples));
+        properties.push(AbcProperty::scalar(names::MATRIX, "", (Pod::F64, 16), vec![matrix]));
         properties.push(AbcProperty::scalar("isNotConstantIdentity", "", (Pod::Bool, 1), vec![yes]));
-        if is_animated {
-            let channels: Vec<u8> = (12u32..15).flat_map(u32::to_le_bytes).collect();
-            let channels = ogawa.small_sample(3, &channels)?;
-            properties.push(AbcProperty::array(".animChans", "", (Pod::U32, 1), vec![channels]));
-        }
-        Ok(properties)
     }
+    Ok(properties)
 }
 
 /// The minimum and maximum corner of the bounding box; zeros without vertices.

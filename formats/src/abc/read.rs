@@ -93,7 +93,7 @@ pub fn read_sequence_info(bytes: &[u8]) -> Result<Option<SequenceInfo>> {
     let (positions, counts) = (archive.references(names::POSITIONS)?, archive.references(names::COUNTS)?);
     let pairs: Vec<[Reference; 2]> = positions.into_iter().zip(counts).map(Into::into).collect();
     for (index, [positions, counts]) in pairs.iter().enumerate() {
-        // A frame before missing frames has two samples, which refer to the same data.
+        // A frame may have two samples, which refer to the same data.
         if index > 0 && pairs[index - 1] == [*positions, *counts] {
             continue;
         }
@@ -106,7 +106,7 @@ pub fn read_sequence_info(bytes: &[u8]) -> Result<Option<SequenceInfo>> {
     Ok(Some(info))
 }
 
-/// The times of the samples of an archive, in seconds. A frame before missing frames has two samples.
+/// The times of the samples of an archive, in seconds. A frame may have two samples.
 ///
 /// # Errors
 ///

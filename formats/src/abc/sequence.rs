@@ -1,12 +1,13 @@
-//! Writes a sequence as one mesh with a sample per frame, and another one where frames are missing.
+//! Writes a sequence as one mesh with one or two samples per frame.
 //!
 //! ```text
-//!   frames    5    6    9    10          6 is shown until 9
-//!   samples   5    6  8 9    10          8 refers to the data of 6
+//!   frames    5    6      9    10        6 is shown until 9
+//!   samples   5    6   8.99    9    10   8.99 refers to the data of 6
 //! ```
 //!
-//! At a time between two samples, programs show the mesh of the earlier one, but some blend the two
-//! transforms. The additional sample prevents this blending. Frame n is at n / fps seconds.
+//! At a time between two samples, programs show the mesh of the earlier or of the nearer one, or blend the two if
+//! they have the same number of vertices. Where frames are missing or have the same number of vertices, the second
+//! sample, just before the next frame, prevents this. Frame n is at n / fps seconds.
 //!
 //! The writer reads each array of a frame from the frame's file, a `.glb` of this crate, just before writing
 //! the array. So only one array of one frame is in memory at a time.
@@ -15,15 +16,14 @@ use std::io::{self, Read, Seek, Write};
 
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
-use crate::frame_numbers::check_numbers;
-use crate::gltf::{FramePlacement, SequenceFrame, VertexColumn};
+use crate::frame_numbers::{check_numbers, held_times};
+use crate::gltf::{POSITION, SequenceFrame, SequencePlacement, VertexColumn};
 use crate::vertex_attributes::{UsedNames, plain_name};
 
 use super::FORMAT;
 use super::document::{AbcObject, AbcProperty, Times, write_archive};
 use super::mesh::{
-    FrameSamples, IDENTITY, Matrix, MeshSamples, ParamType, bounds_sample, real_sample, to_world,
-    triangle_samples,
+    FrameSamples, MeshSamples, ParamType, bounds_sample, real_sample, to_world, triangle_samples,
 };
 use super::ogawa::{Ogawa, Sample};
 use super::write::check_vertex_count;
@@ -31,7 +31,6 @@ use super::write::check_vertex_count;
 /// The limit of frame numbers: larger ones are not exact as 64-bit floats.
 const NUMBER_MAX: u64 = 1 << 53;
 
-const POSITION: &str = "POSITION";
 const NORMAL: &str = "NORMAL";
 const VELOCITY: &str = "_VELOCITY";
 const COLOR: &str = "COLOR_0";
@@ -52,8 +51,8 @@ pub fn write_sequence<R: Read + Seek>(
     out: &mut impl Write,
 ) -> Result<Vec<String>> {
     let (attributes, notes) = attributes(frames)?;
-    let sequence = AbcSequence { frames, matrices: matrices(frames)?, attributes };
-    let times = Times::Frames { numbers: sequence.numbers()?, fps };
+    let sequence = AbcSequence { frames, placement: SequencePlacement::of(frames, FORMAT)?, attributes };
+    let times = Times::Frames { times: sequence.times()?, fps };
     write_archive(provenance, &times, |ogawa| sequence.object(&open, ogawa), out)?;
     Ok(notes)
 }
@@ -68,15 +67,14 @@ struct AbcAttribute {
 
 struct AbcSequence<'a> {
     frames: &'a [SequenceFrame],
-    /// The transform of each frame.
-    matrices: Vec<Matrix>,
+    placement: SequencePlacement,
     /// All attributes to write, including the velocities.
     attributes: Vec<AbcAttribute>,
 }
 
 impl AbcSequence<'_> {
-    /// The frame numbers of the samples, in order.
-    fn numbers(&self) -> Result<Vec<u64>> {
+    /// The times of the samples, in frames.
+    fn times(&self) -> Result<Vec<f64>> {
         if self.frames.is_empty() {
             return Err(Error::invalid(FORMAT, Position::File, "the sequence has no frames"));
         }
@@ -84,16 +82,16 @@ impl AbcSequence<'_> {
         for frame in self.frames {
             check_vertex_count(frame.file.vertex_count() as u64)?;
         }
-        let numbers = (0..self.frames.len())
-            .flat_map(|index| [Some(self.frames[index].code), self.held_number(index)])
-            .flatten();
-        Ok(numbers.collect())
+        Ok((0..self.frames.len()).flat_map(|index| self.times_of(index)).collect())
     }
 
-    /// The frame number of the additional sample of a frame, if frames are missing after it.
-    fn held_number(&self, index: usize) -> Option<u64> {
-        let next = self.frames.get(index + 1)?.code - 1;
-        (next > self.frames[index].code).then_some(next)
+    /// The times of the samples of a frame, in frames.
+    fn times_of(&self, index: usize) -> impl Iterator<Item = f64> {
+        let frame = &self.frames[index];
+        let needs_hold = |next: &&SequenceFrame| {
+            next.code - frame.code > 1 || next.file.vertex_count() == frame.file.vertex_count()
+        };
+        held_times(frame.code, self.frames.get(index + 1).filter(needs_hold).map(|next| next.code))
     }
 
     fn object<R: Read + Seek>(
@@ -101,11 +99,12 @@ impl AbcSequence<'_> {
         open: &impl Fn(usize) -> io::Result<R>,
         ogawa: &mut Ogawa,
     ) -> Result<AbcObject> {
-        let mut samples = MeshSamples::default();
+        let SequencePlacement { up, origin } = self.placement;
+        let mut samples = MeshSamples::at(to_world(up, origin));
         let mut params: Vec<Vec<Sample>> = vec![Vec::new(); self.attributes.len()];
         for index in 0..self.frames.len() {
             let (frame, values) = self.frame(index, open, ogawa)?;
-            for _ in 0..1 + usize::from(self.held_number(index).is_some()) {
+            for _ in self.times_of(index) {
                 samples.push(frame);
                 params.iter_mut().zip(&values).for_each(|(samples, sample)| samples.push(*sample));
             }
@@ -124,14 +123,15 @@ impl AbcSequence<'_> {
         ogawa: &mut Ogawa,
     ) -> Result<(FrameSamples, Vec<Sample>)> {
         let file = &self.frames[index].file;
-        let scale = placement_of(&self.frames[index])?.map_or(0.0, |placement| placement.scale);
+        let transform = self.placement.transform(file)?;
         let (vertices, triangles) = (file.vertex_count() as u64, file.triangle_count()? as u64);
         let reals = |semantic: &str, extent: u64, per_vertex: u64, ogawa: &mut Ogawa| {
-            let column = file.column(semantic)?.filter(|_| !ogawa.is_measuring());
-            let scale = if semantic == POSITION { scale } else { 1.0 };
-            let values =
-                column.map(|column| file.read_column(&column, scale, &mut open(index)?)).transpose()?;
-            real_sample(&values.unwrap_or_default(), (vertices * per_vertex, extent), ogawa)
+            let found = match ogawa.is_measuring() {
+                true => None,
+                false => file.read_attribute(semantic, &transform, &mut open(index)?)?,
+            };
+            let values = found.map(|(_, values)| values).unwrap_or_default();
+            real_sample(&values, (vertices * per_vertex, extent), ogawa)
         };
         let positions = reals(POSITION, 3, 1, ogawa)?;
         let corners = if file.has_mesh() && !ogawa.is_measuring() {
@@ -141,10 +141,8 @@ impl AbcSequence<'_> {
         };
         let faces = triangle_samples(&corners, triangles, ogawa)?;
         drop(corners);
-        #[expect(clippy::cast_possible_truncation, reason = "positions have 32 bits")]
-        let bounds = file.bounds()?.map(|corner| corner.map(|x| f64::from((x * scale) as f32)));
+        let bounds = file.transformed_bounds(&transform)?.map(|corner| corner.map(f64::from));
         let mut frame = FrameSamples {
-            matrix: self.matrices[index],
             bounds: bounds_sample(bounds, ogawa)?,
             positions,
             faces,
@@ -168,23 +166,6 @@ impl AbcAttribute {
     fn is_velocity(&self) -> bool {
         self.semantic == VELOCITY && self.kind == ParamType::numbers(3)
     }
-}
-
-/// The placement of a frame; `None` for one without a mesh.
-fn placement_of(frame: &SequenceFrame) -> Result<Option<FramePlacement>> {
-    frame.file.has_mesh().then(|| frame.file.placement()).transpose()
-}
-
-/// The transforms of the frames. A frame without a mesh has the transform of the frame before it.
-fn matrices(frames: &[SequenceFrame]) -> Result<Vec<Matrix>> {
-    let placements: Vec<Option<FramePlacement>> = frames.iter().map(placement_of).collect::<Result<_>>()?;
-    let matrix = |placement: &FramePlacement| to_world(placement.up, placement.origin);
-    let mut current = placements.iter().flatten().next().map_or(IDENTITY, matrix);
-    let kept = placements.iter().map(|placement| {
-        current = placement.as_ref().map_or(current, matrix);
-        current
-    });
-    Ok(kept.collect())
 }
 
 /// The attributes that all frames with a mesh have, and notes on the others.

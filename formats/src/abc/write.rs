@@ -87,7 +87,6 @@ fn object(mesh: &MeshView, options: &MeshOptions, names: &[String], ogawa: &mut 
         quad_count => polygon_samples(mesh.triangles, &options.quads, quad_count, ogawa)?,
     };
     let mut frame = FrameSamples {
-        matrix: to_world(options.up, mesh.origin),
         bounds: bounds_sample(bounds(mesh.positions), ogawa)?,
         positions: real_sample(mesh.positions.as_flattened(), (vertices, 3), ogawa)?,
         faces,
@@ -114,7 +113,7 @@ fn object(mesh: &MeshView, options: &MeshOptions, names: &[String], ogawa: &mut 
             }
         }
     }
-    let mut samples = MeshSamples::default();
+    let mut samples = MeshSamples::at(to_world(options.up, mesh.origin));
     samples.push(frame);
     samples.object(params, ogawa)
 }

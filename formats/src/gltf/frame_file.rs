@@ -6,6 +6,7 @@ use std::io::{Read, Seek, SeekFrom};
 use serde_json::{Map, Value};
 
 use super::buffer::invalid;
+use super::placement::{FramePlacement, POSITION};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, component};
 use crate::error::{Error, Position, Result};
 use crate::mesh_options::UpAxis;
@@ -33,16 +34,6 @@ pub(crate) struct VertexColumn {
     /// Offset from the start of the file.
     start: u64,
     stride_bytes: usize,
-}
-
-/// The placement of a frame in the world.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct FramePlacement {
-    pub(crate) up: UpAxis,
-    /// The point that positions are relative to, in the axes of the particles.
-    pub(crate) origin: [f64; 3],
-    /// The scale of the node: the edge length of the cube of quantized positions, otherwise 1.
-    pub(crate) scale: f64,
 }
 
 impl GlbFrame {
@@ -111,7 +102,7 @@ impl GlbFrame {
         if self.has_mesh() {
             self.placement()?;
             self.triangle_count()?;
-            let position = self.column("POSITION")?.ok_or_else(|| invalid("the mesh has no positions"))?;
+            let position = self.column(POSITION)?.ok_or_else(|| invalid("the mesh has no positions"))?;
             let normal = self.column("NORMAL")?.ok_or_else(|| invalid("the mesh has no normals"))?;
             if (position.arity, normal.arity) != (3, 3) || position.count != normal.count {
                 return Err(invalid("the positions and normals do not match"));
@@ -133,7 +124,7 @@ impl GlbFrame {
 
     /// The number of vertices.
     pub fn vertex_count(&self) -> usize {
-        self.column("POSITION").ok().flatten().map_or(0, |column| column.count)
+        self.column(POSITION).ok().flatten().map_or(0, |column| column.count)
     }
 
     /// The number of triangles.
@@ -231,10 +222,10 @@ impl GlbFrame {
     }
 
     /// The smallest and largest position, with integers scaled to 0 to 1; zeros for a frame without a mesh.
-    pub(crate) fn bounds(&self) -> Result<[[f64; 3]; 2]> {
-        let Some(column) = self.column("POSITION")? else { return Ok([[0.0; 3]; 2]) };
+    pub(super) fn bounds(&self) -> Result<[[f64; 3]; 2]> {
+        let Some(column) = self.column(POSITION)? else { return Ok([[0.0; 3]; 2]) };
         let greatest = if column.component == component::F32 { 1.0 } else { f64::from(u16::MAX) };
-        let index = self.attributes()?["POSITION"].as_u64().and_then(|index| usize::try_from(index).ok());
+        let index = self.attributes()?[POSITION].as_u64().and_then(|index| usize::try_from(index).ok());
         let accessor = &self.document["accessors"][index.unwrap_or_default()];
         let corner = |name: &str| -> Option<[f64; 3]> {
             let numbers: Option<Vec<f64>> = accessor[name].as_array()?.iter().map(Value::as_f64).collect();
@@ -245,7 +236,7 @@ impl GlbFrame {
     }
 
     /// Reads vertex data. Converts normalized integers to −1 ..= 1 and multiplies them by `scale`.
-    pub(crate) fn read_column(
+    pub(super) fn read_column(
         &self,
         column: &VertexColumn,
         scale: f64,

@@ -24,6 +24,7 @@ mod buffer;
 mod chunks;
 mod external;
 mod frame_file;
+mod placement;
 mod quantized;
 mod read;
 mod read_attributes;
@@ -46,7 +47,8 @@ pub use vertex_data::attribute_notes;
 pub(crate) use vertex_data::loss_notes;
 pub use write::{write_glb, write_gltf};
 
-pub(crate) use frame_file::{FramePlacement, VertexColumn};
+pub(crate) use frame_file::VertexColumn;
+pub(crate) use placement::{POSITION, PositionTransform, SequencePlacement};
 
 use read_provenance::{glb_bytes_declared, json_of_glb_head, read_provenance};
 

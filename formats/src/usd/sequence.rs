@@ -1,9 +1,8 @@
 //! The frames of a sequence, and the attributes that all of them have.
 
-use crate::error::{Error, Position, Result};
-use crate::frame_numbers::check_numbers;
-use crate::gltf::{FramePlacement, SequenceFrame, VertexColumn};
-use crate::mesh_options::UpAxis;
+use crate::error::Result;
+use crate::frame_numbers::{check_numbers, held_times};
+use crate::gltf::{POSITION, PositionTransform, SequenceFrame, SequencePlacement, VertexColumn};
 use crate::vertex_attributes::UsedNames;
 
 use super::FORMAT;
@@ -12,17 +11,13 @@ use super::mesh::{LayerInfo, RESERVED, identifier, vector};
 /// The name of the mesh.
 pub(crate) const PRIM: &str = "surface";
 
-/// The name of positions in the frames' `.glb` files.
-pub(crate) const POSITION: &str = "POSITION";
-
 /// The largest time code. Time codes are 64-bit floats, which cannot distinguish larger integers.
 pub(crate) const CODE_MAX: u64 = 1 << 53;
 
-/// The frames of a sequence and their placements; the placement of a frame without a mesh is `None`.
+/// The frames of a sequence.
 pub(crate) struct UsdSequence<'a> {
     pub(crate) frames: &'a [SequenceFrame],
-    pub(crate) placements: Vec<Option<FramePlacement>>,
-    pub(crate) up: UpAxis,
+    pub(crate) placement: SequencePlacement,
 }
 
 /// A vertex attribute to write.
@@ -51,19 +46,7 @@ impl<'a> UsdSequence<'a> {
     /// Checks the frames, whose numbers must increase.
     pub(crate) fn of(frames: &'a [SequenceFrame]) -> Result<UsdSequence<'a>> {
         check_numbers(FORMAT, CODE_MAX, frames.iter().map(|frame| (frame.name.as_str(), frame.code)))?;
-        let placement =
-            |frame: &SequenceFrame| frame.file.has_mesh().then(|| frame.file.placement()).transpose();
-        let placements: Vec<Option<FramePlacement>> = frames.iter().map(placement).collect::<Result<_>>()?;
-        let mut ups = placements.iter().flatten().map(|placement| placement.up);
-        let up = ups.next().unwrap_or_default();
-        match ups.all(|other| other == up) {
-            true => Ok(UsdSequence { frames, placements, up }),
-            false => Err(Error::invalid(
-                FORMAT,
-                Position::File,
-                "some frames have Y up and others Z up: convert all frames with the same --up",
-            )),
-        }
+        Ok(UsdSequence { frames, placement: SequencePlacement::of(frames, FORMAT)? })
     }
 
     /// The first and the last time code, or zeros without frames.
@@ -145,38 +128,31 @@ impl<'a> UsdSequence<'a> {
         Ok(arity.ok_or("not all frames have it with the same number of values per vertex"))
     }
 
-    /// The minimum and maximum corner of a frame, relative to its origin.
+    /// The transform of the positions of a frame.
+    pub(crate) fn transform(&self, index: usize) -> Result<PositionTransform> {
+        self.placement.transform(&self.frames[index].file)
+    }
+
+    /// The minimum and maximum corner of a frame, relative to the sequence's origin.
     pub(crate) fn extent(&self, index: usize) -> Result<[[f32; 3]; 2]> {
-        let scale = self.placements[index].map_or(0.0, |placement| placement.scale);
-        Ok(self.frames[index].file.bounds()?.map(|corner| {
-            #[expect(clippy::cast_possible_truncation, reason = "positions have 32 bits")]
-            corner.map(|x| (x * scale) as f32)
-        }))
+        self.frames[index].file.transformed_bounds(&self.transform(index)?)
     }
 
-    /// The origin of each frame, or `None` if all are zero. A frame without a mesh has the origin of the
-    /// previous frame.
-    pub(crate) fn origins(&self) -> Option<Vec<[f64; 3]>> {
-        let mut last = [0.0; 3];
-        let origin = |placement: &Option<FramePlacement>| {
-            last = placement.map_or(last, |placement| placement.origin);
-            last
-        };
-        let origins: Vec<[f64; 3]> = self.placements.iter().map(origin).collect();
-        origins.iter().any(|origin| *origin != [0.0; 3]).then_some(origins)
+    /// The origin of the sequence, unless it is zero.
+    pub(crate) fn origin(&self) -> Option<[f64; 3]> {
+        Some(self.placement.origin).filter(|origin| *origin != [0.0; 3])
     }
 
-    /// The [time codes](held_codes) at which a frame needs a sample of a value that is the same for all
-    /// vertices, such as its extent.
-    pub(crate) fn held_codes(&self, index: usize) -> impl Iterator<Item = u64> {
-        held_codes(self.frames[index].code, self.frames.get(index + 1).map(|next| next.code))
+    /// The [time codes](held_times) at which a frame needs a sample of a value that has the same size in all
+    /// frames, such as its extent.
+    pub(crate) fn held_codes(&self, index: usize) -> impl Iterator<Item = f64> {
+        held_times(self.frames[index].code, self.frames.get(index + 1).map(|next| next.code))
     }
-}
 
-/// The time codes at which the frame at time code `code` needs a sample: its own and, if frames are missing
-/// before the frame at `next`, the time code just before that. The second sample keeps the value constant until
-/// then, because USD interpolates between samples of the same shape.
-pub(crate) fn held_codes(code: u64, next: Option<u64>) -> impl Iterator<Item = u64> {
-    let held = next.map(|next| next.saturating_sub(1)).filter(|&held| held > code);
-    [code].into_iter().chain(held)
+    /// The [time codes](held_times) at which a frame needs samples of the values of its vertices.
+    pub(crate) fn vertex_codes(&self, index: usize) -> impl Iterator<Item = f64> {
+        let frame = &self.frames[index];
+        let is_as_large = |next: &&SequenceFrame| next.file.vertex_count() == frame.file.vertex_count();
+        held_times(frame.code, self.frames.get(index + 1).filter(is_as_large).map(|next| next.code))
+    }
 }

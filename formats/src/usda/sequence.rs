@@ -11,17 +11,15 @@
 //! files of the frames, which are `.glb` files of this crate, it reads only the required data. At any time,
 //! only one attribute of one frame and its text are in memory.
 //!
-//! USD allows samples with different numbers of vertices, and holds such a sample until the next. But if two
-//! consecutive samples happen to have the same number of vertices, USD blends them at times between the
-//! frames, although their vertices do not correspond. So programs should evaluate the mesh only at the times
-//! of frames; for motion blur they can use `velocities`.
+//! USD allows samples with different numbers of vertices, and holds such a sample until the next. If the next
+//! frame has the same number of vertices, the sample is repeated just before it, so that USD does not blend them.
 
 use std::io::{self, Read, Seek, Write};
 
 use crate::data::Provenance;
 use crate::error::Result;
-use crate::gltf::{FramePlacement, SequenceFrame};
-use crate::usd::{Elements, POSITION, PRIM, SequenceAttribute, UsdSequence, attribute_of};
+use crate::gltf::SequenceFrame;
+use crate::usd::{Elements, PRIM, SequenceAttribute, TRANSLATE, UsdSequence, attribute_of};
 
 use super::head::{LAST_LINE, head, times};
 use super::numbers::triple;
@@ -46,19 +44,23 @@ pub fn write_sequence<R: Read + Seek>(
     let shot = UsdSequence::of(frames)?;
     let info = shot.layer_info()?;
     let (attributes, notes) = shot.attributes()?;
-    let head =
-        head(provenance, (Some(&info), &[]), (shot.up, meters_per_unit), &times(shot.code_range(), fps));
+    let head = head(
+        provenance,
+        (Some(&info), &[]),
+        (shot.placement.up, meters_per_unit),
+        &times(shot.code_range(), fps),
+    );
     write!(out, "{head}    def Mesh \"{PRIM}\"\n    {{\n")?;
 
     write_lines(&shot, "float3[] extent", out, |index| {
         let [low, high] = shot.extent(index)?;
         Ok(format!("[{}, {}]", triple(low), triple(high)))
     })?;
-    write_samples(&shot, "int[] faceVertexCounts", out, |index, _| {
+    write_samples(&shot, "int[] faceVertexCounts", out, |index| {
         let triangles = vec![[0; 3]; frames[index].file.triangle_count()?];
         Ok(Elements::FaceCounts { triangles: &triangles, quads: &[] }.texts())
     })?;
-    write_samples(&shot, "int[] faceVertexIndices", out, |index, _| {
+    write_samples(&shot, "int[] faceVertexIndices", out, |index| {
         let triangles = frames[index].file.read_triangles(&mut open(index)?)?;
         Ok(Elements::FaceCorners { triangles: &triangles, quads: &[] }.texts())
     })?;
@@ -68,19 +70,17 @@ pub fn write_sequence<R: Read + Seek>(
         if *is_per_vertex {
             writeln!(out, "        {kind} {name}{}", about(true, 1))?;
         }
-        write_samples(&shot, &format!("{kind} {name}"), out, |index, placement| {
-            let frame = &frames[index].file;
-            let Some(column) = frame.column(semantic)? else { return Ok(Vec::new()) };
-            let scale = if semantic == POSITION { placement.scale } else { 1.0 };
-            let values = frame.read_column(&column, scale, &mut open(index)?)?;
-            let (stride, first, arity) = (column.arity, *first, *arity);
-            Ok(Elements::Reals { values: &values, stride, first, arity }.texts())
+        write_samples(&shot, &format!("{kind} {name}"), out, |index| {
+            let found =
+                frames[index].file.read_attribute(semantic, &shot.transform(index)?, &mut open(index)?)?;
+            let Some((stride, values)) = found else { return Ok(Vec::new()) };
+            Ok(Elements::Reals { values: &values, stride, first: *first, arity: *arity }.texts())
         })?;
     }
     out.write_all(b"        uniform token subdivisionScheme = \"none\"\n")?;
-    if let Some(origins) = shot.origins() {
-        write_lines(&shot, "double3 xformOp:translate", out, |index| Ok(triple(origins[index])))?;
-        out.write_all(b"        uniform token[] xformOpOrder = [\"xformOp:translate\"]\n")?;
+    if let Some(origin) = shot.origin() {
+        writeln!(out, "        double3 {TRANSLATE} = {}", triple(origin))?;
+        writeln!(out, "        uniform token[] xformOpOrder = [\"{TRANSLATE}\"]")?;
     }
     let (count, vertices, faces) = (frames.len(), info.vertices, info.faces);
     write!(out, "    }}\n}}\n\n{LAST_LINE}{count} frames, {vertices} vertices, {faces} faces\n")?;
@@ -100,29 +100,27 @@ pub fn read_attribute_names(bytes: &[u8]) -> Vec<String> {
     bytes.split(|&byte| byte == b'\n').filter_map(name).collect()
 }
 
-/// Writes an array with a sample per frame, formatted by `texts`; the sample is empty for a frame without a
-/// mesh.
+/// Writes an array with samples of each frame, formatted by `texts`; they are empty for a frame without a mesh.
 fn write_samples(
     shot: &UsdSequence,
     name: &str,
     out: &mut impl Write,
-    texts: impl Fn(usize, &FramePlacement) -> Result<Vec<Vec<u8>>>,
+    texts: impl Fn(usize) -> Result<Vec<Vec<u8>>>,
 ) -> Result<()> {
     writeln!(out, "        {name}{SAMPLES}")?;
     for (index, frame) in shot.frames.iter().enumerate() {
-        write!(out, "            {}: [", frame.code)?;
-        if let Some(placement) = &shot.placements[index] {
-            for text in texts(index, placement)? {
-                out.write_all(&text)?;
-            }
+        let texts = if frame.file.has_mesh() { texts(index)? } else { Vec::new() };
+        for code in shot.vertex_codes(index) {
+            write!(out, "            {code}: [")?;
+            texts.iter().try_for_each(|text| out.write_all(text))?;
+            out.write_all(b"],\n")?;
         }
-        out.write_all(b"],\n")?;
     }
     out.write_all(b"        }\n")?;
     Ok(())
 }
 
-/// Writes a line for each time code at which a frame needs one.
+/// Writes a property that has the same size in all frames, with a line for each sample.
 fn write_lines(
     shot: &UsdSequence,
     name: &str,

@@ -20,8 +20,8 @@
 //! exactly the frames that are complete, and the writer replaces it when there are more.
 //!
 //! The file of a frame has one sample, at time code 0, whatever its number. `times` maps all times to it.
-//! USD interpolates between values of the same size in consecutive clips, so a frame is repeated just before
-//! the next one if frames are missing in between.
+//! USD interpolates between values of the same size in consecutive clips, so each frame is repeated just before
+//! the next one.
 //!
 //! The definitions of the attributes are those of the file of one frame, so primvars keep their types and
 //! interpolation. Only `xformOpOrder` is here, because its value cannot depend on the time.
@@ -35,11 +35,9 @@ use std::collections::HashSet;
 
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
-use crate::frame_numbers::check_numbers;
+use crate::frame_numbers::{check_numbers, held_times};
 use crate::mesh_options::UpAxis;
-use crate::usd::{
-    CODE_MAX, FORMAT, PRIM, ROOT, SAMPLE_CODE, SampledProperty, TRANSLATE, held_codes, identifier,
-};
+use crate::usd::{CODE_MAX, FORMAT, PRIM, ROOT, SAMPLE_CODE, SampledProperty, TRANSLATE, identifier};
 use crate::vertex_attributes::UsedNames;
 
 use super::head::{LAST_LINE, head, times};
@@ -175,7 +173,7 @@ const VOLUME: &str = "volume";
 fn clips(meshes: &[ClipFile], declared: &str, manifest: &str) -> String {
     let (mut active, mut times) = (Vec::new(), Vec::new());
     for (index, file) in meshes.iter().enumerate() {
-        for code in held_codes(file.code, meshes.get(index + 1).map(|next| next.code)) {
+        for code in held_times(file.code, meshes.get(index + 1).map(|next| next.code)) {
             active.push(format!("({code}, {index})"));
             times.push(format!("({code}, {SAMPLE_CODE})"));
         }
@@ -260,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn stage_of_meshes_maps_times_to_files_and_holds_a_frame_before_a_gap() {
+    fn stage_of_meshes_maps_times_to_files_and_holds_each_until_the_next() {
         let meshes = files(&[1, 2, 5], "usdc");
         let name = "dam".to_owned();
         let property = |kind: &str, name: &str| SampledProperty::checked(kind, name).expect("valid");
@@ -296,11 +294,11 @@ def Xform \"root\"
     def Xform \"dam\" (
         clips = {
             dictionary default = {
-                double2[] active = [(1, 0), (2, 1), (4, 1), (5, 2)]
+                double2[] active = [(1, 0), (1.9990234375, 0), (2, 1), (4.9990234375, 1), (5, 2)]
                 asset[] assetPaths = [@./out/dam.1.usdc@, @./out/dam.2.usdc@, @./out/dam.5.usdc@]
                 asset manifestAssetPath = @./shot.usda@
                 string primPath = \"/root\"
-                double2[] times = [(1, 0), (2, 0), (4, 0), (5, 0)]
+                double2[] times = [(1, 0), (1.9990234375, 0), (2, 0), (4.9990234375, 0), (5, 0)]
             }
         }
         references = @./out/dam.2.usdc@

@@ -4,7 +4,7 @@ use crate::data::{AttributeRole, FileAttribute, MeshData, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::mesh_options::UpAxis;
-use crate::usd::{FORMAT, INDICES, LayerInfo, attribute_of};
+use crate::usd::{FORMAT, INDICES, LayerInfo, TRANSLATE, attribute_of};
 
 use super::contents::NOT_OURS;
 use super::read_array::{Source, count, unexpected};
@@ -91,7 +91,8 @@ impl<'a> UsdcLayer<'a> {
         let mut layer = UsdcLayer { source, tables, info, codes: None, properties };
         layer.codes = match layer.values("points") {
             Some((_, PropertyValues::Samples(samples))) => {
-                Some(samples.iter().map(|(code, _)| *code).collect())
+                // Other samples repeat a frame just before the next.
+                Some(samples.iter().map(|(code, _)| *code).filter(|code| code.fract() == 0.0).collect())
             }
             Some((_, PropertyValues::Always(_))) => None,
             None => return Err(unexpected("points")),
@@ -191,7 +192,7 @@ impl<'a> UsdcLayer<'a> {
 
     /// The point that positions are relative to.
     fn origin(&self, index: usize) -> Result<[f64; 3]> {
-        let name = "xformOp:translate";
+        let name = TRANSLATE;
         let value = match self.values(name) {
             None => return Ok([0.0; 3]),
             Some((_, PropertyValues::Always(value))) => *value,

@@ -5,7 +5,9 @@
 //! Equal arrays, such as those of a fluid at rest, are written once, as OpenUSD does.
 //! The attributes of a frame have the same time codes, so its `velocities` are valid for its `points`.
 //!
-//! USD allows samples with different numbers of vertices, and holds each of them until the next sample.
+//! USD allows samples with different numbers of vertices, and holds such a sample until the next. If the next
+//! frame has the same number of vertices, a second sample just before it refers to the same arrays, so that USD
+//! does not blend the two frames.
 
 use std::collections::HashMap;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -14,7 +16,7 @@ use crate::data::Provenance;
 use crate::digest::{Hasher, SampleKey};
 use crate::error::Result;
 use crate::gltf::SequenceFrame;
-use crate::usd::{Elements, POSITION, PRIM, SequenceAttribute, UsdSequence};
+use crate::usd::{Elements, PRIM, SequenceAttribute, TRANSLATE, UsdSequence};
 
 use super::array::CrateArray;
 use super::contents::CONTENTS_AT;
@@ -45,16 +47,17 @@ pub fn write_sequence<R: Read + Seek>(
     let (mut counts, mut corners) = (Vec::new(), Vec::new());
     let mut samples: Vec<Vec<(f64, ValueRep)>> = attributes.iter().map(|_| Vec::new()).collect();
     for (index, frame) in frames.iter().enumerate() {
-        let code = frame.code as f64; // exact, because codes are at most 2⁵³
         let file = &mut open(index)?;
         let faces = write_faces(frame, file, &mut arrays)?;
-        counts.push((code, faces[0]));
-        corners.push((code, faces[1]));
+        let at_codes = |value: ValueRep| shot.vertex_codes(index).map(move |code| (code, value));
+        counts.extend(at_codes(faces[0]));
+        corners.extend(at_codes(faces[1]));
         for (attribute, samples) in attributes.iter().zip(&mut samples) {
-            let values = read_attribute(&shot, index, attribute, file)?;
-            let (stride, values) = (values.0, &*values.1);
-            let SequenceAttribute { first, arity, .. } = *attribute;
-            samples.push((code, arrays.write(Elements::Reals { values, stride, first, arity })?));
+            let SequenceAttribute { ref semantic, first, arity, .. } = *attribute;
+            let found = frame.file.read_attribute(semantic, &shot.transform(index)?, file)?;
+            let (stride, values) = found.unwrap_or((arity, Vec::new()));
+            let elements = Elements::Reals { values: &values, stride, first, arity };
+            samples.extend(at_codes(arrays.write(elements)?));
         }
     }
 
@@ -67,11 +70,13 @@ pub fn write_sequence<R: Read + Seek>(
         specs.push(PropertySpec { is_per_vertex: *is_per_vertex, ..sampled(kind, name, samples) });
     }
     specs.push(word("subdivisionScheme", "none", &mut end));
-    specs.extend(origins(&shot, &mut end)?);
+    if let Some(origin) = shot.origin() {
+        specs.extend(translation(origin, &mut end)?);
+    }
     let layer = LayerHead {
         provenance,
         info: shot.layer_info()?,
-        up: shot.up,
+        up: shot.placement.up,
         meters_per_unit,
         times: Some((shot.code_range(), fps)),
         prim: PRIM,
@@ -124,21 +129,6 @@ impl<W: Write> ArrayWriter<'_, W> {
     }
 }
 
-/// The number of values per vertex of an attribute in a frame, and the values.
-fn read_attribute(
-    shot: &UsdSequence,
-    index: usize,
-    attribute: &SequenceAttribute,
-    file: &mut (impl Read + Seek),
-) -> Result<(usize, Vec<f32>)> {
-    let frame = &shot.frames[index].file;
-    let none = (attribute.arity, Vec::new());
-    let Some(placement) = &shot.placements[index] else { return Ok(none) };
-    let Some(column) = frame.column(&attribute.semantic)? else { return Ok(none) };
-    let scale = if attribute.semantic == POSITION { placement.scale } else { 1.0 };
-    Ok((column.arity, frame.read_column(&column, scale, file)?))
-}
-
 fn sampled(kind: &str, name: &str, samples: Vec<(f64, ValueRep)>) -> PropertySpec {
     PropertySpec {
         kind: kind.to_owned(),
@@ -161,26 +151,20 @@ fn extents(shot: &UsdSequence, end: &mut LayerEnd) -> Result<PropertySpec> {
     for index in 0..shot.frames.len() {
         let corners = shot.extent(index)?;
         let value = end.array(&CrateArray::of_vectors(corners.as_flattened()))?;
-        samples.extend(shot.held_codes(index).map(|code| (code as f64, value)));
+        samples.extend(shot.held_codes(index).map(|code| (code, value)));
     }
     Ok(sampled("float3[]", "extent", samples))
 }
 
-/// The origins of the frames, unless all are zero.
-fn origins(shot: &UsdSequence, end: &mut LayerEnd) -> Result<Vec<PropertySpec>> {
-    let Some(origins) = shot.origins() else { return Ok(Vec::new()) };
-    let mut samples = Vec::new();
-    for (index, origin) in origins.into_iter().enumerate() {
-        let value = end.double3(origin);
-        samples.extend(shot.held_codes(index).map(|code| (code as f64, value)));
-    }
-    let name = "xformOp:translate";
-    let words = [end.tables.token(name)];
+/// The transform of the mesh, which is the same in all frames.
+fn translation(origin: [f64; 3], end: &mut LayerEnd) -> Result<[PropertySpec; 2]> {
+    let words = [end.tables.token(TRANSLATE)];
     let order = end.array(&CrateArray::of_indices(ValueType::Token, &words))?;
     let order = PropertySpec {
         is_uniform: true,
         value: SpecValue::Always(order),
         ..sampled("token[]", "xformOpOrder", Vec::new())
     };
-    Ok(vec![sampled("double3", name, samples), order])
+    let value = SpecValue::Always(end.double3(origin));
+    Ok([PropertySpec { value, ..sampled("double3", TRANSLATE, Vec::new()) }, order])
 }

@@ -1,0 +1,106 @@
+//! The placement of frames in the world, and of the frames of a sequence relative to one origin.
+
+use std::io::{Read, Seek};
+
+use super::frame_file::GlbFrame;
+use super::sequence::SequenceFrame;
+use crate::error::{Error, Position, Result};
+use crate::mesh_options::UpAxis;
+
+/// The name of positions in the files of the frames.
+pub(crate) const POSITION: &str = "POSITION";
+
+/// The placement of a frame in the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct FramePlacement {
+    pub(crate) up: UpAxis,
+    /// The point that positions are relative to, in the axes of the particles.
+    pub(crate) origin: [f64; 3],
+    /// The scale of the node: the edge length of the cube of quantized positions, otherwise 1.
+    pub(crate) scale: f64,
+}
+
+/// The placement of all frames of a sequence.
+///
+/// Frames far from the world's origin have origins of their own, which jump from one frame to the next. Programs
+/// interpolate transforms, and compute motion blur from them. So a sequence has one origin, that of its first
+/// frame with a mesh, and the positions of all frames are relative to it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct SequencePlacement {
+    pub(crate) up: UpAxis,
+    pub(crate) origin: [f64; 3],
+}
+
+/// How the positions in the file of a frame become positions of a sequence.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PositionTransform {
+    scale: f64,
+    shift: [f64; 3],
+}
+
+impl SequencePlacement {
+    /// The placement of these frames.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Invalid`] if a document is damaged, or if frames differ in their up axis.
+    pub(crate) fn of(frames: &[SequenceFrame], format: &'static str) -> Result<SequencePlacement> {
+        let mut placement = None;
+        for frame in frames.iter().filter(|frame| frame.file.has_mesh()) {
+            let FramePlacement { up, origin, .. } = frame.file.placement()?;
+            let first = placement.get_or_insert(SequencePlacement { up, origin });
+            if up != first.up {
+                let what = "some frames have Y up and others Z up: convert all frames with the same --up";
+                return Err(Error::invalid(format, Position::File, what));
+            }
+        }
+        Ok(placement.unwrap_or_default())
+    }
+
+    /// The transform of the positions of a frame.
+    pub(crate) fn transform(&self, frame: &GlbFrame) -> Result<PositionTransform> {
+        if !frame.has_mesh() {
+            return Ok(PositionTransform { scale: 1.0, shift: [0.0; 3] });
+        }
+        let FramePlacement { origin, scale, .. } = frame.placement()?;
+        Ok(PositionTransform { scale, shift: std::array::from_fn(|axis| origin[axis] - self.origin[axis]) })
+    }
+}
+
+impl PositionTransform {
+    #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
+    fn shifted(&self, axis: usize, coordinate: f32) -> f32 {
+        (f64::from(coordinate) + self.shift[axis]) as f32
+    }
+}
+
+impl GlbFrame {
+    /// Reads a vertex attribute: the number of values per vertex, and the values. `None` if the vertices do not
+    /// have it. Positions are transformed.
+    pub(crate) fn read_attribute(
+        &self,
+        semantic: &str,
+        positions: &PositionTransform,
+        file: &mut (impl Read + Seek),
+    ) -> Result<Option<(usize, Vec<f32>)>> {
+        let Some(column) = self.column(semantic)? else { return Ok(None) };
+        let scale = if semantic == POSITION { positions.scale } else { 1.0 };
+        let mut values = self.read_column(&column, scale, file)?;
+        if semantic == POSITION {
+            for position in values.as_chunks_mut::<3>().0 {
+                *position = std::array::from_fn(|axis| positions.shifted(axis, position[axis]));
+            }
+        }
+        Ok(Some((column.arity, values)))
+    }
+
+    /// The smallest and the largest transformed position; zeros for a frame without a mesh.
+    pub(crate) fn transformed_bounds(&self, positions: &PositionTransform) -> Result<[[f32; 3]; 2]> {
+        let scale = positions.scale;
+        #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
+        let corner = |corner: [f64; 3]| {
+            std::array::from_fn(|axis| positions.shifted(axis, (corner[axis] * scale) as f32))
+        };
+        Ok(self.bounds()?.map(corner))
+    }
+}
