@@ -14,9 +14,9 @@ from mesh_files import read_ply, read_vertices
 from project import OUT, Check
 
 FPS = 24
-# The samples of a shot: the frame number of the sample's time, and the frame whose mesh it has. Frame 3 is
-# missing, so frame 2 has a second sample at the time of frame 3.
-NUMBERS = ((1, 1), (2, 2), (3, 2), (4, 4))
+# The samples of a shot: the time in frames, and the frame whose mesh it has. Frame 3 is missing, so frame 2 has a
+# second sample just before frame 4.
+SAMPLES = ((1, 1), (2, 2), (4 - 1 / 1024, 2), (4, 4))
 
 
 def main():
@@ -136,17 +136,17 @@ def shot(path):
     archive = Archive(path)
     times = archive.times()
     faults = []
-    expected = [number / FPS for number, _ in NUMBERS]
+    expected = [time / FPS for time, _ in SAMPLES]
     if len(times) != len(expected) or not np.allclose(times, expected, rtol=0, atol=1e-9):
         faults.append(f"its times are {times}; expected {expected}")
     if not archive.is_varying():
         faults.append("its topology does not vary")
     counts = []
-    for index, (number, frame) in enumerate(NUMBERS):
+    for index, (time, frame) in enumerate(SAMPLES):
         sample = archive.sample(index)
         counts.append(len(sample["positions"]))
         ply = path.with_name(f"moving.{frame:03}.ply")
-        faults += [f"sample {number}: {fault}" for fault in faults_of(sample, ply, "quantized" not in str(path))]
+        faults += [f"sample at {time}: {fault}" for fault in faults_of(sample, ply, "quantized" not in str(path))]
     return f"{' '.join(map(str, counts))} vertices", faults
 
 

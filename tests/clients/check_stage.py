@@ -122,12 +122,12 @@ def of_layer(stage, numbers):
 
 
 def held(numbers):
-    """The frame at each time code of a sample: a frame is repeated just before the next if some are missing."""
+    """The frame at each time code of a sample: each frame is repeated just before the next."""
     codes = {}
     for number, following in zip(numbers, [*numbers[1:], None]):
         codes[number] = number
         if following is not None:
-            codes[following - 1] = number
+            codes[following - 1 / 1024] = number
     return codes
 
 
@@ -142,11 +142,10 @@ def of_mesh(stage, folder, numbers):
         number = max(number for number in numbers if number <= time_code)
         ply = folder / "out" / f"dam.{number:03}.ply"
         faults += [f"at {time_code}: {fault}" for fault in of_frame(mesh, time_code, ply)]
-    # Where frames are missing, nothing may be blended from the frame before to the next.
+    # Nothing may be blended from a frame to the next.
     for number, following in zip(numbers, numbers[1:]):
-        if following - number > 1:
-            ply = folder / "out" / f"dam.{number:03}.ply"
-            faults += [f"before {following}: {fault}" for fault in of_frame(mesh, following - 1.5, ply)]
+        ply = folder / "out" / f"dam.{number:03}.ply"
+        faults += [f"before {following}: {fault}" for fault in of_frame(mesh, following - 0.5, ply)]
     return faults
 
 

@@ -64,8 +64,8 @@ fn stage_holds_missing_frames_until_they_are_converted() {
     let stage = text(&path.join("shot.usda"));
     assert_eq!(clips(&stage), ["dam.1.usdc", "dam.2.usdc", "dam.5.usdc"]);
     for part in [
-        "double2[] active = [(1, 0), (2, 1), (4, 1), (5, 2)]",
-        "double2[] times = [(1, 0), (2, 0), (4, 0), (5, 0)]",
+        "double2[] active = [(1, 0), (1.9990234375, 0), (2, 1), (4.9990234375, 1), (5, 2)]",
+        "double2[] times = [(1, 0), (1.9990234375, 0), (2, 0), (4.9990234375, 0), (5, 0)]",
         "timeCodesPerSecond = 25",
         "upAxis = \"Z\"",
         "def Xform \"dam\"",
