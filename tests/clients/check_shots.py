@@ -163,16 +163,18 @@ def glided(path):
     scene.camera = camera
     objects[0].data.materials.append(glowing())
     scene.render.motion_blur_shutter = SHUTTER
+    scene.view_settings.view_transform = "Raw"  # the brightness of a pixel is the part of the exposure that is bright
     seen = {}
     for name, motion in (("still", False), ("blurred", True)):
         scene.render.use_motion_blur = motion
         picture = WORK / f"shots_gliding_{path.stem}_{path.suffix[1:]}_{name}.png"
-        seen[name] = np.sqrt(render(picture, (480, 320), 64).mean(axis=1).reshape(320, 480))
-    # The length of the blur: the width in which a row changes from dark to bright, beyond that of the picture at rest.
-    size = width / 480
-    ramps = {name: (partial(image).sum(axis=1)[150:170].mean() * size, partial(image).sum(axis=0)[230:250].mean() * size)
+        seen[name] = render(picture, (480, 320), 256).mean(axis=1).reshape(320, 480)
+    # The length of the blur: the width in which a row or a column changes from dark to bright, beyond that of the
+    # picture at rest.
+    rows, columns = (slice(150, 170), slice(None)), (slice(None), slice(230, 250))
+    ramps = {name: [partial(image[part]).sum(axis).mean() for part, axis in ((rows, 1), (columns, 0))]
              for name, image in seen.items()}
-    along, across = np.array(ramps["blurred"]) - np.array(ramps["still"])
+    along, across = (np.array(ramps["blurred"]) - ramps["still"]) * (width / 480) / PARTIAL
     expected = 2 * SHUTTER * glide.STEP  # at both sides of the block
     if seen["still"].max() < 0.5:
         faults.append("the picture shows nothing")
@@ -185,9 +187,14 @@ def glided(path):
 SHUTTER = 0.5
 
 
+# The part of the range from dark to bright that counts: noise is outside.
+PARTIAL = 0.8
+
+
 def partial(image):
     """Which pixels are neither dark nor bright."""
-    return (image > 0.03 * image.max()) & (image < 0.97 * image.max())
+    margin = (1 - PARTIAL) / 2
+    return (image > margin * image.max()) & (image < (1 - margin) * image.max())
 
 
 def glowing():
