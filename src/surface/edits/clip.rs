@@ -218,8 +218,8 @@ impl Cut {
             let most = (self.max[axis] - NEAREST_TO_PLANE).floor().min(f64::from(end[axis] - 1));
             (most - least + 1.0).max(0.0) as u64
         };
-        let all = (end - first).as_u64vec3();
-        all.element_product() - along(0) * along(1) * along(2)
+        let all = (end - first).as_i64vec3().element_product().unsigned_abs();
+        all - along(0) * along(1) * along(2)
     }
 
     /// The field on the leaves of `topology`, cut by the box. `from` gives each leaf's source, or `None` if
