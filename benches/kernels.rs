@@ -334,7 +334,7 @@ fn sweep_rate(shell: &Shell, row_count: usize, pool: &ThreadPool) -> f64 {
 
 /// The parameters of the sweeps after a step of the fast integrator.
 fn sweeps(count: u32) -> Sweeps {
-    Sweeps { count, second_order_within: 1.2 }
+    Sweeps { second_order_within: 1.2, ..Sweeps::accurate(count) }
 }
 
 /// The distances of the voxels within a voxel of the sphere, and a mask of these voxels. All other voxels
