@@ -95,7 +95,7 @@ pub fn redistance(band: &mut NarrowBand, sweeps: Sweeps) {
 pub fn redistance_in(band: &mut NarrowBand, sweeps: Sweeps, scratch: &mut Field) {
     let pinned = pin(band, scratch);
     std::mem::swap(&mut band.phi, scratch);
-    scratch.leaves.copy_from_slice(&band.phi.leaves);
+    scratch.leaves.par_iter_mut().zip(&band.phi.leaves).for_each(|(to, from)| *to = *from);
     sweep_outward(&band.topology, [&mut band.phi, scratch], &pinned, sweeps.clamped(band.half_width));
     let half_width = band.half_width;
     band.phi.leaves.par_iter_mut().for_each(|phi| {
@@ -109,7 +109,7 @@ pub fn redistance_in(band: &mut NarrowBand, sweeps: Sweeps, scratch: &mut Field)
 /// voxels that are not fixed to plus or minus [`UNREACHED`], by their side of the surface. A sweep reads
 /// values up to two voxels away.
 pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], sweeps: Sweeps) {
-    let mut next = distance.clone();
+    let mut next = Field { leaves: distance.leaves.par_iter().copied().collect() };
     sweep_outward(topology, [distance, &mut next], fixed, sweeps);
 }
 
