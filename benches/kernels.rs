@@ -334,7 +334,7 @@ fn sweep_rate(shell: &Shell, row_count: usize, pool: &ThreadPool) -> f64 {
 
 /// The parameters of the sweeps after a step of the fast integrator.
 fn sweeps(count: u32) -> Sweeps {
-    Sweeps { count, second_order_within: 1.2 }
+    Sweeps { second_order_within: 1.2, ..Sweeps::accurate(count) }
 }
 
 /// The distances of the voxels within a voxel of the sphere, and a mask of these voxels. All other voxels
@@ -351,17 +351,18 @@ fn pinned(shell: &Shell) -> (Field, Vec<LeafMask>) {
 }
 
 /// Number of row updates in all sweeps: each sweep updates the rows within two voxels, along an axis, of a
-/// row that the last sweep changed; the first sweep starts from rows with a known voxel.
+/// voxel that the last sweep changed; the first sweep starts from the known voxels. Rows that no distance has
+/// reached yet are counted, although a sweep only looks at them.
 fn swept_row_count(shell: &Shell) -> usize {
     let (start, fixed) = pinned(shell);
-    let mut changed: Vec<u64> = fixed.iter().map(LeafMask::occupied_rows).collect();
+    let mut changed = fixed.clone();
     let (mut row_count, mut last) = (0, start.clone());
     for count in 1..=SWEEP_COUNT {
         row_count += dependent_row_count(&shell.band.topology, &changed);
         let mut distance = start.clone();
         extend(&shell.band.topology, &mut distance, &fixed, sweeps(count));
         let differing = |(one, other): (&Leaf, &Leaf)| {
-            (0..ROW_COUNT).fold(0, |rows, row| rows | u64::from(one.row(row) != other.row(row)) << row)
+            LeafMask::from_fn(|offset| one.values[offset] != other.values[offset])
         };
         changed = distance.leaves.iter().zip(&last.leaves).map(differing).collect();
         last = distance;
@@ -369,17 +370,18 @@ fn swept_row_count(shell: &Shell) -> usize {
     row_count
 }
 
-fn dependent_row_count(topology: &Topology, changed: &[u64]) -> usize {
-    let is_changed = |voxel: IVec3| {
+fn dependent_row_count(topology: &Topology, changed: &[LeafMask]) -> usize {
+    let is_changed = |voxel: IVec3, along_z: u8| {
         let found = topology.find_voxel(voxel);
-        found.is_some_and(|(leaf, local)| changed[leaf] >> (local.x * 8 + local.y) & 1 == 1)
+        found.is_some_and(|(leaf, local)| changed[leaf].row((local.x * 8 + local.y) as usize) & along_z != 0)
     };
-    let steps: Vec<IVec3> = [-2, -1, 0, 1, 2]
+    // The steps to the rows that a row reads, and which of their voxels it reads.
+    let steps: Vec<(IVec3, u8)> = [-2, -1, 0, 1, 2]
         .into_iter()
-        .flat_map(|step| [IVec3::new(step, 0, 0), IVec3::new(0, step, 0)])
-        .chain([IVec3::new(0, 0, -LEAF_EDGE), IVec3::new(0, 0, LEAF_EDGE)])
+        .flat_map(|step| [(IVec3::new(step, 0, 0), 0xff), (IVec3::new(0, step, 0), 0xff)])
+        .chain([(IVec3::new(0, 0, -LEAF_EDGE), 0b1100_0000), (IVec3::new(0, 0, LEAF_EDGE), 0b0000_0011)])
         .collect();
-    let depends = |first: &IVec3| steps.iter().any(|&step| is_changed(*first + step));
+    let depends = |first: &IVec3| steps.iter().any(|&(step, along_z)| is_changed(*first + step, along_z));
     let rows = topology
         .origins()
         .iter()

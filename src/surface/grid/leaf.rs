@@ -50,6 +50,10 @@ pub struct Field {
 impl Field {
     /// A field of `leaf_count` leaves with the same value everywhere.
     pub fn splat(leaf_count: usize, value: f32) -> Field {
+        // Zeros need no loop: their pages are touched first by the threads that write the values.
+        if value.to_bits() == 0 {
+            return Field { leaves: bytemuck::zeroed_vec(leaf_count) };
+        }
         Field { leaves: vec![Leaf::splat(value); leaf_count] }
     }
 

@@ -83,7 +83,7 @@ pub fn extend_distances(band: &mut NarrowBand, sweeps: Sweeps) {
 }
 
 fn sweep(band: &mut NarrowBand, fixed: &[LeafMask], sweeps: Sweeps) {
-    extend(&band.topology, &mut band.phi, fixed, sweeps);
+    extend(&band.topology, &mut band.phi, fixed, sweeps.clamped(band.half_width));
     let half_width = band.half_width;
     band.phi.leaves.par_iter_mut().flat_map_iter(|leaf| &mut leaf.values).for_each(|phi| {
         *phi = phi.clamp(-half_width, half_width);

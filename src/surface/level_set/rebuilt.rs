@@ -159,7 +159,7 @@ pub fn rebuilt(
     // A sweep advances one voxel along the axes, so a distance along the diagonal needs √3 times as many
     // sweeps.
     let sweeps = Sweeps::accurate((3f32.sqrt() * REBUILT_HALF_WIDTH).ceil() as u32);
-    extend(&topology, &mut phi, &fixed, sweeps);
+    extend(&topology, &mut phi, &fixed, sweeps.clamped(REBUILT_HALF_WIDTH));
     drop(fixed);
     phi.leaves.par_iter_mut().for_each(|leaf| {
         for phi in &mut leaf.values {

@@ -50,11 +50,14 @@
 use rayon::prelude::*;
 
 use super::NarrowBand;
-use crate::surface::grid::{Field, Leaf, LeafMask, NO_LEAF, Neighborhood, Slab, Topology, slabs_in};
+use crate::surface::grid::{Field, Leaf, LeafMask, Neighborhood, ROW_COUNT, Slab, Topology, slabs_in};
 use crate::surface::simd::{self, Kernel, Lanes};
 
 /// Value of a voxel that no sweep has reached yet.
 pub const UNREACHED: f32 = f32::INFINITY;
+
+/// Margin of [`Sweeps::up_to`] for 32-bit rounding, in voxels.
+const ROUNDING: f32 = 1.0 / 128.0;
 
 /// How distances are swept outward.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -64,12 +67,20 @@ pub struct Sweeps {
     /// Differences to neighbors nearer to the surface than this, in voxels, are second-order. With
     /// [`UNREACHED`], all differences are.
     pub second_order_within: f32,
+    /// Distances greater than this, in voxels, are not computed: any greater value, or [`UNREACHED`], may
+    /// take their place.
+    pub up_to: f32,
 }
 
 impl Sweeps {
-    /// `count` second-order sweeps.
+    /// `count` second-order sweeps of all distances.
     pub const fn accurate(count: u32) -> Sweeps {
-        Sweeps { count, second_order_within: UNREACHED }
+        Sweeps { count, second_order_within: UNREACHED, up_to: UNREACHED }
+    }
+
+    /// These sweeps for callers that clamp distances to ± `half_width` afterwards.
+    pub const fn clamped(self, half_width: f32) -> Sweeps {
+        Sweeps { up_to: half_width, ..self }
     }
 }
 
@@ -84,8 +95,8 @@ pub fn redistance(band: &mut NarrowBand, sweeps: Sweeps) {
 pub fn redistance_in(band: &mut NarrowBand, sweeps: Sweeps, scratch: &mut Field) {
     let pinned = pin(band, scratch);
     std::mem::swap(&mut band.phi, scratch);
-    scratch.leaves.copy_from_slice(&band.phi.leaves);
-    sweep_outward(&band.topology, [&mut band.phi, scratch], &pinned, sweeps);
+    scratch.leaves.par_iter_mut().zip(&band.phi.leaves).for_each(|(to, from)| *to = *from);
+    sweep_outward(&band.topology, [&mut band.phi, scratch], &pinned, sweeps.clamped(band.half_width));
     let half_width = band.half_width;
     band.phi.leaves.par_iter_mut().for_each(|phi| {
         for phi in &mut phi.values {
@@ -98,7 +109,7 @@ pub fn redistance_in(band: &mut NarrowBand, sweeps: Sweeps, scratch: &mut Field)
 /// voxels that are not fixed to plus or minus [`UNREACHED`], by their side of the surface. A sweep reads
 /// values up to two voxels away.
 pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], sweeps: Sweeps) {
-    let mut next = distance.clone();
+    let mut next = Field { leaves: distance.leaves.par_iter().copied().collect() };
     sweep_outward(topology, [distance, &mut next], fixed, sweeps);
 }
 
@@ -108,19 +119,19 @@ fn sweep_outward(topology: &Topology, [distance, next]: [&mut Field; 2], fixed: 
     let neighbors = topology.neighbors();
     // Rows that the last sweep changed; for the first sweep, rows with a known value. If nothing that a row
     // depends on has changed, another sweep would give the same values.
-    let mut changed: Vec<u64> = fixed.par_iter().map(LeafMask::occupied_rows).collect();
+    let known = |fixed: &LeafMask| ChangedRows::of(|row| fixed.row(row));
+    let mut changed: Vec<ChangedRows> = fixed.par_iter().map(known).collect();
     let mut changed_next = changed.clone();
     for _ in 0..sweeps.count {
         let leaves = next.leaves.par_iter_mut().zip(&mut changed_next).zip(fixed).enumerate();
         leaves.for_each(|(leaf, ((next, changed_next), fixed))| {
             let rows = dependent_rows(&changed, &neighbors[leaf], leaf);
             if rows == 0 {
-                *changed_next = 0;
+                *changed_next = ChangedRows::default();
                 return;
             }
             let around = Neighborhood::new(&distance.leaves, neighbors, leaf);
-            let second_order_within = sweeps.second_order_within;
-            *changed_next = simd::dispatch(Sweep { around: &around, fixed, rows, second_order_within, next });
+            *changed_next = simd::dispatch(Sweep { around: &around, fixed, rows, sweeps, next });
         });
         std::mem::swap(distance, next);
         std::mem::swap(&mut changed, &mut changed_next);
@@ -185,13 +196,42 @@ fn pin_row<V: Lanes>(slab: &Slab, y: usize) -> (V, u8) {
     (V::select(V::mask(adjacent), distance, V::splat(UNREACHED)).mul(side), adjacent)
 }
 
-/// The rows of a leaf that changed, or have a changed row within two voxels along an axis.
-fn dependent_rows(changed: &[u64], neighbors: &[u32; 6], leaf: usize) -> u64 {
+/// The rows of a leaf with a changed voxel: bit `x·8 + y`.
+#[derive(Clone, Copy, Default)]
+struct ChangedRows {
+    /// Rows with any changed voxel.
+    any: u64,
+    /// Rows with a changed voxel among the first two and the last two along z, which the leaves beyond ±z read.
+    ends: [u64; 2],
+}
+
+impl ChangedRows {
+    /// The rows whose changed voxels `bits_of` returns.
+    fn of(bits_of: impl Fn(usize) -> u8) -> ChangedRows {
+        let mut changed = ChangedRows::default();
+        for row in 0..ROW_COUNT {
+            changed.add(row, bits_of(row));
+        }
+        changed
+    }
+
+    /// Adds the changed voxels of a row.
+    #[inline(always)]
+    fn add(&mut self, row: usize, bits: u8) {
+        self.any |= u64::from(bits != 0) << row;
+        self.ends[0] |= u64::from(bits & 0b0000_0011 != 0) << row;
+        self.ends[1] |= u64::from(bits & 0b1100_0000 != 0) << row;
+    }
+}
+
+/// The rows of a leaf with a changed voxel, or with a changed voxel within two voxels along an axis.
+fn dependent_rows(changed: &[ChangedRows], neighbors: &[u32; 6], leaf: usize) -> u64 {
     const Y_LOW: u64 = 0x0101_0101_0101_0101;
     const Y_HIGH: u64 = Y_LOW << 7;
-    let own = changed[leaf];
-    let [xm, xp, ym, yp, zm, zp] =
-        neighbors.map(|neighbor| if neighbor == NO_LEAF { 0 } else { changed[neighbor as usize] });
+    let own = changed[leaf].any;
+    let of = |neighbor: u32| changed.get(neighbor as usize).copied().unwrap_or_default();
+    let [xm, xp, ym, yp, zm, zp] = neighbors.map(of);
+    let ([zm, zp], [xm, xp, ym, yp]) = ([zm.ends[1], zp.ends[0]], [xm, xp, ym, yp].map(|rows| rows.any));
     // Bit shifts for row offsets of one and two: 8 and 16 in x; 1 and 2 within each byte in y.
     let along_x = own << 8 | own >> 8 | own << 16 | own >> 16;
     let along_y = own << 1 & !Y_LOW
@@ -211,41 +251,48 @@ struct Sweep<'a> {
     around: &'a Neighborhood<'a>,
     fixed: &'a LeafMask,
     rows: u64,
-    second_order_within: f32,
+    sweeps: Sweeps,
     next: &'a mut Leaf,
 }
 
 impl Kernel for Sweep<'_> {
-    type Output = u64;
+    type Output = ChangedRows;
 
     #[inline(always)]
-    fn run<V: Lanes>(self) -> u64 {
-        let mut changed = 0;
+    fn run<V: Lanes>(self) -> ChangedRows {
+        let mut changed = ChangedRows::default();
         for (x, ys) in slabs_in(self.rows) {
             let slab = self.around.slab(x);
             for y in ys {
                 let row = x * 8 + y;
                 let fixed = self.fixed.row(row);
                 let old = slab.row::<V>(y);
-                let updated = V::select(V::mask(fixed), old, upwind::<V>(&slab, y, self.second_order_within));
+                let updated = V::select(V::mask(fixed), old, upwind::<V>(&slab, y, self.sweeps));
                 updated.store(self.next.row_mut(row));
-                changed |= u64::from(V::bits(updated.ne(old)) != 0) << row;
+                changed.add(row, V::bits(updated.ne(old)));
             }
         }
         changed
     }
 }
 
-/// The upwind solution of |∇d| = 1 at each voxel of a row.
+/// The upwind solution of |∇d| = 1 at each voxel of a row. If all of them are greater than `sweeps.up_to`, the
+/// row as it is.
 #[inline(always)]
-fn upwind<V: Lanes>(slab: &Slab, y: usize, second_order_within: f32) -> V {
+fn upwind<V: Lanes>(slab: &Slab, y: usize, sweeps: Sweeps) -> V {
     // Distances are positive on the voxel's own side of the surface.
-    let side = V::splat(1.0).copysign(slab.row(y));
+    let row = slab.row::<V>(y);
+    let side = V::splat(1.0).copysign(row);
     let (x, y_near, z) = (slab.along_x::<V>(y), slab.along_y::<V>(y), slab.along_z::<V>(y));
     let [x_near, y_near, z_near] =
         [UpwindNeighbor::new(side, x), UpwindNeighbor::new(side, y_near), UpwindNeighbor::new(side, z)];
-    let within = V::splat(second_order_within);
+    let within = V::splat(sweeps.second_order_within);
     let nearest = x_near.value.min(y_near.value).min(z_near.value);
+    // A voxel is farther from the surface than the nearest of its neighbors, and depends on no neighbor that
+    // is farther than itself.
+    if V::bits(nearest.lt(V::splat(sweeps.up_to + ROUNDING))) == 0 {
+        return row;
+    }
     // Far from the surface, differences are first-order and second neighbors are not read.
     let (x, y, z) = if V::bits(nearest.lt(within)) == 0 {
         (x_near.first_order(), y_near.first_order(), z_near.first_order())
@@ -358,22 +405,29 @@ mod tests {
         // Leaf 0 is the leaf itself; the others are its neighbors in order, with their steps in x and y.
         let steps = [(0, 0), (-8, 0), (8, 0), (0, -8), (0, 8), (0, 0), (0, 0)];
         for (source, (x_step, y_step)) in steps.into_iter().enumerate() {
-            for row in 0..64 {
-                let mut changed = [0; 7];
-                changed[source] = 1 << row;
+            for (row, bits) in
+                (0..64).flat_map(|row| [0x01, 0x02, 0x04, 0x20, 0x40, 0x80].map(|bits| (row, bits)))
+            {
+                let mut changed = [ChangedRows::default(); 7];
+                changed[source] = ChangedRows::of(|of| if of == row as usize { bits } else { 0 });
                 let (x, y) = (x_step + (row >> 3), y_step + (row & 7));
                 let along_axis = |x: i32, y: i32| (x == 0 && y.abs() <= 2) || (y == 0 && x.abs() <= 2);
                 let expected = (0..64)
                     .filter(|to: &i32| {
                         let (dx, dy) = (x - (to >> 3), y - (to & 7));
-                        // A row beyond ±z only touches the row that it continues.
-                        if source < 5 { along_axis(dx, dy) } else { dx == 0 && dy == 0 }
+                        // A row beyond ±z only touches the row that it continues, with the two voxels next
+                        // to it.
+                        match source {
+                            5 => dx == 0 && dy == 0 && bits >= 0x40,
+                            6 => dx == 0 && dy == 0 && bits <= 0x02,
+                            _ => along_axis(dx, dy),
+                        }
                     })
                     .fold(0, |rows, to| rows | 1u64 << to);
                 assert_eq!(
                     dependent_rows(&changed, &[1, 2, 3, 4, 5, 6], 0),
                     expected,
-                    "leaf {source}, row {row}"
+                    "leaf {source}, row {row}, voxels {bits:b}"
                 );
             }
         }

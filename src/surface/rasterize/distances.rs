@@ -163,7 +163,7 @@ impl SphereDistances {
             SphereDistances::Nearest(nearest) => keep(nearest, kept),
             SphereDistances::Signed { fields, .. } => {
                 // Fields that were taken are empty.
-                let fields = fields.iter_mut().filter(|field| !field.leaves.is_empty());
+                let fields = fields.par_iter_mut().filter(|field| !field.leaves.is_empty());
                 fields.for_each(|field| keep(field, kept));
             }
         }

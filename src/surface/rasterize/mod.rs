@@ -360,9 +360,7 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     drop(distances);
     let own: Vec<usize> =
         (0..topology.len()).filter(|&leaf| regions.own.contains(topology.origins()[leaf])).collect();
-    for field in [&mut phi, &mut lower, &mut upper] {
-        keep(field, &own);
-    }
+    [&mut phi, &mut lower, &mut upper].into_par_iter().for_each(|field| keep(field, &own));
     let topology = Arc::new(subset(topology, &own));
     let mut band = NarrowBand { topology, phi, half_width };
     let mut bounds = Bounds { lower, upper };

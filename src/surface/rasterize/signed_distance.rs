@@ -38,7 +38,8 @@ pub(super) fn signed_distance(
         let leaves = distances.field(sphere).leaves.par_iter().zip(&known).map(of_leaf).collect();
         Field { leaves }
     };
-    extend(topology, &mut field, &known, Sweeps::accurate(sweep_count(radii.half_width())));
+    let half_width = radii.half_width();
+    extend(topology, &mut field, &known, Sweeps::accurate(sweep_count(half_width)).clamped(half_width));
     field
 }
 

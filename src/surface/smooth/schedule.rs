@@ -351,7 +351,10 @@ fn free_region(topology: &Topology, phi: &Field, pins_peaks: bool) -> FreeVoxels
 
 fn sweeps_after(config: &SmoothConfig) -> Sweeps {
     match config.integrator.is_implicit() && !config.pin_isolated_spheres {
-        true => Sweeps { count: REDISTANCE_SWEEPS, second_order_within: IMPLICIT_SECOND_ORDER_WITHIN },
+        true => Sweeps {
+            second_order_within: IMPLICIT_SECOND_ORDER_WITHIN,
+            ..Sweeps::accurate(REDISTANCE_SWEEPS)
+        },
         false => Sweeps::accurate(REDISTANCE_SWEEPS),
     }
 }
