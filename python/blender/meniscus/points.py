@@ -19,6 +19,7 @@ KINDS: dict[str, tuple[int, str, Any]] = {
     "FLOAT_COLOR": (4, "color", np.float32),
     "BYTE_COLOR": (4, "color", np.float32),
 }
+NO_INDEX = 2**31 - 1
 RESERVED = {"position", "radius", "id", "rest_position"}
 
 
@@ -122,12 +123,16 @@ def component_of(evaluated: bpy.types.Object, graph: bpy.types.Depsgraph) -> tup
         found = geometry.instances_pointcloud()
         data = next((data for data in (geometry.pointcloud, geometry.mesh) if has_points(data)), None)
         return geometry, data, 0 if found is None else len(found.points)
-    # Blender 4.2 to 4.4: an iteration over the scene gives each component as an object of its own.
+    # Blender 4.2 to 4.4: an iteration over the scene gives each component as an object, which counts as an
+    # instance, but has only one index.
     found, instances = {}, 0
     for each in graph.object_instances:
-        if each.is_instance:
-            instances += each.parent is not None and each.parent.original == evaluated.original
-        elif each.object.original == evaluated.original and has_points(each.object.data):
+        owner = each.parent if each.is_instance else each.object
+        if owner is None or owner.original != evaluated.original:
+            continue
+        if each.is_instance and (each.object.original != owner.original or each.persistent_id[1] != NO_INDEX):
+            instances += 1
+        elif has_points(each.object.data):
             found[each.object.type] = each.object.data
     return evaluated, found.get("POINTCLOUD") or found.get("MESH"), instances
 
