@@ -178,7 +178,7 @@ class MENISCUS_OT_bake(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         manager = context.window_manager
-        if bpy.app.background:
+        if not live.has_event_loop():
             while self._bake.step():
                 self._bake.wait()
             return self._finish(context)

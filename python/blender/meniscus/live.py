@@ -89,7 +89,7 @@ def update(surface: bpy.types.Object, graph: bpy.types.Depsgraph, has_preview: b
         status_of(surface).error = str(error)
         return
     request.has_preview = has_preview
-    if bpy.app.background or surface.meniscus.is_waiting:
+    if not has_event_loop() or surface.meniscus.is_waiting:
         show(surface, compute(request))
         return
     worker.submit(request)
@@ -143,12 +143,17 @@ def paused() -> Iterator[None]:
         _is_paused = False
 
 
+def has_event_loop() -> bool:
+    """Whether timers run: not in `blender --background`, nor with Blender as a module."""
+    return not bpy.app.background
+
+
 def is_rendering() -> bool:
     return bpy.app.is_job_running("RENDER")
 
 
 def start_tick() -> None:
-    if not bpy.app.background and not bpy.app.timers.is_registered(tick):
+    if has_event_loop() and not bpy.app.timers.is_registered(tick):
         bpy.app.timers.register(tick, first_interval=TICK_SECONDS, persistent=True)
 
 
@@ -273,7 +278,7 @@ def render_surfaces(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
 def on_render_pre(scene: bpy.types.Scene, *_: Any) -> None:
     global _rendered
     _rendered = (scene.frame_current, scene.frame_subframe)
-    if not bpy.app.background:
+    if has_event_loop():
         worker.clear()
         # The tick also writes the meshes of the render.
         if threading.get_ident() == _main:
@@ -296,7 +301,7 @@ def on_load(*_: Any) -> None:
     """After a file was opened, or undo: the mesh or its options may be those of another time."""
     global _is_stale
     worker.clear()
-    if not bpy.app.background:
+    if has_event_loop():
         _is_stale = True
         start_tick()
 
@@ -448,7 +453,7 @@ class MENISCUS_OT_update(bpy.types.Operator):
         surface = surface_of(context.object, context.scene)
         surface.data.pop(meshes.SIGNATURE, None)
         update(surface, context.evaluated_depsgraph_get(), has_preview=False)
-        if status_of(surface).error and bpy.app.background:
+        if status_of(surface).error and not has_event_loop():
             self.report({"ERROR"}, status_of(surface).error)
             return {"CANCELLED"}
         return {"FINISHED"}
