@@ -125,7 +125,8 @@ def link(surface: bpy.types.Object, file: Path, context: bpy.types.Context) -> N
     cache = added.pop()
     modifier = surface.modifiers.get(MODIFIER) or surface.modifiers.new(MODIFIER, "MESH_SEQUENCE_CACHE")
     modifier.cache_file = cache
-    modifier.read_data = {"VERT", "POLY", "UV", "COLOR", "ATTRIBUTES"}
+    # All kinds of data. Which kinds exist depends on the version of Blender.
+    modifier.read_data = {item.identifier for item in modifier.bl_rna.properties["read_data"].enum_items}
     context.view_layer.update()
     modifier.object_path = mesh_path(cache)
     # The modifier comes first, so that those of the user apply to the baked mesh.
