@@ -4,15 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 import warnings
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
-
-if sys.version_info >= (3, 12):
-    from typing import Unpack
-else:
-    from typing_extensions import Unpack
+from typing import TYPE_CHECKING, Any
 
 from . import _native
 from ._arrays import as_array, as_attribute, as_points
@@ -20,6 +14,10 @@ from ._obstacles import ObstacleLike, as_obstacles
 from ._options import OptionValues, as_pairs
 from ._particles import Particles
 from ._surface import Surface
+
+if TYPE_CHECKING:
+    # Type checkers know this module without its package.
+    from typing_extensions import Unpack
 
 #: Attributes of the particles: arrays by name. For `Particles` also names of their attributes, or "all".
 Attributes = Mapping[str, Any] | Iterable[str] | str | None

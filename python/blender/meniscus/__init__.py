@@ -1,0 +1,18 @@
+"""Surfaces of points and particle simulations in Blender.
+
+Each module of `MODULES` registers its own classes, properties, handlers and timers, and removes all of them.
+"""
+
+from . import bake, live
+
+MODULES = (live, bake)
+
+
+def register() -> None:
+    for module in MODULES:
+        module.register()
+
+
+def unregister() -> None:
+    for module in reversed(MODULES):
+        module.unregister()
