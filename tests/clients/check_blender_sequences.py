@@ -16,6 +16,8 @@ Runs in a separate Python, with Blender as a module. The package pymeniscus come
 python/tests/run builds.
 """
 
+import contextlib
+import io
 import json
 import os
 import shutil
@@ -72,7 +74,9 @@ def main():
         ("removed", removed),
     ):
         try:
-            check.line(label, *examine())
+            with contextlib.redirect_stdout(io.StringIO()):
+                figures, faults = examine()
+            check.line(label, figures, faults)
         except Exception as error:
             check.line(label, "did not come to its end", [f"{type(error).__name__}: {error}"])
     check.end()
@@ -316,9 +320,7 @@ def growing():
     folder = FOLDER / "live"
     cache = folder / "partio"
     cache.mkdir(parents=True)
-    broken = (OWN / "dam.0001.bgeo").read_bytes()
-    (folder / ".coming").write_bytes(broken[: len(broken) // 2])
-    (folder / ".coming").rename(cache / "broken_1.bgeo")
+    whole = (OWN / "dam.0001.bgeo").read_bytes()
     scene = new_scene(25)
     settings = scene.meniscus_conversion
     settings.folder, settings.out, settings.fps, settings.preset = str(cache), str(folder / "surfaces"), 8, "preview"
@@ -329,21 +331,25 @@ def growing():
     start = time.monotonic()
     try:
         while time.monotonic() < start + PATIENCE_SECONDS:
+            was_linked = len(scene.objects) > 0
             for name, tick in (("conversion", conversion.tick), ("sequence", sequence.tick)):
-                is_linked = bool(scene.meniscus_sequence and any(obj.meniscus_sequence.path for obj in scene.objects))
                 began = time.perf_counter()
                 tick()
                 spent = time.perf_counter() - began
-                if name == "conversion" and not is_linked and any(obj.meniscus_sequence.path for obj in scene.objects):
-                    name = "link"
+                # The link is Blender's own import of one frame.
+                name = name if was_linked or name == "sequence" or not len(scene.objects) else "link"
                 slowest[name] = max(spent, slowest.get(name, 0))
             obj = next((obj for obj in scene.objects if obj.meniscus_sequence.path), None)
+            if obj and not was_linked:
+                (folder / ".coming").write_bytes(whole[: len(whole) // 2])
+                (folder / ".coming").rename(cache / "broken_1.bgeo")
             if obj and simulator.poll() is None and scene.frame_end not in seen:
                 # It plays while it is written.
                 scene.frame_set(scene.frame_end)
                 seen[scene.frame_end] = len(shown(obj))
             frames = sorted(cache.glob("ParticleData_Fluid_*.bgeo"))
-            if simulator.poll() is not None and frames and obj and scene.frame_end >= len(frames):
+            has_failed = bool(conversion._conversion.progress.failures)
+            if simulator.poll() is not None and frames and obj and scene.frame_end >= len(frames) and has_failed:
                 break
             time.sleep(0.2)
         said = labels(conversion.MENISCUS_PT_conversion)
@@ -366,7 +372,6 @@ def growing():
         scene.frame_set(frame)
         if not len(shown(obj)) or "velocity" not in obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.attributes:
             faults.append(f"frame {frame} is empty, or has no velocities")
-    # What the link costs is Blender's import of one frame.
     faults += [f"{name} took {took:.3f} s" for name, took in slowest.items() if took > TICK_FAILS_SECONDS]
     times = ", ".join(f"{name} {1000 * took:.0f} ms" for name, took in slowest.items())
     figures = f"{len(frames)} frames, {len(seen)} states seen meanwhile, {counts}; {failure}; at most {times}"
@@ -459,11 +464,12 @@ def pictures():
         stage(TURN, points.min(axis=0), points.max(axis=0))
         scene.render.use_motion_blur, scene.render.motion_blur_shutter = name == "blurred", 1.0
         images[name] = render(WORK / f"sequences_{name}.png")
-    difference = abs(images["still"] - images["blurred"]).mean()
+    # Only the wave at the wall moves by more than a few pixels in a frame.
+    blurred = (abs(images["still"] - images["blurred"]).max(axis=-1) > 0.1).mean()
     faults = [f"sequences_{name}.png shows nothing" for name, image in images.items() if image.std() < 0.05]
-    if difference < 0.003:
+    if blurred < 0.003:
         faults.append("the motion is not blurred")
-    return f"difference {difference:.4f} in the mean: {WORK.name}/sequences_{{still,blurred}}.png", faults
+    return f"{blurred:.2%} of the pixels are blurred: {WORK.name}/sequences_{{still,blurred}}.png", faults
 
 
 def removed():

@@ -9,7 +9,6 @@ result when its first frame is there. Nothing here waits on the main thread.
 import json
 import subprocess
 import threading
-import time
 import urllib.parse
 import urllib.request
 from collections import deque
@@ -83,6 +82,8 @@ class Conversion:
         self._process: subprocess.Popen[str] | None = None
         self._lock = threading.Lock()
         self._is_stopping = False
+        self._has_ended = threading.Event()
+        self._poller: threading.Thread | None = None
         self._thread = threading.Thread(target=self._run, name="meniscus-daemon", daemon=True)
         self._thread.start()
 
@@ -105,6 +106,10 @@ class Conversion:
         if self._process and self._process.poll() is None:
             self._process.kill()
             self._process.wait()
+        # A thread that is left when Python ends can keep Blender from exiting.
+        self._has_ended.set()
+        if self._poller:
+            self._poller.join(ANSWER_SECONDS + 1)
 
     def _tell(self, **changes: Any) -> None:
         with self._lock:
@@ -135,14 +140,16 @@ class Conversion:
             if event.get("level") == "ERROR" and "frame" not in event:
                 errors.append(str(event.get("message", "")))
             if "address" in event:
-                threading.Thread(target=self._poll, args=[event["address"]], name="meniscus-status", daemon=True).start()
+                self._poller = threading.Thread(target=self._poll, args=[event["address"]], name="meniscus-status", daemon=True)
+                self._poller.start()
+        self._has_ended.set()
         process.stderr.close()
         return process.wait()
 
     def _poll(self, address: str) -> None:
         """Ask for the status until the daemon ends. Runs on a thread."""
         known: tuple[int, ...] = ()
-        while self._process.poll() is None:
+        while not self._has_ended.wait(TICK_SECONDS):
             try:
                 status = answer(address, "api/status")
                 live, counts = status["status"], status["frames"]
@@ -162,7 +169,6 @@ class Conversion:
             except (OSError, ValueError, LookupError):
                 # It stops, or answers the next time.
                 pass
-            time.sleep(TICK_SECONDS)
 
 
 def answer(address: str, path: str) -> dict[str, Any]:
