@@ -8,6 +8,7 @@ result when its first frame is there. Nothing here waits on the main thread.
 
 import json
 import subprocess
+import textwrap
 import threading
 import urllib.parse
 import urllib.request
@@ -29,6 +30,7 @@ STOP_SECONDS = 2
 #: The server is on this machine, so it answers at once or hangs.
 ANSWER_SECONDS = 5
 SHOWN_FAILURES = 8
+LABEL_LETTERS = 44
 STAGE = "shot.usda"
 
 
@@ -185,8 +187,10 @@ def failures(address: str) -> tuple[tuple[str, str], ...]:
         page = answer(address, f"api/frames?limit=2000{after}")
         for frame in page["frames"]:
             if frame["state"] in ("failed", "retrying"):
+                # A reason begins with the path, which ends with the name.
+                reason = str(frame["reason"]).rpartition(f"{frame['name']}: ")[2]
                 again = " (is tried again)" if frame["state"] == "retrying" else ""
-                found.append((frame["name"], f"{frame['reason']}{again}"))
+                found.append((frame["name"], reason + again))
         after = f"&after={urllib.parse.quote(page['next'])}" if page["next"] else None
     return tuple(found)
 
@@ -223,7 +227,7 @@ def start(scene: bpy.types.Scene) -> Conversion:
     return _conversion
 
 
-def options_of(settings: "ConversionSettings") -> list[str]:
+def options_of(settings: "MENISCUS_PG_conversion") -> list[str]:
     """The options of the command; those that are unset keep the command's defaults."""
     options = {
         "format": "usdc,vdb" if settings.has_volumes else "usdc",
@@ -282,7 +286,7 @@ def link(scene: bpy.types.Scene, stage: Path) -> None:
 PRESETS = ("fluid", "noisy", "splash", "granular", "preview", "paper")
 
 
-class ConversionSettings(bpy.types.PropertyGroup):
+class MENISCUS_PG_conversion(bpy.types.PropertyGroup):
     """The panel's values. The names and meanings are those of the command `watch`."""
 
     folder: StringProperty(name="Particles", subtype="DIR_PATH", description="The folder into which a simulation writes frames")
@@ -353,7 +357,7 @@ class MENISCUS_PT_conversion(bpy.types.Panel):
         is_running = bool(_conversion and _conversion.is_running)
         column = layout.column()
         column.use_property_split, column.enabled = True, not is_running
-        for name in ConversionSettings.__annotations__:
+        for name in MENISCUS_PG_conversion.__annotations__:
             column.prop(settings, name)
         kind = MENISCUS_OT_conversion_stop if is_running else MENISCUS_OT_conversion_start
         layout.operator(kind.bl_idname)
@@ -365,10 +369,11 @@ def draw_progress(box: bpy.types.UILayout, conversion: Conversion) -> None:
     progress = conversion.progress
     for line in lines_of(conversion):
         box.label(text=line)
-    for line in [*progress.troubles, *progress.error.splitlines()]:
-        box.label(text=line, icon="ERROR")
-    for name, reason in progress.failures[:SHOWN_FAILURES]:
-        box.label(text=f"{name}: {reason}", icon="ERROR")
+    failed = [f"{name}: {reason}" for name, reason in progress.failures[:SHOWN_FAILURES]]
+    for text in [*progress.troubles, *progress.error.splitlines(), *failed]:
+        # A label has one line, and Blender cuts it at the edge of the panel.
+        for index, line in enumerate(textwrap.wrap(text, LABEL_LETTERS)):
+            box.label(text=line, icon="BLANK1" if index else "ERROR")
     if len(progress.failures) > SHOWN_FAILURES:
         box.label(text=f"and {len(progress.failures) - SHOWN_FAILURES} more")
 
@@ -389,13 +394,13 @@ def lines_of(conversion: Conversion) -> list[str]:
     return lines
 
 
-CLASSES = (ConversionSettings, MENISCUS_OT_conversion_start, MENISCUS_OT_conversion_stop, MENISCUS_PT_conversion)
+CLASSES = (MENISCUS_PG_conversion, MENISCUS_OT_conversion_start, MENISCUS_OT_conversion_stop, MENISCUS_PT_conversion)
 
 
 def register() -> None:
     for kind in CLASSES:
         bpy.utils.register_class(kind)
-    bpy.types.Scene.meniscus_conversion = PointerProperty(type=ConversionSettings)
+    bpy.types.Scene.meniscus_conversion = PointerProperty(type=MENISCUS_PG_conversion)
     bpy.app.timers.register(tick, first_interval=TICK_SECONDS, persistent=True)
 
 

@@ -132,7 +132,7 @@ def stamp_of(path: Path) -> tuple[float, ...]:
 # Import
 
 
-def import_sequence(scene: bpy.types.Scene, path: Path, settings: "ImportSettings | None" = None) -> list[bpy.types.Object]:
+def import_sequence(scene: bpy.types.Scene, path: Path, settings: "MENISCUS_PG_import | None" = None) -> list[bpy.types.Object]:
     """Add a sequence to a scene, and return its objects: one for each mesh of a stage.
 
     Raises
@@ -160,7 +160,7 @@ def import_sequence(scene: bpy.types.Scene, path: Path, settings: "ImportSetting
     return objects
 
 
-def add_meshes(scene: bpy.types.Scene, path: Path, shot: Shot, settings: "ImportSettings") -> list[bpy.types.Object]:
+def add_meshes(scene: bpy.types.Scene, path: Path, shot: Shot, settings: "MENISCUS_PG_import") -> list[bpy.types.Object]:
     """The objects that Blender's importer makes, with its Mesh Sequence Cache."""
     before = set(bpy.data.objects)
     with in_window():
@@ -181,7 +181,7 @@ def add_meshes(scene: bpy.types.Scene, path: Path, shot: Shot, settings: "Import
     return meshes
 
 
-def add_volumes(scene: bpy.types.Scene, path: Path, shot: Shot, settings: "ImportSettings") -> list[bpy.types.Object]:
+def add_volumes(scene: bpy.types.Scene, path: Path, shot: Shot, settings: "MENISCUS_PG_import") -> list[bpy.types.Object]:
     """A volume, which Blender loads by the number of a file, and the mesh around its level set."""
     name = ends_of(path)[0].rstrip("._- ") or path.stem
     data = bpy.data.volumes.new(name)
@@ -240,17 +240,17 @@ def set_rate(scene: bpy.types.Scene, fps: float) -> None:
     scene.render.fps_base = math.ceil(fps) / fps
 
 
-def ratio_of(source: "ObjectSequence", scene: bpy.types.Scene) -> float:
+def ratio_of(source: "MENISCUS_PG_sequence", scene: bpy.types.Scene) -> float:
     """How many frames of the sequence pass in a frame of the scene."""
     return source.fps / rate_of(scene) if source.keeps_rate else 1.0
 
 
-def scene_frame_of(number: int, source: "ObjectSequence", scene: bpy.types.Scene) -> float:
+def scene_frame_of(number: int, source: "MENISCUS_PG_sequence", scene: bpy.types.Scene) -> float:
     """Where the scene shows a frame: the one that was the first at its number plus the offset."""
     return source.anchor + source.offset + (number - source.anchor) / ratio_of(source, scene)
 
 
-def range_of(source: "ObjectSequence", scene: bpy.types.Scene) -> tuple[int, int]:
+def range_of(source: "MENISCUS_PG_sequence", scene: bpy.types.Scene) -> tuple[int, int]:
     first, last = (scene_frame_of(number, source, scene) for number in (source.first, source.last))
     # Blender's scenes have no negative start.
     return max(math.ceil(first - TINY), 0), max(math.ceil(last - TINY), 0)
@@ -282,7 +282,7 @@ def set_times(obj: bpy.types.Object, scene: bpy.types.Scene) -> None:
         cache.driver_add("frame").driver.expression = expression
 
 
-def drive_volume(volume: bpy.types.Volume, source: "ObjectSequence", scene: bpy.types.Scene) -> None:
+def drive_volume(volume: bpy.types.Volume, source: "MENISCUS_PG_sequence", scene: bpy.types.Scene) -> None:
     """Drive the number of the file by the frame, through a key for each file that exists. A missing file has
     none, so the previous one is held."""
     shot = _known.get(source.path)
@@ -303,7 +303,7 @@ def drive_volume(volume: bpy.types.Volume, source: "ObjectSequence", scene: bpy.
     curve.update()
 
 
-def retime(source: "ObjectSequence", context: bpy.types.Context) -> None:
+def retime(source: "MENISCUS_PG_sequence", context: bpy.types.Context) -> None:
     """Follow a change of the offset or the rate in the panel."""
     if not source.path:
         return
@@ -455,7 +455,7 @@ KEEPS_RATE = (
 )
 
 
-class ImportSettings(bpy.types.PropertyGroup):
+class MENISCUS_PG_import(bpy.types.PropertyGroup):
     """The panel's values for the next import."""
 
     path: StringProperty(
@@ -481,7 +481,7 @@ class ImportSettings(bpy.types.PropertyGroup):
     )
 
 
-class ObjectSequence(bpy.types.PropertyGroup):
+class MENISCUS_PG_sequence(bpy.types.PropertyGroup):
     """The sequence that an object shows."""
 
     path: StringProperty(name="File", subtype="FILE_PATH")
@@ -521,12 +521,12 @@ class MENISCUS_OT_sequence_import(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def summary(source: "ObjectSequence", scene: bpy.types.Scene, rate: float) -> str:
+def summary(source: "MENISCUS_PG_sequence", scene: bpy.types.Scene, rate: float) -> str:
     """What an import did to the times of the scene, whose rate was `rate` before."""
     text = f"Frames {source.first} to {source.last}, {source.fps:g} per second"
-    if rate_of(scene) != rate:
+    if not math.isclose(rate_of(scene), rate, rel_tol=1e-6):
         return f"{text}: the scene's rate was {rate:g}, and is {rate_of(scene):g} now"
-    if abs(source.fps - rate) > 1e-6 * rate:
+    if not math.isclose(source.fps, rate, rel_tol=1e-6):
         kind = "repeated" if source.fps < rate else "left out"
         return f"{text}: the scene keeps its rate, {rate:g}, so frames are {kind}"
     return text
@@ -592,8 +592,8 @@ def draw_sequence(box: bpy.types.UILayout, obj: bpy.types.Object, scene: bpy.typ
 
 
 CLASSES = (
-    ImportSettings,
-    ObjectSequence,
+    MENISCUS_PG_import,
+    MENISCUS_PG_sequence,
     MENISCUS_OT_sequence_import,
     MENISCUS_OT_sequence_reload,
     MENISCUS_PT_sequence,
@@ -603,8 +603,8 @@ CLASSES = (
 def register() -> None:
     for kind in CLASSES:
         bpy.utils.register_class(kind)
-    bpy.types.Scene.meniscus_sequence = PointerProperty(type=ImportSettings)
-    bpy.types.Object.meniscus_sequence = PointerProperty(type=ObjectSequence)
+    bpy.types.Scene.meniscus_sequence = PointerProperty(type=MENISCUS_PG_import)
+    bpy.types.Object.meniscus_sequence = PointerProperty(type=MENISCUS_PG_sequence)
     bpy.app.timers.register(tick, first_interval=FOLLOW_SECONDS, persistent=True)
 
 
