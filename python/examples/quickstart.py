@@ -20,7 +20,7 @@ def main(out: Path) -> None:
     surface = pymeniscus.reconstruct(
         points, preset="noisy", attributes={"height": points[:, 2]}, formats=["glb", "vdb"]
     )
-    assert surface.certificate.holds, surface.certificate.fault
+    assert surface.certificate.holds, surface.certificate.violations
     print(surface)
     print("volume", surface.report["volume"], "of", 4 / 3 * np.pi)
     for name in ("ball.glb", "ball.vdb", "ball.png"):

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: DLPack's device type for main memory.
-_CPU = 1
+#: DLPack's types of devices whose memory the processor reads: main memory, main memory that is pinned for CUDA or
+#: ROCm, and managed memory of CUDA.
+_READABLE = frozenset({1, 3, 11, 13})
 
 
 def as_array(values: Any, name: str) -> NDArray[Any]:
@@ -30,13 +31,16 @@ def as_array(values: Any, name: str) -> NDArray[Any]:
     Raises
     ------
     TypeError
-        If the values are in the memory of a device, or are not an array.
+        If the values are in the memory of a device, are not an array, or are a masked array with masked
+        values.
     """
+    if np.ma.is_masked(values):
+        raise TypeError(f"{name} has masked values: remove them, or replace them with `filled()`")
     if isinstance(values, np.ndarray):
-        return values
+        return np.asarray(values)
     if hasattr(values, "__dlpack__") and hasattr(values, "__dlpack_device__"):
         device_type, device = values.__dlpack_device__()
-        if int(device_type) != _CPU:
+        if int(device_type) not in _READABLE:
             raise TypeError(
                 f"{name} is in the memory of a device (DLPack type {int(device_type)}, number {device}): "
                 "copy it to the main memory first"
@@ -49,8 +53,9 @@ def as_array(values: Any, name: str) -> NDArray[Any]:
             pass
     try:
         array = np.asarray(values)
-    except ValueError as error:
-        raise TypeError(f"{name} is not an array: {error}") from error
+    except (ValueError, RuntimeError) as error:
+        # PyTorch raises a RuntimeError for a tensor that records gradients.
+        raise TypeError(f"{name} cannot be read as an array: {error}") from error
     if array.dtype == object:
         raise TypeError(f"{name} is not an array of numbers but {type(values).__name__}")
     return array

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import json
 import os
+import queue
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -21,13 +24,22 @@ from types import TracebackType
 from typing import Any, TypeAlias
 
 from ._errors import MeniscusError
-from ._options import option_table
+from ._options import _text, option_table
 
 Paths: TypeAlias = "str | os.PathLike[str] | Iterable[str | os.PathLike[str]]"
 
 #: Options that the command line repeats for each value of a list. Values of other lists are separated by
 #: commas.
 _REPEATED = frozenset({"obstacle"})
+
+#: Runs the package in the folder of the first argument. ``python -m pymeniscus`` would search the working
+#: folder first, which may have another module of this name, or one of the name of a standard module.
+_PROGRAM = """
+import sys
+sys.path[:] = [sys.argv.pop(1), *filter(None, sys.path)]
+from pymeniscus.__main__ import main
+main()
+"""
 
 
 class CommandError(MeniscusError):
@@ -36,7 +48,8 @@ class CommandError(MeniscusError):
     Attributes
     ----------
     status : int
-        The exit status: 1 if some frames failed, 2 if the command did nothing.
+        The exit status: 1 if some frames failed, 2 if the command did nothing, for example because an option
+        is unknown, and the negative number of the signal if one ended the command.
     messages : str
         What the command wrote to the standard error.
     report : dict or None
@@ -44,11 +57,17 @@ class CommandError(MeniscusError):
     """
 
     def __init__(self, status: int, messages: str, report: dict[str, Any] | None = None) -> None:
-        lines = [line for line in messages.splitlines() if line.startswith("error")] or messages.splitlines()
-        super().__init__("\n".join(lines[-20:]) or f"exit status {status}")
+        # Pickling calls the constructor with the arguments of the base class.
+        super().__init__(status, messages, report)
         self.status = status
         self.messages = messages
         self.report = report
+
+    def __str__(self) -> str:
+        """The errors in `messages`, or all messages if none is marked as an error: at most 20 lines."""
+        lines = self.messages.splitlines()
+        errors = [line for line in lines if line.startswith("error")] or lines
+        return "\n".join(errors[-20:]) or f"exit status {self.status}"
 
 
 def convert(
@@ -68,7 +87,8 @@ def convert(
     **options
         The options of the command with ``_`` for ``-``: ``format=["glb", "vdb"]``, ``preset="splash"``,
         ``skip_done=True``, ``obstacle="ship.obj"``, ``frames="1-240x2"`` and so on. An option that is None is
-        left out.
+        left out. ``report="report.json"`` also writes the report to a file, which is left as it is if no
+        frame could be converted.
 
     Returns
     -------
@@ -84,12 +104,16 @@ def convert(
         conversion.
     """
     with tempfile.TemporaryDirectory(prefix="pymeniscus-") as folder:
-        report_path = options.pop("report", None) or os.path.join(folder, "report.json")
-        arguments = ["convert", *_flags({**options, "out": out, "report": report_path}), "--", *_paths(inputs)]
+        # Not at the path that the caller chose: a file there may be the report of an earlier call.
+        written = Path(folder, "report.json")
+        chosen = options.pop("report", None)
+        arguments = ["convert", *_flags({**options, "out": out, "report": written}), "--", *_paths(inputs)]
         status, messages = _run(arguments)
         report: dict[str, Any] | None = None
-        if os.path.exists(report_path):
-            report = json.loads(Path(report_path).read_text(encoding="utf-8"))
+        if written.exists():
+            report = json.loads(written.read_text(encoding="utf-8"))
+            if chosen is not None:
+                shutil.copyfile(written, chosen)
     if report is None or (status != 0 and not allow_failures):
         raise CommandError(status, messages, report)
     return report
@@ -184,10 +208,13 @@ class Watch:
     The iteration ends when the command ends: after `stop`, or with ``once=True`` when everything is
     converted. Leaving the context stops the command, which first finishes the frames in progress.
 
+    If the command did nothing, for example because an option is unknown, or if it crashed, the end of the
+    iteration and the end of the context raise `CommandError`.
+
     Attributes
     ----------
     status : int or None
-        The exit status of the command; None while it runs.
+        The exit status of the command; None while it runs. It is 1 if some frames failed.
     """
 
     def __init__(self, folders: Paths, out: str | os.PathLike[str], options: dict[str, Any]) -> None:
@@ -200,14 +227,18 @@ class Watch:
             *[os.fspath(folder) for folder in self._folders],
         ]
         self._process: subprocess.Popen[str] | None = None
+        self._reader: threading.Thread | None = None
+        self._frames: queue.SimpleQueue[FinishedFrame | None] = queue.SimpleQueue()
         self._last_lines: deque[str] = deque(maxlen=20)
+        self._is_stopping = False
+        self._has_raised = False
         self.status: int | None = None
 
     def __enter__(self) -> Watch:
         if self._process is not None:
             raise RuntimeError("this watch was started before: call watch() again")
         # The command is in a process group of its own, so that Ctrl-C reaches only the caller, who then
-        # leaves the context.
+        # leaves the context. Frames are recognized by lines that a less severe level of the log includes.
         self._process = subprocess.Popen(
             _command(self._arguments),
             stdin=subprocess.DEVNULL,
@@ -217,51 +248,93 @@ class Watch:
             encoding="utf-8",
             errors="replace",
             start_new_session=True,
+            env={**os.environ, "MENISCUS_LOG": "info"},
         )
+        # A thread reads the log, because a full pipe would block the command while the caller handles a frame.
+        self._reader = threading.Thread(target=self._read_log, args=(self._process,), daemon=True)
+        self._reader.start()
         return self
 
-    def __iter__(self) -> Iterator[FinishedFrame]:
-        process = self._started()
+    def _read_log(self, process: subprocess.Popen[str]) -> None:
         assert process.stderr is not None
-        for line in process.stderr:
-            try:
-                event = json.loads(line)
-            except ValueError:
-                self._last_lines.append(line.rstrip())
-                continue
-            if event.get("level") in ("ERROR", "WARN"):
-                self._last_lines.append(str(event.get("message", "")))
-            frame = self._finished(event)
-            if frame is not None:
-                yield frame
-        self.status = process.wait()
-        if self.status == 2:
-            raise CommandError(self.status, "\n".join(self._last_lines))
+        try:
+            with process.stderr:
+                for line in process.stderr:
+                    self._note(line)
+            self.status = process.wait()
+        finally:
+            self._frames.put(None)
+
+    def _note(self, line: str) -> None:
+        """Handle a line of the log."""
+        try:
+            event = json.loads(line)
+        except ValueError:
+            event = None
+        if not isinstance(event, dict):
+            self._last_lines.append(line.rstrip())
+            return
+        if event.get("level") in ("ERROR", "WARN"):
+            self._last_lines.append(str(event.get("message", "")))
+        frame = self._finished(event)
+        if frame is not None:
+            self._frames.put(frame)
+
+    def __iter__(self) -> Iterator[FinishedFrame]:
+        """The frames that the command has finished, each once, in the order in which it finishes them. Waits
+        for the next frame while the command runs.
+
+        Raises
+        ------
+        CommandError
+            If the command did nothing, for example because an option is unknown, or if it crashed.
+        RuntimeError
+            Outside the context.
+        """
+        self._started()
+        while (frame := self._frames.get()) is not None:
+            yield frame
+        # Later iterations, and those of other threads, end as well.
+        self._frames.put(None)
+        self._check_status()
 
     def stop(self) -> None:
-        """Ask the command to finish the frames in progress and to end. You may call it repeatedly, and from
-        any thread."""
+        """Ask the command to finish the frames in progress and to end, without waiting for it. You may call
+        it repeatedly, and from any thread. The iteration still yields the frames that the command finishes.
+
+        Raises
+        ------
+        RuntimeError
+            Before the context is entered.
+        """
         process = self._started()
-        if process.poll() is None and not getattr(process, "_is_stopping", False):
-            process._is_stopping = True  # type: ignore[attr-defined]
+        if process.poll() is None and not self._is_stopping:
+            self._is_stopping = True
             process.send_signal(signal.SIGTERM)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         process = self._started()
+        assert self._reader is not None
         self.stop()
         try:
-            # Read the rest of the log: a full pipe would block the command.
-            if process.stderr is not None:
-                for _ in process.stderr:
-                    pass
-                process.stderr.close()
-            self.status = process.wait()
+            self._reader.join()
         except KeyboardInterrupt:
             process.kill()
-            self.status = process.wait()
+            self._reader.join()
             raise
+        if kind is None and not self._has_raised:
+            self._check_status()
+
+    def _check_status(self) -> None:
+        """Raise an exception if the command did nothing, or crashed. Frames that failed are not an error here:
+        the iteration has yielded them."""
+        # A command that is stopped before it handles signals is ended by the signal.
+        is_stopped = self._is_stopping and self.status == -signal.SIGTERM
+        if self.status not in (0, 1) and not is_stopped:
+            self._has_raised = True
+            raise CommandError(2 if self.status is None else self.status, "\n".join(self._last_lines))
 
     def _started(self) -> subprocess.Popen[str]:
         if self._process is None:
@@ -305,7 +378,7 @@ class Watch:
 def _command(arguments: list[str]) -> list[str]:
     if not sys.executable:
         raise RuntimeError("the path of the Python interpreter is unknown, so the command cannot be started")
-    return [sys.executable, "-m", "pymeniscus", *arguments]
+    return [sys.executable, "-c", _PROGRAM, str(Path(__file__).resolve().parents[1]), *arguments]
 
 
 def _run(arguments: list[str]) -> tuple[int, str]:
@@ -323,7 +396,7 @@ def _run(arguments: list[str]) -> tuple[int, str]:
         _, messages = process.communicate()
     except BaseException:
         process.terminate()
-        process.wait()
+        process.communicate()
         raise
     return process.returncode, messages
 
@@ -343,17 +416,20 @@ def _flags(options: dict[str, Any]) -> list[str]:
     flags: list[str] = []
     for name, value in options.items():
         flag = f"--{name.rstrip('_').replace('_', '-')}"
+        if getattr(value, "ndim", None) == 0:
+            value = value.item()  # a number of NumPy or PyTorch
         if value is None or (value is False and name not in valued):
             continue
         if value is True and name not in valued:
             flags.append(flag)
-        elif isinstance(value, bool):
-            flags.append(f"{flag}={str(value).lower()}")
-        elif isinstance(value, (str, os.PathLike)):
-            flags.append(f"{flag}={os.fspath(value)}")
-        elif isinstance(value, Iterable):
-            values = [os.fspath(item) if isinstance(item, os.PathLike) else str(item) for item in value]
-            flags += [f"{flag}={item}" for item in values] if name in _REPEATED else [f"{flag}={','.join(values)}"]
+        elif isinstance(value, (str, os.PathLike)) or not isinstance(value, Iterable):
+            flags.append(f"{flag}={_word(name, value)}")
         else:
-            flags.append(f"{flag}={value}")
+            words = [_word(name, item) for item in value]
+            flags += [f"{flag}={word}" for word in words] if name in _REPEATED else [f"{flag}={','.join(words)}"]
     return flags
+
+
+def _word(name: str, value: Any) -> str:
+    """A value as text. Numbers have the text that `reconstruct` passes to the method."""
+    return os.fspath(value) if isinstance(value, os.PathLike) else _text(name, value)

@@ -1,8 +1,8 @@
 """The options of the method.
 
 The core defines the options, and this module gets them from the core: a new option needs no code here.
-`OptionValues`, which type checkers read, is in `_option_values.py`. ``python -m pymeniscus._generate`` writes
-that file, and a test compares it with the core.
+`OptionValues`, which type checkers read, is in `_option_values.py`. ``python/generate_options.py`` of a clone
+writes that file, and a test compares it with the core.
 """
 
 from __future__ import annotations

@@ -27,16 +27,17 @@ class Certificate(Mapping[str, Any]):
     holds : bool
         Whether all checks passed: every particle is inside, the surface is within its bounds at every voxel,
         and the mesh is closed and 2-manifold.
-    fault : str
+    violations : str
         The checks that failed; empty if all passed.
     """
 
-    def __init__(self, entries: dict[str, Any], fault: str) -> None:
+    def __init__(self, entries: dict[str, Any], violations: str) -> None:
         self._entries = entries
-        self.fault = fault
+        self.violations = violations
 
     @property
     def holds(self) -> bool:
+        """Whether all checks passed."""
         return bool(self._entries["holds"])
 
     def __getitem__(self, name: str) -> Any:
@@ -49,7 +50,7 @@ class Certificate(Mapping[str, Any]):
         return len(self._entries)
 
     def __repr__(self) -> str:
-        return "<Certificate: holds>" if self.holds else f"<Certificate: {self.fault}>"
+        return "<Certificate: holds>" if self.holds else f"<Certificate: {self.violations}>"
 
 
 class LevelSet:
@@ -130,7 +131,7 @@ class LevelSet:
         return self._native.dense(first, (x, y, z)), first
 
     def sample(self, points: Any) -> NDArray[np.float32]:
-        """Signed distances at points, by trilinear interpolation.
+        """Signed distances at points, by trilinear interpolation, on all cores.
 
         Parameters
         ----------
@@ -140,7 +141,15 @@ class LevelSet:
         Returns
         -------
         ndarray, shape (N,), float32
-            Signed distances in voxels, within ± `half_width`; NaN for points that are not finite.
+            Signed distances in voxels, within ± `half_width`; NaN for points that are not finite, or 2**30
+            voxels or more from the world's origin along an axis.
+
+        Raises
+        ------
+        TypeError
+            If the points are not real numbers, or are in the memory of a device.
+        ValueError
+            If the shape is not (N, 3).
         """
         return self._native.sample(as_points(points).astype(np.float64, copy=False))
 
@@ -156,7 +165,8 @@ class Surface:
     """The surface of a frame: a mesh, its level set, a report and a certificate.
 
     Arrays are views of the memory of the surface, which they keep alive. They are read-only: copy an array to
-    change it.
+    change it. An array that you keep, such as `vertices`, therefore keeps the whole surface with its level set
+    in memory: keep a copy to free the rest.
     """
 
     def __init__(self, native: _native.Surface, source: tuple[str, str] | None = None) -> None:
@@ -216,8 +226,8 @@ class Surface:
         for index, (name, _, arity, table) in enumerate(self._native.attributes()):
             values = self._native.attribute(index)
             if table is not None:
-                places = np.where((values < 0) | (values >= len(table)), len(table), values)
-                values = np.asarray([*table, ""])[places]
+                indices = np.where((values < 0) | (values >= len(table)), len(table), values)
+                values = np.asarray([*table, ""])[indices]
             attributes[name] = values[:, 0] if arity == 1 else values
         return attributes
 
@@ -225,8 +235,8 @@ class Surface:
     def velocities(self) -> NDArray[np.float32] | None:
         """Velocities of the vertices: (V, 3) float32, world units per second; None if the surface has no
         velocities."""
-        for index, (_, meaning, arity, _) in enumerate(self._native.attributes()):
-            if meaning == "velocity" and arity == 3:
+        for index, (_, role, arity, _) in enumerate(self._native.attributes()):
+            if role == "velocity" and arity == 3:
                 return self._native.attribute(index)
         return None
 
@@ -271,7 +281,8 @@ class Surface:
         size: tuple[int, int] = (1280, 720),
         camera: str = "auto",
     ) -> None:
-        """Write the surface to a file. The file appears when it is complete, and replaces an existing file.
+        """Write the surface to a file, on all cores. The file appears when it is complete, and replaces an
+        existing file.
 
         The file has the same bytes as that of ``meniscus convert`` with the same options and the same
         `source`. If the format rounds positions (``stl``, a quantized ``glb``) or has attributes at voxels
@@ -360,14 +371,19 @@ class Surface:
         return bytes(self._native.picture(format, _write_options(up, 1.0, False, False, "blosc", size, camera)))
 
     def to_trimesh(self) -> Any:
-        """A ``trimesh.Trimesh`` in world coordinates, with the attributes of the vertices. Needs the package
-        trimesh.
+        """A ``trimesh.Trimesh`` in world coordinates and units, with normals, and with the attributes of the
+        vertices. Needs the package trimesh.
 
         Returns
         -------
         trimesh.Trimesh
-            A mesh with float64 copies of the positions. It is made with ``process=False``, which keeps all
-            vertices and their order.
+            A mesh with copies: float64 positions and int64 faces. It is made with ``process=False``, which
+            keeps all vertices and their order. ``vertex_attributes`` has the types of `attributes`.
+
+        Raises
+        ------
+        ImportError
+            If trimesh is not installed.
         """
         import trimesh
 
@@ -378,8 +394,20 @@ class Surface:
         return mesh
 
     def to_pyvista(self) -> Any:
-        """A ``pyvista.PolyData`` in world coordinates, with normals and attributes as point data. Needs the
-        package pyvista."""
+        """A ``pyvista.PolyData`` in world coordinates and units, with normals and attributes as point data.
+        Needs the package pyvista.
+
+        Returns
+        -------
+        pyvista.PolyData
+            A mesh with float32 positions, float64 ones if `origin` is not zero, and float32 ``Normals``. Other
+            point data has the types of `attributes`.
+
+        Raises
+        ------
+        ImportError
+            If pyvista is not installed.
+        """
         import pyvista
 
         faces = np.empty((len(self.triangles), 4), np.int64)
@@ -391,8 +419,19 @@ class Surface:
         return mesh
 
     def to_open3d(self) -> Any:
-        """An ``open3d.geometry.TriangleMesh`` in world coordinates, with normals. Needs the package
-        open3d."""
+        """An ``open3d.geometry.TriangleMesh`` in world coordinates and units, with normals. Such a mesh has no
+        other attributes. Needs the package open3d.
+
+        Returns
+        -------
+        open3d.geometry.TriangleMesh
+            A mesh with copies: float64 positions and normals, and int32 triangles.
+
+        Raises
+        ------
+        ImportError
+            If open3d is not installed.
+        """
         import open3d
 
         mesh = open3d.geometry.TriangleMesh(
@@ -406,12 +445,32 @@ class Surface:
         """A Blender mesh data-block of this name. The contents of an existing data-block are replaced. Needs
         Blender's ``bpy``.
 
-        Velocities become the attribute ``velocity``, which Cycles reads for motion blur; other numbers become
-        point attributes.
+        Coordinates are unchanged, and Blender's up axis is Z: rotate the object by 90° about X if the
+        simulation's up axis is Y. Positions are float32 in world units.
+
+        Velocities become the attribute ``velocity``, which Cycles reads for motion blur. Other real numbers
+        become point attributes of 1 to 4 components, and integers become 32-bit integers. An attribute whose
+        name Blender reserves, such as ``id``, gets the name with ``_`` before it.
+
+        Parameters
+        ----------
+        name : str
+            The name of the data-block.
 
         Returns
         -------
         bpy.types.Mesh
+
+        Raises
+        ------
+        ImportError
+            Outside Blender.
+
+        Warns
+        -----
+        UserWarning
+            About each attribute that is left out: text, integers of several components or beyond 32 bits, real
+            numbers of more than 4 components, and names that Blender refuses.
         """
         import bpy
 
@@ -428,18 +487,11 @@ class Surface:
         mesh.update(calc_edges=True)
         if hasattr(mesh, "normals_split_custom_set_from_vertices") and count:
             mesh.normals_split_custom_set_from_vertices(self.normals)
-        kinds = {(1, "f"): ("FLOAT", "value"), (3, "f"): ("FLOAT_VECTOR", "vector"), (1, "i"): ("INT", "value")}
         velocity_name = next((entry[0] for entry in self._native.attributes() if entry[1] == "velocity"), None)
         for attribute, values in self.attributes.items():
-            kind = kinds.get((1 if values.ndim == 1 else values.shape[1], values.dtype.kind))
-            if kind is None:
-                continue
-            if kind[0] == "INT" and len(values) and np.abs(values).max() > np.iinfo(np.int32).max:
-                warnings.warn(f"Blender has no 64-bit integers: left out the attribute `{attribute}`", stacklevel=2)
-                continue
-            target = mesh.attributes.new("velocity" if attribute == velocity_name else attribute, kind[0], "POINT")
-            dtype = np.float32 if values.dtype.kind == "f" else np.int32
-            target.data.foreach_set(kind[1], values.reshape(-1).astype(dtype))
+            reason = _add_to_blender(mesh, "velocity" if attribute == velocity_name else attribute, values)
+            if reason is not None:
+                warnings.warn(f"left out the attribute `{attribute}`: {reason}", stacklevel=2)
         return mesh
 
     def _world_vertices(self) -> NDArray[Any]:
@@ -450,12 +502,17 @@ class Surface:
         return world
 
     def __repr__(self) -> str:
-        state = "" if self.certificate.holds else f", not valid: {self.certificate.fault}"
+        state = "" if self.certificate.holds else f", not valid: {self.certificate.violations}"
         return f"<Surface: {len(self.vertices)} vertices, {len(self.triangles)} triangles{state}>"
+
+    @cached_property
+    def _picture(self) -> bytes | None:
+        # Cached, because a notebook asks for both representations of one output.
+        return self.render(size=(640, 360)) if len(self.triangles) else None
 
     def _repr_png_(self) -> bytes | None:
         """The picture that a notebook shows."""
-        return self.render(size=(640, 360)) if len(self.triangles) else None
+        return self._picture
 
     def _repr_html_(self) -> str:
         """The table that a notebook shows, with the picture."""
@@ -466,14 +523,43 @@ class Surface:
             "vertices": f"{len(self.vertices):,}",
             "triangles": f"{len(self.triangles):,}",
             "voxel size": f"{self.level_set.voxel_size:g}",
-            "certificate": "holds" if self.certificate.holds else self.certificate.fault,
+            "certificate": "holds" if self.certificate.holds else self.certificate.violations,
         }
-        picture = self._repr_png_()
+        picture = self._picture
         image = "" if picture is None else (
             f'<img alt="surface" src="data:image/png;base64,{base64.b64encode(picture).decode()}"/>'
         )
         cells = "".join(f"<tr><th>{name}</th><td>{html.escape(value)}</td></tr>" for name, value in rows.items())
         return f"<div>{image}<table>{cells}</table></div>"
+
+
+#: Blender's type of an attribute and the name of its values, by the number of components.
+_BLENDER_REALS = {1: ("FLOAT", "value"), 2: ("FLOAT2", "vector"), 3: ("FLOAT_VECTOR", "vector"), 4: ("FLOAT_COLOR", "color")}
+
+
+def _add_to_blender(mesh: Any, name: str, values: NDArray[Any]) -> str | None:
+    """Add an attribute to a Blender mesh. Returns why that is impossible, or None."""
+    arity = 1 if values.ndim == 1 else values.shape[1]
+    if values.dtype.kind == "f":
+        if arity not in _BLENDER_REALS:
+            return f"Blender has no attributes of {arity} components"
+        kind, member = _BLENDER_REALS[arity]
+        values = values.astype(np.float32)
+    elif values.dtype.kind == "i" and arity == 1:
+        limits = np.iinfo(np.int32)
+        if len(values) and (values.min() < limits.min or values.max() > limits.max):
+            return "Blender's integers have 32 bits"
+        kind, member = "INT", "value"
+        values = values.astype(np.int32)
+    else:
+        return "Blender can store it neither as real numbers nor as single integers"
+    for candidate in (name, f"_{name}"):
+        # Blender refuses names that it reserves, and renames an attribute whose name is taken.
+        target = None if candidate in mesh.attributes else mesh.attributes.new(candidate, kind, "POINT")
+        if target is not None:
+            target.data.foreach_set(member, values.reshape(-1))
+            return None
+    return "Blender refuses its name"
 
 
 def _write_options(

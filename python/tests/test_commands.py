@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import copy
+import json
+import pickle
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import pymeniscus as pm
 from pymeniscus._commands import _flags
+from pymeniscus._options import as_pairs
 
 
 def test_convert_returns_the_report(frame, tmp_path):
@@ -20,6 +25,32 @@ def test_convert_returns_the_report(frame, tmp_path):
     assert all(Path(path).exists() for path in entry["outputs"])
     again = pm.convert([frame], tmp_path, format="glb,vdb", skip_done=True)
     assert again["frames"][0]["status"] == "already_done"
+
+
+def test_report_of_an_earlier_call_is_not_returned(frame, tmp_path):
+    path = tmp_path / "report.json"
+    report = pm.convert(frame, tmp_path / "out", format="glb", report=path)
+    assert json.loads(path.read_text()) == report and len(report["frames"]) == 1
+    with pytest.raises(pm.CommandError) as caught:
+        pm.convert(frame, tmp_path / "out", format="glb", report=path, nonsense=1, allow_failures=True)
+    assert caught.value.status == 2 and caught.value.report is None
+    assert json.loads(path.read_text()) == report
+
+
+@pytest.mark.parametrize("copied", [lambda error: pickle.loads(pickle.dumps(error)), copy.copy])
+def test_errors_are_pickled_and_copied(copied):
+    error = pm.CommandError(1, "warning: a\nerror: b\n", {"frames": []})
+    again = copied(error)
+    assert (again.status, again.messages, again.report) == (1, "warning: a\nerror: b\n", {"frames": []})
+    assert str(again) == str(error) == "error: b"
+    assert str(pm.CommandError(-9, "")) == "exit status -9"
+
+
+def test_command_does_not_import_modules_of_the_working_folder(frame, tmp_path, monkeypatch):
+    for name in ("pymeniscus", "json", "numpy"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('imported from the working folder')\n")
+    monkeypatch.chdir(tmp_path)
+    assert pm.convert(frame, "out", format="glb")["frames"][0]["status"] == "converted"
 
 
 def test_convert_errors(tmp_path):
@@ -76,6 +107,40 @@ def test_watch_sees_new_frames_and_stops(frame, tmp_path):
     assert frames.status == 0
 
 
+def test_slow_callers_do_not_block_the_command(frame, tmp_path):
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    # The log of these frames is longer than a pipe can hold, and every frame is done before the first is asked
+    # for.
+    for number in range(400):
+        (cache / f"{number:04}-{'x' * 180}.csv").write_text("x,y,z\n0,0,0\n")
+    with pm.watch(cache, tmp_path / "out", once=True, format="obj", voxel_size=0.5, spacing=1) as frames:
+        frames._process.wait(timeout=120)
+        states = [finished.state for finished in frames]
+    assert states == ["converted"] * 400 and list(frames) == []
+
+
+def test_level_of_the_log_does_not_hide_frames(frame, tmp_path, monkeypatch):
+    monkeypatch.setenv("MENISCUS_LOG", "error")
+    with pm.watch(frame.parent, tmp_path / "out", once=True, format="glb", preset="preview") as frames:
+        assert {finished.state for finished in frames} == {"converted"}
+
+
+def test_command_that_did_nothing_is_reported_at_the_end_of_the_context(tmp_path):
+    with pytest.raises(pm.CommandError, match="nonsense") as caught:
+        with pm.watch(tmp_path, tmp_path / "out", nonsense=1) as frames:
+            frames._process.wait(timeout=60)
+    assert caught.value.status == 2
+    # An exception of the caller is not replaced, and a command that is stopped at once is no error.
+    with pytest.raises(ZeroDivisionError):
+        with pm.watch(tmp_path, tmp_path / "out", nonsense=1) as frames:
+            frames._process.wait(timeout=60)
+            raise ZeroDivisionError
+    with pm.watch(tmp_path, tmp_path / "out", format="glb") as frames:
+        frames.stop()
+        frames.stop()
+
+
 def test_watch_errors(tmp_path):
     with pytest.raises(RuntimeError, match="use `with"):
         next(iter(pm.watch(tmp_path, tmp_path / "out")))
@@ -109,3 +174,15 @@ def test_flags():
                "obstacle": ["a.obj", Path("b.obj")], "preset": None}  # fmt: skip
     assert _flags(options) == ["--skip-done", "--quads=false", "--format=glb,vdb", "--steps=3",
                                "--obstacle=a.obj", "--obstacle=b.obj"]  # fmt: skip
+
+
+def test_numbers_have_the_text_that_reconstruct_passes():
+    third = np.float32(1 / 3)
+    options = {"spacing": third, "clip": np.array([0.1, 2, 3, 4, 5, 6], np.float32), "steps": np.int16(3),
+               "quads": np.bool_(False), "skip_done": np.bool_(True), "offset": np.array(0.5)}  # fmt: skip
+    text = dict(as_pairs({name: value for name, value in options.items() if name in ("spacing", "clip", "steps")}))
+    assert _flags(options) == [f"--spacing={text['spacing']}", f"--clip={text['clip']}", f"--steps={text['steps']}",
+                               "--quads=false", "--skip-done", "--offset=0.5"]  # fmt: skip
+    assert text["spacing"] == repr(float(third)) != str(third)
+    with pytest.raises(TypeError, match="cannot be object"):
+        _flags({"steps": object()})

@@ -30,7 +30,8 @@ def test_genesis_style(tmp_path):
 @pytest.mark.parametrize(("name", "package"), [("taichi", "taichi"), ("splishsplash", "pysplishsplash")])
 def test_simulator_in_process_has_the_bytes_of_the_command(tmp_path, name, package):
     if importlib.util.find_spec(package) is None:
-        pytest.skip(f"{package} is not installed")
+        is_required = os.environ.get("PYMENISCUS_REQUIRE_SIMULATORS")
+        (pytest.fail if is_required else pytest.skip)(f"{package} is not installed")
     command = [sys.executable, ROOT / "python" / "tests" / "simulate.py", name, tmp_path]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0 and "the bytes of the command" in done.stdout, done.stdout + done.stderr

@@ -7,9 +7,10 @@ import pickle
 import warnings
 
 import pytest
+from conftest import ROOT
+from simulate import load
 
 import pymeniscus as pm
-from pymeniscus import _generate
 from pymeniscus._native import option_table as native_table
 
 
@@ -46,12 +47,10 @@ def test_every_option_of_the_core_is_a_keyword():
 
 
 def test_generated_files_are_those_of_the_core():
-    from conftest import ROOT
-
-    package = ROOT / "python" / "pymeniscus"
-    assert (package / "_option_values.py").read_text(encoding="utf-8") == _generate.option_values()
-    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
-    assert _generate.with_options(page) == page
+    generate = load("generate_options", ROOT / "python")
+    assert generate.OPTION_VALUES.read_text(encoding="utf-8") == generate.option_values()
+    page = generate.PAGE.read_text(encoding="utf-8")
+    assert generate.with_options(page) == page
 
 
 def test_numbers_keep_all_digits(block):

@@ -33,7 +33,7 @@ def test_types_and_roles_are_those_of_the_file(tmp_path):
         particles["mass"]
 
 
-def test_words_of_files(tmp_path):
+def test_text_columns_are_read(tmp_path):
     path = tmp_path / "frame.csv"
     path.write_text("x,y,z,phase\n0,0,0,water\n1,0,0,oil\n0,1,0,water\n")
     particles = pm.read(path)

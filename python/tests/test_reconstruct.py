@@ -22,7 +22,7 @@ def same(one: pm.Surface, other: pm.Surface) -> bool:
 
 
 def test_block_has_a_valid_surface(surface):
-    assert surface.certificate.holds and surface.certificate.fault == ""
+    assert surface.certificate.holds and surface.certificate.violations == ""
     assert surface.vertices.dtype == np.float32 and surface.vertices.shape[1] == 3
     assert surface.triangles.dtype == np.uint32 and surface.triangles.max() == len(surface.vertices) - 1
     assert surface.normals.shape == surface.vertices.shape
@@ -121,9 +121,50 @@ def test_warp_array_is_not_copied(block, surface):
     assert same(pm.reconstruct(array, spacing=0.1), surface)
 
 
-def test_device_arrays_are_refused(block):
+@pytest.mark.parametrize("device_type", [2, 4, 7, 8, 10, 14])
+def test_device_arrays_are_refused(block, device_type):
     with pytest.raises(TypeError, match="memory of a device"):
-        pm.reconstruct(OnlyDlpack(block, (2, 0)))
+        pm.reconstruct(OnlyDlpack(block, (device_type, 0)))
+
+
+@pytest.mark.parametrize("device_type", [1, 3, 11, 13])
+def test_memory_that_the_processor_reads_is_not_copied(block, device_type):
+    from pymeniscus._arrays import as_points
+
+    assert as_points(OnlyDlpack(block, (device_type, 0))).ctypes.data == block.ctypes.data
+
+
+class RecordsGradients:
+    """A tensor of PyTorch with ``requires_grad``."""
+
+    def __dlpack__(self, **keywords):
+        raise BufferError("Can't export tensors that require gradient, use tensor.detach()")
+
+    def __dlpack_device__(self):
+        return (1, 0)
+
+    def __array__(self, dtype=None, copy=None):
+        raise RuntimeError("Can't call numpy() on Tensor that requires grad. Use tensor.detach().numpy() instead.")
+
+
+def test_tensors_that_record_gradients_are_refused(block):
+    with pytest.raises(TypeError, match=r"points cannot be read as an array.*detach\(\)"):
+        pm.reconstruct(RecordsGradients())
+    torch = pytest.importorskip("torch")
+    with pytest.raises(TypeError, match="detach"):
+        pm.reconstruct(torch.from_numpy(block).requires_grad_())
+
+
+def test_masked_values_are_refused(block, surface):
+    masked = np.ma.masked_array(block, mask=False)
+    assert same(pm.reconstruct(masked, spacing=0.1), surface)
+    with pytest.raises(TypeError, match="velocity has masked values"):
+        pm.reconstruct(block, velocity=np.ma.masked_less(block, 0.1), spacing=0.1)
+    masked[0, 0] = np.ma.masked
+    with pytest.raises(TypeError, match="points has masked values"):
+        pm.reconstruct(masked, spacing=0.1)
+    with pytest.raises(TypeError, match="`a` has masked values"):
+        pm.reconstruct(block, attributes={"a": masked[:, 0]}, spacing=0.1)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +181,7 @@ def test_device_arrays_are_refused(block):
         (np.full((4, 3), np.nan), pm.MeniscusError, "."),
     ],
 )
-def test_points_that_are_none(points, error, text):
+def test_invalid_points_are_refused(points, error, text):
     with pytest.raises(error, match=text):
         pm.reconstruct(points)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import gc
 import io
 
@@ -187,6 +188,14 @@ def test_notebooks_get_a_picture(surface):
     assert surface.render(format="exr", size=(32, 32))[:4] == b"\x76\x2f\x31\x01"
 
 
+def test_notebooks_render_the_picture_once(block, monkeypatch):
+    made, calls = pm.reconstruct(block, spacing=0.1), []
+    render = pm.Surface.render
+    monkeypatch.setattr(pm.Surface, "render", lambda self, **options: calls.append(1) or render(self, **options))
+    assert base64.b64encode(made._repr_png_()).decode() in made._repr_html_()
+    assert calls == [1]
+
+
 def test_trimesh(surface):
     pytest.importorskip("trimesh")
     mesh = surface.to_trimesh()
@@ -205,12 +214,35 @@ def test_open3d(surface):
     assert surface.to_open3d().is_watertight()
 
 
-def test_blender(surface):
-    pytest.importorskip("bpy")
-    mesh = surface.to_blender("fluid")
+def test_blender(block):
+    bpy = pytest.importorskip("bpy")
+    number = np.arange(1000)
+    attributes = {"id": number, "huge": number * 0 + np.iinfo(np.int64).min, "word": np.full(1000, "water"),
+                  "pair": block[:, :2], "color4": np.ones((1000, 4)), "five": np.ones((1000, 5)),
+                  "position": block, "sharp_face": block[:, 0]}  # fmt: skip
+    surface = pm.reconstruct(block, velocity=block, attributes=attributes, spacing=0.1)
+    with pytest.warns(UserWarning, match="left out") as caught:
+        mesh = surface.to_blender("fluid")
+    assert [str(warning.message).split("`")[1] for warning in caught] == ["huge", "word", "five"]
+    assert {warning.filename for warning in caught} == {__file__}
     assert len(mesh.vertices) == len(surface.vertices) and len(mesh.polygons) == len(surface.triangles)
     assert not mesh.validate()
-    assert surface.to_blender("fluid") is mesh or surface.to_blender("fluid").name == "fluid"
+
+    for name, stored, member, dtype in (
+        ("velocity", "velocity", "vector", np.float32),
+        ("pair", "pair", "vector", np.float32),
+        ("color4", "color4", "color", np.float32),
+        ("position", "_position", "vector", np.float32),
+        ("sharp_face", "_sharp_face", "value", np.float32),
+        ("id", "id", "value", np.int32),
+    ):
+        expected = surface.attributes[name].reshape(-1)
+        found = np.empty(len(expected), dtype)
+        mesh.attributes[stored].data.foreach_get(member, found)
+        assert np.array_equal(found, expected), name
+    assert np.array_equal([vertex.co[:] for vertex in mesh.vertices], surface.vertices)
+    again = pm.reconstruct(block[:500], spacing=0.1).to_blender("fluid")
+    assert again == mesh and "velocity" not in mesh.attributes and bpy.data.meshes["fluid"] == mesh
 
 
 def test_repr(surface):
