@@ -12,7 +12,6 @@ import atexit
 import contextlib
 import queue
 import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +21,7 @@ from bpy.app.handlers import persistent
 from bpy.props import BoolProperty, FloatProperty, PointerProperty, StringProperty
 
 from . import meshes, options
-from .points import Points, PointsError, read, varies
+from .points import PointsError, read, varies
 from .worker import Request, Result, Worker, compute
 
 TICK_SECONDS = 0.02
@@ -334,7 +333,8 @@ def can_be_source(group: bpy.types.PropertyGroup, obj: bpy.types.Object) -> bool
     return obj.type in SOURCES and obj != group.id_data
 
 
-SOURCES = {"MESH", "POINTCLOUD", "CURVE", "CURVES", "VOLUME", "EMPTY"} - {"EMPTY"}
+# Types of objects whose modifiers can make points.
+SOURCES = {"MESH", "POINTCLOUD", "CURVE", "CURVES", "VOLUME"}
 
 
 class MeniscusOptions(bpy.types.PropertyGroup):
