@@ -572,6 +572,15 @@ def baked():
             faults.append(f"frame {frame} of the file is another mesh")
         elif not abs(numbers_of(mesh, "velocity") - velocity).max() <= 1e-6:
             faults.append(f"frame {frame} of the file has other velocities")
+    # A folder in place of the file: the bake ends with the reason.
+    other = FOLDER / "other.usdc"
+    other.mkdir()
+    try:
+        bpy.ops.meniscus.bake(filepath=str(other), first=1, last=1, is_linked=False)
+        faults.append("a bake over a folder has succeeded")
+    except RuntimeError as error:
+        if "other.usdc" not in str(error):
+            faults.append(f"a bake over a folder says {error}")
     bpy.ops.meniscus.unlink()
     if surface.modifiers or not surface.meniscus.is_live:
         faults.append("the surface is not live again")

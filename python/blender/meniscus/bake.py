@@ -34,6 +34,7 @@ class Bake:
         self.errors: list[str] = []
         self.written: list[Path] = []
         self.is_done = False
+        self._has_combined = False
         self._before = scene.frame_current
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="meniscus-bake")
         self._future: Future[str] | None = None
@@ -49,11 +50,10 @@ class Bake:
             self._future = None
         if self.frames:
             self._start(self.frames.pop(0))
-        elif self.written and not self.is_done:
-            self.is_done = True
+        elif self.written and not self._has_combined:
+            self._has_combined = True
             self._future = self._pool.submit(self._combine)
         else:
-            self.is_done = self.is_done and self.file.exists() and bool(self.written)
             self.end()
             return False
         return True
@@ -108,10 +108,10 @@ class Bake:
             capture_output=True,
             text=True,
         )
+        # With status 1 the file lacks some frames; with others it was not written.
+        self.is_done = ran.returncode in (0, 1)
         if ran.returncode == 0:
             return ""
-        if ran.returncode == 2:
-            self.is_done = False
         return ran.stderr.strip() or f"the command `sequence` ended with status {ran.returncode}"
 
 
