@@ -142,7 +142,9 @@ class Conversion:
             if event.get("level") == "ERROR" and "frame" not in event:
                 errors.append(str(event.get("message", "")))
             if "address" in event:
-                self._poller = threading.Thread(target=self._poll, args=[event["address"]], name="meniscus-status", daemon=True)
+                self._poller = threading.Thread(
+                    target=self._poll, args=[event["address"]], name="meniscus-status", daemon=True
+                )
                 self._poller.start()
         self._has_ended.set()
         process.stderr.close()
@@ -255,7 +257,7 @@ def tick() -> float:
     can_link = bpy.context.mode == "OBJECT" and not bpy.app.is_job_running("RENDER")
     if progress.has_stage and _scene_to_link is not None and can_link:
         scene = next((scene for scene in bpy.data.scenes if scene.session_uid == _scene_to_link), None)
-        # Another scene may be in the window now: it waits for its own. After another file was opened, there is none.
+        # Another scene may be in the window now: it waits for its own. Another file may be open: there is none.
         if scene is None or scene == bpy.context.scene:
             _scene_to_link = None
         if scene == bpy.context.scene and not is_linked(scene, _conversion.stage):
@@ -289,27 +291,43 @@ PRESETS = ("fluid", "noisy", "splash", "granular", "preview", "paper")
 class MENISCUS_PG_conversion(bpy.types.PropertyGroup):
     """The panel's values. The names and meanings are those of the command `watch`."""
 
-    folder: StringProperty(name="Particles", subtype="DIR_PATH", description="The folder into which a simulation writes frames")
+    folder: StringProperty(
+        name="Particles", subtype="DIR_PATH", description="The folder into which a simulation writes frames"
+    )
     out: StringProperty(name="Results", subtype="DIR_PATH", description="The folder for the surfaces and the stage")
     preset: EnumProperty(
-        name="Preset", items=[(name, name.capitalize(), "") for name in PRESETS], description="Defaults for a kind of particles"
+        name="Preset",
+        items=[(name, name.capitalize(), "") for name in PRESETS],
+        description="Defaults for a kind of particles",
     )
     spacing: FloatProperty(
-        name="Spacing", min=0, precision=4, description="Distance of neighbouring particles; 0 measures it on the first frame"
+        name="Spacing",
+        min=0,
+        precision=4,
+        description="Distance of neighbouring particles; 0 measures it on the first frame",
     )
     voxel_size: StringProperty(
         name="Voxel size", description="A length, or 0.3d for 0.3 spacings; empty for the preset's"
     )
     attributes: StringProperty(
-        name="Attributes", default="velocity", description="Names to transfer to the surface, separated by commas. "
-        "Motion blur needs the velocity"
+        name="Attributes",
+        default="velocity",
+        description="Names to transfer to the surface, separated by commas. Motion blur needs the velocity",
     )
-    pattern: StringProperty(name="Only files", description="A pattern such as dam.*.bgeo; empty for all particle files")
-    up: EnumProperty(name="Up", items=[("Y", "Y", ""), ("Z", "Z", "")], description="The axis of the particles that points up")
-    fps: FloatProperty(name="Frame rate", default=24, min=0.001, max=10000, description="Frames per second of the simulation")
+    pattern: StringProperty(
+        name="Only files", description="A pattern such as dam.*.bgeo; empty for all particle files"
+    )
+    up: EnumProperty(
+        name="Up", items=[("Y", "Y", ""), ("Z", "Z", "")], description="The axis of the particles that points up"
+    )
+    fps: FloatProperty(
+        name="Frame rate", default=24, min=0.001, max=10000, description="Frames per second of the simulation"
+    )
     threads: IntProperty(name="Threads", min=0, max=1024, description="Processors to use; 0 uses all")
     has_volumes: BoolProperty(name="Level sets, too", description="Also write a .vdb of each frame")
-    links: BoolProperty(name="Show the result", default=True, description="Import the stage when its first frame is there")
+    links: BoolProperty(
+        name="Show the result", default=True, description="Import the stage when its first frame is there"
+    )
 
 
 class MENISCUS_OT_conversion_start(bpy.types.Operator):

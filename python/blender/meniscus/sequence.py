@@ -132,7 +132,7 @@ def stamp_of(path: Path) -> tuple[float, ...]:
 # Import
 
 
-def import_sequence(scene: bpy.types.Scene, path: Path, settings: "MENISCUS_PG_import | None" = None) -> list[bpy.types.Object]:
+def import_sequence(scene: bpy.types.Scene, path: Path) -> list[bpy.types.Object]:
     """Add a sequence to a scene, and return its objects: one for each mesh of a stage.
 
     Raises
@@ -140,10 +140,10 @@ def import_sequence(scene: bpy.types.Scene, path: Path, settings: "MENISCUS_PG_i
     OSError, ValueError
         If there is no sequence. The scene is unchanged then.
     """
-    settings = settings or scene.meniscus_sequence
+    settings = scene.meniscus_sequence
     shot = read_shot(path)
     add = add_volumes if path.suffix == ".vdb" else add_meshes
-    objects = add(scene, path, shot, settings)
+    objects = add(scene, path)
     for obj in objects:
         source = obj.meniscus_sequence
         source.offset, source.keeps_rate, source.follows = settings.offset, settings.keeps_rate, bool(shot.frames)
@@ -160,7 +160,7 @@ def import_sequence(scene: bpy.types.Scene, path: Path, settings: "MENISCUS_PG_i
     return objects
 
 
-def add_meshes(scene: bpy.types.Scene, path: Path, shot: Shot, settings: "MENISCUS_PG_import") -> list[bpy.types.Object]:
+def add_meshes(_scene: bpy.types.Scene, path: Path) -> list[bpy.types.Object]:
     """The objects that Blender's importer makes, with its Mesh Sequence Cache."""
     before = set(bpy.data.objects)
     with in_window():
@@ -181,8 +181,9 @@ def add_meshes(scene: bpy.types.Scene, path: Path, shot: Shot, settings: "MENISC
     return meshes
 
 
-def add_volumes(scene: bpy.types.Scene, path: Path, shot: Shot, settings: "MENISCUS_PG_import") -> list[bpy.types.Object]:
+def add_volumes(scene: bpy.types.Scene, path: Path) -> list[bpy.types.Object]:
     """A volume, which Blender loads by the number of a file, and the mesh around its level set."""
+    settings = scene.meniscus_sequence
     name = ends_of(path)[0].rstrip("._- ") or path.stem
     data = bpy.data.volumes.new(name)
     data.filepath = str(path)
