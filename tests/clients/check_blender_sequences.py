@@ -67,7 +67,7 @@ def main():
         ("presets", presets),
         ("refused", refused),
         ("opened without the extension", opened),
-        ("a stage that grows", grown),
+        ("stages and .vdb that grow", grown),
         ("SPlisHSPlasH", growing),
         ("a second daemon", locked),
         ("a Blender that is killed", killed),
@@ -301,9 +301,9 @@ def grown():
                 stage=folder / "shot.usda",
             )
 
-        write([1, 2, 3])
+        write([1])
         obj = import_by_operator(name, offset=4)
-        for numbers, end in (([5], 9), ([8], 12), ([6, 7], 12)):
+        for numbers, end in (([2, 3], 7), ([5], 9), ([8], 12), ([6, 7], 12)):
             write(numbers)
             follow()
             if scene.frame_end != end:
@@ -322,7 +322,7 @@ def grown():
             faults.append(f"{formats}: frame 4 was filled, but is not shown")
         obj.meniscus_sequence.follows = False
         follow()
-    return "frames 1 2 3, then 5, 8, 6 7 and 4", faults
+    return "frame 1, then 2 3, 5, 8, 6 7 and 4", faults
 
 
 def growing():
