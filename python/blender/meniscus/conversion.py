@@ -10,6 +10,7 @@ import json
 import subprocess
 import textwrap
 import threading
+import time
 import urllib.parse
 import urllib.request
 from collections import deque
@@ -31,6 +32,8 @@ STOP_SECONDS = 2
 ANSWER_SECONDS = 5
 SHOWN_FAILURES = 8
 LABEL_LETTERS = 44
+#: A file may be out of reach for a moment.
+LINK_AGAIN_SECONDS = 5
 STAGE = "shot.usda"
 
 
@@ -142,7 +145,9 @@ class Conversion:
             if event.get("level") == "ERROR" and "frame" not in event:
                 errors.append(str(event.get("message", "")))
             if "address" in event:
-                self._poller = threading.Thread(target=self._poll, args=[event["address"]], name="meniscus-status", daemon=True)
+                self._poller = threading.Thread(
+                    target=self._poll, args=[event["address"]], name="meniscus-status", daemon=True
+                )
                 self._poller.start()
         self._has_ended.set()
         process.stderr.close()
@@ -207,6 +212,8 @@ def rate_of(samples: list[dict[str, Any]]) -> float | None:
 _conversion: Conversion | None = None
 _scene_to_link: int | None = None
 _shown: Progress | None = None
+_link_error = ""
+_next_link = 0.0
 
 
 def start(scene: bpy.types.Scene) -> Conversion:
@@ -217,7 +224,8 @@ def start(scene: bpy.types.Scene) -> Conversion:
     ValueError
         If a setting is missing.
     """
-    global _conversion, _scene_to_link
+    global _conversion, _scene_to_link, _link_error, _next_link
+    _link_error, _next_link = "", 0.0
     settings = scene.meniscus_conversion
     if not settings.folder or not settings.out:
         raise ValueError("choose the folder of the particles, and a folder for the results")
@@ -245,7 +253,7 @@ def options_of(settings: "MENISCUS_PG_conversion") -> list[str]:
 
 def tick() -> float:
     """Show what the threads have found, and link the result once."""
-    global _scene_to_link, _shown
+    global _scene_to_link, _shown, _link_error, _next_link
     if not _conversion:
         return TICK_SECONDS
     progress = _conversion.progress
@@ -253,13 +261,15 @@ def tick() -> float:
         _shown = progress
         sequence.redraw()
     can_link = bpy.context.mode == "OBJECT" and not bpy.app.is_job_running("RENDER")
+    can_link = can_link and time.monotonic() >= _next_link
     if progress.has_stage and _scene_to_link is not None and can_link:
         scene = next((scene for scene in bpy.data.scenes if scene.session_uid == _scene_to_link), None)
-        # Another scene may be in the window now: it waits for its own. After another file was opened, there is none.
-        if scene is None or scene == bpy.context.scene:
-            _scene_to_link = None
+        # Another scene may be in the window now: it waits for its own. Another file may be open: there is none.
         if scene == bpy.context.scene and not is_linked(scene, _conversion.stage):
-            link(scene, _conversion.stage)
+            _link_error = link(scene, _conversion.stage)
+            _next_link = time.monotonic() + LINK_AGAIN_SECONDS
+        if not _link_error and (scene is None or scene == bpy.context.scene):
+            _scene_to_link = None
     return TICK_SECONDS
 
 
@@ -267,17 +277,18 @@ def is_linked(scene: bpy.types.Scene, stage: Path) -> bool:
     return any(obj.meniscus_sequence.path == str(stage) for obj in scene.objects)
 
 
-def link(scene: bpy.types.Scene, stage: Path) -> None:
-    """Import the stage, and keep the user's selection: nobody pressed a button at this moment."""
+def link(scene: bpy.types.Scene, stage: Path) -> str:
+    """Import the stage, and keep the user's selection: nobody pressed a button at this moment. Returns why it
+    failed."""
     selected, active = bpy.context.selected_objects, bpy.context.view_layer.objects.active
     try:
         objects = sequence.import_sequence(scene, stage)
     except (OSError, ValueError, RuntimeError) as error:
-        print(f"meniscus: {stage} could not be imported: {error}", flush=True)
-        return
+        return f"{stage.name} could not be imported: {error}"
     for obj in scene.objects:
         obj.select_set(obj in selected)
     bpy.context.view_layer.objects.active = active or objects[0]
+    return ""
 
 
 # Blender interface
@@ -289,27 +300,43 @@ PRESETS = ("fluid", "noisy", "splash", "granular", "preview", "paper")
 class MENISCUS_PG_conversion(bpy.types.PropertyGroup):
     """The panel's values. The names and meanings are those of the command `watch`."""
 
-    folder: StringProperty(name="Particles", subtype="DIR_PATH", description="The folder into which a simulation writes frames")
+    folder: StringProperty(
+        name="Particles", subtype="DIR_PATH", description="The folder into which a simulation writes frames"
+    )
     out: StringProperty(name="Results", subtype="DIR_PATH", description="The folder for the surfaces and the stage")
     preset: EnumProperty(
-        name="Preset", items=[(name, name.capitalize(), "") for name in PRESETS], description="Defaults for a kind of particles"
+        name="Preset",
+        items=[(name, name.capitalize(), "") for name in PRESETS],
+        description="Defaults for a kind of particles",
     )
     spacing: FloatProperty(
-        name="Spacing", min=0, precision=4, description="Distance of neighbouring particles; 0 measures it on the first frame"
+        name="Spacing",
+        min=0,
+        precision=4,
+        description="Distance of neighbouring particles; 0 measures it on the first frame",
     )
     voxel_size: StringProperty(
         name="Voxel size", description="A length, or 0.3d for 0.3 spacings; empty for the preset's"
     )
     attributes: StringProperty(
-        name="Attributes", default="velocity", description="Names to transfer to the surface, separated by commas. "
-        "Motion blur needs the velocity"
+        name="Attributes",
+        default="velocity",
+        description="Names to transfer to the surface, separated by commas. Motion blur needs the velocity",
     )
-    pattern: StringProperty(name="Only files", description="A pattern such as dam.*.bgeo; empty for all particle files")
-    up: EnumProperty(name="Up", items=[("Y", "Y", ""), ("Z", "Z", "")], description="The axis of the particles that points up")
-    fps: FloatProperty(name="Frame rate", default=24, min=0.001, max=10000, description="Frames per second of the simulation")
+    pattern: StringProperty(
+        name="Only files", description="A pattern such as dam.*.bgeo; empty for all particle files"
+    )
+    up: EnumProperty(
+        name="Up", items=[("Y", "Y", ""), ("Z", "Z", "")], description="The axis of the particles that points up"
+    )
+    fps: FloatProperty(
+        name="Frame rate", default=24, min=0.001, max=10000, description="Frames per second of the simulation"
+    )
     threads: IntProperty(name="Threads", min=0, max=1024, description="Processors to use; 0 uses all")
     has_volumes: BoolProperty(name="Level sets, too", description="Also write a .vdb of each frame")
-    links: BoolProperty(name="Show the result", default=True, description="Import the stage when its first frame is there")
+    links: BoolProperty(
+        name="Show the result", default=True, description="Import the stage when its first frame is there"
+    )
 
 
 class MENISCUS_OT_conversion_start(bpy.types.Operator):
@@ -370,7 +397,7 @@ def draw_progress(box: bpy.types.UILayout, conversion: Conversion) -> None:
     for line in lines_of(conversion):
         box.label(text=line)
     failed = [f"{name}: {reason}" for name, reason in progress.failures[:SHOWN_FAILURES]]
-    for text in [*progress.troubles, *progress.error.splitlines(), *failed]:
+    for text in [*filter(None, [_link_error]), *progress.troubles, *progress.error.splitlines(), *failed]:
         # A label has one line, and Blender cuts it at the edge of the panel.
         for index, line in enumerate(textwrap.wrap(text, LABEL_LETTERS)):
             box.label(text=line, icon="BLANK1" if index else "ERROR")

@@ -132,7 +132,7 @@ def stamp_of(path: Path) -> tuple[float, ...]:
 # Import
 
 
-def import_sequence(scene: bpy.types.Scene, path: Path, settings: "MENISCUS_PG_import | None" = None) -> list[bpy.types.Object]:
+def import_sequence(scene: bpy.types.Scene, path: Path) -> list[bpy.types.Object]:
     """Add a sequence to a scene, and return its objects: one for each mesh of a stage.
 
     Raises
@@ -140,10 +140,10 @@ def import_sequence(scene: bpy.types.Scene, path: Path, settings: "MENISCUS_PG_i
     OSError, ValueError
         If there is no sequence. The scene is unchanged then.
     """
-    settings = settings or scene.meniscus_sequence
+    settings = scene.meniscus_sequence
     shot = read_shot(path)
     add = add_volumes if path.suffix == ".vdb" else add_meshes
-    objects = add(scene, path, shot, settings)
+    objects = add(scene, path, shot)
     for obj in objects:
         source = obj.meniscus_sequence
         source.offset, source.keeps_rate, source.follows = settings.offset, settings.keeps_rate, bool(shot.frames)
@@ -160,7 +160,7 @@ def import_sequence(scene: bpy.types.Scene, path: Path, settings: "MENISCUS_PG_i
     return objects
 
 
-def add_meshes(scene: bpy.types.Scene, path: Path, shot: Shot, settings: "MENISCUS_PG_import") -> list[bpy.types.Object]:
+def add_meshes(_scene: bpy.types.Scene, path: Path, shot: Shot) -> list[bpy.types.Object]:
     """The objects that Blender's importer makes, with its Mesh Sequence Cache."""
     before = set(bpy.data.objects)
     with in_window():
@@ -169,6 +169,8 @@ def add_meshes(scene: bpy.types.Scene, path: Path, shot: Shot, settings: "MENISC
         else:
             bpy.ops.wm.usd_import(filepath=str(path), set_frame_range=False)
     added = set(bpy.data.objects) - before
+    if shot.first == shot.last:
+        read_from_file(path, shot, added)
     meshes = sorted((obj for obj in added if modifier_of(obj)), key=lambda obj: modifier_of(obj).object_path)
     if not meshes:
         for obj in added:
@@ -181,8 +183,9 @@ def add_meshes(scene: bpy.types.Scene, path: Path, shot: Shot, settings: "MENISC
     return meshes
 
 
-def add_volumes(scene: bpy.types.Scene, path: Path, shot: Shot, settings: "MENISCUS_PG_import") -> list[bpy.types.Object]:
+def add_volumes(scene: bpy.types.Scene, path: Path, _shot: Shot) -> list[bpy.types.Object]:
     """A volume, which Blender loads by the number of a file, and the mesh around its level set."""
+    settings = scene.meniscus_sequence
     name = ends_of(path)[0].rstrip("._- ") or path.stem
     data = bpy.data.volumes.new(name)
     data.filepath = str(path)
@@ -210,6 +213,26 @@ def add_volumes(scene: bpy.types.Scene, path: Path, shot: Shot, settings: "MENIS
         volume.matrix_world = Matrix.Translation((-voxel_size / 2,) * 3) @ volume.matrix_world
         volume.parent, volume.hide_viewport, volume.hide_render = mesh, True, True
     return [volume]
+
+
+def read_from_file(path: Path, shot: Shot, added: set[bpy.types.Object]) -> None:
+    """Give the meshes of a stage with a single frame what the importer gives them only if there are several."""
+    surfaces = [obj for obj in added if obj.type == "MESH" and not modifier_of(obj)]
+    if not surfaces:
+        return
+    known = set(bpy.data.cache_files)
+    with in_window():
+        bpy.ops.cachefile.open(filepath=str(path))
+    (cache,) = set(bpy.data.cache_files) - known
+    for obj in surfaces:
+        # The parent has the name of the sequence, with a number if another object has it, too.
+        parent = obj.parent.name if obj.parent else ""
+        name = max((name for name in shot.frames if parent.startswith(name)), key=len, default=None)
+        if name:
+            modifier = obj.modifiers.new("MeshSequenceCache", "MESH_SEQUENCE_CACHE")
+            modifier.cache_file, modifier.object_path = cache, f"/root/{name}/surface"
+            place = obj.constraints.new("TRANSFORM_CACHE")
+            place.cache_file, place.object_path = cache, f"/root/{name}/surface"
 
 
 def modifier_of(obj: bpy.types.Object) -> bpy.types.MeshSequenceCacheModifier | None:
