@@ -136,7 +136,24 @@ class Options(Mapping[str, Any]):
         self._values = {name: value for name, value in options.items() if value is not None}
 
     def replace(self, **options: Any) -> Options:
-        """A copy with these options added or replaced; None removes an option."""
+        """A copy with other options.
+
+        Parameters
+        ----------
+        **options
+            Options to add or to replace. None removes an option.
+
+        Returns
+        -------
+        Options
+
+        Raises
+        ------
+        TypeError
+            If no option has the name.
+        OptionError
+            If a text is not a value of its option.
+        """
         return Options(**{**self._values, **options})
 
     def __getitem__(self, name: str) -> Any:

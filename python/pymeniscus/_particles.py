@@ -29,6 +29,22 @@ class Particles(Mapping[str, NDArray[Any]]):
         Remarks about the file, such as skipped rows.
     path : str or None
         The file that the particles were read from.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (N, 3), float32 or float64
+        Positions. The array is not copied.
+    attributes : mapping of str to ndarray, optional
+        Attributes by name, shape (N,) or (N, K). `reconstruct` checks their shapes and types.
+    roles : mapping of str to str, optional
+        The roles of attributes by name.
+    notes : tuple of str, optional
+        Remarks.
+    path : str, optional
+        The file that the particles came from.
+    file_hash : str, optional
+        The hash of this file, which outputs record. Without it, `Surface.write` does not take the particles as
+        its `source`.
     """
 
     def __init__(

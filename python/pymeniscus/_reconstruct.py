@@ -77,6 +77,7 @@ def reconstruct(
         Whether the .glb of `formats` will be quantized.
     threads : int, optional
         Number of threads, 1 to 1024; one for each core by default. Concurrent calls use separate threads.
+        `Surface.write` and `LevelSet.sample` use all cores, whatever this number is.
     memory : int or str, optional
         Limit of the memory for the frame, in bytes or as text such as ``"8GiB"``; by default, half of the
         machine's memory.
@@ -142,7 +143,9 @@ class Sequence:
     ----------
     first_frame : array_like, shape (N, 3), or Particles, optional
         The frame to measure the spacing on; by default, the first frame that you reconstruct. The constructor
-        does not reconstruct its surface.
+        does not reconstruct its surface. It uses all cores.
+    radii : array_like, shape (N,), optional
+        The radii of the particles of `first_frame`.
     memory, scratch, **options
         As for `reconstruct`. With `spacing` the settings do not depend on any frame.
 
@@ -202,7 +205,22 @@ class Sequence:
         threads: int | None = None,
         progress: Progress | None = None,
     ) -> Surface:
-        """The surface of the next frame. Parameters, result and exceptions are those of `reconstruct`."""
+        """The surface of the next frame.
+
+        Parameters
+        ----------
+        points, radii, velocity, attributes, obstacles, formats, quantize, threads, progress
+            As for the function `reconstruct`. The options are those of the sequence.
+
+        Returns
+        -------
+        Surface
+
+        Raises
+        ------
+        TypeError, ValueError, OptionError, ParticleError, MemoryLimitError, OSError, KeyboardInterrupt
+            As for the function `reconstruct`. A frame that fails does not change the sequence.
+        """
         given = _Given(points, radii, velocity, attributes)
         bodies = as_obstacles(obstacles)
         if not self._has_frame:

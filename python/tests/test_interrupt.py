@@ -76,14 +76,26 @@ def test_memory_is_flat():
     calls = int(os.environ.get("PYMENISCUS_LEAK_CALLS", "990"))
     process = start(
         f"""
-        import gc, numpy as np, pymeniscus
+        import gc, os, tempfile, numpy as np, pymeniscus
         points = np.random.default_rng(0).random((1000, 3), dtype=np.float32)
         velocity = points.copy()
+        corners = np.array([[2, 0, 0], [3, 0, 0], [2, 1, 0], [2, 0, 1]])
+        faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+        folder = tempfile.TemporaryDirectory()
         def resident():
             gc.collect()
             return int(open("/proc/self/statm").read().split()[1]) * 4096
         def call():
-            made = pymeniscus.reconstruct(points, velocity=velocity, formats=["vdb"])
+            body = pymeniscus.Obstacle(corners, faces)
+            made = pymeniscus.reconstruct(points, velocity=velocity, formats=["vdb"], obstacles=body)
+            made.write(os.path.join(folder.name, "surface.glb"))
+            for wrong in (dict(radius_ratio=0.5), dict(memory="1KiB")):
+                try:
+                    pymeniscus.reconstruct(points, spacing=0.1, **wrong)
+                except pymeniscus.MeniscusError:
+                    pass
+                else:
+                    raise SystemExit("not refused")
             return made.vertices.sum() + made.attributes["velocity"].sum() + made.level_set.sample(points).sum()
         for _ in range(10):
             call()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import platform
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -315,19 +316,35 @@ def test_floating_point_mode_of_the_caller_does_not_change_bytes(block, surface)
 
 def test_several_threads_at_once(block, surface):
     made = [None] * 4
-    ticks = []
 
     def work(index):
         made[index] = pm.reconstruct(block, spacing=0.1)
 
     workers = [threading.Thread(target=work, args=(index,)) for index in range(4)]
     [worker.start() for worker in workers]
-    while any(worker.is_alive() for worker in workers):
-        ticks.append(None)
-        threading.Event().wait(0.001)
+    [worker.join() for worker in workers]
     assert all(same(one, surface) for one in made)
-    # This thread ran during the reconstruction, so the interpreter's lock was released.
-    assert len(ticks) > 3
+
+
+def test_other_threads_run_during_a_call():
+    points = np.random.default_rng(0).random((200_000, 3), dtype=np.float32)
+    seconds = []
+
+    def work():
+        start = time.perf_counter()
+        pm.reconstruct(points, velocity=points, steps=8)
+        seconds.append(time.perf_counter() - start)
+
+    worker = threading.Thread(target=work)
+    worker.start()
+    gaps, last = [], time.perf_counter()
+    while worker.is_alive():
+        time.sleep(0.001)
+        now = time.perf_counter()
+        gaps.append(now - last)
+        last = now
+    # If the call held the interpreter's lock, one gap would be nearly as long as the call.
+    assert max(gaps) < 0.3 * seconds[0], (max(gaps), seconds[0])
 
 
 def test_one_sequence_from_several_threads(block, surface):

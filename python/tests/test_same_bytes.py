@@ -14,7 +14,7 @@ def spacing_of(report: dict) -> float:
 
 @pytest.mark.parametrize("options", [{}, {"preset": "splash", "quads": True}, {"preset": "paper", "decimate": 0.05}])
 def test_a_file_and_its_arrays(frame, tmp_path, options):
-    formats = ["glb", "vdb", "obj", "ply", "vtp", "usda", "usdc", "abc"]
+    formats = ["glb", "gltf", "vdb", "obj", "ply", "vtp", "usda", "usdc", "abc"]
     report = pm.convert(frame, tmp_path / "command", format=formats, **options)
     surface = pm.reconstruct(pm.read(frame), **{"spacing": spacing_of(report), **options}, formats=formats)
     for path in sorted((tmp_path / "command").iterdir()):
@@ -51,6 +51,36 @@ def test_exported_arrays_with_attributes_and_radii(block, tmp_path):
     again = pm.reconstruct(pm.read(exported), attributes="velocity", radius_attribute="radius", formats=["vdb"], **options)
     again.write(tmp_path / "again.vdb")
     assert (tmp_path / "again.vdb").read_bytes() == (tmp_path / "command" / "frame.vdb").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("extension", "options"),
+    [("glb", {"up": "z"}), ("usda", {"up": "z", "meters_per_unit": 0.01}), ("vdb", {"vdb_half": True})],
+)
+def test_options_of_files(frame, tmp_path, extension, options):
+    report = pm.convert(frame, tmp_path / "command", format=extension, **options)
+    surface = pm.reconstruct(pm.read(frame), spacing=spacing_of(report), formats=[extension])
+    (path,) = [path for path in (tmp_path / "command").iterdir() if path.is_file()]
+    surface.write(tmp_path / path.name, **options)
+    assert (tmp_path / path.name).read_bytes() == path.read_bytes()
+
+
+def test_two_attributes_and_two_obstacles(block, tmp_path):
+    exported, walls = tmp_path / "frame.npz", []
+    np.savez(exported, position=block, velocity=block, age=block[:, 0].copy())
+    for number in (1, 2):
+        walls.append(tmp_path / f"wall{number}.obj")
+        walls[-1].write_text(f"v {number} -1 -1\nv {number} 2 -1\nv {number} 2 2\nv {number + 1} 0 0\n"
+                             "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")  # fmt: skip
+    formats = ["glb", "vdb", "ply"]
+    pm.convert(exported, tmp_path / "command", format=formats, attributes="velocity,age", obstacle=walls, spacing=0.1)
+    surface = pm.reconstruct(
+        block, velocity=block, attributes={"age": block[:, 0]}, obstacles=walls, formats=formats, spacing=0.1
+    )
+    for extension in formats:
+        mine = tmp_path / f"frame.{extension}"
+        surface.write(mine, source=exported)
+        assert mine.read_bytes() == (tmp_path / "command" / mine.name).read_bytes(), extension
 
 
 def test_obstacle_files(block, tmp_path):
