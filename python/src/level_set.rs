@@ -88,18 +88,19 @@ impl Rows {
         size: [usize; 3],
         token: &CancelToken,
     ) -> Result<Vec<f32>, TryReserveError> {
-        let [_, height, depth] = size;
+        let [width, height, depth] = size;
+        let slab_len = height * depth;
         let mut values = Vec::new();
-        let count = size.iter().product();
-        values.try_reserve_exact(count)?;
-        values.resize(count, 0.0);
-        values.par_chunks_mut((height * depth).max(1)).enumerate().for_each(|(x, slab)| {
-            for (y, row) in slab.chunks_mut(depth.max(1)).enumerate().take_while(|_| !token.is_cancelled()) {
+        values.try_reserve_exact(width * slab_len)?;
+        for x in (0..width).take_while(|_| !token.is_cancelled()) {
+            let start = values.len();
+            values.resize(start + slab_len, 0.0);
+            values[start..].par_chunks_mut(depth.max(1)).enumerate().for_each(|(y, row)| {
                 for (z, value) in row.iter_mut().enumerate() {
                     *value = self.at(band, least + IVec3::new(x as i32, y as i32, z as i32));
                 }
-            }
-        });
+            });
+        }
         Ok(values)
     }
 }

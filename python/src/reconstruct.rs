@@ -101,7 +101,14 @@ pub(crate) fn resolve(
     let options = parse(&pairs)?;
     let (positions, attributes) = (Positions::new(points)?, Attributes::new(attributes)?);
     let (positions, attributes) = (positions.as_slice()?, attributes.as_slices()?);
+    let is_empty = match positions {
+        PositionSlice::F32(positions) => positions.is_empty(),
+        PositionSlice::F64(positions) => positions.is_empty(),
+    };
     let resolved = run_with_progress(py, None, None, |token, _| {
+        if is_empty && options.needs_spacing() {
+            return Err(Failure::Method(meniscus::surface::Error::NoParticles { input_count: 0 }));
+        }
         let (attributes, _) = needed_attributes(&attributes, &options).map_err(Failure::Particles)?;
         let mut reconstructor = Reconstructor::new(options);
         reconstructor.cancel_token(token.clone());

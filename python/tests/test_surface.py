@@ -121,7 +121,8 @@ def test_an_empty_surface_has_empty_arrays():
 
 
 @pytest.mark.parametrize("extension", ["glb", "gltf", "vdb", "obj", "ply", "vtp", "stl", "usda", "usdc", "abc", "png", "exr"])
-def test_every_format_is_written(surface, tmp_path, extension):
+def test_every_format_is_written(block, tmp_path, extension):
+    surface = pm.reconstruct(block, spacing=0.1, formats=[extension])
     path = tmp_path / f"surface.{extension}"
     surface.write(path, size=(64, 36))
     assert path.stat().st_size > 500

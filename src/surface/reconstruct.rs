@@ -475,11 +475,7 @@ fn check_required_attributes(settings: &Settings, attributes: &[Attribute]) -> R
 }
 
 /// Fails if no particle is left and the frame must not be empty.
-fn require_particles(
-    left: usize,
-    shaped: &PreparedSource<'_>,
-    allows_empty: bool,
-) -> Result<(), Error> {
+fn require_particles(left: usize, shaped: &PreparedSource<'_>, allows_empty: bool) -> Result<(), Error> {
     match left {
         0 if !allows_empty => Err(Error::NoParticles { input_count: shaped.given().positions.len() }),
         _ => Ok(()),
