@@ -18,7 +18,7 @@
 //! match, the one whose alias comes first in the table below gets the role, and the other one gets no role.
 //! The same applies to the position.
 
-use crate::data::AttributeRole;
+use crate::data::{AttributeRole, FileAttribute, Values};
 use crate::scalar::Scalar;
 use std::collections::HashMap;
 
@@ -100,6 +100,18 @@ pub fn roles_of(attributes: &[(&str, usize)]) -> Vec<Option<AttributeRole>> {
         }
     }
     roles
+}
+
+/// An attribute whose role was recognised by its name. Text keeps only the role of a phase: it cannot be a
+/// velocity or another quantity. Diameters become radii.
+pub fn with_role(name: String, arity: usize, role: Option<AttributeRole>, values: Values) -> FileAttribute {
+    let is_text = matches!(values, Values::Strings { .. });
+    let role = role.filter(|&role| !is_text || role == AttributeRole::Kind);
+    let mut attribute = FileAttribute { name, arity, role, values };
+    if role == Some(AttributeRole::Radius) {
+        attribute.scale(radius_scale(&attribute.name));
+    }
+    attribute
 }
 
 /// The known names of attributes with this role, in lower case, best first.

@@ -12,7 +12,7 @@
 //!   "stress" (N, 6)                 an attribute without a role
 //! ```
 
-use crate::columns::{Group, group_columns, position_rank, radius_scale, roles_of};
+use crate::columns::{Group, group_columns, position_rank, radius_scale, roles_of, with_role};
 use crate::data::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values};
 use crate::excerpt::excerpt;
 use crate::number::{self, interleaved};
@@ -49,8 +49,11 @@ pub(crate) fn frame_of(
     let named: Vec<(&str, usize)> =
         attributes.iter().map(|array| (array.name.as_str(), array.arity)).collect();
     let roles = roles_of(&named);
-    let attributes: Vec<FileAttribute> =
-        attributes.drain(..).zip(roles).map(|(array, role)| attribute(array, role)).collect();
+    let attributes: Vec<FileAttribute> = attributes
+        .drain(..)
+        .zip(roles)
+        .map(|(array, role)| with_role(array.name, array.arity, role, array.values))
+        .collect();
     notes.extend(attributes.iter().filter_map(note_on_diameter));
     Some(ParticleFrame { positions, attributes, notes })
 }
@@ -147,17 +150,6 @@ fn type_of(values: &Values) -> Scalar {
         Values::I64(_) => Scalar::U32,
         Values::Strings { .. } => Scalar::I8,
     }
-}
-
-fn attribute(array: NamedArray, role: Option<AttributeRole>) -> FileAttribute {
-    // Strings can identify a phase, but they cannot be a velocity or another quantity.
-    let is_text = matches!(array.values, Values::Strings { .. });
-    let role = role.filter(|&role| !is_text || role == AttributeRole::Kind);
-    let mut attribute = FileAttribute { name: array.name, arity: array.arity, role, values: array.values };
-    if role == Some(AttributeRole::Radius) {
-        attribute.scale(radius_scale(&attribute.name));
-    }
-    attribute
 }
 
 fn note_on_diameter(attribute: &FileAttribute) -> Option<String> {

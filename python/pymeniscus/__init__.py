@@ -16,7 +16,6 @@ particle spacings and ``"5h"`` is 5 voxels.
 
 from ._commands import CommandError, FinishedFrame, Watch, convert, render, watch
 from ._errors import (
-    CancelledError,
     FormatError,
     MemoryLimitError,
     MeniscusError,
@@ -33,7 +32,6 @@ from ._surface import Certificate, LevelSet, Surface
 __version__ = _version()
 
 __all__ = [
-    "CancelledError",
     "Certificate",
     "CommandError",
     "FinishedFrame",

@@ -113,8 +113,8 @@ def as_attribute(
         raise ValueError(f"the attribute `{name}` has no values")
     kind, size = array.dtype.kind, array.dtype.itemsize
     if kind in "US":
-        words, indices = np.unique(array.astype(str), return_inverse=True)
-        return arity, np.ascontiguousarray(indices.reshape(-1), np.int32), [str(word) for word in words]
+        indices, table = _in_order(array.astype(str).reshape(-1))
+        return arity, indices, table
     dtype: Any
     if kind == "f":
         dtype = np.float32 if size <= 4 else np.float64
@@ -129,6 +129,22 @@ def as_attribute(
     else:
         raise TypeError(f"the attribute `{name}` must be numbers or text, not {array.dtype}")
     return arity, np.require(array, dtype, ["C_CONTIGUOUS", "ALIGNED"]).reshape(-1), None
+
+
+def words_of(indices: NDArray[np.int32], table: list[str]) -> NDArray[np.str_]:
+    """The words with these indices. An index outside the table means that there is no word: it becomes ""."""
+    is_word = (indices >= 0) & (indices < len(table))
+    return np.asarray([*table, ""], np.str_)[np.where(is_word, indices, len(table))]
+
+
+def _in_order(words: NDArray[np.str_]) -> tuple[NDArray[np.int32], list[str]]:
+    """Indices into the distinct words in order of their first appearance, as readers of files return them.
+    Empty words have the index -1."""
+    distinct, first, inverse = np.unique(words, return_index=True, return_inverse=True)
+    order = [index for index in np.argsort(first) if distinct[index] != ""]
+    rank = np.full(len(distinct), -1, np.int32)
+    rank[order] = np.arange(len(order), dtype=np.int32)
+    return rank[inverse.reshape(-1)], [str(distinct[index]) for index in order]
 
 
 def _is_text(values: Any) -> bool:

@@ -368,7 +368,7 @@ class Watch:
                 continue
         stems = [path.name[:end] for end in range(len(path.name), 0, -1) if path.name[end : end + 1] in (".", "")]
         for stem in stems:
-            candidates = [folder / f"{stem}.{row[0]}" for row in _native.format_table()]
+            candidates = [folder / f"{stem}.{extension}" for extension in _native.format_names()]
             found = tuple(candidate for candidate in candidates if candidate.exists() and candidate != path)
             if found:
                 return found

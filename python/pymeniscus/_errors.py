@@ -25,7 +25,3 @@ class MemoryLimitError(MeniscusError, MemoryError):
 class FormatError(MeniscusError, ValueError):
     """A file cannot be read, or a format cannot store the data. For a file, the message has the position of
     the fault."""
-
-
-class CancelledError(MeniscusError):
-    """The reconstruction was cancelled."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from . import _native
 from ._arrays import as_array, as_points
+from ._options import bytes_of
 
 #: A file, a mesh as a pair of vertices and triangles, an object with ``vertices`` and ``faces`` such as
 #: ``trimesh.Trimesh``, or an `Obstacle`.
@@ -45,43 +46,73 @@ class Obstacle:
             raise ValueError(f"triangles must have the shape (T, 3), not {indices.shape}")
         if indices.dtype.kind not in "iu":
             raise TypeError(f"triangles must be integers, not {indices.dtype}")
-        if indices.size and (int(indices.min()) < 0 or int(indices.max()) >= len(positions)):
-            raise ValueError("a triangle of the obstacle names a vertex that does not exist")
+        # An index of 2**63 or more becomes negative, which the native module refuses too.
         self._native = _native.Obstacle.from_mesh(
-            np.ascontiguousarray(positions), np.ascontiguousarray(indices, np.uint32)
+            np.ascontiguousarray(positions), np.ascontiguousarray(indices, np.int64)
         )
 
     @classmethod
-    def from_file(cls, path: str | os.PathLike[str], *, memory: int | None = None) -> Obstacle:
+    def from_file(cls, path: str | os.PathLike[str], *, memory: int | str | None = None) -> Obstacle:
         """The obstacle in a file: a mesh of any format that meniscus reads, or a level set in .vdb.
 
         Parameters
         ----------
         path : path-like
             The file.
-        memory : int, optional
-            Limit of the memory for reading a level set, in bytes; by default, half of the machine's memory.
+        memory : int or str, optional
+            Limit of the memory for reading a level set, in bytes or as text such as ``"8GiB"``; by default, half of
+            the machine's memory.
 
         Raises
         ------
         OSError
             If the file cannot be opened.
+        ValueError
+            If the memory limit is not a positive number of bytes.
         FormatError
             If the file contains neither a mesh nor a level set.
         """
         obstacle = cls.__new__(cls)
-        obstacle._native = _native.Obstacle.from_file(path, memory or _native.default_memory())
+        obstacle._native = _native.Obstacle.from_file(path, bytes_of(memory))
         return obstacle
 
 
-def as_obstacles(obstacles: ObstacleLike | Iterable[ObstacleLike] | None) -> list[_native.Obstacle]:
-    """The obstacles that a caller passed: none, one or several."""
-    if obstacles is None:
-        return []
-    several: Any = [obstacles] if _is_one(obstacles) else obstacles
-    if not isinstance(several, Iterable):
-        raise _not_one(several)
-    return [_as_obstacle(obstacle)._native for obstacle in several]
+class Bodies:
+    """The obstacles of a call or a sequence. A file is read once, and again after a change.
+
+    Parameters
+    ----------
+    memory : int
+        Limit of the memory for reading a level set, in bytes.
+    """
+
+    def __init__(self, memory: int) -> None:
+        self._memory = memory
+        self._files: dict[str, Obstacle] = {}
+
+    def natives(self, obstacles: ObstacleLike | Iterable[ObstacleLike] | None) -> list[_native.Obstacle]:
+        """The obstacles that a caller passed: none, one or several."""
+        if obstacles is None:
+            return []
+        several: Any = [obstacles] if _is_one(obstacles) else obstacles
+        if not isinstance(several, Iterable):
+            raise _not_one(several)
+        return [self._obstacle(obstacle)._native for obstacle in several]
+
+    def _obstacle(self, value: Any) -> Obstacle:
+        if isinstance(value, Obstacle):
+            return value
+        if isinstance(value, (str, os.PathLike)):
+            path = os.path.abspath(value)
+            known = self._files.get(path)
+            if known is None or not known._native.is_current():
+                known = self._files[path] = Obstacle.from_file(value, memory=self._memory)
+            return known
+        if isinstance(value, (tuple, list)) and len(value) == 2:
+            return Obstacle(value[0], value[1])
+        if _is_mesh(value):
+            return Obstacle(value.vertices, value.faces)
+        raise _not_one(value)
 
 
 def _is_one(value: Any) -> bool:
@@ -93,18 +124,6 @@ def _is_one(value: Any) -> bool:
 
 def _is_mesh(value: Any) -> bool:
     return hasattr(value, "vertices") and hasattr(value, "faces")
-
-
-def _as_obstacle(value: Any) -> Obstacle:
-    if isinstance(value, Obstacle):
-        return value
-    if isinstance(value, (str, os.PathLike)):
-        return Obstacle.from_file(value)
-    if isinstance(value, (tuple, list)) and len(value) == 2:
-        return Obstacle(value[0], value[1])
-    if _is_mesh(value):
-        return Obstacle(value.vertices, value.faces)
-    raise _not_one(value)
 
 
 def _not_one(value: Any) -> TypeError:

@@ -106,6 +106,23 @@ def _text(name: str, value: Any) -> str:
     return ",".join(repr(float(number)) for number in numbers)
 
 
+def bytes_of(memory: int | str | None) -> int:
+    """The number of bytes in a memory limit; None means half of the machine's memory.
+
+    Raises
+    ------
+    ValueError
+        If it is not a positive number, or has an unknown unit.
+    """
+    if memory is None:
+        return _native.default_memory()
+    if isinstance(memory, str):
+        memory = _native.memory_bytes(memory)
+    if memory <= 0:
+        raise ValueError("memory must be positive")
+    return int(memory)
+
+
 class Options(Mapping[str, Any]):
     """Checked options of the method, which you can pass to several calls, compare, or pickle.
 

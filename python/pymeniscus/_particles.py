@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _native
+from ._arrays import words_of
 
 
 class Particles(Mapping[str, NDArray[Any]]):
@@ -63,6 +64,8 @@ class Particles(Mapping[str, NDArray[Any]]):
         self.notes = notes
         self.path = path
         self._hash = file_hash
+        #: Text in the form of the file: indices and distinct words.
+        self._texts: dict[str, tuple[NDArray[np.int32], list[str]]] = {}
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self._attributes[name]
@@ -88,7 +91,7 @@ def read(path: str | os.PathLike[str]) -> Particles:
     Parameters
     ----------
     path : path-like
-        The file.
+        The file. A step of a file with several steps has a path such as ``"dump.lammpstrj/step=1000"``.
 
     Returns
     -------
@@ -104,13 +107,16 @@ def read(path: str | os.PathLike[str]) -> Particles:
     """
     positions, attributes, notes, file_hash = _native.read(path)
     arrays: dict[str, NDArray[Any]] = {}
-    roles = {}
+    roles, texts = {}, {}
     for name, role, arity, values, table in attributes:
         if table is not None:
-            values = np.asarray([*table, ""])[np.where((values < 0) | (values >= len(table)), len(table), values)]
+            texts[name] = values, table
+            values = words_of(values, table)
         arrays[name] = values if arity == 1 else values.reshape(-1, arity)
         if role is not None:
             roles[name] = role
-    return Particles(
+    particles = Particles(
         positions, arrays, roles=roles, notes=tuple(notes), path=os.fspath(path), file_hash=file_hash
     )
+    particles._texts = texts
+    return particles

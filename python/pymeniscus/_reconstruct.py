@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import os
 import re
+import threading
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from . import _native
-from ._arrays import as_array, as_attribute, as_points
-from ._obstacles import ObstacleLike, as_obstacles
-from ._options import OptionValues, as_pairs
+from ._arrays import as_array, as_attribute, as_points, words_of
+from ._obstacles import Bodies, ObstacleLike
+from ._options import OptionValues, as_pairs, bytes_of
 from ._particles import Particles
 from ._surface import Surface
 
@@ -24,9 +28,6 @@ Attributes = Mapping[str, Any] | Iterable[str] | str | None
 
 #: A function that is called with the name of the phase and the fraction of the phase that is done.
 Progress = Callable[[str, float], object]
-
-_UNITS = {"": 1, "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12}
-_UNITS |= {"k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40, "kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40}
 
 
 def reconstruct(
@@ -98,15 +99,16 @@ def reconstruct(
     Raises
     ------
     TypeError
-        For an unknown option, and for arrays of a wrong type or in the memory of a device.
+        For an unknown option, for `radii` with another `radius_attribute`, and for arrays of a wrong type or in
+        the memory of a device.
     ValueError
         For arrays of a wrong shape.
     OptionError
         If an option is out of its range, or the particle spacing cannot be measured. A subclass of
         `ValueError`.
     ParticleError
-        If there are no particles, a required attribute is missing, or the voxels are too small for the extent
-        of the frame. A subclass of `ValueError`.
+        If the voxel size must be measured and there are no particles, a required attribute is missing, or the
+        voxels are too small for the extent of the frame. A subclass of `ValueError`.
     MemoryLimitError
         If the frame needs more memory than the limit. A subclass of `MemoryError`.
     OSError
@@ -125,12 +127,10 @@ def reconstruct(
     >>> surface.write("frame.glb")                                                         # doctest: +SKIP
     """
     given = _Given(points, radii, velocity, attributes)
-    bodies = as_obstacles(obstacles)
+    limits = bytes_of(memory), _folder_of(scratch)
+    bodies = Bodies(limits[0]).natives(obstacles)
     _warn_of_ignored(given, options, bodies)
-    native = _native.Reconstructor(
-        given.pairs(options), given.selects_all, given.selected, _bytes_of(memory), _folder_of(scratch)
-    )
-    return _run(native, given, bodies, formats, quantize, threads, progress)
+    return _run(given, given.pairs(options), bodies, formats, quantize, limits, threads, progress)
 
 
 class Sequence:
@@ -151,9 +151,10 @@ class Sequence:
 
     Notes
     -----
-    Several threads may use one sequence, but it computes one frame at a time. To compute several frames in
-    parallel, use a sequence for each thread, with the same ``spacing``. ``meniscus convert`` measures the
-    spacing on the first, middle and last frame: pass its result as `spacing` to get the same bytes.
+    Several threads may use one sequence: it computes their frames in parallel. Only the measurement on the
+    first frame makes the others wait. ``meniscus convert`` measures the spacing on the first, middle and last
+    frame: pass its result as `spacing` to get the same bytes. Files of obstacles are read once, and again
+    after a change.
 
     Examples
     --------
@@ -173,18 +174,21 @@ class Sequence:
     ) -> None:
         self._options: dict[str, Any] = dict(options)
         as_pairs(self._options)
-        self._memory, self._scratch = _bytes_of(memory), _folder_of(scratch)
-        self._natives: dict[tuple[Any, ...], _native.Reconstructor] = {}
+        self._limits = bytes_of(memory), _folder_of(scratch)
+        self._bodies = Bodies(self._limits[0])
+        self._lock = threading.Lock()
         self._resolved: dict[str, str] | None = None
         self._has_frame = False
         if first_frame is not None:
-            self._measure(first_frame, radii)
+            self._settings_on(_Given(first_frame, radii, None, None))
 
-    def _measure(self, first_frame: Any, radii: Any) -> None:
-        """Resolve the settings on a frame, so that all lengths are numbers in world units."""
-        given = _Given(first_frame, radii, None, None)
-        resolved = dict(_native.resolve(given.pairs(self._options), given.points, given.attributes))
-        self._resolved = resolved
+    def _settings_on(self, given: _Given) -> dict[str, str]:
+        """The settings with all lengths in world units. The first call resolves them on its frame."""
+        with self._lock:
+            if self._resolved is None:
+                pairs = given.pairs(self._options)
+                self._resolved = dict(_native.resolve(pairs, given.points, given.attributes))
+            return self._resolved
 
     @property
     def settings(self) -> dict[str, str] | None:
@@ -222,25 +226,12 @@ class Sequence:
             As for the function `reconstruct`. A frame that fails does not change the sequence.
         """
         given = _Given(points, radii, velocity, attributes)
-        bodies = as_obstacles(obstacles)
+        bodies = self._bodies.natives(obstacles)
         if not self._has_frame:
             self._has_frame = True
             _warn_of_ignored(given, self._options, bodies)
-        options: Mapping[str, Any] = self._options if self._resolved is None else self._resolved
-        pairs = given.pairs(options)
-        # A native reconstructor keeps the settings and the distances from obstacles. A frame with other
-        # options or attributes needs a new one.
-        key = (tuple(pairs), given.selects_all, tuple(given.selected))
-        native = self._natives.get(key)
-        if native is None:
-            self._natives.clear()
-            native = _native.Reconstructor(pairs, given.selects_all, given.selected, self._memory, self._scratch)
-            self._natives[key] = native
-        surface = _run(native, given, bodies, formats, quantize, threads, progress)
-        if self._resolved is None:
-            self._resolved = dict(surface.settings)
-            self._resolved.pop("attributes", None)
-        return surface
+        pairs = given.pairs(self._settings_on(given))
+        return _run(given, pairs, bodies, formats, quantize, self._limits, threads, progress)
 
 
 class _Given:
@@ -259,7 +250,7 @@ class _Given:
             if particles.path is not None and particles._hash is not None:
                 self.source = (particles.path, particles._hash)
             for name, values in particles.items():
-                self._add(name, particles.roles.get(name), values, count)
+                self._add(name, particles.roles.get(name), values, count, particles._texts.get(name))
         if radii is not None:
             radii = as_array(radii, "radii")
             if radii.ndim == 2 and radii.shape[1] == 1:
@@ -288,15 +279,28 @@ class _Given:
         if not has and self.selected:
             raise TypeError("attributes must be arrays by name: only Particles have attributes of their own")
 
-    def _add(self, name: str, role: str | None, values: Any, count: int) -> None:
+    def _add(
+        self,
+        name: str,
+        role: str | None,
+        values: Any,
+        count: int,
+        text: tuple[NDArray[np.int32], list[str]] | None = None,
+    ) -> None:
         # An attribute that the caller passes by keyword replaces that of the particles with the same name.
         self.attributes = [attribute for attribute in self.attributes if attribute[0] != name]
         arity, flat, table = as_attribute(values, count, name)
+        if text is not None and table is not None and np.array_equal(words_of(*text), np.asarray(values).reshape(-1)):
+            # The caller did not change the words, so they keep the indices that they have in the file.
+            flat, table = text
         self.attributes.append((name, role, arity, flat, table))
 
     def pairs(self, options: Mapping[str, Any]) -> list[tuple[str, str]]:
         """The options as text, with the option `radius_attribute` if the caller passed radii."""
-        if self.has_radii and options.get("radius_attribute") is None:
+        named = options.get("radius_attribute")
+        if self.has_radii and named not in (None, "radius"):
+            raise TypeError(f"radii= and radius_attribute={named!r} contradict each other: pass one of them")
+        if self.has_radii:
             options = {**options, "radius_attribute": "radius"}
         return as_pairs(options)
 
@@ -312,44 +316,35 @@ def _warn_of_ignored(given: _Given, options: Mapping[str, Any], obstacles: list[
 
 
 def _run(
-    native: _native.Reconstructor,
     given: _Given,
+    pairs: list[tuple[str, str]],
     obstacles: list[_native.Obstacle],
     formats: Iterable[str],
     quantize: bool,
+    limits: tuple[int, str | None],
     threads: int | None,
     progress: Progress | None,
 ) -> Surface:
     if isinstance(formats, str):
         formats = formats.split(",")
     extensions = [extension.strip().lstrip(".").lower() for extension in formats]
-    made = native.reconstruct(
-        given.points, given.attributes, obstacles, extensions, quantize, threads, progress
+    made = _native.reconstruct(
+        pairs,
+        given.selects_all,
+        given.selected,
+        given.points,
+        given.attributes,
+        obstacles,
+        extensions,
+        quantize,
+        *limits,
+        threads,
+        progress,
     )
     surface = Surface(made, given.source)
     for warning in surface.warnings:
         warnings.warn(warning, stacklevel=3)
     return surface
-
-
-def _bytes_of(memory: int | str | None) -> int:
-    """The number of bytes in a memory limit.
-
-    Raises
-    ------
-    ValueError
-        If it is not a positive number, or has an unknown unit.
-    """
-    if memory is None:
-        return _native.default_memory()
-    if isinstance(memory, str):
-        parts = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*([a-zA-Z]*)\s*", memory)
-        if parts is None or parts[2].lower() not in _UNITS:
-            raise ValueError(f"memory is `{memory}`; it must be a number of bytes such as 8GiB")
-        memory = int(float(parts[1]) * _UNITS[parts[2].lower()])
-    if memory <= 0:
-        raise ValueError("memory must be positive")
-    return int(memory)
 
 
 def _folder_of(scratch: str | os.PathLike[str] | None) -> str | None:

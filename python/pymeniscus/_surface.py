@@ -110,6 +110,8 @@ class LevelSet:
         ------
         ValueError
             If a corner is not finite, or the box is too large.
+        MemoryError
+            If the system has not enough memory for the values. The message has their size in bytes.
         """
         if box is None:
             origins = self.origins
@@ -316,22 +318,27 @@ class Surface:
         Raises
         ------
         ValueError
-            For an unknown format or choice.
+            For an unknown format or choice, and for a format that rounds positions if `formats` of `reconstruct`
+            did not have it.
         FormatError
             If the format cannot store the mesh.
         OSError
             If the file cannot be written.
+        KeyboardInterrupt
+            On Ctrl-C. Then an existing file is unchanged.
+
+        Warns
+        -----
+        UserWarning
+            About positions and attributes that the format cannot store exactly.
         """
         extension = format or os.path.splitext(os.fspath(path))[1]
         extension = extension.lstrip(".").lower()
         if not extension:
             raise ValueError(f"{os.fspath(path)} has no extension: give format=")
-        if extension in ("vdb", "exr") and self._native.attributes() and not self._native.has_voxel_attributes:
-            warnings.warn(
-                f"the .{extension} has no attributes: give formats=['{extension}'] to reconstruct", stacklevel=2
-            )
         options = _write_options(up, meters_per_unit, quantize, vdb_half, vdb_compression, size, camera)
-        self._native.write(os.fspath(path), extension, options, self._source_of(source))
+        for warning in self._native.write(os.fspath(path), extension, options, self._source_of(source)):
+            warnings.warn(warning, stacklevel=2)
 
     def _source_of(self, source: str | os.PathLike[str] | Particles | None) -> tuple[str, str] | None:
         if source is None:

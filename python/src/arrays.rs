@@ -1,8 +1,8 @@
 //! Converts NumPy arrays to the input types of the surface reconstruction.
 
-use meniscus_formats::columns::roles_of;
+use meniscus_formats::columns::{roles_of, with_role};
 use meniscus_formats::{AttributeRole, FileAttribute, Values};
-use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::{Element, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
@@ -45,6 +45,13 @@ impl<'py> Positions<'py> {
     /// # Errors
     /// When the array is not C-contiguous.
     pub(crate) fn as_slice(&self) -> PyResult<PositionSlice<'_>> {
+        let is_c_contiguous = match self {
+            Positions::F32(array) => array.is_c_contiguous(),
+            Positions::F64(array) => array.is_c_contiguous(),
+        };
+        if !is_c_contiguous {
+            return Err(PyValueError::new_err("points must be C-contiguous"));
+        }
         Ok(match self {
             Positions::F32(array) => PositionSlice::F32(bytemuck::cast_slice(array.as_slice()?)),
             Positions::F64(array) => PositionSlice::F64(bytemuck::cast_slice(array.as_slice()?)),
@@ -56,43 +63,143 @@ impl<'py> Positions<'py> {
 /// the values as a flat array. For text, the values are indices into the last item, the distinct strings.
 pub(crate) type Given<'py> = (String, Option<String>, usize, Bound<'py, PyAny>, Option<Vec<String>>);
 
-/// Converts attributes to the type that readers of files return. Roles that are not given are recognised by
-/// name, as in files.
-///
-/// # Errors
-/// When values have a type that the Python layer never passes.
-pub(crate) fn attributes(given: Vec<Given<'_>>) -> PyResult<Vec<FileAttribute>> {
-    let names: Vec<(String, usize)> =
-        given.iter().map(|(name, _, arity, ..)| (name.clone(), *arity)).collect();
-    let names: Vec<(&str, usize)> = names.iter().map(|(name, arity)| (&**name, *arity)).collect();
-    let by_name = roles_of(&names);
-    let attribute = |((name, role, arity, values, table), by_name): (Given<'_>, Option<AttributeRole>)| {
-        let role = match role {
-            Some(role) => Some(role_of_word(&role)?),
-            None => by_name,
-        };
-        Ok(FileAttribute { name, arity, role, values: values_of(&values, table)? })
-    };
-    given.into_iter().zip(by_name).map(attribute).collect()
+/// Attributes that are borrowed from arrays for the duration of a call.
+pub(crate) struct Attributes<'py>(Vec<BorrowedAttribute<'py>>);
+
+struct BorrowedAttribute<'py> {
+    name: String,
+    arity: usize,
+    /// The role that the caller gave.
+    role: Option<AttributeRole>,
+    values: BorrowedValues<'py>,
 }
 
-fn values_of(array: &Bound<'_, PyAny>, table: Option<Vec<String>>) -> PyResult<Values> {
-    fn vector<'py, T: numpy::Element + Copy>(array: &Bound<'py, PyAny>) -> Option<PyResult<Vec<T>>> {
-        let array = array.extract::<PyReadonlyArray1<'py, T>>().ok()?;
-        Some(array.as_slice().map(<[T]>::to_vec).map_err(PyErr::from))
+enum BorrowedValues<'py> {
+    F32(PyReadonlyArray1<'py, f32>),
+    F64(PyReadonlyArray1<'py, f64>),
+    U8(PyReadonlyArray1<'py, u8>),
+    I32(PyReadonlyArray1<'py, i32>),
+    I64(PyReadonlyArray1<'py, i64>),
+    Strings(Vec<String>, PyReadonlyArray1<'py, i32>),
+}
+
+/// An attribute as slices, which threads can use without the interpreter's lock.
+pub(crate) struct AttributeSlice<'a> {
+    name: &'a str,
+    arity: usize,
+    role: Option<AttributeRole>,
+    /// Whether the caller gave the role, so that the values have it already.
+    is_role_given: bool,
+    values: ValueSlice<'a>,
+}
+
+enum ValueSlice<'a> {
+    F32(&'a [f32]),
+    F64(&'a [f64]),
+    U8(&'a [u8]),
+    I32(&'a [i32]),
+    I64(&'a [i64]),
+    Strings(&'a [String], &'a [i32]),
+}
+
+impl<'py> Attributes<'py> {
+    /// # Errors
+    /// When values have a type that the Python layer never passes, or a role is unknown.
+    pub(crate) fn new(given: Vec<Given<'py>>) -> PyResult<Attributes<'py>> {
+        let borrowed = |(name, role, arity, values, table): Given<'py>| {
+            let role = role.map(|role| role_of_word(&role)).transpose()?;
+            Ok(BorrowedAttribute { name, arity, role, values: BorrowedValues::new(&values, table)? })
+        };
+        Ok(Attributes(given.into_iter().map(borrowed).collect::<PyResult<_>>()?))
     }
-    if let Some(table) = table {
-        let indices = vector::<i32>(array)
-            .ok_or_else(|| PyTypeError::new_err("the indices of strings must be int32"))??;
-        return Ok(Values::Strings { table, indices });
+
+    /// The attributes, without a copy. Roles that are not given are recognised by name, as in files.
+    ///
+    /// # Errors
+    /// When an array is not contiguous.
+    pub(crate) fn as_slices(&self) -> PyResult<Vec<AttributeSlice<'_>>> {
+        let named: Vec<(&str, usize)> = self.0.iter().map(|given| (&*given.name, given.arity)).collect();
+        self.0.iter().zip(roles_of(&named)).map(|(given, by_name)| given.as_slice(by_name)).collect()
     }
-    let values = vector(array).map(|values| values.map(Values::F32));
-    let values = values.or_else(|| Some(vector(array)?.map(Values::F64)));
-    let values = values.or_else(|| Some(vector(array)?.map(Values::U8)));
-    let values = values.or_else(|| Some(vector(array)?.map(Values::I32)));
-    let values = values.or_else(|| Some(vector(array)?.map(Values::I64)));
-    values
-        .ok_or_else(|| PyTypeError::new_err("attributes must be float32, float64, uint8, int32 or int64"))?
+}
+
+impl BorrowedAttribute<'_> {
+    fn as_slice(&self, by_name: Option<AttributeRole>) -> PyResult<AttributeSlice<'_>> {
+        Ok(AttributeSlice {
+            name: &self.name,
+            arity: self.arity,
+            role: self.role.or(by_name),
+            is_role_given: self.role.is_some(),
+            values: self.values.as_slice()?,
+        })
+    }
+}
+
+impl<'py> BorrowedValues<'py> {
+    fn new(array: &Bound<'py, PyAny>, table: Option<Vec<String>>) -> PyResult<BorrowedValues<'py>> {
+        fn vector<'py, T: Element>(array: &Bound<'py, PyAny>) -> Option<PyReadonlyArray1<'py, T>> {
+            array.extract().ok()
+        }
+        if let Some(table) = table {
+            let indices = vector(array);
+            let indices = indices.ok_or_else(|| PyTypeError::new_err("the indices of strings must be int32"));
+            return Ok(BorrowedValues::Strings(table, indices?));
+        }
+        let values = vector(array).map(BorrowedValues::F32);
+        let values = values.or_else(|| vector(array).map(BorrowedValues::F64));
+        let values = values.or_else(|| vector(array).map(BorrowedValues::U8));
+        let values = values.or_else(|| vector(array).map(BorrowedValues::I32));
+        let values = values.or_else(|| vector(array).map(BorrowedValues::I64));
+        values
+            .ok_or_else(|| PyTypeError::new_err("attributes must be float32, float64, uint8, int32 or int64"))
+    }
+
+    fn as_slice(&self) -> PyResult<ValueSlice<'_>> {
+        Ok(match self {
+            BorrowedValues::F32(array) => ValueSlice::F32(array.as_slice()?),
+            BorrowedValues::F64(array) => ValueSlice::F64(array.as_slice()?),
+            BorrowedValues::U8(array) => ValueSlice::U8(array.as_slice()?),
+            BorrowedValues::I32(array) => ValueSlice::I32(array.as_slice()?),
+            BorrowedValues::I64(array) => ValueSlice::I64(array.as_slice()?),
+            BorrowedValues::Strings(table, indices) => ValueSlice::Strings(table, indices.as_slice()?),
+        })
+    }
+}
+
+impl AttributeSlice<'_> {
+    /// The attribute without its values.
+    pub(crate) fn header(&self) -> FileAttribute {
+        self.with(match self.values {
+            ValueSlice::F32(_) => Values::F32(Vec::new()),
+            ValueSlice::F64(_) => Values::F64(Vec::new()),
+            ValueSlice::U8(_) => Values::U8(Vec::new()),
+            ValueSlice::I32(_) => Values::I32(Vec::new()),
+            ValueSlice::I64(_) => Values::I64(Vec::new()),
+            ValueSlice::Strings(..) => Values::Strings { table: Vec::new(), indices: Vec::new() },
+        })
+    }
+
+    /// A copy in the type that readers of files return.
+    pub(crate) fn to_attribute(&self) -> FileAttribute {
+        self.with(match self.values {
+            ValueSlice::F32(values) => Values::F32(values.to_vec()),
+            ValueSlice::F64(values) => Values::F64(values.to_vec()),
+            ValueSlice::U8(values) => Values::U8(values.to_vec()),
+            ValueSlice::I32(values) => Values::I32(values.to_vec()),
+            ValueSlice::I64(values) => Values::I64(values.to_vec()),
+            ValueSlice::Strings(table, indices) => {
+                Values::Strings { table: table.to_vec(), indices: indices.to_vec() }
+            }
+        })
+    }
+
+    fn with(&self, values: Values) -> FileAttribute {
+        let (name, arity, role) = (self.name.to_owned(), self.arity, self.role);
+        match self.is_role_given {
+            true => FileAttribute { name, arity, role, values },
+            false => with_role(name, arity, role, values),
+        }
+    }
 }
 
 /// The names of roles in Python.

@@ -2,13 +2,12 @@
 //!
 //! ```text
 //!   Python's thread   ── releases the lock ── waits ── every 50 ms: signals ── progress: callback ── takes the lock ──▶
-//!   worker            ── the method, in a pool of threads that belongs to this call ──▶ done
+//!   pool              ── the method, in a pool of threads that belongs to this call ──▶ done
 //! ```
 
-use std::panic::resume_unwind;
-use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Mutex, PoisonError};
-use std::thread;
 use std::time::Duration;
 
 use meniscus::surface::{CancelToken, Phase, Progress};
@@ -77,7 +76,8 @@ impl CallPool {
         if idle.len() > IDLE_POOLS_MAX {
             let oldest = idle.remove(0);
             if oldest.process != std::process::id() {
-                // Waiting for threads that do not exist here would never end.
+                // Its threads do not exist in this process, and one of them may have held a lock that dropping
+                // the pool takes.
                 std::mem::forget(oldest);
             }
         }
@@ -106,35 +106,73 @@ pub(crate) fn run_with_progress<T: Send>(
 ) -> PyResult<T> {
     let call = CallPool::take(threads)?;
     let result = py.detach(|| {
-        thread::scope(|scope| {
-            let (send, receive) = channel();
-            let (token, pool) = (&call.token, &call.pool);
-            let worker = scope.spawn(move || pool.install(|| work(token, send)));
-            let mut raised = None;
-            loop {
-                let outcome = match receive.recv_timeout(SIGNAL_INTERVAL) {
-                    Err(RecvTimeoutError::Disconnected) => break,
-                    // After a panic the sender may still exist.
-                    Err(RecvTimeoutError::Timeout) if worker.is_finished() => break,
-                    // Once the work is cancelled, its progress does not matter.
-                    _ if raised.is_some() => continue,
-                    Err(RecvTimeoutError::Timeout) => Python::attach(|py| py.check_signals()),
-                    Ok(advance) => Python::attach(|py| {
-                        py.check_signals()?;
-                        report(py, progress, advance)
-                    }),
-                };
-                if let Err(error) = outcome {
-                    token.cancel();
-                    raised = Some(error);
+        let (send, receive) = channel();
+        let (token, mut outcome) = (&call.token, None);
+        let raised = call.pool.in_place_scope(|scope| {
+            let outcome = &mut outcome;
+            scope.spawn(move |_| *outcome = Some(catch_unwind(AssertUnwindSafe(|| work(token, send)))));
+            wait(&receive, token, progress)
+        });
+        match (outcome, raised) {
+            (_, Some(error)) => Err(error),
+            (Some(Ok(value)), None) => Ok(value),
+            (Some(Err(panic)), None) => Err(error_of_panic(panic)),
+            (None, None) => Err(PyRuntimeError::new_err("internal error: the work was not done")),
+        }
+    });
+    call.put_back();
+    result
+}
+
+/// Handles signals and progress until the work drops its sender. After an exception, cancels the token and
+/// returns the exception.
+fn wait(receive: &Receiver<Progress>, token: &CancelToken, progress: Option<&Py<PyAny>>) -> Option<PyErr> {
+    let mut raised = None;
+    loop {
+        let outcome = match receive.recv_timeout(SIGNAL_INTERVAL) {
+            Err(RecvTimeoutError::Disconnected) => return raised,
+            // Once the work is cancelled, its progress does not matter.
+            _ if raised.is_some() => continue,
+            Err(RecvTimeoutError::Timeout) => Python::attach(|py| py.check_signals()),
+            Ok(advance) => Python::attach(|py| {
+                py.check_signals()?;
+                report(py, progress, advance)
+            }),
+        };
+        if let Err(error) = outcome {
+            token.cancel();
+            raised = Some(error);
+        }
+    }
+}
+
+/// Runs `work`, which cannot be interrupted, without the interpreter's lock. Ctrl-C ends this function at
+/// once; `work` then ends in the background, and its result is dropped.
+///
+/// # Errors
+/// Those of [`run`].
+pub(crate) fn run_or_abandon<T: Send + 'static>(
+    py: Python<'_>,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> PyResult<T> {
+    let call = CallPool::take(None)?;
+    let result = py.detach(|| {
+        let (send, receive) = channel();
+        call.pool.spawn(move || {
+            // After Ctrl-C there is no receiver.
+            let _ = send.send(catch_unwind(AssertUnwindSafe(work)));
+        });
+        loop {
+            match receive.recv_timeout(SIGNAL_INTERVAL) {
+                Ok(outcome) => return outcome.map_err(error_of_panic),
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Err(PyRuntimeError::new_err("internal error: the work was not done"));
+                }
+                Err(RecvTimeoutError::Timeout) => {
+                    Python::attach(|py| py.check_signals()).inspect_err(|_| call.token.cancel())?;
                 }
             }
-            match (worker.join(), raised) {
-                (_, Some(error)) => Err(error),
-                (Ok(value), None) => Ok(value),
-                (Err(panic), None) => Err(error_of_panic(panic)),
-            }
-        })
+        }
     });
     call.put_back();
     result

@@ -10,8 +10,10 @@
 //!
 //! A surface is always within stored leaves, so the sign cannot change between them.
 
+use std::collections::TryReserveError;
+
 use meniscus::glam::{DVec3, IVec3};
-use meniscus::surface::{LEAF_EDGE, LEAF_VOXELS, NarrowBand};
+use meniscus::surface::{CancelToken, LEAF_EDGE, LEAF_VOXELS, NarrowBand};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
@@ -44,8 +46,14 @@ impl Rows {
     }
 
     /// φ at points given in voxels, by trilinear interpolation. NaN for points that are not finite or beyond
-    /// 2³⁰ voxels.
-    pub(crate) fn sample(&self, band: &NarrowBand, points: &[[f64; 3]], voxel_size: f64) -> Vec<f32> {
+    /// 2³⁰ voxels. Once the token is cancelled, values are missing.
+    pub(crate) fn sample(
+        &self,
+        band: &NarrowBand,
+        points: &[[f64; 3]],
+        voxel_size: f64,
+        token: &CancelToken,
+    ) -> Vec<f32> {
         let one = |point: &[f64; 3]| {
             let point = DVec3::from(*point) / voxel_size;
             let has_index = point.is_finite() && point.abs().max_element() < f64::from(1 << 30);
@@ -61,20 +69,41 @@ impl Rows {
                 if weight == 0.0 { sum } else { sum + weight * self.at(band, least + step) }
             })
         };
-        points.par_iter().map(one).collect()
+        let is_wanted = |_: &&[[f64; 3]]| !token.is_cancelled();
+        points
+            .par_chunks(CHUNK_POINTS)
+            .filter(is_wanted)
+            .flat_map_iter(|chunk| chunk.iter().map(one))
+            .collect()
     }
 
-    /// φ at all voxels of a box, z fastest.
-    pub(crate) fn dense(&self, band: &NarrowBand, least: IVec3, size: [usize; 3]) -> Vec<f32> {
-        let [_, height, depth] = size;
-        let mut values = vec![0.0; size.iter().product()];
-        values.par_chunks_mut((height * depth).max(1)).enumerate().for_each(|(x, slab)| {
-            for (y, row) in slab.chunks_mut(depth.max(1)).enumerate() {
+    /// φ at all voxels of a box, z fastest. Once the token is cancelled, values are missing.
+    ///
+    /// # Errors
+    /// When the system has not enough memory.
+    pub(crate) fn dense(
+        &self,
+        band: &NarrowBand,
+        least: IVec3,
+        size: [usize; 3],
+        token: &CancelToken,
+    ) -> Result<Vec<f32>, TryReserveError> {
+        let [width, height, depth] = size;
+        let slab_len = height * depth;
+        let mut values = Vec::new();
+        values.try_reserve_exact(width * slab_len)?;
+        for x in (0..width).take_while(|_| !token.is_cancelled()) {
+            let start = values.len();
+            values.resize(start + slab_len, 0.0);
+            values[start..].par_chunks_mut(depth.max(1)).enumerate().for_each(|(y, row)| {
                 for (z, value) in row.iter_mut().enumerate() {
                     *value = self.at(band, least + IVec3::new(x as i32, y as i32, z as i32));
                 }
-            }
-        });
-        values
+            });
+        }
+        Ok(values)
     }
 }
+
+/// Number of points between checks for cancellation: a fraction of a millisecond.
+const CHUNK_POINTS: usize = 1 << 12;

@@ -4,7 +4,7 @@
 //! ```text
 //!   pymeniscus (Python)     names, types, conversions of arrays, documentation
 //!        │
-//!   _native (this crate)    reconstructor ─▶ compute (threads, Ctrl-C)    options    errors
+//!   _native (this crate)    reconstruct ─▶ compute (threads, Ctrl-C)    options    errors
 //!        │                  surface ─▶ audited (unsafe)     level_set
 //!        │                  program: everything that needs the pipeline or the command line
 //!        ▼
@@ -18,7 +18,7 @@ mod errors;
 mod level_set;
 mod options;
 mod program;
-mod reconstructor;
+mod reconstruct;
 mod surface;
 
 use pyo3::prelude::*;
@@ -29,9 +29,11 @@ mod _native {
     #[pymodule_export]
     use crate::options::{check_options, option_table, option_warnings};
     #[pymodule_export]
-    use crate::program::{Obstacle, default_memory, file_hash, format_table, read, run_command, version};
+    use crate::program::{
+        Obstacle, default_memory, file_hash, format_names, memory_bytes, read, run_command, version,
+    };
     #[pymodule_export]
-    use crate::reconstructor::{Reconstructor, resolve};
+    use crate::reconstruct::{reconstruct, resolve};
     #[pymodule_export]
     use crate::surface::Surface;
 }

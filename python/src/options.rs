@@ -2,12 +2,12 @@
 //! no code here.
 
 use clap::Args;
-use meniscus::surface::options::{OptionGroup, ValueKind};
+use meniscus::surface::options::ValueKind;
 use meniscus::surface::{AttributeSelection, Length, Options, Settings};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::errors::{Class, error};
+use crate::errors::OptionError;
 
 /// Names of options, and their values as text.
 pub(crate) type Pairs = Vec<(String, String)>;
@@ -20,10 +20,11 @@ pub(crate) fn parse(pairs: &[(String, String)]) -> PyResult<Options> {
     let mut options = Options::default();
     for (name, text) in pairs {
         let Some(info) = Options::info(name) else {
-            return Err(error(Class::Option, format!("unknown option `{name}`")));
+            return Err(OptionError::new_err(format!("unknown option `{name}`")));
         };
         if options.set(name, text).is_none() {
-            return Err(error(Class::Option, format!("option `{name}`: {}", why_not(name, info.kind, text))));
+            let why = why_not(name, info.kind, text);
+            return Err(OptionError::new_err(format!("option `{name}`: {why}")));
         }
     }
     Ok(options)
@@ -31,7 +32,7 @@ pub(crate) fn parse(pairs: &[(String, String)]) -> PyResult<Options> {
 
 /// Why this text is not a value of the option.
 fn why_not(name: &str, kind: ValueKind, text: &str) -> String {
-    let choices = choices(name);
+    let choices = choices(&command(), name);
     match kind {
         _ if !choices.is_empty() => format!("`{text}` is unknown: expected one of {}", choices.join(", ")),
         ValueKind::Length => {
@@ -50,8 +51,7 @@ fn command() -> clap::Command {
 }
 
 /// The words that an option accepts; empty if its values are not words.
-fn choices(name: &str) -> Vec<String> {
-    let command = command();
+fn choices(command: &clap::Command, name: &str) -> Vec<String> {
     let is_switch = Options::info(name).is_some_and(|info| info.kind == ValueKind::Switch);
     let argument = command.get_arguments().find(|argument| argument.get_id() == name && !is_switch);
     let words = argument.map(clap::Arg::get_possible_values).unwrap_or_default();
@@ -80,9 +80,8 @@ pub(crate) fn option_table(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
         row.set_item("group", info.group.heading().unwrap_or("General"))?;
         row.set_item("kind", kind)?;
         row.set_item("range", Options::range(info.name))?;
-        row.set_item("choices", choices(info.name))?;
+        row.set_item("choices", choices(&command, info.name))?;
         row.set_item("help", help.map(ToString::to_string).unwrap_or_default())?;
-        row.set_item("needs_mesh", info.group == OptionGroup::Mesh)?;
         table.push(row);
     }
     Ok(table)

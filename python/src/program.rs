@@ -7,21 +7,21 @@ use std::sync::Arc;
 
 use meniscus::cli::{give_memory_back, status_of};
 use meniscus::pipeline::{
-    self, EmbeddedSurface, OutputFormat, OutputOptions, PictureOptions, default_memory_bytes,
-    in_memory_attributes, in_memory_obstacle, in_memory_parts,
+    self, Cause, EmbeddedSurface, FrameError, InMemoryObstacle, OutputFormat, OutputOptions, PictureOptions,
+    ScratchFile, covers, default_memory_bytes, in_memory_attributes, in_memory_parts, obstacle_warnings,
 };
 use meniscus::surface::reconstruction::{FrameSurface, PositionFormat};
-use meniscus::surface::{Options, Settings};
-use meniscus_formats::{FileAttribute, FilePositions, Limits, UpAxis, Values, read_particles, vdb};
+use meniscus::surface::{Options, Settings, Storage};
+use meniscus_formats::{FilePositions, UpAxis, Values, vdb};
 use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyReadonlyArray2};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use twox_hash::XxHash3_128;
 
-use crate::arrays::word_of_role;
-use crate::compute::run;
-use crate::errors::{Class, error, of_format, of_io};
+use crate::arrays::{AttributeSlice, word_of_role};
+use crate::compute::{run, run_or_abandon};
+use crate::errors::{FormatError, of_format};
 
 /// The version of meniscus.
 #[pyfunction]
@@ -46,14 +46,16 @@ pub(crate) fn run_command(py: Python<'_>, arguments: Vec<std::ffi::OsString>) ->
     })
 }
 
-/// Every format that is written: its extension, what it is, and whether it is a mesh, a picture, or has
-/// attributes.
+/// The number of bytes in a text such as `8GiB`, as the command line reads it.
 #[pyfunction]
-pub(crate) fn format_table() -> Vec<(&'static str, &'static str, bool, bool, bool)> {
-    let row = |format: OutputFormat| {
-        (format.extension(), format.help(), format.is_mesh(), format.is_picture(), format.has_attributes())
-    };
-    OutputFormat::ALL.into_iter().map(row).collect()
+pub(crate) fn memory_bytes(text: &str) -> PyResult<u64> {
+    meniscus::cli::parse_bytes(text).map_err(|why| PyValueError::new_err(format!("memory: {why}")))
+}
+
+/// The extension of every format that is written.
+#[pyfunction]
+pub(crate) fn format_names() -> Vec<&'static str> {
+    OutputFormat::ALL.into_iter().map(OutputFormat::extension).collect()
 }
 
 /// Why a file was not written.
@@ -156,9 +158,18 @@ impl Embedded<'_> {
         format: &str,
         options: &WriteOptions,
         source: Option<(PathBuf, String)>,
-    ) -> Result<(), WriteError> {
+        prepared: &Prepared,
+    ) -> Result<Vec<String>, WriteError> {
         let format = format_of(format)?;
         let mut outputs = options.outputs(format)?;
+        let name = format.extension();
+        if !covers(&prepared.outputs, format, &outputs) {
+            let quantize = if outputs.quantize { ", quantize=True" } else { "" };
+            return Err(WriteError::Choice(format!(
+                "the surface was not checked with the rounded positions of a .{name}: pass \
+                 formats=[\"{name}\"]{quantize} to reconstruct"
+            )));
+        }
         if format.is_picture() {
             // The provenance of a picture has the camera in numbers, so the camera is computed first.
             outputs = self.with_camera(outputs);
@@ -168,7 +179,16 @@ impl Embedded<'_> {
             Err(_) => Err(WriteError::Choice(format!("`{hash}` is not a hash"))),
         };
         let source = source.map(hash).transpose()?;
-        Ok(self.inner().write(path, format, &Arc::new(outputs), source)?)
+        let outputs = Arc::new(outputs);
+        self.inner().write(path, format, &outputs, source)?;
+        let has_voxels = !format.is_mesh() && format.has_attributes();
+        let has_attributes = !self.surface.attributes.vertices.is_empty();
+        if has_voxels && has_attributes && prepared.parts.1.is_none() {
+            return Ok(vec![format!(
+                "the .{name} has no attributes: pass formats=[\"{name}\"] to reconstruct"
+            )]);
+        }
+        Ok(self.inner().output_warnings(&outputs))
     }
 
     pub(crate) fn picture(&self, format: &str, options: &WriteOptions) -> Result<Vec<u8>, WriteError> {
@@ -193,20 +213,45 @@ impl Embedded<'_> {
     }
 }
 
-/// What a reconstruction prepares for files in these formats: see [`in_memory_parts`].
-pub(crate) fn prepared(formats: &[String], quantize: bool) -> PyResult<(Vec<PositionFormat>, Option<f32>)> {
-    let formats: Result<Vec<OutputFormat>, WriteError> =
-        formats.iter().map(|format| format_of(format)).collect();
-    let formats = formats.map_err(|error| error.raised(Path::new("")))?;
-    Ok(in_memory_parts(&OutputOptions { quantize, ..OutputOptions::new("", &formats) }))
+/// The files that a surface is prepared for.
+pub(crate) struct Prepared {
+    outputs: OutputOptions,
+    /// See [`in_memory_parts`].
+    pub(crate) parts: (Vec<PositionFormat>, Option<f32>),
+}
+
+impl Prepared {
+    /// # Errors
+    /// `ValueError` for an unknown extension.
+    pub(crate) fn new(formats: &[String], quantize: bool) -> PyResult<Prepared> {
+        let formats: Result<Vec<OutputFormat>, WriteError> =
+            formats.iter().map(|format| format_of(format)).collect();
+        let formats = formats.map_err(|error| error.raised(Path::new("")))?;
+        let outputs = OutputOptions { quantize, ..OutputOptions::new("", &formats) };
+        let parts = in_memory_parts(&outputs);
+        Ok(Prepared { outputs, parts })
+    }
 }
 
 /// Those attributes that the options need, and warnings about missing ones.
+///
+/// # Errors
+/// Which attribute is missing or unusable.
 pub(crate) fn needed_attributes(
-    attributes: Vec<FileAttribute>,
+    attributes: &[AttributeSlice<'_>],
     options: &Options,
-) -> PyResult<(Vec<meniscus::surface::Attribute>, Vec<String>)> {
-    in_memory_attributes(attributes, options).map_err(|what| error(Class::Particles, what))
+) -> Result<(Vec<meniscus::surface::Attribute>, Vec<String>), String> {
+    let headers = attributes.iter().map(AttributeSlice::header).collect();
+    let load = |index: usize| attributes.get(index).map(AttributeSlice::to_attribute);
+    in_memory_attributes(headers, load, options)
+}
+
+/// Creates a scratch file in this folder.
+///
+/// # Errors
+/// When the system reports an error.
+pub(crate) fn scratch_file(folder: &Path) -> std::io::Result<Box<dyn Storage>> {
+    ScratchFile::storage(folder)
 }
 
 /// An obstacle, with a cache of its distances.
@@ -214,6 +259,10 @@ pub(crate) fn needed_attributes(
 pub(crate) struct Obstacle {
     shared: Arc<meniscus::surface::Obstacle>,
     recorded: String,
+    /// Its name in warnings.
+    name: PathBuf,
+    /// `None` for a mesh in memory.
+    file: Option<InMemoryObstacle>,
 }
 
 impl Obstacle {
@@ -225,55 +274,67 @@ impl Obstacle {
     pub(crate) fn recorded(&self) -> &str {
         &self.recorded
     }
+
+    /// The likely mistakes in it, one sentence each.
+    pub(crate) fn warnings(&self, settings: &Settings) -> Vec<String> {
+        obstacle_warnings(&self.name, &self.shared, settings)
+    }
 }
 
 #[pymethods]
 impl Obstacle {
-    /// The volume that a mesh encloses: vertices (V, 3) float64 in world units, triangles (T, 3) uint32.
+    /// The volume that a mesh encloses: vertices (V, 3) float64 in world units, triangles (T, 3) int64.
     #[staticmethod]
     fn from_mesh(
         py: Python<'_>,
         vertices: PyReadonlyArray2<'_, f64>,
-        triangles: PyReadonlyArray2<'_, u32>,
+        triangles: PyReadonlyArray2<'_, i64>,
     ) -> PyResult<Obstacle> {
         let vertices: &[[f64; 3]] = bytemuck::try_cast_slice(vertices.as_slice()?)
             .map_err(|_| PyValueError::new_err("vertices must have 3 columns"))?;
-        let triangles: &[[u32; 3]] = bytemuck::try_cast_slice(triangles.as_slice()?)
+        let triangles: &[[i64; 3]] = bytemuck::try_cast_slice(triangles.as_slice()?)
             .map_err(|_| PyValueError::new_err("triangles must have 3 columns"))?;
         if triangles.is_empty() {
             return Err(PyValueError::new_err("the obstacle has no triangles"));
         }
-        if let Some(index) = triangles.as_flattened().iter().find(|index| **index as usize >= vertices.len())
-        {
-            let what = format!("a triangle of the obstacle has vertex {index} of {}", vertices.len());
-            return Err(PyValueError::new_err(what));
-        }
-        run(py, || {
+        let index = |index: i64| {
+            let is_vertex = usize::try_from(index).is_ok_and(|index| index < vertices.len());
+            u32::try_from(index).ok().filter(|_| is_vertex).ok_or(index)
+        };
+        let made = run(py, || {
+            let triangle = |[a, b, c]: &[i64; 3]| Ok([index(*a)?, index(*b)?, index(*c)?]);
+            let triangles = triangles.iter().map(triangle).collect::<Result<Vec<[u32; 3]>, i64>>()?;
             let hash = |bytes: &[u8]| XxHash3_128::oneshot(bytes);
             let hash =
-                hash(bytemuck::cast_slice(vertices)) ^ hash(bytemuck::cast_slice(triangles)).rotate_left(64);
-            let shared = Arc::new(meniscus::surface::Obstacle::from_mesh(vertices, triangles));
-            Obstacle { shared, recorded: format!("mesh xxh3-128:{hash:032x}") }
+                hash(bytemuck::cast_slice(vertices)) ^ hash(bytemuck::cast_slice(&triangles)).rotate_left(64);
+            let shared = Arc::new(meniscus::surface::Obstacle::from_mesh(vertices, &triangles));
+            let recorded = format!("mesh xxh3-128:{hash:032x}");
+            Ok(Obstacle { shared, recorded, name: "mesh".into(), file: None })
+        })?;
+        made.map_err(|index: i64| {
+            let count = vertices.len();
+            PyValueError::new_err(format!(
+                "a triangle of the obstacle has the vertex {index}, which does not exist: there are {count}"
+            ))
         })
     }
 
     /// The mesh or the level set in a file.
     #[staticmethod]
     fn from_file(py: Python<'_>, path: PathBuf, memory: u64) -> PyResult<Obstacle> {
-        if let Err(failure) = std::fs::metadata(&path) {
-            return Err(of_io(&path, &failure));
-        }
-        let read = run(py, || in_memory_obstacle(&path, memory))?;
-        let (obstacle, recorded) = read.map_err(|failure| error(Class::Format, failure.to_string()))?;
-        let shared =
-            obstacle.ok_or_else(|| PyRuntimeError::new_err("internal error: no obstacle was loaded"))?;
-        Ok(Obstacle { shared, recorded })
+        let name = path.clone();
+        let loaded = run_or_abandon(py, move || InMemoryObstacle::load(&path, memory))?;
+        let file = loaded.map_err(|failure| match failure.source {
+            Some(source) => of_format(&failure.path, source),
+            None => FormatError::new_err(failure.to_string()),
+        })?;
+        let (shared, recorded) = (Arc::clone(&file.obstacle), file.recorded.clone());
+        Ok(Obstacle { shared, recorded, name, file: Some(file) })
     }
 
-    /// The problems of its mesh: open edges, and triangles that were omitted or flipped; `None` for a level
-    /// set.
-    fn findings(&self) -> Option<String> {
-        self.shared.mesh_findings().map(|findings| format!("{findings:?}"))
+    /// Whether its files are as they were when it was read.
+    fn is_current(&self, py: Python<'_>) -> bool {
+        py.detach(|| self.file.as_ref().is_none_or(InMemoryObstacle::is_current))
     }
 }
 
@@ -287,13 +348,13 @@ type ReadFrame<'py> = (Bound<'py, PyAny>, Vec<ReadAttribute<'py>>, Vec<String>, 
 /// Reads particles.
 #[pyfunction]
 pub(crate) fn read(py: Python<'_>, path: PathBuf) -> PyResult<ReadFrame<'_>> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let read = run(py, || {
-        let bytes = pipeline::read_regular(&path)?;
-        let frame = read_particles(&bytes, &name, &Limits::default())?;
+    let of_file = path.clone();
+    let read = run_or_abandon(py, move || {
+        let bytes = pipeline::read_file(&of_file)?;
+        let frame = pipeline::read_particles_of(&of_file, &bytes)?;
         Ok((XxHash3_128::oneshot(&bytes), frame))
     })?;
-    let (hash, frame) = read.map_err(|failure: meniscus_formats::Error| of_format(&path, failure))?;
+    let (hash, frame) = read.map_err(|failure: FrameError| of_frame(&path, failure))?;
     let rows = |error: numpy::ndarray::ShapeError| PyRuntimeError::new_err(error.to_string());
     let positions = match frame.positions {
         FilePositions::F32(positions) => {
@@ -326,9 +387,18 @@ pub(crate) fn read(py: Python<'_>, path: PathBuf) -> PyResult<ReadFrame<'_>> {
     Ok((positions, attributes.collect(), frame.notes, format!("{hash:032x}")))
 }
 
+/// The exception for a frame that cannot be read.
+fn of_frame(path: &Path, failure: FrameError) -> PyErr {
+    match failure.cause {
+        Cause::File(source) => of_format(path, source),
+        _ => FormatError::new_err(failure.to_string()),
+    }
+}
+
 /// The XXH3 hash of a file, as outputs record it.
 #[pyfunction]
 pub(crate) fn file_hash(py: Python<'_>, path: PathBuf) -> PyResult<String> {
-    let bytes = py.detach(|| pipeline::read_regular(&path)).map_err(|failure| of_io(&path, &failure))?;
-    Ok(format!("{:032x}", py.detach(|| XxHash3_128::oneshot(&bytes))))
+    let of_file = path.clone();
+    let hash = run_or_abandon(py, move || Ok(XxHash3_128::oneshot(&pipeline::read_file(&of_file)?)))?;
+    Ok(format!("{:032x}", hash.map_err(|failure: FrameError| of_frame(&path, failure))?))
 }

@@ -8,13 +8,13 @@ use meniscus::surface::reconstruction::FrameSurface;
 use meniscus::surface::{AttributeValues, LEAF_EDGE, NarrowBand, Role, Settings};
 use numpy::ndarray::{Array1, Array2, Array3};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyReadonlyArray2, PyUntypedArrayMethods};
-use pyo3::exceptions::{PyIndexError, PyValueError};
+use pyo3::exceptions::{PyIndexError, PyMemoryError, PyValueError};
 use pyo3::prelude::*;
 
-use crate::audited::views::view;
-use crate::compute::run;
+use crate::audited::views::{make_read_only, view};
+use crate::compute::{run, run_with_progress};
 use crate::level_set::Rows;
-use crate::program::{self, WriteOptions};
+use crate::program::{self, Prepared, WriteOptions};
 
 /// A surface. It never changes, because arrays borrow its memory.
 #[pyclass(frozen, module = "pymeniscus._native")]
@@ -22,7 +22,7 @@ pub(crate) struct Surface {
     surface: FrameSurface,
     settings: Arc<Settings>,
     obstacles: String,
-    has_voxel_attributes: bool,
+    prepared: Prepared,
     warnings: Vec<String>,
     rows: OnceLock<Rows>,
 }
@@ -38,11 +38,11 @@ impl Surface {
         surface: FrameSurface,
         settings: Arc<Settings>,
         obstacles: String,
-        has_voxel_attributes: bool,
+        prepared: Prepared,
         warnings: Vec<String>,
     ) -> Surface {
         let rows = OnceLock::new();
-        Surface { surface, settings, obstacles, has_voxel_attributes, warnings, rows }
+        Surface { surface, settings, obstacles, prepared, warnings, rows }
     }
 
     fn band(&self) -> &NarrowBand {
@@ -194,7 +194,13 @@ impl Surface {
         if !is_within || bytes.is_none_or(|bytes| bytes > isize::MAX as usize) {
             return Err(PyValueError::new_err("the box is too large"));
         }
-        let values = run(py, || self.rows().dense(self.band(), IVec3::from(least), size))?;
+        let values = run_with_progress(py, None, None, |token, _| {
+            self.rows().dense(self.band(), IVec3::from(least), size, token)
+        })?;
+        let values = values.map_err(|_| {
+            let bytes = bytes.unwrap_or(usize::MAX);
+            PyMemoryError::new_err(format!("the values in the box need {bytes} bytes of memory"))
+        })?;
         let values =
             Array3::from_shape_vec(size, values).map_err(|error| PyValueError::new_err(error.to_string()))?;
         Ok(values.into_pyarray(py))
@@ -211,7 +217,9 @@ impl Surface {
         }
         let points = bytemuck::cast_slice::<f64, [f64; 3]>(points.as_slice()?);
         let voxel_size = self.settings.voxel_size;
-        let values = run(py, || self.rows().sample(self.band(), points, voxel_size))?;
+        let values = run_with_progress(py, None, None, |token, _| {
+            self.rows().sample(self.band(), points, voxel_size, token)
+        })?;
         Ok(Array1::from(values).into_pyarray(py))
     }
 
@@ -235,13 +243,8 @@ impl Surface {
         self.warnings.iter().cloned().chain(self.embedded().warnings()).collect()
     }
 
-    /// Whether the surface has attributes at voxels, which .vdb and .exr need.
-    #[getter]
-    fn has_voxel_attributes(&self) -> bool {
-        self.has_voxel_attributes
-    }
-
-    /// Writes a file. `source` is the file of the particles with its hash.
+    /// Writes a file. `source` is the file of the particles with its hash. Returns warnings about what the file
+    /// cannot store exactly.
     fn write(
         &self,
         py: Python<'_>,
@@ -249,8 +252,8 @@ impl Surface {
         format: &str,
         options: WriteOptions,
         source: Option<(PathBuf, String)>,
-    ) -> PyResult<()> {
-        let written = run(py, || self.embedded().write(&path, format, &options, source))?;
+    ) -> PyResult<Vec<String>> {
+        let written = run(py, || self.embedded().write(&path, format, &options, source, &self.prepared))?;
         written.map_err(|error| error.raised(&path))
     }
 
@@ -261,9 +264,11 @@ impl Surface {
     }
 }
 
-/// An array with these rows.
+/// A read-only array with these rows.
 fn rows_of<const N: usize>(py: Python<'_>, rows: Vec<[u32; N]>) -> PyResult<Bound<'_, PyArray2<u32>>> {
     let shape = (rows.len(), N);
     let array = Array2::from_shape_vec(shape, rows.into_flattened());
-    Ok(array.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py))
+    let array = array.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py);
+    make_read_only(&array)?;
+    Ok(array)
 }

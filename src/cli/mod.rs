@@ -52,6 +52,7 @@ use clap::Parser;
 use meniscus_formats::escaped;
 
 pub use allocator::give_memory_back;
+pub use quantities::parse_bytes;
 
 use args::{Cli, Command};
 use console::Console;

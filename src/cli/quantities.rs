@@ -87,7 +87,11 @@ pub(super) fn parse_listen(text: &str) -> Result<SocketAddr, String> {
 }
 
 /// Parses a number of bytes.
-pub(super) fn parse_bytes(text: &str) -> Result<u64, String> {
+///
+/// # Errors
+/// Why the text is not a number of bytes.
+#[doc(hidden)]
+pub fn parse_bytes(text: &str) -> Result<u64, String> {
     let size = text.trim().parse().ok().map(|size: ByteSize| size.as_u64());
     expected(
         text,

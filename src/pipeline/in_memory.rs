@@ -3,36 +3,39 @@
 //! The files have the same bytes as those of `meniscus convert` if the options, the particles and the source
 //! file of the particles are the same.
 
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::DVec3;
 use meniscus_formats::{Content, FileAttribute, OutputFormat};
 
-use crate::surface::RequestedParts;
 use crate::surface::obstacle::Obstacle;
 use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::particles::Attribute;
 use crate::surface::reconstruction::{FrameSurface, PositionFormat};
 use crate::surface::space::Lattice;
+use crate::surface::{RequestedParts, checkpoint};
 
 use super::error::ObstacleError;
 use super::files::atomic_write::write_atomically;
 use super::input::attributes::AttributeRequest;
 use super::input::bounds::EMPTY_BOUNDS;
 use super::input::frame::{Frame, FrameReport, Job};
-use super::input::obstacles::ObstacleFiles;
+use super::input::obstacle_warnings::findings_of;
+use super::input::obstacles::{ObstacleFiles, ObstacleStamps};
 use super::input::source::FrameFile;
 use super::output::writing::{
-    VDB_HALF_WIDTH_VOXELS, encode_level_set, mesh_view, surface_warnings, vertex_attributes,
+    VDB_HALF_WIDTH_VOXELS, encode_level_set, mesh_view, output_warnings, surface_warnings, vertex_attributes,
 };
 use super::records::frame_warnings::left_out;
 use super::records::provenance::provenance;
 use super::records::record::measured_json;
 use super::target::outputs::OutputOptions;
 use super::target::picture::{PictureScene, encode_picture, up_of, velocities};
-use super::target::stored::stored;
+use super::target::stored::{rounding, stored};
 use super::target::viewpoint::Viewpoint;
+use super::warning::Warning;
 
 /// A surface in memory, with the settings and obstacles that its files record.
 #[derive(Clone, Copy, Debug)]
@@ -64,22 +67,28 @@ impl EmbeddedSurface<'_> {
         let frame = Frame { job: Job::Surface, ..Frame::new(&FrameFile::new(input), settings, outputs) };
         let mut provenance = provenance(&frame, (hash, self.obstacles), format);
         provenance.retain(|(name, _)| is_known || !["input", "input_hash"].contains(&&**name));
-        write_atomically(path, |out| match format.content() {
-            Content::Mesh(writer) => {
-                let quads = if settings.quads { surface.mesh.quads().into() } else { Arc::default() };
-                let attributes = vertex_attributes(&surface.attributes.vertices);
-                writer.write(&mesh_view(&surface.mesh, &attributes), &outputs.mesh(quads), &provenance, out)
-            }
-            Content::LevelSet => {
-                let options = meniscus_formats::vdb::WriteOptions {
-                    half: outputs.vdb_half,
-                    compression: outputs.vdb_compression,
-                    ..meniscus_formats::vdb::WriteOptions::default()
-                };
-                encode_level_set(surface, settings, &options, &provenance)?.write(out)
-            }
-            Content::Picture(_) => {
-                Ok(std::io::Write::write_all(out, &self.picture(format, outputs, &provenance)?)?)
+        write_atomically(path, |out| {
+            let out = &mut Interruptible(out);
+            match format.content() {
+                Content::Mesh(writer) => {
+                    let quads = if settings.quads { surface.mesh.quads().into() } else { Arc::default() };
+                    let attributes = vertex_attributes(&surface.attributes.vertices);
+                    writer.write(
+                        &mesh_view(&surface.mesh, &attributes),
+                        &outputs.mesh(quads),
+                        &provenance,
+                        out,
+                    )
+                }
+                Content::LevelSet => {
+                    let options = meniscus_formats::vdb::WriteOptions {
+                        half: outputs.vdb_half,
+                        compression: outputs.vdb_compression,
+                        ..meniscus_formats::vdb::WriteOptions::default()
+                    };
+                    encode_level_set(surface, settings, &options, &provenance)?.write(out)
+                }
+                Content::Picture(_) => Ok(out.write_all(&self.picture(format, outputs, &provenance)?)?),
             }
         })
     }
@@ -135,6 +144,34 @@ impl EmbeddedSurface<'_> {
         let warnings = about_surface.into_iter().chain(left_out(&self.surface.report));
         warnings.map(|warning| warning.to_string()).collect()
     }
+
+    /// The warnings about what a file in this format cannot store exactly, one sentence each.
+    pub fn output_warnings(&self, outputs: &OutputOptions) -> Vec<String> {
+        let warnings = output_warnings(self.surface, outputs, self.settings.voxel_size);
+        warnings.iter().map(ToString::to_string).collect()
+    }
+}
+
+/// Checks for an interruption before each write.
+struct Interruptible<'a, W>(&'a mut W);
+
+impl<W: Write> Write for Interruptible<'_, W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        checkpoint();
+        self.0.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.flush()
+    }
+}
+
+/// Whether a reconstruction that was prepared for the outputs `prepared` covers a file: a mesh with rounded
+/// positions must be checked with them.
+pub fn covers(prepared: &OutputOptions, format: OutputFormat, outputs: &OutputOptions) -> bool {
+    let subject = |format, outputs| Some(rounding(format, outputs)?.certificate_subject);
+    let wanted = subject(format, outputs);
+    wanted.is_none() || prepared.formats.iter().any(|format| subject(*format, prepared) == wanted)
 }
 
 /// The parts that a reconstruction has to prepare for these outputs: the number formats of positions in which
@@ -148,16 +185,18 @@ pub fn in_memory_parts(outputs: &OutputOptions) -> (Vec<PositionFormat>, Option<
 /// [`Reconstructor::reconstruct_parts`](crate::surface::Reconstructor::reconstruct_parts).
 impl<'a> From<&'a (Vec<PositionFormat>, Option<f32>)> for RequestedParts<'a> {
     fn from((stored, band_half_width_voxels): &'a (Vec<PositionFormat>, Option<f32>)) -> RequestedParts<'a> {
-        RequestedParts { stored, band_half_width_voxels: *band_half_width_voxels }
+        RequestedParts { stored, band_half_width_voxels: *band_half_width_voxels, allows_empty: true }
     }
 }
 
-/// The attributes that these options need, with warnings.
+/// The attributes that these options need, with warnings. `headers` are attributes without their values, and
+/// `load` returns the attribute with this index: it is called only for those that are needed.
 ///
 /// # Errors
 /// If a required attribute is missing or unusable.
 pub fn in_memory_attributes(
-    of_file: Vec<FileAttribute>,
+    headers: Vec<FileAttribute>,
+    load: impl FnMut(usize) -> Option<FileAttribute>,
     options: &MethodOptions,
 ) -> Result<(Vec<Attribute>, Vec<String>), String> {
     // The needed attributes depend only on the options that are copied here. The spacing may not be known
@@ -171,27 +210,48 @@ pub fn in_memory_attributes(
         ..MethodOptions::default()
     };
     let settings = Settings::resolve(&options, None).map_err(|error| error.to_string())?;
-    let (attributes, warnings) = AttributeRequest::for_settings(&settings).select(of_file)?;
+    let (attributes, warnings) = AttributeRequest::for_settings(&settings).select_with(headers, load)?;
     Ok((attributes, warnings.iter().map(ToString::to_string).collect()))
 }
 
-/// Loads a static obstacle from a file. Also returns its name and hash, as the text that outputs record.
-/// `memory_bytes` limits the memory for loading a level set.
-///
-/// # Errors
-/// If the file cannot be read, or contains no obstacle.
-pub fn in_memory_obstacle(
-    path: &Path,
-    memory_bytes: u64,
-) -> Result<(Option<Arc<Obstacle>>, String), ObstacleError> {
-    let files = ObstacleFiles::new(vec![path.to_owned()]);
-    let found = files.find(None)?;
-    let recorded = found.recorded();
-    // Only warnings about thin walls depend on the settings, and this function returns no warnings.
-    let settings = Settings::resolve(&MethodOptions { spacing: Some(1.0), ..MethodOptions::default() }, None);
-    let mut members = match settings {
-        Ok(settings) => files.load(found, &settings, memory_bytes)?.obstacles.members,
-        Err(_) => Vec::new(),
-    };
-    Ok((members.pop(), recorded))
+/// A static obstacle from a file.
+pub struct InMemoryObstacle {
+    /// The obstacle.
+    pub obstacle: Arc<Obstacle>,
+    /// Its name and hash, as the text that outputs record.
+    pub recorded: String,
+    files: ObstacleFiles,
+    stamps: ObstacleStamps,
+}
+
+impl InMemoryObstacle {
+    /// Loads an obstacle. `memory_bytes` limits the memory for loading a level set.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or contains no obstacle.
+    pub fn load(path: &Path, memory_bytes: u64) -> Result<InMemoryObstacle, ObstacleError> {
+        let files = ObstacleFiles::new(vec![path.to_owned()]);
+        // Before the file is read: a later change is then noticed.
+        let stamps = files.stamps(None);
+        let found = files.find(None)?;
+        let recorded = found.recorded();
+        let missing = || ObstacleError { path: path.to_owned(), source: None };
+        // Only warnings depend on the settings, and they are computed for each frame.
+        let options = MethodOptions { spacing: Some(1.0), ..MethodOptions::default() };
+        let settings = Settings::resolve(&options, None).map_err(|_| missing())?;
+        let mut members = files.load(found, &settings, memory_bytes)?.obstacles.members;
+        let obstacle = members.pop().ok_or_else(missing)?;
+        Ok(InMemoryObstacle { obstacle, recorded, files, stamps })
+    }
+
+    /// Whether its files are as they were when it was loaded.
+    pub fn is_current(&self) -> bool {
+        self.files.stamps(None) == self.stamps
+    }
+}
+
+/// The likely mistakes in an obstacle, one sentence each. `name` identifies it.
+pub fn obstacle_warnings(name: &Path, obstacle: &Obstacle, settings: &Settings) -> Vec<String> {
+    let about = |finding| Warning::Obstacle { path: name.to_owned(), finding }.to_string();
+    findings_of(obstacle.sdf(), settings).into_iter().map(about).collect()
 }

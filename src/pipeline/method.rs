@@ -235,10 +235,15 @@ impl From<TiledError<Cause>> for Cause {
 }
 
 /// An unnamed file, which disappears when it is closed. The system closes it even if the process is killed.
-struct ScratchFile(File);
+#[derive(Debug)]
+pub struct ScratchFile(File);
 
 impl ScratchFile {
-    fn storage(folder: &Path) -> io::Result<Box<dyn Storage>> {
+    /// A file in this folder, which is made if it does not exist.
+    ///
+    /// # Errors
+    /// When the system reports an error.
+    pub fn storage(folder: &Path) -> io::Result<Box<dyn Storage>> {
         // Outputs are written later, so their folder may not exist yet.
         std::fs::create_dir_all(folder)?;
         Ok(Box::new(ScratchFile(tempfile::tempfile_in(folder)?)))

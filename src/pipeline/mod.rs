@@ -81,7 +81,9 @@ pub use files::path_identity::{are_same_file, canonical_entry};
 pub use files::shown::{STANDARD_INPUT, show_as, shown};
 pub use files::stamp::FileStamp;
 pub use files::sweep::{SweepError, Swept, remove_left_behind, sweep_temporaries, sweep_temporaries_of};
-pub use in_memory::{EmbeddedSurface, in_memory_attributes, in_memory_obstacle, in_memory_parts};
+pub use in_memory::{
+    EmbeddedSurface, InMemoryObstacle, covers, in_memory_attributes, in_memory_parts, obstacle_warnings,
+};
 pub use input::attributes::AttributeRequest;
 pub use input::bounds::{EMPTY_BOUNDS, bounds_of_particles, sequence_bounds};
 pub use input::conflicts::{Conflict, check_outputs};
@@ -92,7 +94,7 @@ pub(crate) use input::measured_spacing::{Attempt, measure_sequence};
 pub use input::measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing};
 pub use input::mesh_file::read_mesh_file;
 pub use input::obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
-pub use input::reading::{ReadFrame, parse_particles, particles, read_file};
+pub use input::reading::{ReadFrame, parse_particles, particles, read_file, read_particles_of};
 pub(crate) use input::source::output_stem;
 pub use input::source::{
     FrameFile, Sequence, are_single_frames, has_particle_extension, natural_order, order_subframes,
@@ -103,7 +105,7 @@ pub use input::steps::{
     may_hold_several, size_bytes, step_of,
 };
 pub use memory::{default_memory_bytes, resident_memory_bytes};
-pub use method::{LevelSetMethod, Method};
+pub use method::{LevelSetMethod, Method, ScratchFile};
 pub use observer::Observer;
 pub use output::writing::{encode_level_set, mesh_view, vertex_attributes};
 pub use phase_timer::PhaseTimer;

@@ -24,6 +24,7 @@ mod surface;
 mod tile;
 mod walk;
 
+use crate::surface::checkpoint;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -127,8 +128,11 @@ fn assemble(size: [usize; 2], tile: impl Fn([usize; 2]) -> FinishedTile + Sync) 
     let [width, height] = size;
     let (columns, rows) = (width.div_ceil(TILE_EDGE), height.div_ceil(TILE_EDGE));
     let origin = |index: usize| [index % columns * TILE_EDGE, index / columns * TILE_EDGE];
-    let tiles: Vec<FinishedTile> =
-        (0..columns * rows).into_par_iter().map(|index| tile(origin(index))).collect();
+    let checked = |index: usize| {
+        checkpoint();
+        tile(origin(index))
+    };
+    let tiles: Vec<FinishedTile> = (0..columns * rows).into_par_iter().map(checked).collect();
     let gather = Gather { size, columns };
     let of_data = |pick: &dyn Fn(&PictureData) -> &[[f32; 3]]| {
         gather.rows(&tiles, |tile| tile.data.as_ref().map_or(&[][..], pick))

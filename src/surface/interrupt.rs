@@ -30,7 +30,7 @@ pub(super) fn watch_on_this_thread(flag: Arc<AtomicBool>) {
 
 /// Unwinds if the flag of this thread is set.
 #[inline]
-pub(super) fn checkpoint() {
+pub(crate) fn checkpoint() {
     let is_set = |flag: &Arc<AtomicBool>| flag.load(Ordering::Relaxed);
     // A thread that ends may have dropped its flag.
     if FLAG.try_with(|flag| flag.borrow().as_ref().is_some_and(is_set)).unwrap_or(false) {

@@ -14,6 +14,7 @@ mod reconstruct;
 
 pub use cancel::CancelToken;
 pub use error::Error;
+pub(crate) use interrupt::checkpoint;
 #[doc(hidden)]
 pub use reconstruct::RequestedParts;
 pub use reconstruct::{MEMORY_LIMIT, Progress, Reconstructor, Surface, reconstruct};

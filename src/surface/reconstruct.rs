@@ -150,6 +150,9 @@ pub struct RequestedParts<'a> {
     /// Attributes are also interpolated at voxels where |φ| is less than this, in voxels. `None`: only at
     /// vertices.
     pub band_half_width_voxels: Option<f32>,
+    /// Whether a frame without a usable particle has an empty surface, as on the command line. Otherwise it
+    /// fails with [`Error::NoParticles`].
+    pub allows_empty: bool,
 }
 
 /// Creates one scratch file.
@@ -232,7 +235,11 @@ impl<'a> Reconstructor<'a> {
         positions: impl Into<Positions<'p>>,
         attributes: &[Attribute],
     ) -> Result<Surface, Error> {
-        let parts = RequestedParts { stored: &[PositionFormat::Exact], band_half_width_voxels: None };
+        let parts = RequestedParts {
+            stored: &[PositionFormat::Exact],
+            band_half_width_voxels: None,
+            allows_empty: false,
+        };
         let (surface, settings) = self.reconstruct_parts(positions, attributes, parts)?;
         Ok(with_absolute_positions(surface, settings))
     }
@@ -259,10 +266,12 @@ impl<'a> Reconstructor<'a> {
         &mut self,
         positions: Positions<'_>,
         attributes: &[Attribute],
-        RequestedParts { stored, band_half_width_voxels }: RequestedParts<'_>,
+        RequestedParts { stored, band_half_width_voxels, allows_empty }: RequestedParts<'_>,
     ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
         self.begin(Phase::Prepare)?;
-        if positions.is_empty() {
+        // Nothing can be measured on an empty frame.
+        let is_resolved = self.settings.is_some() || !self.options.needs_spacing();
+        if positions.is_empty() && !(allows_empty && is_resolved) {
             return Err(Error::NoParticles { input_count: 0 });
         }
         check_lengths(&positions, attributes)?;
@@ -276,7 +285,7 @@ impl<'a> Reconstructor<'a> {
             reconstruction::shapes_by_attributes(given.positions.len(), attributes, &settings);
         let given = CancellableParticles { shapes, ..given };
         let (shaped, shape_stats) = reconstruction::shape_by_neighbors(given, shape_stats, &settings)?;
-        let work = ShapedFrame { settings: &settings, shaped, shape_stats };
+        let work = ShapedFrame { settings: &settings, shaped, shape_stats, allows_empty };
         let (mut surface, shaped) = match plan.tile_leaves {
             None => self.reconstruct_in_memory(work, stored)?,
             Some(tile_leaves) => self.reconstruct_tiled(work, tile_leaves, stored)?,
@@ -338,7 +347,7 @@ impl<'a> Reconstructor<'a> {
         };
         let selected = attributes.iter().filter(selected);
         let bytes: usize = selected.map(|attribute| attribute.values.size_bytes()).sum();
-        let attribute_bytes = bytes as f64 / given.positions.len() as f64;
+        let attribute_bytes = bytes as f64 / given.positions.len().max(1) as f64;
         let surroundings = PlanInputs { obstacles: &self.obstacles, attribute_bytes };
         let obstacle_bytes =
             self.obstacles.members.iter().map(|obstacle| obstacle.size_bytes_max() as u64).sum();
@@ -366,10 +375,10 @@ impl<'a> Reconstructor<'a> {
         work: ShapedFrame<'_, 'p>,
         stored: &[PositionFormat],
     ) -> Result<(reconstruction::FrameSurface, PreparedSource<'p>), Error> {
-        let ShapedFrame { settings, shaped, shape_stats } = work;
+        let ShapedFrame { settings, shaped, shape_stats, allows_empty } = work;
         let mut rasterized =
             reconstruction::rasterize(&shaped, settings, shape_stats, self.obstacles.clone())?;
-        require_particles(rasterized.report_mut().particle_count, &shaped)?;
+        require_particles(rasterized.report_mut().particle_count, &shaped, allows_empty)?;
         self.begin(Phase::Smooth)?;
         let token = self.token.clone();
         let smoothed = reconstruction::smooth_while(rasterized, settings, &mut |fraction| {
@@ -389,7 +398,7 @@ impl<'a> Reconstructor<'a> {
         tile_leaves: i32,
         stored: &[PositionFormat],
     ) -> Result<(reconstruction::FrameSurface, PreparedSource<'p>), Error> {
-        let ShapedFrame { settings, shaped, shape_stats } = work;
+        let ShapedFrame { settings, shaped, shape_stats, allows_empty } = work;
         let mut storages: Vec<Box<dyn Storage>> = Vec::new();
         if let Some(make) = &mut self.scratch {
             for _ in 0..FIELD_STORE_FILES {
@@ -401,7 +410,7 @@ impl<'a> Reconstructor<'a> {
         let mut frame = tiled::rasterize(shaped, settings, shape_stats, obstacles, tile_leaves, storages)
             .map_err(tiled_error)?;
         let left = frame.report_mut().particle_count;
-        require_particles(left, frame.source())?;
+        require_particles(left, frame.source(), allows_empty)?;
         self.begin(Phase::Smooth)?;
         let frame =
             tiled::smooth(frame, settings, &mut |fraction| self.report_progress(Phase::Smooth, fraction));
@@ -419,6 +428,7 @@ struct ShapedFrame<'s, 'p> {
     settings: &'s Settings,
     shaped: PreparedSource<'p>,
     shape_stats: ShapeStats,
+    allows_empty: bool,
 }
 
 /// Resolves the options, and measures the spacing if they need it.
@@ -464,10 +474,10 @@ fn check_required_attributes(settings: &Settings, attributes: &[Attribute]) -> R
     Ok(())
 }
 
-/// Fails if no particle is left.
-fn require_particles(left: usize, shaped: &PreparedSource<'_>) -> Result<(), Error> {
+/// Fails if no particle is left and the frame must not be empty.
+fn require_particles(left: usize, shaped: &PreparedSource<'_>, allows_empty: bool) -> Result<(), Error> {
     match left {
-        0 => Err(Error::NoParticles { input_count: shaped.given().positions.len() }),
+        0 if !allows_empty => Err(Error::NoParticles { input_count: shaped.given().positions.len() }),
         _ => Ok(()),
     }
 }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::header::{AttributeHeader, AttributeKind, BgeoHeader, header_within};
 use super::{FORMAT, POSITION_WORDS, TRAILER};
 
-use crate::columns::{radius_scale, roles_of};
+use crate::columns::{roles_of, with_role};
 use crate::records::Records;
 use crate::{
     AttributeRole, Error, FileAttribute, FilePositions, Limits, ParticleFrame, Position, Result, Values,
@@ -209,20 +209,14 @@ fn attributes(headers: Vec<AttributeHeader>, columns: Vec<WordColumn>) -> Vec<Fi
         if header.arity == 0 {
             continue;
         }
-        let (values, role) = match (header.kind, column) {
+        let values = match (header.kind, column) {
             (AttributeKind::Strings(table), WordColumn::Integers(indices)) => {
-                // Strings can identify a phase, but they cannot be a velocity or another quantity.
-                (Values::Strings { table, indices }, role.filter(|&role| role == AttributeRole::Kind))
+                Values::Strings { table, indices }
             }
-            (_, WordColumn::Integers(values)) => (Values::I32(values), role),
-            (_, WordColumn::Reals(values)) => (Values::F32(values), role),
+            (_, WordColumn::Integers(values)) => Values::I32(values),
+            (_, WordColumn::Reals(values)) => Values::F32(values),
         };
-        let (name, arity) = (header.name, header.arity);
-        let mut attribute = FileAttribute { name, arity, role, values };
-        if role == Some(AttributeRole::Radius) {
-            attribute.scale(radius_scale(&attribute.name));
-        }
-        attributes.push(attribute);
+        attributes.push(with_role(header.name, header.arity, role, values));
     }
     attributes
 }

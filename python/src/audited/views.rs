@@ -6,7 +6,7 @@
 //! array exists.
 
 use numpy::ndarray::{ArrayView, IntoDimension};
-use numpy::{Element, PyArray, PyArrayMethods};
+use numpy::{Element, PyArray};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 
@@ -28,8 +28,18 @@ pub(crate) fn view<'py, T: Element, I: IntoDimension>(
     // `owner`, so the surface outlives the array. `Surface` is frozen and its vectors have no interior
     // mutability, so they are not reallocated or changed before the surface is dropped.
     let array = unsafe { PyArray::borrow_from_array(&values, owner.clone().into_any()) };
+    make_read_only(&array)?;
+    Ok(array)
+}
+
+/// Makes an array that Rust code created read-only. This needs no borrow of the array: another thread may be
+/// reading another view of the same memory.
+///
+/// # Errors
+/// When NumPy refuses it.
+pub(crate) fn make_read_only<T: Element, D>(array: &Bound<'_, PyArray<T, D>>) -> PyResult<()> {
     // Python code cannot make the array writeable again: NumPy allows that only for an array that owns its
     // memory or whose base has a writeable buffer.
-    drop(array.readwrite().make_nonwriteable());
-    Ok(array)
+    array.call_method1("setflags", (false,))?;
+    Ok(())
 }

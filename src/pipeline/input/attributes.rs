@@ -118,19 +118,30 @@ impl AttributeRequest {
         &self,
         attributes: Vec<FileAttribute>,
     ) -> Result<(Vec<Attribute>, Vec<Warning>), String> {
+        let headers = attributes.iter().map(header).collect();
+        let mut attributes: Vec<Option<FileAttribute>> = attributes.into_iter().map(Some).collect();
+        self.select_with(headers, |index| attributes.get_mut(index).and_then(Option::take))
+    }
+
+    /// Like [`select`](Self::select), for attributes that need not be in memory: `headers` are without
+    /// values, and `load` returns the attribute with this index. Loads only those that are requested.
+    ///
+    /// # Errors
+    /// If a required attribute is missing or unusable.
+    pub(crate) fn select_with(
+        &self,
+        headers: Vec<FileAttribute>,
+        mut load: impl FnMut(usize) -> Option<FileAttribute>,
+    ) -> Result<(Vec<Attribute>, Vec<Warning>), String> {
         if self.is_empty() {
             return Ok((Vec::new(), Vec::new()));
         }
-        let all: Vec<Attribute> = attributes.into_iter().map(attribute).collect();
+        let all: Vec<Attribute> = headers.into_iter().map(attribute).collect();
         let available = || all.iter().map(|attribute| attribute.name.clone()).collect::<Vec<_>>();
         let exists = |name: &str| all.iter().any(|attribute| attribute.matches(name));
         for needed in &self.needed {
-            let why = match find_attribute(&all, &needed.name, needed.arity) {
-                Some(attribute) => needed.why_useless(attribute),
-                None => Some(needed.why_missing(&all)),
-            };
-            if let Some(why) = why {
-                return Err(why);
+            if find_attribute(&all, &needed.name, needed.arity).is_none() {
+                return Err(needed.why_missing(&all));
             }
         }
         let named: &[String] = match &self.selected {
@@ -150,15 +161,19 @@ impl AttributeRequest {
             })
         };
         let is_all = self.selected == Some(AttributeSelection::All);
-        let keep: Vec<bool> = all
-            .iter()
-            .map(|attribute| {
-                let is_needed = self.needed.iter().any(|needed| needed.is(attribute));
-                is_needed || is_all || is_named(attribute)
-            })
-            .collect();
-        let kept = all.into_iter().zip(keep).filter_map(|(attribute, keep)| keep.then_some(attribute));
-        Ok((kept.collect(), missing))
+        let is_kept = |attribute: &Attribute| {
+            let is_needed = self.needed.iter().any(|needed| needed.is(attribute));
+            is_needed || is_all || is_named(attribute)
+        };
+        let kept = (0..all.len()).filter(|&index| is_kept(&all[index]));
+        let kept: Vec<Attribute> = kept.filter_map(&mut load).map(attribute).collect();
+        for needed in &self.needed {
+            let found = find_attribute(&kept, &needed.name, needed.arity);
+            if let Some(why) = found.and_then(|attribute| needed.why_useless(attribute)) {
+                return Err(why);
+            }
+        }
+        Ok((kept, missing))
     }
 
     /// Whether to transfer the particles' velocities to the surface; `name` is their name in the file.
@@ -178,6 +193,19 @@ impl AttributeRequest {
     pub fn is_selected(&self, attribute: &Attribute) -> bool {
         self.selected.as_ref().is_some_and(|selection| selection.selects(attribute))
     }
+}
+
+/// The attribute without its values.
+fn header(attribute: &FileAttribute) -> FileAttribute {
+    let values = match &attribute.values {
+        Values::F32(_) => Values::F32(Vec::new()),
+        Values::F64(_) => Values::F64(Vec::new()),
+        Values::U8(_) => Values::U8(Vec::new()),
+        Values::I32(_) => Values::I32(Vec::new()),
+        Values::I64(_) => Values::I64(Vec::new()),
+        Values::Strings { .. } => Values::Strings { table: Vec::new(), indices: Vec::new() },
+    };
+    FileAttribute { name: attribute.name.clone(), values, ..*attribute }
 }
 
 /// Converts a file's attribute for the method: 32-bit floats, colours from 0 to 1.

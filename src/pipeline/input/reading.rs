@@ -88,6 +88,16 @@ fn read_unchecked(path: &Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
+/// Parses particles from the bytes of the frame at `path`, with all attributes.
+///
+/// # Errors
+/// When the bytes are not valid particles.
+pub fn read_particles_of(path: &Path, bytes: &[u8]) -> Result<ParticleFrame, FrameError> {
+    let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
+    read_particles(bytes, &name, &Limits::default())
+        .map_err(|error| FrameError::file(path, Stage::Read, by_lines_of_file(path, error)))
+}
+
 /// Parses particles from the bytes of the file at `path`, with the requested attributes.
 ///
 /// # Errors
@@ -97,10 +107,7 @@ pub fn parse_particles(
     bytes: &[u8],
     wanted: &AttributeRequest,
 ) -> Result<ReadFrame, FrameError> {
-    let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
-    let frame = read_particles(bytes, &name, &Limits::default())
-        .map_err(|error| FrameError::file(path, Stage::Read, by_lines_of_file(path, error)))?;
-    let ParticleFrame { positions, attributes, notes } = frame;
+    let ParticleFrame { positions, attributes, notes } = read_particles_of(path, bytes)?;
     let missing_error =
         |what| FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Missing(what) };
     let velocity = attributes.iter().find(|attribute| attribute.role == Some(AttributeRole::Velocity));

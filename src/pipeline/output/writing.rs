@@ -244,8 +244,17 @@ pub(crate) fn surface_warnings(
     settings: &Settings,
 ) -> Vec<Warning> {
     let about_surface = diagnose(&surface.mesh, &surface.report, settings);
-    let warnings = about_surface.into_iter().chain(attribute_warnings(surface, outputs));
-    warnings.chain(position_warnings(surface, outputs, settings.voxel_size)).collect()
+    about_surface.into_iter().chain(output_warnings(surface, outputs, settings.voxel_size)).collect()
+}
+
+/// Warnings about what the files cannot store exactly.
+pub(crate) fn output_warnings(
+    surface: &FrameSurface,
+    outputs: &OutputOptions,
+    voxel_size: f64,
+) -> Vec<Warning> {
+    let warnings = attribute_warnings(surface, outputs).into_iter();
+    warnings.chain(position_warnings(surface, outputs, voxel_size)).collect()
 }
 
 /// Warnings about files that round positions too much.

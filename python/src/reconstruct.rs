@@ -1,0 +1,122 @@
+//! Reconstructs surfaces from particles, for Python.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use meniscus::surface::{Reconstructor, RequestedParts, Settings};
+use pyo3::prelude::*;
+
+use crate::arrays::{Attributes, Given, PositionSlice, Positions};
+use crate::compute::run_with_progress;
+use crate::errors::{ParticleError, of_method};
+use crate::options::{Pairs, parse, selection};
+use crate::program::{Obstacle, Prepared, needed_attributes, scratch_file};
+use crate::surface::Surface;
+
+/// The surface of a frame. `pairs` are the names and values of options. The surface gets all attributes, or
+/// those in `attribute_names`. `formats` are the extensions of the files that it is prepared for. The frame
+/// may take `memory` bytes; a larger frame uses scratch files in the folder `scratch`.
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "the Python layer has them as keywords")]
+pub(crate) fn reconstruct(
+    py: Python<'_>,
+    pairs: Pairs,
+    all_attributes: bool,
+    attribute_names: Vec<String>,
+    points: &Bound<'_, PyAny>,
+    attributes: Vec<Given<'_>>,
+    obstacles: Vec<Py<Obstacle>>,
+    formats: Vec<String>,
+    quantize: bool,
+    memory: u64,
+    scratch: Option<PathBuf>,
+    threads: Option<usize>,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Surface> {
+    let mut options = parse(&pairs)?;
+    options.attributes = selection(all_attributes, attribute_names).or(options.attributes);
+    let (positions, attributes) = (Positions::new(points)?, Attributes::new(attributes)?);
+    let (positions, attributes) = (positions.as_slice()?, attributes.as_slices()?);
+    let prepared = Prepared::new(&formats, quantize)?;
+    let obstacles: Vec<&Obstacle> = obstacles.iter().map(Py::get).collect();
+    let folder = scratch.clone().unwrap_or_default();
+    let made = run_with_progress(py, threads, progress.as_ref(), |token, advance| {
+        let (attributes, mut warnings) =
+            needed_attributes(&attributes, &options).map_err(Failure::Particles)?;
+        let mut reconstructor = Reconstructor::new(options);
+        reconstructor.memory_limit(memory).cancel_token(token.clone());
+        reconstructor.obstacles(obstacles.iter().map(|obstacle| obstacle.shared()));
+        if let Some(folder) = scratch {
+            reconstructor.scratch(move || scratch_file(&folder));
+        }
+        // The receiver exists as long as this closure runs.
+        reconstructor.on_progress(move |progress| {
+            let _ = advance.send(progress);
+        });
+        let requested = RequestedParts::from(&prepared.parts);
+        let made = match positions {
+            PositionSlice::F32(positions) => {
+                reconstructor.reconstruct_parts(positions, &attributes, requested)
+            }
+            PositionSlice::F64(positions) => {
+                reconstructor.reconstruct_parts(positions, &attributes, requested)
+            }
+        };
+        let (surface, settings) = made.map_err(Failure::Method)?;
+        warnings.extend(obstacles.iter().flat_map(|obstacle| obstacle.warnings(&settings)));
+        if surface.report.particle_count == 0 {
+            warnings.push("no particles are left, so the surface is empty".to_owned());
+        }
+        Ok((surface, settings, warnings))
+    })?;
+    let (surface, settings, warnings) = made.map_err(|failure: Failure| failure.raised(&folder))?;
+    let recorded: Vec<&str> = obstacles.iter().map(|obstacle| obstacle.recorded()).collect();
+    Ok(Surface::new(surface, Arc::new(settings), recorded.join(", "), prepared, warnings))
+}
+
+/// Why a frame has no surface.
+enum Failure {
+    Particles(String),
+    Method(meniscus::surface::Error),
+}
+
+impl Failure {
+    fn raised(self, scratch: &Path) -> PyErr {
+        match self {
+            Failure::Particles(why) => ParticleError::new_err(why),
+            Failure::Method(failure) => of_method(failure, scratch),
+        }
+    }
+}
+
+/// The resolved settings, as names and values in text. Lengths that the options leave open are measured on
+/// these particles.
+#[pyfunction]
+pub(crate) fn resolve(
+    py: Python<'_>,
+    pairs: Pairs,
+    points: &Bound<'_, PyAny>,
+    attributes: Vec<Given<'_>>,
+) -> PyResult<Vec<(&'static str, String)>> {
+    let options = parse(&pairs)?;
+    let (positions, attributes) = (Positions::new(points)?, Attributes::new(attributes)?);
+    let (positions, attributes) = (positions.as_slice()?, attributes.as_slices()?);
+    let is_empty = match positions {
+        PositionSlice::F32(positions) => positions.is_empty(),
+        PositionSlice::F64(positions) => positions.is_empty(),
+    };
+    let resolved = run_with_progress(py, None, None, |token, _| {
+        if is_empty && options.needs_spacing() {
+            return Err(Failure::Method(meniscus::surface::Error::NoParticles { input_count: 0 }));
+        }
+        let (attributes, _) = needed_attributes(&attributes, &options).map_err(Failure::Particles)?;
+        let mut reconstructor = Reconstructor::new(options);
+        reconstructor.cancel_token(token.clone());
+        let settings = match positions {
+            PositionSlice::F32(positions) => reconstructor.resolve_on(positions, &attributes),
+            PositionSlice::F64(positions) => reconstructor.resolve_on(positions, &attributes),
+        };
+        settings.map(Settings::to_options).map_err(Failure::Method)
+    })?;
+    Ok(resolved.map_err(|failure| failure.raised(Path::new("")))?.to_pairs())
+}
