@@ -243,8 +243,8 @@ impl Surface {
         self.warnings.iter().cloned().chain(self.embedded().warnings()).collect()
     }
 
-    /// Writes a file. `source` is the file of the particles with its hash. Returns warnings about what the file
-    /// cannot store exactly.
+    /// Writes a file. `source` is the file of the particles with its hash. Returns warnings about what the
+    /// file cannot store exactly.
     fn write(
         &self,
         py: Python<'_>,
