@@ -14,6 +14,7 @@ mod reconstruct;
 
 pub use cancel::CancelToken;
 pub use error::Error;
+#[cfg(feature = "render")]
 pub(crate) use interrupt::checkpoint;
 #[doc(hidden)]
 pub use reconstruct::RequestedParts;
