@@ -495,7 +495,7 @@ def kept(live, source, surface):
     faults += compare("after an error", "0.15d")
     options.offset = 0.1
     surface.meniscus.radius_attribute = "pscale"
-    if worker.is_busy and worker._pending:
+    if worker._pending:
         faults.append("a request goes on, though the points cannot be read")
     surface.meniscus.radius_attribute = "radius"
     # A render waits for its mesh no longer than until the error of the main thread.
@@ -641,6 +641,19 @@ def baked():
         faults.append("a second bake to the file is not shown")
     if len(bpy.data.cache_files) != 1:
         faults.append(f"two bakes to one file made {len(bpy.data.cache_files)} caches")
+    # A bake that is cancelled, and one that Blender ends, in the first of many frames.
+    for end in ("cancel", "close"):
+        bake = part("bake").Bake(surface, scene, FOLDER / "ended.usdc", 1, 100)
+        bake.step()
+        getattr(bake, end)()
+        bake.wait()
+        if end == "cancel" and bake.step():
+            faults.append("a cancelled bake goes on")
+        limit = time.perf_counter() + 10
+        while (left := [path.name for path in FOLDER.iterdir() if "ended" in path.name]) and time.perf_counter() < limit:
+            time.sleep(0.01)
+        if left:
+            faults.append(f"after {end}, {left} stay")
     # A folder in place of the file: the bake ends with the reason.
     other = FOLDER / "other.usdc"
     other.mkdir()
