@@ -22,6 +22,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -145,8 +146,6 @@ def repository():
 
 def traces(is_disabled):
     """What should not be there after the extension was disabled, or not be missing before."""
-    import threading
-
     found = [f"the type {name}" for name in dir(bpy.types) if "meniscus" in name.lower()]
     found += ["Object.meniscus"] if hasattr(bpy.types.Object, "meniscus") else []
     for name in dir(bpy.app.handlers):
@@ -390,8 +389,6 @@ def event_loop():
     finally:
         live.has_event_loop = before
         live.worker.clear(wait=10)
-        if bpy.app.timers.is_registered(live.tick):
-            bpy.app.timers.unregister(live.tick)
 
 
 def until(live, wanted, limit=60.0):
@@ -458,11 +455,64 @@ def newest():
             faults.append("no preview during the changes")
         if any("full quality" in made for made in seen):
             faults.append("full quality for a value that did not stay")
+        faults += kept(live, source, surface)
         settings.options.offset = 0.0
         live.worker.clear(wait=10)
         if live.worker.is_busy:
             faults.append("the thread does not end")
     return f"{len({made for made in seen if made})} previews during 20 changes in one second", faults
+
+
+def kept(live, source, surface):
+    """An update without a change keeps full quality; so does a change that is taken back before its result is
+    read. An error of any kind ends neither the thread nor the timer."""
+    options, worker, faults = surface.meniscus.options, live.worker, []
+
+    def compare(label, offset):
+        until(live, lambda: not worker.is_busy)
+        wanted = expected(source, surface, offset=offset)
+        return [f"{label}: {fault}" for fault in faults_against(surface.data, wanted)]
+
+    live.update(surface, bpy.context.evaluated_depsgraph_get())
+    faults += compare("an update without a change", "0.19d")
+    options.offset = 0.05
+    limit = time.perf_counter() + 60
+    # The preview of the change, not yet written.
+    while not worker._results and time.perf_counter() < limit:
+        time.sleep(0.01)
+    options.offset = 0.19
+    faults += compare("a change that was taken back", "0.19d")
+    module = part("worker")
+    before, module.arrays_of = module.arrays_of, MagicMock(side_effect=RuntimeError("odd"))
+    try:
+        options.offset = 0.1
+        until(live, lambda: not worker.is_busy)
+    finally:
+        module.arrays_of = before
+    if live.status_of(surface).error != "odd":
+        faults.append(f"an unexpected error is shown as {live.status_of(surface).error!r}")
+    options.offset = 0.15
+    faults += compare("after an error", "0.15d")
+    options.offset = 0.1
+    surface.meniscus.radius_attribute = "pscale"
+    if worker._pending:
+        faults.append("a request goes on, though the points cannot be read")
+    surface.meniscus.radius_attribute = "radius"
+    # A render waits for its mesh no longer than until the error of the main thread.
+    seen = []
+
+    def render():
+        try:
+            live.on_main_thread(MagicMock(side_effect=RuntimeError("odd")))
+        except RuntimeError as error:
+            seen.append(str(error))
+
+    thread = threading.Thread(target=render)
+    thread.start()
+    until(live, lambda: not thread.is_alive())
+    if seen != ["odd"]:
+        faults.append(f"a render gets {seen} as the error of its mesh")
+    return faults
 
 
 def errors():
@@ -485,6 +535,11 @@ def errors():
     settings.velocity_attribute = "speed"
     said.append(("no motion blur", labels()))
     settings.velocity_attribute = "velocity"
+    source.data.attributes.new("turn", "QUATERNION", "POINT")
+    bpy.context.view_layer.update()
+    settings.use_attributes = False
+    settings.use_attributes = True
+    said.append(("left out: “turn”", labels()))
     source.modifiers[0].node_group.nodes["Mesh to Points"].mute = True
     bpy.context.view_layer.update()
     source.data.clear_geometry()
@@ -558,9 +613,15 @@ def baked():
         scene.frame_set(frame)
         meshes[frame] = (positions_of(surface.data), numbers_of(surface.data, "velocity"))
     file = FOLDER / "baked.usdc"
+    # Files of the user, with the names that frames have.
+    users = [file.with_name(f"baked.{frame:04}.usdc") for frame in (1, 2, 3, 4)]
+    for path in users:
+        path.write_text(path.name)
     bpy.ops.meniscus.bake(filepath=str(file), first=1, last=3)
     faults = [] if scene.frame_current == 3 else ["the bake left another frame"]
-    others = [path.name for path in FOLDER.glob("baked.*") if path != file]
+    if any(not path.is_file() or path.read_text() != path.name for path in users):
+        faults.append("the bake changed files of the user")
+    others = [path.name for path in FOLDER.iterdir() if "baked" in path.name and path not in (file, *users)]
     if others:
         faults.append(f"the bake left {others}")
     if surface.meniscus.is_live or not surface.modifiers:
@@ -572,6 +633,27 @@ def baked():
             faults.append(f"frame {frame} of the file is another mesh")
         elif not abs(numbers_of(mesh, "velocity") - velocity).max() <= 1e-6:
             faults.append(f"frame {frame} of the file has other velocities")
+    # The same file again, with another surface: Blender shows the new one.
+    surface.meniscus.options.voxel_size, surface.meniscus.options.use_voxel_size = 0.7, True
+    bpy.ops.meniscus.bake(filepath=str(file), first=1, last=3)
+    mesh = surface.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    if not 0 < len(mesh.vertices) < len(meshes[3][0]):
+        faults.append("a second bake to the file is not shown")
+    if len(bpy.data.cache_files) != 1:
+        faults.append(f"two bakes to one file made {len(bpy.data.cache_files)} caches")
+    # A bake that is cancelled, and one that Blender ends, in the first of many frames.
+    for end in ("cancel", "close"):
+        bake = part("bake").Bake(surface, scene, FOLDER / "ended.usdc", 1, 100)
+        bake.step()
+        getattr(bake, end)()
+        bake.wait()
+        if end == "cancel" and bake.step():
+            faults.append("a cancelled bake goes on")
+        limit = time.perf_counter() + 10
+        while (left := [path.name for path in FOLDER.iterdir() if "ended" in path.name]) and time.perf_counter() < limit:
+            time.sleep(0.01)
+        if left:
+            faults.append(f"after {end}, {left} stay")
     # A folder in place of the file: the bake ends with the reason.
     other = FOLDER / "other.usdc"
     other.mkdir()

@@ -3,17 +3,21 @@
 The result needs no extension: Blender's modifier Mesh Sequence Cache reads it.
 """
 
+import contextlib
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import bpy
 import pymeniscus
 from bpy.props import BoolProperty, IntProperty, StringProperty
 
-from . import live
+from . import live, sequence
 from .points import PointsError
 from .worker import Request, compute
 
@@ -24,7 +28,8 @@ TICK_SECONDS = 0.05
 class Bake:
     """One bake. The main thread visits the frames and copies points; a thread computes and writes.
 
-    A frame that fails is left out: the file holds the frame before it. `errors` has the reasons.
+    A frame that fails is left out: the file holds the frame before it. `errors` has the reasons. The files of
+    the frames are in a temporary folder beside the result, which is removed at the end.
     """
 
     def __init__(self, surface: bpy.types.Object, scene: bpy.types.Scene, file: Path, first: int, last: int) -> None:
@@ -32,13 +37,18 @@ class Bake:
         self.frames = list(range(first, last + 1))
         self.count = len(self.frames)
         self.errors: list[str] = []
-        self.written: list[Path] = []
+        self.written = 0
         self.is_done = False
+        self.is_cancelled = False
         self._has_combined = False
         self._before = scene.frame_current
+        # The thread must not read Blender's data.
+        self._fps = scene.render.fps / scene.render.fps_base
+        self._scale = scene.unit_settings.scale_length
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="meniscus-bake")
         self._future: Future[str] | None = None
         file.parent.mkdir(parents=True, exist_ok=True)
+        self._folder = Path(tempfile.mkdtemp(prefix=f".{file.stem}-", dir=file.parent))
 
     def step(self) -> bool:
         """Starts the next piece of work, unless one is in progress. Returns whether the bake goes on."""
@@ -48,8 +58,16 @@ class Bake:
             if error := self._future.result():
                 self.errors.append(error)
             self._future = None
+        if self.is_cancelled:
+            self.end()
+            return False
         if self.frames:
-            self._start(self.frames.pop(0))
+            try:
+                self._start(self.frames.pop(0))
+            except ReferenceError:
+                self.errors.append("the surface or its scene was removed")
+                self.end()
+                return False
         elif self.written and not self._has_combined:
             self._has_combined = True
             self._future = self._pool.submit(self._combine)
@@ -62,13 +80,24 @@ class Bake:
         if self._future is not None:
             self._future.exception()
 
-    def end(self) -> None:
-        """Returns to the frame before the bake, and removes the files of the frames."""
+    def cancel(self) -> None:
+        """Asks for an early end: `step` ends the bake when the work in progress has ended."""
+        self.is_cancelled = True
         self.frames.clear()
-        self._pool.shutdown(wait=True, cancel_futures=True)
-        for path in self.written:
-            path.unlink(missing_ok=True)
-        with live.paused():
+
+    def close(self) -> None:
+        """Removes the files of the frames, after the work in progress, without waiting for it."""
+        self.cancel()
+        self._pool.submit(shutil.rmtree, self._folder, ignore_errors=True)
+        self._pool.shutdown(wait=False)
+
+    def end(self) -> None:
+        """Removes the files of the frames, and returns to the frame before the bake."""
+        self.frames.clear()
+        self._pool.shutdown()
+        shutil.rmtree(self._folder, ignore_errors=True)
+        # The scene may have been removed.
+        with live.paused(), contextlib.suppress(ReferenceError):
             self.scene.frame_set(self._before)
 
     def _start(self, frame: int) -> None:
@@ -80,34 +109,40 @@ class Bake:
             self.errors.append(f"frame {frame}: {error}")
             return
         request.known = ""
-        scale = self.scene.unit_settings.scale_length
-        self._future = self._pool.submit(self._write, frame, request, scale)
+        self._future = self._pool.submit(self._write, frame, request)
 
-    def _write(self, frame: int, request: Request, scale: float) -> str:
-        result = compute(request)
+    def _write(self, frame: int, request: Request) -> str:
+        result = compute(request, progress=self._on_progress)
         if result.surface is None:
             return f"frame {frame}: {result.error}"
-        path = self.file.with_name(f"{self.file.stem}.{frame:04}.usdc")
+        path = self._folder / f"{self.file.stem}.{frame:04}.usdc"
         try:
-            result.surface.write(path, up="z", meters_per_unit=scale)
+            result.surface.write(path, up="z", meters_per_unit=self._scale)
         except (OSError, pymeniscus.MeniscusError) as error:
             return f"frame {frame}: {error}"
-        self.written.append(path)
+        self.written += 1
         return ""
+
+    def _on_progress(self, *_: Any) -> None:
+        if self.is_cancelled:
+            raise InterruptedError("cancelled")
 
     def _combine(self) -> str:
         """Combines the frames with the command line, in a Python that finds the package where Blender has it."""
-        render = self.scene.render
-        words = [*map(str, self.written), "-o", str(self.file), "--fps", f"{render.fps / render.fps_base:.9g}"]
-        words += ["--meters-per-unit", f"{self.scene.unit_settings.scale_length:.9g}"]
+        words = [str(self._folder), "-o", str(self.file), "--fps", f"{self._fps:.9g}"]
+        words += ["--meters-per-unit", f"{self._scale:.9g}"]
         home = str(Path(pymeniscus.__file__).parents[1])
-        ran = subprocess.run(
-            [sys.executable, "-m", "pymeniscus", "sequence", *words],
-            env={**os.environ, "PYTHONPATH": home},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-        )
+        try:
+            ran = subprocess.run(
+                [sys.executable, "-m", "pymeniscus", "sequence", *words],
+                env={**os.environ, "PYTHONPATH": home},
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                encoding="utf-8",
+                errors="replace",
+            )
+        except OSError as error:
+            return f"the command `sequence` did not start: {error}"
         # With status 1 the file lacks some frames; with others it was not written.
         self.is_done = ran.returncode in (0, 1)
         if ran.returncode == 0:
@@ -117,12 +152,14 @@ class Bake:
 
 def link(surface: bpy.types.Object, file: Path, context: bpy.types.Context) -> None:
     """Shows a baked file on the surface object, which then is no longer live."""
-    known = set(bpy.data.cache_files)
-    bpy.ops.cachefile.open(filepath=str(file), relative_path=False)
-    added = set(bpy.data.cache_files) - known
-    if not added:
+    cache = cache_of(file)
+    if cache is not None:
+        sequence.reload_cache(cache)
+    else:
+        bpy.ops.cachefile.open(filepath=str(file), relative_path=False)
+        cache = cache_of(file)
+    if cache is None:
         raise RuntimeError(f"Blender could not open {file}")
-    cache = added.pop()
     modifier = surface.modifiers.get(MODIFIER) or surface.modifiers.new(MODIFIER, "MESH_SEQUENCE_CACHE")
     modifier.cache_file = cache
     # All kinds of data. Which kinds exist depends on the version of Blender.
@@ -133,6 +170,11 @@ def link(surface: bpy.types.Object, file: Path, context: bpy.types.Context) -> N
     surface.modifiers.move(surface.modifiers.find(MODIFIER), 0)
     with live.quiet():
         surface.meniscus.is_live = False
+
+
+def cache_of(file: Path) -> bpy.types.CacheFile | None:
+    """Blender's cache of a file."""
+    return next((each for each in bpy.data.cache_files if Path(bpy.path.abspath(each.filepath)) == file), None)
 
 
 def mesh_path(cache: bpy.types.CacheFile) -> str:
@@ -149,8 +191,8 @@ class MENISCUS_OT_bake(bpy.types.Operator):
 
     filepath: StringProperty(name="File", subtype="FILE_PATH", description="The .usdc file to write")
     filter_glob: StringProperty(default="*.usdc", options={"HIDDEN"})
-    first: IntProperty(name="First frame", default=1)
-    last: IntProperty(name="Last frame", default=250)
+    first: IntProperty(name="First frame", default=1, min=0)
+    last: IntProperty(name="Last frame", default=250, min=0)
     is_linked: BoolProperty(
         name="Show the result", default=True, description="Show the baked file in place of the live surface"
     )
@@ -190,27 +232,39 @@ class MENISCUS_OT_bake(bpy.types.Operator):
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC":
-            self._bake.end()
-            self._stop(context)
-            self.report({"WARNING"}, "the bake was cancelled")
-            return {"CANCELLED"}
+            self._bake.cancel()
+            context.workspace.status_text_set("Bake: cancelling")
+            return {"RUNNING_MODAL"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
+        # A render visits frames itself, on its own thread.
+        if live.is_rendering():
+            return {"RUNNING_MODAL"}
         if self._bake.step():
             done = self._bake.count - len(self._bake.frames)
-            context.window_manager.progress_update(done)
-            context.workspace.status_text_set(f"Bake: frame {done} of {self._bake.count}, Esc cancels")
+            if not self._bake.is_cancelled:
+                context.window_manager.progress_update(done)
+                context.workspace.status_text_set(f"Bake: frame {done} of {self._bake.count}, Esc cancels")
             return {"RUNNING_MODAL"}
         self._stop(context)
         return self._finish(context)
 
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender calls this when it closes the window or opens another file."""
+        self._bake.close()
+        self._stop(context)
+
     def _stop(self, context: bpy.types.Context) -> None:
         context.window_manager.event_timer_remove(self._timer)
         context.window_manager.progress_end()
-        context.workspace.status_text_set(None)
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
 
     def _finish(self, context: bpy.types.Context) -> set[str]:
         bake = self._bake
+        if bake.is_cancelled and not bake.is_done:
+            self.report({"WARNING"}, "the bake was cancelled")
+            return {"CANCELLED"}
         for error in bake.errors:
             self.report({"WARNING" if bake.is_done else "ERROR"}, error)
         if not bake.is_done:
@@ -218,10 +272,10 @@ class MENISCUS_OT_bake(bpy.types.Operator):
         if self.is_linked:
             try:
                 link(bake.surface, bake.file, context)
-            except RuntimeError as error:
+            except (ReferenceError, RuntimeError) as error:
                 self.report({"ERROR"}, str(error))
                 return {"CANCELLED"}
-        self.report({"INFO"}, f"{len(bake.written)} frames are in {bake.file}")
+        self.report({"INFO"}, f"{bake.written} frames are in {bake.file}")
         return {"FINISHED"}
 
 

@@ -10,9 +10,12 @@ frame, a file that is opened), the hash shows whether the mesh is still right.
 
 import atexit
 import contextlib
+import functools
 import queue
+import textwrap
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +30,7 @@ from .worker import Request, Result, Worker, compute
 TICK_SECONDS = 0.02
 # How long a render waits for the main thread to write a mesh, before it reports an error.
 WRITE_SECONDS = 30.0
+LABEL_LETTERS = 44
 
 worker = Worker()
 
@@ -47,7 +51,7 @@ statuses: dict[int, Status] = {}
 
 
 def surfaces_in(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The live surfaces of a scene. Only mesh objects are visited, and scenes have few of them that are not."""
+    """The live surfaces of a scene."""
     return [obj for obj in scene.objects if obj.type == "MESH" and obj.meniscus.source is not None]
 
 
@@ -85,6 +89,7 @@ def update(surface: bpy.types.Object, graph: bpy.types.Depsgraph, has_preview: b
     try:
         request = request_of(surface, graph)
     except PointsError as error:
+        worker.forget(surface.session_uid)
         status_of(surface).error = str(error)
         return
     request.has_preview = has_preview
@@ -92,7 +97,6 @@ def update(surface: bpy.types.Object, graph: bpy.types.Depsgraph, has_preview: b
         show(surface, compute(request))
         return
     worker.submit(request)
-    start_tick()
 
 
 def show(surface: bpy.types.Object, result: Result) -> None:
@@ -101,6 +105,9 @@ def show(surface: bpy.types.Object, result: Result) -> None:
     status.error = result.error
     status.note = "; ".join(part for part in (result.request.points.note, *result.warnings) if part)
     if result.error:
+        return
+    if surface.mode == "EDIT" and result.arrays is not None:
+        status.error = "the surface is in edit mode: leave it, then choose Update"
         return
     if result.spacing is not None and surface.meniscus.spacing == 0:
         with quiet():
@@ -114,8 +121,9 @@ def show(surface: bpy.types.Object, result: Result) -> None:
 # The main thread
 
 _main = threading.main_thread().ident
-_writes: "queue.SimpleQueue[tuple[Callable[[], None], threading.Event]]" = queue.SimpleQueue()
+_writes: "queue.SimpleQueue[tuple[Callable[[], None], Future[None]]]" = queue.SimpleQueue()
 _is_stale = False
+_was_busy = False
 _is_quiet = False
 _is_paused = False
 
@@ -151,33 +159,38 @@ def is_rendering() -> bool:
     return bpy.app.is_job_running("RENDER")
 
 
-def start_tick() -> None:
-    if has_event_loop() and not bpy.app.timers.is_registered(tick):
-        bpy.app.timers.register(tick, first_interval=TICK_SECONDS, persistent=True)
-
-
-def tick() -> float | None:
-    """Collects results. It stops itself when nothing is left to do."""
-    global _is_stale
+def tick() -> float:
+    """Collects results, and writes the meshes of a render."""
+    global _is_stale, _was_busy
     while not _writes.empty():
         write, done = _writes.get()
-        write()
-        done.set()
+        if not done.set_running_or_notify_cancel():
+            continue
+        try:
+            write()
+        except Exception as error:
+            done.set_exception(error)
+        else:
+            done.set_result(None)
     if is_rendering():
         return TICK_SECONDS
     if _is_stale:
         _is_stale = False
         update_all()
+    is_busy = worker.is_busy
     for result in worker.results():
         surface = next((obj for obj in bpy.data.objects if obj.session_uid == result.request.key), None)
         if surface is None or surface.type != "MESH":
             continue
-        if surface.mode == "EDIT":
-            status_of(surface).error = "the surface is in edit mode: leave it, then choose Update"
-            continue
-        show(surface, result)
-    redraw()
-    return TICK_SECONDS if worker.is_busy or _is_stale else None
+        try:
+            show(surface, result)
+        except Exception as error:
+            # Blender removes a timer that raises an error.
+            status_of(surface).error = str(error) or type(error).__name__
+    if is_busy or _was_busy:
+        redraw()
+    _was_busy = is_busy
+    return TICK_SECONDS
 
 
 def update_all() -> None:
@@ -209,15 +222,17 @@ def on_main_thread(write: Callable[[], None]) -> None:
     Raises
     ------
     TimeoutError
-        If the main thread does not respond.
+        If the main thread does not respond. The function will not run then.
     """
     if threading.get_ident() == _main:
         write()
         return
-    done = threading.Event()
+    done: Future[None] = Future()
     _writes.put((write, done))
-    if not done.wait(WRITE_SECONDS):
+    wait([done], WRITE_SECONDS)
+    if done.cancel():
         raise TimeoutError(f"Blender's window did not respond for {WRITE_SECONDS:g} s")
+    done.result()
 
 
 # Handlers
@@ -262,13 +277,15 @@ def render_surfaces(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
         settings = surface.meniscus
         if not settings.is_live or not surface.evaluated_get(graph).is_evaluated:
             continue
+        error = ""
         try:
             result = compute(request_of(surface, graph))
             if result.arrays is not None or result.error:
-                on_main_thread(lambda: show(surface, result))
-            error = result.error
-        except (PointsError, TimeoutError) as failure:
-            error = status_of(surface).error = str(failure)
+                on_main_thread(functools.partial(show, surface, result))
+                error = status_of(surface).error
+        except Exception as failure:
+            # The render goes on with the other surfaces and frames.
+            error = status_of(surface).error = str(failure) or type(failure).__name__
         if error:
             print(f"meniscus: frame {scene.frame_current}: {surface.name}: {error}", flush=True)
 
@@ -279,14 +296,6 @@ def on_render_pre(scene: bpy.types.Scene, *_: Any) -> None:
     _rendered = (scene.frame_current, scene.frame_subframe)
     if has_event_loop():
         worker.clear()
-        # The tick also writes the meshes of the render.
-        if threading.get_ident() == _main:
-            start_tick()
-
-
-@persistent
-def on_render_init(*_: Any) -> None:
-    start_tick()
 
 
 @persistent
@@ -302,13 +311,11 @@ def on_load(*_: Any) -> None:
     worker.clear()
     if has_event_loop():
         _is_stale = True
-        start_tick()
 
 
 HANDLERS: dict[str, Callable[..., None]] = {
     "depsgraph_update_post": on_depsgraph_update,
     "frame_change_post": on_frame_change,
-    "render_init": on_render_init,
     "render_pre": on_render_pre,
     "render_complete": on_render_end,
     "render_cancel": on_render_end,
@@ -516,18 +523,8 @@ def draw_status(layout: bpy.types.UILayout, surface: bpy.types.Object) -> None:
         layout.label(text=status.made)
     for text, icon in ((status.error, "ERROR"), (status.note, "INFO")):
         # A label does not wrap its text.
-        for number, line in enumerate(wrapped(text)):
+        for number, line in enumerate(textwrap.wrap(text, LABEL_LETTERS)):
             layout.label(text=line, icon=icon if number == 0 else "BLANK1")
-
-
-def wrapped(text: str, width: int = 44) -> list[str]:
-    lines: list[str] = []
-    for word in text.split():
-        if lines and len(lines[-1]) + len(word) < width:
-            lines[-1] += f" {word}"
-        else:
-            lines.append(word)
-    return lines
 
 
 class SurfacePanel(Panel):
@@ -593,6 +590,7 @@ def register() -> None:
     for name, handler in HANDLERS.items():
         getattr(bpy.app.handlers, name).append(handler)
     bpy.types.STATUSBAR_HT_header.append(draw_progress)
+    bpy.app.timers.register(tick, first_interval=TICK_SECONDS, persistent=True)
     atexit.register(worker.clear)
 
 

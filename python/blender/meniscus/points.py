@@ -20,7 +20,8 @@ KINDS: dict[str, tuple[int, str, Any]] = {
     "BYTE_COLOR": (4, "color", np.float32),
 }
 NO_INDEX = 2**31 - 1
-RESERVED = {"position", "radius", "id", "rest_position"}
+# Attributes that Blender itself makes.
+RESERVED = {"position", "radius", "id", "rest_position", "material_index", "sharp_face", "sharp_edge"}
 
 
 class PointsError(Exception):
@@ -98,11 +99,18 @@ def read(
         if points.velocity is None:
             notes.append(f"no vector attribute “{velocity}”: no motion blur")
     if has_attributes:
+        left_out = []
         for attribute in attributes:
             name = attribute.name
             is_other = name.startswith(".") or name in RESERVED or name in (radius, velocity)
-            if attribute.domain == "POINT" and attribute.data_type in KINDS and not is_other:
+            if is_other:
+                continue
+            if attribute.domain == "POINT" and attribute.data_type in KINDS:
                 points.attributes[name] = array_of(attribute)
+            else:
+                left_out.append(f"“{name}”")
+        if left_out:
+            notes.append(f"left out: {', '.join(left_out)}: store them on points, as numbers, vectors or colours")
     points.note = "; ".join(notes)
     del holder
     return points

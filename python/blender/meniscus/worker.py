@@ -60,6 +60,11 @@ def measured(points: Points, options: dict[str, Any]) -> float:
     return float(np.float32(settings["spacing"]))
 
 
+def signature_of(points_hash: str, options: dict[str, Any]) -> str:
+    described = sorted((name, str(value)) for name, value in options.items())
+    return f"{pymeniscus.__version__} {points_hash} {described}"
+
+
 def compute(request: Request, is_coarse: bool = False, progress: Progress | None = None) -> Result:
     """Makes the surface of a request. The same points and options give the same surface on any machine, in the
     viewport, in a render and in a bake."""
@@ -71,10 +76,12 @@ def compute(request: Request, is_coarse: bool = False, progress: Progress | None
             options.pop("spacing", None)
             result.spacing = measured(points, options)
             options["spacing"] = text_of(result.spacing)
-        if is_coarse:
+        points_hash = points.hash()
+        result.signature = signature_of(points_hash, options)
+        # A mesh in full quality needs no preview.
+        if is_coarse and result.signature != request.known:
             options = coarse(options)
-        described = sorted((name, str(value)) for name, value in options.items())
-        result.signature = f"{pymeniscus.__version__} {points.hash()} {described}"
+            result.signature = signature_of(points_hash, options)
         if result.signature != request.known:
             surface = pymeniscus.reconstruct(
                 points.positions,
@@ -84,10 +91,11 @@ def compute(request: Request, is_coarse: bool = False, progress: Progress | None
                 progress=progress,
                 **options,
             )
-            result.surface, result.arrays, result.warnings = surface, arrays_of(surface), surface.warnings
+            result.arrays, result.surface, result.warnings = arrays_of(surface), surface, surface.warnings
     except _Newer:
         raise
-    except (pymeniscus.MeniscusError, OSError, TypeError, ValueError, MemoryError) as error:
+    except Exception as error:
+        # Whatever it is, the panel shows it. The thread must go on with the other surfaces.
         result.error = str(error) or type(error).__name__
     result.seconds = time.monotonic() - start
     return result
@@ -111,11 +119,20 @@ class Worker:
 
     def submit(self, request: Request) -> None:
         with self._change:
+            # The mesh will be that of the last result, which may not be written yet.
+            for result in self._results:
+                self._foresee(request, result)
             self._pending[request.key] = (request, request.has_preview)
             if self._thread is None:
                 self._thread = threading.Thread(target=self._work, name="meniscus", daemon=True)
                 self._thread.start()
             self._change.notify()
+
+    @staticmethod
+    def _foresee(request: Request, result: Result) -> None:
+        """Sets the signature of the mesh that a request will find."""
+        if result.request.key == request.key and result.arrays is not None:
+            request.known = result.signature
 
     def results(self) -> list[Result]:
         """The results since the last call."""
@@ -127,6 +144,14 @@ class Worker:
     def is_busy(self) -> bool:
         with self._change:
             return bool(self._pending or self._running or self._results)
+
+    def forget(self, key: int) -> None:
+        """Forgets the requests and results of a surface."""
+        with self._change:
+            self._pending.pop(key, None)
+            self._results = [each for each in self._results if each.request.key != key]
+            if self._running is not None and self._running[0] == key:
+                self._running = None
 
     def clear(self, wait: float = 0.0) -> None:
         """Forgets all requests and results, and ends the thread; waits for its end up to some seconds."""
@@ -175,9 +200,11 @@ class Worker:
                 # the user.
                 if result is not None and is_wanted and not (is_coarse and result.error):
                     self._results.append(result)
+                    if request.key in self._pending:
+                        self._foresee(self._pending[request.key][0], result)
 
     def _on_progress(self, request: Request, phase: str, part: float) -> None:
-        self.progress[request.key] = (phase, part)
         running = self._running
         if running is None or (not running[1] and request.key in self._pending):
             raise _Newer
+        self.progress[request.key] = (phase, part)
