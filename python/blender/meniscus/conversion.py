@@ -253,24 +253,34 @@ def options_of(settings: "MENISCUS_PG_conversion") -> list[str]:
 
 def tick() -> float:
     """Show what the threads have found, and link the result once."""
-    global _scene_to_link, _shown, _link_error, _next_link
+    global _shown
     if not _conversion:
         return TICK_SECONDS
     progress = _conversion.progress
     if progress is not _shown:
         _shown = progress
         sequence.redraw()
-    can_link = bpy.context.mode == "OBJECT" and not bpy.app.is_job_running("RENDER")
-    can_link = can_link and time.monotonic() >= _next_link
-    if progress.has_stage and _scene_to_link is not None and can_link:
-        scene = next((scene for scene in bpy.data.scenes if scene.session_uid == _scene_to_link), None)
-        # Another scene may be in the window now: it waits for its own. Another file may be open: there is none.
-        if scene == bpy.context.scene and not is_linked(scene, _conversion.stage):
-            _link_error = link(scene, _conversion.stage)
-            _next_link = time.monotonic() + LINK_AGAIN_SECONDS
-        if not _link_error and (scene is None or scene == bpy.context.scene):
-            _scene_to_link = None
+    if progress.has_stage and _scene_to_link is not None:
+        # Only with a window does the context have a mode.
+        with sequence.in_window():
+            link_when_possible()
     return TICK_SECONDS
+
+
+def link_when_possible() -> None:
+    """Link the result, unless Blender is busy, another scene is in the window, or it failed just now."""
+    global _scene_to_link, _link_error, _next_link
+    can_link = bpy.context.mode == "OBJECT" and not bpy.app.is_job_running("RENDER")
+    if not can_link or time.monotonic() < _next_link:
+        return
+    scene = next((scene for scene in bpy.data.scenes if scene.session_uid == _scene_to_link), None)
+    # Another scene may be in the window now: it waits for its own. Another file may be open: there is none.
+    if scene == bpy.context.scene and not is_linked(scene, _conversion.stage):
+        _link_error = link(scene, _conversion.stage)
+        _next_link = time.monotonic() + LINK_AGAIN_SECONDS
+        sequence.redraw()
+    if not _link_error and (scene is None or scene == bpy.context.scene):
+        _scene_to_link = None
 
 
 def is_linked(scene: bpy.types.Scene, stage: Path) -> bool:
@@ -278,16 +288,19 @@ def is_linked(scene: bpy.types.Scene, stage: Path) -> bool:
 
 
 def link(scene: bpy.types.Scene, stage: Path) -> str:
-    """Import the stage, and keep the user's selection: nobody pressed a button at this moment. Returns why it
-    failed."""
-    selected, active = bpy.context.selected_objects, bpy.context.view_layer.objects.active
+    """Import the stage, and keep the user's selection: a timer calls this. Returns why it failed."""
+    layer = bpy.context.view_layer
+    selected, active = layer.objects.selected[:], layer.objects.active
     try:
         objects = sequence.import_sequence(scene, stage)
     except (OSError, ValueError, RuntimeError) as error:
         return f"{stage.name} could not be imported: {error}"
-    for obj in scene.objects:
+    # The layer lacks the objects of excluded collections, which cannot be selected.
+    for obj in layer.objects:
         obj.select_set(obj in selected)
-    bpy.context.view_layer.objects.active = active or objects[0]
+    layer.objects.active = active or objects[0]
+    if bpy.context.window:
+        bpy.ops.ed.undo_push(message="Show the conversion")
     return ""
 
 
