@@ -6,6 +6,7 @@ second thread asks the API for counts, forecast and failures. A timer collects w
 result when its first frame is there. Nothing here waits on the main thread.
 """
 
+import http.client
 import json
 import subprocess
 import textwrap
@@ -102,7 +103,7 @@ class Conversion:
             self._is_stopping = True
             if self._process and not self._process.stdin.closed:
                 self._process.stdin.close()
-        self._tell(state="stopping" if self.is_running else "ended")
+        self._report(state="stopping")
 
     def stop_now(self) -> None:
         """Stop the daemon before Blender exits, and wait for it, but never long."""
@@ -116,9 +117,11 @@ class Conversion:
         if self._poller:
             self._poller.join(ANSWER_SECONDS + 1)
 
-    def _tell(self, **changes: Any) -> None:
+    def _report(self, **changes: Any) -> None:
         with self._lock:
-            self.progress = replace(self.progress, **changes)
+            # The answer to a last request may arrive after the end.
+            if self.is_running:
+                self.progress = replace(self.progress, **changes)
 
     def _run(self) -> None:
         """Start the daemon, and read its log to the end. Runs on a thread."""
@@ -133,7 +136,7 @@ class Conversion:
             status = None
         failed = status != 0 and not self._is_stopping
         message = "\n".join(errors) or f"the daemon ended with status {status}"
-        self._tell(state="ended", seconds_left=None, per_minute=None, error=message if failed else "")
+        self._report(state="ended", seconds_left=None, per_minute=None, error=message if failed else "")
 
     def _read_log(self, process: subprocess.Popen[str], errors: deque[str]) -> int:
         for line in process.stderr:
@@ -164,7 +167,7 @@ class Conversion:
                 now = (status["failures"], status["retries"], counts["failed"], counts["retrying"])
                 changes = {"failures": failures(address)} if now != known else {}
                 known = now
-                self._tell(
+                self._report(
                     state="stopping" if live["stopping"] or self._is_stopping else "running",
                     counts=counts,
                     per_minute=rate_of(status["samples"]),
@@ -173,7 +176,7 @@ class Conversion:
                     has_stage=self.stage.exists(),
                     **changes,
                 )
-            except (OSError, ValueError, LookupError):
+            except (OSError, http.client.HTTPException, ValueError, LookupError):
                 # It stops, or answers the next time.
                 pass
 
