@@ -9,7 +9,6 @@ result when its first frame is there. Nothing here waits on the main thread.
 import http.client
 import json
 import subprocess
-import textwrap
 import threading
 import time
 import urllib.parse
@@ -32,7 +31,6 @@ STOP_SECONDS = 2
 #: The server is on this machine, so it answers at once or hangs.
 ANSWER_SECONDS = 5
 SHOWN_FAILURES = 8
-LABEL_LETTERS = 44
 #: A file may be out of reach for a moment.
 LINK_AGAIN_SECONDS = 5
 STAGE = "shot.usda"
@@ -56,7 +54,7 @@ class Progress:
     seconds_left : float or None
         The daemon's estimate.
     failures : tuple
-        Name and reason of each frame that failed, or is tried again.
+        Name and reason of each frame that failed, or will be retried.
     troubles : tuple
         Why frames wait: a full disk, a folder that is not there.
     error : str
@@ -189,7 +187,7 @@ def answer(address: str, path: str) -> dict[str, Any]:
 
 
 def failures(address: str) -> tuple[tuple[str, str], ...]:
-    """The frames that failed, or are tried again, and their reasons."""
+    """The frames that failed, or will be retried, and their reasons."""
     found, after = [], ""
     while after is not None:
         page = answer(address, f"api/frames?limit=2000{after}")
@@ -197,7 +195,7 @@ def failures(address: str) -> tuple[tuple[str, str], ...]:
             if frame["state"] in ("failed", "retrying"):
                 # A reason begins with the path, which ends with the name.
                 reason = str(frame["reason"]).rpartition(f"{frame['name']}: ")[2]
-                again = " (is tried again)" if frame["state"] == "retrying" else ""
+                again = " (will be retried)" if frame["state"] == "retrying" else ""
                 found.append((frame["name"], reason + again))
         after = f"&after={urllib.parse.quote(page['next'])}" if page["next"] else None
     return tuple(found)
@@ -232,7 +230,7 @@ def start(scene: bpy.types.Scene) -> Conversion:
     settings = scene.meniscus_conversion
     if not settings.folder or not settings.out:
         raise ValueError("choose the folder of the particles, and a folder for the results")
-    folder, out = (Path(bpy.path.abspath(path)).absolute() for path in (settings.folder, settings.out))
+    folder, out = (sequence.absolute(path) for path in (settings.folder, settings.out))
     _conversion = Conversion(folder, out, options_of(settings))
     _scene_to_link = scene.session_uid if settings.links else None
     return _conversion
@@ -414,9 +412,7 @@ def draw_progress(box: bpy.types.UILayout, conversion: Conversion) -> None:
         box.label(text=line)
     failed = [f"{name}: {reason}" for name, reason in progress.failures[:SHOWN_FAILURES]]
     for text in [*filter(None, [_link_error]), *progress.troubles, *progress.error.splitlines(), *failed]:
-        # A label has one line, and Blender cuts it at the edge of the panel.
-        for index, line in enumerate(textwrap.wrap(text, LABEL_LETTERS)):
-            box.label(text=line, icon="BLANK1" if index else "ERROR")
+        sequence.draw_error(box, text)
     if len(progress.failures) > SHOWN_FAILURES:
         box.label(text=f"and {len(progress.failures) - SHOWN_FAILURES} more")
 
