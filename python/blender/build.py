@@ -2,7 +2,7 @@
 
     python/blender/build.py [--out FOLDER] WHEEL...
 
-Each wheel is that of pymeniscus for one platform; the extension then works on these platforms. Blender contains
+A folder stands for the wheels in it. Each wheel is that of pymeniscus for one platform; the extension then works on these platforms. Blender contains
 numpy, which is the only other package that pymeniscus needs.
 """
 
@@ -41,6 +41,21 @@ def platform_of(wheel: Path) -> str:
     raise ValueError(f"{wheel}: Blender has no platform {found[1]}")
 
 
+def wheels_of(path: Path) -> list[Path]:
+    """The wheels in a folder, or the file itself.
+
+    Raises
+    ------
+    ValueError
+        If the folder has no wheel.
+    """
+    if not path.is_dir():
+        return [path]
+    if not (wheels := sorted(path.glob("*.whl"))):
+        raise ValueError(f"{path}: the folder has no wheel")
+    return wheels
+
+
 def build(wheels: list[Path], out: Path) -> Path:
     """Writes the extension into a folder, and returns its path. The same inputs give the same bytes."""
     platforms = [platform_of(wheel) for wheel in wheels]
@@ -73,11 +88,11 @@ def listed(words) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("wheels", nargs="+", type=Path, metavar="WHEEL", help="wheel of pymeniscus")
+    parser.add_argument("wheels", nargs="+", type=Path, metavar="WHEEL", help="wheel of pymeniscus, or a folder of wheels")
     parser.add_argument("--out", type=Path, default=Path(), help="folder for the extension [default: .]")
     options = parser.parse_args()
     try:
-        print(build(options.wheels, options.out))
+        print(build([wheel for path in options.wheels for wheel in wheels_of(path)], options.out))
     except (OSError, ValueError) as error:
         sys.exit(f"build.py: {error}")
 

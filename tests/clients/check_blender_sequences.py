@@ -91,7 +91,6 @@ def prepare():
     with zipfile.ZipFile(wheels[-1]) as wheel:
         wheel.extractall(SITE)
     sys.path[:0] = [str(SITE), str(ROOT / "python" / "blender")]
-    os.environ["PYTHONPATH"] = str(SITE)
     global conversion, sequence, pymeniscus
     import pymeniscus
     from meniscus import conversion, sequence
@@ -422,7 +421,7 @@ def killed():
     faults, took = [], []
     for how in ("kill", "exit"):
         out = FOLDER / f"killed-{how}"
-        words = map(str, [ROOT / "python" / "blender", FOLDER / "in", out, how])
+        words = map(str, [ROOT / "python" / "blender", SITE, FOLDER / "in", out, how])
         command = [sys.executable, "-c", textwrap.dedent(STARTS), *words]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         pid = int(next(line for line in process.stdout if line.startswith("pid ")).split()[1])
@@ -443,18 +442,18 @@ def killed():
 STARTS = """
     import sys, time
     from pathlib import Path
-    sys.path.insert(0, sys.argv[1])
+    sys.path[:0] = sys.argv[1:3]
     import bpy
     from meniscus import conversion, sequence
 
     sequence.register()
     conversion.register()
-    daemon = conversion.Conversion(Path(sys.argv[2]), Path(sys.argv[3]), ["--format=usdc"])
+    daemon = conversion.Conversion(Path(sys.argv[3]), Path(sys.argv[4]), ["--format=usdc"])
     conversion._conversion = daemon
     while daemon.progress.state != "running":
         time.sleep(0.05)
     print("pid", daemon._process.pid, flush=True)
-    if sys.argv[4] == "kill":
+    if sys.argv[5] == "kill":
         time.sleep(600)
     conversion.unregister()
     sequence.unregister()

@@ -6,9 +6,9 @@ second thread asks the API for counts, forecast and failures. A timer collects w
 result when its first frame is there. Nothing here waits on the main thread.
 """
 
+import http.client
 import json
 import subprocess
-import textwrap
 import threading
 import time
 import urllib.parse
@@ -31,7 +31,6 @@ STOP_SECONDS = 2
 #: The server is on this machine, so it answers at once or hangs.
 ANSWER_SECONDS = 5
 SHOWN_FAILURES = 8
-LABEL_LETTERS = 44
 #: A file may be out of reach for a moment.
 LINK_AGAIN_SECONDS = 5
 STAGE = "shot.usda"
@@ -55,7 +54,7 @@ class Progress:
     seconds_left : float or None
         The daemon's estimate.
     failures : tuple
-        Name and reason of each frame that failed, or is tried again.
+        Name and reason of each frame that failed, or will be retried.
     troubles : tuple
         Why frames wait: a full disk, a folder that is not there.
     error : str
@@ -102,7 +101,7 @@ class Conversion:
             self._is_stopping = True
             if self._process and not self._process.stdin.closed:
                 self._process.stdin.close()
-        self._tell(state="stopping" if self.is_running else "ended")
+        self._report(state="stopping")
 
     def stop_now(self) -> None:
         """Stop the daemon before Blender exits, and wait for it, but never long."""
@@ -116,9 +115,11 @@ class Conversion:
         if self._poller:
             self._poller.join(ANSWER_SECONDS + 1)
 
-    def _tell(self, **changes: Any) -> None:
+    def _report(self, **changes: Any) -> None:
         with self._lock:
-            self.progress = replace(self.progress, **changes)
+            # The answer to a last request may arrive after the end.
+            if self.is_running:
+                self.progress = replace(self.progress, **changes)
 
     def _run(self) -> None:
         """Start the daemon, and read its log to the end. Runs on a thread."""
@@ -133,7 +134,7 @@ class Conversion:
             status = None
         failed = status != 0 and not self._is_stopping
         message = "\n".join(errors) or f"the daemon ended with status {status}"
-        self._tell(state="ended", seconds_left=None, per_minute=None, error=message if failed else "")
+        self._report(state="ended", seconds_left=None, per_minute=None, error=message if failed else "")
 
     def _read_log(self, process: subprocess.Popen[str], errors: deque[str]) -> int:
         for line in process.stderr:
@@ -164,7 +165,7 @@ class Conversion:
                 now = (status["failures"], status["retries"], counts["failed"], counts["retrying"])
                 changes = {"failures": failures(address)} if now != known else {}
                 known = now
-                self._tell(
+                self._report(
                     state="stopping" if live["stopping"] or self._is_stopping else "running",
                     counts=counts,
                     per_minute=rate_of(status["samples"]),
@@ -173,7 +174,7 @@ class Conversion:
                     has_stage=self.stage.exists(),
                     **changes,
                 )
-            except (OSError, ValueError, LookupError):
+            except (OSError, http.client.HTTPException, ValueError, LookupError):
                 # It stops, or answers the next time.
                 pass
 
@@ -186,7 +187,7 @@ def answer(address: str, path: str) -> dict[str, Any]:
 
 
 def failures(address: str) -> tuple[tuple[str, str], ...]:
-    """The frames that failed, or are tried again, and their reasons."""
+    """The frames that failed, or will be retried, and their reasons."""
     found, after = [], ""
     while after is not None:
         page = answer(address, f"api/frames?limit=2000{after}")
@@ -194,7 +195,7 @@ def failures(address: str) -> tuple[tuple[str, str], ...]:
             if frame["state"] in ("failed", "retrying"):
                 # A reason begins with the path, which ends with the name.
                 reason = str(frame["reason"]).rpartition(f"{frame['name']}: ")[2]
-                again = " (is tried again)" if frame["state"] == "retrying" else ""
+                again = " (will be retried)" if frame["state"] == "retrying" else ""
                 found.append((frame["name"], reason + again))
         after = f"&after={urllib.parse.quote(page['next'])}" if page["next"] else None
     return tuple(found)
@@ -229,7 +230,7 @@ def start(scene: bpy.types.Scene) -> Conversion:
     settings = scene.meniscus_conversion
     if not settings.folder or not settings.out:
         raise ValueError("choose the folder of the particles, and a folder for the results")
-    folder, out = (Path(bpy.path.abspath(path)).absolute() for path in (settings.folder, settings.out))
+    folder, out = (sequence.absolute(path) for path in (settings.folder, settings.out))
     _conversion = Conversion(folder, out, options_of(settings))
     _scene_to_link = scene.session_uid if settings.links else None
     return _conversion
@@ -253,24 +254,34 @@ def options_of(settings: "MENISCUS_PG_conversion") -> list[str]:
 
 def tick() -> float:
     """Show what the threads have found, and link the result once."""
-    global _scene_to_link, _shown, _link_error, _next_link
+    global _shown
     if not _conversion:
         return TICK_SECONDS
     progress = _conversion.progress
     if progress is not _shown:
         _shown = progress
         sequence.redraw()
-    can_link = bpy.context.mode == "OBJECT" and not bpy.app.is_job_running("RENDER")
-    can_link = can_link and time.monotonic() >= _next_link
-    if progress.has_stage and _scene_to_link is not None and can_link:
-        scene = next((scene for scene in bpy.data.scenes if scene.session_uid == _scene_to_link), None)
-        # Another scene may be in the window now: it waits for its own. Another file may be open: there is none.
-        if scene == bpy.context.scene and not is_linked(scene, _conversion.stage):
-            _link_error = link(scene, _conversion.stage)
-            _next_link = time.monotonic() + LINK_AGAIN_SECONDS
-        if not _link_error and (scene is None or scene == bpy.context.scene):
-            _scene_to_link = None
+    if progress.has_stage and _scene_to_link is not None:
+        # Only with a window does the context have a mode.
+        with sequence.in_window():
+            link_when_possible()
     return TICK_SECONDS
+
+
+def link_when_possible() -> None:
+    """Link the result, unless Blender is busy, another scene is in the window, or it failed just now."""
+    global _scene_to_link, _link_error, _next_link
+    can_link = bpy.context.mode == "OBJECT" and not bpy.app.is_job_running("RENDER")
+    if not can_link or time.monotonic() < _next_link:
+        return
+    scene = next((scene for scene in bpy.data.scenes if scene.session_uid == _scene_to_link), None)
+    # Another scene may be in the window now: it waits for its own. Another file may be open: there is none.
+    if scene == bpy.context.scene and not is_linked(scene, _conversion.stage):
+        _link_error = link(scene, _conversion.stage)
+        _next_link = time.monotonic() + LINK_AGAIN_SECONDS
+        sequence.redraw()
+    if not _link_error and (scene is None or scene == bpy.context.scene):
+        _scene_to_link = None
 
 
 def is_linked(scene: bpy.types.Scene, stage: Path) -> bool:
@@ -278,16 +289,19 @@ def is_linked(scene: bpy.types.Scene, stage: Path) -> bool:
 
 
 def link(scene: bpy.types.Scene, stage: Path) -> str:
-    """Import the stage, and keep the user's selection: nobody pressed a button at this moment. Returns why it
-    failed."""
-    selected, active = bpy.context.selected_objects, bpy.context.view_layer.objects.active
+    """Import the stage, and keep the user's selection: a timer calls this. Returns why it failed."""
+    layer = bpy.context.view_layer
+    selected, active = layer.objects.selected[:], layer.objects.active
     try:
         objects = sequence.import_sequence(scene, stage)
     except (OSError, ValueError, RuntimeError) as error:
         return f"{stage.name} could not be imported: {error}"
-    for obj in scene.objects:
+    # The layer lacks the objects of excluded collections, which cannot be selected.
+    for obj in layer.objects:
         obj.select_set(obj in selected)
-    bpy.context.view_layer.objects.active = active or objects[0]
+    layer.objects.active = active or objects[0]
+    if bpy.context.window:
+        bpy.ops.ed.undo_push(message="Show the conversion")
     return ""
 
 
@@ -398,9 +412,7 @@ def draw_progress(box: bpy.types.UILayout, conversion: Conversion) -> None:
         box.label(text=line)
     failed = [f"{name}: {reason}" for name, reason in progress.failures[:SHOWN_FAILURES]]
     for text in [*filter(None, [_link_error]), *progress.troubles, *progress.error.splitlines(), *failed]:
-        # A label has one line, and Blender cuts it at the edge of the panel.
-        for index, line in enumerate(textwrap.wrap(text, LABEL_LETTERS)):
-            box.label(text=line, icon="BLANK1" if index else "ERROR")
+        sequence.draw_error(box, text)
     if len(progress.failures) > SHOWN_FAILURES:
         box.label(text=f"and {len(progress.failures) - SHOWN_FAILURES} more")
 

@@ -13,6 +13,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+#: A file may be on a disk that does not respond.
+INFO_SECONDS = 30
 #: The command ends when its standard input does: so also when Blender crashes or is killed.
 ENDS_WITH_INPUT = """
 import os, signal, sys, threading
@@ -49,15 +51,19 @@ def info(path: Path) -> dict[str, Any]:
     ValueError
         If the file cannot be read; with the command's reason.
     """
-    done = subprocess.run(
-        [sys.executable, "-m", "pymeniscus", "info", "--json", str(path)],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        errors="replace",
-        **_surroundings(),
-    )
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "pymeniscus", "info", "--json", str(path)],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+            timeout=INFO_SECONDS,
+            **_surroundings(),
+        )
+    except subprocess.TimeoutExpired:
+        raise ValueError(f"{path} did not respond for {INFO_SECONDS} s") from None
     try:
         return json.loads(done.stdout)[0]
     except (ValueError, LookupError):

@@ -11,7 +11,9 @@ Files of a growing sequence are read on a thread. A timer collects what it found
 
 import bisect
 import math
+import os
 import re
+import textwrap
 import threading
 import time
 from collections.abc import Iterable
@@ -26,6 +28,7 @@ from mathutils import Matrix
 from . import program
 
 FOLLOW_SECONDS = 1.0
+LABEL_LETTERS = 44
 #: Rotates coordinates with Y up to Z up.
 TO_Z_UP = Matrix.Rotation(math.radians(90), 4, "X")
 #: Keeps a rounding error of a driver or of a key below the frame that it means.
@@ -64,7 +67,7 @@ def read_shot(path: Path) -> Shot:
     Raises
     ------
     OSError, ValueError
-        If the file cannot be read, or is no sequence. The message says what to do.
+        If the file cannot be read, or is not a sequence. The message says what to do.
     """
     if path.suffix == ".vdb":
         return read_volumes(path)
@@ -149,8 +152,7 @@ def import_sequence(scene: bpy.types.Scene, path: Path) -> list[bpy.types.Object
         source.offset, source.keeps_rate, source.follows = settings.offset, settings.keeps_rate, bool(shot.frames)
         source.anchor, source.first, source.last = shot.first, shot.first, shot.last
         source.fps = shot.fps or settings.fps or rate_of(scene)
-        source.path = str(path)
-    _known[str(path)] = shot
+        _known[source.path] = shot
     if not settings.keeps_rate:
         set_rate(scene, objects[0].meniscus_sequence.fps)
     for obj in objects:
@@ -209,7 +211,7 @@ def add_volumes(scene: bpy.types.Scene, path: Path, _shot: Shot) -> list[bpy.typ
         modifier = mesh.modifiers.new("surface", "VOLUME_TO_MESH")
         modifier.object, modifier.grid_name, modifier.threshold = volume, "surface", 0.0
         modifier.resolution_mode, modifier.use_smooth_shade = "GRID", True
-        # The modifier takes values for those of cell centres, so it moves the surface by half a voxel.
+        # The modifier reads grid values as cell centres, which moves the surface by half a voxel.
         volume.matrix_world = Matrix.Translation((-voxel_size / 2,) * 3) @ volume.matrix_world
         volume.parent, volume.hide_viewport, volume.hide_render = mesh, True, True
     return [volume]
@@ -243,6 +245,19 @@ def name_of(obj: bpy.types.Object, path: Path) -> str:
     """The sequence's name in a stage, /root/NAME/surface; the name of the file for a shot of one mesh."""
     parts = modifier_of(obj).object_path.strip("/").split("/")
     return parts[1] if path.suffix != ".abc" and len(parts) > 2 else path.stem
+
+
+def absolute(path: str, library: bpy.types.Library | None = None) -> Path:
+    """A path of Blender, which may be relative to the .blend, or to the library that contains it."""
+    return Path(os.path.abspath(bpy.path.abspath(path, library=library)))
+
+
+def path_of(source: "MENISCUS_PG_sequence") -> str:
+    """The file that the object of a sequence reads, wherever the project is now; empty for other objects."""
+    obj = source.id_data
+    modifier = modifier_of(obj)
+    data = obj.data if obj.type == "VOLUME" else modifier and modifier.cache_file
+    return str(absolute(data.filepath, data.library)) if source.fps and data else ""
 
 
 def in_window() -> AbstractContextManager[None]:
@@ -318,7 +333,8 @@ def drive_volume(volume: bpy.types.Volume, source: "MENISCUS_PG_sequence", scene
     while curve.modifiers:
         curve.modifiers.remove(curve.modifiers[0])
     keys = curve.keyframe_points
-    keys.add(len(numbers) - len(keys))
+    keys.clear()
+    keys.add(len(numbers))
     places = [(scene_frame_of(number, source, scene) - TINY, number - 1) for number in numbers]
     keys.foreach_set("co", [value for place in places for value in place])
     for key in keys:
@@ -356,23 +372,30 @@ class Reading(threading.Thread):
         super().__init__(name="meniscus-sequence", daemon=True)
         self.paths, self.known = paths, dict(_known)
         self.changed: dict[str, Shot] = {}
+        self.errors: dict[str, str] = {}
         self.start()
 
     def run(self) -> None:
-        self.changed = look(self.paths, self.known)
+        self.changed, self.errors = look(self.paths, self.known)
 
 
 _known: dict[str, Shot] = {}
 _reading: Reading | None = None
+#: Why files cannot be read now.
+_errors: dict[str, str] = {}
+#: Why Blender could not show the sequences that have changed, and these: they will be shown the next time.
+_grow_error = ""
+_waiting: set[str] = set()
 
 
 def followed() -> list[bpy.types.Object]:
     return [obj for obj in bpy.data.objects if obj.meniscus_sequence.path and obj.meniscus_sequence.follows]
 
 
-def look(paths: Iterable[str], known: dict[str, Shot]) -> dict[str, Shot]:
-    """The sequences that have changed. Runs on the thread: touches no data of Blender."""
-    changed = {}
+def look(paths: Iterable[str], known: dict[str, Shot]) -> tuple[dict[str, Shot], dict[str, str]]:
+    """The sequences that have changed, and why others cannot be read. Runs on the thread: touches no data of
+    Blender."""
+    changed, errors = {}, {}
     for name in paths:
         path = Path(name)
         try:
@@ -382,33 +405,50 @@ def look(paths: Iterable[str], known: dict[str, Shot]) -> dict[str, Shot]:
             shot = read_shot(path)
             if not before or shot.stamp != before.stamp:
                 changed[name] = shot
-        except (OSError, ValueError):
+        except (OSError, ValueError) as error:
             # It may be on a disk that is gone for now: the scene keeps what it shows.
-            continue
-    return changed
+            errors[name] = getattr(error, "strerror", None) or str(error)
+    return changed, errors
 
 
 def tick() -> float:
     """Collect what the thread has read, and let it look again."""
-    global _reading
+    global _reading, _errors
     # Data must not change during a render; what was read waits.
     if bpy.app.is_job_running("RENDER"):
         return FOLLOW_SECONDS
     start = time.perf_counter()
     if _reading and not _reading.is_alive():
         _known.update(_reading.changed)
-        changed, _reading = set(_reading.changed), None
+        if _reading.errors != _errors:
+            _errors = _reading.errors
+            redraw()
+        changed, _reading = set(_reading.changed) | _waiting, None
         # After an undo, an object may have the range of before.
         for obj in followed():
             source = obj.meniscus_sequence
             shot = _known.get(source.path)
             if shot and (source.first, source.last) != (shot.first, shot.last):
                 changed.add(source.path)
-        grow(changed)
+        try_to_grow(changed)
     if not _reading and (paths := {obj.meniscus_sequence.path for obj in followed()}):
         _reading = Reading(paths)
     # Blender opens a stage of thousands of frames in 0.1 s: it may take a twentieth of the time.
     return max(FOLLOW_SECONDS, 20 * (time.perf_counter() - start))
+
+
+def try_to_grow(changed: set[str]) -> None:
+    """Show the sequences that have changed, now or the next time."""
+    global _grow_error, _waiting
+    was = _grow_error
+    try:
+        grow(changed)
+        _grow_error, _waiting = "", set()
+    except RuntimeError as error:
+        # An operator of Blender failed. A timer that raises would not be called again.
+        _grow_error, _waiting = str(error).strip(), changed
+    if was != _grow_error:
+        redraw()
 
 
 def grow(changed: set[str]) -> None:
@@ -507,7 +547,7 @@ class MENISCUS_PG_import(bpy.types.PropertyGroup):
 class MENISCUS_PG_sequence(bpy.types.PropertyGroup):
     """The sequence that an object shows."""
 
-    path: StringProperty(name="File", subtype="FILE_PATH")
+    path: StringProperty(name="File", get=path_of)
     first: IntProperty(description="The first frame now")
     last: IntProperty(description="The last frame now")
     anchor: IntProperty(description="The first frame when it was imported, from which times are counted")
@@ -535,8 +575,7 @@ class MENISCUS_OT_sequence_import(bpy.types.Operator):
         scene = context.scene
         rate = rate_of(scene)
         try:
-            path = Path(bpy.path.abspath(scene.meniscus_sequence.path)).absolute()
-            objects = import_sequence(scene, path)
+            objects = import_sequence(scene, absolute(scene.meniscus_sequence.path))
         except (OSError, ValueError, RuntimeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -562,13 +601,14 @@ class MENISCUS_OT_sequence_reload(bpy.types.Operator):
     bl_label = "Reload"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        global _errors
         # Blender keeps .vdb files in a cache even if they have changed: a limit of 0 empties it.
         system = context.preferences.system
         limit, system.memory_cache_limit = system.memory_cache_limit, 0
         try:
-            found = look({obj.meniscus_sequence.path for obj in followed()}, {})
+            found, _errors = look({obj.meniscus_sequence.path for obj in followed()}, {})
             _known.update(found)
-            grow(set(found))
+            try_to_grow(set(found))
             for volume in {obj.data for obj in followed() if obj.type == "VOLUME"}:
                 volume.filepath = volume.filepath
             context.view_layer.update()
@@ -608,10 +648,20 @@ def draw_sequence(box: bpy.types.UILayout, obj: bpy.types.Object, scene: bpy.typ
     box.label(text=f"{obj.name}: frames {source.first} to {source.last}{words}")
     if held := shown_in_place(obj, scene):
         box.label(text=f"Frame {held[0]} is missing: shows {held[1]}", icon="ERROR")
+    if source.path in _errors:
+        draw_error(box, f"cannot read {source.path}: {_errors[source.path]}")
+    if source.path in _waiting:
+        draw_error(box, _grow_error)
     box.prop(source, "offset")
     box.prop(source, "keeps_rate")
     if frames:
         box.prop(source, "follows")
+
+
+def draw_error(box: bpy.types.UILayout, text: str) -> None:
+    # A label has one line, and Blender cuts it at the edge of the panel.
+    for index, line in enumerate(textwrap.wrap(text, LABEL_LETTERS)):
+        box.label(text=line, icon="BLANK1" if index else "ERROR")
 
 
 CLASSES = (
@@ -632,10 +682,10 @@ def register() -> None:
 
 
 def unregister() -> None:
-    global _reading
+    global _reading, _errors, _grow_error, _waiting
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
-    _reading = None
+    _reading, _errors, _grow_error, _waiting = None, {}, "", set()
     _known.clear()
     del bpy.types.Object.meniscus_sequence, bpy.types.Scene.meniscus_sequence
     for kind in reversed(CLASSES):
