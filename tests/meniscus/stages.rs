@@ -256,7 +256,7 @@ fn sequences_have_the_same_prims_from_shards() {
         "def Xform \"dam\" (",
         "def Xform \"spray\" (",
         "def Xform \"run_0002\" (",
-        "(99, 0), (100, 1), (199, 1), (200, 2)]",
+        "(99.9990234375, 0), (100, 1), (199.9990234375, 1), (200, 2)]",
         "asset manifestAssetPath = @./s.usda@",
         "    over \"surface\"\n    {\n        float3[] extent\n",
     ] {

@@ -6,7 +6,6 @@ use std::io::{Read, Seek, SeekFrom};
 use serde_json::{Map, Value};
 
 use super::buffer::invalid;
-use super::placement::{FramePlacement, POSITION};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, component};
 use crate::error::{Error, Position, Result};
 use crate::mesh_options::UpAxis;
@@ -22,6 +21,9 @@ pub struct GlbFrame {
     pub(crate) bin_bytes: u64,
 }
 
+/// The name of positions in the files of the frames.
+pub(crate) const POSITION: &str = "POSITION";
+
 /// Limit for the JSON text of a frame, in bytes.
 const JSON_BYTES_MAX: u64 = 64 << 20;
 
@@ -34,6 +36,16 @@ pub(crate) struct VertexColumn {
     /// Offset from the start of the file.
     start: u64,
     stride_bytes: usize,
+}
+
+/// The placement of a frame in the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct FramePlacement {
+    pub(crate) up: UpAxis,
+    /// The point that positions are relative to, in the axes of the particles.
+    pub(crate) origin: [f64; 3],
+    /// The scale of the node: the edge length of the cube of quantized positions, otherwise 1.
+    pub(crate) scale: f64,
 }
 
 impl GlbFrame {

@@ -47,8 +47,8 @@ pub use vertex_data::attribute_notes;
 pub(crate) use vertex_data::loss_notes;
 pub use write::{write_glb, write_gltf};
 
-pub(crate) use frame_file::VertexColumn;
-pub(crate) use placement::{POSITION, PositionTransform, SequencePlacement};
+pub(crate) use frame_file::{POSITION, VertexColumn};
+pub(crate) use placement::{PositionTransform, SequencePlacement};
 
 use read_provenance::{glb_bytes_declared, json_of_glb_head, read_provenance};
 

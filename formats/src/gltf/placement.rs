@@ -1,24 +1,11 @@
-//! The placement of frames in the world, and of the frames of a sequence relative to one origin.
+//! The placement of the frames of a sequence, relative to one origin.
 
 use std::io::{Read, Seek};
 
-use super::frame_file::GlbFrame;
+use super::frame_file::{FramePlacement, GlbFrame, POSITION};
 use super::sequence::SequenceFrame;
 use crate::error::{Error, Position, Result};
 use crate::mesh_options::UpAxis;
-
-/// The name of positions in the files of the frames.
-pub(crate) const POSITION: &str = "POSITION";
-
-/// The placement of a frame in the world.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct FramePlacement {
-    pub(crate) up: UpAxis,
-    /// The point that positions are relative to, in the axes of the particles.
-    pub(crate) origin: [f64; 3],
-    /// The scale of the node: the edge length of the cube of quantized positions, otherwise 1.
-    pub(crate) scale: f64,
-}
 
 /// The placement of all frames of a sequence.
 ///
