@@ -44,7 +44,7 @@ pub struct EmbeddedSurface<'a> {
     pub surface: &'a FrameSurface,
     /// The settings that it was reconstructed with.
     pub settings: &'a Arc<Settings>,
-    /// The names and hashes of its obstacles, as [`in_memory_obstacle`] returns them, joined by commas.
+    /// The names and hashes of its obstacles, as [`InMemoryObstacle`] has them, joined by commas.
     pub obstacles: &'a str,
 }
 
