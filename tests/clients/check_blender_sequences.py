@@ -38,7 +38,7 @@ from mathutils import Matrix
 
 from check_blender import new_material, positions_of, render, stage, to_log, transformed
 from mesh_files import read_ply
-from project import OWN, ROOT, TARGET, WORK, Check
+from project import OWN, ROOT, STRICT_TIMES, TARGET, WORK, Check
 
 HERE = Path(__file__).resolve().parent
 FOLDER = WORK / "sequences"
@@ -47,9 +47,8 @@ SIMULATOR = WORK / "simulators" / "bin" / "python"
 TURN = Matrix.Rotation(np.pi / 2, 4, "X")
 FPS = 24
 NUMBERS = (1, 2, 3, 5, 6, 7, 8)
-# The main thread may be busy for this time; a shared machine gets three times as much.
+# The main thread may be busy for this time.
 TICK_MAX_SECONDS = 0.05
-TICK_FAILS_SECONDS = 3 * TICK_MAX_SECONDS
 PATIENCE_SECONDS = 240
 
 
@@ -382,7 +381,7 @@ def growing():
         attributes = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.attributes
         if not len(shown(obj)) or "velocity" not in attributes:
             faults.append(f"frame {frame} is empty, or has no velocities")
-    faults += [f"{name} took {took:.3f} s" for name, took in slowest.items() if took > TICK_FAILS_SECONDS]
+    faults += [f"{name} took {took:.3f} s" for name, took in slowest.items() if STRICT_TIMES and took > TICK_MAX_SECONDS]
     times = ", ".join(f"{name} {1000 * took:.0f} ms" for name, took in slowest.items())
     figures = f"{len(frames)} frames, {len(seen)} states seen meanwhile, {counts}; {said[-3:]}; at most {times}"
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "live.blend"))
