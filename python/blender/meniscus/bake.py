@@ -4,10 +4,7 @@ The result needs no extension: Blender's modifier Mesh Sequence Cache reads it.
 """
 
 import contextlib
-import os
 import shutil
-import subprocess
-import sys
 import tempfile
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -17,7 +14,7 @@ import bpy
 import pymeniscus
 from bpy.props import BoolProperty, IntProperty, StringProperty
 
-from . import live, sequence
+from . import live, program, sequence
 from .points import PointsError
 from .worker import Request, compute
 
@@ -128,19 +125,11 @@ class Bake:
             raise InterruptedError("cancelled")
 
     def _combine(self) -> str:
-        """Combines the frames with the command line, in a Python that finds the package where Blender has it."""
+        """Combines the frames with the command line."""
         words = [str(self._folder), "-o", str(self.file), "--fps", f"{self._fps:.9g}"]
         words += ["--meters-per-unit", f"{self._scale:.9g}"]
-        home = str(Path(pymeniscus.__file__).parents[1])
         try:
-            ran = subprocess.run(
-                [sys.executable, "-m", "pymeniscus", "sequence", *words],
-                env={**os.environ, "PYTHONPATH": home},
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                encoding="utf-8",
-                errors="replace",
-            )
+            ran = program.run(["sequence", *words])
         except OSError as error:
             return f"the command `sequence` did not start: {error}"
         # With status 1 the file lacks some frames; with others it was not written.

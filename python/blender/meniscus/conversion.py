@@ -22,6 +22,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from . import program, sequence
+from .panel import Panel, draw_text
 
 TICK_SECONDS = 0.5
 #: The rate is that of this time.
@@ -387,11 +388,8 @@ class MENISCUS_OT_conversion_stop(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class MENISCUS_PT_conversion(bpy.types.Panel):
+class MENISCUS_PT_conversion(Panel, bpy.types.Panel):
     bl_label = "Convert in the background"
-    bl_category = "meniscus"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.meniscus_conversion
@@ -412,7 +410,7 @@ def draw_progress(box: bpy.types.UILayout, conversion: Conversion) -> None:
         box.label(text=line)
     failed = [f"{name}: {reason}" for name, reason in progress.failures[:SHOWN_FAILURES]]
     for text in [*filter(None, [_link_error]), *progress.troubles, *progress.error.splitlines(), *failed]:
-        sequence.draw_error(box, text)
+        draw_text(box, text)
     if len(progress.failures) > SHOWN_FAILURES:
         box.label(text=f"and {len(progress.failures) - SHOWN_FAILURES} more")
 

@@ -12,7 +12,6 @@ import atexit
 import contextlib
 import functools
 import queue
-import textwrap
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
@@ -24,13 +23,13 @@ from bpy.app.handlers import persistent
 from bpy.props import BoolProperty, FloatProperty, PointerProperty, StringProperty
 
 from . import meshes, options
+from .panel import Panel, draw_text
 from .points import PointsError, read, varies
 from .worker import Request, Result, Worker, compute
 
 TICK_SECONDS = 0.02
 # How long a render waits for the main thread to write a mesh, before it reports an error.
 WRITE_SECONDS = 30.0
-LABEL_LETTERS = 44
 
 worker = Worker()
 
@@ -483,12 +482,6 @@ class MENISCUS_OT_measure_spacing(bpy.types.Operator):
 # Panels
 
 
-class Panel:
-    bl_category = "meniscus"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-
-
 class MENISCUS_PT_surface(Panel, bpy.types.Panel):
     bl_label = "Live surface"
 
@@ -522,9 +515,7 @@ def draw_status(layout: bpy.types.UILayout, surface: bpy.types.Object) -> None:
     elif status.made:
         layout.label(text=status.made)
     for text, icon in ((status.error, "ERROR"), (status.note, "INFO")):
-        # A label does not wrap its text.
-        for number, line in enumerate(textwrap.wrap(text, LABEL_LETTERS)):
-            layout.label(text=line, icon=icon if number == 0 else "BLANK1")
+        draw_text(layout, text, icon)
 
 
 class SurfacePanel(Panel):

@@ -43,6 +43,28 @@ def start(arguments: list[str]) -> subprocess.Popen[str]:
     )
 
 
+def run(arguments: list[str], timeout: float | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end.
+
+    Raises
+    ------
+    OSError
+        If it does not start.
+    subprocess.TimeoutExpired
+        If it takes longer than `timeout`, in seconds.
+    """
+    return subprocess.run(
+        [sys.executable, "-m", "pymeniscus", *arguments],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+        timeout=timeout,
+        **_surroundings(),
+    )
+
+
 def info(path: Path) -> dict[str, Any]:
     """What the command `info` says about a file.
 
@@ -52,16 +74,7 @@ def info(path: Path) -> dict[str, Any]:
         If the file cannot be read; with the command's reason.
     """
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", "pymeniscus", "info", "--json", str(path)],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            encoding="utf-8",
-            errors="replace",
-            timeout=INFO_SECONDS,
-            **_surroundings(),
-        )
+        done = run(["info", "--json", str(path)], INFO_SECONDS)
     except subprocess.TimeoutExpired:
         raise ValueError(f"{path} did not respond for {INFO_SECONDS} s") from None
     try:

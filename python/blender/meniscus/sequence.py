@@ -13,7 +13,6 @@ import bisect
 import math
 import os
 import re
-import textwrap
 import threading
 import time
 from collections.abc import Iterable
@@ -26,13 +25,16 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, Po
 from mathutils import Matrix
 
 from . import program
+from .panel import Panel, draw_text
 
 FOLLOW_SECONDS = 1.0
-LABEL_LETTERS = 44
 #: Rotates coordinates with Y up to Z up.
 TO_Z_UP = Matrix.Rotation(math.radians(90), 4, "X")
 #: Keeps a rounding error of a driver or of a key below the frame that it means.
 TINY = 1e-3
+#: The default prim of a stage, and where it has the mesh of a sequence, by the sequence's name.
+ROOT = "root"
+MESH_PATH = f"/{ROOT}/{{}}/surface"
 
 
 # Files
@@ -232,9 +234,9 @@ def read_from_file(path: Path, shot: Shot, added: set[bpy.types.Object]) -> None
         name = max((name for name in shot.frames if parent.startswith(name)), key=len, default=None)
         if name:
             modifier = obj.modifiers.new("MeshSequenceCache", "MESH_SEQUENCE_CACHE")
-            modifier.cache_file, modifier.object_path = cache, f"/root/{name}/surface"
+            modifier.cache_file, modifier.object_path = cache, MESH_PATH.format(name)
             place = obj.constraints.new("TRANSFORM_CACHE")
-            place.cache_file, place.object_path = cache, f"/root/{name}/surface"
+            place.cache_file, place.object_path = cache, MESH_PATH.format(name)
 
 
 def modifier_of(obj: bpy.types.Object) -> bpy.types.MeshSequenceCacheModifier | None:
@@ -242,7 +244,7 @@ def modifier_of(obj: bpy.types.Object) -> bpy.types.MeshSequenceCacheModifier | 
 
 
 def name_of(obj: bpy.types.Object, path: Path) -> str:
-    """The sequence's name in a stage, /root/NAME/surface; the name of the file for a shot of one mesh."""
+    """The sequence's name in a stage, from the path of its mesh; the name of the file for a shot of one mesh."""
     parts = modifier_of(obj).object_path.strip("/").split("/")
     return parts[1] if path.suffix != ".abc" and len(parts) > 2 else path.stem
 
@@ -617,11 +619,8 @@ class MENISCUS_OT_sequence_reload(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class MENISCUS_PT_sequence(bpy.types.Panel):
+class MENISCUS_PT_sequence(Panel, bpy.types.Panel):
     bl_label = "Import sequence"
-    bl_category = "meniscus"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.meniscus_sequence
@@ -649,19 +648,13 @@ def draw_sequence(box: bpy.types.UILayout, obj: bpy.types.Object, scene: bpy.typ
     if held := shown_in_place(obj, scene):
         box.label(text=f"Frame {held[0]} is missing: shows {held[1]}", icon="ERROR")
     if source.path in _errors:
-        draw_error(box, f"cannot read {source.path}: {_errors[source.path]}")
+        draw_text(box, f"cannot read {source.path}: {_errors[source.path]}")
     if source.path in _waiting:
-        draw_error(box, _grow_error)
+        draw_text(box, _grow_error)
     box.prop(source, "offset")
     box.prop(source, "keeps_rate")
     if frames:
         box.prop(source, "follows")
-
-
-def draw_error(box: bpy.types.UILayout, text: str) -> None:
-    # A label has one line, and Blender cuts it at the edge of the panel.
-    for index, line in enumerate(textwrap.wrap(text, LABEL_LETTERS)):
-        box.label(text=line, icon="BLANK1" if index else "ERROR")
 
 
 CLASSES = (
