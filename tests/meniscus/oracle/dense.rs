@@ -42,13 +42,13 @@ impl Grid {
 
     /// Number of voxels.
     pub(super) fn len(&self) -> usize {
-        self.size.as_usizevec3().element_product()
+        self.size.to_array().iter().map(|&along| along as usize).product()
     }
 
     /// The index of a voxel's value.
     pub(super) fn index(&self, voxel: IVec3) -> usize {
-        let local = (voxel - self.min).as_usizevec3();
-        (local.x * self.size.y as usize + local.y) * self.size.z as usize + local.z
+        let [x, y, z] = (voxel - self.min).to_array().map(|along| along as usize);
+        (x * self.size.y as usize + y) * self.size.z as usize + z
     }
 
     /// The indices of the six face neighbours: two for each axis.
