@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import platform
 import threading
 import time
@@ -399,6 +400,33 @@ def test_obstacles_are_not_entered(block, tmp_path):
         pm.Obstacle(box, faces + 5)
     with pytest.raises(TypeError, match="obstacle"):
         pm.reconstruct(block, obstacles=[3])
+
+
+def test_obstacle_out_of_reach_is_warned_about(block):
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    near, far = pm.Obstacle(corners + [1, 0, 0], faces), pm.Obstacle(corners + [100, 0, 0], faces)
+    with pytest.warns(UserWarning, match="too far from the particles to have an effect: it spans \\(100, 0, 0\\)") as caught:
+        made = pm.reconstruct(block, spacing=0.1, obstacles=[near, far])
+    assert len([text for text in made.warnings if "too far" in text]) == 1
+    assert [warning.filename for warning in caught if "too far" in str(warning.message)] == [__file__]
+    assert not any("too far" in text for text in pm.reconstruct(block, spacing=0.1, obstacles=near).warnings)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may read every file")
+def test_file_without_permission_raises_permission_error(surface, frame, tmp_path):
+    secret = tmp_path / frame.name
+    secret.write_bytes(frame.read_bytes())
+    secret.chmod(0)
+    with pytest.raises(PermissionError) as caught:
+        pm.read(secret)
+    assert caught.value.filename == str(secret)
+    with pytest.raises(PermissionError):
+        pm.Obstacle.from_file(secret)
+    folder = tmp_path / "closed"
+    folder.mkdir(mode=0o500)
+    with pytest.raises(PermissionError):
+        surface.write(folder / "surface.glb")
 
 
 def test_scratch_files_make_the_same_surface(tmp_path):
