@@ -103,8 +103,9 @@ def test_watch_reports_failed_frames(frame, tmp_path):
     cache = tmp_path / "cache"
     cache.mkdir()
     (cache / "dam.1.ply").write_text("ply\nformat nonsense 1.0\n")
+    shutil.copy(frame, cache / f"other{frame.suffix}")
     with pm.watch(cache, tmp_path / "out", once=True, format="glb") as frames:
-        (failed,) = frames
+        (failed,) = [finished for finished in frames if finished.state != "converted"]
     assert (failed.path, failed.state, failed.outputs) == (cache / "dam.1.ply", "failed", ()) and frames.status == 1
     assert "nonsense" in failed.message
 

@@ -90,7 +90,7 @@ def test_options_without_effect_are_warned_about(block, options, text):
         ({"radius_attribute": "size"}, pm.ParticleError, "no attribute `size`, which `radius_attribute` needs"),
         ({"radii": [0] * 1000}, pm.ParticleError, "no positive value, but `radius_attribute` needs radii"),
         ({"anisotropy": "velocity"}, pm.ParticleError, 'no attribute `velocity`, which `anisotropy="velocity"` needs'),
-        ({"voxel_size": 1e-9}, pm.ParticleError, "the voxel size 0.000000001 is too small"),
+        ({"voxel_size": 1e-9}, pm.OptionError, "the voxel size 1e-9 is too small"),
         ({"memory": "1KiB"}, pm.MemoryLimitError, "the limit is 0 MiB: raise it or choose larger voxels"),
     ],
 )

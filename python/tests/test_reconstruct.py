@@ -301,6 +301,12 @@ def test_threads_do_not_change_bytes(block, surface):
 
 @pytest.mark.skipif(platform.machine() != "x86_64" or platform.libc_ver()[0] != "glibc", reason="knows one fenv_t")
 def test_floating_point_mode_of_the_caller_does_not_change_bytes(block, surface):
+    # Denormal numbers of float64: 1e-310 has no float32, and 1e-40 is a denormal number there as well.
+    points = np.where(block == 0, 1e-310, block.astype(np.float64))
+    tiny = {"tiny": np.full(len(block), 1e-40)}
+    denormal = pm.reconstruct(points, spacing=0.1, attributes=tiny)
+    assert np.allclose(denormal.attributes["tiny"], np.float32(1e-40), rtol=1e-3, atol=0)
+    assert same(denormal, pm.reconstruct(block.astype(np.float64), spacing=0.1))
     # Taichi and programs linked with -ffast-math flush denormals to zero, and new threads inherit the mode.
     libm, saved = ctypes.CDLL("libm.so.6"), (ctypes.c_uint32 * 8)()
     libm.fegetenv(saved)
@@ -310,9 +316,11 @@ def test_floating_point_mode_of_the_caller_does_not_change_bytes(block, surface)
         libm.fesetenv(flushing)
         assert np.float32(1e-40) * np.float32(0.5) == 0
         made = [pm.reconstruct(block, spacing=0.1, threads=threads) for threads in (5, None)]
+        flushed = pm.reconstruct(points, spacing=0.1, attributes=tiny)
     finally:
         libm.fesetenv(saved)
-    assert all(same(one, surface) for one in made)
+    assert all(same(one, surface) for one in made) and same(flushed, denormal)
+    assert flushed.attributes["tiny"].tobytes() == denormal.attributes["tiny"].tobytes()
 
 
 def test_several_threads_at_once(block, surface):
