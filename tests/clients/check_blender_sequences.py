@@ -12,7 +12,7 @@
     removed       nothing of the modules stays
     rendered      sequences_still.png, sequences_blurred.png: the last frame, sharp and with motion blur
 
-Runs in a separate Python, with Blender as a module. The package pymeniscus comes from the wheel that
+Runs in separate Pythons, with Blender 4.5 and 5.0 as a module. The package pymeniscus comes from the wheel that
 python/tests/run builds.
 """
 

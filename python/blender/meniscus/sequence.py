@@ -213,8 +213,9 @@ def add_volumes(scene: bpy.types.Scene, path: Path, _shot: Shot) -> list[bpy.typ
         modifier = mesh.modifiers.new("surface", "VOLUME_TO_MESH")
         modifier.object, modifier.grid_name, modifier.threshold = volume, "surface", 0.0
         modifier.resolution_mode, modifier.use_smooth_shade = "GRID", True
-        # The modifier reads grid values as cell centres, which moves the surface by half a voxel.
-        volume.matrix_world = Matrix.Translation((-voxel_size / 2,) * 3) @ volume.matrix_world
+        if bpy.app.version < (5, 0, 0):
+            # The modifier reads grid values as cell centres, which moves the surface by half a voxel.
+            volume.matrix_world = Matrix.Translation((-voxel_size / 2,) * 3) @ volume.matrix_world
         volume.parent, volume.hide_viewport, volume.hide_render = mesh, True, True
     return [volume]
 
