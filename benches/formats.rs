@@ -17,17 +17,15 @@
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its results")]
 
-use std::cell::Cell;
 use std::fmt::Write;
 use std::hint::black_box;
-use std::io::{self, Cursor, Seek, SeekFrom};
 use std::process::ExitCode;
 use std::thread;
 use std::time::Instant;
 
 use meniscus_formats::{
     AttributeRole, FileAttribute, FilePositions, LevelSetView, Limits, MeshOptions, MeshView, OutputFormat,
-    ParticleBatch, ParticleBatches, ParticleFrame, Values, bgeo, gltf, ply, read_particles, usdc, vdb,
+    ParticleBatch, ParticleBatches, ParticleFrame, Values, bgeo, gltf, ply, read_particles, vdb,
 };
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -41,15 +39,6 @@ const TEXT_PARTICLE_COUNT: usize = 300_000;
 
 /// Number of vertices along an edge of the height field that is written as a mesh.
 const MESH_EDGE: usize = 700;
-
-/// Number of vertices along an edge of the height field in each frame of the shot: 500,000 triangles.
-const SHOT_EDGE: usize = 501;
-
-/// Number of frames in the shot.
-const SHOT_FRAME_COUNT: u64 = 240;
-
-/// Target for the speed of writing a shot in .usdc, as a fraction of the speed of writing its frames in .ply.
-const SHOT_SPEED_MIN: f64 = 0.4;
 
 /// Radius of the ball that is written as a level set, in voxels.
 const BALL_RADIUS: f32 = 220.0;
@@ -95,7 +84,7 @@ fn main() -> ExitCode {
     );
     let reading = reading_rows(&pools);
     let writing = writing_rows(&pools);
-    if reading && writing && shot_rows() {
+    if reading && writing {
         return ExitCode::SUCCESS;
     }
     println!("a figure is below its target");
@@ -192,75 +181,6 @@ fn writing_rows(pools: &[ThreadPool; 2]) -> bool {
         meets_target &= measure(Row { name, size_bytes, target: Some((300.0, Cores::One)), work }, pools);
     }
     meets_target
-}
-
-/// Measures a shot that is written in one pass from the .glb of its frames, and as many frames as .ply. The
-/// bytes are counted and discarded. All frames have different arrays, because equal ones are written once; the
-/// time for making them is not counted. Returns whether the shot reaches its target.
-fn shot_rows() -> bool {
-    const NAMES: [&str; 2] = ["write .ply, 240 frames", "write .usdc, 240 frames"];
-    if !NAMES.iter().any(|name| is_wanted(name)) {
-        return true;
-    }
-    let field = HeightField::new(SHOT_EDGE);
-    let file = gltf::GlbFrame::read(&mut Cursor::new(field.glb_of_frame(0))).expect("our own file");
-    let frame = |code: u64| gltf::SequenceFrame { name: code.to_string(), code, file: file.clone() };
-    let frames: Vec<gltf::SequenceFrame> = (1..=SHOT_FRAME_COUNT).map(frame).collect();
-    let speeds = NAMES.map(|name| {
-        let (mut out, mut opening) = (Counted::default(), 0.0);
-        let seconds = timed(|| match name.contains("usdc") {
-            true => {
-                let seconds = Cell::new(0.0);
-                let open = |index: usize| -> io::Result<_> {
-                    let mut glb = Vec::new();
-                    seconds.set(seconds.get() + timed(|| glb = field.glb_of_frame(index)));
-                    Ok(Cursor::new(glb))
-                };
-                usdc::write_sequence(&frames, (24.0, 1.0), &[], open, &mut out).expect("written");
-                opening = seconds.get();
-            }
-            false => frames
-                .iter()
-                .try_for_each(|_| ply::write::write_mesh(&field.view(), &[], &mut out))
-                .expect("written"),
-        }) - opening;
-        let size_mb = out.end as f64 / 1e6;
-        println!("{name:26}{size_mb:6.0}{:>34.0}", size_mb / seconds);
-        size_mb / seconds
-    });
-    let meets_target = speeds[1] >= SHOT_SPEED_MIN * speeds[0];
-    println!("a shot in .usdc: {:.2} of the speed of .ply, target {SHOT_SPEED_MIN}", speeds[1] / speeds[0]);
-    meets_target
-}
-
-/// A file that discards its bytes and keeps only its size.
-#[derive(Default)]
-struct Counted {
-    at: u64,
-    end: u64,
-}
-
-impl io::Write for Counted {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.at += black_box(bytes).len() as u64;
-        self.end = self.end.max(self.at);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-impl Seek for Counted {
-    fn seek(&mut self, position: SeekFrom) -> io::Result<u64> {
-        self.at = match position {
-            SeekFrom::Start(at) => at,
-            SeekFrom::End(_) => self.end,
-            SeekFrom::Current(_) => self.at,
-        };
-        Ok(self.at)
-    }
 }
 
 /// Whether the arguments select a row: its name contains one of them, or there are no arguments.
@@ -399,7 +319,6 @@ fn csv_file(frame: &ParticleFrame) -> Vec<u8> {
 }
 
 /// A square with waves.
-#[derive(Clone)]
 struct HeightField {
     positions: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
@@ -434,17 +353,6 @@ impl HeightField {
                 })
                 .collect(),
         }
-    }
-
-    /// The .glb of a frame whose arrays differ from those of all other frames.
-    fn glb_of_frame(&self, index: usize) -> Vec<u8> {
-        let mut frame = self.clone();
-        frame.positions[0][2] += index as f32 * 1e-4;
-        frame.normals.swap(0, index);
-        frame.triangles.swap(0, index);
-        let mut glb = Vec::new();
-        gltf::write_glb(&frame.view(), &MeshOptions::default(), &[], &mut glb).expect("written");
-        glb
     }
 
     fn view(&self) -> MeshView<'_> {

@@ -369,9 +369,10 @@ def add_level_set(scene, name, first, up, is_bare_volume):
     modifier = mesh.modifiers.new("surface", "VOLUME_TO_MESH")
     modifier.object, modifier.grid_name, modifier.threshold = volume, "surface", 0.0
     modifier.resolution_mode, modifier.use_smooth_shade = "GRID", True
-    # The modifier assumes that values are at cell centres, as those of smoke. So it moves surfaces by half a
-    # voxel along each axis of the mesh; move the volume back.
-    volume.matrix_world = Matrix.Translation((-h / 2,) * 3) @ volume.matrix_world
+    if bpy.app.version < (5, 0, 0):
+        # The modifier assumes that values are at cell centres, as those of smoke. So it moves surfaces by half a
+        # voxel along each axis of the mesh; move the volume back.
+        volume.matrix_world = Matrix.Translation((-h / 2,) * 3) @ volume.matrix_world
     # Parent the volume to the mesh, so that it follows when the user moves the mesh.
     volume.parent, volume.hide_viewport, volume.hide_render = mesh, True, True
     return mesh, volume

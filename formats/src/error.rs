@@ -1,8 +1,8 @@
 //! Errors of readers and writers, with enough detail for users to fix their files.
 //!
-//! There are five kinds because they call for five reactions. `Io` may be temporary. `Truncated` may
+//! The kinds differ because they call for different reactions. `Io` may be temporary. `Truncated` may
 //! disappear when the program that writes the file continues. `Invalid` means that the file must change,
-//! `Unsupported` that this program must change, and `TooLarge` that a limit must change. The caller, which
+//! `Unsupported` that this program must change, and `TooLarge` and `MemoryLimit` that a limit must change. The caller, which
 //! opened the file, adds the name of the file.
 
 use std::fmt;
@@ -68,6 +68,15 @@ pub enum Error {
         /// One sentence: what the file needs and what the limit is.
         what: String,
     },
+    /// A level set needs more memory than [`crate::Limits::level_set_bytes`].
+    MemoryLimit {
+        /// What the level set has, to insert after "the level set" in a message; may be empty.
+        content: String,
+        /// The required memory in MiB, rounded up.
+        needed_mebibytes: u64,
+        /// The limit in MiB, rounded down.
+        limit_mebibytes: u64,
+    },
 }
 
 impl Error {
@@ -98,7 +107,7 @@ impl Error {
             Error::Invalid { position, what, .. } => Error::Invalid { format, position, what },
             Error::Unsupported { what, .. } => Error::Unsupported { format, what },
             Error::TooLarge { what, .. } => Error::TooLarge { format, what },
-            Error::Io(source) => Error::Io(source),
+            Error::Io(_) | Error::MemoryLimit { .. } => self,
         }
     }
 
@@ -135,6 +144,11 @@ impl fmt::Display for Error {
             Error::Unsupported { format: "", what } => f.write_str(what),
             Error::Unsupported { format, what } => write!(f, "{format}: {what}"),
             Error::TooLarge { format, what } => write!(f, "{format}: {what}"),
+            Error::MemoryLimit { content, needed_mebibytes: needed, limit_mebibytes: limit } => write!(
+                f,
+                "OpenVDB: the level set{content} needs {needed} MiB of memory, and the limit is {limit} MiB: use \
+                 --memory {needed}MiB or more"
+            ),
         }
     }
 }

@@ -66,17 +66,17 @@ impl Limits {
     /// the message and may be empty.
     ///
     /// # Errors
-    /// [`Error::TooLarge`] with the required amount.
+    /// [`Error::MemoryLimit`] with the required amount.
     pub fn check_level_set(&self, needed_bytes: u64, content: &str) -> Result<()> {
         const MEBIBYTE: u64 = 1 << 20;
         if needed_bytes <= self.level_set_bytes {
             return Ok(());
         }
-        let (needed, allowed) = (needed_bytes.div_ceil(MEBIBYTE), self.level_set_bytes / MEBIBYTE);
-        let what = format!(
-            "the level set{content} needs {needed} MiB of memory, and the limit is {allowed} MiB: use --memory {needed}MiB or more"
-        );
-        Err(Error::too_large("OpenVDB", what))
+        Err(Error::MemoryLimit {
+            content: content.to_owned(),
+            needed_mebibytes: needed_bytes.div_ceil(MEBIBYTE),
+            limit_mebibytes: self.level_set_bytes / MEBIBYTE,
+        })
     }
 
     /// Fails if `decompressed` bytes from `consumed` compressed bytes exceed a limit. `format` is

@@ -161,7 +161,7 @@ class FinishedFrame:
     state : str
         ``"converted"``, ``"already_done"`` (by an earlier run), or ``"failed"``.
     outputs : tuple of pathlib.Path
-        The files with the results.
+        The absolute paths of the files with the results.
     particles : int or None
         The number of particles; None for a level set, and unless the frame was converted now.
     message : str
@@ -218,13 +218,11 @@ class Watch:
     """
 
     def __init__(self, folders: Paths, out: str | os.PathLike[str], options: dict[str, Any]) -> None:
-        self._out = Path(out)
-        self._folders = [Path(folder) for folder in _paths(folders)]
         self._arguments = [
             "watch",
             *_flags({**options, "out": out, "log": "json"}),
             "--",
-            *[os.fspath(folder) for folder in self._folders],
+            *_paths(folders),
         ]
         self._process: subprocess.Popen[str] | None = None
         self._reader: threading.Thread | None = None
@@ -238,7 +236,7 @@ class Watch:
         if self._process is not None:
             raise RuntimeError("this watch was started before: call watch() again")
         # The command is in a process group of its own, so that Ctrl-C reaches only the caller, who then
-        # leaves the context. Frames are recognized by lines that a less severe level of the log includes.
+        # leaves the context. The level `info` of the log includes the lines about finished frames.
         self._process = subprocess.Popen(
             _command(self._arguments),
             stdin=subprocess.DEVNULL,
@@ -341,38 +339,13 @@ class Watch:
             raise RuntimeError("use `with watch(...) as frames:`")
         return self._process
 
-    def _finished(self, event: dict[str, Any]) -> FinishedFrame | None:
-        if "frame" not in event:
+    @staticmethod
+    def _finished(event: dict[str, Any]) -> FinishedFrame | None:
+        """The frame that a line of the log reports as finished; see docs/operations.md for its fields."""
+        if "frame" not in event or "state" not in event:
             return None
-        path, message = Path(event["frame"]), str(event.get("message", ""))
-        if "read_s" in event:
-            particles = event.get("particles")
-            return FinishedFrame(path, "converted", self._outputs(path), particles, message)
-        if message == "frame was done already":
-            return FinishedFrame(path, "already_done", self._outputs(path), None, message)
-        if event.get("level") == "ERROR":
-            return FinishedFrame(path, "failed", (), None, message)
-        return None
-
-    def _outputs(self, path: Path) -> tuple[Path, ...]:
-        """The results of a frame: files with the extension of an output format, whose stem is the frame's
-        name up to the end or to one of its dots."""
-        from . import _native
-
-        folder = self._out
-        for watched in self._folders:
-            try:
-                folder = self._out / path.parent.resolve().relative_to(watched.resolve())
-                break
-            except ValueError:
-                continue
-        stems = [path.name[:end] for end in range(len(path.name), 0, -1) if path.name[end : end + 1] in (".", "")]
-        for stem in stems:
-            candidates = [folder / f"{stem}.{extension}" for extension in _native.format_names()]
-            found = tuple(candidate for candidate in candidates if candidate.exists() and candidate != path)
-            if found:
-                return found
-        return ()
+        outputs = tuple(Path(output) for output in json.loads(event.get("outputs", "[]")))
+        return FinishedFrame(Path(event["frame"]), event["state"], outputs, event.get("particles"), event["message"])
 
 
 def _command(arguments: list[str]) -> list[str]:

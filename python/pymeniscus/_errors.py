@@ -19,7 +19,8 @@ class ParticleError(MeniscusError, ValueError):
 
 
 class MemoryLimitError(MeniscusError, MemoryError):
-    """The frame needs more memory than the limit. The message has both numbers."""
+    """The frame, or the level set of an obstacle, needs more memory than the limit. The message has both
+    numbers."""
 
 
 class FormatError(MeniscusError, ValueError):

@@ -71,6 +71,8 @@ class Obstacle:
             If the memory limit is not a positive number of bytes.
         FormatError
             If the file contains neither a mesh nor a level set.
+        MemoryLimitError
+            If a level set needs more memory than the limit.
         """
         obstacle = cls.__new__(cls)
         obstacle._native = _native.Obstacle.from_file(path, bytes_of(memory))

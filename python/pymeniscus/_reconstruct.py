@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Mapping
@@ -311,8 +310,7 @@ def _warn_of_ignored(given: _Given, options: Mapping[str, Any], obstacles: list[
     if given.selects_all or given.selected:
         pairs.append(("attributes", "all"))
     for warning in _native.option_warnings(pairs, bool(obstacles)):
-        text = re.sub(r"--([a-z][a-z-]*)", lambda flag: f"`{flag[1].replace('-', '_')}`", warning)
-        warnings.warn(text, stacklevel=3)
+        warnings.warn(warning, stacklevel=3)
 
 
 def _run(

@@ -12,13 +12,6 @@ pub(crate) enum Positions<'py> {
     F64(PyReadonlyArray2<'py, f64>),
 }
 
-/// The same positions as slices, which threads can use without the interpreter's lock.
-#[derive(Clone, Copy)]
-pub(crate) enum PositionSlice<'a> {
-    F32(&'a [[f32; 3]]),
-    F64(&'a [[f64; 3]]),
-}
-
 impl<'py> Positions<'py> {
     /// # Errors
     /// When `array` is not an array (N, 3) of float32 or float64.
@@ -40,11 +33,11 @@ impl<'py> Positions<'py> {
         }
     }
 
-    /// The positions, without a copy.
+    /// The positions, without a copy. Threads can use them without the interpreter's lock.
     ///
     /// # Errors
     /// When the array is not C-contiguous.
-    pub(crate) fn as_slice(&self) -> PyResult<PositionSlice<'_>> {
+    pub(crate) fn as_slice(&self) -> PyResult<meniscus::surface::Positions<'_>> {
         let is_c_contiguous = match self {
             Positions::F32(array) => array.is_c_contiguous(),
             Positions::F64(array) => array.is_c_contiguous(),
@@ -53,8 +46,8 @@ impl<'py> Positions<'py> {
             return Err(PyValueError::new_err("points must be C-contiguous"));
         }
         Ok(match self {
-            Positions::F32(array) => PositionSlice::F32(bytemuck::cast_slice(array.as_slice()?)),
-            Positions::F64(array) => PositionSlice::F64(bytemuck::cast_slice(array.as_slice()?)),
+            Positions::F32(array) => bytemuck::cast_slice::<_, [f32; 3]>(array.as_slice()?).into(),
+            Positions::F64(array) => bytemuck::cast_slice::<_, [f64; 3]>(array.as_slice()?).into(),
         })
     }
 }

@@ -3,9 +3,12 @@
 use std::path::Path;
 
 use meniscus::surface::Error;
+use meniscus::surface::options::OptionName;
 use pyo3::exceptions::{PyOSError, PyRuntimeError};
 use pyo3::import_exception;
 use pyo3::prelude::*;
+
+use crate::options::keyword;
 
 import_exception!(pymeniscus._errors, FormatError);
 import_exception!(pymeniscus._errors, MemoryLimitError);
@@ -16,7 +19,8 @@ import_exception!(pymeniscus._errors, ParticleError);
 pub(crate) fn of_method(failure: Error, scratch: &Path) -> PyErr {
     let message = failure.to_string();
     match failure {
-        Error::Options(_) | Error::UnknownSpacing => OptionError::new_err(message),
+        Error::Options(error) => OptionError::new_err(error.message(keyword)),
+        Error::UnknownSpacing => OptionError::new_err(message),
         Error::MemoryLimit { .. } => MemoryLimitError::new_err(message),
         Error::Scratch(failure) => of_io(scratch, &failure),
         Error::NoParticles { .. }
@@ -33,6 +37,14 @@ pub(crate) fn of_method(failure: Error, scratch: &Path) -> PyErr {
 pub(crate) fn of_format(path: &Path, failure: meniscus_formats::Error) -> PyErr {
     match failure {
         meniscus_formats::Error::Io(failure) => of_io(path, &failure),
+        meniscus_formats::Error::MemoryLimit { content, needed_mebibytes, limit_mebibytes } => {
+            MemoryLimitError::new_err(format!(
+                "{}: the level set{content} needs {needed_mebibytes} MiB of memory; the limit is \
+                 {limit_mebibytes} MiB: raise {}",
+                path.display(),
+                keyword(OptionName::new("memory"))
+            ))
+        }
         other => FormatError::new_err(format!("{}: {other}", path.display())),
     }
 }

@@ -2,8 +2,9 @@
 //! no code here.
 
 use clap::Args;
-use meniscus::surface::options::ValueKind;
+use meniscus::surface::options::{OptionName, ValueKind};
 use meniscus::surface::{AttributeSelection, Length, Options, Settings};
+use meniscus_formats::listed;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -28,6 +29,12 @@ pub(crate) fn parse(pairs: &[(String, String)]) -> PyResult<Options> {
         }
     }
     Ok(options)
+}
+
+/// The name of an option in messages, as a keyword argument.
+pub(crate) fn keyword(option: OptionName) -> String {
+    let name = if option.name == "obstacle" { "obstacles" } else { option.name };
+    option.value.map_or(format!("`{name}`"), |value| format!("`{name}=\"{value}\"`"))
 }
 
 /// Why this text is not a value of the option.
@@ -105,7 +112,10 @@ pub(crate) fn option_warnings(pairs: Pairs, has_obstacles: bool) -> PyResult<Vec
     let deprecated = successor
         .map(|(preset, other)| format!("the preset `{preset}` is deprecated: use preset=\"{other}\""));
     let ignored = options.ineffective(has_obstacles).into_iter();
-    let ignored = ignored.map(|(name, need)| format!("`{name}` is ignored: it is for {need} only"));
+    let ignored = ignored.map(|(name, needed)| {
+        let needed = listed(needed.iter().copied().map(keyword).collect(), "and");
+        format!("`{name}` is ignored: it is for {needed} only")
+    });
     Ok(deprecated.into_iter().chain(ignored).collect())
 }
 

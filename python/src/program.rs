@@ -11,7 +11,7 @@ use meniscus::pipeline::{
     ScratchFile, covers, default_memory_bytes, in_memory_attributes, in_memory_parts, obstacle_warnings,
 };
 use meniscus::surface::reconstruction::{FrameSurface, PositionFormat};
-use meniscus::surface::{Options, Settings, Storage};
+use meniscus::surface::{Options, Positions, Settings, Storage};
 use meniscus_formats::{FilePositions, UpAxis, Values, vdb};
 use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyReadonlyArray2};
@@ -22,6 +22,7 @@ use twox_hash::XxHash3_128;
 use crate::arrays::{AttributeSlice, word_of_role};
 use crate::compute::{run, run_or_abandon};
 use crate::errors::{FormatError, of_format};
+use crate::options::keyword;
 
 /// The version of meniscus.
 #[pyfunction]
@@ -243,7 +244,7 @@ pub(crate) fn needed_attributes(
 ) -> Result<(Vec<meniscus::surface::Attribute>, Vec<String>), String> {
     let headers = attributes.iter().map(AttributeSlice::header).collect();
     let load = |index: usize| attributes.get(index).map(AttributeSlice::to_attribute);
-    in_memory_attributes(headers, load, options)
+    in_memory_attributes(headers, load, options, keyword)
 }
 
 /// Creates a scratch file in this folder.
@@ -275,9 +276,15 @@ impl Obstacle {
         &self.recorded
     }
 
-    /// The likely mistakes in it, one sentence each.
-    pub(crate) fn warnings(&self, settings: &Settings) -> Vec<String> {
-        obstacle_warnings(&self.name, &self.shared, settings)
+    /// The likely mistakes in these obstacles and in their positions, one sentence each.
+    pub(crate) fn warnings(
+        obstacles: &[&Obstacle],
+        particles: &Positions<'_>,
+        settings: &Settings,
+    ) -> Vec<String> {
+        let named: Vec<(&Path, &meniscus::surface::Obstacle)> =
+            obstacles.iter().map(|obstacle| (&*obstacle.name, &*obstacle.shared)).collect();
+        obstacle_warnings(&named, particles, settings)
     }
 }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use meniscus::surface::{Reconstructor, RequestedParts, Settings};
 use pyo3::prelude::*;
 
-use crate::arrays::{Attributes, Given, PositionSlice, Positions};
+use crate::arrays::{Attributes, Given, Positions};
 use crate::compute::run_with_progress;
 use crate::errors::{ParticleError, of_method};
 use crate::options::{Pairs, parse, selection};
@@ -54,16 +54,10 @@ pub(crate) fn reconstruct(
             let _ = advance.send(progress);
         });
         let requested = RequestedParts::from(&prepared.parts);
-        let made = match positions {
-            PositionSlice::F32(positions) => {
-                reconstructor.reconstruct_parts(positions, &attributes, requested)
-            }
-            PositionSlice::F64(positions) => {
-                reconstructor.reconstruct_parts(positions, &attributes, requested)
-            }
-        };
+        // The positions are borrowed, so the clone copies nothing.
+        let made = reconstructor.reconstruct_parts(positions.clone(), &attributes, requested);
         let (surface, settings) = made.map_err(Failure::Method)?;
-        warnings.extend(obstacles.iter().flat_map(|obstacle| obstacle.warnings(&settings)));
+        warnings.extend(Obstacle::warnings(&obstacles, &positions, &settings));
         if surface.report.particle_count == 0 {
             warnings.push("no particles are left, so the surface is empty".to_owned());
         }
@@ -101,10 +95,7 @@ pub(crate) fn resolve(
     let options = parse(&pairs)?;
     let (positions, attributes) = (Positions::new(points)?, Attributes::new(attributes)?);
     let (positions, attributes) = (positions.as_slice()?, attributes.as_slices()?);
-    let is_empty = match positions {
-        PositionSlice::F32(positions) => positions.is_empty(),
-        PositionSlice::F64(positions) => positions.is_empty(),
-    };
+    let is_empty = positions.is_empty();
     let resolved = run_with_progress(py, None, None, |token, _| {
         if is_empty && options.needs_spacing() {
             return Err(Failure::Method(meniscus::surface::Error::NoParticles { input_count: 0 }));
@@ -112,10 +103,7 @@ pub(crate) fn resolve(
         let (attributes, _) = needed_attributes(&attributes, &options).map_err(Failure::Particles)?;
         let mut reconstructor = Reconstructor::new(options);
         reconstructor.cancel_token(token.clone());
-        let settings = match positions {
-            PositionSlice::F32(positions) => reconstructor.resolve_on(positions, &attributes),
-            PositionSlice::F64(positions) => reconstructor.resolve_on(positions, &attributes),
-        };
+        let settings = reconstructor.resolve_on(positions, &attributes);
         settings.map(Settings::to_options).map_err(Failure::Method)
     })?;
     Ok(resolved.map_err(|failure| failure.raised(Path::new("")))?.to_pairs())

@@ -88,13 +88,26 @@ def test_watch_once(frame, tmp_path):
     with pm.watch(cache, tmp_path / "out", once=True, format="glb") as frames:
         found = sorted(frames, key=lambda finished: finished.path)
     assert [finished.state for finished in found] == ["converted", "converted"] and frames.status == 0
-    assert all(finished.outputs and finished.outputs[0].suffix == ".glb" and finished.particles for finished in found)
+    surfaces = [(tmp_path / "out" / finished.path.with_suffix(".glb").name,) for finished in found]
+    assert [finished.outputs for finished in found] == surfaces and all(finished.particles for finished in found)
     with pytest.raises(RuntimeError, match="started before"):
         frames.__enter__()
     # Without the journal, frames are recognized by their outputs.
     shutil.rmtree(tmp_path / "out" / ".meniscus")
     with pm.watch(cache, tmp_path / "out", once=True, format="glb") as frames:
-        assert [finished.state for finished in frames] == ["already_done", "already_done"]
+        again = sorted(frames, key=lambda finished: finished.path)
+    assert [(finished.state, finished.outputs) for finished in again] == [("already_done", made) for made in surfaces]
+
+
+def test_watch_reports_failed_frames(frame, tmp_path):
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    (cache / "dam.1.ply").write_text("ply\nformat nonsense 1.0\n")
+    shutil.copy(frame, cache / f"other{frame.suffix}")
+    with pm.watch(cache, tmp_path / "out", once=True, format="glb") as frames:
+        (failed,) = [finished for finished in frames if finished.state != "converted"]
+    assert (failed.path, failed.state, failed.outputs) == (cache / "dam.1.ply", "failed", ()) and frames.status == 1
+    assert "nonsense" in failed.message
 
 
 def test_watch_sees_new_frames_and_stops(frame, tmp_path):

@@ -61,8 +61,12 @@ def test_numbers_keep_all_digits(block):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"lone_radius": "0.5d", "anisotropy": "none"}, "`lone_radius` is ignored: it is for `anisotropy` neighbors only"),
-        ({"void_threshold": 2.0}, "`void_threshold` is ignored: it is for `obstacle` only"),
+        ({"lone_radius": "0.5d", "anisotropy": "none"}, "`lone_radius` is ignored: it is for `anisotropy=\"neighbors\"` only"),
+        ({"void_threshold": 2.0}, "`void_threshold` is ignored: it is for `obstacles` only"),
+        (
+            {"neighbor_radius": "3d", "anisotropy": "none", "position_smoothing": 0},
+            "it is for `anisotropy=\"neighbors\"` and `position_smoothing` only",
+        ),
         ({"preset": "water"}, "the preset `water` is deprecated"),
     ],
 )
@@ -76,3 +80,28 @@ def test_options_without_effect_are_warned_about(block, options, text):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         sequence.reconstruct(block)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "text"),
+    [
+        ({"quads": True, "contour": "tetrahedra"}, pm.OptionError, '`quads` requires dual contouring: remove `contour="tetrahedra"`'),
+        ({"quads": True, "decimate": 0.5}, pm.OptionError, "`quads` cannot be combined with `decimate`"),
+        ({"radius_attribute": "size"}, pm.ParticleError, "no attribute `size`, which `radius_attribute` needs"),
+        ({"radii": [0] * 1000}, pm.ParticleError, "no positive value, but `radius_attribute` needs radii"),
+        ({"anisotropy": "velocity"}, pm.ParticleError, 'no attribute `velocity`, which `anisotropy="velocity"` needs'),
+        ({"voxel_size": 1e-9}, pm.OptionError, "the voxel size 1e-9 is too small"),
+        ({"memory": "1KiB"}, pm.MemoryLimitError, "the limit is 0 MiB: raise it or choose larger voxels"),
+    ],
+)
+def test_errors_name_options_as_keywords(block, arguments, error, text):
+    with pytest.raises(error) as caught:
+        pm.reconstruct(block, spacing=0.1, **arguments)
+    assert text in str(caught.value) and "--" not in str(caught.value)
+
+
+def test_level_set_over_the_memory_limit_names_the_keyword(surface, tmp_path):
+    path = tmp_path / "block.vdb"
+    surface.write(path)
+    with pytest.raises(pm.MemoryLimitError, match=r"block\.vdb: the level set.* needs \d+ MiB .*: raise `memory`$"):
+        pm.Obstacle.from_file(path, memory="1KiB")

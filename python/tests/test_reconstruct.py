@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import platform
 import threading
 import time
@@ -300,6 +301,12 @@ def test_threads_do_not_change_bytes(block, surface):
 
 @pytest.mark.skipif(platform.machine() != "x86_64" or platform.libc_ver()[0] != "glibc", reason="knows one fenv_t")
 def test_floating_point_mode_of_the_caller_does_not_change_bytes(block, surface):
+    # Denormal numbers of float64: 1e-310 has no float32, and 1e-40 is a denormal number there as well.
+    points = np.where(block == 0, 1e-310, block.astype(np.float64))
+    tiny = {"tiny": np.full(len(block), 1e-40)}
+    denormal = pm.reconstruct(points, spacing=0.1, attributes=tiny)
+    assert np.allclose(denormal.attributes["tiny"], np.float32(1e-40), rtol=1e-3, atol=0)
+    assert same(denormal, pm.reconstruct(block.astype(np.float64), spacing=0.1))
     # Taichi and programs linked with -ffast-math flush denormals to zero, and new threads inherit the mode.
     libm, saved = ctypes.CDLL("libm.so.6"), (ctypes.c_uint32 * 8)()
     libm.fegetenv(saved)
@@ -309,9 +316,11 @@ def test_floating_point_mode_of_the_caller_does_not_change_bytes(block, surface)
         libm.fesetenv(flushing)
         assert np.float32(1e-40) * np.float32(0.5) == 0
         made = [pm.reconstruct(block, spacing=0.1, threads=threads) for threads in (5, None)]
+        flushed = pm.reconstruct(points, spacing=0.1, attributes=tiny)
     finally:
         libm.fesetenv(saved)
-    assert all(same(one, surface) for one in made)
+    assert all(same(one, surface) for one in made) and same(flushed, denormal)
+    assert flushed.attributes["tiny"].tobytes() == denormal.attributes["tiny"].tobytes()
 
 
 def test_several_threads_at_once(block, surface):
@@ -399,6 +408,33 @@ def test_obstacles_are_not_entered(block, tmp_path):
         pm.Obstacle(box, faces + 5)
     with pytest.raises(TypeError, match="obstacle"):
         pm.reconstruct(block, obstacles=[3])
+
+
+def test_obstacle_out_of_reach_is_warned_about(block):
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    near, far = pm.Obstacle(corners + [1, 0, 0], faces), pm.Obstacle(corners + [100, 0, 0], faces)
+    with pytest.warns(UserWarning, match="too far from the particles to have an effect: it spans \\(100, 0, 0\\)") as caught:
+        made = pm.reconstruct(block, spacing=0.1, obstacles=[near, far])
+    assert len([text for text in made.warnings if "too far" in text]) == 1
+    assert [warning.filename for warning in caught if "too far" in str(warning.message)] == [__file__]
+    assert not any("too far" in text for text in pm.reconstruct(block, spacing=0.1, obstacles=near).warnings)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may read every file")
+def test_file_without_permission_raises_permission_error(surface, frame, tmp_path):
+    secret = tmp_path / frame.name
+    secret.write_bytes(frame.read_bytes())
+    secret.chmod(0)
+    with pytest.raises(PermissionError) as caught:
+        pm.read(secret)
+    assert caught.value.filename == str(secret)
+    with pytest.raises(PermissionError):
+        pm.Obstacle.from_file(secret)
+    folder = tmp_path / "closed"
+    folder.mkdir(mode=0o500)
+    with pytest.raises(PermissionError):
+        surface.write(folder / "surface.glb")
 
 
 def test_scratch_files_make_the_same_surface(tmp_path):

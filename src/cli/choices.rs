@@ -80,8 +80,10 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
         None => format!("the preset `{preset}` is deprecated: use --preset {successor}"),
     });
     let ignored = options.ineffective(!method.obstacle.is_empty()).into_iter();
-    let ignored =
-        ignored.map(|(name, need)| format!("{} is ignored: it is for {need} only", option_name(name)));
+    let ignored = ignored.map(|(name, needed)| {
+        let needed = listed(needed.iter().map(|option| option.flag()).collect(), "and");
+        format!("{} is ignored: it is for {needed} only", option_name(name))
+    });
     // A stage records the axis and the unit.
     let of_stage = [WriteOption::Up, WriteOption::MetersPerUnit].map(WriteOption::key);
     let is_of_stage = |name: &&str| formats.stage.is_some() && of_stage.contains(name);

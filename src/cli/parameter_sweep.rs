@@ -11,6 +11,8 @@
 use std::fmt::Write;
 use std::str::FromStr;
 
+use meniscus_formats::listed;
+
 use crate::surface::options::{Length, LengthUnit, MethodOptions, Settings, ValueKind};
 
 use super::wording::{option_name, significant};
@@ -165,8 +167,7 @@ impl SweepAxis {
         if self.parameter.value_in(settings).is_none() {
             let needed = MethodOptions::info(self.parameter.option).and_then(|info| info.need.as_ref());
             let reason = needed.map_or("with the other options".to_owned(), |need| {
-                // Each of two needs is sufficient.
-                format!("without {}", need.what.replace(" and ", " or "))
+                format!("without {}", listed(need.any_of.iter().map(|option| option.flag()).collect(), "or"))
             });
             return Err(format!("--vary {name} has no effect {reason}"));
         }

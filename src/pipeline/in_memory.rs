@@ -11,8 +11,8 @@ use glam::DVec3;
 use meniscus_formats::{Content, FileAttribute, OutputFormat};
 
 use crate::surface::obstacle::Obstacle;
-use crate::surface::options::{MethodOptions, Settings};
-use crate::surface::particles::Attribute;
+use crate::surface::options::{MethodOptions, OptionName, Settings};
+use crate::surface::particles::{Attribute, Positions};
 use crate::surface::reconstruction::{FrameSurface, PositionFormat};
 use crate::surface::space::Lattice;
 use crate::surface::{RequestedParts, checkpoint};
@@ -24,6 +24,7 @@ use super::input::bounds::EMPTY_BOUNDS;
 use super::input::frame::{Frame, FrameReport, Job};
 use super::input::obstacle_warnings::findings_of;
 use super::input::obstacles::{ObstacleFiles, ObstacleStamps};
+use super::input::out_of_reach::out_of_reach;
 use super::input::source::FrameFile;
 use super::output::writing::{
     VDB_HALF_WIDTH_VOXELS, encode_level_set, mesh_view, output_warnings, surface_warnings, vertex_attributes,
@@ -190,7 +191,8 @@ impl<'a> From<&'a (Vec<PositionFormat>, Option<f32>)> for RequestedParts<'a> {
 }
 
 /// The attributes that these options need, with warnings. `headers` are attributes without their values, and
-/// `load` returns the attribute with this index: it is called only for those that are needed.
+/// `load` returns the attribute with this index: it is called only for those that are needed. Errors name
+/// options in this spelling.
 ///
 /// # Errors
 /// If a required attribute is missing or unusable.
@@ -198,6 +200,7 @@ pub fn in_memory_attributes(
     headers: Vec<FileAttribute>,
     load: impl FnMut(usize) -> Option<FileAttribute>,
     options: &MethodOptions,
+    spelled: fn(OptionName) -> String,
 ) -> Result<(Vec<Attribute>, Vec<String>), String> {
     // The needed attributes depend only on the options that are copied here. The spacing may not be known
     // yet, and any value will do.
@@ -209,8 +212,9 @@ pub fn in_memory_attributes(
         attributes: options.attributes.clone(),
         ..MethodOptions::default()
     };
-    let settings = Settings::resolve(&options, None).map_err(|error| error.to_string())?;
-    let (attributes, warnings) = AttributeRequest::for_settings(&settings).select_with(headers, load)?;
+    let settings = Settings::resolve(&options, None).map_err(|error| error.message(spelled))?;
+    let (attributes, warnings) =
+        AttributeRequest::for_settings(&settings).select_with(headers, load, spelled)?;
     Ok((attributes, warnings.iter().map(ToString::to_string).collect()))
 }
 
@@ -250,8 +254,18 @@ impl InMemoryObstacle {
     }
 }
 
-/// The likely mistakes in an obstacle, one sentence each. `name` identifies it.
-pub fn obstacle_warnings(name: &Path, obstacle: &Obstacle, settings: &Settings) -> Vec<String> {
-    let about = |finding| Warning::Obstacle { path: name.to_owned(), finding }.to_string();
-    findings_of(obstacle.sdf(), settings).into_iter().map(about).collect()
+/// The likely mistakes in obstacles and in their positions, one sentence each. Each obstacle has a name, which
+/// identifies it.
+pub fn obstacle_warnings(
+    obstacles: &[(&Path, &Obstacle)],
+    particles: &Positions<'_>,
+    settings: &Settings,
+) -> Vec<String> {
+    let of_one = |(name, obstacle): &(&Path, &Obstacle)| {
+        let path = name.to_path_buf();
+        let about = move |finding| Warning::Obstacle { path: path.clone(), finding };
+        findings_of(obstacle.sdf(), settings).into_iter().map(about)
+    };
+    let Ok(out_of_reach) = out_of_reach(obstacles.iter().copied(), particles, settings);
+    obstacles.iter().flat_map(of_one).chain(out_of_reach).map(|warning| warning.to_string()).collect()
 }

@@ -276,10 +276,11 @@ def rendered(surfaces, h, low, high):
     for name in ("obj", "ply"):
         bpy.data.objects.remove(surfaces[name])
     mesh, volume = surfaces["glb"], surfaces["vdb"]
-    # Blender rotated the mesh, not the grid: rotate the grid the same way. Volume to Mesh assumes that values
-    # are at cell centres, as those of Blender's fog volumes, and so moves surfaces by half a voxel: move the
-    # grid back.
-    volume.matrix_world = Matrix.Translation((-h / 2,) * 3) @ TO_Y_UP.inverted() @ volume.matrix_world
+    # Blender rotated the mesh, not the grid: rotate the grid the same way. Volume to Mesh of Blender 4 assumes that
+    # values are at cell centres, as those of Blender's fog volumes, and so moves surfaces by half a voxel: move
+    # the grid back.
+    shift = -h / 2 if bpy.app.version < (5, 0, 0) else 0.0
+    volume.matrix_world = Matrix.Translation((shift,) * 3) @ TO_Y_UP.inverted() @ volume.matrix_world
     volume.hide_render = True
     through = as_mesh(volume)
     away = bounds_away(through, low, high) / h

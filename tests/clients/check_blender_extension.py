@@ -11,7 +11,7 @@
                   extension_0001.png and so on, extension_still.png: frame 5 without blur
     baked         a range of frames as one .usdc, which shows the same mesh in each frame
 
-Runs in a separate Python, with Blender as a module. The argument is the wheel of pymeniscus.
+Runs in separate Pythons, with Blender 4.5 and 5.0 as a module. The argument is the wheel of pymeniscus.
 """
 
 import contextlib

@@ -9,7 +9,7 @@
                   blur by the velocities is as long as the motion during the exposure
     rendered      shots_glb.png, shots_usda.png, shots_abc.png: the last frame of each shot; all show the same
 
-Runs in a separate Python, with Blender as a module.
+Runs in separate Pythons, with Blender 4.5 and 5.0 as a module.
 """
 
 import math

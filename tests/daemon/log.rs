@@ -1,5 +1,7 @@
 //! The output of `status` and `why`, and the log, for running and stopped daemons.
 
+use std::path::PathBuf;
+
 use serde_json::Value;
 
 use crate::scene::{NO_SCANS, Scene, Watching, await_that, moving, ply};
@@ -127,13 +129,17 @@ fn log_has_the_warnings_about_a_frame() {
 
 #[test]
 fn log_has_a_line_for_every_frame() {
-    let (_scene, daemon) = scene();
+    let (scene, daemon) = scene();
     let line = daemon.await_converted("dam.1.ply");
     assert_eq!(line.fields["particles"], 216);
     for key in ["read_s", "rasterize_s", "smooth_s", "contour_s", "write_s", "queue"] {
         assert!(line.fields[key].is_number(), "{key}: {}", line.fields);
     }
-    assert_eq!(line.level, "INFO");
+    assert_eq!((&*line.level, &line.fields["state"]), ("INFO", &"converted".into()));
+    let outputs: Vec<PathBuf> =
+        serde_json::from_str(line.fields["outputs"].as_str().expect("text")).expect("paths");
+    assert_eq!(outputs, [scene.path("out/dam.1.obj")]);
+    assert_eq!(daemon.lines(|line| line.level == "ERROR" && line.fields["state"] == "failed").len(), 1);
     let log = daemon.finish();
     assert!(log.iter().all(|line| line.fields.is_object()), "{}", crate::scene::log_text(&log));
 }

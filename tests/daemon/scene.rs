@@ -319,11 +319,11 @@ pub(crate) struct Line {
 
 impl Line {
     pub(crate) fn is_converted(&self) -> bool {
-        self.message == "converted"
+        self.fields["state"] == "converted"
     }
 
     pub(crate) fn is_found_done(&self) -> bool {
-        self.message == "frame was done already"
+        self.fields["state"] == "already_done"
     }
 
     /// Whether the line is a warning or an error.

@@ -256,6 +256,7 @@ impl GlbFrame {
     ) -> Result<Vec<f32>> {
         let bytes = self.bytes_of(column, file)?;
         let records = bytes.chunks_exact(column.stride_bytes);
+        let float = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes);
         let greatest = match column.component {
             component::I8 => f64::from(i8::MAX),
             _ => f64::from(u16::MAX),
@@ -263,10 +264,12 @@ impl GlbFrame {
         #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
         let real = |part: f64| (part / greatest * scale) as f32;
         Ok(match column.component {
-            component::F32 => records
-                .flat_map(|record| record[..4 * column.arity].as_chunks::<4>().0)
-                .map(|bytes| f32::from_le_bytes(*bytes))
-                .collect(),
+            component::F32 if column.stride_bytes == 4 * column.arity => {
+                bytes.as_chunks().0.iter().map(float).collect()
+            }
+            component::F32 => {
+                records.flat_map(|record| record[..4 * column.arity].as_chunks().0).map(float).collect()
+            }
             component::I8 => records
                 .flat_map(|record| &record[..column.arity])
                 .map(|byte| real(f64::from(i8::from_le_bytes([*byte])).max(-greatest)))
@@ -283,27 +286,29 @@ impl GlbFrame {
     pub(crate) fn read_triangles(&self, file: &mut (impl Read + Seek)) -> Result<Vec<[u32; 3]>> {
         let column = self.indices()?;
         let bytes = self.bytes_of(&column, file)?;
-        let indices: Vec<u32> = match (column.component, column.stride_bytes) {
+        let triangles: Vec<[u32; 3]> = match (column.component, column.stride_bytes) {
             (component::U16, 2) => {
-                bytes.as_chunks().0.iter().map(|bytes| u16::from_le_bytes(*bytes).into()).collect()
+                let corners = bytes.as_chunks().0.as_chunks::<3>().0.iter();
+                corners.map(|corners| corners.map(|bytes| u16::from_le_bytes(bytes).into())).collect()
             }
             (component::U32, 4) => {
-                bytes.as_chunks().0.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect()
+                let corners = bytes.as_chunks().0.as_chunks::<3>().0.iter();
+                corners.map(|corners| corners.map(u32::from_le_bytes)).collect()
             }
             _ => return Err(invalid("the indices have an unexpected type")),
         };
         let vertex_count = self.vertex_count();
-        if let Some(index) = indices.iter().find(|&&index| index as usize >= vertex_count) {
+        if let Some(index) = triangles.as_flattened().iter().find(|&&index| index as usize >= vertex_count) {
             return Err(invalid(format!(
                 "a triangle has vertex index {index}, but the mesh has {vertex_count} vertices"
             )));
         }
-        Ok(indices.as_chunks::<3>().0.to_vec())
+        Ok(triangles)
     }
 
     fn bytes_of(&self, column: &VertexColumn, file: &mut (impl Read + Seek)) -> Result<Vec<u8>> {
         let byte_count = column.count as u64 * column.stride_bytes as u64; // checked against the file size
-        let mut bytes = Vec::new();
+        let mut bytes = Vec::with_capacity(usize::try_from(byte_count).unwrap_or_default());
         file.seek(SeekFrom::Start(column.start))?;
         file.take(byte_count).read_to_end(&mut bytes)?;
         match bytes.len() as u64 == byte_count {

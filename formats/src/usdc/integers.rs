@@ -67,27 +67,24 @@ pub(super) fn encode<T: Integer>(values: impl ExactSizeIterator<Item = T> + Clon
         difference
     });
     let common = most_common(differences.clone());
-    let codes_end = wide + count.div_ceil(4);
-    let mut out = vec![0; codes_end + count * wide + WHOLE_BYTES];
+    let code_count = count.div_ceil(4);
+    let mut out = vec![0; wide + code_count + count * wide + WHOLE_BYTES];
     out[..wide].copy_from_slice(&common.to_le_bytes()[..wide]);
-    let mut end = codes_end;
-    for (index, difference) in differences.enumerate() {
-        let (code, length) = if difference == common {
-            (0, 0)
-        } else if fits(difference, narrow) {
-            (1, narrow)
-        } else if fits(difference, medium) {
-            (2, medium)
-        } else {
-            (3, wide)
-        };
-        out[wide + index / 4] |= code << (2 * (index % 4));
-        // Copies eight bytes, because copying a constant number is faster. The next difference overwrites the
-        // excess.
-        out[end..end + WHOLE_BYTES].copy_from_slice(&difference.to_le_bytes());
-        end += length;
+    let (codes, others) = out[wide..].split_at_mut(code_count);
+    let (mut differences, mut end) = (differences, 0);
+    for codes in codes {
+        for (shift, difference) in [0, 2, 4, 6].into_iter().zip(&mut differences) {
+            // Without branches, because the sizes of differences are hard to predict.
+            let code = u8::from(difference != common)
+                * (1 + u8::from(!fits(difference, narrow)) + u8::from(!fits(difference, medium)));
+            *codes |= code << shift;
+            // Copies eight bytes, because copying a constant number is faster. The next difference overwrites
+            // the excess.
+            others[end..end + WHOLE_BYTES].copy_from_slice(&difference.to_le_bytes());
+            end += [0, narrow, medium, wide][usize::from(code)];
+        }
     }
-    out.truncate(end);
+    out.truncate(wide + code_count + end);
     out
 }
 

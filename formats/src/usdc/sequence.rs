@@ -1,7 +1,8 @@
 //! Writes a sequence as one mesh whose attributes have a sample per frame.
 //!
 //! The writer visits the frames once, in order. It writes their arrays one after the other, and at the end
-//! the time samples, which refer to the arrays. At any time, only one attribute of one frame is in memory.
+//! the time samples, which refer to the arrays. At any time, only the arrays of one frame are in memory, which
+//! the threads of the caller's pool encode.
 //! Equal arrays, such as those of a fluid at rest, are written once, as OpenUSD does.
 //! The attributes of a frame have the same time codes, so its `velocities` are valid for its `points`.
 //!
@@ -11,6 +12,8 @@
 
 use std::collections::HashMap;
 use std::io::{self, Read, Seek, SeekFrom, Write};
+
+use rayon::prelude::*;
 
 use crate::data::Provenance;
 use crate::digest::{Hasher, SampleKey};
@@ -44,27 +47,30 @@ pub fn write_sequence<R: Read + Seek>(
     let start = head(provenance, 0);
     out.write_all(&start)?;
     let mut arrays = ArrayWriter { at: start.len() as u64, written: HashMap::new(), out };
-    let (mut counts, mut corners) = (Vec::new(), Vec::new());
-    let mut samples: Vec<Vec<(f64, ValueRep)>> = attributes.iter().map(|_| Vec::new()).collect();
-    for (index, frame) in frames.iter().enumerate() {
-        let file = &mut open(index)?;
-        let faces = write_faces(frame, file, &mut arrays)?;
-        let at_codes = |value: ValueRep| shot.vertex_codes(index).map(move |code| (code, value));
-        counts.extend(at_codes(faces[0]));
-        corners.extend(at_codes(faces[1]));
-        for (attribute, samples) in attributes.iter().zip(&mut samples) {
-            let SequenceAttribute { ref semantic, first, arity, .. } = *attribute;
-            let found = frame.file.read_attribute(semantic, &shot.transform(index)?, file)?;
-            let (stride, values) = found.unwrap_or((arity, Vec::new()));
-            let elements = Elements::Reals { values: &values, stride, first, arity };
-            samples.extend(at_codes(arrays.write(elements)?));
+    // Those of the numbers of corners, the corners, and the attributes.
+    let mut samples: Vec<Vec<(f64, ValueRep)>> = vec![Vec::new(); 2 + attributes.len()];
+    for index in 0..frames.len() {
+        let FrameArrays { triangles, columns } =
+            FrameArrays::read(&shot, index, &attributes, &mut open(index)?)?;
+        let (triangles, quads) = (&*triangles, &[][..]);
+        let faces = [Elements::FaceCounts { triangles, quads }, Elements::FaceCorners { triangles, quads }];
+        let of_vertices = attributes.iter().zip(&columns).map(|(attribute, (stride, values))| {
+            Elements::Reals { values, stride: *stride, first: attribute.first, arity: attribute.arity }
+        });
+        let elements: Vec<Elements> = faces.into_iter().chain(of_vertices).collect();
+        let encoded: Result<Vec<KeyedArray>> = elements.into_par_iter().map(KeyedArray::of).collect();
+        for (array, samples) in encoded?.iter().zip(&mut samples) {
+            let value = arrays.write(array)?;
+            samples.extend(shot.vertex_codes(index).map(|code| (code, value)));
         }
     }
 
     let mut end = LayerEnd::at(arrays.at);
     let mut specs = vec![extents(&shot, &mut end)?];
-    specs.push(sampled("int[]", "faceVertexCounts", counts));
-    specs.push(sampled("int[]", "faceVertexIndices", corners));
+    let mut samples = samples.into_iter();
+    for (name, samples) in ["faceVertexCounts", "faceVertexIndices"].into_iter().zip(&mut samples) {
+        specs.push(sampled("int[]", name, samples));
+    }
     specs.push(word("orientation", "rightHanded", &mut end));
     for (SequenceAttribute { kind, name, is_per_vertex, .. }, samples) in attributes.iter().zip(samples) {
         specs.push(PropertySpec { is_per_vertex: *is_per_vertex, ..sampled(kind, name, samples) });
@@ -89,34 +95,58 @@ pub fn write_sequence<R: Read + Seek>(
     Ok(notes)
 }
 
-/// Writes the number of corners of each face, and the vertex indices of the corners.
-fn write_faces(
-    frame: &SequenceFrame,
-    file: &mut (impl Read + Seek),
-    arrays: &mut ArrayWriter<impl Write>,
-) -> Result<[ValueRep; 2]> {
-    let triangles = if frame.file.has_mesh() { frame.file.read_triangles(file)? } else { Vec::new() };
-    let (triangles, quads) = (&*triangles, &[][..]);
-    let counts = arrays.write(Elements::FaceCounts { triangles, quads })?;
-    Ok([counts, arrays.write(Elements::FaceCorners { triangles, quads })?])
+/// The arrays of a frame.
+struct FrameArrays {
+    triangles: Vec<[u32; 3]>,
+    /// The stride and the values of each attribute; no values for one that the frame lacks.
+    columns: Vec<(usize, Vec<f32>)>,
+}
+
+impl FrameArrays {
+    fn read(
+        shot: &UsdSequence,
+        index: usize,
+        attributes: &[SequenceAttribute],
+        file: &mut (impl Read + Seek),
+    ) -> Result<FrameArrays> {
+        let (frame, transform) = (&shot.frames[index].file, shot.transform(index)?);
+        let triangles = if frame.has_mesh() { frame.read_triangles(file)? } else { Vec::new() };
+        let column = |attribute: &SequenceAttribute| {
+            let found = frame.read_attribute(&attribute.semantic, &transform, file)?;
+            Ok(found.unwrap_or((attribute.arity, Vec::new())))
+        };
+        Ok(FrameArrays { triangles, columns: attributes.iter().map(column).collect::<Result<_>>()? })
+    }
+}
+
+/// An encoded array with its type and its 128-bit digest, by which equal arrays are recognised.
+struct KeyedArray<'a> {
+    array: CrateArray<'a>,
+    key: (ValueRep, SampleKey),
+}
+
+impl<'a> KeyedArray<'a> {
+    fn of(elements: Elements<'a>) -> Result<KeyedArray<'a>> {
+        let array = CrateArray::of(elements)?;
+        let mut hasher = Hasher::default();
+        array.write(&mut hasher)?;
+        let key = (array.rep(0), hasher.finish());
+        Ok(KeyedArray { array, key })
+    }
 }
 
 /// Writes arrays, and keeps track of their offsets.
 struct ArrayWriter<'a, W> {
     at: u64,
-    /// The arrays so far, by their types and 128-bit digests.
+    /// The arrays so far.
     written: HashMap<(ValueRep, SampleKey), ValueRep>,
     out: &'a mut W,
 }
 
 impl<W: Write> ArrayWriter<'_, W> {
     /// Writes an array, unless an equal one was written before.
-    fn write(&mut self, elements: Elements) -> Result<ValueRep> {
-        let array = CrateArray::of(elements)?;
-        let mut hasher = Hasher::default();
-        array.write(&mut hasher)?;
-        let key = (array.rep(0), hasher.finish());
-        if let Some(equal) = self.written.get(&key) {
+    fn write(&mut self, KeyedArray { array, key }: &KeyedArray) -> Result<ValueRep> {
+        if let Some(equal) = self.written.get(key) {
             return Ok(*equal);
         }
         let padding = padding(self.at);
@@ -124,7 +154,7 @@ impl<W: Write> ArrayWriter<'_, W> {
         array.write(self.out)?;
         let offset = self.at + padding.len() as u64;
         self.at = offset + array.byte_count();
-        self.written.insert(key, array.rep(offset));
+        self.written.insert(*key, array.rep(offset));
         Ok(array.rep(offset))
     }
 }

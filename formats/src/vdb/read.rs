@@ -61,7 +61,7 @@ pub fn grids(bytes: &[u8], limits: &Limits) -> Result<Vec<GridInfo>> {
 /// # Errors
 ///
 /// Those of [`grids`]; [`Error::Unsupported`] also if there is no such grid, or if its type or codec is not
-/// supported; [`Error::TooLarge`] if the grid needs more memory than `limits` allow. The reader counts the
+/// supported; [`Error::MemoryLimit`] if the grid needs more memory than `limits` allow. The reader counts the
 /// leaves and tiles first, so it fails before it allocates memory for them.
 pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Result<LevelSetData> {
     let entries = entries(bytes, limits)?;
@@ -89,7 +89,7 @@ impl LevelSetOutline {
     /// needs more memory than the limit.
     ///
     /// # Errors
-    /// [`Error::TooLarge`] with the larger of the two amounts.
+    /// [`Error::MemoryLimit`] with the larger of the two amounts.
     pub fn check_memory(&self, file_bytes: u64, using_bytes: u64, limits: &Limits) -> Result<()> {
         let reading_bytes = file_bytes.saturating_add(self.size.memory_bytes());
         limits.check_level_set(reading_bytes.max(using_bytes), &self.size.described())

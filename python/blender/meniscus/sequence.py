@@ -4,9 +4,11 @@ Everything in the scene is Blender's own: a Mesh Sequence Cache for a stage or a
 and drivers that give the frame. So a saved .blend plays without this extension, which only
 
     imports          and sets rate, offset and frame range
-    follows          reloads a stage that has grown, and extends the scene that ended with it
+    follows          reopens a stage that has grown, and extends the scene that ended with it
 
-Files of a growing sequence are read on a thread. A timer collects what it found.
+Files of a growing sequence are read on a thread. A timer collects what it found. Blender opens a stage in
+milliseconds, but then reads the visible frame again, on the main thread and as slowly as at a change of the frame.
+So a stage is reopened at the next change of the frame, or at once if another frame is visible then.
 """
 
 import bisect
@@ -21,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
+from bpy.app.handlers import persistent
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 from mathutils import Matrix
 
@@ -213,8 +216,9 @@ def add_volumes(scene: bpy.types.Scene, path: Path, _shot: Shot) -> list[bpy.typ
         modifier = mesh.modifiers.new("surface", "VOLUME_TO_MESH")
         modifier.object, modifier.grid_name, modifier.threshold = volume, "surface", 0.0
         modifier.resolution_mode, modifier.use_smooth_shade = "GRID", True
-        # The modifier reads grid values as cell centres, which moves the surface by half a voxel.
-        volume.matrix_world = Matrix.Translation((-voxel_size / 2,) * 3) @ volume.matrix_world
+        if bpy.app.version < (5, 0, 0):
+            # The modifier reads grid values as cell centres, which moves the surface by half a voxel.
+            volume.matrix_world = Matrix.Translation((-voxel_size / 2,) * 3) @ volume.matrix_world
         volume.parent, volume.hide_viewport, volume.hide_render = mesh, True, True
     return [volume]
 
@@ -388,6 +392,8 @@ _errors: dict[str, str] = {}
 #: Why Blender could not show the sequences that have changed, and these: they will be shown the next time.
 _grow_error = ""
 _waiting: set[str] = set()
+#: The stages that have grown since Blender opened them, as it has them open.
+_open: dict[str, Shot] = {}
 
 
 def followed() -> list[bpy.types.Object]:
@@ -421,6 +427,8 @@ def tick() -> float:
         return FOLLOW_SECONDS
     start = time.perf_counter()
     if _reading and not _reading.is_alive():
+        for name in _reading.changed.keys() & _known.keys():
+            _open.setdefault(name, _known[name])
         _known.update(_reading.changed)
         if _reading.errors != _errors:
             _errors = _reading.errors
@@ -435,16 +443,16 @@ def tick() -> float:
         try_to_grow(changed)
     if not _reading and (paths := {obj.meniscus_sequence.path for obj in followed()}):
         _reading = Reading(paths)
-    # Blender opens a stage of thousands of frames in 0.1 s: it may take a twentieth of the time.
+    # A large frame takes long to read: that may take a twentieth of the time.
     return max(FOLLOW_SECONDS, 20 * (time.perf_counter() - start))
 
 
-def try_to_grow(changed: set[str]) -> None:
+def try_to_grow(changed: set[str], is_forced: bool = False) -> None:
     """Show the sequences that have changed, now or the next time."""
     global _grow_error, _waiting
     was = _grow_error
     try:
-        grow(changed)
+        grow(changed, is_forced)
         _grow_error, _waiting = "", set()
     except RuntimeError as error:
         # An operator of Blender failed. A timer that raises would not be called again.
@@ -453,9 +461,10 @@ def try_to_grow(changed: set[str]) -> None:
         redraw()
 
 
-def grow(changed: set[str]) -> None:
-    """Show the sequences that have changed, and extend the scenes that ended with them."""
-    caches = set()
+def grow(changed: set[str], is_forced: bool) -> None:
+    """Extend the scenes that ended with the sequences that have changed. Read the sequences again whose visible
+    frame is another one now; if `is_forced`, all."""
+    caches = {}
     for obj in followed():
         source = obj.meniscus_sequence
         if source.path not in changed:
@@ -468,10 +477,12 @@ def grow(changed: set[str]) -> None:
             scene.frame_end = range_of(source, scene)[1]
         if obj.type == "VOLUME":
             set_times(obj, scenes[0] if scenes else bpy.context.scene)
-        elif modifier := modifier_of(obj):
-            caches.add(modifier.cache_file)
-    for cache in caches - {None}:
+        elif (modifier := modifier_of(obj)) and modifier.cache_file:
+            if is_forced or any(shows_another(obj, scene) for scene in scenes):
+                caches[modifier.cache_file] = source.path
+    for cache, path in caches.items():
         reload_cache(cache)
+        _open.pop(path, None)
     if changed:
         redraw()
 
@@ -482,6 +493,23 @@ def reload_cache(cache: bpy.types.CacheFile) -> None:
         bpy.ops.cachefile.reload()
 
 
+@persistent
+def reopen(_scene: bpy.types.Scene, *_graph: bpy.types.Depsgraph) -> None:
+    """Let Blender open the stages that have grown, just before it reads the frame that it changes to."""
+    if not _open or bpy.app.is_job_running("RENDER"):
+        return
+    caches = {
+        modifier.cache_file
+        for obj in bpy.data.objects
+        if obj.meniscus_sequence.path in _open and (modifier := modifier_of(obj))
+    }
+    for cache in caches - {None}:
+        # The operator would read the frame twice more. Blender also opens a file whose path is spelled otherwise.
+        folder, dot, name = re.fullmatch(r"((?:.*?[\\/])?)(\./)?([^\\/]*)", cache.filepath, re.DOTALL).groups()
+        cache.filepath = folder + name if dot else f"{folder}./{name}"
+    _open.clear()
+
+
 def redraw() -> None:
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
@@ -489,10 +517,10 @@ def redraw() -> None:
                 area.tag_redraw()
 
 
-def frames_of(obj: bpy.types.Object) -> tuple[int, ...]:
-    """The known frames of an object that can grow."""
+def frames_of(obj: bpy.types.Object, shots: dict[str, Shot]) -> tuple[int, ...]:
+    """The frames of an object that can grow."""
     source = obj.meniscus_sequence
-    shot = _known.get(source.path)
+    shot = shots.get(source.path)
     if not shot:
         return ()
     if obj.type == "VOLUME":
@@ -501,14 +529,30 @@ def frames_of(obj: bpy.types.Object) -> tuple[int, ...]:
     return shot.frames.get(name_of(obj, Path(source.path)) if modifier else "", ())
 
 
+def number_at(source: "MENISCUS_PG_sequence", scene: bpy.types.Scene) -> int:
+    """The frame of the sequence at the current time, if it exists."""
+    passed = (scene.frame_current - source.anchor - source.offset) * ratio_of(source, scene)
+    return min(max(source.anchor + math.floor(passed + TINY), source.first), source.last)
+
+
+def held(number: int, frames: tuple[int, ...]) -> int | None:
+    """The frame that is shown for a number: the one before, if it is missing."""
+    return frames[max(bisect.bisect_right(frames, number) - 1, 0)] if frames else None
+
+
+def shows_another(obj: bpy.types.Object, scene: bpy.types.Scene) -> bool:
+    """Whether the stage has another frame for the current time than Blender, which has opened it before."""
+    source = obj.meniscus_sequence
+    if source.path not in _open:
+        return False
+    number = number_at(source, scene)
+    return held(number, frames_of(obj, _open)) != held(number, frames_of(obj, _known))
+
+
 def shown_in_place(obj: bpy.types.Object, scene: bpy.types.Scene) -> tuple[int, int] | None:
     """The missing frame at the current time, and the one that is shown; None if nothing is missing."""
-    source, frames = obj.meniscus_sequence, frames_of(obj)
-    passed = (scene.frame_current - source.anchor - source.offset) * ratio_of(source, scene)
-    number = min(max(source.anchor + math.floor(passed + TINY), source.first), source.last)
-    if not frames or number in frames:
-        return None
-    return number, frames[max(bisect.bisect_right(frames, number) - 1, 0)]
+    number, frames = number_at(obj.meniscus_sequence, scene), frames_of(obj, _known)
+    return None if not frames or number in frames else (number, held(number, frames))
 
 
 # Blender interface
@@ -610,7 +654,7 @@ class MENISCUS_OT_sequence_reload(bpy.types.Operator):
         try:
             found, _errors = look({obj.meniscus_sequence.path for obj in followed()}, {})
             _known.update(found)
-            try_to_grow(set(found))
+            try_to_grow(set(found), is_forced=True)
             for volume in {obj.data for obj in followed() if obj.type == "VOLUME"}:
                 volume.filepath = volume.filepath
             context.view_layer.update()
@@ -641,7 +685,7 @@ class MENISCUS_PT_sequence(Panel, bpy.types.Panel):
 
 
 def draw_sequence(box: bpy.types.UILayout, obj: bpy.types.Object, scene: bpy.types.Scene) -> None:
-    source, frames = obj.meniscus_sequence, frames_of(obj)
+    source, frames = obj.meniscus_sequence, frames_of(obj, _known)
     missing = source.last - source.first + 1 - len(frames) if frames else 0
     words = f", {missing} missing" if missing else ""
     box.label(text=f"{obj.name}: frames {source.first} to {source.last}{words}")
@@ -671,6 +715,7 @@ def register() -> None:
         bpy.utils.register_class(kind)
     bpy.types.Scene.meniscus_sequence = PointerProperty(type=MENISCUS_PG_import)
     bpy.types.Object.meniscus_sequence = PointerProperty(type=MENISCUS_PG_sequence)
+    bpy.app.handlers.frame_change_pre.append(reopen)
     bpy.app.timers.register(tick, first_interval=FOLLOW_SECONDS, persistent=True)
 
 
@@ -678,8 +723,11 @@ def unregister() -> None:
     global _reading, _errors, _grow_error, _waiting
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
+    if reopen in bpy.app.handlers.frame_change_pre:
+        bpy.app.handlers.frame_change_pre.remove(reopen)
     _reading, _errors, _grow_error, _waiting = None, {}, "", set()
     _known.clear()
+    _open.clear()
     del bpy.types.Object.meniscus_sequence, bpy.types.Scene.meniscus_sequence
     for kind in reversed(CLASSES):
         bpy.utils.unregister_class(kind)

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use meniscus_formats::columns::aliases;
 use meniscus_formats::{AttributeRole, FileAttribute, Values};
 
-use crate::surface::options::{Anisotropy, AttributeSelection, PerParticleRadius, Settings};
+use crate::surface::options::{Anisotropy, AttributeSelection, OptionName, PerParticleRadius, Settings};
 use crate::surface::particles::{Attribute, AttributeValues, Role, find_attribute};
 
 use crate::pipeline::warning::Warning;
@@ -26,15 +26,16 @@ struct RequiredAttribute {
     /// The number of components for each particle.
     arity: usize,
     /// The option that requires it.
-    option: &'static str,
+    option: OptionName,
     /// Whether at least one particle needs a positive value.
     is_length: bool,
 }
 
 impl RequiredAttribute {
-    /// The error message if none of these attributes meets the requirement.
-    fn why_missing(&self, all: &[Attribute]) -> String {
-        let RequiredAttribute { name, arity, option, .. } = self;
+    /// The error message if none of these attributes meets the requirement, with the option in this spelling.
+    fn why_missing(&self, all: &[Attribute], spelled: fn(OptionName) -> String) -> String {
+        let RequiredAttribute { name, arity, .. } = self;
+        let option = spelled(self.option);
         let kind = if *arity == 1 { "one number" } else { "a vector of three numbers" };
         match all.iter().find(|attribute| attribute.matches(name)) {
             None => {
@@ -60,12 +61,13 @@ impl RequiredAttribute {
         attribute.matches(&self.name) && attribute.has_numbers(self.arity)
     }
 
-    /// The error message if this attribute has no usable value for any particle.
-    fn why_useless(&self, attribute: &Attribute) -> Option<String> {
+    /// The error message if this attribute has no usable value for any particle, with the option in this
+    /// spelling.
+    fn why_useless(&self, attribute: &Attribute, spelled: fn(OptionName) -> String) -> Option<String> {
         let numbers = attribute.values.numbers().unwrap_or_default();
         let is_useful = |number: &f32| number.is_finite() && *number > 0.0;
         let is_useless = self.is_length && !numbers.is_empty() && !numbers.iter().any(is_useful);
-        let RequiredAttribute { option, .. } = self;
+        let option = spelled(self.option);
         let name = &attribute.name;
         is_useless.then(|| {
             format!("the particles' attribute `{name}` has no positive value, but {option} needs radii")
@@ -82,7 +84,7 @@ impl AttributeRequest {
             needed.push(RequiredAttribute {
                 name,
                 arity: 3,
-                option: "--anisotropy velocity",
+                option: OptionName::with_value("anisotropy", "velocity"),
                 is_length: false,
             });
         }
@@ -94,7 +96,7 @@ impl AttributeRequest {
         let needed = |own: &PerParticleRadius| RequiredAttribute {
             name: own.attribute.clone(),
             arity: 1,
-            option: "--radius-attribute",
+            option: OptionName::new("radius_attribute"),
             is_length: true,
         };
         AttributeRequest { needed: own.map(needed).into_iter().collect(), selected: None }
@@ -120,11 +122,12 @@ impl AttributeRequest {
     ) -> Result<(Vec<Attribute>, Vec<Warning>), String> {
         let headers = attributes.iter().map(header).collect();
         let mut attributes: Vec<Option<FileAttribute>> = attributes.into_iter().map(Some).collect();
-        self.select_with(headers, |index| attributes.get_mut(index).and_then(Option::take))
+        self.select_with(headers, |index| attributes.get_mut(index).and_then(Option::take), OptionName::flag)
     }
 
     /// Like [`select`](Self::select), for attributes that need not be in memory: `headers` are without
-    /// values, and `load` returns the attribute with this index. Loads only those that are requested.
+    /// values, and `load` returns the attribute with this index. Loads only those that are requested. Errors
+    /// name options in this spelling.
     ///
     /// # Errors
     /// If a required attribute is missing or unusable.
@@ -132,6 +135,7 @@ impl AttributeRequest {
         &self,
         headers: Vec<FileAttribute>,
         mut load: impl FnMut(usize) -> Option<FileAttribute>,
+        spelled: fn(OptionName) -> String,
     ) -> Result<(Vec<Attribute>, Vec<Warning>), String> {
         if self.is_empty() {
             return Ok((Vec::new(), Vec::new()));
@@ -141,7 +145,7 @@ impl AttributeRequest {
         let exists = |name: &str| all.iter().any(|attribute| attribute.matches(name));
         for needed in &self.needed {
             if find_attribute(&all, &needed.name, needed.arity).is_none() {
-                return Err(needed.why_missing(&all));
+                return Err(needed.why_missing(&all, spelled));
             }
         }
         let named: &[String] = match &self.selected {
@@ -169,7 +173,7 @@ impl AttributeRequest {
         let kept: Vec<Attribute> = kept.filter_map(&mut load).map(attribute).collect();
         for needed in &self.needed {
             let found = find_attribute(&kept, &needed.name, needed.arity);
-            if let Some(why) = found.and_then(|attribute| needed.why_useless(attribute)) {
+            if let Some(why) = found.and_then(|attribute| needed.why_useless(attribute, spelled)) {
                 return Err(why);
             }
         }

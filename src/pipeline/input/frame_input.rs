@@ -70,7 +70,9 @@ pub(crate) fn read_input(
     let file =
         LevelSetFile::of_bytes(&frame.input, bytes, false, memory_bytes).map_err(|error| {
             match error.cause {
-                Cause::File(Error::TooLarge { .. }) => too_large(frame, bytes, memory_bytes).unwrap_or(error),
+                Cause::File(Error::MemoryLimit { .. }) => {
+                    too_large(frame, bytes, memory_bytes).unwrap_or(error)
+                }
                 _ => error,
             }
         })?;

@@ -9,40 +9,40 @@
 //!   └────────────┘               └──────────┘
 //! ```
 
+use std::path::Path;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::surface::obstacle::Obstacle;
 use crate::surface::options::{Anisotropy, RADIUS_MAX_VOXELS, Settings};
 use crate::surface::particles::{ParticleSource, Positions};
 
-use super::frame_input::FrameInput;
-use super::obstacles::FrameObstacles;
-use crate::pipeline::error::Cause;
 use crate::pipeline::warning::{ObstacleFinding, Warning};
 
 /// A warning for each obstacle that is out of reach of all particles of a frame.
 ///
 /// # Errors
 /// Those of reading the particles.
-pub(crate) fn out_of_reach(
-    obstacles: &FrameObstacles,
-    particles: &FrameInput,
+pub(crate) fn out_of_reach<'a, S: ParticleSource>(
+    obstacles: impl IntoIterator<Item = (&'a Path, &'a Obstacle)>,
+    particles: &S,
     settings: &Settings,
-) -> Result<Vec<Warning>, Cause> {
-    if obstacles.paths.is_empty() {
+) -> Result<Vec<Warning>, S::Error> {
+    let mut obstacles = obstacles.into_iter().peekable();
+    if obstacles.peek().is_none() {
         return Ok(Vec::new());
     }
     let Some(of_particles) = box_of(particles)? else { return Ok(Vec::new()) };
     let reach = reach(settings);
-    let members = obstacles.paths.iter().zip(&obstacles.obstacles.members);
-    let warnings = members.filter_map(|(path, obstacle)| {
+    let warnings = obstacles.filter_map(|(path, obstacle)| {
         let of_obstacle = obstacle.sdf().bounds()?;
         let is_near = (0..3).all(|axis| {
             of_obstacle[0][axis] - reach <= of_particles[1][axis]
                 && of_particles[0][axis] <= of_obstacle[1][axis] + reach
         });
         let finding = ObstacleFinding::OutOfReach { obstacle: of_obstacle, particles: of_particles };
-        (!is_near).then(|| Warning::Obstacle { path: path.clone(), finding })
+        (!is_near).then(|| Warning::Obstacle { path: path.to_owned(), finding })
     });
     Ok(warnings.collect())
 }
@@ -66,7 +66,7 @@ fn reach(settings: &Settings) -> f64 {
 const BAND_VOXELS: f64 = 3.0;
 
 /// The bounding box (minimum and maximum corner) of the particles with finite positions.
-fn box_of(particles: &FrameInput) -> Result<Option<[DVec3; 2]>, Cause> {
+fn box_of<S: ParticleSource>(particles: &S) -> Result<Option<[DVec3; 2]>, S::Error> {
     fn around(points: impl Iterator<Item = DVec3>) -> Option<[DVec3; 2]> {
         points.filter(|point| point.is_finite()).map(|point| [point; 2]).reduce(both)
     }

@@ -4,6 +4,7 @@
 //! Other files are read whole. Parsing and planning happen in the pool.
 
 use std::io;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -211,7 +212,9 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             let loaded = frame.obstacles.load(found, &frame.settings, allowed_bytes);
             let mut obstacles = loaded.map_err(|error| failed(Cause::Obstacle(Box::new(error))))?;
             warnings.append(&mut obstacles.warnings);
-            warnings.extend(out_of_reach(&obstacles, &given, &frame.settings).map_err(failed)?);
+            let members = obstacles.obstacles.members.iter().map(Arc::as_ref);
+            let by_path = obstacles.paths.iter().map(PathBuf::as_path).zip(members);
+            warnings.extend(out_of_reach(by_path, &given, &frame.settings).map_err(failed)?);
             let plan = method.plan(&given, &obstacles, &frame.settings, allowed_bytes).map_err(failed)?;
             if plan.tile_leaves.is_some() {
                 let whole_bytes = plan.in_core_bytes.saturating_add(given.size_bytes());

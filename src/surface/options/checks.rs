@@ -38,5 +38,5 @@ pub(super) fn named(name: &str, given: Option<Length>) -> String {
 
 /// An error with this message unless the condition holds.
 pub(super) fn require(holds: bool, what: impl FnOnce() -> String) -> Result<(), SettingsError> {
-    if holds { Ok(()) } else { Err(SettingsError { what: what() }) }
+    if holds { Ok(()) } else { Err(SettingsError::of_value(what())) }
 }

@@ -21,7 +21,7 @@ use super::length::{Length, LengthUnit};
 use super::pairs::Pairs;
 use super::presets::{Preset, Recipe};
 use super::values::{AnisotropyKind, AttributeSelection, ClipBox};
-use super::{PerParticleRadius, SettingsError};
+use super::{OptionName, PerParticleRadius, SettingsError};
 
 /// Upper limit of `drop_islands`. A larger piece is not an island to drop. It may also be so thick that its
 /// deep leaves are not stored, and its particles cannot be counted.
@@ -98,7 +98,7 @@ method_options! {
 
             /// Factor from a particle's own radius to its r_min, positive [default: 1]
             #[arg(value_name = "S")]
-            radius_scale: f64 => "--radius-attribute", |options, _| options.radius_attribute.is_some(),
+            radius_scale: f64 => [OptionName::new("radius_attribute")], |options, _| options.radius_attribute.is_some(),
 
             /// How to stretch particles, so that sheets and jets are thin and smooth [default: neighbors]
             #[arg(value_name = "BY", ignore_case = true)]
@@ -107,23 +107,24 @@ method_options! {
             /// Maximum ratio of a particle's longest semi-axis to its shortest, 1 to 8 [default: 4]
             #[arg(value_name = "K")]
             max_stretch: f64 in 1.0..=MAX_STRETCH_MAX
-                => "--anisotropy", |options, _| options.anisotropy_kind() != AnisotropyKind::None,
+                => [OptionName::new("anisotropy")], |options, _| options.anisotropy_kind() != AnisotropyKind::None,
 
             /// Smallest semi-axis of flattened particles, positive, from 0.9h to r_min, for --anisotropy
             /// neighbors; smaller makes thinner sheets [default: 0.36d]
             #[arg(value_name = "LENGTH")]
-            thin_radius: Length => "--anisotropy neighbors", stretches_by_neighbors,
+            thin_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
 
             /// Radius of particles without neighbours (drops), which replaces their r_min, positive and at
             /// most --radius-min, for --anisotropy neighbors [default: 0.7d]
             #[arg(value_name = "LENGTH")]
-            lone_radius: Length => "--anisotropy neighbors", stretches_by_neighbors,
+            lone_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
 
             /// Search radius for neighbours, positive and at most 200h, for --anisotropy neighbors and
             /// --position-smoothing [default: 2.6d]
             #[arg(value_name = "LENGTH")]
             neighbor_radius: Length
-                => "--anisotropy neighbors and --position-smoothing", |options, _| options.uses_neighbors(),
+                => [OptionName::with_value("anisotropy", "neighbors"), OptionName::new("position_smoothing")],
+                |options, _| options.uses_neighbors(),
 
             /// Move particles near the surface toward the mean of their neighbours by this fraction, 0 to 1
             /// [default: 0.7]
@@ -134,12 +135,14 @@ method_options! {
             /// positive, for --anisotropy velocity [default: 0.01]
             #[arg(value_name = "SECONDS")]
             velocity_gain: f64
-                => "--anisotropy velocity", |options, _| options.anisotropy_kind() == AnisotropyKind::Velocity,
+                => [OptionName::with_value("anisotropy", "velocity")],
+                |options, _| options.anisotropy_kind() == AnisotropyKind::Velocity,
         }
         Obstacles {
             /// Fill gaps narrower than this between the surface and obstacles, in voxels, 0 to 4 [default: 1]
             #[arg(value_name = "VOXELS")]
-            void_threshold: f64 in 0.0..=VOID_THRESHOLD_MAX => "--obstacle", |_, has_obstacles| has_obstacles,
+            void_threshold: f64 in 0.0..=VOID_THRESHOLD_MAX
+                => [OptionName::new("obstacle")], |_, has_obstacles| has_obstacles,
         }
         Particles {
             /// Attributes to interpolate to the surface: a list of names, such as velocity,Cd,id, or the word
@@ -218,7 +221,8 @@ method_options! {
             /// [default: 0.0001]
             #[arg(value_name = "E")]
             cg_tolerance: f64 in 1e-12..=0.5
-                => "--integrator implicit", |options, _| options.integrator == Some(Integrator::Implicit),
+                => [OptionName::with_value("integrator", "implicit")],
+                |options, _| options.integrator == Some(Integrator::Implicit),
         }
     }
 }
@@ -285,12 +289,12 @@ impl MethodOptions {
         Ok(Some(PerParticleRadius { attribute: attribute.clone(), scale }))
     }
 
-    /// The given options that have no effect, each with the option that it requires; `has_obstacles` says
-    /// whether there are obstacles.
-    pub fn ineffective(&self, has_obstacles: bool) -> Vec<(&'static str, &'static str)> {
+    /// The given options that have no effect, each with the options of which it requires one;
+    /// `has_obstacles` says whether there are obstacles.
+    pub fn ineffective(&self, has_obstacles: bool) -> Vec<(&'static str, &'static [OptionName])> {
         let unmet_need = |name: &'static str| {
             let need = MethodOptions::info(name)?.need.as_ref()?;
-            (!(need.is_met)(self, has_obstacles)).then_some((name, need.what))
+            (!(need.is_met)(self, has_obstacles)).then_some((name, need.any_of))
         };
         self.to_pairs().into_iter().filter_map(|(name, _)| unmet_need(name)).collect()
     }
@@ -301,7 +305,7 @@ fn stretches_by_neighbors(options: &MethodOptions, _: bool) -> bool {
 }
 
 fn out_of_range<T: Display + LowerExp>(name: &str, value: T, range: &RangeInclusive<T>) -> SettingsError {
-    SettingsError { what: format!("{name} is {value}; it must be from {}", fields::range_text(range)) }
+    SettingsError::of_value(format!("{name} is {value}; it must be from {}", fields::range_text(range)))
 }
 
 #[cfg(test)]

@@ -5,7 +5,9 @@
 //!       /// Fill enclosed cavities …       the help, and the documentation of the field
 //!       #[arg(value_name = "VOXELS")]      what else the command line shows
 //!       fill_cavities: f64 in 0.0..=1e6,   the name, on the command line, in files and here; type and range
-//!       radius_scale: f64 => "--radius-attribute", |options, _| …,   what it needs to have an effect, and whether that is given
+//!       radius_scale: f64
+//!           => [OptionName::new("radius_attribute")],   the options of which it needs one to have an effect,
+//!           |options, _| …,                and whether one is given
 //!   }
 //! ```
 
@@ -45,12 +47,40 @@ pub enum ValueKind {
     Text,
 }
 
+/// The name of an option in a message, or that of an option with a value. Each front end has its own
+/// spelling: `--anisotropy neighbors`, or `anisotropy="neighbors"` in Python.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OptionName {
+    /// The name of its field, or `obstacle`, which only the command line has as an option.
+    pub name: &'static str,
+    /// The value that the message is about.
+    pub value: Option<&'static str>,
+}
+
+impl OptionName {
+    /// An option with any value.
+    pub const fn new(name: &'static str) -> OptionName {
+        OptionName { name, value: None }
+    }
+
+    /// An option with this value.
+    pub const fn with_value(name: &'static str, value: &'static str) -> OptionName {
+        OptionName { name, value: Some(value) }
+    }
+
+    /// The spelling of the command line.
+    pub fn flag(self) -> String {
+        let flag = format!("--{}", self.name.replace('_', "-"));
+        self.value.map_or(flag.clone(), |value| format!("{flag} {value}"))
+    }
+}
+
 /// What an option needs to have an effect.
 #[derive(Debug)]
-pub struct Need<Options> {
-    /// What has to be given, as it is typed.
-    pub what: &'static str,
-    /// Whether it is given. The arguments are the options, and whether there are obstacles.
+pub struct Need<Options: 'static> {
+    /// The options of which one has to be given.
+    pub any_of: &'static [OptionName],
+    /// Whether one is given. The arguments are the options, and whether there are obstacles.
     pub(super) is_met: fn(&Options, bool) -> bool,
 }
 
@@ -137,8 +167,8 @@ macro_rules! need {
     () => {
         None
     };
-    ($what:expr, $is_met:expr) => {
-        Some(fields::Need { what: $what, is_met: $is_met })
+    ($any_of:expr, $is_met:expr) => {
+        Some(fields::Need { any_of: &$any_of, is_met: $is_met })
     };
 }
 pub(super) use need;

@@ -21,7 +21,7 @@ pub use crate::surface::smooth::Integrator;
 use crate::surface::words::significant;
 use checks::{named, require};
 pub use definition::MethodOptions;
-pub use fields::{OptionGroup, OptionInfo, OptionValue, ValueKind};
+pub use fields::{OptionGroup, OptionInfo, OptionName, OptionValue, ValueKind};
 #[cfg(feature = "cli")]
 pub(crate) use fields::{expected, ranged};
 pub use length::{Length, LengthUnit};
@@ -160,17 +160,56 @@ const STEPS_WARN: f64 = 2000.0;
 /// Upper limit of the total time of adaptive steps, in units of h⁴. It also limits their number.
 const ADAPTIVE_TIME_MAX: f64 = 1e4;
 
-/// Why options cannot be resolved to settings.
+/// Why options cannot be resolved to settings. Its `Display` form names options as the command line does.
 #[derive(Clone, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct SettingsError {
-    /// The message: the invalid value, and the allowed range.
-    pub what: String,
+pub struct SettingsError(SettingsFault);
+
+#[derive(Clone, Debug, PartialEq)]
+enum SettingsFault {
+    /// A message without names of options: the invalid value, and the allowed range.
+    Value(String),
+    UnknownSpacing,
+    QuadsOfTetrahedra,
+    QuadsDecimated,
+}
+
+impl SettingsError {
+    fn of_value(what: String) -> SettingsError {
+        SettingsFault::Value(what).into()
+    }
+
+    /// The message with the names of options in this spelling.
+    #[doc(hidden)]
+    pub fn message(&self, spelled: impl Fn(OptionName) -> String) -> String {
+        let quads = OptionName::new("quads");
+        match &self.0 {
+            SettingsFault::Value(what) => what.clone(),
+            SettingsFault::UnknownSpacing => {
+                format!("the particle spacing is unknown: give {}", spelled(OptionName::new("spacing")))
+            }
+            SettingsFault::QuadsOfTetrahedra => format!(
+                "{} requires dual contouring: remove {}",
+                spelled(quads),
+                spelled(OptionName::with_value("contour", "tetrahedra"))
+            ),
+            SettingsFault::QuadsDecimated => format!(
+                "{} cannot be combined with {}, which produces triangles: remove one of them",
+                spelled(quads),
+                spelled(OptionName::new("decimate"))
+            ),
+        }
+    }
+}
+
+impl From<SettingsFault> for SettingsError {
+    fn from(fault: SettingsFault) -> SettingsError {
+        SettingsError(fault)
+    }
 }
 
 impl fmt::Display for SettingsError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.what)
+        f.write_str(&self.message(OptionName::flag))
     }
 }
 
@@ -293,12 +332,11 @@ impl Settings {
                 format!("the {what} is {time}; it must be from 0 to {ADAPTIVE_TIME_MAX}")
             })?;
         }
-        require(!self.quads || self.contouring == Contouring::Dual, || {
-            "--quads requires dual contouring: remove --contour tetrahedra".into()
-        })?;
-        require(!self.quads || self.decimate == 0.0, || {
-            "--quads cannot be combined with --decimate, which produces triangles: remove one of them".into()
-        })
+        match (self.quads, self.contouring) {
+            (true, Contouring::Tetrahedra) => Err(SettingsFault::QuadsOfTetrahedra.into()),
+            (true, Contouring::Dual) if self.decimate != 0.0 => Err(SettingsFault::QuadsDecimated.into()),
+            _ => Ok(()),
+        }
     }
 
     /// Whether particles differ in size or shape.

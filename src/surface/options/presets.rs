@@ -7,7 +7,7 @@ use crate::surface::words::{rounded_to_digits, word_enum};
 
 use super::length::{Length, LengthUnit};
 use super::values::AnisotropyKind;
-use super::{MethodOptions, SettingsError, require};
+use super::{MethodOptions, SettingsError, SettingsFault, require};
 
 word_enum! {
     /// A set of defaults.
@@ -228,10 +228,7 @@ impl Scale {
         let spacing = match (spacing, in_world_units) {
             (Some(spacing), _) => super::checks::positive("particle spacing", spacing)?,
             (None, Some(h)) => rounded_to_digits(h / recipe.voxel_size),
-            (None, None) => {
-                require(false, || "the particle spacing is unknown: give --spacing".into())?;
-                f64::NAN
-            }
+            (None, None) => return Err(SettingsFault::UnknownSpacing.into()),
         };
         let usual = rounded_to_digits(recipe.voxel_size * spacing);
         let for_radii = |radius: f64| (radius / 3f64.sqrt()).max(spacing / VOXELS_PER_SPACING_MAX).min(usual);

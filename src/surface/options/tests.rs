@@ -148,7 +148,7 @@ fn given_spacing_overrides_the_measured_one() {
     for unknown in [choices(None, None, FLUID), choices(None, None, Some(Preset::Paper))] {
         assert!(unknown.needs_spacing());
         let error = resolved(&unknown, None).expect_err("unknown");
-        assert!(error.what.contains("--spacing"), "{error}");
+        assert!(error.to_string().contains("--spacing"), "{error}");
     }
     // The voxel size follows small particle radii, but only down to a limit, because the radii might be in
     // another unit.
@@ -199,7 +199,7 @@ fn lengths_out_of_range_are_named_as_typed() {
         ("neighbor_radius", "90d", "the neighbour radius 90d is 225 h; it must be at most 200 h"),
     ] {
         let error = Settings::resolve(&options(&[(name, text)]), Some(0.1.into())).expect_err(text);
-        assert!(error.what.starts_with(expected), "{error}");
+        assert!(error.to_string().starts_with(expected), "{error}");
     }
 }
 
@@ -298,7 +298,7 @@ fn options_are_checked_before_the_voxel_size_is_known() {
         ),
     ] {
         let error = Settings::check(&invalid).expect_err("senseless");
-        assert!(error.what.contains(word), "{invalid:?}: {error}");
+        assert!(error.to_string().contains(word), "{invalid:?}: {error}");
     }
 }
 
@@ -346,7 +346,7 @@ fn lengths_in_spacings_need_the_spacing_and_those_in_voxels_do_not() {
     assert!(options(&[("preset", "paper"), ("voxel_size", "0.5d")]).needs_spacing());
     let error =
         Settings::resolve(&options(&[("spacing", "1"), ("voxel_size", "2h")]), None).expect_err("no unit");
-    assert!(error.what.contains("2h") && error.what.contains("0.4d"), "{error}");
+    assert!(error.to_string().contains("2h") && error.to_string().contains("0.4d"), "{error}");
     // Lengths in different units are compared once the spacing is known.
     assert_eq!(Settings::check(&options(&[("radius_min", "0.1"), ("radius_init", "9d")])), Ok(()));
     assert!(Settings::check(&options(&[("radius_min", "1d"), ("radius_init", "9d")])).is_err());

@@ -43,7 +43,7 @@ impl Core {
             self.note_camera(index);
         }
         self.guard.on_success();
-        let seconds = report.seconds.total();
+        let (seconds, logged_outputs) = (report.seconds.total(), paths_json(&outputs));
         let figures = Arc::new(Figures::of(report, self.config.watches[id.root].job()));
         self.counters.add_converted(&figures, report.input.stamp.size, report.output_bytes.iter().sum());
         let record = JournaledFrame {
@@ -64,6 +64,8 @@ impl Core {
                 let seconds = figures.seconds;
                 tracing::info!(
                     frame = %path.display(),
+                    state = "converted",
+                    outputs = logged_outputs,
                     particles = figures.particles,
                     read_s = rounded(seconds.read),
                     rasterize_s = rounded(seconds.rasterize),
@@ -104,10 +106,14 @@ impl Core {
         // Figures that were measured when these very outputs were written still apply.
         let known = self.record_of(id).filter(|known| are_the_same(&known.outputs, &outputs));
         let record = with_measurements(record, known);
+        let logged_outputs = paths_json(&outputs);
         let record = JournaledFrame { stamp: input.stamp, hash: Some(input.hash), outputs, ..record };
         self.counters.found_done += 1;
         let (path, queue) = (Arc::clone(&id.path), self.queue.len());
-        let log = Log::new(move || tracing::info!(frame = %path.display(), queue, "frame was done already"));
+        let log = Log::new(move || {
+            let (frame, outputs) = (path.display(), logged_outputs);
+            tracing::info!(%frame, state = "already_done", outputs, queue, "frame was done already");
+        });
         self.note_done(id, record, log);
     }
 
@@ -202,9 +208,14 @@ impl Core {
             let why = without_path(&path, &why);
             match status {
                 JournaledStatus::RetriesExhausted if attempts > 0 => {
-                    tracing::error!(frame = %path.display(), attempt = attempts, "{why}; gave up: {next}");
+                    tracing::error!(
+                        frame = %path.display(),
+                        state = "failed",
+                        attempt = attempts,
+                        "{why}; gave up: {next}"
+                    );
                 }
-                _ => tracing::error!(frame = %path.display(), "{why}"),
+                _ => tracing::error!(frame = %path.display(), state = "failed", "{why}"),
             }
         });
         self.record_status(id, status, Some(reason.clone()), Some(log));
@@ -299,6 +310,12 @@ impl Core {
 fn without_path<'a>(path: &Path, reason: &'a str) -> &'a str {
     let start = format!("{}: ", path.display());
     reason.strip_prefix(&*start).unwrap_or(reason)
+}
+
+/// The paths of these outputs as a JSON array: a field of the log is text or a number.
+fn paths_json(outputs: &[OutputRecord]) -> String {
+    let paths = outputs.iter().map(|output| output.path.to_string_lossy().into_owned());
+    serde_json::Value::from_iter(paths).to_string()
 }
 
 /// Copies the measurements of the known record.
