@@ -23,6 +23,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, Po
 
 from . import program, sequence
 from .panel import Panel, draw_text
+from .timers import lasting
 
 TICK_SECONDS = 0.5
 #: The rate is that of this time.
@@ -253,6 +254,7 @@ def options_of(settings: "MENISCUS_PG_conversion") -> list[str]:
     return [f"--{name}={value}" for name, value in options.items() if value]
 
 
+@lasting
 def tick() -> float:
     """Show what the threads have found, and link the result once."""
     global _shown

@@ -25,6 +25,7 @@ from bpy.props import BoolProperty, FloatProperty, PointerProperty, StringProper
 from . import meshes, options
 from .panel import Panel, draw_text
 from .points import PointsError, read, varies
+from .timers import lasting
 from .worker import Request, Result, Worker, compute
 
 TICK_SECONDS = 0.02
@@ -158,6 +159,7 @@ def is_rendering() -> bool:
     return bpy.app.is_job_running("RENDER")
 
 
+@lasting
 def tick() -> float:
     """Collects results, and writes the meshes of a render."""
     global _is_stale, _was_busy
@@ -195,6 +197,8 @@ def tick() -> float:
 def update_all() -> None:
     """Requests the surfaces of all scenes that are shown."""
     for window in bpy.context.window_manager.windows:
+        # After undo, and after a file was opened, the dependency graph is not evaluated before the next redraw.
+        window.view_layer.update()
         for surface in surfaces_in(window.scene):
             if surface.meniscus.is_live:
                 update(surface, window.view_layer.depsgraph)

@@ -26,6 +26,7 @@ from mathutils import Matrix
 
 from . import program
 from .panel import Panel, draw_text
+from .timers import lasting
 
 FOLLOW_SECONDS = 1.0
 #: Rotates coordinates with Y up to Z up.
@@ -413,6 +414,7 @@ def look(paths: Iterable[str], known: dict[str, Shot]) -> tuple[dict[str, Shot],
     return changed, errors
 
 
+@lasting
 def tick() -> float:
     """Collect what the thread has read, and let it look again."""
     global _reading, _errors
