@@ -564,6 +564,7 @@ def errors():
     faults += [f"no {word} in: {text}" for word, text in said if word not in text]
     if len(surface.data.vertices) == 0 or not count:
         faults.append("an error has emptied the surface")
+    faults += hidden_points()
     scene = empty_scene()
     source, _ = add_points(scene, 500)
     tree = source.modifiers[0].node_group
@@ -576,6 +577,31 @@ def errors():
         bpy.ops.meniscus.add_surface()
         faults.append("instances were read")
     return ", ".join(word for word, _ in said), faults
+
+
+def hidden_points():
+    """Points that are hidden in renders, or in the viewport. The panel shows the reason of a render until the next
+    one, also after the surface was made again."""
+    scene, source, surface, _ = add_surface(500)
+    prepare_render(scene, (16, 16), 1)
+    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(scene.camera)
+    faults = []
+    for is_hidden in (True, False):
+        source.hide_render = is_hidden
+        with contextlib.redirect_stdout(io.StringIO()):
+            bpy.ops.render.render()
+        bpy.ops.meniscus.update()
+        labels = drawn("MENISCUS_PT_surface")[0]
+        if ("render, frame 1" in labels and "is hidden in renders" in labels.replace("  ", " ")) != is_hidden:
+            faults.append(f"hide_render {is_hidden}: the panel shows {labels}")
+    source.hide_viewport = True
+    with contextlib.suppress(RuntimeError), contextlib.redirect_stdout(io.StringIO()):
+        bpy.ops.meniscus.update()
+    labels = drawn("MENISCUS_PT_surface")[0]
+    if "is hidden in the viewport" not in labels:
+        faults.append(f"hide_viewport: the panel shows {labels}")
+    return faults
 
 
 # Renders and bakes

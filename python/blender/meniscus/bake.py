@@ -176,7 +176,8 @@ class MENISCUS_OT_bake(bpy.types.Operator):
 
     bl_idname = "meniscus.bake"
     bl_label = "Bake"
-    bl_options = {"REGISTER"}
+    # Not "REGISTER": a change in the panel of the last operator would bake again.
+    bl_options = {"UNDO"}
 
     filepath: StringProperty(name="File", subtype="FILE_PATH", description="The .usdc file to write")
     filter_glob: StringProperty(default="*.usdc", options={"HIDDEN"})

@@ -397,7 +397,7 @@ class MENISCUS_PT_conversion(Panel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.meniscus_conversion
         is_running = bool(_conversion and _conversion.is_running)
         column = layout.column()
-        column.use_property_split, column.enabled = True, not is_running
+        column.use_property_split, column.use_property_decorate, column.enabled = True, False, not is_running
         for name in MENISCUS_PG_conversion.__annotations__:
             column.prop(settings, name)
         kind = MENISCUS_OT_conversion_stop if is_running else MENISCUS_OT_conversion_start

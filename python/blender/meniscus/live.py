@@ -15,7 +15,7 @@ import queue
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import bpy
@@ -37,9 +37,10 @@ worker = Worker()
 
 @dataclass
 class Status:
-    """What the panel shows of a surface."""
+    """What the panel shows of a surface. `render_errors` are those of the last render, with their frames."""
 
     error: str = ""
+    render_errors: list[str] = field(default_factory=list)
     note: str = ""
     made: str = ""
 
@@ -280,17 +281,25 @@ def render_surfaces(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
         settings = surface.meniscus
         if not settings.is_live or not surface.evaluated_get(graph).is_evaluated:
             continue
+        status = status_of(surface)
         error = ""
         try:
             result = compute(request_of(surface, graph))
             if result.arrays is not None or result.error:
                 on_main_thread(functools.partial(show, surface, result))
-                error = status_of(surface).error
+                error = status.error
         except Exception as failure:
             # The render goes on with the other surfaces and frames.
-            error = status_of(surface).error = str(failure) or type(failure).__name__
+            error = status.error = str(failure) or type(failure).__name__
         if error:
+            status.render_errors.append(f"frame {scene.frame_current}: {error}")
             print(f"meniscus: frame {scene.frame_current}: {surface.name}: {error}", flush=True)
+
+
+@persistent
+def on_render_init(*_: Any) -> None:
+    for status in statuses.values():
+        status.render_errors.clear()
 
 
 @persistent
@@ -319,6 +328,7 @@ def on_load(*_: Any) -> None:
 HANDLERS: dict[str, Callable[..., None]] = {
     "depsgraph_update_post": on_depsgraph_update,
     "frame_change_post": on_frame_change,
+    "render_init": on_render_init,
     "render_pre": on_render_pre,
     "render_complete": on_render_end,
     "render_cancel": on_render_end,
@@ -518,8 +528,15 @@ def draw_status(layout: bpy.types.UILayout, surface: bpy.types.Object) -> None:
         layout.progress(factor=found[1], text=found[0])
     elif status.made:
         layout.label(text=status.made)
-    for text, icon in ((status.error, "ERROR"), (status.note, "INFO")):
+    for text, icon in ((status.error, "ERROR"), (render_error(status), "ERROR"), (status.note, "INFO")):
         draw_text(layout, text, icon)
+
+
+def render_error(status: Status) -> str:
+    """Why the last render does not show this surface in its frames."""
+    errors = status.render_errors
+    others = f" (and {len(errors) - 1} more frames)" if len(errors) > 1 else ""
+    return f"render, {errors[0]}{others}" if errors else ""
 
 
 class SurfacePanel(Panel):

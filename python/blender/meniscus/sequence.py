@@ -626,7 +626,7 @@ class MENISCUS_PT_sequence(Panel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.meniscus_sequence
-        layout.use_property_split = True
+        layout.use_property_split, layout.use_property_decorate = True, False
         layout.prop(settings, "path")
         layout.prop(settings, "offset")
         layout.prop(settings, "keeps_rate")
