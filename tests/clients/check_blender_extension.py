@@ -290,6 +290,7 @@ def live_surface():
         faults.append(f"a larger voxel size gave {coarser} vertices instead of {first}")
     faults += undone()
     faults += panel_faults()
+    faults += undone_in_window()
     return f"{first} vertices, velocity, dye; {coarser} with larger voxels", faults
 
 
@@ -311,7 +312,7 @@ def undone():
     surface = bpy.data.objects["water surface"]
     if not surface.meniscus.options.use_voxel_size or len(surface.data.vertices) != second:
         faults.append(f"redo: {len(surface.data.vertices)} vertices instead of {second}")
-    return faults + undone_in_window()
+    return faults
 
 
 def undone_in_window():
@@ -601,6 +602,11 @@ def hidden_points():
     labels = drawn("MENISCUS_PT_surface")[0]
     if "is hidden in the viewport" not in labels:
         faults.append(f"hide_viewport: the panel shows {labels}")
+    source.hide_viewport = False
+    bpy.context.view_layer.update()
+    labels = drawn("MENISCUS_PT_surface")[0]
+    if "is hidden" in labels:
+        faults.append(f"shown again: the panel shows {labels}")
     return faults
 
 

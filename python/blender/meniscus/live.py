@@ -40,6 +40,7 @@ class Status:
     """What the panel shows of a surface. `render_errors` are those of the last render, with their frames."""
 
     error: str = ""
+    has_points: bool = True
     render_errors: list[str] = field(default_factory=list)
     note: str = ""
     made: str = ""
@@ -87,12 +88,14 @@ def request_of(surface: bpy.types.Object, graph: bpy.types.Depsgraph) -> Request
 def update(surface: bpy.types.Object, graph: bpy.types.Depsgraph, has_preview: bool = True) -> None:
     """Requests a new mesh. Without an event loop (`blender --background`) the mesh is made at once, because no
     timer would collect it."""
+    status = status_of(surface)
     try:
         request = request_of(surface, graph)
     except PointsError as error:
         worker.forget(surface.session_uid)
-        status_of(surface).error = str(error)
+        status.error, status.has_points = str(error), False
         return
+    status.has_points = True
     request.has_preview = has_preview
     if not has_event_loop() or surface.meniscus.is_waiting:
         show(surface, compute(request))
@@ -251,11 +254,14 @@ def on_depsgraph_update(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> N
     if graph.mode == "RENDER" or _is_paused or _rendered is not None or is_rendering():
         return
     changed = {each.id.original for each in graph.updates if each.is_updated_geometry}
-    if changed:
-        for surface in surfaces_in(scene):
-            source = surface.meniscus.source
-            if surface.meniscus.is_live and (source in changed or source.data in changed):
-                update(surface, graph)
+    # That hidden points are shown again is not an update of them.
+    if not changed and all(status.has_points for status in statuses.values()):
+        return
+    for surface in surfaces_in(scene):
+        source = surface.meniscus.source
+        is_changed = source in changed or source.data in changed or not status_of(surface).has_points
+        if surface.meniscus.is_live and is_changed:
+            update(surface, graph)
 
 
 @persistent
