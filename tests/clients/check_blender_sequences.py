@@ -225,7 +225,22 @@ def refused():
                 faults.append(f"{name}: {error}")
         if len(scene.objects):
             faults.append(f"{name}: there are {len(scene.objects)} objects")
-    return "5 files", faults
+    return "5 files, and a Blender without USD", faults + refused_without_usd()
+
+
+def refused_without_usd():
+    """A Blender that was built without USD, as some distributions do, says so, also when a conversion is linked."""
+    before, sequence.BUILD = sequence.BUILD, SimpleNamespace(usd=False, alembic=False)
+    try:
+        scene = new_scene()
+        texts = [conversion.link(scene, FOLDER / "stage.usda")]
+        try:
+            import_by_operator("stage.usda")
+        except RuntimeError as error:
+            texts.append(str(error))
+    finally:
+        sequence.BUILD = before
+    return [f"without USD: {text}" for text in texts if "this Blender was built without USD" not in text]
 
 
 def opened():

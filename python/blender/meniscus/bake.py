@@ -206,8 +206,10 @@ class MENISCUS_OT_bake(bpy.types.Operator):
             return {"CANCELLED"}
         surface = live.surface_of(context.object, context.scene)
         try:
+            if self.is_linked:
+                sequence.require("USD")
             self._bake = Bake(surface, context.scene, file, self.first, self.last)
-        except OSError as error:
+        except (OSError, ValueError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         manager = context.window_manager

@@ -36,6 +36,7 @@ TINY = 1e-3
 #: The default prim of a stage, and where it has the mesh of a sequence, by the sequence's name.
 ROOT = "root"
 MESH_PATH = f"/{ROOT}/{{}}/surface"
+BUILD = bpy.app.build_options
 
 
 # Files
@@ -167,6 +168,7 @@ def import_sequence(scene: bpy.types.Scene, path: Path) -> list[bpy.types.Object
 
 def add_meshes(_scene: bpy.types.Scene, path: Path, shot: Shot) -> list[bpy.types.Object]:
     """The objects that Blender's importer makes, with its Mesh Sequence Cache."""
+    require("Alembic" if path.suffix == ".abc" else "USD")
     before = set(bpy.data.objects)
     with in_window():
         if path.suffix == ".abc":
@@ -186,6 +188,20 @@ def add_meshes(_scene: bpy.types.Scene, path: Path, shot: Shot) -> list[bpy.type
         # Vertices of different frames are unrelated, even if they are equally many.
         modifier_of(obj).use_vertex_interpolation = False
     return meshes
+
+
+def require(library: str) -> None:
+    """Some distributions build Blender without USD and Alembic: it lacks the operators then.
+
+    Raises
+    ------
+    ValueError
+        If this Blender was.
+    """
+    if not getattr(BUILD, library.lower()):
+        raise ValueError(
+            f"this Blender was built without {library}: install the one from blender.org, or import .vdb files"
+        )
 
 
 def add_volumes(scene: bpy.types.Scene, path: Path, _shot: Shot) -> list[bpy.types.Object]:
@@ -531,7 +547,7 @@ class MENISCUS_PG_import(bpy.types.PropertyGroup):
         description="A stage (.usda), which may still grow, a shot (.usdc, .usda, .abc), or one of the frames in .vdb",
     )
     offset: IntProperty(name="Offset", description=OFFSET)
-    keeps_rate: BoolProperty(name="Keep the scene's rate", description=KEEPS_RATE)
+    keeps_rate: BoolProperty(name="Keep scene rate", description=KEEPS_RATE)
     fps: FloatProperty(
         name="Frame rate",
         min=0,
@@ -557,7 +573,7 @@ class MENISCUS_PG_sequence(bpy.types.PropertyGroup):
     anchor: IntProperty(description="The first frame when it was imported, from which times are counted")
     fps: FloatProperty(name="Frame rate")
     offset: IntProperty(name="Offset", update=retime, description=OFFSET)
-    keeps_rate: BoolProperty(name="Keep the scene's rate", update=retime, description=KEEPS_RATE)
+    keeps_rate: BoolProperty(name="Keep scene rate", update=retime, description=KEEPS_RATE)
     follows: BoolProperty(name="Follow", description="Show new frames as they are written")
 
 
