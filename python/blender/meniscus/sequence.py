@@ -4,7 +4,7 @@ Everything in the scene is Blender's own: a Mesh Sequence Cache for a stage or a
 and drivers that give the frame. So a saved .blend plays without this extension, which only
 
     imports          and sets rate, offset and frame range
-    follows          reloads a stage that has grown, and extends the scene that ended with it
+    follows          reloads a stage that has grown, and extends the scene that began or ended with it
 
 Files of a growing sequence are read on a thread. A timer collects what it found.
 """
@@ -184,7 +184,11 @@ def add_meshes(_scene: bpy.types.Scene, path: Path, shot: Shot) -> list[bpy.type
             bpy.data.objects.remove(obj)
         raise ValueError(f"{path.name} has no meshes: of volumes, import one of the .vdb files")
     for obj in meshes:
-        obj.name = name_of(obj, path)
+        name = name_of(obj, path)
+        # The parent, which has the name of the sequence, would add a number to that of the mesh.
+        if obj.parent and obj.parent.name == name:
+            obj.parent.name = f"{name} place"
+        obj.name = name
         # Vertices of different frames are unrelated, even if they are equally many.
         modifier_of(obj).use_vertex_interpolation = False
     return meshes
@@ -472,7 +476,7 @@ def try_to_grow(changed: set[str]) -> None:
 
 
 def grow(changed: set[str]) -> None:
-    """Show the sequences that have changed, and extend the scenes that ended with them."""
+    """Show the sequences that have changed, and extend the scenes that began or ended with them."""
     caches = set()
     for obj in followed():
         source = obj.meniscus_sequence
@@ -480,10 +484,15 @@ def grow(changed: set[str]) -> None:
             continue
         shot = _known[source.path]
         scenes = [scene for scene in bpy.data.scenes if obj.name in scene.objects]
-        ended = [scene for scene in scenes if scene.frame_end == range_of(source, scene)[1]]
+        before = {scene: range_of(source, scene) for scene in scenes}
         source.first, source.last = shot.first, shot.last
-        for scene in ended:
-            scene.frame_end = range_of(source, scene)[1]
+        for scene, (first, last) in before.items():
+            # The first frame that is there may not be the first one of the simulation.
+            is_first, is_last = scene.frame_start == first, scene.frame_end == last
+            if is_first:
+                scene.frame_start = range_of(source, scene)[0]
+            if is_last:
+                scene.frame_end = range_of(source, scene)[1]
         if obj.type == "VOLUME":
             set_times(obj, scenes[0] if scenes else bpy.context.scene)
         elif modifier := modifier_of(obj):
