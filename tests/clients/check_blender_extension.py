@@ -290,6 +290,7 @@ def live_surface():
         faults.append(f"a larger voxel size gave {coarser} vertices instead of {first}")
     faults += undone()
     faults += panel_faults()
+    faults += undone_in_window()
     return f"{first} vertices, velocity, dye; {coarser} with larger voxels", faults
 
 
@@ -312,6 +313,23 @@ def undone():
     if not surface.meniscus.options.use_voxel_size or len(surface.data.vertices) != second:
         faults.append(f"redo: {len(surface.data.vertices)} vertices instead of {second}")
     return faults
+
+
+def undone_in_window():
+    """With a window, the mesh may be older than its options after undo, and Blender evaluates the scene only when it
+    draws: so also in a view layer that was never shown. The timer makes the mesh."""
+    with event_loop() as live:
+        scene, _, surface, _ = add_surface(5_000)
+        until(live, lambda: "full quality" in live.status_of(surface).made)
+        surface.data.clear_geometry()
+        del surface.data[part("meshes").SIGNATURE]
+        bpy.context.window.view_layer = scene.view_layers.new("never shown")
+        live.on_load()
+        try:
+            until(live, lambda: len(surface.data.vertices), 10)
+        except Exception as error:
+            return [f"after undo: {type(error).__name__}: {error}"]
+    return []
 
 
 def drawn(name):
@@ -547,6 +565,7 @@ def errors():
     faults += [f"no {word} in: {text}" for word, text in said if word not in text]
     if len(surface.data.vertices) == 0 or not count:
         faults.append("an error has emptied the surface")
+    faults += hidden_points()
     scene = empty_scene()
     source, _ = add_points(scene, 500)
     tree = source.modifiers[0].node_group
@@ -559,6 +578,36 @@ def errors():
         bpy.ops.meniscus.add_surface()
         faults.append("instances were read")
     return ", ".join(word for word, _ in said), faults
+
+
+def hidden_points():
+    """Points that are hidden in renders, or in the viewport. The panel shows the reason of a render until the next
+    one, also after the surface was made again."""
+    scene, source, surface, _ = add_surface(500)
+    prepare_render(scene, (16, 16), 1)
+    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(scene.camera)
+    faults = []
+    for is_hidden in (True, False):
+        source.hide_render = is_hidden
+        with contextlib.redirect_stdout(io.StringIO()):
+            bpy.ops.render.render()
+        bpy.ops.meniscus.update()
+        labels = drawn("MENISCUS_PT_surface")[0]
+        if ("render, frame 1" in labels and "is hidden in renders" in labels.replace("  ", " ")) != is_hidden:
+            faults.append(f"hide_render {is_hidden}: the panel shows {labels}")
+    source.hide_viewport = True
+    with contextlib.suppress(RuntimeError), contextlib.redirect_stdout(io.StringIO()):
+        bpy.ops.meniscus.update()
+    labels = drawn("MENISCUS_PT_surface")[0]
+    if "is hidden in the viewport" not in labels:
+        faults.append(f"hide_viewport: the panel shows {labels}")
+    source.hide_viewport = False
+    bpy.context.view_layer.update()
+    labels = drawn("MENISCUS_PT_surface")[0]
+    if "is hidden" in labels:
+        faults.append(f"shown again: the panel shows {labels}")
+    return faults
 
 
 # Renders and bakes

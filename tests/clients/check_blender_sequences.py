@@ -225,7 +225,22 @@ def refused():
                 faults.append(f"{name}: {error}")
         if len(scene.objects):
             faults.append(f"{name}: there are {len(scene.objects)} objects")
-    return "5 files", faults
+    return "5 files, and a Blender without USD", faults + refused_without_usd()
+
+
+def refused_without_usd():
+    """A Blender that was built without USD, as some distributions do, says so, also when a conversion is linked."""
+    before, sequence.BUILD = sequence.BUILD, SimpleNamespace(usd=False, alembic=False)
+    try:
+        scene = new_scene()
+        texts = [conversion.link(scene, FOLDER / "stage.usda")]
+        try:
+            import_by_operator("stage.usda")
+        except RuntimeError as error:
+            texts.append(str(error))
+    finally:
+        sequence.BUILD = before
+    return [f"without USD: {text}" for text in texts if "this Blender was built without USD" not in text]
 
 
 def opened():
@@ -320,7 +335,34 @@ def grown():
             faults.append(f"{formats}: frame 4 was filled, but is not shown")
         obj.meniscus_sequence.follows = False
         follow()
-    return "frame 1, then 2 3, 5, 8, 6 7 and 4", faults
+    return "frame 1, then 2 3, 5, 8, 6 7 and 4; frame 5, then 3", faults + begun_later()
+
+
+def begun_later():
+    """Frames before the first one that was there: several threads do not finish them in order."""
+    folder, faults = FOLDER / "begun-later", []
+    (folder / "in").mkdir(parents=True)
+    scene = new_scene()
+
+    def write(number):
+        shutil.copy(OWN / f"dam.{number:04}.bgeo", folder / "in")
+        pymeniscus.convert(
+            folder / "in", folder / "out", format="usdc", attributes="v", fps=FPS, spacing=0.051, skip_done=True,
+            stage=folder / "shot.usda",
+        )
+
+    write(5)
+    obj = import_by_operator("begun-later/shot.usda")
+    if obj.name != "dam":
+        faults.append(f"the sequence dam has the name {obj.name}")
+    write(3)
+    follow()
+    if (scene.frame_start, scene.frame_end) != (3, 5):
+        faults.append(f"begun later: the scene has the frames {scene.frame_start} to {scene.frame_end}")
+    for number in (3, 5):
+        scene.frame_set(number)
+        faults += [f"begun later, frame {number}: {fault}" for fault in faults_of(obj, number)]
+    return faults
 
 
 def growing():

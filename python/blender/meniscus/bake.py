@@ -176,7 +176,8 @@ class MENISCUS_OT_bake(bpy.types.Operator):
 
     bl_idname = "meniscus.bake"
     bl_label = "Bake"
-    bl_options = {"REGISTER"}
+    # Not "REGISTER": a change in the panel of the last operator would bake again.
+    bl_options = {"UNDO"}
 
     filepath: StringProperty(name="File", subtype="FILE_PATH", description="The .usdc file to write")
     filter_glob: StringProperty(default="*.usdc", options={"HIDDEN"})
@@ -205,8 +206,10 @@ class MENISCUS_OT_bake(bpy.types.Operator):
             return {"CANCELLED"}
         surface = live.surface_of(context.object, context.scene)
         try:
+            if self.is_linked:
+                sequence.require("USD")
             self._bake = Bake(surface, context.scene, file, self.first, self.last)
-        except OSError as error:
+        except (OSError, ValueError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         manager = context.window_manager

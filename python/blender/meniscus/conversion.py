@@ -23,6 +23,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, Po
 
 from . import program, sequence
 from .panel import Panel, draw_text
+from .timers import lasting
 
 TICK_SECONDS = 0.5
 #: The rate is that of this time.
@@ -253,6 +254,7 @@ def options_of(settings: "MENISCUS_PG_conversion") -> list[str]:
     return [f"--{name}={value}" for name, value in options.items() if value]
 
 
+@lasting
 def tick() -> float:
     """Show what the threads have found, and link the result once."""
     global _shown
@@ -395,7 +397,7 @@ class MENISCUS_PT_conversion(Panel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.meniscus_conversion
         is_running = bool(_conversion and _conversion.is_running)
         column = layout.column()
-        column.use_property_split, column.enabled = True, not is_running
+        column.use_property_split, column.use_property_decorate, column.enabled = True, False, not is_running
         for name in MENISCUS_PG_conversion.__annotations__:
             column.prop(settings, name)
         kind = MENISCUS_OT_conversion_stop if is_running else MENISCUS_OT_conversion_start

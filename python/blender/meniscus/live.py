@@ -15,7 +15,7 @@ import queue
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import bpy
@@ -25,6 +25,7 @@ from bpy.props import BoolProperty, FloatProperty, PointerProperty, StringProper
 from . import meshes, options
 from .panel import Panel, draw_text
 from .points import PointsError, read, varies
+from .timers import lasting
 from .worker import Request, Result, Worker, compute
 
 TICK_SECONDS = 0.02
@@ -36,9 +37,11 @@ worker = Worker()
 
 @dataclass
 class Status:
-    """What the panel shows of a surface."""
+    """What the panel shows of a surface. `render_errors` are those of the last render, with their frames."""
 
     error: str = ""
+    has_points: bool = True
+    render_errors: list[str] = field(default_factory=list)
     note: str = ""
     made: str = ""
 
@@ -85,12 +88,14 @@ def request_of(surface: bpy.types.Object, graph: bpy.types.Depsgraph) -> Request
 def update(surface: bpy.types.Object, graph: bpy.types.Depsgraph, has_preview: bool = True) -> None:
     """Requests a new mesh. Without an event loop (`blender --background`) the mesh is made at once, because no
     timer would collect it."""
+    status = status_of(surface)
     try:
         request = request_of(surface, graph)
     except PointsError as error:
         worker.forget(surface.session_uid)
-        status_of(surface).error = str(error)
+        status.error, status.has_points = str(error), False
         return
+    status.has_points = True
     request.has_preview = has_preview
     if not has_event_loop() or surface.meniscus.is_waiting:
         show(surface, compute(request))
@@ -158,6 +163,7 @@ def is_rendering() -> bool:
     return bpy.app.is_job_running("RENDER")
 
 
+@lasting
 def tick() -> float:
     """Collects results, and writes the meshes of a render."""
     global _is_stale, _was_busy
@@ -195,6 +201,8 @@ def tick() -> float:
 def update_all() -> None:
     """Requests the surfaces of all scenes that are shown."""
     for window in bpy.context.window_manager.windows:
+        # After undo, and after a file was opened, the dependency graph is not evaluated before the next redraw.
+        window.view_layer.update()
         for surface in surfaces_in(window.scene):
             if surface.meniscus.is_live:
                 update(surface, window.view_layer.depsgraph)
@@ -246,11 +254,14 @@ def on_depsgraph_update(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> N
     if graph.mode == "RENDER" or _is_paused or _rendered is not None or is_rendering():
         return
     changed = {each.id.original for each in graph.updates if each.is_updated_geometry}
-    if changed:
-        for surface in surfaces_in(scene):
-            source = surface.meniscus.source
-            if surface.meniscus.is_live and (source in changed or source.data in changed):
-                update(surface, graph)
+    # That hidden points are shown again is not an update of them.
+    if not changed and all(status.has_points for status in statuses.values()):
+        return
+    for surface in surfaces_in(scene):
+        source = surface.meniscus.source
+        is_changed = source in changed or source.data in changed or not status_of(surface).has_points
+        if surface.meniscus.is_live and is_changed:
+            update(surface, graph)
 
 
 @persistent
@@ -276,17 +287,25 @@ def render_surfaces(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
         settings = surface.meniscus
         if not settings.is_live or not surface.evaluated_get(graph).is_evaluated:
             continue
+        status = status_of(surface)
         error = ""
         try:
             result = compute(request_of(surface, graph))
             if result.arrays is not None or result.error:
                 on_main_thread(functools.partial(show, surface, result))
-                error = status_of(surface).error
+                error = status.error
         except Exception as failure:
             # The render goes on with the other surfaces and frames.
-            error = status_of(surface).error = str(failure) or type(failure).__name__
+            error = status.error = str(failure) or type(failure).__name__
         if error:
+            status.render_errors.append(f"frame {scene.frame_current}: {error}")
             print(f"meniscus: frame {scene.frame_current}: {surface.name}: {error}", flush=True)
+
+
+@persistent
+def on_render_init(*_: Any) -> None:
+    for status in statuses.values():
+        status.render_errors.clear()
 
 
 @persistent
@@ -315,6 +334,7 @@ def on_load(*_: Any) -> None:
 HANDLERS: dict[str, Callable[..., None]] = {
     "depsgraph_update_post": on_depsgraph_update,
     "frame_change_post": on_frame_change,
+    "render_init": on_render_init,
     "render_pre": on_render_pre,
     "render_complete": on_render_end,
     "render_cancel": on_render_end,
@@ -514,8 +534,15 @@ def draw_status(layout: bpy.types.UILayout, surface: bpy.types.Object) -> None:
         layout.progress(factor=found[1], text=found[0])
     elif status.made:
         layout.label(text=status.made)
-    for text, icon in ((status.error, "ERROR"), (status.note, "INFO")):
+    for text, icon in ((status.error, "ERROR"), (render_error(status), "ERROR"), (status.note, "INFO")):
         draw_text(layout, text, icon)
+
+
+def render_error(status: Status) -> str:
+    """Why the last render does not show this surface in its frames."""
+    errors = status.render_errors
+    others = f" (and {len(errors) - 1} more frames)" if len(errors) > 1 else ""
+    return f"render, {errors[0]}{others}" if errors else ""
 
 
 class SurfacePanel(Panel):

@@ -76,10 +76,19 @@ def read(
         If there are no points.
     """
     evaluated = source.evaluated_get(graph)
-    if not evaluated.is_evaluated:
-        state = "in renders" if graph.mode == "RENDER" else "in the viewport"
-        raise PointsError(f"“{source.name}” is hidden {state}: show it (it can be invisible to the camera)")
-    holder, data, instances = component_of(evaluated, graph)
+    is_render = graph.mode == "RENDER"
+    state = "in renders" if is_render else "in the viewport"
+    hidden = PointsError(f"“{source.name}” is hidden {state}: show it (it can be invisible to the camera)")
+    # Blender evaluates only the place of a hidden parent, such as the points are of their surface: its geometry is
+    # missing, or in the viewport that of the time when it was hidden.
+    is_shown = not source.hide_render if is_render else source.visible_get(view_layer=graph.view_layer)
+    if not evaluated.is_evaluated or not is_shown:
+        raise hidden
+    try:
+        holder, data, instances = component_of(evaluated, graph)
+    except TypeError:
+        # One of its collections is hidden.
+        raise hidden from None
     if data is None:
         if instances:
             raise PointsError(

@@ -4,7 +4,7 @@ Everything in the scene is Blender's own: a Mesh Sequence Cache for a stage or a
 and drivers that give the frame. So a saved .blend plays without this extension, which only
 
     imports          and sets rate, offset and frame range
-    follows          reopens a stage that has grown, and extends the scene that ended with it
+    follows          reopens a stage that has grown, and extends the scene that began or ended with it
 
 Files of a growing sequence are read on a thread. A timer collects what it found. Blender opens a stage in
 milliseconds, but then reads the visible frame again, on the main thread and as slowly as at a change of the frame.
@@ -29,6 +29,7 @@ from mathutils import Matrix
 
 from . import program
 from .panel import Panel, draw_text
+from .timers import lasting
 
 FOLLOW_SECONDS = 1.0
 #: Rotates coordinates with Y up to Z up.
@@ -38,6 +39,7 @@ TINY = 1e-3
 #: The default prim of a stage, and where it has the mesh of a sequence, by the sequence's name.
 ROOT = "root"
 MESH_PATH = f"/{ROOT}/{{}}/surface"
+BUILD = bpy.app.build_options
 
 
 # Files
@@ -169,6 +171,7 @@ def import_sequence(scene: bpy.types.Scene, path: Path) -> list[bpy.types.Object
 
 def add_meshes(_scene: bpy.types.Scene, path: Path, shot: Shot) -> list[bpy.types.Object]:
     """The objects that Blender's importer makes, with its Mesh Sequence Cache."""
+    require("Alembic" if path.suffix == ".abc" else "USD")
     before = set(bpy.data.objects)
     with in_window():
         if path.suffix == ".abc":
@@ -184,10 +187,28 @@ def add_meshes(_scene: bpy.types.Scene, path: Path, shot: Shot) -> list[bpy.type
             bpy.data.objects.remove(obj)
         raise ValueError(f"{path.name} has no meshes: of volumes, import one of the .vdb files")
     for obj in meshes:
-        obj.name = name_of(obj, path)
+        name = name_of(obj, path)
+        # The parent, which has the name of the sequence, would add a number to that of the mesh.
+        if obj.parent and obj.parent.name == name:
+            obj.parent.name = f"{name} place"
+        obj.name = name
         # Vertices of different frames are unrelated, even if they are equally many.
         modifier_of(obj).use_vertex_interpolation = False
     return meshes
+
+
+def require(library: str) -> None:
+    """Some distributions build Blender without USD and Alembic: it lacks the operators then.
+
+    Raises
+    ------
+    ValueError
+        If this Blender was.
+    """
+    if not getattr(BUILD, library.lower()):
+        raise ValueError(
+            f"this Blender was built without {library}: install the one from blender.org, or import .vdb files"
+        )
 
 
 def add_volumes(scene: bpy.types.Scene, path: Path, _shot: Shot) -> list[bpy.types.Object]:
@@ -419,6 +440,7 @@ def look(paths: Iterable[str], known: dict[str, Shot]) -> tuple[dict[str, Shot],
     return changed, errors
 
 
+@lasting
 def tick() -> float:
     """Collect what the thread has read, and let it look again."""
     global _reading, _errors
@@ -462,8 +484,8 @@ def try_to_grow(changed: set[str], is_forced: bool = False) -> None:
 
 
 def grow(changed: set[str], is_forced: bool) -> None:
-    """Extend the scenes that ended with the sequences that have changed. Read the sequences again whose visible
-    frame is another one now; if `is_forced`, all."""
+    """Extend the scenes that began or ended with the sequences that have changed. Read the sequences again whose
+    visible frame is another one now; if `is_forced`, all."""
     caches = {}
     for obj in followed():
         source = obj.meniscus_sequence
@@ -471,10 +493,15 @@ def grow(changed: set[str], is_forced: bool) -> None:
             continue
         shot = _known[source.path]
         scenes = [scene for scene in bpy.data.scenes if obj.name in scene.objects]
-        ended = [scene for scene in scenes if scene.frame_end == range_of(source, scene)[1]]
+        before = {scene: range_of(source, scene) for scene in scenes}
         source.first, source.last = shot.first, shot.last
-        for scene in ended:
-            scene.frame_end = range_of(source, scene)[1]
+        for scene, (first, last) in before.items():
+            # The first frame that is there may not be the first one of the simulation.
+            is_first, is_last = scene.frame_start == first, scene.frame_end == last
+            if is_first:
+                scene.frame_start = range_of(source, scene)[0]
+            if is_last:
+                scene.frame_end = range_of(source, scene)[1]
         if obj.type == "VOLUME":
             set_times(obj, scenes[0] if scenes else bpy.context.scene)
         elif (modifier := modifier_of(obj)) and modifier.cache_file:
@@ -573,7 +600,7 @@ class MENISCUS_PG_import(bpy.types.PropertyGroup):
         description="A stage (.usda), which may still grow, a shot (.usdc, .usda, .abc), or one of the frames in .vdb",
     )
     offset: IntProperty(name="Offset", description=OFFSET)
-    keeps_rate: BoolProperty(name="Keep the scene's rate", description=KEEPS_RATE)
+    keeps_rate: BoolProperty(name="Keep scene rate", description=KEEPS_RATE)
     fps: FloatProperty(
         name="Frame rate",
         min=0,
@@ -599,7 +626,7 @@ class MENISCUS_PG_sequence(bpy.types.PropertyGroup):
     anchor: IntProperty(description="The first frame when it was imported, from which times are counted")
     fps: FloatProperty(name="Frame rate")
     offset: IntProperty(name="Offset", update=retime, description=OFFSET)
-    keeps_rate: BoolProperty(name="Keep the scene's rate", update=retime, description=KEEPS_RATE)
+    keeps_rate: BoolProperty(name="Keep scene rate", update=retime, description=KEEPS_RATE)
     follows: BoolProperty(name="Follow", description="Show new frames as they are written")
 
 
@@ -668,7 +695,7 @@ class MENISCUS_PT_sequence(Panel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.meniscus_sequence
-        layout.use_property_split = True
+        layout.use_property_split, layout.use_property_decorate = True, False
         layout.prop(settings, "path")
         layout.prop(settings, "offset")
         layout.prop(settings, "keeps_rate")
