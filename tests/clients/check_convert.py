@@ -145,8 +145,8 @@ def flowing(check):
 
 
 def moving(check):
-    """Converts a sequence of a growing block to all mesh formats, and to files that contain the whole
-    sequence."""
+    """Converts a sequence of a growing block to all mesh formats, to files that contain the whole sequence, and to a
+    stage of level sets."""
     folder = WORK / "awkward" / "moving"
     folder.mkdir(parents=True, exist_ok=True)
     for frame in MOVING:
@@ -162,6 +162,10 @@ def moving(check):
         reads(check, label, folder, options, ["glb", "obj", "ply", "vtp", "stl", "usda", "usdc", "abc"])
         faults = [f"no {name}" for name in names if not (out / name).is_file()]
         check.line(f"{label} shots", f"{len(MOVING)} frames", faults)
+    out = OUT / "moving-volumes"
+    out.mkdir(parents=True, exist_ok=True)
+    options = ["--voxel-size", "0.05", "--attributes", "velocity", "--up", "z", "--stage", out / "stage.usda"]
+    reads(check, "moving-volumes", folder, options, ["vdb"])
 
 
 def gliding(check):
