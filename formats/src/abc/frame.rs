@@ -11,7 +11,7 @@ use super::FORMAT;
 use super::document::Pod;
 use super::mesh::{Matrix, names, to_world};
 use super::ogawa::{DATA, MAGIC, Reference};
-use super::read::MeshArchive;
+use super::read::{MeshArchive, VELOCITY};
 
 /// Whether a file that starts with these bytes is an archive.
 pub fn is_archive(head: &[u8]) -> bool {
@@ -91,22 +91,8 @@ pub fn to_glb(bytes: &[u8], limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
     Ok((glb, loss_notes(mesh.attributes)))
 }
 
-/// The names of the vertex attributes of an archive, except normals.
-///
-/// # Errors
-///
-/// Those of [`super::read_mesh`].
-pub fn read_attribute_names(bytes: &[u8]) -> Result<Vec<String>> {
-    let archive = MeshArchive::open(bytes)?;
-    let velocity = archive.has(names::VELOCITIES).then(|| VELOCITY.to_owned());
-    Ok(velocity.into_iter().chain(archive.params()?.into_iter().map(|(header, _)| header.name)).collect())
-}
-
 const NOT_OURS: &str =
     "this .abc was not written by meniscus, or was changed: use the .abc files of the frames";
-
-/// The name of the attribute in the property for velocities.
-const VELOCITY: &str = "velocity";
 
 /// The up axis and the origin from which [`to_world`] computes this transform.
 fn placement(matrix: &Matrix) -> Result<(UpAxis, [f64; 3])> {

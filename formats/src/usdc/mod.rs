@@ -47,8 +47,8 @@ mod write;
 
 pub use crate::usd::{LayerInfo, SampledProperty};
 pub use frame::{is_layer, to_glb};
-pub use read::{UsdcFrame, UsdcLayer, read_layer_info};
-pub use read_samples::read_sampled_properties;
+pub use read::{UsdcFrame, UsdcLayer};
+pub use read_samples::{read_layer_info, read_sampled_properties};
 pub use sequence::write_sequence;
 
 use contents::{MAGIC, claimed_bytes};
