@@ -86,7 +86,8 @@ pub fn to_glb(bytes: &[u8], limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
         origin,
         attributes: if positions.is_empty() { &[] } else { &views },
     };
-    let mut glb = Vec::new();
+    // It has about as many bytes. A vector that grows would need up to twice as many.
+    let mut glb = Vec::with_capacity(bytes.len());
     write_glb(&mesh, &MeshOptions { up, ..MeshOptions::default() }, &archive.provenance, &mut glb)?;
     Ok((glb, loss_notes(mesh.attributes)))
 }

@@ -36,7 +36,8 @@ pub fn to_glb(bytes: &[u8], limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
         origin,
         attributes: if points.is_empty() { &[] } else { &views },
     };
-    let mut glb = Vec::new();
+    // It has about as many bytes. A vector that grows would need up to twice as many.
+    let mut glb = Vec::with_capacity(bytes.len());
     let options = MeshOptions { up: layer.up()?, ..MeshOptions::default() };
     write_glb(&mesh, &options, &read_provenance(bytes)?, &mut glb)?;
     Ok((glb, loss_notes(mesh.attributes)))
