@@ -1,7 +1,7 @@
 //! Converts an archive with one frame to a `.glb` of the same mesh: sequences are assembled from `.glb`
 //! files.
 
-use crate::data::{AttributeRole, MeshView, VertexAttribute, VertexValues};
+use crate::data::{AttributeRole, FileAttribute, MeshView, Values, VertexAttribute, VertexValues};
 use crate::error::{Error, Position, Result};
 use crate::gltf::{loss_notes, write_glb};
 use crate::limits::Limits;
@@ -90,6 +90,31 @@ pub fn to_glb(bytes: &[u8], limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
     let mut glb = Vec::with_capacity(bytes.len());
     write_glb(&mesh, &MeshOptions { up, ..MeshOptions::default() }, &archive.provenance, &mut glb)?;
     Ok((glb, loss_notes(mesh.attributes)))
+}
+
+/// Reads the vertex attributes of an archive with one frame, except normals, under their own names.
+///
+/// # Errors
+///
+/// Those of [`super::read_mesh`].
+pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribute>> {
+    let archive = MeshArchive::open(bytes)?;
+    archive.check_single_frame()?;
+    let vertices = archive.vertices(0, limits)?[0].len();
+    let attribute = |FrameAttribute { name, role, values }: FrameAttribute| {
+        let arity = values.len().div_ceil(vertices.max(1)).max(1);
+        if values.len() != vertices * arity {
+            let what = format!("{name} has {} values for {vertices} vertices", values.len());
+            return Err(Error::invalid(FORMAT, Position::File, what));
+        }
+        let values = match values {
+            FrameValues::Numbers(values) => Values::F32(values),
+            FrameValues::Integers(values) => Values::I64(values),
+            FrameValues::Strings { table, indices } => Values::Strings { table, indices },
+        };
+        Ok(FileAttribute { name, arity, role, values })
+    };
+    attributes(&archive)?.into_iter().map(attribute).collect()
 }
 
 const NOT_OURS: &str =

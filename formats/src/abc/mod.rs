@@ -21,7 +21,7 @@ mod read;
 mod sequence;
 mod write;
 
-pub use frame::{is_archive, to_glb};
+pub use frame::{is_archive, read_attributes, to_glb};
 pub use read::{read_mesh, read_sample, read_sequence_info, read_times};
 pub use sequence::write_sequence;
 pub use write::{attribute_notes, write};

@@ -24,7 +24,7 @@ use meniscus_formats::{
 use serde::Serialize;
 
 use crate::pipeline::{
-    FrameError, file_of, frames_in, frames_in_unless, is_absent, measure_spacing, open_regular, read_file,
+    FrameError, STAGE_FRAMES, file_of, frames_in, frames_in_unless, is_absent, measure_spacing, open_regular, read_file,
     read_regular, step_of,
 };
 
@@ -257,14 +257,18 @@ impl FileInfo {
                 Some(usda::LayerInfo { vertices, faces, frames: None }) => {
                     self.layer = Some(LayerRecord { vertices, faces });
                 }
-                None if self.made_by.is_some() => {
-                    self.notes.push("a stage: it plays the files of its frames".to_owned());
-                }
-                None => self.notes.push("USD files of other programs are not read".to_owned()),
+                None => self.notes.push(match &self.made_by {
+                    Some(made_by) => stage_note(made_by, bytes),
+                    None => "USD files of other programs are not read".to_owned(),
+                }),
             },
             Format::Usdc => {
                 let frame = usdc::UsdcLayer::read(bytes, limits)?.frame(0)?;
                 self.mesh = Some(MeshInfo::of(&frame.mesh).with_attributes(&frame.attributes));
+            }
+            Format::Abc => {
+                let attributes = abc::read_attributes(bytes, limits)?;
+                self.mesh = Some(MeshInfo::of(&abc::read_mesh(bytes, limits)?).with_attributes(&attributes));
             }
             Format::Vtp if holds_polys(bytes) => {
                 let mesh = vtk::read_mesh(bytes, limits)?;
@@ -302,6 +306,15 @@ impl FileInfo {
 /// Why a step cannot be read, without the name of the step, which the caller prints.
 fn reason(error: &FrameError) -> anyhow::Error {
     error.source().map_or_else(|| anyhow!("{error}"), |source| anyhow!("{source}"))
+}
+
+/// What a stage plays, and when.
+fn stage_note(made_by: &BTreeMap<String, String>, bytes: &[u8]) -> String {
+    let frames = made_by.get(STAGE_FRAMES).map_or("its", String::as_str);
+    let times = usda::read_times(bytes).map_or_else(String::new, |([first, last], fps)| {
+        format!(", from time code {first} to {last}, at {fps} frames per second")
+    });
+    format!("a stage: it plays the files of {frames} frames{times}")
 }
 
 /// Whether a PLY file is a mesh. Some programs declare zero faces for point clouds, so a file with zero faces
