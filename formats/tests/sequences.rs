@@ -576,7 +576,7 @@ fn summary_of_a_sequence_needs_only_the_ends_of_its_file() {
     let mut file = Counted(Cursor::new(&layer), 0);
     let (info, names) = usdc::read_layer_info(&mut file, &Limits::default()).expect("a sequence");
     assert_eq!((info.frames, info.vertices, info.faces), (Some(4), counts + 3, counts));
-    assert_eq!(names, ["velocity"]);
+    assert_eq!(names, ["velocities"]);
     assert!(file.1 < layer.len() / 20, "{} of {} bytes", file.1, layer.len());
 
     let mut file = Counted(Cursor::new(&archive), 0);

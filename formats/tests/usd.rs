@@ -282,3 +282,19 @@ fn truncated_and_damaged_usdc_is_an_error() {
     let error = read(&newer).expect_err("another version").to_string();
     assert!(error.contains("version 0.13.0"), "{error}");
 }
+
+#[test]
+fn usdc_with_a_table_beyond_any_file_is_not_complete() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("a.usdc");
+    let bytes = usdc_bytes(&MeshView { origin: [0.0; 3], ..EMPTY }, false, UpAxis::Y);
+    for (at, expected) in [(None, true), (Some(bytes.len() as u64), false), (Some(u64::MAX), false)] {
+        let mut damaged = bytes.clone();
+        if let Some(at) = at {
+            damaged[16..24].copy_from_slice(&at.to_le_bytes());
+        }
+        std::fs::write(&path, damaged).expect("written");
+        let mut file = std::fs::File::open(&path).expect("opened");
+        assert_eq!(is_complete(OutputFormat::Usdc, &mut file).expect("read"), expected, "{at:?}");
+    }
+}
