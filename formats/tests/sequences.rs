@@ -291,6 +291,7 @@ fn usda_sequence_has_a_sample_per_frame() {
             let extent = at(&extents, &code);
             if found.is_empty() {
                 // The empty range, and not a box at the origin.
+                let extent: Vec<f32> = extent.iter().map(|&x| x as f32).collect();
                 assert_eq!(extent, [[f32::MAX; 3], [f32::MIN; 3]].concat());
             }
             for point in found.as_chunks::<3>().0 {

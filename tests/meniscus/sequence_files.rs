@@ -411,7 +411,9 @@ fn info_describes_a_sequence_file_and_convert_refuses_it() {
     // A frame has the attributes of its file, too.
     let formats = ["--format", "abc,usdc", "--attributes", "all", "--stage", "stage.usda", "--fps", "30"];
     succeeded(&meniscus(path, &[&convert[..6], &formats].concat()));
-    for (name, attributes) in [("out/dam.1.usdc", ["heat", "velocities"]), ("out/dam.1.abc", ["heat", "velocity"])] {
+    for (name, attributes) in
+        [("out/dam.1.usdc", ["heat", "velocities"]), ("out/dam.1.abc", ["heat", "velocity"])]
+    {
         let info = &json(&[name])[0];
         let listed = info["mesh"]["attributes"].as_array().expect("attributes");
         let mut found: Vec<&str> = listed.iter().filter_map(|attribute| attribute["name"].as_str()).collect();

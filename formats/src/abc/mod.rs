@@ -38,7 +38,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
         read_mesh: Some(|bytes, limits, _| read_mesh(bytes, limits)),
         ..FormatRow::new(FORMAT, &["abc"])
     },
-    help: "Alembic: positions, normals",
+    help: "Alembic: positions, normals, velocities, attributes",
     content: Content::Mesh(MeshWriter { attribute_notes, ..MeshWriter::new(MeshEncoder::Stream(write)) }),
     write_particles: None,
     has_attributes: true,

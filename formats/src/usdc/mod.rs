@@ -57,7 +57,7 @@ use layer::read_provenance;
 use read::read_mesh;
 
 /// Notes on vertex attributes that a file does not hold exactly.
-fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
+pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     let mut notes = renamed(attributes, "usdc");
     for attribute in attributes {
         if let VertexValues::Strings { table, .. } = attribute.values

@@ -24,8 +24,8 @@ use meniscus_formats::{
 use serde::Serialize;
 
 use crate::pipeline::{
-    FrameError, STAGE_FRAMES, file_of, frames_in, frames_in_unless, is_absent, measure_spacing, open_regular, read_file,
-    read_regular, step_of,
+    FrameError, STAGE_FRAMES, file_of, frames_in, frames_in_unless, is_absent, measure_spacing, open_regular,
+    read_file, read_regular, step_of,
 };
 
 use super::args::InfoArgs;
