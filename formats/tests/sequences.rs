@@ -394,7 +394,7 @@ fn usdc_sequence_contains_equal_arrays_once() {
     for index in 0..3 {
         assert!(three.frame(index).expect("a frame") == expected, "{index}");
     }
-    let error = usdc::to_glb(&sequence_of(1), &limits).expect_err("a sequence").to_string();
+    let error = usdc::to_glb(sequence_of(1), &limits).expect_err("a sequence").to_string();
     assert!(error.contains("this file is a sequence"), "{error}");
 }
 

@@ -240,7 +240,7 @@ fn usdc_becomes_the_glb_of_the_same_mesh() {
     let limits = Limits::default();
     for mesh in [torus(20, 12, [0.0; 3]), torus(130, 70, FAR), torus(2, 3, FAR), nothing()] {
         for up in [gltf::UpAxis::Y, gltf::UpAxis::Z] {
-            let (glb, notes) = usdc::to_glb(&usdc_bytes(&mesh, false, up), &limits).expect("converted");
+            let (glb, notes) = usdc::to_glb(usdc_bytes(&mesh, false, up), &limits).expect("converted");
             let (attributes, options) = (mesh.attributes(), MeshOptions { up, ..MeshOptions::default() });
             let mut expected = Vec::new();
             gltf::write_glb(&mesh.view(&attributes), &options, &provenance(), &mut expected)
@@ -250,7 +250,7 @@ fn usdc_becomes_the_glb_of_the_same_mesh() {
             let lost = notes.iter().filter(|note| note.starts_with("id is missing")).count();
             assert_eq!((lost, notes.len()), (usize::from(!mesh.ids.is_empty()), lost), "{notes:?}");
 
-            let (glb, _) = usdc::to_glb(&usdc_bytes(&mesh, true, up), &limits).expect("converted");
+            let (glb, _) = usdc::to_glb(usdc_bytes(&mesh, true, up), &limits).expect("converted");
             assert_eq!(gltf::read_mesh(&glb, &limits).expect("our own file").triangles, fans(&mesh));
         }
     }

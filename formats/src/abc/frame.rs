@@ -1,6 +1,8 @@
 //! Converts an archive with one frame to a `.glb` of the same mesh: sequences are assembled from `.glb`
 //! files.
 
+use std::borrow::Cow;
+
 use crate::data::{AttributeRole, FileAttribute, MeshView, Values, VertexAttribute, VertexValues};
 use crate::error::{Error, Position, Result};
 use crate::gltf::{loss_notes, write_glb};
@@ -58,18 +60,22 @@ impl FrameValues {
 }
 
 /// Converts an archive with one frame to a `.glb`. Also returns notes on attributes that a `.glb` does not
-/// hold exactly.
+/// hold exactly. Frees owned bytes before it makes the `.glb`, so that the two are not in memory at once.
 ///
 /// # Errors
 ///
 /// Those of [`super::read_mesh`] and of [`write_glb`].
-pub fn to_glb(bytes: &[u8], limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
-    let archive = MeshArchive::open(bytes)?;
+pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
+    let bytes = bytes.into();
+    let byte_count = bytes.len();
+    let archive = MeshArchive::open(&bytes)?;
     archive.check_single_frame()?;
     let [positions, normals] = archive.vertices(0, limits)?;
     let triangles = archive.triangles(0, positions.len())?;
     let (up, origin) = placement(&archive.matrix(0)?)?;
     let attributes = attributes(&archive)?;
+    let provenance = archive.provenance;
+    drop(bytes);
     let count = positions.len().max(1);
     let views: Vec<VertexAttribute> = attributes
         .iter()
@@ -87,8 +93,8 @@ pub fn to_glb(bytes: &[u8], limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
         attributes: if positions.is_empty() { &[] } else { &views },
     };
     // It has about as many bytes. A vector that grows would need up to twice as many.
-    let mut glb = Vec::with_capacity(bytes.len());
-    write_glb(&mesh, &MeshOptions { up, ..MeshOptions::default() }, &archive.provenance, &mut glb)?;
+    let mut glb = Vec::with_capacity(byte_count);
+    write_glb(&mesh, &MeshOptions { up, ..MeshOptions::default() }, &provenance, &mut glb)?;
     Ok((glb, loss_notes(mesh.attributes)))
 }
 

@@ -74,7 +74,7 @@ A .glb has a node for each frame, and shows one after the other by animating the
 4 GiB. USD and .abc have no such limit: each is one mesh with time samples. Do not blend between the samples: vertices
 with the same index in two frames are different points of the surface.
 
-All frames are read as .glb; those in .abc or .usdc are converted in memory, which takes about three times the size of the
+All frames are read as .glb; those in .abc or .usdc are converted in memory, which takes two to four times the size of the
 file. So a frame must stay below 4 GiB as .glb, and the sequence file has what a .glb has: integers are floats, without those
 beyond 2^24, and there are no quads and no strings.
 

@@ -220,8 +220,7 @@ impl FrameReader {
         };
         last.take();
         file.read_to_end(&mut bytes)?;
-        let (glb, notes) = to_glb(&bytes, &Limits::default()).map_err(io::Error::other)?;
-        drop(bytes);
+        let (glb, notes) = to_glb(bytes, &Limits::default()).map_err(io::Error::other)?;
         let glb = GlbBytes(Rc::new(glb));
         last.replace(Some(ConvertedFrame { index, glb: glb.clone(), notes }));
         Ok(FrameReader::Converted(Cursor::new(glb)))
@@ -232,7 +231,7 @@ impl FrameReader {
 const MAGIC_BYTES: u64 = 8;
 
 /// Converts the bytes of a file to `.glb`. Also returns notes on attributes that are lost.
-type ToGlb = fn(&[u8], &Limits) -> meniscus_formats::Result<(Vec<u8>, Vec<String>)>;
+type ToGlb = fn(Vec<u8>, &Limits) -> meniscus_formats::Result<(Vec<u8>, Vec<String>)>;
 
 /// The converter for a file with this head; `None` for a `.glb`, and for files that cannot be read.
 fn converter(head: &[u8]) -> Option<ToGlb> {
