@@ -1,5 +1,7 @@
 //! A bounds-checked cursor over the bytes of a binary file.
 
+use std::io::{Read, Seek, SeekFrom};
+
 use crate::error::{Error, Position, Result};
 use crate::scalar::Scalar;
 
@@ -10,6 +12,18 @@ pub enum Endian {
     Little,
     /// Most significant byte first.
     Big,
+}
+
+/// At most `length` bytes of a file from the offset `at` on; fewer at the end of the file.
+///
+/// # Errors
+///
+/// [`Error::Io`] if the file cannot be read.
+pub(crate) fn piece(file: &mut (impl Read + Seek), at: u64, length: u64) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    file.seek(SeekFrom::Start(at))?;
+    file.take(length).read_to_end(&mut bytes)?;
+    Ok(bytes)
 }
 
 /// A read position in the bytes of a file. A read that would pass the end of the file returns an error.

@@ -23,6 +23,7 @@ use std::io::{Read, Seek, SeekFrom};
 
 use serde::de::IgnoredAny;
 
+use crate::bytes::piece;
 use crate::compression::Codec;
 use crate::error::Result;
 use crate::probe::{Probe, ProbedKind, probe};
@@ -41,7 +42,11 @@ const TAIL_BYTES: u64 = 256;
 /// [`crate::Error::Io`] if reading fails; [`crate::Error::Invalid`] if the head is not of this format.
 pub fn is_complete(format: OutputFormat, file: &mut (impl Read + Seek)) -> Result<bool> {
     let file_bytes = file.seek(SeekFrom::End(0))?;
-    let mut read = |start: u64, length: u64| piece(file, start, length);
+    // An offset in a damaged file may be beyond its end, and even beyond what the system can seek to.
+    let mut read = |start: u64, length: u64| match start < file_bytes {
+        true => piece(file, start, length),
+        false => Ok(Vec::new()),
+    };
     match format.row().integrity {
         Integrity::Tail(ends_as_written) => {
             Ok(ends_as_written(&read(file_bytes.saturating_sub(TAIL_BYTES), TAIL_BYTES)?))
@@ -56,14 +61,6 @@ pub fn is_complete(format: OutputFormat, file: &mut (impl Read + Seek)) -> Resul
             Ok(text.ends_with(b"\n") && serde_json::from_slice::<IgnoredAny>(&text).is_ok())
         }
     }
-}
-
-/// Reads `length` bytes from `start`, or fewer if the file ends earlier.
-fn piece(file: &mut (impl Read + Seek), start: u64, length: u64) -> Result<Vec<u8>> {
-    let mut piece = Vec::new();
-    file.seek(SeekFrom::Start(start))?;
-    file.take(length).read_to_end(&mut piece)?;
-    Ok(piece)
 }
 
 /// Compares a file's size with its head, of which at most 1 MiB is read. `file_name` is used only for

@@ -2,7 +2,7 @@
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
-use std::io::{self, Cursor};
+use std::io::{self, Cursor, Read, Seek, SeekFrom};
 
 use meniscus_formats::gltf::{self, GlbFrame, SequenceFrame, UpAxis};
 use meniscus_formats::{
@@ -213,7 +213,7 @@ fn abc_sequence_has_a_sample_per_frame() {
             assert!(apart.into_iter().all(|(a, b)| (a - b).abs() < MOVED_ROUNDING), "{number}");
         }
         assert!(matches!(abc::read_sample(&bytes, 5, &limits), Err(Error::Invalid { .. })));
-        let info = abc::read_sequence_info(&bytes).expect("read").expect("a sequence");
+        let (info, _) = abc::read_sequence_info(&mut Cursor::new(&bytes)).expect("read").expect("a sequence");
         let counts = frames().iter().map(|frame| u64::from(frame.sides)).sum::<u64>();
         assert_eq!((info.frames, info.vertices, info.triangles), (4, counts + 3, counts));
         let error = abc::read_mesh(&bytes, &limits).expect_err("several frames");
@@ -289,6 +289,11 @@ fn usda_sequence_has_a_sample_per_frame() {
             assert_eq!(numbers(corners[index].1).len(), 3 * triangles.len());
             assert_eq!(numbers(velocities[index].1).len(), found.len());
             let extent = at(&extents, &code);
+            if found.is_empty() {
+                // The empty range, and not a box at the origin.
+                let extent: Vec<f32> = extent.iter().map(|&x| x as f32).collect();
+                assert_eq!(extent, [[f32::MAX; 3], [f32::MIN; 3]].concat());
+            }
             for point in found.as_chunks::<3>().0 {
                 assert!((0..3).all(|axis| extent[axis] <= point[axis] && point[axis] <= extent[axis + 3]));
             }
@@ -389,7 +394,7 @@ fn usdc_sequence_contains_equal_arrays_once() {
     for index in 0..3 {
         assert!(three.frame(index).expect("a frame") == expected, "{index}");
     }
-    let error = usdc::to_glb(&sequence_of(1), &limits).expect_err("a sequence").to_string();
+    let error = usdc::to_glb(sequence_of(1), &limits).expect_err("a sequence").to_string();
     assert!(error.contains("this file is a sequence"), "{error}");
 }
 
@@ -545,4 +550,52 @@ fn vertex_indices_out_of_range_are_an_error() {
     let broken = [&whole[..at], &scalar(2), &whole[at + scalar(2).len()..]].concat();
     let error = usda_of(&broken).expect_err("a value missing");
     assert!(error.to_string().contains("the positions and _HEAT do not match"), "{error}");
+}
+
+/// Counts the bytes that are read.
+struct Counted<'a>(Cursor<&'a [u8]>, usize);
+
+impl Read for Counted<'_> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let count = self.0.read(bytes)?;
+        self.1 += count;
+        Ok(count)
+    }
+}
+
+impl Seek for Counted<'_> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.0.seek(to)
+    }
+}
+
+#[test]
+fn summary_of_a_sequence_needs_only_the_ends_of_its_file() {
+    let (shot, files) = gathered(UpAxis::Y);
+    let open = |index: usize| Ok(Cursor::new(&files[index]));
+    let mut archive = Vec::new();
+    abc::write_sequence(&shot, 25.0, &provenance(), open, &mut archive).expect("written");
+    let (layer, _) = usdc_shot(UpAxis::Y);
+    let counts = frames().iter().map(|frame| u64::from(frame.sides)).sum::<u64>();
+
+    let mut file = Counted(Cursor::new(&layer), 0);
+    let (info, names) = usdc::read_layer_info(&mut file, &Limits::default()).expect("a sequence");
+    assert_eq!((info.frames, info.vertices, info.faces), (Some(4), counts + 3, counts));
+    assert_eq!(names, ["velocities"]);
+    assert!(file.1 < layer.len() / 20, "{} of {} bytes", file.1, layer.len());
+
+    let mut file = Counted(Cursor::new(&archive), 0);
+    let (info, names) = abc::read_sequence_info(&mut file).expect("an archive").expect("a sequence");
+    assert_eq!((info.frames, info.vertices, info.triangles), (4, counts + 3, counts));
+    assert_eq!(names, ["velocity"]);
+    assert!(file.1 < archive.len() / 20, "{} of {} bytes", file.1, archive.len());
+
+    // A truncated file is an error, wherever it ends.
+    for bytes in [&layer, &archive] {
+        for end in [10, 90, bytes.len() / 2, bytes.len() - 1] {
+            let mut file = Cursor::new(&bytes[..end]);
+            assert!(usdc::read_layer_info(&mut file, &Limits::default()).is_err());
+            assert!(abc::read_sequence_info(&mut file).is_err());
+        }
+    }
 }

@@ -2,10 +2,11 @@
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
-use std::io::Cursor;
+use std::io::{self, Cursor, Read, Seek, SeekFrom};
 
 use meniscus_formats::{
-    Limits, MeshOptions, OutputFormat, Values, VertexAttribute, VertexValues, gltf, read_mesh, usda, usdc,
+    Limits, MeshOptions, OutputFormat, Values, VertexAttribute, VertexValues, gltf, is_complete, read_mesh,
+    usda, usdc,
 };
 
 use crate::mesh_formats::{FAR, fans, nothing, provenance, torus, usda_text, usdc_bytes};
@@ -239,7 +240,7 @@ fn usdc_becomes_the_glb_of_the_same_mesh() {
     let limits = Limits::default();
     for mesh in [torus(20, 12, [0.0; 3]), torus(130, 70, FAR), torus(2, 3, FAR), nothing()] {
         for up in [gltf::UpAxis::Y, gltf::UpAxis::Z] {
-            let (glb, notes) = usdc::to_glb(&usdc_bytes(&mesh, false, up), &limits).expect("converted");
+            let (glb, notes) = usdc::to_glb(usdc_bytes(&mesh, false, up), &limits).expect("converted");
             let (attributes, options) = (mesh.attributes(), MeshOptions { up, ..MeshOptions::default() });
             let mut expected = Vec::new();
             gltf::write_glb(&mesh.view(&attributes), &options, &provenance(), &mut expected)
@@ -249,7 +250,7 @@ fn usdc_becomes_the_glb_of_the_same_mesh() {
             let lost = notes.iter().filter(|note| note.starts_with("id is missing")).count();
             assert_eq!((lost, notes.len()), (usize::from(!mesh.ids.is_empty()), lost), "{notes:?}");
 
-            let (glb, _) = usdc::to_glb(&usdc_bytes(&mesh, true, up), &limits).expect("converted");
+            let (glb, _) = usdc::to_glb(usdc_bytes(&mesh, true, up), &limits).expect("converted");
             assert_eq!(gltf::read_mesh(&glb, &limits).expect("our own file").triangles, fans(&mesh));
         }
     }
@@ -281,4 +282,49 @@ fn truncated_and_damaged_usdc_is_an_error() {
     newer[9] = 13;
     let error = read(&newer).expect_err("another version").to_string();
     assert!(error.contains("version 0.13.0"), "{error}");
+}
+
+/// Refuses to seek beyond 2⁶³, as files do.
+struct AsFile(Cursor<Vec<u8>>);
+
+impl Read for AsFile {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        self.0.read(bytes)
+    }
+}
+
+impl Seek for AsFile {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        match to {
+            SeekFrom::Start(start) if i64::try_from(start).is_err() => {
+                Err(io::ErrorKind::InvalidInput.into())
+            }
+            _ => self.0.seek(to),
+        }
+    }
+}
+
+#[test]
+fn usdc_with_a_table_beyond_any_file_is_not_complete() {
+    let bytes = usdc_bytes(&nothing(), false, gltf::UpAxis::Y);
+    for (at, expected) in [(None, true), (Some(bytes.len() as u64), false), (Some(u64::MAX), false)] {
+        let mut damaged = bytes.clone();
+        if let Some(at) = at {
+            damaged[16..24].copy_from_slice(&at.to_le_bytes());
+        }
+        let found = is_complete(OutputFormat::Usdc, &mut AsFile(Cursor::new(damaged)));
+        assert_eq!(found.expect("read"), expected, "{at:?}");
+    }
+}
+
+#[test]
+fn usdc_notes_strings_with_null_characters() {
+    let table = ["a\0b".to_owned()];
+    let values = VertexValues::Strings { table: &table, indices: &[0, 0] };
+    let attribute = VertexAttribute { name: "kind", role: None, arity: 1, values };
+    let notes = usdc::attribute_notes(&[attribute]);
+    assert_eq!(notes, ["kind: the .usdc stores null characters as \\x00"]);
+    let table = ["a".to_owned()];
+    let values = VertexValues::Strings { table: &table, indices: &[0, 0] };
+    assert_eq!(usdc::attribute_notes(&[VertexAttribute { values, ..attribute }]), [""; 0]);
 }

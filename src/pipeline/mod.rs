@@ -124,6 +124,7 @@ pub use records::sequence_file::{
     SequenceError, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource, common_step,
     is_sequence_file, write_sequence_file,
 };
+pub(crate) use records::stage_file::STAGE_FRAMES;
 pub use records::stage_file::{
     StageFrame, StageReport, StageSequence, next_stage_update, stage_frame_count, write_stage,
 };

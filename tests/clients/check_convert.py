@@ -37,6 +37,7 @@ def main():
     flowing(check)
     moving(check)
     gliding(check)
+    described(check)
     check.end()
 
 
@@ -144,8 +145,8 @@ def flowing(check):
 
 
 def moving(check):
-    """Converts a sequence of a growing block to all mesh formats, and to files that contain the whole
-    sequence."""
+    """Converts a sequence of a growing block to all mesh formats, to files that contain the whole sequence, and to a
+    stage of level sets."""
     folder = WORK / "awkward" / "moving"
     folder.mkdir(parents=True, exist_ok=True)
     for frame in MOVING:
@@ -161,6 +162,10 @@ def moving(check):
         reads(check, label, folder, options, ["glb", "obj", "ply", "vtp", "stl", "usda", "usdc", "abc"])
         faults = [f"no {name}" for name in names if not (out / name).is_file()]
         check.line(f"{label} shots", f"{len(MOVING)} frames", faults)
+    out = OUT / "moving-volumes"
+    out.mkdir(parents=True, exist_ok=True)
+    options = ["--voxel-size", "0.05", "--attributes", "velocity", "--up", "z", "--stage", out / "stage.usda"]
+    reads(check, "moving-volumes", folder, options, ["vdb"])
 
 
 def gliding(check):
@@ -175,6 +180,27 @@ def gliding(check):
     shots = ["--sequence-usdc", out / "shot.usdc", "--sequence-abc", out / "shot.abc", "--stage", out / "stage.usda"]
     options = ["--voxel-size", str(glide.VOXEL_SIZE), "--attributes", "velocity", "--up", "z", "--fps", str(glide.FPS)]
     reads(check, "gliding", folder, [*options, *shots], ["glb", "ply", "usdc"])
+
+
+def described(check):
+    """Converts sequences whose particles have attributes of all types, with and without velocities. Frame 2 has no
+    particles."""
+    for label, fps, velocity in (("described", 30, "vx,vy,vz,"), ("described-still", 12.5, "")):
+        folder = WORK / "awkward" / label
+        folder.mkdir(parents=True, exist_ok=True)
+        for frame in (1, 2, 3):
+            rows = [f"x,y,z,{velocity}r,g,b,density,id,big,kind,uvw_x,uvw_y"]
+            indices = [(x, y, z) for x in range(4 + frame) for y in range(5) for z in range(4)] if frame != 2 else []
+            for number, (x, y, z) in enumerate(indices):
+                speed = f"{0.1 * x!r},2,0," if velocity else ""
+                kind = ("water", "oil", "")[x % 3]
+                attributes = f"0.25,{0.2 * y!r},0.75,{1000.5 + x!r},{number},{(number << 32) + y},{kind},{x},{z}"
+                rows.append(f"{0.1 * x!r},{0.1 * y!r},{0.1 * z!r},{speed}{attributes}")
+            (folder / f"{label}.{frame:03}.csv").write_text("\n".join(rows) + "\n")
+        out = OUT / label
+        out.mkdir(parents=True, exist_ok=True)
+        options = ["--voxel-size", "0.05", "--attributes", "all", "--up", "z", "--fps", str(fps)]
+        reads(check, label, folder, [*options, "--sequence-abc", out / "shot.abc"], ["glb", "ply", "abc"])
 
 
 # Numbers of the frames; frame 3 is missing.

@@ -7,6 +7,8 @@
     shot.abc      one object, whose mesh is that of the current frame, with velocities
     gliding       shot.usdc, shot.abc and the stage: the mesh between two frames is that of the first, and motion
                   blur by the velocities is as long as the motion during the exposure
+    volumes       a stage of level sets: one Volume, whose surface is that of the current frame, and which is rendered:
+                  shots_volume.png
     rendered      shots_glb.png, shots_usda.png, shots_abc.png: the last frame of each shot; all show the same
 
 Runs in separate Pythons, with Blender 4.5 and 5.0 as a module.
@@ -19,7 +21,7 @@ import numpy as np
 from mathutils import Matrix
 
 import glide
-from check_blender import PICTURE_DIFFERENCE_MAX, positions_of, render, stage, to_log, transformed
+from check_blender import PICTURE_DIFFERENCE_MAX, as_mesh, positions_of, render, stage, to_log, transformed
 from mesh_files import read_ply
 from project import OUT, WORK, Check, frame_of
 
@@ -40,6 +42,7 @@ def main():
         check.line(f"{label}/shot.abc", *attempted(shot, folder, "abc"))
     for name in ("shot.usdc", "shot.abc", "stage.usda"):
         check.line(f"gliding/{name}", *attempted(glided, OUT / "gliding" / name))
+    check.line("moving-volumes/stage.usda", *attempted(volumes, OUT / "moving-volumes" / "stage.usda", OUT / "moving"))
     check.line("pictures", *attempted(pictures, OUT / "moving"))
     check.end()
 
@@ -51,8 +54,8 @@ def attempted(examine, *arguments):
         return "could not be imported", [f"{type(error).__name__}: {error}"]
 
 
-def imported(path):
-    """The meshes of a file in an otherwise empty scene."""
+def imported(path, kind="MESH"):
+    """The meshes or volumes of a file in an otherwise empty scene."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.context.scene.render.fps = FPS
     {
@@ -63,9 +66,9 @@ def imported(path):
         ".abc": lambda: bpy.ops.wm.alembic_import(filepath=str(path)),
     }[path.suffix]()
     bpy.context.view_layer.update()
-    found = [obj for obj in bpy.data.objects if obj.type == "MESH"]
+    found = [obj for obj in bpy.data.objects if obj.type == kind]
     if not found:
-        raise RuntimeError("no mesh")
+        raise RuntimeError(f"no {kind.lower()}")
     return found
 
 
@@ -205,6 +208,61 @@ def glowing():
     nodes.clear()
     emission, output = nodes.new("ShaderNodeEmission"), nodes.new("ShaderNodeOutputMaterial")
     material.node_tree.links.new(emission.outputs["Emission"], output.inputs["Surface"])
+    return material
+
+
+def volumes(path, folder):
+    """Compares the surface of a stage of level sets with the meshes in another folder, and renders it as a volume."""
+    objects = imported(path, "VOLUME")
+    faults = [] if len(objects) == 1 else [f"{len(objects)} volumes"]
+    volume, through = objects[0], as_mesh(objects[0])
+    through.hide_render = True
+    plys = sorted(folder.glob("moving.*.ply"))
+    for ply in plys:
+        code = int(ply.stem.split(".")[1])
+        bpy.context.scene.frame_set(code)
+        volume.data.grids.load()
+        names = [grid.name for grid in volume.data.grids]
+        if names != ["surface", "velocity"]:
+            faults.append(f"frame {code} has the grids {names}")
+        points, expected = shown([through])[0], read_ply(ply)[0]
+        off = [abs(getattr(points, end)(axis=0) - getattr(expected, end)(axis=0)).max() if len(points) else np.inf
+               for end in ("min", "max")]
+        # Volume to Mesh of Blender 4.5 moves surfaces by half a voxel. From frame to frame, the block grows by more.
+        if max(off) > 0.6 * VOXEL_SIZE:
+            faults.append(f"the bounds of frame {code} are off by {max(off) / VOXEL_SIZE:.2f} voxels")
+    stage(Matrix(), expected.min(axis=0), expected.max(axis=0))
+    volume.data.materials.append(fog())
+    picture = render(WORK / "shots_volume.png", (320, 240), 32)
+    volume.hide_render = True
+    empty = render(WORK / "shots_volume_empty.png", (320, 240), 32)
+    changed = (abs(picture - empty).max(axis=1) > 0.1).mean()
+    if not 0.1 < changed < 0.9:
+        faults.append(f"{100 * changed:.1f} % of the picture differ from that without the volume")
+    return f"frames {' '.join(ply.stem[-1] for ply in plys)}, {100 * changed:.0f} % of shots_volume.png differ", faults
+
+
+VOXEL_SIZE = 0.05
+
+
+def fog():
+    """A material that is dense where the level set is negative."""
+    material = bpy.data.materials.new("fog")
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    level = nodes.new("ShaderNodeAttribute")
+    level.attribute_name = "surface"
+    inside, density = nodes.new("ShaderNodeMath"), nodes.new("ShaderNodeMath")
+    inside.operation, density.operation = "LESS_THAN", "MULTIPLY"
+    inside.inputs[1].default_value, density.inputs[1].default_value = 0.0, 2 / VOXEL_SIZE
+    shader, output = nodes.new("ShaderNodeVolumePrincipled"), nodes.new("ShaderNodeOutputMaterial")
+    shader.inputs["Color"].default_value = (0.10, 0.35, 0.60, 1)
+    shader.inputs["Density Attribute"].default_value = ""
+    links.new(level.outputs["Fac"], inside.inputs[0])
+    links.new(inside.outputs[0], density.inputs[0])
+    links.new(density.outputs[0], shader.inputs["Density"])
+    links.new(shader.outputs["Volume"], output.inputs["Volume"])
     return material
 
 

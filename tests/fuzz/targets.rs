@@ -193,7 +193,8 @@ fn gltf_parts(bytes: &[u8]) {
 
 /// Reads the first two meshes of an archive, and the information that needs no mesh.
 fn alembic(bytes: &[u8]) {
-    let _ = (abc::read_mesh(bytes, &limits()), abc::read_sequence_info(bytes), abc::read_times(bytes));
+    let _ = (abc::read_mesh(bytes, &limits()), abc::read_times(bytes));
+    let _ = abc::read_sequence_info(&mut Cursor::new(bytes));
     let _ = (abc::read_sample(bytes, 0, &limits()), abc::read_sample(bytes, 1, &limits()));
     let _ = abc::to_glb(bytes, &limits());
 }
@@ -213,6 +214,7 @@ fn gltf_frame(bytes: &[u8]) {
 /// Reads the declarations and the first frames of a file, and converts it.
 fn usdc_frames(bytes: &[u8]) {
     let _ = usdc::read_sampled_properties(&mut Cursor::new(bytes), &limits());
+    let _ = usdc::read_layer_info(&mut Cursor::new(bytes), &limits());
     let _ = usdc::to_glb(bytes, &limits());
     let Ok(layer) = usdc::UsdcLayer::read(bytes, &limits()) else { return };
     for index in 0..layer.codes().map_or(1, <[f64]>::len).min(4) {

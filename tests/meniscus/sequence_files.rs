@@ -408,6 +408,21 @@ fn info_describes_a_sequence_file_and_convert_refuses_it() {
         assert_eq!(found, attributes, "{text}");
         assert_eq!(json(&[name])[0]["shot"]["attributes"].as_array().map(Vec::len), Some(2), "{name}");
     }
+    // A frame has the attributes of its file, too.
+    let formats = ["--format", "abc,usdc", "--attributes", "all", "--stage", "stage.usda", "--fps", "30"];
+    succeeded(&meniscus(path, &[&convert[..6], &formats].concat()));
+    for (name, attributes) in
+        [("out/dam.1.usdc", ["heat", "velocities"]), ("out/dam.1.abc", ["heat", "velocity"])]
+    {
+        let info = &json(&[name])[0];
+        let listed = info["mesh"]["attributes"].as_array().expect("attributes");
+        let mut found: Vec<&str> = listed.iter().filter_map(|attribute| attribute["name"].as_str()).collect();
+        found.sort_unstable();
+        assert_eq!(found, attributes, "{info}");
+    }
+    let text = meniscus(path, &["info", "stage.usda"]).out;
+    let note = "a stage: it plays the files of 3 frames, from time code 1 to 3, at 30 frames per second";
+    assert!(text.contains(note), "{text}");
     for name in ["shot.glb", "shot.abc"] {
         let result = meniscus(path, &[&convert[..], &["--obstacle", name]].concat());
         assert!(

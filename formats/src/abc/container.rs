@@ -10,10 +10,12 @@ use crate::digest::DIGEST_BYTES;
 /// The limit of properties in a compound: more than any mesh that this program writes has.
 const PROPERTY_COUNT_MAX: usize = 1 << 16;
 
-/// The bytes of a file.
+/// The bytes of a file, or of its end.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Container<'a> {
     pub(super) bytes: &'a [u8],
+    /// The offset of the bytes in the file.
+    base: u64,
 }
 
 /// The header of a property.
@@ -47,14 +49,28 @@ impl PropertyHeader {
 }
 
 impl<'a> Container<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> Container<'a> {
+        Container::of_end(bytes, 0)
+    }
+
+    /// The bytes of a file from the offset `base` on.
+    pub(super) fn of_end(bytes: &'a [u8], base: u64) -> Container<'a> {
+        Container { bytes, base }
+    }
+
     /// The bytes from an offset on.
     fn from(&self, at: u64, what: &str) -> Result<&'a [u8]> {
-        let start = usize::try_from(at).ok().filter(|start| *start < self.bytes.len());
+        let start = at.checked_sub(self.base).and_then(|start| usize::try_from(start).ok());
+        let start = start.filter(|start| *start < self.bytes.len());
         start.map(|start| &self.bytes[start..]).ok_or_else(|| self.truncated(at, what))
     }
 
     fn truncated(&self, at: u64, what: &str) -> Error {
-        let what = format!("{what} exceeds the file, which has {} bytes", self.bytes.len());
+        let end = self.base + self.bytes.len() as u64;
+        let what = match self.base {
+            0 => format!("{what} exceeds the file, which has {end} bytes"),
+            base => format!("{what} is not in the last part of the file, from {base} to {end}"),
+        };
         Error::truncated(FORMAT, Position::Offset(at), what)
     }
 

@@ -1,7 +1,9 @@
 //! Converts an archive with one frame to a `.glb` of the same mesh: sequences are assembled from `.glb`
 //! files.
 
-use crate::data::{AttributeRole, MeshView, VertexAttribute, VertexValues};
+use std::borrow::Cow;
+
+use crate::data::{AttributeRole, FileAttribute, MeshView, Values, VertexAttribute, VertexValues};
 use crate::error::{Error, Position, Result};
 use crate::gltf::{loss_notes, write_glb};
 use crate::limits::Limits;
@@ -11,7 +13,7 @@ use super::FORMAT;
 use super::document::Pod;
 use super::mesh::{Matrix, names, to_world};
 use super::ogawa::{DATA, MAGIC, Reference};
-use super::read::MeshArchive;
+use super::read::{MeshArchive, VELOCITY};
 
 /// Whether a file that starts with these bytes is an archive.
 pub fn is_archive(head: &[u8]) -> bool {
@@ -58,18 +60,22 @@ impl FrameValues {
 }
 
 /// Converts an archive with one frame to a `.glb`. Also returns notes on attributes that a `.glb` does not
-/// hold exactly.
+/// hold exactly. Frees owned bytes before it makes the `.glb`, so that the two are not in memory at once.
 ///
 /// # Errors
 ///
 /// Those of [`super::read_mesh`] and of [`write_glb`].
-pub fn to_glb(bytes: &[u8], limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
-    let archive = MeshArchive::open(bytes)?;
+pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
+    let bytes = bytes.into();
+    let byte_count = bytes.len();
+    let archive = MeshArchive::open(&bytes)?;
     archive.check_single_frame()?;
     let [positions, normals] = archive.vertices(0, limits)?;
     let triangles = archive.triangles(0, positions.len())?;
     let (up, origin) = placement(&archive.matrix(0)?)?;
     let attributes = attributes(&archive)?;
+    let provenance = archive.provenance;
+    drop(bytes);
     let count = positions.len().max(1);
     let views: Vec<VertexAttribute> = attributes
         .iter()
@@ -86,27 +92,39 @@ pub fn to_glb(bytes: &[u8], limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
         origin,
         attributes: if positions.is_empty() { &[] } else { &views },
     };
-    let mut glb = Vec::new();
-    write_glb(&mesh, &MeshOptions { up, ..MeshOptions::default() }, &archive.provenance, &mut glb)?;
+    // It has about as many bytes. A vector that grows would need up to twice as many.
+    let mut glb = Vec::with_capacity(byte_count);
+    write_glb(&mesh, &MeshOptions { up, ..MeshOptions::default() }, &provenance, &mut glb)?;
     Ok((glb, loss_notes(mesh.attributes)))
 }
 
-/// The names of the vertex attributes of an archive, except normals.
+/// Reads the vertex attributes of an archive with one frame, except normals, under their own names.
 ///
 /// # Errors
 ///
 /// Those of [`super::read_mesh`].
-pub fn read_attribute_names(bytes: &[u8]) -> Result<Vec<String>> {
+pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribute>> {
     let archive = MeshArchive::open(bytes)?;
-    let velocity = archive.has(names::VELOCITIES).then(|| VELOCITY.to_owned());
-    Ok(velocity.into_iter().chain(archive.params()?.into_iter().map(|(header, _)| header.name)).collect())
+    archive.check_single_frame()?;
+    let vertices = archive.vertices(0, limits)?[0].len();
+    let attribute = |FrameAttribute { name, role, values }: FrameAttribute| {
+        let arity = values.len().div_ceil(vertices.max(1)).max(1);
+        if values.len() != vertices * arity {
+            let what = format!("{name} has {} values for {vertices} vertices", values.len());
+            return Err(Error::invalid(FORMAT, Position::File, what));
+        }
+        let values = match values {
+            FrameValues::Numbers(values) => Values::F32(values),
+            FrameValues::Integers(values) => Values::I64(values),
+            FrameValues::Strings { table, indices } => Values::Strings { table, indices },
+        };
+        Ok(FileAttribute { name, arity, role, values })
+    };
+    attributes(&archive)?.into_iter().map(attribute).collect()
 }
 
 const NOT_OURS: &str =
     "this .abc was not written by meniscus, or was changed: use the .abc files of the frames";
-
-/// The name of the attribute in the property for velocities.
-const VELOCITY: &str = "velocity";
 
 /// The up axis and the origin from which [`to_world`] computes this transform.
 fn placement(matrix: &Matrix) -> Result<(UpAxis, [f64; 3])> {

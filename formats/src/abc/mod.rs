@@ -21,7 +21,7 @@ mod read;
 mod sequence;
 mod write;
 
-pub use frame::{is_archive, read_attribute_names, to_glb};
+pub use frame::{is_archive, read_attributes, to_glb};
 pub use read::{read_mesh, read_sample, read_sequence_info, read_times};
 pub use sequence::write_sequence;
 pub use write::{attribute_notes, write};
@@ -38,7 +38,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
         read_mesh: Some(|bytes, limits, _| read_mesh(bytes, limits)),
         ..FormatRow::new(FORMAT, &["abc"])
     },
-    help: "Alembic: positions, normals",
+    help: "Alembic: positions, normals, velocities, attributes",
     content: Content::Mesh(MeshWriter { attribute_notes, ..MeshWriter::new(MeshEncoder::Stream(write)) }),
     write_particles: None,
     has_attributes: true,

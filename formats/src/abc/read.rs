@@ -3,7 +3,11 @@
 //! Every reference is an offset, so the reader checks that the target is inside the file. The reader follows
 //! a fixed path from the root, so it terminates even if references form a cycle.
 
+use std::io::{Read, Seek, SeekFrom};
+
+use crate::bytes::piece;
 use crate::data::MeshData;
+use crate::digest::DIGEST_BYTES;
 use crate::error::{Error, Position, Result};
 use crate::gltf::{SEQUENCE_FRAMES, SequenceInfo};
 use crate::limits::Limits;
@@ -27,7 +31,7 @@ pub(super) fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
 
 /// The first data of a file. In files of this crate, they are the metadata.
 fn first_data(bytes: &[u8]) -> Result<&[u8]> {
-    Container { bytes }.data(DATA | HEADER_BYTES, "the metadata")
+    Container::new(bytes).data(DATA | HEADER_BYTES, "the metadata")
 }
 
 /// The provenance in the metadata of an archive; `None` if another program wrote the archive.
@@ -45,7 +49,7 @@ pub(super) fn bytes_declared(head: &[u8]) -> Result<Option<u64>> {
     if own_metadata(first_data(head).unwrap_or_default()).is_none() {
         return Ok(None);
     }
-    let root = Container { bytes: head }.number(8, "the root group")?;
+    let root = Container::new(head).number(8, "the root group")?;
     Ok(root.checked_add(8 * (1 + ROOT_CHILDREN)))
 }
 
@@ -81,29 +85,68 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     archive.mesh(0, limits)
 }
 
-/// The content of a sequence of this crate; `None` for an archive with one frame.
+/// The size of the start of an archive, with its provenance.
+const HEAD_BYTES: u64 = 64 << 10;
+
+/// The sizes of the end of an archive, with its headers and references: 16 bytes for each sample of each property. The
+/// first one that suffices is used.
+const END_BYTES: [u64; 4] = [64 << 10, 1 << 20, 16 << 20, 256 << 20];
+
+/// The content of a sequence of this crate, and the names of its vertex attributes, except normals; `None` for an
+/// archive with one frame. Reads the two ends of the file, and the number of bytes of each array.
 ///
 /// # Errors
 ///
-/// Those of [`read_mesh`].
-pub fn read_sequence_info(bytes: &[u8]) -> Result<Option<SequenceInfo>> {
-    let archive = MeshArchive::open(bytes)?;
-    let Some(frames) = archive.frames else { return Ok(None) };
+/// [`Error::Io`] if the file cannot be read, and those of [`read_mesh`].
+pub fn read_sequence_info(file: &mut (impl Read + Seek)) -> Result<Option<(SequenceInfo, Vec<String>)>> {
+    let head = piece(file, 0, HEAD_BYTES)?;
+    let (provenance, frames) = start_of(&head)?;
+    let Some(frames) = frames else { return Ok(None) };
+    let root = Container::new(&head).number(8, ROOT)?;
+    let file_bytes = file.seek(SeekFrom::End(0))?;
+    let mut sizes = END_BYTES.into_iter();
+    let (pairs, names) = loop {
+        let size = sizes.next().unwrap_or(0);
+        let base = file_bytes.saturating_sub(size);
+        let end = piece(file, base, size)?;
+        let start = (provenance.clone(), Some(frames));
+        let found = MeshArchive::of_parts(start, root, Container::of_end(&end, base))
+            .and_then(|archive| Ok((archive.position_and_count_samples()?, archive.attribute_names()?)));
+        match found {
+            Err(_) if base > 0 && sizes.len() > 0 => {}
+            found => break found?,
+        }
+    };
     let mut info = SequenceInfo { frames, ..SequenceInfo::default() };
-    let (positions, counts) = (archive.references(names::POSITIONS)?, archive.references(names::COUNTS)?);
-    let pairs: Vec<[Reference; 2]> = positions.into_iter().zip(counts).map(Into::into).collect();
     for (index, [positions, counts]) in pairs.iter().enumerate() {
         // A frame may have two samples, which refer to the same data.
         if index > 0 && pairs[index - 1] == [*positions, *counts] {
             continue;
         }
-        let count = |reference: Reference, what: &str, bytes: u64| -> Result<u64> {
-            Ok(archive.container.sample(reference, what)?.0.len() as u64 / bytes)
+        let mut count = |reference: Reference, what: &str, bytes: u64| -> Result<u64> {
+            Ok(sample_bytes(file, reference, what)? / bytes)
         };
         info.vertices = info.vertices.saturating_add(count(*positions, names::POSITIONS, 12)?);
         info.triangles = info.triangles.saturating_add(count(*counts, names::COUNTS, 4)?);
     }
-    Ok(Some(info))
+    Ok(Some((info, names)))
+}
+
+/// The number of bytes of a sample in a file.
+fn sample_bytes(file: &mut (impl Read + Seek), reference: Reference, what: &str) -> Result<u64> {
+    let at = reference & !DATA;
+    if reference == DATA {
+        return Ok(0);
+    }
+    let file_bytes = file.seek(SeekFrom::End(0))?;
+    let length = Container::of_end(&piece(file, at, 8)?, at).number(at, what)?;
+    match length.checked_sub(DIGEST_BYTES as u64) {
+        Some(bytes) if at.saturating_add(8).saturating_add(length) <= file_bytes => Ok(bytes),
+        _ => {
+            let found = format!("a sample of {what} has {length} bytes, and the file {file_bytes}");
+            Err(Error::invalid(FORMAT, Position::Offset(at), found))
+        }
+    }
 }
 
 /// The times of the samples of an archive, in seconds. A frame may have two samples.
@@ -124,6 +167,29 @@ pub fn read_sample(bytes: &[u8], index: usize, limits: &Limits) -> Result<MeshDa
     MeshArchive::open(bytes)?.mesh(index, limits)
 }
 
+const ROOT: &str = "the offset of the root group";
+
+/// The name of the attribute in the property for velocities.
+pub(super) const VELOCITY: &str = "velocity";
+
+/// The provenance at the start of an archive, and the number of frames of a sequence.
+type ArchiveStart = (Vec<(String, String)>, Option<u64>);
+
+fn start_of(head: &[u8]) -> Result<ArchiveStart> {
+    check_start(head)?;
+    let Some(provenance) = own_metadata(first_data(head)?) else {
+        let what = "Alembic files of other programs are not supported: save the mesh as PLY, OBJ or glTF";
+        return Err(Error::unsupported(FORMAT, what));
+    };
+    let frames = provenance.iter().find(|(name, _)| name == SEQUENCE_FRAMES);
+    let frames = frames.map(|(_, frames)| {
+        let what = format!("the sequence has an invalid number of frames `{frames}`");
+        frames.parse().map_err(|_| Error::invalid(FORMAT, Position::Offset(HEADER_BYTES), what))
+    });
+    let frames = frames.transpose()?;
+    Ok((provenance, frames))
+}
+
 /// An archive of this crate.
 pub(super) struct MeshArchive<'a> {
     pub(super) container: Container<'a>,
@@ -138,18 +204,17 @@ pub(super) struct MeshArchive<'a> {
 
 impl<'a> MeshArchive<'a> {
     pub(super) fn open(bytes: &'a [u8]) -> Result<MeshArchive<'a>> {
-        check_start(bytes)?;
-        let Some(provenance) = own_metadata(first_data(bytes)?) else {
-            let what = "Alembic files of other programs are not supported: save the mesh as PLY, OBJ or glTF";
-            return Err(Error::unsupported(FORMAT, what));
-        };
-        let frames = provenance.iter().find(|(name, _)| name == SEQUENCE_FRAMES);
-        let frames = frames.map(|(_, frames)| {
-            let what = format!("the sequence has an invalid number of frames `{frames}`");
-            frames.parse().map_err(|_| Error::invalid(FORMAT, Position::Offset(HEADER_BYTES), what))
-        });
-        let container = Container { bytes };
-        let root = container.group(container.number(8, "the offset of the root group")?, "the root group")?;
+        let container = Container::new(bytes);
+        MeshArchive::of_parts(start_of(bytes)?, container.number(8, ROOT)?, container)
+    }
+
+    /// The archive with this start, and with its root group at this offset. The container needs no arrays.
+    fn of_parts(
+        (provenance, frames): ArchiveStart,
+        root: Reference,
+        container: Container<'a>,
+    ) -> Result<MeshArchive<'a>> {
+        let root = container.group(root, "the root group")?;
         if root.len() as u64 != ROOT_CHILDREN {
             let what = format!("the root group has {} children; expected {ROOT_CHILDREN}", root.len());
             return Err(Error::invalid(FORMAT, Position::Offset(8), what));
@@ -157,13 +222,25 @@ impl<'a> MeshArchive<'a> {
         let transform = container.child_object(root[TOP_OBJECT], TRANSFORM)?;
         let mesh = container.child_object(transform, MESH)?;
         Ok(MeshArchive {
-            frames: frames.transpose()?,
+            frames,
             provenance,
             geometry: container.schema(mesh, names::GEOMETRY)?,
             transform: container.schema(transform, names::TRANSFORM)?,
             container,
             root,
         })
+    }
+
+    /// The data of the positions and of the corner counts, for each sample.
+    fn position_and_count_samples(&self) -> Result<Vec<[Reference; 2]>> {
+        let (positions, counts) = (self.references(names::POSITIONS)?, self.references(names::COUNTS)?);
+        Ok(positions.into_iter().zip(counts).map(Into::into).collect())
+    }
+
+    /// The names of the vertex attributes, except normals.
+    pub(super) fn attribute_names(&self) -> Result<Vec<String>> {
+        let velocity = self.has(names::VELOCITIES).then(|| VELOCITY.to_owned());
+        Ok(velocity.into_iter().chain(self.params()?.into_iter().map(|(header, _)| header.name)).collect())
     }
 
     /// Fails for a sequence, because it is unknown which of its meshes to use.

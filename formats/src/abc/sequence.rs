@@ -42,7 +42,7 @@ const COLOR: &str = "COLOR_0";
 ///
 /// [`Error::Io`] if a file cannot be read or `out` fails; [`Error::Invalid`] if a document is damaged, a file
 /// changed, numbers do not increase, or there are no frames; [`Error::Unsupported`] for numbers beyond 2⁵³;
-/// [`Error::TooLarge`] for a frame with 2³¹ vertices or more.
+/// [`Error::TooLarge`] for a frame with more than 2³¹ vertices.
 pub fn write_sequence<R: Read + Seek>(
     frames: &[SequenceFrame],
     fps: f64,

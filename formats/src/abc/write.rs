@@ -27,7 +27,7 @@ use super::ogawa::{Ogawa, Sample};
 ///
 /// # Errors
 ///
-/// [`Error::Io`] if `out` fails; [`Error::TooLarge`] for 2³¹ vertices or more; [`Error::Invalid`] if the mesh
+/// [`Error::Io`] if `out` fails; [`Error::TooLarge`] for more than 2³¹ vertices; [`Error::Invalid`] if the mesh
 /// is inconsistent or not finite, or if two triangles marked as a quad do not form one.
 pub fn write(
     mesh: &MeshView,

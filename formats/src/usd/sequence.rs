@@ -133,8 +133,12 @@ impl<'a> UsdSequence<'a> {
         self.placement.transform(&self.frames[index].file)
     }
 
-    /// The minimum and maximum corner of a frame, relative to the sequence's origin.
+    /// The minimum and maximum corner of a frame, relative to the sequence's origin. Without a mesh, the empty
+    /// range of OpenUSD, so that no box contains the origin: an empty array would cause its warnings.
     pub(crate) fn extent(&self, index: usize) -> Result<[[f32; 3]; 2]> {
+        if !self.frames[index].file.has_mesh() {
+            return Ok([[f32::MAX; 3], [f32::MIN; 3]]);
+        }
         self.frames[index].file.transformed_bounds(&self.transform(index)?)
     }
 

@@ -75,6 +75,16 @@ pub fn read_layer_info(head: &[u8]) -> Result<Option<LayerInfo>> {
     Ok(info.map(|(vertices, faces)| LayerInfo { vertices, faces, frames: number("frames") }))
 }
 
+/// The first and the last time code in the head of a file with several, and the frames per second.
+pub fn read_times(head: &[u8]) -> Option<([f64; 2], f64)> {
+    let text = head_text(head).ok()?;
+    let number = |name: &str| {
+        let value = text.lines().find_map(|line| line.trim_start().strip_prefix(name)?.strip_prefix(" = "));
+        value?.parse().ok()
+    };
+    Some(([number("startTimeCode")?, number("endTimeCode")?], number("timeCodesPerSecond")?))
+}
+
 /// The dictionary with the names and types of the properties that have time samples.
 const SAMPLED: &str = "meniscus_samples";
 

@@ -37,7 +37,7 @@ mod stage;
 mod write;
 
 pub use crate::usd::{LayerInfo, SampledProperty};
-pub use head::{read_layer_info, read_sampled_properties};
+pub use head::{read_layer_info, read_sampled_properties, read_times};
 pub use sequence::{read_attribute_names, write_sequence};
 pub use stage::{ClipFile, StageClips, UsdStage, stage_text};
 

@@ -1,5 +1,7 @@
 //! Converts a file with one frame to a `.glb` of the same mesh: sequences are assembled from `.glb` files.
 
+use std::borrow::Cow;
+
 use crate::data::{FileAttribute, MeshView, Values, VertexAttribute, VertexValues};
 use crate::error::Result;
 use crate::gltf::{loss_notes, write_glb};
@@ -15,17 +17,22 @@ pub fn is_layer(head: &[u8]) -> bool {
     head.starts_with(MAGIC)
 }
 
-/// Converts a file with one frame to a `.glb`. Also returns notes on attributes that a `.glb` does not hold
-/// exactly.
+/// Converts a file with one frame to a `.glb`. Also returns notes on attributes that a `.glb` does not
+/// hold exactly. Frees owned bytes before it makes the `.glb`, so that the two are not in memory at once.
 ///
 /// # Errors
 ///
 /// Those of [`UsdcLayer::read`], [`UsdcLayer::frame`] and [`write_glb`]; [`crate::Error::Unsupported`] for a
 /// sequence.
-pub fn to_glb(bytes: &[u8], limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
-    let layer = UsdcLayer::read(bytes, limits)?;
+pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
+    let bytes = bytes.into();
+    let byte_count = bytes.len();
+    let layer = UsdcLayer::read(&bytes, limits)?;
     layer.check_single_frame()?;
     let PlacedFrame { points, normals, triangles, origin, mut attributes } = layer.placed_frame(0)?;
+    let options = MeshOptions { up: layer.up()?, ..MeshOptions::default() };
+    let provenance = read_provenance(&bytes)?;
+    drop(bytes);
     merge_opacity(&mut attributes);
     attributes.iter_mut().for_each(convert_values);
     let views: Vec<VertexAttribute> = attributes.iter().filter_map(view).collect();
@@ -36,9 +43,9 @@ pub fn to_glb(bytes: &[u8], limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
         origin,
         attributes: if points.is_empty() { &[] } else { &views },
     };
-    let mut glb = Vec::new();
-    let options = MeshOptions { up: layer.up()?, ..MeshOptions::default() };
-    write_glb(&mesh, &options, &read_provenance(bytes)?, &mut glb)?;
+    // It has about as many bytes. A vector that grows would need up to twice as many.
+    let mut glb = Vec::with_capacity(byte_count);
+    write_glb(&mesh, &options, &provenance, &mut glb)?;
     Ok((glb, loss_notes(mesh.attributes)))
 }
 

@@ -24,6 +24,7 @@
 //! The file of a frame has each value twice, as the default and as a time sample, which refer to one array.
 //! [Stages](crate::usda::UsdStage) see only time samples; programs that know no times find the default.
 
+use crate::data::{VertexAttribute, VertexValues};
 use crate::mesh_options::WriteOption;
 use crate::row::Integrity;
 use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow};
@@ -47,13 +48,26 @@ mod write;
 
 pub use crate::usd::{LayerInfo, SampledProperty};
 pub use frame::{is_layer, to_glb};
-pub use read::{UsdcFrame, UsdcLayer, read_layer_info};
-pub use read_samples::read_sampled_properties;
+pub use read::{UsdcFrame, UsdcLayer};
+pub use read_samples::{read_layer_info, read_sampled_properties};
 pub use sequence::write_sequence;
 
 use contents::{MAGIC, claimed_bytes};
 use layer::read_provenance;
 use read::read_mesh;
+
+/// Notes on vertex attributes that a file does not hold exactly.
+pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
+    let mut notes = renamed(attributes, "usdc");
+    for attribute in attributes {
+        if let VertexValues::Strings { table, .. } = attribute.values
+            && table.iter().any(|text| text.contains('\0'))
+        {
+            notes.push(format!("{}: the .usdc stores null characters as \\x00", attribute.name));
+        }
+    }
+    notes
+}
 
 /// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
@@ -64,7 +78,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     },
     help: "Binary USD",
     content: Content::Mesh(MeshWriter {
-        attribute_notes: |attributes| renamed(attributes, "usdc"),
+        attribute_notes,
         ..MeshWriter::new(MeshEncoder::Stream(|mesh, options, provenance, mut out| {
             write::write(mesh, options, provenance, &mut out)
         }))

@@ -48,15 +48,6 @@ enum PropertyValues {
     Samples(Vec<(f64, ValueRep)>),
 }
 
-/// Reads the summary of a file of this crate.
-///
-/// # Errors
-///
-/// As [`UsdcLayer::read`].
-pub fn read_layer_info(bytes: &[u8], limits: &Limits) -> Result<LayerInfo> {
-    UsdcLayer::read(bytes, limits).map(|layer| layer.info)
-}
-
 /// Reads the mesh of a file with one frame.
 pub(super) fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     let layer = UsdcLayer::read(bytes, limits)?;
@@ -74,6 +65,11 @@ impl<'a> UsdcLayer<'a> {
     pub fn read(bytes: &'a [u8], limits: &Limits) -> Result<UsdcLayer<'a>> {
         let source = Source::new(bytes, limits);
         let tables = LayerTables::read(&source)?;
+        UsdcLayer::of_parts(source, tables)
+    }
+
+    /// The layer with these tables. The source needs no arrays, except to read frames.
+    pub(super) fn of_parts(source: Source<'a>, tables: LayerTables) -> Result<UsdcLayer<'a>> {
         let info = layer_info(&source, &tables)?;
         if tables.word(tables.specs[2].field("typeName"), "the prim's type")? != "Mesh" {
             return Err(Error::unsupported(

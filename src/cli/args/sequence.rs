@@ -44,8 +44,8 @@ option_set! {
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) sequence_usda: Option<PathBuf>,
 
-        /// After the conversion, combine the .glb files of the frames into one .usdc with time samples,
-        /// for motion blur; requires a single sequence, and glb in --format
+        /// After the conversion, combine the .glb files of the frames into one .usdc with time samples;
+        /// requires a single sequence, and glb in --format
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) sequence_usdc: Option<PathBuf>,
 
@@ -73,6 +73,10 @@ rate (24 by default) before importing. At a lower rate the scene skips frames.
 A .glb has a node for each frame, and shows one after the other by animating their scales in steps; it must stay below
 4 GiB. USD and .abc have no such limit: each is one mesh with time samples. Do not blend between the samples: vertices
 with the same index in two frames are different points of the surface.
+
+All frames are read as .glb; those in .abc or .usdc are converted in memory, which takes two to four times the size of the
+file. So a frame must stay below 4 GiB as .glb, and the sequence file has what a .glb has: integers are floats, without those
+beyond 2^24, and there are no quads and no strings.
 
 Exit status:
   0    all frames are in the sequence file

@@ -10,6 +10,7 @@ mod volume;
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt;
+use std::io::Read;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -23,8 +24,8 @@ use meniscus_formats::{
 use serde::Serialize;
 
 use crate::pipeline::{
-    FrameError, file_of, frames_in, frames_in_unless, is_absent, measure_spacing, read_file, read_regular,
-    step_of,
+    FrameError, STAGE_FRAMES, file_of, frames_in, frames_in_unless, is_absent, measure_spacing, open_regular,
+    read_file, read_regular, step_of,
 };
 
 use super::args::InfoArgs;
@@ -163,6 +164,9 @@ impl FileInfo {
             None => {
                 // A file with too many frames is refused before it is read as a whole.
                 frames_in(path)?;
+                if self.fill_large_sequence(path)? {
+                    return Ok(());
+                }
                 read_regular(path)?
             }
             Some(_) => read_file(path).map_err(|error| reason(&error))?,
@@ -197,6 +201,36 @@ impl FileInfo {
         Ok(())
     }
 
+    /// Describes a sequence in a `.usdc` or `.abc`, which may be larger than the memory, by the ends of the file.
+    /// Returns false for other files.
+    fn fill_large_sequence(&mut self, path: &Path) -> Result<bool> {
+        let mut file = open_regular(path)?;
+        let mut head = Vec::new();
+        Read::by_ref(&mut file).take(HEAD_BYTES).read_to_end(&mut head)?;
+        if !abc::is_archive(&head) && !usdc::is_layer(&head) {
+            return Ok(false);
+        }
+        let ProbedKind::Format(format) = probe(&head, "").kind else { return Ok(false) };
+        let made_by = made_by(ProbedKind::Format(format), &head);
+        if !made_by.as_ref().is_some_and(|made_by| made_by.contains_key(gltf::SEQUENCE_FRAMES)) {
+            return Ok(false);
+        }
+        self.kind = ProbedKind::Format(format).name().to_owned();
+        self.bytes = usize::try_from(file.metadata()?.len())?;
+        self.made_by = made_by;
+        match format {
+            Format::Usdc => {
+                let (info, attributes) = usdc::read_layer_info(&mut file, &Limits::default())?;
+                self.set_sequence(info.frames.unwrap_or(1), [info.vertices, info.faces], attributes);
+            }
+            _ => match abc::read_sequence_info(&mut file)? {
+                Some((info, attributes)) => self.set_sequence_info(info, attributes),
+                None => return Ok(false),
+            },
+        }
+        Ok(true)
+    }
+
     /// Describes a surface: grids, a mesh, a layer or a sequence of meshes. Returns false for files that are
     /// read as particles.
     fn fill_surface(
@@ -223,28 +257,19 @@ impl FileInfo {
                 Some(usda::LayerInfo { vertices, faces, frames: None }) => {
                     self.layer = Some(LayerRecord { vertices, faces });
                 }
-                None if self.made_by.is_some() => {
-                    self.notes.push("a stage: it plays the files of its frames".to_owned());
-                }
-                None => self.notes.push("USD files of other programs are not read".to_owned()),
+                None => self.notes.push(match &self.made_by {
+                    Some(made_by) => stage_note(made_by, bytes),
+                    None => "USD files of other programs are not read".to_owned(),
+                }),
             },
             Format::Usdc => {
-                let layer = usdc::UsdcLayer::read(bytes, limits)?;
-                match layer.info() {
-                    usdc::LayerInfo { vertices, faces, frames: Some(frames) } => {
-                        let attributes = layer.attribute_names().map(str::to_owned).collect();
-                        self.set_sequence(frames, [vertices, faces], attributes);
-                    }
-                    usdc::LayerInfo { frames: None, .. } => {
-                        let frame = layer.frame(0)?;
-                        self.mesh = Some(MeshInfo::of(&frame.mesh).with_attributes(&frame.attributes));
-                    }
-                }
+                let frame = usdc::UsdcLayer::read(bytes, limits)?.frame(0)?;
+                self.mesh = Some(MeshInfo::of(&frame.mesh).with_attributes(&frame.attributes));
             }
-            Format::Abc => match abc::read_sequence_info(bytes)? {
-                Some(info) => self.set_sequence_info(info, abc::read_attribute_names(bytes)?),
-                None => self.mesh = Some(MeshInfo::of(&abc::read_mesh(bytes, limits)?)),
-            },
+            Format::Abc => {
+                let attributes = abc::read_attributes(bytes, limits)?;
+                self.mesh = Some(MeshInfo::of(&abc::read_mesh(bytes, limits)?).with_attributes(&attributes));
+            }
             Format::Vtp if holds_polys(bytes) => {
                 let mesh = vtk::read_mesh(bytes, limits)?;
                 let vertices = read_particles(bytes, name, limits)?;
@@ -283,6 +308,15 @@ fn reason(error: &FrameError) -> anyhow::Error {
     error.source().map_or_else(|| anyhow!("{error}"), |source| anyhow!("{source}"))
 }
 
+/// What a stage plays, and when.
+fn stage_note(made_by: &BTreeMap<String, String>, bytes: &[u8]) -> String {
+    let frames = made_by.get(STAGE_FRAMES).map_or("its", String::as_str);
+    let times = usda::read_times(bytes).map_or_else(String::new, |([first, last], fps)| {
+        format!(", from time code {first} to {last}, at {fps} frames per second")
+    });
+    format!("a stage: it plays the files of {frames} frames{times}")
+}
+
 /// Whether a PLY file is a mesh. Some programs declare zero faces for point clouds, so a file with zero faces
 /// is a mesh only if it has zero vertices, too.
 fn holds_mesh(bytes: &[u8], limits: &Limits) -> Result<bool> {
@@ -299,14 +333,17 @@ fn holds_mesh(bytes: &[u8], limits: &Limits) -> Result<bool> {
 
 /// Whether the first piece of a VTK XML file has polygons.
 fn holds_polys(bytes: &[u8]) -> bool {
-    const HEAD_BYTES: usize = 1 << 20; // the description of the first piece is in here
-    let head = String::from_utf8_lossy(&bytes[..bytes.len().min(HEAD_BYTES)]);
+    const PIECE_BYTES: usize = 1 << 20; // the description of the first piece is in here
+    let head = String::from_utf8_lossy(&bytes[..bytes.len().min(PIECE_BYTES)]);
     let count = head
         .split("NumberOfPolys=")
         .nth(1)
         .and_then(|rest| rest.get(1..)?.split(['"', '\'']).next()?.parse().ok());
     count.is_some_and(|count: u64| count > 0)
 }
+
+/// Holds the provenance.
+const HEAD_BYTES: u64 = 64 << 10;
 
 /// What meniscus recorded in a file about how it was made; `None` for files of other programs.
 fn made_by(kind: ProbedKind, bytes: &[u8]) -> Option<BTreeMap<String, String>> {

@@ -9,7 +9,7 @@
 //!
 //! Frames are read only from their files. So a sequence file is the same whether one process converted its
 //! frames, many machines did, or they were converted on different days; and the memory for writing it does
-//! not depend on the number of frames.
+//! not depend on the number of frames. An `.abc` or `.usdc` of a frame is converted to a `.glb` in memory.
 //!
 //! The number of a frame determines when it is shown. In USD the number is the time code, as other programs
 //! write it. In an `.abc`, as in the scenes of 3D programs, frame n is at n / fps seconds. In a `.glb`, which
@@ -181,15 +181,25 @@ struct SourceFrame<'a> {
 struct ConvertedFrame {
     /// The index of the frame.
     index: usize,
-    glb: Rc<[u8]>,
+    glb: GlbBytes,
     /// Notes on attributes that are lost.
     notes: Vec<String>,
+}
+
+/// Shares a `.glb` without a copy: as an `Rc<[u8]>`, it would be in memory twice when it is made.
+#[derive(Clone)]
+struct GlbBytes(Rc<Vec<u8>>);
+
+impl AsRef<[u8]> for GlbBytes {
+    fn as_ref(&self) -> &[u8] {
+        &self.0
+    }
 }
 
 /// Reads a frame as `.glb`.
 enum FrameReader {
     File(BufReader<File>),
-    Converted(Cursor<Rc<[u8]>>),
+    Converted(Cursor<GlbBytes>),
 }
 
 impl FrameReader {
@@ -199,7 +209,7 @@ impl FrameReader {
         if let Some(frame) = &*last.borrow()
             && frame.index == index
         {
-            return Ok(FrameReader::Converted(Cursor::new(Rc::clone(&frame.glb))));
+            return Ok(FrameReader::Converted(Cursor::new(frame.glb.clone())));
         }
         let mut file = open_regular(path)?;
         let mut bytes = Vec::new();
@@ -210,9 +220,9 @@ impl FrameReader {
         };
         last.take();
         file.read_to_end(&mut bytes)?;
-        let (glb, notes) = to_glb(&bytes, &Limits::default()).map_err(io::Error::other)?;
-        let glb: Rc<[u8]> = glb.into();
-        last.replace(Some(ConvertedFrame { index, glb: Rc::clone(&glb), notes }));
+        let (glb, notes) = to_glb(bytes, &Limits::default()).map_err(io::Error::other)?;
+        let glb = GlbBytes(Rc::new(glb));
+        last.replace(Some(ConvertedFrame { index, glb: glb.clone(), notes }));
         Ok(FrameReader::Converted(Cursor::new(glb)))
     }
 }
@@ -221,7 +231,7 @@ impl FrameReader {
 const MAGIC_BYTES: u64 = 8;
 
 /// Converts the bytes of a file to `.glb`. Also returns notes on attributes that are lost.
-type ToGlb = fn(&[u8], &Limits) -> meniscus_formats::Result<(Vec<u8>, Vec<String>)>;
+type ToGlb = fn(Vec<u8>, &Limits) -> meniscus_formats::Result<(Vec<u8>, Vec<String>)>;
 
 /// The converter for a file with this head; `None` for a `.glb`, and for files that cannot be read.
 fn converter(head: &[u8]) -> Option<ToGlb> {

@@ -112,7 +112,7 @@ pub fn next_stage_update(start: Instant) -> Instant {
 }
 
 /// The name in provenance whose value is the number of frames of a stage.
-const STAGE_FRAMES: &str = "stage_frames";
+pub(crate) const STAGE_FRAMES: &str = "stage_frames";
 
 fn provenance(report: &StageReport) -> Vec<(String, String)> {
     let pair = |name: &str, value: String| (name.to_owned(), value);
