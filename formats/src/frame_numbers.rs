@@ -29,9 +29,11 @@ pub(crate) fn check_numbers<'a>(
     Ok(())
 }
 
-/// The time between the last sample of a frame and the next frame, in frames. No program evaluates a scene at
-/// such short intervals, and the times are exact.
-const LAST_MOMENT: f64 = 1.0 / 1024.0;
+/// The time between the last sample of a frame and the next frame, in frames. Shorter than the intervals at
+/// which programs evaluate a scene, and the times are exact. Long enough for a rounded frame
+/// rate, if programs take the nearest sample: with 23.976 instead of 24000/1001 frames per second, frame 5,000
+/// is 1/200 of a frame late.
+const LAST_MOMENT: f64 = 1.0 / 64.0;
 
 /// The times, in frames, at which the frame with this number needs a sample, if programs interpolate between it
 /// and the frame with the number `next`: its own, and the last moment before the next frame. Programs interpolate

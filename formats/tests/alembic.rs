@@ -195,3 +195,19 @@ fn invalid_meshes_are_refused_as_abc() {
     let refused = abc::write(&MeshView { triangles: &TRIANGLES, ..mesh }, &quads, &[], &mut Vec::new());
     assert!(matches!(refused, Err(Error::Invalid { .. })), "{refused:?}");
 }
+
+#[test]
+fn table_of_strings_counts_as_much_as_it_takes() {
+    let table = vec![String::new(); 1 << 20];
+    let values = VertexValues::Strings { table: &table, indices: &[0, 1, 2, -1, 0] };
+    let bytes = written(
+        [0.0; 3],
+        &MeshOptions::default(),
+        &[VertexAttribute { name: "name", role: None, arity: 1, values }],
+    );
+    assert!(abc::to_glb(&bytes, &Limits::default()).is_ok());
+    // Each string is one byte in the file.
+    let limits = Limits { decompressed_bytes: 16 << 20, ..Limits::default() };
+    assert!(bytes.len() < 2 << 20);
+    assert!(matches!(abc::to_glb(&bytes, &limits), Err(Error::TooLarge { .. })));
+}

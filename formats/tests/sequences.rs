@@ -183,7 +183,7 @@ fn glb_sequence_contains_the_data_of_every_frame() {
 }
 
 /// The last moment before frame 9.
-const BEFORE_9: f64 = 9.0 - 1.0 / 1024.0;
+const BEFORE_9: f64 = 9.0 - 1.0 / 64.0;
 
 /// The samples in a .abc: the time in frames, and the index of the frame. A frame before missing frames has two
 /// samples.
@@ -349,7 +349,7 @@ fn equal_frames() -> (Vec<SequenceFrame>, Vec<u8>) {
 fn frames_with_the_same_number_of_vertices_are_repeated_just_before_the_next() {
     let (frames, file) = equal_frames();
     let open = |_: usize| Ok(Cursor::new(&file));
-    let times = [1.0, 2.0 - 1.0 / 1024.0, 2.0, 3.0 - 1.0 / 1024.0, 3.0];
+    let times = [1.0, 2.0 - 1.0 / 64.0, 2.0, 3.0 - 1.0 / 64.0, 3.0];
     let codes = times.map(|time| time.to_string());
 
     let mut text = Vec::new();

@@ -21,7 +21,7 @@ from project import OUT, Check
 FPS = 24
 # The samples of a shot: the time in frames, and the frame whose mesh it has. Frame 3 is missing, so frame 2 has a
 # second sample just before frame 4.
-SAMPLES = ((1, 1), (2, 2), (4 - 1 / 1024, 2), (4, 4))
+SAMPLES = ((1, 1), (2, 2), (4 - 1 / 64, 2), (4, 4))
 # The sequences with attributes, and their frames per second; see check_convert.py. Frame 2 is empty.
 DESCRIBED = {"described": 30, "described-still": 12.5}
 

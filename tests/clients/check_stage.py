@@ -127,7 +127,7 @@ def held(numbers):
     for number, following in zip(numbers, [*numbers[1:], None]):
         codes[number] = number
         if following is not None:
-            codes[following - 1 / 1024] = number
+            codes[following - 1 / 64] = number
     return codes
 
 

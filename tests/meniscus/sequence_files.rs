@@ -341,7 +341,7 @@ fn sequence_file_shows_each_frame_at_its_time() {
     // before frame 4.
     let archive = fs::read(path.join("shot.abc")).expect("readable");
     let times = abc::read_times(&archive).expect("times");
-    assert_eq!(times, [1.0, 2.0, 4.0 - 1.0 / 1024.0, 4.0].map(|time| time / 25.0));
+    assert_eq!(times, [1.0, 2.0, 4.0 - 1.0 / 64.0, 4.0].map(|time| time / 25.0));
     let count =
         |index| abc::read_sample(&archive, index, &Limits::default()).expect("a mesh").positions.len();
     assert!([1, 2].map(count) == [0, 0] && [0, 3].map(count).iter().all(|count| *count > 0));

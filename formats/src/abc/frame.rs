@@ -45,7 +45,9 @@ impl FrameValues {
     /// A lower bound of the size of the values in the file, in bytes.
     fn byte_count(&self) -> usize {
         match self {
-            FrameValues::Strings { table, .. } => 4 * self.len() + table.len(),
+            FrameValues::Strings { table, .. } => {
+                4 * self.len() + table.iter().map(|text| text.len() + 1).sum::<usize>()
+            }
             _ => 4 * self.len(),
         }
     }
@@ -73,7 +75,7 @@ pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(V
     let [positions, normals] = archive.vertices(0, limits)?;
     let triangles = archive.triangles(0, positions.len())?;
     let (up, origin) = placement(&archive.matrix(0)?)?;
-    let attributes = attributes(&archive)?;
+    let attributes = attributes(&archive, limits)?;
     let provenance = archive.provenance;
     drop(bytes);
     let count = positions.len().max(1);
@@ -137,7 +139,7 @@ fn placement(matrix: &Matrix) -> Result<(UpAxis, [f64; 3])> {
     Err(Error::invalid(FORMAT, Position::File, NOT_OURS))
 }
 
-fn attributes(archive: &MeshArchive) -> Result<Vec<FrameAttribute>> {
+fn attributes(archive: &MeshArchive, limits: &Limits) -> Result<Vec<FrameAttribute>> {
     let mut attributes = Vec::new();
     if archive.has(names::VELOCITIES) {
         let values = archive.array::<4>(names::VELOCITIES, (Pod::F32, 3), 0)?;
@@ -150,7 +152,7 @@ fn attributes(archive: &MeshArchive) -> Result<Vec<FrameAttribute>> {
     let mut byte_count = 0;
     for (header, reference) in &archive.params()? {
         let values = match header.pod() {
-            None => strings(archive, *reference)?,
+            None => strings(archive, *reference, limits)?,
             Some(pod) => numbers(archive, &header.name, pod, *reference)?,
         };
         byte_count += values.byte_count();
@@ -185,7 +187,7 @@ fn numbers(archive: &MeshArchive, name: &str, pod: u32, reference: Reference) ->
 
 /// The table of strings, and the index of each value. The last string of the file marks missing values: it is
 /// removed, and its index becomes −1.
-fn strings(archive: &MeshArchive, compound: Reference) -> Result<FrameValues> {
+fn strings(archive: &MeshArchive, compound: Reference, limits: &Limits) -> Result<FrameValues> {
     let properties = archive.container.properties(compound)?;
     let bytes = |name: &str| -> Result<&[u8]> {
         let found = properties.iter().find(|(header, _)| header.name == name);
@@ -196,7 +198,12 @@ fn strings(archive: &MeshArchive, compound: Reference) -> Result<FrameValues> {
         let sample = samples.first().copied().unwrap_or(DATA);
         Ok(archive.container.sample(sample, name)?.0)
     };
-    let text = String::from_utf8_lossy(bytes(".vals")?);
+    let text = bytes(".vals")?;
+    // A string takes more memory than in the file, where an empty one is a single byte.
+    let count = text.iter().filter(|byte| **byte == 0).count() + 1;
+    let needed = (count * size_of::<String>()).saturating_add(text.len());
+    limits.check_decompressed(FORMAT, needed as u64, archive.container.bytes.len() as u64)?;
+    let text = String::from_utf8_lossy(text);
     let mut table: Vec<String> = text.split_terminator('\0').map(str::to_owned).collect();
     table.pop();
     let index = |bytes: &[u8; 4]| {

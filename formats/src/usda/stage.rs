@@ -294,11 +294,11 @@ def Xform \"root\"
     def Xform \"dam\" (
         clips = {
             dictionary default = {
-                double2[] active = [(1, 0), (1.9990234375, 0), (2, 1), (4.9990234375, 1), (5, 2)]
+                double2[] active = [(1, 0), (1.984375, 0), (2, 1), (4.984375, 1), (5, 2)]
                 asset[] assetPaths = [@./out/dam.1.usdc@, @./out/dam.2.usdc@, @./out/dam.5.usdc@]
                 asset manifestAssetPath = @./shot.usda@
                 string primPath = \"/root\"
-                double2[] times = [(1, 0), (1.9990234375, 0), (2, 0), (4.9990234375, 0), (5, 0)]
+                double2[] times = [(1, 0), (1.984375, 0), (2, 0), (4.984375, 0), (5, 0)]
             }
         }
         references = @./out/dam.2.usdc@
