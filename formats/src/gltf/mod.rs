@@ -31,6 +31,7 @@ mod read_attributes;
 mod read_camera;
 mod read_provenance;
 mod sequence;
+mod shared_attributes;
 mod vertex_data;
 mod write;
 
@@ -47,8 +48,9 @@ pub use vertex_data::attribute_notes;
 pub(crate) use vertex_data::loss_notes;
 pub use write::{write_glb, write_gltf};
 
-pub(crate) use frame_file::{POSITION, VertexColumn};
+pub(crate) use frame_file::{COLOR, NORMAL, POSITION, VELOCITY};
 pub(crate) use placement::{PositionTransform, SequencePlacement};
+pub(crate) use shared_attributes::{SharedAttribute, shared_attributes};
 
 use read_provenance::{glb_bytes_declared, json_of_glb_head, read_provenance};
 

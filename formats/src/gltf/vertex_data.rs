@@ -18,6 +18,8 @@ use crate::error::Result;
 use crate::le_bytes::{write_f32s, write_pieces};
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, string_index};
 
+use super::frame_file::{COLOR, VELOCITY};
+
 /// Integers up to this magnitude are exact as 32-bit floats.
 const EXACT_INTEGER_MAX: u64 = 1 << 24;
 /// Number of components of the widest vector.
@@ -72,8 +74,8 @@ fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>)
             continue;
         }
         let (stem, usual) = match purpose {
-            Purpose::Color(_) => ("COLOR_0".into(), "COLOR_0".into()),
-            Purpose::Velocity => ("_VELOCITY".into(), "_VELOCITY".into()),
+            Purpose::Color(_) => (COLOR.into(), COLOR.into()),
+            Purpose::Velocity => (VELOCITY.into(), VELOCITY.into()),
             Purpose::Other => (format!("_{}", plain_name(name)), format!("_{name}")),
         };
         let semantic = used.take(&stem, |stem| vec![stem.to_ascii_uppercase()]).concat();

@@ -15,7 +15,7 @@ pub use mesh::LayerInfo;
 pub(crate) use mesh::{
     Elements, MeshProperty, PropertyValue, ROOT, SAMPLE_CODE, TRANSLATE, identifier, properties, renamed,
 };
-pub(crate) use sequence::{CODE_MAX, PRIM, SequenceAttribute, UsdSequence};
+pub(crate) use sequence::{PRIM, SequenceAttribute, UsdSequence};
 
 /// The name of the vertex attribute in a property; `None` for other properties.
 pub(crate) fn attribute_of(property: &str) -> Option<&str> {
