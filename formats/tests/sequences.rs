@@ -496,15 +496,63 @@ fn usda_properties_have_unique_names() {
     let primvars: Vec<&str> = names.iter().filter_map(|name| name.strip_prefix("primvars:")).collect();
     assert_eq!(
         primvars,
-        ["_2nd", "_2nd_2", "__heat", "_heat", "displaycolor_2", "heat", "normals_2", "x"],
+        ["_2nd", "_2nd_2", "__heat", "_heat", "displayColor_2", "heat", "normals_2", "x"],
         "{notes:?}"
     );
     names.dedup();
     assert_eq!(names.len(), properties.len());
-    for note_start in ["primvars:_2nd_2 ", "primvars:displaycolor_2 ", "primvars:normals_2 "] {
+    for note_start in ["primvars:_2nd_2 ", "primvars:displayColor_2 ", "primvars:normals_2 "] {
         assert!(notes.iter().any(|note| note.contains(note_start)), "{note_start}: {notes:?}");
     }
     assert_eq!(notes.len(), 3, "{notes:?}");
+}
+
+#[test]
+fn sequences_name_attributes_as_single_frames_do() {
+    let values = [0.25; 9];
+    let attribute = |name, role, arity| VertexAttribute {
+        name,
+        role,
+        arity,
+        values: VertexValues::Numbers(&values[..3 * arity]),
+    };
+    let attributes = [
+        attribute("color", Some(AttributeRole::Color), 3),
+        attribute("Temperature", None, 1),
+        attribute("temperature", None, 1),
+        attribute("v", Some(AttributeRole::Velocity), 3),
+        attribute("age", None, 1),
+    ];
+    let glb = triangle(&attributes);
+    let json = String::from_utf8_lossy(&glb).into_owned();
+    // Files have no name that follows from the name in glTF.
+    let names = r#""names":{"COLOR_0":"color","_TEMPERATURE":"Temperature","_TEMPERATURE_2":"temperature"}"#;
+    assert!(json.contains(names), "{json}");
+
+    let file = GlbFrame::read(&mut Cursor::new(&glb)).expect("our own file");
+    let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
+    let open = |_: usize| Ok(Cursor::new(&glb));
+    let (mut frame, mut sequence) = (Vec::new(), Vec::new());
+    abc::write_sequence(&shot, 24.0, &[], open, &mut sequence).expect("written");
+    let mesh = MeshView {
+        positions: &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        normals: &[[0.0, 0.0, 1.0]; 3],
+        triangles: &[[0, 1, 2]],
+        origin: [0.0; 3],
+        attributes: &attributes,
+    };
+    abc::write(&mesh, &MeshOptions::default(), &[], &mut frame).expect("written");
+    for bytes in [&frame, &sequence] {
+        let text = String::from_utf8_lossy(bytes);
+        let has = |name: &str| text.contains(&format!("{}{name}", char::from(name.len() as u8)));
+        assert!(["color", "Temperature", "temperature_2", "age"].into_iter().all(has));
+        assert!(!has("Cd") && !has("temperature"));
+    }
+    let (text, notes) = usda_of(&glb).expect("a sequence");
+    for name in ["displayColor", "Temperature", "temperature_2", "age"] {
+        assert!(text.contains(&format!(" primvars:{name}.timeSamples")), "{name}: {notes:?}");
+    }
+    assert_eq!(notes.len(), 1, "{notes:?}");
 }
 
 #[test]

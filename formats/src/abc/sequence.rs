@@ -168,9 +168,10 @@ fn attributes(frames: &[SequenceFrame]) -> Result<(Vec<AbcAttribute>, Vec<String
     let (shared, mut notes) = shared_attributes(frames)?;
     let (mut found, mut used) = (Vec::new(), UsedNames::new(&[]));
     for SharedAttribute { semantic, name, arity } in shared {
-        let (kind, wanted) = match (semantic.as_str(), arity) {
-            (COLOR, 3 | 4) => (ParamType::color(arity), "Cd".to_owned()),
-            _ => (ParamType::numbers(arity), plain_name(&name)),
+        let wanted = plain_name(&name);
+        let kind = match (semantic.as_str(), arity) {
+            (COLOR, 3 | 4) => ParamType::color(arity),
+            _ => ParamType::numbers(arity),
         };
         let mut attribute = AbcAttribute { semantic, name: String::new(), kind };
         if !attribute.is_velocity() {

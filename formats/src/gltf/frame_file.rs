@@ -164,6 +164,11 @@ impl GlbFrame {
         !self.document["meshes"][0]["extras"]["strings"][semantic].is_null()
     }
 
+    /// The name that an attribute had before it got its glTF name, if the two do not follow from each other.
+    pub(super) fn own_name(&self, semantic: &str) -> Option<&str> {
+        self.document["meshes"][0]["extras"]["names"][semantic].as_str()
+    }
+
     /// The numbers of the named attribute, if the vertices have it.
     pub(crate) fn column(&self, semantic: &str) -> Result<Option<VertexColumn>> {
         if !self.has_mesh() {

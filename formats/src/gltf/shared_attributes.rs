@@ -2,13 +2,14 @@
 
 use super::frame_file::{GlbFrame, NORMAL, POSITION, VertexColumn};
 use super::sequence::SequenceFrame;
+use super::vertex_data::usual_name;
 use crate::error::Result;
 
 /// A vertex attribute that all frames with a mesh have.
 pub(crate) struct SharedAttribute {
     /// Its name in the frames' `.glb` files.
     pub(crate) semantic: String,
-    /// Its name in a sequence, unless a format has a property for it.
+    /// Its name in the first frame with a name of its own. A format may have a property for it instead.
     pub(crate) name: String,
     /// Number of values per vertex.
     pub(crate) arity: usize,
@@ -34,8 +35,8 @@ pub(crate) fn shared_attributes(frames: &[SequenceFrame]) -> Result<(Vec<SharedA
     {
         match arity(&files, semantic)? {
             Ok(arity) => {
-                // In the `.glb` files, names start with an underscore and are in upper case.
-                let name = semantic.strip_prefix('_').unwrap_or(semantic).to_ascii_lowercase();
+                let own_name = files.iter().find_map(|file| file.own_name(semantic));
+                let name = own_name.map_or_else(|| usual_name(semantic), str::to_owned);
                 shared.push(SharedAttribute { semantic: semantic.clone(), name, arity });
             }
             Err(why) => notes.push(format!("{semantic} is missing in the sequence: {why}")),

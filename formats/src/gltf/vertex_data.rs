@@ -7,6 +7,9 @@
 //!   strings    _NAME        an index into the list `extras.strings._NAME` of the mesh; −1 for none
 //! ```
 //!
+//! Where the plain name of an attribute differs from the [usual one](usual_name), it is in `extras.names` of the mesh,
+//! so that sequences have the names that the files of single frames have.
+//!
 //! All values are 32-bit floats, because the format requires elements of a multiple of four bytes and has no
 //! 32-bit integers for vertices. Floats are stored exactly. An attribute with integers that would be rounded
 //! is omitted with a note: a wrong identity is worse than a missing one.
@@ -29,6 +32,9 @@ const ARITY_MAX: usize = 4;
 pub(super) struct GltfAttribute<'a> {
     /// Its glTF name.
     pub(super) semantic: String,
+    /// Its [plain name](plain_name), if it differs from the [usual one](usual_name). Velocities have none:
+    /// formats have a property for them.
+    pub(super) own_name: Option<String>,
     /// Number of values per vertex, one to four.
     pub(super) arity: usize,
     values: VertexValues<'a>,
@@ -82,9 +88,22 @@ fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>)
         if semantic != usual.to_ascii_uppercase() {
             notes.push(format!("{name} is named {semantic} in the glTF file"));
         }
-        placed.push(GltfAttribute { semantic, arity, values });
+        let own_name = Some(plain_name(name));
+        let own_name = own_name.filter(|own| purpose != Purpose::Velocity && *own != usual_name(&semantic));
+        placed.push(GltfAttribute { semantic, own_name, arity, values });
     }
     placed
+}
+
+/// The usual name of colours.
+pub(crate) const COLOR_NAME: &str = "Cd";
+
+/// The name of most attributes with this glTF name: glTF names start with an underscore and are in upper case.
+pub(super) fn usual_name(semantic: &str) -> String {
+    match semantic {
+        COLOR => COLOR_NAME.to_owned(),
+        _ => semantic.strip_prefix('_').unwrap_or(semantic).to_ascii_lowercase(),
+    }
 }
 
 /// Why an attribute cannot be stored; `None` if it can.

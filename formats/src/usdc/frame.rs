@@ -1,8 +1,8 @@
 //! Converts a file with one frame to a `.glb` of the same mesh: sequences are assembled from `.glb` files.
 
-use crate::data::{FileAttribute, MeshView, Values, VertexAttribute, VertexValues};
+use crate::data::{AttributeRole, FileAttribute, MeshView, Values, VertexAttribute, VertexValues};
 use crate::error::Result;
-use crate::gltf::{loss_notes, write_glb};
+use crate::gltf::{COLOR_NAME, loss_notes, write_glb};
 use crate::limits::Limits;
 use crate::mesh_options::MeshOptions;
 
@@ -74,12 +74,17 @@ fn convert_values(attribute: &mut FileAttribute) {
     }
 }
 
-/// The attribute under its former name; `None` for types that no property of this crate has.
+/// The attribute under its former name; `None` for types that no property of this crate has. That of colours is
+/// not in the file, so they get the usual one.
 fn view(attribute: &FileAttribute) -> Option<VertexAttribute<'_>> {
     let FileAttribute { name, arity, role, values } = attribute;
     // USD writes an underscore before the digit of a name such as `2nd`.
-    let name =
-        name.strip_prefix('_').filter(|rest| rest.starts_with(|c: char| c.is_ascii_digit())).unwrap_or(name);
+    let without_underscore =
+        name.strip_prefix('_').filter(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
+    let name = match role {
+        Some(AttributeRole::Color) => COLOR_NAME,
+        _ => without_underscore.unwrap_or(name),
+    };
     let values = match values {
         Values::F32(values) => VertexValues::Numbers(values),
         Values::I64(values) => VertexValues::Integers(values),
