@@ -292,6 +292,44 @@ fn frame_without_the_attributes_causes_a_warning() {
     assert!(result.status == 0 && result.err.contains("no attribute `velocity`"), "{}", result.err);
 }
 
+/// The values of an attribute of the mesh `out/f.ply`.
+fn values_in_ply(folder: &Path, out: &str, name: &str) -> Vec<f32> {
+    let bytes = fs::read(folder.join(out).join("f.ply")).expect("written");
+    let (_, vertices) = ply::read_mesh_and_vertices(&bytes, &Limits::default()).expect("a mesh");
+    let found = vertices.attributes.into_iter().find(|attribute| attribute.name == name);
+    match found.unwrap_or_else(|| panic!("no {name}")).values {
+        Values::F32(values) => values,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn accelerations_are_a_property_of_the_mesh_in_usd() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    write_frame_with_accelerations(folder);
+    let typed = ["convert", "f.bgeo", "--voxel-size", "0.05", "--format", "usda,glb,ply", "--out", "out"];
+    let result = meniscus(folder, &[&typed[..], &["--attributes", "v,acceleration"]].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
+    let text = fs::read_to_string(folder.join("out/f.usda")).expect("written");
+    assert!(text.contains("vector3f[] accelerations = [(0, -9.5, 2), (0, -9.5, 2)"), "{text:.2000}");
+    assert!(!text.contains("primvars:accel"));
+    let glb = fs::read(folder.join("out/f.glb")).expect("written");
+    assert!(String::from_utf8_lossy(&glb).contains("\"_ACCELERATION\""));
+    assert_eq!(values_in_ply(folder, "out", "accel")[..3], [0.0, -9.5, 2.0]);
+    let info = meniscus(folder, &["info", "f.bgeo"]).out;
+    assert!(info.contains("accel: f32 × 3, acceleration"), "{info}");
+}
+
+fn write_frame_with_accelerations(folder: &Path) {
+    let mut frame = frame(6);
+    let count = frame.positions.len();
+    frame.attributes.push(attribute("accel", 3, Values::F32([0.0, -9.5, 2.0].repeat(count))));
+    let mut bytes = Vec::new();
+    bgeo::write(&frame, &mut bytes).expect("written");
+    fs::write(folder.join("f.bgeo"), bytes).expect("written");
+}
+
 #[test]
 fn velocity_is_found_by_any_of_its_names() {
     let folder = tempdir().expect("a folder");

@@ -25,6 +25,7 @@ pub struct GlbFrame {
 pub(crate) const POSITION: &str = "POSITION";
 pub(crate) const NORMAL: &str = "NORMAL";
 pub(crate) const VELOCITY: &str = "_VELOCITY";
+pub(crate) const ACCELERATION: &str = "_ACCELERATION";
 pub(crate) const COLOR: &str = "COLOR_0";
 
 /// Limit for the JSON text of a frame, in bytes.

@@ -45,10 +45,10 @@ pub use read_attributes::{read_attribute_names, read_attributes};
 pub use read_camera::{CameraData, read_camera};
 pub use sequence::{SEQUENCE_FRAMES, SequenceFrame, SequenceInfo, read_sequence_info, write_sequence};
 pub use vertex_data::attribute_notes;
-pub(crate) use vertex_data::{COLOR_NAME, loss_notes};
+pub(crate) use vertex_data::{ACCELERATION_NAME, COLOR_NAME, loss_notes};
 pub use write::{write_glb, write_gltf};
 
-pub(crate) use frame_file::{COLOR, NORMAL, POSITION, VELOCITY};
+pub(crate) use frame_file::{ACCELERATION, COLOR, NORMAL, POSITION, VELOCITY};
 pub(crate) use placement::{PositionTransform, SequencePlacement};
 pub(crate) use shared_attributes::{SharedAttribute, shared_attributes};
 

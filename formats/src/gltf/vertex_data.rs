@@ -3,6 +3,7 @@
 //! ```text
 //!   colour     COLOR_0      three or four floats, linear according to the specification
 //!   velocity   _VELOCITY    three floats, in the axes of the positions
+//!   acceleration  _ACCELERATION, likewise
 //!   others     _NAME        one to four floats; integers of up to 24 bits are exact
 //!   strings    _NAME        an index into the list `extras.strings._NAME` of the mesh; −1 for none
 //! ```
@@ -21,7 +22,7 @@ use crate::error::Result;
 use crate::le_bytes::{write_f32s, write_pieces};
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, string_index};
 
-use super::frame_file::{COLOR, VELOCITY};
+use super::frame_file::{ACCELERATION, COLOR, VELOCITY};
 
 /// Integers up to this magnitude are exact as 32-bit floats.
 const EXACT_INTEGER_MAX: u64 = 1 << 24;
@@ -82,6 +83,7 @@ fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>)
         let (stem, usual) = match purpose {
             Purpose::Color(_) => (COLOR.into(), COLOR.into()),
             Purpose::Velocity => (VELOCITY.into(), VELOCITY.into()),
+            Purpose::Acceleration => (ACCELERATION.into(), ACCELERATION.into()),
             Purpose::Other => (format!("_{}", plain_name(name)), format!("_{name}")),
         };
         let semantic = used.take(&stem, |stem| vec![stem.to_ascii_uppercase()]).concat();
@@ -95,13 +97,15 @@ fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>)
     placed
 }
 
-/// The usual name of colours.
+/// The usual names of colours and accelerations.
 pub(crate) const COLOR_NAME: &str = "Cd";
+pub(crate) const ACCELERATION_NAME: &str = "acceleration";
 
 /// The name of most attributes with this glTF name: glTF names start with an underscore and are in upper case.
 pub(super) fn usual_name(semantic: &str) -> String {
     match semantic {
         COLOR => COLOR_NAME.to_owned(),
+        ACCELERATION => ACCELERATION_NAME.to_owned(),
         _ => semantic.strip_prefix('_').unwrap_or(semantic).to_ascii_lowercase(),
     }
 }

@@ -3,13 +3,13 @@
 use crate::error::Result;
 use crate::frame_numbers::{check_numbers, held_times};
 use crate::gltf::{
-    COLOR, NORMAL, POSITION, PositionTransform, SequenceFrame, SequencePlacement, SharedAttribute, VELOCITY,
-    shared_attributes,
+    ACCELERATION, COLOR, NORMAL, POSITION, PositionTransform, SequenceFrame, SequencePlacement,
+    SharedAttribute, VELOCITY, shared_attributes,
 };
 use crate::vertex_attributes::UsedNames;
 
 use super::FORMAT;
-use super::mesh::{LayerInfo, RESERVED, identifier, vector};
+use super::mesh::{ACCELERATIONS, LayerInfo, RESERVED, VELOCITIES, identifier, vector};
 
 /// The name of the mesh.
 pub(crate) const PRIM: &str = "surface";
@@ -36,7 +36,7 @@ pub(crate) struct SequenceAttribute {
 
 impl SequenceAttribute {
     fn new(semantic: &str, (kind, name): (&str, &str), first: usize, arity: usize) -> SequenceAttribute {
-        let is_per_vertex = !matches!(name, "points" | "velocities");
+        let is_per_vertex = !matches!(name, "points" | VELOCITIES | ACCELERATIONS);
         let [semantic, kind, name] = [semantic, kind, name].map(str::to_owned);
         SequenceAttribute { semantic, kind, name, first, arity, is_per_vertex }
     }
@@ -75,7 +75,8 @@ impl<'a> UsdSequence<'a> {
         for SharedAttribute { semantic, name, arity } in shared {
             let attribute = |about, first, arity| SequenceAttribute::new(&semantic, about, first, arity);
             match (semantic.as_str(), arity) {
-                (VELOCITY, 3) => found.push(attribute(("vector3f[]", "velocities"), 0, 3)),
+                (VELOCITY, 3) => found.push(attribute(("vector3f[]", VELOCITIES), 0, 3)),
+                (ACCELERATION, 3) => found.push(attribute(("vector3f[]", ACCELERATIONS), 0, 3)),
                 (COLOR, 3 | 4) => {
                     found.push(attribute(("color3f[]", "primvars:displayColor"), 0, 3));
                     let opacity = attribute(("float[]", "primvars:displayOpacity"), 3, 1);

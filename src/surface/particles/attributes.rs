@@ -22,6 +22,8 @@ pub struct Attribute {
 pub enum Role {
     /// World units per second, arity 3.
     Velocity,
+    /// World units per second squared, arity 3.
+    Acceleration,
     /// Red, green and blue from 0 to 1, optionally alpha, in the file's colour space: arity 3 or 4.
     Color,
     /// A radius in world units, arity 1.
@@ -75,6 +77,7 @@ impl Role {
     fn names(self) -> &'static [&'static str] {
         match self {
             Role::Velocity => &["velocity", "velocities", "vel", "v"],
+            Role::Acceleration => &["acceleration", "accelerations", "accel"],
             Role::Color => &["color", "colour", "colors", "colours", "cd", "rgb", "rgba"],
             Role::Radius => &["radius", "pscale"],
             Role::Id => &["id"],
