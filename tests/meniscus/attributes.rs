@@ -321,6 +321,55 @@ fn accelerations_are_a_property_of_the_mesh_in_usd() {
     assert!(info.contains("accel: f32 × 3, acceleration"), "{info}");
 }
 
+/// Velocities per frame at 24 frames per second: the unit of time changes, so accelerations change by 24².
+#[test]
+fn velocity_scale_applies_to_velocities_and_accelerations_in_all_outputs() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    write_frame_with_accelerations(folder);
+    let convert = |out: &str, arguments: &[&str]| {
+        let typed = ["convert", "f.bgeo", "--voxel-size", "0.05", "--format", "ply,vdb,obj", "--out", out];
+        let result = meniscus(folder, &[&typed[..], arguments].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
+        result.err
+    };
+    let selected = ["--attributes", "v,accel,Cd,age"];
+    convert("once", &selected);
+    let scaled = [&selected[..], &["--velocity-scale", "24"]].concat();
+    convert("scaled", &scaled);
+    for (name, factor) in [("v", 24.0), ("accel", 576.0), ("age", 1.0)] {
+        let [own, found] = ["once", "scaled"].map(|out| values_in_ply(folder, out, name));
+        let expected: Vec<f32> = own.iter().map(|value| value * factor).collect();
+        assert!(found.len() >= 100 && found == expected, "{name}");
+    }
+    // The grids of a .vdb have the same scale.
+    for (grid, factor) in [("velocity", 24.0), ("accel", 576.0), ("Cd", 1.0)] {
+        let [own, found] = ["once", "scaled"].map(|out| {
+            let bytes = fs::read(folder.join(out).join("f.vdb")).expect("written");
+            let found = vdb::read_vectors(&bytes, &[grid], &Limits::default()).expect("readable");
+            let leaves = found.unwrap_or_else(|| panic!("no {grid}")).leaves;
+            let numbers = leaves.iter().flatten().flatten();
+            numbers.fold(0.0_f32, |greatest, number| greatest.max(number.abs()))
+        });
+        assert!((found / (own * factor) - 1.0).abs() < 1e-6 && own > 0.0, "{grid}: {own} {found}");
+    }
+    // The surface is the same, and files record the factor, so --skip-done notices another one.
+    let [own, found] = ["once", "scaled"].map(|out| {
+        let bytes = fs::read(folder.join(out).join("f.ply")).expect("written");
+        (ply::read_mesh_and_vertices(&bytes, &Limits::default()).expect("a mesh").0, bytes)
+    });
+    assert_eq!(own.0.positions, found.0.positions);
+    let has = |bytes: &[u8]| String::from_utf8_lossy(bytes).contains("meniscus_velocity_scale: 24");
+    assert!(has(&found.1) && !has(&own.1));
+    let again = [&scaled[..], &["--skip-done"]].concat();
+    assert!(convert("scaled", &again).contains("1 done already"));
+    let other = [&selected[..], &["--velocity-scale", "25", "--skip-done"]].concat();
+    assert!(!convert("scaled", &other).contains("1 done already"));
+    // Without velocities the option has no effect.
+    let note = "--velocity-scale is ignored: it is for --attributes and --anisotropy velocity only";
+    assert!(convert("none", &["--velocity-scale", "24"]).contains(note));
+}
+
 fn write_frame_with_accelerations(folder: &Path) {
     let mut frame = frame(6);
     let count = frame.positions.len();
