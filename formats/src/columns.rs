@@ -158,7 +158,7 @@ fn ranked_role(name: &str, arity: usize) -> Option<(AttributeRole, usize)> {
     let stem = stem.to_ascii_lowercase();
     ROLES.iter().find_map(|&(role, aliases)| {
         let arity_fits = match role {
-            AttributeRole::Velocity | AttributeRole::Normal => arity == 3,
+            AttributeRole::Velocity | AttributeRole::Acceleration | AttributeRole::Normal => arity == 3,
             AttributeRole::Color => arity == 3 || arity == 4,
             AttributeRole::Radius
             | AttributeRole::Density
@@ -362,6 +362,7 @@ const WORDS: &[(&str, &[&str])] = &[
 /// Names of each role in lower case, best first.
 const ROLES: &[(AttributeRole, &[&str])] = &[
     (AttributeRole::Velocity, &["velocity", "velocities", "vel", "v"]),
+    (AttributeRole::Acceleration, &["acceleration", "accelerations", "accel"]),
     (AttributeRole::Normal, &["normal", "normals", "n"]),
     (AttributeRole::Color, &["color", "colour", "colors", "colours", "cd", "rgb", "rgba"]),
     (
@@ -462,6 +463,10 @@ mod tests {
                 "x,y,z,scalar_velocity_x,scalar_velocity_y,scalar_velocity_z,scalar_Density,nx,ny,nz",
                 "[0, 1, 2] | velocity [3, 4, 5] Velocity | scalar_Density [6] Density | n [7, 8, 9] Normal",
             ),
+            (
+                "x,y,z,accel_x,accel_y,accel_z,Acceleration:0,Acceleration:1,Acceleration:2",
+                "[0, 1, 2] | accel [3, 4, 5] | Acceleration [6, 7, 8] Acceleration",
+            ),
             // Research codes.
             ("ID,X,Y,Z,VX,VY,VZ", "[1, 2, 3] | ID [0] Id | V [4, 5, 6] Velocity"),
             ("x,y,z,velx,vely,velz", "[0, 1, 2] | vel [3, 4, 5] Velocity"),
@@ -551,6 +556,9 @@ mod tests {
             ("U", 3, Some(AttributeRole::Velocity)),
             ("u", 3, None),
             ("velocity", 1, None),
+            ("accel", 3, Some(AttributeRole::Acceleration)),
+            ("Accelerations", 3, Some(AttributeRole::Acceleration)),
+            ("accel", 1, None),
             ("Cd", 3, Some(AttributeRole::Color)),
             ("Cd", 4, Some(AttributeRole::Color)),
             ("N", 3, Some(AttributeRole::Normal)),

@@ -42,6 +42,8 @@ impl Default for FilePositions {
 pub enum AttributeRole {
     /// World units per second, arity 3.
     Velocity,
+    /// World units per second squared, arity 3.
+    Acceleration,
     /// Direction, arity 3.
     Normal,
     /// Red, green, blue and optionally alpha, arity 3 or 4.

@@ -2,14 +2,15 @@
 
 use crate::error::{Error, Position, Result};
 
-/// Checks that the numbers of named frames increase, and that a format can represent them: they are at most
-/// `max`.
+/// The largest frame number. Times are 64-bit floats, which cannot distinguish larger integers.
+pub(crate) const NUMBER_MAX: u64 = 1 << 53;
+
+/// Checks that the numbers of named frames increase, and are at most [`NUMBER_MAX`].
 ///
 /// # Errors
 /// [`Error::Invalid`] and [`Error::Unsupported`] with the frame's name.
 pub(crate) fn check_numbers<'a>(
     format: &'static str,
-    max: u64,
     frames: impl Iterator<Item = (&'a str, u64)>,
 ) -> Result<()> {
     let mut last: Option<(&str, u64)> = None;
@@ -20,8 +21,8 @@ pub(crate) fn check_numbers<'a>(
             );
             return Err(Error::invalid(format, Position::File, what));
         }
-        if number > max {
-            let what = format!("the frame number {number} of {name} exceeds the limit, {max}");
+        if number > NUMBER_MAX {
+            let what = format!("the frame number {number} of {name} exceeds the limit, {NUMBER_MAX}");
             return Err(Error::unsupported(format, what));
         }
         last = Some((name, number));

@@ -15,6 +15,7 @@
 //!   .vdb     velocity    a vector grid     1 or 3 a voxel     –                      –
 //! ```
 //!
+//! Accelerations are `accelerations` in USD and `_ACCELERATION` in glTF; elsewhere they are other numbers.
 //! A dash means that the format cannot store the attribute. `its name` is the name of the attribute itself,
 //! and `up to 4` and `1 or 3` are numbers of components.
 //!
@@ -30,6 +31,8 @@ use crate::data::{AttributeRole, VertexAttribute, VertexValues};
 pub(crate) enum Purpose<'a> {
     /// Three numbers per vertex.
     Velocity,
+    /// Three numbers per vertex. Only USD has a property for them.
+    Acceleration,
     /// Three or four numbers per vertex; contains these numbers.
     Color(&'a [f32]),
     /// Any other attribute.
@@ -43,6 +46,7 @@ pub(crate) fn purposes<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<Purpose<'a
     for VertexAttribute { role, arity, values, .. } in attributes {
         let purpose = match (role, arity, values) {
             (Some(AttributeRole::Velocity), 3, VertexValues::Numbers(_)) => Purpose::Velocity,
+            (Some(AttributeRole::Acceleration), 3, VertexValues::Numbers(_)) => Purpose::Acceleration,
             (Some(AttributeRole::Color), 3 | 4, VertexValues::Numbers(values)) => Purpose::Color(values),
             _ => Purpose::Other,
         };

@@ -6,8 +6,8 @@ use std::io::{self, Cursor, Read, Seek, SeekFrom};
 
 use meniscus_formats::gltf::{self, GlbFrame, SequenceFrame, UpAxis};
 use meniscus_formats::{
-    AttributeRole, Error, Limits, MeshData, MeshOptions, MeshView, Values, VertexAttribute, VertexValues,
-    abc, usda, usdc,
+    AttributeRole, Error, FileAttribute, Limits, MeshData, MeshOptions, MeshView, OutputFormat, Values,
+    VertexAttribute, VertexValues, abc, usda, usdc,
 };
 
 /// A pyramid over a polygon, and the options for writing it.
@@ -501,15 +501,113 @@ fn usda_properties_have_unique_names() {
     let primvars: Vec<&str> = names.iter().filter_map(|name| name.strip_prefix("primvars:")).collect();
     assert_eq!(
         primvars,
-        ["_2nd", "_2nd_2", "__heat", "_heat", "displaycolor_2", "heat", "normals_2", "x"],
+        ["_2nd", "_2nd_2", "__heat", "_heat", "displayColor_2", "heat", "normals_2", "x"],
         "{notes:?}"
     );
     names.dedup();
     assert_eq!(names.len(), properties.len());
-    for note_start in ["primvars:_2nd_2 ", "primvars:displaycolor_2 ", "primvars:normals_2 "] {
+    for note_start in ["primvars:_2nd_2 ", "primvars:displayColor_2 ", "primvars:normals_2 "] {
         assert!(notes.iter().any(|note| note.contains(note_start)), "{note_start}: {notes:?}");
     }
     assert_eq!(notes.len(), 3, "{notes:?}");
+}
+
+#[test]
+fn sequences_name_attributes_as_single_frames_do() {
+    let values = [0.25; 9];
+    let attribute = |name, role, arity| VertexAttribute {
+        name,
+        role,
+        arity,
+        values: VertexValues::Numbers(&values[..3 * arity]),
+    };
+    let attributes = [
+        attribute("color", Some(AttributeRole::Color), 3),
+        attribute("Temperature", None, 1),
+        attribute("temperature", None, 1),
+        attribute("v", Some(AttributeRole::Velocity), 3),
+        attribute("age", None, 1),
+    ];
+    let glb = triangle(&attributes);
+    let json = String::from_utf8_lossy(&glb).into_owned();
+    // Files have no name that follows from the name in glTF.
+    let names = r#""names":{"COLOR_0":"color","_TEMPERATURE":"Temperature","_TEMPERATURE_2":"temperature"}"#;
+    assert!(json.contains(names), "{json}");
+
+    let file = GlbFrame::read(&mut Cursor::new(&glb)).expect("our own file");
+    let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
+    let open = |_: usize| Ok(Cursor::new(&glb));
+    let (mut frame, mut sequence) = (Vec::new(), Vec::new());
+    abc::write_sequence(&shot, 24.0, &[], open, &mut sequence).expect("written");
+    let mesh = MeshView {
+        positions: &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        normals: &[[0.0, 0.0, 1.0]; 3],
+        triangles: &[[0, 1, 2]],
+        origin: [0.0; 3],
+        attributes: &attributes,
+    };
+    abc::write(&mesh, &MeshOptions::default(), &[], &mut frame).expect("written");
+    for bytes in [&frame, &sequence] {
+        let text = String::from_utf8_lossy(bytes);
+        let has = |name: &str| text.contains(&format!("{}{name}", char::from(name.len() as u8)));
+        assert!(["color", "Temperature", "temperature_2", "age"].into_iter().all(has));
+        assert!(!has("Cd") && !has("temperature"));
+    }
+    let (text, notes) = usda_of(&glb).expect("a sequence");
+    for name in ["displayColor", "Temperature", "temperature_2", "age"] {
+        assert!(text.contains(&format!(" primvars:{name}.timeSamples")), "{name}: {notes:?}");
+    }
+    assert_eq!(notes.len(), 1, "{notes:?}");
+}
+
+#[test]
+fn accelerations_are_a_property_of_usd_meshes_and_an_attribute_elsewhere() {
+    let values = [0.0, -9.81, 0.0, 1.0, 2.0, 3.0, -1.0, 0.5, 0.25];
+    let vectors = |name, role| VertexAttribute {
+        name,
+        role: Some(role),
+        arity: 3,
+        values: VertexValues::Numbers(&values),
+    };
+    let attributes = [vectors("v", AttributeRole::Velocity), vectors("accel", AttributeRole::Acceleration)];
+    let mesh = MeshView {
+        positions: &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        normals: &[[0.0, 0.0, 1.0]; 3],
+        triangles: &[[0, 1, 2]],
+        origin: [0.0; 3],
+        attributes: &attributes,
+    };
+    let limits = Limits::default();
+    let is_acceleration = |attribute: &FileAttribute| {
+        (&*attribute.name, attribute.role, &attribute.values)
+            == ("accelerations", Some(AttributeRole::Acceleration), &Values::F32(values.to_vec()))
+    };
+    let mut usdc_frame = Vec::new();
+    OutputFormat::Usdc
+        .write_mesh(&mesh, &MeshOptions::default(), &[], &mut usdc_frame)
+        .expect("writing to memory");
+    let layer = usdc::UsdcLayer::read(&usdc_frame, &limits).expect("our own file");
+    assert!(layer.frame(0).expect("our own file").attributes.iter().any(is_acceleration));
+
+    // The frames of a sequence can be .glb or .usdc. The latter have no name other than that of the property.
+    let (of_usdc, _) = usdc::to_glb(&usdc_frame, &limits).expect("converted");
+    for (glb, name) in [(triangle(&attributes), "accel"), (of_usdc, "acceleration")] {
+        let (text, notes) = usda_of(&glb).expect("a sequence");
+        assert_eq!(numbers(samples(&text, "vector3f[] accelerations")[0].1).len(), values.len());
+        assert!(!text.contains("primvars:") && notes.is_empty(), "{notes:?}");
+        let file = GlbFrame::read(&mut Cursor::new(&glb)).expect("our own file");
+        let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
+        let open = |_: usize| Ok(Cursor::new(&glb));
+        let mut bytes = Cursor::new(Vec::new());
+        usdc::write_sequence(&shot, (24.0, 1.0), &[], open, &mut bytes).expect("written");
+        let bytes = bytes.into_inner();
+        let layer = usdc::UsdcLayer::read(&bytes, &limits).expect("our own file");
+        assert!(layer.frame(0).expect("our own file").attributes.iter().any(is_acceleration));
+        let mut archive = Vec::new();
+        abc::write_sequence(&shot, 24.0, &[], open, &mut archive).expect("written");
+        let header = [&[name.len() as u8], name.as_bytes()].concat();
+        assert!(archive.windows(header.len()).any(|window| window == header), "{name}");
+    }
 }
 
 #[test]

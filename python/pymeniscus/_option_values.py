@@ -47,6 +47,8 @@ class OptionValues(TypedDict, total=False):
         Stretch particles along their velocity: the farther they move in this time, the more; positive, for `anisotropy` velocity [default: 0.01]
     void_threshold : float
         Fill gaps narrower than this between the surface and obstacles, in voxels, 0 to 4 [default: 1]
+    velocity_scale : float
+        Multiply velocities by this factor, and accelerations by its square, 1e-9 to 1e9; for velocities per frame it is the frame rate, so that they are per second [default: 1]
     drop_islands : int
         Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
     fill_cavities : float
@@ -92,6 +94,7 @@ class OptionValues(TypedDict, total=False):
     position_smoothing: float | None
     velocity_gain: float | None
     void_threshold: float | None
+    velocity_scale: float | None
     drop_islands: int | None
     fill_cavities: float | None
     clip: str | Sequence[float] | None

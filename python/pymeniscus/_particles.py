@@ -24,8 +24,8 @@ class Particles(Mapping[str, NDArray[Any]]):
     positions : ndarray, shape (N, 3), float32 or float64
         Positions in the unit of the file, in its precision.
     roles : dict of str to str
-        The recognised roles of attributes: ``"velocity"``, ``"radius"``, ``"color"``, ``"id"``, ``"normal"``,
-        ``"density"``, ``"mass"`` or ``"kind"``.
+        The recognised roles of attributes: ``"velocity"``, ``"acceleration"``, ``"radius"``, ``"color"``,
+        ``"id"``, ``"normal"``, ``"density"``, ``"mass"`` or ``"kind"``.
     notes : tuple of str
         Remarks about the file, such as skipped rows.
     path : str or None

@@ -196,8 +196,9 @@ impl AttributeSlice<'_> {
 }
 
 /// The names of roles in Python.
-const ROLES: [(AttributeRole, &str); 8] = [
+const ROLES: [(AttributeRole, &str); 9] = [
     (AttributeRole::Velocity, "velocity"),
+    (AttributeRole::Acceleration, "acceleration"),
     (AttributeRole::Normal, "normal"),
     (AttributeRole::Color, "color"),
     (AttributeRole::Radius, "radius"),

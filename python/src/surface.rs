@@ -113,6 +113,7 @@ impl Surface {
         let info = |attribute: &meniscus::surface::Attribute| {
             let role = match attribute.role {
                 Role::Velocity => Some("velocity"),
+                Role::Acceleration => Some("acceleration"),
                 Role::Color => Some("color"),
                 Role::Radius => Some("radius"),
                 Role::Id => Some("id"),

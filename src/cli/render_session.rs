@@ -98,7 +98,9 @@ impl<'a> RenderSession<'a> {
 
     /// Warns about options that have no effect on these formats.
     pub(super) fn warn_of_ignored(&self, written: &[OutputFormat], console: &Console) {
-        for warning in ignored(self.method, &FormatArgs::default(), written) {
+        let options = self.options();
+        let method = MethodArgs { options, ..self.method.clone() };
+        for warning in ignored(&method, &FormatArgs::default(), written) {
             console.warning(warning);
         }
     }
@@ -119,14 +121,20 @@ impl<'a> RenderSession<'a> {
         Ok((settings, viewpoint))
     }
 
+    /// The options, with the velocities that the format has.
+    fn options(&self) -> MethodOptions {
+        let mut options = self.method.to_options();
+        if self.has_velocities() && options.attributes.is_none() {
+            options.attributes = Some(AttributeSelection::Named(vec![VELOCITY.to_owned()]));
+        }
+        options
+    }
+
     fn settings(&self, sequence: &Sequence, console: &Console) -> Result<Option<Settings>> {
         if sequence.frames.iter().all(|file| is_level_set(&file.path)) {
             return Ok(None);
         }
-        let mut choices = self.method.to_options();
-        if self.has_velocities() && choices.attributes.is_none() {
-            choices.attributes = Some(AttributeSelection::Named(vec![VELOCITY.to_owned()]));
-        }
+        let choices = self.options();
         let measured = spacing_of(sequence, &choices, console)?;
         let settings = settings_of(sequence, &choices, measured.as_ref())?;
         warn_of(sequence, &settings, console);

@@ -292,6 +292,93 @@ fn frame_without_the_attributes_causes_a_warning() {
     assert!(result.status == 0 && result.err.contains("no attribute `velocity`"), "{}", result.err);
 }
 
+/// The values of an attribute of the mesh `out/f.ply`.
+fn values_in_ply(folder: &Path, out: &str, name: &str) -> Vec<f32> {
+    let bytes = fs::read(folder.join(out).join("f.ply")).expect("written");
+    let (_, vertices) = ply::read_mesh_and_vertices(&bytes, &Limits::default()).expect("a mesh");
+    let found = vertices.attributes.into_iter().find(|attribute| attribute.name == name);
+    match found.unwrap_or_else(|| panic!("no {name}")).values {
+        Values::F32(values) => values,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn accelerations_are_a_property_of_the_mesh_in_usd() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    write_frame_with_accelerations(folder);
+    let typed = ["convert", "f.bgeo", "--voxel-size", "0.05", "--format", "usda,glb,ply", "--out", "out"];
+    let result = meniscus(folder, &[&typed[..], &["--attributes", "v,acceleration"]].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
+    let text = fs::read_to_string(folder.join("out/f.usda")).expect("written");
+    assert!(text.contains("vector3f[] accelerations = [(0, -9.5, 2), (0, -9.5, 2)"), "{text:.2000}");
+    assert!(!text.contains("primvars:accel"));
+    let glb = fs::read(folder.join("out/f.glb")).expect("written");
+    assert!(String::from_utf8_lossy(&glb).contains("\"_ACCELERATION\""));
+    assert_eq!(values_in_ply(folder, "out", "accel")[..3], [0.0, -9.5, 2.0]);
+    let info = meniscus(folder, &["info", "f.bgeo"]).out;
+    assert!(info.contains("accel: f32 × 3, acceleration"), "{info}");
+}
+
+/// Velocities per frame at 24 frames per second: the unit of time changes, so accelerations change by 24².
+#[test]
+fn velocity_scale_applies_to_velocities_and_accelerations_in_all_outputs() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    write_frame_with_accelerations(folder);
+    let convert = |out: &str, arguments: &[&str]| {
+        let typed = ["convert", "f.bgeo", "--voxel-size", "0.05", "--format", "ply,vdb,obj", "--out", out];
+        let result = meniscus(folder, &[&typed[..], arguments].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
+        result.out + &result.err
+    };
+    let selected = ["--attributes", "v,accel,Cd,age"];
+    convert("once", &selected);
+    let scaled = [&selected[..], &["--velocity-scale", "24"]].concat();
+    convert("scaled", &scaled);
+    for (name, factor) in [("v", 24.0), ("accel", 576.0), ("age", 1.0)] {
+        let [own, found] = ["once", "scaled"].map(|out| values_in_ply(folder, out, name));
+        let expected: Vec<f32> = own.iter().map(|value| value * factor).collect();
+        assert!(found.len() >= 100 && found == expected, "{name}");
+    }
+    // The grids of a .vdb have the same scale.
+    for (grid, factor) in [("velocity", 24.0), ("accel", 576.0), ("Cd", 1.0)] {
+        let [own, found] = ["once", "scaled"].map(|out| {
+            let bytes = fs::read(folder.join(out).join("f.vdb")).expect("written");
+            let found = vdb::read_vectors(&bytes, &[grid], &Limits::default()).expect("readable");
+            let leaves = found.unwrap_or_else(|| panic!("no {grid}")).leaves;
+            let numbers = leaves.iter().flatten().flatten();
+            numbers.fold(0.0_f32, |greatest, number| greatest.max(number.abs()))
+        });
+        assert!((found / (own * factor) - 1.0).abs() < 1e-6 && own > 0.0, "{grid}: {own} {found}");
+    }
+    // The surface is the same, and files record the factor, so --skip-done notices another one.
+    let [own, found] = ["once", "scaled"].map(|out| {
+        let bytes = fs::read(folder.join(out).join("f.ply")).expect("written");
+        (ply::read_mesh_and_vertices(&bytes, &Limits::default()).expect("a mesh").0, bytes)
+    });
+    assert_eq!(own.0.positions, found.0.positions);
+    let has = |bytes: &[u8]| String::from_utf8_lossy(bytes).contains("meniscus_velocity_scale: 24");
+    assert!(has(&found.1) && !has(&own.1));
+    let again = [&scaled[..], &["--skip-done"]].concat();
+    assert!(convert("scaled", &again).contains("done already"));
+    let other = [&selected[..], &["--velocity-scale", "25", "--skip-done"]].concat();
+    assert!(!convert("scaled", &other).contains("done already"));
+    // Without velocities the option has no effect.
+    let note = "--velocity-scale is ignored: it is for --attributes and --anisotropy velocity only";
+    assert!(convert("none", &["--velocity-scale", "24"]).contains(note));
+}
+
+fn write_frame_with_accelerations(folder: &Path) {
+    let mut frame = frame(6);
+    let count = frame.positions.len();
+    frame.attributes.push(attribute("accel", 3, Values::F32([0.0, -9.5, 2.0].repeat(count))));
+    let mut bytes = Vec::new();
+    bgeo::write(&frame, &mut bytes).expect("written");
+    fs::write(folder.join("f.bgeo"), bytes).expect("written");
+}
+
 #[test]
 fn velocity_is_found_by_any_of_its_names() {
     let folder = tempdir().expect("a folder");

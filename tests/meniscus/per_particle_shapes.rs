@@ -226,17 +226,19 @@ fn position_smoothing_moves_a_pair_of_spheres_together() {
 /// Fig. 11, on the right, and Eq. 16: semi-axes (1 + s)² along the velocity and 1/(1 + s) across.
 #[test]
 fn moving_drops_are_stretched_as_in_the_paper() {
+    // Velocities are per frame, at 25 frames per second.
     let choices = |kind| MethodOptions {
         radius_min: Some(8.0.into()),
         anisotropy: Some(kind),
         velocity_gain: Some(0.01),
+        velocity_scale: Some(25.0),
         ..MethodOptions::default()
     };
     // s is 0.01 seconds of movement in units of r_min.
     let speeds = [0.0, 80.0, 160.0, 280.0];
     let along = DVec3::new(2.0, -1.0, 2.0) / 3.0;
     let centers: Vec<DVec3> = (0..4).map(|index| DVec3::new(120.3 * f64::from(index), 0.4, 0.2)).collect();
-    let velocities = speeds.map(|speed| along.as_vec3() * speed as f32);
+    let velocities = speeds.map(|speed| along.as_vec3() * (speed / 25.0) as f32);
     let surface_of = |kind| skinned(with_velocities(cloud(&centers), &velocities), &choices(kind));
     let (balls, drops) = (surface_of(AnisotropyKind::None), surface_of(AnisotropyKind::Velocity));
     let length = |surface: &FrameSurface, center: DVec3, direction: DVec3| {

@@ -321,7 +321,7 @@ fn splash_that_leaves_the_picture_of_watch_is_not_cropped() {
         result.err
     };
     let picture = |number: usize| path.join(format!("o/dam.{number}.png"));
-    let is_converted = |log: &str| log.matches("converted").count();
+    let is_converted = |log: &str| log.matches("INFO converted ").count();
     frame(1, 0.0);
     run();
     let first = camera_in(&picture(1));

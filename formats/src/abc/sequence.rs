@@ -17,7 +17,9 @@ use std::io::{self, Read, Seek, Write};
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
 use crate::frame_numbers::{check_numbers, held_times};
-use crate::gltf::{POSITION, SequenceFrame, SequencePlacement, VertexColumn};
+use crate::gltf::{
+    COLOR, NORMAL, POSITION, SequenceFrame, SequencePlacement, SharedAttribute, VELOCITY, shared_attributes,
+};
 use crate::vertex_attributes::{UsedNames, plain_name};
 
 use super::FORMAT;
@@ -27,13 +29,6 @@ use super::mesh::{
 };
 use super::ogawa::{Ogawa, Sample};
 use super::write::check_vertex_count;
-
-/// The limit of frame numbers: larger ones are not exact as 64-bit floats.
-const NUMBER_MAX: u64 = 1 << 53;
-
-const NORMAL: &str = "NORMAL";
-const VELOCITY: &str = "_VELOCITY";
-const COLOR: &str = "COLOR_0";
 
 /// Writes a sequence of frames, whose numbers must increase. `open` opens the file of a frame, by its index.
 /// Returns notes on attributes that are renamed, or omitted because the frames differ in them.
@@ -78,7 +73,7 @@ impl AbcSequence<'_> {
         if self.frames.is_empty() {
             return Err(Error::invalid(FORMAT, Position::File, "the sequence has no frames"));
         }
-        check_numbers(FORMAT, NUMBER_MAX, self.frames.iter().map(|frame| (frame.name.as_str(), frame.code)))?;
+        check_numbers(FORMAT, self.frames.iter().map(|frame| (frame.name.as_str(), frame.code)))?;
         for frame in self.frames {
             check_vertex_count(frame.file.vertex_count() as u64)?;
         }
@@ -170,46 +165,19 @@ impl AbcAttribute {
 
 /// The attributes that all frames with a mesh have, and notes on the others.
 fn attributes(frames: &[SequenceFrame]) -> Result<(Vec<AbcAttribute>, Vec<String>)> {
-    let files = || frames.iter().map(|frame| &frame.file).filter(|file| file.has_mesh());
-    let mut semantics: Vec<&String> = Vec::new();
-    for file in files() {
-        semantics.extend(file.attributes()?.keys());
-    }
-    semantics.sort();
-    semantics.dedup();
-    semantics.retain(|semantic| ![NORMAL, POSITION].contains(&semantic.as_str()));
-    let (mut found, mut notes, mut used) = (Vec::new(), Vec::new(), UsedNames::new(&[]));
-    for semantic in semantics {
-        if files().any(|file| file.has_string_indices(semantic)) {
-            notes.push(format!(
-                "{semantic} is missing in the sequence: its values are strings, and each frame has its own table"
-            ));
-            continue;
-        }
-        let columns: Vec<Option<VertexColumn>> =
-            files().map(|file| file.column(semantic)).collect::<Result<_>>()?;
-        let arities: Option<Vec<usize>> = columns.iter().map(|column| Some((*column)?.arity)).collect();
-        let arity =
-            arities.and_then(|arities| arities.iter().all(|a| *a == arities[0]).then_some(arities[0]));
-        let Some(arity) = arity else {
-            notes.push(format!(
-                "{semantic} is missing in the sequence: not all frames have it with the same number of values per vertex"
-            ));
-            continue;
+    let (shared, mut notes) = shared_attributes(frames)?;
+    let (mut found, mut used) = (Vec::new(), UsedNames::new(&[]));
+    for SharedAttribute { semantic, name, arity } in shared {
+        let wanted = plain_name(&name);
+        let kind = match (semantic.as_str(), arity) {
+            (COLOR, 3 | 4) => ParamType::color(arity),
+            _ => ParamType::numbers(arity),
         };
-        let (kind, wanted) = match (semantic.as_str(), arity) {
-            (COLOR, 3 | 4) => (ParamType::color(arity), "Cd".to_owned()),
-            // In the `.glb` files, names start with an underscore and are in upper case.
-            _ => {
-                let name = plain_name(semantic.strip_prefix('_').unwrap_or(semantic)).to_ascii_lowercase();
-                (ParamType::numbers(arity), name)
-            }
-        };
-        let mut attribute = AbcAttribute { semantic: semantic.clone(), name: String::new(), kind };
+        let mut attribute = AbcAttribute { semantic, name: String::new(), kind };
         if !attribute.is_velocity() {
             attribute.name = used.take(&wanted, |stem| vec![stem.to_owned()]).concat();
             if attribute.name != wanted {
-                notes.push(format!("{semantic} is named {} in the sequence", attribute.name));
+                notes.push(format!("{} is named {} in the sequence", attribute.semantic, attribute.name));
             }
         }
         found.push(attribute);

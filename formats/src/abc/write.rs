@@ -57,7 +57,7 @@ fn names_of(attributes: &[VertexAttribute]) -> Vec<String> {
     let mut used = UsedNames::new(&[]);
     let name = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
         Purpose::Velocity => String::new(),
-        Purpose::Color(_) | Purpose::Other => {
+        Purpose::Acceleration | Purpose::Color(_) | Purpose::Other => {
             used.take(&plain_name(attribute.name), |stem| vec![stem.to_owned()]).concat()
         }
     };

@@ -73,7 +73,10 @@ fn check(attribute: &FileAttribute, point_count: usize) -> Result<()> {
 }
 
 fn write_dictionary_entry(attribute: &FileAttribute, out: &mut impl Write) -> Result<()> {
-    let turns_with_object = matches!(attribute.role, Some(AttributeRole::Velocity | AttributeRole::Normal));
+    let turns_with_object = matches!(
+        attribute.role,
+        Some(AttributeRole::Velocity | AttributeRole::Acceleration | AttributeRole::Normal)
+    );
     let kind: i32 = match attribute.values {
         Values::F32(_) | Values::F64(_) if turns_with_object => 5,
         Values::F32(_) | Values::F64(_) => 0,

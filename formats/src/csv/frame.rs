@@ -72,6 +72,7 @@ fn numbers(group: &Group, columns: &mut [Column], row_count: usize) -> Values {
         let are_reals = match group.role {
             Some(
                 AttributeRole::Velocity
+                | AttributeRole::Acceleration
                 | AttributeRole::Normal
                 | AttributeRole::Radius
                 | AttributeRole::Density

@@ -21,8 +21,12 @@ pub struct GlbFrame {
     pub(crate) bin_bytes: u64,
 }
 
-/// The name of positions in the files of the frames.
+/// The names of attributes with a meaning in the files of the frames.
 pub(crate) const POSITION: &str = "POSITION";
+pub(crate) const NORMAL: &str = "NORMAL";
+pub(crate) const VELOCITY: &str = "_VELOCITY";
+pub(crate) const ACCELERATION: &str = "_ACCELERATION";
+pub(crate) const COLOR: &str = "COLOR_0";
 
 /// Limit for the JSON text of a frame, in bytes.
 const JSON_BYTES_MAX: u64 = 64 << 20;
@@ -115,7 +119,7 @@ impl GlbFrame {
             self.placement()?;
             self.triangle_count()?;
             let position = self.column(POSITION)?.ok_or_else(|| invalid("the mesh has no positions"))?;
-            let normal = self.column("NORMAL")?.ok_or_else(|| invalid("the mesh has no normals"))?;
+            let normal = self.column(NORMAL)?.ok_or_else(|| invalid("the mesh has no normals"))?;
             if (position.arity, normal.arity) != (3, 3) || position.count != normal.count {
                 return Err(invalid("the positions and normals do not match"));
             }
@@ -159,6 +163,11 @@ impl GlbFrame {
     /// Whether the values of this attribute are indices into strings.
     pub(crate) fn has_string_indices(&self, semantic: &str) -> bool {
         !self.document["meshes"][0]["extras"]["strings"][semantic].is_null()
+    }
+
+    /// The name that an attribute had before it got its glTF name, if the two do not follow from each other.
+    pub(super) fn own_name(&self, semantic: &str) -> Option<&str> {
+        self.document["meshes"][0]["extras"]["names"][semantic].as_str()
     }
 
     /// The numbers of the named attribute, if the vertices have it.

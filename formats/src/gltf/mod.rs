@@ -31,6 +31,7 @@ mod read_attributes;
 mod read_camera;
 mod read_provenance;
 mod sequence;
+mod shared_attributes;
 mod vertex_data;
 mod write;
 
@@ -44,11 +45,12 @@ pub use read_attributes::{read_attribute_names, read_attributes};
 pub use read_camera::{CameraData, read_camera};
 pub use sequence::{SEQUENCE_FRAMES, SequenceFrame, SequenceInfo, read_sequence_info, write_sequence};
 pub use vertex_data::attribute_notes;
-pub(crate) use vertex_data::loss_notes;
+pub(crate) use vertex_data::{ACCELERATION_NAME, COLOR_NAME, loss_notes};
 pub use write::{write_glb, write_gltf};
 
-pub(crate) use frame_file::{POSITION, VertexColumn};
+pub(crate) use frame_file::{ACCELERATION, COLOR, NORMAL, POSITION, VELOCITY};
 pub(crate) use placement::{PositionTransform, SequencePlacement};
+pub(crate) use shared_attributes::{SharedAttribute, shared_attributes};
 
 use read_provenance::{glb_bytes_declared, json_of_glb_head, read_provenance};
 

@@ -7,6 +7,7 @@ use serde_json::Value;
 
 use super::buffer::Buffers;
 use super::chunks::{chunks, parse};
+use super::frame_file::{ACCELERATION, COLOR, VELOCITY};
 use super::read::{OpenDocument, open};
 use crate::data::{AttributeRole, FileAttribute, Values};
 use crate::error::{Error, Result};
@@ -72,8 +73,9 @@ const VALUE_BYTES: u64 = 8;
 
 fn role_of(name: &str, arity: usize) -> Option<AttributeRole> {
     match (name, arity) {
-        ("COLOR_0", 3 | 4) => Some(AttributeRole::Color),
-        ("_VELOCITY", 3) => Some(AttributeRole::Velocity),
+        (COLOR, 3 | 4) => Some(AttributeRole::Color),
+        (VELOCITY, 3) => Some(AttributeRole::Velocity),
+        (ACCELERATION, 3) => Some(AttributeRole::Acceleration),
         _ => None,
     }
 }

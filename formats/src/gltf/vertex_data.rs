@@ -3,9 +3,13 @@
 //! ```text
 //!   colour     COLOR_0      three or four floats, linear according to the specification
 //!   velocity   _VELOCITY    three floats, in the axes of the positions
+//!   acceleration  _ACCELERATION, likewise
 //!   others     _NAME        one to four floats; integers of up to 24 bits are exact
 //!   strings    _NAME        an index into the list `extras.strings._NAME` of the mesh; −1 for none
 //! ```
+//!
+//! Where the plain name of an attribute differs from the [usual one](usual_name), it is in `extras.names` of the mesh,
+//! so that sequences have the names that the files of single frames have.
 //!
 //! All values are 32-bit floats, because the format requires elements of a multiple of four bytes and has no
 //! 32-bit integers for vertices. Floats are stored exactly. An attribute with integers that would be rounded
@@ -18,6 +22,8 @@ use crate::error::Result;
 use crate::le_bytes::{write_f32s, write_pieces};
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, string_index};
 
+use super::frame_file::{ACCELERATION, COLOR, VELOCITY};
+
 /// Integers up to this magnitude are exact as 32-bit floats.
 const EXACT_INTEGER_MAX: u64 = 1 << 24;
 /// Number of components of the widest vector.
@@ -27,6 +33,9 @@ const ARITY_MAX: usize = 4;
 pub(super) struct GltfAttribute<'a> {
     /// Its glTF name.
     pub(super) semantic: String,
+    /// Its [plain name](plain_name), if it differs from the [usual one](usual_name). Velocities have none:
+    /// formats have a property for them.
+    pub(super) own_name: Option<String>,
     /// Number of values per vertex, one to four.
     pub(super) arity: usize,
     values: VertexValues<'a>,
@@ -72,17 +81,33 @@ fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>)
             continue;
         }
         let (stem, usual) = match purpose {
-            Purpose::Color(_) => ("COLOR_0".into(), "COLOR_0".into()),
-            Purpose::Velocity => ("_VELOCITY".into(), "_VELOCITY".into()),
+            Purpose::Color(_) => (COLOR.into(), COLOR.into()),
+            Purpose::Velocity => (VELOCITY.into(), VELOCITY.into()),
+            Purpose::Acceleration => (ACCELERATION.into(), ACCELERATION.into()),
             Purpose::Other => (format!("_{}", plain_name(name)), format!("_{name}")),
         };
         let semantic = used.take(&stem, |stem| vec![stem.to_ascii_uppercase()]).concat();
         if semantic != usual.to_ascii_uppercase() {
             notes.push(format!("{name} is named {semantic} in the glTF file"));
         }
-        placed.push(GltfAttribute { semantic, arity, values });
+        let own_name = Some(plain_name(name));
+        let own_name = own_name.filter(|own| purpose != Purpose::Velocity && *own != usual_name(&semantic));
+        placed.push(GltfAttribute { semantic, own_name, arity, values });
     }
     placed
+}
+
+/// The usual names of colours and accelerations.
+pub(crate) const COLOR_NAME: &str = "Cd";
+pub(crate) const ACCELERATION_NAME: &str = "acceleration";
+
+/// The name of most attributes with this glTF name: glTF names start with an underscore and are in upper case.
+pub(super) fn usual_name(semantic: &str) -> String {
+    match semantic {
+        COLOR => COLOR_NAME.to_owned(),
+        ACCELERATION => ACCELERATION_NAME.to_owned(),
+        _ => semantic.strip_prefix('_').unwrap_or(semantic).to_ascii_lowercase(),
+    }
 }
 
 /// Why an attribute cannot be stored; `None` if it can.

@@ -337,6 +337,9 @@ struct MeshExtras<'a> {
     /// The strings that attribute values are indices into.
     #[serde(skip_serializing_if = "Entries::is_empty")]
     strings: Entries<&'a str, &'a [String]>,
+    /// The names of attributes that do not follow from those in glTF.
+    #[serde(skip_serializing_if = "Entries::is_empty")]
+    names: Entries<&'a str, &'a str>,
 }
 
 /// Names and values, serialized in this order.
@@ -395,8 +398,14 @@ impl<'a> Document<'a> {
         let primitive = GltfPrimitive { attributes: Entries(attributes), indices, mode: MODE_TRIANGLES };
         let strings = |attribute: &'a GltfAttribute| Some((attribute.semantic.as_str(), attribute.table()?));
         let strings = Entries(layout.attributes.iter().filter_map(strings).collect());
-        let extras = MeshExtras { meniscus: provenance_entries(provenance), strings };
-        let extras = Some(extras).filter(|extras| !extras.meniscus.is_empty() || !extras.strings.is_empty());
+        let name_of = |attribute: &'a GltfAttribute| {
+            Some((attribute.semantic.as_str(), attribute.own_name.as_deref()?))
+        };
+        let names = Entries(layout.attributes.iter().filter_map(name_of).collect());
+        let extras = MeshExtras { meniscus: provenance_entries(provenance), strings, names };
+        let has_extras =
+            !extras.meniscus.is_empty() || !extras.strings.is_empty() || !extras.names.is_empty();
+        let extras = has_extras.then_some(extras);
         document.scenes[0].nodes.push(0);
         document.nodes.push(node(name, mesh.origin, options.up, layout.cube.as_ref()));
         document.meshes.push(GltfMesh { name, primitives: [primitive], extras });

@@ -122,7 +122,7 @@ fn colors_of<'a>(mesh: &MeshView<'a>) -> Option<impl Fn(usize) -> [f32; 3] + 'a>
         purposes(mesh.attributes).into_iter().zip(mesh.attributes).find_map(|(purpose, attribute)| {
             match purpose {
                 Purpose::Color(values) => Some((values, attribute.arity)),
-                Purpose::Velocity | Purpose::Other => None,
+                Purpose::Velocity | Purpose::Acceleration | Purpose::Other => None,
             }
         });
     let (values, arity) = found?;
@@ -142,7 +142,7 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
                 let opaque = values.chunks_exact(*arity).flat_map(|color| &color[..3]);
                 notes.extend(clamp_note(name, opaque, "the .obj"));
             }
-            Purpose::Velocity | Purpose::Other => {
+            Purpose::Velocity | Purpose::Acceleration | Purpose::Other => {
                 notes.push(format!("{name} is missing in the .obj, which can only store colours"));
             }
         }

@@ -57,7 +57,7 @@ fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>)
         let (names, usual) = match purpose {
             Purpose::Color(_) => (used.take("", |stem| color_names(stem, arity)), color_names("", arity)),
             Purpose::Velocity => (used.take("v", velocity_names), velocity_names("v")),
-            Purpose::Other => {
+            Purpose::Acceleration | Purpose::Other => {
                 (used.take(&stem, |stem| component_names(stem, arity)), component_names(name, arity))
             }
         };

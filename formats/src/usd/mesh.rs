@@ -2,6 +2,7 @@
 //!
 //! ```text
 //!   velocity   velocities, for motion blur     colour     primvars:displayColor, displayOpacity
+//!   acceleration  accelerations, which renderers use together with the velocities
 //!   floats     primvars:NAME, as vectors if a vertex has two to four values
 //!   integers   the same with the type int; if a value needs 64 bits, scalars of the type int64 instead of
 //!              vectors, of which elementSize says how many belong to a vertex
@@ -10,6 +11,10 @@
 
 use crate::data::{MeshView, VertexAttribute, VertexValues};
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
+
+/// Properties for motion blur, sampled at the times of the points.
+pub(crate) const VELOCITIES: &str = "velocities";
+pub(crate) const ACCELERATIONS: &str = "accelerations";
 
 /// The root prim. It is the `defaultPrim` of the layer: a reference to the layer that names no prim refers to
 /// this one.
@@ -155,6 +160,7 @@ fn extent(mesh: &MeshView) -> Option<[[f32; 3]; 2]> {
 /// The property that an attribute is written to.
 enum UsdProperty {
     Velocities,
+    Accelerations,
     Color,
     Primvar(String),
 }
@@ -170,6 +176,7 @@ fn usd_properties(attributes: &[VertexAttribute]) -> Vec<UsdProperty> {
     let mut used = UsedNames::new(&RESERVED);
     let property = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
         Purpose::Velocity => UsdProperty::Velocities,
+        Purpose::Acceleration => UsdProperty::Accelerations,
         Purpose::Color(_) => UsdProperty::Color,
         Purpose::Other => UsdProperty::Primvar(
             used.take(&identifier(attribute.name), |stem| vec![stem.to_owned()]).concat(),
@@ -202,7 +209,10 @@ fn of_attribute<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) -> 
     let arity = attribute.arity;
     match (property, attribute.values) {
         (UsdProperty::Velocities, VertexValues::Numbers(values)) => {
-            vec![MeshProperty::array("vector3f[]", "velocities", Elements::reals(values, 3))]
+            vec![MeshProperty::array("vector3f[]", VELOCITIES, Elements::reals(values, 3))]
+        }
+        (UsdProperty::Accelerations, VertexValues::Numbers(values)) => {
+            vec![MeshProperty::array("vector3f[]", ACCELERATIONS, Elements::reals(values, 3))]
         }
         (UsdProperty::Color, VertexValues::Numbers(values)) => {
             let part = |kind, name, first, arity| {
@@ -232,8 +242,8 @@ fn of_attribute<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) -> 
             let width = if arity <= TUPLE_MAX { arity } else { 1 };
             vec![primvar(&vector("float", width), name, Elements::reals(values, width), arity / width)]
         }
-        // Velocities and colours are always numbers, so strings never get here.
-        (UsdProperty::Velocities | UsdProperty::Color, _) => Vec::new(),
+        // These are always numbers, so strings never get here.
+        (UsdProperty::Velocities | UsdProperty::Accelerations | UsdProperty::Color, _) => Vec::new(),
     }
 }
 

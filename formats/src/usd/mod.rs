@@ -5,7 +5,7 @@
 //!   def Xform "root"
 //!       def Mesh "surface"
 //!           extent, faceVertexCounts, faceVertexIndices, normals, orientation, points,
-//!           velocities, primvars:NAME .., subdivisionScheme, xformOp:translate
+//!           velocities, accelerations, primvars:NAME .., subdivisionScheme, xformOp:translate
 //! ```
 
 mod mesh;
@@ -13,15 +13,16 @@ mod sequence;
 
 pub use mesh::LayerInfo;
 pub(crate) use mesh::{
-    Elements, MeshProperty, PropertyValue, ROOT, SAMPLE_CODE, TRANSLATE, identifier, properties, renamed,
+    ACCELERATIONS, Elements, MeshProperty, PropertyValue, ROOT, SAMPLE_CODE, TRANSLATE, VELOCITIES,
+    identifier, properties, renamed,
 };
-pub(crate) use sequence::{CODE_MAX, PRIM, SequenceAttribute, UsdSequence};
+pub(crate) use sequence::{PRIM, SequenceAttribute, UsdSequence};
 
 /// The name of the vertex attribute in a property; `None` for other properties.
 pub(crate) fn attribute_of(property: &str) -> Option<&str> {
     match property.strip_prefix("primvars:") {
         Some(name) => Some(name).filter(|name| !name.ends_with(INDICES)),
-        None => Some(property).filter(|name| *name == "velocities"),
+        None => Some(property).filter(|name| [VELOCITIES, ACCELERATIONS].contains(name)),
     }
 }
 

@@ -2,17 +2,17 @@
 
 use crate::error::Result;
 use crate::frame_numbers::{check_numbers, held_times};
-use crate::gltf::{POSITION, PositionTransform, SequenceFrame, SequencePlacement, VertexColumn};
+use crate::gltf::{
+    ACCELERATION, COLOR, NORMAL, POSITION, PositionTransform, SequenceFrame, SequencePlacement,
+    SharedAttribute, VELOCITY, shared_attributes,
+};
 use crate::vertex_attributes::UsedNames;
 
 use super::FORMAT;
-use super::mesh::{LayerInfo, RESERVED, identifier, vector};
+use super::mesh::{ACCELERATIONS, LayerInfo, RESERVED, VELOCITIES, identifier, vector};
 
 /// The name of the mesh.
 pub(crate) const PRIM: &str = "surface";
-
-/// The largest time code. Time codes are 64-bit floats, which cannot distinguish larger integers.
-pub(crate) const CODE_MAX: u64 = 1 << 53;
 
 /// The frames of a sequence.
 pub(crate) struct UsdSequence<'a> {
@@ -36,7 +36,7 @@ pub(crate) struct SequenceAttribute {
 
 impl SequenceAttribute {
     fn new(semantic: &str, (kind, name): (&str, &str), first: usize, arity: usize) -> SequenceAttribute {
-        let is_per_vertex = !matches!(name, "points" | "velocities");
+        let is_per_vertex = !matches!(name, "points" | VELOCITIES | ACCELERATIONS);
         let [semantic, kind, name] = [semantic, kind, name].map(str::to_owned);
         SequenceAttribute { semantic, kind, name, first, arity, is_per_vertex }
     }
@@ -45,7 +45,7 @@ impl SequenceAttribute {
 impl<'a> UsdSequence<'a> {
     /// Checks the frames, whose numbers must increase.
     pub(crate) fn of(frames: &'a [SequenceFrame]) -> Result<UsdSequence<'a>> {
-        check_numbers(FORMAT, CODE_MAX, frames.iter().map(|frame| (frame.name.as_str(), frame.code)))?;
+        check_numbers(FORMAT, frames.iter().map(|frame| (frame.name.as_str(), frame.code)))?;
         Ok(UsdSequence { frames, placement: SequencePlacement::of(frames, FORMAT)? })
     }
 
@@ -67,65 +67,33 @@ impl<'a> UsdSequence<'a> {
     /// The attributes that all frames with a mesh have, and notes on the others.
     pub(crate) fn attributes(&self) -> Result<(Vec<SequenceAttribute>, Vec<String>)> {
         let mut found = vec![
-            SequenceAttribute::new("NORMAL", ("normal3f[]", "normals"), 0, 3),
+            SequenceAttribute::new(NORMAL, ("normal3f[]", "normals"), 0, 3),
             SequenceAttribute::new(POSITION, ("point3f[]", "points"), 0, 3),
         ];
-        let (mut notes, mut used) = (Vec::new(), UsedNames::new(&RESERVED));
-        for name in self.other_names()? {
-            let arity = match self.arity(&name)? {
-                Ok(arity) => arity,
-                Err(why) => {
-                    notes.push(format!("{name} is missing in the sequence: {why}"));
-                    continue;
-                }
-            };
-            let attribute = |about, first, arity| SequenceAttribute::new(&name, about, first, arity);
-            match (name.as_str(), arity) {
-                ("_VELOCITY", 3) => found.push(attribute(("vector3f[]", "velocities"), 0, 3)),
-                ("COLOR_0", 3 | 4) => {
+        let (shared, mut notes) = shared_attributes(self.frames)?;
+        let mut used = UsedNames::new(&RESERVED);
+        for SharedAttribute { semantic, name, arity } in shared {
+            let attribute = |about, first, arity| SequenceAttribute::new(&semantic, about, first, arity);
+            match (semantic.as_str(), arity) {
+                (VELOCITY, 3) => found.push(attribute(("vector3f[]", VELOCITIES), 0, 3)),
+                (ACCELERATION, 3) => found.push(attribute(("vector3f[]", ACCELERATIONS), 0, 3)),
+                (COLOR, 3 | 4) => {
                     found.push(attribute(("color3f[]", "primvars:displayColor"), 0, 3));
                     let opacity = attribute(("float[]", "primvars:displayOpacity"), 3, 1);
                     found.extend((arity == 4).then_some(opacity));
                 }
                 _ => {
                     let kind = format!("{}[]", vector("float", arity));
-                    // In the `.glb` files, names start with an underscore and are in upper case.
-                    let wanted = identifier(name.strip_prefix('_').unwrap_or(&name)).to_ascii_lowercase();
+                    let wanted = identifier(&name);
                     let plain = used.take(&wanted, |stem| vec![stem.to_owned()]).concat();
                     if plain != wanted {
-                        notes.push(format!("{name} is named primvars:{plain} in the sequence"));
+                        notes.push(format!("{semantic} is named primvars:{plain} in the sequence"));
                     }
                     found.push(attribute((&kind, &format!("primvars:{plain}")), 0, arity));
                 }
             }
         }
         Ok((found, notes))
-    }
-
-    /// The names of the attributes of any frame, except positions and normals, in order.
-    fn other_names(&self) -> Result<Vec<String>> {
-        let mut names: Vec<&String> = Vec::new();
-        for frame in self.frames.iter().filter(|frame| frame.file.has_mesh()) {
-            names.extend(frame.file.attributes()?.keys());
-        }
-        names.sort();
-        names.dedup();
-        names.retain(|name| !["NORMAL", POSITION].contains(&name.as_str()));
-        Ok(names.into_iter().cloned().collect())
-    }
-
-    /// The number of values per vertex of an attribute, or why the sequence cannot have it.
-    fn arity(&self, name: &str) -> Result<std::result::Result<usize, &'static str>> {
-        let files = || self.frames.iter().map(|frame| &frame.file).filter(|file| file.has_mesh());
-        if files().any(|file| file.has_string_indices(name)) {
-            return Ok(Err("its values are strings, and each frame has its own table"));
-        }
-        let columns: Vec<Option<VertexColumn>> =
-            files().map(|file| file.column(name)).collect::<Result<_>>()?;
-        let arities: Option<Vec<usize>> = columns.iter().map(|column| Some((*column)?.arity)).collect();
-        let arity =
-            arities.and_then(|arities| arities.iter().all(|a| *a == arities[0]).then_some(arities[0]));
-        Ok(arity.ok_or("not all frames have it with the same number of values per vertex"))
     }
 
     /// The transform of the positions of a frame.

@@ -37,7 +37,7 @@ use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
 use crate::frame_numbers::{check_numbers, held_times};
 use crate::mesh_options::UpAxis;
-use crate::usd::{CODE_MAX, FORMAT, PRIM, ROOT, SAMPLE_CODE, SampledProperty, TRANSLATE, identifier};
+use crate::usd::{FORMAT, PRIM, ROOT, SAMPLE_CODE, SampledProperty, TRANSLATE, identifier};
 use crate::vertex_attributes::UsedNames;
 
 use super::head::{LAST_LINE, head, times};
@@ -119,7 +119,7 @@ fn invalid(what: String) -> Error {
 }
 
 fn check(files: &[ClipFile]) -> Result<()> {
-    check_numbers(FORMAT, CODE_MAX, files.iter().map(|file| (file.path.as_str(), file.code)))?;
+    check_numbers(FORMAT, files.iter().map(|file| (file.path.as_str(), file.code)))?;
     files.iter().try_for_each(|file| check_path(&file.path))
 }
 
@@ -242,6 +242,7 @@ fn asset(path: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::frame_numbers::NUMBER_MAX;
 
     fn files(codes: &[u64], extension: &str) -> Vec<ClipFile> {
         let file = |&code: &u64| ClipFile { code, path: format!("./out/dam.{code}.{extension}") };
@@ -407,7 +408,7 @@ def Xform \"root\"
             vec![],
             vec![file(1, "a\nb")],
             vec![file(2, "a"), file(2, "b")],
-            vec![file(1, "a"), file(CODE_MAX + 1, "b")],
+            vec![file(1, "a"), file(NUMBER_MAX + 1, "b")],
         ] {
             assert!(with(refused).is_err());
         }

@@ -2,9 +2,9 @@
 
 use std::borrow::Cow;
 
-use crate::data::{FileAttribute, MeshView, Values, VertexAttribute, VertexValues};
+use crate::data::{AttributeRole, FileAttribute, MeshView, Values, VertexAttribute, VertexValues};
 use crate::error::Result;
-use crate::gltf::{loss_notes, write_glb};
+use crate::gltf::{ACCELERATION_NAME, COLOR_NAME, loss_notes, write_glb};
 use crate::limits::Limits;
 use crate::mesh_options::MeshOptions;
 
@@ -81,12 +81,18 @@ fn convert_values(attribute: &mut FileAttribute) {
     }
 }
 
-/// The attribute under its former name; `None` for types that no property of this crate has.
+/// The attribute under its former name; `None` for types that no property of this crate has. Those of
+/// colours and accelerations are not in the file, so they get the usual ones.
 fn view(attribute: &FileAttribute) -> Option<VertexAttribute<'_>> {
     let FileAttribute { name, arity, role, values } = attribute;
     // USD writes an underscore before the digit of a name such as `2nd`.
-    let name =
-        name.strip_prefix('_').filter(|rest| rest.starts_with(|c: char| c.is_ascii_digit())).unwrap_or(name);
+    let without_underscore =
+        name.strip_prefix('_').filter(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
+    let name = match role {
+        Some(AttributeRole::Color) => COLOR_NAME,
+        Some(AttributeRole::Acceleration) => ACCELERATION_NAME,
+        _ => without_underscore.unwrap_or(name),
+    };
     let values = match values {
         Values::F32(values) => VertexValues::Numbers(values),
         Values::I64(values) => VertexValues::Integers(values),

@@ -4,7 +4,7 @@ use crate::data::{AttributeRole, FileAttribute, MeshData, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::mesh_options::UpAxis;
-use crate::usd::{FORMAT, INDICES, LayerInfo, TRANSLATE, attribute_of};
+use crate::usd::{ACCELERATIONS, FORMAT, INDICES, LayerInfo, TRANSLATE, VELOCITIES, attribute_of};
 
 use super::contents::NOT_OURS;
 use super::read_array::{Source, count, unexpected};
@@ -26,7 +26,7 @@ pub struct UsdcLayer<'a> {
 pub struct UsdcFrame {
     /// The mesh, in world units.
     pub mesh: MeshData,
-    /// The velocities, and the primvars under their own names.
+    /// The velocities and accelerations, and the primvars under their own names.
     pub attributes: Vec<FileAttribute>,
 }
 
@@ -208,7 +208,8 @@ impl<'a> UsdcLayer<'a> {
         let name = &*spec.name;
         let Some(plain) = attribute_of(name) else { return Ok(None) };
         let role = match name {
-            "velocities" => Some(AttributeRole::Velocity),
+            VELOCITIES => Some(AttributeRole::Velocity),
+            ACCELERATIONS => Some(AttributeRole::Acceleration),
             "primvars:displayColor" => Some(AttributeRole::Color),
             _ => None,
         };

@@ -139,8 +139,9 @@ pub fn encode(levels: &LevelSetView, options: &WriteOptions, provenance: &Proven
         let (encoding, buffers) = encoded_leaves(grid, (&order, &leaves), options)?;
         let mut metadata = self::metadata(&leaves, &tree, "unknown", &name, encoding);
         if grid.arity == 3 {
-            let is_velocity = grid.role == Some(AttributeRole::Velocity);
-            let kind = if is_velocity { "contravariant relative" } else { "invariant" };
+            let is_relative =
+                matches!(grid.role, Some(AttributeRole::Velocity | AttributeRole::Acceleration));
+            let kind = if is_relative { "contravariant relative" } else { "invariant" };
             metadata.string("vector_type", kind);
         }
         let grid = GridParts { name: &name, encoding, metadata, buffers };

@@ -148,6 +148,7 @@ fn ranges<T, N: Copy + PartialOrd>(
 fn role_name(role: AttributeRole) -> &'static str {
     match role {
         AttributeRole::Velocity => "velocity",
+        AttributeRole::Acceleration => "acceleration",
         AttributeRole::Normal => "normal",
         AttributeRole::Color => "color",
         AttributeRole::Radius => "radius",

@@ -217,6 +217,7 @@ fn attribute(attribute: FileAttribute) -> Attribute {
     let FileAttribute { name, arity, role, values } = attribute;
     let surface_role = match role {
         Some(AttributeRole::Velocity) => Role::Velocity,
+        Some(AttributeRole::Acceleration) => Role::Acceleration,
         Some(AttributeRole::Color) => Role::Color,
         Some(AttributeRole::Radius) => Role::Radius,
         Some(AttributeRole::Id) => Role::Id,

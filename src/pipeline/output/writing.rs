@@ -230,6 +230,7 @@ fn band_grids<'a>(voxels: &'a [Voxels<'a>]) -> Vec<BandGrid<'a>> {
 fn file_role(role: Role) -> Option<AttributeRole> {
     match role {
         Role::Velocity => Some(AttributeRole::Velocity),
+        Role::Acceleration => Some(AttributeRole::Acceleration),
         Role::Color => Some(AttributeRole::Color),
         Role::Radius => Some(AttributeRole::Radius),
         Role::Id => Some(AttributeRole::Id),

@@ -9,7 +9,7 @@ use super::source::TransferSource;
 use super::{Support, TransferCounts, interpolate_at};
 use crate::surface::grid::{LEAF_VOXELS, NO_LEAF, Topology};
 use crate::surface::level_set::NarrowBand;
-use crate::surface::particles::{Attribute, AttributeValues, Positions, Role};
+use crate::surface::particles::{Attribute, AttributeValues, Positions, Role, scale_numbers};
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 use crate::surface::space::Lattice;
 
@@ -80,6 +80,11 @@ impl BandAttribute {
     /// Memory used, in bytes.
     pub fn size_bytes(&self) -> usize {
         size_of_val(&*self.values)
+    }
+
+    /// Multiplies all values by a factor.
+    pub(crate) fn scale(&mut self, factor: f64) {
+        scale_numbers(&mut self.values, factor);
     }
 
     /// The values of all voxels of a leaf, `arity` each. Values of voxels outside the band are meaningless.

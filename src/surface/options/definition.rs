@@ -36,6 +36,12 @@ const VOID_THRESHOLD_MAX: f64 = 4.0;
 /// Upper limit of `max_stretch`: beyond it a particle would reach over several leaves.
 const MAX_STRETCH_MAX: f64 = 8.0;
 
+/// The smallest factor of velocities. Its square, the factor of accelerations, is a normal 32-bit number.
+const VELOCITY_SCALE_MIN: f64 = 1e-9;
+
+/// The largest factor of velocities.
+const VELOCITY_SCALE_MAX: f64 = 1e9;
+
 /// Upper limit of `decimate`, in units of h: beyond it the mesh has a different shape.
 const DECIMATE_MAX: f64 = 1.0;
 
@@ -153,6 +159,12 @@ method_options! {
             /// .vdb.
             #[arg(value_name = "LIST")]
             attributes: AttributeSelection,
+
+            /// Multiply velocities by this factor, and accelerations by its square, 1e-9 to 1e9; for velocities
+            /// per frame it is the frame rate, so that they are per second [default: 1]
+            #[arg(value_name = "F")]
+            velocity_scale: f64 in VELOCITY_SCALE_MIN..=VELOCITY_SCALE_MAX
+                => "--attributes and --anisotropy velocity", uses_velocities,
         }
         Surface {
             /// Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
@@ -300,6 +312,10 @@ impl MethodOptions {
     }
 }
 
+fn uses_velocities(options: &MethodOptions, _: bool) -> bool {
+    options.attributes.is_some() || options.anisotropy_kind() == AnisotropyKind::Velocity
+}
+
 fn stretches_by_neighbors(options: &MethodOptions, _: bool) -> bool {
     options.anisotropy_kind() == AnisotropyKind::Neighbors
 }
@@ -344,6 +360,7 @@ mod tests {
             velocity_gain: Some(1.0 / 48.0),
             void_threshold: Some(1.7),
             attributes: Some(AttributeSelection::Named(vec!["v".to_owned(), "Cd".to_owned()])),
+            velocity_scale: Some(24_000.0 / 1001.0),
             drop_islands: Some(33),
             fill_cavities: Some(1e-300),
             clip: Some(ClipBox { min: [-1.0, 0.0, 1.0 / 3.0], max: [1.0, 2.0, 1e9] }),

@@ -66,6 +66,8 @@ pub struct Settings {
     pub void_threshold: f64,
     /// Which attributes of the particles are interpolated to the surface.
     pub attributes: Option<AttributeSelection>,
+    /// Factor from the particles' velocities to world units per second. Its square is that of accelerations.
+    pub velocity_scale: f64,
     /// Pieces of surface with fewer particles than this are dropped.
     pub drop_islands: u32,
     /// Cavities with a smaller volume than this are filled, in units of h³.
@@ -266,6 +268,7 @@ impl Settings {
             smooth_normals: options.smooth_normals.unwrap_or(0),
             quads: options.quads.unwrap_or(false),
             attributes: options.attributes.clone(),
+            velocity_scale: options.velocity_scale.unwrap_or(1.0),
             integrator,
             laplacian_steps: options.laplacian_steps.unwrap_or_else(|| laplacian_steps(&recipe, voxels)),
             steps: options.steps.unwrap_or_else(|| default_steps(&recipe, integrator, voxels)),

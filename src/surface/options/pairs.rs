@@ -40,6 +40,9 @@ impl Settings {
             }
             Anisotropy::None | Anisotropy::Velocity { .. } => (None, None),
         };
+        let uses_velocities =
+            self.attributes.is_some() || matches!(self.anisotropy, Anisotropy::Velocity { .. });
+        let velocity_scale = Some(self.velocity_scale).filter(|scale| uses_velocities && *scale != 1.0);
         let is_implicit = self.integrator == Integrator::Implicit;
         MethodOptions {
             preset: None,
@@ -60,6 +63,7 @@ impl Settings {
             velocity_gain,
             void_threshold: Some(self.void_threshold),
             attributes: self.attributes.clone(),
+            velocity_scale,
             drop_islands: Some(self.drop_islands),
             fill_cavities: Some(self.fill_cavities),
             clip: self.clip,

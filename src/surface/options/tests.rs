@@ -12,6 +12,11 @@ fn settings_resolve_again_from_their_own_options() {
         },
         MethodOptions { position_smoothing: Some(0.9), ..MethodOptions::default() },
         MethodOptions {
+            attributes: Some(AttributeSelection::All),
+            velocity_scale: Some(24.0),
+            ..MethodOptions::default()
+        },
+        MethodOptions {
             anisotropy: Some(AnisotropyKind::Neighbors),
             neighbor_radius: Some(2.0.into()),
             ..MethodOptions::default()

@@ -22,6 +22,8 @@ pub struct Attribute {
 pub enum Role {
     /// World units per second, arity 3.
     Velocity,
+    /// World units per second squared, arity 3.
+    Acceleration,
     /// Red, green and blue from 0 to 1, optionally alpha, in the file's colour space: arity 3 or 4.
     Color,
     /// A radius in world units, arity 1.
@@ -70,11 +72,30 @@ pub fn find_attribute<'a>(all: &'a [Attribute], name: &str, arity: usize) -> Opt
     own.or_else(|| fitting().find(|attribute| attribute.matches(name)))
 }
 
+/// Multiplies finite numbers by a factor. Products beyond the range of 32-bit numbers become its limit, because
+/// files must contain finite numbers.
+pub(crate) fn scale_numbers(values: &mut [f32], factor: f64) {
+    for value in values {
+        *value = (f64::from(*value) * factor).clamp(f32::MIN.into(), f32::MAX.into()) as f32;
+    }
+}
+
 impl Role {
+    /// The factor for values of this role if those of velocities are multiplied by `velocity_scale`: the unit of
+    /// time changes, and not that of lengths.
+    pub(crate) fn scale(self, velocity_scale: f64) -> f64 {
+        match self {
+            Role::Velocity => velocity_scale,
+            Role::Acceleration => velocity_scale * velocity_scale,
+            Role::Color | Role::Radius | Role::Id | Role::Other => 1.0,
+        }
+    }
+
     /// The names by which users refer to the semantic.
     fn names(self) -> &'static [&'static str] {
         match self {
             Role::Velocity => &["velocity", "velocities", "vel", "v"],
+            Role::Acceleration => &["acceleration", "accelerations", "accel"],
             Role::Color => &["color", "colour", "colors", "colours", "cd", "rgb", "rgba"],
             Role::Radius => &["radius", "pscale"],
             Role::Id => &["id"],
@@ -107,6 +128,16 @@ impl AttributeValues {
         }
     }
 
+    /// Multiplies the values by a factor. Integers become 32-bit numbers; strings are unchanged.
+    pub(crate) fn scale(&mut self, factor: f64) {
+        if let AttributeValues::Integers(values) = self {
+            *self = AttributeValues::Numbers(values.iter().map(|&value| value as f32).collect());
+        }
+        if let AttributeValues::Numbers(values) = self {
+            scale_numbers(values, factor);
+        }
+    }
+
     /// The memory of the values, in bytes.
     pub fn size_bytes(&self) -> usize {
         match self {
@@ -114,5 +145,20 @@ impl AttributeValues {
             AttributeValues::Integers(values) => size_of_val(&**values),
             AttributeValues::Strings { indices, .. } => size_of_val(&**indices),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scaled_values_are_finite_numbers() {
+        let mut integers = AttributeValues::Integers(vec![3, -2]);
+        integers.scale(0.5);
+        assert_eq!(integers, AttributeValues::Numbers(vec![1.5, -1.0]));
+        let mut large = AttributeValues::Numbers(vec![1e30, -1e30, 0.0]);
+        large.scale(1e18);
+        assert_eq!(large, AttributeValues::Numbers(vec![f32::MAX, f32::MIN, 0.0]));
     }
 }

@@ -17,6 +17,7 @@ use std::ops::Range;
 
 use glam::DVec3;
 
+pub(crate) use attributes::scale_numbers;
 pub use attributes::{Attribute, AttributeValues, Role, find_attribute};
 pub use shapes::{Ellipsoid, Shapes};
 

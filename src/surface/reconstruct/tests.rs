@@ -309,6 +309,7 @@ impl Hostile {
             velocity_gain: self.some(4, Hostile::number),
             void_threshold: self.some(8, Hostile::number),
             attributes: self.some(2, |_| AttributeSelection::All),
+            velocity_scale: self.some(4, Hostile::number),
             drop_islands: self.some(6, |from| from.pick(&[0, 3, 1000, 2000])),
             fill_cavities: self.some(6, Hostile::number),
             clip: self.some(6, |from| ClipBox {

@@ -18,6 +18,21 @@ pub struct SurfaceAttributes {
 }
 
 impl SurfaceAttributes {
+    /// Converts velocities and accelerations to the scale of the settings.
+    fn scale_velocities(&mut self, velocity_scale: f64) {
+        let factor = |role: Role| Some(role.scale(velocity_scale)).filter(|factor| *factor != 1.0);
+        for Attribute { role, values, .. } in &mut self.vertices {
+            if let Some(factor) = factor(*role) {
+                values.scale(factor);
+            }
+        }
+        for attribute in &mut self.band {
+            if let Some(factor) = factor(attribute.role) {
+                attribute.scale(factor);
+            }
+        }
+    }
+
     /// Memory that the attributes use, in bytes.
     pub fn size_bytes(&self) -> usize {
         let vertices: usize = self.vertices.iter().map(|attribute| attribute.values.size_bytes()).sum();
@@ -77,6 +92,7 @@ pub(crate) fn transfer_attributes_from(
         let (found, counts) = interpolate_to_band(positions, &grids, band, half_width_voxels, support);
         (surface.attributes.band, report.band) = (found, counts);
     }
+    surface.attributes.scale_velocities(settings.velocity_scale);
     surface.report.transfer = Some(report);
 }
 

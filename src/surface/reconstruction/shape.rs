@@ -72,7 +72,7 @@ pub(crate) fn shapes_by_attributes(
     let by_velocity = match settings.anisotropy {
         Anisotropy::None | Anisotropy::Neighbors { .. } => None,
         Anisotropy::Velocity { gain, max_stretch } => {
-            let gain_per_speed = (gain / settings.radius_min) as f32;
+            let gain_per_speed = (gain * settings.velocity_scale / settings.radius_min) as f32;
             let max_stretch = max_stretch as f32;
             let config = VelocityConfig { gain_per_speed, max_stretch, floor: resolved_radius(settings) };
             numbers(of_particles, "velocity", 3)
