@@ -122,7 +122,7 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribut
         };
         Ok(FileAttribute { name, arity, role, values })
     };
-    attributes(&archive)?.into_iter().map(attribute).collect()
+    attributes(&archive, limits)?.into_iter().map(attribute).collect()
 }
 
 const NOT_OURS: &str =

@@ -164,7 +164,7 @@ method_options! {
             /// per frame it is the frame rate, so that they are per second [default: 1]
             #[arg(value_name = "F")]
             velocity_scale: f64 in VELOCITY_SCALE_MIN..=VELOCITY_SCALE_MAX
-                => "--attributes and --anisotropy velocity", uses_velocities,
+                => [OptionName::new("attributes"), OptionName::with_value("anisotropy", "velocity")], uses_velocities,
         }
         Surface {
             /// Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
