@@ -496,7 +496,7 @@ mod tests {
         let text = fs::read_to_string(folder.path().join("shot.usda")).expect("written");
         for part in [
             "[@./out/dam.1.usdc@, @./out/dam.2.usdc@, @./out/dam.3.usdc@]",
-            "active = [(1, 0), (1.9990234375, 0), (2, 1), (2.9990234375, 1), (3, 2)]",
+            "active = [(1, 0), (1.984375, 0), (2, 1), (2.984375, 1), (3, 2)]",
             "[@./out/dam.4.usdc@]",
         ] {
             assert!(text.contains(part), "{part}: {text}");
