@@ -163,7 +163,7 @@ def link(surface: bpy.types.Object, file: Path, context: bpy.types.Context) -> N
 
 def cache_of(file: Path) -> bpy.types.CacheFile | None:
     """Blender's cache of a file."""
-    return next((each for each in bpy.data.cache_files if Path(bpy.path.abspath(each.filepath)) == file), None)
+    return next((each for each in bpy.data.cache_files if sequence.absolute(each.filepath, each.library) == file), None)
 
 
 def mesh_path(cache: bpy.types.CacheFile) -> str:
@@ -197,9 +197,9 @@ class MENISCUS_OT_bake(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        file = Path(bpy.path.abspath(self.filepath))
+        file = sequence.absolute(self.filepath)
         if file.suffix != ".usdc":
-            self.report({"ERROR"}, f"{file.name or 'the file'} must end in .usdc")
+            self.report({"ERROR"}, f"{Path(self.filepath).name or 'the file'} must end in .usdc")
             return {"CANCELLED"}
         if self.last < self.first:
             self.report({"ERROR"}, f"the last frame, {self.last}, is before the first, {self.first}")
