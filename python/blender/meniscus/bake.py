@@ -15,6 +15,7 @@ import pymeniscus
 from bpy.props import BoolProperty, IntProperty, StringProperty
 
 from . import live, program, sequence
+from .panel import reason_of
 from .points import PointsError
 from .worker import Request, compute
 
@@ -210,7 +211,7 @@ class MENISCUS_OT_bake(bpy.types.Operator):
                 sequence.require("USD")
             self._bake = Bake(surface, context.scene, file, self.first, self.last)
         except (OSError, ValueError) as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, reason_of(error))
             return {"CANCELLED"}
         manager = context.window_manager
         if not live.has_event_loop():
