@@ -2,8 +2,8 @@
 
     python/blender/build.py [--out FOLDER] WHEEL...
 
-A folder stands for the wheels in it. Each wheel is that of pymeniscus for one platform; the extension then works on these platforms. Blender contains
-numpy, which is the only other package that pymeniscus needs.
+A folder means all wheels in it. Each wheel is that of pymeniscus for one platform; the extension then works on these
+platforms. Blender contains numpy, which is the only other package that pymeniscus needs.
 """
 
 import argparse

@@ -7,7 +7,7 @@
     opened        a saved .blend shows the same frames in a Blender without the extension
     growing       SPlisHSPlasH writes frames, a daemon of the panel converts them, and the scene follows; a truncated
                   file is shown with its reason; the main thread is not blocked
-    stopped       a second daemon is refused with the reason; the daemon ends with the panel, and with a Blender that
+    stopped       a second daemon and a wrong setting are refused with the reason; the daemon ends with the panel, and with a Blender that
                   is killed
     removed       nothing of the modules stays
     rendered      sequences_still.png, sequences_blurred.png: the last frame, sharp and with motion blur
@@ -69,6 +69,7 @@ def main():
         ("stages and .vdb that grow", grown),
         ("SPlisHSPlasH", growing),
         ("a second daemon", locked),
+        ("a wrong setting", wrong),
         ("a Blender that is killed", killed),
         ("pictures", pictures),
         ("removed", removed),
@@ -212,20 +213,21 @@ def presets():
 def refused():
     faults = []
     (FOLDER / "other.usda").write_text("#usda 1.0\n")
+    (FOLDER / "truncated.usdc").write_bytes((FOLDER / "shot.usdc").read_bytes()[:5000])
     for name, words in (
         ("out/dam.0001.usdc", "--stage"), ("volumes.usda", ".vdb files"), ("out/dam.0001.glb", "is not a stage"),
-        ("missing.usda", "No such file"), ("other.usda", "other.usda"),
+        ("missing.usda", "missing.usda: No such file"), ("other.usda", "other.usda"), ("truncated.usdc", "not complete"),
     ):
         scene = new_scene()
         try:
             import_by_operator(name)
             faults.append(f"{name} was imported")
         except RuntimeError as error:
-            if words not in str(error):
+            if words not in str(error) or "Errno" in str(error):
                 faults.append(f"{name}: {error}")
         if len(scene.objects):
             faults.append(f"{name}: there are {len(scene.objects)} objects")
-    return "5 files, and a Blender without USD", faults + refused_without_usd()
+    return "6 files, and a Blender without USD", faults + refused_without_usd()
 
 
 def refused_without_usd():
@@ -447,6 +449,17 @@ def locked():
     if first._process.returncode != 0 or first.is_running:
         faults.append(f"the first one ended with {first._process.returncode}")
     return f"refused; the first one stopped in {took:.2f} s", faults
+
+
+def wrong():
+    """A setting that the command refuses: the panel shows the reason, and no advice about the command line."""
+    settings = new_scene().meniscus_conversion
+    settings.folder, settings.out, settings.voxel_size = str(FOLDER / "in"), str(FOLDER / "wrong"), "abc"
+    bpy.ops.meniscus.conversion_start()
+    wait_for(lambda: not conversion._conversion.is_running)
+    text = conversion._conversion.progress.error
+    is_plain = text.startswith("invalid value 'abc'") and "is not a voxel size" in text and "--help" not in text
+    return "refused", [] if is_plain else [f"the panel says {text!r}"]
 
 
 def wait_for(is_so):

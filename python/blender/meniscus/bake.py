@@ -15,6 +15,7 @@ import pymeniscus
 from bpy.props import BoolProperty, IntProperty, StringProperty
 
 from . import live, program, sequence
+from .panel import reason_of
 from .points import PointsError
 from .worker import Request, compute
 
@@ -163,7 +164,7 @@ def link(surface: bpy.types.Object, file: Path, context: bpy.types.Context) -> N
 
 def cache_of(file: Path) -> bpy.types.CacheFile | None:
     """Blender's cache of a file."""
-    return next((each for each in bpy.data.cache_files if Path(bpy.path.abspath(each.filepath)) == file), None)
+    return next((each for each in bpy.data.cache_files if sequence.absolute(each.filepath, each.library) == file), None)
 
 
 def mesh_path(cache: bpy.types.CacheFile) -> str:
@@ -197,9 +198,9 @@ class MENISCUS_OT_bake(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        file = Path(bpy.path.abspath(self.filepath))
+        file = sequence.absolute(self.filepath)
         if file.suffix != ".usdc":
-            self.report({"ERROR"}, f"{file.name or 'the file'} must end in .usdc")
+            self.report({"ERROR"}, f"{Path(self.filepath).name or 'the file'} must end in .usdc")
             return {"CANCELLED"}
         if self.last < self.first:
             self.report({"ERROR"}, f"the last frame, {self.last}, is before the first, {self.first}")
@@ -210,7 +211,7 @@ class MENISCUS_OT_bake(bpy.types.Operator):
                 sequence.require("USD")
             self._bake = Bake(surface, context.scene, file, self.first, self.last)
         except (OSError, ValueError) as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, reason_of(error))
             return {"CANCELLED"}
         manager = context.window_manager
         if not live.has_event_loop():

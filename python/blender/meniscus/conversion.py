@@ -22,7 +22,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from . import program, sequence
-from .panel import Panel, draw_text
+from .panel import Panel, draw_text, reason_of
 from .timers import lasting
 
 TICK_SECONDS = 0.5
@@ -143,7 +143,9 @@ class Conversion:
             try:
                 event = json.loads(line)
             except ValueError:
-                errors.append(line.strip())
+                # The command refuses a setting. Its advice is about the command line.
+                if line.strip() and "--help" not in line:
+                    errors.append(line.strip().removeprefix("error: "))
                 continue
             if event.get("level") == "ERROR" and "frame" not in event:
                 errors.append(str(event.get("message", "")))
@@ -298,7 +300,7 @@ def link(scene: bpy.types.Scene, stage: Path) -> str:
     try:
         objects = sequence.import_sequence(scene, stage)
     except (OSError, ValueError, RuntimeError) as error:
-        return f"{stage.name} could not be imported: {error}"
+        return f"{stage.name} could not be imported: {reason_of(error)}"
     # The layer lacks the objects of excluded collections, which cannot be selected.
     for obj in layer.objects:
         obj.select_set(obj in selected)

@@ -31,3 +31,10 @@ def label_letters() -> int:
         return LABEL_LETTERS
     width = region.width / bpy.context.preferences.system.ui_scale
     return max(int((width - AROUND_WIDTH) / LETTER_WIDTH), LABEL_LETTERS // 2)
+
+
+def reason_of(error: Exception) -> str:
+    """The message of an error. Python's own would begin with a number, as in `[Errno 2] No such file`."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error)

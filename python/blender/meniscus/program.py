@@ -78,9 +78,12 @@ def info(path: Path) -> dict[str, Any]:
     except subprocess.TimeoutExpired:
         raise ValueError(f"{path} did not respond for {INFO_SECONDS} s") from None
     try:
-        return json.loads(done.stdout)[0]
+        about = json.loads(done.stdout)[0]
     except (ValueError, LookupError):
         raise ValueError(done.stderr.strip() or f"cannot read {path}") from None
+    if "error" in about:
+        raise ValueError(f"{path.name}: {about['error']}")
+    return about
 
 
 def _surroundings() -> dict[str, Any]:

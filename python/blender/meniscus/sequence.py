@@ -28,7 +28,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, Po
 from mathutils import Matrix
 
 from . import program
-from .panel import Panel, draw_text
+from .panel import Panel, draw_text, reason_of
 from .timers import lasting
 
 FOLLOW_SECONDS = 1.0
@@ -650,7 +650,7 @@ class MENISCUS_OT_sequence_import(bpy.types.Operator):
         try:
             objects = import_sequence(scene, absolute(scene.meniscus_sequence.path))
         except (OSError, ValueError, RuntimeError) as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, reason_of(error))
             return {"CANCELLED"}
         self.report({"INFO"}, summary(objects[0].meniscus_sequence, scene, rate))
         return {"FINISHED"}
