@@ -150,6 +150,8 @@ class Sequence:
         does not reconstruct its surface. It uses all cores.
     radii : array_like, shape (N,), optional
         The radii of the particles of `first_frame`.
+    velocity : array_like, shape (N, 3), optional
+        The velocities of the particles of `first_frame`, which ``anisotropy="velocity"`` needs.
     memory, scratch, **options
         As for `reconstruct`. With `spacing` the settings do not depend on any frame.
 
@@ -172,6 +174,7 @@ class Sequence:
         first_frame: Any = None,
         *,
         radii: Any = None,
+        velocity: Any = None,
         memory: int | str | None = None,
         scratch: str | os.PathLike[str] | None = None,
         **options: Unpack[OptionValues],
@@ -181,15 +184,15 @@ class Sequence:
             if name in _KEYWORDS:
                 raise TypeError(f"`{name}` is an argument of Sequence.reconstruct, not of Sequence")
         _native.check_options(as_pairs(self._options))
-        if first_frame is None and radii is not None:
-            raise TypeError("radii are those of first_frame: pass it too")
+        if first_frame is None and (radii is not None or velocity is not None):
+            raise TypeError("radii and velocity are those of first_frame: pass it too")
         self._limits = bytes_of(memory), _folder_of(scratch)
         self._bodies = Bodies(self._limits[0])
         self._lock = threading.Lock()
         self._resolved: dict[str, str] | None = None
         self._has_frame = False
         if first_frame is not None:
-            self._settings_on(_Given(first_frame, radii, None, None))
+            self._settings_on(_Given(first_frame, radii, velocity, None))
 
     def _settings_on(self, given: _Given) -> dict[str, str]:
         """The settings with all lengths in world units. The first call resolves them on its frame."""

@@ -498,6 +498,12 @@ def test_sequences_keep_their_settings(block):
         pm.Sequence(foo=1)
 
 
+def test_a_sequence_that_needs_velocities_measures_a_first_frame(block):
+    sequence = pm.Sequence(block, velocity=block, anisotropy="velocity")
+    made = sequence.reconstruct(block, velocity=block)
+    assert same(made, pm.reconstruct(block, velocity=block, anisotropy="velocity"))
+
+
 def test_wrong_arguments_of_a_sequence(block):
     with pytest.raises(TypeError, match="`threads` is an argument of Sequence.reconstruct"):
         pm.Sequence(block, threads=2)
