@@ -12,12 +12,16 @@ import numbers
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import _native
 from ._option_values import OptionValues
+
+if TYPE_CHECKING:
+    # Type checkers know this module without its package.
+    from typing_extensions import Unpack
 
 __all__ = ["OptionInfo", "OptionValues", "Options", "as_pairs", "option_table"]
 
@@ -194,11 +198,11 @@ class Options(Mapping[str, Any]):
 
     __slots__ = ("_values",)
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, **options: Unpack[OptionValues]) -> None:
         _native.check_options(as_pairs(options))
-        self._values = {name: value for name, value in options.items() if value is not None}
+        self._values: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
 
-    def replace(self, **options: Any) -> Options:
+    def replace(self, **options: Unpack[OptionValues]) -> Options:
         """A copy with other options.
 
         Parameters
