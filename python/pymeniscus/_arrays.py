@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
@@ -73,13 +74,9 @@ def as_points(values: Any, name: str = "points") -> NDArray[Any]:
     ValueError
         If the shape is not (N, 3).
     """
-    if isinstance(values, str):
-        raise TypeError(f"{name} must be an array; read a file by pymeniscus.read({values!r})")
+    if isinstance(values, (str, os.PathLike)):
+        raise TypeError(f"{name} must be an array; read a file by pymeniscus.read({os.fspath(values)!r})")
     array = as_array(values, name)
-    if array.ndim != 2 or array.shape[1] != 3:
-        if array.size != 0 or array.ndim > 2:
-            raise ValueError(f"{name} must have the shape (N, 3), not {array.shape}")
-        array = array.reshape(0, 3)
     kind, size = array.dtype.kind, array.dtype.itemsize
     if kind == "f":
         dtype = np.dtype(np.float32 if size <= 4 else np.float64)
@@ -87,7 +84,30 @@ def as_points(values: Any, name: str = "points") -> NDArray[Any]:
         dtype = np.dtype(np.float64)
     else:
         raise TypeError(f"{name} must be real numbers, not {array.dtype}")
+    if array.shape == (0,):
+        # An empty list has no second dimension.
+        array = array.reshape(0, 3)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"{name} must have the shape (N, 3), not {array.shape}")
     return np.require(array, dtype, ["C_CONTIGUOUS", "ALIGNED"])
+
+
+def as_reals(values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
+    """Real numbers of this shape, in their type and layout.
+
+    Raises
+    ------
+    TypeError
+        If the values are not real numbers.
+    ValueError
+        If they have another shape.
+    """
+    array = as_array(values, name)
+    if array.dtype.kind not in "fiub":
+        raise TypeError(f"{name} must be real numbers, not {array.dtype}")
+    if array.shape != shape:
+        raise ValueError(f"{name} must have the shape {shape}, not {array.shape}")
+    return array
 
 
 def as_attribute(

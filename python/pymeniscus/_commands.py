@@ -64,10 +64,14 @@ class CommandError(MeniscusError):
         self.report = report
 
     def __str__(self) -> str:
-        """The errors in `messages`, or all messages if none is marked as an error: at most 20 lines."""
-        lines = self.messages.splitlines()
-        errors = [line for line in lines if line.startswith("error")] or lines
-        return "\n".join(errors[-20:]) or f"exit status {self.status}"
+        """The errors in `messages` with their indented details, or all messages if none is marked as an error: at
+        most 20 lines."""
+        lines = [line for line in self.messages.splitlines() if line.strip()]
+        errors, is_error = [], False
+        for line in lines:
+            is_error = line.startswith("error") or (is_error and line.startswith("  "))
+            errors += [line] if is_error else []
+        return "\n".join((errors or lines)[-20:]) or f"exit status {self.status}"
 
 
 def convert(

@@ -8,15 +8,20 @@ writes that file, and a test compares it with the core.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping
+import numbers
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import _native
 from ._option_values import OptionValues
+
+if TYPE_CHECKING:
+    # Type checkers know this module without its package.
+    from typing_extensions import Unpack
 
 __all__ = ["OptionInfo", "OptionValues", "Options", "as_pairs", "option_table"]
 
@@ -68,8 +73,15 @@ def option_table() -> tuple[OptionInfo, ...]:
     )
 
 
-def as_pairs(options: Mapping[str, Any]) -> list[tuple[str, str]]:
+def as_pairs(options: Mapping[str, Any], others: Iterable[str] = ()) -> list[tuple[str, str]]:
     """Options as pairs of name and text, for the core. Options that are None are left out.
+
+    Parameters
+    ----------
+    options : mapping of str to Any
+        Options by name.
+    others : iterable of str
+        Other keywords of the function, which may be what the caller meant by an unknown name.
 
     Raises
     ------
@@ -80,7 +92,7 @@ def as_pairs(options: Mapping[str, Any]) -> list[tuple[str, str]]:
     pairs = []
     for name, value in options.items():
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
+            near = difflib.get_close_matches(name, [*known, *others], n=1)
             hint = f"; did you mean `{near[0]}`?" if near else ""
             raise TypeError(f"unknown option `{name}`{hint}")
         if value is not None:
@@ -113,14 +125,52 @@ def bytes_of(memory: int | str | None) -> int:
     ------
     ValueError
         If it is not a positive number, or has an unknown unit.
+    TypeError
+        If it is neither a number nor text.
     """
     if memory is None:
         return _native.default_memory()
     if isinstance(memory, str):
         memory = _native.memory_bytes(memory)
-    if memory <= 0:
-        raise ValueError("memory must be positive")
+    elif not isinstance(memory, numbers.Real):
+        raise TypeError(f"memory must be a number of bytes or text, not {type(memory).__name__}")
+    if not 1 <= memory < 2**64:
+        raise ValueError(f"memory must be a positive number of bytes, not {memory}")
     return int(memory)
+
+
+def thread_count(threads: int | None) -> int | None:
+    """A checked number of threads; None means one for each core.
+
+    Raises
+    ------
+    TypeError
+        If it is not an integer.
+    ValueError
+        If it is not from 1 to 1024.
+    """
+    if threads is None:
+        return None
+    if not isinstance(threads, numbers.Integral):
+        raise TypeError(f"threads must be an integer, not {type(threads).__name__}")
+    if not 1 <= threads <= 1024:
+        raise ValueError(f"threads must be from 1 to 1024, not {threads}")
+    return int(threads)
+
+
+def extensions_of(formats: Iterable[str]) -> list[str]:
+    """Extensions of files as the core names them: in lower case, without a dot.
+
+    Raises
+    ------
+    TypeError
+        If the formats are not text.
+    """
+    given: Any = formats.split(",") if isinstance(formats, str) else formats
+    names: list[Any] = list(given) if isinstance(given, Iterable) else [given]
+    if not all(isinstance(name, str) for name in names):
+        raise TypeError('formats must be extensions such as ["glb", "vdb"]')
+    return [name.strip().lstrip(".").lower() for name in names]
 
 
 class Options(Mapping[str, Any]):
@@ -148,11 +198,11 @@ class Options(Mapping[str, Any]):
 
     __slots__ = ("_values",)
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, **options: Unpack[OptionValues]) -> None:
         _native.check_options(as_pairs(options))
-        self._values = {name: value for name, value in options.items() if value is not None}
+        self._values: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
 
-    def replace(self, **options: Any) -> Options:
+    def replace(self, **options: Unpack[OptionValues]) -> Options:
         """A copy with other options.
 
         Parameters

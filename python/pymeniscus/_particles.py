@@ -60,7 +60,7 @@ class Particles(Mapping[str, NDArray[Any]]):
     ) -> None:
         self.positions = positions
         self._attributes = dict(attributes or {})
-        self.roles = dict(roles or {})
+        self.roles: dict[str, str] = dict(roles or {})
         self.notes = notes
         self.path = path
         self._hash = file_hash

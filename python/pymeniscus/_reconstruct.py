@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _native
-from ._arrays import as_array, as_attribute, as_points, words_of
+from ._arrays import as_array, as_attribute, as_points, as_reals, words_of
 from ._obstacles import Bodies, ObstacleLike
-from ._options import OptionValues, as_pairs, bytes_of
+from ._options import OptionValues, as_pairs, bytes_of, extensions_of, thread_count
 from ._particles import Particles
 from ._surface import Surface
 
@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 
 #: Attributes of the particles: arrays by name. For `Particles` also names of their attributes, or "all".
 Attributes = Mapping[str, Any] | Iterable[str] | str | None
+
+#: Keywords of `reconstruct` that are not options.
+_KEYWORDS = ("radii", "velocity", "attributes", "obstacles", "formats", "quantize", "threads", "memory", "scratch",
+             "progress")  # fmt: skip
 
 #: A function that is called with the name of the phase and the fraction of the phase that is done.
 Progress = Callable[[str, float], object]
@@ -125,6 +129,7 @@ def reconstruct(
     >>> surface = reconstruct(points, preset="splash", voxel_size="0.3d", velocity=v)      # doctest: +SKIP
     >>> surface.write("frame.glb")                                                         # doctest: +SKIP
     """
+    as_pairs(options, _KEYWORDS)
     given = _Given(points, radii, velocity, attributes)
     limits = bytes_of(memory), _folder_of(scratch)
     bodies = Bodies(limits[0]).natives(obstacles)
@@ -145,6 +150,8 @@ class Sequence:
         does not reconstruct its surface. It uses all cores.
     radii : array_like, shape (N,), optional
         The radii of the particles of `first_frame`.
+    velocity : array_like, shape (N, 3), optional
+        The velocities of the particles of `first_frame`, which ``anisotropy="velocity"`` needs.
     memory, scratch, **options
         As for `reconstruct`. With `spacing` the settings do not depend on any frame.
 
@@ -167,19 +174,25 @@ class Sequence:
         first_frame: Any = None,
         *,
         radii: Any = None,
+        velocity: Any = None,
         memory: int | str | None = None,
         scratch: str | os.PathLike[str] | None = None,
         **options: Unpack[OptionValues],
     ) -> None:
         self._options: dict[str, Any] = dict(options)
-        as_pairs(self._options)
+        for name in self._options:
+            if name in _KEYWORDS:
+                raise TypeError(f"`{name}` is an argument of Sequence.reconstruct, not of Sequence")
+        _native.check_options(as_pairs(self._options))
+        if first_frame is None and (radii is not None or velocity is not None):
+            raise TypeError("radii and velocity are those of first_frame: pass it too")
         self._limits = bytes_of(memory), _folder_of(scratch)
         self._bodies = Bodies(self._limits[0])
         self._lock = threading.Lock()
         self._resolved: dict[str, str] | None = None
         self._has_frame = False
         if first_frame is not None:
-            self._settings_on(_Given(first_frame, radii, None, None))
+            self._settings_on(_Given(first_frame, radii, velocity, None))
 
     def _settings_on(self, given: _Given) -> dict[str, str]:
         """The settings with all lengths in world units. The first call resolves them on its frame."""
@@ -254,17 +267,19 @@ class _Given:
             radii = as_array(radii, "radii")
             if radii.ndim == 2 and radii.shape[1] == 1:
                 radii = radii[:, 0]
-            if radii.shape != (count,):
-                raise ValueError(f"radii must have the shape ({count},), not {radii.shape}")
-            self._add("radius", "radius", radii, count)
+            self._add("radius", "radius", as_reals(radii, (count,), "radii"), count)
         if velocity is not None:
-            velocity = as_array(velocity, "velocity")
-            if velocity.shape != (count, 3):
-                raise ValueError(f"velocity must have the shape ({count}, 3), not {velocity.shape}")
-            self._add("velocity", "velocity", velocity, count)
+            self._add("velocity", "velocity", as_reals(velocity, (count, 3), "velocity"), count)
             self.selected.append("velocity")
         if attributes is None:
             return
+        if not isinstance(attributes, Iterable):
+            raise TypeError(f"attributes must be arrays by name, not {type(attributes).__name__}")
+        if not isinstance(attributes, str):
+            attributes = attributes if isinstance(attributes, Mapping) else list(attributes)
+            for name in attributes:
+                if not isinstance(name, str):
+                    raise TypeError(f"the name of an attribute must be text, not {type(name).__name__}")
         if isinstance(attributes, Mapping):
             for name, values in attributes.items():
                 self._add(name, None, values, count)
@@ -274,8 +289,7 @@ class _Given:
             self.selected += [] if self.selects_all else [name.strip() for name in attributes.split(",")]
         else:
             self.selected += list(attributes)
-        has = {name.lower() for name, *_ in self.attributes}
-        if not has and self.selected:
+        if self.selected and not self.attributes:
             raise TypeError("attributes must be arrays by name: only Particles have attributes of their own")
 
     def _add(
@@ -323,9 +337,8 @@ def _run(
     threads: int | None,
     progress: Progress | None,
 ) -> Surface:
-    if isinstance(formats, str):
-        formats = formats.split(",")
-    extensions = [extension.strip().lstrip(".").lower() for extension in formats]
+    if progress is not None and not callable(progress):
+        raise TypeError(f"progress must be a function, not {type(progress).__name__}")
     made = _native.reconstruct(
         pairs,
         given.selects_all,
@@ -333,10 +346,10 @@ def _run(
         given.points,
         given.attributes,
         obstacles,
-        extensions,
-        quantize,
+        extensions_of(formats),
+        bool(quantize),
         *limits,
-        threads,
+        thread_count(threads),
         progress,
     )
     surface = Surface(made, given.source)

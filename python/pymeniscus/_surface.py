@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import operator
 import os
 import warnings
 from collections.abc import Iterator, Mapping
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _native
-from ._arrays import as_points
+from ._arrays import as_points, words_of
 from ._particles import Particles
 
 
@@ -119,7 +120,10 @@ class LevelSet:
                 return np.empty((0, 0, 0), np.float32), (0, 0, 0)
             least, greatest = origins.min(axis=0).astype(np.int64), origins.max(axis=0).astype(np.int64) + 7
         else:
-            corners = np.asarray([box[0], box[1]], np.float64)
+            try:
+                corners = np.asarray(box, np.float64)
+            except (TypeError, ValueError):
+                corners = np.empty(0)
             if corners.shape != (2, 3) or not np.isfinite(corners).all():
                 raise ValueError("a box is two corners of three finite numbers")
             # A corner at the centre of a voxel may miss it by a rounding error: tolerate that.
@@ -228,8 +232,7 @@ class Surface:
         for index, (name, _, arity, table) in enumerate(self._native.attributes()):
             values = self._native.attribute(index)
             if table is not None:
-                indices = np.where((values < 0) | (values >= len(table)), len(table), values)
-                values = np.asarray([*table, ""])[indices]
+                values = words_of(values, table)
             attributes[name] = values[:, 0] if arity == 1 else values
         return attributes
 
@@ -318,8 +321,10 @@ class Surface:
         Raises
         ------
         ValueError
-            For an unknown format or choice, and for a format that rounds positions if `formats` of `reconstruct`
+            For an unknown format, choice or size, and for a format that rounds positions if `formats` of `reconstruct`
             did not have it.
+        TypeError
+            If an argument has the wrong type.
         FormatError
             If the format cannot store the mesh.
         OSError
@@ -332,12 +337,15 @@ class Surface:
         UserWarning
             About positions and attributes that the format cannot store exactly.
         """
-        extension = format or os.path.splitext(os.fspath(path))[1]
+        path = os.fsdecode(path)
+        if format is not None and not isinstance(format, str):
+            raise TypeError(f"format must be text, not {type(format).__name__}")
+        extension = format or os.path.splitext(path)[1]
         extension = extension.lstrip(".").lower()
         if not extension:
-            raise ValueError(f"{os.fspath(path)} has no extension: give format=")
+            raise ValueError(f"{path} has no extension: give format=")
         options = _write_options(up, meters_per_unit, quantize, vdb_half, vdb_compression, size, camera)
-        for warning in self._native.write(os.fspath(path), extension, options, self._source_of(source)):
+        for warning in self._native.write(path, extension, options, self._source_of(source)):
             warnings.warn(warning, stacklevel=2)
 
     def _source_of(self, source: str | os.PathLike[str] | Particles | None) -> tuple[str, str] | None:
@@ -373,8 +381,12 @@ class Surface:
         Raises
         ------
         ValueError
-            For an unknown format, camera or size.
+            For an unknown format, camera, up axis or size.
+        TypeError
+            If an argument has the wrong type.
         """
+        if format not in ("png", "exr"):
+            raise ValueError(f"format is `{format}`; it must be png or exr")
         return bytes(self._native.picture(format, _write_options(up, 1.0, False, False, "blosc", size, camera)))
 
     def to_trimesh(self) -> Any:
@@ -578,13 +590,21 @@ def _write_options(
     size: tuple[int, int],
     camera: str,
 ) -> _native._WriteOptions:
-    width, height = size
+    for name, value in (("up", up), ("vdb_compression", vdb_compression), ("camera", camera)):
+        if not isinstance(value, str):
+            raise TypeError(f"{name} must be text, not {type(value).__name__}")
+    try:
+        width, height = (operator.index(edge) for edge in size)
+    except (TypeError, ValueError):
+        raise TypeError(f"size must be two integers, such as (1920, 1080), not {size!r}") from None
+    if not (16 <= width <= 8192 and 16 <= height <= 8192):
+        raise ValueError(f"size is {width} × {height}; both must be from 16 to 8192")
     return {
         "up": up.lower(),
         "meters_per_unit": float(meters_per_unit),
         "quantize": bool(quantize),
         "vdb_half": bool(vdb_half),
         "vdb_compression": vdb_compression,
-        "size": (int(width), int(height)),
+        "size": (width, height),
         "camera": camera,
     }

@@ -52,7 +52,8 @@ pub(crate) fn of_format(path: &Path, failure: meniscus_formats::Error) -> PyErr 
 /// The exception for an error of the operating system, with the path of the file.
 pub(crate) fn of_io(path: &Path, failure: &std::io::Error) -> PyErr {
     let Some(number) = failure.raw_os_error() else {
-        return PyOSError::new_err(format!("{}: {failure}", path.display()));
+        // The kind determines the class, such as `FileNotFoundError`.
+        return std::io::Error::new(failure.kind(), format!("{}: {failure}", path.display())).into();
     };
     Python::attach(|py| {
         // Rust's text also contains the number, which Python adds itself.

@@ -59,6 +59,10 @@ def test_convert_errors(tmp_path):
     assert caught.value.status == 2 and "none.ply" in str(caught.value)
     with pytest.raises(pm.CommandError, match="voxelsize"):
         pm.convert(tmp_path / "none.ply", tmp_path / "out", voxelsize=3)
+    with pytest.raises(pm.CommandError, match="--out"):
+        pm.convert(tmp_path / "none.ply", None)
+    with pytest.raises(pm.CommandError, match="--formats(.|\n)*'--format'"):
+        pm.convert(tmp_path / "none.ply", tmp_path / "out", formats="glb")
     with pytest.raises(ValueError, match="no inputs"):
         pm.convert([], tmp_path)
 

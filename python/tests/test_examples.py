@@ -14,6 +14,8 @@ import pytest
 from conftest import ROOT
 from simulate import load
 
+import pymeniscus
+
 EXAMPLES = ROOT / "python" / "examples"
 
 
@@ -50,6 +52,17 @@ def test_notebook(tmp_path):
         if cell["cell_type"] == "code":
             exec("".join(cell["source"]), names)
     assert names["surface"].certificate.holds
+
+
+def test_example_with_a_file(tmp_path, monkeypatch):
+    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    (block,) = [block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "pymeniscus.read(" in block]
+    (tmp_path / "examples").symlink_to(ROOT / "examples", target_is_directory=True)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"pymeniscus": pymeniscus}
+    exec(block, names)
+    assert names["particles"].roles == {"v": "velocity"} and names["surface"].velocities is not None
+    assert os.path.getsize("dam.0001.glb") > 1000
 
 
 @pytest.mark.parametrize("page", [ROOT / "python" / "README.md", ROOT / "docs" / "python.md"])

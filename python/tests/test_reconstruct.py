@@ -7,6 +7,7 @@ import os
 import platform
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -177,6 +178,11 @@ def test_masked_values_are_refused(block, surface):
         (np.zeros((2, 3), complex), TypeError, "real numbers, not complex128"),
         (np.array([["a", "b", "c"]]), TypeError, "real numbers"),
         ("particles.ply", TypeError, "points"),
+        (Path("particles.ply"), TypeError, r"pymeniscus.read\('particles.ply'\)"),
+        (np.zeros(2, [("x", "f4"), ("y", "f4"), ("z", "f4")]), TypeError, "real numbers"),
+        (np.zeros((0, 2)), ValueError, r"shape \(N, 3\), not \(0, 2\)"),
+        ([pm.Particles(np.zeros((4, 3)))], ValueError, r"shape \(N, 3\)"),
+        (np.zeros((2, 3), "M8[s]"), TypeError, "real numbers"),
         (None, TypeError, "points"),
         (np.zeros((0, 3)), pm.ParticleError, "no particles"),
         ([], pm.ParticleError, "no particles"),
@@ -207,7 +213,19 @@ def test_positions_that_are_not_finite_are_left_out(block):
         ({"clip": [1, 2, 3]}, pm.OptionError, "clip"),
         ({"radius_ratio": float("nan")}, pm.OptionError, "."),
         ({"threads": 0}, ValueError, "1 to 1024"),
+        ({"threads": -1}, ValueError, "1 to 1024, not -1"),
+        ({"threads": 10**30}, ValueError, "1 to 1024"),
+        ({"threads": 2.5}, TypeError, "threads must be an integer, not float"),
         ({"memory": "lots"}, ValueError, "8GiB"),
+        ({"memory": 0}, ValueError, "positive"),
+        ({"memory": float("nan")}, ValueError, "memory must be a positive number of bytes"),
+        ({"memory": 2**70}, ValueError, "memory must be a positive number of bytes"),
+        ({"memory": []}, TypeError, "memory must be a number of bytes or text, not list"),
+        ({"formats": None}, TypeError, "formats must be extensions"),
+        ({"formats": [3]}, TypeError, "formats must be extensions"),
+        ({"progress": 5}, TypeError, "progress must be a function, not int"),
+        ({"obstacle": "ship.obj"}, TypeError, "did you mean `obstacles`"),
+        ({"velocities": [[0, 0, 0]]}, TypeError, "did you mean `velocity`"),
         ({"memory": "1KiB"}, pm.MemoryLimitError, "limit"),
         ({"formats": ["docx"]}, ValueError, "unknown format `docx`"),
         ({"radius_attribute": "pscale"}, pm.ParticleError, "pscale"),
@@ -287,6 +305,12 @@ def test_attributes_reach_the_vertices(block):
         ({"attributes": {"a": np.zeros(1000, complex)}}, TypeError),
         ({"attributes": {"a": np.full(1000, 2**64 - 1, np.uint64)}}, ValueError),
         ({"attributes": ["a"]}, TypeError),
+        ({"attributes": {3: np.zeros(1000)}}, TypeError),
+        ({"attributes": 3}, TypeError),
+        ({"attributes": [3]}, TypeError),
+        ({"velocity": np.full((1000, 3), "fast")}, TypeError),
+        ({"radii": np.full(1000, "wide")}, TypeError),
+        ({"radii": np.full(1000, 1j)}, TypeError),
     ],
 )
 def test_attributes_that_do_not_fit(block, keywords, error):
@@ -402,7 +426,7 @@ def test_obstacles_are_not_entered(block, tmp_path):
     )
     of_file = pm.reconstruct(block[keep], obstacles=path, spacing=0.1)
     assert np.allclose(of_file.vertices, made.vertices) and "box.obj" in of_file.report["obstacles"]["files"]
-    with pytest.raises(OSError):
+    with pytest.raises(FileNotFoundError, match="none.obj"):
         pm.Obstacle.from_file(tmp_path / "none.obj")
     with pytest.raises(ValueError, match="does not exist"):
         pm.Obstacle(box, faces + 5)
@@ -472,3 +496,18 @@ def test_sequences_keep_their_settings(block):
     assert same(first, pm.reconstruct(block))
     with pytest.raises(TypeError, match="unknown option"):
         pm.Sequence(foo=1)
+
+
+def test_a_sequence_that_needs_velocities_measures_a_first_frame(block):
+    sequence = pm.Sequence(block, velocity=block, anisotropy="velocity")
+    made = sequence.reconstruct(block, velocity=block)
+    assert same(made, pm.reconstruct(block, velocity=block, anisotropy="velocity"))
+
+
+def test_wrong_arguments_of_a_sequence(block):
+    with pytest.raises(TypeError, match="`threads` is an argument of Sequence.reconstruct"):
+        pm.Sequence(block, threads=2)
+    with pytest.raises(TypeError, match="first_frame"):
+        pm.Sequence(radii=np.ones(1000))
+    with pytest.raises(pm.OptionError, match="steps"):
+        pm.Sequence(steps=-1)

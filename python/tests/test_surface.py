@@ -165,7 +165,14 @@ def test_write_options_have_an_effect(block, surface, tmp_path):
         ("surface.glb", {"up": "x"}, ValueError, "up is `x`"),
         ("surface.usda", {"meters_per_unit": 0}, ValueError, "meters_per_unit is 0"),
         ("surface.vdb", {"vdb_compression": "lzma"}, ValueError, "vdb_compression"),
-        ("surface.png", {"size": (1, 1)}, ValueError, "size"),
+        ("surface.png", {"size": (1, 1)}, ValueError, "size is 1 × 1; both must be from 16 to 8192"),
+        ("surface.png", {"size": (-1, 64)}, ValueError, "from 16 to 8192"),
+        ("surface.png", {"size": "64x64"}, TypeError, "size must be two integers"),
+        ("surface.png", {"size": (64,)}, TypeError, "size must be two integers"),
+        ("surface.png", {"size": (64.5, 64)}, TypeError, "size must be two integers"),
+        ("surface.png", {"camera": None}, TypeError, "camera must be text, not NoneType"),
+        ("surface.glb", {"up": None}, TypeError, "up must be text"),
+        ("surface.glb", {"format": 3}, TypeError, "format must be text, not int"),
         ("surface.png", {"camera": "azimut=3"}, ValueError, "camera"),
         ("none/surface.glb", {}, FileNotFoundError, "none"),
     ],
@@ -174,6 +181,18 @@ def test_write_errors(surface, tmp_path, name, options, error, text):
     with pytest.raises(error, match=text):
         surface.write(tmp_path / name, **options)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("box", [5, (1, 2), ((0, 0, 0), (1, 1)), [[0] * 3, [1] * 3, [2] * 3], ((0, 0, 0),), "ab", {}])
+def test_invalid_boxes_are_refused(surface, box):
+    with pytest.raises(ValueError, match="two corners of three finite numbers"):
+        surface.level_set.dense(box)
+
+
+@pytest.mark.parametrize("extension", ["glb", "jpg"])
+def test_pictures_have_picture_formats(surface, extension):
+    with pytest.raises(ValueError, match=f"format is `{extension}`; it must be png or exr"):
+        surface.render(format=extension)
 
 
 def test_attributes_that_a_file_lacks_are_warned_about(block, tmp_path):

@@ -57,6 +57,8 @@ WRONG = {
     "pm.reconstruct(points).vertices = points": "misc",
     'text: str = pm.reconstruct(points).certificate.holds': "assignment",
     "pm.reconstruct()": "call-arg",
+    "pm.Options(voxelsize=1)": "call-arg",
+    'pm.Options(steps=1).replace(steps="many")': "arg-type",
     "pm.read(3)": "arg-type",
     "pm.watch('a', 'b').status.imag": "union-attr",
     "pm.Surface().nothing": "attr-defined|call-arg",
