@@ -30,10 +30,10 @@ pub(crate) fn check_numbers<'a>(
     Ok(())
 }
 
-/// The time between the last sample of a frame and the next frame, in frames. Shorter than the intervals at
-/// which programs evaluate a scene, and the times are exact. Long enough for a rounded frame
-/// rate, if programs take the nearest sample: with 23.976 instead of 24000/1001 frames per second, frame 5,000
-/// is 1/200 of a frame late.
+/// The time between the last sample of a frame and the next frame, in frames. It is exact in binary, and shorter
+/// than the intervals at which programs evaluate a scene. It is long enough for programs that take the nearest
+/// sample at a rounded frame rate: with 23.976 instead of 24000/1001 frames per second, frame 5,000 is 1/200 of a
+/// frame late.
 const LAST_MOMENT: f64 = 1.0 / 64.0;
 
 /// The times, in frames, at which the frame with this number needs a sample, if programs interpolate between it

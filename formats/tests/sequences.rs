@@ -589,9 +589,16 @@ fn accelerations_are_a_property_of_usd_meshes_and_an_attribute_elsewhere() {
     let layer = usdc::UsdcLayer::read(&usdc_frame, &limits).expect("our own file");
     assert!(layer.frame(0).expect("our own file").attributes.iter().any(is_acceleration));
 
-    // The frames of a sequence can be .glb or .usdc. The latter have no name other than that of the property.
+    let mut abc_frame = Vec::new();
+    OutputFormat::Abc
+        .write_mesh(&mesh, &MeshOptions::default(), &[], &mut abc_frame)
+        .expect("writing to memory");
+
+    // The frames of a sequence can be .glb, .usdc or .abc. In a .usdc they have no name other than that of the
+    // property.
     let (of_usdc, _) = usdc::to_glb(&usdc_frame, &limits).expect("converted");
-    for (glb, name) in [(triangle(&attributes), "accel"), (of_usdc, "acceleration")] {
+    let (of_abc, _) = abc::to_glb(&abc_frame, &limits).expect("converted");
+    for (glb, name) in [(triangle(&attributes), "accel"), (of_usdc, "acceleration"), (of_abc, "accel")] {
         let (text, notes) = usda_of(&glb).expect("a sequence");
         assert_eq!(numbers(samples(&text, "vector3f[] accelerations")[0].1).len(), values.len());
         assert!(!text.contains("primvars:") && notes.is_empty(), "{notes:?}");

@@ -504,6 +504,14 @@ def test_a_sequence_that_needs_velocities_measures_a_first_frame(block):
     assert same(made, pm.reconstruct(block, velocity=block, anisotropy="velocity"))
 
 
+def test_a_sequence_scales_the_velocities_of_later_frames(block):
+    velocity = np.ones_like(block)
+    options = {"spacing": 0.1, "velocity_scale": 24.0}
+    expected = pm.reconstruct(block, velocity=velocity, **options).velocities
+    found = pm.Sequence(**options).reconstruct(block, velocity=velocity).velocities
+    assert np.allclose(found, 24) and np.array_equal(found, expected)
+
+
 def test_wrong_arguments_of_a_sequence(block):
     with pytest.raises(TypeError, match="`threads` is an argument of Sequence.reconstruct"):
         pm.Sequence(block, threads=2)

@@ -3,6 +3,7 @@
 
 use std::borrow::Cow;
 
+use crate::columns::role_of;
 use crate::data::{AttributeRole, FileAttribute, MeshView, Values, VertexAttribute, VertexValues};
 use crate::error::{Error, Position, Result};
 use crate::gltf::{loss_notes, write_glb};
@@ -160,7 +161,12 @@ fn attributes(archive: &MeshArchive, limits: &Limits) -> Result<Vec<FrameAttribu
             return Err(Error::invalid(FORMAT, Position::Offset(*reference), NOT_OURS));
         }
         let is_color = header.metadata.contains(";interpretation=rgb");
-        let role = is_color.then_some(AttributeRole::Color);
+        let role = match header.check_type((Pod::F32, 3)) {
+            _ if is_color => Some(AttributeRole::Color),
+            // The archive does not record this role, but the name has it.
+            Ok(()) => role_of(&header.name, 3).filter(|role| *role == AttributeRole::Acceleration),
+            Err(_) => None,
+        };
         attributes.push(FrameAttribute { name: header.name.clone(), role, values });
     }
     Ok(attributes)

@@ -102,7 +102,7 @@ impl<'a> UsdSequence<'a> {
     }
 
     /// The minimum and maximum corner of a frame, relative to the sequence's origin. Without a mesh, the empty
-    /// range of OpenUSD, so that no box contains the origin: an empty array would cause its warnings.
+    /// range of OpenUSD, so that no box contains the origin. OpenUSD warns of an empty array.
     pub(crate) fn extent(&self, index: usize) -> Result<[[f32; 3]; 2]> {
         if !self.frames[index].file.has_mesh() {
             return Ok([[f32::MAX; 3], [f32::MIN; 3]]);

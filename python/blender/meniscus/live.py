@@ -24,7 +24,7 @@ from bpy.props import BoolProperty, FloatProperty, PointerProperty, StringProper
 
 from . import meshes, options
 from .panel import Panel, draw_text
-from .points import PointsError, read, varies
+from .points import HiddenPointsError, PointsError, read, varies
 from .timers import lasting
 from .worker import Request, Result, Worker, compute
 
@@ -37,10 +37,11 @@ worker = Worker()
 
 @dataclass
 class Status:
-    """What the panel shows of a surface. `render_errors` are those of the last render, with their frames."""
+    """What the panel shows of a surface. `is_shown` is about its points, and `render_errors` are those of the last render,
+    with their frames."""
 
     error: str = ""
-    has_points: bool = True
+    is_shown: bool = True
     render_errors: list[str] = field(default_factory=list)
     note: str = ""
     made: str = ""
@@ -93,9 +94,9 @@ def update(surface: bpy.types.Object, graph: bpy.types.Depsgraph, has_preview: b
         request = request_of(surface, graph)
     except PointsError as error:
         worker.forget(surface.session_uid)
-        status.error, status.has_points = str(error), False
+        status.error, status.is_shown = str(error), not isinstance(error, HiddenPointsError)
         return
-    status.has_points = True
+    status.is_shown = True
     request.has_preview = has_preview
     if not has_event_loop() or surface.meniscus.is_waiting:
         show(surface, compute(request))
@@ -254,12 +255,12 @@ def on_depsgraph_update(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> N
     if graph.mode == "RENDER" or _is_paused or _rendered is not None or is_rendering():
         return
     changed = {each.id.original for each in graph.updates if each.is_updated_geometry}
-    # That hidden points are shown again is not an update of them.
-    if not changed and all(status.has_points for status in statuses.values()):
+    # Blender reports no update of points that are shown again.
+    if not changed and all(status.is_shown for status in statuses.values()):
         return
     for surface in surfaces_in(scene):
         source = surface.meniscus.source
-        is_changed = source in changed or source.data in changed or not status_of(surface).has_points
+        is_changed = source in changed or source.data in changed or not status_of(surface).is_shown
         if surface.meniscus.is_live and is_changed:
             update(surface, graph)
 

@@ -28,6 +28,10 @@ class PointsError(Exception):
     """An object has no points that can be read; the message says why, and what to do."""
 
 
+class HiddenPointsError(PointsError):
+    """The points are hidden, so Blender does not compute them."""
+
+
 @dataclass
 class Points:
     """Copies of the arrays of a frame, which a thread may read while Blender goes on."""
@@ -78,9 +82,9 @@ def read(
     evaluated = source.evaluated_get(graph)
     is_render = graph.mode == "RENDER"
     state = "in renders" if is_render else "in the viewport"
-    hidden = PointsError(f"“{source.name}” is hidden {state}: show it (it can be invisible to the camera)")
-    # Blender evaluates only the place of a hidden parent, such as the points are of their surface: its geometry is
-    # missing, or in the viewport that of the time when it was hidden.
+    hidden = HiddenPointsError(f"“{source.name}” is hidden {state}: show it (it can be invisible to the camera)")
+    # The points are the parent of their surface. Of a hidden parent Blender evaluates only the transform: its geometry
+    # is missing, or in the viewport it is that of the time when it was hidden.
     is_shown = not source.hide_render if is_render else source.visible_get(view_layer=graph.view_layer)
     if not evaluated.is_evaluated or not is_shown:
         raise hidden

@@ -198,12 +198,12 @@ def add_meshes(_scene: bpy.types.Scene, path: Path, shot: Shot) -> list[bpy.type
 
 
 def require(library: str) -> None:
-    """Some distributions build Blender without USD and Alembic: it lacks the operators then.
+    """Checks that this Blender was built with a library, USD or Alembic: some distributions leave them out.
 
     Raises
     ------
     ValueError
-        If this Blender was.
+        If it was built without the library.
     """
     if not getattr(BUILD, library.lower()):
         raise ValueError(

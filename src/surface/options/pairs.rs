@@ -40,9 +40,8 @@ impl Settings {
             }
             Anisotropy::None | Anisotropy::Velocity { .. } => (None, None),
         };
-        let uses_velocities =
-            self.attributes.is_some() || matches!(self.anisotropy, Anisotropy::Velocity { .. });
-        let velocity_scale = Some(self.velocity_scale).filter(|scale| uses_velocities && *scale != 1.0);
+        // Also without attributes: those of a sequence in memory are selected for each frame, later.
+        let velocity_scale = Some(self.velocity_scale).filter(|scale| *scale != 1.0);
         let is_implicit = self.integrator == Integrator::Implicit;
         MethodOptions {
             preset: None,
