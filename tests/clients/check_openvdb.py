@@ -69,6 +69,10 @@ def examine(path):
     others = flow.GRIDS if path.stem == "flowing" else {}
     if path.parent.name == "flowing-vectors":
         others = {name: flow.GRIDS[name] for name in ("velocity", "color")}
+    meshes = path
+    if path.parent.name == "moving-volumes":
+        # A stage of level sets. The same frames are in another folder as meshes.
+        others, meshes = {"velocity": None}, OUT / "moving" / path.name
     if grids.keys() != {"surface", *others}:
         return "", [f"its grids are {sorted(grids)}"]
     grid, frame = grids["surface"], frame_of(path)
@@ -82,7 +86,7 @@ def examine(path):
     faults += band_faults(grid, phi) + sign_faults(grid, phi)
     for name, field in others.items():
         faults += attribute_faults(grids[name], grid, field)
-    mesh = read_ply(path.with_suffix(".ply"))
+    mesh = read_ply(meshes.with_suffix(".ply"))
     faults += side_faults(grid, phi, first, mesh)
     gradients = gradient_lengths(phi, grid.background) / h
     only_droplets = piece_sizes(*mesh).max() < DROPLET_VOXELS * h
@@ -93,7 +97,7 @@ def examine(path):
         f"99 % within {np.percentile(abs(gradients - 1), 99):.3f} of 1"
     )
     if is_compared(path):
-        more, worse = compared(path, grid, phi, first, mesh, h)
+        more, worse = compared(meshes, grid, phi, first, mesh, h)
         figures, faults = f"{figures}, {more}", faults + worse
     return figures, faults
 
@@ -155,7 +159,7 @@ def band_faults(grid, phi):
 
 def attribute_faults(grid, surface, field):
     """Checks another grid of the file: it is active where the level set is, and has the values of nearby
-    particles."""
+    particles, which those of `field` are; None does not check the values."""
     faults = []
     active = {item.min for item in surface.citerOnValues()}
     found = {item.min: item.value for item in grid.citerOnValues()}
@@ -165,8 +169,10 @@ def attribute_faults(grid, surface, field):
         faults.append(f"{grid.name} is elsewhere: {grid.transform}")
     if np.any(np.array(grid.background) != 0):
         faults.append(f"the background of {grid.name} is {grid.background}")
-    if field is flow.velocity and grid.vectorType != "contravariant relative":
+    if grid.name == "velocity" and grid.vectorType != "contravariant relative":
         faults.append(f"the velocity is of type {grid.vectorType}")
+    if field is None:
+        return faults
     points = np.array([surface.transform.indexToWorld(voxel) for voxel in found])
     rounding = 0.01 if grid.saveFloatAsHalf else 0.0
     reach = flow.REACH + BAND_VOXELS * flow.VOXEL_SIZE
@@ -274,7 +280,7 @@ def compared(path, grid, phi, first, ours, h):
             faults.append(f"OpenVDB's surface{name} is {max(means):.3f} h from ours in the mean")
         figures.append(f"distance of OpenVDB's mesh{name} {' / '.join(f'{mean:.3f}' for mean in means)} h, {largest:.2f} h at most")
     positions, triangles = read_glb(path.with_suffix(".glb"))
-    if path.parent.name.endswith("-up-z"):
+    if path.parent.name == "moving" or path.parent.name.endswith("-up-z"):
         positions = positions[:, [0, 2, 1]] * [1, -1, 1]
     if not np.array_equal(triangles, ours[1]) or abs(positions - origin - ours[0]).max() > 1e-6 * abs(ours[0]).max():
         faults.append("the .glb and the .ply are not the same mesh")
