@@ -7,10 +7,10 @@
 //!   .usdc    240 .glb files ──meniscus sequence──▶ 1 file
 //! ```
 //!
-//! Both write to the same disk, alternately, and both sync their files, as the program always does. The time of
-//! .usdc includes the start of the program and reading the frames. MB are 10⁶ bytes of the written files. All
-//! frames have different arrays, because .usdc stores equal ones once. Exits with 1 if a figure misses the
-//! project's target. Needs python3, and 8 GB of disk space.
+//! Both write to the same disk, alternately, and both sync their files, as the program always does. The time
+//! of .usdc includes the start of the program and reading the frames. MB are 10⁶ bytes of the written files.
+//! All frames have different arrays, because .usdc stores equal ones once. Exits with 1 if a figure misses
+//! the project's target. Needs python3, and 8 GB of disk space.
 //!
 //! `cargo bench --bench shot`
 
@@ -31,7 +31,7 @@ const FRAME_COUNT: usize = 240;
 const ROUND_COUNT: usize = 3;
 
 /// Number of particles along the edges of the pool.
-const POOL: [usize; 3] = [180, 180, 3];
+const POOL: [usize; 3] = [138, 138, 3];
 
 /// Targets: the speed as a fraction of that of .ply, and the peak memory above that of an empty run, in
 /// multiples of the arrays of a frame.
@@ -142,7 +142,7 @@ impl Shot {
         Shot {
             positions: positions
                 .iter()
-                .map(|position| (*position - DVec3::ZERO).as_vec3().to_array())
+                .map(|position| position.as_vec3().to_array())
                 .collect(),
             normals: normals.iter().map(|normal| normal.to_array()).collect(),
             triangles,

@@ -10,13 +10,13 @@ use rayon::prelude::*;
 pub(crate) enum Flow {
     /// Stretches a sphere into a thin curved sheet, and then reverses.
     ///
-    /// Douglas Enright, Ronald Fedkiw, Joel Ferziger, Ian Mitchell. A hybrid particle level set method for improved
-    /// interface capturing. 2002
+    /// Douglas Enright, Ronald Fedkiw, Joel Ferziger, Ian Mitchell. A hybrid particle level set method for
+    /// improved interface capturing. 2002
     Enright,
     /// Rotates a sphere with a notch once: radius 0.15, notch 0.05 wide and 0.125 deep.
     ///
-    /// Steven T. Zalesak. Fully multidimensional flux-corrected transport algorithms for fluids. 1979; as a body in the
-    /// work above
+    /// Steven T. Zalesak. Fully multidimensional flux-corrected transport algorithms for fluids. 1979; as a
+    /// body in the work above
     Zalesak,
 }
 

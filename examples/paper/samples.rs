@@ -69,8 +69,8 @@ const SPREAD: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_2];
 
 /// A generator of random numbers that are the same on all machines.
 ///
-/// Melissa E. O'Neill. PCG: A Family of Simple Fast Space-Efficient Statistically Good Algorithms for Random Number
-/// Generation. 2014
+/// Melissa E. O'Neill. PCG: A Family of Simple Fast Space-Efficient Statistically Good Algorithms for Random
+/// Number Generation. 2014
 pub(crate) struct Random {
     state: u64,
 }

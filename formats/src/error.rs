@@ -2,8 +2,8 @@
 //!
 //! The kinds differ because they call for different reactions. `Io` may be temporary. `Truncated` may
 //! disappear when the program that writes the file continues. `Invalid` means that the file must change,
-//! `Unsupported` that this program must change, and `TooLarge` and `MemoryLimit` that a limit must change. The caller, which
-//! opened the file, adds the name of the file.
+//! `Unsupported` that this program must change, and `TooLarge` and `MemoryLimit` that a limit must change.
+//! The caller, which opened the file, adds the name of the file.
 
 use std::fmt;
 

@@ -30,15 +30,15 @@ pub(crate) fn check_numbers<'a>(
     Ok(())
 }
 
-/// The time between the last sample of a frame and the next frame, in frames. It is exact in binary, and shorter
-/// than the intervals at which programs evaluate a scene. It is long enough for programs that take the nearest
-/// sample at a rounded frame rate: with 23.976 instead of 24000/1001 frames per second, frame 5,000 is 1/200 of a
-/// frame late.
+/// The time between the last sample of a frame and the next frame, in frames. It is exact in binary, and
+/// shorter than the intervals at which programs evaluate a scene. It is long enough for programs that take
+/// the nearest sample at a rounded frame rate: with 23.976 instead of 24000/1001 frames per second, frame
+/// 5,000 is 1/200 of a frame late.
 const LAST_MOMENT: f64 = 1.0 / 64.0;
 
-/// The times, in frames, at which the frame with this number needs a sample, if programs interpolate between it
-/// and the frame with the number `next`: its own, and the last moment before the next frame. Programs interpolate
-/// between samples of the same size, but the vertices of two frames do not correspond.
+/// The times, in frames, at which the frame with this number needs a sample, if programs interpolate between
+/// it and the frame with the number `next`: its own, and the last moment before the next frame. Programs
+/// interpolate between samples of the same size, but the vertices of two frames do not correspond.
 #[expect(clippy::cast_precision_loss, reason = "the formats refuse numbers beyond 2⁵³")]
 pub(crate) fn held_times(number: u64, next: Option<u64>) -> impl Iterator<Item = f64> {
     let (own, next) = (number as f64, next.map(|next| next as f64));

@@ -47,7 +47,8 @@ pub fn read_obstacle(
     Ok(ObstacleData::Mesh(mesh))
 }
 
-/// Refuses a file that [`read_obstacle`] certainly refuses, judged by its first bytes: particles, for example.
+/// Refuses a file that [`read_obstacle`] certainly refuses, judged by its first bytes: particles, for
+/// example.
 ///
 /// # Errors
 /// The error of [`read_obstacle`].

@@ -168,8 +168,8 @@ fn first_member(head: &[u8]) -> Option<&[u8]> {
     head.get(30..)?.get(..length.into())
 }
 
-/// Whether a text starts with the header of a table: a name in single or double brackets, which is not a value
-/// of JSON.
+/// Whether a text starts with the header of a table: a name in single or double brackets, which is not a
+/// value of JSON.
 fn starts_with_toml_table(text: &[u8]) -> bool {
     let name = text.strip_prefix(b"[[").or_else(|| text.strip_prefix(b"[")).unwrap_or_default();
     let name = name.split(|&byte| byte == b']').next().unwrap_or_default().trim_ascii();

@@ -33,8 +33,8 @@ const PIECE: usize = 4096;
 ///
 /// # Errors
 ///
-/// [`Error::Io`] if `out` fails; [`Error::TooLarge`] for 2³² triangles or more; [`Error::Invalid`] if the mesh is
-/// inconsistent or not finite.
+/// [`Error::Io`] if `out` fails; [`Error::TooLarge`] for 2³² triangles or more; [`Error::Invalid`] if the
+/// mesh is inconsistent or not finite.
 pub fn write(mesh: &MeshView, provenance: &Provenance, out: &mut impl Write) -> Result<()> {
     mesh.check(FORMAT)?;
     let count = count_of(mesh.triangles.len())?;
@@ -196,8 +196,8 @@ fn bytes_with(triangle_count: u32) -> u64 {
 ///
 /// # Errors
 ///
-/// [`Error::Truncated`] if triangles are missing, [`Error::TooLarge`] beyond `limits`, [`Error::Unsupported`] for
-/// text STL.
+/// [`Error::Truncated`] if triangles are missing, [`Error::TooLarge`] beyond `limits`, [`Error::Unsupported`]
+/// for text STL.
 pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     let triangle_count = triangles_declared(bytes).ok_or_else(|| abbreviation(bytes))?;
     let claimed = bytes_with(triangle_count);

@@ -81,8 +81,8 @@ fn count(text: &[u8]) -> Option<u64> {
 /// Reads the only frame of a file.
 ///
 /// # Errors
-/// [`Error::Truncated`] if atoms are missing, [`Error::Invalid`] with the line if a row has the wrong number of
-/// cells, or text in a numeric column; [`Error::Unsupported`] for a file with several frames, which
+/// [`Error::Truncated`] if atoms are missing, [`Error::Invalid`] with the line if a row has the wrong number
+/// of cells, or text in a numeric column; [`Error::Unsupported`] for a file with several frames, which
 /// [`crate::steps::find_steps`] locates; [`Error::TooLarge`] beyond `limits`, which also limit the number of
 /// frames.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {

@@ -185,8 +185,8 @@ fn glb_sequence_contains_the_data_of_every_frame() {
 /// The last moment before frame 9.
 const BEFORE_9: f64 = 9.0 - 1.0 / 64.0;
 
-/// The samples in a .abc: the time in frames, and the index of the frame. A frame before missing frames has two
-/// samples.
+/// The samples in a .abc: the time in frames, and the index of the frame. A frame before missing frames has
+/// two samples.
 const ABC_SAMPLES: [(f64, usize); 5] = [(5.0, 0), (6.0, 1), (BEFORE_9, 1), (9.0, 2), (10.0, 3)];
 
 #[test]
@@ -594,8 +594,8 @@ fn accelerations_are_a_property_of_usd_meshes_and_an_attribute_elsewhere() {
         .write_mesh(&mesh, &MeshOptions::default(), &[], &mut abc_frame)
         .expect("writing to memory");
 
-    // The frames of a sequence can be .glb, .usdc or .abc. In a .usdc they have no name other than that of the
-    // property.
+    // The frames of a sequence can be .glb, .usdc or .abc. In a .usdc they have no name other than that of
+    // the property.
     let (of_usdc, _) = usdc::to_glb(&usdc_frame, &limits).expect("converted");
     let (of_abc, _) = abc::to_glb(&abc_frame, &limits).expect("converted");
     for (glb, name) in [(triangle(&attributes), "accel"), (of_usdc, "acceleration"), (of_abc, "accel")] {

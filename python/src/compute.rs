@@ -76,8 +76,8 @@ impl CallPool {
         if idle.len() > IDLE_POOLS_MAX {
             let oldest = idle.remove(0);
             if oldest.process != std::process::id() {
-                // Its threads do not exist in this process. One of them may have held a lock that dropping the
-                // pool takes.
+                // Its threads do not exist in this process. One of them may have held a lock that dropping
+                // the pool takes.
                 std::mem::forget(oldest);
             }
         }

@@ -32,8 +32,8 @@ pub fn give_memory_back() {
     for (parameter, value) in settings {
         // If glibc refuses a parameter, the process only retains more memory.
         #[expect(unsafe_code, reason = "std has no safe call for it")]
-        // SAFETY: mallopt takes two integers, no pointers; it locks the allocator's state, and refuses unknown parameters
-        // and values.
+        // SAFETY: mallopt takes two integers, no pointers; it locks the allocator's state, and refuses
+        // unknown parameters and values.
         let _accepted = unsafe { libc::mallopt(parameter, value) };
     }
 }

@@ -53,9 +53,9 @@ pub(super) fn gaps(numbers: impl IntoIterator<Item = u64>) -> Option<(String, u6
     gaps_in_steps(&numbers, step)
 }
 
-/// The numbers of missing frames of a sequence file, as text, and their count. They are counted in
-/// steps of the greatest common divisor of the differences between the numbers. The frame before a missing one
-/// is held. `None` if no frame is missing, or if the numbers do not increase: the frames are then counted.
+/// The numbers of missing frames of a sequence file, as text, and their count. They are counted in steps of
+/// the greatest common divisor of the differences between the numbers. The frame before a missing one is
+/// held. `None` if no frame is missing, or if the numbers do not increase: the frames are then counted.
 pub(super) fn held_gaps(numbers: &[u64]) -> Option<(String, u64)> {
     let is_increasing = numbers.is_sorted_by(|one, next| one < next);
     is_increasing.then(|| gaps_in_steps(numbers, common_step(numbers))).flatten()

@@ -84,8 +84,9 @@ pub(super) fn find_with_others(
     Ok(all)
 }
 
-/// The inputs, with each folder replaced by its files of one format: the first of these formats, given by their
-/// extensions, that the folder contains. Sequence files are left out. `what` names the files in the error.
+/// The inputs, with each folder replaced by its files of one format: the first of these formats, given by
+/// their extensions, that the folder contains. Sequence files are left out. `what` names the files in the
+/// error.
 ///
 /// # Errors
 /// If a folder contains no such files, or cannot be read.

@@ -111,8 +111,8 @@ pub fn check_config(text: &str) -> anyhow::Result<()> {
 /// arguments, is safe to print: a shell glob may have inserted a file name with control characters.
 fn printable(error: clap::Error, arguments: &[OsString]) -> clap::Error {
     let escaped = arguments.iter().map(|argument| escaped(argument.to_string_lossy()).to_string());
-    // The escaped arguments may parse: then the original error was about bytes that are not UTF-8. Its message
-    // does not repeat them, so it can be printed.
+    // The escaped arguments may parse: then the original error was about bytes that are not UTF-8. Its
+    // message does not repeat them, so it can be printed.
     Cli::try_parse_from(escaped).err().unwrap_or(error)
 }
 
@@ -122,7 +122,8 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode
     ExitCode::from(status_of(arguments))
 }
 
-/// Like [`run()`], but returns the exit status as a number, for programs that do not end with an [`ExitCode`].
+/// Like [`run()`], but returns the exit status as a number, for programs that do not end with an
+/// [`ExitCode`].
 #[doc(hidden)]
 pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8 {
     let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();

@@ -146,8 +146,8 @@ impl ParameterSweep {
         self.axes.iter().map(|varied| Ok((varied.parameter, varied.values(settings)?))).collect()
     }
 
-    /// The options with a value in particle spacings, if there is one: such a value needs the spacing, even if
-    /// the options do not.
+    /// The options with a value in particle spacings, if there is one: such a value needs the spacing, even
+    /// if the options do not.
     pub(super) fn with_spacings(&self, options: &MethodOptions) -> MethodOptions {
         let mut options = options.clone();
         for SweepAxis { parameter, amounts } in &self.axes {

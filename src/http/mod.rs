@@ -12,8 +12,8 @@
 //! ```
 //!
 //! One thread serves all clients, and at most two more threads read files for it, so the conversion of frames
-//! loses at most the time of these threads to clients, however many there are. The server only reads. It builds
-//! no path from a request: it looks names up in the status store, and serves nothing else.
+//! loses at most the time of these threads to clients, however many there are. The server only reads. It
+//! builds no path from a request: it looks names up in the status store, and serves nothing else.
 //! `docs/status-page.md` describes the interface for users.
 
 mod access;

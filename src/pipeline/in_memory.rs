@@ -254,8 +254,8 @@ impl InMemoryObstacle {
     }
 }
 
-/// The likely mistakes in obstacles and in their positions, one sentence each. Each obstacle has a name, which
-/// identifies it.
+/// The likely mistakes in obstacles and in their positions, one sentence each. Each obstacle has a name,
+/// which identifies it.
 pub fn obstacle_warnings(
     obstacles: &[(&Path, &Obstacle)],
     particles: &Positions<'_>,

@@ -125,7 +125,8 @@ fn commands(text: &str) -> Vec<PageCommand<'_>> {
     lines.map(command).collect()
 }
 
-/// Commands in code blocks that other checks run: the file of the check, and the text in it that runs the command.
+/// Commands in code blocks that other checks run: the file of the check, and the text in it that runs the
+/// command.
 const RUN_ELSEWHERE: [(&str, &str, &str); 6] = [
     ("cargo install --path . --locked", ".ci/install", "cargo install --path . --locked"),
     ("pip install pysplishsplash==2.19.0", "tests/clients/install", "pysplishsplash==2.19.0"),
@@ -208,7 +209,8 @@ fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
     words.windows(2).filter(|pair| options.contains(&pair[0])).map(|pair| pair[1]).collect()
 }
 
-/// Builds an example in the same Cargo command as this test, so that Cargo chooses the same features of all crates.
+/// Builds an example in the same Cargo command as this test, so that Cargo chooses the same features of all
+/// crates.
 fn example_program(name: &str) -> PathBuf {
     let build = Command::new(env!("CARGO"))
         .args(["build", "--locked", "--workspace", "--bin", name, "--test", "checks"])
@@ -322,7 +324,8 @@ impl Scene {
         made.iter().map(|made| files_below(&self.path().join(made))).collect()
     }
 
-    /// Runs a daemon until it has converted all frames, and stops it. Earlier outputs are removed, so that it converts all.
+    /// Runs a daemon until it has converted all frames, and stops it. Earlier outputs are removed, so that it
+    /// converts all.
     fn watches(&self, command: &str) {
         // The port of the page may be in use on this machine.
         let command = &command.replace("127.0.0.1:7700", "127.0.0.1:0");

@@ -117,8 +117,8 @@ fn is_run(file: &Path) -> bool {
     name.is_none_or(|name| name == "convert" || all.split_whitespace().any(|check| check == name))
 }
 
-/// Whether the source has this test in Rust (`fn name`), or this function in Python (`def name`): a test of pytest,
-/// or one that the rest of its file calls.
+/// Whether the source has this test in Rust (`fn name`), or this function in Python (`def name`): a test of
+/// pytest, or one that the rest of its file calls.
 fn has_test(source: &str, title: &str) -> bool {
     let lines: Vec<&str> = source.lines().map(str::trim_start).collect();
     let begins = format!("{title}(");

@@ -1,6 +1,7 @@
 //! Checks that the documentation, the README and the manifests agree with the program.
 //!
-//! `cargo test` skips these tests (`test = false` in Cargo.toml); `cargo test --test checks` and `.ci/run` run them.
+//! `cargo test` skips these tests (`test = false` in Cargo.toml); `cargo test --test checks` and `.ci/run`
+//! run them.
 
 mod commands; // every command in the README and the tutorials runs as written
 mod dependencies; // each crate has a reason, and no crate has C code

@@ -45,7 +45,8 @@ fn messages_below(folder: &Path) -> String {
     text
 }
 
-/// The string literals of a source, each on a line; a literal that continues on the next line of the source is joined.
+/// The string literals of a source, each on a line; a literal that continues on the next line of the source
+/// is joined.
 fn literals_of(source: &str) -> String {
     let source = source.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
     let mut text_of_message = String::new();

@@ -57,7 +57,8 @@ fn touched_frame_is_not_converted_again() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// Writes a file in place, in the same length, and sets its modification time back, as `rsync --inplace -t` does.
+/// Writes a file in place, in the same length, and sets its modification time back, as `rsync --inplace -t`
+/// does.
 fn rewrite_unseen(scene: &Scene, within: &str, bytes: &[u8]) {
     let path = scene.path(within);
     let before = fs::metadata(&path).expect("there");

@@ -73,7 +73,8 @@ fn small_file_with_millions_of_tiles_stays_within_memory() {
 #[test]
 fn rebuilt_obstacle_stays_within_memory() {
     let scene = Scene::new();
-    // The surface of a cube of 128³ voxels passes between tiles: rebuilding it takes about 6,000 leaves, which are 50 MiB.
+    // The surface of a cube of 128³ voxels passes between tiles: rebuilding it takes about 6,000 leaves,
+    // which are 50 MiB.
     let is_inside = |tile: [usize; 3]| tile == [4; 3];
     scene.write("grid.vdb", tiles(1, |tile| if is_inside(tile) { -BACKGROUND } else { BACKGROUND }));
     let result = convert(&scene, true, "32MiB");

@@ -337,8 +337,8 @@ fn sequence_file_shows_each_frame_at_its_time() {
     assert_eq!(codes, ["1", "2", "4"]);
     assert!(points.lines().nth(1) == Some("            2: [],"));
 
-    // Frame 2 has no particles, so its sample is empty. Frame 3 is missing, so frame 2 has a second sample just
-    // before frame 4.
+    // Frame 2 has no particles, so its sample is empty. Frame 3 is missing, so frame 2 has a second sample
+    // just before frame 4.
     let archive = fs::read(path.join("shot.abc")).expect("readable");
     let times = abc::read_times(&archive).expect("times");
     assert_eq!(times, [1.0, 2.0, 4.0 - 1.0 / 64.0, 4.0].map(|time| time / 25.0));

@@ -88,12 +88,12 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
 /// The size of the start of an archive, with its provenance.
 const HEAD_BYTES: u64 = 64 << 10;
 
-/// The sizes of the end of an archive, with its headers and references: 16 bytes for each sample of each property. The
-/// first one that suffices is used.
+/// The sizes of the end of an archive, with its headers and references: 16 bytes for each sample of each
+/// property. The first one that suffices is used.
 const END_BYTES: [u64; 4] = [64 << 10, 1 << 20, 16 << 20, 256 << 20];
 
-/// The content of a sequence of this crate, and the names of its vertex attributes, except normals; `None` for an
-/// archive with one frame. Reads the two ends of the file, and the number of bytes of each array.
+/// The content of a sequence of this crate, and the names of its vertex attributes, except normals; `None`
+/// for an archive with one frame. Reads the two ends of the file, and the number of bytes of each array.
 ///
 /// # Errors
 ///

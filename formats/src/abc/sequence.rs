@@ -5,9 +5,9 @@
 //!   samples   5    6   8.99    9    10   8.99 refers to the data of 6
 //! ```
 //!
-//! At a time between two samples, programs show the mesh of the earlier or of the nearer one, or blend the two if
-//! they have the same number of vertices. Where frames are missing or have the same number of vertices, the second
-//! sample, just before the next frame, prevents this. Frame n is at n / fps seconds.
+//! At a time between two samples, programs show the mesh of the earlier or of the nearer one, or blend the
+//! two if they have the same number of vertices. Where frames are missing or have the same number of
+//! vertices, the second sample, just before the next frame, prevents this. Frame n is at n / fps seconds.
 //!
 //! The writer reads each array of a frame from the frame's file, a `.glb` of this crate, just before writing
 //! the array. So only one array of one frame is in memory at a time.

@@ -27,8 +27,8 @@ use super::ogawa::{Ogawa, Sample};
 ///
 /// # Errors
 ///
-/// [`Error::Io`] if `out` fails; [`Error::TooLarge`] for more than 2³¹ vertices; [`Error::Invalid`] if the mesh
-/// is inconsistent or not finite, or if two triangles marked as a quad do not form one.
+/// [`Error::Io`] if `out` fails; [`Error::TooLarge`] for more than 2³¹ vertices; [`Error::Invalid`] if the
+/// mesh is inconsistent or not finite, or if two triangles marked as a quad do not form one.
 pub fn write(
     mesh: &MeshView,
     options: &MeshOptions,

@@ -1,7 +1,7 @@
 //! Opens a single-frame `.glb` of this crate: parses the document and locates the data, but does not read the
 //! data. A sequence can thus be assembled without holding all frames in memory.
 
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{ErrorKind, Read, Seek, SeekFrom};
 
 use serde_json::{Map, Value};
 
@@ -263,49 +263,58 @@ impl GlbFrame {
         scale: f64,
         file: &mut (impl Read + Seek),
     ) -> Result<Vec<f32>> {
-        let bytes = self.bytes_of(column, file)?;
-        let records = bytes.chunks_exact(column.stride_bytes);
-        let float = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes);
         let greatest = match column.component {
             component::I8 => f64::from(i8::MAX),
-            _ => f64::from(u16::MAX),
+            component::U16 => f64::from(u16::MAX),
+            component::F32 => 1.0,
+            _ => return Err(invalid("the vertices have 32-bit integers, which are not supported")),
         };
         #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
         let real = |part: f64| (part / greatest * scale) as f32;
-        Ok(match column.component {
-            component::F32 if column.stride_bytes == 4 * column.arity => {
-                bytes.as_chunks().0.iter().map(float).collect()
+        let float = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes);
+        let mut values = Vec::with_capacity(column.count * column.arity);
+        read_pieces(column, file, |bytes| {
+            let records = bytes.chunks_exact(column.stride_bytes);
+            match column.component {
+                component::F32 if column.stride_bytes == 4 * column.arity => {
+                    values.extend(bytes.as_chunks().0.iter().map(float));
+                }
+                component::F32 => {
+                    let floats = records.flat_map(|record| record[..4 * column.arity].as_chunks().0);
+                    values.extend(floats.map(float));
+                }
+                component::I8 => {
+                    let bytes = records.flat_map(|record| &record[..column.arity]);
+                    let part = |byte: &u8| f64::from(i8::from_le_bytes([*byte])).max(-greatest);
+                    values.extend(bytes.map(|byte| real(part(byte))));
+                }
+                _ => {
+                    let pairs = records.flat_map(|record| record[..2 * column.arity].as_chunks::<2>().0);
+                    values.extend(pairs.map(|bytes| real(f64::from(u16::from_le_bytes(*bytes)))));
+                }
             }
-            component::F32 => {
-                records.flat_map(|record| record[..4 * column.arity].as_chunks().0).map(float).collect()
-            }
-            component::I8 => records
-                .flat_map(|record| &record[..column.arity])
-                .map(|byte| real(f64::from(i8::from_le_bytes([*byte])).max(-greatest)))
-                .collect(),
-            component::U16 => records
-                .flat_map(|record| record[..2 * column.arity].as_chunks::<2>().0)
-                .map(|bytes| real(f64::from(u16::from_le_bytes(*bytes))))
-                .collect(),
-            _ => return Err(invalid("the vertices have 32-bit integers, which are not supported")),
-        })
+        })?;
+        Ok(values)
     }
 
     /// Reads the triangles and checks their indices.
     pub(crate) fn read_triangles(&self, file: &mut (impl Read + Seek)) -> Result<Vec<[u32; 3]>> {
         let column = self.indices()?;
-        let bytes = self.bytes_of(&column, file)?;
-        let triangles: Vec<[u32; 3]> = match (column.component, column.stride_bytes) {
-            (component::U16, 2) => {
-                let corners = bytes.as_chunks().0.as_chunks::<3>().0.iter();
-                corners.map(|corners| corners.map(|bytes| u16::from_le_bytes(bytes).into())).collect()
-            }
-            (component::U32, 4) => {
-                let corners = bytes.as_chunks().0.as_chunks::<3>().0.iter();
-                corners.map(|corners| corners.map(u32::from_le_bytes)).collect()
-            }
+        let is_narrow = match (column.component, column.stride_bytes) {
+            (component::U16, 2) => true,
+            (component::U32, 4) => false,
             _ => return Err(invalid("the indices have an unexpected type")),
         };
+        let mut triangles: Vec<[u32; 3]> = Vec::with_capacity(column.count / 3);
+        read_pieces(&column, file, |bytes| {
+            if is_narrow {
+                let corners = bytes.as_chunks().0.as_chunks::<3>().0.iter();
+                triangles.extend(corners.map(|corners| corners.map(|bytes| u16::from_le_bytes(bytes).into())));
+            } else {
+                let corners = bytes.as_chunks().0.as_chunks::<3>().0.iter();
+                triangles.extend(corners.map(|corners| corners.map(u32::from_le_bytes)));
+            }
+        })?;
         let vertex_count = self.vertex_count();
         if let Some(index) = triangles.as_flattened().iter().find(|&&index| index as usize >= vertex_count) {
             return Err(invalid(format!(
@@ -314,22 +323,34 @@ impl GlbFrame {
         }
         Ok(triangles)
     }
-
-    fn bytes_of(&self, column: &VertexColumn, file: &mut (impl Read + Seek)) -> Result<Vec<u8>> {
-        let byte_count = column.count as u64 * column.stride_bytes as u64; // checked against the file size
-        let mut bytes = Vec::with_capacity(usize::try_from(byte_count).unwrap_or_default());
-        file.seek(SeekFrom::Start(column.start))?;
-        file.take(byte_count).read_to_end(&mut bytes)?;
-        match bytes.len() as u64 == byte_count {
-            true => Ok(bytes),
-            false => Err(Error::truncated(
-                FORMAT,
-                Position::File,
-                "the file became shorter while it was being read",
-            )),
-        }
-    }
 }
+
+/// Reads vertex data in pieces of [`PIECE`] elements or less, and passes their bytes to `take`. So the bytes
+/// and the decoded values are not all in memory at once.
+fn read_pieces(
+    column: &VertexColumn,
+    file: &mut (impl Read + Seek),
+    mut take: impl FnMut(&[u8]),
+) -> Result<()> {
+    file.seek(SeekFrom::Start(column.start))?;
+    let mut bytes = Vec::new();
+    for first in (0..column.count).step_by(PIECE) {
+        let count = PIECE.min(column.count - first);
+        bytes.resize(count * column.stride_bytes, 0); // the column is in the file, so this is no more than that
+        match file.read_exact(&mut bytes) {
+            Err(error) if error.kind() == ErrorKind::UnexpectedEof => {
+                let what = "the file became shorter while it was being read";
+                return Err(Error::truncated(FORMAT, Position::File, what));
+            }
+            read => read?,
+        }
+        take(&bytes);
+    }
+    Ok(())
+}
+
+/// The elements that are read at a time: whole triangles, and few enough for the cache.
+const PIECE: usize = 3 << 12;
 
 const HEAD_BYTES: u64 = 20;
 

@@ -9,9 +9,9 @@ use crate::mesh_options::UpAxis;
 
 /// The placement of all frames of a sequence.
 ///
-/// Frames far from the world's origin have origins of their own, which jump from one frame to the next. Programs
-/// interpolate transforms, and compute motion blur from them. So a sequence has one origin, that of its first
-/// frame with a mesh, and the positions of all frames are relative to it.
+/// Frames far from the world's origin have origins of their own, which jump from one frame to the next.
+/// Programs interpolate transforms, and compute motion blur from them. So a sequence has one origin, that of
+/// its first frame with a mesh, and the positions of all frames are relative to it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct SequencePlacement {
     pub(crate) up: UpAxis,
@@ -62,8 +62,8 @@ impl PositionTransform {
 }
 
 impl GlbFrame {
-    /// Reads a vertex attribute: the number of values per vertex, and the values. `None` if the vertices do not
-    /// have it. Positions are transformed.
+    /// Reads a vertex attribute: the number of values per vertex, and the values. `None` if the vertices do
+    /// not have it. Positions are transformed.
     pub(crate) fn read_attribute(
         &self,
         semantic: &str,

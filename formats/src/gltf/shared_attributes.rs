@@ -15,8 +15,8 @@ pub(crate) struct SharedAttribute {
     pub(crate) arity: usize,
 }
 
-/// The attributes that all frames with a mesh have, in the order of their names in the `.glb` files, and notes on
-/// the others. Positions and normals are not among them: every mesh has these.
+/// The attributes that all frames with a mesh have, in the order of their names in the `.glb` files, and
+/// notes on the others. Positions and normals are not among them: every mesh has these.
 ///
 /// # Errors
 ///

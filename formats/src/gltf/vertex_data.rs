@@ -8,8 +8,8 @@
 //!   strings    _NAME        an index into the list `extras.strings._NAME` of the mesh; −1 for none
 //! ```
 //!
-//! Where the plain name of an attribute differs from the [usual one](usual_name), it is in `extras.names` of the mesh,
-//! so that sequences have the names that the files of single frames have.
+//! Where the plain name of an attribute differs from the [usual one](usual_name), it is in `extras.names` of
+//! the mesh, so that sequences have the names that the files of single frames have.
 //!
 //! All values are 32-bit floats, because the format requires elements of a multiple of four bytes and has no
 //! 32-bit integers for vertices. Floats are stored exactly. An attribute with integers that would be rounded
@@ -101,7 +101,8 @@ fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>)
 pub(crate) const COLOR_NAME: &str = "Cd";
 pub(crate) const ACCELERATION_NAME: &str = "acceleration";
 
-/// The name of most attributes with this glTF name: glTF names start with an underscore and are in upper case.
+/// The name of most attributes with this glTF name: glTF names start with an underscore and are in upper
+/// case.
 pub(super) fn usual_name(semantic: &str) -> String {
     match semantic {
         COLOR => COLOR_NAME.to_owned(),

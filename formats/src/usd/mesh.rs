@@ -115,9 +115,9 @@ impl<'a> MeshProperty<'a> {
     }
 }
 
-/// The properties of a mesh, in the order of the file. `is_clip`: a stage may use the file as a
-/// value clip. The stage takes the translation from the file of each frame, so the file has one even if it is
-/// zero. A zero translation has no `xformOpOrder`, and thus no effect if the file is opened without the stage.
+/// The properties of a mesh, in the order of the file. `is_clip`: a stage may use the file as a value clip.
+/// The stage takes the translation from the file of each frame, so the file has one even if it is zero. A
+/// zero translation has no `xformOpOrder`, and thus no effect if the file is opened without the stage.
 pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool], is_clip: bool) -> Vec<MeshProperty<'a>> {
     let triangles = mesh.triangles;
     let mut found = Vec::new();

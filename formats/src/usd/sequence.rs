@@ -101,8 +101,8 @@ impl<'a> UsdSequence<'a> {
         self.placement.transform(&self.frames[index].file)
     }
 
-    /// The minimum and maximum corner of a frame, relative to the sequence's origin. Without a mesh, the empty
-    /// range of OpenUSD, so that no box contains the origin. OpenUSD warns of an empty array.
+    /// The minimum and maximum corner of a frame, relative to the sequence's origin. Without a mesh, the
+    /// empty range of OpenUSD, so that no box contains the origin. OpenUSD warns of an empty array.
     pub(crate) fn extent(&self, index: usize) -> Result<[[f32; 3]; 2]> {
         if !self.frames[index].file.has_mesh() {
             return Ok([[f32::MAX; 3], [f32::MIN; 3]]);

@@ -19,8 +19,8 @@
 //!
 //! Every program that reads USD reads its text form; the [binary form](crate::usdc) takes a quarter to a
 //! third of the size. A sequence is one file with a single mesh, whose attributes all have a sample per
-//! frame, so it is easy to move and can be replaced atomically. A [stage](UsdStage) is the alternative: a file
-//! that lists those of the frames, which may still be arriving.
+//! frame, so it is easy to move and can be replaced atomically. A [stage](UsdStage) is the alternative: a
+//! file that lists those of the frames, which may still be arriving.
 //!
 //! This crate does not read meshes from `.usda`: it reads only the heads of the files that it wrote.
 

@@ -12,7 +12,8 @@
 //! only one attribute of one frame and its text are in memory.
 //!
 //! USD allows samples with different numbers of vertices, and holds such a sample until the next. If the next
-//! frame has the same number of vertices, the sample is repeated just before it, so that USD does not blend them.
+//! frame has the same number of vertices, the sample is repeated just before it, so that USD does not blend
+//! them.
 
 use std::io::{self, Read, Seek, Write};
 
@@ -32,8 +33,8 @@ use super::write::about;
 /// # Errors
 ///
 /// [`Error::Io`](crate::Error::Io) if a file cannot be read or `out` fails;
-/// [`Error::Invalid`](crate::Error::Invalid) if a document is damaged, numbers do not increase, or frames differ
-/// in their up axis; [`Error::Unsupported`](crate::Error::Unsupported) for numbers beyond 2⁵³.
+/// [`Error::Invalid`](crate::Error::Invalid) if a document is damaged, numbers do not increase, or frames
+/// differ in their up axis; [`Error::Unsupported`](crate::Error::Unsupported) for numbers beyond 2⁵³.
 pub fn write_sequence<R: Read + Seek>(
     frames: &[SequenceFrame],
     (fps, meters_per_unit): (f64, f64),
@@ -100,7 +101,8 @@ pub fn read_attribute_names(bytes: &[u8]) -> Vec<String> {
     bytes.split(|&byte| byte == b'\n').filter_map(name).collect()
 }
 
-/// Writes an array with samples of each frame, formatted by `texts`; they are empty for a frame without a mesh.
+/// Writes an array with samples of each frame, formatted by `texts`; they are empty for a frame without a
+/// mesh.
 fn write_samples(
     shot: &UsdSequence,
     name: &str,

@@ -19,8 +19,8 @@
 //! and to learn which frames exist, every program that opens the stage looks for all of them. The list holds
 //! exactly the frames that are complete, and the writer replaces it when there are more.
 //!
-//! The file of a frame has one sample, at time code 0, whatever its number. `times` maps all times to it.
-//! USD interpolates between values of the same size in consecutive clips, so each frame is repeated just before
+//! The file of a frame has one sample, at time code 0, whatever its number. `times` maps all times to it. USD
+//! interpolates between values of the same size in consecutive clips, so each frame is repeated just before
 //! the next one.
 //!
 //! The definitions of the attributes are those of the file of one frame, so primvars keep their types and

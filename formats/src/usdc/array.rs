@@ -10,6 +10,7 @@
 
 use std::borrow::Cow;
 use std::io::Write;
+use std::iter;
 
 use crate::error::{Error, Result};
 use crate::le_bytes::write_f32s;
@@ -52,13 +53,7 @@ impl<'a> CrateArray<'a> {
     pub(super) fn of(elements: Elements<'a>) -> Result<CrateArray<'a>> {
         match elements {
             Elements::Reals { values, stride, first, arity } => {
-                let values = if (first, arity) == (0, stride) {
-                    Cow::Borrowed(values)
-                } else {
-                    let part = |element: &'a [f32]| &element[first..first + arity];
-                    Cow::Owned(values.chunks_exact(stride).flat_map(part).copied().collect())
-                };
-                if arity == 1 { Self::floats(values) } else { Ok(Self::vectors(values, arity)) }
+                Self::reals(Cow::Borrowed(values), stride, first, arity)
             }
             Elements::Integers { values, arity: 1, is_narrow: false } => {
                 Self::integers(ValueType::Int64, values.iter().copied())
@@ -70,7 +65,7 @@ impl<'a> CrateArray<'a> {
                 Self::integers(ValueType::Int, indices.iter().map(fixed_index))
             }
             Elements::FaceCounts { triangles, quads } if quad_count(quads) == 0 => {
-                Self::integers(ValueType::Int, triangles.iter().map(|_| 3))
+                Self::triangle_sizes(triangles.len())
             }
             Elements::FaceCounts { triangles, quads } => {
                 let counts = faces(triangles, quads, 0..triangles.len());
@@ -78,18 +73,56 @@ impl<'a> CrateArray<'a> {
                 Self::integers(ValueType::Int, counts?.into_iter())
             }
             Elements::FaceCorners { triangles, quads } => {
-                let most = triangles.as_flattened().iter().copied().max().unwrap_or_default();
-                index(most as usize)?;
                 if quad_count(quads) == 0 {
-                    let corners = triangles.as_flattened().iter();
-                    return Self::integers(ValueType::Int, corners.map(|corner| corner.cast_signed()));
+                    return Self::triangle_corners(triangles);
                 }
+                check_corners(triangles)?;
                 let faces: Vec<_> = faces(triangles, quads, 0..triangles.len()).collect();
                 let corners = faces.iter().flat_map(|face| face.corners());
                 let corners: Vec<i32> = corners.map(|corner| corner.cast_signed()).collect();
                 Self::integers(ValueType::Int, corners.into_iter())
             }
         }
+    }
+
+    /// Encodes `arity` values of each element, from the value `first` on. An element has `stride` values.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::TooLarge`] if the array exceeds the format's limits.
+    pub(super) fn reals(
+        values: Cow<'a, [f32]>,
+        stride: usize,
+        first: usize,
+        arity: usize,
+    ) -> Result<CrateArray<'a>> {
+        let values = if (first, arity) == (0, stride) {
+            values
+        } else {
+            let elements = values.chunks_exact(stride);
+            Cow::Owned(elements.flat_map(|element| &element[first..first + arity]).copied().collect())
+        };
+        if arity == 1 { Self::floats(values) } else { Ok(Self::vectors(values, arity)) }
+    }
+
+    /// Encodes the numbers of corners of triangles.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::TooLarge`] if the array exceeds the format's limits.
+    pub(super) fn triangle_sizes(triangle_count: usize) -> Result<CrateArray<'a>> {
+        Self::integers(ValueType::Int, iter::repeat_n(3, triangle_count))
+    }
+
+    /// Encodes the vertices of triangles.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::TooLarge`] if the mesh has more than 2³¹ vertices, or the array exceeds the format's limits.
+    pub(super) fn triangle_corners(triangles: &[[u32; 3]]) -> Result<CrateArray<'a>> {
+        check_corners(triangles)?;
+        let corners = triangles.as_flattened().iter();
+        Self::integers(ValueType::Int, corners.map(|corner| corner.cast_signed()))
     }
 
     /// Vectors of two to four floats.
@@ -206,6 +239,12 @@ pub(super) fn append_lz4(bytes: &[u8], out: &mut Vec<u8>) -> Result<()> {
     out.extend_from_slice(&(packed.len() as u64).to_le_bytes());
     out.extend_from_slice(&packed);
     Ok(())
+}
+
+/// Fails if vertex indices do not fit into 31 bits.
+fn check_corners(triangles: &[[u32; 3]]) -> Result<()> {
+    let most = triangles.as_flattened().iter().copied().max().unwrap_or_default();
+    index(most as usize).map(drop)
 }
 
 /// Converts an index; fails if it does not fit into 31 bits.

@@ -67,26 +67,35 @@ pub(super) fn encode<T: Integer>(values: impl ExactSizeIterator<Item = T> + Clon
         difference
     });
     let common = most_common(differences.clone());
-    let code_count = count.div_ceil(4);
-    let mut out = vec![0; wide + code_count + count * wide + WHOLE_BYTES];
+    let mut out = vec![0; wide + count.div_ceil(4)];
     out[..wide].copy_from_slice(&common.to_le_bytes()[..wide]);
-    let (codes, others) = out[wide..].split_at_mut(code_count);
-    let (mut differences, mut end) = (differences, 0);
-    for codes in codes {
-        for (shift, difference) in [0, 2, 4, 6].into_iter().zip(&mut differences) {
-            // Without branches, because the sizes of differences are hard to predict.
-            let code = u8::from(difference != common)
-                * (1 + u8::from(!fits(difference, narrow)) + u8::from(!fits(difference, medium)));
-            *codes |= code << shift;
-            // Copies eight bytes, because copying a constant number is faster. The next difference overwrites
-            // the excess.
-            others[end..end + WHOLE_BYTES].copy_from_slice(&difference.to_le_bytes());
-            end += [0, narrow, medium, wide][usize::from(code)];
+    let (mut differences, mut at) = (differences, wide);
+    // The differences of a piece, which are appended together.
+    let mut others = [0; PIECE * WHOLE_BYTES];
+    for piece in 0..count.div_ceil(PIECE) {
+        let piece_count = PIECE.min(count - piece * PIECE);
+        let codes = &mut out[at..at + piece_count.div_ceil(4)];
+        let mut end = 0;
+        for codes in &mut *codes {
+            for (shift, difference) in [0, 2, 4, 6].into_iter().zip(&mut differences) {
+                // Without branches, because the sizes of differences are hard to predict.
+                let code = u8::from(difference != common)
+                    * (1 + u8::from(!fits(difference, narrow)) + u8::from(!fits(difference, medium)));
+                *codes |= code << shift;
+                // Copies eight bytes, because copying a constant number is faster. The next difference
+                // overwrites the excess.
+                others[end..end + WHOLE_BYTES].copy_from_slice(&difference.to_le_bytes());
+                end += [0, narrow, medium, wide][usize::from(code)];
+            }
         }
+        at += codes.len();
+        out.extend_from_slice(&others[..end]);
     }
-    out.truncate(wide + code_count + end);
     out
 }
+
+/// The number of integers that are encoded at a time, a multiple of four.
+const PIECE: usize = 1024;
 
 /// Whether a number fits into a signed integer of this many bytes.
 fn fits(value: i64, bytes: usize) -> bool {

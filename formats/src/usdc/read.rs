@@ -60,8 +60,8 @@ impl<'a> UsdcLayer<'a> {
     ///
     /// # Errors
     ///
-    /// [`Error::Truncated`] if the file is truncated; [`Error::Unsupported`] if another program wrote or changed
-    /// it; [`Error::Invalid`] if it is damaged; [`Error::TooLarge`] if it exceeds the limits.
+    /// [`Error::Truncated`] if the file is truncated; [`Error::Unsupported`] if another program wrote or
+    /// changed it; [`Error::Invalid`] if it is damaged; [`Error::TooLarge`] if it exceeds the limits.
     pub fn read(bytes: &'a [u8], limits: &Limits) -> Result<UsdcLayer<'a>> {
         let source = Source::new(bytes, limits);
         let tables = LayerTables::read(&source)?;

@@ -1,5 +1,5 @@
-//! Reads the ends of a file without its arrays: which properties have time samples, which a stage declares, and the
-//! summary of a sequence.
+//! Reads the ends of a file without its arrays: which properties have time samples, which a stage declares,
+//! and the summary of a sequence.
 
 use std::io::{Read, Seek, SeekFrom};
 
@@ -61,8 +61,8 @@ fn read_tables(file: &mut (impl Read + Seek), limits: &Limits) -> Result<(u64, L
     Ok((start, LayerTables::in_sections(&source, &sections)?))
 }
 
-/// Reads the summary of a file of this crate, and the names of its vertex attributes, except normals. Reads only its
-/// two ends.
+/// Reads the summary of a file of this crate, and the names of its vertex attributes, except normals. Reads
+/// only its two ends.
 ///
 /// # Errors
 ///

@@ -1,15 +1,16 @@
 //! Writes a sequence as one mesh whose attributes have a sample per frame.
 //!
 //! The writer visits the frames once, in order. It writes their arrays one after the other, and at the end
-//! the time samples, which refer to the arrays. At any time, only the arrays of one frame are in memory, which
-//! the threads of the caller's pool encode.
-//! Equal arrays, such as those of a fluid at rest, are written once, as OpenUSD does.
-//! The attributes of a frame have the same time codes, so its `velocities` are valid for its `points`.
+//! the time samples, which refer to the arrays. While it writes the arrays of a frame, the other threads of
+//! the caller's pool read and encode those of the next one; no other arrays are in memory. Equal arrays, such
+//! as those of a fluid at rest, are written once, as OpenUSD does. The attributes of a frame have the same
+//! time codes, so its `velocities` are valid for its `points`.
 //!
 //! USD allows samples with different numbers of vertices, and holds such a sample until the next. If the next
-//! frame has the same number of vertices, a second sample just before it refers to the same arrays, so that USD
-//! does not blend the two frames.
+//! frame has the same number of vertices, a second sample just before it refers to the same arrays, so that
+//! USD does not blend the two frames.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 
@@ -18,8 +19,8 @@ use rayon::prelude::*;
 use crate::data::Provenance;
 use crate::digest::{Hasher, SampleKey};
 use crate::error::Result;
-use crate::gltf::SequenceFrame;
-use crate::usd::{Elements, PRIM, SequenceAttribute, TRANSLATE, UsdSequence};
+use crate::gltf::{GlbFrame, PositionTransform, SequenceFrame};
+use crate::usd::{PRIM, SequenceAttribute, TRANSLATE, UsdSequence};
 
 use super::array::CrateArray;
 use super::contents::CONTENTS_AT;
@@ -35,35 +36,44 @@ use super::value::{ValueRep, ValueType};
 /// [`crate::Error::Io`] if a file cannot be read or `out` fails; [`crate::Error::Invalid`] if a document is
 /// damaged, numbers do not increase, or frames differ in their up axis; [`crate::Error::Unsupported`] for
 /// numbers beyond 2⁵³; [`crate::Error::TooLarge`] beyond 2³¹ vertices in a frame.
-pub fn write_sequence<R: Read + Seek>(
+pub fn write_sequence<R: Read + Seek + Send>(
     frames: &[SequenceFrame],
     (fps, meters_per_unit): (f64, f64),
     provenance: &Provenance,
     open: impl Fn(usize) -> io::Result<R>,
-    out: &mut (impl Write + Seek),
+    out: &mut (impl Write + Seek + Send),
 ) -> Result<Vec<String>> {
     let shot = UsdSequence::of(frames)?;
     let (attributes, notes) = shot.attributes()?;
     let start = head(provenance, 0);
     out.write_all(&start)?;
     let mut arrays = ArrayWriter { at: start.len() as u64, written: HashMap::new(), out };
-    // Those of the numbers of corners, the corners, and the attributes.
-    let mut samples: Vec<Vec<(f64, ValueRep)>> = vec![Vec::new(); 2 + attributes.len()];
-    for index in 0..frames.len() {
-        let FrameArrays { triangles, columns } =
-            FrameArrays::read(&shot, index, &attributes, &mut open(index)?)?;
-        let (triangles, quads) = (&*triangles, &[][..]);
-        let faces = [Elements::FaceCounts { triangles, quads }, Elements::FaceCorners { triangles, quads }];
-        let of_vertices = attributes.iter().zip(&columns).map(|(attribute, (stride, values))| {
-            Elements::Reals { values, stride: *stride, first: attribute.first, arity: attribute.arity }
-        });
-        let elements: Vec<Elements> = faces.into_iter().chain(of_vertices).collect();
-        let encoded: Result<Vec<KeyedArray>> = elements.into_par_iter().map(KeyedArray::of).collect();
-        for (array, samples) in encoded?.iter().zip(&mut samples) {
+    let sources: Vec<SourceArray> = [SourceArray::TriangleSizes, SourceArray::TriangleCorners]
+        .into_iter()
+        .chain(attributes.iter().map(SourceArray::Attribute))
+        .collect();
+    let mut samples: Vec<Vec<(f64, ValueRep)>> = vec![Vec::new(); sources.len()];
+    let mut write = |(index, encoded): (usize, Vec<KeyedArray>)| -> Result<()> {
+        for (array, samples) in encoded.iter().zip(&mut samples) {
             let value = arrays.write(array)?;
             samples.extend(shot.vertex_codes(index).map(|code| (code, value)));
         }
+        Ok(())
+    };
+    let mut waiting = None;
+    for (index, frame) in frames.iter().enumerate() {
+        let transform = shot.transform(index)?;
+        // One for each array.
+        let files = sources.iter().map(|_| open(index)).collect::<io::Result<Vec<R>>>()?;
+        let encode = |(source, mut file): (&SourceArray, R)| source.encoded(&frame.file, &transform, &mut file);
+        let (written, encoded) = rayon::join(
+            || waiting.take().map_or(Ok(()), &mut write),
+            || sources.par_iter().zip(files).map(encode).collect::<Vec<Result<KeyedArray>>>(),
+        );
+        written?;
+        waiting = Some((index, encoded.into_iter().collect::<Result<_>>()?));
     }
+    waiting.map_or(Ok(()), write)?;
 
     let mut end = LayerEnd::at(arrays.at);
     let mut specs = vec![extents(&shot, &mut end)?];
@@ -95,39 +105,44 @@ pub fn write_sequence<R: Read + Seek>(
     Ok(notes)
 }
 
-/// The arrays of a frame.
-struct FrameArrays {
-    triangles: Vec<[u32; 3]>,
-    /// The stride and the values of each attribute; no values for one that the frame lacks.
-    columns: Vec<(usize, Vec<f32>)>,
+/// Where the elements of an array are in the file of a frame.
+enum SourceArray<'a> {
+    TriangleSizes,
+    TriangleCorners,
+    Attribute(&'a SequenceAttribute),
 }
 
-impl FrameArrays {
-    fn read(
-        shot: &UsdSequence,
-        index: usize,
-        attributes: &[SequenceAttribute],
+impl SourceArray<'_> {
+    /// Reads and encodes the array; it is empty if the frame does not have it.
+    fn encoded(
+        &self,
+        frame: &GlbFrame,
+        transform: &PositionTransform,
         file: &mut (impl Read + Seek),
-    ) -> Result<FrameArrays> {
-        let (frame, transform) = (&shot.frames[index].file, shot.transform(index)?);
-        let triangles = if frame.has_mesh() { frame.read_triangles(file)? } else { Vec::new() };
-        let column = |attribute: &SequenceAttribute| {
-            let found = frame.read_attribute(&attribute.semantic, &transform, file)?;
-            Ok(found.unwrap_or((attribute.arity, Vec::new())))
-        };
-        Ok(FrameArrays { triangles, columns: attributes.iter().map(column).collect::<Result<_>>()? })
+    ) -> Result<KeyedArray> {
+        KeyedArray::of(match self {
+            SourceArray::TriangleSizes => CrateArray::triangle_sizes(frame.triangle_count()?)?,
+            SourceArray::TriangleCorners if frame.has_mesh() => {
+                CrateArray::triangle_corners(&frame.read_triangles(file)?)?
+            }
+            SourceArray::TriangleCorners => CrateArray::triangle_corners(&[])?,
+            SourceArray::Attribute(SequenceAttribute { semantic, first, arity, .. }) => {
+                let found = frame.read_attribute(semantic, transform, file)?;
+                let (stride, values) = found.unwrap_or((*arity, Vec::new()));
+                CrateArray::reals(Cow::Owned(values), stride, *first, *arity)?
+            }
+        })
     }
 }
 
 /// An encoded array with its type and its 128-bit digest, by which equal arrays are recognised.
-struct KeyedArray<'a> {
-    array: CrateArray<'a>,
+struct KeyedArray {
+    array: CrateArray<'static>,
     key: (ValueRep, SampleKey),
 }
 
-impl<'a> KeyedArray<'a> {
-    fn of(elements: Elements<'a>) -> Result<KeyedArray<'a>> {
-        let array = CrateArray::of(elements)?;
+impl KeyedArray {
+    fn of(array: CrateArray<'static>) -> Result<KeyedArray> {
         let mut hasher = Hasher::default();
         array.write(&mut hasher)?;
         let key = (array.rep(0), hasher.finish());

@@ -39,8 +39,8 @@ const LINE_BYTES_MAX: usize = 64 << 10;
 ///
 /// # Errors
 ///
-/// [`Error::Truncated`] if data is missing, [`Error::Invalid`] for an unexpected line, [`Error::Unsupported`] for
-/// data sets that are not point sets, [`Error::TooLarge`] beyond `limits`.
+/// [`Error::Truncated`] if data is missing, [`Error::Invalid`] for an unexpected line, [`Error::Unsupported`]
+/// for data sets that are not point sets, [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut file = File { bytes, at: 0, is_binary: false, limits };
     file.head()?;

@@ -34,8 +34,8 @@ use super::xml_arrays::{Appended, ArrayForm, DataArray};
 ///
 /// # Errors
 ///
-/// [`Error::Truncated`] if the last tag is missing, [`Error::Invalid`] for malformed XML and for arrays of the
-/// wrong size, [`Error::Unsupported`] for data sets that are not point sets, [`Error::TooLarge`] beyond
+/// [`Error::Truncated`] if the last tag is missing, [`Error::Invalid`] for malformed XML and for arrays of
+/// the wrong size, [`Error::Unsupported`] for data sets that are not point sets, [`Error::TooLarge`] beyond
 /// `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let (mut decoder, pieces, mut notes) = open(bytes, limits)?;

@@ -20,7 +20,8 @@ pub(in crate::cli) struct FlickerArgs {
     #[arg(required = true, value_name = "MESHES")]
     pub(in crate::cli) meshes: Vec<PathBuf>,
 
-    /// The particles of the same frames: a folder, a file, a glob, or a numbered pattern such as cache/dam.####.bgeo
+    /// The particles of the same frames: a folder, a file, a glob, or a numbered pattern such as
+    /// cache/dam.####.bgeo
     #[arg(long, required = true, value_name = "PARTICLES")]
     pub(in crate::cli) particles: Vec<PathBuf>,
 

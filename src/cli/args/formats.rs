@@ -63,8 +63,8 @@ option_set! {
         pub(in crate::cli) preview_size: Option<PictureSize>,
 
         /// Camera of the pictures: auto, or a list such as azimuth=32,elevation=22,view=30,zoom=1,up=z or
-        /// eye=1:2:3,target=0:0:0,view=40,up=y. Angles are in degrees; `view` is the vertical field of view, and
-        /// `zoom=1` fits the surface into the picture [default: auto]
+        /// eye=1:2:3,target=0:0:0,view=40,up=y. Angles are in degrees; `view` is the vertical field of view,
+        /// and `zoom=1` fits the surface into the picture [default: auto]
         #[arg(long, help_heading = FORMATS, value_name = "SPEC")]
         pub(in crate::cli) camera: Option<CameraChoice>,
 

@@ -90,14 +90,15 @@ option_set! {
         ///
         /// PLY, BGEO of any version, VTK, NumPy arrays, LAMMPS dumps, XYZ files of atoms, raw XYZ (32-bit
         /// binary positions without a header) and delimited text, optionally compressed by gzip or zstd. The
-        /// format is detected from the content, except for raw XYZ, which has no signature. Level sets in .vdb
-        /// are converted to meshes. Frames are in natural order (9 before 10); files whose names differ only in
-        /// the frame number form one sequence, and share their settings. `-` reads one file from the standard
-        /// input.
+        /// format is detected from the content, except for raw XYZ, which has no signature. Level sets in
+        /// .vdb are converted to meshes. Frames are in natural order (9 before 10); files whose names differ
+        /// only in the frame number form one sequence, and share their settings. `-` reads one file from the
+        /// standard input.
         #[arg(required_unless_present_any = ["print_settings", "plan"], value_name = "INPUT")]
         pub(super) inputs: Vec<PathBuf>,
 
-        /// Format of the standard input, by its usual extension, such as ply or bgeo.gz [default: found by content]
+        /// Format of the standard input, by its usual extension, such as ply or bgeo.gz [default: found by
+        /// content]
         #[arg(long, value_name = "EXTENSION")]
         pub(super) input_format: Option<String>,
 

@@ -12,8 +12,8 @@ use crate::surface::options::ranged;
 #[derive(Debug, Args)]
 #[command(after_long_help = PLAYING)]
 pub(in crate::cli) struct SequenceArgs {
-    /// The .glb, .abc or .usdc files of the frames, as convert wrote them: files, a folder, globs, or numbered
-    /// patterns such as dam.####.glb
+    /// The .glb, .abc or .usdc files of the frames, as convert wrote them: files, a folder, globs, or
+    /// numbered patterns such as dam.####.glb
     #[arg(required = true, value_name = "INPUT")]
     pub(in crate::cli) inputs: Vec<PathBuf>,
 
@@ -49,8 +49,8 @@ option_set! {
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) sequence_usdc: Option<PathBuf>,
 
-        /// After the conversion, combine the .glb files of the frames into one .abc with time samples; requires a single
-        /// sequence, and glb in --format
+        /// After the conversion, combine the .glb files of the frames into one .abc with time samples;
+        /// requires a single sequence, and glb in --format
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) sequence_abc: Option<PathBuf>,
     }

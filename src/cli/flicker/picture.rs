@@ -18,8 +18,8 @@ const PICTURE_SIZE: [usize; 2] = [480, 320];
 
 const COLUMNS: usize = 3;
 
-/// The gap between the cells of a sheet, in pixels. The width of the plot includes the gaps, so that the plot is
-/// as wide as a row of cells.
+/// The gap between the cells of a sheet, in pixels. The width of the plot includes the gaps, so that the plot
+/// is as wide as a row of cells.
 const GAP: usize = 10;
 
 const PLOT: [usize; 2] = [COLUMNS * (PICTURE_SIZE[0] + GAP) - GAP, 280];

@@ -17,8 +17,8 @@ pub(super) fn read_frame(files: &FrameFiles, spacing: f64) -> Result<FlickerFram
     Ok(FlickerFrame::new(read_moving(&files.particles)?, surface, spacing))
 }
 
-/// Measures the particle spacing as `convert` does, on all frames of the particles, and returns warnings about
-/// it.
+/// Measures the particle spacing as `convert` does, on all frames of the particles, and returns warnings
+/// about it.
 pub(super) fn estimated_spacing(frames: &FlickerFrames) -> Result<(f64, Vec<String>)> {
     let measured = measure_spacing(frames.particles.iter().map(|path| &**path), None)?;
     Ok((measured.spacing, measured.warnings))

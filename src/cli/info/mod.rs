@@ -179,8 +179,8 @@ impl FileInfo {
         self.bytes = bytes.len();
         let limits = Limits::default();
         self.made_by = if codec.is_none() { made_by(kind, &bytes) } else { None };
-        // `read_mesh` decompresses; the readers below expect uncompressed meshes. They refuse compressed level
-        // sets.
+        // `read_mesh` decompresses; the readers below expect uncompressed meshes. They refuse compressed
+        // level sets.
         let is_packed_mesh = codec.is_some()
             && kind.format().is_some_and(|format| format.has_mesh() && !format.has_particles());
         if is_packed_mesh {
@@ -201,8 +201,8 @@ impl FileInfo {
         Ok(())
     }
 
-    /// Describes a sequence in a `.usdc` or `.abc`, which may be larger than the memory, by the ends of the file.
-    /// Returns false for other files.
+    /// Describes a sequence in a `.usdc` or `.abc`, which may be larger than the memory, by the ends of the
+    /// file. Returns false for other files.
     fn fill_large_sequence(&mut self, path: &Path) -> Result<bool> {
         let mut file = open_regular(path)?;
         let mut head = Vec::new();

@@ -27,8 +27,8 @@ pub(super) struct SequenceFileRecord {
 }
 
 impl SequenceFileRecord {
-    /// A sequence file with this number of frames, these totals of vertices and triangles over all frames, and
-    /// these attributes; the rest comes from its recorded metadata.
+    /// A sequence file with this number of frames, these totals of vertices and triangles over all frames,
+    /// and these attributes; the rest comes from its recorded metadata.
     pub(super) fn new(
         frames: u64,
         [vertices, triangles]: [u64; 2],

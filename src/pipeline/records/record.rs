@@ -117,8 +117,8 @@ struct ObstaclesRecord {
     particles_inside: usize,
     /// Voxels that were filled because the gap to an obstacle was too narrow.
     void_voxels_filled: u64,
-    /// Voxels in an obstacle that are in the r_min sphere of a particle, or nearer to such a sphere than to the
-    /// obstacle's surface.
+    /// Voxels in an obstacle that are in the r_min sphere of a particle, or nearer to such a sphere than to
+    /// the obstacle's surface.
     voxels_taken: u64,
     /// How deep the deepest vertex is in an obstacle; 0 if none is inside.
     deepest_vertex_voxels: f64,

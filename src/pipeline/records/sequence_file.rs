@@ -22,7 +22,7 @@ use std::fmt;
 use std::fs::File;
 use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
-use std::rc::Rc;
+use std::sync::Arc;
 
 use meniscus_formats::gltf::{self, GlbFrame, SEQUENCE_FRAMES, SequenceFrame};
 use meniscus_formats::{Limits, OutputFormat, abc, read_provenance, usda, usdc};
@@ -186,9 +186,9 @@ struct ConvertedFrame {
     notes: Vec<String>,
 }
 
-/// Shares a `.glb` without a copy: as an `Rc<[u8]>`, it would be in memory twice when it is made.
+/// Shares a `.glb` without a copy: as an `Arc<[u8]>`, it would be in memory twice when it is made.
 #[derive(Clone)]
-struct GlbBytes(Rc<Vec<u8>>);
+struct GlbBytes(Arc<Vec<u8>>);
 
 impl AsRef<[u8]> for GlbBytes {
     fn as_ref(&self) -> &[u8] {
@@ -221,7 +221,7 @@ impl FrameReader {
         last.take();
         file.read_to_end(&mut bytes)?;
         let (glb, notes) = to_glb(bytes, &Limits::default()).map_err(io::Error::other)?;
-        let glb = GlbBytes(Rc::new(glb));
+        let glb = GlbBytes(Arc::new(glb));
         last.replace(Some(ConvertedFrame { index, glb: glb.clone(), notes }));
         Ok(FrameReader::Converted(Cursor::new(glb)))
     }

@@ -244,8 +244,8 @@ fn reading_memory(job: &Job) -> u64 {
 }
 
 /// Refuses the file of a level set that is larger than the memory limit. Its leaves cannot be counted within
-/// the limit, so the error has an amount that usually suffices: such a file typically needs 12 times its size, or 27
-/// times if it is smoothed.
+/// the limit, so the error has an amount that usually suffices: such a file typically needs 12 times its
+/// size, or 27 times if it is smoothed.
 fn check_file_of_level_set(
     file_bytes: u64,
     job: &Job,

@@ -201,7 +201,8 @@ fn pin_row<V: Lanes>(slab: &Slab, y: usize) -> (V, u8) {
 struct ChangedRows {
     /// Rows with any changed voxel.
     any: u64,
-    /// Rows with a changed voxel among the first two and the last two along z, which the leaves beyond ±z read.
+    /// Rows with a changed voxel among the first two and the last two along z, which the leaves beyond ±z
+    /// read.
     ends: [u64; 2],
 }
 
@@ -276,8 +277,8 @@ impl Kernel for Sweep<'_> {
     }
 }
 
-/// The upwind solution of |∇d| = 1 at each voxel of a row. If all of them are greater than `sweeps.up_to`, the
-/// row as it is.
+/// The upwind solution of |∇d| = 1 at each voxel of a row. If all of them are greater than `sweeps.up_to`,
+/// the row as it is.
 #[inline(always)]
 fn upwind<V: Lanes>(slab: &Slab, y: usize, sweeps: Sweeps) -> V {
     // Distances are positive on the voxel's own side of the surface.

@@ -10,7 +10,8 @@
 //! For a closed mesh the distance is exact. Beyond the boundary of an open mesh, the triangles at the
 //! boundary decide the sign.
 //!
-//! Jakob Andreas Bærentzen, Henrik Aanæs. Signed distance computation using the angle weighted pseudonormal. 2005
+//! Jakob Andreas Bærentzen, Henrik Aanæs. Signed distance computation using the angle weighted pseudonormal.
+//! 2005
 
 use std::f64::consts::{PI, TAU};
 

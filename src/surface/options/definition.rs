@@ -160,8 +160,8 @@ method_options! {
             #[arg(value_name = "LIST")]
             attributes: AttributeSelection,
 
-            /// Multiply velocities by this factor, and accelerations by its square, 1e-9 to 1e9; for velocities
-            /// per frame it is the frame rate, so that they are per second [default: 1]
+            /// Multiply velocities by this factor, and accelerations by its square, 1e-9 to 1e9; for
+            /// velocities per frame it is the frame rate, so that they are per second [default: 1]
             #[arg(value_name = "F")]
             velocity_scale: f64 in VELOCITY_SCALE_MIN..=VELOCITY_SCALE_MAX
                 => [OptionName::new("attributes"), OptionName::with_value("anisotropy", "velocity")], uses_velocities,
@@ -196,8 +196,8 @@ method_options! {
             #[arg(value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "10")]
             smooth_normals: u32 in 0..=ROUNDS_MAX,
 
-            /// Write the quads of dual contouring to .obj, .vtp, .usda, .usdc and .abc; --quads=false overrides
-            /// quads = true in a configuration file
+            /// Write the quads of dual contouring to .obj, .vtp, .usda, .usdc and .abc; --quads=false
+            /// overrides quads = true in a configuration file
             #[arg(
                 value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true",
                 hide_possible_values = true

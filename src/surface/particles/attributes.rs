@@ -72,8 +72,8 @@ pub fn find_attribute<'a>(all: &'a [Attribute], name: &str, arity: usize) -> Opt
     own.or_else(|| fitting().find(|attribute| attribute.matches(name)))
 }
 
-/// Multiplies finite numbers by a factor. Products beyond the range of 32-bit numbers become its limit, because
-/// files must contain finite numbers.
+/// Multiplies finite numbers by a factor. Products beyond the range of 32-bit numbers become its limit,
+/// because files must contain finite numbers.
 pub(crate) fn scale_numbers(values: &mut [f32], factor: f64) {
     for value in values {
         *value = (f64::from(*value) * factor).clamp(f32::MIN.into(), f32::MAX.into()) as f32;
@@ -81,8 +81,8 @@ pub(crate) fn scale_numbers(values: &mut [f32], factor: f64) {
 }
 
 impl Role {
-    /// The factor for values of this role if those of velocities are multiplied by `velocity_scale`: the unit of
-    /// time changes, and not that of lengths.
+    /// The factor for values of this role if those of velocities are multiplied by `velocity_scale`: the unit
+    /// of time changes, and not that of lengths.
     pub(crate) fn scale(self, velocity_scale: f64) -> f64 {
         match self {
             Role::Velocity => velocity_scale,

@@ -118,7 +118,8 @@ pub(super) fn assembled(
     (band, bounds)
 }
 
-/// Sweeps signed distances: `value_at` returns a voxel's value, and whether it is final; the others are swept.
+/// Sweeps signed distances: `value_at` returns a voxel's value, and whether it is final; the others are
+/// swept.
 pub(super) fn swept(topology: &Topology, half_width: f32, value_at: impl Fn(IVec3) -> (f32, bool)) -> Field {
     let mut distance = Field::splat(topology.len(), 0.0);
     let mut known = vec![LeafMask::EMPTY; topology.len()];

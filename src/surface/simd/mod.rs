@@ -1,8 +1,8 @@
 //! Runtime selection of the processor's widest vectors.
 //!
-//! A kernel is written once, over rows of eight values ([`Lanes`]), and compiled for each [`SimdLevel`]. Levels
-//! differ only in instructions: multiplications are never fused with additions, and every sum has a fixed
-//! order. So a frame is bit-identical on every processor, and tests compare the other levels with the
+//! A kernel is written once, over rows of eight values ([`Lanes`]), and compiled for each [`SimdLevel`].
+//! Levels differ only in instructions: multiplications are never fused with additions, and every sum has a
+//! fixed order. So a frame is bit-identical on every processor, and tests compare the other levels with the
 //! baseline.
 //!
 //! ```text
@@ -125,8 +125,8 @@ pub const LEVEL_VARIABLE: &str = "MENISCUS_SIMD";
 
 /// A computation that is compiled for each level.
 ///
-/// `run`, and all that it calls in a loop, must be `#[inline(always)]`: only code that is inlined into the level's
-/// entry is compiled for that level.
+/// `run`, and all that it calls in a loop, must be `#[inline(always)]`: only code that is inlined into the
+/// level's entry is compiled for that level.
 pub trait Kernel {
     /// The result.
     type Output;

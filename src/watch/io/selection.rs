@@ -9,9 +9,9 @@
 //!
 //! The folder of the outputs is excluded if it lies in the watched folder. But it may also be the watched
 //! folder itself, or contain it: then frames and outputs lie side by side, and only their
-//! [content](crate::pipeline::content()) can distinguish them. So, of the watched and the excluded folders that contain a file, the innermost decides
-//! whether the file is excluded. Level sets (.vdb) are taken only if the pattern ends in `.vdb`, and never if
-//! this program wrote them.
+//! [content](crate::pipeline::content()) can distinguish them. So, of the watched and the excluded folders
+//! that contain a file, the innermost decides whether the file is excluded. Level sets (.vdb) are taken only
+//! if the pattern ends in `.vdb`, and never if this program wrote them.
 
 use std::ffi::OsStr;
 use std::fmt;

@@ -155,9 +155,9 @@ impl Journal {
         &self.state
     }
 
-    /// Suspends writing if `is_suspended`, otherwise resumes it. The caller suspends writing while a write would
-    /// fail, or while the output disk is not mounted: a write would then go to the folder that is the mount
-    /// point. Records stay pending, and are written with the first record afterwards.
+    /// Suspends writing if `is_suspended`, otherwise resumes it. The caller suspends writing while a write
+    /// would fail, or while the output disk is not mounted: a write would then go to the folder that is the
+    /// mount point. Records stay pending, and are written with the first record afterwards.
     pub fn set_suspended(&mut self, is_suspended: bool) {
         self.is_suspended = is_suspended;
     }

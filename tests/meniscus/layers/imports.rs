@@ -171,7 +171,8 @@ fn test_modules(path: &[String], words: &[String]) -> Vec<Vec<String>> {
     found
 }
 
-/// Where the item begins that an attribute `#[cfg(test)]` or `#[cfg(all(test, …))]` at this place leaves to tests.
+/// Where the item begins that an attribute `#[cfg(test)]` or `#[cfg(all(test, …))]` at this place leaves to
+/// tests.
 fn after_test_attribute(words: &[String], at: usize) -> Option<usize> {
     let is = |offset: usize, text: &str| words.get(at + offset).is_some_and(|word| word == text);
     if !(is(0, "#") && is(1, "[") && is(2, "cfg") && is(3, "(")) {

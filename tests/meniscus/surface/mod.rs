@@ -1,7 +1,7 @@
 //! Checks that meshes are sound and in the right position.
 //!
-//! Every mesh here first passes [`checked_contour`]: closed, manifold, without degenerate triangles, oriented outward,
-//! with unit normals.
+//! Every mesh here first passes [`checked_contour`]: closed, manifold, without degenerate triangles, oriented
+//! outward, with unit normals.
 
 mod bands;
 mod decimate;
