@@ -140,10 +140,7 @@ impl Shot {
         let Surface { positions, normals, triangles, .. } =
             reconstruct(&particles, &options).expect("a surface");
         Shot {
-            positions: positions
-                .iter()
-                .map(|position| position.as_vec3().to_array())
-                .collect(),
+            positions: positions.iter().map(|position| position.as_vec3().to_array()).collect(),
             normals: normals.iter().map(|normal| normal.to_array()).collect(),
             triangles,
         }

@@ -3,6 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    meniscus::cli::give_memory_back();
     meniscus::cli::run(std::env::args_os())
 }

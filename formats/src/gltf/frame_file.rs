@@ -309,7 +309,8 @@ impl GlbFrame {
         read_pieces(&column, file, |bytes| {
             if is_narrow {
                 let corners = bytes.as_chunks().0.as_chunks::<3>().0.iter();
-                triangles.extend(corners.map(|corners| corners.map(|bytes| u16::from_le_bytes(bytes).into())));
+                triangles
+                    .extend(corners.map(|corners| corners.map(|bytes| u16::from_le_bytes(bytes).into())));
             } else {
                 let corners = bytes.as_chunks().0.as_chunks::<3>().0.iter();
                 triangles.extend(corners.map(|corners| corners.map(u32::from_le_bytes)));

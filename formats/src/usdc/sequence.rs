@@ -65,7 +65,8 @@ pub fn write_sequence<R: Read + Seek + Send>(
         let transform = shot.transform(index)?;
         // One for each array.
         let files = sources.iter().map(|_| open(index)).collect::<io::Result<Vec<R>>>()?;
-        let encode = |(source, mut file): (&SourceArray, R)| source.encoded(&frame.file, &transform, &mut file);
+        let encode =
+            |(source, mut file): (&SourceArray, R)| source.encoded(&frame.file, &transform, &mut file);
         let (written, encoded) = rayon::join(
             || waiting.take().map_or(Ok(()), &mut write),
             || sources.par_iter().zip(files).map(encode).collect::<Vec<Result<KeyedArray>>>(),
