@@ -22,7 +22,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-use glam::DVec3;
 use meniscus::pipeline::write_atomically;
 use meniscus::surface::{Options, Surface, reconstruct};
 use meniscus_formats::{MeshOptions, MeshView, gltf, ply};

@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use meniscus::cli::{give_memory_back, status_of};
+use meniscus::cli::status_of;
 use meniscus::pipeline::{
     self, Cause, EmbeddedSurface, FrameError, InMemoryObstacle, OutputFormat, OutputOptions, PictureOptions,
     ScratchFile, covers, default_memory_bytes, in_memory_attributes, in_memory_parts, obstacle_warnings,
@@ -41,10 +41,7 @@ pub(crate) fn default_memory() -> u64 {
 /// else.
 #[pyfunction]
 pub(crate) fn run_command(py: Python<'_>, arguments: Vec<std::ffi::OsString>) -> u8 {
-    py.detach(|| {
-        give_memory_back();
-        status_of(arguments)
-    })
+    py.detach(|| status_of(arguments))
 }
 
 /// The number of bytes in a text such as `8GiB`, as the command line reads it.

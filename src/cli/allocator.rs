@@ -8,25 +8,19 @@
 //! glibc also creates up to eight arenas per processor, each of which retains some memory: a daemon on two
 //! processors grew from 22 to 56 MiB within its first hour. At most one thread per processor runs at once, so
 //! one arena per processor is as fast.
-//!
-//! `sequence` allocates the same large arrays for every frame, and has nothing else in memory. With fixed
-//! thresholds it would take 1.4 times as long, and not less memory.
 
-use std::ffi::OsString;
-
-/// Makes the allocator retain little memory, for the command with these arguments. Call it before the process
-/// starts threads.
+/// Makes the allocator retain little memory. Call it before the process starts threads.
 ///
-/// Does nothing for `sequence`, if the environment sets the allocator's options (`MALLOC_…`,
-/// `GLIBC_TUNABLES`), or if the C library is not glibc.
+/// Does nothing if the environment sets the allocator's options (`MALLOC_…`, `GLIBC_TUNABLES`), or if the C
+/// library is not glibc.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
-pub(super) fn give_memory_back(arguments: &[OsString]) {
+pub fn give_memory_back() {
     use std::env;
     use std::ffi::c_int;
     use std::thread::available_parallelism;
 
     let is_chosen = |name: &&str| env::var_os(name).is_some();
-    if CHOSEN_BY.iter().any(is_chosen) || arguments.get(1).is_some_and(|command| command == "sequence") {
+    if CHOSEN_BY.iter().any(is_chosen) {
         return;
     }
     let arenas = available_parallelism().map_or(1, usize::from);
@@ -59,4 +53,4 @@ const TRIM_THRESHOLD: std::ffi::c_int = 4 << 20;
 
 /// Other systems have another allocator, so this does nothing.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
-pub(super) fn give_memory_back(_arguments: &[OsString]) {}
+pub fn give_memory_back() {}
