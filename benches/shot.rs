@@ -10,7 +10,7 @@
 //! Both write to the same disk, alternately, and both sync their files, as the program always does. The time
 //! of .usdc includes the start of the program and reading the frames. MB are 10⁶ bytes of the written files.
 //! All frames have different arrays, because .usdc stores equal ones once. Exits with 1 if a figure misses
-//! the project's target. Needs python3, and 8 GB of disk space.
+//! the project's target. Needs python3, and 6 GB of disk space.
 //!
 //! `cargo bench --bench shot`
 

@@ -13,8 +13,22 @@
 ///
 /// Does nothing if the environment sets the allocator's options (`MALLOC_…`, `GLIBC_TUNABLES`), or if the C
 /// library is not glibc.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
 pub fn give_memory_back() {
+    configure(false);
+}
+
+/// Limits the arenas alone. For a process that allocates the same large blocks again and again: to return
+/// them takes time, and does not lower its peak.
+pub(super) fn limit_arenas() {
+    configure(true);
+}
+
+/// Other systems have another allocator, so this does nothing.
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+fn configure(_keeps_blocks: bool) {}
+
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+fn configure(keeps_blocks: bool) {
     use std::env;
     use std::ffi::c_int;
     use std::thread::available_parallelism;
@@ -24,12 +38,10 @@ pub fn give_memory_back() {
         return;
     }
     let arenas = available_parallelism().map_or(1, usize::from);
-    let settings = [
-        (libc::M_MMAP_THRESHOLD, MMAP_THRESHOLD),
-        (libc::M_TRIM_THRESHOLD, TRIM_THRESHOLD),
-        (libc::M_ARENA_MAX, c_int::try_from(arenas).unwrap_or(c_int::MAX)),
-    ];
-    for (parameter, value) in settings {
+    let arenas = (libc::M_ARENA_MAX, c_int::try_from(arenas).unwrap_or(c_int::MAX));
+    let thresholds = [(libc::M_MMAP_THRESHOLD, MMAP_THRESHOLD), (libc::M_TRIM_THRESHOLD, TRIM_THRESHOLD)];
+    let thresholds = if keeps_blocks { &[] } else { &thresholds[..] };
+    for &(parameter, value) in [arenas].iter().chain(thresholds) {
         // If glibc refuses a parameter, the process only retains more memory.
         #[expect(unsafe_code, reason = "std has no safe call for it")]
         // SAFETY: mallopt takes two integers, no pointers; it locks the allocator's state, and refuses
@@ -50,7 +62,3 @@ const MMAP_THRESHOLD: std::ffi::c_int = 1 << 20;
 /// Free memory at the end of an arena is returned once it reaches 4 MiB.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const TRIM_THRESHOLD: std::ffi::c_int = 4 << 20;
-
-/// Other systems have another allocator, so this does nothing.
-#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
-pub fn give_memory_back() {}

@@ -337,7 +337,7 @@ fn read_pieces(
     let mut bytes = Vec::new();
     for first in (0..column.count).step_by(PIECE) {
         let count = PIECE.min(column.count - first);
-        bytes.resize(count * column.stride_bytes, 0); // the column is in the file, so this is no more than that
+        bytes.resize(count * column.stride_bytes, 0); // at most the size of the file
         match file.read_exact(&mut bytes) {
             Err(error) if error.kind() == ErrorKind::UnexpectedEof => {
                 let what = "the file became shorter while it was being read";

@@ -70,7 +70,8 @@ pub(super) fn encode<T: Integer>(values: impl ExactSizeIterator<Item = T> + Clon
     let mut out = vec![0; wide + count.div_ceil(4)];
     out[..wide].copy_from_slice(&common.to_le_bytes()[..wide]);
     let (mut differences, mut at) = (differences, wide);
-    // The differences of a piece, which are appended together.
+    // The differences of a piece. They are collected here, because a vector of the largest possible size
+    // would have to be cleared.
     let mut others = [0; PIECE * WHOLE_BYTES];
     for piece in 0..count.div_ceil(PIECE) {
         let piece_count = PIECE.min(count - piece * PIECE);
@@ -173,8 +174,8 @@ mod tests {
     fn integers_round_trip_and_damage_is_noticed() {
         let edges = [0, 1, -1, 127, -128, 128, 32_767, -32_768, 32_768, 65_536, i64::from(i32::MAX)];
         let more = [i64::from(i32::MIN), i64::MAX, i64::MIN, 3, 3, 3, 3];
-        let long: Vec<i64> = edges.iter().chain(&more).copied().cycle().take(1000).collect();
-        for count in [0, 1, 2, 3, 4, 5, 17, 1000] {
+        let long: Vec<i64> = edges.iter().chain(&more).copied().cycle().take(5000).collect();
+        for count in [0, 1, 2, 3, 4, 5, 17, 1000, 1023, 1024, 1025, 2048, 5000] {
             let wide = &long[..count];
             let bytes = if count == 0 { Vec::new() } else { encode(wide.iter().copied()) };
             assert!(bytes.len() <= encoded_bytes_max::<i64>(count).expect("small"));

@@ -63,16 +63,22 @@ pub fn write_sequence<R: Read + Seek + Send>(
     let mut waiting = None;
     for (index, frame) in frames.iter().enumerate() {
         let transform = shot.transform(index)?;
-        // One for each array.
-        let files = sources.iter().map(|_| open(index)).collect::<io::Result<Vec<R>>>()?;
         let encode =
             |(source, mut file): (&SourceArray, R)| source.encoded(&frame.file, &transform, &mut file);
-        let (written, encoded) = rayon::join(
-            || waiting.take().map_or(Ok(()), &mut write),
-            || sources.par_iter().zip(files).map(encode).collect::<Vec<Result<KeyedArray>>>(),
-        );
-        written?;
-        waiting = Some((index, encoded.into_iter().collect::<Result<_>>()?));
+        let mut arrays = Vec::with_capacity(sources.len());
+        for sources in sources.chunks(OPEN_FILES_MAX) {
+            // Each array is read from a file of its own, so that threads can read at once.
+            let files = sources.iter().map(|_| open(index)).collect::<io::Result<Vec<R>>>()?;
+            let (written, encoded) = rayon::join(
+                || waiting.take().map_or(Ok(()), &mut write),
+                || sources.par_iter().zip(files).map(encode).collect::<Vec<Result<KeyedArray>>>(),
+            );
+            written?;
+            for array in encoded {
+                arrays.push(array?);
+            }
+        }
+        waiting = Some((index, arrays));
     }
     waiting.map_or(Ok(()), write)?;
 
@@ -106,7 +112,10 @@ pub fn write_sequence<R: Read + Seek + Send>(
     Ok(notes)
 }
 
-/// Where the elements of an array are in the file of a frame.
+/// The most files of a frame that are open at once: systems limit them to 256 or more.
+const OPEN_FILES_MAX: usize = 32;
+
+/// What an array contains.
 enum SourceArray<'a> {
     TriangleSizes,
     TriangleCorners,
