@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 
 use crate::pipeline::{
     FrameFile, OutputFormat, OutputOptions, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource,
-    are_same_file, is_sequence_file, write_sequence_file,
+    are_same_file, check_sequence_path, is_sequence_file, write_sequence_file,
 };
 
 use super::CommandOutcome;
@@ -74,10 +74,20 @@ fn without_old_sequence_file(files: Vec<FrameFile>, output: &Path) -> Result<Vec
     Ok(frames)
 }
 
-/// Warns about missing frames, unless the frames are counted because some have no number.
+/// Warns about missing frames, and about numbers that do not increase. Frames without a number are counted, so
+/// none of them are missing.
 fn warn_gaps(path: &Path, frames: &[SequenceSource], console: &mut Console) {
     let numbers: Option<Vec<u64>> = frames.iter().map(|frame| frame.number).collect();
-    if let Some((gaps, count)) = numbers.and_then(|numbers| held_gaps(&numbers)) {
+    let Some(numbers) = numbers else { return };
+    let pair = frames.windows(2).find(|pair| pair[0].number >= pair[1].number);
+    if let Some([before, after]) = pair {
+        console.warning(format_args!(
+            "{}: the frames are counted from 1, because the number of {} is not greater than that of {}",
+            path.display(),
+            after.path.display(),
+            before.path.display()
+        ));
+    } else if let Some((gaps, count)) = held_gaps(&numbers) {
         let are = counted_are(count);
         console.warning(format_args!("{}: {gaps}: {are} missing", path.display()));
     }
@@ -131,6 +141,7 @@ impl SequenceOutputs {
                 let extension = option.trim_start_matches("--sequence-");
                 bail!("{option} {}: the name of this file must end in .{extension}", path.display());
             }
+            check_sequence_path(path)?;
             if !outputs.formats.contains(&OutputFormat::Glb) {
                 bail!(
                     "{option}: a sequence file is made from the .glb files of its frames: add glb to --format"

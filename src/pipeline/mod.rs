@@ -121,8 +121,8 @@ pub use records::provenance::{
 };
 pub use records::record::{RunRecord, SequenceRecord};
 pub use records::sequence_file::{
-    SequenceError, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource, common_step,
-    is_sequence_file, write_sequence_file,
+    SequenceError, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource, check_sequence_path,
+    common_step, is_sequence_file, write_sequence_file,
 };
 pub(crate) use records::stage_file::STAGE_FRAMES;
 pub use records::stage_file::{

@@ -553,6 +553,18 @@ fn sequence_file_replaces_only_an_earlier_one() {
         made.push(fs::read(path.join("out/dam.4.glb")).expect("readable"));
     }
     assert!(made.iter().all(|shot| *shot == made[0]));
+    // Nor does it replace a frame that is not combined, or a file of the user.
+    fs::copy(path.join("out/dam.1.glb"), path.join("dam.0001.glb")).expect("copied");
+    fs::write(path.join("mine.usda"), "text").expect("written");
+    for output in ["dam.0001.glb", "mine.usda"] {
+        let before = fs::read(path.join(output)).expect("readable");
+        let option = if output == "mine.usda" { "--sequence-usda" } else { "--sequence-glb" };
+        let convert = ["convert", "in", "--out", "again", "--voxel-size", "0.05", option, output];
+        for arguments in [&["sequence", "out", "-o", output][..], &convert] {
+            refused(path, arguments, &[output, "exists, and is not a sequence file of meniscus"]);
+        }
+        assert!(!path.join("again").exists() && fs::read(path.join(output)).expect("there") == before);
+    }
     for (output, why) in [("t.glb", "already a sequence"), ("out/dam.4.glb", "this is a sequence file")] {
         refused(path, &["sequence", "out/dam.4.glb", "-o", output], &["dam.4.glb: ", why]);
     }

@@ -89,7 +89,7 @@ def read_shot(path: Path) -> Shot:
     if "shot" not in about:
         raise ValueError(
             f"{path.name} is a single frame: import the stage that plays all frames. To write it, convert again "
-            "with --skip-done --stage shot.usda"
+            "with --skip-done --stage stage.usda"
         )
     shot = about["shot"]
     return Shot(shot["first"], shot["last"], shot["fps"], {}, stamp)

@@ -65,7 +65,7 @@ are the time codes, and in an .abc frame n is at n / --fps seconds. In a .glb th
 by their greatest common divisor: frames 0, 100 and 300 play at frames 0, 1 and 3. If some names have no number, or the
 numbers do not increase, frames are counted from 1.
 
-The file may replace an older sequence file, but not the file of a frame.
+The file may replace an older sequence file, and no other file.
 
 Frame n of a scene shows frame n of the .glb if the scene has the same frames per second as --fps: in Blender set the frame
 rate (24 by default) before importing. At a lower rate the scene skips frames.

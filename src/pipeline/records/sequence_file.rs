@@ -111,8 +111,8 @@ impl std::error::Error for SequenceError {}
 /// cannot be read are skipped and reported.
 ///
 /// # Errors
-/// When no frame can be read, the format cannot hold all frames, a frame is written meanwhile, or the file
-/// cannot be written.
+/// When no frame can be read, the format cannot hold all frames, a frame is written meanwhile, the path is
+/// that of [another file](check_sequence_path), or the file cannot be written.
 pub fn write_sequence_file(
     path: &Path,
     format: SequenceFormat,
@@ -124,6 +124,7 @@ pub fn write_sequence_file(
     if sources.iter().any(|source| are_same_file(&source.path, path)) {
         return Err(fail("the sequence file would replace one of its frames".to_owned()));
     }
+    check_sequence_path(path)?;
     let (source_frames, left_out) = read_frames(sources);
     if source_frames.is_empty() {
         return Err(no_frame(&left_out, path));
@@ -166,6 +167,19 @@ pub fn write_sequence_file(
     report.frame_count = frames.len();
     report.size_bytes = path.metadata().map_err(|error| fail(error.to_string()))?.len();
     Ok(report)
+}
+
+/// Refuses a path where a file exists that is not a sequence file of this program: it may be a frame, a stage,
+/// or a file of the user.
+///
+/// # Errors
+/// If there is such a file.
+pub fn check_sequence_path(path: &Path) -> Result<(), SequenceError> {
+    if !path.exists() || is_sequence_file(path) {
+        return Ok(());
+    }
+    let what = "exists, and is not a sequence file of meniscus: choose another name".to_owned();
+    Err(SequenceError { path: path.to_owned(), what })
 }
 
 /// A frame, and the stamp of its file when it was opened.
