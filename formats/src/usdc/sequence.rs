@@ -48,39 +48,7 @@ pub fn write_sequence<R: Read + Seek + Send>(
     let start = head(provenance, 0);
     out.write_all(&start)?;
     let mut arrays = ArrayWriter { at: start.len() as u64, written: HashMap::new(), out };
-    let sources: Vec<SourceArray> = [SourceArray::TriangleSizes, SourceArray::TriangleCorners]
-        .into_iter()
-        .chain(attributes.iter().map(SourceArray::Attribute))
-        .collect();
-    let mut samples: Vec<Vec<(f64, ValueRep)>> = vec![Vec::new(); sources.len()];
-    let mut write = |(index, encoded): (usize, Vec<KeyedArray>)| -> Result<()> {
-        for (array, samples) in encoded.iter().zip(&mut samples) {
-            let value = arrays.write(array)?;
-            samples.extend(shot.vertex_codes(index).map(|code| (code, value)));
-        }
-        Ok(())
-    };
-    let mut waiting = None;
-    for (index, frame) in frames.iter().enumerate() {
-        let transform = shot.transform(index)?;
-        let encode =
-            |(source, mut file): (&SourceArray, R)| source.encoded(&frame.file, &transform, &mut file);
-        let mut arrays = Vec::with_capacity(sources.len());
-        for sources in sources.chunks(OPEN_FILES_MAX) {
-            // Each array is read from a file of its own, so that threads can read at once.
-            let files = sources.iter().map(|_| open(index)).collect::<io::Result<Vec<R>>>()?;
-            let (written, encoded) = rayon::join(
-                || waiting.take().map_or(Ok(()), &mut write),
-                || sources.par_iter().zip(files).map(encode).collect::<Vec<Result<KeyedArray>>>(),
-            );
-            written?;
-            for array in encoded {
-                arrays.push(array?);
-            }
-        }
-        waiting = Some((index, arrays));
-    }
-    waiting.map_or(Ok(()), write)?;
+    let samples = write_arrays(&shot, &attributes, open, &mut arrays)?;
 
     let mut end = LayerEnd::at(arrays.at);
     let mut specs = vec![extents(&shot, &mut end)?];
@@ -110,6 +78,50 @@ pub fn write_sequence<R: Read + Seek + Send>(
     out.write_all(&contents_at.to_le_bytes())?;
     out.seek(SeekFrom::End(0))?;
     Ok(notes)
+}
+
+/// Writes the arrays of all frames. Returns the time samples of each property: the numbers of corners, the
+/// corners, and the attributes.
+fn write_arrays<R: Read + Seek + Send>(
+    shot: &UsdSequence,
+    attributes: &[SequenceAttribute],
+    open: impl Fn(usize) -> io::Result<R>,
+    out: &mut ArrayWriter<impl Write + Send>,
+) -> Result<Vec<Vec<(f64, ValueRep)>>> {
+    let sources: Vec<SourceArray> = [SourceArray::TriangleSizes, SourceArray::TriangleCorners]
+        .into_iter()
+        .chain(attributes.iter().map(SourceArray::Attribute))
+        .collect();
+    let mut samples: Vec<Vec<(f64, ValueRep)>> = vec![Vec::new(); sources.len()];
+    let mut write = |(index, encoded): (usize, Vec<KeyedArray>)| -> Result<()> {
+        for (array, samples) in encoded.iter().zip(&mut samples) {
+            let value = out.write(array)?;
+            samples.extend(shot.vertex_codes(index).map(|code| (code, value)));
+        }
+        Ok(())
+    };
+    let mut waiting = None;
+    for (index, frame) in shot.frames.iter().enumerate() {
+        let transform = shot.transform(index)?;
+        let encode =
+            |(source, mut file): (&SourceArray, R)| source.encoded(&frame.file, &transform, &mut file);
+        let mut arrays = Vec::with_capacity(sources.len());
+        for sources in sources.chunks(OPEN_FILES_MAX) {
+            // Each array is read from a file of its own, so that threads can read at once.
+            let files = sources.iter().map(|_| open(index)).collect::<io::Result<Vec<R>>>()?;
+            let (written, encoded) = rayon::join(
+                || waiting.take().map_or(Ok(()), &mut write),
+                || sources.par_iter().zip(files).map(encode).collect::<Vec<Result<KeyedArray>>>(),
+            );
+            written?;
+            for array in encoded {
+                arrays.push(array?);
+            }
+        }
+        waiting = Some((index, arrays));
+    }
+    waiting.map_or(Ok(()), write)?;
+    Ok(samples)
 }
 
 /// The most files of a frame that are open at once: systems limit them to 256 or more.
