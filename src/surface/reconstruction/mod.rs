@@ -133,11 +133,13 @@ impl SmoothedFrame {
 /// assert_eq!(drop.mesh.measure().euler_characteristic, 2);
 /// # Ok::<(), meniscus::surface::options::SettingsError>(())
 /// ```
+#[inline] // compiled for its type of particles only where it is called: the command line has another type
 pub fn reconstruct_frame(particles: &OwnedPositions, settings: &Settings) -> FrameSurface {
     reconstruct_frame_observed(particles, settings, &mut |_| {})
 }
 
 /// Like [`reconstruct_frame`]; `entered` is called at the start of each phase.
+#[inline] // compiled for its type of particles only where it is called: the command line has another type
 pub fn reconstruct_frame_observed(
     particles: &OwnedPositions,
     settings: &Settings,
@@ -154,6 +156,7 @@ pub fn reconstruct_frame_observed(
 
 /// Reconstructs the surface of one frame of particles with attributes and obstacles, and transfers the
 /// selected attributes to the vertices.
+#[inline] // compiled for its type of particles only where it is called: the command line has another type
 pub fn reconstruct_cloud(cloud: ParticleCloud, settings: &Settings, obstacles: &Obstacles) -> FrameSurface {
     let (shaped, shape_stats) = shape_particles(cloud, settings);
     let Ok(rasterized) = rasterize(&shaped, settings, shape_stats, obstacles.clone());
@@ -200,6 +203,7 @@ pub fn rasterize<S: ParticleSource>(
 }
 
 /// Second stage: constrained smoothing.
+#[inline] // compiled for its type of particles only where it is called: the command line has another type
 pub fn smooth(rasterized: RasterizedFrame, settings: &Settings) -> SmoothedFrame {
     smooth_observed(rasterized, settings, &mut |_| {})
 }
@@ -245,6 +249,7 @@ fn report_smoothing(report: &mut ReconstructionReport, smoothed: smooth::SmoothR
 }
 
 /// Third stage: the mesh, its measures, and the certificate, which validates the mesh as each file stores it.
+#[inline] // compiled for its type of particles only where it is called: the command line has another type
 pub fn contour(smoothed: SmoothedFrame, settings: &Settings, stored: &[PositionFormat]) -> FrameSurface {
     let ControlFlow::Continue(surface) =
         contour_while::<Infallible>(smoothed, settings, stored, &|| ControlFlow::Continue(()));

@@ -38,6 +38,7 @@ use crate::surface::report::ShapeStats;
 /// Applies the shapes and positions that the settings request. If an attribute that the settings require is
 /// missing, or does not have a number or a vector per particle, the particles are balls; callers check the
 /// attributes first.
+#[inline] // compiled for its type of particles only where it is called: the command line has another type
 pub fn shape_particles(
     cloud: ParticleCloud,
     settings: &Settings,
