@@ -7,10 +7,11 @@
 //!   .usdc    240 .glb files ──meniscus sequence──▶ 1 file
 //! ```
 //!
-//! Both write to the same disk, alternately, and both sync their files, as the program always does. The time
+//! Both write to the same disk, alternately, and both sync their files, as the program always does. The files
+//! of both remain until all are written, so that both take as much new memory for the system's cache. The time
 //! of .usdc includes the start of the program and reading the frames. MB are 10⁶ bytes of the written files.
 //! All frames have different arrays, because .usdc stores equal ones once. Exits with 1 if a figure misses
-//! the project's target. Needs python3, and 6 GB of disk space.
+//! the project's target. Needs python3, and 8 GB of disk space.
 //!
 //! `cargo bench --bench shot`
 
@@ -187,15 +188,16 @@ impl Shot {
     /// Writes all frames as .ply, and returns the MB per second.
     fn ply_speed(&self, folder: &Path) -> f64 {
         let (mut seconds, mut size_mb) = (0.0, 0.0);
+        let path_of = |index: usize| folder.join(format!("frame.{:04}.ply", index + 1));
         for index in 0..FRAME_COUNT {
-            let path = folder.join(format!("frame.{:04}.ply", index + 1));
+            let path = path_of(index);
             let frame = self.frame(index);
             let start = Instant::now();
             write_atomically(&path, |out| ply::write::write_mesh(&frame.view(), &[], out)).expect("written");
             seconds += start.elapsed().as_secs_f64();
             size_mb += path.metadata().expect("written").len() as f64 / 1e6;
-            fs::remove_file(&path).expect("removed");
         }
+        (0..FRAME_COUNT).for_each(|index| fs::remove_file(path_of(index)).expect("removed"));
         size_mb / seconds
     }
 }

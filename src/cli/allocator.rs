@@ -13,22 +13,8 @@
 ///
 /// Does nothing if the environment sets the allocator's options (`MALLOC_…`, `GLIBC_TUNABLES`), or if the C
 /// library is not glibc.
-pub fn give_memory_back() {
-    configure(false);
-}
-
-/// Limits the arenas alone. For a process that allocates the same large blocks again and again: to return
-/// them takes time, and does not lower its peak.
-pub(super) fn limit_arenas() {
-    configure(true);
-}
-
-/// Other systems have another allocator, so this does nothing.
-#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
-fn configure(_keeps_blocks: bool) {}
-
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
-fn configure(keeps_blocks: bool) {
+pub fn give_memory_back() {
     use std::env;
     use std::ffi::c_int;
     use std::thread::available_parallelism;
@@ -38,10 +24,12 @@ fn configure(keeps_blocks: bool) {
         return;
     }
     let arenas = available_parallelism().map_or(1, usize::from);
-    let arenas = (libc::M_ARENA_MAX, c_int::try_from(arenas).unwrap_or(c_int::MAX));
-    let thresholds = [(libc::M_MMAP_THRESHOLD, MMAP_THRESHOLD), (libc::M_TRIM_THRESHOLD, TRIM_THRESHOLD)];
-    let thresholds = if keeps_blocks { &[] } else { &thresholds[..] };
-    for &(parameter, value) in [arenas].iter().chain(thresholds) {
+    let parameters = [
+        (libc::M_ARENA_MAX, c_int::try_from(arenas).unwrap_or(c_int::MAX)),
+        (libc::M_MMAP_THRESHOLD, MMAP_THRESHOLD),
+        (libc::M_TRIM_THRESHOLD, TRIM_THRESHOLD),
+    ];
+    for (parameter, value) in parameters {
         // If glibc refuses a parameter, the process only retains more memory.
         #[expect(unsafe_code, reason = "std has no safe call for it")]
         // SAFETY: mallopt takes two integers, no pointers; it locks the allocator's state, and refuses
@@ -49,6 +37,10 @@ fn configure(keeps_blocks: bool) {
         let _accepted = unsafe { libc::mallopt(parameter, value) };
     }
 }
+
+/// Other systems have another allocator, so this does nothing.
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+pub fn give_memory_back() {}
 
 /// Environment variables that configure the allocator; if one is set, the allocator is left as it is.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]

@@ -52,7 +52,6 @@ use clap::Parser;
 use meniscus_formats::escaped;
 
 pub use allocator::give_memory_back;
-use allocator::limit_arenas;
 pub use quantities::parse_bytes;
 
 use args::{Cli, Command};
@@ -137,12 +136,7 @@ pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8
             return u8::try_from(help_or_error.exit_code()).unwrap_or(2);
         }
     };
-    // `sequence` allocates the same large arrays for every frame.
-    if matches!(typed.command, Command::Sequence(_)) {
-        limit_arenas();
-    } else {
-        give_memory_back();
-    }
+    give_memory_back();
     let mut console = Console::new();
     // The daemon handles signals itself, to finish the frames in flight.
     if !matches!(typed.command, Command::Watch(_)) {

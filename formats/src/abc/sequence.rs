@@ -120,20 +120,18 @@ impl AbcSequence<'_> {
         let file = &self.frames[index].file;
         let transform = self.placement.transform(file)?;
         let (vertices, triangles) = (file.vertex_count() as u64, file.triangle_count()? as u64);
-        let reals = |semantic: &str, extent: u64, per_vertex: u64, ogawa: &mut Ogawa| {
-            let found = match ogawa.is_measuring() {
-                true => None,
-                false => file.read_attribute(semantic, &transform, &mut open(index)?)?,
-            };
-            let values = found.map(|(_, values)| values).unwrap_or_default();
+        let mut values = Vec::new();
+        let mut reals = |semantic: &str, extent: u64, per_vertex: u64, ogawa: &mut Ogawa| {
+            if !ogawa.is_measuring() {
+                file.read_attribute(semantic, &transform, &mut open(index)?, &mut values)?;
+            }
             real_sample(&values, (vertices * per_vertex, extent), ogawa)
         };
         let positions = reals(POSITION, 3, 1, ogawa)?;
-        let corners = if file.has_mesh() && !ogawa.is_measuring() {
-            file.read_triangles(&mut open(index)?)?
-        } else {
-            Vec::new()
-        };
+        let mut corners = Vec::new();
+        if !ogawa.is_measuring() {
+            file.read_triangles(&mut open(index)?, &mut corners)?;
+        }
         let faces = triangle_samples(&corners, triangles, ogawa)?;
         drop(corners);
         let bounds = file.transformed_bounds(&transform)?.map(|corner| corner.map(f64::from));
@@ -144,16 +142,16 @@ impl AbcSequence<'_> {
             normals: reals(NORMAL, 3, 1, ogawa)?,
             velocities: None,
         };
-        let mut values = Vec::new();
+        let mut samples = Vec::new();
         for attribute in &self.attributes {
             let ParamType { extent, elements, .. } = attribute.kind;
             let sample = reals(&attribute.semantic, extent.into(), elements as u64, ogawa)?;
             if attribute.is_velocity() {
                 frame.velocities = Some(sample);
             }
-            values.push(sample);
+            samples.push(sample);
         }
-        Ok((frame, values))
+        Ok((frame, samples))
     }
 }
 

@@ -256,13 +256,15 @@ impl GlbFrame {
         corners.map(|(min, max)| [min, max]).ok_or_else(|| invalid("the positions have no bounds"))
     }
 
-    /// Reads vertex data. Converts normalized integers to −1 ..= 1 and multiplies them by `scale`.
+    /// Reads vertex data, which replace the `values`. Converts normalized integers to −1 ..= 1 and multiplies
+    /// them by `scale`.
     pub(super) fn read_column(
         &self,
         column: &VertexColumn,
         scale: f64,
         file: &mut (impl Read + Seek),
-    ) -> Result<Vec<f32>> {
+        values: &mut Vec<f32>,
+    ) -> Result<()> {
         let greatest = match column.component {
             component::I8 => f64::from(i8::MAX),
             component::U16 => f64::from(u16::MAX),
@@ -272,7 +274,8 @@ impl GlbFrame {
         #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
         let real = |part: f64| (part / greatest * scale) as f32;
         let float = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes);
-        let mut values = Vec::with_capacity(column.count * column.arity);
+        values.clear();
+        values.reserve_exact(column.count * column.arity);
         read_pieces(column, file, |bytes| {
             let records = bytes.chunks_exact(column.stride_bytes);
             match column.component {
@@ -293,19 +296,27 @@ impl GlbFrame {
                     values.extend(pairs.map(|bytes| real(f64::from(u16::from_le_bytes(*bytes)))));
                 }
             }
-        })?;
-        Ok(values)
+        })
     }
 
-    /// Reads the triangles and checks their indices.
-    pub(crate) fn read_triangles(&self, file: &mut (impl Read + Seek)) -> Result<Vec<[u32; 3]>> {
+    /// Reads the triangles, which replace the given ones, and checks their indices. A frame without a mesh has
+    /// none.
+    pub(crate) fn read_triangles(
+        &self,
+        file: &mut (impl Read + Seek),
+        triangles: &mut Vec<[u32; 3]>,
+    ) -> Result<()> {
+        triangles.clear();
+        if !self.has_mesh() {
+            return Ok(());
+        }
         let column = self.indices()?;
         let is_narrow = match (column.component, column.stride_bytes) {
             (component::U16, 2) => true,
             (component::U32, 4) => false,
             _ => return Err(invalid("the indices have an unexpected type")),
         };
-        let mut triangles: Vec<[u32; 3]> = Vec::with_capacity(column.count / 3);
+        triangles.reserve_exact(column.count / 3);
         read_pieces(&column, file, |bytes| {
             if is_narrow {
                 let corners = bytes.as_chunks().0.as_chunks::<3>().0.iter();
@@ -322,7 +333,7 @@ impl GlbFrame {
                 "a triangle has vertex index {index}, but the mesh has {vertex_count} vertices"
             )));
         }
-        Ok(triangles)
+        Ok(())
     }
 }
 

@@ -62,23 +62,25 @@ impl PositionTransform {
 }
 
 impl GlbFrame {
-    /// Reads a vertex attribute: the number of values per vertex, and the values. `None` if the vertices do
-    /// not have it. Positions are transformed.
+    /// Reads a vertex attribute, whose numbers replace the `values`. Returns how many each vertex has; `None`
+    /// if the vertices do not have the attribute. Positions are transformed.
     pub(crate) fn read_attribute(
         &self,
         semantic: &str,
         positions: &PositionTransform,
         file: &mut (impl Read + Seek),
-    ) -> Result<Option<(usize, Vec<f32>)>> {
+        values: &mut Vec<f32>,
+    ) -> Result<Option<usize>> {
+        values.clear();
         let Some(column) = self.column(semantic)? else { return Ok(None) };
         let scale = if semantic == POSITION { positions.scale } else { 1.0 };
-        let mut values = self.read_column(&column, scale, file)?;
+        self.read_column(&column, scale, file, values)?;
         if semantic == POSITION {
             for position in values.as_chunks_mut::<3>().0 {
                 *position = std::array::from_fn(|axis| positions.shifted(axis, position[axis]));
             }
         }
-        Ok(Some((column.arity, values)))
+        Ok(Some(column.arity))
     }
 
     /// The smallest and the largest transformed position; zeros for a frame without a mesh.

@@ -61,20 +61,22 @@ pub fn write_sequence<R: Read + Seek>(
         let triangles = vec![[0; 3]; frames[index].file.triangle_count()?];
         Ok(Elements::FaceCounts { triangles: &triangles, quads: &[] }.texts())
     })?;
+    let mut triangles = Vec::new();
     write_samples(&shot, "int[] faceVertexIndices", out, |index| {
-        let triangles = frames[index].file.read_triangles(&mut open(index)?)?;
+        frames[index].file.read_triangles(&mut open(index)?, &mut triangles)?;
         Ok(Elements::FaceCorners { triangles: &triangles, quads: &[] }.texts())
     })?;
     out.write_all(b"        uniform token orientation = \"rightHanded\"\n")?;
+    let mut values = Vec::new();
     for attribute in &attributes {
         let SequenceAttribute { semantic, kind, name, first, arity, is_per_vertex } = attribute;
         if *is_per_vertex {
             writeln!(out, "        {kind} {name}{}", about(true, 1))?;
         }
         write_samples(&shot, &format!("{kind} {name}"), out, |index| {
-            let found =
-                frames[index].file.read_attribute(semantic, &shot.transform(index)?, &mut open(index)?)?;
-            let Some((stride, values)) = found else { return Ok(Vec::new()) };
+            let (frame, transform) = (&frames[index].file, shot.transform(index)?);
+            let found = frame.read_attribute(semantic, &transform, &mut open(index)?, &mut values)?;
+            let Some(stride) = found else { return Ok(Vec::new()) };
             Ok(Elements::Reals { values: &values, stride, first: *first, arity: *arity }.texts())
         })?;
     }
@@ -107,7 +109,7 @@ fn write_samples(
     shot: &UsdSequence,
     name: &str,
     out: &mut impl Write,
-    texts: impl Fn(usize) -> Result<Vec<Vec<u8>>>,
+    mut texts: impl FnMut(usize) -> Result<Vec<Vec<u8>>>,
 ) -> Result<()> {
     writeln!(out, "        {name}{SAMPLES}")?;
     for (index, frame) in shot.frames.iter().enumerate() {

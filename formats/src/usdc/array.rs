@@ -10,7 +10,7 @@
 
 use std::borrow::Cow;
 use std::io::Write;
-use std::iter;
+use std::{iter, mem};
 
 use crate::error::{Error, Result};
 use crate::le_bytes::write_f32s;
@@ -20,7 +20,7 @@ use crate::vertex_attributes::string_index;
 
 use super::floats::{AS_INTEGERS, AS_TABLE, as_integers, as_table};
 use super::integers::{Integer, encode};
-use super::lz4::compressed;
+use super::lz4;
 use super::value::{ValueRep, ValueType};
 
 /// Arrays with fewer numbers are not compressed.
@@ -44,6 +44,14 @@ enum Body<'a> {
     Floats(Cow<'a, [f32]>),
 }
 
+/// Memory for encoded integers, which a sequence reuses for the arrays of its frames.
+#[derive(Default)]
+pub(super) struct Buffers {
+    body: Vec<u8>,
+    /// The integers before their compression.
+    encoded: Vec<u8>,
+}
+
 impl<'a> CrateArray<'a> {
     /// Encodes the elements of a property.
     ///
@@ -51,36 +59,37 @@ impl<'a> CrateArray<'a> {
     ///
     /// [`Error::TooLarge`] if a mesh has more than 2³¹ vertices, or the array exceeds the format's limits.
     pub(super) fn of(elements: Elements<'a>) -> Result<CrateArray<'a>> {
+        let buffers = &mut Buffers::default();
         match elements {
             Elements::Reals { values, stride, first, arity } => {
                 Self::reals(Cow::Borrowed(values), stride, first, arity)
             }
             Elements::Integers { values, arity: 1, is_narrow: false } => {
-                Self::integers(ValueType::Int64, values.iter().copied())
+                Self::integers(ValueType::Int64, values.iter().copied(), buffers)
             }
             Elements::Integers { values, arity, .. } => Self::narrow(values, arity),
             Elements::Strings { table, indices } => {
                 let missing = index(table.len())?;
                 let fixed_index = |&index: &i32| if string_index(index, table) < 0 { missing } else { index };
-                Self::integers(ValueType::Int, indices.iter().map(fixed_index))
+                Self::integers(ValueType::Int, indices.iter().map(fixed_index), buffers)
             }
             Elements::FaceCounts { triangles, quads } if quad_count(quads) == 0 => {
-                Self::triangle_sizes(triangles.len())
+                Self::triangle_sizes(triangles.len(), buffers)
             }
             Elements::FaceCounts { triangles, quads } => {
                 let counts = faces(triangles, quads, 0..triangles.len());
                 let counts: Result<Vec<i32>> = counts.map(|face| index(face.corners().len())).collect();
-                Self::integers(ValueType::Int, counts?.into_iter())
+                Self::integers(ValueType::Int, counts?.into_iter(), buffers)
             }
             Elements::FaceCorners { triangles, quads } => {
                 if quad_count(quads) == 0 {
-                    return Self::triangle_corners(triangles);
+                    return Self::triangle_corners(triangles, buffers);
                 }
                 check_corners(triangles)?;
                 let faces: Vec<_> = faces(triangles, quads, 0..triangles.len()).collect();
                 let corners = faces.iter().flat_map(|face| face.corners());
                 let corners: Vec<i32> = corners.map(|corner| corner.cast_signed()).collect();
-                Self::integers(ValueType::Int, corners.into_iter())
+                Self::integers(ValueType::Int, corners.into_iter(), buffers)
             }
         }
     }
@@ -110,8 +119,8 @@ impl<'a> CrateArray<'a> {
     /// # Errors
     ///
     /// [`Error::TooLarge`] if the array exceeds the format's limits.
-    pub(super) fn triangle_sizes(triangle_count: usize) -> Result<CrateArray<'a>> {
-        Self::integers(ValueType::Int, iter::repeat_n(3, triangle_count))
+    pub(super) fn triangle_sizes(triangle_count: usize, buffers: &mut Buffers) -> Result<CrateArray<'a>> {
+        Self::integers(ValueType::Int, iter::repeat_n(3, triangle_count), buffers)
     }
 
     /// Encodes the vertices of triangles.
@@ -119,10 +128,10 @@ impl<'a> CrateArray<'a> {
     /// # Errors
     ///
     /// [`Error::TooLarge`] if the mesh has more than 2³¹ vertices, or the array exceeds the format's limits.
-    pub(super) fn triangle_corners(triangles: &[[u32; 3]]) -> Result<CrateArray<'a>> {
+    pub(super) fn triangle_corners(triangles: &[[u32; 3]], buffers: &mut Buffers) -> Result<CrateArray<'a>> {
         check_corners(triangles)?;
         let corners = triangles.as_flattened().iter();
-        Self::integers(ValueType::Int, corners.map(|corner| corner.cast_signed()))
+        Self::integers(ValueType::Int, corners.map(|corner| corner.cast_signed()), buffers)
     }
 
     /// Vectors of two to four floats.
@@ -159,11 +168,14 @@ impl<'a> CrateArray<'a> {
     fn integers<T: Integer>(
         kind: ValueType,
         values: impl ExactSizeIterator<Item = T> + Clone,
+        Buffers { body, encoded }: &mut Buffers,
     ) -> Result<CrateArray<'a>> {
-        let (mut bytes, count) = (Vec::new(), values.len());
+        let (mut bytes, count) = (mem::take(body), values.len());
+        bytes.clear();
         let is_compressed = count >= COMPRESSED_MIN;
         if is_compressed {
-            append_compressed(values, &mut bytes)?;
+            encode(values, encoded);
+            append_lz4(encoded, &mut bytes)?;
         } else {
             let width = T::CODE_BYTES[2];
             values.for_each(|value| bytes.extend_from_slice(&value.widened().to_le_bytes()[..width]));
@@ -174,7 +186,10 @@ impl<'a> CrateArray<'a> {
     /// Integers that all fit into 32 bits, or vectors of them.
     fn narrow(values: &[i64], arity: usize) -> Result<CrateArray<'a>> {
         let kind = match arity {
-            1 => return Self::integers(ValueType::Int, values.iter().map(|&value| i32::lowest(value))),
+            1 => {
+                let values = values.iter().map(|&value| i32::lowest(value));
+                return Self::integers(ValueType::Int, values, &mut Buffers::default());
+            }
             2 => ValueType::Vec2i,
             3 => ValueType::Vec3i,
             _ => ValueType::Vec4i,
@@ -212,6 +227,14 @@ impl<'a> CrateArray<'a> {
         }
     }
 
+    /// Gives the memory of the array to the next one.
+    pub(super) fn recycle(self, buffers: &mut Buffers, values: &mut Vec<f32>) {
+        match self.body {
+            Body::Bytes(bytes) => buffers.body = bytes,
+            Body::Floats(floats) => *values = floats.into_owned(),
+        }
+    }
+
     /// Writes its bytes.
     pub(super) fn write(&self, out: &mut impl Write) -> Result<()> {
         if self.count == 0 {
@@ -230,14 +253,18 @@ pub(super) fn append_compressed<T: Integer>(
     values: impl ExactSizeIterator<Item = T> + Clone,
     out: &mut Vec<u8>,
 ) -> Result<()> {
-    append_lz4(&if values.len() == 0 { Vec::new() } else { encode(values) }, out)
+    let mut encoded = Vec::new();
+    encode(values, &mut encoded);
+    append_lz4(&encoded, out)
 }
 
 /// Compresses bytes, and appends the compressed size and the compressed bytes.
 pub(super) fn append_lz4(bytes: &[u8], out: &mut Vec<u8>) -> Result<()> {
-    let packed = compressed(bytes).ok_or_else(too_large)?;
-    out.extend_from_slice(&(packed.len() as u64).to_le_bytes());
-    out.extend_from_slice(&packed);
+    let size_at = out.len();
+    out.extend_from_slice(&[0; 8]);
+    lz4::append_compressed(bytes, out).ok_or_else(too_large)?;
+    let size = (out.len() - size_at - 8) as u64;
+    out[size_at..size_at + 8].copy_from_slice(&size.to_le_bytes());
     Ok(())
 }
 

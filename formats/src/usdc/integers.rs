@@ -56,10 +56,14 @@ const WHOLE_BYTES: usize = size_of::<i64>();
 /// The differences that are counted to find the most common one: those of 16 bits.
 const COUNTED: Range<i64> = -(1 << 15)..1 << 15;
 
-/// Encodes integers.
-pub(super) fn encode<T: Integer>(values: impl ExactSizeIterator<Item = T> + Clone) -> Vec<u8> {
+/// Encodes integers, which replace the bytes of `out`; no integers take no bytes.
+pub(super) fn encode<T: Integer>(values: impl ExactSizeIterator<Item = T> + Clone, out: &mut Vec<u8>) {
     let [narrow, medium, wide] = T::CODE_BYTES;
     let count = values.len();
+    out.clear();
+    if count == 0 {
+        return;
+    }
     let mut last = T::lowest(0);
     let differences = values.map(move |value| {
         let difference = T::lowest(value.widened().wrapping_sub(last.widened())).widened();
@@ -67,7 +71,7 @@ pub(super) fn encode<T: Integer>(values: impl ExactSizeIterator<Item = T> + Clon
         difference
     });
     let common = most_common(differences.clone());
-    let mut out = vec![0; wide + count.div_ceil(4)];
+    out.resize(wide + count.div_ceil(4), 0);
     out[..wide].copy_from_slice(&common.to_le_bytes()[..wide]);
     let (mut differences, mut at) = (differences, wide);
     // The differences of a piece. They are collected here, because a vector of the largest possible size
@@ -92,7 +96,6 @@ pub(super) fn encode<T: Integer>(values: impl ExactSizeIterator<Item = T> + Clon
         at += codes.len();
         out.extend_from_slice(&others[..end]);
     }
-    out
 }
 
 /// The number of integers that are encoded at a time, a multiple of four.
@@ -163,7 +166,8 @@ mod tests {
 
     #[test]
     fn encoding_is_the_documented_one() {
-        let encoded = encode([123_i32, 124, 125, 100_125, 100_125, 100_126, 100_126].into_iter());
+        let mut encoded = vec![7]; // of an earlier array
+        encode([123_i32, 124, 125, 100_125, 100_125, 100_126, 100_126].into_iter(), &mut encoded);
         // The codes are 1 0 0 3, then 1 0 1: the most common difference is 1, which occurs three times.
         let expected =
             [&1_i32.to_le_bytes()[..], &[0b1100_0001, 0b0001_0001, 123], &100_000_i32.to_le_bytes(), &[0, 0]];
@@ -174,14 +178,15 @@ mod tests {
     fn integers_round_trip_and_damage_is_noticed() {
         let edges = [0, 1, -1, 127, -128, 128, 32_767, -32_768, 32_768, 65_536, i64::from(i32::MAX)];
         let more = [i64::from(i32::MIN), i64::MAX, i64::MIN, 3, 3, 3, 3];
+        let mut bytes = Vec::new();
         let long: Vec<i64> = edges.iter().chain(&more).copied().cycle().take(5000).collect();
         for count in [0, 1, 2, 3, 4, 5, 17, 1000, 1023, 1024, 1025, 2048, 5000] {
             let wide = &long[..count];
-            let bytes = if count == 0 { Vec::new() } else { encode(wide.iter().copied()) };
+            encode(wide.iter().copied(), &mut bytes);
             assert!(bytes.len() <= encoded_bytes_max::<i64>(count).expect("small"));
             assert_eq!(decode::<i64>(&bytes, count).expect("intact"), wide);
             let narrow: Vec<i32> = wide.iter().map(|&value| i32::lowest(value)).collect();
-            let bytes = if count == 0 { Vec::new() } else { encode(narrow.iter().copied()) };
+            encode(narrow.iter().copied(), &mut bytes);
             assert_eq!(decode::<i32>(&bytes, count).expect("intact"), narrow);
             if count > 0 {
                 assert!(decode::<i32>(&bytes[..bytes.len() - 1], count).is_none());

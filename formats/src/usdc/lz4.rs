@@ -13,23 +13,22 @@ const BLOCK_BYTES_MAX: usize = 0x7e00_0000;
 /// The most chunks.
 const CHUNKS_MAX: usize = 127;
 
-/// Compresses bytes; `None` if they are more than all chunks hold, 250 GiB.
-pub(super) fn compressed(bytes: &[u8]) -> Option<Vec<u8>> {
+/// Appends the compressed bytes; `None` if they are more than all chunks hold, 250 GiB.
+pub(super) fn append_compressed(bytes: &[u8], out: &mut Vec<u8>) -> Option<()> {
     if bytes.len() <= BLOCK_BYTES_MAX {
-        let mut out = vec![0];
-        append_block(bytes, &mut out)?;
-        return Some(out);
+        out.push(0);
+        return append_block(bytes, out);
     }
     let chunks = bytes.chunks(BLOCK_BYTES_MAX);
-    let mut out = vec![u8::try_from(chunks.len()).ok().filter(|&count| usize::from(count) <= CHUNKS_MAX)?];
+    out.push(u8::try_from(chunks.len()).ok().filter(|&count| usize::from(count) <= CHUNKS_MAX)?);
     for chunk in chunks {
         let start = out.len();
         out.extend_from_slice(&[0; 4]);
-        append_block(chunk, &mut out)?;
+        append_block(chunk, out)?;
         let size = i32::try_from(out.len() - start - 4).ok()?;
         out[start..start + 4].copy_from_slice(&size.to_le_bytes());
     }
-    Some(out)
+    Some(())
 }
 
 fn append_block(bytes: &[u8], out: &mut Vec<u8>) -> Option<()> {
@@ -64,7 +63,8 @@ mod tests {
     #[test]
     fn blocks_and_chunks_round_trip() {
         for bytes in [&b""[..], b"a", &[7; 5000], &[1, 2, 3].repeat(99)] {
-            let block = compressed(bytes).expect("short");
+            let mut block = Vec::new();
+            append_compressed(bytes, &mut block).expect("short");
             let mut out = vec![0; bytes.len()];
             assert_eq!(decompress(&block, &mut out), Some(bytes.len()));
             assert_eq!(out, bytes);

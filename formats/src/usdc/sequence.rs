@@ -2,9 +2,9 @@
 //!
 //! The writer visits the frames once, in order. It writes their arrays one after the other, and at the end
 //! the time samples, which refer to the arrays. While it writes the arrays of a frame, the other threads of
-//! the caller's pool read and encode those of the next one; no other arrays are in memory. Equal arrays, such
-//! as those of a fluid at rest, are written once, as OpenUSD does. The attributes of a frame have the same
-//! time codes, so its `velocities` are valid for its `points`.
+//! the caller's pool read and encode those of the next one; no other arrays are in memory, and the frame after
+//! reuses their memory. Equal arrays, such as those of a fluid at rest, are written once, as OpenUSD does. The
+//! attributes of a frame have the same time codes, so its `velocities` are valid for its `points`.
 //!
 //! USD allows samples with different numbers of vertices, and holds such a sample until the next. If the next
 //! frame has the same number of vertices, a second sample just before it refers to the same arrays, so that
@@ -13,6 +13,7 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::mem;
 
 use rayon::prelude::*;
 
@@ -22,7 +23,7 @@ use crate::error::Result;
 use crate::gltf::{GlbFrame, PositionTransform, SequenceFrame};
 use crate::usd::{PRIM, SequenceAttribute, TRANSLATE, UsdSequence};
 
-use super::array::CrateArray;
+use super::array::{Buffers, CrateArray};
 use super::contents::CONTENTS_AT;
 use super::layer::{LayerEnd, LayerHead, PropertySpec, SpecValue, head, padding};
 use super::value::{ValueRep, ValueType};
@@ -53,9 +54,9 @@ pub fn write_sequence<R: Read + Seek + Send>(
     let mut end = LayerEnd::at(arrays.at);
     let mut specs = vec![extents(&shot, &mut end)?];
     let mut samples = samples.into_iter();
-    for (name, samples) in ["faceVertexCounts", "faceVertexIndices"].into_iter().zip(&mut samples) {
-        specs.push(sampled("int[]", name, samples));
-    }
+    let mut integers = |name| sampled("int[]", name, samples.next().unwrap_or_default());
+    let (corners, sizes) = (integers("faceVertexIndices"), integers("faceVertexCounts"));
+    specs.extend([sizes, corners]);
     specs.push(word("orientation", "rightHanded", &mut end));
     for (SequenceAttribute { kind, name, is_per_vertex, .. }, samples) in attributes.iter().zip(samples) {
         specs.push(PropertySpec { is_per_vertex: *is_per_vertex, ..sampled(kind, name, samples) });
@@ -80,47 +81,51 @@ pub fn write_sequence<R: Read + Seek + Send>(
     Ok(notes)
 }
 
-/// Writes the arrays of all frames. Returns the time samples of each property: the numbers of corners, the
-/// corners, and the attributes.
+/// Writes the arrays of all frames. Returns the time samples of each property: the corners, the numbers of
+/// corners, and the attributes. The corners come first because they take longest to encode.
 fn write_arrays<R: Read + Seek + Send>(
     shot: &UsdSequence,
     attributes: &[SequenceAttribute],
     open: impl Fn(usize) -> io::Result<R>,
     out: &mut ArrayWriter<impl Write + Send>,
 ) -> Result<Vec<Vec<(f64, ValueRep)>>> {
-    let sources: Vec<SourceArray> = [SourceArray::TriangleSizes, SourceArray::TriangleCorners]
+    let mut encoders: Vec<ArrayEncoder> = [SourceArray::TriangleCorners, SourceArray::TriangleSizes]
         .into_iter()
         .chain(attributes.iter().map(SourceArray::Attribute))
+        .map(ArrayEncoder::new)
         .collect();
-    let mut samples: Vec<Vec<(f64, ValueRep)>> = vec![Vec::new(); sources.len()];
-    let mut write = |(index, encoded): (usize, Vec<KeyedArray>)| -> Result<()> {
-        for (array, samples) in encoded.iter().zip(&mut samples) {
+    let mut samples: Vec<Vec<(f64, ValueRep)>> = vec![Vec::new(); encoders.len()];
+    let mut write = |index: usize, arrays: &[KeyedArray]| -> Result<()> {
+        for (array, samples) in arrays.iter().zip(&mut samples) {
             let value = out.write(array)?;
             samples.extend(shot.vertex_codes(index).map(|code| (code, value)));
         }
         Ok(())
     };
-    let mut waiting = None;
+    // The arrays of the frame before, which are written while those of a frame are encoded.
+    let mut waiting: Vec<KeyedArray> = Vec::new();
     for (index, frame) in shot.frames.iter().enumerate() {
         let transform = shot.transform(index)?;
         let encode =
-            |(source, mut file): (&SourceArray, R)| source.encoded(&frame.file, &transform, &mut file);
-        let mut arrays = Vec::with_capacity(sources.len());
-        for sources in sources.chunks(OPEN_FILES_MAX) {
+            |(encoder, mut file): (&mut ArrayEncoder, R)| encoder.encode(&frame.file, &transform, &mut file);
+        let mut arrays = Vec::with_capacity(encoders.len());
+        let mut unwritten = &waiting[..];
+        for encoders in encoders.chunks_mut(OPEN_FILES_MAX) {
             // Each array is read from a file of its own, so that threads can read at once.
-            let files = sources.iter().map(|_| open(index)).collect::<io::Result<Vec<R>>>()?;
+            let files = encoders.iter().map(|_| open(index)).collect::<io::Result<Vec<R>>>()?;
             let (written, encoded) = rayon::join(
-                || waiting.take().map_or(Ok(()), &mut write),
-                || sources.par_iter().zip(files).map(encode).collect::<Vec<Result<KeyedArray>>>(),
+                || write(index.saturating_sub(1), mem::take(&mut unwritten)),
+                || encoders.par_iter_mut().zip(files).map(encode).collect::<Vec<Result<KeyedArray>>>(),
             );
             written?;
             for array in encoded {
                 arrays.push(array?);
             }
         }
-        waiting = Some((index, arrays));
+        let written = mem::replace(&mut waiting, arrays);
+        encoders.iter_mut().zip(written).for_each(|(encoder, array)| encoder.recycle(array));
     }
-    waiting.map_or(Ok(()), write)?;
+    write(shot.frames.len().saturating_sub(1), &waiting)?;
     Ok(samples)
 }
 
@@ -134,26 +139,45 @@ enum SourceArray<'a> {
     Attribute(&'a SequenceAttribute),
 }
 
-impl SourceArray<'_> {
+/// Encodes an array of each frame, in memory that it reuses. Otherwise the system would have to clear memory
+/// for every frame, which takes a sixth of the time.
+struct ArrayEncoder<'a> {
+    source: SourceArray<'a>,
+    triangles: Vec<[u32; 3]>,
+    values: Vec<f32>,
+    buffers: Buffers,
+}
+
+impl<'a> ArrayEncoder<'a> {
+    fn new(source: SourceArray<'a>) -> ArrayEncoder<'a> {
+        ArrayEncoder { source, triangles: Vec::new(), values: Vec::new(), buffers: Buffers::default() }
+    }
+
     /// Reads and encodes the array; it is empty if the frame does not have it.
-    fn encoded(
-        &self,
+    fn encode(
+        &mut self,
         frame: &GlbFrame,
         transform: &PositionTransform,
         file: &mut (impl Read + Seek),
     ) -> Result<KeyedArray> {
-        KeyedArray::of(match self {
-            SourceArray::TriangleSizes => CrateArray::triangle_sizes(frame.triangle_count()?)?,
-            SourceArray::TriangleCorners if frame.has_mesh() => {
-                CrateArray::triangle_corners(&frame.read_triangles(file)?)?
+        let ArrayEncoder { source, triangles, values, buffers } = self;
+        KeyedArray::of(match source {
+            SourceArray::TriangleSizes => CrateArray::triangle_sizes(frame.triangle_count()?, buffers)?,
+            SourceArray::TriangleCorners => {
+                frame.read_triangles(file, triangles)?;
+                CrateArray::triangle_corners(triangles, buffers)?
             }
-            SourceArray::TriangleCorners => CrateArray::triangle_corners(&[])?,
             SourceArray::Attribute(SequenceAttribute { semantic, first, arity, .. }) => {
-                let found = frame.read_attribute(semantic, transform, file)?;
-                let (stride, values) = found.unwrap_or((*arity, Vec::new()));
+                let mut values = mem::take(values);
+                let stride = frame.read_attribute(semantic, transform, file, &mut values)?.unwrap_or(*arity);
                 CrateArray::reals(Cow::Owned(values), stride, *first, *arity)?
             }
         })
+    }
+
+    /// Takes the memory of an array that has been written.
+    fn recycle(&mut self, KeyedArray { array, .. }: KeyedArray) {
+        array.recycle(&mut self.buffers, &mut self.values);
     }
 }
 

@@ -2,7 +2,11 @@
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::thread;
+use std::time::Duration;
 
 use super::stamp::FileStamp;
 use super::temporary::Temporary;
@@ -28,6 +32,34 @@ pub(crate) fn write_temporary<T, E: From<io::Error>>(
     temporary.file().sync_all()?;
     Ok((temporary, written))
 }
+
+/// Syncs the file to disk again and again while `write` writes it, so that the disk does not wait for the end
+/// of a file of many gigabytes.
+///
+/// # Errors
+/// The error of `write`, or of a sync: the system reports a failed sync only once.
+pub(crate) fn sync_while<T, E: From<io::Error>>(
+    file: &File,
+    write: impl FnOnce() -> Result<T, E>,
+) -> Result<T, E> {
+    let (end, ended) = channel::<()>();
+    thread::scope(|scope| {
+        let syncs = scope.spawn(move || {
+            while ended.recv_timeout(SYNC_INTERVAL) == Err(RecvTimeoutError::Timeout) {
+                file.sync_data()?;
+            }
+            Ok(())
+        });
+        let written = write();
+        drop(end);
+        let synced = syncs.join().unwrap_or_else(|panic| resume_unwind(panic));
+        let written = written?;
+        synced.map(|()| written).map_err(|error: io::Error| E::from(error))
+    })
+}
+
+/// How long [`sync_while`] waits before each sync.
+const SYNC_INTERVAL: Duration = Duration::from_millis(100);
 
 /// A complete file on disk that does not have its final name yet. It is removed on drop unless it was renamed
 /// before.
@@ -77,4 +109,26 @@ impl StagedFile {
 pub(crate) fn sync_folder(folder: &Path) {
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let _ = File::open(folder).and_then(|folder| folder.sync_all());
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use std::os::fd::OwnedFd;
+
+    use super::*;
+
+    #[test]
+    fn a_failed_sync_fails_the_file() {
+        let (_reader, writer) = io::pipe().expect("a pipe"); // which cannot be synced
+        let pipe = File::from(OwnedFd::from(writer));
+        let short = sync_while(&pipe, || Ok::<_, io::Error>(7));
+        assert_eq!(short.expect("no sync so far"), 7);
+        let long = sync_while(&pipe, || {
+            thread::sleep(3 * SYNC_INTERVAL);
+            Ok::<_, io::Error>(7)
+        });
+        assert_eq!(long.expect_err("a pipe").kind(), io::ErrorKind::InvalidInput);
+        let refused = sync_while(&pipe, || Err::<(), _>(io::Error::other("full")));
+        assert_eq!(refused.expect_err("the error of `write`").to_string(), "full");
+    }
 }

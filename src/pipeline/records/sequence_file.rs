@@ -20,7 +20,7 @@
 use std::cell::RefCell;
 use std::fmt;
 use std::fs::File;
-use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, BufWriter, Cursor, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -31,6 +31,7 @@ use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use crate::pipeline::files::atomic_write::write_atomically;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::path_identity::are_same_file;
+use crate::pipeline::files::staged_file::sync_while;
 use crate::pipeline::files::stamp::FileStamp;
 use crate::surface::words::pluralize;
 
@@ -148,7 +149,7 @@ pub fn write_sequence_file(
     let last = RefCell::new(None);
     let open = |index: usize| FrameReader::open(opened[index].0, index, &last);
     let units = (fps, meters_per_unit);
-    let written = write_atomically(path, |out| {
+    let mut write = |out: &mut BufWriter<&File>| -> meniscus_formats::Result<()> {
         match format {
             SequenceFormat::Glb => gltf::write_sequence(&frames, fps, &provenance, open, out)?,
             SequenceFormat::Usda => {
@@ -162,7 +163,8 @@ pub fn write_sequence_file(
             }
         }
         Ok(refuse_written(&opened)?)
-    });
+    };
+    let written = write_atomically(path, |out| sync_while(out.get_ref(), || write(out)));
     written.map_err(|error| fail(error.to_string()))?;
     report.frame_count = frames.len();
     report.size_bytes = path.metadata().map_err(|error| fail(error.to_string()))?.len();
