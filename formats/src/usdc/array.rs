@@ -46,7 +46,7 @@ enum Body<'a> {
 
 /// Memory for encoded integers, which a sequence reuses for the arrays of its frames.
 #[derive(Default)]
-pub(super) struct Buffers {
+pub(super) struct IntegerBuffers {
     body: Vec<u8>,
     /// The integers before their compression.
     encoded: Vec<u8>,
@@ -59,7 +59,7 @@ impl<'a> CrateArray<'a> {
     ///
     /// [`Error::TooLarge`] if a mesh has more than 2³¹ vertices, or the array exceeds the format's limits.
     pub(super) fn of(elements: Elements<'a>) -> Result<CrateArray<'a>> {
-        let buffers = &mut Buffers::default();
+        let buffers = &mut IntegerBuffers::default();
         match elements {
             Elements::Reals { values, stride, first, arity } => {
                 Self::reals(Cow::Borrowed(values), stride, first, arity)
@@ -119,7 +119,10 @@ impl<'a> CrateArray<'a> {
     /// # Errors
     ///
     /// [`Error::TooLarge`] if the array exceeds the format's limits.
-    pub(super) fn triangle_sizes(triangle_count: usize, buffers: &mut Buffers) -> Result<CrateArray<'a>> {
+    pub(super) fn triangle_sizes(
+        triangle_count: usize,
+        buffers: &mut IntegerBuffers,
+    ) -> Result<CrateArray<'a>> {
         Self::integers(ValueType::Int, iter::repeat_n(3, triangle_count), buffers)
     }
 
@@ -128,7 +131,10 @@ impl<'a> CrateArray<'a> {
     /// # Errors
     ///
     /// [`Error::TooLarge`] if the mesh has more than 2³¹ vertices, or the array exceeds the format's limits.
-    pub(super) fn triangle_corners(triangles: &[[u32; 3]], buffers: &mut Buffers) -> Result<CrateArray<'a>> {
+    pub(super) fn triangle_corners(
+        triangles: &[[u32; 3]],
+        buffers: &mut IntegerBuffers,
+    ) -> Result<CrateArray<'a>> {
         check_corners(triangles)?;
         let corners = triangles.as_flattened().iter();
         Self::integers(ValueType::Int, corners.map(|corner| corner.cast_signed()), buffers)
@@ -168,7 +174,7 @@ impl<'a> CrateArray<'a> {
     fn integers<T: Integer>(
         kind: ValueType,
         values: impl ExactSizeIterator<Item = T> + Clone,
-        Buffers { body, encoded }: &mut Buffers,
+        IntegerBuffers { body, encoded }: &mut IntegerBuffers,
     ) -> Result<CrateArray<'a>> {
         let (mut bytes, count) = (mem::take(body), values.len());
         bytes.clear();
@@ -188,7 +194,7 @@ impl<'a> CrateArray<'a> {
         let kind = match arity {
             1 => {
                 let values = values.iter().map(|&value| i32::lowest(value));
-                return Self::integers(ValueType::Int, values, &mut Buffers::default());
+                return Self::integers(ValueType::Int, values, &mut IntegerBuffers::default());
             }
             2 => ValueType::Vec2i,
             3 => ValueType::Vec3i,
@@ -228,7 +234,7 @@ impl<'a> CrateArray<'a> {
     }
 
     /// Gives the memory of the array to the next one.
-    pub(super) fn recycle(self, buffers: &mut Buffers, values: &mut Vec<f32>) {
+    pub(super) fn recycle(self, buffers: &mut IntegerBuffers, values: &mut Vec<f32>) {
         match self.body {
             Body::Bytes(bytes) => buffers.body = bytes,
             Body::Floats(floats) => *values = floats.into_owned(),

@@ -23,7 +23,7 @@ use crate::error::Result;
 use crate::gltf::{GlbFrame, PositionTransform, SequenceFrame};
 use crate::usd::{PRIM, SequenceAttribute, TRANSLATE, UsdSequence};
 
-use super::array::{Buffers, CrateArray};
+use super::array::{CrateArray, IntegerBuffers};
 use super::contents::CONTENTS_AT;
 use super::layer::{LayerEnd, LayerHead, PropertySpec, SpecValue, head, padding};
 use super::value::{ValueRep, ValueType};
@@ -145,12 +145,12 @@ struct ArrayEncoder<'a> {
     source: SourceArray<'a>,
     triangles: Vec<[u32; 3]>,
     values: Vec<f32>,
-    buffers: Buffers,
+    buffers: IntegerBuffers,
 }
 
 impl<'a> ArrayEncoder<'a> {
     fn new(source: SourceArray<'a>) -> ArrayEncoder<'a> {
-        ArrayEncoder { source, triangles: Vec::new(), values: Vec::new(), buffers: Buffers::default() }
+        ArrayEncoder { source, triangles: Vec::new(), values: Vec::new(), buffers: IntegerBuffers::default() }
     }
 
     /// Reads and encodes the array; it is empty if the frame does not have it.
