@@ -106,6 +106,7 @@ fn neighbor_shapes(
         .par_chunks(PIECE)
         .zip_eq(means.par_chunks_mut(PIECE))
         .zip_eq(pieces_of(&mut shapes, slots.len()))
+        .with_max_len(1)
         .map(|((slots, means), shapes)| {
             dispatch_at(level, ParticleRun { neighbors: &neighbors, scales, config, slots, means, shapes })
         })

@@ -70,7 +70,7 @@ pub(super) fn dual_contour(band: &NarrowBand, placement: &MeshFrame) -> Mesh {
     let vertices = |patch: &LeafPatch| patch.vertex_count();
     let slices = layout.split(&mut positions, vertices).into_par_iter();
     let slices = slices.zip(layout.split(&mut normals, vertices)).zip(layout.split(&mut locals, vertices));
-    slices.zip(layout.patches.par_chunks(PATCHES_AT_ONCE)).for_each(
+    slices.zip(layout.patches.par_chunks(PATCHES_AT_ONCE)).with_max_len(1).for_each(
         |(((positions, normals), locals), patches)| {
             dispatch(PatchVertices { band, placement, layout: &layout, patches, locals, positions, normals });
         },
@@ -83,7 +83,7 @@ pub(super) fn dual_contour(band: &NarrowBand, placement: &MeshFrame) -> Mesh {
         positions: &positions,
     };
     let slices = layout.split(&mut triangles, |patch| usize::from(patch.triangle_count));
-    slices.into_par_iter().zip(layout.patches.par_chunks(PATCHES_AT_ONCE)).for_each(
+    slices.into_par_iter().zip(layout.patches.par_chunks(PATCHES_AT_ONCE)).with_max_len(1).for_each(
         |(triangles, patches)| {
             dispatch(PatchTriangles { quads: &quads, patches, triangles });
         },

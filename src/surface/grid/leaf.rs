@@ -2,12 +2,17 @@
 
 use bytemuck::{Pod, Zeroable};
 use glam::IVec3;
+use rayon::prelude::*;
 
 /// Voxels along an edge of a leaf: level sets are stored in blocks of 8³ voxels.
 pub const LEAF_EDGE: i32 = 8;
 
 /// Voxels in a leaf: 8³.
 pub const LEAF_VOXELS: usize = 512;
+
+/// Maximum number of leaves per task in loops that take microseconds per leaf. While no thread is idle, rayon
+/// splits a loop into few tasks; without a limit, one thread would wait while the other finishes the last one.
+pub const LEAVES_PER_TASK: usize = 16;
 
 /// The 8 values of a row.
 pub type Row = [f32; 8];
@@ -50,11 +55,8 @@ pub struct Field {
 impl Field {
     /// A field of `leaf_count` leaves with the same value everywhere.
     pub fn splat(leaf_count: usize, value: f32) -> Field {
-        // Zeros need no loop: their pages are touched first by the threads that write the values.
-        if value.to_bits() == 0 {
-            return Field { leaves: bytemuck::zeroed_vec(leaf_count) };
-        }
-        Field { leaves: vec![Leaf::splat(value); leaf_count] }
+        // In parallel, because the first write to a page takes longest.
+        Field { leaves: rayon::iter::repeat_n(Leaf::splat(value), leaf_count).collect() }
     }
 
     /// The leaves as plain arrays, for writers that do not depend on the grid types.

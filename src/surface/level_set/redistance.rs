@@ -50,7 +50,9 @@
 use rayon::prelude::*;
 
 use super::NarrowBand;
-use crate::surface::grid::{Field, Leaf, LeafMask, Neighborhood, ROW_COUNT, Slab, Topology, slabs_in};
+use crate::surface::grid::{
+    Field, LEAVES_PER_TASK, Leaf, LeafMask, Neighborhood, ROW_COUNT, Slab, Topology, slabs_in,
+};
 use crate::surface::simd::{self, Kernel, Lanes};
 
 /// Value of a voxel that no sweep has reached yet.
@@ -124,7 +126,7 @@ fn sweep_outward(topology: &Topology, [distance, next]: [&mut Field; 2], fixed: 
     let mut changed_next = changed.clone();
     for _ in 0..sweeps.count {
         let leaves = next.leaves.par_iter_mut().zip(&mut changed_next).zip(fixed).enumerate();
-        leaves.for_each(|(leaf, ((next, changed_next), fixed))| {
+        leaves.with_max_len(LEAVES_PER_TASK).for_each(|(leaf, ((next, changed_next), fixed))| {
             let rows = dependent_rows(&changed, &neighbors[leaf], leaf);
             if rows == 0 {
                 *changed_next = ChangedRows::default();
@@ -143,7 +145,8 @@ fn sweep_outward(topology: &Topology, [distance, next]: [&mut Field; 2], fixed: 
 fn pin(band: &NarrowBand, distance: &mut Field) -> Vec<LeafMask> {
     let neighbors = band.topology.neighbors();
     let mut pinned = vec![LeafMask::EMPTY; band.topology.len()];
-    distance.leaves.par_iter_mut().zip(&mut pinned).enumerate().for_each(|(leaf, (distance, pinned))| {
+    let leaves = distance.leaves.par_iter_mut().zip(&mut pinned).enumerate();
+    leaves.with_max_len(LEAVES_PER_TASK).for_each(|(leaf, (distance, pinned))| {
         let around = Neighborhood::new(&band.phi.leaves, neighbors, leaf);
         simd::dispatch(Pin { around: &around, distance, pinned });
     });

@@ -108,6 +108,11 @@ impl ParticleBins {
         &self.positions[self.starts[leaf]..self.starts[leaf + 1]]
     }
 
+    /// The position of a kept particle, in voxels relative to the origin of its leaf.
+    pub(super) fn local(&self, particle: usize) -> Vec3 {
+        self.positions[particle]
+    }
+
     /// True if a leaf is known to be deep inside the initial surface. Only recorded for anisotropic
     /// particles.
     pub fn is_deep(&self, origin: IVec3) -> bool {

@@ -25,6 +25,8 @@
 //! Gabriel Taubin. Estimation of planar curves, surfaces, and nonplanar space curves defined by implicit
 //! equations. 1991
 
+use std::ops::Range;
+
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
@@ -32,7 +34,7 @@ use super::bin::ParticleBins;
 use super::sphere::{OUT_OF_REACH, greatest};
 use super::{EXACT_MARGIN, Radii};
 use crate::surface::grid::{
-    Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, SetBits, Topology, leaf_steps_within,
+    Field, LEAF_EDGE, LEAVES_PER_TASK, Leaf, LeafMask, ROW_COUNT, SetBits, Topology, leaf_steps_within,
 };
 use crate::surface::interrupt::checkpoint;
 use crate::surface::particles::Ellipsoid;
@@ -104,17 +106,23 @@ pub(super) struct Primitives<F> {
 struct SizeClass<F> {
     /// Leaves that contain particles of this class.
     topology: Topology,
-    /// Start of each leaf's packets of eight; one entry more than there are leaves.
-    starts: Vec<usize>,
+    /// The particles of each leaf.
+    leaves: Vec<ClassLeaf>,
     boxes: Vec<BoxPacket>,
-    /// Eight primitives for each packet of boxes.
     primitives: Vec<Primitive<F>>,
-    /// Range of the semi-axes of each leaf's particles.
-    axes: Vec<HalfAxisRange>,
     /// Maximum distance at which a particle of this class can lower a value, in voxels.
     reach: f32,
     /// Steps to the leaves within reach.
     steps: Vec<IVec3>,
+}
+
+/// The particles of a class in one leaf.
+struct ClassLeaf {
+    /// Their indices in the class.
+    primitives: Range<usize>,
+    /// The packets that contain their boxes; the last one may have unused lanes.
+    packets: Range<usize>,
+    axes: HalfAxisRange,
 }
 
 /// Centers and extents of eight particles: x, y, z of each. The centers of unused lanes are infinite, so that
@@ -151,7 +159,8 @@ impl<F: ParticleShape> Primitives<F> {
         numbers.par_sort_unstable();
         numbers.dedup();
         let class = |&number: &u8| {
-            SizeClass::new(bins, radii[0], |particle| (class_of[particle] == number).then(|| shape(particle)))
+            let members = (0..bins.len()).filter(|&particle| class_of[particle] == number);
+            SizeClass::new(bins, radii[0], &members.collect::<Vec<_>>(), &shape)
         };
         Primitives { classes: numbers.iter().map(class).collect(), radii, complete_to }
     }
@@ -167,7 +176,8 @@ impl<F: ParticleShape> Primitives<F> {
         let mut fields = [0.0; 3].map(|value| Field::splat(leaves.len(), value));
         let [max, init, min] = &mut fields;
         let leaf_fields = max.leaves.par_iter_mut().zip(&mut init.leaves).zip(&mut min.leaves);
-        leaf_fields.zip(leaves.origins()).for_each(|(((max, init), min), &origin)| {
+        let leaf_fields = leaf_fields.zip(leaves.origins()).with_max_len(LEAVES_PER_TASK);
+        leaf_fields.for_each(|(((max, init), min), &origin)| {
             if let Some(known) = known(origin) {
                 (*max, *init, *min) = (*known[0], *known[1], *known[2]);
                 return;
@@ -208,45 +218,51 @@ impl<F: ParticleShape> Primitives<F> {
 }
 
 impl<F: ParticleShape> SizeClass<F> {
-    /// Collects the particles of a class: those for which `shape` returns a shape.
-    fn new(bins: &ParticleBins, outermost: f32, shape: impl Fn(usize) -> Option<F> + Sync) -> SizeClass<F> {
-        let of_leaf = |leaf: usize| {
-            checkpoint();
-            let (range, positions) = (bins.range(leaf), bins.in_leaf(leaf));
-            let primitives = range.zip(positions).filter_map(|(particle, &center)| {
-                let shape = shape(particle)?;
-                Some(Primitive { center, extents: shape.extents(outermost), shape })
-            });
-            (bins.topology.origins()[leaf], primitives.collect::<Vec<_>>())
+    /// Collects the particles of a class: `members`, in ascending order.
+    fn new(
+        bins: &ParticleBins,
+        outermost: f32,
+        members: &[usize],
+        shape: impl Fn(usize) -> F + Sync,
+    ) -> SizeClass<F> {
+        let primitive = |&particle: &usize| {
+            let shape = shape(particle);
+            Primitive { center: bins.local(particle), extents: shape.extents(outermost), shape }
         };
-        let leaves: Vec<(IVec3, Vec<Primitive<F>>)> = (0..bins.topology.len())
-            .into_par_iter()
-            .map(of_leaf)
-            .filter(|(_, primitives)| !primitives.is_empty())
-            .collect();
-        let (mut starts, mut boxes, mut primitives, mut axes) = (vec![0], Vec::new(), Vec::new(), Vec::new());
-        let mut reach = 0f32;
-        for (_, of_leaf) in &leaves {
-            checkpoint();
-            for eight in of_leaf.chunks(8) {
-                boxes.push(boxes_of(eight));
-                primitives.extend((0..8).map(|lane| eight[lane.min(eight.len() - 1)]));
+        let primitives: Vec<Primitive<F>> = members.par_iter().map(primitive).collect();
+        let (mut origins, mut ranges, mut packets) = (Vec::new(), Vec::new(), Vec::new());
+        let mut start = 0;
+        for (leaf, &origin) in bins.topology.origins().iter().enumerate() {
+            let end_of_leaf = bins.range(leaf).end;
+            let end = start + members[start..].partition_point(|&member| member < end_of_leaf);
+            if start < end {
+                let first_packet = packets.len();
+                packets.extend((start..end).step_by(8).map(|first| first..end.min(first + 8)));
+                origins.push(origin);
+                ranges.push((start..end, first_packet..packets.len()));
             }
-            starts.push(boxes.len());
-            axes.push(HalfAxisRange::of(of_leaf.iter().map(|primitive| primitive.shape)));
-            reach = of_leaf.iter().fold(reach, |reach, primitive| reach.max(primitive.extents.max_element()));
+            start = end;
         }
-        let topology = Topology::new(leaves.iter().map(|&(origin, _)| origin).collect());
-        SizeClass { topology, starts, boxes, primitives, axes, reach, steps: leaf_steps_within(reach) }
+        let boxes = packets.into_par_iter().map(|packet| boxes_of(&primitives[packet])).collect();
+        let class_leaf = |(own, packets): (Range<usize>, Range<usize>)| {
+            checkpoint();
+            let axes = HalfAxisRange::of(primitives[own.clone()].iter().map(|primitive| primitive.shape));
+            ClassLeaf { primitives: own, packets, axes }
+        };
+        let leaves = ranges.into_par_iter().map(class_leaf).collect();
+        let reach = primitives.par_iter().map(|primitive| primitive.extents.max_element());
+        let reach = reach.reduce(|| 0.0, f32::max);
+        let topology = Topology::new(origins);
+        SizeClass { topology, leaves, boxes, primitives, reach, steps: leaf_steps_within(reach) }
     }
 
     fn leaf(&self, leaf: usize, step: IVec3) -> NearbyLeaf<'_, F> {
-        let (first, last) = (self.starts[leaf], self.starts[leaf + 1]);
+        let ClassLeaf { primitives, packets, axes } = &self.leaves[leaf];
         NearbyLeaf {
             step: step.as_vec3(),
-            boxes: &self.boxes[first..last],
-            primitives: &self.primitives[8 * first..8 * last],
-            axes: self.axes[leaf],
+            boxes: &self.boxes[packets.clone()],
+            primitives: &self.primitives[primitives.clone()],
+            axes: *axes,
         }
     }
 }
@@ -286,7 +302,7 @@ struct NearbyLeaf<'a, F> {
     /// From the other leaf to this one, in voxels.
     step: Vec3,
     boxes: &'a [BoxPacket],
-    /// Eight primitives for each packet of boxes.
+    /// Primitive `8·i + k` has the box in lane `k` of packet `i`.
     primitives: &'a [Primitive<F>],
     axes: HalfAxisRange,
 }
@@ -312,7 +328,7 @@ impl<F: ParticleShape> Kernel for Signed<'_, F> {
         for around in self.around {
             for (eight, boxes) in around.boxes.iter().enumerate() {
                 for lane in SetBits(near_bits::<V>(boxes, around.step)) {
-                    let primitive = &around.primitives[8 * eight + (lane & 7)];
+                    let primitive = &around.primitives[8 * eight + lane];
                     primitive.shape.lower::<V>(
                         &mut values,
                         primitive.center + around.step,

@@ -15,13 +15,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
-use rustc_hash::{FxHashMap, FxHashSet};
+use rustc_hash::FxHashSet;
 
 use super::RasterParams;
 use super::batch::LeafBatch;
-use super::leaf_map::ConcurrentLeafMap;
+use super::leaf_map::{ConcurrentLeafMap, LeafMap};
 use super::spread::spread;
-use crate::surface::grid::LEAF_EDGE;
+use crate::surface::grid::{LEAF_EDGE, Topology};
 use crate::surface::particles::ParticleSource;
 
 /// Estimated counts of leaves and particles.
@@ -73,30 +73,65 @@ impl NearSurface {
 
 /// Estimated number of particles near the surface: all particles of leaves that are not full, and a fraction
 /// of the particles in each layer of leaves behind them. The fraction is the part of the layer that lies
-/// within `near.depth` less half a leaf. `occupied` maps each leaf to its number of particles and whether
-/// they fill it.
-fn shaped_count(occupied: &FxHashMap<IVec3, (usize, bool)>, near: NearSurface) -> usize {
-    let count_of = |deep: &FxHashSet<IVec3>| -> usize {
-        deep.iter().filter_map(|origin| occupied.get(origin)).map(|(count, _)| count).sum()
+/// within `near.depth` less half a leaf.
+fn shaped_count(occupied: &OccupiedLeaves, near: NearSurface) -> usize {
+    let count_of = |deep: &[bool]| -> usize {
+        let counts = deep.iter().zip(&occupied.leaves).filter(|(is_deep, _)| **is_deep);
+        counts.map(|(_, leaf)| leaf.count).sum()
     };
-    let is_deep = |&(count, is_full): &(usize, bool)| is_full && near.is_certainly_covered(count);
-    let mut deep: FxHashSet<IVec3> =
-        occupied.iter().filter(|(_, leaf)| is_deep(leaf)).map(|(&origin, _)| origin).collect();
-    let all: usize = occupied.values().map(|(count, _)| count).sum();
+    let full = occupied.is_full.iter().zip(&occupied.leaves);
+    let mut deep: Vec<bool> =
+        full.map(|(&is_full, leaf)| is_full && near.is_certainly_covered(leaf.count)).collect();
     let mut left = count_of(&deep);
-    let mut shaped = (all - left) as f32;
+    let mut shaped = (occupied.particle_count() - left) as f32;
     let mut depth = near.depth - 0.5 * LEAF_EDGE as f32;
     while depth > 0.0 && left > 0 {
-        let around = |origin: &IVec3| {
-            LeafReach::box_of([-1; 3], [1; 3]).all(|step| deep.contains(&(*origin + step * LEAF_EDGE)))
-        };
-        let next: FxHashSet<IVec3> = deep.iter().copied().filter(around).collect();
+        let next = occupied.surrounded(&deep);
         let left_next = count_of(&next);
         shaped += (left - left_next) as f32 * (depth / LEAF_EDGE as f32).min(1.0);
         (deep, left) = (next, left_next);
         depth -= LEAF_EDGE as f32;
     }
     shaped as usize
+}
+
+/// The leaves that contain particles.
+struct OccupiedLeaves {
+    topology: Topology,
+    leaves: Vec<FootprintLeaf>,
+    /// Whether all cells of each leaf contain a particle.
+    is_full: Vec<bool>,
+}
+
+impl OccupiedLeaves {
+    fn new(leaf_map: &LeafMap<FootprintLeaf>, cells: &LeafCells) -> OccupiedLeaves {
+        let topology = Topology::new(leaf_map.iter().map(|(&origin, _)| origin).collect());
+        let of_leaf = |&origin: &IVec3| leaf_map.get(origin).copied().unwrap_or_default();
+        let leaves: Vec<FootprintLeaf> = topology.origins().par_iter().map(of_leaf).collect();
+        let is_full = leaves.iter().map(|leaf| leaf.cells == cells.all).collect();
+        OccupiedLeaves { topology, leaves, is_full }
+    }
+
+    /// The number of particles.
+    fn particle_count(&self) -> usize {
+        self.leaves.iter().map(|leaf| leaf.count).sum()
+    }
+
+    /// Which leaves are chosen together with all 26 leaves around them.
+    fn surrounded(&self, is_chosen: &[bool]) -> Vec<bool> {
+        let is_surrounded = |leaf: usize| {
+            let around = || self.topology.neighborhood(leaf);
+            is_chosen[leaf] && around().iter().all(|&leaf| is_chosen.get(leaf as usize) == Some(&true))
+        };
+        (0..self.leaves.len()).into_par_iter().map(is_surrounded).collect()
+    }
+
+    /// The area of the surface, in voxel faces.
+    fn open_area(&self, cells: &LeafCells) -> usize {
+        let cells_of = |leaf: u32| self.leaves.get(leaf as usize).map_or(0, |leaf| leaf.cells);
+        let leaves = self.leaves.par_iter().zip(self.topology.neighbors());
+        leaves.map(|(leaf, neighbors)| cells.open_area(leaf.cells, neighbors.map(cells_of))).sum()
+    }
 }
 
 /// The footprint of these particles. `shaped` selects the particles whose neighborhoods are evaluated before
@@ -132,52 +167,43 @@ pub fn footprint<S: ParticleSource>(
         Ok(())
     };
     (0..source.batch_count()).into_par_iter().try_for_each(mark_batch)?;
-    let occupied = leaf_map.freeze();
-    let cells_in = |origin: IVec3| occupied.get(origin).map_or(0, |leaf| leaf.cells);
-    let is_full_around = |origin: &IVec3, rings: i32| {
-        let mut steps = LeafReach::box_of([-rings; 3], [rings; 3]);
-        steps.all(|step| cells_in(*origin + step * LEAF_EDGE) == cells.all)
-    };
-    let mut surface = near.leaves(occupied.iter().map(|(&origin, leaf)| (origin, leaf.near)));
-    occupied.iter().map(|(origin, _)| origin).filter(|origin| is_full_around(origin, 1)).for_each(|origin| {
+    let occupied = OccupiedLeaves::new(&leaf_map.freeze(), &cells);
+    let origins = occupied.topology.origins();
+    let deep = occupied.surrounded(&occupied.is_full);
+    let mut surface = near.leaves(origins, &occupied.leaves);
+    for (origin, _) in origins.iter().zip(&deep).filter(|(_, is_deep)| **is_deep) {
         surface.remove(origin);
-    });
-    let area_voxels =
-        occupied.iter().map(|(&origin, _)| cells.open_area(|step| cells_in(origin + step))).sum::<usize>();
-    let cut = leaves_at_obstacles(scene, occupied.iter().map(|(&origin, _)| origin));
+    }
+    let cut = leaves_at_obstacles(scene, origins);
     surface.extend(
         cut.iter().flat_map(|&origin| {
             LeafReach::box_of([-1; 3], [1; 3]).map(move |step| origin + step * LEAF_EDGE)
         }),
     );
     // Particles are kept one leaf deeper than distances.
-    let kept = occupied.iter().filter(|(origin, _)| !is_full_around(origin, 2));
-    let shaped_particle_count = shaped.map_or(0, |near| {
-        let of_leaf = |leaf: &FootprintLeaf| (leaf.count, leaf.cells == cells.all);
-        shaped_count(&occupied.iter().map(|(&origin, leaf)| (origin, of_leaf(leaf))).collect(), near)
-    });
+    let dropped = occupied.surrounded(&deep);
+    let kept = occupied.leaves.iter().zip(&dropped).filter(|(_, is_dropped)| !**is_dropped);
     Ok(Footprint {
-        shaped_particle_count,
+        shaped_particle_count: shaped.map_or(0, |near| shaped_count(&occupied, near)),
         surface: surface.into_iter().collect(),
-        occupied_count: occupied.len(),
-        particle_count: occupied.iter().map(|(_, leaf)| leaf.count).sum(),
-        near_particle_count: kept.map(|(_, leaf)| leaf.count).sum(),
-        area_voxels: area_voxels + CUT_AREA * cut.len(),
+        occupied_count: origins.len(),
+        particle_count: occupied.particle_count(),
+        near_particle_count: kept.map(|(leaf, _)| leaf.count).sum(),
+        area_voxels: occupied.open_area(&cells) + CUT_AREA * cut.len(),
         dropped_count: dropped_count.into_inner(),
         spread_voxels: spread(
-            || occupied.iter().map(|(&origin, leaf)| (origin, leaf.count)),
+            || origins.iter().zip(&occupied.leaves).map(|(&origin, leaf)| (origin, leaf.count)),
             SPREAD_UNSEEN_VOXELS,
         ),
     })
 }
 
 /// Leaves that an obstacle's surface passes through: the fluid has a surface there, too.
-fn leaves_at_obstacles(scene: &RasterParams, occupied: impl Iterator<Item = IVec3>) -> Vec<IVec3> {
+fn leaves_at_obstacles(scene: &RasterParams, occupied: &[IVec3]) -> Vec<IVec3> {
     if scene.obstacles.is_empty() {
         return Vec::new();
     }
-    let occupied: Vec<IVec3> = occupied.collect();
-    occupied.into_par_iter().filter(|&origin| scene.is_at_obstacle(origin)).collect()
+    occupied.par_iter().copied().filter(|&origin| scene.is_at_obstacle(origin)).collect()
 }
 
 /// Estimated area in a leaf that the surface crosses, in voxel faces: 8 × 8 from side to side, and half as
@@ -196,6 +222,9 @@ struct FootprintLeaf {
     cells: u64,
 }
 
+/// Number of leaves whose surroundings are collected together: few of them occur twice.
+const LEAVES_AT_ONCE: usize = 256;
+
 /// A distance, and the leaves within that distance of a particle, per axis.
 ///
 /// ```text
@@ -207,13 +236,39 @@ struct LeafReach {
     voxels: f32,
     /// Boundaries between the position classes along an axis of the leaf.
     ends: [f32; 2],
+    /// The steps to all leaves within reach of any position.
+    steps: Vec<IVec3>,
+    /// For each position class, which of `steps` are within its reach: one bit per step.
+    of_kind: Vec<Vec<u64>>,
 }
 
 impl LeafReach {
     fn new(voxels: f32) -> LeafReach {
         let edge = LEAF_EDGE as f32;
         let (low, high) = (voxels.rem_euclid(edge), (-voxels).rem_euclid(edge));
-        LeafReach { voxels, ends: [low.min(high), low.max(high)] }
+        let mut reach = LeafReach {
+            voxels,
+            ends: [low.min(high), low.max(high)],
+            steps: Vec::new(),
+            of_kind: Vec::new(),
+        };
+        let ranges = [0, 1, 2].map(|kind| reach.range(kind));
+        let first = ranges.iter().map(|&(first, _)| first).min().unwrap_or(0);
+        let last = ranges.iter().map(|&(_, last)| last).max().unwrap_or(0);
+        reach.steps = LeafReach::box_of([first; 3], [last; 3]).collect();
+        let is_reached = |kind: usize, step: IVec3| {
+            let along = [kind / 9, kind / 3 % 3, kind % 3].map(|along| ranges[along]);
+            (0..3).all(|axis| (along[axis].0..=along[axis].1).contains(&step[axis]))
+        };
+        let bits = |kind: usize| {
+            let mut words = vec![0u64; reach.steps.len().div_ceil(64)];
+            for (number, _) in reach.steps.iter().enumerate().filter(|(_, step)| is_reached(kind, **step)) {
+                words[number / 64] |= 1 << (number % 64);
+            }
+            words
+        };
+        reach.of_kind = (0..27).map(bits).collect();
+        reach
     }
 
     /// Which of the 27 position classes contains `local`.
@@ -233,18 +288,22 @@ impl LeafReach {
         (((middle - self.voxels) / edge).floor() as i32, ((middle + self.voxels) / edge).floor() as i32)
     }
 
-    /// The leaves within reach of the position classes of all these leaves.
-    fn leaves(&self, leaves: impl Iterator<Item = (IVec3, u32)>) -> FxHashSet<IVec3> {
-        let ranges = [0, 1, 2].map(|kind| self.range(kind));
-        let mut reached = FxHashSet::default();
-        for (origin, kinds) in leaves {
-            for kind in (0..27).filter(|kind| kinds >> kind & 1 == 1) {
-                let along = [kind / 9, kind / 3 % 3, kind % 3].map(|along| ranges[along]);
-                let steps = LeafReach::box_of(along.map(|(first, _)| first), along.map(|(_, last)| last));
-                reached.extend(steps.map(|step| origin + step * LEAF_EDGE));
+    /// The leaves within reach of the position classes that occur in these leaves.
+    fn leaves(&self, origins: &[IVec3], leaves: &[FootprintLeaf]) -> FxHashSet<IVec3> {
+        let reached = |(origins, leaves): (&[IVec3], &[FootprintLeaf])| {
+            let mut reached = FxHashSet::default();
+            for (&origin, leaf) in origins.iter().zip(leaves) {
+                for (index, steps) in self.steps.chunks(64).enumerate() {
+                    let kinds = (0..27).filter(|kind| leaf.near >> kind & 1 == 1);
+                    let bits = kinds.fold(0, |bits, kind| bits | self.of_kind[kind][index]);
+                    let steps = steps.iter().enumerate().filter(|(number, _)| bits >> number & 1 == 1);
+                    reached.extend(steps.map(|(_, step)| origin + step * LEAF_EDGE));
+                }
             }
-        }
-        reached
+            reached
+        };
+        let chunks = origins.par_chunks(LEAVES_AT_ONCE).zip(leaves.par_chunks(LEAVES_AT_ONCE));
+        chunks.with_max_len(1).map(reached).flat_map_iter(FxHashSet::into_iter).collect()
     }
 
     /// All steps of a box.
@@ -279,19 +338,13 @@ impl LeafCells {
         (x * self.count + y) * self.count + z
     }
 
-    /// Area between the leaf's cells that contain a particle and those that do not, in voxel faces.
-    /// `cells_at` returns the cells of the leaf at a step from this one, in voxels.
-    fn open_area(&self, cells_at: impl Fn(IVec3) -> u64) -> usize {
-        let own = cells_at(IVec3::ZERO);
-        let mut face_count = 0;
-        for axis in 0..3 {
-            for (last, step) in [(0, -LEAF_EDGE), (self.count - 1, LEAF_EDGE)] {
-                let beyond = cells_at(IVec3::AXES[axis] * step);
-                face_count += self.open_faces(own, beyond, axis, last);
-            }
-        }
+    /// Area between the cells of a leaf that contain a particle and those that do not, in voxel faces.
+    /// `beyond` are the cells of the leaves beyond its faces, in the order of [`Topology::neighbors`].
+    fn open_area(&self, own: u64, beyond: [u64; 6]) -> usize {
+        let last = |face: usize| if face % 2 == 0 { 0 } else { self.count - 1 };
+        let face_counts = (0..6).map(|face| self.open_faces(own, beyond[face], face / 2, last(face)));
         let edge_voxels = LEAF_EDGE as usize / self.count as usize;
-        face_count * edge_voxels * edge_voxels
+        face_counts.sum::<usize>() * edge_voxels * edge_voxels
     }
 
     /// Number of cell faces in one direction that have a particle in the cell behind and none in the cell in

@@ -72,11 +72,6 @@ impl<T> LeafMap<T> {
             slots.iter().map(|(origin, &slot)| (origin, &values[slot as usize]))
         })
     }
-
-    /// Number of leaves.
-    pub(super) fn len(&self) -> usize {
-        self.0.iter().map(|shard| shard.slots.len()).sum()
-    }
 }
 
 fn shard_of(origin: IVec3) -> usize {

@@ -400,11 +400,7 @@ fn keep(field: &mut Field, kept: &[usize]) {
     if kept.len() == field.leaves.len() {
         return;
     }
-    for (to, &from) in kept.iter().enumerate() {
-        field.leaves.copy_within(from..from + 1, to);
-    }
-    field.leaves.truncate(kept.len());
-    field.leaves.shrink_to_fit();
+    field.leaves = kept.par_iter().map(|&leaf| field.leaves[leaf]).collect();
 }
 
 /// The topology that contains only the leaves `kept` of `topology`.

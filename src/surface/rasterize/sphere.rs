@@ -16,7 +16,9 @@ use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::bin::ParticleBins;
-use crate::surface::grid::{Field, LEAF_EDGE, Leaf, LeafMask, SetBits, Topology, leaf_steps_within};
+use crate::surface::grid::{
+    Field, LEAF_EDGE, LEAVES_PER_TASK, Leaf, LeafMask, SetBits, Topology, leaf_steps_within,
+};
 use crate::surface::simd::{self, Kernel, Lanes};
 
 /// Distance value of voxels without a particle within reach.
@@ -44,7 +46,7 @@ pub(super) fn nearest_distances<'a>(
             settled: settled(origin),
         })
     };
-    Field { leaves: leaves.origins().par_iter().map(nearest).collect() }
+    Field { leaves: leaves.origins().par_iter().with_max_len(LEAVES_PER_TASK).map(nearest).collect() }
 }
 
 /// Eight particles of a leaf: x, y and z, relative to its origin. Unused lanes are infinite.

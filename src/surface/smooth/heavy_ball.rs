@@ -164,7 +164,7 @@ impl HeavyBall<'_> {
             let (start, current, bounds) = (&*self.start, &self.band.phi, self.bounds);
             let fields = Fields { topology: &topology, region, thick, start, current, bounds };
             let params = &self.params;
-            pair_with_leaves(&blocks, &mut self.previous.leaves).into_par_iter().for_each(
+            pair_with_leaves(&blocks, &mut self.previous.leaves).into_par_iter().with_max_len(1).for_each(
                 |(block, previous)| {
                     SCRATCH.with_borrow_mut(|laplacians| {
                         simd::dispatch(BlockPass { fields: &fields, params, block, laplacians, previous });

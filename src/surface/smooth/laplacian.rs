@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use super::free_voxels::near_bits;
-use crate::surface::grid::{Field, Leaf, Neighborhood};
+use crate::surface::grid::{Field, LEAVES_PER_TASK, Leaf, Neighborhood};
 use crate::surface::level_set::{Bounds, NarrowBand};
 use crate::surface::simd::{self, Kernel, Lanes};
 
@@ -23,7 +23,7 @@ pub(super) fn smooth_laplacian(
 ) {
     let topology = band.topology.clone();
     for _ in 0..step_count {
-        next.leaves.par_iter_mut().enumerate().for_each(|(leaf, next)| {
+        next.leaves.par_iter_mut().enumerate().with_max_len(LEAVES_PER_TASK).for_each(|(leaf, next)| {
             let around = Neighborhood::new(&band.phi.leaves, topology.neighbors(), leaf);
             let bounds = [&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]];
             simd::dispatch(LaplacianStep { around: &around, bounds, step_size, next });

@@ -20,7 +20,7 @@ use crate::surface::simd::{Kernel, Lanes, dispatch};
 pub(super) const CELL_MARGIN: f32 = 0.5;
 
 /// Number of vertices per task.
-const CHUNK: usize = 4096;
+const CHUNK: usize = 1024;
 
 /// Number of vertices that are compared with particles at once.
 pub(super) const LANES: usize = 8;
@@ -35,7 +35,7 @@ pub(super) fn check_vertices(part: &CheckedRegion) -> (ParticleChecks, Vec<Bound
     let longest = shaped.as_ref().map_or(1.0, ShapedParticles::longest);
     let reach = part.radii.max * longest + part.radii.outward();
     let steps = leaf_steps_within(reach + CELL_MARGIN + 2.0 * MOVE_MAX);
-    let pieces = part.mesh.positions.par_chunks(CHUNK).enumerate();
+    let pieces = part.mesh.positions.par_chunks(CHUNK).enumerate().with_max_len(1);
     let check = |(piece, positions)| {
         let first = piece * CHUNK;
         dispatch(PieceChecks { part, shaped: shaped.as_ref(), steps: &steps, first, positions })
