@@ -42,6 +42,20 @@ impl Leaf {
     pub fn row_mut(&mut self, row: usize) -> &mut Row {
         &mut self.values.as_chunks_mut::<8>().0[row]
     }
+
+    /// The eight rows at `x` modulo 8.
+    #[inline(always)]
+    pub fn slab(&self, x: usize) -> &[Row; 8] {
+        let slabs: &[[Row; 8]; 8] = bytemuck::cast_ref(&self.values);
+        &slabs[x & 7]
+    }
+
+    /// The eight mutable rows at `x` modulo 8.
+    #[inline(always)]
+    pub fn slab_mut(&mut self, x: usize) -> &mut [Row; 8] {
+        let slabs: &mut [[Row; 8]; 8] = bytemuck::cast_mut(&mut self.values);
+        &mut slabs[x & 7]
+    }
 }
 
 /// One value for every voxel of the leaves of a [`Topology`](crate::surface::Topology), in the topology's

@@ -24,5 +24,5 @@ mod topology;
 
 pub use leaf::{Field, LEAF_EDGE, LEAF_VOXELS, LEAVES_PER_TASK, Leaf, Row, offset_in_leaf, voxel_in_leaf};
 pub use mask::{LeafMask, negative_masks};
-pub use stencil::{Neighborhood, ROW_COUNT, SetBits, Slab, slabs_in};
+pub use stencil::{Neighborhood, ROW_COUNT, SetBits, Slab, slabs_in, vectors_in};
 pub use topology::{Direction, FACE_STEPS, NO_LEAF, Topology, leaf_steps_within};

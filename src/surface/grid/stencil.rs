@@ -11,7 +11,7 @@
 
 use super::leaf::{Leaf, Row};
 use super::topology::{Direction, NO_LEAF};
-use crate::surface::simd::Lanes;
+use crate::surface::simd::Vector;
 
 /// Rows in a leaf; row `x·8 + y` starts at value `row·8`.
 pub const ROW_COUNT: usize = 64;
@@ -44,86 +44,89 @@ impl<'a> Neighborhood<'a> {
 /// loops of the smoother work on slabs. Parts that a loop does not use cost nothing.
 #[derive(Clone, Copy)]
 pub struct Slab<'a> {
-    rows: &'a StencilRows,
+    rows: &'a [Row; 8],
     /// The rows at x − 1, x + 1, x − 2 and x + 2.
-    across_x: [&'a StencilRows; 4],
+    across_x: [&'a [Row; 8]; 4],
     /// The rows at the same x in the leaves before and after along y, if they are stored.
-    beyond_y: [Option<&'a StencilRows>; 2],
+    beyond_y: [Option<&'a [Row; 8]>; 2],
     /// The rows at the same x in the leaves before and after along z, and the z of the values next to this
     /// leaf. If a leaf is not stored, the slab's own rows and their end.
-    beyond_z: [(&'a StencilRows, usize); 2],
+    beyond_z: [(&'a [Row; 8], usize); 2],
 }
-
-/// The rows at one x.
-type StencilRows = [Row; 8];
 
 /// A row shifted along one axis by −1 and +1, or by −2 and +2.
 type Shifted<V> = [V; 2];
 
 impl<'a> Slab<'a> {
-    /// Row `y` itself.
+    /// Row `y` itself, and the rows after it if the vector has several.
     #[inline(always)]
-    pub fn row<V: Lanes>(&self, y: usize) -> V {
-        V::load(&self.rows[y & 7])
+    pub fn row<V: Vector>(&self, y: usize) -> V {
+        V::load_at(self.rows, y)
     }
 
     /// The rows at x − 1 and x + 1.
     #[inline(always)]
-    pub fn along_x<V: Lanes>(&self, y: usize) -> Shifted<V> {
-        [V::load(&self.across_x[0][y & 7]), V::load(&self.across_x[1][y & 7])]
+    pub fn along_x<V: Vector>(&self, y: usize) -> Shifted<V> {
+        [V::load_at(self.across_x[0], y), V::load_at(self.across_x[1], y)]
     }
 
     /// The rows at x − 2 and x + 2.
     #[inline(always)]
-    pub fn second_along_x<V: Lanes>(&self, y: usize) -> Shifted<V> {
-        [V::load(&self.across_x[2][y & 7]), V::load(&self.across_x[3][y & 7])]
+    pub fn second_along_x<V: Vector>(&self, y: usize) -> Shifted<V> {
+        [V::load_at(self.across_x[2], y), V::load_at(self.across_x[3], y)]
     }
 
     /// The rows at y − 1 and y + 1.
     #[inline(always)]
-    pub fn along_y<V: Lanes>(&self, y: usize) -> Shifted<V> {
-        let [before, after] = self.across_y(y, 1);
-        [V::load(before), V::load(after)]
+    pub fn along_y<V: Vector>(&self, y: usize) -> Shifted<V> {
+        [V::from_rows(|k| self.before_y(y + k, 1)), V::from_rows(|k| self.after_y(y + k, 1))]
     }
 
     /// The rows at y − 2 and y + 2.
     #[inline(always)]
-    pub fn second_along_y<V: Lanes>(&self, y: usize) -> Shifted<V> {
-        let [before, after] = self.across_y(y, 2);
-        [V::load(before), V::load(after)]
+    pub fn second_along_y<V: Vector>(&self, y: usize) -> Shifted<V> {
+        [V::from_rows(|k| self.before_y(y + k, 2)), V::from_rows(|k| self.after_y(y + k, 2))]
     }
 
+    /// The row `step` before row `y`.
     #[inline(always)]
-    fn across_y(&self, y: usize, step: usize) -> [&'a Row; 2] {
-        let (y, own) = (y & 7, &self.rows[y & 7]);
+    fn before_y(&self, y: usize, step: usize) -> &'a Row {
+        let y = y & 7;
         let before = if y >= step { Some(self.rows) } else { self.beyond_y[0] };
+        before.map_or(&self.rows[y], |rows| &rows[(y + 8 - step) & 7])
+    }
+
+    /// The row `step` after row `y`.
+    #[inline(always)]
+    fn after_y(&self, y: usize, step: usize) -> &'a Row {
+        let y = y & 7;
         let after = if y + step < 8 { Some(self.rows) } else { self.beyond_y[1] };
-        [
-            before.map_or(own, |rows| &rows[(y + 8 - step) & 7]),
-            after.map_or(own, |rows| &rows[(y + step) & 7]),
-        ]
+        after.map_or(&self.rows[y], |rows| &rows[(y + step) & 7])
     }
 
     /// The values at z − 1 and z + 1.
     #[inline(always)]
-    pub fn along_z<V: Lanes>(&self, y: usize) -> Shifted<V> {
-        let [before, after] = self.beyond_z.map(|(rows, z)| rows[y & 7][z & 7]);
+    pub fn along_z<V: Vector>(&self, y: usize) -> Shifted<V> {
+        let [(first, from), (last, to)] = self.beyond_z;
         let row = self.row::<V>(y);
-        [row.shift_up(before), row.shift_down(after)]
+        [
+            row.shift_rows_up(|k| first[(y + k) & 7][from & 7]),
+            row.shift_rows_down(|k| last[(y + k) & 7][to & 7]),
+        ]
     }
 
     /// The values at z − 2 and z + 2, from those at z − 1 and z + 1.
     #[inline(always)]
-    pub fn second_along_z<V: Lanes>(&self, y: usize, [before, after]: Shifted<V>) -> Shifted<V> {
+    pub fn second_along_z<V: Vector>(&self, y: usize, [before, after]: Shifted<V>) -> Shifted<V> {
         let [(first, from), (last, to)] = self.beyond_z;
         // One voxel farther into the neighboring leaf; if that leaf is not stored, the row's own end.
-        let (first, last) = (first[y & 7][from.saturating_sub(1) & 7], last[y & 7][(to + 1).min(7)]);
-        [before.shift_up(first), after.shift_down(last)]
+        let (from, to) = (from.saturating_sub(1) & 7, (to + 1).min(7));
+        [before.shift_rows_up(|k| first[(y + k) & 7][from]), after.shift_rows_down(|k| last[(y + k) & 7][to])]
     }
 
     /// The 7-point Laplacian of row `y`, voxel units.
     #[inline(always)]
-    pub fn laplacian<V: Lanes>(&self, y: usize) -> V {
+    pub fn laplacian<V: Vector>(&self, y: usize) -> V {
         let [xm, xp] = self.along_x::<V>(y);
         let [ym, yp] = self.along_y::<V>(y);
         let [zm, zp] = self.along_z::<V>(y);
@@ -133,7 +136,7 @@ impl<'a> Slab<'a> {
 
     /// The norm of the gradient in row `y`, by central differences, voxel units.
     #[inline(always)]
-    pub fn gradient_norm<V: Lanes>(&self, y: usize) -> V {
+    pub fn gradient_norm<V: Vector>(&self, y: usize) -> V {
         let ([xm, xp], [ym, yp], [zm, zp]) =
             (self.along_x::<V>(y), self.along_y::<V>(y), self.along_z::<V>(y));
         let (x, y, z) = (xp.sub(xm), yp.sub(ym), zp.sub(zm));
@@ -146,14 +149,14 @@ impl<'a> Neighborhood<'a> {
     #[inline(always)]
     pub fn slab(&self, x: usize) -> Slab<'a> {
         let x = x & 7;
-        let rows = rows_of(self.center, x);
+        let rows = self.center.slab(x);
         let face = |direction: Direction| self.faces[direction as usize];
         let across = |step: usize| {
             let before = if x >= step { Some(self.center) } else { face(Direction::XMinus) };
             let after = if x + step < 8 { Some(self.center) } else { face(Direction::XPlus) };
             [
-                before.map_or(rows, |leaf| rows_of(leaf, x + 8 - step)),
-                after.map_or(rows, |leaf| rows_of(leaf, x + step)),
+                before.map_or(rows, |leaf| leaf.slab(x + 8 - step)),
+                after.map_or(rows, |leaf| leaf.slab(x + step)),
             ]
         };
         let ([xm, xp], [xm2, xp2]) = (across(1), across(2));
@@ -161,20 +164,23 @@ impl<'a> Neighborhood<'a> {
             rows,
             across_x: [xm, xp, xm2, xp2],
             beyond_y: [Direction::YMinus, Direction::YPlus]
-                .map(|direction| face(direction).map(|leaf| rows_of(leaf, x))),
+                .map(|direction| face(direction).map(|leaf| leaf.slab(x))),
             beyond_z: [
-                face(Direction::ZMinus).map_or((rows, 0), |leaf| (rows_of(leaf, x), 7)),
-                face(Direction::ZPlus).map_or((rows, 7), |leaf| (rows_of(leaf, x), 0)),
+                face(Direction::ZMinus).map_or((rows, 0), |leaf| (leaf.slab(x), 7)),
+                face(Direction::ZPlus).map_or((rows, 7), |leaf| (leaf.slab(x), 0)),
             ],
         }
     }
 }
 
-/// The rows at x modulo 8.
+/// The slabs with vectors that contain any of the given rows (bit `x·8 + y`). Each item is x and the y of the
+/// first row of each vector.
 #[inline(always)]
-fn rows_of(leaf: &Leaf, x: usize) -> &StencilRows {
-    let rows: &[Row; ROW_COUNT] = bytemuck::cast_ref(&leaf.values);
-    &rows.as_chunks::<8>().0[x & 7]
+pub fn vectors_in<V: Vector>(rows: u64) -> impl Iterator<Item = (usize, SetBits)> {
+    slabs_in(match V::ROWS {
+        1 => rows,
+        _ => (rows | rows >> 1) & 0x5555_5555_5555_5555,
+    })
 }
 
 /// The slabs that contain any of the given rows (bit `x·8 + y`). Each item is x and the y of the slab's rows.

@@ -51,9 +51,9 @@ use rayon::prelude::*;
 
 use super::NarrowBand;
 use crate::surface::grid::{
-    Field, LEAVES_PER_TASK, Leaf, LeafMask, Neighborhood, ROW_COUNT, Slab, Topology, slabs_in,
+    Field, LEAVES_PER_TASK, Leaf, LeafMask, Neighborhood, ROW_COUNT, Slab, Topology, vectors_in,
 };
-use crate::surface::simd::{self, Kernel, Lanes};
+use crate::surface::simd::{self, Vector, WideKernel};
 
 /// Value of a voxel that no sweep has reached yet.
 pub const UNREACHED: f32 = f32::INFINITY;
@@ -127,13 +127,13 @@ fn sweep_outward(topology: &Topology, [distance, next]: [&mut Field; 2], fixed: 
     for _ in 0..sweeps.count {
         let leaves = next.leaves.par_iter_mut().zip(&mut changed_next).zip(fixed).enumerate();
         leaves.with_max_len(LEAVES_PER_TASK).for_each(|(leaf, ((next, changed_next), fixed))| {
-            let rows = dependent_rows(&changed, &neighbors[leaf], leaf);
+            let rows = dependent_rows(&changed, &neighbors[leaf], leaf) & fixed.complement().occupied_rows();
             if rows == 0 {
                 *changed_next = ChangedRows::default();
                 return;
             }
             let around = Neighborhood::new(&distance.leaves, neighbors, leaf);
-            *changed_next = simd::dispatch(Sweep { around: &around, fixed, rows, sweeps, next });
+            *changed_next = simd::dispatch_wide(Sweep { around: &around, fixed, rows, sweeps, next });
         });
         std::mem::swap(distance, next);
         std::mem::swap(&mut changed, &mut changed_next);
@@ -148,7 +148,7 @@ fn pin(band: &NarrowBand, distance: &mut Field) -> Vec<LeafMask> {
     let leaves = distance.leaves.par_iter_mut().zip(&mut pinned).enumerate();
     leaves.with_max_len(LEAVES_PER_TASK).for_each(|(leaf, (distance, pinned))| {
         let around = Neighborhood::new(&band.phi.leaves, neighbors, leaf);
-        simd::dispatch(Pin { around: &around, distance, pinned });
+        simd::dispatch_wide(Pin { around: &around, distance, pinned });
     });
     pinned
 }
@@ -160,43 +160,51 @@ struct Pin<'a> {
     pinned: &'a mut LeafMask,
 }
 
-impl Kernel for Pin<'_> {
+impl WideKernel for Pin<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<V: Lanes>(self) {
-        for x in 0..8 {
+    fn run<V: Vector>(self) {
+        for (x, ys) in vectors_in::<V>(u64::MAX) {
             let slab = self.around.slab(x);
-            for y in 0..8 {
+            for y in ys {
                 let row = x * 8 + y;
-                let (distance, adjacent) = pin_row::<V>(&slab, y);
-                distance.store(self.distance.row_mut(row));
-                self.pinned.set_row(row, adjacent);
+                let (distance, adjacent) = pin_rows::<V>(&slab, y);
+                distance.store_at(self.distance.slab_mut(x), y);
+                for k in 0..V::ROWS {
+                    self.pinned.set_row(row + k, adjacent[k & 1]);
+                }
             }
         }
     }
 }
 
-/// The signed distances of a row's voxels, and the bits of the voxels next to the zero set. The others are
-/// plus or minus [`UNREACHED`].
+/// The signed distances of the voxels of some rows, and for each row the bits of the voxels next to the zero
+/// set. The others are plus or minus [`UNREACHED`].
 #[inline(always)]
-fn pin_row<V: Lanes>(slab: &Slab, y: usize) -> (V, u8) {
+fn pin_rows<V: Vector>(slab: &Slab, y: usize) -> (V, [u8; 2]) {
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
     let c = slab.row::<V>(y);
-    let inside = V::bits(c.lt(zero));
-    let side = V::select(c.lt(zero), V::splat(-1.0), one);
+    let is_inside = c.lt(zero);
+    let side = V::select(is_inside, V::splat(-1.0), one);
     // A voxel is at most one voxel farther from the zero set than its neighbor. A neighbor on the other side
     // counts as lying on the zero set, so that distances are continuous as a neighbor's value passes through
     // zero.
-    let (mut adjacent, mut nearest) = (0, V::splat(f32::INFINITY));
+    let (mut adjacent, mut nearest) = ([0; 2], V::splat(f32::INFINITY));
     for [before, after] in [slab.along_x::<V>(y), slab.along_y(y), slab.along_z(y)] {
-        adjacent |= (V::bits(before.lt(zero)) ^ inside) | (V::bits(after.lt(zero)) ^ inside);
-        nearest = nearest.min(side.mul(before).max(zero)).min(side.mul(after).max(zero));
+        for neighbor in [before, after] {
+            let is_neighbor_inside = neighbor.lt(zero);
+            for (k, adjacent) in adjacent.iter_mut().enumerate().take(V::ROWS) {
+                *adjacent |= V::bits_of_row(is_neighbor_inside, k) ^ V::bits_of_row(is_inside, k);
+            }
+            nearest = nearest.min(side.mul(neighbor).max(zero));
+        }
     }
     let distance = c.abs().div(slab.gradient_norm(y)).min(one.add(nearest));
     // Avoids 0 / 0: a voxel where φ and its gradient are zero is on the zero set.
     let distance = V::select(c.ne(zero), distance, zero);
-    (V::select(V::mask(adjacent), distance, V::splat(UNREACHED)).mul(side), adjacent)
+    let is_adjacent = V::mask_of_rows(|k| adjacent[k & 1]);
+    (V::select(is_adjacent, distance, V::splat(UNREACHED)).mul(side), adjacent)
 }
 
 /// The rows of a leaf with a changed voxel: bit `x·8 + y`.
@@ -259,31 +267,34 @@ struct Sweep<'a> {
     next: &'a mut Leaf,
 }
 
-impl Kernel for Sweep<'_> {
+impl WideKernel for Sweep<'_> {
     type Output = ChangedRows;
 
     #[inline(always)]
-    fn run<V: Lanes>(self) -> ChangedRows {
+    fn run<V: Vector>(self) -> ChangedRows {
         let mut changed = ChangedRows::default();
-        for (x, ys) in slabs_in(self.rows) {
+        for (x, ys) in vectors_in::<V>(self.rows) {
             let slab = self.around.slab(x);
             for y in ys {
                 let row = x * 8 + y;
-                let fixed = self.fixed.row(row);
+                let fixed = V::mask_of_rows(|k| self.fixed.row(row + k));
                 let old = slab.row::<V>(y);
-                let updated = V::select(V::mask(fixed), old, upwind::<V>(&slab, y, self.sweeps));
-                updated.store(self.next.row_mut(row));
-                changed.add(row, V::bits(updated.ne(old)));
+                let updated = V::select(fixed, old, upwind::<V>(&slab, y, self.sweeps));
+                updated.store_at(self.next.slab_mut(x), y);
+                let has_changed = updated.ne(old);
+                for k in 0..V::ROWS {
+                    changed.add(row + k, V::bits_of_row(has_changed, k));
+                }
             }
         }
         changed
     }
 }
 
-/// The upwind solution of |∇d| = 1 at each voxel of a row. If all of them are greater than `sweeps.up_to`,
-/// the row as it is.
+/// The upwind solution of |∇d| = 1 at each voxel of some rows. If all of them are greater than
+/// `sweeps.up_to`, the rows as they are.
 #[inline(always)]
-fn upwind<V: Lanes>(slab: &Slab, y: usize, sweeps: Sweeps) -> V {
+fn upwind<V: Vector>(slab: &Slab, y: usize, sweeps: Sweeps) -> V {
     // Distances are positive on the voxel's own side of the surface.
     let row = slab.row::<V>(y);
     let side = V::splat(1.0).copysign(row);
@@ -294,11 +305,11 @@ fn upwind<V: Lanes>(slab: &Slab, y: usize, sweeps: Sweeps) -> V {
     let nearest = x_near.value.min(y_near.value).min(z_near.value);
     // A voxel is farther from the surface than the nearest of its neighbors, and depends on no neighbor that
     // is farther than itself.
-    if V::bits(nearest.lt(V::splat(sweeps.up_to + ROUNDING))) == 0 {
+    if !V::any(nearest.lt(V::splat(sweeps.up_to + ROUNDING))) {
         return row;
     }
     // Far from the surface, differences are first-order and second neighbors are not read.
-    let (x, y, z) = if V::bits(nearest.lt(within)) == 0 {
+    let (x, y, z) = if !V::any(nearest.lt(within)) {
         (x_near.first_order(), y_near.first_order(), z_near.first_order())
     } else {
         (
@@ -322,13 +333,13 @@ struct OneSided<V> {
 
 /// Of the neighbors at −1 and +1, the one nearer to the surface.
 #[derive(Clone, Copy)]
-struct UpwindNeighbor<V: Lanes> {
+struct UpwindNeighbor<V: Vector> {
     value: V,
     /// True for lanes where this neighbor is at +1.
     is_after: V::Mask,
 }
 
-impl<V: Lanes> UpwindNeighbor<V> {
+impl<V: Vector> UpwindNeighbor<V> {
     #[inline(always)]
     fn new(side: V, [before, after]: [V; 2]) -> UpwindNeighbor<V> {
         let (before, after) = (side.mul(before), side.mul(after));
@@ -357,7 +368,7 @@ impl<V: Lanes> UpwindNeighbor<V> {
     }
 }
 
-impl<V: Lanes> OneSided<V> {
+impl<V: Vector> OneSided<V> {
     #[inline(always)]
     fn select(mask: V::Mask, then: OneSided<V>, otherwise: OneSided<V>) -> OneSided<V> {
         OneSided {
@@ -369,7 +380,7 @@ impl<V: Lanes> OneSided<V> {
 
 /// Sorts two differences by `from`.
 #[inline(always)]
-fn ordered<V: Lanes>(a: OneSided<V>, b: OneSided<V>) -> (OneSided<V>, OneSided<V>) {
+fn ordered<V: Vector>(a: OneSided<V>, b: OneSided<V>) -> (OneSided<V>, OneSided<V>) {
     let swap = b.from.lt(a.from);
     (OneSided::select(swap, b, a), OneSided::select(swap, a, b))
 }
@@ -377,7 +388,7 @@ fn ordered<V: Lanes>(a: OneSided<V>, b: OneSided<V>) -> (OneSided<V>, OneSided<V
 /// The distance d at which the squared slopes add up to one. Only axes with `from` < d are summed (the upwind
 /// axes). The axes are sorted by `from`.
 #[inline(always)]
-fn solve_upwind<V: Lanes>([a, b, c]: [OneSided<V>; 3]) -> V {
+fn solve_upwind<V: Vector>([a, b, c]: [OneSided<V>; 3]) -> V {
     // Relative to the smallest `from`, so that no large numbers are squared. The squared slopes add up to one
     // at the greater root of weight·d² − 2·sum·d + squares = 0.
     let (b_rel, c_rel) = (b.from.sub(a.from), c.from.sub(a.from));

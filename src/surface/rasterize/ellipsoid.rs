@@ -361,8 +361,8 @@ pub(super) struct EllipsoidDistances {
     axes: HalfAxisRange,
     /// For each voxel, the square of q from which on a particle cannot lower a value.
     limits: Leaf,
-    /// The maximum of each row's limits.
-    row_limits: [f32; ROW_COUNT],
+    /// The maximum of each row's limits: row `x·8 + y` at `[x][y]`.
+    row_limits: [[f32; 8]; 8],
 }
 
 impl EllipsoidDistances {
@@ -370,7 +370,7 @@ impl EllipsoidDistances {
     fn new<V: Lanes>(settled: &LeafMask, radii: [f32; 3], axes: HalfAxisRange) -> EllipsoidDistances {
         let leaves = [Leaf::splat(OUT_OF_REACH); 3];
         let limits = Leaf::splat(0.0);
-        let mut values = EllipsoidDistances { leaves, radii, axes, limits, row_limits: [0.0; ROW_COUNT] };
+        let mut values = EllipsoidDistances { leaves, radii, axes, limits, row_limits: [[0.0; 8]; 8] };
         for row in 0..ROW_COUNT {
             let settled = V::mask(settled.row(row));
             for leaf in &mut values.leaves {
@@ -395,7 +395,7 @@ impl EllipsoidDistances {
         }
         let squared = limit.mul(limit);
         squared.store(self.limits.row_mut(row));
-        self.row_limits[row] = greatest(squared);
+        self.row_limits[row >> 3 & 7][row & 7] = greatest(squared);
     }
 }
 
@@ -420,15 +420,22 @@ fn touches<V: Lanes>(centers: &[f32; 8], step: f32, extents: &[f32; 8]) -> u8 {
 
 /// Range of a leaf's voxels along an axis that lie within `extent` of `center`.
 #[inline(always)]
-fn voxels_within(center: f32, extent: f32) -> std::ops::Range<usize> {
+fn voxels_within(center: f32, extent: f32) -> Range<usize> {
     let first = (center - extent).ceil().max(0.0) as usize;
     let last = (center + extent).floor().min((LEAF_EDGE - 1) as f32) as i32;
     first..(last + 1).max(0) as usize
 }
 
-/// Offsets from `center` to a leaf's voxels along z.
+/// The range as bits.
 #[inline(always)]
-fn along_z<V: Lanes>(center: f32) -> V {
+fn bits_of(voxels: Range<usize>) -> u8 {
+    let below = |end: usize| (1u16 << end.min(8)) - 1;
+    (below(voxels.end) & !below(voxels.start)) as u8
+}
+
+/// Offsets from `center` to a leaf's voxels along an axis.
+#[inline(always)]
+fn offsets<V: Lanes>(center: f32) -> V {
     V::load(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]).sub(V::splat(center))
 }
 
@@ -469,7 +476,7 @@ impl ParticleShape for BallShape {
     #[inline(always)]
     fn lower<V: Lanes>(&self, values: &mut EllipsoidDistances, center: Vec3, extents: Vec3) {
         let reach_squared = extents.x * extents.x;
-        let dz = along_z::<V>(center.z);
+        let dz = offsets::<V>(center.z);
         let dz_squared = dz.mul(dz);
         for x in voxels_within(center.x, extents.x) {
             let dx = x as f32 - center.x;
@@ -514,16 +521,17 @@ impl ParticleShape for EllipsoidShape {
     fn lower<V: Lanes>(&self, values: &mut EllipsoidDistances, center: Vec3, extents: Vec3) {
         let EllipsoidShape { ellipsoid, row_form, ratio_min } = self;
         let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball;
-        let dz = along_z::<V>(center.z);
+        let dz = offsets::<V>(center.z);
         let counts_along_z = V::not(V::splat(extents.z).lt(dz.abs()));
         let (along_x, along_y, along_z) = (V::splat(xz).mul(dz), V::splat(yz).mul(dz), V::splat(zz).mul(dz));
+        let dy_of_rows = offsets::<V>(center.y);
+        let is_within_y = bits_of(voxels_within(center.y, extents.y));
         for x in voxels_within(center.x, extents.x) {
             let dx = x as f32 - center.x;
-            for y in voxels_within(center.y, extents.y) {
+            let limits = V::load(&values.row_limits[x & 7]);
+            let is_beyond = V::bits(limits.lt(row_form.least_squared::<V>(dx, dy_of_rows)));
+            for y in SetBits(is_within_y & !is_beyond) {
                 let (row, dy) = (x * 8 + y, y as f32 - center.y);
-                if row_form.least_squared(dx, dy) > values.row_limits[row] {
-                    continue;
-                }
                 let at = Vec3::new(xx * dx + xy * dy, xy * dx + yy * dy, xz * dx + yz * dy);
                 let (tx, ty, tz) =
                     (V::splat(at.x).add(along_x), V::splat(at.y).add(along_y), V::splat(at.z).add(along_z));
@@ -571,10 +579,11 @@ impl RowForm {
         }
     }
 
-    /// The minimum of |T·d|² along a row.
+    /// The minimum of |T·d|² along each of eight rows with the same x.
     #[inline(always)]
-    fn least_squared(&self, dx: f32, dy: f32) -> f32 {
-        dx * (self.xx * dx + 2.0 * self.xy * dy) + self.yy * dy * dy
+    fn least_squared<V: Lanes>(&self, dx: f32, dy: V) -> V {
+        let of_x = V::splat(self.xx * dx).add(V::splat(2.0 * self.xy).mul(dy));
+        V::splat(dx).mul(of_x).add(V::splat(self.yy).mul(dy).mul(dy))
     }
 }
 

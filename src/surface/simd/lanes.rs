@@ -1,21 +1,27 @@
-//! Vectors of eight values: a row of a leaf in a register.
+//! Vectors of eight or sixteen values: one or two rows of a leaf in a register.
 //!
 //! Every operation is that of IEEE 754 on each value, so a kernel computes the same bits with every type.
 //! Where instruction sets differ, as in `max` with NaN, the [portable type](Portable) defines the result.
 
-/// Eight 32-bit values.
-pub trait Lanes: Copy {
+/// One row or two consecutive rows of eight 32-bit values. Row `k` is in lanes `8·k` to `8·k + 7`.
+pub trait Vector: Copy {
     /// Per-lane mask.
     type Mask: Copy;
 
-    /// Loads the values of a row.
-    fn load(row: &[f32; 8]) -> Self;
+    /// Number of rows.
+    const ROWS: usize;
+
+    /// Loads row `y` and those after it; `y` is a multiple of [`ROWS`](Self::ROWS).
+    fn load_at(rows: &[[f32; 8]; 8], y: usize) -> Self;
+
+    /// Loads each row from anywhere.
+    fn from_rows<'a>(row: impl Fn(usize) -> &'a [f32; 8]) -> Self;
+
+    /// Stores to row `y` and those after it; `y` is a multiple of [`ROWS`](Self::ROWS).
+    fn store_at(self, rows: &mut [[f32; 8]; 8], y: usize);
 
     /// The same value in all lanes.
     fn splat(value: f32) -> Self;
-
-    /// Stores the values to a row.
-    fn store(self, row: &mut [f32; 8]);
 
     /// Sum.
     fn add(self, other: Self) -> Self;
@@ -50,11 +56,11 @@ pub trait Lanes: Copy {
     /// Lanes where the values differ, or one of them is NaN.
     fn ne(self, other: Self) -> Self::Mask;
 
-    /// The mask with bit k for lane k.
-    fn mask(bits: u8) -> Self::Mask;
+    /// The mask whose lanes in each row are the bits of `bits`.
+    fn mask_of_rows(bits: impl Fn(usize) -> u8) -> Self::Mask;
 
-    /// The mask as bits.
-    fn bits(mask: Self::Mask) -> u8;
+    /// The lanes of a mask that are in row `row`, as bits.
+    fn bits_of_row(mask: Self::Mask, row: usize) -> u8;
 
     /// Lanes that are set in both masks.
     fn both(one: Self::Mask, other: Self::Mask) -> Self::Mask;
@@ -65,11 +71,38 @@ pub trait Lanes: Copy {
     /// `then` in lanes of the mask, `otherwise` elsewhere.
     fn select(mask: Self::Mask, then: Self, otherwise: Self) -> Self;
 
-    /// Each lane gets the value of the previous lane; lane 0 gets `first`.
-    fn shift_up(self, first: f32) -> Self;
+    /// Each lane gets the value of the previous lane; the first lane of each row gets `first`.
+    fn shift_rows_up(self, first: impl Fn(usize) -> f32) -> Self;
 
-    /// Each lane gets the value of the next lane; lane 7 gets `last`.
-    fn shift_down(self, last: f32) -> Self;
+    /// Each lane gets the value of the next lane; the last lane of each row gets `last`.
+    fn shift_rows_down(self, last: impl Fn(usize) -> f32) -> Self;
+
+    /// True if any lane is set.
+    fn any(mask: Self::Mask) -> bool;
+}
+
+/// One row.
+pub trait Lanes: Vector {
+    /// Loads the values of a row.
+    #[inline(always)]
+    fn load(row: &[f32; 8]) -> Self {
+        Self::from_rows(|_| row)
+    }
+
+    /// Stores the values to a row.
+    fn store(self, row: &mut [f32; 8]);
+
+    /// The mask with bit k for lane k.
+    #[inline(always)]
+    fn mask(bits: u8) -> Self::Mask {
+        Self::mask_of_rows(|_| bits)
+    }
+
+    /// The mask as bits.
+    #[inline(always)]
+    fn bits(mask: Self::Mask) -> u8 {
+        Self::bits_of_row(mask, 0)
+    }
 }
 
 /// The implementation without intrinsics, for every processor.
@@ -84,21 +117,35 @@ impl Portable {
 }
 
 impl Lanes for Portable {
+    #[inline(always)]
+    fn store(self, row: &mut [f32; 8]) {
+        *row = self.0;
+    }
+}
+
+impl Vector for Portable {
     type Mask = [bool; 8];
 
+    const ROWS: usize = 1;
+
     #[inline(always)]
-    fn load(row: &[f32; 8]) -> Portable {
-        Portable(*row)
+    fn from_rows<'a>(row: impl Fn(usize) -> &'a [f32; 8]) -> Portable {
+        Portable(*row(0))
+    }
+
+    #[inline(always)]
+    fn load_at(rows: &[[f32; 8]; 8], y: usize) -> Portable {
+        Portable(rows[y & 7])
+    }
+
+    #[inline(always)]
+    fn store_at(self, rows: &mut [[f32; 8]; 8], y: usize) {
+        rows[y & 7] = self.0;
     }
 
     #[inline(always)]
     fn splat(value: f32) -> Portable {
         Portable([value; 8])
-    }
-
-    #[inline(always)]
-    fn store(self, row: &mut [f32; 8]) {
-        *row = self.0;
     }
 
     #[inline(always)]
@@ -157,13 +204,19 @@ impl Lanes for Portable {
     }
 
     #[inline(always)]
-    fn mask(bits: u8) -> [bool; 8] {
+    fn mask_of_rows(bits: impl Fn(usize) -> u8) -> [bool; 8] {
+        let bits = bits(0);
         std::array::from_fn(|k| bits >> k & 1 == 1)
     }
 
     #[inline(always)]
-    fn bits(mask: [bool; 8]) -> u8 {
+    fn bits_of_row(mask: [bool; 8], _row: usize) -> u8 {
         (0..8).fold(0, |bits, k| bits | u8::from(mask[k]) << k)
+    }
+
+    #[inline(always)]
+    fn any(mask: [bool; 8]) -> bool {
+        Self::bits(mask) != 0
     }
 
     #[inline(always)]
@@ -182,14 +235,14 @@ impl Lanes for Portable {
     }
 
     #[inline(always)]
-    fn shift_up(self, first: f32) -> Portable {
+    fn shift_rows_up(self, first: impl Fn(usize) -> f32) -> Portable {
         let c = self.0;
-        Portable([first, c[0], c[1], c[2], c[3], c[4], c[5], c[6]])
+        Portable([first(0), c[0], c[1], c[2], c[3], c[4], c[5], c[6]])
     }
 
     #[inline(always)]
-    fn shift_down(self, last: f32) -> Portable {
+    fn shift_rows_down(self, last: impl Fn(usize) -> f32) -> Portable {
         let c = self.0;
-        Portable([c[1], c[2], c[3], c[4], c[5], c[6], c[7], last])
+        Portable([c[1], c[2], c[3], c[4], c[5], c[6], c[7], last(0)])
     }
 }

@@ -1,12 +1,13 @@
 //! Runtime selection of the processor's widest vectors.
 //!
-//! A kernel is written once, over rows of eight values ([`Lanes`]), and compiled for each [`SimdLevel`].
+//! A kernel is written once, over rows of eight values ([`Lanes`]) or over one or two such rows ([`Vector`]),
+//! and compiled for each [`SimdLevel`].
 //! Levels differ only in instructions: multiplications are never fused with additions, and every sum has a
 //! fixed order. So a frame is bit-identical on every processor, and tests compare the other levels with the
 //! baseline.
 //!
 //! ```text
-//!   dispatch(kernel) ──┬─ Avx512     8 values per instruction, twice as many registers
+//!   dispatch(kernel) ──┬─ Avx512     8 or 16 values per instruction, twice as many registers
 //!                      ├─ Avx2       8
 //!                      └─ Baseline   4 on x86-64 (SSE2) and on aarch64 (NEON)
 //! ```
@@ -20,8 +21,8 @@ mod x86;
 
 use std::sync::OnceLock;
 
-pub use lanes::Lanes;
 use lanes::Portable;
+pub use lanes::{Lanes, Vector};
 
 use crate::surface::interrupt::checkpoint;
 
@@ -135,6 +136,27 @@ pub trait Kernel {
     fn run<V: Lanes>(self) -> Self::Output;
 }
 
+/// A kernel that processes one row or two consecutive rows at a time, as registers permit. See [`Kernel`].
+pub trait WideKernel {
+    /// The result.
+    type Output;
+
+    /// Runs the computation, with rows in registers of type `V`.
+    fn run<V: Vector>(self) -> Self::Output;
+}
+
+/// A wide kernel that processes one row at a time.
+struct RowByRow<K>(K);
+
+impl<K: WideKernel> Kernel for RowByRow<K> {
+    type Output = K::Output;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> K::Output {
+        self.0.run::<V>()
+    }
+}
+
 /// Runs a kernel at [`SimdLevel::current`]. If the frame is cancelled, the call unwinds instead of returning.
 #[inline]
 pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
@@ -148,6 +170,31 @@ pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
 pub fn dispatch_at<K: Kernel>(level: SimdLevel, kernel: K) -> K::Output {
     checkpoint();
     run_available(if level.is_available() { level } else { SimdLevel::Baseline }, kernel)
+}
+
+/// Like [`dispatch`].
+#[inline]
+pub fn dispatch_wide<K: WideKernel>(kernel: K) -> K::Output {
+    checkpoint();
+    run_available_wide(SimdLevel::current(), kernel)
+}
+
+/// Like [`dispatch_at`].
+#[cfg(test)]
+pub fn dispatch_wide_at<K: WideKernel>(level: SimdLevel, kernel: K) -> K::Output {
+    run_available_wide(if level.is_available() { level } else { SimdLevel::Baseline }, kernel)
+}
+
+/// Runs a wide kernel at an available level.
+#[inline]
+#[allow(unsafe_code, reason = "callers have checked the processor features")]
+fn run_available_wide<K: WideKernel>(level: SimdLevel, kernel: K) -> K::Output {
+    match level {
+        // SAFETY: callers have checked every feature that the function is compiled for.
+        #[cfg(target_arch = "x86_64")]
+        SimdLevel::Avx512 => unsafe { x86::run_avx512_wide(kernel) },
+        _ => run_available(level, RowByRow(kernel)),
+    }
 }
 
 /// Runs a kernel at an available level. Does not check the processor again, because a check for each leaf

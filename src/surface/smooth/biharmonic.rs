@@ -6,8 +6,8 @@
 use rayon::prelude::*;
 
 use super::free_voxels::FreeVoxels;
-use crate::surface::grid::{Field, Leaf, Neighborhood, Topology, slabs_in};
-use crate::surface::simd::{self, Kernel, Lanes};
+use crate::surface::grid::{Field, Leaf, Neighborhood, Topology, vectors_in};
+use crate::surface::simd::{self, Vector, WideKernel};
 
 /// The largest eigenvalue of the discrete biharmonic, in units of 1/h⁴.
 pub const EIGENVALUE_MAX: f32 = 144.0;
@@ -21,7 +21,7 @@ pub(super) fn inner_laplacian(topology: &Topology, band: &FreeVoxels, values: &F
                 return;
             }
             let around = Neighborhood::new(&values.leaves, neighbors, leaf);
-            simd::dispatch(Laplacian { around: &around, rows, laplacian });
+            simd::dispatch_wide(Laplacian { around: &around, rows, laplacian });
         },
     );
 }
@@ -33,15 +33,15 @@ pub(super) struct Laplacian<'a> {
     pub(super) laplacian: &'a mut Leaf,
 }
 
-impl Kernel for Laplacian<'_> {
+impl WideKernel for Laplacian<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<V: Lanes>(self) {
-        for (x, ys) in slabs_in(self.rows) {
+    fn run<V: Vector>(self) {
+        for (x, ys) in vectors_in::<V>(self.rows) {
             let slab = self.around.slab(x);
             for y in ys {
-                slab.laplacian::<V>(y).store(self.laplacian.row_mut(x * 8 + y));
+                slab.laplacian::<V>(y).store_at(self.laplacian.slab_mut(x), y);
             }
         }
     }

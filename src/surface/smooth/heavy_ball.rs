@@ -50,9 +50,9 @@ use super::biharmonic::{EIGENVALUE_MAX, Laplacian};
 use super::cache_block::CacheBlock;
 use super::free_voxels::FreeVoxels;
 use super::thickness::thick;
-use crate::surface::grid::{Field, Leaf, LeafMask, Neighborhood, ROW_COUNT, Topology, slabs_in};
+use crate::surface::grid::{Field, Leaf, LeafMask, Neighborhood, ROW_COUNT, Topology, vectors_in};
 use crate::surface::level_set::{Bounds, NarrowBand};
-use crate::surface::simd::{self, Kernel, Lanes};
+use crate::surface::simd::{self, Kernel, Lanes, Vector, WideKernel};
 
 /// What a step of 1 h⁴ adds to the smallest eigenvalue where the region is thin. A plate of width w that is
 /// clamped on both sides adds (4.73/w)⁴. The value 0.1 corresponds to w = 8.4 voxels, about the widest layer
@@ -167,7 +167,13 @@ impl HeavyBall<'_> {
             pair_with_leaves(&blocks, &mut self.previous.leaves).into_par_iter().with_max_len(1).for_each(
                 |(block, previous)| {
                     SCRATCH.with_borrow_mut(|laplacians| {
-                        simd::dispatch(BlockPass { fields: &fields, params, block, laplacians, previous });
+                        simd::dispatch_wide(BlockPass {
+                            fields: &fields,
+                            params,
+                            block,
+                            laplacians,
+                            previous,
+                        });
                     });
                 },
             );
@@ -269,11 +275,11 @@ struct BlockPass<'a> {
     previous: &'a mut [Leaf],
 }
 
-impl Kernel for BlockPass<'_> {
+impl WideKernel for BlockPass<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<V: Lanes>(self) {
+    fn run<V: Vector>(self) {
         let BlockPass { fields, params, block, laplacians, previous } = self;
         let count = block.leaves.len() + block.halo.len();
         if laplacians.len() < count {
@@ -300,16 +306,17 @@ impl Kernel for BlockPass<'_> {
             let free = &fields.region.free[leaf];
             let thick = &fields.thick[leaf];
             let [beta_thin, beta_thick] = params.beta.map(V::splat);
-            for (x, ys) in slabs_in(rows) {
+            for (x, ys) in vectors_in::<V>(rows) {
                 let slab = around.slab(x);
                 for y in ys {
                     let row = x * 8 + y;
-                    let previous = previous.row_mut(row);
-                    let values = [V::load(start.row(row)), V::load(current.row(row)), V::load(previous)];
-                    let bounds = [V::load(lower.row(row)), V::load(upper.row(row))];
-                    let beta = V::select(V::mask(thick.row(row)), beta_thick, beta_thin);
+                    let values = [start, current, &*previous].map(|leaf| V::load_at(leaf.slab(x), y));
+                    let bounds = [lower, upper].map(|leaf| V::load_at(leaf.slab(x), y));
+                    let is_thick = V::mask_of_rows(|k| thick.row(row + k));
+                    let beta = V::select(is_thick, beta_thick, beta_thin);
                     let moved = params.advance(beta, slab.laplacian(y), values, bounds);
-                    V::select(V::mask(free.row(row)), moved, values[2]).store(previous);
+                    let is_free = V::mask_of_rows(|k| free.row(row + k));
+                    V::select(is_free, moved, values[2]).store_at(previous.slab_mut(x), y);
                 }
             }
         }
@@ -319,7 +326,7 @@ impl Kernel for BlockPass<'_> {
 impl StepParams {
     /// Computes x⁺ of a row.
     #[inline(always)]
-    fn advance<V: Lanes>(
+    fn advance<V: Vector>(
         &self,
         beta: V,
         biharmonic: V,

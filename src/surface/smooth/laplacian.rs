@@ -5,10 +5,9 @@
 
 use rayon::prelude::*;
 
-use super::free_voxels::near_bits;
-use crate::surface::grid::{Field, LEAVES_PER_TASK, Leaf, Neighborhood};
+use crate::surface::grid::{Field, LEAVES_PER_TASK, Leaf, Neighborhood, vectors_in};
 use crate::surface::level_set::{Bounds, NarrowBand};
-use crate::surface::simd::{self, Kernel, Lanes};
+use crate::surface::simd::{self, Vector, WideKernel};
 
 /// Voxels with |φ| up to this are changed (Alg. 1, line 6).
 const BAND_WIDTH: f32 = 4.0;
@@ -26,7 +25,7 @@ pub(super) fn smooth_laplacian(
         next.leaves.par_iter_mut().enumerate().with_max_len(LEAVES_PER_TASK).for_each(|(leaf, next)| {
             let around = Neighborhood::new(&band.phi.leaves, topology.neighbors(), leaf);
             let bounds = [&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]];
-            simd::dispatch(LaplacianStep { around: &around, bounds, step_size, next });
+            simd::dispatch_wide(LaplacianStep { around: &around, bounds, step_size, next });
         });
         std::mem::swap(&mut band.phi, next);
     }
@@ -40,26 +39,27 @@ struct LaplacianStep<'a> {
     next: &'a mut Leaf,
 }
 
-impl Kernel for LaplacianStep<'_> {
+impl WideKernel for LaplacianStep<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<V: Lanes>(self) {
+    fn run<V: Vector>(self) {
         let [lower, upper] = self.bounds;
         let step_size = V::splat(self.step_size);
-        for x in 0..8 {
+        for (x, ys) in vectors_in::<V>(u64::MAX) {
             let slab = self.around.slab(x);
-            for y in 0..8 {
-                let row = x * 8 + y;
+            let next = self.next.slab_mut(x);
+            for y in ys {
                 let phi = slab.row::<V>(y);
-                let near = near_bits(phi, BAND_WIDTH);
-                if near == 0 {
-                    phi.store(self.next.row_mut(row));
+                let is_near = V::not(V::splat(BAND_WIDTH).lt(phi.abs()));
+                if !V::any(is_near) {
+                    phi.store_at(next, y);
                     continue;
                 }
                 let change = step_size.mul(slab.laplacian(y)).mul(slab.gradient_norm(y));
-                let bounded = phi.add(change).max(V::load(lower.row(row))).min(V::load(upper.row(row)));
-                V::select(V::mask(near), bounded, phi).store(self.next.row_mut(row));
+                let (lower, upper) = (V::load_at(lower.slab(x), y), V::load_at(upper.slab(x), y));
+                let bounded = phi.add(change).max(lower).min(upper);
+                V::select(is_near, bounded, phi).store_at(next, y);
             }
         }
     }
