@@ -31,14 +31,14 @@ use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::bin::ParticleBins;
-use super::sphere::{OUT_OF_REACH, greatest};
+use super::sphere::OUT_OF_REACH;
 use super::{EXACT_MARGIN, Radii};
 use crate::surface::grid::{
     Field, LEAF_EDGE, LEAVES_PER_TASK, Leaf, LeafMask, ROW_COUNT, SetBits, Topology, leaf_steps_within,
 };
 use crate::surface::interrupt::checkpoint;
 use crate::surface::particles::Ellipsoid;
-use crate::surface::simd::{self, Kernel, Lanes};
+use crate::surface::simd::{self, Kernel, Lanes, greatest};
 
 /// Voxels next to the surface are less deep than this, in voxels (usually their depth is at most 1).
 const DEEP: f32 = 1.25;
@@ -184,7 +184,8 @@ impl<F: ParticleShape> Primitives<F> {
             }
             let around = self.around(origin);
             let settled = settled(origin);
-            [*max, *init, *min] = simd::dispatch(Signed {
+            simd::dispatch(Signed {
+                leaves: [max, init, min],
                 around: &around,
                 radii: self.radii,
                 complete_to: self.complete_to,
@@ -309,6 +310,8 @@ struct NearbyLeaf<'a, F> {
 
 /// Kernel: computes the signed distances of a leaf to the three unions.
 struct Signed<'a, F> {
+    /// Receives the distances.
+    leaves: [&'a mut Leaf; 3],
     around: &'a [NearbyLeaf<'a, F>],
     radii: [f32; 3],
     complete_to: [f32; 3],
@@ -316,15 +319,15 @@ struct Signed<'a, F> {
 }
 
 impl<F: ParticleShape> Kernel for Signed<'_, F> {
-    type Output = [Leaf; 3];
+    type Output = ();
 
     #[inline(always)]
-    fn run<V: Lanes>(self) -> [Leaf; 3] {
+    fn run<V: Lanes>(self) {
         let mut axes = HalfAxisRange::NONE;
         for around in self.around {
             axes = axes.with(around.axes);
         }
-        let mut values = EllipsoidDistances::new::<V>(self.settled, self.radii, axes);
+        let mut values = EllipsoidDistances::new::<V>(self.leaves, self.settled, self.radii, axes);
         for around in self.around {
             for (eight, boxes) in around.boxes.iter().enumerate() {
                 for lane in SetBits(near_bits::<V>(boxes, around.step)) {
@@ -337,14 +340,13 @@ impl<F: ParticleShape> Kernel for Signed<'_, F> {
                 }
             }
         }
-        for (leaf, complete_to) in values.leaves.iter_mut().zip(self.complete_to) {
+        for (leaf, complete_to) in values.leaves.into_iter().zip(self.complete_to) {
             for row in 0..ROW_COUNT {
                 let row = leaf.row_mut(row);
                 let value = V::load(row).max(V::splat(-DEEP));
                 V::select(V::splat(complete_to).lt(value), V::splat(OUT_OF_REACH), value).store(row);
             }
         }
-        values.leaves
     }
 }
 
@@ -355,8 +357,8 @@ impl<F: ParticleShape> Kernel for Signed<'_, F> {
 /// for negative v. Here c and a bound its semi-axes from below and above, and so q/|T²(x − p)| too. Values
 /// below −[`DEEP`] are deep enough, and voxels farther outside than [`ELLIPSOID_MARGIN`] have no inside
 /// neighbor.
-pub(super) struct EllipsoidDistances {
-    leaves: [Leaf; 3],
+pub(super) struct EllipsoidDistances<'a> {
+    leaves: [&'a mut Leaf; 3],
     radii: [f32; 3],
     axes: HalfAxisRange,
     /// For each voxel, the square of q from which on a particle cannot lower a value.
@@ -365,10 +367,14 @@ pub(super) struct EllipsoidDistances {
     row_limits: [[f32; 8]; 8],
 }
 
-impl EllipsoidDistances {
+impl<'a> EllipsoidDistances<'a> {
     #[inline(always)]
-    fn new<V: Lanes>(settled: &LeafMask, radii: [f32; 3], axes: HalfAxisRange) -> EllipsoidDistances {
-        let leaves = [Leaf::splat(OUT_OF_REACH); 3];
+    fn new<V: Lanes>(
+        leaves: [&'a mut Leaf; 3],
+        settled: &LeafMask,
+        radii: [f32; 3],
+        axes: HalfAxisRange,
+    ) -> EllipsoidDistances<'a> {
         let limits = Leaf::splat(0.0);
         let mut values = EllipsoidDistances { leaves, radii, axes, limits, row_limits: [[0.0; 8]; 8] };
         for row in 0..ROW_COUNT {
@@ -441,7 +447,7 @@ fn offsets<V: Lanes>(center: f32) -> V {
 
 /// True if a whole row is deep inside S_min, and therefore inside the other unions.
 #[inline(always)]
-fn is_deep<V: Lanes>(leaves: &[Leaf; 3], row: usize) -> bool {
+fn is_deep<V: Lanes>(leaves: &[&mut Leaf; 3], row: usize) -> bool {
     V::bits(V::splat(-DEEP).lt(V::load(leaves[2].row(row)))) == 0
 }
 

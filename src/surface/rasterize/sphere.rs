@@ -19,7 +19,7 @@ use super::bin::ParticleBins;
 use crate::surface::grid::{
     Field, LEAF_EDGE, LEAVES_PER_TASK, Leaf, LeafMask, SetBits, Topology, leaf_steps_within,
 };
-use crate::surface::simd::{self, Kernel, Lanes};
+use crate::surface::simd::{self, Kernel, Lanes, greatest};
 
 /// Distance value of voxels without a particle within reach.
 pub(super) const OUT_OF_REACH: f32 = f32::INFINITY;
@@ -178,18 +178,6 @@ impl SlabLimits {
         }
         SlabLimits { greatest: greatest(V::load(&along[2])), along }
     }
-}
-
-/// Maximum of eight non-negative values.
-#[inline(always)]
-pub(super) fn greatest<V: Lanes>(values: V) -> f32 {
-    let mut row = [0.0; 8];
-    values.store(&mut row);
-    let mut greatest = 0.0;
-    for value in row {
-        greatest = if value > greatest { value } else { greatest };
-    }
-    greatest
 }
 
 /// Takes the minimum of each squared distance and that to `position`, in the slabs where it can be lower.

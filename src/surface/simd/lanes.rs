@@ -105,6 +105,18 @@ pub trait Lanes: Vector {
     }
 }
 
+/// Maximum of eight non-negative values.
+#[inline(always)]
+pub fn greatest<V: Lanes>(values: V) -> f32 {
+    let mut row = [0.0; 8];
+    values.store(&mut row);
+    let mut greatest = 0.0;
+    for value in row {
+        greatest = if value > greatest { value } else { greatest };
+    }
+    greatest
+}
+
 /// The implementation without intrinsics, for every processor.
 #[derive(Clone, Copy)]
 pub(super) struct Portable([f32; 8]);

@@ -22,7 +22,7 @@ mod x86;
 use std::sync::OnceLock;
 
 use lanes::Portable;
-pub use lanes::{Lanes, Vector};
+pub use lanes::{Lanes, Vector, greatest};
 
 use crate::surface::interrupt::checkpoint;
 

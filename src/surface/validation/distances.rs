@@ -14,7 +14,7 @@ use super::particle_checks::{CheckedRegion, ParticleChecks};
 use super::surfaces::{ShapedParticles, Sides};
 use crate::surface::grid::{LEAF_EDGE, leaf_steps_within};
 use crate::surface::rasterize::ParticleBins;
-use crate::surface::simd::{Kernel, Lanes, dispatch};
+use crate::surface::simd::{Kernel, Lanes, dispatch, greatest};
 
 /// How far interpolation inside a cell may move the surface, in voxels.
 pub(super) const CELL_MARGIN: f32 = 0.5;
@@ -25,8 +25,53 @@ const CHUNK: usize = 1024;
 /// Number of vertices that are compared with particles at once.
 pub(super) const LANES: usize = 8;
 
-/// One coordinate of each of `LANES` vertices.
-pub(super) type VertexCoordinate = [f32; LANES];
+/// Points relative to a leaf, in voxels.
+pub(super) struct Points {
+    /// x, y and z of each point.
+    axes: [[f32; LANES]; 3],
+    /// Corners of their bounding box.
+    low: Vec3,
+    high: Vec3,
+}
+
+impl Points {
+    #[inline(always)]
+    fn new(axes: [[f32; LANES]; 3]) -> Points {
+        let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+        for lane in 0..LANES {
+            let point = Vec3::new(axes[0][lane], axes[1][lane], axes[2][lane]);
+            (low, high) = (low.min(point), high.max(point));
+        }
+        Points { axes, low, high }
+    }
+
+    /// x, y and z, relative to the leaf at a step from this one.
+    #[inline(always)]
+    pub(super) fn from_step<V: Lanes>(&self, step: Vec3) -> [V; 3] {
+        let along = |axis: usize| V::load(&self.axes[axis]).sub(V::splat(step[axis]));
+        [along(0), along(1), along(2)]
+    }
+
+    /// The squared distance between the leaf at a step from this one and the bounding box. It is a lower
+    /// bound for every computed distance between a point and a particle of that leaf, because rounding is
+    /// monotonic.
+    #[inline(always)]
+    pub(super) fn squared_gap(&self, step: Vec3) -> f32 {
+        let (low, high) = (self.low - step, self.high - step);
+        (low - LEAF_EDGE as f32).max(-high).max(Vec3::ZERO).length_squared()
+    }
+
+    #[inline(always)]
+    pub(super) fn point(&self, lane: usize) -> Vec3 {
+        Vec3::new(self.axes[0][lane], self.axes[1][lane], self.axes[2][lane])
+    }
+}
+
+/// The squared lengths of vectors.
+#[inline(always)]
+pub(super) fn length_squared<V: Lanes>([x, y, z]: [V; 3]) -> V {
+    x.mul(x).add(y.mul(y)).add(z.mul(z))
+}
 
 /// Checks how far the vertices of a part are from its particles. Returns the checks, and corrected positions
 /// for vertices that are out of bounds.
@@ -91,25 +136,28 @@ impl Kernel for PieceChecks<'_> {
                 continue;
             }
             near.find_around(self.part.bins, origin, self.steps);
-            let distances = near.distances(self.part.bins, &locals);
+            let points = Points::new(locals);
+            let nearest = near.distances::<V>(self.part.bins, &points);
             let Sides { is_inside_min, is_within_max } = match self.shaped {
                 None => Sides {
-                    is_inside_min: distances.map(|distance| distance < least),
-                    is_within_max: distances.map(|distance| distance <= greatest),
+                    is_inside_min: V::bits(nearest.lt(V::splat(least))),
+                    is_within_max: !V::bits(V::splat(greatest).lt(nearest)),
                 },
-                Some(shaped) => shaped.sides(&near, &locals, &limits),
+                Some(shaped) => shaped.sides::<V>(&near, &points, &limits),
             };
+            let mut distances = [0.0; LANES];
+            nearest.store(&mut distances);
             for (lane, &position) in positions.iter().enumerate() {
                 if is_exempt(self.part, position) {
                     continue;
                 }
                 checks.vertex_distance_min = checks.vertex_distance_min.min(distances[lane]);
                 checks.vertex_distance_max = checks.vertex_distance_max.max(distances[lane]);
-                checks.vertices_inside_min += usize::from(is_inside_min[lane]);
-                checks.vertices_outside_max += usize::from(!is_within_max[lane]);
-                if is_inside_min[lane] | !is_within_max[lane] {
-                    let local = Vec3::new(locals[0][lane], locals[1][lane], locals[2][lane]);
-                    violations.extend(self.bound_violation(&near, first + lane, origin, local));
+                let is_set = |bits: u8| bits >> lane & 1 == 1;
+                checks.vertices_inside_min += usize::from(is_set(is_inside_min));
+                checks.vertices_outside_max += usize::from(!is_set(is_within_max));
+                if is_set(is_inside_min | !is_within_max) {
+                    violations.extend(self.bound_violation(&near, first + lane, origin, points.point(lane)));
                 }
             }
         }
@@ -178,46 +226,23 @@ impl NearLeaves {
 
     /// The distances from points, relative to the leaf, to the nearest particle in these leaves.
     #[inline(always)]
-    fn distances(&self, bins: &ParticleBins, points: &[VertexCoordinate; 3]) -> VertexCoordinate {
-        let mut nearest = [f32::INFINITY; LANES];
+    fn distances<V: Lanes>(&self, bins: &ParticleBins, points: &Points) -> V {
+        let mut nearest = V::splat(f32::INFINITY);
+        let mut farthest = f32::INFINITY;
         for &(step, leaf) in &self.leaves {
-            let mut locals = *points;
-            for axis in 0..3 {
-                for lane in 0..LANES {
-                    locals[axis][lane] = points[axis][lane] - step[axis];
-                }
-            }
-            let farthest = nearest.iter().fold(0.0f32, |farthest, &nearest| farthest.max(nearest));
-            if squared_gap(&locals) >= farthest {
+            if points.squared_gap(step) >= farthest {
                 continue;
             }
-            let [x, y, z] = locals;
+            let [x, y, z] = points.from_step::<V>(step);
             for particle in bins.in_leaf(leaf) {
-                for lane in 0..LANES {
-                    let to_particle = *particle - Vec3::new(x[lane], y[lane], z[lane]);
-                    let squared = to_particle.length_squared();
-                    nearest[lane] = if squared < nearest[lane] { squared } else { nearest[lane] };
-                }
+                let apart =
+                    [x.sub(V::splat(particle.x)), y.sub(V::splat(particle.y)), z.sub(V::splat(particle.z))];
+                nearest = length_squared(apart).min(nearest);
             }
+            farthest = greatest(nearest);
         }
-        nearest.map(f32::sqrt)
+        nearest.sqrt()
     }
-}
-
-/// The squared distance between a leaf and the box around points given relative to it. It is a lower bound
-/// for every computed distance between a point and a particle of the leaf, because rounding is monotonic.
-#[inline(always)]
-pub(super) fn squared_gap(points: &[VertexCoordinate; 3]) -> f32 {
-    let gap = |axis: usize| {
-        let column = &points[axis];
-        let (mut least, mut most) = (column[0], column[0]);
-        for &value in column {
-            least = if value < least { value } else { least };
-            most = if value > most { value } else { most };
-        }
-        (least - LEAF_EDGE as f32).max(-most).max(0.0)
-    };
-    Vec3::new(gap(0), gap(1), gap(2)).length_squared()
 }
 
 /// Whether a point, relative to the leaf at `origin`, is inside the sphere of this radius of any particle, or
@@ -232,12 +257,32 @@ pub(super) fn is_inside_one(
     let longest = shaped.map_or(1.0, ShapedParticles::longest);
     let mut near = NearLeaves::empty();
     near.find_around(bins, origin, &leaf_steps_within(radius * longest));
-    let points = point.to_array().map(|axis| [axis; LANES]);
-    match shaped {
-        None => near.distances(bins, &points)[0] < radius,
-        Some(shaped) => {
-            let limits = DistanceLimits { radii: [radius; 2], from_spheres: [0.0; 2] };
-            shaped.sides(&near, &points, &limits).is_inside_min[0]
-        }
+    let points = Points::new(point.to_array().map(|axis| [axis; LANES]));
+    dispatch(InsideOne { bins, shaped, near: &near, points: &points, radius })
+}
+
+/// The kernel of [`is_inside_one`]; all points are the same.
+struct InsideOne<'a> {
+    bins: &'a ParticleBins,
+    shaped: Option<&'a ShapedParticles<'a>>,
+    near: &'a NearLeaves,
+    points: &'a Points,
+    radius: f32,
+}
+
+impl Kernel for InsideOne<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> bool {
+        let InsideOne { bins, shaped, near, points, radius } = self;
+        let is_inside = match shaped {
+            None => V::bits(near.distances::<V>(bins, points).lt(V::splat(radius))),
+            Some(shaped) => {
+                let limits = DistanceLimits { radii: [radius; 2], from_spheres: [0.0; 2] };
+                shaped.sides::<V>(near, points, &limits).is_inside_min
+            }
+        };
+        is_inside != 0
     }
 }

@@ -6,9 +6,11 @@
 use glam::{DMat3, DVec3, Vec3};
 
 use super::DistanceLimits;
-use super::distances::{CELL_MARGIN, LANES, NearLeaves, VertexCoordinate};
+use super::distances::{CELL_MARGIN, NearLeaves, Points, length_squared};
+use crate::surface::grid::SetBits;
 use crate::surface::particles::{Ellipsoid, Shapes};
 use crate::surface::rasterize::ParticleBins;
+use crate::surface::simd::Lanes;
 
 /// Particles with their own shapes, and their extents.
 pub(super) struct ShapedParticles<'a> {
@@ -36,45 +38,47 @@ impl<'a> ShapedParticles<'a> {
     /// Which of the points, relative to a leaf, are closer to the inner surface of a particle than the limits
     /// allow, and which are close enough to an outer one.
     #[inline(always)]
-    pub(super) fn sides(
+    pub(super) fn sides<V: Lanes>(
         &self,
         near: &NearLeaves,
-        points: &[VertexCoordinate; 3],
+        points: &Points,
         limits: &DistanceLimits,
     ) -> Sides {
         let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max] } = *limits;
         // Distances beyond these do not matter.
         let beyond = [from_max, from_min.max(0.0)];
-        let mut sides = Sides { is_inside_min: [false; LANES], is_within_max: [false; LANES] };
+        let mut sides = Sides { is_inside_min: 0, is_within_max: 0 };
         for &(step, leaf) in &near.leaves {
-            let mut locals = *points;
-            for axis in 0..3 {
-                for lane in 0..LANES {
-                    locals[axis][lane] = points[axis][lane] - step[axis];
-                }
-            }
             // Once all points are within the outer spheres, only the inner ones matter.
-            let is_all_within = sides.is_within_max == [true; LANES];
+            let is_all_within = sides.is_within_max == u8::MAX;
             let [radius, beyond_leaf] =
                 if is_all_within { [min, beyond[1]] } else { [max, beyond[0].max(beyond[1])] };
             let reach = self.longest[leaf] * radius + beyond_leaf;
-            if super::distances::squared_gap(&locals) > reach * reach {
+            if points.squared_gap(step) > reach * reach {
                 continue;
             }
-            let [x, y, z] = locals;
+            let [x, y, z] = points.from_step::<V>(step);
             for (index, particle) in self.bins.range(leaf).zip(self.bins.in_leaf(leaf)) {
                 let longest = self.bins.shapes.outer_radius(index);
                 let reaches = [longest * max + beyond[0], longest * min + beyond[1]];
-                let reaches = reaches.map(|reach| reach * reach);
-                for lane in 0..LANES {
-                    let apart = Vec3::new(x[lane], y[lane], z[lane]) - *particle;
-                    if apart.length_squared() > reaches[usize::from(sides.is_within_max[lane])] {
-                        continue;
+                let [to_outer, to_inner] = reaches.map(|reach| V::splat(reach * reach));
+                let apart =
+                    [x.sub(V::splat(particle.x)), y.sub(V::splat(particle.y)), z.sub(V::splat(particle.z))];
+                let reach_squared = V::select(V::mask(sides.is_within_max), to_inner, to_outer);
+                let is_reached = V::not(reach_squared.lt(length_squared(apart)));
+                if !V::any(is_reached) {
+                    continue;
+                }
+                let [to_min, to_max] = distances_in_lanes(&self.bins.shapes, index, apart, [min, max]);
+                // Less than the next number: less or equal.
+                let is_within = to_max.lt(V::splat(from_max.next_up()));
+                sides.is_within_max |= V::bits(V::both(is_reached, is_within));
+                let is_inside = V::both(is_reached, to_min.lt(V::splat(from_min)));
+                for lane in SetBits(V::bits(is_inside) & !sides.is_inside_min) {
+                    let apart = points.point(lane) - step - *particle;
+                    if is_nearer(&self.bins.shapes, index, apart, (min, from_min)) {
+                        sides.is_inside_min |= 1 << lane;
                     }
-                    let [to_min, to_max] = distances(&self.bins.shapes, index, apart, [min, max]);
-                    sides.is_inside_min[lane] |=
-                        to_min < from_min && is_nearer(&self.bins.shapes, index, apart, (min, from_min));
-                    sides.is_within_max[lane] |= to_max <= from_max;
                 }
             }
         }
@@ -82,10 +86,10 @@ impl<'a> ShapedParticles<'a> {
     }
 }
 
-/// For each point, on which side of the inner and outer surfaces it is.
+/// For each point, on which side of the inner and outer surfaces it is: bit k for point k.
 pub(super) struct Sides {
-    pub(super) is_inside_min: [bool; LANES],
-    pub(super) is_within_max: [bool; LANES],
+    pub(super) is_inside_min: u8,
+    pub(super) is_within_max: u8,
 }
 
 /// Whether the signed distance from a point, relative to a particle's centre, to the particle's surface is
@@ -196,6 +200,39 @@ fn distances(shapes: &Shapes, index: usize, apart: Vec3, radii: [f32; 2]) -> [f3
             radii.map(|radius| (q - radius) * scale)
         }
     }
+}
+
+/// The same distances for several points.
+#[inline(always)]
+fn distances_in_lanes<V: Lanes>(shapes: &Shapes, index: usize, apart: [V; 3], radii: [f32; 2]) -> [V; 2] {
+    let to_ball = |scale: f32| {
+        let to_center = length_squared(apart).sqrt();
+        radii.map(|radius| to_center.sub(V::splat(scale * radius)))
+    };
+    match shapes {
+        Shapes::Uniform => to_ball(1.0),
+        Shapes::Scaled(scales) => to_ball(scales[index]),
+        Shapes::Ellipsoids(ellipsoids) => {
+            let ellipsoid = &ellipsoids[index];
+            let on_ball = apply(ellipsoid, apart);
+            let q = length_squared(on_ball).sqrt();
+            let slope = length_squared(apply(ellipsoid, on_ball)).sqrt();
+            // At the centre the direction is undefined: any direction will do.
+            let scale = V::select(V::splat(0.0).lt(slope), q.div(slope), V::splat(ellipsoid.longest));
+            radii.map(|radius| q.sub(V::splat(radius)).mul(scale))
+        }
+    }
+}
+
+/// T·v for several vectors.
+#[inline(always)]
+fn apply<V: Lanes>(ellipsoid: &Ellipsoid, [x, y, z]: [V; 3]) -> [V; 3] {
+    let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball.map(V::splat);
+    [
+        xx.mul(x).add(xy.mul(y)).add(xz.mul(z)),
+        xy.mul(x).add(yy.mul(y)).add(yz.mul(z)),
+        xz.mul(x).add(yz.mul(y)).add(zz.mul(z)),
+    ]
 }
 
 /// The same distances, and the direction in which they grow.
