@@ -79,29 +79,40 @@ impl<'a> Slab<'a> {
     /// The rows at y − 1 and y + 1.
     #[inline(always)]
     pub fn along_y<V: Vector>(&self, y: usize) -> Shifted<V> {
-        [V::from_rows(|k| self.before_y(y + k, 1)), V::from_rows(|k| self.after_y(y + k, 1))]
+        // Only the first row can have its predecessor in another leaf, and only the last its successor.
+        let before = |k: usize| if k == 0 { self.before_y(y) } else { &self.rows[(y + k - 1) & 7] };
+        let after = |k: usize| {
+            if k + 1 == V::ROWS { self.after_y(y + k) } else { &self.rows[(y + k + 1) & 7] }
+        };
+        [V::from_rows(before), V::from_rows(after)]
     }
 
     /// The rows at y − 2 and y + 2.
     #[inline(always)]
     pub fn second_along_y<V: Vector>(&self, y: usize) -> Shifted<V> {
-        [V::from_rows(|k| self.before_y(y + k, 2)), V::from_rows(|k| self.after_y(y + k, 2))]
+        let y = y & 7;
+        let before = if y >= 2 { Some(self.rows) } else { self.beyond_y[0] };
+        let after = if y < 6 { Some(self.rows) } else { self.beyond_y[1] };
+        let own = (self.rows, y);
+        let (before, from) = before.map_or(own, |rows| (rows, (y + 6) & 7));
+        let (after, to) = after.map_or(own, |rows| (rows, (y + 2) & 7));
+        [V::load_at(before, from), V::load_at(after, to)]
     }
 
-    /// The row `step` before row `y`.
+    /// The row before row `y`.
     #[inline(always)]
-    fn before_y(&self, y: usize, step: usize) -> &'a Row {
+    fn before_y(&self, y: usize) -> &'a Row {
         let y = y & 7;
-        let before = if y >= step { Some(self.rows) } else { self.beyond_y[0] };
-        before.map_or(&self.rows[y], |rows| &rows[(y + 8 - step) & 7])
+        let before = if y >= 1 { Some(self.rows) } else { self.beyond_y[0] };
+        before.map_or(&self.rows[y], |rows| &rows[(y + 7) & 7])
     }
 
-    /// The row `step` after row `y`.
+    /// The row after row `y`.
     #[inline(always)]
-    fn after_y(&self, y: usize, step: usize) -> &'a Row {
+    fn after_y(&self, y: usize) -> &'a Row {
         let y = y & 7;
-        let after = if y + step < 8 { Some(self.rows) } else { self.beyond_y[1] };
-        after.map_or(&self.rows[y], |rows| &rows[(y + step) & 7])
+        let after = if y < 7 { Some(self.rows) } else { self.beyond_y[1] };
+        after.map_or(&self.rows[y], |rows| &rows[(y + 1) & 7])
     }
 
     /// The values at z − 1 and z + 1.
