@@ -73,6 +73,17 @@ impl Field {
         Field { leaves: rayon::iter::repeat_n(Leaf::splat(value), leaf_count).collect() }
     }
 
+    /// Copies the values of another field, and reuses this field's memory if that is large enough.
+    pub fn copy_from(&mut self, other: &Field) {
+        if self.leaves.len() < other.leaves.len() {
+            self.leaves = Vec::new(); // freed before the new memory is allocated
+            self.leaves = other.leaves.par_iter().copied().collect();
+            return;
+        }
+        self.leaves.truncate(other.leaves.len());
+        self.leaves.par_iter_mut().zip(&other.leaves).for_each(|(to, from)| *to = *from);
+    }
+
     /// The leaves as plain arrays, for writers that do not depend on the grid types.
     pub fn as_arrays(&self) -> &[[f32; LEAF_VOXELS]] {
         bytemuck::cast_slice(&self.leaves)

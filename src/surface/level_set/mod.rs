@@ -21,7 +21,7 @@ pub use offset::{extend_distances, offset_reach_voxels, offset_surface};
 pub use rebuilt::{
     REBUILT_HALF_WIDTH, RebuildReason, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt,
 };
-pub use redistance::{Sweeps, UNREACHED, extend, redistance, redistance_in};
+pub use redistance::{Sweeps, UNREACHED, extend, extend_in, redistance, redistance_in};
 pub use widen::{WIDENED_MAX, widened, widened_leaf_count, widened_leaf_count_max};
 
 use glam::IVec3;

@@ -97,7 +97,7 @@ pub fn redistance(band: &mut NarrowBand, sweeps: Sweeps) {
 pub fn redistance_in(band: &mut NarrowBand, sweeps: Sweeps, scratch: &mut Field) {
     let pinned = pin(band, scratch);
     std::mem::swap(&mut band.phi, scratch);
-    scratch.leaves.par_iter_mut().zip(&band.phi.leaves).for_each(|(to, from)| *to = *from);
+    scratch.copy_from(&band.phi);
     sweep_outward(&band.topology, [&mut band.phi, scratch], &pinned, sweeps.clamped(band.half_width));
     let half_width = band.half_width;
     band.phi.leaves.par_iter_mut().for_each(|phi| {
@@ -111,8 +111,19 @@ pub fn redistance_in(band: &mut NarrowBand, sweeps: Sweeps, scratch: &mut Field)
 /// voxels that are not fixed to plus or minus [`UNREACHED`], by their side of the surface. A sweep reads
 /// values up to two voxels away.
 pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], sweeps: Sweeps) {
-    let mut next = Field { leaves: distance.leaves.par_iter().copied().collect() };
-    sweep_outward(topology, [distance, &mut next], fixed, sweeps);
+    extend_in(topology, distance, fixed, sweeps, &mut Field::default());
+}
+
+/// Like [`extend`], with memory from the caller: a field with arbitrary content.
+pub fn extend_in(
+    topology: &Topology,
+    distance: &mut Field,
+    fixed: &[LeafMask],
+    sweeps: Sweeps,
+    scratch: &mut Field,
+) {
+    scratch.copy_from(distance);
+    sweep_outward(topology, [distance, scratch], fixed, sweeps);
 }
 
 /// Each sweep reads the first field, writes the second, and then exchanges their contents, so the result is

@@ -342,7 +342,8 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     let NearDistances { bins, topology, mut distances } = measured;
     let radii = scene.radii;
     let half_width = radii.half_width();
-    let mut phi = signed_distance(&topology, &mut distances, SphereUnion::Init, radii);
+    let mut scratch = Field::default();
+    let mut phi = signed_distance(&topology, &mut distances, SphereUnion::Init, radii, &mut scratch);
     let is_banded = |leaf: usize| {
         let origin = topology.origins()[leaf];
         let is_within = |obstacle: &ObstacleLeaf| has_value_within(&phi.leaves[leaf], half_width, obstacle);
@@ -355,9 +356,9 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     let kept: Vec<usize> = (0..topology.len()).into_par_iter().filter(|&leaf| is_banded(leaf)).collect();
     rayon::join(|| keep(&mut phi, &kept), || distances.keep(&kept));
     let topology = subset(topology, &kept);
-    let mut lower = signed_distance(&topology, &mut distances, SphereUnion::Max, radii);
-    let mut upper = signed_distance(&topology, &mut distances, SphereUnion::Min, radii);
-    drop(distances);
+    let mut lower = signed_distance(&topology, &mut distances, SphereUnion::Max, radii, &mut scratch);
+    let mut upper = signed_distance(&topology, &mut distances, SphereUnion::Min, radii, &mut scratch);
+    drop((distances, scratch));
     let own: Vec<usize> =
         (0..topology.len()).filter(|&leaf| regions.own.contains(topology.origins()[leaf])).collect();
     [&mut phi, &mut lower, &mut upper].into_par_iter().for_each(|field| keep(field, &own));
@@ -397,10 +398,19 @@ fn has_value_within(phi: &Leaf, half_width: f32, obstacle: &ObstacleLeaf) -> boo
 
 /// Keeps only these leaves of a field, in order.
 fn keep(field: &mut Field, kept: &[usize]) {
-    if kept.len() == field.leaves.len() {
+    let (count, kept_count) = (field.leaves.len(), kept.len());
+    if kept_count == count {
         return;
     }
-    field.leaves = kept.par_iter().map(|&leaf| field.leaves[leaf]).collect();
+    // Usually few leaves are dropped, and then their memory stays with the field: new memory takes longer.
+    if kept_count < count - count / 4 {
+        field.leaves = kept.par_iter().map(|&leaf| field.leaves[leaf]).collect();
+        return;
+    }
+    for (to, &from) in kept.iter().enumerate() {
+        field.leaves.copy_within(from..from + 1, to);
+    }
+    field.leaves.truncate(kept_count);
 }
 
 /// The topology that contains only the leaves `kept` of `topology`.

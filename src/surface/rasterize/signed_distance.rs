@@ -13,17 +13,18 @@ use super::distances::{SphereDistances, SphereUnion};
 use super::sphere::OUT_OF_REACH;
 use super::{Radii, sweep_count};
 use crate::surface::grid::{Field, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
-use crate::surface::level_set::{Sweeps, UNREACHED, extend};
+use crate::surface::level_set::{Sweeps, UNREACHED, extend_in};
 use crate::surface::simd::{self, Kernel, Lanes};
 
 /// The signed distance to one of the unions, swept up to the half width; values beyond it are only
 /// approximate. The last union that needs a field of distances reuses its memory, so request the unions in
-/// the order S_0, S_max, S_min.
+/// the order S_0, S_max, S_min. `scratch` is memory for the sweeps: a field with arbitrary content.
 pub(super) fn signed_distance(
     topology: &Topology,
     distances: &mut SphereDistances,
     sphere: SphereUnion,
     radii: Radii,
+    scratch: &mut Field,
 ) -> Field {
     let level = distances.level(sphere, radii);
     let known = known_voxels(topology, distances, sphere, radii);
@@ -39,7 +40,8 @@ pub(super) fn signed_distance(
         Field { leaves }
     };
     let half_width = radii.half_width();
-    extend(topology, &mut field, &known, Sweeps::accurate(sweep_count(half_width)).clamped(half_width));
+    let sweeps = Sweeps::accurate(sweep_count(half_width)).clamped(half_width);
+    extend_in(topology, &mut field, &known, sweeps, scratch);
     field
 }
 
