@@ -65,13 +65,25 @@ impl LeafMask {
     }
 
     /// The rows that contain a voxel of the mask: bit `x·8 + y`.
+    #[inline(always)]
     pub fn occupied_rows(&self) -> u64 {
         self.rows_with(0xff)
     }
 
     /// The rows that contain a voxel whose z bit is set in `along_z`: bit `x·8 + y`.
+    #[inline(always)]
     pub fn rows_with(&self, along_z: u8) -> u64 {
-        (0..64).fold(0, |rows, row| rows | u64::from(self.row(row) & along_z != 0) << row)
+        let last_of_rows = FIRST_OF_ROWS << 7;
+        let mut rows = 0;
+        for (x, word) in self.words.iter().enumerate() {
+            let wanted = word & (FIRST_OF_ROWS * u64::from(along_z));
+            // The last bit of each byte that is not zero: adding 0x7f carries into it from the other bits.
+            let occupied =
+                ((wanted & !last_of_rows) + (last_of_rows - FIRST_OF_ROWS) | wanted) & last_of_rows;
+            // The product collects these bits in its last byte.
+            rows |= ((occupied >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * x);
+        }
+        rows
     }
 
     /// The mask shifted along an axis by `steps` (1 to 7) in both directions. The first result has the voxels

@@ -51,7 +51,7 @@ use rayon::prelude::*;
 
 use super::NarrowBand;
 use crate::surface::grid::{
-    Field, LEAVES_PER_TASK, Leaf, LeafMask, Neighborhood, ROW_COUNT, Slab, Topology, vectors_in,
+    Field, LEAVES_PER_TASK, Leaf, LeafMask, Neighborhood, Slab, Topology, vectors_in,
 };
 use crate::surface::simd::{self, Vector, WideKernel};
 
@@ -132,8 +132,7 @@ fn sweep_outward(topology: &Topology, [distance, next]: [&mut Field; 2], fixed: 
     let neighbors = topology.neighbors();
     // Rows that the last sweep changed; for the first sweep, rows with a known value. If nothing that a row
     // depends on has changed, another sweep would give the same values.
-    let known = |fixed: &LeafMask| ChangedRows::of(|row| fixed.row(row));
-    let mut changed: Vec<ChangedRows> = fixed.par_iter().map(known).collect();
+    let mut changed: Vec<ChangedRows> = fixed.par_iter().map(ChangedRows::of).collect();
     let mut changed_next = changed.clone();
     for _ in 0..sweeps.count {
         let leaves = next.leaves.par_iter_mut().zip(&mut changed_next).zip(fixed).enumerate();
@@ -178,22 +177,21 @@ impl WideKernel for Pin<'_> {
     fn run<V: Vector>(self) {
         for (x, ys) in vectors_in::<V>(u64::MAX) {
             let slab = self.around.slab(x);
+            let mut pinned = 0;
             for y in ys {
-                let row = x * 8 + y;
                 let (distance, adjacent) = pin_rows::<V>(&slab, y);
                 distance.store_at(self.distance.slab_mut(x), y);
-                for k in 0..V::ROWS {
-                    self.pinned.set_row(row + k, adjacent[k & 1]);
-                }
+                pinned |= adjacent << (8 * y);
             }
+            self.pinned.words[x & 7] = pinned;
         }
     }
 }
 
-/// The signed distances of the voxels of some rows, and for each row the bits of the voxels next to the zero
-/// set. The others are plus or minus [`UNREACHED`].
+/// The signed distances of the voxels of some rows, and the voxels next to the zero set as bits, one byte per
+/// row. The others are plus or minus [`UNREACHED`].
 #[inline(always)]
-fn pin_rows<V: Vector>(slab: &Slab, y: usize) -> (V, [u8; 2]) {
+fn pin_rows<V: Vector>(slab: &Slab, y: usize) -> (V, u64) {
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
     let c = slab.row::<V>(y);
     let is_inside = c.lt(zero);
@@ -201,21 +199,17 @@ fn pin_rows<V: Vector>(slab: &Slab, y: usize) -> (V, [u8; 2]) {
     // A voxel is at most one voxel farther from the zero set than its neighbor. A neighbor on the other side
     // counts as lying on the zero set, so that distances are continuous as a neighbor's value passes through
     // zero.
-    let (mut adjacent, mut nearest) = ([0; 2], V::splat(f32::INFINITY));
+    let (mut adjacent, mut nearest) = (0, V::splat(f32::INFINITY));
     for [before, after] in [slab.along_x::<V>(y), slab.along_y(y), slab.along_z(y)] {
         for neighbor in [before, after] {
-            let is_neighbor_inside = neighbor.lt(zero);
-            for (k, adjacent) in adjacent.iter_mut().enumerate().take(V::ROWS) {
-                *adjacent |= V::bits_of_row(is_neighbor_inside, k) ^ V::bits_of_row(is_inside, k);
-            }
+            adjacent |= V::row_bits(neighbor.lt(zero)) ^ V::row_bits(is_inside);
             nearest = nearest.min(side.mul(neighbor).max(zero));
         }
     }
     let distance = c.abs().div(slab.gradient_norm(y)).min(one.add(nearest));
     // Avoids 0 / 0: a voxel where φ and its gradient are zero is on the zero set.
     let distance = V::select(c.ne(zero), distance, zero);
-    let is_adjacent = V::mask_of_rows(|k| adjacent[k & 1]);
-    (V::select(is_adjacent, distance, V::splat(UNREACHED)).mul(side), adjacent)
+    (V::select(V::mask_at(adjacent, 0), distance, V::splat(UNREACHED)).mul(side), adjacent)
 }
 
 /// The rows of a leaf with a changed voxel: bit `x·8 + y`.
@@ -229,21 +223,11 @@ struct ChangedRows {
 }
 
 impl ChangedRows {
-    /// The rows whose changed voxels `bits_of` returns.
-    fn of(bits_of: impl Fn(usize) -> u8) -> ChangedRows {
-        let mut changed = ChangedRows::default();
-        for row in 0..ROW_COUNT {
-            changed.add(row, bits_of(row));
-        }
-        changed
-    }
-
-    /// Adds the changed voxels of a row.
+    /// The rows of these changed voxels.
     #[inline(always)]
-    fn add(&mut self, row: usize, bits: u8) {
-        self.any |= u64::from(bits != 0) << row;
-        self.ends[0] |= u64::from(bits & 0b0000_0011 != 0) << row;
-        self.ends[1] |= u64::from(bits & 0b1100_0000 != 0) << row;
+    fn of(voxels: &LeafMask) -> ChangedRows {
+        let ends = [0b0000_0011, 0b1100_0000].map(|along_z| voxels.rows_with(along_z));
+        ChangedRows { any: voxels.occupied_rows(), ends }
     }
 }
 
@@ -283,22 +267,20 @@ impl WideKernel for Sweep<'_> {
 
     #[inline(always)]
     fn run<V: Vector>(self) -> ChangedRows {
-        let mut changed = ChangedRows::default();
+        let mut changed = LeafMask::EMPTY;
         for (x, ys) in vectors_in::<V>(self.rows) {
             let slab = self.around.slab(x);
+            let mut changed_in_slab = 0;
             for y in ys {
-                let row = x * 8 + y;
-                let fixed = V::mask_of_rows(|k| self.fixed.row(row + k));
+                let fixed = V::mask_at(self.fixed.words[x & 7], y);
                 let old = slab.row::<V>(y);
                 let updated = V::select(fixed, old, upwind::<V>(&slab, y, self.sweeps));
                 updated.store_at(self.next.slab_mut(x), y);
-                let has_changed = updated.ne(old);
-                for k in 0..V::ROWS {
-                    changed.add(row + k, V::bits_of_row(has_changed, k));
-                }
+                changed_in_slab |= V::row_bits(updated.ne(old)) << (8 * y);
             }
+            changed.words[x & 7] = changed_in_slab;
         }
-        changed
+        ChangedRows::of(&changed)
     }
 }
 
@@ -435,7 +417,9 @@ mod tests {
                 (0..64).flat_map(|row| [0x01, 0x02, 0x04, 0x20, 0x40, 0x80].map(|bits| (row, bits)))
             {
                 let mut changed = [ChangedRows::default(); 7];
-                changed[source] = ChangedRows::of(|of| if of == row as usize { bits } else { 0 });
+                let mut voxels = LeafMask::EMPTY;
+                voxels.set_row(row as usize, bits);
+                changed[source] = ChangedRows::of(&voxels);
                 let (x, y) = (x_step + (row >> 3), y_step + (row & 7));
                 let along_axis = |x: i32, y: i32| (x == 0 && y.abs() <= 2) || (y == 0 && x.abs() <= 2);
                 let expected = (0..64)

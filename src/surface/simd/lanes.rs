@@ -56,11 +56,12 @@ pub trait Vector: Copy {
     /// Lanes where the values differ, or one of them is NaN.
     fn ne(self, other: Self) -> Self::Mask;
 
-    /// The mask whose lanes in each row are the bits of `bits`.
-    fn mask_of_rows(bits: impl Fn(usize) -> u8) -> Self::Mask;
+    /// The mask of row `y` and those after it, from the bits of eight rows: byte `y` has the bits of row `y`.
+    /// `y` is a multiple of [`ROWS`](Self::ROWS).
+    fn mask_at(rows: u64, y: usize) -> Self::Mask;
 
-    /// The lanes of a mask that are in row `row`, as bits.
-    fn bits_of_row(mask: Self::Mask, row: usize) -> u8;
+    /// The mask as bits: byte k has the bits of row k.
+    fn row_bits(mask: Self::Mask) -> u64;
 
     /// Lanes that are set in both masks.
     fn both(one: Self::Mask, other: Self::Mask) -> Self::Mask;
@@ -78,7 +79,10 @@ pub trait Vector: Copy {
     fn shift_rows_down(self, last: impl Fn(usize) -> f32) -> Self;
 
     /// True if any lane is set.
-    fn any(mask: Self::Mask) -> bool;
+    #[inline(always)]
+    fn any(mask: Self::Mask) -> bool {
+        Self::row_bits(mask) != 0
+    }
 }
 
 /// One row.
@@ -95,13 +99,13 @@ pub trait Lanes: Vector {
     /// The mask with bit k for lane k.
     #[inline(always)]
     fn mask(bits: u8) -> Self::Mask {
-        Self::mask_of_rows(|_| bits)
+        Self::mask_at(u64::from(bits), 0)
     }
 
     /// The mask as bits.
     #[inline(always)]
     fn bits(mask: Self::Mask) -> u8 {
-        Self::bits_of_row(mask, 0)
+        Self::row_bits(mask) as u8
     }
 }
 
@@ -215,19 +219,14 @@ impl Vector for Portable {
     }
 
     #[inline(always)]
-    fn mask_of_rows(bits: impl Fn(usize) -> u8) -> [bool; 8] {
-        let bits = bits(0);
+    fn mask_at(rows: u64, y: usize) -> [bool; 8] {
+        let bits = (rows >> (8 * (y & 7))) as u8;
         std::array::from_fn(|k| bits >> k & 1 == 1)
     }
 
     #[inline(always)]
-    fn bits_of_row(mask: [bool; 8], _row: usize) -> u8 {
-        (0..8).fold(0, |bits, k| bits | u8::from(mask[k]) << k)
-    }
-
-    #[inline(always)]
-    fn any(mask: [bool; 8]) -> bool {
-        Self::bits(mask) != 0
+    fn row_bits(mask: [bool; 8]) -> u64 {
+        (0..8).fold(0, |bits, k| bits | u64::from(mask[k]) << k)
     }
 
     #[inline(always)]

@@ -139,8 +139,8 @@ impl Vector for Ymm {
     }
 
     #[inline(always)]
-    fn mask_of_rows(bits: impl Fn(usize) -> u8) -> __m256 {
-        let bits = bits(0);
+    fn mask_at(rows: u64, y: usize) -> __m256 {
+        let bits = (rows >> (8 * (y & 7))) as u8;
         ymm!({
             let of_lane = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
             let set = _mm256_and_si256(_mm256_set1_epi32(i32::from(bits)), of_lane);
@@ -150,14 +150,9 @@ impl Vector for Ymm {
     }
 
     #[inline(always)]
-    fn bits_of_row(mask: __m256, _row: usize) -> u8 {
+    fn row_bits(mask: __m256) -> u64 {
         // SAFETY: as in `ymm!`.
-        (unsafe { _mm256_movemask_ps(mask) }) as u8
-    }
-
-    #[inline(always)]
-    fn any(mask: __m256) -> bool {
-        Self::bits(mask) != 0
+        u64::from((unsafe { _mm256_movemask_ps(mask) }) as u8)
     }
 
     #[inline(always)]
@@ -299,18 +294,13 @@ impl Vector for Zmm {
     }
 
     #[inline(always)]
-    fn mask_of_rows(bits: impl Fn(usize) -> u8) -> __mmask16 {
-        u16::from(bits(0)) | u16::from(bits(1)) << 8
+    fn mask_at(rows: u64, y: usize) -> __mmask16 {
+        (rows >> (8 * (y & 6))) as u16
     }
 
     #[inline(always)]
-    fn bits_of_row(mask: __mmask16, row: usize) -> u8 {
-        (mask >> (8 * (row & 1))) as u8
-    }
-
-    #[inline(always)]
-    fn any(mask: __mmask16) -> bool {
-        mask != 0
+    fn row_bits(mask: __mmask16) -> u64 {
+        u64::from(mask)
     }
 
     #[inline(always)]

@@ -309,13 +309,12 @@ impl WideKernel for BlockPass<'_> {
             for (x, ys) in vectors_in::<V>(rows) {
                 let slab = around.slab(x);
                 for y in ys {
-                    let row = x * 8 + y;
                     let values = [start, current, &*previous].map(|leaf| V::load_at(leaf.slab(x), y));
                     let bounds = [lower, upper].map(|leaf| V::load_at(leaf.slab(x), y));
-                    let is_thick = V::mask_of_rows(|k| thick.row(row + k));
+                    let is_thick = V::mask_at(thick.words[x & 7], y);
                     let beta = V::select(is_thick, beta_thick, beta_thin);
                     let moved = params.advance(beta, slab.laplacian(y), values, bounds);
-                    let is_free = V::mask_of_rows(|k| free.row(row + k));
+                    let is_free = V::mask_at(free.words[x & 7], y);
                     V::select(is_free, moved, values[2]).store_at(previous.slab_mut(x), y);
                 }
             }
