@@ -78,8 +78,8 @@ impl LeafMask {
         for (x, word) in self.words.iter().enumerate() {
             let wanted = word & (FIRST_OF_ROWS * u64::from(along_z));
             // The last bit of each byte that is not zero: adding 0x7f carries into it from the other bits.
-            let occupied =
-                ((wanted & !last_of_rows) + (last_of_rows - FIRST_OF_ROWS) | wanted) & last_of_rows;
+            let carried = (wanted & !last_of_rows) + (last_of_rows - FIRST_OF_ROWS);
+            let occupied = (carried | wanted) & last_of_rows;
             // The product collects these bits in its last byte.
             rows |= ((occupied >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * x);
         }

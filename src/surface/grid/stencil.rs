@@ -245,7 +245,7 @@ impl Iterator for SetBits {
 mod tests {
     use super::super::{Field, Topology, voxel_in_leaf};
     use super::*;
-    use crate::surface::simd::{Kernel, SimdLevel, dispatch_at};
+    use crate::surface::simd::{SimdLevel, WideKernel, dispatch_wide_at};
     use glam::IVec3;
 
     fn quadratic(p: glam::Vec3) -> f32 {
@@ -268,7 +268,7 @@ mod tests {
         let center = topology.find(IVec3::ZERO).unwrap();
         let around = Neighborhood::new(&field.leaves, topology.neighbors(), center);
         for level in SimdLevel::ALL {
-            let found = dispatch_at(level, Stencils { around: &around });
+            let found = dispatch_wide_at(level, Stencils { around: &around });
             for (row, stencils) in found.into_iter().enumerate() {
                 for z in 0..8 {
                     let p = voxel_in_leaf(row * 8 + z).as_vec3();
@@ -291,26 +291,27 @@ mod tests {
         around: &'a Neighborhood<'a>,
     }
 
-    impl Kernel for Stencils<'_> {
+    impl WideKernel for Stencils<'_> {
         type Output = Vec<[Row; 14]>;
 
         #[inline(always)]
-        fn run<V: Lanes>(self) -> Vec<[Row; 14]> {
-            let mut all = Vec::new();
-            for (x, ys) in slabs_in(u64::MAX) {
+        fn run<V: Vector>(self) -> Vec<[Row; 14]> {
+            let mut all = vec![[[0.0; 8]; 14]; ROW_COUNT];
+            for (x, ys) in vectors_in::<V>(u64::MAX) {
                 let slab = self.around.slab(x);
                 for y in ys {
                     let [xs, y_rows, zs] = [slab.along_x::<V>(y), slab.along_y(y), slab.along_z(y)];
                     let [xs2, ys2, zs2] =
                         [slab.second_along_x(y), slab.second_along_y(y), slab.second_along_z(y, zs)];
-                    let shifted = [xs, xs2, y_rows, ys2, zs, zs2];
-                    let mut rows = [[0.0; 8]; 14];
-                    slab.laplacian::<V>(y).store(&mut rows[0]);
-                    slab.gradient_norm::<V>(y).store(&mut rows[1]);
-                    for (row, values) in rows[2..].iter_mut().zip(shifted.into_iter().flatten()) {
-                        values.store(row);
+                    let shifted = [xs, xs2, y_rows, ys2, zs, zs2].into_iter().flatten();
+                    let stencils = [slab.laplacian::<V>(y), slab.gradient_norm(y)].into_iter().chain(shifted);
+                    for (stencil, values) in stencils.enumerate() {
+                        let mut rows = [[0.0; 8]; 8];
+                        values.store_at(&mut rows, y);
+                        for row in y..y + V::ROWS {
+                            all[x * 8 + row][stencil] = rows[row];
+                        }
                     }
-                    all.push(rows);
                 }
             }
             all

@@ -341,7 +341,7 @@ impl LeafCells {
     /// Area between the cells of a leaf that contain a particle and those that do not, in voxel faces.
     /// `beyond` are the cells of the leaves beyond its faces, in the order of [`Topology::neighbors`].
     fn open_area(&self, own: u64, beyond: [u64; 6]) -> usize {
-        let last = |face: usize| if face % 2 == 0 { 0 } else { self.count - 1 };
+        let last = |face: usize| if face & 1 == 0 { 0 } else { self.count - 1 };
         let face_counts = (0..6).map(|face| self.open_faces(own, beyond[face], face / 2, last(face)));
         let edge_voxels = LEAF_EDGE as usize / self.count as usize;
         face_counts.sum::<usize>() * edge_voxels * edge_voxels

@@ -217,39 +217,48 @@ fn run_available<K: Kernel>(level: SimdLevel, kernel: K) -> K::Output {
 mod tests {
     use super::*;
 
-    /// Every operation on a row, with ordered and unordered values.
-    struct Everything([[f32; 8]; 3]);
+    /// Every operation on eight rows, with ordered and unordered values.
+    struct Everything<'a>([&'a [[f32; 8]; 8]; 3]);
 
-    impl Kernel for Everything {
+    impl WideKernel for Everything<'_> {
         type Output = Vec<u32>;
 
         #[inline(always)]
-        fn run<V: Lanes>(self) -> Vec<u32> {
-            let [a, b, c] = [V::load(&self.0[0]), V::load(&self.0[1]), V::load(&self.0[2])];
-            let (less, differs) = (a.lt(b), a.ne(c));
-            let rows = [
-                a.mul(b).add(c),
-                a.sub(b),
-                a.div(b),
-                a.abs().sqrt(),
-                a.copysign(c),
-                a.min(b),
-                a.max(b),
-                V::select(less, a, b),
-                V::select(V::both(less, differs), b, c),
-                V::select(V::not(less), b, c),
-                V::select(V::mask(0b1011_0010), a, V::splat(4.0)),
-                a.shift_up(9.0),
-                a.shift_down(-9.0),
-            ];
-            let mut stored = [0.0; 8];
-            let mut all = vec![u32::from(V::bits(less)), u32::from(V::bits(differs))];
-            for row in rows {
-                row.store(&mut stored);
-                // The bits of a NaN are not specified.
-                all.extend(stored.map(|value| if value.is_nan() { u32::MAX } else { value.to_bits() }));
+        fn run<V: Vector>(self) -> Vec<u32> {
+            const RESULT_COUNT: usize = 14;
+            let mut results = [[[0.0; 8]; 8]; RESULT_COUNT];
+            let (mut less, mut differs, mut is_any_less) = (0, 0, false);
+            for y in (0..8).step_by(V::ROWS) {
+                let [a, b, c] = self.0.map(|rows| V::load_at(rows, y));
+                let (is_less, is_different) = (a.lt(b), a.ne(c));
+                let vectors: [V; RESULT_COUNT] = [
+                    a.mul(b).add(c),
+                    a.sub(b),
+                    a.div(b),
+                    a.abs().sqrt(),
+                    a.copysign(c),
+                    a.min(b),
+                    a.max(b),
+                    V::select(is_less, a, b),
+                    V::select(V::both(is_less, is_different), b, c),
+                    V::select(V::not(is_less), b, c),
+                    V::select(V::mask_at(0x1234_5678_9abc_def0, y), a, V::splat(4.0)),
+                    a.shift_rows_up(|row| (y + row) as f32),
+                    a.shift_rows_down(|row| -((y + row) as f32)),
+                    V::from_rows(|row| &self.0[0][7 - y - row]),
+                ];
+                for (vector, rows) in vectors.into_iter().zip(&mut results) {
+                    vector.store_at(rows, y);
+                }
+                less |= V::row_bits(is_less) << (8 * y);
+                differs |= V::row_bits(is_different) << (8 * y);
+                is_any_less |= V::any(is_less);
             }
-            all
+            let masks = [less, differs].into_iter().flat_map(|mask| [mask as u32, (mask >> 32) as u32]);
+            // The bits of a NaN are not specified.
+            let bits = |value: &f32| if value.is_nan() { u32::MAX } else { value.to_bits() };
+            let values = results.as_flattened().as_flattened().iter().map(bits);
+            masks.chain([u32::from(is_any_less)]).chain(values).collect()
         }
     }
 
@@ -271,16 +280,39 @@ mod tests {
     fn all_simd_levels_give_the_same_bits() {
         let wave = |scale: f32| std::array::from_fn(|k| (k as f32 * scale).sin() * 1.7);
         let odd = [f32::NAN, f32::INFINITY, -0.0, 0.0, -f32::INFINITY, f32::MIN_POSITIVE, 1.0, -1.0];
-        for rows in [
-            [wave(0.7), wave(1.3), wave(2.9)],
-            [odd, wave(0.7), odd],
-            [wave(0.7), odd, wave(0.7)],
-            [[0.0; 8], [-0.0; 8], odd],
-        ] {
-            let baseline = Everything(rows).run::<Portable>();
-            for level in SimdLevel::ALL {
-                assert_eq!(dispatch_at(level, Everything(rows)), baseline, "{level:?} {rows:?}");
+        let (slow, quick, zeros) = (wave(0.7), wave(2.9), [0.0; 8]);
+        let of_rows = |rows: [[f32; 8]; 4]| std::array::from_fn(|y| rows[(y + y / 4) % 4]);
+        let a = of_rows([slow, odd, slow, zeros]);
+        let b = of_rows([wave(1.3), slow, odd, zeros.map(|zero| -zero)]);
+        let c = of_rows([quick, odd, slow, odd]);
+        let everything = || Everything([&a, &b, &c]);
+        let baseline = RowByRow(everything()).run::<Portable>();
+        for level in SimdLevel::ALL {
+            assert_eq!(dispatch_at(level, RowByRow(everything())), baseline, "{level:?}");
+            assert_eq!(dispatch_wide_at(level, everything()), baseline, "{level:?}, wide");
+        }
+    }
+
+    #[test]
+    fn one_row_is_loaded_stored_and_masked() {
+        struct Negated<'a>(&'a mut [f32; 8], u8);
+
+        impl Kernel for Negated<'_> {
+            type Output = (u8, f32);
+
+            #[inline(always)]
+            fn run<V: Lanes>(self) -> (u8, f32) {
+                let values = V::load(self.0);
+                let negated = V::splat(0.0).sub(values);
+                V::select(V::mask(self.1), negated, values).store(self.0);
+                (V::bits(values.lt(V::splat(3.0))), greatest(values))
             }
+        }
+
+        for level in SimdLevel::ALL {
+            let mut row = [2.0, 0.0, 5.0, 1.0, 3.0, 7.0, 6.0, 4.0];
+            assert_eq!(dispatch_at(level, Negated(&mut row, 0b0000_0101)), (0b0000_1011, 7.0));
+            assert_eq!(row, [-2.0, 0.0, -5.0, 1.0, 3.0, 7.0, 6.0, 4.0], "{level:?}");
         }
     }
 }

@@ -25,8 +25,8 @@ const CHUNK: usize = 1024;
 /// Number of vertices that are compared with particles at once.
 pub(super) const LANES: usize = 8;
 
-/// Points relative to a leaf, in voxels.
-pub(super) struct Points {
+/// PointGroup relative to a leaf, in voxels.
+pub(super) struct PointGroup {
     /// x, y and z of each point.
     axes: [[f32; LANES]; 3],
     /// Corners of their bounding box.
@@ -34,20 +34,17 @@ pub(super) struct Points {
     high: Vec3,
 }
 
-impl Points {
+impl PointGroup {
     #[inline(always)]
-    fn new(axes: [[f32; LANES]; 3]) -> Points {
-        let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-        for lane in 0..LANES {
-            let point = Vec3::new(axes[0][lane], axes[1][lane], axes[2][lane]);
-            (low, high) = (low.min(point), high.max(point));
-        }
-        Points { axes, low, high }
+    fn new(axes: [[f32; LANES]; 3]) -> PointGroup {
+        let low = axes.map(|axis| axis.into_iter().fold(f32::INFINITY, f32::min));
+        let high = axes.map(|axis| axis.into_iter().fold(f32::NEG_INFINITY, f32::max));
+        PointGroup { axes, low: Vec3::from(low), high: Vec3::from(high) }
     }
 
     /// x, y and z, relative to the leaf at a step from this one.
     #[inline(always)]
-    pub(super) fn from_step<V: Lanes>(&self, step: Vec3) -> [V; 3] {
+    pub(super) fn relative_to<V: Lanes>(&self, step: Vec3) -> [V; 3] {
         let along = |axis: usize| V::load(&self.axes[axis]).sub(V::splat(step[axis]));
         [along(0), along(1), along(2)]
     }
@@ -136,7 +133,7 @@ impl Kernel for PieceChecks<'_> {
                 continue;
             }
             near.find_around(self.part.bins, origin, self.steps);
-            let points = Points::new(locals);
+            let points = PointGroup::new(locals);
             let nearest = near.distances::<V>(self.part.bins, &points);
             let Sides { is_inside_min, is_within_max } = match self.shaped {
                 None => Sides {
@@ -226,14 +223,14 @@ impl NearLeaves {
 
     /// The distances from points, relative to the leaf, to the nearest particle in these leaves.
     #[inline(always)]
-    fn distances<V: Lanes>(&self, bins: &ParticleBins, points: &Points) -> V {
+    fn distances<V: Lanes>(&self, bins: &ParticleBins, points: &PointGroup) -> V {
         let mut nearest = V::splat(f32::INFINITY);
         let mut farthest = f32::INFINITY;
         for &(step, leaf) in &self.leaves {
             if points.squared_gap(step) >= farthest {
                 continue;
             }
-            let [x, y, z] = points.from_step::<V>(step);
+            let [x, y, z] = points.relative_to::<V>(step);
             for particle in bins.in_leaf(leaf) {
                 let apart =
                     [x.sub(V::splat(particle.x)), y.sub(V::splat(particle.y)), z.sub(V::splat(particle.z))];
@@ -257,7 +254,7 @@ pub(super) fn is_inside_one(
     let longest = shaped.map_or(1.0, ShapedParticles::longest);
     let mut near = NearLeaves::empty();
     near.find_around(bins, origin, &leaf_steps_within(radius * longest));
-    let points = Points::new(point.to_array().map(|axis| [axis; LANES]));
+    let points = PointGroup::new(point.to_array().map(|axis| [axis; LANES]));
     dispatch(InsideOne { bins, shaped, near: &near, points: &points, radius })
 }
 
@@ -266,7 +263,7 @@ struct InsideOne<'a> {
     bins: &'a ParticleBins,
     shaped: Option<&'a ShapedParticles<'a>>,
     near: &'a NearLeaves,
-    points: &'a Points,
+    points: &'a PointGroup,
     radius: f32,
 }
 

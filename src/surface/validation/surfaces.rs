@@ -6,7 +6,7 @@
 use glam::{DMat3, DVec3, Vec3};
 
 use super::DistanceLimits;
-use super::distances::{CELL_MARGIN, NearLeaves, Points, length_squared};
+use super::distances::{CELL_MARGIN, NearLeaves, PointGroup, length_squared};
 use crate::surface::grid::SetBits;
 use crate::surface::particles::{Ellipsoid, Shapes};
 use crate::surface::rasterize::ParticleBins;
@@ -41,7 +41,7 @@ impl<'a> ShapedParticles<'a> {
     pub(super) fn sides<V: Lanes>(
         &self,
         near: &NearLeaves,
-        points: &Points,
+        points: &PointGroup,
         limits: &DistanceLimits,
     ) -> Sides {
         let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max] } = *limits;
@@ -57,7 +57,7 @@ impl<'a> ShapedParticles<'a> {
             if points.squared_gap(step) > reach * reach {
                 continue;
             }
-            let [x, y, z] = points.from_step::<V>(step);
+            let [x, y, z] = points.relative_to::<V>(step);
             for (index, particle) in self.bins.range(leaf).zip(self.bins.in_leaf(leaf)) {
                 let longest = self.bins.shapes.outer_radius(index);
                 let reaches = [longest * max + beyond[0], longest * min + beyond[1]];
