@@ -213,8 +213,12 @@ impl From<Positions<'_>> for OwnedPositions {
     }
 }
 
-/// Number of particles in a batch of in-memory particles.
-const BATCH: usize = 1 << 14;
+/// In-memory particles are split into this many batches, so that small frames use all threads, too. The size
+/// of a batch is limited to [`BATCH_SIZES`].
+const BATCH_COUNT: usize = 16;
+
+/// The smallest and the largest number of particles in a batch of in-memory particles.
+const BATCH_SIZES: [usize; 2] = [1 << 10, 1 << 14];
 
 impl Positions<'_> {
     /// The number of particles.
@@ -253,9 +257,15 @@ impl Positions<'_> {
         }
     }
 
+    /// The number of particles per batch.
+    fn batch_size(&self) -> usize {
+        self.len().div_ceil(BATCH_COUNT).clamp(BATCH_SIZES[0], BATCH_SIZES[1])
+    }
+
     /// The indices of the particles of a batch.
     pub(crate) fn range_of(&self, batch: usize) -> Range<usize> {
-        batch * BATCH..self.len().min((batch + 1) * BATCH)
+        let size = self.batch_size();
+        batch * size..self.len().min((batch + 1) * size)
     }
 }
 
@@ -297,7 +307,7 @@ impl ParticleSource for Positions<'_> {
     type Error = Infallible;
 
     fn batch_count(&self) -> usize {
-        self.len().div_ceil(BATCH)
+        self.len().div_ceil(self.batch_size())
     }
 
     fn batch(&self, batch: usize) -> Result<Positions<'_>, Infallible> {
@@ -313,7 +323,7 @@ impl ParticleSource for OwnedPositions {
     type Error = Infallible;
 
     fn batch_count(&self) -> usize {
-        self.len().div_ceil(BATCH)
+        Positions::from(self).batch_count()
     }
 
     fn batch(&self, batch: usize) -> Result<Positions<'_>, Infallible> {
