@@ -56,10 +56,25 @@ fn mebibytes_needed(result: &RunResult) -> u64 {
     after.split(' ').next().and_then(|number| number.parse().ok()).expect("a number")
 }
 
+/// A block of displaced particles, with holes, to `rod.ply`: its surface is rough in all directions.
+fn write_rubble(folder: &Path) {
+    let random =
+        |seed: usize| (seed as u32).wrapping_mul(0x9e37_79b9).rotate_left(9).wrapping_mul(0x85eb_ca6b);
+    let particle = |index: usize| {
+        let places = [index / 100, index / 10 % 10, index % 10];
+        [0, 1, 2].map(|axis| {
+            let moved = f64::from(random(3 * index + axis) >> 8) / f64::from(1 << 24) - 0.5;
+            0.1 * (places[axis] as f64 + 0.6 * moved)
+        })
+    };
+    let kept = (0..1000).filter(|&index| random(index + 5000) >> 30 != 0);
+    write_ply(&folder.join("rod.ply"), &kept.map(particle).collect::<Vec<_>>());
+}
+
 #[test]
 fn all_instruction_sets_give_the_same_bytes() {
     let folder = tempdir().expect("a folder");
-    write_rod(folder.path(), 20);
+    write_rubble(folder.path());
     for level in ["baseline", "avx2", "avx512"] {
         let err = converted_by(folder.path(), level, level);
         // If the processor lacks the instructions, a message says so.

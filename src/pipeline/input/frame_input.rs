@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use glam::{DVec3, IVec3};
 use meniscus_formats::vdb;
-use meniscus_formats::{Error, FilePositions, Limits, ParticleBatch, ParticleBatches, ReadAt};
+use meniscus_formats::{Error, FilePositions, Limits, ParticleBatch, ParticleBatches};
 
 use crate::surface::grid::Leaf;
 use crate::surface::level_set::NarrowBand;
@@ -119,12 +119,8 @@ pub struct FileParticles {
     batches: ParticleBatches<Arc<InputFile>>,
 }
 
-/// A file is read in this many batches, so that small frames use all threads, too. The size of a batch is
-/// limited to [`BATCH_BYTES`].
-const BATCH_COUNT: u64 = 16;
-
-/// The smallest and the largest number of bytes per batch: about a thousand and some ten thousand particles.
-const BATCH_BYTES: [u64; 2] = [16 << 10, 512 << 10];
+/// The number of bytes per batch: some ten thousand particles.
+const BATCH_BYTES: usize = 512 << 10;
 
 impl FileParticles {
     /// The particles in an open file; `None` if the file has to be read whole.
@@ -134,9 +130,7 @@ impl FileParticles {
     pub(crate) fn open(path: &Path, file: InputFile) -> meniscus_formats::Result<Option<FileParticles>> {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let file = Arc::new(file);
-        let size_bytes = file.size_bytes().map_err(meniscus_formats::Error::from)?;
-        let batch_bytes = (size_bytes / BATCH_COUNT).clamp(BATCH_BYTES[0], BATCH_BYTES[1]) as usize;
-        let batches = ParticleBatches::open(Arc::clone(&file), &name, &Limits::default(), batch_bytes)?;
+        let batches = ParticleBatches::open(Arc::clone(&file), &name, &Limits::default(), BATCH_BYTES)?;
         Ok(batches.map(|batches| FileParticles { file, batches }))
     }
 

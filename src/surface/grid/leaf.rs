@@ -11,7 +11,7 @@ pub const LEAF_EDGE: i32 = 8;
 pub const LEAF_VOXELS: usize = 512;
 
 /// Maximum number of leaves per task in loops that take microseconds per leaf. While no thread is idle, rayon
-/// splits a loop into few tasks; without a limit, one thread would wait while the other finishes the last one.
+/// splits a loop into few tasks; without a limit, threads would wait while one of them finishes the last task.
 pub const LEAVES_PER_TASK: usize = 16;
 
 /// The 8 values of a row.
@@ -75,13 +75,7 @@ impl Field {
 
     /// Copies the values of another field, and reuses this field's memory if that is large enough.
     pub fn copy_from(&mut self, other: &Field) {
-        if self.leaves.len() < other.leaves.len() {
-            self.leaves = Vec::new(); // freed before the new memory is allocated
-            self.leaves = other.leaves.par_iter().copied().collect();
-            return;
-        }
-        self.leaves.truncate(other.leaves.len());
-        self.leaves.par_iter_mut().zip(&other.leaves).for_each(|(to, from)| *to = *from);
+        other.leaves.par_iter().copied().collect_into_vec(&mut self.leaves);
     }
 
     /// The leaves as plain arrays, for writers that do not depend on the grid types.

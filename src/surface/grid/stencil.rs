@@ -54,7 +54,7 @@ pub struct Slab<'a> {
     beyond_z: [(&'a [Row; 8], usize); 2],
 }
 
-/// A row shifted along one axis by −1 and +1, or by −2 and +2.
+/// A row, or each row of a vector, shifted along one axis by −1 and +1, or by −2 and +2.
 type Shifted<V> = [V; 2];
 
 impl<'a> Slab<'a> {
@@ -135,7 +135,7 @@ impl<'a> Slab<'a> {
         [before.shift_rows_up(|k| first[(y + k) & 7][from]), after.shift_rows_down(|k| last[(y + k) & 7][to])]
     }
 
-    /// The 7-point Laplacian of row `y`, voxel units.
+    /// The 7-point Laplacian of the vector at row `y`, voxel units.
     #[inline(always)]
     pub fn laplacian<V: Vector>(&self, y: usize) -> V {
         let [xm, xp] = self.along_x::<V>(y);
@@ -145,7 +145,7 @@ impl<'a> Slab<'a> {
         sum.sub(V::splat(6.0).mul(self.row(y)))
     }
 
-    /// The norm of the gradient in row `y`, by central differences, voxel units.
+    /// The norm of the gradient of the vector at row `y`, by central differences, voxel units.
     #[inline(always)]
     pub fn gradient_norm<V: Vector>(&self, y: usize) -> V {
         let ([xm, xp], [ym, yp], [zm, zp]) =
@@ -200,8 +200,8 @@ pub fn slabs_in(rows: u64) -> impl Iterator<Item = (usize, SetBits)> {
     SlabsIn { rows, x: 0 }
 }
 
-/// Iterator of [`slabs_in`]. Written without closures, because a kernel is only compiled for wider vectors if
-/// everything in it is inlined.
+/// Iterator of [`slabs_in`]. Written without iterator adapters, because a kernel is only compiled for wider
+/// vectors if everything in it is inlined.
 struct SlabsIn {
     rows: u64,
     x: usize,

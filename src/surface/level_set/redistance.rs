@@ -128,7 +128,18 @@ pub fn extend_in(
 
 /// Each sweep reads the first field, writes the second, and then exchanges their contents, so the result is
 /// in the first field. The fields must be equal before the first sweep.
-fn sweep_outward(topology: &Topology, [distance, next]: [&mut Field; 2], fixed: &[LeafMask], sweeps: Sweeps) {
+fn sweep_outward(topology: &Topology, fields: [&mut Field; 2], fixed: &[LeafMask], sweeps: Sweeps) {
+    sweep_with(|sweep| simd::dispatch_wide(sweep), topology, fields, fixed, sweeps);
+}
+
+/// Like [`sweep_outward`]; `run` runs the kernel.
+fn sweep_with(
+    run: impl Fn(Sweep) -> ChangedRows + Sync,
+    topology: &Topology,
+    [distance, next]: [&mut Field; 2],
+    fixed: &[LeafMask],
+    sweeps: Sweeps,
+) {
     let neighbors = topology.neighbors();
     // Rows that the last sweep changed; for the first sweep, rows with a known value. If nothing that a row
     // depends on has changed, another sweep would give the same values.
@@ -137,13 +148,15 @@ fn sweep_outward(topology: &Topology, [distance, next]: [&mut Field; 2], fixed: 
     for _ in 0..sweeps.count {
         let leaves = next.leaves.par_iter_mut().zip(&mut changed_next).zip(fixed).enumerate();
         leaves.with_max_len(LEAVES_PER_TASK).for_each(|(leaf, ((next, changed_next), fixed))| {
-            let rows = dependent_rows(&changed, &neighbors[leaf], leaf) & fixed.complement().occupied_rows();
+            // Rows of fixed voxels never change, and are equal in both fields.
+            let free_rows = fixed.complement().occupied_rows();
+            let rows = dependent_rows(&changed, &neighbors[leaf], leaf) & free_rows;
             if rows == 0 {
                 *changed_next = ChangedRows::default();
                 return;
             }
             let around = Neighborhood::new(&distance.leaves, neighbors, leaf);
-            *changed_next = simd::dispatch_wide(Sweep { around: &around, fixed, rows, sweeps, next });
+            *changed_next = run(Sweep { around: &around, fixed, rows, sweeps, next });
         });
         std::mem::swap(distance, next);
         std::mem::swap(&mut changed, &mut changed_next);
@@ -253,7 +266,8 @@ fn dependent_rows(changed: &[ChangedRows], neighbors: &[u32; 6], leaf: usize) ->
     own | along_x | along_y | from_x | from_y | zm | zp
 }
 
-/// Kernel: updates the voxels that are not fixed in some rows of a leaf. Returns the rows that changed.
+/// Kernel: updates the voxels that are not fixed in some rows of a leaf. Returns the rows that changed. If
+/// only one of two rows in a vector is to be updated, the other one is computed again, with the same result.
 struct Sweep<'a> {
     around: &'a Neighborhood<'a>,
     fixed: &'a LeafMask,
@@ -284,8 +298,8 @@ impl WideKernel for Sweep<'_> {
     }
 }
 
-/// The upwind solution of |∇d| = 1 at each voxel of some rows. If all of them are greater than
-/// `sweeps.up_to`, the rows as they are.
+/// The upwind solution of |∇d| = 1 at each voxel of some rows. A row whose voxels are all farther than
+/// `sweeps.up_to` is returned as it is.
 #[inline(always)]
 fn upwind<V: Vector>(slab: &Slab, y: usize, sweeps: Sweeps) -> V {
     // Distances are positive on the voxel's own side of the surface.
@@ -298,7 +312,8 @@ fn upwind<V: Vector>(slab: &Slab, y: usize, sweeps: Sweeps) -> V {
     let nearest = x_near.value.min(y_near.value).min(z_near.value);
     // A voxel is farther from the surface than the nearest of its neighbors, and depends on no neighbor that
     // is farther than itself.
-    if !V::any(nearest.lt(V::splat(sweeps.up_to + ROUNDING))) {
+    let is_reached = nearest.lt(V::splat(sweeps.up_to + ROUNDING));
+    if !V::any(is_reached) {
         return row;
     }
     // Far from the surface, differences are first-order and second neighbors are not read.
@@ -314,7 +329,7 @@ fn upwind<V: Vector>(slab: &Slab, y: usize, sweeps: Sweeps) -> V {
     let (x, y) = ordered(x, y);
     let (y, z) = ordered(y, z);
     let (x, y) = ordered(x, y);
-    side.mul(solve_upwind([x, y, z]))
+    V::select(V::whole_rows(is_reached), side.mul(solve_upwind([x, y, z])), row)
 }
 
 /// A one-sided difference along one axis: at distance d, the squared slope is `weight` · (d − `from`)².
@@ -405,7 +420,11 @@ fn solve_upwind<V: Vector>([a, b, c]: [OneSided<V>; 3]) -> V {
 
 #[cfg(test)]
 mod tests {
+    use glam::IVec3;
+
     use super::*;
+    use crate::surface::grid::LEAF_EDGE;
+    use crate::surface::simd::SimdLevel;
 
     /// Compares with the definition, for every row of a leaf and of the leaves beyond its faces.
     #[test]
@@ -439,6 +458,46 @@ mod tests {
                     expected,
                     "leaf {source}, row {row}, voxels {bits:b}"
                 );
+            }
+        }
+    }
+
+    /// Rough distances, where values depend on whether the rows beside them are processed.
+    #[test]
+    fn sweeps_have_the_same_bits_at_all_simd_levels() {
+        let mut state = 1u32;
+        let mut random = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) as f32 / (1 << 24) as f32
+        };
+        let cells = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [-1, 0, 0]];
+        let topology = Topology::new(cells.map(|cell| IVec3::from(cell) * LEAF_EDGE).to_vec());
+        let rough = Sweeps { count: 9, second_order_within: UNREACHED, up_to: 5.0 };
+        let near = Sweeps { second_order_within: 1.2, ..rough };
+        for sweeps in [rough, near, Sweeps::accurate(20)] {
+            let mut fixed = vec![LeafMask::EMPTY; topology.len()];
+            for (leaf, offset) in (0..topology.len()).flat_map(|leaf| (0..512).map(move |at| (leaf, at))) {
+                if leaf != 3 && random() < 0.05 {
+                    fixed[leaf].insert(offset);
+                }
+            }
+            let mut start = Field::splat(topology.len(), UNREACHED);
+            for (leaf, fixed) in start.leaves.iter_mut().zip(&fixed) {
+                for (offset, value) in leaf.values.iter_mut().enumerate() {
+                    let size = if fixed.contains(offset) { 4.0 * random() } else { UNREACHED };
+                    *value = if random() < 0.5 { size } else { -size };
+                }
+            }
+            let swept = |level: SimdLevel| {
+                let (mut distance, mut next) = (start.clone(), start.clone());
+                let run = |sweep: Sweep| simd::dispatch_wide_at(level, sweep);
+                sweep_with(run, &topology, [&mut distance, &mut next], &fixed, sweeps);
+                let bits = |value: &f32| value.to_bits();
+                distance.as_arrays().as_flattened().iter().map(bits).collect::<Vec<_>>()
+            };
+            let expected = swept(SimdLevel::Baseline);
+            for level in SimdLevel::ALL {
+                assert!(swept(level) == expected, "{level:?}, {sweeps:?}");
             }
         }
     }

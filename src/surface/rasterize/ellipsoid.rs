@@ -159,7 +159,8 @@ impl<F: ParticleShape> Primitives<F> {
         numbers.par_sort_unstable();
         numbers.dedup();
         let class = |&number: &u8| {
-            let members = (0..bins.len()).filter(|&particle| class_of[particle] == number);
+            checkpoint();
+            let members = (0..bins.len()).into_par_iter().filter(|&particle| class_of[particle] == number);
             SizeClass::new(bins, radii[0], &members.collect::<Vec<_>>(), &shape)
         };
         Primitives { classes: numbers.iter().map(class).collect(), radii, complete_to }
@@ -185,7 +186,7 @@ impl<F: ParticleShape> Primitives<F> {
             let around = self.around(origin);
             let settled = settled(origin);
             simd::dispatch(Signed {
-                leaves: [max, init, min],
+                values: [max, init, min],
                 around: &around,
                 radii: self.radii,
                 complete_to: self.complete_to,
@@ -311,7 +312,7 @@ struct NearbyLeaf<'a, F> {
 /// Kernel: computes the signed distances of a leaf to the three unions.
 struct Signed<'a, F> {
     /// Receives the distances.
-    leaves: [&'a mut Leaf; 3],
+    values: [&'a mut Leaf; 3],
     around: &'a [NearbyLeaf<'a, F>],
     radii: [f32; 3],
     complete_to: [f32; 3],
@@ -327,7 +328,7 @@ impl<F: ParticleShape> Kernel for Signed<'_, F> {
         for around in self.around {
             axes = axes.with(around.axes);
         }
-        let mut values = EllipsoidDistances::new::<V>(self.leaves, self.settled, self.radii, axes);
+        let mut values = EllipsoidDistances::new::<V>(self.values, self.settled, self.radii, axes);
         for around in self.around {
             for (eight, boxes) in around.boxes.iter().enumerate() {
                 for lane in SetBits(near_bits::<V>(boxes, around.step)) {

@@ -222,8 +222,9 @@ struct FootprintLeaf {
     cells: u64,
 }
 
-/// Number of leaves whose surroundings are collected together: few of them occur twice.
-const LEAVES_AT_ONCE: usize = 256;
+/// Number of leaves whose surroundings are collected in one set: so many that most surroundings they share are
+/// in the same set.
+const LEAVES_PER_SET: usize = 256;
 
 /// A distance, and the leaves within that distance of a particle, per axis.
 ///
@@ -302,7 +303,7 @@ impl LeafReach {
             }
             reached
         };
-        let chunks = origins.par_chunks(LEAVES_AT_ONCE).zip(leaves.par_chunks(LEAVES_AT_ONCE));
+        let chunks = origins.par_chunks(LEAVES_PER_SET).zip(leaves.par_chunks(LEAVES_PER_SET));
         chunks.with_max_len(1).map(reached).flat_map_iter(FxHashSet::into_iter).collect()
     }
 

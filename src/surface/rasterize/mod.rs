@@ -354,6 +354,9 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
                 || radii.offset != 0.0 && is_within(&scene.obstacle(origin)))
     };
     let kept: Vec<usize> = (0..topology.len()).into_par_iter().filter(|&leaf| is_banded(leaf)).collect();
+    if wastes_memory(topology.len(), kept.len()) {
+        scratch = Field::default();
+    }
     rayon::join(|| keep(&mut phi, &kept), || distances.keep(&kept));
     let topology = subset(topology, &kept);
     let mut lower = signed_distance(&topology, &mut distances, SphereUnion::Max, radii, &mut scratch);
@@ -361,7 +364,8 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     drop((distances, scratch));
     let own: Vec<usize> =
         (0..topology.len()).filter(|&leaf| regions.own.contains(topology.origins()[leaf])).collect();
-    [&mut phi, &mut lower, &mut upper].into_par_iter().for_each(|field| keep(field, &own));
+    // One after the other, so that only one of them exists twice for a moment.
+    [&mut phi, &mut lower, &mut upper].into_iter().for_each(|field| keep(field, &own));
     let topology = Arc::new(subset(topology, &own));
     let mut band = NarrowBand { topology, phi, half_width };
     let mut bounds = Bounds { lower, upper };
@@ -398,20 +402,27 @@ fn has_value_within(phi: &Leaf, half_width: f32, obstacle: &ObstacleLeaf) -> boo
 
 /// Keeps only these leaves of a field, in order.
 fn keep(field: &mut Field, kept: &[usize]) {
-    let (count, kept_count) = (field.leaves.len(), kept.len());
-    if kept_count == count {
+    if kept.len() == field.leaves.len() {
         return;
     }
-    // Usually few leaves are dropped, and then their memory stays with the field: new memory takes longer.
-    if kept_count < count - count / 4 {
+    if wastes_memory(field.leaves.len(), kept.len()) {
         field.leaves = kept.par_iter().map(|&leaf| field.leaves[leaf]).collect();
         return;
     }
     for (to, &from) in kept.iter().enumerate() {
         field.leaves.copy_within(from..from + 1, to);
     }
-    field.leaves.truncate(kept_count);
+    field.leaves.truncate(kept.len());
 }
+
+/// Whether a field with memory for `count` leaves is too large for `kept_count` leaves. A small field that
+/// loses a few leaves keeps its memory, because the system takes longer to provide new memory.
+fn wastes_memory(count: usize, kept_count: usize) -> bool {
+    (count - kept_count) * size_of::<Leaf>() > WASTED_BYTES_MAX
+}
+
+/// Memory per field that may stay unused, in bytes.
+const WASTED_BYTES_MAX: usize = 2 << 20;
 
 /// The topology that contains only the leaves `kept` of `topology`.
 fn subset(topology: Topology, kept: &[usize]) -> Topology {

@@ -14,7 +14,7 @@ pub trait Vector: Copy {
     /// Loads row `y` and those after it; `y` is a multiple of [`ROWS`](Self::ROWS).
     fn load_at(rows: &[[f32; 8]; 8], y: usize) -> Self;
 
-    /// Loads each row from anywhere.
+    /// Loads row k from `row(k)`.
     fn from_rows<'a>(row: impl Fn(usize) -> &'a [f32; 8]) -> Self;
 
     /// Stores to row `y` and those after it; `y` is a multiple of [`ROWS`](Self::ROWS).
@@ -72,16 +72,28 @@ pub trait Vector: Copy {
     /// `then` in lanes of the mask, `otherwise` elsewhere.
     fn select(mask: Self::Mask, then: Self, otherwise: Self) -> Self;
 
-    /// Each lane gets the value of the previous lane; the first lane of each row gets `first`.
+    /// Each lane gets the value of the previous lane; the first lane of row k gets `first(k)`.
     fn shift_rows_up(self, first: impl Fn(usize) -> f32) -> Self;
 
-    /// Each lane gets the value of the next lane; the last lane of each row gets `last`.
+    /// Each lane gets the value of the next lane; the last lane of row k gets `last(k)`.
     fn shift_rows_down(self, last: impl Fn(usize) -> f32) -> Self;
 
     /// True if any lane is set.
     #[inline(always)]
     fn any(mask: Self::Mask) -> bool {
         Self::row_bits(mask) != 0
+    }
+
+    /// All lanes of each row that has a set lane.
+    #[inline(always)]
+    fn whole_rows(mask: Self::Mask) -> Self::Mask {
+        let bits = Self::row_bits(mask);
+        let mut whole = 0;
+        for row in 0..Self::ROWS {
+            let of_row = 0xff << (8 * row);
+            whole |= if bits & of_row == 0 { 0 } else { of_row };
+        }
+        Self::mask_at(whole, 0)
     }
 }
 
@@ -109,7 +121,7 @@ pub trait Lanes: Vector {
     }
 }
 
-/// Maximum of eight non-negative values.
+/// Maximum of eight non-negative values, none of which is NaN.
 #[inline(always)]
 pub fn greatest<V: Lanes>(values: V) -> f32 {
     let greater = |one: f32, other: f32| if one > other { one } else { other };

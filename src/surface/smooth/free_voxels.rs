@@ -77,16 +77,11 @@ impl Kernel for NearZero<'_> {
     fn run<V: Lanes>(self) -> LeafMask {
         let mut mask = LeafMask::EMPTY;
         for row in 0..ROW_COUNT {
-            mask.set_row(row, near_bits(V::load(self.leaf.row(row)), self.width));
+            let is_beyond = V::splat(self.width).lt(V::load(self.leaf.row(row)).abs());
+            mask.set_row(row, !V::bits(is_beyond));
         }
         mask
     }
-}
-
-/// The bits of a row's voxels with |φ| ≤ `width`.
-#[inline(always)]
-pub(super) fn near_bits<V: Lanes>(phi: V, width: f32) -> u8 {
-    !V::bits(V::splat(width).lt(phi.abs()))
 }
 
 /// The rows of a leaf that contain a free voxel or a face neighbor of one.

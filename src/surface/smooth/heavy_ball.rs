@@ -323,7 +323,7 @@ impl WideKernel for BlockPass<'_> {
 }
 
 impl StepParams {
-    /// Computes x⁺ of a row.
+    /// Computes x⁺ of a vector.
     #[inline(always)]
     fn advance<V: Vector>(
         &self,

@@ -23,12 +23,12 @@ pub(super) const CELL_MARGIN: f32 = 0.5;
 const CHUNK: usize = 1024;
 
 /// Number of vertices that are compared with particles at once.
-pub(super) const LANES: usize = 8;
+pub(super) const GROUP_SIZE: usize = 8;
 
-/// PointGroup relative to a leaf, in voxels.
+/// Some points, relative to a leaf, in voxels.
 pub(super) struct PointGroup {
     /// x, y and z of each point.
-    axes: [[f32; LANES]; 3],
+    axes: [[f32; GROUP_SIZE]; 3],
     /// Corners of their bounding box.
     low: Vec3,
     high: Vec3,
@@ -36,7 +36,7 @@ pub(super) struct PointGroup {
 
 impl PointGroup {
     #[inline(always)]
-    fn new(axes: [[f32; LANES]; 3]) -> PointGroup {
+    fn new(axes: [[f32; GROUP_SIZE]; 3]) -> PointGroup {
         let low = axes.map(|axis| axis.into_iter().fold(f32::INFINITY, f32::min));
         let high = axes.map(|axis| axis.into_iter().fold(f32::NEG_INFINITY, f32::max));
         PointGroup { axes, low: Vec3::from(low), high: Vec3::from(high) }
@@ -58,10 +58,17 @@ impl PointGroup {
         (low - LEAF_EDGE as f32).max(-high).max(Vec3::ZERO).length_squared()
     }
 
+    /// One of the points.
     #[inline(always)]
     pub(super) fn point(&self, lane: usize) -> Vec3 {
         Vec3::new(self.axes[0][lane], self.axes[1][lane], self.axes[2][lane])
     }
+}
+
+/// From a particle to points.
+#[inline(always)]
+pub(super) fn from_particle<V: Lanes>([x, y, z]: [V; 3], particle: Vec3) -> [V; 3] {
+    [x.sub(V::splat(particle.x)), y.sub(V::splat(particle.y)), z.sub(V::splat(particle.z))]
 }
 
 /// The squared lengths of vectors.
@@ -105,15 +112,15 @@ impl Kernel for PieceChecks<'_> {
     fn run<V: Lanes>(self) -> (ParticleChecks, Vec<BoundViolation>) {
         let (mut checks, mut violations) = (ParticleChecks::EMPTY, Vec::new());
         let limits = DistanceLimits::new(&self.part.radii).with_margin(CELL_MARGIN);
-        let [least, greatest] = limits.limits();
+        let [nearest_allowed, farthest_allowed] = limits.limits();
         let mut near = NearLeaves::empty();
         let mut rest = self.positions;
         while let Some(&first) = rest.first() {
             let (origin, _) = leaf_and_offset(self.part, first);
-            let mut locals = [[0.0; LANES]; 3];
+            let mut locals = [[0.0; GROUP_SIZE]; 3];
             let mut count = 0;
             // The last vertex repeats in unused lanes.
-            for lane in 0..LANES {
+            for lane in 0..GROUP_SIZE {
                 if let Some(&position) = rest.get(count) {
                     let (leaf, local) = leaf_and_offset(self.part, position);
                     if count == lane && leaf == origin {
@@ -135,14 +142,14 @@ impl Kernel for PieceChecks<'_> {
             near.find_around(self.part.bins, origin, self.steps);
             let points = PointGroup::new(locals);
             let nearest = near.distances::<V>(self.part.bins, &points);
-            let Sides { is_inside_min, is_within_max } = match self.shaped {
+            let Sides { inside_min_bits, within_max_bits } = match self.shaped {
                 None => Sides {
-                    is_inside_min: V::bits(nearest.lt(V::splat(least))),
-                    is_within_max: !V::bits(V::splat(greatest).lt(nearest)),
+                    inside_min_bits: V::bits(nearest.lt(V::splat(nearest_allowed))),
+                    within_max_bits: !V::bits(V::splat(farthest_allowed).lt(nearest)),
                 },
                 Some(shaped) => shaped.sides::<V>(&near, &points, &limits),
             };
-            let mut distances = [0.0; LANES];
+            let mut distances = [0.0; GROUP_SIZE];
             nearest.store(&mut distances);
             for (lane, &position) in positions.iter().enumerate() {
                 if is_exempt(self.part, position) {
@@ -151,9 +158,9 @@ impl Kernel for PieceChecks<'_> {
                 checks.vertex_distance_min = checks.vertex_distance_min.min(distances[lane]);
                 checks.vertex_distance_max = checks.vertex_distance_max.max(distances[lane]);
                 let is_set = |bits: u8| bits >> lane & 1 == 1;
-                checks.vertices_inside_min += usize::from(is_set(is_inside_min));
-                checks.vertices_outside_max += usize::from(!is_set(is_within_max));
-                if is_set(is_inside_min | !is_within_max) {
+                checks.vertices_inside_min += usize::from(is_set(inside_min_bits));
+                checks.vertices_outside_max += usize::from(!is_set(within_max_bits));
+                if is_set(inside_min_bits | !within_max_bits) {
                     violations.extend(self.bound_violation(&near, first + lane, origin, points.point(lane)));
                 }
             }
@@ -231,10 +238,8 @@ impl NearLeaves {
                 continue;
             }
             let [x, y, z] = points.relative_to::<V>(step);
-            for particle in bins.in_leaf(leaf) {
-                let apart =
-                    [x.sub(V::splat(particle.x)), y.sub(V::splat(particle.y)), z.sub(V::splat(particle.z))];
-                nearest = length_squared(apart).min(nearest);
+            for &particle in bins.in_leaf(leaf) {
+                nearest = length_squared(from_particle([x, y, z], particle)).min(nearest);
             }
             farthest = greatest(nearest);
         }
@@ -254,7 +259,7 @@ pub(super) fn is_inside_one(
     let longest = shaped.map_or(1.0, ShapedParticles::longest);
     let mut near = NearLeaves::empty();
     near.find_around(bins, origin, &leaf_steps_within(radius * longest));
-    let points = PointGroup::new(point.to_array().map(|axis| [axis; LANES]));
+    let points = PointGroup::new(point.to_array().map(|axis| [axis; GROUP_SIZE]));
     dispatch(InsideOne { bins, shaped, near: &near, points: &points, radius })
 }
 
@@ -277,7 +282,7 @@ impl Kernel for InsideOne<'_> {
             None => V::bits(near.distances::<V>(bins, points).lt(V::splat(radius))),
             Some(shaped) => {
                 let limits = DistanceLimits { radii: [radius; 2], from_spheres: [0.0; 2] };
-                shaped.sides::<V>(near, points, &limits).is_inside_min
+                shaped.sides::<V>(near, points, &limits).inside_min_bits
             }
         };
         is_inside != 0

@@ -6,7 +6,7 @@
 use glam::{DMat3, DVec3, Vec3};
 
 use super::DistanceLimits;
-use super::distances::{CELL_MARGIN, NearLeaves, PointGroup, length_squared};
+use super::distances::{CELL_MARGIN, NearLeaves, PointGroup, from_particle, length_squared};
 use crate::surface::grid::SetBits;
 use crate::surface::particles::{Ellipsoid, Shapes};
 use crate::surface::rasterize::ParticleBins;
@@ -47,10 +47,10 @@ impl<'a> ShapedParticles<'a> {
         let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max] } = *limits;
         // Distances beyond these do not matter.
         let beyond = [from_max, from_min.max(0.0)];
-        let mut sides = Sides { is_inside_min: 0, is_within_max: 0 };
+        let mut sides = Sides { inside_min_bits: 0, within_max_bits: 0 };
         for &(step, leaf) in &near.leaves {
             // Once all points are within the outer spheres, only the inner ones matter.
-            let is_all_within = sides.is_within_max == u8::MAX;
+            let is_all_within = sides.within_max_bits == u8::MAX;
             let [radius, beyond_leaf] =
                 if is_all_within { [min, beyond[1]] } else { [max, beyond[0].max(beyond[1])] };
             let reach = self.longest[leaf] * radius + beyond_leaf;
@@ -62,22 +62,21 @@ impl<'a> ShapedParticles<'a> {
                 let longest = self.bins.shapes.outer_radius(index);
                 let reaches = [longest * max + beyond[0], longest * min + beyond[1]];
                 let [to_outer, to_inner] = reaches.map(|reach| V::splat(reach * reach));
-                let apart =
-                    [x.sub(V::splat(particle.x)), y.sub(V::splat(particle.y)), z.sub(V::splat(particle.z))];
-                let reach_squared = V::select(V::mask(sides.is_within_max), to_inner, to_outer);
+                let apart = from_particle([x, y, z], *particle);
+                let reach_squared = V::select(V::mask(sides.within_max_bits), to_inner, to_outer);
                 let is_reached = V::not(reach_squared.lt(length_squared(apart)));
                 if !V::any(is_reached) {
                     continue;
                 }
                 let [to_min, to_max] = distances_in_lanes(&self.bins.shapes, index, apart, [min, max]);
-                // Less than the next number: less or equal.
+                // At most `from_max`. A distance that is NaN is not within.
                 let is_within = to_max.lt(V::splat(from_max.next_up()));
-                sides.is_within_max |= V::bits(V::both(is_reached, is_within));
+                sides.within_max_bits |= V::bits(V::both(is_reached, is_within));
                 let is_inside = V::both(is_reached, to_min.lt(V::splat(from_min)));
-                for lane in SetBits(V::bits(is_inside) & !sides.is_inside_min) {
+                for lane in SetBits(V::bits(is_inside) & !sides.inside_min_bits) {
                     let apart = points.point(lane) - step - *particle;
                     if is_nearer(&self.bins.shapes, index, apart, (min, from_min)) {
-                        sides.is_inside_min |= 1 << lane;
+                        sides.inside_min_bits |= 1 << lane;
                     }
                 }
             }
@@ -88,8 +87,8 @@ impl<'a> ShapedParticles<'a> {
 
 /// For each point, on which side of the inner and outer surfaces it is: bit k for point k.
 pub(super) struct Sides {
-    pub(super) is_inside_min: u8,
-    pub(super) is_within_max: u8,
+    pub(super) inside_min_bits: u8,
+    pub(super) within_max_bits: u8,
 }
 
 /// Whether the signed distance from a point, relative to a particle's centre, to the particle's surface is
@@ -252,6 +251,7 @@ pub(super) fn distances_and_outward(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::surface::simd::{Kernel, SimdLevel, dispatch_at};
 
     /// An ellipsoid, its radius, and many points on its surface.
     fn rotated_ellipsoid() -> (Ellipsoid, f32, Vec<DVec3>) {
@@ -311,5 +311,38 @@ mod tests {
             assert!(f64::from(first_order) <= found + 1e-4, "{x}: {first_order} {found}");
         }
         assert_eq!(distance_to_ellipsoid(&ellipsoid, f64::from(radius), DVec3::new(1.0, 1.0, 0.5)), 0.0);
+    }
+
+    /// Vertices are checked with distances in lanes, and moved according to single distances.
+    #[test]
+    fn distances_in_lanes_equal_single_distances() {
+        struct InLanes<'a>(&'a Shapes, &'a [[f32; 8]; 3]);
+
+        impl Kernel for InLanes<'_> {
+            type Output = [[f32; 8]; 2];
+
+            #[inline(always)]
+            fn run<V: Lanes>(self) -> [[f32; 8]; 2] {
+                let apart = [V::load(&self.1[0]), V::load(&self.1[1]), V::load(&self.1[2])];
+                let mut rows = [[0.0; 8]; 2];
+                let distances = distances_in_lanes(self.0, 0, apart, [1.7, 3.4]);
+                distances.into_iter().zip(&mut rows).for_each(|(distances, row)| distances.store(row));
+                rows
+            }
+        }
+
+        let (ellipsoid, ..) = rotated_ellipsoid();
+        let wave = |scale: f32| std::array::from_fn(|k| (k as f32 * scale).sin() * 3.1);
+        let apart = [wave(0.7), wave(1.9), wave(2.3)];
+        for shapes in [Shapes::Uniform, Shapes::Scaled(vec![0.8]), Shapes::Ellipsoids(vec![ellipsoid])] {
+            for level in SimdLevel::ALL {
+                let found = dispatch_at(level, InLanes(&shapes, &apart));
+                for lane in 0..8 {
+                    let apart = Vec3::new(apart[0][lane], apart[1][lane], apart[2][lane]);
+                    let expected = distances(&shapes, 0, apart, [1.7, 3.4]).map(f32::to_bits);
+                    assert_eq!(found.map(|row| row[lane].to_bits()), expected, "{shapes:?}, {level:?}");
+                }
+            }
+        }
     }
 }
