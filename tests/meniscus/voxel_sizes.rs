@@ -258,3 +258,14 @@ fn only_small_voxels_tear_the_examples() {
         );
     }
 }
+
+#[test]
+fn ratio_that_suits_no_voxel_size_is_refused_with_its_limit() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("a.ply"), &block(6, 0.0));
+    let result = meniscus(path, &["convert", "a.ply", "--out", "out", "--radius-ratio", "1000"]);
+    let words = "the radius ratio is 1000; it must be at most 36.9";
+    assert!(result.status != 0 && result.err.contains(words), "{}{}", result.out, result.err);
+    assert!(!result.err.contains("voxel size of at least"), "{}", result.err);
+}

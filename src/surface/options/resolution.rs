@@ -121,6 +121,11 @@ pub(super) fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Resul
             (None, Unit::VoxelSize) => {
                 format!("{what}: choose a smaller ratio, or a larger voxel size with r_min in world units")
             }
+            // Without a given r_min, r_min is at least √3 voxels.
+            (None, Unit::Spacing) if ratio * 3f64.sqrt() > RADIUS_MAX_VOXELS => {
+                let most = (10.0 * RADIUS_MAX_VOXELS / 3f64.sqrt()).floor() / 10.0;
+                format!("{what}: the radius ratio is {ratio}; it must be at most {most}")
+            }
             (None, Unit::Spacing) => {
                 // Rounded up to two digits.
                 let least = radius_max / RADIUS_MAX_VOXELS;
