@@ -69,22 +69,15 @@
 /// The vector types in this crate's API.
 pub use glam;
 
-pub mod surface;
+pub use meniscus_render as render;
+pub use meniscus_surface as surface;
 
-#[cfg(feature = "render")]
-pub mod render;
-
-#[cfg(feature = "pipeline")]
 pub mod pipeline;
 
-#[cfg(feature = "pipeline")]
 pub mod farm;
 
-#[cfg(feature = "watch")]
 pub mod watch;
 
-#[cfg(feature = "http")]
 pub mod http;
 
-#[cfg(feature = "cli")]
 pub mod cli;

@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use meniscus::surface::{Reconstructor, RequestedParts, Settings};
+use meniscus::pipeline::requested_parts;
+use meniscus::surface::{Reconstructor, Settings};
 use pyo3::prelude::*;
 
 use crate::arrays::{Attributes, Given, Positions};
@@ -53,7 +54,7 @@ pub(crate) fn reconstruct(
         reconstructor.on_progress(move |progress| {
             let _ = advance.send(progress);
         });
-        let requested = RequestedParts::from(&prepared.parts);
+        let requested = requested_parts(&prepared.parts);
         // The positions are borrowed, so the clone copies nothing.
         let made = reconstructor.reconstruct_parts(positions.clone(), &attributes, requested);
         let (surface, settings) = made.map_err(Failure::Method)?;

@@ -133,7 +133,7 @@ pub(super) fn refuse_misplaced_rounds(args: &MethodArgs, inputs: &[PathBuf]) -> 
     let is_misplaced = |input: &&PathBuf| {
         input.to_str().is_some_and(|text| text.parse::<u32>().is_ok()) && input.symlink_metadata().is_err()
     };
-    if args.options.smooth_normals.is_some()
+    if args.options.0.smooth_normals.is_some()
         && let Some(input) = inputs.iter().find(is_misplaced)
     {
         let number = input.display();

@@ -59,7 +59,7 @@ pub(super) fn refuse_options(method: &MethodArgs, reason: Use) -> Result<()> {
     };
     // Offsets in voxels or spacings cannot be resolved: the voxel size of a level set is known only when it
     // is read, and a level set has no particle spacing.
-    if method.options.offset.is_some_and(|offset| offset.unit != LengthUnit::World) {
+    if method.options.0.offset.is_some_and(|offset| offset.unit != LengthUnit::World) {
         bail!("--offset must be in world units for a level set in .vdb, such as --offset 0.01");
     }
     for (group, why) in [

@@ -237,7 +237,7 @@ impl Parameter {
     /// Sets the option to this value.
     fn put(&self, value: Length, options: &mut MethodOptions) {
         let is_set = options.set(self.option, &value.to_string());
-        debug_assert!(is_set.is_some(), "{} takes numbers", self.option);
+        debug_assert!(is_set.is_ok(), "{} takes numbers", self.option);
     }
 
     /// The units in which a value can be given. A voxel size cannot be given in voxels.

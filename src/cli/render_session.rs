@@ -21,7 +21,7 @@ use crate::surface::grid::{LeafMask, negative_masks};
 use crate::surface::options::{AttributeSelection, MethodOptions, Settings};
 use crate::surface::space::Lattice;
 
-use super::args::{FormatArgs, MethodArgs, PictureArgs};
+use super::args::{FormatArgs, MethodArgs, MethodOptionArgs, PictureArgs};
 use super::camera_file::camera_of_file;
 use super::choices::{ignored, obstacle_files};
 use super::console::Console;
@@ -98,7 +98,7 @@ impl<'a> RenderSession<'a> {
 
     /// Warns about options that have no effect on these formats.
     pub(super) fn warn_of_ignored(&self, written: &[OutputFormat], console: &Console) {
-        let options = self.options();
+        let options = MethodOptionArgs(self.options());
         let method = MethodArgs { options, ..self.method.clone() };
         for warning in ignored(&method, &FormatArgs::default(), written) {
             console.warning(warning);
@@ -204,7 +204,7 @@ impl<'a> RenderSession<'a> {
             RenderSource::LevelSet(level_set) => &level_set.warnings,
             RenderSource::Reconstructed(reconstructed) => &reconstructed.made.warnings,
         };
-        let is_requested = self.method.options.attributes.is_some();
+        let is_requested = self.method.options.0.attributes.is_some();
         let is_velocity =
             |warning: &Warning| matches!(warning, Warning::MissingAttribute { name, .. } if name == VELOCITY);
         for warning in warnings.iter().filter(|warning| is_requested || !is_velocity(warning)) {

@@ -399,7 +399,7 @@ impl SequenceEntry {
     fn settings(&self, pointer: &str) -> Result<Settings, PlanError> {
         let mut options = MethodOptions::default();
         for (name, value) in &self.settings {
-            options.set(name, value).ok_or_else(|| {
+            options.set(name, value).map_err(|_| {
                 let pointer = format!("{pointer}/settings/{}", escaped(name));
                 let message = match (MethodOptions::info(name), MethodOptions::range(name)) {
                     (None, _) => "unknown setting".to_owned(),

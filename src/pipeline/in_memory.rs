@@ -184,10 +184,10 @@ pub fn in_memory_parts(outputs: &OutputOptions) -> (Vec<PositionFormat>, Option<
 
 /// Converts the result of [`in_memory_parts`] to the argument of
 /// [`Reconstructor::reconstruct_parts`](crate::surface::Reconstructor::reconstruct_parts).
-impl<'a> From<&'a (Vec<PositionFormat>, Option<f32>)> for RequestedParts<'a> {
-    fn from((stored, band_half_width_voxels): &'a (Vec<PositionFormat>, Option<f32>)) -> RequestedParts<'a> {
-        RequestedParts { stored, band_half_width_voxels: *band_half_width_voxels, allows_empty: true }
-    }
+pub fn requested_parts(
+    (stored, band_half_width_voxels): &(Vec<PositionFormat>, Option<f32>),
+) -> RequestedParts<'_> {
+    RequestedParts { stored, band_half_width_voxels: *band_half_width_voxels, allows_empty: true }
 }
 
 /// The attributes that these options need, with warnings. `headers` are attributes without their values, and

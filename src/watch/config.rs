@@ -87,8 +87,7 @@ pub fn names_level_sets(pattern: Option<&str>) -> bool {
 }
 
 /// Which of the waiting frames is converted next.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Order {
     /// By name, in natural order: frame.2 before frame.10
     Natural,
@@ -135,7 +134,7 @@ mod by_name {
         let pairs = BTreeMap::<String, String>::deserialize(from)?;
         let mut options = MethodOptions::default();
         for (name, value) in &pairs {
-            options.set(name, value).ok_or_else(|| {
+            options.set(name, value).map_err(|_| {
                 D::Error::custom(format!("unknown option or invalid value: {name} = {value}"))
             })?;
         }

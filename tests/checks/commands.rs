@@ -27,7 +27,7 @@ use meniscus::surface::reconstruction::reconstruct_frame;
 use meniscus_formats::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values, bgeo, vdb};
 use tempfile::{TempDir, tempdir};
 
-use crate::scene::{block, meniscus, write_ply};
+use crate::program::scene::{block, meniscus, write_ply};
 
 /// The pages whose commands run here, each in a separate folder, from top to bottom.
 const PAGES: [(&str, &str); 9] = [

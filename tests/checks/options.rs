@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use tempfile::tempdir;
 
-use crate::scene::meniscus;
+use crate::program::scene::meniscus;
 
 #[test]
 fn help_has_every_key_of_the_file() {

@@ -6,7 +6,7 @@ use std::fs;
 use serde_json::Value;
 use tempfile::tempdir;
 
-use crate::scene::{block, meniscus};
+use crate::program::scene::{block, meniscus};
 
 /// Every possible field of a report is in the docs, and no line of the docs starts with an unknown field.
 #[test]

@@ -5,7 +5,7 @@ use std::thread;
 
 use rustix::process::Signal;
 
-use crate::scene::{Line, NO_SCANS, Scene, Watching, by_length, csv, names_in, ply};
+use crate::daemon::scene::{Line, NO_SCANS, Scene, Watching, by_length, csv, names_in, ply};
 
 /// Settings with which a frame of few particles takes little time. Only `watch` has the last two options.
 const CHEAP: [&str; 12] = [

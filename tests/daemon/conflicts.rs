@@ -1,6 +1,6 @@
 //! Outputs whose names collide with other files: the daemon's own, the user's, and those of another daemon.
 
-use crate::scene::{Line, NO_SCANS, Scene, csv, log_text, moving, names_in, ply};
+use crate::daemon::scene::{Line, NO_SCANS, Scene, csv, log_text, moving, names_in, ply};
 
 const QUICK: [&str; 4] = ["--settle", "20ms", "--settle-unverifiable", "50ms"];
 
@@ -204,7 +204,7 @@ fn second_daemon_with_the_same_output_folder_is_refused() {
     assert!(
         second.log.iter().any(|line| line.message.contains(&named)),
         "{}",
-        crate::scene::log_text(&second.log)
+        crate::daemon::scene::log_text(&second.log)
     );
     // The first daemon is unaffected. When it has ended, normally or not, another one may start.
     scene.put_moving([2]);

@@ -7,7 +7,7 @@ use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustix::process::geteuid;
 use serde_json::Value;
 
-use crate::scene::{Line, NO_SCANS, Scene, log_text, moving, names_in, ply};
+use crate::daemon::scene::{Line, NO_SCANS, Scene, log_text, moving, names_in, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 const QUICK: [&str; 4] = ["--settle", "50ms", "--stalled", "300ms"];

@@ -12,7 +12,7 @@ use std::time::Duration;
 use meniscus_formats::OutputFormat;
 use meniscus_formats::is_complete;
 
-use crate::scene::{Scene, by_length, moving, ply, text_ply};
+use crate::daemon::scene::{Scene, by_length, moving, ply, text_ply};
 
 const FORMATS: [&str; 2] = ["--format", "glb,vdb,obj,ply"];
 

@@ -7,7 +7,7 @@ use std::os::unix::fs::symlink;
 use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustix::process::Signal;
 
-use crate::scene::{Line, NO_SCANS, Scene, moving, names_in, ply};
+use crate::daemon::scene::{Line, NO_SCANS, Scene, moving, names_in, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 const QUICK: [&str; 2] = ["--settle", "20ms"];
@@ -123,7 +123,7 @@ fn output_subfolder_that_is_a_link_is_not_written_through() {
     once.assert_status(1);
     let failures = once.log.iter().filter(|line| line.level == "ERROR");
     let is_report = |line: &&Line| line.message.contains("out/shot is a symbolic link");
-    assert_eq!(failures.filter(is_report).count(), 2, "{}", crate::scene::log_text(&once.log));
+    assert_eq!(failures.filter(is_report).count(), 2, "{}", crate::daemon::scene::log_text(&once.log));
     assert_eq!(names_in(&scene.path("home")), ["deep"]);
     assert!(names_in(&scene.path("home/deep")).is_empty());
     assert_eq!(names_in(&scene.path("out/other")), ["dam.1.obj", "dam.1.vdb"]);

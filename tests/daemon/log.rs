@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde_json::Value;
 
-use crate::scene::{NO_SCANS, Scene, Watching, await_that, moving, ply};
+use crate::daemon::scene::{NO_SCANS, Scene, Watching, await_that, moving, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj"];
 
@@ -141,5 +141,5 @@ fn log_has_a_line_for_every_frame() {
     assert_eq!(outputs, [scene.path("out/dam.1.obj")]);
     assert_eq!(daemon.lines(|line| line.level == "ERROR" && line.fields["state"] == "failed").len(), 1);
     let log = daemon.finish();
-    assert!(log.iter().all(|line| line.fields.is_object()), "{}", crate::scene::log_text(&log));
+    assert!(log.iter().all(|line| line.fields.is_object()), "{}", crate::daemon::scene::log_text(&log));
 }

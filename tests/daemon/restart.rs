@@ -3,7 +3,7 @@
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 
-use crate::scene::{Once, Scene, moving, names_in, ply};
+use crate::daemon::scene::{Once, Scene, moving, names_in, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 
@@ -136,7 +136,7 @@ fn refused_frame_is_converted_when_the_conflict_is_gone() {
     let scene = Scene::new();
     scene.put_moving([1]);
     scene.once(&["--settle", "10ms"]).assert_status(0);
-    scene.write("in/dam.1.csv", crate::scene::csv(&moving(3)));
+    scene.write("in/dam.1.csv", crate::daemon::scene::csv(&moving(3)));
     let arguments = ["--settle", "10ms", "--settle-unverifiable", "20ms"];
     scene.once(&arguments).assert_status(1);
     scene.remove("in/dam.1.ply");

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::thread;
 use std::time::{Duration, SystemTime};
 
-use crate::scene::{
+use crate::daemon::scene::{
     Line, NO_SCANS, Scene, Watching, await_that, block, by_length, log_text, moving, ply, text_ply,
 };
 
@@ -186,7 +186,7 @@ fn frame_overwritten_while_it_is_read_is_read_again() {
     let is_as_expected = || fs::read(scene.path("out/dam.1.obj")).is_ok_and(|bytes| bytes == expected);
     await_that("the last version is converted", is_as_expected);
     let log = daemon.finish();
-    assert!(log.iter().all(|line| line.level != "ERROR"), "{}", crate::scene::log_text(&log));
+    assert!(log.iter().all(|line| line.level != "ERROR"), "{}", crate::daemon::scene::log_text(&log));
     // Another run does not change the outputs.
     let once = scene.once(&[&["--settle", "1ms"], &arguments[..]].concat());
     once.assert_status(0);

@@ -1,6 +1,6 @@
 //! Sentinel files, which mark a frame as complete.
 
-use crate::scene::{Line, NO_SCANS, Scene, csv, moving, ply};
+use crate::daemon::scene::{Line, NO_SCANS, Scene, csv, moving, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj"];
 
@@ -68,14 +68,18 @@ fn once_skips_frames_without_their_sentinel() {
     let arguments = [&["--settle", "10ms", "--sentinel", "{name}.ok"], &FORMATS[..]].concat();
     let once = scene.once(&arguments);
     once.assert_status(2);
-    assert!(once.log.iter().all(|line| line.level != "ERROR"), "{}", crate::scene::log_text(&once.log));
+    assert!(
+        once.log.iter().all(|line| line.level != "ERROR"),
+        "{}",
+        crate::daemon::scene::log_text(&once.log)
+    );
     scene.remove("in/dam.2.ply.ok");
     scene.write("in/dam.1.ply.ok", "");
     let once = scene.once(&arguments);
     assert_eq!(once.converted(), ["dam.1.ply"]);
     once.assert_status(1);
     let named = |line: &Line| line.is_about("dam.2.ply") && line.message.contains("dam.2.ply.ok");
-    assert!(once.log.iter().any(named), "{}", crate::scene::log_text(&once.log));
+    assert!(once.log.iter().any(named), "{}", crate::daemon::scene::log_text(&once.log));
     scene.write("in/dam.2.ply.ok", "");
     let once = scene.once(&arguments);
     assert_eq!(once.converted(), ["dam.2.ply"]);

@@ -3,7 +3,7 @@
 use std::fs::{FileTimes, OpenOptions};
 use std::time::{Duration, SystemTime};
 
-use crate::scene::{Line, NO_SCANS, Once, Scene, block, contents, ply};
+use crate::daemon::scene::{Line, NO_SCANS, Once, Scene, block, contents, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 const QUICK: [&str; 2] = ["--settle", "50ms"];

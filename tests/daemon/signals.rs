@@ -4,9 +4,9 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 
-use crate::http::get;
-use crate::log::status;
-use crate::scene::{
+use crate::daemon::http::get;
+use crate::daemon::log::status;
+use crate::daemon::scene::{
     Line, NO_SCANS, Scene, WINDOW, Watching, await_that, block, contents, moving, names_in, ply,
 };
 
@@ -61,7 +61,7 @@ fn name(line: &Line) -> String {
 /// Waits until the only frame of a daemon with an HTTP server is in the pipeline.
 fn await_in_flight(daemon: &Watching) {
     let address = daemon.window_address();
-    crate::scene::await_that("the frame is in flight", || {
+    crate::daemon::scene::await_that("the frame is in flight", || {
         get(&address, "/api/status").json()["frames"]["working"] == 1
     });
 }

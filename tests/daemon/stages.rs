@@ -6,7 +6,7 @@ use std::io::Write;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
-use crate::scene::{Scene, await_that, block, log_text, moving, ply};
+use crate::daemon::scene::{Scene, await_that, block, log_text, moving, ply};
 
 const FORMATS: [&str; 4] = ["--format", "usdc,vdb", "--stage", "dam.usda"];
 

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::fs::OpenOptions;
 use std::io::Write;
 
-use crate::scene::{Line, NO_SCANS, Scene, await_that, moving, names_in, ply};
+use crate::daemon::scene::{Line, NO_SCANS, Scene, await_that, moving, names_in, ply};
 
 const ARGUMENTS: [&str; 8] =
     ["--format", "obj", "--settle", "100ms", "--preset", "paper", "--voxel-size", "0.06"];

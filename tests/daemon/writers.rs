@@ -4,7 +4,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::Write;
 use std::os::unix::fs::symlink;
 
-use crate::scene::{Line, NO_SCANS, Scene, Watching, block, csv, moving, names_in, ply, text_ply};
+use crate::daemon::scene::{Line, NO_SCANS, Scene, Watching, block, csv, moving, names_in, ply, text_ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 

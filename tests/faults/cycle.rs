@@ -6,7 +6,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use crate::scene::{
+use crate::faults::scene::{
     CHEAP, FORMATS, FRAME_COUNT, FaultKind, Faults, Files, PLAN, Random, References, RunResult, Scene,
     Version, files_in, print_line, stem,
 };

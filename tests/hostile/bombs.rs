@@ -5,7 +5,7 @@ use std::io::Write;
 use flate2::Compression;
 use flate2::write::{DeflateEncoder, GzEncoder, ZlibEncoder};
 
-use crate::scene::{Scene, is_long, ply_header};
+use crate::hostile::scene::{Scene, is_long, ply_header};
 
 /// Number of bytes of a piece. All pieces together have 10 GiB, or a tenth of that in the short form.
 const PIECE_BYTES: usize = 64 << 20;

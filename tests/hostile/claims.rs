@@ -4,8 +4,8 @@
 
 use std::fmt::Write;
 
-use crate::bombs::archive;
-use crate::scene::{Scene, is_long, ply_header};
+use crate::hostile::bombs::archive;
+use crate::hostile::scene::{Scene, is_long, ply_header};
 
 /// The length of sparse files.
 fn hole_bytes() -> u64 {

@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::process::Command;
 use std::time::{Duration, SystemTime};
 
-use crate::scene::{RunResult, Scene, block_ply, print_line};
+use crate::hostile::scene::{RunResult, Scene, block_ply, print_line};
 
 const YEAR: Duration = Duration::from_secs(365 * 24 * 3600);
 

@@ -1,7 +1,7 @@
 //! Small .vdb files whose nodes are full of tiles: the memory must stay within `--memory`.
 
-use crate::scene::{Scene, print_line};
-use crate::vdb_file::{grid_head, vdb_file};
+use crate::hostile::scene::{Scene, print_line};
+use crate::program::vdb_file::{grid_head, vdb_file};
 
 const VOXEL_SIZE: f64 = 0.1;
 const BACKGROUND: f32 = 0.3;
@@ -34,7 +34,7 @@ fn tiles(node_count: i32, value: impl Fn([usize; 3]) -> f32) -> Vec<u8> {
 }
 
 /// Converts a level set, or particles around it, with this memory limit.
-fn convert(scene: &Scene, is_obstacle: bool, memory: &str) -> crate::scene::RunResult {
+fn convert(scene: &Scene, is_obstacle: bool, memory: &str) -> crate::hostile::scene::RunResult {
     let common = ["convert", "--out", "out", "--format", "obj", "--memory", memory];
     let inputs: &[&str] = match is_obstacle {
         true => &["in/dam.1.ply", "--voxel-size", "0.1", "--obstacle", "grid.vdb"],

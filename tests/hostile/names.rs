@@ -10,7 +10,7 @@ use std::process::{Command, Stdio};
 
 use serde_json::Value;
 
-use crate::scene::{Scene, block_ply};
+use crate::hostile::scene::{Scene, block_ply};
 
 /// A name in Latin 1, as on old disks. In messages, the names of the two frames look the same.
 const FOLDER: &[u8] = b"caf\xe9";

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use meniscus_formats::LevelSetView;
 use meniscus_formats::vdb::{WriteOptions, write};
 
-use crate::scene::{Scene, print_line};
+use crate::hostile::scene::{Scene, print_line};
 
 /// Number of steps: enough to measure the memory per step.
 const STEPS: usize = 20_000;

@@ -4,7 +4,7 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::process::Command;
 
-use crate::scene::{RunResult, Scene, print_line};
+use crate::hostile::scene::{RunResult, Scene, print_line};
 
 fn add_loops(scene: &Scene) {
     fs::create_dir_all(scene.path("in/a/b")).expect("made");

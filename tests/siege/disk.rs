@@ -12,8 +12,8 @@ use std::path::{Path, PathBuf};
 
 use tempfile::{TempDir, tempdir};
 
-use crate::mounts::{mount_tmpfs, with_own_mounts};
-use crate::scene::{
+use crate::siege::mounts::{mount_tmpfs, with_own_mounts};
+use crate::siege::scene::{
     Daemon, assert_counts, assert_same_output, assert_same_outputs, assert_state, convert, frame_names,
     is_long, land_sequence, names_in, status,
 };

@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 
 use tempfile::tempdir;
 
-use crate::fuse::Mount;
-use crate::mounts::with_own_mounts;
-use crate::scene::{Daemon, block_ply, frame_names, land, land_sequence, message, print_line};
+use crate::siege::fuse::Mount;
+use crate::siege::mounts::with_own_mounts;
+use crate::siege::scene::{Daemon, block_ply, frame_names, land, land_sequence, message, print_line};
 
 /// Two folders. The first is on a file system without events, so the daemon scans it often; the daemon
 /// receives events for the second.

@@ -8,7 +8,7 @@ use std::path::Path;
 use serde_json::Value;
 use tempfile::tempdir;
 
-use crate::scene::{
+use crate::siege::scene::{
     Daemon, assert_same_outputs, block_ply, box_ply, convert, frame_name, frame_names, is_long, land,
     memory_bytes, meniscus, message, names_in, print_line, stage_seconds,
 };

@@ -8,7 +8,7 @@ use std::env;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::scene::print_line;
+use crate::siege::scene::print_line;
 
 /// Set in the child process.
 const INSIDE: &str = "MENISCUS_SIEGE_OWN_MOUNTS";

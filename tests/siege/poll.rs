@@ -4,7 +4,7 @@ use std::fs;
 
 use tempfile::tempdir;
 
-use crate::scene::{Daemon, frame_names, land_sequence, names_in};
+use crate::siege::scene::{Daemon, frame_names, land_sequence, names_in};
 
 /// The number of folders for which the daemon has requested events.
 fn watched_folder_count(daemon: &Daemon) -> usize {

@@ -9,8 +9,8 @@ use std::path::Path;
 
 use tempfile::{TempDir, tempdir};
 
-use crate::mounts::{mount_bind, unmount, with_own_mounts};
-use crate::scene::{
+use crate::siege::mounts::{mount_bind, unmount, with_own_mounts};
+use crate::siege::scene::{
     Daemon, assert_counts, assert_same_outputs, assert_status, convert, frame_names, land_sequence, names_in,
 };
 

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use tempfile::{TempDir, tempdir};
 
-use crate::scene::{Daemon, block_ply, frame_names, is_long, land, memory_bytes, print_line};
+use crate::siege::scene::{Daemon, block_ply, frame_names, is_long, land, memory_bytes, print_line};
 
 fn frame_count() -> usize {
     if is_long() { 50_000 } else { 2_000 }

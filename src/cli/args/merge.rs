@@ -1,8 +1,6 @@
 //! Operations on every struct of options: list the options that are given, and merge the options of the
 //! command line with those of a file.
 
-use crate::surface::options::MethodOptions;
-
 /// Options that may be absent.
 pub(in crate::cli) trait OptionSet: Sized {
     /// These options, and those of `below` where `self` has none.
@@ -47,16 +45,6 @@ impl OptionSet for bool {
 
     fn add_given(&self, name: &'static str, given: &mut Vec<&'static str>) {
         given.extend(self.then_some(name));
-    }
-}
-
-impl OptionSet for MethodOptions {
-    fn over(self, below: Self) -> Self {
-        MethodOptions::over(self, below)
-    }
-
-    fn add_given(&self, _: &'static str, given: &mut Vec<&'static str>) {
-        given.extend(self.to_pairs().iter().map(|(name, _)| *name));
     }
 }
 

@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::merge::option_set;
+use super::method_options::MethodOptionArgs;
 use crate::surface::options::{Length, MethodOptions, OptionGroup};
 
 option_set! {
@@ -19,7 +20,7 @@ option_set! {
         pub(in crate::cli) particle_radius: Option<f64>,
 
         #[command(flatten)]
-        pub(in crate::cli) options: MethodOptions,
+        pub(in crate::cli) options: MethodOptionArgs,
 
         /// Obstacles that the surface must not enter: .obj, .glb, .gltf, .ply, .stl, .vtk, .vtp, .vtu, .usdc,
         /// .abc, or a .vdb level set; may be repeated
@@ -34,7 +35,8 @@ option_set! {
 impl MethodArgs {
     /// The reconstruction options. If only `--particle-radius` is given, `spacing` is twice its value.
     pub(in crate::cli) fn to_options(&self) -> MethodOptions {
-        let spacing = self.options.spacing.or(self.particle_radius.map(|radius| 2.0 * radius));
-        MethodOptions { spacing, ..self.options.clone() }
+        let MethodOptionArgs(options) = &self.options;
+        let spacing = options.spacing.or(self.particle_radius.map(|radius| 2.0 * radius));
+        MethodOptions { spacing, ..options.clone() }
     }
 }

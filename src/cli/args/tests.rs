@@ -6,7 +6,7 @@ use std::fmt::Write;
 use clap::{Arg, CommandFactory};
 
 use super::*;
-use crate::surface::options::{Length, MethodOptions, ValueKind};
+use crate::surface::options::{MethodOptions, ValueKind};
 
 /// The page with the generated tables: `MENISCUS_WRITE_DOCS=1 cargo test --lib cli::args` updates them.
 const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/options.md");
@@ -20,9 +20,13 @@ fn options_of_convert() -> Vec<Arg> {
 
 /// The range of a number, as its help states it.
 fn stated_range(option: &Arg) -> Option<String> {
-    let type_id = option.get_value_parser().type_id();
-    let numbers = [TypeId::of::<f64>(), TypeId::of::<u16>(), TypeId::of::<Length>()];
-    let help = option.get_help().filter(|_| numbers.iter().any(|number| type_id == *number))?.to_string();
+    let is_number = match MethodOptions::info(option.get_id().as_str()) {
+        Some(info) => matches!(info.kind, ValueKind::Number | ValueKind::Length),
+        None => [TypeId::of::<f64>(), TypeId::of::<u16>()]
+            .iter()
+            .any(|number| option.get_value_parser().type_id() == *number),
+    };
+    let help = option.get_help().filter(|_| is_number)?.to_string();
     let phrases = ["-r_min to 2 h", "r_min to r_max", "at least 1", "positive"];
     let phrase = phrases.into_iter().find(|phrase| help.contains(phrase)).map(str::to_owned);
     phrase.or_else(|| {

@@ -174,7 +174,7 @@ impl FrameArgs {
     pub(in crate::cli) fn over_file(&self, file: &FrameArgs) -> FrameArgs {
         let mut file = file.clone();
         if self.method.to_options().spacing.is_some() {
-            (file.method.particle_radius, file.method.options.spacing) = (None, None);
+            (file.method.particle_radius, file.method.options.0.spacing) = (None, None);
         }
         self.clone().over(file)
     }

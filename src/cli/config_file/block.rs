@@ -21,7 +21,7 @@ use super::option_keys::{command, has_former_key, is_list, key_of};
 use super::{current_key, keys_of};
 use crate::cli::args::Cli;
 use crate::cli::wording::option_name;
-use crate::surface::options::Length;
+use crate::surface::options::{MethodOptions, ValueKind};
 use crate::watch::Poll;
 
 /// The path and the text of a configuration file.
@@ -185,9 +185,10 @@ impl<'a> ConfigTable<'a> {
         value: ConfigValue<'a>,
         (verb, wanted): (&str, &str),
     ) -> Result<OsString> {
-        let is_switch = is::<bool>(option);
-        let is_length = is::<Length>(option);
-        let is_number = is_length || is::<f64>(option) || is::<u32>(option) || is::<u16>(option);
+        let kind = kind_of(option);
+        let is_switch = kind == Some(ValueKind::Switch);
+        let is_length = kind == Some(ValueKind::Length);
+        let is_number = is_length || matches!(kind, Some(ValueKind::Number | ValueKind::Count));
         let text = match value.get_ref() {
             DeValue::Boolean(switch) if is_switch => Some(switch.to_string()),
             DeValue::Float(number) if is_number => Some(number.as_str().to_owned()),
@@ -236,22 +237,34 @@ fn is<T: 'static>(option: &Arg) -> bool {
     option.get_value_parser().type_id() == TypeId::of::<T>()
 }
 
+/// The kind of the values of an option: that of the method's options by their description, and that of
+/// others by their type; `None` for paths, durations and sizes.
+fn kind_of(option: &Arg) -> Option<ValueKind> {
+    if let Some(info) = MethodOptions::info(option.get_id().as_str()) {
+        return Some(info.kind);
+    }
+    match () {
+        () if is::<bool>(option) => Some(ValueKind::Switch),
+        () if is::<f64>(option) => Some(ValueKind::Number),
+        () if is::<u32>(option) || is::<u16>(option) => Some(ValueKind::Count),
+        () => None,
+    }
+}
+
 /// The kind of value that an option needs in the file, as text for messages.
 fn wanted(option: &Arg) -> String {
     let words = option.get_possible_values();
     let words: Vec<String> = words.iter().map(|word| format!("\"{}\"", word.get_name())).collect();
-    let wanted = match () {
-        () if is::<bool>(option) => "true or false",
-        () if !words.is_empty() => return format!("one of {}", words.join(", ")),
-        () if is::<Length>(option) => {
-            "a number in world units, or text in quotes with a unit, such as \"0.6d\""
-        }
-        () if is::<f64>(option) => "a number",
-        () if is::<u32>(option) || is::<u16>(option) => "a whole number",
-        () if is::<u64>(option) => "bytes, or text in quotes, with a unit, such as \"8GiB\"",
-        () if is::<Duration>(option) || is::<Poll>(option) => "text in quotes, with a unit, such as \"2s\"",
-        () if is_path(option) => "a path in quotes",
-        () => "text in quotes",
+    let wanted = match kind_of(option) {
+        Some(ValueKind::Switch) => "true or false",
+        _ if !words.is_empty() => return format!("one of {}", words.join(", ")),
+        Some(ValueKind::Length) => "a number in world units, or text in quotes with a unit, such as \"0.6d\"",
+        Some(ValueKind::Number) => "a number",
+        Some(ValueKind::Count) => "a whole number",
+        _ if is::<u64>(option) => "bytes, or text in quotes, with a unit, such as \"8GiB\"",
+        _ if is::<Duration>(option) || is::<Poll>(option) => "text in quotes, with a unit, such as \"2s\"",
+        _ if is_path(option) => "a path in quotes",
+        _ => "text in quotes",
     };
     wanted.to_owned()
 }

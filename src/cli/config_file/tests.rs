@@ -39,9 +39,9 @@ fn keys_of_blocks_become_options() {
     assert_eq!((&*first.input, first.output.as_deref()), (Path::new("farm/a"), Some(Path::new("/out"))));
     assert_eq!((&*second.input, second.output.as_deref()), (Path::new("farm/b"), None));
     assert_eq!(first.frames.formats.format, Some(vec![OutputFormat::Glb, OutputFormat::Ply]));
-    assert_eq!(first.frames.method.options.contour, Some(Contouring::Tetrahedra));
+    assert_eq!(first.frames.method.options.0.contour, Some(Contouring::Tetrahedra));
     assert_eq!(
-        (first.frames.method.options.voxel_size, first.frames.method.options.steps),
+        (first.frames.method.options.0.voxel_size, first.frames.method.options.0.steps),
         (Some(1.0.into()), Some(10))
     );
     let formats = FormatArgs { up: Some(meniscus_formats::UpAxis::Z), ..FormatArgs::default() };

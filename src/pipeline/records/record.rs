@@ -407,15 +407,13 @@ impl CertificateRecord {
     /// # Errors
     /// When `holds` contradicts the counts, or other fields contradict each other.
     pub(crate) fn fault(&self) -> Result<Option<String>, String> {
-        let certificate = Certificate {
-            bound_violation_count: self.bound_violations,
-            vertices_inside_min: self.vertices_inside_min,
-            vertices_outside_max: self.vertices_outside_max,
-            particles_outside: self.particles_outside,
-            may_leave_particles_outside: self.particles_may_be_outside,
-            mesh_is_closed_manifold: self.closed_manifold,
-            ..Certificate::default()
-        };
+        let mut certificate = Certificate::default();
+        certificate.bound_violation_count = self.bound_violations;
+        certificate.vertices_inside_min = self.vertices_inside_min;
+        certificate.vertices_outside_max = self.vertices_outside_max;
+        certificate.particles_outside = self.particles_outside;
+        certificate.may_leave_particles_outside = self.particles_may_be_outside;
+        certificate.mesh_is_closed_manifold = self.closed_manifold;
         let fault = certificate.violations();
         if (self.positions == CheckedPositions::Smoothed) != self.given_outside.is_some() {
             return Err("given_outside must be present exactly if positions is \"smoothed\"".to_owned());

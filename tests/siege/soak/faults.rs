@@ -7,7 +7,7 @@ use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-use crate::scene::Daemon;
+use crate::siege::scene::Daemon;
 
 use super::producer::Producer;
 

@@ -11,7 +11,7 @@ use meniscus_formats::{Limits, read_particles};
 use meniscus_formats::{OutputFormat, read_provenance};
 use twox_hash::XxHash3_128;
 
-use crate::scene::{Daemon, meniscus, status};
+use crate::siege::scene::{Daemon, meniscus, status};
 
 /// Time limit of a wait: an event that has not happened by then will not happen.
 const TIMEOUT: Duration = Duration::from_secs(180);

@@ -32,8 +32,8 @@ use std::time::{Duration, Instant};
 
 use tempfile::{TempDir, tempdir};
 
-use crate::mounts::{mount_tmpfs, with_own_mounts};
-use crate::scene::{Daemon, assert_same_output, meniscus, message, names_in, print_line, status};
+use crate::siege::mounts::{mount_tmpfs, with_own_mounts};
+use crate::siege::scene::{Daemon, assert_same_output, meniscus, message, names_in, print_line, status};
 
 use faults::{Fault, write_config};
 use producer::Producer;

@@ -10,7 +10,7 @@ use std::time::{Duration, SystemTime};
 
 use meniscus_formats::{Limits, read_particles};
 
-use crate::scene::box_ply;
+use crate::siege::scene::box_ply;
 
 use super::random::Random;
 

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use crate::scene::memory_bytes;
+use crate::siege::scene::memory_bytes;
 
 /// The resources of one process at one moment.
 #[derive(Clone, Debug)]

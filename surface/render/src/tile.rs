@@ -1,0 +1,356 @@
+//! A tile of a picture, with a border. The border contains the pixels outside of the tile that its own pixels
+//! are compared with, or whose light is interpolated.
+
+use glam::{DVec2, DVec3, Vec3};
+
+use super::light::{Light, Lighting};
+use super::surface::{RaySurface, Stencil};
+use super::walk::Ray;
+use super::{FAR, Layers, PictureData, View};
+use meniscus_surface::space::Lattice;
+
+/// Edge of a tile, pixels.
+pub(super) const TILE_EDGE: usize = 64;
+
+/// Border of a tile, pixels: wide enough to contain the nearest points with computed light outside the tile.
+const BORDER: usize = 4;
+
+const TRACED_EDGE: usize = TILE_EDGE + 2 * BORDER;
+
+/// Distance between points with computed light, pixels.
+const LIGHT_STEP: usize = 4;
+
+const LIGHT_EDGE: usize = TRACED_EDGE / LIGHT_STEP;
+
+/// Traces rays through pixels. Lengths are in voxels.
+pub(super) struct Tracer<'a> {
+    surface: &'a RaySurface<'a>,
+    view: &'a View,
+    voxel_size: f64,
+    /// The position of the camera, in voxels.
+    eye: DVec3,
+}
+
+/// The result of a ray.
+#[derive(Clone, Copy, Debug)]
+struct RayHit {
+    what: HitKind,
+    /// Distance from the camera, in voxels.
+    t: f64,
+    /// Position, in voxels.
+    position: DVec3,
+    normal: Vec3,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum HitKind {
+    Nothing,
+    Ground,
+    Outside,
+    Inside,
+}
+
+impl<'a> Tracer<'a> {
+    pub(super) fn new(surface: &'a RaySurface<'a>, lattice: &Lattice, view: &'a View) -> Tracer<'a> {
+        let voxel_size = lattice.voxel_size;
+        Tracer { surface, view, voxel_size, eye: view.camera.eye / voxel_size }
+    }
+
+    /// The ray through a point of the picture, in pixels from its upper left corner.
+    fn ray(&self, point: DVec2) -> Ray {
+        let [width, height] = self.view.size.map(|size| size as f64);
+        let direction = DVec2::new(2.0 * point.x - width, height - 2.0 * point.y) / height;
+        Ray::new(self.eye, self.view.camera.direction(direction))
+    }
+
+    /// The edge of a pixel at this distance, in voxels.
+    fn pixel_edge(&self, t: f64) -> f64 {
+        2.0 * self.view.camera.tan_half_view * t / self.view.size[1] as f64
+    }
+
+    fn trace(&self, point: DVec2) -> (RayHit, Option<Stencil>) {
+        let ray = self.ray(point);
+        // The ground only receives shadows. It hides nothing, because fluid may be below it, or rest on it
+        // without a gap.
+        if let Some(hit) = self.surface.intersect(&ray, [0.0, f64::INFINITY]) {
+            let around = self.surface.around(&ray, &hit);
+            let outward = around.gradient().normalize_or(-ray.direction.as_vec3());
+            let (what, normal) =
+                if hit.is_front { (HitKind::Outside, outward) } else { (HitKind::Inside, -outward) };
+            return (RayHit { what, t: hit.t, position: ray.at(hit.t), normal }, Some(around));
+        }
+        let up = self.view.up.direction().as_vec3();
+        let seen = match self.ground_at(&ray) {
+            Some(t) => RayHit { what: HitKind::Ground, t, position: ray.at(t), normal: up },
+            None => {
+                RayHit { what: HitKind::Nothing, t: f64::INFINITY, position: DVec3::INFINITY, normal: up }
+            }
+        };
+        (seen, None)
+    }
+
+    /// Where a ray hits the ground from above.
+    fn ground_at(&self, ray: &Ray) -> Option<f64> {
+        let up = self.view.up.direction();
+        let above = ray.origin.dot(up) - self.view.ground? / self.voxel_size;
+        let descent = -ray.direction.dot(up);
+        (above > 0.0 && descent > 1e-6).then(|| above / descent)
+    }
+}
+
+/// The rays of a tile's pixels and its border.
+pub(super) struct PixelTile<'a> {
+    tracer: &'a Tracer<'a>,
+    lighting: &'a Lighting<'a>,
+    /// The first pixel, including the border. It may be outside of the picture.
+    first: [isize; 2],
+    seen: Vec<RayHit>,
+    arounds: Vec<Option<Stencil>>,
+    /// The light at one pixel of every `LIGHT_STEP` × `LIGHT_STEP`; `None` if its ray hit nothing.
+    lights: Vec<Option<Light>>,
+}
+
+/// A finished tile: the values of its pixels, row by row.
+pub(super) struct FinishedTile {
+    pub(super) color: Vec<[f32; 3]>,
+    pub(super) coverage: Vec<f32>,
+    pub(super) data: Option<PictureData>,
+}
+
+impl<'a> PixelTile<'a> {
+    /// The tile whose first pixel is `first_pixel`.
+    pub(super) fn new(
+        tracer: &'a Tracer<'a>,
+        lighting: &'a Lighting<'a>,
+        first_pixel: [usize; 2],
+    ) -> PixelTile<'a> {
+        let first = first_pixel.map(|along| along as isize - BORDER as isize);
+        let mut tile =
+            PixelTile { tracer, lighting, first, seen: Vec::new(), arounds: Vec::new(), lights: Vec::new() };
+        for y in 0..TRACED_EDGE {
+            for x in 0..TRACED_EDGE {
+                let (seen, around) = tracer.trace(tile.pixel_corner(x, y) + 0.5);
+                tile.seen.push(seen);
+                tile.arounds.push(around);
+            }
+        }
+        for y in 0..LIGHT_EDGE {
+            for x in 0..LIGHT_EDGE {
+                let [x, y] = [x, y].map(|along| along * LIGHT_STEP + LIGHT_STEP / 2);
+                let light = tile.trace_light(x, y);
+                tile.lights.push(light);
+            }
+        }
+        tile
+    }
+
+    /// A pixel's upper left corner in the picture.
+    fn pixel_corner(&self, x: usize, y: usize) -> DVec2 {
+        DVec2::new((self.first[0] + x as isize) as f64, (self.first[1] + y as isize) as f64)
+    }
+
+    fn trace_light(&self, x: usize, y: usize) -> Option<Light> {
+        let seen = &self.seen[y * TRACED_EDGE + x];
+        (seen.what != HitKind::Nothing).then(|| self.lighting.incoming(seen.position, seen.normal))
+    }
+
+    /// Shades the tile's own pixels.
+    pub(super) fn finish(&self, layers: Layers) -> FinishedTile {
+        let own = BORDER..BORDER + TILE_EDGE;
+        let lit: Vec<Light> = (0..TRACED_EDGE * TRACED_EDGE)
+            .map(|index| {
+                let (x, y) = (index % TRACED_EDGE, index / TRACED_EDGE);
+                let is_near_own = |along: usize| (BORDER - 1..BORDER + TILE_EDGE + 1).contains(&along);
+                if is_near_own(x) && is_near_own(y) { self.light_at(x, y) } else { Light::NONE }
+            })
+            .collect();
+        let pixels = || own.clone().flat_map(|y| own.clone().map(move |x| (x, y)));
+        let mut finished = FinishedTile { color: Vec::new(), coverage: Vec::new(), data: None };
+        for (x, y) in pixels() {
+            let (color, coverage) =
+                if self.is_edge(x, y) { self.mean(&lit, x, y) } else { self.single(&lit, x, y) };
+            finished.color.push(color.to_array());
+            finished.coverage.push(coverage);
+        }
+        if layers.data {
+            let mut data =
+                PictureData { velocities: layers.velocity.map(|_| Vec::new()), ..PictureData::default() };
+            pixels().for_each(|(x, y)| self.push_data(&mut data, layers, x, y));
+            finished.data = Some(data);
+        }
+        finished
+    }
+
+    /// The light at a pixel, interpolated from those of the four surrounding points with computed light that
+    /// lie in the plane of the pixel's surface.
+    fn light_at(&self, x: usize, y: usize) -> Light {
+        let seen = self.seen[y * TRACED_EDGE + x];
+        if seen.what == HitKind::Nothing {
+            return Light::NONE;
+        }
+        let [(x_light, x_part), (y_light, y_part)] = [x, y].map(|along| {
+            let along = (along as f32 - (LIGHT_STEP / 2) as f32) / LIGHT_STEP as f32;
+            (along.floor() as usize, along.fract())
+        });
+        let position = seen.position;
+        let tolerance = (PLANE_TOLERANCE * LIGHT_STEP as f64 * self.tracer.pixel_edge(seen.t)) as f32;
+        let contact = CONTACT_VOXELS.max(CONTACT_PIXELS * self.tracer.pixel_edge(seen.t));
+        let (mut sum, mut weights) = (Light::NONE, 0.0);
+        for corner in 0..4 {
+            let (right, down) = (corner & 1, corner >> 1);
+            let (x_light, y_light) = (x_light + right, y_light + down);
+            if x_light >= LIGHT_EDGE || y_light >= LIGHT_EDGE {
+                continue;
+            }
+            let Some(light) = self.lights[y_light * LIGHT_EDGE + x_light] else { continue };
+            let [x_seen, y_seen] = [x_light, y_light].map(|along| along * LIGHT_STEP + LIGHT_STEP / 2);
+            let other = self.seen[y_seen * TRACED_EDGE + x_seen];
+            let is_contact = seen.what == HitKind::Ground
+                && matches!(other.what, HitKind::Outside | HitKind::Inside)
+                && other.position.distance(position) < contact;
+            if is_contact {
+                return self.lighting.incoming(position, seen.normal);
+            }
+            let apart = (other.position - position).as_vec3().dot(seen.normal).abs();
+            let alike = other.normal.dot(seen.normal).max(0.0).powi(8) * (1.0 - apart / tolerance).max(0.0);
+            if other.what != seen.what || alike <= 0.0 {
+                continue;
+            }
+            let across = if right == 1 { x_part } else { 1.0 - x_part };
+            let along = if down == 1 { y_part } else { 1.0 - y_part };
+            let weight = across * along * alike;
+            (sum, weights) = (sum.plus(light, weight), weights + weight);
+        }
+        if weights < MIN_WEIGHT {
+            self.lighting.incoming(position, seen.normal)
+        } else {
+            sum.times(1.0 / weights)
+        }
+    }
+
+    /// Whether there is an edge between the pixel and one of its four neighbours.
+    fn is_edge(&self, x: usize, y: usize) -> bool {
+        let seen = self.seen[y * TRACED_EDGE + x];
+        let position = seen.position;
+        [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].into_iter().any(|(x, y)| {
+            let other = self.seen[y * TRACED_EDGE + x];
+            // Ground and background have the same colour.
+            let is_fluid = |what: HitKind| matches!(what, HitKind::Outside | HitKind::Inside);
+            if other.what != seen.what {
+                return is_fluid(other.what) || is_fluid(seen.what);
+            }
+            if !is_fluid(seen.what) {
+                return false;
+            }
+            let apart = (other.position - position).as_vec3().dot(seen.normal).abs();
+            let is_step = apart > (EDGE_STEP * self.tracer.pixel_edge(seen.t)) as f32;
+            other.normal.dot(seen.normal) < EDGE_COSINE || is_step
+        })
+    }
+
+    fn single(&self, lit: &[Light], x: usize, y: usize) -> (Vec3, f32) {
+        let index = y * TRACED_EDGE + x;
+        let toward = -self.tracer.ray(self.pixel_corner(x, y) + 0.5).direction.as_vec3();
+        self.shade(&self.seen[index], lit[index], toward)
+    }
+
+    /// The mean of eight rays through a pixel.
+    fn mean(&self, lit: &[Light], x: usize, y: usize) -> (Vec3, f32) {
+        let (mut color, mut coverage) = (Vec3::ZERO, 0.0);
+        for offset in OFFSETS {
+            let point = self.pixel_corner(x, y) + offset;
+            let (seen, _) = self.tracer.trace(point);
+            let toward = -self.tracer.ray(point).direction.as_vec3();
+            let light = self.light_of(&seen, lit, x, y);
+            let (one, covers) = self.shade(&seen, light, toward);
+            // A highlight must not outshine the rest of the pixel.
+            color += one.min(Vec3::splat(2.0)) / OFFSETS.len() as f32;
+            coverage += covers / OFFSETS.len() as f32;
+        }
+        (color, coverage)
+    }
+
+    /// The light for a ray within a pixel: the light of the pixel itself, or of a neighbour, if it shows the
+    /// same surface. Otherwise the light is computed.
+    fn light_of(&self, seen: &RayHit, lit: &[Light], x: usize, y: usize) -> Light {
+        if seen.what == HitKind::Nothing {
+            return Light::NONE;
+        }
+        let position = seen.position;
+        let within = (2.5 * self.tracer.pixel_edge(seen.t)).powi(2);
+        let neighbors = [(x, y), (x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
+        let alike = neighbors.into_iter().find(|&(x, y)| {
+            let other = self.seen[y * TRACED_EDGE + x];
+            other.what == seen.what
+                && other.normal.dot(seen.normal) > EDGE_COSINE
+                && (seen.what == HitKind::Ground || other.position.distance_squared(position) < within)
+        });
+        match alike {
+            Some((x, y)) => lit[y * TRACED_EDGE + x],
+            None => self.lighting.incoming(position, seen.normal),
+        }
+    }
+
+    fn shade(&self, seen: &RayHit, light: Light, toward: Vec3) -> (Vec3, f32) {
+        match seen.what {
+            HitKind::Nothing => (self.lighting.background(), 0.0),
+            HitKind::Ground => (self.lighting.ground(light), 0.0),
+            HitKind::Outside => (self.lighting.water(light, seen.normal, toward, true), 1.0),
+            HitKind::Inside => (self.lighting.water(light, seen.normal, toward, false), 1.0),
+        }
+    }
+
+    fn push_data(&self, data: &mut PictureData, layers: Layers, x: usize, y: usize) {
+        let index = y * TRACED_EDGE + x;
+        let voxel_size = self.tracer.voxel_size;
+        let camera = &self.tracer.view.camera;
+        let Some(around) = &self.arounds[index] else {
+            data.depth.push(FAR);
+            data.normals.push([0.0; 3]);
+            data.positions.push([0.0; 3]);
+            data.curvatures.push(0.0);
+            if let Some(velocities) = &mut data.velocities {
+                velocities.push([0.0; 3]);
+            }
+            return;
+        };
+        let position = self.seen[index].position * voxel_size;
+        data.depth.push((position - camera.eye).dot(camera.forward) as f32);
+        data.normals.push(around.gradient().normalize_or_zero().to_array());
+        data.positions.push(position.as_vec3().to_array());
+        data.curvatures.push((f64::from(around.mean_curvature()) / voxel_size) as f32);
+        if let (Some(velocities), Some(fields)) = (&mut data.velocities, layers.velocity) {
+            velocities
+                .push(fields.each_ref().map(|field| self.tracer.surface.interpolate(&field.leaves, around)));
+        }
+    }
+}
+
+/// A point counts as in the plane of a pixel's surface if its offset from the plane is less than this
+/// fraction of the distance between points with computed light.
+const PLANE_TOLERANCE: f64 = 0.7;
+
+/// Ground that is closer to the fluid than the larger of these limits, in voxels and in pixels, gets computed
+/// light instead of interpolated light: where ground and fluid touch, light fades within a voxel.
+const CONTACT_VOXELS: f64 = 6.0;
+const CONTACT_PIXELS: f64 = 3.0 * LIGHT_STEP as f64;
+
+/// If the weights of the interpolated points have a smaller sum, the light is computed for the pixel itself.
+const MIN_WEIGHT: f32 = 0.3;
+
+/// There is an edge between two neighbouring pixels if their points are more than `EDGE_STEP` pixel edges
+/// apart along the normal, or if the cosine of the angle between their normals is less than `EDGE_COSINE`.
+const EDGE_STEP: f64 = 1.5;
+const EDGE_COSINE: f32 = 0.94;
+
+/// Eight points in a pixel. On a grid of 8 × 8 in the pixel, no two points share a row or a column.
+const OFFSETS: [DVec2; 8] = [
+    DVec2::new(0.0625, 0.4375),
+    DVec2::new(0.1875, 0.8125),
+    DVec2::new(0.3125, 0.1875),
+    DVec2::new(0.4375, 0.6875),
+    DVec2::new(0.5625, 0.3125),
+    DVec2::new(0.6875, 0.9375),
+    DVec2::new(0.8125, 0.0625),
+    DVec2::new(0.9375, 0.5625),
+];

@@ -1,0 +1,234 @@
+//! Shapes from the neighbours of each particle: flat in a sheet, long in a filament, balls inside a body.
+//!
+//! ```text
+//!        ∙ ∙ ∙           w(d) = 1 − (d/R)³, 0 from R on
+//!      ∙  ∙   ∙
+//!     ∙  ∙ ●──∙─── R     weighted covariance of the particles within R, around their mean
+//!      ∙   ∙  ∙
+//!        ∙ ∙             including ● itself
+//! ```
+//!
+//! At the plane surface of a body, all particles within R are on one side. Their standard deviation normal to
+//! the surface is 0.56 of that along the surface, so the particle is flattened to 0.56.
+//!
+//! Position smoothing moves particles toward the mean of their neighbours (Yu and Turk, Eq. 6). As in their
+//! method, shapes are computed from the positions before the move. So one search finds the neighbours for
+//! means and shapes, and the shape of a particle depends only on particles within R.
+//!
+//! Particles are sorted by cells of a grid with edge R. Each task gets the same number of particles, not of
+//! cells. In cells with more than [`CELL_MAX`] particles only a sample is used. Then a shape also depends on
+//! particles beyond R: on those in the cells that intersect the ball of radius R.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::half_axes::{means, shapes};
+use super::moments::{MEAN_COUNT, MOMENT_COUNT, moments};
+use super::scale_of;
+use crate::neighbors::{NeighborPackets, Neighbors};
+use crate::particles::{Ellipsoid, OwnedPositions};
+use crate::simd::{Kernel, Lanes, SimdLevel, dispatch_at};
+
+/// How neighbours shape particles.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NeighborConfig {
+    /// R: particles farther away are not neighbours. World units, positive.
+    pub radius_world: f64,
+    /// How particles are stretched; `None` if only means are needed.
+    pub stretch: Option<Stretch>,
+}
+
+/// Limits of the semi-axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stretch {
+    /// Upper limit of the ratio of two semi-axes, before they are raised to the floor: 1 or more.
+    pub max_stretch: f32,
+    /// Lower limit of semi-axes of particles with many neighbours, in units of the settings' radii. Positive.
+    pub floor: f32,
+    /// The scale of particles without neighbours, which are balls, relative to the scale of other particles.
+    pub lone: f32,
+    /// Lower limit of the scale of particles without neighbours, in units of the settings' radii. Positive.
+    pub lone_floor: f32,
+}
+
+/// The means and shapes of the wanted particles, computed from their neighbours.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NeighborShapes {
+    /// Indices of the wanted particles, each once.
+    pub indices: Vec<u32>,
+    /// For each wanted particle, the mean position of its neighbours relative to the particle, in units of R
+    /// (Yu and Turk, Eq. 6).
+    pub means: Vec<[f32; 3]>,
+    /// The shape of each wanted particle; empty if shapes are not needed.
+    pub shapes: Vec<Ellipsoid>,
+    /// Number of particles with a semi-axis that was raised to the floor.
+    pub raised_count: usize,
+    /// Number of particles that are balls because they have too few neighbours.
+    pub ball_count: usize,
+}
+
+/// Upper limit of the number of particles that are used per cell: 7 times the number in a cell with an edge
+/// of 2.6 spacings. It limits the cost of very dense particles to a microsecond per particle, independent of
+/// their number.
+const CELL_MAX: usize = 128;
+
+/// Means and shapes of the wanted particles from their neighbours (Yu and Turk, Eq. 6 and 9 to 16). `scales`
+/// has one entry per particle. Wanted particles outside the range of indices are left out.
+///
+/// The result for a particle does not depend on which other particles are wanted. Nor does it change if
+/// `particles` lacks particles in cells of edge R that are not adjacent to its own cell, provided that the
+/// others keep their order.
+pub fn from_neighbors(
+    particles: &OwnedPositions,
+    is_wanted: impl Fn(usize) -> bool + Sync,
+    scales: Option<&[f32]>,
+    config: &NeighborConfig,
+) -> NeighborShapes {
+    neighbor_shapes(particles, is_wanted, scales, config, SimdLevel::current())
+}
+
+fn neighbor_shapes(
+    particles: &OwnedPositions,
+    is_wanted: impl Fn(usize) -> bool + Sync,
+    scales: Option<&[f32]>,
+    config: &NeighborConfig,
+    level: SimdLevel,
+) -> NeighborShapes {
+    assert!(scales.is_none_or(|scales| scales.len() == particles.len()), "a scale for each particle");
+    let neighbors = Neighbors::new(particles, config.radius_world);
+    let in_order = (0u32..).zip(neighbors.indices());
+    let slots: Vec<u32> =
+        in_order.filter(|(_, index)| is_wanted(**index as usize)).map(|(slot, _)| slot).collect();
+    let mut means = vec![[0.0f32; 3]; slots.len()];
+    let shape_count = if config.stretch.is_some() { slots.len() } else { 0 };
+    let mut shapes = vec![Ellipsoid::ball(1.0); shape_count];
+    let counts = slots
+        .par_chunks(PIECE)
+        .zip_eq(means.par_chunks_mut(PIECE))
+        .zip_eq(pieces_of(&mut shapes, slots.len()))
+        .with_max_len(1)
+        .map(|((slots, means), shapes)| {
+            dispatch_at(level, ParticleRun { neighbors: &neighbors, scales, config, slots, means, shapes })
+        })
+        .reduce(ShapeCounts::default, ShapeCounts::merge);
+    NeighborShapes {
+        indices: slots.iter().map(|&slot| neighbors.indices()[slot as usize]).collect(),
+        means,
+        shapes,
+        raised_count: counts.raised,
+        ball_count: counts.balls,
+    }
+}
+
+/// Number of particles per task. It is so large that the cost of the first and the last cell, which two tasks
+/// gather, does not matter.
+const PIECE: usize = 1024;
+
+/// Splits the shapes of `count` particles into pieces, one for each task. The pieces are empty if shapes are
+/// not needed.
+fn pieces_of(shapes: &mut [Ellipsoid], count: usize) -> Vec<&mut [Ellipsoid]> {
+    let mut pieces: Vec<&mut [Ellipsoid]> = shapes.chunks_mut(PIECE).collect();
+    pieces.resize_with(count.div_ceil(PIECE), Default::default);
+    pieces
+}
+
+#[derive(Clone, Copy, Default)]
+struct ShapeCounts {
+    raised: usize,
+    balls: usize,
+}
+
+impl ShapeCounts {
+    fn merge(self, other: ShapeCounts) -> ShapeCounts {
+        ShapeCounts { raised: self.raised + other.raised, balls: self.balls + other.balls }
+    }
+}
+
+/// The particles of a task: consecutive wanted particles in the order of the grid.
+struct ParticleRun<'a> {
+    neighbors: &'a Neighbors,
+    scales: Option<&'a [f32]>,
+    config: &'a NeighborConfig,
+    /// Their indices in the grid.
+    slots: &'a [u32],
+    means: &'a mut [[f32; 3]],
+    /// Empty if only means are needed.
+    shapes: &'a mut [Ellipsoid],
+}
+
+impl Kernel for ParticleRun<'_> {
+    type Output = ShapeCounts;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> ShapeCounts {
+        match self.config.stretch {
+            Some(stretch) => self.run_with::<V, MOMENT_COUNT>(Some(stretch)),
+            None => self.run_with::<V, MEAN_COUNT>(None),
+        }
+    }
+}
+
+impl ParticleRun<'_> {
+    /// Computes the first `COUNT` moments of each particle.
+    #[inline(always)]
+    fn run_with<V: Lanes, const COUNT: usize>(mut self, stretch: Option<Stretch>) -> ShapeCounts {
+        let mut surroundings = NeighborPackets::default();
+        let mut within = Vec::new();
+        let mut counts = ShapeCounts::default();
+        let mut waiting = [[0.0f32; 8]; COUNT];
+        let mut waiting_count = 0;
+        let [x, y, z] = self.neighbors.locals();
+        let mut cell_end = 0;
+        for (number, &slot) in self.slots.iter().enumerate() {
+            let slot = slot as usize;
+            if slot >= cell_end {
+                let cell = self.neighbors.cell_at(slot);
+                surroundings.gather(self.neighbors, self.neighbors.cells()[cell], CELL_MAX);
+                cell_end = self.neighbors.slots(cell).end;
+            }
+            let at = Vec3::new(x[slot], y[slot], z[slot]);
+            let moments = moments::<V, COUNT>(surroundings.eights(), at, &mut within);
+            for (row, moment) in waiting.iter_mut().zip(moments) {
+                row[waiting_count % 8] = moment;
+            }
+            waiting_count += 1;
+            if waiting_count == 8 || number + 1 == self.slots.len() {
+                let first = number + 1 - waiting_count;
+                counts = counts.merge(self.finish::<V, COUNT>(&waiting, first, waiting_count, stretch));
+                waiting_count = 0;
+            }
+        }
+        counts
+    }
+
+    /// Computes means and shapes of up to eight particles, starting at `first`, from their moments.
+    #[inline(always)]
+    fn finish<V: Lanes, const COUNT: usize>(
+        &mut self,
+        moments: &[[f32; 8]; COUNT],
+        first: usize,
+        count: usize,
+        stretch: Option<Stretch>,
+    ) -> ShapeCounts {
+        let along = means::<V>(moments);
+        for (k, mean) in self.means[first..first + count].iter_mut().enumerate() {
+            *mean = [along[0][k], along[1][k], along[2][k]];
+        }
+        let (Some(stretch), Some(moments)) = (stretch, moments.first_chunk()) else {
+            return ShapeCounts::default();
+        };
+        let mut scales = [1.0; 8];
+        for (scale, &slot) in scales.iter_mut().zip(&self.slots[first..first + count]) {
+            *scale = scale_of(self.scales, self.neighbors.indices()[slot as usize] as usize);
+        }
+        let limits = Stretch { max_stretch: stretch.max_stretch.max(1.0), ..stretch };
+        let eights = shapes::<V>(moments, &scales, limits);
+        self.shapes[first..first + count].copy_from_slice(&eights.shapes[..count]);
+        let bits = ((1u16 << count) - 1) as u8;
+        let [raised, balls] = [eights.raised & bits, eights.balls & bits].map(u8::count_ones);
+        ShapeCounts { raised: raised as usize, balls: balls as usize }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,129 @@
+//! Extracts a triangle mesh from φ.
+//!
+//! ```text
+//!   signs of all voxels ──▶ LeafNeighborhood ──▶ crossed cells ──▶ vertex and triangle ──▶ index ranges
+//!                           SignRows             and edges         counts                  per leaf
+//!
+//!                                    PhiBlock ──▶ crossings, gradients ──▶ vertices  ─┐ written to
+//!                                                                         triangles ─┴▶ their ranges
+//! ```
+//!
+//! Both methods (see [`Contouring`]) guarantee for any φ: the mesh is closed; every edge is in two triangles
+//! with opposite directions; the triangles around a vertex form one ring; all triangles face outward; none is
+//! degenerate; and the three vertices of a triangle are distinct. Each leaf is processed independently and
+//! has a fixed range in the mesh, so the mesh is bit-identical on any number of threads.
+//!
+//! Inside is φ < 0; zero is outside. A band must store the voxels next to a sign change together with all
+//! their neighbors. Cells with a corner that is not stored are treated as empty.
+
+mod cell_cycles;
+mod cell_vertex;
+mod curvature;
+mod dual_contouring;
+mod marching_tetrahedra;
+mod neighborhood;
+mod normals;
+mod quads;
+mod ring;
+
+use glam::{DVec3, IVec3, Vec3};
+
+pub use curvature::{bending_energy, mean_curvatures};
+pub use normals::fill_zero_normals;
+
+use crate::grid::{LEAF_EDGE, Topology};
+use crate::level_set::NarrowBand;
+use crate::mesh::Mesh;
+use crate::space::{CoordBox, Lattice};
+use crate::words::word_enum;
+
+word_enum! {
+    /// How the level set becomes triangles.
+    #[derive(Default)]
+    pub enum Contouring {
+        /// Dual contouring: fewer and better shaped triangles
+        #[default]
+        Dual = "dual",
+        /// Marching tetrahedra, as in the paper: about four times as many triangles
+        Tetrahedra = "tetrahedra",
+    }
+}
+
+/// The surface φ = 0 as a closed triangle mesh in world units, oriented outward, with unit normals.
+pub fn contour(band: &NarrowBand, lattice: &Lattice, contouring: Contouring) -> Mesh {
+    assert_eq!(
+        band.phi.leaves.len(),
+        band.topology.len(),
+        "φ must have one leaf of values per leaf of the topology"
+    );
+    let placement = MeshFrame::new(&band.topology, lattice);
+    let mut mesh = match contouring {
+        Contouring::Dual => dual_contouring::dual_contour(band, &placement),
+        Contouring::Tetrahedra => marching_tetrahedra::march_tetrahedra(band, &placement),
+    };
+    normals::fill_zero_normals(&mut mesh);
+    mesh
+}
+
+/// The origin of the mesh and the voxel size.
+struct MeshFrame {
+    origin_index: IVec3,
+    voxel_size: f64,
+}
+
+/// Up to this index, 32-bit positions resolve 1/1024 voxel.
+const NEAR_ORIGIN: i32 = 16384;
+
+/// Mesh origins other than the world origin are multiples of this many voxels, so that consecutive frames of
+/// a moving sequence often share one.
+const ORIGIN_STEP: i32 = 1024;
+
+impl MeshFrame {
+    /// Places the mesh's origin at the world origin if all leaves are near it, and otherwise at the median
+    /// leaf. With the median, a single stray particle does not reduce the precision of all others.
+    fn new(topology: &Topology, lattice: &Lattice) -> MeshFrame {
+        let mut extent = CoordBox::EMPTY;
+        for &origin in topology.origins() {
+            extent.include(origin);
+            extent.include(origin + IVec3::splat(LEAF_EDGE - 1));
+        }
+        let is_near = extent.is_empty()
+            || extent.min.cmpge(IVec3::splat(-NEAR_ORIGIN)).all()
+                && extent.max.cmple(IVec3::splat(NEAR_ORIGIN)).all();
+        let origin_index =
+            if is_near { IVec3::ZERO } else { (median(topology) + ORIGIN_STEP / 2) & !(ORIGIN_STEP - 1) };
+        MeshFrame { origin_index, voxel_size: lattice.voxel_size }
+    }
+
+    /// The world position that mesh positions are relative to.
+    fn world_origin(&self) -> DVec3 {
+        self.origin_index.as_dvec3() * self.voxel_size
+    }
+
+    /// The mesh position of a point given relative to a cell; rounded once.
+    #[inline(always)]
+    fn position(&self, cell: IVec3, local: Vec3) -> Vec3 {
+        (((cell - self.origin_index).as_dvec3() + local.as_dvec3()) * self.voxel_size).as_vec3()
+    }
+}
+
+/// The median of the leaves' origins, axis by axis. There is at least one leaf.
+fn median(topology: &Topology) -> IVec3 {
+    let axis = |axis: usize| {
+        let mut values: Vec<i32> = topology.origins().iter().map(|origin| origin[axis]).collect();
+        let middle = values.len() / 2;
+        *values.select_nth_unstable(middle).1
+    };
+    IVec3::new(axis(0), axis(1), axis(2))
+}
+
+/// Splits a slice into consecutive parts of these lengths.
+fn split<T>(whole: &mut [T], counts: impl Iterator<Item = usize>) -> Vec<&mut [T]> {
+    let mut rest = whole;
+    let part = |count: usize| {
+        let (part, after) = std::mem::take(&mut rest).split_at_mut(count);
+        rest = after;
+        part
+    };
+    counts.map(part).collect()
+}

@@ -1,0 +1,406 @@
+//! All options of the method, and their conversion to and from text.
+//!
+//! ```text
+//!   command line ─┐
+//!   meniscus.toml ┼─▶ MethodOptions ──over the defaults of a preset──resolve──▶ Settings
+//!   journal, plan ┘      ▲ │
+//!      (name, text) ─────┘ └─────▶ (name, text)
+//! ```
+//!
+//! Numbers are written in the shortest form that parses as the same number.
+
+use std::fmt::{Display, LowerExp};
+use std::ops::RangeInclusive;
+
+use crate::contour::Contouring;
+use crate::smooth::Integrator;
+
+use super::checks::positive;
+use super::fields::{self, OptionGroup, OptionInfo, OptionValue, ValueKind, method_options};
+use super::length::{Length, LengthUnit};
+use super::pairs::Pairs;
+use super::presets::{Preset, Recipe};
+use super::values::{AnisotropyKind, AttributeSelection, ClipBox};
+use super::{OptionName, PerParticleRadius, SettingsError};
+
+/// Upper limit of `drop_islands`. A larger piece is not an island to drop. It may also be so thick that its
+/// deep leaves are not stored, and its particles cannot be counted.
+const ISLAND_MAX: u32 = 1000;
+
+/// Upper limit of `fill_cavities`, in voxels.
+pub(super) const CAVITY_VOXELS_MAX: f64 = 1e6;
+
+/// Upper limit of `void_threshold`, in units of h: distances to obstacles are not known farther out.
+const VOID_THRESHOLD_MAX: f64 = 4.0;
+
+/// Upper limit of `max_stretch`: beyond it a particle would reach over several leaves.
+const MAX_STRETCH_MAX: f64 = 8.0;
+
+/// The smallest factor of velocities. Its square, the factor of accelerations, is a normal 32-bit number.
+const VELOCITY_SCALE_MIN: f64 = 1e-9;
+
+/// The largest factor of velocities.
+const VELOCITY_SCALE_MAX: f64 = 1e9;
+
+/// Upper limit of `decimate`, in units of h: beyond it the mesh has a different shape.
+const DECIMATE_MAX: f64 = 1.0;
+
+/// Upper limit of `smooth_normals`: after more rounds the normals no longer depend on the surface.
+const ROUNDS_MAX: u32 = 1000;
+
+/// Upper limit of the number of Laplacian and of biharmonic steps: a hundred times the paper's.
+pub(super) const STEPS_MAX: u32 = 1_000_000;
+
+/// The smallest size of a step, in units of h⁴.
+pub(super) const STEP_SIZE_MIN: f64 = 1e-6;
+
+/// The largest size of a step, in units of h⁴.
+pub(super) const STEP_SIZE_MAX: f64 = 1e4;
+
+method_options! {
+    /// All options of the method. `None` means the value of the preset. Lengths are in world units, particle
+    /// spacings or voxels: see [`Length`].
+    pub struct MethodOptions {
+        General {
+            /// A set of defaults for a kind of particles; other options override it [default: fluid]
+            #[value(named("NAME"))]
+            preset: Preset,
+
+            /// Distance d between neighbouring particles, in world units, positive [default: measured]
+            #[value(named("LENGTH"))]
+            #[parser(Length::parse_world)]
+            spacing: f64,
+
+            /// Voxel edge length h, positive, in world units or particle spacings [default: 0.4d; depends on
+            /// the preset]
+            #[value(named("LENGTH"))]
+            #[parser(Length::parse_voxel_size)]
+            voxel_size: Length,
+        }
+        Surface {
+            /// Radius r_min of the sphere around each particle, positive; the surface encloses these spheres,
+            /// but particles in sheets and filaments get a flattened ellipsoid instead (--anisotropy)
+            /// [default: 1.15d, but no less than √3·h]
+            #[value(named("LENGTH"))]
+            radius_min: Length,
+
+            /// Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle,
+            /// and r_max is at most 64h [default: 2]
+            #[value(named("RATIO"))]
+            radius_ratio: f64,
+
+            /// Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.26 r_min]
+            #[value(named("LENGTH"))]
+            radius_init: Length,
+
+            /// Move the finished surface outward by this distance, -r_min to 2 h; negative moves it inward
+            /// [default: 0]
+            #[value(named("LENGTH").signed())]
+            offset: Length,
+        }
+        Particles {
+            /// Attribute with each particle's own radius, in the particles' unit of length, such as pscale.
+            /// That radius becomes its r_min; r_init and r_max scale with it
+            #[value(named("NAME"))]
+            radius_attribute: String,
+
+            /// Factor from a particle's own radius to its r_min, positive [default: 1]
+            #[value(named("S"))]
+            radius_scale: f64 => [OptionName::new("radius_attribute")], |options, _| options.radius_attribute.is_some(),
+
+            /// How to stretch particles, so that sheets and jets are thin and smooth [default: neighbors]
+            #[value(named("BY"))]
+            anisotropy: AnisotropyKind,
+
+            /// Maximum ratio of a particle's longest semi-axis to its shortest, 1 to 8 [default: 4]
+            #[value(named("K"))]
+            max_stretch: f64 in 1.0..=MAX_STRETCH_MAX
+                => [OptionName::new("anisotropy")], |options, _| options.anisotropy_kind() != AnisotropyKind::None,
+
+            /// Smallest semi-axis of flattened particles, positive, from 0.9h to r_min, for --anisotropy
+            /// neighbors; smaller makes thinner sheets [default: 0.36d]
+            #[value(named("LENGTH"))]
+            thin_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
+
+            /// Radius of particles without neighbours (drops), which replaces their r_min, positive and at
+            /// most --radius-min, for --anisotropy neighbors [default: 0.7d]
+            #[value(named("LENGTH"))]
+            lone_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
+
+            /// Search radius for neighbours, positive and at most 200h, for --anisotropy neighbors and
+            /// --position-smoothing [default: 2.6d]
+            #[value(named("LENGTH"))]
+            neighbor_radius: Length
+                => [OptionName::with_value("anisotropy", "neighbors"), OptionName::new("position_smoothing")],
+                |options, _| options.uses_neighbors(),
+
+            /// Move particles near the surface toward the mean of their neighbours by this fraction, 0 to 1
+            /// [default: 0.7]
+            #[value(named("L"))]
+            position_smoothing: f64 in 0.0..=1.0,
+
+            /// Stretch particles along their velocity: the farther they move in this time, the more;
+            /// positive, for --anisotropy velocity [default: 0.01]
+            #[value(named("SECONDS"))]
+            velocity_gain: f64
+                => [OptionName::with_value("anisotropy", "velocity")],
+                |options, _| options.anisotropy_kind() == AnisotropyKind::Velocity,
+        }
+        Obstacles {
+            /// Fill gaps narrower than this between the surface and obstacles, in voxels, 0 to 4 [default: 1]
+            #[value(named("VOXELS"))]
+            void_threshold: f64 in 0.0..=VOID_THRESHOLD_MAX
+                => [OptionName::new("obstacle")], |_, has_obstacles| has_obstacles,
+        }
+        Particles {
+            /// Attributes to interpolate to the surface: a list of names, such as velocity,Cd,id, or the word
+            /// all
+            ///
+            /// Floating-point values are averaged over nearby particles; integers and strings are taken from
+            /// the nearest particle. The results are vertex attributes in meshes, and additional grids in
+            /// .vdb.
+            #[value(named("LIST"))]
+            attributes: AttributeSelection,
+
+            /// Multiply velocities by this factor, and accelerations by its square, 1e-9 to 1e9; for
+            /// velocities per frame it is the frame rate, so that they are per second [default: 1]
+            #[value(named("F"))]
+            velocity_scale: f64 in VELOCITY_SCALE_MIN..=VELOCITY_SCALE_MAX
+                => [OptionName::new("attributes"), OptionName::with_value("anisotropy", "velocity")], uses_velocities,
+        }
+        Surface {
+            /// Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
+            #[value(named("N"))]
+            drop_islands: u32 in 0..=ISLAND_MAX,
+
+            /// Fill enclosed cavities with less volume than this, in units of h³, 0 to 1000000 [default: 25
+            /// (d/h)³, a volume of 25 d³]
+            #[value(named("VOLUME"))]
+            fill_cavities: f64 in 0.0..=CAVITY_VOXELS_MAX,
+
+            /// Cut off everything outside the box x0,y0,z0,x1,y1,z1 (lower corner first), in the particles'
+            /// unit of length
+            #[value(named("BOX").signed())]
+            clip: ClipBox,
+        }
+        Mesh {
+            /// How to convert the level set to triangles [default: dual]
+            #[value(named("HOW"))]
+            contour: Contouring,
+
+            /// Decimate the mesh: remove triangles where that moves the mesh by no more than this, in voxels,
+            /// 0 to 1 [default: 0]
+            #[value(named("VOXELS"))]
+            decimate: f64 in 0.0..=DECIMATE_MAX,
+
+            /// Average normals with their neighbours this many times, 0 to 1000; --smooth-normals without a
+            /// value means 10 [default: 0]
+            #[value(named("N").or_omitted("10"))]
+            smooth_normals: u32 in 0..=ROUNDS_MAX,
+
+            /// Write the quads of dual contouring to .obj, .vtp, .usda, .usdc and .abc; --quads=false
+            /// overrides quads = true in a configuration file
+            #[value(named("BOOL").or_omitted("true"))]
+            quads: bool,
+        }
+        Solver {
+            /// Time integrator of the smoothing [default: fast]
+            #[value(named("WHICH"))]
+            integrator: Integrator,
+
+            /// Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are
+            /// recomputed instead [default: 10, more on a finer grid]
+            #[value(named("N"))]
+            laplacian_steps: u32 in 0..=STEPS_MAX,
+
+            /// Number of biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: a larger number of
+            /// smaller steps with the same total pseudo-time]
+            #[value(named("N"))]
+            steps: u32 in 0..=STEPS_MAX,
+
+            /// Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.25
+            /// (d/h)⁴; explicit, adaptive: 0.01]
+            #[value(named("S"))]
+            step_size: f64 in STEP_SIZE_MIN..=STEP_SIZE_MAX,
+
+            /// Recompute distances after this many biharmonic steps, 1 to 1000000 [default: 1; explicit,
+            /// adaptive: 50]
+            #[value(named("N"))]
+            redistance_every: u32 in 1..=STEPS_MAX,
+
+            /// Relative tolerance of the conjugate gradients, 1e-12 to 0.5, for --integrator implicit only
+            /// [default: 0.0001]
+            #[value(named("E"))]
+            cg_tolerance: f64 in 1e-12..=0.5
+                => [OptionName::with_value("integrator", "implicit")],
+                |options, _| options.integrator == Some(Integrator::Implicit),
+        }
+    }
+}
+
+impl MethodOptions {
+    /// Parses options from pairs of name and text; `None` if a name is unknown or a text is not a value of
+    /// its option.
+    pub fn from_pairs<'a>(pairs: impl IntoIterator<Item = (&'a str, &'a str)>) -> Option<MethodOptions> {
+        let mut options = MethodOptions::default();
+        pairs.into_iter().try_for_each(|(name, text)| options.set(name, text).ok())?;
+        Some(options)
+    }
+
+    /// The description of the option with this name.
+    pub fn info(name: &str) -> Option<&'static OptionInfo<MethodOptions>> {
+        MethodOptions::ALL.iter().find(|info| info.name == name)
+    }
+
+    /// The default values of the preset.
+    pub(super) fn recipe(&self) -> Recipe {
+        self.preset.unwrap_or_default().recipe()
+    }
+
+    /// Whether the particle spacing must be measured to resolve the settings.
+    pub fn needs_spacing(&self) -> bool {
+        let follows_voxel_size = self.preset.unwrap_or_default().follows_voxel_size();
+        let has_voxel_size = self.voxel_size.and_then(Length::world).is_some();
+        self.spacing.is_none()
+            && (!has_voxel_size || !follows_voxel_size || self.has_length_in(LengthUnit::Spacing))
+    }
+
+    /// Whether a length other than the particle spacing and the voxel size is given in this unit.
+    pub fn has_length_in(&self, unit: LengthUnit) -> bool {
+        let pairs = self.to_pairs().into_iter();
+        let is_dependent = |name: &str| !["spacing", "voxel_size"].contains(&name);
+        let mut lengths = pairs.filter(|(name, _)| {
+            is_dependent(name) && MethodOptions::info(name).is_some_and(|info| info.kind == ValueKind::Length)
+        });
+        lengths.any(|(_, text)| text.parse().is_ok_and(|length: Length| length.unit == unit))
+    }
+
+    /// How far particles are moved toward the mean of their neighbours, 0 to 1.
+    pub(super) fn position_smoothing(&self) -> f64 {
+        self.position_smoothing.unwrap_or(self.recipe().position_smoothing)
+    }
+
+    /// Whether a particle's position or shape depends on its neighbours.
+    pub fn uses_neighbors(&self) -> bool {
+        self.position_smoothing() > 0.0 || self.anisotropy_kind() == AnisotropyKind::Neighbors
+    }
+
+    /// How particles are stretched.
+    pub fn anisotropy_kind(&self) -> AnisotropyKind {
+        self.anisotropy.unwrap_or(self.recipe().anisotropy)
+    }
+
+    /// The per-particle radii, if an attribute is set for them.
+    ///
+    /// # Errors
+    /// If their scale is not a positive number.
+    pub fn per_particle_radius(&self) -> Result<Option<PerParticleRadius>, SettingsError> {
+        let Some(attribute) = &self.radius_attribute else { return Ok(None) };
+        let scale = positive("radius scale", self.radius_scale.unwrap_or(1.0))?;
+        Ok(Some(PerParticleRadius { attribute: attribute.clone(), scale }))
+    }
+
+    /// The given options that have no effect, each with the options of which it requires one;
+    /// `has_obstacles` says whether there are obstacles.
+    pub fn ineffective(&self, has_obstacles: bool) -> Vec<(&'static str, &'static [OptionName])> {
+        let unmet_need = |name: &'static str| {
+            let need = MethodOptions::info(name)?.need.as_ref()?;
+            (!(need.is_met)(self, has_obstacles)).then_some((name, need.any_of))
+        };
+        self.to_pairs().into_iter().filter_map(|(name, _)| unmet_need(name)).collect()
+    }
+}
+
+fn uses_velocities(options: &MethodOptions, _: bool) -> bool {
+    options.attributes.is_some() || options.anisotropy_kind() == AnisotropyKind::Velocity
+}
+
+fn stretches_by_neighbors(options: &MethodOptions, _: bool) -> bool {
+    options.anisotropy_kind() == AnisotropyKind::Neighbors
+}
+
+fn out_of_range<T: Display + LowerExp>(name: &str, value: T, range: &RangeInclusive<T>) -> SettingsError {
+    SettingsError::of_value(format!("{name} is {value}; it must be from {}", fields::range_text(range)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// All options, each set to the first of these texts that it accepts.
+    fn every() -> MethodOptions {
+        let mut options = MethodOptions::default();
+        for info in MethodOptions::ALL {
+            let texts = ["1", "true", "fluid", "none", "dual", "fast", "0,0,0,1,1,1"];
+            assert!(texts.iter().any(|text| options.set(info.name, text).is_ok()), "{}", info.name);
+        }
+        options
+    }
+
+    /// All options, with numbers whose text is hard to get exact.
+    #[expect(clippy::needless_update, reason = "options yet to be added have values, too")]
+    fn all() -> MethodOptions {
+        MethodOptions {
+            preset: Some(Preset::Splash),
+            spacing: Some(0.2_f64.next_up()),
+            voxel_size: Some((1.0 / 7.0).into()),
+            radius_min: Some((1.0 / 3.0).into()),
+            radius_ratio: Some(1.5),
+            radius_init: Some((f64::MIN_POSITIVE / 3.0).into()),
+            offset: Some((-1.0 / 7.0).into()),
+            radius_attribute: Some("p scale, \"é\"".to_owned()),
+            radius_scale: Some(0.1_f64.next_up()),
+            anisotropy: Some(AnisotropyKind::Velocity),
+            max_stretch: Some(1e300),
+            thin_radius: Some(0.1.into()),
+            lone_radius: Some("0.15d".parse().expect("a length")),
+            neighbor_radius: Some("-5h".parse().expect("a length")),
+            position_smoothing: Some(0.9),
+            velocity_gain: Some(1.0 / 48.0),
+            void_threshold: Some(1.7),
+            attributes: Some(AttributeSelection::Named(vec!["v".to_owned(), "Cd".to_owned()])),
+            velocity_scale: Some(24_000.0 / 1001.0),
+            drop_islands: Some(33),
+            fill_cavities: Some(1e-300),
+            clip: Some(ClipBox { min: [-1.0, 0.0, 1.0 / 3.0], max: [1.0, 2.0, 1e9] }),
+            contour: Some(Contouring::Tetrahedra),
+            decimate: Some(0.05),
+            smooth_normals: Some(3),
+            quads: Some(true),
+            integrator: Some(Integrator::Implicit),
+            laplacian_steps: Some(0),
+            steps: Some(u32::MAX),
+            step_size: Some(1e-300),
+            redistance_every: Some(7),
+            cg_tolerance: Some(1e-4_f64.next_down()),
+            ..every()
+        }
+    }
+
+    fn read(pairs: &[(&'static str, String)]) -> Option<MethodOptions> {
+        MethodOptions::from_pairs(pairs.iter().map(|(name, value)| (*name, value.as_str())))
+    }
+
+    #[test]
+    fn options_read_back_from_pairs_to_the_last_bit() {
+        let pairs = all().to_pairs();
+        assert_eq!(read(&pairs), Some(all()));
+        // Each pair alone reads back, and differs from the default.
+        for pair in &pairs {
+            let one = read(std::slice::from_ref(pair)).expect("known");
+            assert_eq!(one.to_pairs(), std::slice::from_ref(pair));
+            assert_ne!(one, MethodOptions::default());
+        }
+        assert_eq!(read(&[]), Some(MethodOptions::default()));
+        assert_eq!(read(&[("radius_min", "wide".to_owned())]), None);
+        assert_eq!(read(&[("radius_mine", "1".to_owned())]), None);
+    }
+
+    #[test]
+    fn set_options_override_those_below() {
+        assert_eq!(all().over(MethodOptions::default()), all());
+        assert_eq!(MethodOptions::default().over(all()), all());
+        let above = MethodOptions { steps: Some(2), ..MethodOptions::default() };
+        assert_eq!(above.over(all()), MethodOptions { steps: Some(2), ..all() });
+    }
+}

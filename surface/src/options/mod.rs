@@ -1,0 +1,464 @@
+//! The settings of the method, resolved and checked once.
+//!
+//! [`MethodOptions`] holds what the user set; [`Settings`] holds every value. A sequence has one `Settings`
+//! for all its frames: an estimate per frame would make it flicker.
+
+mod checks;
+mod definition;
+mod fields;
+mod length;
+mod pairs;
+mod presets;
+mod resolution;
+mod values;
+
+use std::fmt;
+
+pub use crate::contour::Contouring;
+use crate::particles::{Attribute, find_attribute};
+use crate::smooth::EIGENVALUE_MAX;
+pub use crate::smooth::Integrator;
+use crate::words::significant;
+use checks::{named, require};
+pub use definition::MethodOptions;
+pub use fields::{
+    OptionGroup, OptionInfo, OptionName, OptionValue, ValueKind, ValueSyntax, expected, ranged,
+};
+pub use length::{Length, LengthUnit};
+pub use pairs::Pairs;
+pub use presets::{Preset, SequenceSpacing};
+use presets::{Scale, Unit};
+use resolution::{
+    anisotropy, cavities, check_offset, checked_box, default_step_size, default_steps, initial_radius,
+    is_explicit, laplacian_steps, neighbor_radius, offset, radii,
+};
+pub use values::{AnisotropyKind, AttributeSelection, ClipBox};
+
+/// All settings of a sequence, checked.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Settings {
+    /// Distance d between neighbouring particles, world units.
+    pub spacing: f64,
+    /// Edge length h of a voxel, world units.
+    pub voxel_size: f64,
+    /// r_min, world units.
+    pub radius_min: f64,
+    /// r_init, world units.
+    pub radius_init: f64,
+    /// r_max, world units.
+    pub radius_max: f64,
+    /// How far the finished surface is moved outward, world units; negative values move it inward.
+    pub offset: f64,
+    /// The chosen r_max / r_min. The quotient of the two fields may differ by a rounding error.
+    pub radius_ratio: f64,
+    /// Per-particle radii. If set, the three radii above belong to a particle whose own radius is
+    /// `radius_min` / `scale`.
+    pub per_particle_radius: Option<PerParticleRadius>,
+    /// How particles are stretched.
+    pub anisotropy: Anisotropy,
+    /// How far particles are moved toward the mean of their neighbours: 0 (not at all) to 1.
+    pub position_smoothing: f64,
+    /// Neighbour radius R, world units: particles farther apart are not neighbours. 0 if neighbours are not
+    /// [used](Settings::uses_neighbors).
+    pub neighbor_radius: f64,
+    /// Gaps between the surface and obstacles narrower than this are filled, in units of h.
+    pub void_threshold: f64,
+    /// Which attributes of the particles are interpolated to the surface.
+    pub attributes: Option<AttributeSelection>,
+    /// Factor from the particles' velocities to world units per second. Its square is that of accelerations.
+    pub velocity_scale: f64,
+    /// Pieces of surface with fewer particles than this are dropped.
+    pub drop_islands: u32,
+    /// Cavities with a smaller volume than this are filled, in units of h³.
+    pub fill_cavities: f64,
+    /// The surface outside this box is cut off.
+    pub clip: Option<ClipBox>,
+    /// How far decimation may move the mesh, in units of h; 0 for no decimation.
+    pub decimate: f64,
+    /// How many times normals are averaged with their neighbours.
+    pub smooth_normals: u32,
+    /// Whether .obj, .vtp, .usda, .usdc and .abc files have quads.
+    pub quads: bool,
+    /// The integrator of the smoothing.
+    pub integrator: Integrator,
+    /// Number of Laplacian steps before the biharmonic ones.
+    pub laplacian_steps: u32,
+    /// Number of biharmonic steps.
+    pub steps: u32,
+    /// Size of a biharmonic step, in units of h⁴.
+    pub step_size: f64,
+    /// Number of biharmonic steps between redistancings.
+    pub redistance_every: u32,
+    /// Relative tolerance of the conjugate gradients (`Implicit` only).
+    pub cg_tolerance: f64,
+    /// The contouring method.
+    pub contouring: Contouring,
+}
+
+/// Per-particle radii.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PerParticleRadius {
+    /// The attribute that holds the radii, world units.
+    pub attribute: String,
+    /// A particle's r_min divided by its own radius.
+    pub scale: f64,
+}
+
+impl PerParticleRadius {
+    /// r_min of each particle whose own radius is positive and finite, world units.
+    pub fn radii_min(&self, attributes: &[Attribute]) -> Vec<f64> {
+        let attribute = find_attribute(attributes, &self.attribute, 1);
+        let radii = attribute.and_then(|attribute| attribute.values.numbers()).unwrap_or_default();
+        let radii = radii.iter().map(|&radius| self.scale * f64::from(radius));
+        radii.filter(|radius| radius.is_finite() && *radius > 0.0).collect()
+    }
+}
+
+/// How particles are stretched (paper, Eq. 1 and 16, Fig. 11).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Anisotropy {
+    /// Not at all: all particles are balls.
+    None,
+    /// By the positions of the neighbours.
+    Neighbors {
+        /// Upper limit of the longest semi-axis, in units of the shortest.
+        max_stretch: f64,
+        /// Lower limit of the semi-axes of the inner ellipsoids, world units.
+        thin_radius: f64,
+        /// r_min of a particle without neighbours, world units; at most `radius_min`.
+        lone_radius: f64,
+    },
+    /// By the velocity.
+    Velocity {
+        /// Time in seconds. The distance that a particle moves in this time determines its stretch.
+        gain: f64,
+        /// Upper limit of the longest semi-axis, in units of the shortest.
+        max_stretch: f64,
+    },
+}
+
+/// Explicit steps of this size or more, in units of h⁴, are unstable.
+pub const EXPLICIT_STEP_MAX: f64 = 2.0 / EIGENVALUE_MAX as f64;
+
+/// The smallest voxel size, world units. Below it, and above [`VOXEL_SIZE_MAX`], vertices do not fit into
+/// 32-bit numbers.
+const VOXEL_SIZE_MIN: f64 = 1e-36;
+
+/// The largest voxel size, world units.
+const VOXEL_SIZE_MAX: f64 = 1e30;
+
+/// The largest radius in voxels. Beyond it, the bins within reach of a particle would cover most of the
+/// frame.
+pub const RADIUS_MAX_VOXELS: f64 = 64.0;
+
+/// Default of the width below which gaps between the surface and obstacles are filled, in units of h.
+const VOID_THRESHOLD: f64 = 1.0;
+
+/// More steps per frame than this cause a warning, because they take long.
+const STEPS_WARN: f64 = 2000.0;
+
+/// Upper limit of the total time of adaptive steps, in units of h⁴. It also limits their number.
+const ADAPTIVE_TIME_MAX: f64 = 1e4;
+
+/// Why options cannot be resolved to settings. Its `Display` form names options as the command line does.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SettingsError(SettingsFault);
+
+#[derive(Clone, Debug, PartialEq)]
+enum SettingsFault {
+    /// A message without names of options: the invalid value, and the allowed range.
+    Value(String),
+    UnknownSpacing,
+    QuadsOfTetrahedra,
+    QuadsDecimated,
+}
+
+impl SettingsError {
+    fn of_value(what: String) -> SettingsError {
+        SettingsFault::Value(what).into()
+    }
+
+    /// The message with the names of options in this spelling.
+    #[doc(hidden)]
+    pub fn message(&self, spelled: impl Fn(OptionName) -> String) -> String {
+        let quads = OptionName::new("quads");
+        match &self.0 {
+            SettingsFault::Value(what) => what.clone(),
+            SettingsFault::UnknownSpacing => {
+                format!("the particle spacing is unknown: give {}", spelled(OptionName::new("spacing")))
+            }
+            SettingsFault::QuadsOfTetrahedra => format!(
+                "{} requires dual contouring: remove {}",
+                spelled(quads),
+                spelled(OptionName::with_value("contour", "tetrahedra"))
+            ),
+            SettingsFault::QuadsDecimated => format!(
+                "{} cannot be combined with {}, which produces triangles: remove one of them",
+                spelled(quads),
+                spelled(OptionName::new("decimate"))
+            ),
+        }
+    }
+}
+
+impl From<SettingsFault> for SettingsError {
+    fn from(fault: SettingsFault) -> SettingsError {
+        SettingsError(fault)
+    }
+}
+
+impl fmt::Display for SettingsError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message(OptionName::flag))
+    }
+}
+
+impl std::error::Error for SettingsError {}
+
+impl Settings {
+    /// Fills in the defaults of the preset and checks every number.
+    ///
+    /// Lengths that are not set follow the particle spacing: that of `options`, else the `measured` one, else
+    /// the spacing whose default voxel size equals the given voxel size. With [`Preset::Paper`], these
+    /// lengths follow the voxel size.
+    ///
+    /// # Errors
+    /// If a number is not finite or out of its range, if the radii are out of order, or if neither spacing
+    /// nor voxel size is known.
+    pub fn resolve(
+        options: &MethodOptions,
+        measured: Option<SequenceSpacing>,
+    ) -> Result<Settings, SettingsError> {
+        options.check_ranges()?;
+        let recipe = options.recipe();
+        let scale = Scale::new(options, measured)?;
+        let Scale { spacing, voxel_size: h } = scale;
+        require((VOXEL_SIZE_MIN..=VOXEL_SIZE_MAX).contains(&h), || {
+            let voxel_size = named("voxel size", options.voxel_size);
+            format!("the {voxel_size} is {h:e}; it must be from {VOXEL_SIZE_MIN:e} to {VOXEL_SIZE_MAX:e}")
+        })?;
+        let radius_ratio = options.radius_ratio.unwrap_or(recipe.radius_ratio);
+        let [radius_min, radius_init, radius_max] = radii(&scale, radius_ratio, options)?;
+        let integrator = options.integrator.unwrap_or_default();
+        let voxels = scale.voxels(recipe.unit);
+        let explicit = is_explicit(integrator);
+        let neighbor_radius = match options.uses_neighbors() {
+            true => neighbor_radius(options, radius_min, &scale)?,
+            false => 0.0,
+        };
+        let settings = Settings {
+            spacing,
+            voxel_size: h,
+            radius_min,
+            radius_init,
+            radius_max,
+            offset: offset(options, radius_min, &scale)?,
+            radius_ratio,
+            per_particle_radius: options.per_particle_radius()?,
+            anisotropy: anisotropy(options, radius_min, &scale)?,
+            position_smoothing: options.position_smoothing(),
+            neighbor_radius,
+            void_threshold: options.void_threshold.unwrap_or(VOID_THRESHOLD),
+            drop_islands: options.drop_islands.unwrap_or(0),
+            fill_cavities: options.fill_cavities.unwrap_or_else(|| cavities(&recipe, voxels)),
+            clip: options.clip.map(checked_box).transpose()?,
+            decimate: options.decimate.unwrap_or(0.0),
+            smooth_normals: options.smooth_normals.unwrap_or(0),
+            quads: options.quads.unwrap_or(false),
+            attributes: options.attributes.clone(),
+            velocity_scale: options.velocity_scale.unwrap_or(1.0),
+            integrator,
+            laplacian_steps: options.laplacian_steps.unwrap_or_else(|| laplacian_steps(&recipe, voxels)),
+            steps: options.steps.unwrap_or_else(|| default_steps(&recipe, integrator, voxels)),
+            step_size: options.step_size.unwrap_or_else(|| default_step_size(&recipe, integrator, voxels)),
+            redistance_every: options.redistance_every.unwrap_or(if explicit { 50 } else { 1 }),
+            cg_tolerance: options.cg_tolerance.unwrap_or(1e-4),
+            contouring: options.contour.unwrap_or_default(),
+        };
+        settings.check_together()?;
+        Ok(settings)
+    }
+
+    /// The paper's settings for a voxel size, overridden by these options: for tests and the paper's
+    /// experiments. If the options choose a preset whose lengths follow the particle spacing, this spacing is
+    /// two voxels.
+    ///
+    /// # Errors
+    /// As [`Settings::resolve`].
+    pub fn paper(voxel_size: f64, options: &MethodOptions) -> Result<Settings, SettingsError> {
+        let paper = MethodOptions {
+            preset: Some(Preset::Paper),
+            voxel_size: Some(voxel_size.into()),
+            spacing: Some(2.0 * voxel_size),
+            ..MethodOptions::default()
+        };
+        Settings::resolve(&options.clone().over(paper), None)
+    }
+
+    /// The settings for level sets. Their voxel size is in their files, so these settings have a placeholder
+    /// that suits the offset until [`with_voxel_size`](Settings::with_voxel_size) replaces it.
+    ///
+    /// # Errors
+    /// If these options are invalid for every voxel size.
+    pub fn for_level_sets(options: &MethodOptions) -> Result<Settings, SettingsError> {
+        let offset =
+            options.offset.and_then(Length::world).filter(|offset| offset.is_finite()).unwrap_or(0.0);
+        Settings::paper(if offset == 0.0 { 1.0 } else { offset.abs() }, options)
+    }
+
+    /// The same settings for another voxel size: the lengths that depend on the voxel size become those of
+    /// [`Settings::paper`].
+    ///
+    /// # Errors
+    /// If the voxel size is invalid, or too small or too large for the offset.
+    pub fn with_voxel_size(&self, voxel_size: f64) -> Result<Settings, SettingsError> {
+        let lengths = Settings::paper(voxel_size, &MethodOptions::default())?;
+        check_offset((Some(self.offset.into()), self.offset), (lengths.radius_min, "√3 h"), voxel_size)?;
+        Ok(Settings {
+            spacing: lengths.spacing,
+            voxel_size: lengths.voxel_size,
+            radius_min: lengths.radius_min,
+            radius_init: lengths.radius_init,
+            radius_max: lengths.radius_max,
+            ..self.clone()
+        })
+    }
+
+    /// Checks what depends on several options.
+    fn check_together(&self) -> Result<(), SettingsError> {
+        if self.integrator == Integrator::Adaptive {
+            let time = f64::from(self.steps) * self.step_size;
+            let what = "total time of adaptive steps (steps times step size) in h⁴";
+            require((0.0..=ADAPTIVE_TIME_MAX).contains(&time), || {
+                format!("the {what} is {time}; it must be from 0 to {ADAPTIVE_TIME_MAX}")
+            })?;
+        }
+        match (self.quads, self.contouring) {
+            (true, Contouring::Tetrahedra) => Err(SettingsFault::QuadsOfTetrahedra.into()),
+            (true, Contouring::Dual) if self.decimate != 0.0 => Err(SettingsFault::QuadsDecimated.into()),
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether particles differ in size or shape.
+    pub fn has_per_particle_shapes(&self) -> bool {
+        self.per_particle_radius.is_some() || self.anisotropy != Anisotropy::None
+    }
+
+    /// Approximate distance from the outermost particles of a fluid at rest to its surface, world units. With
+    /// anisotropy by neighbours, these particles are flattened and the surface lies where the fluid ends,
+    /// half a spacing away. Otherwise it lies at r_min or beyond. Pictures put the ground at this height.
+    pub fn resting_height(&self) -> f64 {
+        match self.anisotropy {
+            Anisotropy::Neighbors { .. } => self.radius_min.min(0.5 * self.spacing),
+            Anisotropy::None | Anisotropy::Velocity { .. } => self.radius_min,
+        }
+    }
+
+    /// Whether a particle's position or shape depends on its neighbours.
+    pub fn uses_neighbors(&self) -> bool {
+        self.position_smoothing > 0.0 || matches!(self.anisotropy, Anisotropy::Neighbors { .. })
+    }
+
+    /// Checks options before the particle spacing is known: whether they are valid for some spacing.
+    ///
+    /// # Errors
+    /// If no spacing makes the options valid.
+    pub fn check(options: &MethodOptions) -> Result<(), SettingsError> {
+        if !options.needs_spacing() {
+            return Settings::resolve(options, None).map(|_| ());
+        }
+        let sound = |length: &f64| length.is_finite() && *length > 0.0;
+        let recipe = options.recipe();
+        // Choose a spacing whose default length equals the given length. `resolve` reports invalid lengths.
+        let unit = match recipe.unit {
+            Unit::Spacing => 1.0,
+            Unit::VoxelSize => recipe.voxel_size,
+        };
+        let ratio = options.radius_ratio.filter(|ratio| *ratio >= 1.0).unwrap_or(recipe.radius_ratio);
+        let init = initial_radius(&recipe, 1.0, ratio);
+        let [voxel_size, radius_min, radius_init] =
+            [options.voxel_size, options.radius_min, options.radius_init]
+                .map(|it| it.and_then(Length::world));
+        let spacing = match (voxel_size, radius_min, radius_init) {
+            (Some(voxel_size), ..) => voxel_size / recipe.voxel_size,
+            (None, Some(radius), _) => radius / (recipe.radius_min * unit),
+            (None, None, Some(radius)) => radius / (recipe.radius_min * init * unit),
+            (None, None, None) => 1.0,
+        };
+        let spacing = Some(spacing).filter(sound).unwrap_or(1.0);
+        // An inward offset can be compared with a given r_min. Any other offset fits some spacing.
+        let inward = options.offset.and_then(Length::world).filter(|offset| offset.is_finite());
+        if let (Some(radius_min), Some(offset)) = (radius_min.filter(sound), inward) {
+            require(-offset <= (1.0 + 1e-9) * radius_min, || {
+                format!("the offset is {offset}; it must be at least -r_min = {}", significant(-radius_min))
+            })?;
+        }
+        // Lengths in spacings and in voxels can be compared with each other, but not with lengths in world
+        // units.
+        let has_world = [voxel_size, radius_min, radius_init].iter().any(Option::is_some);
+        let kept = |given: Option<Length>, is_kept: &dyn Fn(f64) -> bool| {
+            given.filter(|length| length.world().map_or(!has_world, is_kept))
+        };
+        let is_unsound = |radius: f64| !sound(&radius);
+        let options = MethodOptions {
+            radius_min: kept(options.radius_min, &|_| true),
+            radius_init: kept(options.radius_init, &|_| true),
+            offset: kept(options.offset, &|offset| !offset.is_finite()),
+            thin_radius: kept(options.thin_radius, &is_unsound),
+            lone_radius: kept(options.lone_radius, &is_unsound),
+            // A neighbour radius can be compared with a given voxel size; without one, it fits some spacing.
+            neighbor_radius: kept(options.neighbor_radius, &|radius| {
+                is_unsound(radius) || voxel_size.is_some()
+            }),
+            ..options.clone()
+        };
+        Settings::resolve(&options, Some(SequenceSpacing::from(spacing))).map(|_| ())
+    }
+
+    /// Warnings to show before work begins, one sentence each.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if self.integrator == Integrator::Explicit && self.step_size >= EXPLICIT_STEP_MAX {
+            warnings.push(format!(
+                "the explicit step size of {} h⁴ is not below the stability limit, 2/144 = {EXPLICIT_STEP_MAX:.5} h⁴: choose a \
+                 smaller step size",
+                self.step_size
+            ));
+        }
+        if self.integrator == Integrator::Adaptive {
+            warnings.push(
+                "adaptive steps are for single frames: their sizes differ per frame, so a sequence flickers"
+                    .into(),
+            );
+        }
+        let (least, steps) = self.step_count();
+        if steps > STEPS_WARN {
+            let at_least = if least { "at least " } else { "" };
+            warnings.push(format!("{at_least}{steps:.0} steps for each frame will take long"));
+        }
+        if self.radius_min < 0.999 * 3f64.sqrt() * self.voxel_size {
+            warnings.push(format!(
+                "r_min is {:.3} voxels: below √3, particles may fall between voxels and end up outside the surface",
+                self.radius_min / self.voxel_size
+            ));
+        }
+        warnings
+    }
+}
+
+impl Settings {
+    /// The number of biharmonic steps, and whether it is only a lower bound: adaptive steps are at most as
+    /// large as is stable.
+    fn step_count(&self) -> (bool, f64) {
+        let steps = f64::from(self.steps);
+        match self.integrator {
+            Integrator::Adaptive => (true, steps * (self.step_size / EXPLICIT_STEP_MAX)),
+            Integrator::Fast | Integrator::Implicit | Integrator::Explicit => (false, steps),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

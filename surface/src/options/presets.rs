@@ -1,0 +1,294 @@
+//! Presets: sets of defaults for the most common kinds of particles.
+//!
+//! The lengths of most presets are in particle spacings d: a finer grid then shows the same surface in more
+//! detail. Those of the paper's presets are in voxels h, as in the paper.
+
+use crate::words::{rounded_to_digits, word_enum};
+
+use super::length::{Length, LengthUnit};
+use super::values::AnisotropyKind;
+use super::{MethodOptions, SettingsError, SettingsFault, require};
+
+word_enum! {
+    /// A set of defaults.
+    #[derive(Default)]
+    pub enum Preset {
+        /// Water and other liquids of evenly spaced particles, such as those of SPH: the default
+        #[default]
+        Fluid = "fluid",
+        /// As fluid, but smoother, for irregularly spaced particles, such as those of FLIP and MPM
+        Noisy = "noisy",
+        /// Sheets, filaments and drops: finer and thinner than fluid
+        Splash = "splash",
+        /// Sand, snow, grain: close to the particles, with little smoothing
+        Granular = "granular",
+        /// A quick preview: voxels as large as the spacing
+        Preview = "preview",
+        /// The parameters of Bhattacharya, Gao and Bargteil (2015): lengths follow the voxel size
+        Paper = "paper",
+        /// Deprecated: paper, with small cavities filled
+        Water = "water",
+        /// Deprecated: paper, closer to the particles
+        Faithful = "faithful",
+        /// Deprecated: paper, with a larger radius ratio and more steps
+        Smooth = "smooth",
+    }
+}
+
+/// The unit of a preset's lengths and times.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Unit {
+    /// The particle spacing d.
+    Spacing,
+    /// The voxel size h.
+    VoxelSize,
+}
+
+/// r_init, where smoothing starts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum InitialRadius {
+    /// Half way between r_min and r_max (paper, Eq. 2).
+    Middle,
+    /// This many times r_min, limited to r_max.
+    Times(f64),
+}
+
+/// The default values of a preset.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Recipe {
+    /// The unit of the numbers below: they are multiples of powers of this length.
+    pub(super) unit: Unit,
+    /// Default voxel size, in particle spacings.
+    pub(super) voxel_size: f64,
+    /// r_min, in units.
+    pub(super) radius_min: f64,
+    /// r_max / r_min.
+    pub(super) radius_ratio: f64,
+    /// r_init.
+    pub(super) radius_init: InitialRadius,
+    /// How particles are stretched.
+    pub(super) anisotropy: AnisotropyKind,
+    /// Smallest semi-axis of flattened particles, in units; `None` for √3 h.
+    pub(super) thin_radius: Option<f64>,
+    /// r_min of particles without neighbours, in units; `None` for r_min.
+    pub(super) lone_radius: Option<f64>,
+    /// Search radius for neighbours, in units; `None` for 3 r_min.
+    pub(super) neighbor_radius: Option<f64>,
+    /// How far particles are moved toward the mean of their neighbours, 0 to 1.
+    pub(super) position_smoothing: f64,
+    /// Cavities with a smaller volume than this are filled, in units³.
+    pub(super) fill_cavities: f64,
+    /// Number of Laplacian steps if a voxel is as large as the unit; the number grows with the square of unit
+    /// / voxel size.
+    pub(super) laplacian_steps: f64,
+    /// Number of implicit steps.
+    pub(super) steps: u32,
+    /// Size of an implicit step, in units⁴.
+    pub(super) step_size: f64,
+    /// Total time of explicit steps, in units⁴.
+    pub(super) explicit_time: f64,
+}
+
+/// The paper's numbers: r_min = √3 h (Eq. 13), five implicit steps of 20 h⁴ or 500 explicit ones of 0.01 h⁴
+/// (Eq. 14, 15).
+const PAPER: Recipe = Recipe {
+    unit: Unit::VoxelSize,
+    voxel_size: 0.5,
+    // √3; `sqrt` is not a constant expression.
+    radius_min: 1.732_050_807_568_877_2,
+    radius_ratio: 2.0,
+    radius_init: InitialRadius::Middle,
+    anisotropy: AnisotropyKind::None,
+    thin_radius: None,
+    lone_radius: None,
+    neighbor_radius: None,
+    position_smoothing: 0.0,
+    fill_cavities: 0.0,
+    laplacian_steps: 15.0,
+    steps: 5,
+    step_size: 20.0,
+    explicit_time: 5.0,
+};
+
+/// The preset for fluids. docs/method.md has the measurements behind these values.
+const FLUID: Recipe = Recipe {
+    unit: Unit::Spacing,
+    voxel_size: 0.4,
+    radius_min: 1.15,
+    radius_ratio: 2.0,
+    radius_init: InitialRadius::Times(1.26),
+    anisotropy: AnisotropyKind::Neighbors,
+    thin_radius: Some(0.36),
+    lone_radius: Some(0.7),
+    neighbor_radius: Some(2.6),
+    position_smoothing: 0.7,
+    fill_cavities: 25.0,
+    laplacian_steps: 1.6,
+    steps: 2,
+    step_size: 0.25,
+    explicit_time: 0.5,
+};
+
+impl Preset {
+    /// The replacement of a deprecated preset.
+    pub fn successor(self) -> Option<Preset> {
+        match self {
+            Preset::Water | Preset::Smooth => Some(Preset::Fluid),
+            Preset::Faithful => Some(Preset::Granular),
+            _ => None,
+        }
+    }
+
+    /// Whether its lengths and times follow the voxel size, so that it needs no particle spacing.
+    pub fn follows_voxel_size(self) -> bool {
+        self.recipe().unit == Unit::VoxelSize
+    }
+
+    /// The default voxel size for a particle spacing.
+    pub fn voxel_size(self, spacing: f64) -> f64 {
+        rounded_to_digits(self.recipe().voxel_size * spacing)
+    }
+
+    pub(super) fn recipe(self) -> Recipe {
+        match self {
+            Preset::Fluid => FLUID,
+            Preset::Noisy => Recipe {
+                radius_init: InitialRadius::Times(1.39),
+                neighbor_radius: Some(3.0),
+                position_smoothing: 0.9,
+                laplacian_steps: 7.5,
+                steps: 4,
+                step_size: 0.5,
+                explicit_time: 2.0,
+                ..FLUID
+            },
+            Preset::Splash => Recipe {
+                voxel_size: 0.35,
+                radius_min: 1.0,
+                radius_init: InitialRadius::Times(1.2),
+                thin_radius: Some(0.32),
+                lone_radius: Some(0.62),
+                ..FLUID
+            },
+            Preset::Granular => Recipe {
+                voxel_size: 0.5,
+                radius_min: 0.866_025_403_784_438_6,
+                radius_ratio: 1.25,
+                radius_init: InitialRadius::Middle,
+                anisotropy: AnisotropyKind::None,
+                position_smoothing: 0.0,
+                fill_cavities: 0.0,
+                steps: 1,
+                step_size: 0.125,
+                explicit_time: 0.125,
+                ..FLUID
+            },
+            Preset::Preview => Recipe {
+                voxel_size: 1.0,
+                anisotropy: AnisotropyKind::None,
+                position_smoothing: 0.0,
+                steps: 1,
+                step_size: 0.125,
+                explicit_time: 0.125,
+                ..FLUID
+            },
+            Preset::Paper => PAPER,
+            Preset::Water => Recipe { fill_cavities: 200.0, ..PAPER },
+            Preset::Faithful => Recipe { radius_ratio: 1.25, ..PAPER },
+            Preset::Smooth => {
+                let (steps, explicit_time) = (2 * PAPER.steps, 2.0 * PAPER.explicit_time);
+                Recipe { radius_ratio: 3.0, steps, explicit_time, fill_cavities: 200.0, ..PAPER }
+            }
+        }
+    }
+}
+
+/// The lengths that settings depend on, world units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Scale {
+    /// The particle spacing d.
+    pub(super) spacing: f64,
+    /// The voxel size h.
+    pub(super) voxel_size: f64,
+}
+
+impl Scale {
+    /// From the options and the measured spacing.
+    ///
+    /// # Errors
+    /// If a length is not positive, or neither length is known.
+    pub(super) fn new(
+        options: &MethodOptions,
+        measured: Option<SequenceSpacing>,
+    ) -> Result<Scale, SettingsError> {
+        let recipe = options.recipe();
+        let in_world_units = options.voxel_size.and_then(Length::world);
+        in_world_units.map_or(Ok(0.0), |h| super::checks::positive("voxel size", h))?;
+        let spacing = options.spacing.or(measured.map(|measured| measured.spacing));
+        let spacing = match (spacing, in_world_units) {
+            (Some(spacing), _) => super::checks::positive("particle spacing", spacing)?,
+            (None, Some(h)) => rounded_to_digits(h / recipe.voxel_size),
+            (None, None) => return Err(SettingsFault::UnknownSpacing.into()),
+        };
+        let usual = rounded_to_digits(recipe.voxel_size * spacing);
+        let for_radii = |radius: f64| (radius / 3f64.sqrt()).max(spacing / VOXELS_PER_SPACING_MAX).min(usual);
+        let median = measured.and_then(|measured| measured.radius_median);
+        let voxel_size = match options.voxel_size {
+            Some(length) => {
+                require(length.unit != LengthUnit::Voxel, || {
+                    format!(
+                        "the voxel size is {length}; give it in world units or particle spacings, such as 0.4d"
+                    )
+                })?;
+                super::checks::positive_length(
+                    "voxel size",
+                    options.voxel_size,
+                    length.resolve(spacing, f64::NAN),
+                )?
+            }
+            None => median.map_or(usual, for_radii),
+        };
+        Ok(Scale { spacing, voxel_size })
+    }
+
+    /// A length option in world units.
+    pub(super) fn length(&self, given: Option<Length>) -> Option<f64> {
+        given.map(|length| length.resolve(self.spacing, self.voxel_size))
+    }
+
+    /// Converts `count` units to a length, world units.
+    pub(super) fn units(&self, unit: Unit, count: f64) -> f64 {
+        match unit {
+            Unit::VoxelSize => count * self.voxel_size,
+            Unit::Spacing => rounded_to_digits(count * self.spacing),
+        }
+    }
+
+    /// The number of voxels in a unit of length.
+    pub(super) fn voxels(&self, unit: Unit) -> f64 {
+        match unit {
+            Unit::VoxelSize => 1.0,
+            Unit::Spacing => self.spacing / self.voxel_size,
+        }
+    }
+}
+
+/// Upper limit of voxels per particle spacing, however small the particles' own radii are. Without this
+/// limit, radii that are not in the unit of the positions could require a grid that does not fit into memory.
+const VOXELS_PER_SPACING_MAX: f64 = 8.0;
+
+/// Measurements of the particles of a sequence.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SequenceSpacing {
+    /// The particle spacing d, world units.
+    pub spacing: f64,
+    /// The median r_min of particles with per-particle radii, world units. The default voxel size is chosen
+    /// small enough for this radius.
+    pub radius_median: Option<f64>,
+}
+
+impl From<f64> for SequenceSpacing {
+    fn from(spacing: f64) -> SequenceSpacing {
+        SequenceSpacing { spacing, radius_median: None }
+    }
+}

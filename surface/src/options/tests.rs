@@ -1,0 +1,374 @@
+use super::*;
+
+#[test]
+fn settings_resolve_again_from_their_own_options() {
+    let preset = |&preset| MethodOptions { preset: Some(preset), ..MethodOptions::default() };
+    let presets: Vec<MethodOptions> = Preset::ALL.iter().map(preset).collect();
+    let others = [
+        MethodOptions {
+            anisotropy: Some(AnisotropyKind::Velocity),
+            max_stretch: Some(2.0),
+            ..MethodOptions::default()
+        },
+        MethodOptions { position_smoothing: Some(0.9), ..MethodOptions::default() },
+        MethodOptions {
+            attributes: Some(AttributeSelection::All),
+            velocity_scale: Some(24.0),
+            ..MethodOptions::default()
+        },
+        MethodOptions {
+            anisotropy: Some(AnisotropyKind::Neighbors),
+            neighbor_radius: Some(2.0.into()),
+            ..MethodOptions::default()
+        },
+        MethodOptions {
+            radius_attribute: Some("pscale".into()),
+            quads: Some(true),
+            ..MethodOptions::default()
+        },
+        MethodOptions {
+            integrator: Some(Integrator::Implicit),
+            decimate: Some(0.1),
+            ..MethodOptions::default()
+        },
+    ];
+    let all: Vec<Settings> = presets
+        .iter()
+        .chain(&others)
+        .map(|choices| Settings::resolve(choices, Some(SequenceSpacing::from(1.0))).expect("sound"))
+        .collect();
+    for (index, settings) in all.iter().enumerate() {
+        assert_eq!(Settings::resolve(&settings.to_options(), None).as_ref(), Ok(settings));
+        assert!(!all[..index].contains(settings), "{settings:?} twice");
+    }
+}
+
+#[test]
+fn radius_ratio_keeps_the_typed_value() {
+    // For some of these voxel sizes, the rounded value of 3 r_min / r_min is not 3.
+    for voxel_size in [0.1, 0.03, 0.022_176_949_191_354_715, 1.0 / 3.0] {
+        let choices = MethodOptions { preset: Some(Preset::Smooth), ..MethodOptions::default() };
+        let settings = Settings::paper(voxel_size, &choices).expect("sound");
+        assert_eq!(settings.to_options().radius_ratio, Some(3.0));
+        assert_eq!(Settings::resolve(&settings.to_options(), None), Ok(settings));
+    }
+}
+
+#[test]
+fn presets_smooth_in_the_same_proportions_with_any_integrator() {
+    for integrator in [Integrator::Fast, Integrator::Implicit, Integrator::Explicit, Integrator::Adaptive] {
+        let resolved = |preset, steps| {
+            let choices =
+                MethodOptions { preset, steps, integrator: Some(integrator), ..MethodOptions::default() };
+            Settings::paper(1.0, &choices).expect("sound")
+        };
+        let own = resolved(None, None);
+        for (preset, fifths) in [(Preset::Smooth, 10), (Preset::Faithful, 5), (Preset::Water, 5)] {
+            let settings = resolved(Some(preset), None);
+            assert_eq!((5 * settings.steps, settings.step_size), (fifths * own.steps, own.step_size));
+            assert_eq!(resolved(Some(preset), Some(7)).steps, 7);
+        }
+        let [fluid, preview] = [Preset::Fluid, Preset::Preview].map(|preset| resolved(Some(preset), None));
+        let time = |settings: &Settings| f64::from(settings.steps) * settings.step_size;
+        assert_eq!(time(&fluid), 8.0);
+        assert_eq!(preview.voxel_size, 1.0);
+    }
+}
+
+/// The lengths and times of settings, in particle spacings and their powers.
+fn in_spacings(settings: &Settings) -> [f64; 7] {
+    let h = settings.voxel_size / settings.spacing;
+    let lengths = [settings.radius_min, settings.radius_init, settings.radius_max, settings.neighbor_radius];
+    let [min, init, max, radius] = lengths.map(|length| length / settings.spacing);
+    let time = f64::from(settings.steps) * settings.step_size * h.powi(4);
+    let laplacian_time = f64::from(settings.laplacian_steps) * h * h;
+    [min, init, max, radius, time, laplacian_time, settings.fill_cavities * h.powi(3)]
+}
+
+#[test]
+fn finer_grid_keeps_lengths_and_times() {
+    for spacing in [1.0, 0.3, 7e5] {
+        let resolved = |voxels: f64| {
+            let voxel_size = Some((spacing / voxels).into());
+            let preset = Some(Preset::Fluid);
+            let choices =
+                MethodOptions { preset, spacing: Some(spacing), voxel_size, ..MethodOptions::default() };
+            in_spacings(&Settings::resolve(&choices, None).expect("sound"))
+        };
+        let usual = resolved(2.5);
+        // The number of Laplacian steps is rounded.
+        for (voxels, slack) in [(2.0, 0.1), (4.0, 0.05), (6.0, 0.05)] {
+            for (finer, usual) in resolved(voxels).into_iter().zip(usual) {
+                assert!((finer / usual - 1.0).abs() <= slack, "{voxels}: {finer} and not {usual}");
+            }
+        }
+        let anisotropy = |voxels: f64, kind| {
+            let voxel_size = Some((spacing / voxels).into());
+            let choices = MethodOptions {
+                voxel_size,
+                spacing: Some(spacing),
+                anisotropy: kind,
+                ..MethodOptions::default()
+            };
+            Settings::resolve(&choices, None).expect("sound").anisotropy
+        };
+        let thin = |voxels: f64| match anisotropy(voxels, None) {
+            Anisotropy::Neighbors { thin_radius, .. } => thin_radius / spacing,
+            other => panic!("{other:?}"),
+        };
+        // The thin radius is the default as long as the grid resolves it.
+        assert!((thin(2.5) - 0.36).abs() < 1e-9 && (thin(6.0) - 0.36).abs() < 1e-9);
+        assert!((thin(2.0) - 0.45).abs() < 1e-9 && (thin(2.49) - 0.9 / 2.49).abs() < 1e-9);
+        // If r_min is √3 h, particles are balls unless the options request other shapes.
+        assert_eq!(anisotropy(1.0, None), Anisotropy::None);
+        assert!(matches!(anisotropy(1.0, Some(AnisotropyKind::Neighbors)), Anisotropy::Neighbors { .. }));
+        // On coarse voxels r_min is raised, and the other radii with it.
+        let coarse = resolved(1.0);
+        assert!((coarse[0] - 3f64.sqrt()).abs() < 1e-9);
+        assert!((coarse[1] / coarse[0] - usual[1] / usual[0]).abs() < 1e-9);
+        assert!((coarse[3] - usual[3]).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn given_spacing_overrides_the_measured_one() {
+    const FLUID: Option<Preset> = Some(Preset::Fluid);
+    let choices = |spacing, voxel_size: Option<f64>, preset| MethodOptions {
+        spacing,
+        voxel_size: voxel_size.map(Length::from),
+        preset,
+        ..MethodOptions::default()
+    };
+    let resolved = |choices: &MethodOptions, measured: Option<f64>| {
+        let settings = Settings::resolve(choices, measured.map(SequenceSpacing::from))?;
+        Ok::<_, SettingsError>((settings.spacing, settings.voxel_size))
+    };
+    assert_eq!(resolved(&choices(Some(0.2), None, FLUID), Some(0.5)), Ok((0.2, 0.08)));
+    assert_eq!(resolved(&choices(None, None, FLUID), Some(0.5)), Ok((0.5, 0.2)));
+    assert_eq!(resolved(&choices(None, Some(0.3), FLUID), Some(0.5)), Ok((0.5, 0.3)));
+    assert_eq!(resolved(&choices(None, Some(0.3), FLUID), None), Ok((0.75, 0.3)));
+    let paper = choices(None, Some(0.3), Some(Preset::Paper));
+    assert_eq!(resolved(&paper, None), Ok((0.6, 0.3)));
+    assert!(!paper.needs_spacing());
+    for unknown in [choices(None, None, FLUID), choices(None, None, Some(Preset::Paper))] {
+        assert!(unknown.needs_spacing());
+        let error = resolved(&unknown, None).expect_err("unknown");
+        assert!(error.to_string().contains("--spacing"), "{error}");
+    }
+    // The voxel size follows small particle radii, but only down to a limit, because the radii might be in
+    // another unit.
+    let of_radius = |radius| {
+        let measured = SequenceSpacing { spacing: 1.0, radius_median: Some(radius) };
+        Settings::resolve(&choices(None, None, FLUID), Some(measured)).expect("sound").voxel_size
+    };
+    assert_eq!([of_radius(0.3 * 3f64.sqrt()), of_radius(2.0), of_radius(1e-6)], [0.3, 0.4, 0.125]);
+}
+
+#[test]
+fn offset_out_of_range_is_rejected_with_the_range() {
+    let resolved = |offset: f64| {
+        let choices = MethodOptions {
+            radius_min: Some(0.5.into()),
+            offset: Some(offset.into()),
+            ..MethodOptions::default()
+        };
+        Settings::paper(0.25, &choices)
+    };
+    for offset in [-0.5, -0.1, 0.0, 0.5] {
+        let settings = resolved(offset).expect("in range");
+        assert_eq!(settings.offset, offset);
+        // Files do not record an offset of 0, so that they have the same bytes as before the option existed.
+        assert_eq!(settings.pairs(|_| true).iter().any(|(name, _)| *name == "offset"), offset != 0.0);
+        assert_eq!(Settings::resolve(&settings.to_options(), None), Ok(settings));
+    }
+    for offset in [-0.51, 0.51, f64::INFINITY] {
+        let error = resolved(offset).expect_err("out of range").to_string();
+        let expected = format!("the offset is {offset}; it must be from -r_min = -0.5 to 2 h = 0.5");
+        assert_eq!(error, expected);
+    }
+}
+
+#[test]
+fn lengths_out_of_range_are_named_as_typed() {
+    // d = 0.1 and h = 0.04.
+    for (name, text, expected) in [
+        ("offset", "5h", "the offset 5h is 0.2; it must be from -r_min = -0.115 to 2 h = 0.08"),
+        ("offset", "-2d", "the offset -2d is -0.2; it must be from -r_min = -0.115 to 2 h = 0.08"),
+        ("offset", "0.2", "the offset is 0.2; it must be from -r_min = -0.115 to 2 h = 0.08"),
+        ("voxel_size", "-1d", "the voxel size -1d is -0.1; it must be a positive number"),
+        ("radius_min", "-1d", "the radius r_min -1d is -0.1; it must be a positive number"),
+        ("radius_min", "1e-9d", "r_min 0.000000001d is 2.5e-9 voxels"),
+        ("radius_init", "9h", "r_init 9h is 0.36; it must be between r_min = 0.115 and r_max = 0.23"),
+        ("thin_radius", "2d", "the smallest semi-axis of flattened particles 2d is 0.2; it must be from"),
+        ("lone_radius", "2d", "the radius of particles without neighbours 2d is 0.2; it must be at most"),
+        ("neighbor_radius", "90d", "the neighbour radius 90d is 225 h; it must be at most 200 h"),
+    ] {
+        let error = Settings::resolve(&options(&[(name, text)]), Some(0.1.into())).expect_err(text);
+        assert!(error.to_string().starts_with(expected), "{error}");
+    }
+}
+
+#[test]
+fn many_steps_cause_a_warning() {
+    let warning_of = |integrator, steps, step_size| {
+        let choices =
+            MethodOptions { integrator: Some(integrator), steps, step_size, ..MethodOptions::default() };
+        Settings::paper(1.0, &choices)
+            .expect("sound")
+            .warnings()
+            .into_iter()
+            .find(|warning| warning.contains(" steps for each"))
+    };
+    let adaptive = warning_of(Integrator::Adaptive, None, Some(20.0)).expect("a warning");
+    assert!(adaptive.starts_with("at least 720000 steps"), "{adaptive}");
+    let explicit = warning_of(Integrator::Explicit, Some(5000), None).expect("a warning");
+    assert!(explicit.starts_with("5000 steps"), "{explicit}");
+    for integrator in [Integrator::Fast, Integrator::Explicit, Integrator::Adaptive] {
+        assert_eq!(warning_of(integrator, None, None), None);
+        assert_eq!(warning_of(integrator, Some(2000), None), None);
+    }
+}
+
+#[test]
+fn options_are_checked_before_the_voxel_size_is_known() {
+    let choices = |radius_min: Option<f64>, radius_ratio, radius_init: Option<f64>| MethodOptions {
+        radius_min: radius_min.map(Length::from),
+        radius_ratio,
+        radius_init: radius_init.map(Length::from),
+        ..MethodOptions::default()
+    };
+    for sound in [
+        choices(None, None, None),
+        choices(Some(1e-9), None, None),
+        choices(Some(1e9), Some(20.0), None),
+        choices(None, None, Some(1e-9)),
+        choices(None, Some(1.0), Some(1e9)),
+        choices(None, Some(4.0), Some(0.3)),
+        choices(Some(0.1), Some(4.0), Some(0.3)),
+        MethodOptions { offset: Some(7.0.into()), ..choices(Some(0.1), None, None) },
+        MethodOptions { offset: Some((-0.1).into()), ..choices(Some(0.1), None, None) },
+        MethodOptions { offset: Some((-7.0).into()), ..MethodOptions::default() },
+        // Some particle spacing makes this valid.
+        MethodOptions { neighbor_radius: Some(201.0.into()), ..MethodOptions::default() },
+    ] {
+        assert_eq!(Settings::check(&sound), Ok(()), "{sound:?}");
+    }
+    for (invalid, word) in [
+        (choices(None, Some(0.5), None), "ratio"),
+        (choices(None, Some(-1.0), Some(1.0)), "ratio"),
+        (choices(None, Some(f64::NAN), Some(1.0)), "ratio"),
+        (choices(Some(-1.0), None, None), "r_min"),
+        (choices(Some(f64::INFINITY), None, None), "r_min"),
+        (choices(None, None, Some(0.0)), "r_init"),
+        (choices(Some(0.1), Some(2.0), Some(0.3)), "r_init is 0.3"),
+        (choices(None, Some(1000.0), None), "voxels"),
+        (
+            MethodOptions { steps: Some(u32::MAX), ..MethodOptions::default() },
+            "steps is 4294967295; it must be from 0 to 1000000",
+        ),
+        (MethodOptions { max_stretch: Some(0.5), ..MethodOptions::default() }, "max_stretch is 0.5"),
+        (
+            MethodOptions { position_smoothing: Some(1.1), ..MethodOptions::default() },
+            "position_smoothing is 1.1",
+        ),
+        (
+            MethodOptions {
+                voxel_size: Some(1.0.into()),
+                position_smoothing: Some(0.5),
+                neighbor_radius: Some(201.0.into()),
+                ..MethodOptions::default()
+            },
+            "neighbour radius",
+        ),
+        (
+            MethodOptions { neighbor_radius: Some((-1.0).into()), ..MethodOptions::default() },
+            "neighbour radius",
+        ),
+        (
+            MethodOptions { void_threshold: Some(-1.0), ..MethodOptions::default() },
+            "void_threshold is -1; it must be from 0 to 4",
+        ),
+        (MethodOptions { offset: Some(f64::NAN.into()), ..MethodOptions::default() }, "offset is NaN"),
+        (
+            MethodOptions { offset: Some((-0.11).into()), ..choices(Some(0.1), None, None) },
+            "at least -r_min = -0.1",
+        ),
+        (MethodOptions { quads: Some(true), decimate: Some(0.1), ..MethodOptions::default() }, "quads"),
+        (
+            MethodOptions {
+                clip: Some(ClipBox { min: [0.0; 3], max: [1.0, 0.0, 1.0] }),
+                ..MethodOptions::default()
+            },
+            "box",
+        ),
+    ] {
+        let error = Settings::check(&invalid).expect_err("senseless");
+        assert!(error.to_string().contains(word), "{invalid:?}: {error}");
+    }
+}
+
+/// Parses options from text.
+fn options(pairs: &[(&str, &str)]) -> MethodOptions {
+    MethodOptions::from_pairs(pairs.iter().copied()).expect("options")
+}
+
+#[test]
+fn lengths_in_spacings_and_voxels_convert_to_world_units() {
+    let given = [
+        ("spacing", "0.5"),
+        ("voxel_size", "0.4d"),
+        ("radius_min", "0.6d"),
+        ("radius_init", "3.5h"),
+        ("offset", "-0.3d"),
+        ("thin_radius", "1h"),
+        ("lone_radius", "0.5d"),
+        ("neighbor_radius", "5h"),
+    ];
+    let world = [
+        ("spacing", "0.5"),
+        ("voxel_size", "0.2"),
+        ("radius_min", "0.3"),
+        ("radius_init", "0.7"),
+        ("offset", "-0.15"),
+        ("thin_radius", "0.2"),
+        ("lone_radius", "0.25"),
+        ("neighbor_radius", "1"),
+    ];
+    // With these options, r_max is 0.75.
+    let [given, world] =
+        [given, world].map(|pairs| MethodOptions { radius_ratio: Some(2.5), ..options(&pairs) });
+    let settings = Settings::resolve(&given, None).expect("sound");
+    assert_eq!(Settings::resolve(&world, None).as_ref(), Ok(&settings));
+    assert_eq!(settings.to_options().radius_min, Some(0.3.into()));
+    assert_eq!(Settings::check(&MethodOptions { spacing: None, ..given }), Ok(()));
+}
+
+#[test]
+fn lengths_in_spacings_need_the_spacing_and_those_in_voxels_do_not() {
+    let paper = |name, value| options(&[("preset", "paper"), ("voxel_size", "0.1"), (name, value)]);
+    assert!(paper("radius_min", "0.9d").needs_spacing());
+    assert!(!paper("radius_min", "2h").needs_spacing() && !paper("radius_min", "0.2").needs_spacing());
+    assert!(options(&[("preset", "paper"), ("voxel_size", "0.5d")]).needs_spacing());
+    let error =
+        Settings::resolve(&options(&[("spacing", "1"), ("voxel_size", "2h")]), None).expect_err("no unit");
+    assert!(error.to_string().contains("2h") && error.to_string().contains("0.4d"), "{error}");
+    // Lengths in different units are compared once the spacing is known.
+    assert_eq!(Settings::check(&options(&[("radius_min", "0.1"), ("radius_init", "9d")])), Ok(()));
+    assert!(Settings::check(&options(&[("radius_min", "1d"), ("radius_init", "9d")])).is_err());
+}
+
+#[test]
+fn options_round_trip_through_serde() {
+    let given = options(&[
+        ("preset", "splash"),
+        ("radius_min", "0.6d"),
+        ("offset", "0.1"),
+        ("steps", "3"),
+        ("clip", "0,0,0,1,1,1"),
+    ]);
+    let json = serde_json::to_string(&given).expect("written");
+    let expected = r#"{"preset":"splash","radius_min":"0.6d","offset":0.1,"clip":"0,0,0,1,1,1","steps":3}"#;
+    assert_eq!(json, expected);
+    assert_eq!(serde_json::from_str::<MethodOptions>(&json).expect("read"), given);
+    assert!(serde_json::from_str::<MethodOptions>(r#"{"radius_mine": 1}"#).is_err());
+}

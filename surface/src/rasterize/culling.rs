@@ -1,0 +1,392 @@
+//! Determines which leaves, voxels and particles can affect the surface of a frame; nothing else is stored.
+//! The only input is the occupancy, which records where particles are to half a voxel.
+//!
+//! ```text
+//!   · · · · · · · · ·      ·  no particle within r_init
+//!   · n n n n n n n ·      n  near: the surface may pass through
+//!   n n n n n n n n n      +  within the band's margin of a near leaf: distances may be needed
+//!   + k k k k k k k +      k  particles that may be the nearest to a needed voxel or vertex
+//!   d d d d d d d d d      d  deep: every voxel, and every adjacent voxel, is certainly inside S_0
+//! ```
+//!
+//! **Leaves.** The band consists of leaves around crossings: voxels inside S_0 with a face neighbor outside.
+//! A deep leaf has no crossing, and neither has a leaf without a particle within r_init of one of its voxels.
+//! The remaining leaves are called *near* and contain all crossings. Distances are needed only in leaves
+//! within the band's margin of near leaves. Particles change nothing if they are farther from all of these
+//! leaves than the distance up to which exact distances are computed (`Radii::exact_reach`).
+//!
+//! **Values.** Inside S_min, the value of the distance d to the nearest particle is used only next to a voxel
+//! outside S_min. Elsewhere inside S_min, `d` is only compared with the three radii, and r_min is the
+//! smallest of them. So voxels that are certainly inside S_min together with all face neighbors are
+//! *settled*: 0 serves as their distance.
+//!
+//! **Particles.** Let p be a particle and ρ ≤ r_min, and let every voxel within ρ + 3/2·√3 of p be certainly
+//! within ρ of some particle. Then p can be dropped:
+//!
+//! - It is not the nearest particle to any point x at a distance of ρ + √3/2 or more. Suppose it were. Then no
+//!   particle is nearer to x. Let w be the point on the line from p to x at distance ρ + √3/2 from p: the ball
+//!   around w with that radius contains no particle. The voxel nearest to w, at most √3/2 away, is then ρ or
+//!   more from every particle; but it is within ρ + √3 of p, a contradiction.
+//! - So every voxel that p is nearest to is within ρ + √3/2 of p. Hence it is within ρ of some particle, and
+//!   nearer to p than ρ. Its face neighbors are within ρ + 3/2·√3 of p, and therefore also within ρ of some
+//!   particle: the voxel is settled.
+//! - A mesh vertex that p is nearest to is nearer to p than ρ + √3/2, so the corners of the vertex's cell are
+//!   within ρ + 3/2·√3. All of them are in S_min, where φ is negative, and such a cell has no vertex.
+//! - The corners of the cell that contains p are within √3 of p, so p is inside any surface that is found.
+//!
+//! If the smoothed surface is moved inward by b, a vertex x may lie within S_min. Then some point of the
+//! surface before the move is at distance b from x. The argument holds for that point if all voxels within
+//! ρ + b + 3/2·√3 of p are checked.
+//!
+//! For anisotropic particles, the argument uses balls that each particle certainly contains. [Round](ROUND)
+//! particles contain larger balls than flat ones. So there is a second test, with these larger balls of the
+//! round particles alone: voxels that it finds inside are inside, too. With anisotropic particles, every
+//! particle that reaches a leaf where distances may be needed is kept, because a long particle may be the
+//! nearest to a distant point.
+//!
+//! Where an obstacle's surface passes through a deep region, the fluid has a surface, too, so these leaves
+//! are near.
+//!
+//! Validation uses the kept particles to find the inside where φ is not stored. If r_init is above √3, each
+//! kept particle alone shows that the voxels around it are inside; for a smaller r_init that does not hold,
+//! and no particle is dropped. For anisotropic particles, the set of deep leaves is kept for this purpose.
+
+use std::borrow::Cow;
+
+use glam::IVec3;
+use rayon::prelude::*;
+use rustc_hash::FxHashSet;
+
+use super::cover::{Cover, OctantBall};
+use super::occupancy::{Occupancy, Octants, ROUND};
+use super::region::Regions;
+use super::{Radii, RasterParams};
+use crate::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
+use crate::interrupt::checkpoint;
+use crate::simd::{self, Kernel, Lanes};
+use crate::space::CoordBox;
+
+/// The leaves, voxels and cells that can affect the surface.
+pub(super) struct Culling<'a> {
+    /// Leaves that the surface may pass through.
+    pub(super) near: Topology,
+    /// The leaves that contain particles, within the window's region. `inside`, `settled` and `kept` follow
+    /// its order.
+    occupied: Cow<'a, Topology>,
+    /// Voxels that are certainly inside S_0, with all face neighbors.
+    inside: Vec<LeafMask>,
+    /// Voxels whose exact distance is not needed: it is less than r_min.
+    settled: Vec<LeafMask>,
+    /// The cells whose particles are kept.
+    kept: Vec<LeafMask>,
+}
+
+/// Voxels certainly within r_init of a particle, and voxels certainly within ρ ≤ r_min.
+type Covers = [LeafMask; 2];
+
+/// Upper limit of ρ; a larger value has no advantage.
+const RHO_MAX: f32 = 4.0;
+
+/// Upper limit of the search distance around a particle: its search box must lie within the adjacent leaves.
+const AROUND_MAX: f32 = 7.9;
+
+/// 3/2·√3 plus a rounding margin.
+const CELL_MARGIN: f32 = 2.598_077 + ROUNDING;
+
+/// If r_init is below this, in voxels, no particle is dropped: √3 plus a margin.
+const COVERING_RADIUS: f32 = 1.75;
+
+/// Added to distances that are compared with values computed in 32 bits.
+const ROUNDING: f32 = 1e-2;
+
+impl<'a> Culling<'a> {
+    /// Determines what can affect the surface in the leaves of a window.
+    pub(super) fn new(occupancy: &'a Occupancy, scene: &RasterParams, regions: &Regions) -> Culling<'a> {
+        let radii = scene.radii;
+        let occupied = populated(&occupancy.topology, &regions.populated);
+        let inward = (-radii.offset).max(0.0);
+        let rho = |held: f32| (radii.min * held).min(RHO_MAX).min(AROUND_MAX - CELL_MARGIN - inward);
+        let balls = |held: f32| [OctantBall::new(radii.init * held), OctantBall::new(rho(held))];
+        let covers = covers(occupancy, &occupied, radii, balls);
+        let inside = surrounded(&occupied, &covers, |[init, _]| init);
+        let settled = surrounded(&occupied, &covers, |[_, min]| min);
+        let near = near_leaves(occupancy, &occupied, &inside, scene, &regions.measured);
+        let kept = Vec::new();
+        let mut culling = Culling { near, occupied, inside, settled, kept };
+        culling.kept = if scene.keeps_all_particles {
+            vec![LeafMask::FULL; culling.occupied.len()]
+        } else if occupancy.has_shapes {
+            culling.kept_leaves(occupancy, radii, regions)
+        } else {
+            culling.kept_cells(&covers, radii, rho(1.0) + inward, regions)
+        };
+        culling
+    }
+
+    /// True if every voxel of a leaf, and every adjacent voxel, is inside S_0.
+    pub(super) fn is_deep(&self, origin: IVec3) -> bool {
+        self.occupied.find(origin).is_some_and(|leaf| self.inside[leaf] == LeafMask::FULL)
+    }
+
+    /// Origins of the deep leaves, in order.
+    pub(super) fn deep_leaves(&self) -> impl Iterator<Item = IVec3> {
+        let leaves = self.occupied.origins().iter().zip(&self.inside);
+        leaves.filter(|(_, inside)| **inside == LeafMask::FULL).map(|(&origin, _)| origin)
+    }
+
+    /// The voxels of a leaf that are in S_min and whose exact distance is not needed.
+    pub(super) fn settled(&self, origin: IVec3) -> &LeafMask {
+        self.occupied.find(origin).map_or(&LeafMask::EMPTY, |leaf| &self.settled[leaf])
+    }
+
+    /// The leaves that may contain required particles.
+    pub(super) fn occupied(&self) -> &Topology {
+        &self.occupied
+    }
+
+    /// The cells of one of these leaves whose particles are required.
+    pub(super) fn kept(&self, leaf: usize) -> &LeafMask {
+        &self.kept[leaf]
+    }
+
+    fn kept_cells(&self, covers: &[Covers], radii: Radii, depth: f32, regions: &Regions) -> Vec<LeafMask> {
+        if radii.init < COVERING_RADIUS {
+            return vec![LeafMask::FULL; self.occupied.len()];
+        }
+        let measured = self.measured_leaves(radii, regions);
+        let rings = leaf_steps_within(radii.exact_reach(1.0));
+        let around = (depth + CELL_MARGIN) as i32;
+        let kept = |&origin: &IVec3| {
+            if !rings.iter().any(|&step| measured.contains(&(origin + step))) {
+                return LeafMask::EMPTY;
+            }
+            let covers = cube(|step| match self.occupied.find(origin + step) {
+                Some(leaf) => &covers[leaf][1],
+                None => &LeafMask::EMPTY,
+            });
+            simd::dispatch(Uncovered { covers, around })
+        };
+        self.occupied.origins().par_iter().map(kept).collect()
+    }
+
+    /// For each leaf, the cells whose particles are kept: all cells if a particle of the leaf may reach a
+    /// leaf where distances may be needed, and otherwise none.
+    fn kept_leaves(&self, occupancy: &Occupancy, radii: Radii, regions: &Regions) -> Vec<LeafMask> {
+        let measured = self.measured_leaves(radii, regions);
+        let rings = |doublings: i32| leaf_steps_within(radii.exact_reach(2f32.powi(doublings)));
+        let doublings = |longest: f32| longest.max(1.0).log2().ceil() as i32;
+        let rings: Vec<Vec<IVec3>> = (0..=doublings(occupancy.longest())).map(rings).collect();
+        let kept = |&origin: &IVec3| {
+            let steps = &rings[doublings(occupancy.longest_of(origin)) as usize];
+            let is_near = steps.iter().any(|&step| measured.contains(&(origin + step)));
+            if is_near { LeafMask::FULL } else { LeafMask::EMPTY }
+        };
+        self.occupied.origins().par_iter().map(kept).collect()
+    }
+
+    /// Leaves whose distances may be needed: the near leaves, and those that may be in the band.
+    fn measured_leaves(&self, radii: Radii, regions: &Regions) -> FxHashSet<IVec3> {
+        let surface = |&origin: &IVec3| {
+            let leaf = self.occupied.find(origin);
+            // A voxel whose face neighbors are all inside is not next to the surface.
+            let inside = leaf.map_or(LeafMask::EMPTY, |leaf| self.inside[leaf]);
+            let voxels = match inside == LeafMask::FULL {
+                // An obstacle cuts through the leaf.
+                true => LeafMask::FULL.bounding_box(),
+                false => inside.complement().bounding_box(),
+            };
+            (origin, voxels.expanded(radii.band_margin()))
+        };
+        let surfaces: Vec<(IVec3, CoordBox)> = self.near.origins().par_iter().map(surface).collect();
+        let banded = leaves_of_boxes(&surfaces, |origin| regions.swept.contains(origin));
+        banded.into_iter().chain(self.near.origins().iter().copied()).collect()
+    }
+}
+
+/// The leaves of a region.
+fn populated<'a>(topology: &'a Topology, region: &CoordBox) -> Cow<'a, Topology> {
+    let is_in = |origin: &&IVec3| region.contains(**origin);
+    if topology.origins().par_iter().all(|origin| is_in(&origin)) {
+        return Cow::Borrowed(topology);
+    }
+    Cow::Owned(Topology::new(topology.origins().par_iter().filter(is_in).copied().collect()))
+}
+
+/// The voxels of each leaf that are certainly in a particle. Every particle contains a ball; round ones
+/// contain a larger one. `balls` takes the radius of such a ball, relative to the settings' radii. It returns
+/// the octants within this fraction of r_init, and the octants within the corresponding ρ.
+fn covers(
+    occupancy: &Occupancy,
+    leaves: &Topology,
+    radii: Radii,
+    balls: impl Fn(f32) -> [OctantBall; 2],
+) -> Vec<Covers> {
+    let of_any = balls(radii.min_scale);
+    let of_round = balls(ROUND.max(radii.min_scale));
+    let is_any_empty = of_any.iter().all(OctantBall::is_empty);
+    let around = |origin: IVec3, octants: fn(&Occupancy, IVec3) -> Option<&Octants>| {
+        cube(|step| octants(occupancy, origin + step).unwrap_or(&Octants::EMPTY))
+    };
+    let cover = |&origin: &IVec3| {
+        let mut covers = [LeafMask::EMPTY; 2];
+        if !is_any_empty {
+            let around = around(origin, Occupancy::octants_of);
+            covers = simd::dispatch(Cover { around, balls: of_any.each_ref() });
+        }
+        if occupancy.has_shapes && radii.min_scale < ROUND {
+            let around = around(origin, Occupancy::round_octants_of);
+            let by_round = simd::dispatch(Cover { around, balls: of_round.each_ref() });
+            covers = [0, 1].map(|ball| covers[ball].or(&by_round[ball]));
+        }
+        covers
+    };
+    leaves.origins().par_iter().map(cover).collect()
+}
+
+/// Collects one value for a leaf and its 26 neighbors.
+/// The value at step (x, y, z) has the index (x + 1)·9 + (y + 1)·3 + z + 1.
+fn cube<T>(at: impl Fn(IVec3) -> T) -> [T; 27] {
+    std::array::from_fn(|index| {
+        let index = index as i32;
+        at((IVec3::new(index / 9, index / 3 % 3, index % 3) - 1) * LEAF_EDGE)
+    })
+}
+
+/// The voxels of each leaf that are covered, with all face neighbors.
+fn surrounded(
+    leaves: &Topology,
+    covers: &[Covers],
+    of: impl Fn(&Covers) -> &LeafMask + Sync,
+) -> Vec<LeafMask> {
+    let surrounded = |(leaf, neighbors): (usize, &[u32; 6])| {
+        let face = |neighbor: u32| match neighbor {
+            NO_LEAF => &LeafMask::EMPTY,
+            neighbor => of(&covers[neighbor as usize]),
+        };
+        of(&covers[leaf]).surrounded(neighbors.map(face))
+    };
+    leaves.neighbors().par_iter().enumerate().map(surrounded).collect()
+}
+
+/// The leaves of a region with a voxel that may be within r_init of a particle, without the deep leaves.
+/// However, deep leaves that an obstacle's surface passes through are included.
+fn near_leaves(
+    occupancy: &Occupancy,
+    occupied: &Topology,
+    inside: &[LeafMask],
+    scene: &RasterParams,
+    region: &CoordBox,
+) -> Topology {
+    let radius = scene.radii.init;
+    let is_deep = |leaf: usize| inside[leaf] == LeafMask::FULL;
+    let reach_of = |longest: f32| (radius * longest + ROUNDING) as i32;
+    let reach = reach_of(occupancy.longest());
+    // A leaf is buried if it is deep and all leaves within reach of its particles are deep, too. Three passes
+    // over the faces reach all 26 neighbors.
+    let mut is_buried: Vec<bool> = (0..occupied.len()).map(is_deep).collect();
+    for _ in 0..3 * (reach as u32 + 1).div_ceil(LEAF_EDGE as u32) {
+        let all_around =
+            |leaf: usize| occupied.neighbors()[leaf].iter().all(|&n| n != NO_LEAF && is_buried[n as usize]);
+        is_buried =
+            (0..occupied.len()).into_par_iter().map(|leaf| is_buried[leaf] && all_around(leaf)).collect();
+    }
+    let reached = |(leaf, &origin): (usize, &IVec3)| {
+        if is_buried[leaf] {
+            return None;
+        }
+        let cells = occupancy.octants_of(origin)?.cells();
+        let reach = reach_of(occupancy.longest_of(origin));
+        // A particle lies up to one voxel beyond its cell's voxel.
+        let voxels = CoordBox { min: cells.min - reach, max: cells.max + 1 + reach };
+        Some((origin, voxels))
+    };
+    let reached: Vec<(IVec3, CoordBox)> =
+        occupied.origins().par_iter().enumerate().filter_map(reached).collect();
+    let is_near = |origin| region.contains(origin) && !occupied.find(origin).is_some_and(is_deep);
+    let mut near = leaves_of_boxes(&reached, is_near);
+    if !scene.obstacles.is_empty() {
+        let deep = occupied.origins().par_iter().enumerate().filter(|(leaf, _)| is_deep(*leaf));
+        let at_obstacle = |&origin: &IVec3| region.contains(origin) && scene.is_at_obstacle(origin);
+        near.par_extend(deep.map(|(_, &origin)| origin).filter(at_obstacle));
+    }
+    Topology::new(near)
+}
+
+/// Origins of the leaves that the boxes touch, filtered by `is_wanted`. Each box is relative to its origin.
+/// Few origins occur twice.
+pub(super) fn leaves_of_boxes(
+    boxes: &[(IVec3, CoordBox)],
+    is_wanted: impl Fn(IVec3) -> bool + Sync,
+) -> Vec<IVec3> {
+    let edge = IVec3::splat(LEAF_EDGE);
+    let touched = |boxes: &[(IVec3, CoordBox)]| {
+        checkpoint();
+        let mut origins = FxHashSet::default();
+        for (origin, voxels) in boxes.iter().filter(|(_, voxels)| !voxels.is_empty()) {
+            let (first, last) = (voxels.min.div_euclid(edge), voxels.max.div_euclid(edge));
+            for x in first.x..=last.x {
+                for y in first.y..=last.y {
+                    let along_z = (first.z..=last.z).map(|z| origin + IVec3::new(x, y, z) * LEAF_EDGE);
+                    origins.extend(along_z);
+                }
+            }
+        }
+        origins.into_iter().filter(|&origin| is_wanted(origin)).collect::<Vec<_>>()
+    };
+    boxes.par_chunks(BOXES).flat_map_iter(touched).collect()
+}
+
+/// Number of boxes whose leaves are collected together.
+const BOXES: usize = 256;
+
+/// Kernel: the cells of a leaf from which an uncovered voxel is within reach, i.e. at most `around` voxels
+/// before or after the cell on each axis.
+pub(super) struct Uncovered<'a> {
+    /// The leaf and its 26 neighbors, in the order of [`cube`].
+    pub(super) covers: [&'a LeafMask; 27],
+    /// At most 7.
+    pub(super) around: i32,
+}
+
+impl Kernel for Uncovered<'_> {
+    type Output = LeafMask;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> LeafMask {
+        if self.covers.iter().all(|&cover| *cover == LeafMask::FULL) {
+            return LeafMask::EMPTY;
+        }
+        let around = self.around as usize;
+        // Rows of 24 along z; those of the leaf itself start at 8 on every axis.
+        let mut rows = [[0u32; 24]; 24];
+        for (x, rows) in rows.iter_mut().enumerate() {
+            for (y, row) in rows.iter_mut().enumerate() {
+                let leaf = x / 8 * 9 + y / 8 * 3;
+                let parts = [0, 1, 2].map(|z| u32::from(!self.covers[leaf + z].row(x % 8 * 8 + y % 8)));
+                *row = parts[0] | parts[1] << 8 | parts[2] << 16;
+            }
+        }
+        let mut along_z = [[0u32; 24]; 24];
+        for step in 0..=2 * around + 1 {
+            for (to, from) in along_z.as_flattened_mut().iter_mut().zip(rows.as_flattened()) {
+                *to |= *from << around >> step;
+            }
+        }
+        let mut along_y = [[0u32; 8]; 24];
+        for (to, from) in along_y.iter_mut().zip(&along_z) {
+            for step in 0..=2 * around + 1 {
+                let from = &from[8 + step - around..][..8];
+                to.iter_mut().zip(from).for_each(|(to, from)| *to |= from);
+            }
+        }
+        let mut kept = LeafMask::EMPTY;
+        for (x, word) in kept.words.iter_mut().enumerate() {
+            let mut rows = [0u32; 8];
+            for from in &along_y[8 + x - around..=9 + x + around] {
+                rows.iter_mut().zip(from).for_each(|(to, from)| *to |= from);
+            }
+            *word = u64::from_le_bytes(rows.map(|row| (row >> 8) as u8));
+        }
+        kept
+    }
+}

@@ -1,0 +1,485 @@
+//! Particles to level sets: three unions of spheres (paper, Eq. 1 and 2).
+//!
+//! ```text
+//!      r_max ─────────────    S_max    φ_max = lower bound of φ
+//!     r_init ─ ─ ─ ─ ─ ─ ─    S_0      φ_0   = where smoothing starts
+//!      r_min ─────────────    S_min    φ_min = upper bound of φ
+//!                  ●          particle
+//! ```
+//!
+//! Outside a union of equal spheres, the distance to the nearest center minus the radius is the exact signed
+//! distance and is kept unchanged. Inside the union, that value is not the distance to the surface: however
+//! deep a voxel lies, some center is near it. So inside, only the voxels next to the surface keep the value,
+//! and fast sweeping computes the others from them. The zero sets of the bounds are therefore those of the
+//! spheres themselves.
+//!
+//! Most of a frame is deep inside. `Culling` determines which particles and leaves can affect the surface;
+//! nothing else is stored:
+//!
+//! ```text
+//!   particles ──pass 1──▶ Occupancy ──▶ Culling ──┐
+//!       └───pass 2────────────────────────────────┴─▶ ParticleBins ──▶ distances ──▶ φ_0, bounds
+//! ```
+//!
+//! A frame that is still too large is rasterized window by window; the results equal those of the whole
+//! frame.
+
+mod batch;
+mod bin;
+mod cover;
+mod culling;
+mod distances;
+mod ellipsoid;
+mod footprint;
+mod leaf_map;
+mod occupancy;
+mod outliers;
+mod region;
+mod signed_distance;
+mod sphere;
+mod spread;
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+mod tests_of_shapes;
+mod vicinity;
+
+use std::sync::Arc;
+
+use glam::IVec3;
+use rayon::prelude::*;
+
+pub use bin::ParticleBins;
+pub use footprint::{Footprint, NearSurface, footprint};
+pub use occupancy::Occupancy;
+pub use vicinity::{GatherBlock, Gathered, Vicinity};
+
+use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
+use crate::level_set::{Bounds, NarrowBand};
+use crate::obstacle::{ContactStats, ObstacleLeaf, Obstacles, apply_obstacle_constraint};
+use crate::particles::ParticleSource;
+use crate::simd::{self, Kernel, Lanes};
+use crate::space::{CoordBox, Lattice};
+use culling::{Culling, leaves_of_boxes};
+use distances::{DistanceSolver, SphereDistances, SphereUnion};
+use region::Regions;
+use signed_distance::signed_distance;
+
+/// The radii of the three unions of spheres, in voxels: `min` ≤ `init` ≤ `max`. The semi-axes of anisotropic
+/// particles are given as multiples of these radii.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Radii {
+    /// r_min: the surface stays outside these spheres.
+    pub min: f32,
+    /// r_init: the initial surface.
+    pub init: f32,
+    /// r_max: the surface stays inside these spheres.
+    pub max: f32,
+    /// Lower bound of all semi-axes, in units of the radii: 1 for uniform balls.
+    pub min_scale: f32,
+    /// The semi-axis for which the width of the band is computed, in units of the radii: 1 for uniform balls.
+    /// If particles have longer semi-axes, the band is too narrow for the surface to move quite as far as
+    /// their bounds would allow.
+    pub band_scale: f32,
+    /// Offset of the finished surface, in voxels: positive outward, negative inward. The band is wide enough
+    /// for it.
+    pub offset: f32,
+}
+
+/// Exact distances are kept up to this far beyond r_max, in voxels; fast sweeping computes those beyond.
+const EXACT_MARGIN: f32 = 2.0;
+
+impl Radii {
+    /// The radii of uniform balls.
+    pub const fn uniform(min: f32, init: f32, max: f32) -> Radii {
+        Radii { min, init, max, min_scale: 1.0, band_scale: 1.0, offset: 0.0 }
+    }
+
+    /// Half width of the band during smoothing, in voxels. The offset uses up a part of this width: around
+    /// the moved surface [`result_half_width`](Self::result_half_width) is left.
+    pub fn half_width(&self) -> f32 {
+        self.result_half_width() + self.offset.abs().ceil()
+    }
+
+    /// Half width that smoothing needs at most (Eq. 7), in voxels: it reads values up to 5 voxels from the
+    /// surface, and the surface may move to either bound. The band of the result has this half width, too.
+    pub fn result_half_width(&self) -> f32 {
+        let gap = (self.max - self.init).max(self.init - self.min) * self.band_scale;
+        // Tolerates rounding: radii that differ by whole voxels need no extra voxel.
+        5.0 + (gap - 1e-4).max(0.0).ceil()
+    }
+
+    /// Maximum distance, in voxels, at which a particle can change φ_0 and the bounds. It is the sum of four
+    /// terms: the reach of exact distances; that of the sweeps of φ_0, which read values up to two voxels
+    /// away; two leaves, which may appear or disappear with φ_0; and that of the sweeps of the bounds on
+    /// these leaves. `longest` is the longest semi-axis of any particle, in units of the radii.
+    pub fn reach_voxels(&self, longest: f32) -> u32 {
+        let swept = 2 * sweep_count(self.half_width());
+        self.exact_reach(longest).ceil() as u32 + swept + 2 * LEAF_EDGE as u32 + swept
+    }
+
+    /// Number of leaves around a window that are rasterized with it.
+    pub fn window_halo_leaves(&self) -> i32 {
+        let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::ZERO }, *self, self.band_scale);
+        (regions.own.min.x - regions.measured.min.x) / LEAF_EDGE
+    }
+
+    /// Distance from a particle's center up to which exact distances are kept, in voxels. `longest` is the
+    /// longest semi-axis, in units of the radii.
+    fn exact_reach(&self, longest: f32) -> f32 {
+        // Validation looks up the nearest particles of vertices that were moved outward.
+        self.max * longest + self.outward() + EXACT_MARGIN
+    }
+
+    /// How far the finished surface is moved outward, in voxels; 0 if it is moved inward.
+    pub fn outward(&self) -> f32 {
+        self.offset.max(0.0)
+    }
+
+    /// A leaf is stored if one of its voxels is within this distance, per axis, of a voxel next to the
+    /// surface.
+    fn band_margin(&self) -> i32 {
+        self.half_width() as i32 + 1
+    }
+}
+
+/// Parameters of rasterization.
+#[derive(Clone, Copy)]
+pub struct RasterParams<'a> {
+    /// Maps world positions to voxels.
+    pub lattice: Lattice,
+    /// The radii of the spheres.
+    pub radii: Radii,
+    /// Obstacles that the fluid must not enter.
+    pub obstacles: &'a Obstacles,
+    /// Gaps between fluid and obstacles narrower than this, in voxels, are filled.
+    pub void_threshold: f32,
+    /// Whether to keep all particles, for callers that count them. Otherwise those deep inside are dropped.
+    pub keeps_all_particles: bool,
+}
+
+impl RasterParams<'_> {
+    /// Parameters without obstacles.
+    pub fn open(lattice: Lattice, radii: Radii) -> RasterParams<'static> {
+        static NO_OBSTACLES: Obstacles = Obstacles { members: Vec::new() };
+        RasterParams {
+            lattice,
+            radii,
+            obstacles: &NO_OBSTACLES,
+            void_threshold: 0.0,
+            keeps_all_particles: false,
+        }
+    }
+
+    /// The obstacles' signed distances in the leaf with this origin, in voxels.
+    pub fn obstacle(&self, origin: IVec3) -> ObstacleLeaf {
+        self.obstacles.leaf(origin, &self.lattice, self.obstacle_half_width())
+    }
+
+    /// Distance from obstacles up to which their signed distance is known, in voxels: covers the surface
+    /// before and after the offset.
+    pub fn obstacle_half_width(&self) -> f32 {
+        self.radii.half_width() + self.radii.offset.abs()
+    }
+
+    /// Signed distances to obstacles that are grown by the offset (shrunk if it is negative): a surface that
+    /// touches these touches the real obstacles after it is moved. Known within the half width of the band.
+    pub fn obstacle_before_offset(&self, origin: IVec3) -> ObstacleLeaf {
+        self.obstacle(origin).shifted(-self.radii.offset, self.radii.half_width())
+    }
+
+    /// True if an obstacle's surface may pass near a voxel of the leaf with this origin.
+    fn is_at_obstacle(&self, origin: IVec3) -> bool {
+        self.obstacles.touches(origin, &self.lattice, OBSTACLE_MARGIN + self.radii.offset.abs())
+    }
+}
+
+/// An obstacle's surface nearer to a leaf than this, in voxels, may pass between two of its voxels or their
+/// neighbors.
+const OBSTACLE_MARGIN: f32 = 1.5;
+
+/// Result of rasterization.
+#[derive(Clone, Debug)]
+pub struct RasterFields {
+    /// The particles that can affect φ_0 or the bounds.
+    pub bins: ParticleBins,
+    /// The band around the initial surface, with φ_0.
+    pub band: NarrowBand,
+    /// The bounds, on the same leaves.
+    pub bounds: Bounds,
+    /// What the obstacles changed.
+    pub contact: ContactStats,
+}
+
+/// Rasterizes a frame.
+///
+/// # Errors
+/// Returns the source's error if a batch cannot be read.
+pub fn rasterize<S: ParticleSource>(source: &S, scene: &RasterParams) -> Result<RasterFields, S::Error> {
+    let occupancy = Occupancy::new(source, &scene.lattice)?;
+    let regions = Regions::new(CoordBox::ALL, scene.radii, occupancy.longest());
+    let measured = measure(source, &occupancy, scene, &regions)?;
+    drop(occupancy);
+    Ok(level_sets(measured, scene, &regions))
+}
+
+/// Rasterizes the leaves that touch a window, a box of voxels. Leaves and values are bit-identical to those
+/// of the whole frame. The result also contains particles around the window that contribute to it.
+///
+/// # Errors
+/// Returns the source's error if a batch cannot be read.
+pub fn rasterize_window<S: ParticleSource>(
+    source: &S,
+    occupancy: &Occupancy,
+    scene: &RasterParams,
+    window: CoordBox,
+) -> Result<RasterFields, S::Error> {
+    let regions = Regions::new(window, scene.radii, occupancy.longest());
+    let measured = measure(source, occupancy, scene, &regions)?;
+    Ok(level_sets(measured, scene, &regions))
+}
+
+/// The particles that contribute to a window.
+///
+/// # Errors
+/// Returns the source's error if a batch cannot be read.
+pub fn particles_in_window<S: ParticleSource>(
+    source: &S,
+    occupancy: &Occupancy,
+    scene: &RasterParams,
+    window: CoordBox,
+) -> Result<ParticleBins, S::Error> {
+    let regions = Regions::new(window, scene.radii, occupancy.longest());
+    let culling = Culling::new(occupancy, scene, &regions);
+    ParticleBins::new(source, &scene.lattice, occupancy, &culling, &regions)
+}
+
+/// The leaves around the surface, with the distances from their voxels to the particles.
+struct NearDistances {
+    bins: ParticleBins,
+    topology: Topology,
+    distances: SphereDistances,
+}
+
+fn measure<S: ParticleSource>(
+    source: &S,
+    occupancy: &Occupancy,
+    scene: &RasterParams,
+    regions: &Regions,
+) -> Result<NearDistances, S::Error> {
+    let culling = Culling::new(occupancy, scene, regions);
+    let bins = ParticleBins::new(source, &scene.lattice, occupancy, &culling, regions)?;
+    let solver = DistanceSolver::new(&bins, scene.radii);
+    let near = solver.distances(&culling.near, &culling, None);
+    let topology = Topology::new(leaves_near_surface(&culling, &near, scene, regions));
+    let distances = solver.distances(&topology, &culling, Some((&culling.near, &near)));
+    Ok(NearDistances { bins, topology, distances })
+}
+
+/// Origins of the leaves near the surface: those with a voxel within the band's margin, per axis, of a voxel
+/// inside S_0 that has a face neighbor outside. With obstacles there are two surfaces, that of S_0 and that
+/// of S_0 minus the obstacles. A void may be filled next to either of them, so the leaves near the second
+/// surface are included. Here the obstacles have their real surfaces, which φ meets after the offset. During
+/// smoothing, obstacles are grown or shrunk by the offset; their surfaces then lie within the margin, which
+/// includes the offset. So a plate that is thinner than the offset is not lost, although it vanishes when it
+/// is shrunk.
+fn leaves_near_surface(
+    culling: &Culling,
+    distances: &SphereDistances,
+    scene: &RasterParams,
+    regions: &Regions,
+) -> Vec<IVec3> {
+    let mut inside = distances.inside(SphereUnion::Init, scene.radii);
+    let margin = scene.radii.band_margin();
+    let mut surfaces = crossings(culling, &inside, |origin| culling.is_deep(origin), margin, regions);
+    if !scene.obstacles.is_empty() {
+        let leaves = inside.par_iter_mut().zip(culling.near.origins());
+        leaves.for_each(|(inside, &origin)| remove_obstacle(inside, &scene.obstacle(origin)));
+        let is_deep = |origin| culling.is_deep(origin) && scene.obstacle(origin) != ObstacleLeaf::Inside;
+        surfaces.extend(crossings(culling, &inside, is_deep, margin, regions));
+    }
+    leaves_of_boxes(&surfaces, |origin| regions.swept.contains(origin))
+}
+
+/// For each leaf, the bounding box of its voxels that are inside and next to an outside voxel, expanded by a
+/// margin.
+fn crossings(
+    culling: &Culling,
+    inside: &[LeafMask],
+    is_deep: impl Fn(IVec3) -> bool + Sync,
+    margin: i32,
+    regions: &Regions,
+) -> Vec<(IVec3, CoordBox)> {
+    let surface = |(leaf, &origin): (usize, &IVec3)| {
+        let faces = std::array::from_fn(|face| match culling.near.neighbors()[leaf][face] {
+            // A leaf that is not near the surface is either entirely inside or entirely outside.
+            NO_LEAF if is_deep(origin + FACE_STEPS[face] * LEAF_EDGE) => &LeafMask::FULL,
+            NO_LEAF => &LeafMask::EMPTY,
+            neighbor => &inside[neighbor as usize],
+        });
+        let mut crossings = inside[leaf];
+        crossings.remove_all(&inside[leaf].surrounded(faces));
+        let voxels = crossings.bounding_box();
+        (!voxels.is_empty() && regions.crossed.contains(origin)).then(|| (origin, voxels.expanded(margin)))
+    };
+    culling.near.origins().par_iter().enumerate().filter_map(surface).collect()
+}
+
+/// Clears the voxels that are in an obstacle.
+fn remove_obstacle(inside: &mut LeafMask, obstacle: &ObstacleLeaf) {
+    match obstacle {
+        ObstacleLeaf::Outside => {}
+        ObstacleLeaf::Inside => *inside = LeafMask::EMPTY,
+        ObstacleLeaf::Near(distances) => {
+            let outside = LeafMask::from_fn(|offset| distances.values[offset] > 0.0);
+            *inside = inside.and(&outside);
+        }
+    }
+}
+
+/// φ_0 and the bounds, on the leaves with a value of φ_0 within the half width.
+fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) -> RasterFields {
+    let NearDistances { bins, topology, mut distances } = measured;
+    let radii = scene.radii;
+    let half_width = radii.half_width();
+    let mut scratch = Field::default();
+    let mut phi = signed_distance(&topology, &mut distances, SphereUnion::Init, radii, &mut scratch);
+    let is_banded = |leaf: usize| {
+        let origin = topology.origins()[leaf];
+        let is_within = |obstacle: &ObstacleLeaf| has_value_within(&phi.leaves[leaf], half_width, obstacle);
+        // A thin part of an obstacle that vanishes when it is shrunk by the offset is needed again after the
+        // surface is moved.
+        regions.banded.contains(origin)
+            && (is_within(&scene.obstacle_before_offset(origin))
+                || radii.offset != 0.0 && is_within(&scene.obstacle(origin)))
+    };
+    let kept: Vec<usize> = (0..topology.len()).into_par_iter().filter(|&leaf| is_banded(leaf)).collect();
+    if wastes_memory(topology.len(), kept.len()) {
+        scratch = Field::default();
+    }
+    rayon::join(|| keep(&mut phi, &kept), || distances.keep(&kept));
+    let topology = subset(topology, &kept);
+    let mut lower = signed_distance(&topology, &mut distances, SphereUnion::Max, radii, &mut scratch);
+    let mut upper = signed_distance(&topology, &mut distances, SphereUnion::Min, radii, &mut scratch);
+    drop((distances, scratch));
+    let own: Vec<usize> =
+        (0..topology.len()).filter(|&leaf| regions.own.contains(topology.origins()[leaf])).collect();
+    // One after the other, so that only one of them exists twice for a moment.
+    [&mut phi, &mut lower, &mut upper].into_iter().for_each(|field| keep(field, &own));
+    let topology = Arc::new(subset(topology, &own));
+    let mut band = NarrowBand { topology, phi, half_width };
+    let mut bounds = Bounds { lower, upper };
+    // Voxels that are not stored are at least the half width from the surface, and stored voxels next to them
+    // are almost as far from it. If particles are not uniform balls, the lower bounds at these voxels would
+    // let the surface leave the band, so the bounds are raised to keep φ positive there. The upper bounds
+    // need no such limit: the surface moves far inward only where it is sharply convex, as around small
+    // balls, and there S_min is near. `inner_from` does not include the extra width for the offset.
+    let inner_from = if bins.shapes.is_uniform() { f32::INFINITY } else { radii.result_half_width() - 2.0 };
+    finish(&mut band, &mut bounds, (inner_from, POSITIVE_MARGIN + radii.outward()));
+    let contact = match scene.obstacles.is_empty() {
+        true => ContactStats::default(),
+        false => apply_obstacle_constraint(
+            |origin| scene.obstacle_before_offset(origin),
+            scene.void_threshold,
+            &mut band,
+            &mut bounds,
+        ),
+    };
+    RasterFields { bins, band, bounds, contact }
+}
+
+/// True if a leaf has a value within the half width after obstacles are cut out (Eq. 12).
+fn has_value_within(phi: &Leaf, half_width: f32, obstacle: &ObstacleLeaf) -> bool {
+    match obstacle {
+        ObstacleLeaf::Outside => phi.values.iter().any(|phi| phi.abs() < half_width),
+        ObstacleLeaf::Inside => false,
+        ObstacleLeaf::Near(distances) => {
+            let cut = phi.values.iter().zip(&distances.values).map(|(phi, distance)| phi.max(-distance));
+            cut.into_iter().any(|phi| phi.abs() < half_width)
+        }
+    }
+}
+
+/// Keeps only these leaves of a field, in order.
+fn keep(field: &mut Field, kept: &[usize]) {
+    if kept.len() == field.leaves.len() {
+        return;
+    }
+    if wastes_memory(field.leaves.len(), kept.len()) {
+        field.leaves = kept.par_iter().map(|&leaf| field.leaves[leaf]).collect();
+        return;
+    }
+    for (to, &from) in kept.iter().enumerate() {
+        field.leaves.copy_within(from..from + 1, to);
+    }
+    field.leaves.truncate(kept.len());
+}
+
+/// Whether a field with memory for `count` leaves is too large for `kept_count` leaves. A small field that
+/// loses a few leaves keeps its memory, because the system takes longer to provide new memory.
+fn wastes_memory(count: usize, kept_count: usize) -> bool {
+    (count - kept_count) * size_of::<Leaf>() > WASTED_BYTES_MAX
+}
+
+/// Memory per field that may stay unused, in bytes.
+const WASTED_BYTES_MAX: usize = 2 << 20;
+
+/// The topology that contains only the leaves `kept` of `topology`.
+fn subset(topology: Topology, kept: &[usize]) -> Topology {
+    if kept.len() == topology.len() {
+        return topology;
+    }
+    Topology::new(kept.iter().map(|&leaf| topology.origins()[leaf]).collect())
+}
+
+/// Number of sweeps after which every voxel within the half width has its distance: a sweep advances one
+/// voxel along the axes, so a distance along the diagonal needs √3 times as many sweeps.
+fn sweep_count(half_width: f32) -> u32 {
+    (3f32.sqrt() * half_width).ceil() as u32
+}
+
+/// Clamps all values to ± half width, ensures `lower` ≤ `upper` at every voxel (independent sweeps do not
+/// guarantee it), and clamps φ between them. Where φ_0 is above `inner_from`, φ stays at or above
+/// `inner_value`.
+fn finish(band: &mut NarrowBand, bounds: &mut Bounds, (inner_from, inner_value): (f32, f32)) {
+    let half_width = band.half_width;
+    let bounds = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
+    band.phi.leaves.par_iter_mut().zip(bounds).for_each(|(phi, (lower, upper))| {
+        simd::dispatch(ClampLeaf { half_width, inner_from, inner_value, phi, lower, upper });
+    });
+}
+
+/// Lower limit of φ where it must stay positive after the offset, in voxels.
+const POSITIVE_MARGIN: f32 = 1.0;
+
+/// Kernel: clamps the values of one leaf.
+struct ClampLeaf<'a> {
+    half_width: f32,
+    inner_from: f32,
+    inner_value: f32,
+    phi: &'a mut Leaf,
+    lower: &'a mut Leaf,
+    upper: &'a mut Leaf,
+}
+
+impl Kernel for ClampLeaf<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        let (least, most) = (V::splat(-self.half_width), V::splat(self.half_width));
+        let (inner_value, inner_from) = (V::splat(self.inner_value), V::splat(self.inner_from));
+        for row in 0..ROW_COUNT {
+            let (phi, lower, upper) =
+                (self.phi.row_mut(row), self.lower.row_mut(row), self.upper.row_mut(row));
+            let start = V::load(phi).max(least).min(most);
+            let lowest = V::select(inner_from.lt(start), inner_value, least);
+            let new_upper = V::load(upper).max(least).min(most);
+            let new_lower = V::load(lower).max(lowest).min(most).min(new_upper);
+            let new_phi = start.max(new_lower).min(new_upper);
+            new_upper.store(upper);
+            new_lower.store(lower);
+            new_phi.store(phi);
+        }
+    }
+}

@@ -1,0 +1,518 @@
+//! Reconstructs surfaces from particles in memory: the entry points for other programs.
+
+use std::io;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::cancel::{CancelToken, CancellableParticles, CancellableStorage};
+use crate::error::Error;
+use crate::interrupt;
+use crate::level_set::NarrowBand;
+use crate::mesh::Mesh;
+use crate::obstacle::{Obstacle, Obstacles};
+use crate::options::{Anisotropy, Length, SequenceSpacing, Settings};
+use crate::particles::{Attribute, Positions, Shapes, find_attribute};
+use crate::reconstruction::tiled::{self, TiledError};
+use crate::reconstruction::{
+    self, FIELD_STORE_FILES, MemoryPlan, MemoryPlanError, PlanInputs, PositionFormat, ShapedSource, Storage,
+    Targets,
+};
+use crate::report::{Phase, ShapeStats};
+use crate::spacing::{estimate_spacing, median, rounded};
+use crate::{Options, Report};
+
+/// Reconstructs the surface of one frame of particles: smoothed by thin-plate flow, and kept between two
+/// unions of spheres around the particles.
+///
+/// `positions` are in world units: `&[[f32; 3]]` or `&[[f64; 3]]`, which are borrowed and not copied. The
+/// same particles and options give the same bits on any number of threads. The function computes in rayon's
+/// current pool: call it inside `ThreadPool::install` to choose one.
+///
+/// Use a [`Reconstructor`] for a sequence of frames, attributes, obstacles, progress, cancellation, or a
+/// memory limit other than [`MEMORY_LIMIT`].
+///
+/// # Errors
+/// See [`Error`]: options out of range, no usable particle, voxels too small, or more memory than the limit.
+/// Particles whose position is not finite are left out and counted in [`Report::dropped_count`].
+///
+/// ```
+/// use meniscus_surface::{Options, reconstruct};
+///
+/// let block: Vec<[f32; 3]> = (0..1000)
+///     .map(|i| [i % 10, i / 10 % 10, i / 100].map(|step| 0.1 * step as f32))
+///     .collect();
+/// let surface = reconstruct(&block, &Options::default())?;
+/// assert_eq!(surface.normals.len(), surface.positions.len());
+/// assert!(surface.report.certificate.holds());
+/// // Positions are in world space, in 64 bits.
+/// let highest = surface.positions.iter().map(|position| position.z).fold(f64::MIN, f64::max);
+/// assert!((0.9..1.1).contains(&highest));
+/// # Ok::<(), meniscus_surface::Error>(())
+/// ```
+pub fn reconstruct<'a>(positions: impl Into<Positions<'a>>, options: &Options) -> Result<Surface, Error> {
+    Reconstructor::new(options.clone()).reconstruct(positions)
+}
+
+/// The default [memory limit](Reconstructor::memory_limit) of a reconstruction: 16 GiB.
+pub const MEMORY_LIMIT: u64 = 16 << 30;
+
+/// The surface of a frame.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Surface {
+    /// Vertex positions in absolute world units. The mesh is computed in 32 bits relative to an origin near
+    /// the frame, and the origin is added in 64 bits, so the sum loses no digits.
+    pub positions: Vec<DVec3>,
+    /// Outward unit normals, one per vertex.
+    pub normals: Vec<Vec3>,
+    /// Three vertex indices per triangle, counter-clockwise seen from outside. The mesh is closed and
+    /// 2-manifold unless
+    /// [`Certificate::mesh_is_closed_manifold`](crate::Certificate::mesh_is_closed_manifold) says
+    /// otherwise.
+    pub triangles: Vec<[u32; 3]>,
+    /// The particles' attributes at the vertices: those that [`Options::attributes`] selects, in the order of
+    /// the input.
+    pub attributes: Vec<Attribute>,
+    /// The signed distances that were contoured, in voxels of [`Settings::voxel_size`].
+    pub level_set: NarrowBand,
+    /// The resolved options: the spacing, the voxel size, the radii, and all others.
+    pub settings: Settings,
+    /// The measurements and checks.
+    pub report: Report,
+}
+
+impl Surface {
+    /// The vertex positions in 32 bits relative to `origin`. Use `DVec3::ZERO` for world positions, or a
+    /// point near the surface if the frame is so far from the world's origin that 32 bits are too few.
+    pub fn positions_f32(&self, origin: DVec3) -> Vec<[f32; 3]> {
+        self.positions.iter().map(|position| (*position - origin).as_vec3().to_array()).collect()
+    }
+}
+
+/// The progress of a reconstruction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Progress {
+    /// The current phase.
+    pub phase: Phase,
+    /// The fraction of the phase that is done: 0 at its beginning. Only smoothing reports further fractions,
+    /// up to 1.
+    pub fraction: f64,
+}
+
+/// Reconstructs the frames of a sequence. Unlike [`reconstruct`], it also supports attributes, obstacles, a
+/// memory limit, progress and cancellation.
+///
+/// The first frame resolves the options. All later frames use the same [`settings`](Self::settings): a
+/// particle spacing estimated for each frame would make the surface flicker. The distance fields of obstacles
+/// are cached across frames. All other memory is freed after each frame: keeping it would save 3 to 5 % of
+/// the processor time (400 000 particles), but the peak memory of a frame would stay allocated until the next
+/// frame.
+///
+/// ```
+/// use meniscus_surface::{CancelToken, Options, Phase, Reconstructor};
+///
+/// let token = CancelToken::new();
+/// let mut smoothing_steps = 0;
+/// let mut reconstructor = Reconstructor::new(Options { spacing: Some(0.1), ..Options::default() });
+/// reconstructor.memory_limit(1 << 30).cancel_token(token.clone()).on_progress(|progress| {
+///     smoothing_steps += usize::from(progress.phase == Phase::Smooth);
+/// });
+/// for frame in [[[0.0f32, 0.0, 0.0]], [[0.05, 0.0, 0.0]]] {
+///     let surface = reconstructor.reconstruct(&frame)?;
+///     assert!(!surface.triangles.is_empty());
+/// }
+/// token.cancel();
+/// assert!(reconstructor.reconstruct(&[[0.0f32; 3]]).is_err());
+/// drop(reconstructor);
+/// assert!(smoothing_steps > 2);
+/// # Ok::<(), meniscus_surface::Error>(())
+/// ```
+pub struct Reconstructor<'a> {
+    options: Options,
+    settings: Option<Settings>,
+    obstacles: Obstacles,
+    memory_limit: u64,
+    scratch: Option<Box<MakeStorage<'a>>>,
+    token: CancelToken,
+    on_progress: Option<Box<dyn FnMut(Progress) + Send + 'a>>,
+}
+
+/// What [`Reconstructor::reconstruct_parts`] prepares for files.
+#[doc(hidden)]
+#[derive(Clone, Copy, Debug)]
+pub struct RequestedParts<'a> {
+    /// The formats of positions in the files: the mesh is checked in each of them.
+    pub stored: &'a [PositionFormat],
+    /// Attributes are also interpolated at voxels where |φ| is less than this, in voxels. `None`: only at
+    /// vertices.
+    pub band_half_width_voxels: Option<f32>,
+    /// Whether a frame without a usable particle has an empty surface, as on the command line. Otherwise it
+    /// fails with [`Error::NoParticles`].
+    pub allows_empty: bool,
+}
+
+/// Creates one scratch file.
+type MakeStorage<'a> = dyn FnMut() -> io::Result<Box<dyn Storage>> + Send + 'a;
+
+impl<'a> Reconstructor<'a> {
+    /// A reconstructor with these options, no obstacles and the default [memory limit](MEMORY_LIMIT). The
+    /// options are checked when the first frame is reconstructed.
+    pub fn new(options: Options) -> Reconstructor<'a> {
+        Reconstructor {
+            options,
+            settings: None,
+            obstacles: Obstacles::default(),
+            memory_limit: MEMORY_LIMIT,
+            scratch: None,
+            token: CancelToken::new(),
+            on_progress: None,
+        }
+    }
+
+    /// Limits the memory that a frame may take in addition to its particles, in bytes. An upper bound of the
+    /// memory is computed before anything is allocated; frames take about two thirds of this bound. A frame
+    /// that needs more fails with an [error](Error::MemoryLimit), or uses [scratch storage](Self::scratch).
+    pub fn memory_limit(&mut self, bytes: u64) -> &mut Self {
+        self.memory_limit = bytes;
+        self
+    }
+
+    /// Sets where to store what does not fit into the memory limit. For such a frame, `make` is called eight
+    /// times, usually to create temporary files, which are dropped with the frame. The surface is
+    /// bit-identical to that computed in memory. The integrators
+    /// [`Implicit`](crate::Integrator::Implicit) and
+    /// [`Adaptive`](crate::Integrator::Adaptive) cannot use scratch storage.
+    pub fn scratch(&mut self, make: impl FnMut() -> io::Result<Box<dyn Storage>> + Send + 'a) -> &mut Self {
+        self.scratch = Some(Box::new(make));
+        self
+    }
+
+    /// Replaces the obstacles, for all later frames. Keep the `Arc` of a static obstacle: its distances are
+    /// cached in it.
+    pub fn obstacles(&mut self, obstacles: impl IntoIterator<Item = Arc<Obstacle>>) -> &mut Self {
+        self.obstacles = Obstacles { members: obstacles.into_iter().collect() };
+        self
+    }
+
+    /// Sets the token that cancels later frames.
+    pub fn cancel_token(&mut self, token: CancelToken) -> &mut Self {
+        self.token = token;
+        self
+    }
+
+    /// Sets a callback, which runs on the calling thread as each phase begins and as smoothing advances.
+    /// Measure time there if you need it: the method reads no clock.
+    pub fn on_progress(&mut self, callback: impl FnMut(Progress) + Send + 'a) -> &mut Self {
+        self.on_progress = Some(Box::new(callback));
+        self
+    }
+
+    /// The resolved options; `None` until a frame had valid options.
+    pub fn settings(&self) -> Option<&Settings> {
+        self.settings.as_ref()
+    }
+
+    /// Reconstructs the next frame. See [`reconstruct`].
+    ///
+    /// # Errors
+    /// See [`Error`]. The reconstructor can be used again after any of them.
+    pub fn reconstruct<'p>(&mut self, positions: impl Into<Positions<'p>>) -> Result<Surface, Error> {
+        self.reconstruct_with(positions, &[])
+    }
+
+    /// Reconstructs the next frame, whose particles have attributes: for [`Options::attributes`],
+    /// [`Options::radius_attribute`] and stretching by velocity.
+    ///
+    /// # Errors
+    /// See [`Error`]. Each attribute must have arity × particles values. An attribute that is listed in
+    /// [`Options::attributes`] and not used otherwise may be missing.
+    pub fn reconstruct_with<'p>(
+        &mut self,
+        positions: impl Into<Positions<'p>>,
+        attributes: &[Attribute],
+    ) -> Result<Surface, Error> {
+        let parts = RequestedParts {
+            stored: &[PositionFormat::Exact],
+            band_half_width_voxels: None,
+            allows_empty: false,
+        };
+        let (surface, settings) = self.reconstruct_parts(positions, attributes, parts)?;
+        Ok(with_absolute_positions(surface, settings))
+    }
+
+    /// Like [`reconstruct_with`](Self::reconstruct_with), but the mesh has 32-bit positions relative to its
+    /// origin. For programs that write the same files as the command line.
+    ///
+    /// # Errors
+    /// Those of [`reconstruct_with`](Self::reconstruct_with).
+    #[doc(hidden)]
+    pub fn reconstruct_parts<'p>(
+        &mut self,
+        positions: impl Into<Positions<'p>>,
+        attributes: &[Attribute],
+        wanted: RequestedParts<'_>,
+    ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
+        let positions = positions.into();
+        // An interruption leaves the settings unchanged or `None`; all other state belongs to the frame.
+        interrupt::catch(|| self.reconstruct_frame(positions, attributes, wanted))
+            .unwrap_or(Err(Error::Cancelled))
+    }
+
+    fn reconstruct_frame(
+        &mut self,
+        positions: Positions<'_>,
+        attributes: &[Attribute],
+        RequestedParts { stored, band_half_width_voxels, allows_empty }: RequestedParts<'_>,
+    ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
+        self.begin(Phase::Prepare)?;
+        // Nothing can be measured on an empty frame.
+        let is_resolved = self.settings.is_some() || !self.options.needs_spacing();
+        if positions.is_empty() && !(allows_empty && is_resolved) {
+            return Err(Error::NoParticles { input_count: 0 });
+        }
+        check_lengths(&positions, attributes)?;
+        let settings = self.resolve_on(positions.borrowed(), attributes)?.clone();
+        check_required_attributes(&settings, attributes)?;
+        let token = self.token.clone();
+        let given = CancellableParticles { positions, shapes: Shapes::Uniform, token };
+        let plan = self.plan(&given, attributes, &settings)?;
+        self.begin(Phase::Rasterize)?;
+        let (shapes, shape_stats) =
+            reconstruction::shapes_by_attributes(given.positions.len(), attributes, &settings);
+        let given = CancellableParticles { shapes, ..given };
+        let (shaped, shape_stats) = reconstruction::shape_by_neighbors(given, shape_stats, &settings)?;
+        let work = ShapedFrame { settings: &settings, shaped, shape_stats, allows_empty };
+        let (mut surface, shaped) = match plan.tile_leaves {
+            None => self.reconstruct_in_memory(work, stored)?,
+            Some(tile_leaves) => self.reconstruct_tiled(work, tile_leaves, stored)?,
+        };
+        if settings.attributes.is_some() {
+            self.begin(Phase::Interpolate)?;
+            let (positions, shapes) = shaped.into_positions(|given| (given.positions, given.shapes));
+            let targets = Targets { vertices: true, band_half_width_voxels };
+            reconstruction::transfer_attributes_from(
+                (positions, &shapes, attributes),
+                &mut surface,
+                &settings,
+                targets,
+            );
+        }
+        Ok((surface, settings))
+    }
+
+    /// The settings of the sequence. The first call resolves the options, and measures on these particles
+    /// what the options leave open.
+    ///
+    /// # Errors
+    /// The errors of [`reconstruct_with`](Self::reconstruct_with) that concern options.
+    #[doc(hidden)]
+    pub fn resolve_on<'p>(
+        &mut self,
+        positions: impl Into<Positions<'p>>,
+        attributes: &[Attribute],
+    ) -> Result<&Settings, Error> {
+        let settings = match self.settings.take() {
+            Some(settings) => settings,
+            None => interrupt::catch(|| resolve(&self.options, &positions.into(), attributes))
+                .unwrap_or(Err(Error::Cancelled))?,
+        };
+        Ok(self.settings.insert(settings))
+    }
+
+    /// Reports the beginning of a phase. Fails if the token is cancelled.
+    fn begin(&mut self, phase: Phase) -> Result<(), Error> {
+        self.report_progress(phase, 0.0);
+        self.token.check()
+    }
+
+    fn report_progress(&mut self, phase: Phase, fraction: f64) {
+        if let Some(callback) = &mut self.on_progress {
+            callback(Progress { phase, fraction });
+        }
+    }
+
+    /// Decides whether the frame is computed in memory or in tiles.
+    fn plan(
+        &self,
+        given: &CancellableParticles<'_>,
+        attributes: &[Attribute],
+        settings: &Settings,
+    ) -> Result<MemoryPlan, Error> {
+        let selected = |attribute: &&Attribute| {
+            settings.attributes.as_ref().is_some_and(|selection| selection.selects(attribute))
+        };
+        let selected = attributes.iter().filter(selected);
+        let bytes: usize = selected.map(|attribute| attribute.values.size_bytes()).sum();
+        let attribute_bytes = bytes as f64 / given.positions.len().max(1) as f64;
+        let surroundings = PlanInputs { obstacles: &self.obstacles, attribute_bytes };
+        let obstacle_bytes =
+            self.obstacles.members.iter().map(|obstacle| obstacle.size_bytes_max() as u64).sum();
+        let allowed_bytes = self.memory_limit.saturating_sub(obstacle_bytes);
+        let over = |needed_bytes: u64| Error::MemoryLimit {
+            needed_bytes: needed_bytes.saturating_add(obstacle_bytes),
+            limit_bytes: self.memory_limit,
+        };
+        let planned = match &self.scratch {
+            Some(_) => reconstruction::plan_memory(given, settings, surroundings, allowed_bytes)?,
+            None => reconstruction::plan_in_core(given, settings, surroundings, allowed_bytes)?,
+        };
+        match planned {
+            Ok(plan) => Ok(plan),
+            Err(MemoryPlanError::TooLarge(too_large)) => Err(over(too_large.needed_bytes)),
+            Err(MemoryPlanError::VoxelTooSmall(too_small)) => {
+                Err(Error::VoxelTooSmall { voxel_size: too_small.voxel_size, least: too_small.least })
+            }
+        }
+    }
+
+    /// Reconstructs a frame in memory.
+    fn reconstruct_in_memory<'p>(
+        &mut self,
+        work: ShapedFrame<'_, 'p>,
+        stored: &[PositionFormat],
+    ) -> Result<(reconstruction::FrameSurface, PreparedSource<'p>), Error> {
+        let ShapedFrame { settings, shaped, shape_stats, allows_empty } = work;
+        let mut rasterized =
+            reconstruction::rasterize(&shaped, settings, shape_stats, self.obstacles.clone())?;
+        require_particles(rasterized.report_mut().particle_count, &shaped, allows_empty)?;
+        self.begin(Phase::Smooth)?;
+        let token = self.token.clone();
+        let smoothed = reconstruction::smooth_while(rasterized, settings, &mut |fraction| {
+            self.report_progress(Phase::Smooth, fraction);
+            token.flow()
+        });
+        let smoothed = flow_result(smoothed)?;
+        self.begin(Phase::Contour)?;
+        let surface = reconstruction::contour_while(smoothed, settings, stored, &|| token.flow());
+        Ok((flow_result(surface)?, shaped))
+    }
+
+    /// Reconstructs a frame in tiles, through scratch storage.
+    fn reconstruct_tiled<'p>(
+        &mut self,
+        work: ShapedFrame<'_, 'p>,
+        tile_leaves: i32,
+        stored: &[PositionFormat],
+    ) -> Result<(reconstruction::FrameSurface, PreparedSource<'p>), Error> {
+        let ShapedFrame { settings, shaped, shape_stats, allows_empty } = work;
+        let mut storages: Vec<Box<dyn Storage>> = Vec::new();
+        if let Some(make) = &mut self.scratch {
+            for _ in 0..FIELD_STORE_FILES {
+                let (storage, token) = (make().map_err(Error::Scratch)?, self.token.clone());
+                storages.push(Box::new(CancellableStorage { storage, token }));
+            }
+        }
+        let obstacles = self.obstacles.clone();
+        let mut frame = tiled::rasterize(shaped, settings, shape_stats, obstacles, tile_leaves, storages)
+            .map_err(tiled_error)?;
+        let left = frame.report_mut().particle_count;
+        require_particles(left, frame.source(), allows_empty)?;
+        self.begin(Phase::Smooth)?;
+        let frame =
+            tiled::smooth(frame, settings, &mut |fraction| self.report_progress(Phase::Smooth, fraction));
+        let frame = frame.map_err(storage_error)?;
+        self.begin(Phase::Contour)?;
+        tiled::contour(frame, settings, stored).map_err(tiled_error)
+    }
+}
+
+/// Particles with their final positions and shapes.
+type PreparedSource<'p> = ShapedSource<CancellableParticles<'p>>;
+
+/// The input of a reconstruction after its particles got their shapes.
+struct ShapedFrame<'s, 'p> {
+    settings: &'s Settings,
+    shaped: PreparedSource<'p>,
+    shape_stats: ShapeStats,
+    allows_empty: bool,
+}
+
+/// Resolves the options, and measures the spacing if they need it.
+fn resolve(
+    options: &Options,
+    positions: &Positions<'_>,
+    attributes: &[Attribute],
+) -> Result<Settings, Error> {
+    let per_particle_radius = options.per_particle_radius()?;
+    let mut measured = None;
+    if options.needs_spacing() {
+        measured = estimate_spacing(positions.borrowed()).map(|estimate| SequenceSpacing {
+            spacing: rounded(estimate.spacing),
+            radius_median: per_particle_radius.and_then(|own| median(own.radii_min(attributes))),
+        });
+        if measured.is_none() && options.voxel_size.and_then(Length::world).is_none() {
+            return Err(Error::UnknownSpacing);
+        }
+    }
+    Ok(Settings::resolve(options, measured)?)
+}
+
+fn check_lengths(positions: &Positions<'_>, attributes: &[Attribute]) -> Result<(), Error> {
+    for attribute in attributes {
+        let (found, expected) = (attribute.values.len(), attribute.arity.saturating_mul(positions.len()));
+        if found != expected || attribute.arity == 0 {
+            let expected = expected.max(positions.len());
+            return Err(Error::AttributeLength { name: attribute.name.clone(), expected, found });
+        }
+    }
+    Ok(())
+}
+
+/// Checks that the attributes that shape particles exist.
+fn check_required_attributes(settings: &Settings, attributes: &[Attribute]) -> Result<(), Error> {
+    let radius = settings.per_particle_radius.as_ref().map(|own| (&*own.attribute, 1));
+    let velocity = matches!(settings.anisotropy, Anisotropy::Velocity { .. }).then_some(("velocity", 3));
+    for (name, arity) in radius.into_iter().chain(velocity) {
+        if find_attribute(attributes, name, arity).is_none() {
+            return Err(Error::MissingAttribute { name: name.to_owned(), arity });
+        }
+    }
+    Ok(())
+}
+
+/// Fails if no particle is left and the frame must not be empty.
+fn require_particles(left: usize, shaped: &PreparedSource<'_>, allows_empty: bool) -> Result<(), Error> {
+    match left {
+        0 if !allows_empty => Err(Error::NoParticles { input_count: shaped.given().positions.len() }),
+        _ => Ok(()),
+    }
+}
+
+fn flow_result<T>(flow: ControlFlow<Error, T>) -> Result<T, Error> {
+    match flow {
+        ControlFlow::Continue(value) => Ok(value),
+        ControlFlow::Break(error) => Err(error),
+    }
+}
+
+/// Converts an I/O error, which may come from a cancelled token.
+fn storage_error(error: io::Error) -> Error {
+    if error.get_ref().is_some_and(|inner| inner.is::<Error>()) {
+        Error::Cancelled
+    } else {
+        Error::Scratch(error)
+    }
+}
+
+fn tiled_error(error: TiledError<Error>) -> Error {
+    match error {
+        TiledError::Source(error) => error,
+        TiledError::Storage(error) => storage_error(error),
+    }
+}
+
+/// Converts the mesh to absolute positions.
+fn with_absolute_positions(surface: reconstruction::FrameSurface, settings: Settings) -> Surface {
+    let reconstruction::FrameSurface { band, mesh, attributes, report } = surface;
+    let Mesh { positions, normals, triangles, origin } = mesh;
+    let positions = positions.into_par_iter().map(|position| origin + position.as_dvec3()).collect();
+    let attributes = attributes.vertices;
+    Surface { positions, normals, triangles, attributes, level_set: band, settings, report }
+}
+
+#[cfg(test)]
+mod tests;

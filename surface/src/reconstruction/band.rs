@@ -1,0 +1,291 @@
+//! Surfaces a given level set, without particles: unchanged, or smoothed within bounds around it.
+//!
+//! ```text
+//!   given φ ──maximum deviation 0────────────────────────────▶ [offset] ──▶ contour
+//!      └──────maximum deviation s──▶ φ − s ≤ φ ≤ φ + s ──smooth──▶ [offset] ──▶ contour
+//! ```
+//!
+//! The result is the smoothest surface that stays within the maximum deviation from the given one. The given
+//! surface, moved by ± this distance, replaces the spheres that constrain the surface of particles.
+
+use std::convert::Infallible;
+use std::ops::ControlFlow;
+
+use glam::{DVec3, IVec3};
+use rayon::prelude::*;
+
+use super::plan::{FIELD_BYTES, mesh_bytes, smoothing_fields};
+use super::postprocess::{PositionFormat, StoredMesh};
+use super::{FrameSurface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, lattice, postprocess, smooth_config};
+use crate::contour;
+use crate::grid::{Field, negative_masks};
+use crate::level_set::{
+    Bounds, NarrowBand, WIDENED_MAX, offset_surface, widened, widened_leaf_count, widened_leaf_count_max,
+};
+use crate::options::Settings;
+use crate::report::ReconstructionReport;
+use crate::smooth;
+use crate::validation::{CheckedRegion, certificate};
+
+/// Limit of the maximum deviation, in voxels: the stored band around the surface is not wider.
+pub const DEVIATION_MAX_VOXELS: f32 = 3.0;
+
+/// Half width that other programs expect of a level set, in voxels: narrower bands are widened.
+const HALF_WIDTH_MIN: f32 = 3.0;
+
+/// Margin of the smoothing band beyond the maximum deviation, in voxels.
+const MARGIN: f32 = 5.0;
+
+/// Computes the surface of a level set, whose values are in units of the settings' voxel size. With a maximum
+/// deviation above 0, it is the smoothest surface that stays within that distance, in voxels, of the given
+/// one; the settings' offset is applied afterwards. Settings for particles have no effect. Voxel (0, 0, 0) is
+/// at `translation`, in world units. The mesh is validated as stored in each of the formats in `stored`.
+pub fn smooth_level_set(
+    band: NarrowBand,
+    translation: DVec3,
+    max_deviation_voxels: f32,
+    settings: &Settings,
+    stored: &[PositionFormat],
+) -> FrameSurface {
+    bound_level_set(band, translation, max_deviation_voxels, settings)
+        .smooth(settings, &mut |_| {})
+        .contour(settings, stored)
+}
+
+/// A level set between two stages of [`smooth_level_set`], with the bounds that its surface must keep.
+#[derive(Clone, Debug)]
+pub struct BoundedBand {
+    band: NarrowBand,
+    bounds: Bounds,
+    max_deviation: f32,
+    translation: DVec3,
+    report: ReconstructionReport,
+}
+
+/// First stage of [`smooth_level_set`]: widens the band and computes the bounds.
+pub fn bound_level_set(
+    band: NarrowBand,
+    translation: DVec3,
+    max_deviation_voxels: f32,
+    settings: &Settings,
+) -> BoundedBand {
+    let max_deviation = max_deviation_voxels.clamp(0.0, DEVIATION_MAX_VOXELS);
+    let band = match working_half_width(band.half_width, max_deviation, offset_voxels(settings)) {
+        Some(half_width) => widened(&band, half_width),
+        None => band,
+    };
+    let bounds = Bounds { lower: moved(&band.phi, -max_deviation), upper: moved(&band.phi, max_deviation) };
+    let report = ReconstructionReport { leaf_count: band.topology.len(), ..ReconstructionReport::default() };
+    BoundedBand { band, bounds, max_deviation, translation, report }
+}
+
+impl BoundedBand {
+    /// The report so far.
+    pub fn report_mut(&mut self) -> &mut ReconstructionReport {
+        &mut self.report
+    }
+
+    /// Second stage: smooths within the bounds if the maximum deviation is above 0. `advanced` receives the
+    /// progress, from 0 to 1.
+    pub fn smooth(mut self, settings: &Settings, advanced: &mut dyn FnMut(f64)) -> BoundedBand {
+        let BoundedBand { band, bounds, max_deviation, report, .. } = &mut self;
+        if *max_deviation > 0.0 {
+            let mut advanced = |fraction| {
+                advanced(fraction);
+                ControlFlow::Continue(())
+            };
+            let config = smooth_config(settings);
+            let ControlFlow::Continue(smoothed) =
+                smooth::smooth_while::<Infallible>(band, bounds, &config, &mut advanced);
+            report.free_voxel_count = smoothed.free_voxel_count;
+            report.pass_count = smoothed.pass_count;
+            report.voxel_update_count = smoothed.voxel_update_count;
+            report.reach_voxels = smoothed.reach_voxels;
+            report.convergence = smoothed.convergence;
+            report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
+        }
+        self
+    }
+
+    /// Third stage: the mesh and its validation, for each storage format.
+    pub fn contour(self, settings: &Settings, stored: &[PositionFormat]) -> FrameSurface {
+        let BoundedBand { mut band, bounds, translation, mut report, .. } = self;
+        let bound_violation_count = bounds.violation_count(&band.phi);
+        drop(bounds);
+        let offset = offset_voxels(settings);
+        if offset != 0.0 {
+            let half_width = band.half_width - offset.abs().ceil();
+            offset_surface(&mut band, offset, half_width, |_| None);
+        }
+        let lattice = lattice(settings);
+        let mut mesh = contour::contour(&band, &lattice, settings.contouring);
+        report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+        // Files may store world positions, so rounding depends on where the mesh is.
+        mesh.origin += translation;
+        // A level set has no particles to check.
+        let no_part = |_: &StoredMesh, _: &mut dyn FnMut(&CheckedRegion)| Ok::<(), Infallible>(());
+        let Ok(checks) = postprocess::finalize(&mut mesh, (settings, stored), &mut report, no_part);
+        let counts = (bound_violation_count, 0);
+        report.certificate =
+            certificate(checks, counts, (None, settings.offset), &mesh, &report.mesh, &lattice);
+        FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report }
+    }
+}
+
+fn offset_voxels(settings: &Settings) -> f32 {
+    (settings.offset / settings.voxel_size) as f32
+}
+
+/// Half width of the working band; `None` to keep that of the given band. An offset requires a wider band,
+/// for two reasons: values in the file need not be distances that far out, and the band left after the offset
+/// must not be narrower than without one.
+fn working_half_width(given_half_width: f32, max_deviation: f32, offset: f32) -> Option<f32> {
+    let without_offset = match max_deviation > 0.0 {
+        true => Some(MARGIN + max_deviation.ceil()),
+        false => (given_half_width < HALF_WIDTH_MIN).then_some(HALF_WIDTH_MIN),
+    };
+    if offset == 0.0 {
+        return without_offset;
+    }
+    Some((without_offset.unwrap_or(HALF_WIDTH_MIN) + offset.abs().ceil()).min(WIDENED_MAX))
+}
+
+/// Upper estimate of the peak memory of [`smooth_level_set`] with these arguments, in bytes. It includes the
+/// given band.
+pub fn smooth_level_set_bytes(band: &NarrowBand, max_deviation_voxels: f32, settings: &Settings) -> u64 {
+    let half_width = working_half_width(band.half_width, max_deviation_voxels, offset_voxels(settings));
+    let wide = half_width.map(|_| widened_leaf_count(band));
+    let crossed = crossed_edge_count(band) as f64;
+    working_bytes((band.topology.len(), wide), crossed, max_deviation_voxels, settings)
+}
+
+/// Upper estimate of [`smooth_level_set_bytes`] for a band with leaves at these origins, whose values are
+/// unknown.
+pub fn smooth_level_set_bytes_max(
+    origins: &[IVec3],
+    half_width: f32,
+    max_deviation_voxels: f32,
+    settings: &Settings,
+) -> u64 {
+    let working = working_half_width(half_width, max_deviation_voxels, offset_voxels(settings));
+    let wide = working.map(|_| widened_leaf_count_max(origins.iter().copied()));
+    let crossed = CROSSED_EDGES_PER_LEAF * origins.len() as f64;
+    working_bytes((origins.len(), wide), crossed, max_deviation_voxels, settings)
+}
+
+/// Edges of the grid in a leaf that the surface crosses, at most, as the mean of a band: those of a plane
+/// through the middle of every leaf, which is inclined to all axes, and a third more.
+const CROSSED_EDGES_PER_LEAF: f64 = 128.0;
+
+/// The memory for a band with `given` leaves, which is widened to `wide` leaves unless that is `None`, in
+/// bytes.
+fn working_bytes(
+    (given, wide): (usize, Option<usize>),
+    crossed_edge_count: f64,
+    max_deviation_voxels: f32,
+    settings: &Settings,
+) -> u64 {
+    let given = given as f64;
+    let (leaves, widening) = match wide {
+        Some(wide) => {
+            let wide = wide as f64;
+            // The given band, two fields of the wide band, and the list used to find its leaves.
+            (wide, FIELD_BYTES * (given + 2.2 * wide) + WIDENING_LEAF_BYTES * given)
+        }
+        None => (given, 0.0),
+    };
+    let mesh = mesh_bytes(settings) * crossed_edge_count;
+    let smoothing = match max_deviation_voxels > 0.0 {
+        true => FIELD_BYTES * smoothing_fields(settings) * leaves,
+        false => 0.0,
+    };
+    let contouring = FIELD_BYTES * 4.0 * leaves + mesh;
+    let topologies = TOPOLOGY_LEAF_BYTES as f64 * (given + leaves);
+    (widening.max(smoothing).max(contouring) + topologies) as u64
+}
+
+/// Memory per leaf of the given band while the surrounding leaves are listed: 27 origins, once unsorted and
+/// once sorted.
+const WIDENING_LEAF_BYTES: f64 = 27.0 * 28.0;
+
+/// Number of grid edges that the surface crosses: approximately its area in voxel faces.
+fn crossed_edge_count(band: &NarrowBand) -> usize {
+    let inside = negative_masks(&band.phi);
+    let neighbors = band.topology.neighbors();
+    let crossed = |leaf: usize| -> usize {
+        let own = &inside[leaf];
+        let beyond = |face: usize| inside.get(neighbors[leaf][face] as usize).unwrap_or(own);
+        (0..3)
+            .map(|axis| {
+                // The surface has no crossings beyond the last leaf.
+                let [_, after] = own.shifted(axis, 1, own, beyond(2 * axis + 1));
+                own.and(&after.complement()).or(&after.and(&own.complement())).iter().count()
+            })
+            .sum()
+    };
+    (0..inside.len()).into_par_iter().map(crossed).sum()
+}
+
+fn moved(phi: &Field, by: f32) -> Field {
+    let mut moved = phi.clone();
+    moved.leaves.iter_mut().flat_map(|leaf| &mut leaf.values).for_each(|phi| *phi += by);
+    moved
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::grid::{LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
+    use crate::options::MethodOptions;
+
+    /// A ball in the middle of eight leaves.
+    fn ball() -> NarrowBand {
+        let corners = (0..8).map(|slot| IVec3::new(slot / 4 - 1, slot / 2 % 2 - 1, slot % 2 - 1) * LEAF_EDGE);
+        let topology = Topology::new(corners.collect());
+        let distance = |voxel: IVec3| (voxel.as_vec3().length() - 5.0).clamp(-3.0, 3.0);
+        let leaf = |origin: &IVec3| Leaf {
+            values: std::array::from_fn(|offset| distance(*origin + voxel_in_leaf(offset))),
+        };
+        let phi = Field { leaves: topology.origins().iter().map(leaf).collect() };
+        NarrowBand { topology: topology.into(), phi, half_width: 3.0 }
+    }
+
+    #[test]
+    fn memory_is_estimated_without_the_values() {
+        let band = ball();
+        let settings = Settings::paper(0.01, &MethodOptions::default()).expect("sound");
+        for max_deviation in [0.0, 1.0] {
+            let exact = smooth_level_set_bytes(&band, max_deviation, &settings);
+            let most = smooth_level_set_bytes_max(
+                band.topology.origins(),
+                band.half_width,
+                max_deviation,
+                &settings,
+            );
+            assert!((exact..2 * exact).contains(&most), "{exact} {most}");
+        }
+    }
+
+    #[test]
+    fn distant_mesh_is_validated_at_rounded_world_positions() {
+        let world_positions = PositionFormat::Rounded(|positions, origin| {
+            let origin = DVec3::from(origin);
+            let read = |position: &[f32; 3]| {
+                let world = (origin + Vec3::from(*position).as_dvec3()).as_vec3();
+                (world.as_dvec3() - origin).as_vec3().to_array()
+            };
+            positions.iter().map(read).collect()
+        });
+        let band = ball();
+        let settings = Settings::paper(0.01, &MethodOptions::default()).expect("sound");
+        let flat_count = |translation: DVec3| {
+            let surface = smooth_level_set(band.clone(), translation, 0.0, &settings, &[world_positions]);
+            surface.report.flat_triangles_removed + surface.report.mesh.degenerate_triangle_count
+        };
+        assert_eq!(flat_count(DVec3::ZERO), 0);
+        // At x = 1.5e6, consecutive 32-bit floats are an eighth of a world unit apart.
+        assert!(flat_count(DVec3::new(1.5e6, 0.0, 0.0)) > 0);
+    }
+}

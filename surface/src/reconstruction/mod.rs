@@ -1,0 +1,378 @@
+//! The whole method in three stages: rasterize, smooth, contour.
+//!
+//! The stages are separate functions so that a pipeline can run a different frame in each;
+//! [`reconstruct_frame`] runs all three. They do not start threads or open files: loops run in the caller's
+//! rayon pool. `plan` estimates the memory of a frame, and `tiled` has the same three stages for frames
+//! larger than memory.
+
+mod attributes;
+mod band;
+mod changes;
+mod field_store;
+mod plan;
+mod postprocess;
+mod precision;
+mod shape;
+pub mod tiled;
+mod tiles;
+
+use std::convert::Infallible;
+use std::ops::ControlFlow;
+
+pub(crate) use attributes::transfer_attributes_from;
+pub use attributes::{SurfaceAttributes, Targets, transfer_attributes};
+pub use band::{
+    BoundedBand, DEVIATION_MAX_VOXELS, bound_level_set, smooth_level_set, smooth_level_set_bytes,
+    smooth_level_set_bytes_max,
+};
+pub use field_store::{FIELD_STORE_FILES, Storage};
+pub(crate) use plan::plan_in_core;
+pub use plan::{MemoryPlan, MemoryPlanError, PlanInputs, TooLarge, plan_memory};
+pub use postprocess::PositionFormat;
+pub use precision::{PrecisionLimit, SPREAD_MAX_VOXELS, VoxelTooSmall};
+pub(crate) use shape::shapes_by_attributes;
+pub use shape::{ShapedSource, shape_by_attributes, shape_by_neighbors, shape_particles};
+
+use crate::contour;
+use crate::grid::Leaf;
+use crate::level_set::{Bounds, NarrowBand, offset_reach_voxels};
+use crate::mesh::Mesh;
+use crate::obstacle::{ContactStats, Obstacles};
+use crate::options::Settings;
+use crate::particles::{OwnedPositions, ParticleCloud, ParticleSource};
+use crate::rasterize::{self, ParticleBins, Radii, RasterParams};
+use crate::report::{Phase, ReconstructionReport, ShapeStats};
+use crate::smooth;
+use crate::space::{CoordBox, Lattice};
+use crate::validation::{
+    CheckedRegion, MeshCells, MovedParticle, certificate, count_inputs_outside, possibly_outside,
+};
+use postprocess::{Edits, StoredMesh, SurfaceExclusions};
+
+/// The surface of one frame.
+#[derive(Clone, Debug)]
+pub struct FrameSurface {
+    /// The level set that was meshed.
+    pub band: NarrowBand,
+    /// The mesh.
+    pub mesh: Mesh,
+    /// Attributes of the surface; empty unless [transferred](transfer_attributes).
+    pub attributes: SurfaceAttributes,
+    /// Measurements and validation results.
+    pub report: ReconstructionReport,
+}
+
+impl FrameSurface {
+    /// Memory used, in bytes.
+    pub fn size_bytes(&self) -> u64 {
+        let leaves = self.band.phi.leaves.len() * (size_of::<Leaf>() + TOPOLOGY_LEAF_BYTES);
+        let Mesh { positions, normals, triangles, .. } = &self.mesh;
+        let mesh = size_of_val(&**positions) + size_of_val(&**normals) + size_of_val(&**triangles);
+        (leaves + mesh + self.attributes.size_bytes()) as u64
+    }
+}
+
+/// Result of rasterization, input of smoothing.
+#[derive(Clone)]
+pub struct RasterizedFrame {
+    bins: ParticleBins,
+    band: NarrowBand,
+    bounds: Bounds,
+    obstacles: Obstacles,
+    /// The particles that position smoothing moved and whose input positions may be outside the surface,
+    /// batch by batch; `None` if it moved no particle.
+    possibly_outside: Option<Vec<Vec<MovedParticle>>>,
+    report: ReconstructionReport,
+}
+
+/// Result of smoothing, input of contouring.
+#[derive(Clone)]
+pub struct SmoothedFrame {
+    bins: ParticleBins,
+    band: NarrowBand,
+    bounds: Bounds,
+    obstacles: Obstacles,
+    possibly_outside: Option<Vec<Vec<MovedParticle>>>,
+    report: ReconstructionReport,
+}
+
+impl RasterizedFrame {
+    /// The report so far. Callers that measure time add it here.
+    pub fn report_mut(&mut self) -> &mut ReconstructionReport {
+        &mut self.report
+    }
+}
+
+impl SmoothedFrame {
+    /// The report so far. Callers that measure time add it here.
+    pub fn report_mut(&mut self) -> &mut ReconstructionReport {
+        &mut self.report
+    }
+}
+
+/// Reconstructs the surface of one frame: applies anisotropy, rasterizes, smooths, contours. Runs in the
+/// caller's rayon pool; the same particles and settings give bit-identical results on any number of threads.
+/// Particles are dropped, and counted in the report, if their position is not finite or outside the grid's
+/// range of indices, or if they are outliers: more than 2²⁰ voxels from the median of the particles along an
+/// axis. If outliers are more than 8 particles and more than 1 % of all, or at least half of all, none of
+/// them is dropped. [`plan_memory()`] detects voxels that are too small for a frame.
+///
+/// Positions are in world units, like the voxel size and the radii in the settings. `docs/method.md` explains
+/// the method, after Bhattacharya, Gao and Bargteil.
+///
+/// ```
+/// use meniscus_surface::particles::OwnedPositions;
+/// use meniscus_surface::options::{MethodOptions, Settings};
+/// use meniscus_surface::reconstruction::reconstruct_frame;
+///
+/// let settings = Settings::paper(0.1, &MethodOptions::default())?;
+/// let drop = reconstruct_frame(&OwnedPositions::F32(vec![[1.0, 2.0, 3.0]]), &settings);
+/// // An isolated particle becomes a ball, and the certificate confirms that the surface of the ball is
+/// // between the particle's r_min and r_max.
+/// assert!(drop.report.certificate.holds());
+/// assert_eq!(drop.mesh.measure().euler_characteristic, 2);
+/// # Ok::<(), meniscus_surface::options::SettingsError>(())
+/// ```
+#[inline] // compiled for its type of particles only where it is called: the command line has another type
+pub fn reconstruct_frame(particles: &OwnedPositions, settings: &Settings) -> FrameSurface {
+    reconstruct_frame_observed(particles, settings, &mut |_| {})
+}
+
+/// Like [`reconstruct_frame`]; `entered` is called at the start of each phase.
+#[inline] // compiled for its type of particles only where it is called: the command line has another type
+pub fn reconstruct_frame_observed(
+    particles: &OwnedPositions,
+    settings: &Settings,
+    entered: &mut dyn FnMut(Phase),
+) -> FrameSurface {
+    entered(Phase::Rasterize);
+    let Ok((shaped, shape_stats)) = shape_by_neighbors(particles, ShapeStats::default(), settings);
+    let Ok(rasterized) = rasterize(&shaped, settings, shape_stats, Obstacles::default());
+    entered(Phase::Smooth);
+    let smoothed = smooth(rasterized, settings);
+    entered(Phase::Contour);
+    contour(smoothed, settings, &[PositionFormat::Exact])
+}
+
+/// Reconstructs the surface of one frame of particles with attributes and obstacles, and transfers the
+/// selected attributes to the vertices.
+#[inline] // compiled for its type of particles only where it is called: the command line has another type
+pub fn reconstruct_cloud(cloud: ParticleCloud, settings: &Settings, obstacles: &Obstacles) -> FrameSurface {
+    let (shaped, shape_stats) = shape_particles(cloud, settings);
+    let Ok(rasterized) = rasterize(&shaped, settings, shape_stats, obstacles.clone());
+    let mut surface = contour(smooth(rasterized, settings), settings, &[PositionFormat::Exact]);
+    transfer_attributes(
+        &mut surface,
+        &shaped.into_moved(),
+        settings,
+        Targets { vertices: true, band_half_width_voxels: None },
+    );
+    surface
+}
+
+/// First stage: particles to level sets. `shape_stats` reports how the particles got their shapes.
+///
+/// # Errors
+/// Returns the source's error if a batch cannot be read. Reading a source in memory cannot fail.
+pub fn rasterize<S: ParticleSource>(
+    source: &S,
+    settings: &Settings,
+    shape_stats: ShapeStats,
+    obstacles: Obstacles,
+) -> Result<RasterizedFrame, S::Error> {
+    let scene = raster_params(settings, &obstacles);
+    let rasterize::RasterFields { bins, band, bounds, contact } = rasterize::rasterize(source, &scene)?;
+    let contact = ContactStats { particle_count: inside_obstacles(source, &scene)?, ..contact };
+    let possibly_outside = match source.is_smoothed() {
+        true => {
+            let upper = (&*band.topology, &bounds.upper, scene.radii.offset);
+            Some(possibly_outside(source, &scene.lattice, upper)?)
+        }
+        false => None,
+    };
+    let report = ReconstructionReport {
+        particle_count: bins.particle_count,
+        dropped_count: bins.dropped_count,
+        outlier_position: bins.outlier_position,
+        leaf_count: band.topology.len(),
+        shapes: shape_stats,
+        contact,
+        ..ReconstructionReport::default()
+    };
+    Ok(RasterizedFrame { bins, band, bounds, obstacles, possibly_outside, report })
+}
+
+/// Second stage: constrained smoothing.
+#[inline] // compiled for its type of particles only where it is called: the command line has another type
+pub fn smooth(rasterized: RasterizedFrame, settings: &Settings) -> SmoothedFrame {
+    smooth_observed(rasterized, settings, &mut |_| {})
+}
+
+/// Second stage. `advanced` receives the progress, from 0 to 1.
+pub fn smooth_observed(
+    rasterized: RasterizedFrame,
+    settings: &Settings,
+    advanced: &mut dyn FnMut(f64),
+) -> SmoothedFrame {
+    let mut advanced = |fraction| {
+        advanced(fraction);
+        ControlFlow::Continue(())
+    };
+    let ControlFlow::Continue(smoothed) = smooth_while::<Infallible>(rasterized, settings, &mut advanced);
+    smoothed
+}
+
+/// Second stage; `advanced` may cancel it.
+pub(crate) fn smooth_while<B>(
+    rasterized: RasterizedFrame,
+    settings: &Settings,
+    advanced: &mut dyn FnMut(f64) -> ControlFlow<B>,
+) -> ControlFlow<B, SmoothedFrame> {
+    let RasterizedFrame { bins, mut band, bounds, obstacles, possibly_outside, mut report } = rasterized;
+    let smoothed = smooth::smooth_while(&mut band, &bounds, &smooth_config(settings), advanced)?;
+    report_smoothing(&mut report, smoothed, settings);
+    ControlFlow::Continue(SmoothedFrame { bins, band, bounds, obstacles, possibly_outside, report })
+}
+
+fn report_smoothing(report: &mut ReconstructionReport, smoothed: smooth::SmoothReport, settings: &Settings) {
+    report.free_voxel_count = smoothed.free_voxel_count;
+    report.pass_count = smoothed.pass_count;
+    report.voxel_update_count = smoothed.voxel_update_count;
+    let radii = radii(settings);
+    let longest = longest_of(&report.shapes);
+    let of_shapes = shape::shape_reach(settings, longest);
+    let of_offset = if radii.offset == 0.0 { 0 } else { offset_reach_voxels(radii.result_half_width()) };
+    let reach_before = radii.reach_voxels(longest).saturating_add(of_shapes).saturating_add(of_offset);
+    report.reach_voxels = smoothed.reach_voxels.map(|reach| reach.saturating_add(reach_before));
+    report.convergence = smoothed.convergence;
+    report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
+}
+
+/// Third stage: the mesh, its measures, and the certificate, which validates the mesh as each file stores it.
+#[inline] // compiled for its type of particles only where it is called: the command line has another type
+pub fn contour(smoothed: SmoothedFrame, settings: &Settings, stored: &[PositionFormat]) -> FrameSurface {
+    let ControlFlow::Continue(surface) =
+        contour_while::<Infallible>(smoothed, settings, stored, &|| ControlFlow::Continue(()));
+    surface
+}
+
+/// Third stage; `go_on` may cancel it between its parts.
+pub(crate) fn contour_while<B>(
+    smoothed: SmoothedFrame,
+    settings: &Settings,
+    stored: &[PositionFormat],
+    go_on: &dyn Fn() -> ControlFlow<B>,
+) -> ControlFlow<B, FrameSurface> {
+    let SmoothedFrame { bins, mut band, bounds, obstacles, possibly_outside, mut report } = smoothed;
+    let scene = raster_params(settings, &obstacles);
+    let RasterParams { lattice, radii, .. } = scene;
+    let bound_violation_count = bounds.violation_count(&band.phi);
+    drop(bounds);
+    postprocess::offset(&mut band, &scene);
+    let edits = match postprocess::has_edits(settings) {
+        true => postprocess::edit(&mut band, bins.leaves(), (&scene, settings), &mut report.edits),
+        false => Edits::default(),
+    };
+    go_on()?;
+    let mut mesh = postprocess::mesh(&band, &edits, (&scene, settings), &mut report.depth);
+    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+    let (exempt, owned) = (&SurfaceExclusions { scene: &scene, edits: &edits }, CoordBox::ALL);
+    let how = (settings, stored);
+    let settled = postprocess::finalize(&mut mesh, how, &mut report, |checked, check| {
+        if let ControlFlow::Break(broken) = go_on() {
+            return Err(broken);
+        }
+        let StoredMesh { mesh, rounding } = *checked;
+        let (bins, band, lattice) = (&bins, &band, &lattice);
+        let cells = &MeshCells::new(mesh, band, lattice);
+        check(&CheckedRegion { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
+        Ok(())
+    });
+    let checks = match settled {
+        Ok(checks) => checks,
+        Err(broken) => return ControlFlow::Break(broken),
+    };
+    let counts = (bound_violation_count, report.dropped_count);
+    report.certificate =
+        certificate(checks, counts, (Some(&radii), settings.offset), &mesh, &report.mesh, &lattice);
+    report.certificate.input_positions_outside = possibly_outside.map(|possibly_outside| {
+        count_inputs_outside(&possibly_outside, &band, (&lattice, radii.offset), exempt)
+    });
+    ControlFlow::Continue(FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report })
+}
+
+fn lattice(settings: &Settings) -> Lattice {
+    Lattice { voxel_size: settings.voxel_size }
+}
+
+/// Parameters of rasterization.
+fn raster_params<'a>(settings: &Settings, obstacles: &'a Obstacles) -> RasterParams<'a> {
+    RasterParams {
+        lattice: lattice(settings),
+        radii: radii(settings),
+        obstacles,
+        void_threshold: settings.void_threshold as f32,
+        keeps_all_particles: settings.drop_islands > 0,
+    }
+}
+
+/// Number of particles inside obstacles.
+fn inside_obstacles<S: ParticleSource>(source: &S, scene: &RasterParams) -> Result<usize, S::Error> {
+    match scene.obstacles.is_empty() {
+        true => Ok(0),
+        false => scene.obstacles.count_inside(source, &scene.lattice, scene.obstacle_half_width()),
+    }
+}
+
+/// The radii in voxels.
+fn radii(settings: &Settings) -> Radii {
+    let voxels = |world: f64| (world / settings.voxel_size) as f32;
+    let [min, init, max] = [settings.radius_min, settings.radius_init, settings.radius_max].map(voxels);
+    let offset = voxels(settings.offset);
+    match settings.has_per_particle_shapes() {
+        false => Radii { offset, ..Radii::uniform(min, init, max) },
+        // The semi-axes of an ellipsoid are recovered from its matrix, which may round them slightly down.
+        true => Radii {
+            min,
+            init,
+            max,
+            min_scale: 0.9999 * shape::min_scale(settings),
+            band_scale: shape::band_scale(settings),
+            offset,
+        },
+    }
+}
+
+/// Longest semi-axis of all particles, in units of the radii.
+fn longest_of(shape_stats: &ShapeStats) -> f32 {
+    if *shape_stats == ShapeStats::default() { 1.0 } else { shape_stats.longest }
+}
+
+fn smooth_config(settings: &Settings) -> smooth::SmoothConfig {
+    smooth::SmoothConfig {
+        laplacian_steps: settings.laplacian_steps,
+        integrator: settings.integrator,
+        steps: settings.steps,
+        step_size: settings.step_size as f32,
+        redistance_every: settings.redistance_every,
+        cg_tolerance: settings.cg_tolerance,
+        pin_isolated_spheres: can_spheres_shrink(settings),
+        // The offset moves the surface to the level φ = offset, so distances must be accurate up to there.
+        distances_voxels: (settings.offset / settings.voxel_size).abs() as f32,
+    }
+}
+
+/// Maximum acceptable shrinking of an isolated sphere's radius in implicit steps, in voxels.
+const SHRINKING_MAX: f64 = 0.15;
+
+/// True if implicit steps could shrink an isolated sphere by more than [`SHRINKING_MAX`] before its radius
+/// reaches r_min. This is always true with per-particle radii. It is false if the radii are derived from the
+/// voxel size and there are 15 Laplacian steps, because these already shrink the sphere to r_min.
+fn can_spheres_shrink(settings: &Settings) -> bool {
+    let [least, init] = [settings.radius_min, settings.radius_init].map(|world| world / settings.voxel_size);
+    let left = smooth::radius_after_laplacian(init, settings.laplacian_steps);
+    settings.per_particle_radius.is_some() || left - least > SHRINKING_MAX
+}
+
+/// Memory per leaf of a topology: its origin, its neighbors, and its entry in the map.
+const TOPOLOGY_LEAF_BYTES: usize = 80;

@@ -1,0 +1,335 @@
+//! Estimates the memory of a frame, and plans how to reconstruct it within a limit: in one piece or in tiles.
+//! All memory sizes are in bytes.
+
+use std::fmt;
+
+use glam::IVec3;
+use rustc_hash::FxHashMap;
+
+use super::precision::{VoxelTooSmall, voxel_too_small};
+use super::tiles::{HALO_LEAVES, tiles_around};
+use super::{TOPOLOGY_LEAF_BYTES, radii, raster_params, shape};
+use crate::grid::Leaf;
+use crate::obstacle::Obstacles;
+use crate::options::{Anisotropy, Contouring, Integrator, Settings};
+use crate::particles::ParticleSource;
+use crate::rasterize::{self, Footprint};
+
+/// How a frame is reconstructed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MemoryPlan {
+    /// Upper estimate of the peak memory, in bytes, excluding the given particles: at most 1.5 times the
+    /// actual peak.
+    pub memory_bytes: u64,
+    /// Edge of the tiles in leaves; `None` to process the frame in one piece.
+    pub tile_leaves: Option<i32>,
+    /// Peak memory in one piece, in bytes.
+    pub in_core_bytes: u64,
+}
+
+/// Error: a frame does not fit into the memory limit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TooLarge {
+    /// The smallest sufficient limit, in bytes.
+    pub needed_bytes: u64,
+    /// The limit, in bytes.
+    pub allowed_bytes: u64,
+    /// True if tiles are impossible because the integrator is global.
+    pub requires_in_core: bool,
+}
+
+impl fmt::Display for TooLarge {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mebibytes = |bytes: u64| bytes.div_ceil(MEBIBYTE);
+        write!(
+            f,
+            "the frame needs {} MiB of memory and the limit is {} MiB: raise --memory or increase --voxel-size",
+            mebibytes(self.needed_bytes),
+            self.allowed_bytes / MEBIBYTE
+        )?;
+        if self.requires_in_core {
+            f.write_str("; other integrators need less: implicit and adaptive cannot work in tiles")?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for TooLarge {}
+
+const MEBIBYTE: u64 = 1 << 20;
+
+/// Edges of tiles in leaves, largest first. The smaller the tiles, the more work is done twice, in their
+/// overlapping halos.
+const TILE_EDGES: [i32; 4] = [128, 64, 32, 16];
+
+/// Inputs besides the particles that need memory.
+#[derive(Clone, Copy)]
+pub struct PlanInputs<'a> {
+    /// The obstacles.
+    pub obstacles: &'a Obstacles,
+    /// Bytes per particle of the transferred attributes.
+    pub attribute_bytes: f64,
+}
+
+/// Why a frame cannot be reconstructed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum MemoryPlanError {
+    /// It does not fit into the memory limit.
+    TooLarge(TooLarge),
+    /// Its voxels are too small for the precision of positions.
+    VoxelTooSmall(VoxelTooSmall),
+}
+
+/// Plans a frame with a limit of `allowed_bytes`: in one piece if possible, otherwise in the largest tiles
+/// that fit. Reads each particle once.
+///
+/// # Errors
+/// The outer error is the source's. The inner error says why the frame cannot be reconstructed: there is too
+/// little memory, or the voxels are [too small](VoxelTooSmall).
+pub fn plan_memory<S: ParticleSource>(
+    source: &S,
+    settings: &Settings,
+    surroundings: PlanInputs,
+    allowed_bytes: u64,
+) -> Result<Result<MemoryPlan, MemoryPlanError>, S::Error> {
+    plan_with_tiles(source, settings, surroundings, allowed_bytes, &TILE_EDGES)
+}
+
+/// Like [`plan_memory`], without tiles.
+pub(crate) fn plan_in_core<S: ParticleSource>(
+    source: &S,
+    settings: &Settings,
+    surroundings: PlanInputs,
+    allowed_bytes: u64,
+) -> Result<Result<MemoryPlan, MemoryPlanError>, S::Error> {
+    plan_with_tiles(source, settings, surroundings, allowed_bytes, &[])
+}
+
+fn plan_with_tiles<S: ParticleSource>(
+    source: &S,
+    settings: &Settings,
+    surroundings: PlanInputs,
+    allowed_bytes: u64,
+    tile_edges: &[i32],
+) -> Result<Result<MemoryPlan, MemoryPlanError>, S::Error> {
+    let PlanInputs { obstacles, attribute_bytes } = surroundings;
+    let footprint =
+        rasterize::footprint(source, &raster_params(settings, obstacles), shape::near_surface(settings))?;
+    if let Some(too_small) = voxel_too_small(source, settings, &footprint)? {
+        return Ok(Err(MemoryPlanError::VoxelTooSmall(too_small)));
+    }
+    let whole = in_core_bytes(&footprint, settings, attribute_bytes);
+    if whole <= allowed_bytes {
+        return Ok(Ok(MemoryPlan { memory_bytes: whole, tile_leaves: None, in_core_bytes: whole }));
+    }
+    if matches!(settings.integrator, Integrator::Implicit | Integrator::Adaptive) {
+        let too_large = TooLarge { needed_bytes: whole, allowed_bytes, requires_in_core: true };
+        return Ok(Err(MemoryPlanError::TooLarge(too_large)));
+    }
+    let mut needed_bytes = whole;
+    for &tile_leaves in tile_edges {
+        let memory_bytes = tiled_bytes(&footprint, settings, attribute_bytes, tile_leaves);
+        if memory_bytes <= allowed_bytes {
+            let tile_leaves = Some(tile_leaves);
+            return Ok(Ok(MemoryPlan { memory_bytes, tile_leaves, in_core_bytes: whole }));
+        }
+        needed_bytes = needed_bytes.min(memory_bytes);
+    }
+    Ok(Err(MemoryPlanError::TooLarge(TooLarge { needed_bytes, allowed_bytes, requires_in_core: false })))
+}
+
+/// Number of fields in memory during rasterization, including temporary fields of the sweeps. Anisotropic
+/// particles need distances to three surfaces; others, to one center.
+fn rasterizing_fields(settings: &Settings) -> f64 {
+    if settings.has_per_particle_shapes() { 7.4 } else { 5.2 }
+}
+
+/// Number of fields in memory during smoothing.
+pub(super) fn smoothing_fields(settings: &Settings) -> f64 {
+    match settings.integrator {
+        Integrator::Fast | Integrator::Explicit | Integrator::Adaptive => 5.6,
+        Integrator::Implicit => 9.2,
+    }
+}
+
+/// Memory of the mesh, its construction and its measures, in bytes per voxel face of the surface's area.
+/// Measured on blocks, sheets and spray.
+pub(super) fn mesh_bytes(settings: &Settings) -> f64 {
+    match settings.contouring {
+        Contouring::Dual => 80.0,
+        Contouring::Tetrahedra => 300.0,
+    }
+}
+
+/// Memory per leaf that contains particles, in bytes, while culling. A tiled frame keeps
+/// [`occupied_leaf_bytes`] of it. For anisotropic particles, each leaf also stores the octants of the round
+/// ones.
+fn sorted_leaf_bytes(settings: &Settings) -> f64 {
+    1000.0 + round_octants_bytes(settings)
+}
+
+fn occupied_leaf_bytes(settings: &Settings) -> f64 {
+    680.0 + round_octants_bytes(settings)
+}
+
+fn round_octants_bytes(settings: &Settings) -> f64 {
+    if settings.has_per_particle_shapes() { 512.0 } else { 0.0 }
+}
+
+/// Memory per kept particle, in bytes. While particles are sorted, each takes [`SORTED_PARTICLE_BYTES`].
+const KEPT_PARTICLE_BYTES: f64 = 12.0;
+const SORTED_PARTICLE_BYTES: f64 = 40.0;
+
+/// Memory per particle shape, in bytes, for three copies: in the frame, after culling, and in the lookup.
+const SHAPE_BYTES: f64 = 200.0;
+
+/// Memory for particle shapes and displacements.
+fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
+    let by_attributes =
+        settings.per_particle_radius.is_some() || matches!(settings.anisotropy, Anisotropy::Velocity { .. });
+    let shaped_count = match (by_attributes, settings.has_per_particle_shapes()) {
+        (true, _) => footprint.particle_count,
+        // Shapes are computed for each batch, and stored only for the particles that are kept.
+        (false, true) => footprint.near_particle_count,
+        (false, false) => 0,
+    };
+    let [_, kept] = shape::changes_bytes(settings);
+    let of_changes =
+        if settings.uses_neighbors() { kept * footprint.shaped_particle_count as f64 } else { 0.0 };
+    let given = if settings.position_smoothing > 0.0 {
+        MOVED_PARTICLE_BYTES * footprint.shaped_particle_count.min(footprint.near_particle_count) as f64
+    } else {
+        0.0
+    };
+    SHAPE_BYTES * shaped_count as f64 + of_changes + given
+}
+
+/// Average memory per near particle, in bytes, for the original positions that may lie outside the surface.
+/// The average is small because few positions do.
+const MOVED_PARTICLE_BYTES: f64 = 6.0;
+
+/// Memory, in bytes, while neighborhoods are evaluated. The rest of the frame does not exist yet.
+fn neighbors_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
+    if !settings.uses_neighbors() {
+        return 0.0;
+    }
+    let [collected, _] = shape::changes_bytes(settings);
+    (sorted_leaf_bytes(settings) + VICINITY_LEAF_BYTES) * footprint.occupied_count as f64
+        + shape::gathered_bytes(footprint.particle_count)
+        + collected * footprint.shaped_particle_count as f64
+}
+
+/// Memory per leaf while the particles near the surface are determined: masks of its cells, and its
+/// neighbors.
+const VICINITY_LEAF_BYTES: f64 = 300.0;
+
+/// Memory while attributes are transferred and written, in addition to the mesh and two level sets. It holds
+/// near particles, sorted and packed. For each voxel face of the surface's area, it also holds eight values
+/// of each attribute: two for a vertex or a node of the band (in chunks, then contiguous), and six in the
+/// encoded .vdb, whose band is six voxels wide.
+fn transfer_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> f64 {
+    if attribute_bytes == 0.0 {
+        return 0.0;
+    }
+    let [_, area, _, particles] = counts(footprint, settings);
+    // A second copy of the particles, with their shapes.
+    let moved = match (settings.uses_neighbors(), settings.anisotropy) {
+        (true, Anisotropy::Neighbors { .. }) => SHAPES_BYTES * footprint.particle_count as f64,
+        _ => 0.0,
+    };
+    moved + particles * (80.0 + 2.0 * attribute_bytes) + area * (48.0 + 8.0 * attribute_bytes)
+}
+
+/// Memory per ellipsoid for two copies: in its batch, and in the list of all.
+const SHAPES_BYTES: f64 = 56.0;
+
+/// Memory during edits: φ, the field of the clip box, components, and, for a tiled frame, the particles that
+/// identify islands.
+fn edit_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
+    let [surface, _, occupied, particles] = counts(footprint, settings);
+    let has_pieces = settings.drop_islands > 0 || settings.fill_cavities > 0.0;
+    if !has_pieces && settings.clip.is_none() {
+        return 0.0;
+    }
+    let fields = if settings.clip.is_some() { 2.0 } else { 1.0 };
+    let pieces = if has_pieces { PIECES_LEAF_BYTES * surface } else { 0.0 };
+    let particles = if settings.drop_islands > 0 {
+        KEPT_PARTICLE_BYTES * particles + LISTED_LEAF_BYTES * occupied
+    } else {
+        0.0
+    };
+    FIELD_BYTES * fields * surface + pieces + particles
+}
+
+/// Memory during the offset of this many leaves: φ, its swept copy, and the mask of voxels next to the
+/// surface.
+fn offset_bytes(settings: &Settings, leaf_count: f64) -> f64 {
+    if settings.offset == 0.0 { 0.0 } else { 2.2 * FIELD_BYTES * leaf_count }
+}
+
+/// Memory for a leaf's components: masks of its voxels, scattered and then contiguous, and their contacts.
+const PIECES_LEAF_BYTES: f64 = 500.0;
+
+/// Additional memory per leaf for a list of its particles.
+const LISTED_LEAF_BYTES: f64 = 64.0;
+
+fn in_core_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> u64 {
+    let [surface, area, occupied, particles] = counts(footprint, settings);
+    let stages = [
+        FIELD_BYTES * rasterizing_fields(settings) * surface + sorted_leaf_bytes(settings) * occupied,
+        FIELD_BYTES * smoothing_fields(settings) * surface,
+        edit_bytes(footprint, settings),
+        offset_bytes(settings, surface),
+        FIELD_BYTES * 4.0 * surface + mesh_bytes(settings) * area,
+        FIELD_BYTES * 2.0 * surface
+            + mesh_bytes(settings) * area
+            + transfer_bytes(footprint, settings, attribute_bytes),
+    ];
+    let stages_bytes = stages.into_iter().fold(0.0, f64::max) + KEPT_PARTICLE_BYTES * particles;
+    let after = stages_bytes.max(SORTED_PARTICLE_BYTES * particles) + shape_bytes(footprint, settings);
+    after.max(neighbors_bytes(footprint, settings)) as u64
+}
+
+fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64, tile_leaves: i32) -> u64 {
+    let [surface, area, occupied, particles] = counts(footprint, settings);
+    let most = |halo_leaves| most_in_a_tile(&footprint.surface, tile_leaves, halo_leaves) as f64;
+    let rasterized = most(radii(settings).window_halo_leaves());
+    let smoothed = most(HALO_LEAVES);
+    // The particles that can affect the surface in a tile are near it.
+    let part = (2.0 * rasterized / surface).min(1.0);
+    let particles = SORTED_PARTICLE_BYTES * particles * part;
+    let kept = occupied_leaf_bytes(settings) * occupied + TOPOLOGY_LEAF_BYTES as f64 * 2.0 * surface;
+    let sorting = (sorted_leaf_bytes(settings) - occupied_leaf_bytes(settings)) * occupied * part + particles;
+    let stages = [
+        FIELD_BYTES * rasterizing_fields(settings) * rasterized + sorting,
+        FIELD_BYTES * smoothing_fields(settings) * smoothed,
+        edit_bytes(footprint, settings) + sorting,
+        offset_bytes(settings, surface),
+        FIELD_BYTES * surface + mesh_bytes(settings) * area + sorting,
+        // Writing: φ and its compressed copy.
+        FIELD_BYTES * 2.0 * surface
+            + mesh_bytes(settings) * area
+            + transfer_bytes(footprint, settings, attribute_bytes),
+    ];
+    let after = stages.into_iter().fold(0.0, f64::max) + kept + shape_bytes(footprint, settings);
+    after.max(neighbors_bytes(footprint, settings)) as u64
+}
+
+/// Memory of a leaf of a field.
+pub(super) const FIELD_BYTES: f64 = size_of::<Leaf>() as f64;
+
+fn counts(footprint: &Footprint, settings: &Settings) -> [f64; 4] {
+    let Footprint { surface, area_voxels, occupied_count, particle_count, near_particle_count, .. } =
+        footprint;
+    let kept_count = if settings.drop_islands > 0 { particle_count } else { near_particle_count };
+    [surface.len(), *area_voxels, *occupied_count, *kept_count].map(|count| count as f64)
+}
+
+/// Number of leaves in the fullest tile, including its halo.
+fn most_in_a_tile(leaves: &[IVec3], tile_leaves: i32, halo_leaves: i32) -> usize {
+    let mut counts: FxHashMap<IVec3, usize> = FxHashMap::default();
+    for tile in leaves.iter().flat_map(|&origin| tiles_around(origin, halo_leaves, tile_leaves)) {
+        *counts.entry(tile).or_default() += 1;
+    }
+    counts.into_values().max().unwrap_or(0)
+}

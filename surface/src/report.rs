@@ -1,0 +1,183 @@
+//! What each stage measures: plain numbers that the stages fill in and the pipeline writes.
+
+use glam::DVec3;
+
+pub use crate::attributes::TransferCounts;
+use crate::mesh::MeshMeasures;
+pub use crate::obstacle::{ContactStats, DepthStats};
+pub use crate::smooth::Convergence;
+pub use crate::validation::{Certificate, ParticlesOutside};
+
+/// Everything that was measured and checked while a frame was reconstructed. Check `certificate.holds()`
+/// before you use a surface, and `dropped_count` if the input may be damaged.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct ReconstructionReport {
+    /// Number of particles that the surface was made from.
+    pub particle_count: usize,
+    /// Number of particles left out: not finite, outside the grid's range of indices, or so far from the
+    /// others that 32-bit positions cannot hold a surface around them.
+    pub dropped_count: usize,
+    /// Approximate position of one of the dropped particles, world units; `None` if none of them is finite.
+    pub outlier_position: Option<DVec3>,
+    /// Statistics of particle radii and anisotropy; all zero if all particles are balls of one size.
+    pub shapes: ShapeStats,
+    /// What the obstacles changed in the level sets.
+    pub contact: ContactStats,
+    /// How deep vertices lie inside obstacles.
+    pub depth: DepthStats,
+    /// What islands, cavities, clipping and decimation changed.
+    pub edits: EditReport,
+    /// Number of stored leaves of 8³ voxels.
+    pub leaf_count: usize,
+    /// Number of voxels with |φ| ≤ 3 voxels after the Laplacian steps: the unknowns of the first biharmonic
+    /// step.
+    pub free_voxel_count: usize,
+    /// Number of passes of the biharmonic operator; a voxel takes part in at most this many.
+    pub pass_count: usize,
+    /// Number of updates of free voxels: free voxels times passes, if every voxel takes part in every pass.
+    pub voxel_update_count: u64,
+    /// How far a change of one particle can reach, in voxels; `None` if the integrator couples all voxels
+    /// (conjugate gradients).
+    pub reach_voxels: Option<u32>,
+    /// Convergence of the conjugate gradients; `None` for the other integrators.
+    pub convergence: Option<Convergence>,
+    /// Number of explicit steps that exceeded the CFL bound (Eq. 8).
+    pub cfl_exceeded_count: usize,
+    /// Seconds in each stage, if the caller measured them: the method itself does not measure time.
+    pub seconds: StageSeconds,
+    /// The checks of the result.
+    pub certificate: Certificate,
+    /// Number of vertices that were more than half a voxel outside their bounds and were moved back.
+    pub vertices_clamped: usize,
+    /// Number of triangles removed because they have no area at the positions that are written.
+    pub flat_triangles_removed: usize,
+    /// ∫H² over the surface, from φ; 4π for a sphere of any size.
+    pub bending_energy: f64,
+    /// Measures of the mesh.
+    pub mesh: MeshMeasures,
+    /// How well the particles' attributes cover the surface; `None` unless attributes were requested.
+    pub transfer: Option<TransferReport>,
+}
+
+/// The attributes that were interpolated to the surface, and how well the particles cover it.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+#[non_exhaustive]
+pub struct TransferReport {
+    /// The names of the attributes.
+    #[serde(rename = "names")]
+    pub attributes: Vec<String>,
+    /// Counts for the vertices.
+    pub vertices: TransferCounts,
+    /// Counts for the positions in the band from which the voxels take their values.
+    pub band: TransferCounts,
+    /// Seconds that the interpolation took, if the caller measured them.
+    pub seconds: f64,
+}
+
+/// Serializes an `f32` as a JSON number with all of its digits.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
+fn as_f64<S: serde::Serializer>(number: &f32, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_f64(f64::from(*number))
+}
+
+/// How particles got their shapes: from their own radii, from stretching, and from their neighbours. All 0 if
+/// the options leave the particles as balls of one size.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[non_exhaustive]
+pub struct ShapeStats {
+    /// Particles whose own r_min is too small for the grid; it was raised to √3·h.
+    #[serde(rename = "small_radii")]
+    pub small_radius_count: usize,
+    /// The smallest of these r_min before it was raised, world units; 0 if none was raised.
+    pub small_radius_min: f64,
+    /// Particles whose r_max was lowered to the largest allowed.
+    #[serde(rename = "large_radii")]
+    pub large_radius_count: usize,
+    /// Particles whose own radius is invalid; they get the smallest radius.
+    #[serde(rename = "invalid_radii")]
+    pub invalid_radius_count: usize,
+    /// Particles near the surface, whose neighbours were searched. The others keep their position and are not
+    /// stretched by neighbours.
+    #[serde(rename = "near")]
+    pub near_count: usize,
+    /// Stretched particles with a semi-axis below its lower limit, which was raised to that limit: √3·h, or
+    /// the thin radius for particles flattened by their neighbours.
+    #[serde(rename = "raised")]
+    pub raised_count: usize,
+    /// Particles that stayed balls although stretching is on: too few neighbours, or no finite velocity.
+    #[serde(rename = "balls")]
+    pub ball_count: usize,
+    /// The longest semi-axis, in units of the settings' radii.
+    #[serde(serialize_with = "as_f64")]
+    pub longest: f32,
+    /// Seconds that computing the shapes took, if the caller measured them; the seconds of rasterization
+    /// include them.
+    pub seconds: f64,
+}
+
+/// What the options for edits changed: dropped islands, filled cavities, clipping, decimation. All 0 without
+/// them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[non_exhaustive]
+pub struct EditReport {
+    /// Pieces that were dropped because they had too few particles.
+    #[serde(rename = "islands_dropped")]
+    pub island_count: usize,
+    /// Number of particles in the dropped pieces.
+    #[serde(rename = "island_particles")]
+    pub island_particle_count: u64,
+    /// Number of cavities that were filled.
+    #[serde(rename = "cavities_filled")]
+    pub cavity_count: usize,
+    /// Volume of the filled cavities, in voxels.
+    #[serde(rename = "cavity_volume_voxels")]
+    pub cavity_voxel_count: u64,
+    /// Number of inside voxels that the clip box removed.
+    #[serde(rename = "clipped_voxels")]
+    pub clipped_voxel_count: u64,
+    /// Number of triangles that decimation removed.
+    #[serde(rename = "triangles_saved")]
+    pub removed_triangle_count: usize,
+    /// Upper bound on how far decimation moved the mesh, in voxels.
+    pub decimation_error_voxels: f64,
+}
+
+/// The phases of a reconstruction, in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[non_exhaustive]
+pub enum Phase {
+    /// Checks the input, and estimates the particle spacing if the options need it.
+    Prepare,
+    /// Converts particles to level sets, including the shapes that neighbours give them.
+    Rasterize,
+    /// Smooths the level set within its bounds: usually most of the time.
+    Smooth,
+    /// Converts the level set to a mesh, measures and checks it.
+    Contour,
+    /// Interpolates the particles' attributes at the vertices of the mesh.
+    Interpolate,
+}
+
+/// Wall-clock seconds in each stage of the method, if the caller measured them; else 0.
+///
+/// If several frames run in one thread pool, each frame gets only a share of the threads, and a stage that
+/// waits for part of its work may also wait for another frame's stage. The seconds are the cost of a frame
+/// only if it runs alone.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct StageSeconds {
+    /// Particles to level sets.
+    pub rasterize: f64,
+    /// Laplacian and biharmonic smoothing.
+    pub smooth: f64,
+    /// Level set to mesh, with the measures and the certificate.
+    pub contour: f64,
+}
+
+impl StageSeconds {
+    /// The sum of all stages.
+    pub fn total(&self) -> f64 {
+        self.rasterize + self.smooth + self.contour
+    }
+}

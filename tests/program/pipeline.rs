@@ -1,0 +1,403 @@
+//! Frames in the stages of the pipeline, with a quick method in place of the real one.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use glam::{DVec3, IVec3, Vec3};
+use meniscus::pipeline::{
+    Cause, FileStamp, Frame, FrameInput, FrameObstacles, IndexPolicy, Job, LevelSetMethod, Method, OnError,
+    Outcome, OutputFormat, OutputOptions, PictureOptions, PipelineOptions, Stage, run,
+};
+use meniscus::surface::grid::{Field, Topology};
+use meniscus::surface::level_set::NarrowBand;
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::options::{MethodOptions, Settings};
+use meniscus::surface::reconstruction::{FrameSurface, MemoryPlan, SurfaceAttributes};
+use meniscus::surface::report::ReconstructionReport;
+use meniscus_formats::{gltf, vdb};
+use rayon::ThreadPool;
+use tempfile::{TempDir, tempdir};
+
+use crate::program::scene::{block, names_in, write_ply};
+
+/// A method whose surface is a tetrahedron with a size that is the number of particles. Panics in
+/// `broken_stage` for frames of [`BROKEN_COUNT`] particles.
+struct Quick {
+    broken_stage: Option<Stage>,
+}
+
+/// The number of particles for which the method panics.
+const BROKEN_COUNT: usize = 27;
+
+impl Quick {
+    fn new(broken_stage: Option<Stage>) -> Quick {
+        Quick { broken_stage }
+    }
+
+    fn pass(&self, stage: Stage, count: usize) -> usize {
+        assert!(self.broken_stage != Some(stage) || count != BROKEN_COUNT, "cannot bear {count} particles");
+        count
+    }
+}
+
+impl Method for Quick {
+    type Rasterized = usize;
+    type Smoothed = usize;
+
+    fn plan(
+        &self,
+        _particles: &FrameInput,
+        _obstacles: &FrameObstacles,
+        _settings: &Settings,
+        _allowed_bytes: u64,
+    ) -> Result<MemoryPlan, Cause> {
+        Ok(MemoryPlan { memory_bytes: 1 << 20, tile_leaves: None, in_core_bytes: 0 })
+    }
+
+    fn rasterize(
+        &self,
+        particles: FrameInput,
+        _obstacles: FrameObstacles,
+        _settings: &Settings,
+        _plan: &MemoryPlan,
+        _scratch: &Path,
+    ) -> Result<usize, Cause> {
+        Ok(self.pass(Stage::Rasterize, particles.len()))
+    }
+
+    fn smooth(&self, count: usize, _settings: &Settings, _: &mut dyn FnMut(f64)) -> Result<usize, Cause> {
+        Ok(self.pass(Stage::Smooth, count))
+    }
+
+    fn contour(
+        &self,
+        count: usize,
+        settings: &Settings,
+        _outputs: &OutputOptions,
+    ) -> Result<FrameSurface, Cause> {
+        Ok(tetrahedron(self.pass(Stage::Contour, count), settings))
+    }
+}
+
+/// The surface of a frame with this number of particles.
+pub(crate) fn tetrahedron(count: usize, settings: &Settings) -> FrameSurface {
+    let size = count as f32 * settings.voxel_size as f32;
+    let mesh = Mesh {
+        positions: [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z].map(|corner| corner * size).to_vec(),
+        normals: vec![-Vec3::ONE.normalize(), Vec3::X, Vec3::Y, Vec3::Z],
+        triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+        origin: DVec3::ZERO,
+    };
+    let topology = Arc::new(Topology::new(vec![IVec3::ZERO]));
+    let mut phi = Field::splat(1, 6.0);
+    phi.leaves[0].values[0] = -1.0;
+    let band = NarrowBand { topology, phi, half_width: 6.0 };
+    let mut report = ReconstructionReport::default();
+    report.particle_count = count;
+    FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report }
+}
+
+/// A folder with frames, and the parts of a pipeline.
+pub(crate) struct Bench {
+    pub(crate) folder: TempDir,
+    pub(crate) frames: Vec<Frame>,
+}
+
+impl Bench {
+    /// A frame of `edge_count`³ particles for each number; 0 makes an invalid frame.
+    pub(crate) fn new(edge_counts: &[usize]) -> Bench {
+        let folder = tempdir().expect("a folder");
+        let settings = Arc::new(Settings::paper(0.05, &MethodOptions::default()).expect("valid"));
+        let outputs = Arc::new(OutputOptions {
+            folder: folder.path().join("out"),
+            formats: vec![OutputFormat::Glb, OutputFormat::Vdb, OutputFormat::Obj, OutputFormat::Ply],
+            up: gltf::UpAxis::Y,
+            meters_per_unit: 1.0,
+            quantize: false,
+            vdb_half: false,
+            vdb_compression: vdb::Compression::Blosc,
+            picture: PictureOptions::default(),
+            stage: None,
+        });
+        fs::create_dir(&outputs.folder).expect("made");
+        let mut frames = Vec::new();
+        for (number, &edge_count) in edge_counts.iter().enumerate() {
+            let input = folder.path().join(format!("f.{number}.ply"));
+            match edge_count {
+                0 => fs::write(&input, "ply\nformat nonsense 1.0\n").expect("written"),
+                _ => write_ply(&input, &block(edge_count, 0.0)),
+            }
+            let stem = format!("f.{number}");
+            frames.push(Frame {
+                input,
+                job: Job::Surface,
+                stem,
+                settings: settings.clone(),
+                outputs: outputs.clone(),
+                number: None,
+                obstacles: Arc::default(),
+                framing: None,
+            });
+        }
+        Bench { folder, frames }
+    }
+
+    pub(crate) fn out(&self) -> PathBuf {
+        self.folder.path().join("out")
+    }
+
+    /// Changes the outputs of all frames.
+    fn change_outputs(&mut self, change: impl Fn(&mut OutputOptions)) {
+        for frame in &mut self.frames {
+            change(Arc::make_mut(&mut frame.outputs));
+        }
+    }
+
+    fn run_with<M: Method>(
+        &self,
+        method: &M,
+        on_error: OnError,
+        skip_done: bool,
+        threads: usize,
+    ) -> Vec<Outcome> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        let pipeline_options = PipelineOptions { on_error, skip_done, ..pipeline_options(&pool) };
+        let mut outcomes = Vec::new();
+        run(method, &self.frames, &pipeline_options, |index, outcome| {
+            assert_eq!(index, outcomes.len(), "outcomes come in order");
+            outcomes.push(outcome);
+        });
+        assert_eq!(outcomes.len(), self.frames.len());
+        assert!(names_in(&self.out()).iter().all(|name| !name.contains("tmp")), "a temporary file is left");
+        outcomes
+    }
+
+    fn run_all(&self) -> Vec<Outcome> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
+        let mut outcomes = Vec::new();
+        run(&Quick::new(None), &self.frames, &pipeline_options(&pool), |_, outcome| outcomes.push(outcome));
+        outcomes
+    }
+
+    fn run(&self, method: &Quick, on_error: OnError) -> String {
+        letters(&self.run_with(method, on_error, false, 2))
+    }
+
+    /// The numbers of the frames that have all outputs. Asserts that the other frames have none.
+    pub(crate) fn written(&self) -> Vec<usize> {
+        let names = names_in(&self.out());
+        let count = |number: usize| names.iter().filter(|n| n.starts_with(&format!("f.{number}."))).count();
+        let written: Vec<usize> = (0..self.frames.len()).filter(|&number| count(number) == 4).collect();
+        assert_eq!(names.len(), 4 * written.len(), "{names:?}");
+        written
+    }
+}
+
+/// The usual settings, for tests in which they do not matter.
+pub(crate) fn pipeline_options(pool: &ThreadPool) -> PipelineOptions<'_> {
+    PipelineOptions {
+        pool,
+        on_error: OnError::Continue,
+        skip_done: false,
+        certificates: false,
+        in_flight: 5,
+        memory_bytes: 1 << 30,
+        index_policy: IndexPolicy::OnRead,
+        mirrors: &[],
+        output_states: None,
+        observer: None,
+    }
+}
+
+/// One letter for each outcome.
+pub(crate) fn letters(outcomes: &[Outcome]) -> String {
+    let letter = |outcome: &Outcome| match outcome {
+        Outcome::Converted(_) => 'c',
+        Outcome::AlreadyDone { .. } => 'd',
+        Outcome::Failed(_) => 'f',
+        Outcome::NotStarted => 'n',
+        Outcome::Changed => 'x',
+    };
+    outcomes.iter().map(letter).collect()
+}
+
+#[test]
+fn frames_are_converted_in_order() {
+    let bench = Bench::new(&[2, 3, 4, 5, 6, 2, 3, 4, 5, 6, 2, 3, 4, 5, 6, 2]);
+    let quick = Quick::new(None);
+    let outcomes = bench.run_with(&quick, OnError::Continue, false, 2);
+    assert_eq!(letters(&outcomes), "cccccccccccccccc");
+    assert_eq!(bench.written().len(), 16);
+    let Outcome::Converted(report) = &outcomes[1] else { panic!("not converted") };
+    assert_eq!(report.reconstruction.particle_count, 27);
+    assert_eq!(report.outputs[0], bench.out().join("f.1.glb"));
+    let size_bytes = |path: &PathBuf| fs::metadata(path).expect("there").len();
+    assert_eq!(report.output_bytes, report.outputs.iter().map(size_bytes).collect::<Vec<_>>());
+    assert_eq!(report.input.stamp, FileStamp::of_path(&bench.frames[1].input).expect("there"));
+    // The report has the hash and the stamp of the file, also for a frame that was done already.
+    let again = bench.run_with(&quick, OnError::Continue, true, 2);
+    let Outcome::AlreadyDone { input, .. } = &again[1] else { panic!("not done already") };
+    assert_eq!((input, report.input.hash != 0), (&report.input, true));
+    assert!(!cfg!(target_os = "linux") || report.peak_memory_bytes.is_some_and(|bytes| bytes > 1 << 20));
+}
+
+#[test]
+fn failed_frame_does_not_stop_others() {
+    for broken_stage in [Stage::Rasterize, Stage::Smooth, Stage::Contour] {
+        let bench = Bench::new(&[2, 3, 0, 4]);
+        let quick = Quick::new(Some(broken_stage));
+        let outcomes = bench.run_with(&quick, OnError::Continue, false, 2);
+        assert_eq!(letters(&outcomes), "cffc");
+        assert_eq!(bench.written(), [0, 3]);
+        let Outcome::Failed(error) = &outcomes[1] else { panic!("not failed") };
+        assert_eq!(error.during, broken_stage);
+        assert!(matches!(&error.cause, Cause::Panic(what) if what == "cannot bear 27 particles"), "{error}");
+        assert!(error.to_string().contains("f.1.ply"), "{error}");
+        let Outcome::Failed(error) = &outcomes[2] else { panic!("not failed") };
+        assert!(error.to_string().contains("f.2.ply: PLY, at"), "{error}");
+    }
+}
+
+/// Rasterization may write scratch files into the output folder.
+#[cfg(unix)]
+#[test]
+fn linked_output_folder_is_refused_before_rasterization() {
+    let mut bench = Bench::new(&[3]);
+    let mirror = bench.folder.path().join("mirror");
+    fs::create_dir(&mirror).expect("made");
+    std::os::unix::fs::symlink(bench.out(), mirror.join("linked")).expect("a link");
+    bench.change_outputs(|outputs| outputs.folder = mirror.join("linked"));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
+    let mirrors = [mirror.clone()];
+    let pipeline_options = PipelineOptions { mirrors: &mirrors, ..pipeline_options(&pool) };
+    let mut errors = Vec::new();
+    let quick = Quick::new(Some(Stage::Rasterize));
+    run(&quick, &bench.frames, &pipeline_options, |_, outcome| match outcome {
+        Outcome::Failed(error) => errors.push(error.to_string()),
+        other => panic!("not failed: {other:?}"),
+    });
+    assert_eq!(errors.len(), 1);
+    assert!(errors[0].contains("linked is a symbolic link"), "{errors:?}");
+}
+
+#[test]
+fn stop_writes_exactly_the_frames_before() {
+    for broken_stage in [None, Some(Stage::Rasterize), Some(Stage::Contour)] {
+        let broken_edge = if broken_stage.is_none() { 0 } else { 3 };
+        let bench = Bench::new(&[2, 2, broken_edge, 4, 4, 4, 4, 4, 4, 4, 4, 4]);
+        assert_eq!(bench.run(&Quick::new(broken_stage), OnError::Stop), "ccfnnnnnnnnn");
+        assert_eq!(bench.written(), [0, 1]);
+    }
+}
+
+#[test]
+fn unwritable_output_fails_its_frame() {
+    let bench = Bench::new(&[2, 2, 2]);
+    fs::create_dir(bench.out().join("f.1.vdb")).expect("made");
+    let outcomes = bench.run_with(&Quick::new(None), OnError::Continue, false, 2);
+    assert_eq!(letters(&outcomes), "cfc");
+    let Outcome::Failed(error) = &outcomes[1] else { panic!("not failed") };
+    assert_eq!((error.during, error.path.clone()), (Stage::Write, bench.out().join("f.1.vdb")));
+    assert!(std::error::Error::source(error).is_some_and(|cause| cause.is::<meniscus_formats::Error>()));
+    // The frame has no output. It is converted when the folder at its path is removed.
+    fs::remove_dir(bench.out().join("f.1.vdb")).expect("removed");
+    assert_eq!(bench.written(), [0, 2]);
+    assert_eq!(letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2)), "dcd");
+}
+
+#[test]
+fn missing_output_folder_is_created() {
+    let mut bench = Bench::new(&[2, 2]);
+    fs::remove_dir(bench.out()).expect("removed");
+    bench.change_outputs(|outputs| outputs.folder = outputs.folder.join("shot/take"));
+    assert_eq!(letters(&bench.run_all()), "cc");
+    assert_eq!(names_in(&bench.out().join("shot/take")).len(), 8);
+    // If a file has the path of the folder, the error names that file.
+    let below_a_file = bench.folder.path().join("file/out");
+    fs::write(bench.folder.path().join("file"), "").expect("written");
+    bench.change_outputs(|outputs| outputs.folder.clone_from(&below_a_file));
+    let outcomes = bench.run_all();
+    let Outcome::Failed(error) = &outcomes[0] else { panic!("not failed") };
+    assert_eq!((error.during, error.path.clone()), (Stage::Write, below_a_file));
+}
+
+#[test]
+fn done_frames_are_kept_and_all_others_are_converted() {
+    let mut bench = Bench::new(&[2, 2, 2, 2]);
+    bench.change_outputs(|outputs| outputs.formats.push(OutputFormat::Gltf));
+    let run = |bench: &Bench| letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2));
+    assert_eq!(run(&bench), "cccc");
+    assert_eq!(run(&bench), "dddd");
+    // A frame's input has changed, another's output is missing, another's output is damaged.
+    write_ply(&bench.folder.path().join("f.0.ply"), &block(3, 0.0));
+    fs::remove_file(bench.out().join("f.2.obj")).expect("removed");
+    fs::write(bench.out().join("f.3.glb"), "glTF").expect("written");
+    assert_eq!(run(&bench), "cdcc");
+    assert_eq!(run(&bench), "dddd");
+    // An option of one format has changed.
+    bench.change_outputs(|outputs| outputs.vdb_half = true);
+    assert_eq!(run(&bench), "cccc");
+    bench.change_outputs(|outputs| outputs.up = gltf::UpAxis::Z);
+    assert_eq!(run(&bench), "cccc");
+    bench.change_outputs(|outputs| outputs.quantize = true);
+    assert_eq!(run(&bench), "cccc");
+    // Settings have changed.
+    let choices = MethodOptions { laplacian_steps: Some(14), ..MethodOptions::default() };
+    bench.frames[2].settings = Arc::new(Settings::paper(0.05, &choices).expect("valid"));
+    assert_eq!(run(&bench), "ddcd");
+}
+
+#[test]
+fn truncated_output_is_made_again() {
+    let mut bench = Bench::new(&[2]);
+    let more = [
+        OutputFormat::Gltf,
+        OutputFormat::Vtp,
+        OutputFormat::Stl,
+        OutputFormat::Usda,
+        OutputFormat::Usdc,
+        OutputFormat::Abc,
+    ];
+    bench.change_outputs(|outputs| outputs.formats.extend(more));
+    let run = |bench: &Bench| letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2));
+    assert_eq!(run(&bench), "c");
+    for extension in ["glb", "gltf", "obj", "ply", "vdb", "vtp", "stl", "usda", "usdc", "abc"] {
+        let path = bench.out().join(format!("f.0.{extension}"));
+        let whole = fs::read(&path).expect("readable");
+        for length in [whole.len() * 6 / 10, whole.len() - 1] {
+            fs::write(&path, &whole[..length]).expect("written");
+            assert_eq!(run(&bench), "c", "{extension} cut to {length} of {} bytes", whole.len());
+            assert!(fs::read(&path).expect("readable") == whole);
+        }
+        fs::write(&path, [&whole[..], b"x"].concat()).expect("written");
+        assert_eq!(run(&bench), "c", "{extension} that grew");
+    }
+    assert_eq!(run(&bench), "d");
+}
+
+#[test]
+fn bytes_do_not_depend_on_threads_or_other_frames() {
+    let contents = |bench: &Bench| -> Vec<(String, Vec<u8>)> {
+        let read = |name: String| (name.clone(), fs::read(bench.out().join(name)).expect("readable"));
+        names_in(&bench.out()).into_iter().map(read).collect()
+    };
+    let mut expected = None;
+    for threads in [1, 2, 4] {
+        let mut bench = Bench::new(&[2, 3, 4, 5]);
+        if threads == 4 {
+            bench.frames.reverse();
+        }
+        bench.run_with(&Quick::new(None), OnError::Continue, false, threads);
+        let found = contents(&bench);
+        assert_eq!(found.len(), 16);
+        assert!(*expected.get_or_insert_with(|| found.clone()) == found, "{threads} threads");
+    }
+    // The outputs contain neither paths of this machine nor times: the folders above had different names.
+}
+
+#[test]
+fn pipeline_runs_the_real_method() {
+    fn is_method(_: &impl Method) {}
+    is_method(&LevelSetMethod);
+}

@@ -1,0 +1,326 @@
+//! Contact sheets: their contents, their sources, and the commands that they print.
+
+use std::collections::HashMap;
+use std::fs::{self, File};
+use std::io::BufReader;
+use std::path::Path;
+
+use meniscus_formats::{OutputFormat, read_provenance};
+use tempfile::tempdir;
+
+use crate::program::scene::{RunResult, block, meniscus, names_in, write_ply, write_sequence};
+
+/// Size of a cell in the tests, in pixels.
+const CELL: [usize; 2] = [112, 84];
+
+const SIZE: &str = "112x84";
+
+/// Gap between cells and around them, in pixels.
+const GAP: usize = 10;
+
+/// Height above the first cells, in pixels: one line of title, with gaps.
+const HEAD: usize = GAP + 22 + GAP;
+
+/// A decoded sheet.
+struct Seen {
+    width: usize,
+    pixels: Vec<[u8; 3]>,
+}
+
+impl Seen {
+    fn read(path: &Path) -> Seen {
+        let file = BufReader::new(File::open(path).expect("a file"));
+        let mut reader = png::Decoder::new(file).read_info().expect("a picture");
+        let mut bytes = vec![0; reader.output_buffer_size().expect("small")];
+        reader.next_frame(&mut bytes).expect("whole");
+        let pixels = bytes.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+        Seen { width: reader.info().width as usize, pixels }
+    }
+
+    /// The pixels within a box, clipped to the sheet.
+    fn part(&self, [left, top]: [usize; 2], [width, height]: [usize; 2]) -> Vec<[u8; 3]> {
+        let rows = self.pixels.chunks_exact(self.width).skip(top).take(height);
+        rows.flat_map(|row| row[left..left + width].iter().copied()).collect()
+    }
+
+    /// The picture in a cell, if this number of text lines is below each picture.
+    fn cell(&self, column: usize, row: usize, line_count: usize) -> Vec<[u8; 3]> {
+        self.part(cell_position(column, row, line_count), CELL)
+    }
+
+    /// The number of pixels with text below the picture of a cell.
+    fn ink(&self, column: usize, row: usize, line_count: usize) -> usize {
+        let [left, top] = cell_position(column, row, line_count);
+        let below = self.part([left, top + CELL[1]], [CELL[0], 3 + 15 * line_count]);
+        below.iter().filter(|pixel| pixel.iter().all(|&value| value < 100)).count()
+    }
+}
+
+fn cell_position(column: usize, row: usize, line_count: usize) -> [usize; 2] {
+    [GAP + column * (CELL[0] + GAP), HEAD + row * (CELL[1] + 3 + 15 * line_count + GAP)]
+}
+
+/// Whether a picture shows fluid: blue, unlike paper, ground and shadow.
+fn has_fluid(pixels: &[[u8; 3]]) -> bool {
+    pixels.iter().filter(|[red, _, blue]| u32::from(*blue) > u32::from(*red) + 60).count() > 50
+}
+
+fn is_plain(pixels: &[[u8; 3]]) -> bool {
+    pixels[..CELL[0]].iter().all(|pixel| *pixel == pixels[0])
+}
+
+fn sheet_of(folder: &Path, arguments: &[&str]) -> RunResult {
+    meniscus(folder, &[&["contact-sheet", "-o", "sheet.png", "--size", SIZE], arguments].concat())
+}
+
+#[test]
+fn sheet_of_a_sequence_shows_a_picture_of_each_frame() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 6);
+    let result = sheet_of(path, &[".", "--columns", "4"]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    let title =
+        result.out.lines().find(|line| line.starts_with("dam: 6 frames, from particles, voxel size "));
+    assert!(title.is_some_and(|title| title.ends_with(" s")), "{}", result.out);
+    let seen = Seen::read(&path.join("sheet.png"));
+    assert_eq!(seen.width, GAP + 4 * (CELL[0] + GAP));
+    // Below each picture are the name and the number of particles.
+    let line_count = 2;
+    for index in 0..6 {
+        let (column, row) = (index % 4, index / 4);
+        assert!(has_fluid(&seen.cell(column, row, line_count)), "cell {index}");
+        assert!(seen.ink(column, row, line_count) > 60, "cell {index} has no label");
+    }
+    assert!(!has_fluid(&seen.cell(2, 1, line_count)) && seen.ink(2, 1, line_count) == 0);
+    let first = fs::read(path.join("sheet.png")).expect("there");
+    let result = sheet_of(path, &[".", "--columns", "4", "--threads", "1"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(fs::read(path.join("sheet.png")).expect("there") == first, "another run has other bytes");
+
+    let result = sheet_of(path, &["dam.#.ply", "--count", "3"]);
+    assert!(
+        result.status == 0 && result.out.contains("dam: 3 of 6 frames, from particles"),
+        "{}",
+        result.out
+    );
+    let result = sheet_of(path, &["dam.#.ply", "--frames", "2-3", "--radius-ratio", "3"]);
+    assert!(result.status == 0 && result.out.contains("dam: 2 frames, from particles"), "{}", result.out);
+    // The sheet in the folder is not a frame.
+    let result = meniscus(path, &["convert", ".", "--out", "o", "--format", "vdb"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(names_in(&path.join("o")).iter().all(|name| name.ends_with(".vdb")));
+}
+
+#[test]
+fn sheet_uses_the_cheapest_source() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    fs::create_dir(path.join("in")).expect("made");
+    write_sequence(&path.join("in"), 1, 3);
+    let convert = ["convert", "in", "--out", "o", "--format", "vdb", "--preview", "png", "--preview-size"];
+    let result = meniscus(path, &[&convert[..], &["192x144"]].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
+    let from = |arguments: &[&str], kind: &str| {
+        let result = sheet_of(path, arguments);
+        assert_eq!((result.status, &*result.err), (0, ""), "{arguments:?} {}", result.out);
+        assert!(
+            result.out.starts_with(&format!("dam: 3 frames, from {kind}")),
+            "{arguments:?}: {}",
+            result.out
+        );
+    };
+    from(&["o", "--columns", "3"], "pictures");
+    let seen = Seen::read(&path.join("sheet.png"));
+    assert!((0..3).all(|column| has_fluid(&seen.cell(column, 0, 1))), "pictures are shrunk");
+    from(&["o", "--camera", "azimuth=90"], "level sets");
+    from(&["in"], "particles");
+    // One picture is missing, and in its place is a sheet, which is not a picture of a frame.
+    fs::rename(path.join("sheet.png"), path.join("o/dam.2.png")).expect("moved");
+    from(&["o"], "level sets");
+    // A picture with a different camera.
+    let result = meniscus(path, &["render", "o/dam.2.vdb", "-o", "o/dam.2.png", "--camera", "azimuth=90"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    from(&["o"], "level sets");
+    from(&["o/dam.#.png"], "pictures");
+}
+
+#[test]
+fn failed_frame_leaves_the_other_cells() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 4);
+    fs::write(path.join("dam.3.ply"), "ply\nformat ascii 1.0\nelement vertex 9\n").expect("written");
+    let result = sheet_of(path, &["dam.#.ply", "--columns", "4"]);
+    assert_eq!(result.status, 1, "{} {}", result.out, result.err);
+    assert!(result.err.contains("dam.3.ply") && result.err.matches("error").count() == 1, "{}", result.err);
+    let seen = Seen::read(&path.join("sheet.png"));
+    let fluid: Vec<bool> = (0..4).map(|column| has_fluid(&seen.cell(column, 0, 2))).collect();
+    assert_eq!(fluid, [true, true, false, true]);
+    assert!(is_plain(&seen.cell(2, 0, 2)) && seen.ink(2, 0, 2) > 20, "it is empty, and has its name");
+    fs::remove_file(path.join("sheet.png")).expect("removed");
+    let result = sheet_of(path, &["dam.3.ply"]);
+    assert!(result.status == 2 && !path.join("sheet.png").exists(), "{}", result.out);
+}
+
+#[test]
+fn sequences_are_one_after_another() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    write_ply(&path.join("other.1.ply"), &block(5, 0.0));
+    write_ply(&path.join("other.2.ply"), &block(7, 0.0));
+    write_ply(&path.join("alone.ply"), &block(6, 0.0));
+    let result = sheet_of(path, &["."]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    for title in ["dam: 2 frames", "other: 2 frames", "alone.ply: 1 frame"] {
+        assert!(result.out.contains(title), "{title}: {}", result.out);
+    }
+    let pairs =
+        read_provenance(OutputFormat::Png, File::open(path.join("sheet.png")).expect("there")).expect("ours");
+    let cameras = pairs.iter().filter(|(name, _)| name == "camera").map(|(_, value)| value);
+    let cameras: Vec<&String> = cameras.collect();
+    assert!(cameras.len() == 3 && cameras[0] != cameras[1], "each has its own camera: {cameras:?}");
+}
+
+/// The commands that the run printed.
+fn commands(out: &str) -> Vec<Vec<&str>> {
+    let lines = out.lines().filter(|line| line.starts_with("meniscus convert "));
+    lines.map(|line| line.split_whitespace().skip(2).collect()).collect()
+}
+
+fn provenance(format: OutputFormat, path: &Path) -> HashMap<String, String> {
+    read_provenance(format, File::open(path).expect("there")).expect("ours").into_iter().collect()
+}
+
+#[test]
+fn printed_commands_give_the_pictures_of_the_cells() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("dam.7.ply"), &block(8, 0.0));
+    let tune = ["tune", "dam.7.ply", "-o", "tune.png", "--size", SIZE, "--out", "my meshes", "--vary"];
+    let tune = [&tune[..], &["ratio=1.25,3,time=0,5,h=1x,0.6x", "--preset", "water", "--clip"]].concat();
+    let tune = [&tune[..], &["-1,-1,-1,0.6,2,2", "--smooth-normals=2"]].concat();
+    let result = meniscus(path, &[&tune[..], &["--threads", "1"]].concat());
+    assert_eq!(result.status, 0, "{} {}", result.out, result.err);
+    let first = fs::read(path.join("tune.png")).expect("there");
+    assert_eq!(meniscus(path, &tune).status, 0);
+    assert!(fs::read(path.join("tune.png")).expect("there") == first, "another run has other bytes");
+
+    assert_eq!(result.out.matches("--out 'my meshes' --").count(), 8, "{}", result.out);
+    let out = result.out.replace("'my meshes'", "meshes");
+    let commands = commands(&out);
+    assert_eq!(commands.len(), 8);
+    let seen = Seen::read(&path.join("tune.png"));
+    let mut cells: Vec<Vec<[u8; 3]>> = Vec::new();
+    for (index, command) in commands.iter().enumerate() {
+        let out = format!("o{index}");
+        let out_index = command.iter().position(|word| *word == "--out").expect("a folder");
+        let options = &command[out_index + 2..];
+        let convert = [&["convert", "dam.7.ply", "--format", "vdb", "--out", &out], options].concat();
+        let result = meniscus(path, &convert);
+        assert_eq!(result.status, 0, "{convert:?} {}", result.err);
+        let render = ["render", "dam.7.ply", "-o", "cell.png", "--camera-from", "tune.png", "--size", SIZE];
+        let result = meniscus(path, &[&render[..], options].concat());
+        assert_eq!(result.status, 0, "{options:?} {}", result.err);
+        let [level_set, picture] = [
+            provenance(OutputFormat::Vdb, &path.join(&out).join("dam.7.vdb")),
+            provenance(OutputFormat::Png, &path.join("cell.png")),
+        ];
+        let same = level_set.iter().filter(|(name, _)| picture.contains_key(*name));
+        let same: Vec<&String> =
+            same.filter(|(name, value)| picture[*name] == **value).map(|(n, _)| n).collect();
+        for name in ["input_hash", "voxel_size", "radius_min", "radius_max", "steps", "clip", "fill_cavities"]
+        {
+            assert!(same.iter().any(|same| *same == name), "{name}: {level_set:?} {picture:?}");
+        }
+        cells.push(Seen::read(&path.join("cell.png")).pixels);
+    }
+    // Blocks of two rows of two cells, one below the other.
+    let mut tops = Vec::new();
+    for (index, cell) in cells.iter().enumerate() {
+        let left = GAP + index % 2 * (CELL[0] + GAP);
+        let height = seen.pixels.len() / seen.width;
+        let is_at = |&top: &usize| seen.part([left, top], CELL) == *cell;
+        tops.extend((0..height).find(is_at));
+        assert!(has_fluid(cell) && tops.len() == index + 1, "cell {} is not on the sheet", index + 1);
+        assert!(cells[..index].iter().all(|other| other != cell), "cell {} appears twice", index + 1);
+    }
+    assert!(tops.is_sorted() && tops[0] == tops[1] && tops[1] < tops[2], "{tops:?}");
+}
+
+#[test]
+fn invalid_setting_leaves_the_other_cells() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 3);
+    let result = meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "ratio=0.5,2"]);
+    assert_eq!(result.status, 1, "{} {}", result.out, result.err);
+    assert!(result.err.contains("cell 1: ratio 0.5: the radius ratio is 0.5"), "{}", result.err);
+    assert!(
+        result.out.contains("showing dam.2.ply, one of 3 frames of ") && commands(&result.out).len() == 1,
+        "{}",
+        result.out
+    );
+    let result =
+        meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "time=0", "--frames", "3"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(result.out.contains("showing dam.3.ply, one of 3 frames of "), "{}", result.out);
+    assert!(!result.err.contains("its sequence has"), "{}", result.err);
+    // The spacing of a frame of a sequence is that of the whole sequence only if the sequence is named.
+    let result = meniscus(path, &["tune", "dam.3.ply", "-o", "t.png", "--size", SIZE, "--vary", "time=0"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(result.err.contains("dam.3.ply: its sequence has 3 frames"), "{}", result.err);
+    // If the common settings are invalid, there is nothing to compare.
+    let result = meniscus(path, &["tune", ".", "-o", "u.png", "--radius-min", "-1"]);
+    assert!(
+        result.status == 2 && result.err.contains("r_min") && !path.join("u.png").exists(),
+        "{}",
+        result.err
+    );
+}
+
+#[test]
+fn invalid_sheet_arguments_are_refused() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    write_ply(&path.join("other.ply"), &block(5, 0.0));
+    fs::create_dir(path.join("empty")).expect("made");
+    fs::write(path.join("grid.vdb"), "no grid").expect("written");
+    let result = meniscus(path, &["render", "dam.1.ply", "-o", "picture.png", "--size", SIZE]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    for (arguments, words) in [
+        (&["contact-sheet", "."][..], &["--output"][..]),
+        (&["contact-sheet", ".", "-o", "a.jpg"], &["a.jpg", ".png"]),
+        (&["contact-sheet", ".", "-o", "a.exr"], &["a.exr", ".png"]),
+        (&["contact-sheet", "missing", "-o", "a.png"], &["missing", "no such file or folder"]),
+        (&["contact-sheet", "empty", "-o", "a.png"], &["empty: the folder is empty"]),
+        (&["contact-sheet", "dam.#.ply", "-o", "a.png", "--frames", "7"], &["--frames selects none"]),
+        (&["contact-sheet", "picture.png", "-o", "picture.png"], &["picture.png", "replace the input"]),
+        (&["contact-sheet", ".", "-o", "picture.png"], &["picture.png", "replace the input"]),
+        (&["contact-sheet", "grid.vdb", "-o", "a.png", "--steps", "3"], &["no particles"]),
+        (&["contact-sheet", "dam.#.ply", "-o", "a.png", "--count", "1"], &["--count", "2 to 1000"]),
+        (&["contact-sheet", ".", "-o", "a.png", "--size", "8192x4096"], &["8192x4096", "smaller --size"]),
+        (&["tune", ".", "-o", "a.png"], &["sequences", "dam.{}.ply", "other.ply", "name one"]),
+        (&["tune", "grid.vdb", "-o", "a.png"], &["grid.vdb", "tune needs particles"]),
+        (&["tune", "dam.1.ply", "-o", "dam.1.ply"], &["dam.1.ply", ".png"]),
+        (&["tune", "dam.1.ply", "-o", "a.png", "--frames", "7"], &["--frames selects none"]),
+        (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "size"], &["no `size` to vary", "ratio, time, h"]),
+        (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "ratio=x"], &["ratio=`x`", "expected a number"]),
+        (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "min=0.6w"], &["min=`0.6w`", "0.6d or 5h"]),
+        (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "offset=0.5x"], &["the base value is 0"]),
+        (&["tune", "dam.1.ply", "-o", "a.png", "--size", "8192x4096"], &["16 cells", "smaller --size"]),
+    ] {
+        let result = meniscus(path, arguments);
+        assert_eq!(result.status, 2, "{arguments:?}: {} {}", result.out, result.err);
+        for word in words {
+            assert!(result.err.contains(word), "{arguments:?} does not say {word}: {}", result.err);
+        }
+    }
+    let many: Vec<String> = (0..101).map(|index| index.to_string()).collect();
+    let vary = format!("time={}", many.join(","));
+    let result = meniscus(path, &["tune", "dam.1.ply", "-o", "a.png", "--vary", &vary]);
+    assert!(result.status == 2 && result.err.contains("101 cells; at most 100"), "{}", result.err);
+    assert!(!path.join("a.png").exists());
+}

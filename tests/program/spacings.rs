@@ -1,0 +1,442 @@
+//! Compares the measured spacing of particles with known values: the constant of a lattice, the cube root of
+//! the volume per random particle, and twice the radius of the particles of a simulation.
+
+use std::f64::consts::PI;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use meniscus::pipeline::particles;
+use meniscus::surface::particles::OwnedPositions;
+use meniscus::surface::spacing::{SpacingEstimate, combine_estimates, estimate_spacing};
+use meniscus_formats::{Limits, read_particles};
+use serde_json::Value;
+use tempfile::tempdir;
+
+use crate::program::scene::{block, meniscus, write_ply, write_sequence};
+
+/// A generator of pseudo-random numbers from 0 to 1, the same on every machine.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((mixed ^ mixed >> 31) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn point(&mut self) -> DVec3 {
+        DVec3::new(self.next(), self.next(), self.next())
+    }
+
+    fn points(&mut self, count: usize) -> Vec<DVec3> {
+        (0..count).map(|_| self.point()).collect()
+    }
+}
+
+fn lattice([x, y, z]: [usize; 3]) -> Vec<DVec3> {
+    let position =
+        |index: usize| DVec3::new((index % x) as f64, (index / x % y) as f64, (index / x / y) as f64);
+    (0..x * y * z).map(position).collect()
+}
+
+/// Moves each point by up to this much on each axis.
+fn jittered(mut points: Vec<DVec3>, by: f64) -> Vec<DVec3> {
+    let mut random = Random(7);
+    points.iter_mut().for_each(|point| *point += by * (2.0 * random.point() - 1.0));
+    points
+}
+
+fn ball(radius: f64) -> Vec<DVec3> {
+    let edge_count = 2 * (radius.ceil() as usize + 1);
+    let middle = DVec3::splat(0.5 * (edge_count as f64 - 1.0));
+    let mut points = lattice([edge_count; 3]);
+    points.retain(|point| point.distance(middle) < radius);
+    points
+}
+
+/// A disc with this number of layers.
+fn tap(radius: f64, layer_count: usize) -> Vec<DVec3> {
+    let edge_count = 2 * radius.ceil() as usize + 1;
+    let middle = DVec3::new(radius.ceil(), radius.ceil(), 0.0);
+    let mut points = lattice([edge_count, edge_count, layer_count]);
+    points.retain(|point| (point - middle).truncate().length() <= radius);
+    points
+}
+
+/// The points, and additional random points around them, in a cube with this edge length.
+fn with_spray(mut points: Vec<DVec3>, count: usize, edge: f64) -> Vec<DVec3> {
+    let greatest = points.iter().copied().fold(DVec3::ZERO, DVec3::max);
+    let mut random = Random(11);
+    let aside = (0..).map(|_| (random.point() - 0.5) * edge + 0.5 * greatest);
+    let aside =
+        aside.filter(|point| point.cmplt(DVec3::splat(-1.0)).any() || point.cmpgt(greatest + 1.0).any());
+    points.extend(aside.take(count));
+    points
+}
+
+/// Close-packed spheres of diameter 1.
+fn close_packed(edge_count: usize) -> Vec<DVec3> {
+    let position = |point: DVec3| {
+        let (odd_row, odd_layer) = (point.y % 2.0, point.z % 2.0);
+        DVec3::new(
+            point.x + 0.5 * (odd_row - odd_layer).abs(),
+            0.75f64.sqrt() * (point.y + odd_layer / 3.0),
+            (2.0f64 / 3.0).sqrt() * point.z,
+        )
+    };
+    lattice([edge_count; 3]).into_iter().map(position).collect()
+}
+
+fn cube_root_of_share(volume: f64, count: usize) -> f64 {
+    (volume / count as f64).cbrt()
+}
+
+/// One test: its name, the true spacing, and the particles.
+type Set = (String, f64, Vec<DVec3>);
+
+/// Sets whose estimated spacing is within 5 % of the true one.
+fn near() -> Vec<Set> {
+    [lattices(), at_random(), bodies(), mixed()].concat()
+}
+
+/// Lattices and jittered lattices of all shapes.
+fn lattices() -> Vec<Set> {
+    let mut sets: Vec<Set> = Vec::new();
+    let mut add = |name: &str, truth: f64, points: Vec<DVec3>| sets.push((name.to_owned(), truth, points));
+    for size in [
+        [2, 1, 1],
+        [2, 2, 1],
+        [5, 2, 1],
+        [2, 2, 2],
+        [3, 2, 2],
+        [3, 3, 3],
+        [4, 4, 4],
+        [8, 8, 8],
+        [30, 30, 30],
+        [10, 1, 1],
+        [100, 1, 1],
+        [10, 10, 1],
+        [50, 50, 1],
+        [30, 30, 2],
+        [30, 30, 3],
+        [30, 2, 2],
+        [50, 4, 4],
+    ] {
+        add(&format!("lattice {size:?}"), 1.0, lattice(size));
+    }
+    let rotated = |points: Vec<DVec3>| {
+        let rotation = glam::DQuat::from_euler(glam::EulerRot::XYZ, 0.3, 0.7, 1.1);
+        points.into_iter().map(|point| rotation * point).collect::<Vec<_>>()
+    };
+    for size in
+        [[4, 4, 4], [8, 8, 8], [20, 20, 20], [10, 10, 1], [50, 50, 1], [30, 30, 2], [30, 3, 3], [200, 1, 1]]
+    {
+        add(&format!("jittered {size:?}"), 1.0, rotated(jittered(lattice(size), 0.25)));
+    }
+    sets
+}
+
+/// Random particles in volumes and sheets.
+fn at_random() -> Vec<Set> {
+    let mut sets: Vec<Set> = Vec::new();
+    let mut add = |name: &str, truth: f64, points: Vec<DVec3>| sets.push((name.to_owned(), truth, points));
+    for count in [300, 1000, 40_000] {
+        add(&format!("random {count}"), cube_root_of_share(1.0, count), Random(3).points(count));
+    }
+    add("stratified", 1.0, jittered(lattice([20; 3]), 0.5));
+    let mut random = Random(5);
+    let cells = lattice([10; 3]).into_iter().flat_map(|cell| [cell; 8]);
+    add("8 at random in each cell", 0.5, cells.map(|cell| cell + random.point()).collect());
+    let sheet = Random(13).points(5000).into_iter().map(|point| DVec3::new(point.x, point.y, 0.3));
+    add("random sheet", (1.0f64 / 5000.0).sqrt(), sheet.collect());
+    let mut jet = Random(17).points(4000);
+    jet.retain(|point| (point.truncate() - 0.5).length() < 0.5);
+    let volume = 0.25 * PI * 8.0;
+    add(
+        "random jet",
+        cube_root_of_share(volume, jet.len()),
+        jet.iter().map(|&p| p * DVec3::new(1.0, 1.0, 8.0)).collect(),
+    );
+    sets
+}
+
+/// Close-packed particles, balls and jets.
+fn bodies() -> Vec<Set> {
+    let mut sets: Vec<Set> = Vec::new();
+    let mut add = |name: &str, truth: f64, points: Vec<DVec3>| sets.push((name.to_owned(), truth, points));
+    for edge_count in [4, 8, 16] {
+        add(&format!("close-packed {edge_count}³"), 0.5f64.sqrt().cbrt(), close_packed(edge_count));
+    }
+    let mut hexagonal = close_packed(30);
+    hexagonal.retain(|point| point.z == 0.0);
+    add("hexagonal sheet", 0.75f64.sqrt().sqrt(), hexagonal);
+    for radius in [1.2, 1.8, 3.0, 6.0, 12.0] {
+        add(&format!("ball {radius}"), 1.0, ball(radius));
+    }
+    for radius in [1.0, 1.5, 2.3, 4.0] {
+        for layer_count in [1, 2, 5, 60] {
+            add(&format!("tap {radius}, {layer_count} layers"), 1.0, tap(radius, layer_count));
+        }
+    }
+    add("jittered tap", 1.0, jittered(tap(2.3, 60), 0.25));
+    sets
+}
+
+/// Spray next to bodies, and bodies of uneven density.
+fn mixed() -> Vec<Set> {
+    let mut sets: Vec<Set> = Vec::new();
+    let mut add = |name: &str, truth: f64, points: Vec<DVec3>| sets.push((name.to_owned(), truth, points));
+    for (share, by) in [(0.1, 0.0), (0.3, 0.25), (0.8, 0.0), (1.0, 0.25)] {
+        let body = jittered(lattice([12; 3]), by);
+        let count = (share * body.len() as f64) as usize;
+        add(&format!("spray {share} of a body"), 1.0, with_spray(body, count, 60.0));
+    }
+    add("spray around a sheet", 1.0, with_spray(lattice([20, 20, 1]), 80, 60.0));
+    add("spray around a thread", 1.0, with_spray(lattice([100, 1, 1]), 20, 60.0));
+    let moved = |points: Vec<DVec3>, scale: f64| {
+        points.into_iter().map(move |p| scale * p + DVec3::new(50.0, 0.0, 0.0))
+    };
+    let fine_and_coarse = lattice([20; 3]).into_iter().chain(moved(lattice([10; 3]), 2.0));
+    add("8000 and 1000 twice as far apart", 1.0, fine_and_coarse.collect());
+    let body_sheet_thread = lattice([15; 3]).into_iter().chain(moved(lattice([60, 60, 1]), 1.0));
+    add(
+        "body, sheet and thread",
+        1.0,
+        body_sheet_thread.chain(lattice([1, 1, 300]).into_iter().map(|p| p - 20.0)).collect(),
+    );
+    let mut uneven = Random(19).points(20_000);
+    let mut random = Random(23);
+    uneven.retain(|point| random.next() < 0.5 + 0.5 * point.z);
+    add("random, twice as dense above", cube_root_of_share(1.0, uneven.len()), uneven);
+    let pressed = lattice([20; 3]).into_iter().map(|point| point * DVec3::new(1.0, 1.0, 0.9));
+    add("pressed by a tenth", 1.0, pressed.collect());
+    sets
+}
+
+/// Sets whose estimated spacing is within 10 % of the true one.
+fn farther() -> Vec<Set> {
+    let mut sets: Vec<Set> = Vec::new();
+    // With this few points, the distances depend on chance.
+    sets.push(("8 jittered".into(), 1.0, jittered(lattice([2; 3]), 0.25)));
+    sets.push(("27 jittered".into(), 1.0, jittered(lattice([3; 3]), 0.25)));
+    for count in [50, 100] {
+        sets.push((format!("random {count}"), cube_root_of_share(1.0, count), Random(29).points(count)));
+    }
+    // If points are random in only one direction, a few large gaps make up most of the length.
+    let line = Random(31).points(5000).into_iter().map(|point| DVec3::new(point.x, 0.1, 0.3));
+    sets.push(("random line".into(), 1.0 / 5000.0, line.collect()));
+    // A round shell on a cubic lattice has steps.
+    let mut shell = ball(20.5);
+    let middle = shell.iter().sum::<DVec3>() / shell.len() as f64;
+    shell.retain(|point| point.distance(middle) > 19.5);
+    sets.push(("shell".into(), 1.0, shell));
+    sets
+}
+
+fn estimate(points: &[DVec3]) -> Option<SpacingEstimate> {
+    estimate_spacing(OwnedPositions::F64(points.iter().map(DVec3::to_array).collect()))
+}
+
+/// The sets whose estimated spacing has a relative error above `tolerance`, with the estimates.
+fn wrong(sets: Vec<Set>, tolerance: f64) -> Vec<String> {
+    let ratios = sets.into_iter().map(|(name, truth, points)| {
+        let found = estimate(&points).unwrap_or_else(|| panic!("{name}: nothing was measured"));
+        (name, found.spacing / truth)
+    });
+    let is_wrong = |(_, ratio): &(String, f64)| (ratio - 1.0).abs() > tolerance;
+    ratios.filter(is_wrong).map(|(name, ratio)| format!("{name}: {ratio:.3}")).collect()
+}
+
+#[test]
+fn spacing_is_found_to_a_twentieth() {
+    let wrong = wrong(near(), 0.05);
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+#[test]
+fn spacing_of_difficult_sets_is_found_to_a_tenth() {
+    let wrong = wrong(farther(), 0.1);
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+/// For ten random particles the estimate depends on chance. It is close on average, and its confidence is
+/// low.
+#[test]
+fn few_random_particles_have_little_confidence() {
+    let found: Vec<SpacingEstimate> =
+        (0..200).filter_map(|seed| estimate(&Random(1000 * seed).points(10))).collect();
+    let mean = |of: fn(&SpacingEstimate) -> f64| found.iter().map(of).sum::<f64>() / found.len() as f64;
+    let ratio = mean(|estimate| estimate.spacing) / cube_root_of_share(1.0, 10);
+    assert!((0.8..1.1).contains(&ratio), "{ratio}");
+    assert!(mean(|estimate| estimate.confidence) < 0.5, "{}", mean(|estimate| estimate.confidence));
+}
+
+/// A folder of the data next to the sources, if it exists.
+fn shared(folder: &str) -> Option<PathBuf> {
+    let default_folder = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared");
+    let data = std::env::var_os("MENISCUS_SHARED")
+        .map_or_else(default_folder, PathBuf::from)
+        .join("data")
+        .join(folder);
+    data.is_dir().then_some(data)
+}
+
+fn estimate_of(file: &Path) -> SpacingEstimate {
+    let name = file.file_name().expect("a name").to_string_lossy();
+    let frame = read_particles(&std::fs::read(file).expect("readable"), &name, &Limits::default())
+        .expect("particles");
+    estimate_spacing(particles(frame.positions)).expect("enough particles")
+}
+
+#[test]
+fn fluids_of_simulators_have_twice_the_radius_of_their_particles() {
+    let Some(data) = shared("third-party/splashsurf") else { return };
+    for name in [
+        "dam_break_frame_9_6859_particles.bgeo",
+        "dam_break_frame_23_24389_particles.bgeo",
+        "double_dam_break_frame_26_4732_particles.vtk",
+        "hilbert_46843_particles.bgeo",
+        "cube_2366_particles.vtk",
+    ] {
+        let ratio = estimate_of(&data.join(name)).spacing / 0.05;
+        assert!((0.95..1.05).contains(&ratio), "{name}: {ratio}");
+    }
+}
+
+#[test]
+fn frames_of_a_dam_break_agree() {
+    let Some(data) = shared("ours/sequences/dam_break_bgeo") else { return };
+    let frame = |number: usize| estimate_of(&data.join(format!("ParticleData_Fluid_{number}.bgeo")));
+    let sequence = combine_estimates(&[1, 31, 61].map(frame)).expect("frames");
+    assert!((0.95..1.05).contains(&(sequence.spacing / 0.05)), "{sequence:?}");
+    assert!(!sequence.frames_disagree() && sequence.confidence > 0.7, "{sequence:?}");
+    // During the strongest splashing, single frames differ more.
+    for number in (1..=61).step_by(4) {
+        let ratio = frame(number).spacing / 0.05;
+        assert!((0.9..1.1).contains(&ratio), "frame {number}: {ratio}");
+    }
+}
+
+/// Frames with particles at this spacing, for `convert`.
+fn write_frames(folder: &Path, spacings: &[f64]) {
+    for (index, spacing) in spacings.iter().enumerate() {
+        let points: Vec<[f64; 3]> =
+            block(6, 0.0).iter().map(|point| point.map(|x| 10.0 * spacing * x)).collect();
+        write_ply(&folder.join(format!("dam.{}.ply", index + 1)), &points);
+    }
+}
+
+#[test]
+fn sequence_is_measured_on_its_first_middle_and_last_frame() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    // 0.0498 is rounded to two digits: 0.05.
+    write_frames(path, &[0.0498, 0.2, 0.0502, 0.3, 0.0498]);
+    let arguments = [
+        "convert",
+        "dam.#.ply",
+        "--frames",
+        "1",
+        "--out",
+        "out",
+        "--format",
+        "obj",
+        "--report",
+        "report.json",
+    ];
+    let result = meniscus(path, &arguments);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    assert!(result.out.contains("spacing 0.05 (measured on 3 frames)"), "{}", result.out);
+    let report: Value =
+        serde_json::from_str(&std::fs::read_to_string(path.join("report.json")).expect("there"))
+            .expect("JSON");
+    let settings = &report["settings"][0];
+    assert_eq!((&settings["spacing"], &settings["voxel_size"]), (&0.05.into(), &0.02.into()));
+    assert!(settings["spacing_measured_on"].as_str().is_some_and(|path| path.ends_with("dam.1.ply")));
+    assert!(settings["spacing_confidence"].as_f64().is_some_and(|confidence| confidence > 0.9), "{settings}");
+}
+
+#[test]
+fn frames_of_different_spacing_cause_a_warning() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_frames(path, &[0.05, 0.08, 0.05]);
+    let result = meniscus(path, &["convert", "dam.#.ply", "--out", "out", "--format", "obj"]);
+    let expected =
+        "warning: dam.{}.ply: particles are 0.05 apart in dam.1.ply but 0.08 in dam.2.ply: give --spacing";
+    assert!(result.err.contains(expected), "{}", result.err);
+    assert_eq!(result.status, 0);
+}
+
+#[test]
+fn frames_that_cannot_be_measured_are_replaced_by_their_neighbours() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_frames(path, &[0.3, 0.05, 0.3, 0.05, 0.3, 0.05, 0.3]);
+    write_ply(&path.join("dam.1.ply"), &[[0.0; 3]]);
+    std::fs::write(path.join("dam.7.ply"), "ply\nformat nonsense 1.0\n").expect("written");
+    write_ply(&path.join("dam.4.ply"), &[]);
+    // The spacing is measured on frames 2, 3 and 6.
+    let result =
+        meniscus(path, &["convert", "dam.#.ply", "--frames", "2", "--out", "out", "--format", "obj"]);
+    assert!(result.out.contains("spacing 0.05 (measured on 3 frames)"), "{}", result.out);
+    assert!(result.err.contains("0.05 apart in dam.2.ply but 0.3 in dam.3.ply"), "{}", result.err);
+}
+
+#[test]
+fn one_particle_alone_has_no_spacing() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("one.ply"), &[[0.5; 3]]);
+    let result = meniscus(path, &["convert", "one.ply", "--out", "out"]);
+    assert_ne!(result.status, 0);
+    assert!(result.err.contains("one.ply: cannot measure the particle spacing, because no frame has two particles in different places"), "{}", result.err);
+    assert!(result.err.contains("--spacing"), "{}", result.err);
+    write_ply(&path.join("none.ply"), &[]);
+    let result = meniscus(path, &["convert", "none.ply", "--out", "out"]);
+    assert_ne!(result.status, 0);
+    let expected = "cannot measure the particle spacing, because there are no particles: give --spacing";
+    assert!(result.err.contains(expected), "{}", result.err);
+    // Two particles are enough, with a stated confidence.
+    write_ply(&path.join("two.ply"), &[[0.5; 3], [0.5, 0.6, 0.5]]);
+    let result = meniscus(path, &["convert", "two.ply", "--out", "out", "--format", "obj"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(result.err.contains("about 0.1 apart, which is uncertain"), "{}", result.err);
+    let result = meniscus(path, &["info", "two.ply"]);
+    assert!(result.out.contains("0.1, confidence 29 %"), "{}", result.out);
+}
+
+#[test]
+fn unmeasurable_spacing_is_an_error_that_names_the_option() {
+    let folder = tempdir().expect("a folder");
+    write_ply(&folder.path().join("one.ply"), &block(1, 0.0));
+    write_ply(&folder.path().join("none.ply"), &[]);
+    for name in ["one.ply", "none.ply"] {
+        let result = meniscus(folder.path(), &["convert", name, "--out", "o"]);
+        assert_eq!(result.status, 2, "{}", result.err);
+        assert!(result.err.contains(name) && result.err.contains("--spacing"), "{}", result.err);
+    }
+}
+
+#[test]
+fn unmeasurable_spacing_of_unusable_particles_is_explained() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    // With a given spacing, the surface would be empty.
+    write_ply(&path.join("nan.ply"), &[[f64::NAN; 3]; 4]);
+    fs::write(path.join("nan.csv"), "x,y,z\nnan,0,0\n0,inf,0\n").expect("written");
+    for (name, words) in [
+        ("nan.ply", "because no particle of nan.ply has a finite position"),
+        ("nan.csv", "(skipped 2 of 2 rows without a finite position)"),
+    ] {
+        let result = meniscus(path, &["convert", name, "--out", "o"]);
+        assert!(result.status == 2 && result.err.contains(words), "{}", result.err);
+        assert!(!result.err.contains("--spacing"), "{}", result.err);
+    }
+    write_sequence(path, 1, 3);
+    let result = meniscus(path, &["convert", "dam.#.ply", "--out", "o", "--radius-attribute", "pscale"]);
+    assert!(result.err.contains("`pscale`") && result.err.contains("; the same applies to all 3 frames"));
+    assert!(!result.err.contains("can be read"), "{}", result.err);
+}

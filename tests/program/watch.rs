@@ -1,0 +1,456 @@
+//! The commands `watch`, `status` and `why`: arguments, errors and output.
+
+use std::fs;
+use std::path::Path;
+
+use meniscus::pipeline::FileStamp;
+use meniscus::watch::Watch;
+use meniscus::watch::journal::{Journal, JournaledFrame, JournaledStatus, OutputRecord};
+use meniscus::watch::lock::OutputLock;
+use tempfile::tempdir;
+
+use crate::program::scene::{RunResult, block, meniscus, write_ply, write_sequence};
+
+/// Asserts that a command does nothing, exits with status 2, and gives this reason.
+fn assert_refused(folder: &Path, arguments: &[&str], words: &[&str]) {
+    let result = meniscus(folder, &[&["watch"], arguments].concat());
+    assert_eq!(result.status, 2, "{arguments:?}: {} {}", result.out, result.err);
+    for word in words {
+        assert!(result.err.contains(word), "{arguments:?} does not say {word}: {}", result.err);
+    }
+}
+
+#[test]
+fn contradictory_arguments_are_refused_before_any_output() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let config = "# Settings\n[[watch]]\ninput = \"in\"\noutput = \"out\"\nvoxelsize = 0.1\n";
+    fs::write(path.join("meniscus.toml"), config).expect("written");
+    let words = ["error: meniscus.toml:5: unknown key `voxelsize`", "did you mean `voxel_size`?"];
+    assert_refused(path, &["--config", "meniscus.toml"], &words);
+    assert_refused(path, &["--config", "missing.toml"], &["cannot read missing.toml"]);
+    assert_refused(path, &[], &["--out", "DIR"]);
+    assert_refused(path, &["in"], &["--out"]);
+    for (arguments, words) in [
+        (&["--radius-ratio", "0.5"][..], &["in: the radius ratio is 0.5"][..]),
+        (&["--settle", "1"], &["--settle", "not a time"]),
+        (&["--memory", "lots"], &["--memory", "not a size"]),
+        (&["--order", "random"], &["--order", "natural, latest"]),
+        (&["--pattern", "[", "--recursive"], &["not a valid pattern"]),
+        (&["--smooth-normals", "5"], &["5: no such", "--smooth-normals=5"]),
+    ] {
+        assert_refused(path, &[&["in", "--out", "out"], arguments].concat(), words);
+    }
+    let file = "error: meniscus.toml: this is a file, and watch needs a folder";
+    assert_refused(path, &["meniscus.toml", "--out", "out"], &[file]);
+    assert!(!path.join("out").exists());
+}
+
+/// The docs and the help state the same range for every number, and so does the error for a value outside of
+/// the range.
+#[test]
+fn numbers_have_the_documented_ranges() {
+    let folder = tempdir().expect("a folder");
+    let help = meniscus(folder.path(), &["convert", "--help"]).out;
+    let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
+    let of_option = |option: &str| {
+        let after = help.split_once(&format!(" {option} <")).or(help.split_once(&format!(" {option}[=<")));
+        let (_, after) = after.unwrap_or_else(|| panic!("{option} is not in the help"));
+        after.split(" --").next().unwrap_or_default().to_owned()
+    };
+    let try_out = |option: &str, value: &str| {
+        let typed = format!("{option}={value}");
+        let others = match option {
+            "--voxel-size" | "--spacing" | "--particle-radius" => &[][..],
+            "--thin-radius" | "--lone-radius" => &["--voxel-size=1"],
+            "--velocity-gain" => &["--preset=paper", "--voxel-size=1", "--anisotropy=velocity"],
+            "--radius-scale" => &["--preset=paper", "--voxel-size=1", "--radius-attribute=pscale"],
+            _ => &["--preset=paper", "--voxel-size=1", "--anisotropy=neighbors"],
+        };
+        meniscus(folder.path(), &[&["convert", "--print-settings", &typed], others].concat())
+    };
+    let docs = include_str!("../../docs/options.md");
+    let mut range_count = 0;
+    for row in docs.lines().filter(|line| line.starts_with("| `--")) {
+        let cells: Vec<&str> = row.split('|').map(str::trim).collect();
+        let [_, option, _, range, ..] = cells[..] else { panic!("{row}") };
+        let option = option.trim_matches('`');
+        if range.is_empty() {
+            continue;
+        }
+        range_count += 1;
+        assert!(of_option(option).contains(range), "{option} {range}: {}", of_option(option));
+        let (bad, good): (Vec<String>, Vec<String>) = match range.split_once(" to ") {
+            Some(("-r_min", _)) => (vec!["-1.8".into(), "2.1".into()], vec!["-1.7".into(), "2".into()]),
+            Some(("r_min", _)) => (vec!["1.5".into(), "3.7".into()], vec!["1.8".into(), "3.4".into()]),
+            Some((least, most)) => {
+                let [low, high]: [f64; 2] = [least, most].map(|bound| bound.parse().expect(range));
+                let below = if low > 0.0 && low < 1.0 { 0.5 * low } else { low - 1.0 };
+                // For threads, only the lower limit: the upper limit is more threads than a test should
+                // start.
+                let good = if option == "--threads" { vec![least] } else { vec![least, most] };
+                let bad = vec![below.to_string(), (2.0 * high).to_string()];
+                (bad, good.into_iter().map(str::to_owned).collect())
+            }
+            None if range == "at least 1" => {
+                (vec!["0.99".into(), "nan".into()], vec!["1".into(), "30".into()])
+            }
+            None => (vec!["0".into(), "-1".into(), "inf".into()], vec!["2".into()]),
+        };
+        for value in &bad {
+            let result = try_out(option, value);
+            assert_eq!(result.status, 2, "{option} {value}: {}", result.out);
+            let words = range.split(" to ").flat_map(|part| part.split(", ").take(1));
+            for word in words {
+                assert!(result.err.contains(word), "{option} {value} does not say {word}: {}", result.err);
+            }
+        }
+        for value in &good {
+            let result = try_out(option, value);
+            assert_eq!(result.status, 0, "{option} {value}: {}", result.err);
+        }
+    }
+    assert!(range_count > 17, "{range_count}");
+}
+
+/// Records in the journal of `out` that a frame is done, with `output`, or failed for a reason.
+fn note(out: &Path, frame: &Path, result: Result<&Path, &str>) {
+    let record = JournaledFrame {
+        status: if result.is_ok() { JournaledStatus::Done } else { JournaledStatus::Failed },
+        stamp: FileStamp::of_path(frame).expect("the frame exists"),
+        hash: None,
+        settings: "settings".into(),
+        outputs: result.iter().map(|path| OutputRecord::new(path.to_path_buf(), 0, None)).collect(),
+        reason: result.err().map(str::to_owned),
+        attempt_count: 1,
+        at_ms: 1,
+        particle_count: result.ok().map(|_| 216),
+        seconds: None,
+        flaws: Vec::new(),
+        figures: None,
+    };
+    let mut journal = Journal::open(&out.join(".meniscus")).expect("a journal");
+    journal.note_frame(&frame.canonicalize().expect("a path"), record).expect("noted");
+}
+
+#[test]
+fn status_reads_the_journal_and_the_lock() {
+    let folder = tempdir().expect("a folder");
+    let path = &folder.path().canonicalize().expect("a path");
+    let status =
+        |more: &[&str]| -> RunResult { meniscus(path, &[&["status", "--out", "out"], more].concat()) };
+    let nothing = status(&[]);
+    assert_eq!(nothing.status, 2);
+    assert!(nothing.err.contains("out: no record of a daemon"), "{}", nothing.err);
+    assert!(!path.join("out").exists());
+
+    write_sequence(path, 1, 2);
+    let out = path.join("out");
+    note(&out, &path.join("dam.1.ply"), Ok(&out.join("dam.1.glb")));
+    let done = status(&[]);
+    assert_eq!((done.status, done.out.lines().nth(1)), (0, Some("1 done, 0 queued, 0 to retry, 0 failed")));
+    note(&out, &path.join("dam.2.ply"), Err("no end"));
+    let lock = OutputLock::take(&out).expect("the lock");
+    let failed = status(&[]);
+    assert_eq!(failed.status, 1);
+    assert!(failed.out.contains("dam.2.ply: no end ("), "{}", failed.out);
+    assert!(failed.out.starts_with("out: starting ("), "{}", failed.out);
+    let json = status(&["--json"]);
+    let json: serde_json::Value = serde_json::from_str(&json.out).expect("JSON");
+    assert_eq!(json["daemon"]["running"], true);
+    assert_eq!(json["failed"][0]["reason"], "no end");
+    assert_eq!(json["last_done"][0]["particles"], 216);
+    drop(lock);
+    let elsewhere = status(&["--journal", "nowhere"]);
+    assert!(elsewhere.err.contains("the journal in nowhere is missing"), "{}", elsewhere.err);
+}
+
+#[test]
+fn why_lists_everything_that_decides() {
+    let folder = tempdir().expect("a folder");
+    let path = &folder.path().canonicalize().expect("a path");
+    let out = path.join("out");
+    fs::create_dir(path.join("in")).expect("made");
+    write_sequence(&path.join("in"), 1, 2);
+    fs::write(path.join("in/notes.md"), "Words.\n").expect("written");
+    let why = |frame: &str, more: &[&str]| meniscus(path, &[&["why", frame], more].concat());
+    let assert_explains = |frame: &str, more: &[&str], words: &[&str]| {
+        let result = why(frame, more);
+        assert_eq!(result.status, 0, "{}", result.err);
+        for word in words {
+            assert!(result.out.contains(word), "{} does not say {word}", result.out);
+        }
+    };
+    let typed = ["--out", "out"];
+    // The file is new: it counts as stable only after half a second.
+    let unknown = "The journal does not record the daemon's settings";
+    assert_explains("in/dam.1.ply", &typed, &["journal   nothing", "content   a frame", "It ", unknown]);
+    assert_explains(
+        "in/notes.md",
+        &typed,
+        &["not selected as a frame", "It is not converted because its path"],
+    );
+
+    fs::create_dir(&out).expect("made");
+    fs::write(out.join("dam.1.glb"), "").expect("written");
+    note(&out, &path.join("in/dam.1.ply"), Ok(&out.join("dam.1.glb")));
+    note(&out, &path.join("in/dam.2.ply"), Err("no end"));
+    let words =
+        ["journal   done", "input     as recorded", "all recorded outputs exist", "because it is done"];
+    assert_explains("in/dam.1.ply", &typed, &words);
+    assert_explains("in/dam.2.ply", &typed, &["journal   failed", "no end", "it failed, and neither it nor"]);
+    fs::remove_file(out.join("dam.1.glb")).expect("removed");
+
+    let config = "[daemon]\nsettle = \"0s\"\n[[watch]]\ninput = \"in\"\noutput = \"out\"\n";
+    fs::write(path.join("meniscus.toml"), config).expect("written");
+    let configured = ["--config", "meniscus.toml"];
+    let words = ["dam.1.glb is missing", "It will be converted because its output", "No daemon is"];
+    assert_explains("in/dam.1.ply", &configured, &words);
+    fs::write(path.join("meniscus.toml"), format!("{config}spacing = 0.1\n")).expect("written");
+    assert_explains(
+        "in/dam.1.ply",
+        &configured,
+        &["settings  not as recorded", "because its settings or obstacles have changed"],
+    );
+    fs::write(path.join("meniscus.toml"), format!("{config}pattern = \"spray*\"\n")).expect("written");
+    assert_explains("in/dam.1.ply", &configured, &["name      not selected as a frame"]);
+    for (frame, options, words) in [
+        ("in/gone.ply", &typed[..], "no such file, and nothing is recorded of it"),
+        ("meniscus.toml", &configured, "not in a folder that is watched"),
+        ("in/dam.1.ply", &[], "--out"),
+    ] {
+        let result = why(frame, options);
+        assert_eq!(result.status, 2);
+        assert!(result.err.contains(words), "{}", result.err);
+    }
+}
+
+#[test]
+fn why_recognizes_outputs_of_convert() {
+    let folder = tempdir().expect("a folder");
+    let path = &folder.path().canonicalize().expect("a path");
+    fs::create_dir(path.join("in")).expect("made");
+    write_sequence(&path.join("in"), 1, 2);
+    let result = meniscus(path, &["convert", "in", "--out", "out", "--frames", "1", "--format", "glb,ply"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    // The daemon waits until nothing has changed the file for half a second.
+    let settled = |frame: &str| loop {
+        let result = meniscus(path, &["why", frame, "--out", "out"]);
+        assert_eq!(result.status, 0, "{}", result.err);
+        if !result.out.contains("is not converted yet") {
+            return result.out;
+        }
+    };
+    let done = settled("in/dam.1.ply");
+    assert!(done.contains("It is converted already"), "{done}");
+    assert!(done.contains("dam.1.glb, dam.1.ply were made from its current content"), "{done}");
+    assert!(!done.contains("will be") && !done.contains("No daemon"), "{done}");
+    assert!(settled("in/dam.2.ply").contains("It will be converted because"));
+    // `why` does not list a damaged output as made from the frame.
+    let cut = |name: &str| {
+        let whole = fs::read(path.join(name)).expect("there");
+        fs::write(path.join(name), &whole[..whole.len() / 2]).expect("written");
+    };
+    cut("out/dam.1.glb");
+    assert!(settled("in/dam.1.ply").contains("but dam.1.ply was made from its current content"));
+    cut("out/dam.1.ply");
+    assert!(settled("in/dam.1.ply").contains("It will be converted because"));
+    // Outputs of an earlier file at this path do not count.
+    let result = meniscus(path, &["convert", "in", "--out", "out", "--frames", "1", "--format", "glb,ply"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    fs::copy(path.join("in/dam.2.ply"), path.join("in/dam.1.ply")).expect("copied");
+    assert!(settled("in/dam.1.ply").contains("It will be converted because"));
+}
+
+#[test]
+fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
+    let folder = tempdir().expect("a folder");
+    let path = &folder.path().canonicalize().expect("a path");
+    fs::create_dir(path.join("in")).expect("made");
+    write_sequence(&path.join("in"), 1, 1);
+    fs::write(path.join("in/dam.1.ok"), "").expect("written");
+    fs::copy(path.join("in/dam.1.ply"), path.join("in/spray.1.ply")).expect("copied");
+    let options = ["--pattern", "dam.*.ply", "--radius-ratio", "1.5", "--sentinel", "{stem}.ok"];
+    let result = meniscus(path, &[&["watch", "in", "--out", "out", "--once"], &options[..]].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
+    let assert_explains = |frame: &str, words: &[&str]| {
+        let result = meniscus(path, &["why", frame, "--out", "out"]);
+        assert_eq!(result.status, 0, "{}", result.err);
+        for word in words {
+            assert!(result.out.contains(word), "{} does not say {word}", result.out);
+        }
+        assert!(!result.out.contains("does not record the daemon's settings"), "{}", result.out);
+    };
+    assert_explains(
+        "in/dam.1.ply",
+        &["name      selected as a frame", "settings  as recorded", "because it is done"],
+    );
+    assert_explains(
+        "in/spray.1.ply",
+        &["name      not selected as a frame", "It is not converted because its path"],
+    );
+    write_sequence(&path.join("in"), 2, 2);
+    assert_explains(
+        "in/dam.2.ply",
+        &["It is not converted yet because its sentinel", "No daemon is running"],
+    );
+    let elsewhere = meniscus(path, &["why", "out/dam.1.glb", "--out", "out"]);
+    assert!(elsewhere.err.contains("not in a folder that is watched"), "{}", elsewhere.err);
+    let status = meniscus(path, &["status", "--out", "out"]);
+    let watched = format!("{}, only dam.*.ply, each when its {{stem}}.ok exists", path.join("in").display());
+    assert!(status.out.contains(&watched), "{}", status.out);
+
+    // Imitate a restart of the daemon with other settings.
+    let change_plan = |change: &dyn Fn(&mut Watch)| {
+        let mut journal = Journal::open(&path.join("out/.meniscus")).expect("a journal");
+        let mut plan = journal.state().plan.clone().expect("a plan");
+        change(&mut plan.watches[0]);
+        journal.note_plan(plan).expect("noted");
+    };
+    change_plan(&|watch| watch.choices.radius_ratio = Some(1.25));
+    assert_explains("in/dam.1.ply", &["settings  not compared, because the particle spacing"]);
+    change_plan(&|watch| watch.choices.spacing = Some(0.05));
+    assert_explains(
+        "in/dam.1.ply",
+        &["settings  not as recorded", "because its settings or obstacles have changed"],
+    );
+    // The configuration file takes precedence.
+    fs::write(path.join("meniscus.toml"), "[[watch]]\ninput = \"in\"\noutput = \"out\"\n").expect("written");
+    let spray = meniscus(path, &["why", "in/spray.1.ply", "--config", "meniscus.toml"]);
+    assert!(spray.out.contains("name      selected as a frame"), "{}", spray.out);
+}
+
+#[test]
+fn journal_lists_the_folders_of_its_outputs_only() {
+    let folder = tempdir().expect("a folder");
+    let path = &folder.path().canonicalize().expect("a path");
+    let blocks = [("water", "out"), ("spray", "out"), ("dust", "other")]
+        .map(|(input, output)| format!("[[watch]]\ninput = \"{input}\"\noutput = \"{output}\"\n"));
+    fs::write(path.join("meniscus.toml"), blocks.concat()).expect("written");
+    for input in ["water", "spray", "dust"] {
+        fs::create_dir(path.join(input)).expect("made");
+    }
+    let result = meniscus(path, &["watch", "--config", "meniscus.toml", "--once"]);
+    assert!(result.err.contains("there are no frames to convert"), "{}", result.err);
+    for (output, inputs) in [("out", &["water", "spray"][..]), ("other", &["dust"])] {
+        let status = meniscus(path, &["status", "--out", output, "--json"]);
+        let json: serde_json::Value = serde_json::from_str(&status.out).expect("JSON");
+        let watched: Vec<_> =
+            json["watches"].as_array().expect("a list").iter().map(|watch| watch["input"].clone()).collect();
+        let expected: Vec<_> = inputs.iter().map(|input| serde_json::json!(path.join(input))).collect();
+        assert_eq!(watched, expected);
+    }
+}
+
+/// The output of --print-settings is a valid configuration file, and gives the same files for any options.
+#[test]
+fn printed_settings_are_keys_of_a_file() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    fs::create_dir_all(path.join("in")).expect("made");
+    write_ply(&path.join("in/dam.1.ply"), &block(5, 0.0));
+    let corners = "v -1 -1 -1\nv 0.2 -1 -1\nv -1 0.2 -1\nv -1 -1 0.2\n";
+    let faces = "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
+    fs::write(path.join("a \"b\".obj"), format!("{corners}{faces}")).expect("written");
+    let obstacle = ["--obstacle", "a \"b\".obj", "--up", "z", "--vdb-half", "--vdb-compression", "none"];
+    for (index, (options, printed_keys)) in [
+        (
+            &[
+                "--preset",
+                "splash",
+                "--voxel-size",
+                "0.05",
+                "--clip",
+                "-1,-1,-1,0.31,2,2",
+                "--max-stretch",
+                "3",
+            ][..],
+            &["anisotropy = \"neighbors\"\n", "fill_cavities = 200\n", "formats = [\"glb\", \"vdb\"]\n"][..],
+        ),
+        (
+            &[&["--preset", "granular", "--voxel-size", ".04"][..], &obstacle].concat(),
+            &["up = \"z\"\n", "vdb_half = true\n", "vdb_compression = \"none\"\n", "void_threshold = 1\n"],
+        ),
+        (&["--radius-ratio", "3", "--steps", "10"], &["radius_ratio = 3\n", "steps = 10\n", "up = \"y\"\n"]),
+        (
+            &["--preset", "preview", "--integrator", "explicit", "--format", "obj,vdb", "--quads"],
+            &["steps = 13\n", "quads = true\n", "step_size = 0.01\n"],
+        ),
+        (&["--format", "vdb"], &["formats = [\"vdb\"]\n"]),
+        (&["--format", "obj,usdc", "--stage", "s.usda", "--fps", "30"], &["/s.usda\"\n", "fps = 30\n"]),
+        (
+            &["--spacing", "0.1", "--voxel-size", "0.5d", "--radius-min", "1.1d", "--offset", "1h"],
+            &["voxel_size = 0.05\n", "radius_min = 0.11\n", "offset = 0.05\n"],
+        ),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let printed = meniscus(path, &[&["convert", "in", "--print-settings"], options].concat());
+        assert_eq!((printed.status, &*printed.err), (0, ""), "{options:?}");
+        for key in printed_keys {
+            assert!(printed.out.contains(key), "{options:?}: no {key} in {}", printed.out);
+        }
+        let (watched, converted) = (format!("watched{index}"), format!("converted{index}"));
+        // The folder of the configuration file does not affect the result.
+        let config = path.join(format!("etc{index}/meniscus.toml"));
+        fs::create_dir(config.parent().expect("a folder")).expect("made");
+        let blocks = format!("[[watch]]\ninput = \"../in\"\noutput = \"../{watched}\"\n{}", printed.out);
+        fs::write(&config, blocks).expect("written");
+        let result = meniscus(path, &["watch", "--config", &config.to_string_lossy(), "--once"]);
+        assert_eq!(result.status, 0, "{}", result.err);
+        assert!(!result.err.contains("WARN"), "{}", result.err);
+        let result = meniscus(path, &[&["convert", "in", "--out", &converted], options].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
+        let mut count = 0;
+        for extension in ["glb", "vdb", "obj"] {
+            let bytes = |out: &str| fs::read(path.join(out).join(format!("dam.1.{extension}"))).ok();
+            assert!(bytes(&watched) == bytes(&converted), "{options:?}: {extension}");
+            count += usize::from(bytes(&watched).is_some());
+        }
+        assert!(count > 0);
+    }
+}
+
+/// Without a spacing, a relative length has no value.
+#[test]
+fn printed_settings_without_inputs_keep_relative_lengths() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let refused = meniscus(path, &["convert", "--print-settings", "--radius-min", "0.02"]);
+    assert!(refused.status == 2 && refused.err.contains("--spacing"), "{}", refused.err);
+    let printed = meniscus(path, &["convert", "--print-settings", "--radius-min", "0.9d", "--offset=-0.5h"]);
+    assert!(printed.out.contains("\nradius_min = \"0.9d\"\n"), "{}{}", printed.out, printed.err);
+    assert!(printed.out.contains("\noffset = \"-0.5h\"\n"), "{}", printed.out);
+}
+
+/// A configuration file accepts lengths in spacings and voxels, as the command line does. The results equal
+/// those of world units.
+#[test]
+fn lengths_in_files_have_units() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    fs::create_dir_all(path.join("in")).expect("made");
+    write_ply(&path.join("in/dam.1.ply"), &block(5, 0.0));
+    let watched = |name: &str, keys: &str| {
+        let text = format!("[[watch]]\ninput = \"in\"\noutput = \"{name}\"\nspacing = 0.1\n{keys}\n");
+        fs::write(path.join("meniscus.toml"), text).expect("written");
+        meniscus(path, &["watch", "--config", "meniscus.toml", "--once"])
+    };
+    let bytes = |name: &str| fs::read(path.join(name).join("dam.1.vdb")).expect("a result");
+    assert_eq!(watched("units", "voxel_size = \"0.5d\"\nradius_min = \"1.1d\"\noffset = \"-1h\"").status, 0);
+    assert_eq!(watched("world", "voxel_size = 0.05\nradius_min = 0.11\noffset = -0.05").status, 0);
+    assert!(bytes("units") == bytes("world"));
+    // The journal has the lengths as the user wrote them.
+    let result = watched("units", "voxel_size = \"0.5d\"\nradius_min = \"1.1d\"\noffset = \"-1h\"");
+    assert_eq!((result.status, result.err.contains("dam.1.ply: converted")), (0, false), "{}", result.err);
+    for (keys, why) in [
+        ("radius_min = \"5x\"", "meniscus.toml:5: `radius_min`: `5x` is not a length"),
+        ("voxel_size = \"2h\"", "meniscus.toml:5: `voxel_size`: `2h` is not a voxel size"),
+        ("spacing_ = 1", "meniscus.toml:5: unknown key `spacing_`"),
+        ("decimate = \"0.1h\"", "meniscus.toml:5: `decimate` is text: expected a number"),
+    ] {
+        let result = watched("wrong", keys);
+        assert!(result.status == 2 && result.err.contains(why), "{}", result.err);
+    }
+}
