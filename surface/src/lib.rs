@@ -41,6 +41,7 @@ pub use self::{
 };
 
 mod interrupt;
+mod parallel;
 
 // The modules below are public for the tests, benchmarks and experiments of this repository, and for the
 // other parts of this crate. They are not part of the API: anything in them may change in any version.

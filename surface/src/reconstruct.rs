@@ -7,6 +7,8 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use crate::cancel::{CancelToken, CancellableParticles, CancellableStorage};
 use crate::error::Error;
 use crate::interrupt;
@@ -509,7 +511,7 @@ fn tiled_error(error: TiledError<Error>) -> Error {
 fn with_absolute_positions(surface: reconstruction::FrameSurface, settings: Settings) -> Surface {
     let reconstruction::FrameSurface { band, mesh, attributes, report } = surface;
     let Mesh { positions, normals, triangles, origin } = mesh;
-    let positions = positions.into_par_iter().map(|position| origin + position.as_dvec3()).collect();
+    let positions = positions.into_par_iter().halved().map(|position| origin + position.as_dvec3()).collect();
     let attributes = attributes.vertices;
     Surface { positions, normals, triangles, attributes, level_set: band, settings, report }
 }

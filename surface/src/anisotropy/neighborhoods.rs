@@ -22,6 +22,8 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::half_axes::{means, shapes};
 use super::moments::{MEAN_COUNT, MOMENT_COUNT, moments};
 use super::scale_of;
@@ -107,6 +109,7 @@ fn neighbor_shapes(
         .zip_eq(means.par_chunks_mut(PIECE))
         .zip_eq(pieces_of(&mut shapes, slots.len()))
         .with_max_len(1)
+        .halved()
         .map(|((slots, means), shapes)| {
             dispatch_at(level, ParticleRun { neighbors: &neighbors, scales, config, slots, means, shapes })
         })

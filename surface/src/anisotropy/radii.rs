@@ -7,6 +7,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 /// A scale per particle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RadiusScales {
@@ -28,11 +30,12 @@ pub fn radius_scales(radii: &[f32], radius_scale: f64, radius_min: f64, floor: f
         (radius > 0.0 && scale.is_finite()).then_some(scale)
     };
     let count = |is_counted: fn(Option<f32>, f32) -> bool| {
-        radii.par_iter().filter(|radius| is_counted(scale_of(radius), floor)).count()
+        radii.par_iter().halved().filter(|radius| is_counted(scale_of(radius), floor)).count()
     };
     RadiusScales {
         scales: radii
             .par_iter()
+            .halved()
             .map(|radius| scale_of(radius).map_or(floor, |scale| scale.max(floor)))
             .collect(),
         raised_count: count(|scale, floor| scale.is_some_and(|scale| scale < floor)),

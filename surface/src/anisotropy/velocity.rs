@@ -11,6 +11,8 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::half_axes::cube_root;
 use super::{AnisotropicShapes, RAISED_BELOW, ball, scale_of};
 use crate::particles::Ellipsoid;
@@ -43,7 +45,7 @@ pub fn from_velocities(
         let velocity = DVec3::from(velocity.map(f64::from));
         stretched(velocity, scale_of(scales, index), most, config)
     };
-    let shapes: Vec<(Ellipsoid, bool)> = velocities.par_iter().enumerate().map(stretched).collect();
+    let shapes: Vec<(Ellipsoid, bool)> = velocities.par_iter().enumerate().halved().map(stretched).collect();
     AnisotropicShapes {
         raised_count: shapes.iter().filter(|(_, is_raised)| *is_raised).count(),
         ball_count: velocities.iter().filter(|velocity| !is_finite(velocity)).count(),

@@ -9,6 +9,8 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::interpolate::Interpolated;
 use super::source::TransferSource;
 use super::tree::{Tree, TreeParticle};
@@ -37,7 +39,7 @@ pub(super) fn assign_nearest(
         checkpoint();
         tree.nearest(point_of(point), particle_at)
     };
-    let nearest: Vec<u32> = isolated.par_iter().map(nearest).collect();
+    let nearest: Vec<u32> = isolated.par_iter().halved().map(nearest).collect();
     for (point, particle) in isolated.into_iter().zip(nearest) {
         if particle == NO_PARTICLE {
             continue;
@@ -64,5 +66,5 @@ fn reaching(source: &TransferSource, particle_at: &(impl Fn(u32) -> TreeParticle
         let TreeParticle { position, limit_world } = particle_at(particle);
         source.support.radius_world < limit_world && position.is_finite()
     };
-    (0..end).into_par_iter().filter(is_reaching).collect()
+    (0..end).into_par_iter().halved().filter(is_reaching).collect()
 }

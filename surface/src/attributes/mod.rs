@@ -40,6 +40,8 @@ mod tree;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use crate::interrupt::checkpoint;
 use crate::mesh::Mesh;
 use crate::particles::{Attribute, AttributeValues, Positions, Shapes};
@@ -140,7 +142,7 @@ fn of_nearest<T: Copy + From<i8> + Send + Sync>(values: &[T], arity: usize, near
         _ => values[nearest as usize * arity + component],
     };
     let mut found = vec![T::from(-1); nearest.len() * arity];
-    found.par_chunks_mut(arity).zip(nearest).for_each(|(found, &nearest)| {
+    found.par_chunks_mut(arity).zip(nearest).halved().for_each(|(found, &nearest)| {
         for (component, found) in found.iter_mut().enumerate() {
             *found = value(nearest, component);
         }
@@ -159,6 +161,7 @@ fn interpolate_at(
 ) -> (Interpolated, TransferCounts) {
     let chunks: Vec<Interpolated> = (0..count.div_ceil(CHUNK))
         .into_par_iter()
+        .halved()
         .map_init(Scratch::default, |scratch, chunk| {
             checkpoint();
             let vertices = chunk * CHUNK..count.min((chunk + 1) * CHUNK);

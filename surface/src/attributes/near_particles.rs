@@ -11,6 +11,8 @@
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
+
+use crate::parallel::Loops as _;
 use rustc_hash::FxHashSet;
 
 use super::CHUNK;
@@ -33,7 +35,7 @@ pub(super) fn near_particles(
     // 32-bit indices suffice: sources with more particles are read in batches from a file, and have no
     // attributes.
     let end = u32::try_from(particles.len()).unwrap_or(super::NO_PARTICLE);
-    (0..end).into_par_iter().filter(is_near).collect()
+    (0..end).into_par_iter().halved().filter(is_near).collect()
 }
 
 fn marked_cells(
@@ -43,6 +45,7 @@ fn marked_cells(
 ) -> FxHashSet<IVec3> {
     let chunks: Vec<FxHashSet<IVec3>> = (0..count.div_ceil(CHUNK))
         .into_par_iter()
+        .halved()
         .map(|chunk| {
             let points = (chunk * CHUNK..count.min((chunk + 1) * CHUNK)).map(point_of);
             let corners = points.filter_map(|point| Some(cells.index_from_world(point)?.round().as_ivec3()));

@@ -9,6 +9,8 @@
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use crate::grid::{Leaf, NO_LEAF, Topology, offset_in_leaf};
 use crate::level_set::NarrowBand;
 use crate::simd::{Kernel, Lanes, dispatch};
@@ -21,8 +23,8 @@ pub(super) const NODE_EDGE: usize = 4;
 pub(super) fn needed_nodes(band: &NarrowBand, half_width_voxels: f32) -> Vec<u64> {
     let leaves = &band.phi.leaves;
     let active: Vec<[u8; 64]> =
-        leaves.par_iter().map(|leaf| dispatch(ActiveRows { leaf, half_width_voxels })).collect();
-    (0..leaves.len()).into_par_iter().map(|leaf| needed_of(&band.topology, &active, leaf)).collect()
+        leaves.par_iter().halved().map(|leaf| dispatch(ActiveRows { leaf, half_width_voxels })).collect();
+    (0..leaves.len()).into_par_iter().halved().map(|leaf| needed_of(&band.topology, &active, leaf)).collect()
 }
 
 /// Kernel: for each row of a leaf, a mask of the voxels in the band.
@@ -78,7 +80,7 @@ fn needed_of(topology: &Topology, active: &[[u8; 64]], leaf: usize) -> u64 {
 /// World positions of the needed nodes, leaf by leaf. For a node outside the fluid, the nearest point on the
 /// surface.
 pub(super) fn node_points(band: &NarrowBand, lattice: &Lattice, needed: &[u64]) -> Vec<DVec3> {
-    let points = needed.par_iter().enumerate().flat_map_iter(|(leaf, &nodes)| {
+    let points = needed.par_iter().enumerate().halved().flat_map_iter(|(leaf, &nodes)| {
         let around = if nodes == 0 { [NO_LEAF; 27] } else { band.topology.neighborhood(leaf) };
         (0..64).filter(move |node| nodes >> node & 1 == 1).map(move |node: i32| {
             let voxel = IVec3::new(node >> 4, node >> 2 & 3, node & 3) * 2;

@@ -11,6 +11,8 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::near_particles::near_particles;
 use super::{NO_PARTICLE, Support};
 use crate::neighbors::Neighbors;
@@ -91,10 +93,10 @@ impl<'a> TransferSource<'a> {
 fn subset(particles: &Positions<'_>, indices: &[u32]) -> OwnedPositions {
     match particles {
         Positions::F32(positions) => {
-            OwnedPositions::F32(indices.par_iter().map(|&index| positions[index as usize]).collect())
+            OwnedPositions::F32(indices.par_iter().halved().map(|&index| positions[index as usize]).collect())
         }
         Positions::F64(positions) => {
-            OwnedPositions::F64(indices.par_iter().map(|&index| positions[index as usize]).collect())
+            OwnedPositions::F64(indices.par_iter().halved().map(|&index| positions[index as usize]).collect())
         }
     }
 }
@@ -119,13 +121,13 @@ impl NumericAttribute<'_> {
 
 fn broken_count(numbers: &NumericAttribute, indices: &[u32]) -> usize {
     let broken = |&index: &u32| numbers.of(index).iter().filter(|value| !value.is_finite()).count();
-    indices.par_iter().map(broken).sum()
+    indices.par_iter().halved().map(broken).sum()
 }
 
 fn rows_of(numbers: &[NumericAttribute], indices: &[u32], row_count: usize) -> Vec<[f32; 8]> {
     let mut rows = vec![[0.0; 8]; indices.len() * row_count];
     if row_count != 0 {
-        rows.par_chunks_mut(row_count).zip(indices).for_each(|(rows, &index)| {
+        rows.par_chunks_mut(row_count).zip(indices).halved().for_each(|(rows, &index)| {
             let row = rows.as_flattened_mut();
             for numbers in numbers {
                 if let Some(column) = numbers.column {

@@ -16,6 +16,8 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::neighborhood::{LeafNeighborhood, PhiBlock};
 use crate::grid::LEAF_EDGE;
 use crate::level_set::NarrowBand;
@@ -72,7 +74,7 @@ impl Kernel for TriangleEnergies<'_> {
 pub fn mean_curvatures(band: &NarrowBand, lattice: &Lattice, mesh: &Mesh) -> Vec<f32> {
     let mut curvatures = vec![0.0; mesh.positions.len()];
     let pieces = curvatures.par_chunks_mut(PIECE).zip(mesh.positions.par_chunks(PIECE));
-    pieces.for_each(|(curvatures, positions)| {
+    pieces.halved().for_each(|(curvatures, positions)| {
         dispatch(VertexCurvatures { band, lattice, mesh, positions, curvatures });
     });
     curvatures

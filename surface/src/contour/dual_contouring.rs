@@ -49,6 +49,8 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::cell_cycles::cell_cycles;
 use super::cell_vertex::{CellSamples, VertexBatch, Vertices};
 use super::neighborhood::{LeafNeighborhood, PhiBlock, SignRows};
@@ -83,7 +85,7 @@ pub(super) fn dual_contour(band: &NarrowBand, placement: &MeshFrame) -> Mesh {
         positions: &positions,
     };
     let slices = layout.split(&mut triangles, |patch| usize::from(patch.triangle_count));
-    slices.into_par_iter().zip(layout.patches.par_chunks(PATCHES_AT_ONCE)).with_max_len(1).for_each(
+    slices.into_par_iter().zip(layout.patches.par_chunks(PATCHES_AT_ONCE)).with_max_len(1).halved().for_each(
         |(triangles, patches)| {
             dispatch(PatchTriangles { quads: &quads, patches, triangles });
         },
@@ -177,7 +179,8 @@ impl MeshLayout {
             let may_have_surface = neighborhood.may_have_surface(&inside_masks);
             may_have_surface.then(|| dispatch(NewPatch(leaf, neighborhood, &inside_masks))).flatten()
         };
-        let patches: Vec<LeafPatch> = (0..band.topology.len()).into_par_iter().filter_map(patch).collect();
+        let patches: Vec<LeafPatch> =
+            (0..band.topology.len()).into_par_iter().halved().filter_map(patch).collect();
         let mut patch_of_leaf = vec![NO_PATCH; band.topology.len()];
         for (index, patch) in patches.iter().enumerate() {
             patch_of_leaf[patch.leaf as usize] = index as u32;
@@ -219,7 +222,8 @@ impl MeshLayout {
             let (count, triangles) = sides.fold((0, 0), |(count, sum), sides| (count + 1, sum + 2 + sides));
             (count > 0).then_some((index, count, triangles))
         };
-        let added: Vec<(usize, u16, u16)> = self.patches.par_iter().enumerate().filter_map(added).collect();
+        let added: Vec<(usize, u16, u16)> =
+            self.patches.par_iter().enumerate().halved().filter_map(added).collect();
         for (index, count, triangles) in added {
             self.patches[index].on_edges_count = count;
             self.patches[index].triangle_count += triangles;
@@ -228,7 +232,7 @@ impl MeshLayout {
 
     /// The vertices on faces, sorted: the leaf, the [`segment_key`] in the leaf, and the index in the mesh.
     fn vertices_on_faces(&self) -> Vec<(u32, u16, u32)> {
-        let patches = self.patches.par_iter().filter(|patch| patch.on_faces_count > 0);
+        let patches = self.patches.par_iter().halved().filter(|patch| patch.on_faces_count > 0);
         let vertices = patches.flat_map_iter(|patch| {
             let rows = SignRows::new(&patch.neighborhood, &self.inside_masks);
             let segments: Vec<_> = joined_segments(&rows).collect();

@@ -30,6 +30,8 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::neighborhood::{BLOCK_STEP, LeafNeighborhood, PhiBlock, SignRows};
 use super::normals::unit_or_zero;
 use super::{MeshFrame, split};
@@ -49,6 +51,7 @@ pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &MeshFrame) -> Mesh
     let cases = tetrahedron_cases();
     let mut patches: Vec<TetPatch> = (0..band.topology.len())
         .into_par_iter()
+        .halved()
         .filter_map(|leaf| {
             checkpoint();
             TetPatch::new(band, &masks, &cases, leaf)
@@ -74,7 +77,10 @@ pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &MeshFrame) -> Mesh
     });
     let mesh_writer = TetMesh { masks: &masks, cases, patches: &patches, patch_of_leaf };
     let slices = split(&mut triangles, patches.iter().map(|patch| patch.triangle_count)).into_par_iter();
-    slices.zip(&patches).for_each(|(triangles, patch)| mesh_writer.write_triangles(patch, triangles));
+    slices
+        .zip(&patches)
+        .halved()
+        .for_each(|(triangles, patch)| mesh_writer.write_triangles(patch, triangles));
     Mesh { positions, normals, triangles, origin: placement.world_origin() }
 }
 

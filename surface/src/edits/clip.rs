@@ -22,6 +22,8 @@ use std::sync::Arc;
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use crate::grid::{Field, LEAF_EDGE, Leaf, LeafMask, Topology, negative_masks, voxel_in_leaf};
 use crate::level_set::{NEAREST_TO_ZERO, NarrowBand};
 use crate::mesh::Mesh;
@@ -91,7 +93,7 @@ pub fn clip(band: &mut NarrowBand, lattice: &Lattice, clip_box: &VoxelClip) -> C
         added_leaf_count: 0,
         removed_leaf_count: band.topology.len() - kept.len(),
     };
-    let added: Vec<IVec3> = gaps.into_par_iter().flat_map_iter(|gap| cut.cap_leaves(gap)).collect();
+    let added: Vec<IVec3> = gaps.into_par_iter().halved().flat_map_iter(|gap| cut.cap_leaves(gap)).collect();
     let old = band.topology.clone();
     let origins: Vec<IVec3> = kept.into_iter().chain(added).collect();
     band.topology = Arc::new(Topology::new(origins));
@@ -226,7 +228,7 @@ impl Cut {
     /// it was deep inside.
     fn apply(self, field: &Field, topology: &Topology, from: &[Option<usize>], half_width: f32) -> Field {
         let deep = Leaf::splat(-half_width);
-        let leaves = topology.origins().par_iter().zip(from).map(|(&origin, from)| {
+        let leaves = topology.origins().par_iter().zip(from).halved().map(|(&origin, from)| {
             let mut leaf = from.map_or(deep, |leaf| field.leaves[leaf]);
             if !self.is_within(origin) {
                 for (offset, value) in leaf.values.iter_mut().enumerate() {

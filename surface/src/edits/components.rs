@@ -14,6 +14,8 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use crate::grid::{FACE_STEPS, LeafMask, NO_LEAF, Topology, offset_in_leaf};
 
 /// Which voxels are connected.
@@ -46,14 +48,16 @@ pub(super) struct Components {
 impl Components {
     /// The components of a set given as one mask per leaf.
     pub(super) fn new(topology: &Topology, sets: &[LeafMask], connectivity: Connectivity) -> Components {
-        let parts: Vec<Vec<LeafMask>> = sets.par_iter().map(|set| parts_of(set, connectivity)).collect();
+        let parts: Vec<Vec<LeafMask>> =
+            sets.par_iter().halved().map(|set| parts_of(set, connectivity)).collect();
         let mut starts = vec![0];
         for parts in &parts {
             starts.push(starts[starts.len() - 1] + parts.len() as u32);
         }
         let masks: Vec<LeafMask> = parts.into_iter().flatten().collect();
         let contacts = |leaf: usize| contacts_of_leaf(topology, &starts, &masks, leaf, connectivity);
-        let contacts: Vec<Vec<[u32; 2]>> = (0..topology.len()).into_par_iter().map(contacts).collect();
+        let contacts: Vec<Vec<[u32; 2]>> =
+            (0..topology.len()).into_par_iter().halved().map(contacts).collect();
         let mut parents: Vec<u32> = (0..masks.len() as u32).collect();
         for [one, other] in contacts.into_iter().flatten() {
             join(&mut parents, one, other);
@@ -101,7 +105,7 @@ impl Components {
     /// Where components touch leaves that are not stored: the component, and the origin of the leaf.
     pub(super) fn beyond(&self, topology: &Topology) -> Vec<(u32, IVec3)> {
         let leaves = topology.origins().par_iter().zip(topology.neighbors()).enumerate();
-        let reached = leaves.flat_map_iter(|(leaf, (&origin, neighbors))| {
+        let reached = leaves.halved().flat_map_iter(|(leaf, (&origin, neighbors))| {
             let open = (0..6).filter(|&face| neighbors[face] == NO_LEAF);
             open.flat_map(move |face| {
                 let step = FACE_STEPS[face];

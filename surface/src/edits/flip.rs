@@ -16,6 +16,8 @@ use std::collections::BTreeMap;
 use glam::IVec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, Topology, voxel_in_leaf};
 use crate::level_set::{NarrowBand, Sweeps, UNREACHED, extend};
 use crate::space::CoordBox;
@@ -106,13 +108,13 @@ fn sweep(
         let values = &band.phi.leaves[leaf].values;
         LeafMask::from_fn(|offset| is_on_side(values[offset])).or(&turned_in(leaf))
     };
-    let on_side: Vec<LeafMask> = of_band.par_iter().map(on_side).collect();
+    let on_side: Vec<LeafMask> = of_band.par_iter().halved().map(on_side).collect();
     let free = |index: usize| {
         let near = near.get(&of_band[index]).copied().unwrap_or(LeafMask::EMPTY);
         let beyond = |face: u32| on_side.get(face as usize).unwrap_or(&LeafMask::FULL);
         on_side[index].surrounded(topology.neighbors()[index].map(beyond)).and(&near)
     };
-    let free: Vec<LeafMask> = (0..of_band.len()).into_par_iter().map(free).collect();
+    let free: Vec<LeafMask> = (0..of_band.len()).into_par_iter().halved().map(free).collect();
     let start = if side == FlipSide::Inside { -UNREACHED } else { UNREACHED };
     let values = |(&leaf, free): (&usize, &LeafMask)| {
         let mut values = band.phi.leaves[leaf];

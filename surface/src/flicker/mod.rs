@@ -24,6 +24,8 @@ mod tests;
 
 use glam::DVec3;
 use rayon::prelude::*;
+
+use crate::parallel::Loops as _;
 use rustc_hash::FxHashMap;
 
 use crate::neighbors::Neighbors;
@@ -159,7 +161,7 @@ pub fn flicker(
         Some((ScoredPoint { position, normal, value: (one + other) / spacing }, has_left))
     };
     let samples = samples(middle.surface.triangles(), sample_count);
-    let scored: Vec<Option<(ScoredPoint, bool)>> = samples.into_par_iter().map(score).collect();
+    let scored: Vec<Option<(ScoredPoint, bool)>> = samples.into_par_iter().halved().map(score).collect();
     let mut found = FrameFlicker::default();
     for scored in scored {
         match scored {

@@ -4,6 +4,8 @@ use bytemuck::{Pod, Zeroable};
 use glam::IVec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 /// Voxels along an edge of a leaf: level sets are stored in blocks of 8³ voxels.
 pub const LEAF_EDGE: i32 = 8;
 
@@ -75,7 +77,7 @@ impl Field {
 
     /// Copies the values of another field, and reuses this field's memory if that is large enough.
     pub fn copy_from(&mut self, other: &Field) {
-        other.leaves.par_iter().copied().collect_into_vec(&mut self.leaves);
+        other.leaves.par_iter().copied().halved().collect_into_vec(&mut self.leaves);
     }
 
     /// The leaves as plain arrays, for writers that do not depend on the grid types.

@@ -3,6 +3,8 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::leaf::{Field, Leaf};
 use super::stencil::ROW_COUNT;
 use crate::simd::{Kernel, Lanes, dispatch};
@@ -187,7 +189,7 @@ impl LeafMask {
 pub fn negative_masks(field: &Field) -> Vec<LeafMask> {
     let mut masks = vec![LeafMask::EMPTY; field.leaves.len()];
     let pieces = masks.par_chunks_mut(LEAVES_AT_ONCE).zip(field.leaves.par_chunks(LEAVES_AT_ONCE));
-    pieces.for_each(|(masks, leaves)| dispatch(NegativeMasks { masks, leaves }));
+    pieces.halved().for_each(|(masks, leaves)| dispatch(NegativeMasks { masks, leaves }));
     masks
 }
 

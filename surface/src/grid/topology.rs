@@ -2,6 +2,8 @@
 
 use glam::IVec3;
 use rayon::prelude::*;
+
+use crate::parallel::Loops as _;
 use rustc_hash::FxHashMap;
 
 use super::leaf::LEAF_EDGE;
@@ -39,15 +41,16 @@ impl Topology {
     /// The topology of the leaves with these origins: multiples of 8, in any order, duplicates allowed.
     pub fn new(origins: Vec<IVec3>) -> Topology {
         debug_assert!(origins.iter().all(|origin| origin.rem_euclid(IVec3::splat(LEAF_EDGE)) == IVec3::ZERO));
-        let mut codes: Vec<u128> = origins.into_par_iter().map(tree_order).collect();
+        let mut codes: Vec<u128> = origins.into_par_iter().halved().map(tree_order).collect();
         codes.par_sort_unstable();
         codes.dedup();
-        let origins: Vec<IVec3> = codes.into_par_iter().map(origin_from_order).collect();
+        let origins: Vec<IVec3> = codes.into_par_iter().halved().map(origin_from_order).collect();
         assert!(origins.len() < NO_LEAF as usize, "more leaves than 32-bit indices allow");
         let index_of: FxHashMap<IVec3, u32> =
             origins.iter().enumerate().map(|(index, &origin)| (origin, index as u32)).collect();
         let neighbors = origins
             .par_iter()
+            .halved()
             .map(|&origin| {
                 FACE_STEPS.map(|step| index_of.get(&(origin + step * LEAF_EDGE)).copied().unwrap_or(NO_LEAF))
             })

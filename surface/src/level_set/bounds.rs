@@ -2,6 +2,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use crate::grid::Field;
 
 /// Signed distances to the outer and the inner union of spheres, on the topology of the band that they
@@ -19,7 +21,7 @@ impl Bounds {
     /// Clamps every value to its interval (Eq. 6).
     pub fn clamp(&self, phi: &mut Field) {
         let bounds = self.lower.leaves.par_iter().zip(&self.upper.leaves);
-        phi.leaves.par_iter_mut().zip(bounds).for_each(|(phi, (lower, upper))| {
+        phi.leaves.par_iter_mut().zip(bounds).halved().for_each(|(phi, (lower, upper))| {
             for ((phi, lower), upper) in phi.values.iter_mut().zip(&lower.values).zip(&upper.values) {
                 *phi = phi.max(*lower).min(*upper);
             }
@@ -38,6 +40,6 @@ impl Bounds {
                     .filter(|(phi, (lower, upper))| !(*lower <= *phi && *phi <= *upper))
                     .count()
             };
-        phi.leaves.par_iter().zip(bounds).map(count).sum()
+        phi.leaves.par_iter().zip(bounds).halved().map(count).sum()
     }
 }

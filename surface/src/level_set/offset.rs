@@ -16,6 +16,8 @@ use std::sync::Arc;
 use glam::IVec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::redistance::{Sweeps, UNREACHED, extend};
 use super::{NEAREST_TO_ZERO, NarrowBand};
 use crate::grid::{Leaf, LeafMask, NO_LEAF, Topology, negative_masks};
@@ -32,7 +34,7 @@ pub fn offset_surface(
     half_width: f32,
     floor: impl Fn(IVec3) -> Option<Arc<Leaf>> + Sync,
 ) {
-    band.phi.leaves.par_iter_mut().zip(band.topology.origins()).for_each(|(phi, &origin)| {
+    band.phi.leaves.par_iter_mut().zip(band.topology.origins()).halved().for_each(|(phi, &origin)| {
         let floor = floor(origin);
         for (index, phi) in phi.values.iter_mut().enumerate() {
             let least = floor.as_ref().map_or(f32::NEG_INFINITY, |floor| floor.values[index]);
@@ -47,7 +49,7 @@ pub fn offset_surface(
         }
     });
     let fixed = next_to_surface(band);
-    band.phi.leaves.par_iter_mut().zip(&fixed).for_each(|(phi, fixed)| {
+    band.phi.leaves.par_iter_mut().zip(&fixed).halved().for_each(|(phi, fixed)| {
         for free in fixed.complement().iter() {
             phi.values[free] = UNREACHED.copysign(phi.values[free]);
         }
@@ -75,7 +77,7 @@ fn outside_if_zero(phi: f32) -> f32 {
 /// Sweeps distances again, from the voxels next to the surface, which keep their values, to voxels farther
 /// away.
 pub fn extend_distances(band: &mut NarrowBand, sweeps: Sweeps) {
-    band.phi.leaves.par_iter_mut().flat_map_iter(|leaf| &mut leaf.values).for_each(|phi| {
+    band.phi.leaves.par_iter_mut().halved().flat_map_iter(|leaf| &mut leaf.values).for_each(|phi| {
         *phi = outside_if_zero(*phi);
     });
     let fixed = next_to_surface(band);
@@ -85,7 +87,7 @@ pub fn extend_distances(band: &mut NarrowBand, sweeps: Sweeps) {
 fn sweep(band: &mut NarrowBand, fixed: &[LeafMask], sweeps: Sweeps) {
     extend(&band.topology, &mut band.phi, fixed, sweeps.clamped(band.half_width));
     let half_width = band.half_width;
-    band.phi.leaves.par_iter_mut().flat_map_iter(|leaf| &mut leaf.values).for_each(|phi| {
+    band.phi.leaves.par_iter_mut().halved().flat_map_iter(|leaf| &mut leaf.values).for_each(|phi| {
         *phi = phi.clamp(-half_width, half_width);
     });
 }
@@ -93,13 +95,13 @@ fn sweep(band: &mut NarrowBand, fixed: &[LeafMask], sweeps: Sweeps) {
 /// The voxels of each leaf with a face neighbor on the other side of the surface.
 fn next_to_surface(band: &NarrowBand) -> Vec<LeafMask> {
     let inside = negative_masks(&band.phi);
-    let outside: Vec<LeafMask> = inside.par_iter().map(LeafMask::complement).collect();
+    let outside: Vec<LeafMask> = inside.par_iter().halved().map(LeafMask::complement).collect();
     let adjacent = |leaf: usize| {
         let [inside, outside] =
             [&inside, &outside].map(|sides| next_to_other_side(&band.topology, sides, leaf));
         inside.or(&outside)
     };
-    (0..inside.len()).into_par_iter().map(adjacent).collect()
+    (0..inside.len()).into_par_iter().halved().map(adjacent).collect()
 }
 
 /// The voxels of a leaf that are on one side of the surface and have a face neighbor on the other side.

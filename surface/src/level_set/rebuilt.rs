@@ -17,6 +17,8 @@ use std::fmt;
 
 use glam::IVec3;
 use rayon::prelude::*;
+
+use crate::parallel::Loops as _;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::{NarrowBand, Sweeps, UNREACHED, extend, redistance};
@@ -124,7 +126,7 @@ pub fn rebuilt(
     // The band extends into the leaves around those with a crossing.
     let inside = inside_masks(topology.len(), |leaf| &raw.leaves[leaf].values);
     let is_crossed = |leaf: &usize| at_surface(&inside, &topology, *leaf) != LeafMask::EMPTY;
-    let crossed: Vec<usize> = (0..topology.len()).into_par_iter().filter(is_crossed).collect();
+    let crossed: Vec<usize> = (0..topology.len()).into_par_iter().halved().filter(is_crossed).collect();
     let mut origins: FxHashSet<IVec3> = topology.origins().iter().copied().collect();
     for leaf in crossed {
         let origin = topology.origins()[leaf];
@@ -142,7 +144,7 @@ pub fn rebuilt(
     let scale = (1.0 / stored.voxel_size) as f32;
     let mut phi = Field::splat(topology.len(), UNREACHED);
     let mut fixed = vec![LeafMask::EMPTY; topology.len()];
-    phi.leaves.par_iter_mut().zip(&mut fixed).enumerate().for_each(|(leaf, (phi, fixed))| {
+    phi.leaves.par_iter_mut().zip(&mut fixed).enumerate().halved().for_each(|(leaf, (phi, fixed))| {
         for (offset, value) in phi.values.iter_mut().enumerate() {
             let own = raw.leaves[leaf].values[offset];
             let known = match lookup.is_known(own) {
@@ -161,7 +163,7 @@ pub fn rebuilt(
     let sweeps = Sweeps::accurate((3f32.sqrt() * REBUILT_HALF_WIDTH).ceil() as u32);
     extend(&topology, &mut phi, &fixed, sweeps.clamped(REBUILT_HALF_WIDTH));
     drop(fixed);
-    phi.leaves.par_iter_mut().for_each(|leaf| {
+    phi.leaves.par_iter_mut().halved().for_each(|leaf| {
         for phi in &mut leaf.values {
             *phi = phi.clamp(-REBUILT_HALF_WIDTH, REBUILT_HALF_WIDTH);
         }
@@ -222,6 +224,7 @@ fn inside_masks<'a>(
 ) -> Vec<LeafMask> {
     (0..leaf_count)
         .into_par_iter()
+        .halved()
         .map(|leaf| {
             let values = values(leaf);
             LeafMask::from_fn(|offset| is_inside(values[offset]))
@@ -309,7 +312,7 @@ impl<'a> LevelSetLookup<'a> {
     /// The stored values of all leaves of a topology.
     fn values_in(&self, topology: &Topology) -> Field {
         let mut values = Field::splat(topology.len(), 0.0);
-        values.leaves.par_iter_mut().zip(topology.origins()).for_each(|(leaf, &origin)| {
+        values.leaves.par_iter_mut().zip(topology.origins()).halved().for_each(|(leaf, &origin)| {
             *leaf = match self.topology.find(origin) {
                 Some(stored) => Leaf { values: *self.stored_leaf(stored) },
                 None => Leaf::splat(self.value_of_missing(origin)),
@@ -359,7 +362,7 @@ impl<'a> LevelSetLookup<'a> {
     /// these have no distance.
     fn voxel_counts_at_surface(&self) -> [usize; 2] {
         let inside = inside_masks(self.topology.len(), |leaf| self.stored_leaf(leaf));
-        let counts = (0..self.topology.len()).into_par_iter().map(|leaf| {
+        let counts = (0..self.topology.len()).into_par_iter().halved().map(|leaf| {
             let values = self.stored_leaf(leaf);
             let at_surface = at_surface(&inside, &self.topology, leaf);
             let is_clipped = |offset: &usize| !self.is_known(values[*offset]);

@@ -54,6 +54,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::NarrowBand;
 use crate::grid::{Field, LEAVES_PER_TASK, Leaf, LeafMask, Neighborhood, Slab, Topology, vectors_in};
 use crate::simd::{self, Vector, WideKernel};
@@ -103,7 +105,7 @@ pub fn redistance_in(band: &mut NarrowBand, sweeps: Sweeps, scratch: &mut Field)
     scratch.copy_from(&band.phi);
     sweep_outward(&band.topology, [&mut band.phi, scratch], &pinned, sweeps.clamped(band.half_width));
     let half_width = band.half_width;
-    band.phi.leaves.par_iter_mut().for_each(|phi| {
+    band.phi.leaves.par_iter_mut().halved().for_each(|phi| {
         for phi in &mut phi.values {
             *phi = phi.clamp(-half_width, half_width);
         }
@@ -146,11 +148,11 @@ fn sweep_with(
     let neighbors = topology.neighbors();
     // Rows that the last sweep changed; for the first sweep, rows with a known value. If nothing that a row
     // depends on has changed, another sweep would give the same values.
-    let mut changed: Vec<ChangedRows> = fixed.par_iter().map(ChangedRows::of).collect();
+    let mut changed: Vec<ChangedRows> = fixed.par_iter().halved().map(ChangedRows::of).collect();
     let mut changed_next = changed.clone();
     for _ in 0..sweeps.count {
         let leaves = next.leaves.par_iter_mut().zip(&mut changed_next).zip(fixed).enumerate();
-        leaves.with_max_len(LEAVES_PER_TASK).for_each(|(leaf, ((next, changed_next), fixed))| {
+        leaves.with_max_len(LEAVES_PER_TASK).halved().for_each(|(leaf, ((next, changed_next), fixed))| {
             // Rows of fixed voxels never change, and are equal in both fields.
             let free_rows = fixed.complement().occupied_rows();
             let rows = dependent_rows(&changed, &neighbors[leaf], leaf) & free_rows;
@@ -172,7 +174,7 @@ fn pin(band: &NarrowBand, distance: &mut Field) -> Vec<LeafMask> {
     let neighbors = band.topology.neighbors();
     let mut pinned = vec![LeafMask::EMPTY; band.topology.len()];
     let leaves = distance.leaves.par_iter_mut().zip(&mut pinned).enumerate();
-    leaves.with_max_len(LEAVES_PER_TASK).for_each(|(leaf, (distance, pinned))| {
+    leaves.with_max_len(LEAVES_PER_TASK).halved().for_each(|(leaf, (distance, pinned))| {
         let around = Neighborhood::new(&band.phi.leaves, neighbors, leaf);
         simd::dispatch_wide(Pin { around: &around, distance, pinned });
     });

@@ -11,6 +11,8 @@
 
 use glam::IVec3;
 use rayon::prelude::*;
+
+use crate::parallel::Loops as _;
 use rustc_hash::FxHashMap;
 
 use super::{NarrowBand, Sweeps, redistance};
@@ -29,12 +31,13 @@ pub fn widened(band: &NarrowBand, half_width: f32) -> NarrowBand {
     let around = stored
         .par_iter()
         .zip(&band.phi.leaves)
+        .halved()
         .filter(|(_, leaf)| has_surface(band, leaf))
         .flat_map_iter(|(&origin, _)| around(origin));
-    let origins: Vec<IVec3> = stored.par_iter().copied().chain(around).collect();
+    let origins: Vec<IVec3> = stored.par_iter().copied().halved().chain(around).collect();
     let topology = Topology::new(origins);
     let mut phi = Field::splat(topology.len(), half_width);
-    phi.leaves.par_iter_mut().zip(topology.origins()).for_each(|(leaf, &origin)| {
+    phi.leaves.par_iter_mut().zip(topology.origins()).halved().for_each(|(leaf, &origin)| {
         match band.topology.find(origin) {
             Some(index) => *leaf = band.phi.leaves[index],
             None => leaf.values.fill(half_width.copysign(side_of(band, origin))),

@@ -7,6 +7,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::{CHUNK, Mesh};
 
 /// Joins the vertices of one chunk along the edges within the chunk. Overwrites `parents`: each entry becomes
@@ -61,7 +63,7 @@ pub(super) fn join_chunks(mesh: &Mesh, parents: &mut [u32]) -> usize {
         pairs.dedup();
         pairs
     };
-    let pairs: Vec<Vec<[u32; 2]>> = mesh.triangles.par_chunks(CHUNK).map(pairs_of).collect();
+    let pairs: Vec<Vec<[u32; 2]>> = mesh.triangles.par_chunks(CHUNK).halved().map(pairs_of).collect();
     pairs.into_iter().flatten().filter(|&[one, other]| join(parents, one, other)).count()
 }
 

@@ -12,6 +12,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::{CHUNK, Mesh};
 
 /// The triangles of one chunk that touch one chunk of vertices.
@@ -35,7 +37,7 @@ pub(super) struct TouchingTriangles {
 impl TouchingTriangles {
     pub(super) fn new(mesh: &Mesh) -> TouchingTriangles {
         let chunks = mesh.triangles.par_chunks(CHUNK).enumerate();
-        let lists = chunks.map(|(chunk, triangles)| list_of_chunk(triangles, chunk as u32));
+        let lists = chunks.halved().map(|(chunk, triangles)| list_of_chunk(triangles, chunk as u32));
         let (indices, runs): (Vec<_>, Vec<_>) = lists.unzip();
         let mut runs: Vec<CornerRun> = runs.into_iter().flatten().collect();
         runs.par_sort_unstable_by_key(|run| (run.vertex_chunk, run.triangle_chunk));

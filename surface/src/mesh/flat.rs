@@ -24,6 +24,8 @@
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+
+use crate::parallel::Loops as _;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::Mesh;
@@ -112,7 +114,7 @@ fn flat_triangles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<u32> {
         }
         flat
     };
-    triangles.par_chunks(CHUNK).enumerate().flat_map_iter(of_piece).collect()
+    triangles.par_chunks(CHUNK).enumerate().halved().flat_map_iter(of_piece).collect()
 }
 
 /// A mesh under modification, with the neighborhoods of its flat triangles.
@@ -128,13 +130,13 @@ impl<'a> FlatRemoval<'a> {
     fn new(views: Vec<&'a [Vec3]>, triangles: &[[u32; 3]], flat: &[u32], may_fold: bool) -> FlatRemoval<'a> {
         let corners: FxHashSet<u32> = flat.iter().flat_map(|&flat| triangles[flat as usize]).collect();
         let touches = |triangle: &&[u32; 3]| triangle.iter().any(|vertex| corners.contains(vertex));
-        let near: Vec<[u32; 3]> = triangles.par_iter().filter(touches).copied().collect();
+        let near: Vec<[u32; 3]> = triangles.par_iter().halved().filter(touches).copied().collect();
         let mut around: FxHashMap<u32, Vec<u32>> = FxHashMap::default();
         around.extend(near.into_iter().flatten().map(|vertex| (vertex, Vec::new())));
         let is_near =
             |(_, triangle): &(u32, &[u32; 3])| triangle.iter().any(|vertex| around.contains_key(vertex));
         let found: Vec<(u32, &[u32; 3])> =
-            (0..triangles.len() as u32).into_par_iter().zip(triangles).filter(is_near).collect();
+            (0..triangles.len() as u32).into_par_iter().zip(triangles).halved().filter(is_near).collect();
         for (index, triangle) in found {
             for vertex in triangle {
                 if let Some(list) = around.get_mut(vertex) {

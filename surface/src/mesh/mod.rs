@@ -30,6 +30,8 @@ mod vertices;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use crate::simd::{Kernel, Lanes, dispatch};
 use corners::{Corners, TouchingTriangles};
 pub use decimate::{DecimateReport, decimate};
@@ -117,9 +119,10 @@ impl Mesh {
         let touching = TouchingTriangles::new(self);
         let mut parents: Vec<u32> = vec![0; self.positions.len()];
         let chunks = parents.par_chunks_mut(CHUNK).enumerate();
-        let vertices = Sums::in_order(chunks.map_init(Corners::default, |corners, (chunk, parents)| {
-            dispatch(VertexChunk { mesh: self, touching: &touching, chunk, parents, corners })
-        }));
+        let vertices =
+            Sums::in_order(chunks.halved().map_init(Corners::default, |corners, (chunk, parents)| {
+                dispatch(VertexChunk { mesh: self, touching: &touching, chunk, parents, corners })
+            }));
         drop(touching);
         let joined_count = vertices.joined_count + components::join_chunks(self, &mut parents);
         let edge_count = vertices.edge_count as i64;

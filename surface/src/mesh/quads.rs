@@ -14,6 +14,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::Mesh;
 
 /// Number of triangles per task.
@@ -25,7 +27,7 @@ impl Mesh {
     pub fn quads(&self) -> Vec<bool> {
         let count = self.triangles.len();
         let mut quads = vec![false; count];
-        quads.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, quads)| {
+        quads.par_chunks_mut(CHUNK).enumerate().halved().for_each(|(chunk, quads)| {
             for (quad, index) in quads.iter_mut().zip(chunk * CHUNK..) {
                 let next = self.triangles.get(index + 1);
                 *quad = next.is_some_and(|&next| are_halves(self.triangles[index], next));

@@ -15,6 +15,8 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::corners::{Corners, TouchingTriangles};
 use super::{CHUNK, Mesh};
 use crate::interrupt::checkpoint;
@@ -33,7 +35,7 @@ impl Mesh {
             checkpoint();
             let mut smoothed = self.normals.clone();
             let chunks = smoothed.par_chunks_mut(CHUNK).enumerate();
-            chunks.for_each_init(Corners::default, |corners, (chunk, smoothed)| {
+            chunks.halved().for_each_init(Corners::default, |corners, (chunk, smoothed)| {
                 let first = chunk * CHUNK;
                 corners.collect(first as u32, smoothed.len(), touching.triangles(self, chunk));
                 for (index, normal) in smoothed.iter_mut().enumerate() {

@@ -2,6 +2,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::Mesh;
 
 impl Mesh {
@@ -18,7 +20,11 @@ impl Mesh {
                 number
             })
             .collect();
-        self.triangles.par_iter_mut().flatten().for_each(|vertex| *vertex = numbers[*vertex as usize]);
+        self.triangles
+            .par_iter_mut()
+            .halved()
+            .flatten()
+            .for_each(|vertex| *vertex = numbers[*vertex as usize]);
         for column in [&mut self.positions, &mut self.normals] {
             let mut uses = is_used.iter();
             column.retain(|_| uses.next().is_some_and(|&is_used| is_used));

@@ -23,6 +23,8 @@ use std::ops::Range;
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
+
+use crate::parallel::Loops as _;
 use rustc_hash::FxHashMap;
 
 use crate::interrupt::checkpoint;
@@ -71,7 +73,7 @@ impl Neighbors {
         let (mut x, mut y, mut z) = (vec![0.0; count], vec![0.0; count], vec![0.0; count]);
         let mut indices = vec![0; count];
         let axes = x.par_chunks_mut(PIECE).zip(y.par_chunks_mut(PIECE)).zip(z.par_chunks_mut(PIECE));
-        axes.zip(indices.par_chunks_mut(PIECE)).zip(keys.par_chunks(PIECE)).for_each(
+        axes.zip(indices.par_chunks_mut(PIECE)).zip(keys.par_chunks(PIECE)).halved().for_each(
             |((((x, y), z), indices), keys)| {
                 checkpoint();
                 for (slot, &key) in keys.iter().enumerate() {
@@ -174,7 +176,7 @@ fn sorted_keys(particles: &OwnedPositions, cells: &Lattice) -> Vec<CellKey> {
         let (cell, _) = cell_and_offset(particles.position(index as usize), cells)?;
         Some(key_of(cell, index))
     };
-    let mut keys: Vec<CellKey> = (0..count).into_par_iter().filter_map(key).collect();
+    let mut keys: Vec<CellKey> = (0..count).into_par_iter().halved().filter_map(key).collect();
     keys.par_sort_unstable();
     keys
 }

@@ -36,6 +36,8 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::leaf::ObstacleLeaf;
 use crate::grid::{Leaf, ROW_COUNT};
 use crate::level_set::{Bounds, NarrowBand};
@@ -87,7 +89,7 @@ pub fn apply_obstacle_constraint(
         };
         simd::dispatch(ContactKernel { obstacle, void_threshold, phi, lower, upper })
     };
-    fields.map(of_leaf).reduce(ContactStats::default, ContactStats::merge)
+    fields.halved().map(of_leaf).reduce(ContactStats::default, ContactStats::merge)
 }
 
 /// The slope of φ where the filled part ends. A smaller slope leaves voids near the threshold half filled; a

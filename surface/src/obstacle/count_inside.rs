@@ -3,6 +3,8 @@
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::{ObstacleLeaf, Obstacles};
 use crate::grid::{LEAF_EDGE, offset_in_leaf};
 use crate::particles::{ParticleSource, Positions};
@@ -31,7 +33,11 @@ impl Obstacles {
                 }
             })
         };
-        (0..source.batch_count()).into_par_iter().map(of_batch).try_reduce(|| 0, |one, other| Ok(one + other))
+        (0..source.batch_count())
+            .into_par_iter()
+            .halved()
+            .map(of_batch)
+            .try_reduce(|| 0, |one, other| Ok(one + other))
     }
 }
 

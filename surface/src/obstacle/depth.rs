@@ -11,6 +11,8 @@
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::{Obstacle, ObstacleLeaf, ObstacleSdf, Obstacles};
 use crate::grid::{LEAF_EDGE, offset_in_leaf};
 use crate::mesh::Mesh;
@@ -63,7 +65,7 @@ impl Obstacles {
             moved_count: one.moved_count + other.moved_count,
         };
         let vertices = mesh.positions.par_iter_mut().zip(&mut mesh.normals);
-        vertices.map(of_vertex).reduce(DepthStats::default, both)
+        vertices.halved().map(of_vertex).reduce(DepthStats::default, both)
     }
 
     /// How deep a world position is inside an obstacle, in voxels, and the nearest point on the surface of

@@ -19,6 +19,8 @@ use std::ops::Range;
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
+
+use crate::parallel::Loops as _;
 use rustc_hash::FxHashSet;
 
 use super::batch::LeafBatch;
@@ -83,7 +85,8 @@ impl ParticleBins {
             let kept = batches.map(keep).collect::<Result<Vec<_>, _>>()?;
             Ok(KeptParticles::merged(kept))
         };
-        let groups = (0..batch_count.div_ceil(group)).into_par_iter().map(|index| keep_group(index * group));
+        let groups =
+            (0..batch_count.div_ceil(group)).into_par_iter().halved().map(|index| keep_group(index * group));
         let KeptParticles { leaves, starts, positions, shapes } =
             KeptParticles::merged(groups.collect::<Result<Vec<_>, _>>()?);
         let topology =
@@ -267,7 +270,7 @@ fn gather<'a, T: Copy + Send + Sync + 'a>(
         pieces.push((first..last, piece));
         rest = after;
     }
-    pieces.into_par_iter().for_each(|(range, piece)| {
+    pieces.into_par_iter().halved().for_each(|(range, piece)| {
         let (leaves, start) = (&leaves[range.clone()], starts[range.start]);
         let (Some(&first), Some(&last)) = (leaves.first(), leaves.last()) else { return };
         let mut cursors: Vec<usize> = starts[range].iter().map(|leaf_start| leaf_start - start).collect();

@@ -55,6 +55,8 @@ use std::borrow::Cow;
 
 use glam::IVec3;
 use rayon::prelude::*;
+
+use crate::parallel::Loops as _;
 use rustc_hash::FxHashSet;
 
 use super::cover::{Cover, OctantBall};
@@ -166,7 +168,7 @@ impl<'a> Culling<'a> {
             });
             simd::dispatch(Uncovered { covers, around })
         };
-        self.occupied.origins().par_iter().map(kept).collect()
+        self.occupied.origins().par_iter().halved().map(kept).collect()
     }
 
     /// For each leaf, the cells whose particles are kept: all cells if a particle of the leaf may reach a
@@ -181,7 +183,7 @@ impl<'a> Culling<'a> {
             let is_near = steps.iter().any(|&step| measured.contains(&(origin + step)));
             if is_near { LeafMask::FULL } else { LeafMask::EMPTY }
         };
-        self.occupied.origins().par_iter().map(kept).collect()
+        self.occupied.origins().par_iter().halved().map(kept).collect()
     }
 
     /// Leaves whose distances may be needed: the near leaves, and those that may be in the band.
@@ -197,7 +199,7 @@ impl<'a> Culling<'a> {
             };
             (origin, voxels.expanded(radii.band_margin()))
         };
-        let surfaces: Vec<(IVec3, CoordBox)> = self.near.origins().par_iter().map(surface).collect();
+        let surfaces: Vec<(IVec3, CoordBox)> = self.near.origins().par_iter().halved().map(surface).collect();
         let banded = leaves_of_boxes(&surfaces, |origin| regions.swept.contains(origin));
         banded.into_iter().chain(self.near.origins().iter().copied()).collect()
     }
@@ -206,10 +208,10 @@ impl<'a> Culling<'a> {
 /// The leaves of a region.
 fn populated<'a>(topology: &'a Topology, region: &CoordBox) -> Cow<'a, Topology> {
     let is_in = |origin: &&IVec3| region.contains(**origin);
-    if topology.origins().par_iter().all(|origin| is_in(&origin)) {
+    if topology.origins().par_iter().halved().all(|origin| is_in(&origin)) {
         return Cow::Borrowed(topology);
     }
-    Cow::Owned(Topology::new(topology.origins().par_iter().filter(is_in).copied().collect()))
+    Cow::Owned(Topology::new(topology.origins().par_iter().halved().filter(is_in).copied().collect()))
 }
 
 /// The voxels of each leaf that are certainly in a particle. Every particle contains a ball; round ones
@@ -240,7 +242,7 @@ fn covers(
         }
         covers
     };
-    leaves.origins().par_iter().map(cover).collect()
+    leaves.origins().par_iter().halved().map(cover).collect()
 }
 
 /// Collects one value for a leaf and its 26 neighbors.
@@ -265,7 +267,7 @@ fn surrounded(
         };
         of(&covers[leaf]).surrounded(neighbors.map(face))
     };
-    leaves.neighbors().par_iter().enumerate().map(surrounded).collect()
+    leaves.neighbors().par_iter().enumerate().halved().map(surrounded).collect()
 }
 
 /// The leaves of a region with a voxel that may be within r_init of a particle, without the deep leaves.
@@ -287,8 +289,11 @@ fn near_leaves(
     for _ in 0..3 * (reach as u32 + 1).div_ceil(LEAF_EDGE as u32) {
         let all_around =
             |leaf: usize| occupied.neighbors()[leaf].iter().all(|&n| n != NO_LEAF && is_buried[n as usize]);
-        is_buried =
-            (0..occupied.len()).into_par_iter().map(|leaf| is_buried[leaf] && all_around(leaf)).collect();
+        is_buried = (0..occupied.len())
+            .into_par_iter()
+            .halved()
+            .map(|leaf| is_buried[leaf] && all_around(leaf))
+            .collect();
     }
     let reached = |(leaf, &origin): (usize, &IVec3)| {
         if is_buried[leaf] {
@@ -301,11 +306,11 @@ fn near_leaves(
         Some((origin, voxels))
     };
     let reached: Vec<(IVec3, CoordBox)> =
-        occupied.origins().par_iter().enumerate().filter_map(reached).collect();
+        occupied.origins().par_iter().enumerate().halved().filter_map(reached).collect();
     let is_near = |origin| region.contains(origin) && !occupied.find(origin).is_some_and(is_deep);
     let mut near = leaves_of_boxes(&reached, is_near);
     if !scene.obstacles.is_empty() {
-        let deep = occupied.origins().par_iter().enumerate().filter(|(leaf, _)| is_deep(*leaf));
+        let deep = occupied.origins().par_iter().enumerate().halved().filter(|(leaf, _)| is_deep(*leaf));
         let at_obstacle = |&origin: &IVec3| region.contains(origin) && scene.is_at_obstacle(origin);
         near.par_extend(deep.map(|(_, &origin)| origin).filter(at_obstacle));
     }
@@ -333,7 +338,7 @@ pub(super) fn leaves_of_boxes(
         }
         origins.into_iter().filter(|&origin| is_wanted(origin)).collect::<Vec<_>>()
     };
-    boxes.par_chunks(BOXES).flat_map_iter(touched).collect()
+    boxes.par_chunks(BOXES).halved().flat_map_iter(touched).collect()
 }
 
 /// Number of boxes whose leaves are collected together.

@@ -9,6 +9,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::bin::ParticleBins;
 use super::culling::Culling;
 use super::ellipsoid::{BallShape, EllipsoidShape, Primitives};
@@ -154,7 +156,7 @@ impl SphereDistances {
     pub(super) fn inside(&self, sphere: SphereUnion, radii: Radii) -> Vec<LeafMask> {
         let limit = self.level(sphere, radii);
         let below = |leaf| simd::dispatch(Below { leaf, limit });
-        self.field(sphere).leaves.par_iter().map(below).collect()
+        self.field(sphere).leaves.par_iter().halved().map(below).collect()
     }
 
     /// Keeps only these leaves, in order.
@@ -163,7 +165,7 @@ impl SphereDistances {
             SphereDistances::Nearest(nearest) => keep(nearest, kept),
             SphereDistances::Signed { fields, .. } => {
                 // Fields that were taken are empty.
-                let fields = fields.par_iter_mut().filter(|field| !field.leaves.is_empty());
+                let fields = fields.par_iter_mut().halved().filter(|field| !field.leaves.is_empty());
                 fields.for_each(|field| keep(field, kept));
             }
         }

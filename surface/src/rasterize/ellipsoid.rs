@@ -30,6 +30,8 @@ use std::ops::Range;
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::bin::ParticleBins;
 use super::sphere::OUT_OF_REACH;
 use super::{EXACT_MARGIN, Radii};
@@ -154,13 +156,14 @@ impl<F: ParticleShape> Primitives<F> {
             // The value is in 0..256, so the cast is lossless.
             doublings.max(0.0) as u8
         };
-        let class_of: Vec<u8> = (0..bins.len()).into_par_iter().map(class_of).collect();
+        let class_of: Vec<u8> = (0..bins.len()).into_par_iter().halved().map(class_of).collect();
         let mut numbers = class_of.clone();
         numbers.par_sort_unstable();
         numbers.dedup();
         let class = |&number: &u8| {
             checkpoint();
-            let members = (0..bins.len()).into_par_iter().filter(|&particle| class_of[particle] == number);
+            let members =
+                (0..bins.len()).into_par_iter().halved().filter(|&particle| class_of[particle] == number);
             SizeClass::new(bins, radii[0], &members.collect::<Vec<_>>(), &shape)
         };
         Primitives { classes: numbers.iter().map(class).collect(), radii, complete_to }
@@ -231,7 +234,7 @@ impl<F: ParticleShape> SizeClass<F> {
             let shape = shape(particle);
             Primitive { center: bins.local(particle), extents: shape.extents(outermost), shape }
         };
-        let primitives: Vec<Primitive<F>> = members.par_iter().map(primitive).collect();
+        let primitives: Vec<Primitive<F>> = members.par_iter().halved().map(primitive).collect();
         let (mut origins, mut ranges, mut packets) = (Vec::new(), Vec::new(), Vec::new());
         let mut start = 0;
         for (leaf, &origin) in bins.topology.origins().iter().enumerate() {
@@ -245,14 +248,14 @@ impl<F: ParticleShape> SizeClass<F> {
             }
             start = end;
         }
-        let boxes = packets.into_par_iter().map(|packet| boxes_of(&primitives[packet])).collect();
+        let boxes = packets.into_par_iter().halved().map(|packet| boxes_of(&primitives[packet])).collect();
         let class_leaf = |(own, packets): (Range<usize>, Range<usize>)| {
             checkpoint();
             let axes = HalfAxisRange::of(primitives[own.clone()].iter().map(|primitive| primitive.shape));
             ClassLeaf { primitives: own, packets, axes }
         };
-        let leaves = ranges.into_par_iter().map(class_leaf).collect();
-        let reach = primitives.par_iter().map(|primitive| primitive.extents.max_element());
+        let leaves = ranges.into_par_iter().halved().map(class_leaf).collect();
+        let reach = primitives.par_iter().halved().map(|primitive| primitive.extents.max_element());
         let reach = reach.reduce(|| 0.0, f32::max);
         let topology = Topology::new(origins);
         SizeClass { topology, leaves, boxes, primitives, reach, steps: leaf_steps_within(reach) }

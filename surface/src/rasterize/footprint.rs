@@ -15,6 +15,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
+
+use crate::parallel::Loops as _;
 use rustc_hash::FxHashSet;
 
 use super::RasterParams;
@@ -107,7 +109,7 @@ impl OccupiedLeaves {
     fn new(leaf_map: &LeafMap<FootprintLeaf>, cells: &LeafCells) -> OccupiedLeaves {
         let topology = Topology::new(leaf_map.iter().map(|(&origin, _)| origin).collect());
         let of_leaf = |&origin: &IVec3| leaf_map.get(origin).copied().unwrap_or_default();
-        let leaves: Vec<FootprintLeaf> = topology.origins().par_iter().map(of_leaf).collect();
+        let leaves: Vec<FootprintLeaf> = topology.origins().par_iter().halved().map(of_leaf).collect();
         let is_full = leaves.iter().map(|leaf| leaf.cells == cells.all).collect();
         OccupiedLeaves { topology, leaves, is_full }
     }
@@ -123,14 +125,14 @@ impl OccupiedLeaves {
             let around = || self.topology.neighborhood(leaf);
             is_chosen[leaf] && around().iter().all(|&leaf| is_chosen.get(leaf as usize) == Some(&true))
         };
-        (0..self.leaves.len()).into_par_iter().map(is_surrounded).collect()
+        (0..self.leaves.len()).into_par_iter().halved().map(is_surrounded).collect()
     }
 
     /// The area of the surface, in voxel faces.
     fn open_area(&self, cells: &LeafCells) -> usize {
         let cells_of = |leaf: u32| self.leaves.get(leaf as usize).map_or(0, |leaf| leaf.cells);
         let leaves = self.leaves.par_iter().zip(self.topology.neighbors());
-        leaves.map(|(leaf, neighbors)| cells.open_area(leaf.cells, neighbors.map(cells_of))).sum()
+        leaves.halved().map(|(leaf, neighbors)| cells.open_area(leaf.cells, neighbors.map(cells_of))).sum()
     }
 }
 
@@ -166,7 +168,7 @@ pub fn footprint<S: ParticleSource>(
         }
         Ok(())
     };
-    (0..source.batch_count()).into_par_iter().try_for_each(mark_batch)?;
+    (0..source.batch_count()).into_par_iter().halved().try_for_each(mark_batch)?;
     let occupied = OccupiedLeaves::new(&leaf_map.freeze(), &cells);
     let origins = occupied.topology.origins();
     let deep = occupied.surrounded(&occupied.is_full);
@@ -203,7 +205,7 @@ fn leaves_at_obstacles(scene: &RasterParams, occupied: &[IVec3]) -> Vec<IVec3> {
     if scene.obstacles.is_empty() {
         return Vec::new();
     }
-    occupied.par_iter().copied().filter(|&origin| scene.is_at_obstacle(origin)).collect()
+    occupied.par_iter().copied().halved().filter(|&origin| scene.is_at_obstacle(origin)).collect()
 }
 
 /// Estimated area in a leaf that the surface crosses, in voxel faces: 8 × 8 from side to side, and half as
@@ -304,7 +306,7 @@ impl LeafReach {
             reached
         };
         let chunks = origins.par_chunks(LEAVES_PER_SET).zip(leaves.par_chunks(LEAVES_PER_SET));
-        chunks.with_max_len(1).map(reached).flat_map_iter(FxHashSet::into_iter).collect()
+        chunks.with_max_len(1).halved().map(reached).flat_map_iter(FxHashSet::into_iter).collect()
     }
 
     /// All steps of a box.

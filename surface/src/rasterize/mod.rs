@@ -49,6 +49,8 @@ use std::sync::Arc;
 use glam::IVec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 pub use bin::ParticleBins;
 pub use footprint::{Footprint, NearSurface, footprint};
 pub use occupancy::Occupancy;
@@ -294,7 +296,7 @@ fn leaves_near_surface(
     let mut surfaces = crossings(culling, &inside, |origin| culling.is_deep(origin), margin, regions);
     if !scene.obstacles.is_empty() {
         let leaves = inside.par_iter_mut().zip(culling.near.origins());
-        leaves.for_each(|(inside, &origin)| remove_obstacle(inside, &scene.obstacle(origin)));
+        leaves.halved().for_each(|(inside, &origin)| remove_obstacle(inside, &scene.obstacle(origin)));
         let is_deep = |origin| culling.is_deep(origin) && scene.obstacle(origin) != ObstacleLeaf::Inside;
         surfaces.extend(crossings(culling, &inside, is_deep, margin, regions));
     }
@@ -322,7 +324,7 @@ fn crossings(
         let voxels = crossings.bounding_box();
         (!voxels.is_empty() && regions.crossed.contains(origin)).then(|| (origin, voxels.expanded(margin)))
     };
-    culling.near.origins().par_iter().enumerate().filter_map(surface).collect()
+    culling.near.origins().par_iter().enumerate().halved().filter_map(surface).collect()
 }
 
 /// Clears the voxels that are in an obstacle.
@@ -353,7 +355,8 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
             && (is_within(&scene.obstacle_before_offset(origin))
                 || radii.offset != 0.0 && is_within(&scene.obstacle(origin)))
     };
-    let kept: Vec<usize> = (0..topology.len()).into_par_iter().filter(|&leaf| is_banded(leaf)).collect();
+    let kept: Vec<usize> =
+        (0..topology.len()).into_par_iter().halved().filter(|&leaf| is_banded(leaf)).collect();
     if wastes_memory(topology.len(), kept.len()) {
         scratch = Field::default();
     }
@@ -406,7 +409,7 @@ fn keep(field: &mut Field, kept: &[usize]) {
         return;
     }
     if wastes_memory(field.leaves.len(), kept.len()) {
-        field.leaves = kept.par_iter().map(|&leaf| field.leaves[leaf]).collect();
+        field.leaves = kept.par_iter().halved().map(|&leaf| field.leaves[leaf]).collect();
         return;
     }
     for (to, &from) in kept.iter().enumerate() {
@@ -444,7 +447,7 @@ fn sweep_count(half_width: f32) -> u32 {
 fn finish(band: &mut NarrowBand, bounds: &mut Bounds, (inner_from, inner_value): (f32, f32)) {
     let half_width = band.half_width;
     let bounds = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
-    band.phi.leaves.par_iter_mut().zip(bounds).for_each(|(phi, (lower, upper))| {
+    band.phi.leaves.par_iter_mut().zip(bounds).halved().for_each(|(phi, (lower, upper))| {
         simd::dispatch(ClampLeaf { half_width, inner_from, inner_value, phi, lower, upper });
     });
 }

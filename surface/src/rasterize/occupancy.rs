@@ -15,6 +15,8 @@
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::batch::LeafBatch;
 use super::leaf_map::{ConcurrentLeafMap, LeafMap};
 use super::outliers::outlier_leaves;
@@ -138,8 +140,11 @@ impl Occupancy {
             let LeafBatch { dropped_count, beyond_grid, .. } = batch;
             Ok(BatchSummary { voxels, placed_count: batch.len(), dropped_count, beyond_grid })
         };
-        let batches =
-            (0..source.batch_count()).into_par_iter().map(summarize_batch).collect::<Result<Vec<_>, _>>()?;
+        let batches = (0..source.batch_count())
+            .into_par_iter()
+            .halved()
+            .map(summarize_batch)
+            .collect::<Result<Vec<_>, _>>()?;
         let mut occupied = leaf_map.freeze();
         let outliers = outlier_leaves(|| occupied.iter().map(|(&origin, leaf)| (origin, leaf.count)));
         let mut count_of_removed = |&origin: &IVec3| occupied.remove(origin).map_or(0, |leaf| leaf.count);

@@ -9,6 +9,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::distances::{SphereDistances, SphereUnion};
 use super::sphere::OUT_OF_REACH;
 use super::{Radii, sweep_count};
@@ -30,13 +32,13 @@ pub(super) fn signed_distance(
     let known = known_voxels(topology, distances, sphere, radii);
     let mut field = if distances.is_last(sphere) {
         let mut field = distances.take(sphere);
-        field.leaves.par_iter_mut().zip(&known).for_each(|(leaf, known)| {
+        field.leaves.par_iter_mut().zip(&known).halved().for_each(|(leaf, known)| {
             *leaf = simd::dispatch(SignedDistance { values: leaf, known, level });
         });
         field
     } else {
         let of_leaf = |(values, known)| simd::dispatch(SignedDistance { values, known, level });
-        let leaves = distances.field(sphere).leaves.par_iter().zip(&known).map(of_leaf).collect();
+        let leaves = distances.field(sphere).leaves.par_iter().zip(&known).halved().map(of_leaf).collect();
         Field { leaves }
     };
     let half_width = radii.half_width();
@@ -78,7 +80,7 @@ fn known_voxels(
         };
         adjacent.or(&known_outside)
     };
-    (0..topology.len()).into_par_iter().map(known).collect()
+    (0..topology.len()).into_par_iter().halved().map(known).collect()
 }
 
 /// Kernel: the voxels with a value below a limit.

@@ -15,6 +15,8 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::bin::ParticleBins;
 use crate::grid::{Field, LEAF_EDGE, LEAVES_PER_TASK, Leaf, LeafMask, SetBits, Topology, leaf_steps_within};
 use crate::simd::{self, Kernel, Lanes, greatest};
@@ -44,7 +46,9 @@ pub(super) fn nearest_distances<'a>(
             settled: settled(origin),
         })
     };
-    Field { leaves: leaves.origins().par_iter().with_max_len(LEAVES_PER_TASK).map(nearest).collect() }
+    Field {
+        leaves: leaves.origins().par_iter().with_max_len(LEAVES_PER_TASK).halved().map(nearest).collect(),
+    }
 }
 
 /// Eight particles of a leaf: x, y and z, relative to its origin. Unused lanes are infinite.

@@ -174,7 +174,7 @@ impl Distances {
                 |squared: f32| if squared <= reach * reach { squared.sqrt() } else { f32::INFINITY };
             (origin, Leaf { values: squared.values.map(distance) })
         };
-        Distances { leaves: origins.par_iter().map(leaf).collect() }
+        Distances { leaves: origins.par_iter().halved().map(leaf).collect() }
     }
 
     fn at(&self, voxel: IVec3) -> f32 {

@@ -14,6 +14,8 @@
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
+
+use crate::parallel::Loops as _;
 use rustc_hash::FxHashSet;
 
 use super::batch::LeafCoords;
@@ -83,7 +85,7 @@ impl Vicinity {
         let leaves = &occupancy.topology;
         let ball = OctantBall::new(cover_radius);
         let neighborhoods: Vec<[u32; 27]> =
-            (0..leaves.len()).into_par_iter().map(|leaf| leaves.neighborhood(leaf)).collect();
+            (0..leaves.len()).into_par_iter().halved().map(|leaf| leaves.neighborhood(leaf)).collect();
         let octants: Vec<&Octants> = leaves
             .origins()
             .iter()
@@ -94,7 +96,7 @@ impl Vicinity {
             let [covered] = simd::dispatch(Cover { around, balls: [&ball] });
             covered
         };
-        let mut deep: Vec<LeafMask> = neighborhoods.par_iter().map(covered).collect();
+        let mut deep: Vec<LeafMask> = neighborhoods.par_iter().halved().map(covered).collect();
         drop(octants);
         // Leaves with long particles need more depth. Depths are rounded up to a few classes.
         let class_of = |longest: f32| longest.max(1.0).log2().ceil() as u32;
@@ -107,13 +109,14 @@ impl Vicinity {
             let wanted = depth_of(2f32.powi(class as i32));
             deep = shrunk_by_ball(&neighborhoods, deep, wanted - depth);
             depth = depth.max(wanted);
-            let of_class = cells.par_iter_mut().zip(&deep).zip(&longest).filter(|(_, of)| **of == class);
+            let of_class =
+                cells.par_iter_mut().zip(&deep).zip(&longest).halved().filter(|(_, of)| **of == class);
             of_class.for_each(|((cells, deep), _)| *cells = deep.complement());
         }
         drop(deep);
-        let beyond: Vec<LeafMask> = cells.par_iter().map(LeafMask::complement).collect();
+        let beyond: Vec<LeafMask> = cells.par_iter().halved().map(LeafMask::complement).collect();
         let mut around = shrunk(&neighborhoods, beyond, margin);
-        around.par_iter_mut().for_each(|mask| *mask = mask.complement());
+        around.par_iter_mut().halved().for_each(|mask| *mask = mask.complement());
         Ok(Vicinity { occupancy, cells, around, margin })
     }
 
@@ -141,7 +144,7 @@ impl Vicinity {
         let mut count = usize::MAX;
         let across = (2 * margin.max(0) as usize).div_ceil(LEAF_EDGE as usize) + 2;
         for near in near.chunks((LISTED_MAX / across.pow(3)).max(1)) {
-            let all_around: Vec<Vec<IVec3>> = near.par_iter().map(around).collect();
+            let all_around: Vec<Vec<IVec3>> = near.par_iter().halved().map(around).collect();
             for (&leaf, around) in near.iter().zip(all_around) {
                 if count >= particles_max {
                     blocks.push(GatherBlock::default());
@@ -212,7 +215,7 @@ impl Vicinity {
         let batch_count = source.batch_count();
         for first in (0..batch_count).step_by(BATCHES_AT_ONCE) {
             let batches = first..batch_count.min(first + BATCHES_AT_ONCE);
-            for batch in batches.into_par_iter().map(of_batch).collect::<Result<Vec<_>, _>>()? {
+            for batch in batches.into_par_iter().halved().map(of_batch).collect::<Result<Vec<_>, _>>()? {
                 all.sources.extend(batch.sources);
                 all.positions.extend(batch.positions);
                 all.is_own.extend(batch.is_own);
@@ -282,7 +285,7 @@ fn each(
     neighborhoods: &[[u32; 27]],
     of_leaf: impl Fn(&[u32; 27]) -> LeafMask + Send + Sync,
 ) -> Vec<LeafMask> {
-    neighborhoods.par_iter().map(of_leaf).collect()
+    neighborhoods.par_iter().halved().map(of_leaf).collect()
 }
 
 fn mask_of(masks: &[LeafMask], leaf: u32) -> &LeafMask {

@@ -14,6 +14,8 @@ use std::ops::ControlFlow;
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::plan::{FIELD_BYTES, mesh_bytes, smoothing_fields};
 use super::postprocess::{PositionFormat, StoredMesh};
 use super::{FrameSurface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, lattice, postprocess, smooth_config};
@@ -223,7 +225,7 @@ fn crossed_edge_count(band: &NarrowBand) -> usize {
             })
             .sum()
     };
-    (0..inside.len()).into_par_iter().map(crossed).sum()
+    (0..inside.len()).into_par_iter().halved().map(crossed).sum()
 }
 
 fn moved(phi: &Field, by: f32) -> Field {

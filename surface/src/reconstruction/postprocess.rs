@@ -21,6 +21,8 @@ use std::sync::Arc;
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::{RasterParams, lattice};
 use crate::contour;
 use crate::edits::{self, DroppedIslands};
@@ -162,7 +164,8 @@ pub(super) fn finalize<E>(
                 continue;
             }
             let moved_voxels = rounded.as_ref().map_or(0.0, |rounded| {
-                let moved = rounded.par_iter().zip(&mesh.positions).map(|(one, other)| one.distance(*other));
+                let moved =
+                    rounded.par_iter().zip(&mesh.positions).halved().map(|(one, other)| one.distance(*other));
                 f64::from(moved.reduce(|| 0.0, f32::max)) / lattice.voxel_size
             });
             if let Some(rounded) = &mut rounded {

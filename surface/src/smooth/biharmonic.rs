@@ -5,6 +5,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::free_voxels::FreeVoxels;
 use crate::grid::{Field, Leaf, Neighborhood, Topology, vectors_in};
 use crate::simd::{self, Vector, WideKernel};
@@ -15,7 +17,7 @@ pub const EIGENVALUE_MAX: f32 = 144.0;
 /// First application: the Laplacian of `values` in the rows where it is needed, in voxel units.
 pub(super) fn inner_laplacian(topology: &Topology, band: &FreeVoxels, values: &Field, laplacian: &mut Field) {
     let neighbors = topology.neighbors();
-    laplacian.leaves.par_iter_mut().zip(&band.laplacian_rows).enumerate().for_each(
+    laplacian.leaves.par_iter_mut().zip(&band.laplacian_rows).enumerate().halved().for_each(
         |(leaf, (laplacian, &rows))| {
             if rows == 0 {
                 return;

@@ -16,6 +16,8 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::free_voxels::FreeVoxels;
 use crate::grid::{Direction, NO_LEAF, Topology};
 
@@ -37,6 +39,7 @@ impl CacheBlock {
     pub(super) fn all(topology: &Topology, band: &FreeVoxels) -> Vec<CacheBlock> {
         (0..topology.len().div_ceil(BLOCK_LEAVES))
             .into_par_iter()
+            .halved()
             .map(|index| {
                 let first = index * BLOCK_LEAVES;
                 CacheBlock::new(topology, band, first..topology.len().min(first + BLOCK_LEAVES))

@@ -6,6 +6,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::biharmonic::inner_laplacian;
 use super::free_voxels::FreeVoxels;
 use crate::grid::{Field, Leaf, LeafMask, Neighborhood, slabs_in};
@@ -55,7 +57,7 @@ impl Solver {
             *d = *r;
             dot(r, r)
         };
-        sum(self.r.leaves.par_iter_mut().zip(&mut self.d.leaves).enumerate().map(residual))
+        sum(self.r.leaves.par_iter_mut().zip(&mut self.d.leaves).enumerate().halved().map(residual))
     }
 
     /// One iteration from δ = `residual`; updates the band's φ.
@@ -69,7 +71,7 @@ impl Solver {
         self.apply(band, Operand::Direction, laplacian);
         let (d, q) = (&self.d, &self.q);
         // q holds Δt ∇⁴ d: A d = d + q.
-        let curvature = sum(d.leaves.par_iter().zip(&q.leaves).map(|(d, q)| dot(d, d) + dot(d, q)));
+        let curvature = sum(d.leaves.par_iter().zip(&q.leaves).halved().map(|(d, q)| dot(d, d) + dot(d, q)));
         let alpha = (residual / curvature) as f32;
         let met: usize = band
             .phi
@@ -78,6 +80,7 @@ impl Solver {
             .zip(&mut self.r.leaves)
             .zip(&mut self.region.free)
             .enumerate()
+            .halved()
             .map(|(leaf, ((x, r), free))| {
                 advance(
                     x,
@@ -94,9 +97,9 @@ impl Solver {
             self.region.recount_free_rows();
             return SolveOutcome::MetBounds;
         }
-        let residual_now = sum(self.r.leaves.par_iter().map(|r| dot(r, r)));
+        let residual_now = sum(self.r.leaves.par_iter().halved().map(|r| dot(r, r)));
         let beta = (residual_now / residual) as f32;
-        self.d.leaves.par_iter_mut().zip(&self.r.leaves).for_each(|(d, r)| {
+        self.d.leaves.par_iter_mut().zip(&self.r.leaves).halved().for_each(|(d, r)| {
             for (d, r) in d.values.iter_mut().zip(&r.values) {
                 *d = r + beta * *d;
             }
@@ -112,7 +115,7 @@ impl Solver {
         };
         inner_laplacian(&band.topology, &self.region, values, laplacian);
         let (region, step_size) = (&self.region, self.step_size);
-        self.q.leaves.par_iter_mut().enumerate().for_each(|(leaf, q)| {
+        self.q.leaves.par_iter_mut().enumerate().halved().for_each(|(leaf, q)| {
             *q = Leaf::splat(0.0);
             let around = &Neighborhood::new(&laplacian.leaves, band.topology.neighbors(), leaf);
             let (free, free_rows) = (&region.free[leaf], region.free_rows[leaf]);

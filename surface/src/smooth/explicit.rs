@@ -10,6 +10,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::biharmonic::{EIGENVALUE_MAX, inner_laplacian};
 use super::free_voxels::FreeVoxels;
 use super::schedule::Workspace;
@@ -89,7 +91,7 @@ fn advance(
         if own.is_none_or(|own| own[leaf]) { moved_max } else { 0.0 }
     };
     // A maximum does not depend on the order of evaluation, so the result is deterministic.
-    next.leaves.par_iter_mut().enumerate().map(advance).reduce(|| 0.0, f32::max)
+    next.leaves.par_iter_mut().enumerate().halved().map(advance).reduce(|| 0.0, f32::max)
 }
 
 /// Kernel: a step of one leaf.

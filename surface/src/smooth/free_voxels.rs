@@ -11,6 +11,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use crate::grid::{Direction, Field, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::simd::{self, Kernel, Lanes};
 
@@ -33,35 +35,39 @@ impl FreeVoxels {
     /// Like [`new`](Self::new), without the voxels that are pinned.
     pub(super) fn excluding(topology: &Topology, phi: &Field, width: f32, held: &[LeafMask]) -> FreeVoxels {
         let mut free = near(phi, width);
-        free.par_iter_mut().zip(held).for_each(|(free, held)| free.remove_all(held));
+        free.par_iter_mut().zip(held).halved().for_each(|(free, held)| free.remove_all(held));
         FreeVoxels::of(topology, free)
     }
 
     /// Uses exactly these free voxels.
     pub(super) fn of(topology: &Topology, free: Vec<LeafMask>) -> FreeVoxels {
         let neighbors = topology.neighbors();
-        let laplacian_rows =
-            (0..free.len()).into_par_iter().map(|leaf| dilated_rows(&free, &neighbors[leaf], leaf)).collect();
-        let free_rows = free.par_iter().map(LeafMask::occupied_rows).collect();
+        let laplacian_rows = (0..free.len())
+            .into_par_iter()
+            .halved()
+            .map(|leaf| dilated_rows(&free, &neighbors[leaf], leaf))
+            .collect();
+        let free_rows = free.par_iter().halved().map(LeafMask::occupied_rows).collect();
         FreeVoxels { free, free_rows, laplacian_rows }
     }
 
     /// Updates `free_rows` after voxels were removed from `free`. `laplacian_rows` need not change: extra
     /// rows cost only time.
     pub(super) fn recount_free_rows(&mut self) {
-        self.free_rows = self.free.par_iter().map(LeafMask::occupied_rows).collect();
+        self.free_rows = self.free.par_iter().halved().map(LeafMask::occupied_rows).collect();
     }
 
     /// Number of free voxels in all leaves, or in those that are `own`.
     pub(super) fn free_count(&self, own: Option<&[bool]>) -> u64 {
-        let counted = self.free.par_iter().enumerate().filter(|(leaf, _)| own.is_none_or(|own| own[*leaf]));
+        let counted =
+            self.free.par_iter().enumerate().halved().filter(|(leaf, _)| own.is_none_or(|own| own[*leaf]));
         counted.map(|(_, mask)| u64::from(mask.count())).sum()
     }
 }
 
 /// The voxels with |φ| ≤ `width`.
 pub(super) fn near(phi: &Field, width: f32) -> Vec<LeafMask> {
-    phi.leaves.par_iter().map(|leaf| simd::dispatch(NearZero { leaf, width })).collect()
+    phi.leaves.par_iter().halved().map(|leaf| simd::dispatch(NearZero { leaf, width })).collect()
 }
 
 /// The voxels of a leaf with |φ| ≤ `width`.

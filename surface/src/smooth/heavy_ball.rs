@@ -49,6 +49,8 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::biharmonic::{EIGENVALUE_MAX, Laplacian};
 use super::cache_block::CacheBlock;
 use super::free_voxels::FreeVoxels;
@@ -134,12 +136,14 @@ impl HeavyBall<'_> {
         let together = count_until(thin_end);
         let voxel_update_count = self.pass(&region, &thick, together);
         let alone = count_until(thick_end) - together;
-        if alone == 0 || thick.par_iter().all(LeafMask::is_empty) {
+        if alone == 0 || thick.par_iter().halved().all(LeafMask::is_empty) {
             return voxel_update_count;
         }
         // Voxels that stop being updated must have the same value in both buffers.
         let fields = self.previous.leaves.par_iter_mut().zip(&self.band.phi.leaves).zip(&thick);
-        fields.for_each(|((previous, phi), thick)| simd::dispatch(CopyFrozen { previous, phi, thick }));
+        fields
+            .halved()
+            .for_each(|((previous, phi), thick)| simd::dispatch(CopyFrozen { previous, phi, thick }));
         voxel_update_count + self.pass(&FreeVoxels::of(&topology, thick.clone()), &thick, alone)
     }
 
@@ -147,7 +151,7 @@ impl HeavyBall<'_> {
     fn predict(&mut self, region: &FreeVoxels, repetition: f32) {
         let fields = self.band.phi.leaves.par_iter_mut().zip(&mut self.start.leaves);
         let bounds = self.bounds.lower.leaves.par_iter().zip(&self.bounds.upper.leaves);
-        fields.zip(&mut self.previous.leaves).zip(bounds).zip(&region.free).for_each(
+        fields.zip(&mut self.previous.leaves).zip(bounds).zip(&region.free).halved().for_each(
             |((((phi, start), previous), (lower, upper)), free)| {
                 simd::dispatch(Predict { phi, start, bounds: [lower, upper], free, repetition });
                 *previous = *phi;
@@ -167,8 +171,11 @@ impl HeavyBall<'_> {
             let (start, current, bounds) = (&*self.start, &self.band.phi, self.bounds);
             let fields = Fields { topology: &topology, region, thick, start, current, bounds };
             let params = &self.params;
-            pair_with_leaves(&blocks, &mut self.previous.leaves).into_par_iter().with_max_len(1).for_each(
-                |(block, previous)| {
+            pair_with_leaves(&blocks, &mut self.previous.leaves)
+                .into_par_iter()
+                .with_max_len(1)
+                .halved()
+                .for_each(|(block, previous)| {
                     SCRATCH.with_borrow_mut(|laplacians| {
                         simd::dispatch_wide(BlockPass {
                             fields: &fields,
@@ -178,8 +185,7 @@ impl HeavyBall<'_> {
                             previous,
                         });
                     });
-                },
-            );
+                });
             std::mem::swap(&mut self.band.phi, self.previous);
         }
         region.free_count(self.own) * u64::from(count)

@@ -5,6 +5,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use crate::grid::{Field, LEAVES_PER_TASK, Leaf, Neighborhood, vectors_in};
 use crate::level_set::{Bounds, NarrowBand};
 use crate::simd::{self, Vector, WideKernel};
@@ -22,11 +24,13 @@ pub(super) fn smooth_laplacian(
 ) {
     let topology = band.topology.clone();
     for _ in 0..step_count {
-        next.leaves.par_iter_mut().enumerate().with_max_len(LEAVES_PER_TASK).for_each(|(leaf, next)| {
-            let around = Neighborhood::new(&band.phi.leaves, topology.neighbors(), leaf);
-            let bounds = [&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]];
-            simd::dispatch_wide(LaplacianStep { around: &around, bounds, step_size, next });
-        });
+        next.leaves.par_iter_mut().enumerate().with_max_len(LEAVES_PER_TASK).halved().for_each(
+            |(leaf, next)| {
+                let around = Neighborhood::new(&band.phi.leaves, topology.neighbors(), leaf);
+                let bounds = [&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]];
+                simd::dispatch_wide(LaplacianStep { around: &around, bounds, step_size, next });
+            },
+        );
         std::mem::swap(&mut band.phi, next);
     }
 }

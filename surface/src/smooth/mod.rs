@@ -30,6 +30,8 @@ use std::ops::ControlFlow;
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use crate::grid::Field;
 use crate::level_set::{Bounds, NEAREST_TO_ZERO, NarrowBand};
 use crate::words::word_enum;
@@ -130,7 +132,7 @@ pub fn smooth_while<B>(
 /// Moves values away from zero, unless the bounds require values that small.
 fn keep_off_zero(phi: &mut Field, bounds: &Bounds) {
     let bounds = bounds.lower.leaves.par_iter().zip(&bounds.upper.leaves);
-    phi.leaves.par_iter_mut().zip(bounds).for_each(|(phi, (lower, upper))| {
+    phi.leaves.par_iter_mut().zip(bounds).halved().for_each(|(phi, (lower, upper))| {
         for ((phi, lower), upper) in phi.values.iter_mut().zip(&lower.values).zip(&upper.values) {
             if phi.abs() < NEAREST_TO_ZERO {
                 *phi = NEAREST_TO_ZERO.copysign(*phi).max(*lower).min(*upper);

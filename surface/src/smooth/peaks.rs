@@ -33,6 +33,8 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::free_voxels::near;
 use super::thickness::with_neighbors;
 use crate::grid::{Field, LeafMask, Neighborhood, Topology, offset_in_leaf, voxel_in_leaf};
@@ -63,13 +65,14 @@ pub(super) const PEAK_REACH: u32 = PINNED_AROUND as u32 + SHELL_REACH as u32;
 /// to 0.24 voxels too far out around the smallest balls.
 pub(super) fn pinned_peaks(topology: &Topology, phi: &Field) -> Vec<LeafMask> {
     let mut pinned = peaks(topology, phi);
-    if pinned.par_iter().any(|peaks| !peaks.is_empty()) {
+    if pinned.par_iter().halved().any(|peaks| !peaks.is_empty()) {
         for _ in 0..PINNED_AROUND {
             pinned = with_neighbors(topology, &pinned, &[0, 1, 2], 1, LeafMask::or);
         }
         pinned
             .par_iter_mut()
             .zip(near(phi, DEPTHS[0]))
+            .halved()
             .for_each(|(pinned, adjacent)| pinned.remove_all(&adjacent));
     }
     pinned
@@ -87,7 +90,7 @@ fn peaks(topology: &Topology, phi: &Field) -> Vec<LeafMask> {
         }
         peaks
     };
-    (0..topology.len()).into_par_iter().map(peaks_in_leaf).collect()
+    (0..topology.len()).into_par_iter().halved().map(peaks_in_leaf).collect()
 }
 
 /// Steps in all directions, about three voxels long.

@@ -19,6 +19,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use crate::grid::{LeafMask, NO_LEAF, Topology};
 
 /// Voxels within this distance of a deep one, per axis, count as thick. Deep voxels are more than four from
@@ -34,13 +36,13 @@ pub(super) fn thick(topology: &Topology, free: &[LeafMask]) -> Vec<LeafMask> {
     for axes in [&[0, 1, 2][..], &[0], &[1], &[2], &[0, 1, 2], &[0], &[1], &[2]] {
         left = with_neighbors(topology, &left, axes, 1, LeafMask::and);
     }
-    if left.par_iter().all(LeafMask::is_empty) {
+    if left.par_iter().halved().all(LeafMask::is_empty) {
         return left;
     }
     for axis in 0..3 {
         left = with_neighbors(topology, &left, &[axis], AROUND_DEEP, LeafMask::or);
     }
-    left.par_iter().zip(free).map(|(near_deep, free)| near_deep.and(free)).collect()
+    left.par_iter().zip(free).halved().map(|(near_deep, free)| near_deep.and(free)).collect()
 }
 
 /// Joins each mask with copies of itself shifted along these axes, in both directions and by up to `steps`.
@@ -66,7 +68,7 @@ pub(super) fn with_neighbors(
         }
         all
     };
-    masks.par_iter().enumerate().map(joined).collect()
+    masks.par_iter().enumerate().halved().map(joined).collect()
 }
 
 #[cfg(test)]

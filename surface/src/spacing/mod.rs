@@ -27,6 +27,8 @@ mod tree;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use crate::particles::Positions;
 
 pub use bounded::SourceSample;
@@ -83,7 +85,7 @@ pub fn estimate_spacing<'a>(positions: impl Into<Positions<'a>>) -> Option<Spaci
     let sample = sample(&points, SAMPLE_COUNT);
     let tree = KdNode::build(&mut points);
     let measure = |&point: &DVec3| Local::among(&tree.neighbors(point, NEIGHBOR_COUNT));
-    let locals: Vec<Local> = sample.par_iter().filter_map(measure).collect();
+    let locals: Vec<Local> = sample.par_iter().halved().filter_map(measure).collect();
 
     let spacing = combine(&locals).filter(|spacing| spacing.is_finite() && *spacing > 0.0)?;
     let agrees = |local: &&Local| (local.spacing() - spacing).abs() <= AGREEMENT * spacing;

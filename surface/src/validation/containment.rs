@@ -14,6 +14,8 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::distances::is_inside_one;
 use super::mesh_cells::{corner, with_all_corners};
 use super::particle_checks::CheckedRegion;
@@ -29,7 +31,7 @@ pub(super) fn particles_outside(part: &CheckedRegion) -> (Vec<(IVec3, Vec3)>, us
     let shaped = ShapedParticles::of(part.bins);
     let shaped = shaped.as_ref();
     let origins = part.bins.topology.origins().par_iter().enumerate();
-    let owned = origins.filter(|(_, origin)| part.owned.contains(**origin));
+    let owned = origins.halved().filter(|(_, origin)| part.owned.contains(**origin));
     let found = owned.map(|(leaf, &origin)| dispatch(LeafParticles { part, leaf, origin }));
     let found: Vec<Undecided> = found.collect();
     let exempt_count = found.iter().map(|found| found.exempt_count).sum();

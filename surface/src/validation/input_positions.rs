@@ -15,6 +15,8 @@
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::mesh_cells::corner;
 use super::{ExclusionMask, ParticlesOutside};
 use crate::grid::{Field, LEAF_EDGE, Topology, offset_in_leaf};
@@ -77,7 +79,7 @@ pub fn possibly_outside<S: ParticleSource>(
         doubtful.shrink_to_fit();
         Ok(doubtful)
     };
-    (0..source.batch_count()).into_par_iter().map(of_batch).collect()
+    (0..source.batch_count()).into_par_iter().halved().map(of_batch).collect()
 }
 
 /// How many of these input positions are outside a surface with this offset in voxels, and how far.
@@ -92,6 +94,7 @@ pub fn count_inputs_outside(
     };
     batches
         .par_iter()
+        .halved()
         .flatten()
         .fold(OutsideCount::default, count)
         .reduce(OutsideCount::default, OutsideCount::merge)
@@ -114,7 +117,7 @@ pub fn count_inputs_outside_of_source<S: ParticleSource>(
             sum.merge(particle.count_outside((band, offset), exempt))
         }))
     };
-    let batches = (0..source.batch_count()).into_par_iter().map(of_batch);
+    let batches = (0..source.batch_count()).into_par_iter().halved().map(of_batch);
     let sum = batches.try_reduce(OutsideCount::default, |one, other| Ok(one.merge(other)))?;
     Ok(sum.in_world(lattice))
 }

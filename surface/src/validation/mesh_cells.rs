@@ -21,6 +21,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
+
+use crate::parallel::Loops as _;
 use rustc_hash::FxHashSet;
 
 use crate::grid::{LEAF_EDGE, LeafMask, Topology, negative_masks, offset_in_leaf, voxel_in_leaf};
@@ -55,7 +57,7 @@ impl MeshCells {
     pub fn new(mesh: &Mesh, band: &NarrowBand, lattice: &Lattice) -> MeshCells {
         let topology = &*band.topology;
         let masks: Vec<[AtomicU64; 8]> = (0..topology.len()).map(|_| Default::default()).collect();
-        mesh.triangles.par_chunks(CHUNK).for_each(|triangles| {
+        mesh.triangles.par_chunks(CHUNK).halved().for_each(|triangles| {
             checkpoint();
             let mut marker = Marker { topology, masks: &masks, found: None };
             for &triangle in triangles {
@@ -66,7 +68,7 @@ impl MeshCells {
         let touched = touched.map(|words| LeafMask { words: words.map(AtomicU64::into_inner) }).collect();
         let signs = negative_masks(&band.phi);
         let mut cells = MeshCells { touched, signs, leaking: FxHashSet::default() };
-        let leaks = topology.origins().par_iter().filter(|&&origin| cells.leaks(topology, origin));
+        let leaks = topology.origins().par_iter().halved().filter(|&&origin| cells.leaks(topology, origin));
         let leaks: Vec<IVec3> = leaks.copied().collect();
         let around = |origin: &IVec3| {
             let origin = *origin;

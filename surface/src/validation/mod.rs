@@ -34,6 +34,8 @@ mod surfaces;
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 pub use bound_violations::BoundViolation;
 pub use input_positions::{
     MovedParticle, count_inputs_outside, count_inputs_outside_of_source, possibly_outside,
@@ -244,7 +246,11 @@ impl DistanceLimits {
 
 /// Half the distance between adjacent 32-bit numbers at the farthest position, in voxels.
 fn position_rounding(mesh: &Mesh, lattice: &Lattice) -> f64 {
-    let farthest =
-        mesh.positions.par_iter().map(|position| position.abs().max_element()).reduce(|| 0.0, f32::max);
+    let farthest = mesh
+        .positions
+        .par_iter()
+        .halved()
+        .map(|position| position.abs().max_element())
+        .reduce(|| 0.0, f32::max);
     f64::from(farthest.next_up() - farthest) / 2.0 / lattice.voxel_size
 }

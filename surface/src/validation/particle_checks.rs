@@ -12,6 +12,8 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::{BoundViolation, ExclusionMask, MeshCells, containment, distances};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
@@ -108,7 +110,7 @@ pub fn check(part: &CheckedRegion) -> (ParticleChecks, Vec<BoundViolation>) {
     let (vertices, violations) = distances::check_vertices(part);
     let (outside, particles_exempt) = containment::particles_outside(part);
     let depth = |&(origin, local): &(IVec3, Vec3)| containment::depth_outside(part.band, origin, local);
-    let deepest_outside = outside.par_iter().map(depth).reduce(|| 0.0, f32::max);
+    let deepest_outside = outside.par_iter().halved().map(depth).reduce(|| 0.0, f32::max);
     let checks =
         ParticleChecks { particles_outside: outside.len(), deepest_outside, particles_exempt, ..vertices };
     (checks, violations)

@@ -12,6 +12,8 @@
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
+
+use crate::parallel::Loops as _;
 use rustc_hash::FxHashMap;
 
 use super::containment::is_voxel_inside;
@@ -45,7 +47,7 @@ pub(super) fn not_enclosed(
         return Vec::new();
     }
     let ray = |&(origin, local): &(IVec3, Vec3)| AxisRay::new(part, shaped, origin, local);
-    let rays: Vec<Option<AxisRay>> = particles.par_iter().map(ray).collect();
+    let rays: Vec<Option<AxisRay>> = particles.par_iter().halved().map(ray).collect();
     let mut leaves: Vec<IVec3> = rays.iter().flatten().flat_map(AxisRay::leaves).collect();
     leaves.par_sort_unstable_by_key(|leaf| leaf.to_array());
     leaves.dedup();
@@ -54,7 +56,7 @@ pub(super) fn not_enclosed(
         checkpoint();
         ray.is_some_and(|ray| ray.is_inside(part, &triangles))
     };
-    let outside = rays.par_iter().zip(particles).filter(|(ray, _)| !is_inside(ray));
+    let outside = rays.par_iter().zip(particles).halved().filter(|(ray, _)| !is_inside(ray));
     outside.map(|(_, particle)| *particle).collect()
 }
 
@@ -167,6 +169,7 @@ impl TrianglesByLeaf {
         let leaf_indices: FxHashMap<IVec3, u32> = leaves.iter().copied().zip(0..).collect();
         let pieces = part.mesh.triangles.par_chunks(CHUNK).enumerate();
         let mut triangles: Vec<(u32, u32)> = pieces
+            .halved()
             .flat_map_iter(|(piece, triangles)| {
                 let mut found = Vec::new();
                 for (&triangle, index) in triangles.iter().zip((piece * CHUNK) as u32..) {

@@ -40,6 +40,8 @@ mod rings;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::Mesh;
 use crate::interrupt::checkpoint;
 use collapse::{Collapse, VertexStar};
@@ -88,7 +90,7 @@ pub fn decimate(mesh: &mut Mesh, error_world: f64) -> DecimateReport {
     }
     let Decimation { rings, bounds, .. } = thinning;
     let before = (mesh.positions.len(), mesh.triangles.len());
-    let bound = bounds.par_iter().copied().reduce(|| 0.0, f32::max);
+    let bound = bounds.par_iter().copied().halved().reduce(|| 0.0, f32::max);
     mesh.triangles = rings.triangles(mesh);
     mesh.drop_unused_vertices();
     DecimateReport {
@@ -133,6 +135,7 @@ impl<'a> Decimation<'a> {
         self.evaluate_dirty(limit);
         let chosen: Vec<Vec<u32>> = (0..self.best.len().div_ceil(CHUNK))
             .into_par_iter()
+            .halved()
             .map(|chunk| self.selected_in_chunk(chunk, limit))
             .collect();
         for vertex in chosen.into_iter().flatten() {
@@ -173,7 +176,8 @@ impl<'a> Decimation<'a> {
             let is_in_reach = patch.bound <= limit;
             is_in_reach.then(|| patch.best_collapse(&self.rings))
         };
-        let found: Vec<Option<Collapse>> = dirty.par_iter().with_min_len(CHUNK).map(find_collapse).collect();
+        let found: Vec<Option<Collapse>> =
+            dirty.par_iter().with_min_len(CHUNK).halved().map(find_collapse).collect();
         for (vertex, found) in dirty.into_iter().zip(found) {
             let index = vertex as usize;
             self.best[index] = found.unwrap_or(Collapse { bound: NEVER, target: 0 });

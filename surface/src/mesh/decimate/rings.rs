@@ -15,6 +15,8 @@
 
 use rayon::prelude::*;
 
+use crate::parallel::Loops as _;
+
 use super::super::corners::{Corners, TouchingTriangles};
 use super::super::{CHUNK, Mesh};
 
@@ -59,7 +61,8 @@ impl Rings {
         }
         let neighbors = chunks.into_iter().flat_map(|(neighbors, _)| neighbors).collect();
         let has_ring = |vertex: &u32| spans[*vertex as usize].length > 0;
-        let locked = mesh.triangles.par_iter().filter(|triangle| !triangle.iter().any(has_ring)).copied();
+        let locked =
+            mesh.triangles.par_iter().halved().filter(|triangle| !triangle.iter().any(has_ring)).copied();
         let locked = locked.collect();
         Rings { neighbors, spans, locked }
     }
@@ -141,7 +144,7 @@ impl Rings {
     /// The triangles. Each is taken from the ring of its first vertex that has one.
     pub(super) fn triangles(&self, mesh: &Mesh) -> Vec<[u32; 3]> {
         let vertices = (0..mesh.positions.len() as u32).into_par_iter();
-        let of_rings = vertices.flat_map_iter(|vertex| {
+        let of_rings = vertices.halved().flat_map_iter(|vertex| {
             let ring = self.of(vertex);
             let is_before = move |other: u32| other < vertex && !self.of(other).is_empty();
             let corners = (0..ring.len()).map(move |index| [ring[index], ring[(index + 1) % ring.len()]]);
