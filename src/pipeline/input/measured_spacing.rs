@@ -20,7 +20,7 @@ use meniscus_formats::csv;
 use serde::{Deserialize, Serialize};
 
 use crate::surface::options::{self, PerParticleRadius};
-use crate::surface::particles::{Attribute, Role};
+use crate::surface::particles::{Attribute, Role, erased};
 use crate::surface::spacing::{
     CONFIDENCE_MIN, SequenceEstimate, SourceSample, SpacingEstimate, combine_estimates, estimate_spacing,
     median, rounded,
@@ -242,8 +242,9 @@ fn measured(
         {
             let failed = |cause| FrameError { path: path.to_owned(), during: Stage::Read, cause };
             let particles = FrameInput::OnDisk(Box::new(particles));
-            let sample = SourceSample::of(&particles, particles.len()).map_err(failed)?;
-            let estimate = sample.estimate(&particles).map_err(failed)?;
+            let estimate =
+                erased(&particles, |source| SourceSample::of(source, particles.len())?.estimate(source));
+            let estimate = estimate.map_err(failed)?;
             let of_estimate = |estimate| FrameSpacing {
                 path: path.to_owned(),
                 estimate,

@@ -7,7 +7,7 @@ use crate::parallel::Loops as _;
 
 use super::{ObstacleLeaf, Obstacles};
 use crate::grid::{LEAF_EDGE, offset_in_leaf};
-use crate::particles::{ParticleSource, Positions};
+use crate::particles::{AnySource, Positions, Unread};
 use crate::space::Lattice;
 
 impl Obstacles {
@@ -15,12 +15,12 @@ impl Obstacles {
     ///
     /// # Errors
     /// Those of the source.
-    pub fn count_inside<S: ParticleSource>(
+    pub fn count_inside(
         &self,
-        source: &S,
+        source: &AnySource<'_>,
         lattice: &Lattice,
         half_width: f32,
-    ) -> Result<usize, S::Error> {
+    ) -> Result<usize, Unread> {
         let of_batch = |batch: usize| {
             let mut known = LastLeaf { obstacles: self, lattice, half_width, last: None };
             Ok(match source.batch(batch)? {

@@ -9,6 +9,7 @@
 //! a [`ParticleSource`] may be a file that is larger than the memory.
 
 mod attributes;
+mod erased;
 mod shapes;
 
 use std::borrow::Cow;
@@ -19,6 +20,7 @@ use glam::DVec3;
 
 pub(crate) use attributes::scale_numbers;
 pub use attributes::{Attribute, AttributeValues, Role, find_attribute};
+pub use erased::{AnySource, Unread, erased};
 pub use shapes::{Ellipsoid, Shapes};
 
 /// Particle positions in world units, in the precision of the input.

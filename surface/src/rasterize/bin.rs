@@ -29,7 +29,7 @@ use super::occupancy::Occupancy;
 use super::region::{Regions, meet};
 use crate::grid::{LeafMask, Topology, offset_in_leaf};
 use crate::interrupt::checkpoint;
-use crate::particles::{Ellipsoid, ParticleSource, Shapes};
+use crate::particles::{AnySource, Ellipsoid, Shapes, Unread};
 use crate::space::Lattice;
 
 /// The particles that can affect the surface, sorted by leaf.
@@ -64,13 +64,13 @@ impl ParticleBins {
     ///
     /// # Errors
     /// Returns the source's error if a batch cannot be read.
-    pub(super) fn new<S: ParticleSource>(
-        source: &S,
+    pub(super) fn new(
+        source: &AnySource<'_>,
         lattice: &Lattice,
         occupancy: &Occupancy,
         culling: &Culling,
         regions: &Regions,
-    ) -> Result<ParticleBins, S::Error> {
+    ) -> Result<ParticleBins, Unread> {
         let keep = |batch: usize| {
             if !meet(&occupancy.batches[batch].voxels, &regions.populated) {
                 return Ok(KeptParticles::default());

@@ -24,7 +24,7 @@ use super::batch::LeafBatch;
 use super::leaf_map::{ConcurrentLeafMap, LeafMap};
 use super::spread::spread;
 use crate::grid::{LEAF_EDGE, Topology};
-use crate::particles::ParticleSource;
+use crate::particles::{AnySource, Unread};
 
 /// Estimated counts of leaves and particles.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -141,17 +141,17 @@ impl OccupiedLeaves {
 ///
 /// # Errors
 /// Returns the source's error if a batch cannot be read.
-pub fn footprint<S: ParticleSource>(
-    source: &S,
+pub fn footprint(
+    source: &AnySource<'_>,
     scene: &RasterParams,
     shaped: Option<NearSurface>,
-) -> Result<Footprint, S::Error> {
+) -> Result<Footprint, Unread> {
     let RasterParams { lattice, radii, .. } = scene;
     let near = LeafReach::new(radii.init * radii.band_scale + radii.half_width());
     let cells = LeafCells::new(radii.init);
     let leaf_map: ConcurrentLeafMap<FootprintLeaf> = ConcurrentLeafMap::new();
     let dropped_count = AtomicUsize::new(0);
-    let mark_batch = |batch: usize| -> Result<(), S::Error> {
+    let mark_batch = |batch: usize| -> Result<(), Unread> {
         let batch = LeafBatch::new(&source.batch(batch)?, lattice, false);
         dropped_count.fetch_add(batch.dropped_count, Ordering::Relaxed);
         for (origin, locals) in batch.leaves() {
@@ -375,6 +375,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
+    use crate::particles::erased;
     use crate::obstacle::{MeshSdf, Obstacle, ObstacleSdf, Obstacles};
     use crate::particles::OwnedPositions;
     use crate::rasterize::{Radii, rasterize};
@@ -401,7 +402,7 @@ mod tests {
         for (counts, every) in scenes {
             let particles = scattered(counts, every);
             let Ok(Footprint { surface, near_particle_count, .. }) =
-                footprint(&particles, &RasterParams::open(LATTICE, RADII), None);
+                erased(&particles, |source| footprint(source, &RasterParams::open(LATTICE, RADII), None));
             let Ok(rasterized) = rasterize(&particles, &RasterParams::open(LATTICE, RADII));
             let (found, real) = (surface.len(), rasterized.band.topology.len());
             let ratio = found as f64 / real as f64;
@@ -429,7 +430,7 @@ mod tests {
         for radius in [10.0, 25.0] {
             let obstacles = octahedron(radius);
             let scene = RasterParams { obstacles: &obstacles, ..RasterParams::open(LATTICE, RADII) };
-            let Ok(Footprint { surface, .. }) = footprint(&particles, &scene, None);
+            let Ok(Footprint { surface, .. }) = erased(&particles, |source| footprint(source, &scene, None));
             let Ok(rasterized) = rasterize(&particles, &scene);
             let ratio = surface.len() as f64 / rasterized.band.topology.len() as f64;
             assert!((1.0..1.7).contains(&ratio), "{ratio:.2} times the leaves around {radius}");
@@ -439,13 +440,17 @@ mod tests {
     #[test]
     fn footprint_area_counts_open_cell_faces() {
         // A block that fills 3 × 3 × 3 leaves, and an isolated particle in a cell of 4 voxels.
-        let Ok(block) = footprint(&scattered([12, 12, 12], 1), &RasterParams::open(LATTICE, RADII), None);
+        let Ok(block) = erased(&scattered([12, 12, 12], 1), |source| {
+            footprint(source, &RasterParams::open(LATTICE, RADII), None)
+        });
         assert_eq!(block.area_voxels, 6 * 24 * 24);
-        let Ok(particle) =
-            footprint(&OwnedPositions::F32(vec![[100.5; 3]]), &RasterParams::open(LATTICE, RADII), None);
+        let Ok(particle) = erased(&OwnedPositions::F32(vec![[100.5; 3]]), |source| {
+            footprint(source, &RasterParams::open(LATTICE, RADII), None)
+        });
         assert_eq!(particle.area_voxels, 6 * 4 * 4);
-        let Ok(nothing) =
-            footprint(&OwnedPositions::F32(vec![[f32::NAN; 3]]), &RasterParams::open(LATTICE, RADII), None);
+        let Ok(nothing) = erased(&OwnedPositions::F32(vec![[f32::NAN; 3]]), |source| {
+            footprint(source, &RasterParams::open(LATTICE, RADII), None)
+        });
         assert_eq!(nothing, Footprint { dropped_count: 1, ..Footprint::default() });
     }
 }

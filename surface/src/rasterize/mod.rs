@@ -59,7 +59,7 @@ pub use vicinity::{GatherBlock, Gathered, Vicinity};
 use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::level_set::{Bounds, NarrowBand};
 use crate::obstacle::{ContactStats, ObstacleLeaf, Obstacles, apply_obstacle_constraint};
-use crate::particles::ParticleSource;
+use crate::particles::{AnySource, ParticleSource, Unread, erased};
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::{CoordBox, Lattice};
 use culling::{Culling, leaves_of_boxes};
@@ -218,6 +218,11 @@ pub struct RasterFields {
 /// # Errors
 /// Returns the source's error if a batch cannot be read.
 pub fn rasterize<S: ParticleSource>(source: &S, scene: &RasterParams) -> Result<RasterFields, S::Error> {
+    erased(source, |source| rasterize_any(source, scene))
+}
+
+/// Like [`rasterize()`].
+pub(crate) fn rasterize_any(source: &AnySource<'_>, scene: &RasterParams) -> Result<RasterFields, Unread> {
     let occupancy = Occupancy::new(source, &scene.lattice)?;
     let regions = Regions::new(CoordBox::ALL, scene.radii, occupancy.longest());
     let measured = measure(source, &occupancy, scene, &regions)?;
@@ -230,12 +235,12 @@ pub fn rasterize<S: ParticleSource>(source: &S, scene: &RasterParams) -> Result<
 ///
 /// # Errors
 /// Returns the source's error if a batch cannot be read.
-pub fn rasterize_window<S: ParticleSource>(
-    source: &S,
+pub fn rasterize_window(
+    source: &AnySource<'_>,
     occupancy: &Occupancy,
     scene: &RasterParams,
     window: CoordBox,
-) -> Result<RasterFields, S::Error> {
+) -> Result<RasterFields, Unread> {
     let regions = Regions::new(window, scene.radii, occupancy.longest());
     let measured = measure(source, occupancy, scene, &regions)?;
     Ok(level_sets(measured, scene, &regions))
@@ -245,12 +250,12 @@ pub fn rasterize_window<S: ParticleSource>(
 ///
 /// # Errors
 /// Returns the source's error if a batch cannot be read.
-pub fn particles_in_window<S: ParticleSource>(
-    source: &S,
+pub fn particles_in_window(
+    source: &AnySource<'_>,
     occupancy: &Occupancy,
     scene: &RasterParams,
     window: CoordBox,
-) -> Result<ParticleBins, S::Error> {
+) -> Result<ParticleBins, Unread> {
     let regions = Regions::new(window, scene.radii, occupancy.longest());
     let culling = Culling::new(occupancy, scene, &regions);
     ParticleBins::new(source, &scene.lattice, occupancy, &culling, &regions)
@@ -263,12 +268,12 @@ struct NearDistances {
     distances: SphereDistances,
 }
 
-fn measure<S: ParticleSource>(
-    source: &S,
+fn measure(
+    source: &AnySource<'_>,
     occupancy: &Occupancy,
     scene: &RasterParams,
     regions: &Regions,
-) -> Result<NearDistances, S::Error> {
+) -> Result<NearDistances, Unread> {
     let culling = Culling::new(occupancy, scene, regions);
     let bins = ParticleBins::new(source, &scene.lattice, occupancy, &culling, regions)?;
     let solver = DistanceSolver::new(&bins, scene.radii);

@@ -21,7 +21,7 @@ use super::batch::LeafBatch;
 use super::leaf_map::{ConcurrentLeafMap, LeafMap};
 use super::outliers::outlier_leaves;
 use crate::grid::{LEAF_EDGE, Topology};
-use crate::particles::ParticleSource;
+use crate::particles::{AnySource, Unread};
 use crate::space::{CoordBox, Lattice};
 
 /// Where a frame's particles are.
@@ -103,10 +103,10 @@ impl Occupancy {
     ///
     /// # Errors
     /// Returns the source's error if a batch cannot be read.
-    pub fn new<S: ParticleSource>(source: &S, lattice: &Lattice) -> Result<Occupancy, S::Error> {
+    pub fn new(source: &AnySource<'_>, lattice: &Lattice) -> Result<Occupancy, Unread> {
         let leaf_map: ConcurrentLeafMap<OccupiedLeaf> = ConcurrentLeafMap::new();
         let has_shapes = source.has_shapes();
-        let summarize_batch = |batch_index: usize| -> Result<BatchSummary, S::Error> {
+        let summarize_batch = |batch_index: usize| -> Result<BatchSummary, Unread> {
             let shapes = source.batch_shapes(batch_index);
             let batch = LeafBatch::new(&source.batch(batch_index)?, lattice, has_shapes);
             let mut voxels = CoordBox::EMPTY;
@@ -202,13 +202,15 @@ impl Occupancy {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::particles::erased;
     use crate::particles::{OwnedPositions, Positions};
 
     #[test]
     fn octants_contain_the_particles() {
         let positions = vec![[0.0, 0.4, 0.5], [7.9, -0.1, 3.0], [f32::NAN; 3], [0.1, 0.2, 0.9]];
         let lattice = Lattice { voxel_size: 1.0 };
-        let Ok(occupancy) = Occupancy::new(&OwnedPositions::F32(positions), &lattice);
+        let Ok(occupancy) =
+            erased(&OwnedPositions::F32(positions), |source| Occupancy::new(source, &lattice));
         assert_eq!((occupancy.particle_count(), occupancy.dropped_count()), (3, 1));
         assert_eq!(occupancy.topology.origins(), [IVec3::new(0, -8, 0), IVec3::ZERO]);
         let octants = [IVec3::new(0, -8, 0), IVec3::ZERO].map(|origin| occupancy.octants_of(origin).unwrap());
@@ -229,7 +231,7 @@ mod tests {
     /// A source whose third batch cannot be read.
     struct Broken;
 
-    impl ParticleSource for Broken {
+    impl crate::particles::ParticleSource for Broken {
         type Error = &'static str;
 
         fn batch_count(&self) -> usize {
@@ -247,7 +249,7 @@ mod tests {
 
     #[test]
     fn source_error_is_returned() {
-        let result = Occupancy::new(&Broken, &Lattice { voxel_size: 1.0 });
+        let result = erased(&Broken, |source| Occupancy::new(source, &Lattice { voxel_size: 1.0 }));
         assert_eq!(result.err(), Some("the end is missing"));
     }
 }

@@ -8,7 +8,7 @@ use rustc_hash::FxHashMap;
 use super::*;
 use crate::grid::{Leaf, voxel_in_leaf};
 use crate::level_set::{Sweeps, UNREACHED, extend};
-use crate::particles::{OwnedPositions, Positions};
+use crate::particles::{OwnedPositions, Positions, erased};
 
 pub(super) const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
 
@@ -248,13 +248,14 @@ fn windows_equal_the_whole_frame() {
         let Ok(whole) =
             rasterize(&OwnedPositions::F32(positions.clone()), &RasterParams::open(LATTICE, radii));
         let source = Small(&positions);
-        let Ok(occupancy) = Occupancy::new(&source, &LATTICE);
+        let Ok(occupancy) = erased(&source, |source| Occupancy::new(source, &LATTICE));
         let (mut parts, mut fewest) = (LeafBits::new(), usize::MAX);
         for (first, last) in [(-200, -137), (-136, -41), (-40, -33), (-32, -1), (0, 23), (24, 199)] {
             for (low, high) in [(-64, 7), (8, 63)] {
                 let window = CoordBox { min: IVec3::new(first, -64, low), max: IVec3::new(last, 63, high) };
-                let Ok(part) =
-                    rasterize_window(&source, &occupancy, &RasterParams::open(LATTICE, radii), window);
+                let Ok(part) = erased(&source, |source| {
+                    rasterize_window(source, &occupancy, &RasterParams::open(LATTICE, radii), window)
+                });
                 parts.extend(values_of(&part));
                 fewest = fewest.min(part.bins.len());
             }

@@ -7,7 +7,7 @@ use rustc_hash::FxHashMap;
 use super::tests::{LATTICE, LeafBits, RADII, assembled, jittered, scenes, swept, values, values_of};
 use super::*;
 use crate::grid::{offset_in_leaf, voxel_in_leaf};
-use crate::particles::{Ellipsoid, OwnedPositions, ParticleCloud, Shapes};
+use crate::particles::{Ellipsoid, OwnedPositions, ParticleCloud, Shapes, erased};
 
 fn cloud(positions: &[[f32; 3]], shapes: Shapes) -> ParticleCloud {
     ParticleCloud { shapes, ..ParticleCloud::from(OwnedPositions::F32(positions.to_vec())) }
@@ -158,13 +158,14 @@ fn windows_equal_the_whole_frame() {
     for shapes in [scales(positions.len(), 5.0), ellipsoids(positions.len(), 1.0, 2.5)] {
         let source = cloud(&positions, shapes);
         let Ok(whole) = rasterize(&source, &RasterParams::open(LATTICE, radii));
-        let Ok(occupancy) = Occupancy::new(&source, &LATTICE);
+        let Ok(occupancy) = erased(&source, |source| Occupancy::new(source, &LATTICE));
         let mut parts = LeafBits::new();
         for (first, last) in [(-160, -41), (-40, -33), (-32, -1), (0, 23), (24, 159)] {
             for (low, high) in [(-64, 7), (8, 63)] {
                 let window = CoordBox { min: IVec3::new(first, -64, low), max: IVec3::new(last, 63, high) };
-                let Ok(part) =
-                    rasterize_window(&source, &occupancy, &RasterParams::open(LATTICE, radii), window);
+                let Ok(part) = erased(&source, |source| {
+                    rasterize_window(source, &occupancy, &RasterParams::open(LATTICE, radii), window)
+                });
                 parts.extend(values_of(&part));
             }
         }

@@ -25,7 +25,7 @@ use super::culling::{Uncovered, leaves_of_boxes};
 use super::occupancy::{Occupancy, Octants};
 use super::region::meet;
 use crate::grid::{LEAF_EDGE, LEAF_VOXELS, LeafMask, NO_LEAF};
-use crate::particles::{ParticleSource, Positions, Shapes};
+use crate::particles::{AnySource, Positions, Shapes, Unread};
 use crate::simd;
 use crate::space::{CoordBox, Lattice};
 
@@ -74,13 +74,13 @@ impl Vicinity {
     ///
     /// # Errors
     /// Returns the source's error if a batch cannot be read.
-    pub fn new<S: ParticleSource>(
-        source: &S,
+    pub fn new(
+        source: &AnySource<'_>,
         lattice: &Lattice,
         cover_radius: f32,
         depth_of: impl Fn(f32) -> f32,
         margin: i32,
-    ) -> Result<Vicinity, S::Error> {
+    ) -> Result<Vicinity, Unread> {
         let occupancy = Occupancy::new(source, lattice)?;
         let leaves = &occupancy.topology;
         let ball = OctantBall::new(cover_radius);
@@ -177,13 +177,13 @@ impl Vicinity {
     ///
     /// # Errors
     /// Returns the source's error if a batch cannot be read.
-    pub fn gather<S: ParticleSource>(
+    pub fn gather(
         &self,
         block: &GatherBlock,
-        source: &S,
+        source: &AnySource<'_>,
         lattice: &Lattice,
-    ) -> Result<Gathered, S::Error> {
-        let of_batch = |index: usize| -> Result<Gathered, S::Error> {
+    ) -> Result<Gathered, Unread> {
+        let of_batch = |index: usize| -> Result<Gathered, Unread> {
             if !meet(&self.occupancy.batches[index].voxels, &block.voxels) {
                 return Ok(Gathered::default());
             }

@@ -39,7 +39,7 @@ use crate::level_set::{Bounds, NarrowBand, offset_reach_voxels};
 use crate::mesh::Mesh;
 use crate::obstacle::{ContactStats, Obstacles};
 use crate::options::Settings;
-use crate::particles::{OwnedPositions, ParticleCloud, ParticleSource};
+use crate::particles::{AnySource, OwnedPositions, ParticleCloud, ParticleSource, Unread, erased};
 use crate::rasterize::{self, ParticleBins, Radii, RasterParams};
 use crate::report::{Phase, ReconstructionReport, ShapeStats};
 use crate::smooth;
@@ -133,13 +133,11 @@ impl SmoothedFrame {
 /// assert_eq!(drop.mesh.measure().euler_characteristic, 2);
 /// # Ok::<(), meniscus_surface::options::SettingsError>(())
 /// ```
-#[inline] // compiled for its type of particles only where it is called: the command line has another type
 pub fn reconstruct_frame(particles: &OwnedPositions, settings: &Settings) -> FrameSurface {
     reconstruct_frame_observed(particles, settings, &mut |_| {})
 }
 
 /// Like [`reconstruct_frame`]; `entered` is called at the start of each phase.
-#[inline] // compiled for its type of particles only where it is called: the command line has another type
 pub fn reconstruct_frame_observed(
     particles: &OwnedPositions,
     settings: &Settings,
@@ -156,7 +154,6 @@ pub fn reconstruct_frame_observed(
 
 /// Reconstructs the surface of one frame of particles with attributes and obstacles, and transfers the
 /// selected attributes to the vertices.
-#[inline] // compiled for its type of particles only where it is called: the command line has another type
 pub fn reconstruct_cloud(cloud: ParticleCloud, settings: &Settings, obstacles: &Obstacles) -> FrameSurface {
     let (shaped, shape_stats) = shape_particles(cloud, settings);
     let Ok(rasterized) = rasterize(&shaped, settings, shape_stats, obstacles.clone());
@@ -180,8 +177,17 @@ pub fn rasterize<S: ParticleSource>(
     shape_stats: ShapeStats,
     obstacles: Obstacles,
 ) -> Result<RasterizedFrame, S::Error> {
+    erased(source, |source| rasterize_any(source, settings, shape_stats, obstacles))
+}
+
+fn rasterize_any(
+    source: &AnySource<'_>,
+    settings: &Settings,
+    shape_stats: ShapeStats,
+    obstacles: Obstacles,
+) -> Result<RasterizedFrame, Unread> {
     let scene = raster_params(settings, &obstacles);
-    let rasterize::RasterFields { bins, band, bounds, contact } = rasterize::rasterize(source, &scene)?;
+    let rasterize::RasterFields { bins, band, bounds, contact } = rasterize::rasterize_any(source, &scene)?;
     let contact = ContactStats { particle_count: inside_obstacles(source, &scene)?, ..contact };
     let possibly_outside = match source.is_smoothed() {
         true => {
@@ -203,7 +209,6 @@ pub fn rasterize<S: ParticleSource>(
 }
 
 /// Second stage: constrained smoothing.
-#[inline] // compiled for its type of particles only where it is called: the command line has another type
 pub fn smooth(rasterized: RasterizedFrame, settings: &Settings) -> SmoothedFrame {
     smooth_observed(rasterized, settings, &mut |_| {})
 }
@@ -249,7 +254,6 @@ fn report_smoothing(report: &mut ReconstructionReport, smoothed: smooth::SmoothR
 }
 
 /// Third stage: the mesh, its measures, and the certificate, which validates the mesh as each file stores it.
-#[inline] // compiled for its type of particles only where it is called: the command line has another type
 pub fn contour(smoothed: SmoothedFrame, settings: &Settings, stored: &[PositionFormat]) -> FrameSurface {
     let ControlFlow::Continue(surface) =
         contour_while::<Infallible>(smoothed, settings, stored, &|| ControlFlow::Continue(()));
@@ -317,7 +321,7 @@ fn raster_params<'a>(settings: &Settings, obstacles: &'a Obstacles) -> RasterPar
 }
 
 /// Number of particles inside obstacles.
-fn inside_obstacles<S: ParticleSource>(source: &S, scene: &RasterParams) -> Result<usize, S::Error> {
+fn inside_obstacles(source: &AnySource<'_>, scene: &RasterParams) -> Result<usize, Unread> {
     match scene.obstacles.is_empty() {
         true => Ok(0),
         false => scene.obstacles.count_inside(source, &scene.lattice, scene.obstacle_half_width()),

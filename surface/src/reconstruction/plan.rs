@@ -12,7 +12,7 @@ use super::{TOPOLOGY_LEAF_BYTES, radii, raster_params, shape};
 use crate::grid::Leaf;
 use crate::obstacle::Obstacles;
 use crate::options::{Anisotropy, Contouring, Integrator, Settings};
-use crate::particles::ParticleSource;
+use crate::particles::{AnySource, ParticleSource, Unread, erased};
 use crate::rasterize::{self, Footprint};
 
 /// How a frame is reconstructed.
@@ -92,7 +92,7 @@ pub fn plan_memory<S: ParticleSource>(
     surroundings: PlanInputs,
     allowed_bytes: u64,
 ) -> Result<Result<MemoryPlan, MemoryPlanError>, S::Error> {
-    plan_with_tiles(source, settings, surroundings, allowed_bytes, &TILE_EDGES)
+    erased(source, |source| plan_with_tiles(source, settings, surroundings, allowed_bytes, &TILE_EDGES))
 }
 
 /// Like [`plan_memory`], without tiles.
@@ -102,16 +102,16 @@ pub(crate) fn plan_in_core<S: ParticleSource>(
     surroundings: PlanInputs,
     allowed_bytes: u64,
 ) -> Result<Result<MemoryPlan, MemoryPlanError>, S::Error> {
-    plan_with_tiles(source, settings, surroundings, allowed_bytes, &[])
+    erased(source, |source| plan_with_tiles(source, settings, surroundings, allowed_bytes, &[]))
 }
 
-fn plan_with_tiles<S: ParticleSource>(
-    source: &S,
+fn plan_with_tiles(
+    source: &AnySource<'_>,
     settings: &Settings,
     surroundings: PlanInputs,
     allowed_bytes: u64,
     tile_edges: &[i32],
-) -> Result<Result<MemoryPlan, MemoryPlanError>, S::Error> {
+) -> Result<Result<MemoryPlan, MemoryPlanError>, Unread> {
     let PlanInputs { obstacles, attribute_bytes } = surroundings;
     let footprint =
         rasterize::footprint(source, &raster_params(settings, obstacles), shape::near_surface(settings))?;

@@ -16,7 +16,7 @@ use std::fmt;
 use glam::DVec3;
 
 use crate::options::Settings;
-use crate::particles::{OwnedPositions, ParticleSource};
+use crate::particles::{AnySource, OwnedPositions, Unread};
 use crate::rasterize::Footprint;
 use crate::space::INDEX_LIMIT;
 use crate::spacing::{SourceSample, median};
@@ -86,11 +86,11 @@ impl std::error::Error for VoxelTooSmall {}
 ///
 /// # Errors
 /// Returns the source's error if a batch cannot be read.
-pub(super) fn voxel_too_small<S: ParticleSource>(
-    source: &S,
+pub(super) fn voxel_too_small(
+    source: &AnySource<'_>,
     settings: &Settings,
     footprint: &Footprint,
-) -> Result<Option<VoxelTooSmall>, S::Error> {
+) -> Result<Option<VoxelTooSmall>, Unread> {
     let Footprint { particle_count, dropped_count, spread_voxels, .. } = *footprint;
     if spread_voxels <= SPREAD_MAX_VOXELS && dropped_count <= particle_count {
         return Ok(None);

@@ -30,7 +30,8 @@ use crate::anisotropy::{
 };
 use crate::options::{Anisotropy, PerParticleRadius, RADIUS_MAX_VOXELS, Settings};
 use crate::particles::{
-    Attribute, OwnedPositions, ParticleCloud, ParticleSource, Positions, Shapes, find_attribute,
+    AnySource, Attribute, OwnedPositions, ParticleCloud, ParticleSource, Positions, Shapes, Unread, erased,
+    find_attribute,
 };
 use crate::rasterize::{NearSurface, Vicinity};
 use crate::report::ShapeStats;
@@ -38,7 +39,6 @@ use crate::report::ShapeStats;
 /// Applies the shapes and positions that the settings request. If an attribute that the settings require is
 /// missing, or does not have a number or a vector per particle, the particles are balls; callers check the
 /// attributes first.
-#[inline] // compiled for its type of particles only where it is called: the command line has another type
 pub fn shape_particles(
     cloud: ParticleCloud,
     settings: &Settings,
@@ -109,13 +109,24 @@ pub fn shape_by_neighbors<S: ParticleSource>(
 /// Like [`shape_by_neighbors`], with blocks of about `gathered_max` particles, including neighbors.
 fn in_blocks<S: ParticleSource>(
     given: S,
-    mut shape_stats: ShapeStats,
+    shape_stats: ShapeStats,
     settings: &Settings,
     gathered_max: usize,
 ) -> Result<(ShapedSource<S>, ShapeStats), S::Error> {
     if !settings.uses_neighbors() {
         return Ok((ShapedSource { given, changes: NeighborChanges::default() }, shape_stats));
     }
+    let (changes, shape_stats) =
+        erased(&given, |given| changes_in_blocks(given, shape_stats, settings, gathered_max))?;
+    Ok((ShapedSource { given, changes }, shape_stats))
+}
+
+fn changes_in_blocks(
+    given: &AnySource<'_>,
+    mut shape_stats: ShapeStats,
+    settings: &Settings,
+    gathered_max: usize,
+) -> Result<(NeighborChanges, ShapeStats), Unread> {
     let stretch = stretch(settings);
     let lattice = lattice(settings);
     let depth = Depth::new(settings, given.has_shapes());
@@ -123,12 +134,12 @@ fn in_blocks<S: ParticleSource>(
     // particle's own cell and those around it.
     let margin = (2.0 * settings.neighbor_radius / settings.voxel_size).ceil() as i32 + 1;
     let depth_of = |longest| depth.voxels(longest);
-    let vicinity = Vicinity::new(&given, &lattice, depth.cover_voxels, depth_of, margin)?;
+    let vicinity = Vicinity::new(given, &lattice, depth.cover_voxels, depth_of, margin)?;
     let config = NeighborConfig { radius_world: settings.neighbor_radius, stretch };
     let mut found: Vec<BlockChanges> = Vec::new();
     shape_stats.longest = vicinity.longest().max(if stretch.is_some() { depth.ball } else { 0.0 });
     for block in vicinity.blocks(gathered_max) {
-        let gathered = vicinity.gather(&block, &given, &lattice)?;
+        let gathered = vicinity.gather(&block, given, &lattice)?;
         let positions = OwnedPositions::F64(gathered.positions);
         let scales = (!gathered.scales.is_empty()).then_some(&*gathered.scales);
         let NeighborShapes { indices, means, shapes, raised_count, ball_count } =
@@ -146,7 +157,7 @@ fn in_blocks<S: ParticleSource>(
     let ball = stretch.is_some().then_some(depth.ball);
     let changes =
         NeighborChanges::new(found, (step_world, ball), given.batch_count(), |batch| given.batch_len(batch));
-    Ok((ShapedSource { given, changes }, shape_stats))
+    Ok((changes, shape_stats))
 }
 
 /// Approximate number of particles per block: some hundred bytes each.

@@ -19,7 +19,7 @@ use crate::grid::LEAF_EDGE;
 use crate::level_set::{Bounds, NarrowBand};
 use crate::obstacle::{ContactStats, Obstacles};
 use crate::options::Settings;
-use crate::particles::ParticleSource;
+use crate::particles::{AnySource, ParticleSource, Unread, erased};
 use crate::rasterize::{self, Occupancy, RasterParams};
 use crate::report::{ReconstructionReport, ShapeStats};
 use crate::validation::{CheckedRegion, MeshCells, certificate, count_inputs_outside_of_source};
@@ -39,9 +39,27 @@ impl<E> From<io::Error> for TiledError<E> {
     }
 }
 
+/// Calls `work` with the source, without its type.
+fn with_any<S: ParticleSource, T>(
+    source: &S,
+    work: impl FnOnce(&AnySource<'_>) -> Result<T, TiledError<Unread>>,
+) -> Result<T, TiledError<S::Error>> {
+    let worked = erased(source, |source| match work(source) {
+        Ok(done) => Ok(Ok(done)),
+        Err(TiledError::Storage(error)) => Ok(Err(TiledError::Storage(error))),
+        Err(TiledError::Source(unread)) => Err(unread),
+    });
+    worked.map_err(TiledError::Source)?
+}
+
 /// A frame between two stages.
 pub struct TiledFrame<S> {
     source: S,
+    fields: TiledFields,
+}
+
+/// What the stages computed of a frame.
+struct TiledFields {
     obstacles: Obstacles,
     occupancy: Occupancy,
     /// The tiles with particles in or near them.
@@ -61,7 +79,7 @@ impl<S> TiledFrame<S> {
 
     /// The report so far. Callers that measure time add it here.
     pub fn report_mut(&mut self) -> &mut ReconstructionReport {
-        &mut self.report
+        &mut self.fields.report
     }
 }
 
@@ -78,9 +96,23 @@ pub fn rasterize<S: ParticleSource>(
     tile_leaves: i32,
     storages: Vec<Box<dyn Storage>>,
 ) -> Result<TiledFrame<S>, TiledError<S::Error>> {
+    let fields = with_any(&source, |source| {
+        rasterize_any(source, settings, shape_stats, obstacles, tile_leaves, storages)
+    })?;
+    Ok(TiledFrame { source, fields })
+}
+
+fn rasterize_any(
+    source: &AnySource<'_>,
+    settings: &Settings,
+    shape_stats: ShapeStats,
+    obstacles: Obstacles,
+    tile_leaves: i32,
+    storages: Vec<Box<dyn Storage>>,
+) -> Result<TiledFields, TiledError<Unread>> {
     let scene = raster_params(settings, &obstacles);
     let RasterParams { lattice, radii, .. } = scene;
-    let occupancy = Occupancy::new(&source, &lattice).map_err(TiledError::Source)?;
+    let occupancy = Occupancy::new(source, &lattice).map_err(TiledError::Source)?;
     let tiles = tiles_near(
         &occupancy,
         tile_leaves,
@@ -91,14 +123,14 @@ pub fn rasterize<S: ParticleSource>(
     let mut contact = ContactStats::default();
     for &tile in &tiles {
         let window = tile_voxels(IVec3::from(tile), tile_leaves);
-        let rasterized = rasterize::rasterize_window(&source, &occupancy, &scene, window);
+        let rasterized = rasterize::rasterize_window(source, &occupancy, &scene, window);
         let rasterized = rasterized.map_err(TiledError::Source)?;
         let rasterize::RasterFields { band, bounds, contact: of_tile, .. } = rasterized;
         contact = contact.merge(of_tile);
         store.put(origins.len(), [&band.phi, &bounds.lower, &bounds.upper])?;
         origins.extend_from_slice(band.topology.origins());
     }
-    contact.particle_count = inside_obstacles(&source, &scene).map_err(TiledError::Source)?;
+    contact.particle_count = inside_obstacles(source, &scene).map_err(TiledError::Source)?;
     let report = ReconstructionReport {
         particle_count: occupancy.particle_count(),
         dropped_count: occupancy.dropped_count(),
@@ -110,7 +142,7 @@ pub fn rasterize<S: ParticleSource>(
     };
     let tiling = Tiling::new(&origins, tile_leaves, HALO_LEAVES);
     let half_width = radii.half_width();
-    Ok(TiledFrame { source, obstacles, occupancy, tiles, tile_leaves, store, tiling, half_width, report })
+    Ok(TiledFields { obstacles, occupancy, tiles, tile_leaves, store, tiling, half_width, report })
 }
 
 /// The tiles that contain leaves within `voxels` of a leaf with particles.
@@ -132,10 +164,19 @@ pub fn smooth<S>(
     settings: &Settings,
     advanced: &mut dyn FnMut(f64),
 ) -> io::Result<TiledFrame<S>> {
-    let config = smooth_config(settings);
-    let smoothed = tiles::smooth(&mut frame.store, &frame.tiling, frame.half_width, &config, advanced)?;
-    report_smoothing(&mut frame.report, smoothed, settings);
+    smooth_fields(&mut frame.fields, settings, advanced)?;
     Ok(frame)
+}
+
+fn smooth_fields(
+    fields: &mut TiledFields,
+    settings: &Settings,
+    advanced: &mut dyn FnMut(f64),
+) -> io::Result<()> {
+    let config = smooth_config(settings);
+    let smoothed = tiles::smooth(&mut fields.store, &fields.tiling, fields.half_width, &config, advanced)?;
+    report_smoothing(&mut fields.report, smoothed, settings);
+    Ok(())
 }
 
 /// Third stage: the mesh, its measures and the certificate.
@@ -147,17 +188,19 @@ pub fn contour<S: ParticleSource>(
     settings: &Settings,
     stored: &[PositionFormat],
 ) -> Result<(FrameSurface, S), TiledError<S::Error>> {
-    let TiledFrame {
-        source,
-        obstacles,
-        occupancy,
-        tiles,
-        tile_leaves,
-        store,
-        tiling,
-        half_width,
-        mut report,
-    } = frame;
+    let TiledFrame { source, fields } = frame;
+    let surface = with_any(&source, |source| contour_any(source, fields, settings, stored))?;
+    Ok((surface, source))
+}
+
+fn contour_any(
+    source: &AnySource<'_>,
+    fields: TiledFields,
+    settings: &Settings,
+    stored: &[PositionFormat],
+) -> Result<FrameSurface, TiledError<Unread>> {
+    let TiledFields { obstacles, occupancy, tiles, tile_leaves, store, tiling, half_width, mut report } =
+        fields;
     let scene = raster_params(settings, &obstacles);
     let RasterParams { lattice, radii, .. } = scene;
     let bound_violation_count = bound_violations(&store, &tiling)?;
@@ -166,7 +209,7 @@ pub fn contour<S: ParticleSource>(
     let mut band = NarrowBand { topology: Arc::new(tiling.topology), phi, half_width };
     let tile_particles = |tile: [i32; 3]| {
         let owned = tile_voxels(IVec3::from(tile), tile_leaves);
-        let bins = rasterize::particles_in_window(&source, &occupancy, &scene, owned);
+        let bins = rasterize::particles_in_window(source, &occupancy, &scene, owned);
         bins.map(|bins| (owned, bins)).map_err(TiledError::Source)
     };
     postprocess::offset(&mut band, &scene);
@@ -192,7 +235,7 @@ pub fn contour<S: ParticleSource>(
             let (bins, band, lattice) = (&bins, &band, &lattice);
             check(&CheckedRegion { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
         }
-        Ok::<(), TiledError<S::Error>>(())
+        Ok::<(), TiledError<Unread>>(())
     })?;
     let counts = (bound_violation_count, report.dropped_count);
     report.certificate =
@@ -200,10 +243,10 @@ pub fn contour<S: ParticleSource>(
     if source.is_smoothed() {
         let how = (&lattice, radii.offset);
         let outside =
-            count_inputs_outside_of_source(&source, &band, how, exempt).map_err(TiledError::Source)?;
+            count_inputs_outside_of_source(source, &band, how, exempt).map_err(TiledError::Source)?;
         report.certificate.input_positions_outside = Some(outside);
     }
-    Ok((FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report }, source))
+    Ok(FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report })
 }
 
 /// Number of values outside their bounds.
@@ -292,7 +335,7 @@ mod tests {
             storages,
         )
         .expect("in memory");
-        assert!(frame.tiling.tile_count() > 12, "{}", frame.tiling.tile_count());
+        assert!(frame.fields.tiling.tile_count() > 12, "{}", frame.fields.tiling.tile_count());
         frame
     }
 
@@ -516,7 +559,7 @@ mod tests {
     fn too_narrow_halo_changes_the_result() {
         let settings = Settings::paper(0.5, &MethodOptions::default()).expect("sound");
         let mut frame = rasterized(&settings, 4);
-        frame.tiling = frame.tiling.with_halo(4, 1);
+        frame.fields.tiling = frame.fields.tiling.with_halo(4, 1);
         assert!(finished(frame, &settings).band.phi != reconstruct_frame(&particles(), &settings).band.phi);
     }
 }

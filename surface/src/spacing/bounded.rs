@@ -10,7 +10,7 @@
 
 use glam::DVec3;
 
-use crate::particles::{OwnedPositions, ParticleSource, Positions};
+use crate::particles::{AnySource, OwnedPositions, Positions, Unread};
 
 use super::{SpacingEstimate, estimate_spacing};
 
@@ -38,7 +38,7 @@ impl SourceSample {
     ///
     /// # Errors
     /// Those of the source.
-    pub fn of<S: ParticleSource>(source: &S, particle_count: usize) -> Result<SourceSample, S::Error> {
+    pub fn of(source: &AnySource<'_>, particle_count: usize) -> Result<SourceSample, Unread> {
         let every = particle_count.div_ceil(SAMPLE_MAX).max(1);
         let mut passed = 0;
         let particles = collect_wanted(source, |_| {
@@ -53,7 +53,7 @@ impl SourceSample {
     ///
     /// # Errors
     /// Those of the source.
-    pub fn estimate<S: ParticleSource>(&self, source: &S) -> Result<Option<SpacingEstimate>, S::Error> {
+    pub fn estimate(&self, source: &AnySource<'_>) -> Result<Option<SpacingEstimate>, Unread> {
         let Some(of_sample) = estimate_spacing(&self.particles) else { return Ok(None) };
         if self.every == 1 {
             return Ok(Some(of_sample));
@@ -78,10 +78,10 @@ impl SourceSample {
 }
 
 /// The finite particles that `is_wanted` selects.
-fn collect_wanted<S: ParticleSource>(
-    source: &S,
+fn collect_wanted(
+    source: &AnySource<'_>,
     mut is_wanted: impl FnMut(DVec3) -> bool,
-) -> Result<OwnedPositions, S::Error> {
+) -> Result<OwnedPositions, Unread> {
     let mut found: Vec<[f64; 3]> = Vec::new();
     for batch in 0..source.batch_count() {
         let mut take = |position: [f64; 3]| {
@@ -103,6 +103,7 @@ fn collect_wanted<S: ParticleSource>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::particles::erased;
 
     #[test]
     fn bounded_estimate_matches_the_spacing_of_all_particles() {
@@ -115,9 +116,9 @@ mod tests {
         // A body and a sheet; every second or third particle of each is sampled.
         for counts in [[130, 130, 130], [1700, 1700, 1]] {
             let particles = lattice(counts, 0.25);
-            let Ok(sample) = SourceSample::of(&particles, particles.len());
+            let Ok(sample) = erased(&particles, |source| SourceSample::of(source, particles.len()));
             assert!(sample.every > 1 && sample.particles.len() <= SAMPLE_MAX);
-            let Ok(estimate) = sample.estimate(&particles);
+            let Ok(estimate) = erased(&particles, |source| sample.estimate(source));
             let found = estimate.expect("enough").spacing;
             assert!((found / 0.25 - 1.0).abs() < 0.03, "{counts:?}: {found}");
         }

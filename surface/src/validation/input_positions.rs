@@ -21,7 +21,7 @@ use super::mesh_cells::corner;
 use super::{ExclusionMask, ParticlesOutside};
 use crate::grid::{Field, LEAF_EDGE, Topology, offset_in_leaf};
 use crate::level_set::NarrowBand;
-use crate::particles::ParticleSource;
+use crate::particles::{AnySource, Unread};
 use crate::space::Lattice;
 
 /// The input position of a moved particle. Lengths are in voxels.
@@ -39,11 +39,11 @@ pub struct MovedParticle {
 ///
 /// # Errors
 /// Those of the source.
-fn moved_particles<S: ParticleSource>(
-    source: &S,
+fn moved_particles(
+    source: &AnySource<'_>,
     batch: usize,
     lattice: &Lattice,
-) -> Result<impl Iterator<Item = MovedParticle>, S::Error> {
+) -> Result<impl Iterator<Item = MovedParticle>, Unread> {
     let moved_particle = move |[given, moved]: [DVec3; 2]| {
         let [given, moved] = [lattice.index_from_world(given)?, lattice.index_from_world(moved)?];
         let edge = f64::from(LEAF_EDGE);
@@ -59,11 +59,11 @@ fn moved_particles<S: ParticleSource>(
 ///
 /// # Errors
 /// Those of the source.
-pub fn possibly_outside<S: ParticleSource>(
-    source: &S,
+pub fn possibly_outside(
+    source: &AnySource<'_>,
     lattice: &Lattice,
     (topology, upper, offset): (&Topology, &Field, f32),
-) -> Result<Vec<Vec<MovedParticle>>, S::Error> {
+) -> Result<Vec<Vec<MovedParticle>>, Unread> {
     if !source.is_smoothed() {
         return Ok(Vec::new());
     }
@@ -105,12 +105,12 @@ pub fn count_inputs_outside(
 ///
 /// # Errors
 /// Those of the source.
-pub fn count_inputs_outside_of_source<S: ParticleSource>(
-    source: &S,
+pub fn count_inputs_outside_of_source(
+    source: &AnySource<'_>,
     band: &NarrowBand,
     (lattice, offset): (&Lattice, f32),
     exempt: &dyn ExclusionMask,
-) -> Result<ParticlesOutside, S::Error> {
+) -> Result<ParticlesOutside, Unread> {
     let of_batch = |batch| {
         let particles = moved_particles(source, batch, lattice)?;
         Ok(particles.fold(OutsideCount::default(), |sum, particle| {
