@@ -28,26 +28,19 @@
 //! `Reconstructor` also takes attributes, obstacles, a memory limit, a progress callback and a cancellation
 //! token.
 //!
-//! # Features
+//! # Modules
 //!
-//! | feature | adds |
+//! | module | contents |
 //! |---|---|
-//! | none | [`surface`]: the method, in memory |
-//! | `render` | images of level sets |
-//! | `pipeline` | conversion of files, several frames at once |
-//! | `watch`, `http` | a daemon that follows a simulation, and its status page |
-//! | `cli` (default) | the command line |
+//! | [`surface`] | the method, in memory: the crate `meniscus-surface` |
+//! | [`render`] | pictures of level sets: the crate `meniscus-render` |
+//! | [`pipeline`] | conversion of files, several frames at once |
+//! | [`farm`] | the division of a sequence among machines |
+//! | [`watch`], [`http`] | a daemon that follows a simulation, and its status page |
+//! | [`cli`] | the command line |
 //!
-//! To embed the method, turn the default features off. The crate then depends on 14 other crates, directly or
-//! indirectly:
-//!
-//! ```toml
-//! [dependencies]
-//! meniscus = { version = "0.1", default-features = false }
-//! ```
-//!
-//! The crate `meniscus-formats` reads particles and writes meshes and level sets. `examples/library` in the
-//! repository uses both crates.
+//! To embed the method alone, depend on `meniscus-surface`. The crate `meniscus-formats` reads particles and
+//! writes meshes and level sets. `examples/library` in the repository converts files with this crate.
 //!
 //! # How it works
 //!
@@ -59,12 +52,11 @@
 //!                                                                        .vdb (φ itself)      .glb .obj .ply
 //! ```
 //!
-//! Signed distances φ are negative inside. Within this crate they are measured **in voxels**: after the
-//! division by the voxel size h, no stage needs units. World units appear only in the positions of particles
-//! that come in and of vertices that go out.
+//! Signed distances φ are negative inside. They are measured **in voxels**: after the division by the voxel
+//! size h, no stage needs units. World units appear only in the positions of particles that come in and of
+//! vertices that go out.
 //!
-//! The crate itself starts no threads: loops run in the caller's rayon pool. A feature that starts threads
-//! says so in its documentation.
+//! Loops run in the caller's rayon pool. A module that starts threads says so in its documentation.
 
 /// The vector types in this crate's API.
 pub use glam;

@@ -2,18 +2,19 @@
 //! sets in another.
 //!
 //! ```text
-//! cargo run --release -p library -- examples/frames/dam.0001.bgeo out/dam.0001.glb
-//! cargo run --release -p library -- examples/frames out/library
+//! cargo run -p library -- examples/frames/dam.0001.bgeo out/dam.0001.glb
+//! cargo run -p library -- examples/frames out/library
 //! ```
 //!
-//! To convert one frame, your crate needs
+//! To convert one frame, your crate needs only
 //!
 //! ```toml
-//! meniscus = { version = "0.1", default-features = false }
+//! meniscus-surface = "0.1"
 //! meniscus-formats = "0.1"    # only to read and write files
 //! ```
 //!
-//! To convert folders, it also needs the feature `pipeline`, and `rayon` for the threads.
+//! with `meniscus_surface` in place of `meniscus::surface` below. To convert folders, it needs `meniscus`,
+//! and `rayon` for the threads.
 
 use std::error::Error;
 use std::fs::{self, File};

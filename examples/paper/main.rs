@@ -1,9 +1,9 @@
 //! The paper's experiments on generated data: tables, plots and pictures.
 //!
 //! ```text
-//! cargo run --release --example paper                     all of them, into docs/results
-//! cargo run --release --example paper -- flows            one of them
-//! cargo run --release --example paper -- --long           including those that take hours
+//! cargo run --release -p paper                     all of them, into docs/results
+//! cargo run --release -p paper -- flows            one of them
+//! cargo run --release -p paper -- --long           including those that take hours
 //! ```
 //!
 //! Some experiments compare with splashsurf, which `benches/peers` installs; `SPLASHSURF` can name another

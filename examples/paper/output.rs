@@ -84,7 +84,7 @@ impl Page {
     /// Writes the page.
     pub(crate) fn finish(mut self) -> Outcome<()> {
         self.paragraph(&format!(
-            "Made by `cargo run --release --example paper -- {}`: {}.",
+            "Made by `cargo run --release -p paper -- {}`: {}.",
             self.name,
             conditions()
         ));

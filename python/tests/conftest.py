@@ -1,7 +1,8 @@
-"""Particles that several tests use."""
+"""Particles that several tests use, and a setting of their processes."""
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,12 @@ def lattice(edge: int, spacing: float = 0.1, dtype: type = np.float32) -> NDArra
     """A cube of particles on a lattice."""
     axis = np.arange(edge) * spacing
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3).astype(dtype)
+
+
+def heed_interrupts() -> None:
+    """In a new process: lets Ctrl-C interrupt it. Processes that a shell starts in the background ignore it, and
+    their children inherit that."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @pytest.fixture(scope="session")

@@ -10,13 +10,18 @@ import textwrap
 import time
 
 import pytest
+from conftest import heed_interrupts
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals")
 
 
 def start(script: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-u", "-c", textwrap.dedent(script)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-u", "-c", textwrap.dedent(script)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=heed_interrupts,
     )
 
 

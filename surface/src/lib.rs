@@ -1,12 +1,41 @@
-//! The method: reconstructs a smooth surface from particles. It opens no files, reads no clock, and computes
-//! in the caller's rayon pool.
+//! Reconstructs smooth surfaces from particles, in memory.
+//!
+//! The method is the level-set method of Bhattacharya, Gao and Bargteil ("A Level-set Method for Skinning
+//! Animated Particle Data"): thin-plate flow smooths the surface, and two unions of spheres around the
+//! particles bound it from inside and from outside. The surface is bit-identical on any number of threads.
+//!
+//! ```
+//! use meniscus_surface::{Options, reconstruct};
+//!
+//! // Particles of your simulation: `&[[f32; 3]]` or `&[[f64; 3]]`. Here a block of 10 × 10 × 10, 0.1 apart.
+//! let particles: Vec<[f32; 3]> =
+//!     (0..1000).map(|i| [i % 10, i / 10 % 10, i / 100].map(|step| 0.1 * step as f32)).collect();
+//!
+//! let surface = reconstruct(&particles, &Options::default())?;
+//!
+//! for triangle in &surface.triangles {
+//!     let corners = triangle.map(|vertex| surface.positions[vertex as usize]);
+//!     // Hand the triangle to your renderer.
+//! }
+//! assert!(surface.report.certificate.holds());
+//! # Ok::<(), meniscus_surface::Error>(())
+//! ```
 //!
 //! [`reconstruct`] makes the surface of one frame. A [`Reconstructor`] makes the surfaces of a sequence, with
 //! attributes, obstacles, a progress callback, cancellation and a memory limit. [`Options`] has every option
 //! of the method; its defaults are for liquids. [`Surface`] is a mesh with absolute positions, its level set,
 //! and a [`Report`] of what was measured and [checked](Certificate).
 //!
-//! All lengths are in world units unless a field says voxels (h) or particle spacings (d).
+//! ```text
+//!  positions ──rasterize──▶ level set, bounds ──smooth──▶ level set ──contour──▶ mesh
+//!                           signed distance φ, and the    smoothed φ
+//!                           interval that it may move in
+//! ```
+//!
+//! φ is negative inside, and in voxels. All lengths of the API are in world units unless a field says voxels
+//! (h) or particle spacings (d).
+//!
+//! The crate opens no files, reads no clock, starts no threads, and computes in the caller's rayon pool.
 
 mod cancel;
 mod error;
@@ -44,7 +73,7 @@ mod interrupt;
 mod parallel;
 
 // The modules below are public for the tests, benchmarks and experiments of this repository, and for the
-// other parts of this crate. They are not part of the API: anything in them may change in any version.
+// crates of the program. They are not part of the API: anything in them may change in any version.
 
 #[doc(hidden)]
 pub mod reconstruction;

@@ -1,5 +1,6 @@
 """Checks that every frame in convert.txt is converted to .glb, .obj, .ply and .vdb, with a closed mesh and a
-certificate that holds, and that the error for an unreadable file names its format or fault.
+certificate that holds, and that the error for an unreadable file names its format or fault. With
+MENISCUS_BRIEF, only the project's own frames and two short shots are converted.
 
 The check also makes a few difficult frames: without particles, with one particle, far from the origin, and
 with z up. All outputs stay in target/clients/out for the other checks.
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import flow
 import glide
-from project import DATA, OUT, OWN, WORK, Check, convert, data_is_there
+from project import BRIEF, DATA, OUT, OWN, WORK, Check, convert, data_is_there
 
 FORMATS = ["glb", "obj", "ply", "vdb"]
 CASES = Path(__file__).with_name("convert.txt")
@@ -21,6 +22,11 @@ CASES = Path(__file__).with_name("convert.txt")
 def main():
     check = Check("convert: frames become .glb, .obj, .ply and .vdb")
     shutil.rmtree(OUT, ignore_errors=True)
+    if BRIEF:
+        reads(check, "own", OWN, [])
+        moving(check)
+        described(check)
+        return check.end()
     there = data_is_there()
     for line in CASES.read_text().splitlines():
         verb, *rest = line.split("#")[0].split() or ["nothing"]

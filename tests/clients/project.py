@@ -13,8 +13,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 # Whether times are compared with their limits, which only an idle machine with two cores can keep.
 STRICT_TIMES = bool(os.environ.get("MENISCUS_STRICT_TIMES"))
+# Whether the checks are brief: of few files, with the program of the development profile.
+BRIEF = bool(os.environ.get("MENISCUS_BRIEF"))
 TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")).resolve()
-PROGRAM = TARGET / "release" / "meniscus"
+PROGRAM = TARGET / ("debug" if BRIEF else "release") / "meniscus"
 WORK = TARGET / "clients"
 # The outputs of check_convert.py and check_reference.py, which the other checks read.
 OUT = WORK / "out"

@@ -148,6 +148,7 @@ fn surface_in(obj: &Path) -> Vec<String> {
 }
 
 #[test]
+#[ignore = "slow: `.ci/full slow` runs it"]
 fn file_read_in_batches_gives_the_same_bytes() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();

@@ -34,7 +34,7 @@ impl Mount {
     pub(crate) fn new(folder: &Path, at: &Path) -> Option<Mount> {
         OpenOptions::new().read(true).write(true).open("/dev/fuse").ok()?;
         let mut server = Command::new(env::current_exe().expect("this test"))
-            .args(["--exact", "fuse::server", "--nocapture"])
+            .args(["--exact", "siege::fuse::server", "--nocapture"])
             .env(SERVED, folder)
             .env(MOUNTED_AT, at)
             .stdout(Stdio::piped())

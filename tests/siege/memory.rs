@@ -42,6 +42,7 @@ fn converted_within(folder: &Path, memory: &str, last: usize) -> (u64, Vec<Value
 }
 
 #[test]
+#[ignore = "slow: `.ci/full slow` runs it"]
 fn frames_share_the_memory_limit() {
     let folder = tempdir().expect("a folder");
     let last = if is_long() { 200 } else { 8 };
@@ -59,6 +60,7 @@ fn frames_share_the_memory_limit() {
 }
 
 #[test]
+#[ignore = "slow: `.ci/full slow` runs it"]
 fn frame_larger_than_the_memory_is_converted_in_tiles() {
     let folder = tempdir().expect("a folder");
     let last = if is_long() { 20 } else { 2 };

@@ -24,7 +24,7 @@ pub(crate) fn with_own_mounts(name: &str, test: impl FnOnce()) {
     let result = Command::new("unshare")
         .args(unshare)
         .arg(env::current_exe().expect("this test"))
-        .args(["--exact", name, "--nocapture"])
+        .args(["--exact", &format!("siege::{name}"), "--include-ignored", "--nocapture"])
         .env(INSIDE, "1")
         // Prints the output of the child process also if the test passes.
         .stderr(Stdio::inherit())

@@ -39,6 +39,7 @@ fn converted_folder() -> TempDir {
 }
 
 #[test]
+#[ignore = "slow: `.ci/full slow` runs it"]
 fn done_frames_cost_little() {
     let folder = converted_folder();
     let path = folder.path();
@@ -81,6 +82,7 @@ const LANDING_COUNT: usize = 60;
 const KEPT_BYTES: u64 = 4 << 20;
 
 #[test]
+#[ignore = "slow: `.ci/full slow` runs it"]
 fn repeated_scans_do_not_grow_the_memory() {
     let folder = converted_folder();
     let path = folder.path();

@@ -7,8 +7,11 @@ use crate::error::{Error, Position, Result};
 
 /// Parses JSON.
 pub(super) fn parse<'a, T: Deserialize<'a>>(json: &'a [u8]) -> Result<T> {
-    serde_json::from_slice(json)
-        .map_err(|error| Error::invalid(FORMAT, Position::Line(error.line() as u64), error.to_string()))
+    serde_json::from_slice(json).map_err(|error| invalid_json(&error))
+}
+
+pub(super) fn invalid_json(error: &serde_json::Error) -> Error {
+    Error::invalid(FORMAT, Position::Line(error.line() as u64), error.to_string())
 }
 
 /// The JSON chunk and, if present, the binary chunk. A file without the GLB signature is JSON as a whole.

@@ -18,7 +18,7 @@ use serde::Deserialize;
 use super::FORMAT;
 use super::ReadExternal;
 use super::buffer::{Buffers, invalid};
-use super::chunks::{chunks, parse};
+use super::chunks::{chunks, invalid_json, parse};
 use super::external::{ExternalReader, is_data};
 use crate::data::MeshData;
 use crate::error::{Error, Result};
@@ -92,7 +92,9 @@ pub(super) fn open(
 
 /// Parses the document and checks that all references are valid.
 pub(super) fn document(json: &[u8]) -> Result<Document> {
-    let root: json::Root = parse(json).or_else(|error| with_nodes_in_scenes(json).ok_or(error))?;
+    // The crate's own function is compiled there; the generic one of serde_json would be compiled here.
+    let root = json::Root::from_slice(json)
+        .or_else(|error| with_nodes_in_scenes(json).ok_or_else(|| invalid_json(&error)))?;
     if let Some(extension) = root.extensions_required.iter().find(|name| *name != "KHR_mesh_quantization") {
         return Err(Error::unsupported(
             FORMAT,
@@ -125,7 +127,7 @@ fn with_nodes_in_scenes(json: &[u8]) -> Option<json::Root> {
     for scene in document.get_mut("scenes")?.as_array_mut()? {
         scene.as_object_mut()?.entry("nodes").or_insert_with(|| serde_json::Value::Array(Vec::new()));
     }
-    serde_json::from_value(document).ok()
+    json::Root::from_slice(&serde_json::to_vec(&document).ok()?).ok()
 }
 
 /// The bytes in a data URI.

@@ -112,18 +112,12 @@ impl RecordBlock<'_> {
     fn fill<const BIG: bool>(&self, offsets: &[usize], target: &mut Target<'_>) {
         let scalar = target.columns[0].1;
         let arity = target.columns.len();
-        if target.columns.iter().all(|column| column.1 == scalar) && arity <= 4 {
-            let mut at = [0; 4];
-            for (at, &(property, _)) in at.iter_mut().zip(&target.columns) {
-                *at = offsets[property];
-            }
-            match arity {
-                1 => self.convert::<BIG, 1>([at[0]], scalar, &mut target.slots, 0, 1),
-                2 => self.convert::<BIG, 2>([at[0], at[1]], scalar, &mut target.slots, 0, 2),
-                3 => self.convert::<BIG, 3>([at[0], at[1], at[2]], scalar, &mut target.slots, 0, 3),
-                _ => self.convert::<BIG, 4>(at, scalar, &mut target.slots, 0, 4),
-            }
-            return;
+        // Positions and vectors are copied in one pass.
+        if let [x, y, z] = target.columns[..]
+            && [x.1, y.1, z.1] == [scalar; 3]
+        {
+            let at = [x.0, y.0, z.0].map(|property| offsets[property]);
+            return self.convert::<BIG, 3>(at, scalar, &mut target.slots, 0, 3);
         }
         for (component, &(property, scalar)) in target.columns.iter().enumerate() {
             self.convert::<BIG, 1>([offsets[property]], scalar, &mut target.slots, component, arity);

@@ -375,9 +375,9 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::particles::erased;
     use crate::obstacle::{MeshSdf, Obstacle, ObstacleSdf, Obstacles};
     use crate::particles::OwnedPositions;
+    use crate::particles::erased;
     use crate::rasterize::{Radii, rasterize};
     use crate::space::Lattice;
 

@@ -214,7 +214,7 @@ pub(super) fn values_of(rasterized: &RasterFields) -> LeafBits {
 }
 
 #[test]
-#[ignore = "slow: `.ci/run` runs it"]
+#[ignore = "slow: `.ci/full slow` runs it"]
 fn culling_changes_no_bit() {
     for (name, positions) in scenes() {
         // The reference takes long for many particles with a long reach.

@@ -103,7 +103,7 @@ fn round_ellipsoids_approximate_balls() {
 }
 
 #[test]
-#[ignore = "slow: `.ci/run` runs it"]
+#[ignore = "slow: `.ci/full slow` runs it"]
 fn culling_changes_no_bit() {
     for (name, positions) in scenes() {
         let count = positions.len();

@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "slow: `.ci/run` runs it"]
+    #[ignore = "slow: `.ci/full slow` runs it"]
     fn tiled_result_equals_in_memory_result() {
         let choices = [
             MethodOptions::default(),
@@ -380,7 +380,7 @@ mod tests {
 
     /// Per-particle radii, an obstacle among the particles, a dropped island, and a clip box.
     #[test]
-    #[ignore = "slow: `.ci/run` runs it"]
+    #[ignore = "slow: `.ci/full slow` runs it"]
     fn radii_obstacles_islands_and_clip_box_are_equal_in_tiles() {
         let numbers = |arity: usize| {
             AttributeValues::Numbers(
@@ -439,7 +439,7 @@ mod tests {
     /// Where the moved surface ends at the obstacle, some voxels lie exactly on the obstacle's surface, and
     /// all neighbors of these voxels are outside.
     #[test]
-    #[ignore = "slow: `.ci/run` runs it"]
+    #[ignore = "slow: `.ci/full slow` runs it"]
     fn outward_offset_next_to_an_obstacle_is_closed() {
         let ball = ObstacleSdf::Mesh(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
         let obstacles = Obstacles { members: vec![Arc::new(Obstacle::new(ball, 1 << 24))] };
@@ -457,7 +457,7 @@ mod tests {
 
     /// Obstacles with faces and corners on voxels, where distances to them are exactly zero.
     #[test]
-    #[ignore = "slow: `.ci/run` runs it"]
+    #[ignore = "slow: `.ci/full slow` runs it"]
     fn offset_next_to_obstacles_is_closed_and_equal_in_tiles() {
         let solids = [
             octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0),
@@ -484,7 +484,7 @@ mod tests {
     /// Drops stretched to needles: at some of their tips the interpolation error within a cell is more than
     /// half a voxel.
     #[test]
-    #[ignore = "slow: `.ci/run` runs it"]
+    #[ignore = "slow: `.ci/full slow` runs it"]
     fn clamped_vertices_are_equal_in_tiles() {
         let random = |index: usize| {
             let mixed = (index as u32 + 1).wrapping_mul(0x9e37_79b9);
