@@ -77,12 +77,12 @@ fn run_command(page: &str, &PageCommand { text: command, status }: &PageCommand,
     let made = made_by(&words);
     let before = scene.outputs(&made);
     match words[..] {
-        ["cargo", "test", "--workspace"] => {}
-        ["cargo", "run", "--release", "-p", example, "--", ..] => {
+        ["cargo", "test"] => {}
+        ["cargo", "run", "-p", example, "--", ..] => {
             let arguments = command.split_once(" -- ").expect("just seen").1;
             scene.runs(&format!("{} {arguments}", example_program(example).display()), status);
         }
-        ["cargo", "run", "--release", "--", ..] => {
+        ["cargo", "run", "--", ..] => {
             let arguments = command.split_once(" -- ").expect("just seen").1;
             scene.runs(&format!("meniscus {arguments}"), status);
         }
@@ -166,7 +166,7 @@ fn commands_that_run_elsewhere_are_in_a_page_and_in_their_check() {
 /// Commands within sentences: the file of the check that runs each command, and the text there that runs it.
 const IN_SENTENCES: [(&str, &str, &str); 6] = [
     ("meniscus flicker", "docs/commands.md", "\nmeniscus flicker 'surfaces"),
-    ("meniscus help COMMAND", "tests/meniscus/manual.rs", "--help"),
+    ("meniscus help COMMAND", "tests/program/manual.rs", "--help"),
     ("meniscus man", "docs/commands.md", "\nmeniscus man "),
     ("meniscus convert", "docs/commands.md", "\nmeniscus convert "),
     ("meniscus watch", "docs/commands.md", "\nmeniscus watch "),
@@ -209,11 +209,10 @@ fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
     words.windows(2).filter(|pair| options.contains(&pair[0])).map(|pair| pair[1]).collect()
 }
 
-/// Builds an example in the same Cargo command as this test, so that Cargo chooses the same features of all
-/// crates.
+/// Builds an example, in the profile of this test.
 fn example_program(name: &str) -> PathBuf {
     let build = Command::new(env!("CARGO"))
-        .args(["build", "--locked", "--workspace", "--bin", name, "--test", "checks"])
+        .args(["build", "--locked", "-p", name, "--bin", name])
         .args(["--message-format", "json"])
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .output()
@@ -244,7 +243,7 @@ fn examples_in_pages_need_no_crate_or_feature_that_the_program_does_not_need() {
     };
     let program = crates(&[]);
     let commands = PAGES.iter().flat_map(|(_, text)| commands(text));
-    let examples = commands.filter_map(|command| command.text.strip_prefix("cargo run --release -p "));
+    let examples = commands.filter_map(|command| command.text.strip_prefix("cargo run -p "));
     let examples: BTreeSet<&str> = examples.filter_map(|rest| rest.split(' ').next()).collect();
     assert_eq!(examples, BTreeSet::from(["dam_break", "library"]));
     for example in examples {

@@ -1,7 +1,7 @@
 //! Checks the documentation: every link has a target, and every link to a test names an existing test.
 //!
 //! ```text
-//!   [yes](../tests/meniscus/sequence_files.rs "fn sequence_file_shows_each_frame_at_its_time")
+//!   [yes](../tests/program/sequence_files.rs "fn sequence_file_shows_each_frame_at_its_time")
 //!         a file, relative to the page  a test in the file; `def` for a check in Python
 //! ```
 

@@ -11,7 +11,8 @@ const PIECE_MIN: usize = 4;
 #[test]
 fn every_quoted_message_exists_in_the_source() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let program = [root.join("src"), root.join("formats/src")].map(|folder| messages_below(&folder)).concat();
+    let program =
+        ["src", "formats/src", "surface/src"].map(|folder| messages_below(&root.join(folder))).concat();
     let quoted = quoted(PAGE);
     assert!(quoted.len() > 60, "only {} messages were found", quoted.len());
     let pieces =

@@ -37,6 +37,7 @@ output = "out/sound"
 const SOON: Duration = Duration::from_secs(60);
 
 #[test]
+#[ignore = "slow: `.ci/full slow` runs it"]
 fn unresponsive_file_system_blocks_only_its_folder() {
     with_own_mounts("hangs::unresponsive_file_system_blocks_only_its_folder", || {
         let folder = tempdir().expect("a folder");

@@ -1,15 +1,15 @@
 //! Measures the quality of surfaces: one line of JSON per set of particles, for `benches/quality`.
 //!
 //! ```text
-//! cargo run --release --example paper -- quality preset=fluid               ours, on generated particles
-//! cargo run --release --example paper -- quality splashsurf=plain cell=0.25
-//! cargo run --release --example paper -- quality preset=fluid 'only=Enright 5000,jittered pool'   some sets
-//! cargo run --release --example paper -- quality preset=fluid only= frame=dam.ply:0.05   a file, with its spacing
-//! cargo run --release --example paper -- quality spacings                   estimated / true spacings
+//! cargo run --release -p paper -- quality preset=fluid               ours, on generated particles
+//! cargo run --release -p paper -- quality splashsurf=plain cell=0.25
+//! cargo run --release -p paper -- quality preset=fluid 'only=Enright 5000,jittered pool'   some sets
+//! cargo run --release -p paper -- quality preset=fluid only= frame=dam.ply:0.05   a file, with its spacing
+//! cargo run --release -p paper -- quality spacings                   estimated / true spacings
 //!
 //! for another program: write the particles as .ply files; then read and score its meshes of the same names:
-//! cargo run --release --example paper -- quality write=particles
-//! cargo run --release --example paper -- quality meshes=surfaces
+//! cargo run --release -p paper -- quality write=particles
+//! cargo run --release -p paper -- quality meshes=surfaces
 //! ```
 //!
 //! Settings are `name=value` as in a settings file; names that end in `/d` are lengths in particle spacings.

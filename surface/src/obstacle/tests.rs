@@ -200,6 +200,7 @@ fn solid_angle(triangle: &[DVec3; 3], point: DVec3) -> f64 {
 }
 
 #[test]
+#[ignore = "slow: `.ci/full slow` runs it"]
 fn winding_numbers_match_the_sum_over_all_triangles() {
     let mut mesh = TestMesh::ball(DVec3::new(0.3, 0.2, -0.1), 10.0, 40);
     // Keep half of the triangles, so that all winding numbers between 0 and 1 occur.

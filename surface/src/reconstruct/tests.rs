@@ -1,6 +1,7 @@
 //! Tests of the public API, and of invalid input.
 
 use std::io;
+use std::ops::RangeInclusive;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex};
 
@@ -120,6 +121,7 @@ impl Storage for InMemory {
 }
 
 #[test]
+#[ignore = "slow: `.ci/full slow` runs it"]
 fn memory_limit_is_an_error_without_scratch_and_same_bits_with_scratch() {
     // A long bar: most of its particles are in other tiles.
     let bar: Vec<[f64; 3]> =
@@ -353,8 +355,20 @@ impl Hostile {
 /// Any input gives a surface or an error, and never a panic.
 #[test]
 fn hostile_positions_and_options_never_panic() {
+    hostile_input_never_panics(1..=60);
+}
+
+#[test]
+#[ignore = "slow: `.ci/full slow` runs it"]
+fn more_hostile_positions_and_options_never_panic() {
+    hostile_input_never_panics(61..=600);
+}
+
+/// Reconstructs a random input for each of these seeds.
+fn hostile_input_never_panics(seeds: RangeInclusive<u64>) {
+    let count = seeds.clone().count();
     let (mut made, mut panicked) = (0, Vec::new());
-    for seed in 1..=SEEDS {
+    for seed in seeds {
         let mut from = Hostile(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15));
         let options =
             if seed % 4 == 0 { Options { steps: Some(1), ..Options::default() } } else { from.options() };
@@ -377,8 +391,5 @@ fn hostile_positions_and_options_never_panic() {
         }
     }
     assert!(panicked.is_empty(), "seeds {panicked:?}");
-    assert!(made as u64 > SEEDS / 20, "only {made} surfaces: the input is too extreme to test anything");
+    assert!(made > count / 20, "only {made} surfaces: the input is too extreme to test anything");
 }
-
-/// Number of random inputs: the test takes a few seconds.
-const SEEDS: u64 = 300;

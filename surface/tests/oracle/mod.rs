@@ -102,6 +102,7 @@ fn fast_steps_come_near_the_converged_solution() {
 
 /// The same comparison for a frame of a fluid simulation, which is not part of this repository.
 #[test]
+#[ignore = "slow: `.ci/full slow` runs it"]
 #[expect(clippy::print_stderr, reason = "a test that did not run must say so")]
 fn fast_steps_come_near_the_converged_solution_on_a_dam_break() {
     const VOXEL_SIZE: f64 = 0.025;

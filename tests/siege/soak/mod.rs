@@ -53,6 +53,7 @@ const BETWEEN_IDLE_CHECKS: Duration = Duration::from_secs(15);
 const AFTER_THE_LAST: Duration = Duration::from_secs(8);
 
 #[test]
+#[ignore = "slow: `.ci/full soak` runs it, for MENISCUS_SOAK_MINUTES"]
 fn random_faults_lose_no_frame_and_leak_no_resources() {
     let Some(minutes) = of_environment::<f64>("MENISCUS_SOAK_MINUTES") else {
         return print_line("the soak is SKIPPED: MENISCUS_SOAK_MINUTES says for how long it is to be");
