@@ -1,6 +1,4 @@
 //! Everything that needs more of meniscus than the method: files, pictures and the command line.
-//!
-//! Only this file imports `meniscus::pipeline` and `meniscus::cli`.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -37,6 +37,9 @@
 //!
 //! The crate opens no files, reads no clock, starts no threads, and computes in the caller's rayon pool.
 
+/// The vector types in this crate's API.
+pub use glam;
+
 mod cancel;
 mod error;
 mod reconstruct;

@@ -40,7 +40,7 @@ impl<I: IndexedParallelIterator> IndexedParallelIterator for Halved<I> {
 
     fn drive<C: Consumer<I::Item>>(self, consumer: C) -> C::Result {
         let len = self.0.len();
-        self.0.with_producer(Start { len, consumer })
+        self.0.with_producer(WholeLoop { len, consumer })
     }
 
     fn with_producer<CB: ProducerCallback<I::Item>>(self, callback: CB) -> CB::Output {
@@ -48,12 +48,12 @@ impl<I: IndexedParallelIterator> IndexedParallelIterator for Halved<I> {
     }
 }
 
-struct Start<C> {
+struct WholeLoop<C> {
     len: usize,
     consumer: C,
 }
 
-impl<T, C: Consumer<T>> ProducerCallback<T> for Start<C> {
+impl<T, C: Consumer<T>> ProducerCallback<T> for WholeLoop<C> {
     type Output = C::Result;
 
     fn callback<P: Producer<Item = T>>(self, producer: P) -> C::Result {

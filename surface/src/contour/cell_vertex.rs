@@ -19,7 +19,7 @@
 //!   φ(x) = lerp³ φ − Σₐ ½·xₐ(1 − xₐ)·lerp³ ∂ₐₐφ
 //! ```
 //!
-//! Measured on the sphere with a radius of 20 voxels in `tests/meniscus/surface`: with the planes alone, the
+//! Measured on the sphere with a radius of 20 voxels in `tests/surface`: with the planes alone, the
 //! rms error of the vertices is 0.007 voxels and the mesh's bending energy rises by 10 %; with the mean of
 //! the crossings, 0.012 and 13 %. With the projection onto the zero set, both variants end at 0.0003 voxels
 //! and 0.1 %. The projection steps are limited, because the planes are more accurate where sheets meet in a
