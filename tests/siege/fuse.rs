@@ -74,6 +74,7 @@ impl Drop for Mount {
 
 /// The entry point of the server process; does nothing as a test.
 #[test]
+#[expect(clippy::print_stdout, reason = "the test that started this process reads the line")]
 fn server() {
     let (Some(folder), Some(at)) = (env::var_os(SERVED), env::var_os(MOUNTED_AT)) else { return };
     let device = OpenOptions::new().read(true).write(true).open("/dev/fuse").expect("FUSE");
