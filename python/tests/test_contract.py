@@ -13,7 +13,7 @@ import warnings
 
 import numpy as np
 import pytest
-from conftest import lattice
+from conftest import heed_interrupts, lattice
 
 import pymeniscus as pm
 

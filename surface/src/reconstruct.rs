@@ -7,8 +7,6 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use crate::cancel::{CancelToken, CancellableParticles, CancellableStorage};
 use crate::error::Error;
 use crate::interrupt;
@@ -16,6 +14,7 @@ use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::obstacle::{Obstacle, Obstacles};
 use crate::options::{Anisotropy, Length, SequenceSpacing, Settings};
+use crate::parallel::Loops as _;
 use crate::particles::{Attribute, Positions, Shapes, find_attribute};
 use crate::reconstruction::tiled::{self, TiledError};
 use crate::reconstruction::{

@@ -11,8 +11,9 @@ const PIECE_MIN: usize = 4;
 #[test]
 fn every_quoted_message_exists_in_the_source() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let program =
-        ["src", "formats/src", "surface/src"].map(|folder| messages_below(&root.join(folder))).concat();
+    let program = ["src", "formats/src", "surface/src", "surface/render/src"]
+        .map(|folder| messages_below(&root.join(folder)))
+        .concat();
     let quoted = quoted(PAGE);
     assert!(quoted.len() > 60, "only {} messages were found", quoted.len());
     let pieces =

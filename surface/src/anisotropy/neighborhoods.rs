@@ -22,12 +22,11 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::half_axes::{means, shapes};
 use super::moments::{MEAN_COUNT, MOMENT_COUNT, moments};
 use super::scale_of;
 use crate::neighbors::{NeighborPackets, Neighbors};
+use crate::parallel::Loops as _;
 use crate::particles::{Ellipsoid, OwnedPositions};
 use crate::simd::{Kernel, Lanes, SimdLevel, dispatch_at};
 

@@ -11,10 +11,9 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::half_axes::cube_root;
 use super::{AnisotropicShapes, RAISED_BELOW, ball, scale_of};
+use crate::parallel::Loops as _;
 use crate::particles::Ellipsoid;
 
 /// How velocities shape particles.

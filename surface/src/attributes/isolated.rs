@@ -9,13 +9,12 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::interpolate::Interpolated;
 use super::source::TransferSource;
 use super::tree::{Tree, TreeParticle};
 use super::{NO_PARTICLE, TransferCounts};
 use crate::interrupt::checkpoint;
+use crate::parallel::Loops as _;
 
 /// Assigns the values of the nearest particle to isolated points. Returns the number of points that got
 /// values, and the number of points that no particle reaches.

@@ -40,10 +40,9 @@ mod tree;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use crate::interrupt::checkpoint;
 use crate::mesh::Mesh;
+use crate::parallel::Loops as _;
 use crate::particles::{Attribute, AttributeValues, Positions, Shapes};
 
 pub use band::{BandAttribute, interpolate_to_band};

@@ -11,11 +11,10 @@
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
-
-use crate::parallel::Loops as _;
 use rustc_hash::FxHashSet;
 
 use super::CHUNK;
+use crate::parallel::Loops as _;
 use crate::particles::Positions;
 use crate::space::Lattice;
 

@@ -9,10 +9,9 @@
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use crate::grid::{Leaf, NO_LEAF, Topology, offset_in_leaf};
 use crate::level_set::NarrowBand;
+use crate::parallel::Loops as _;
 use crate::simd::{Kernel, Lanes, dispatch};
 use crate::space::Lattice;
 

@@ -11,11 +11,10 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::near_particles::near_particles;
 use super::{NO_PARTICLE, Support};
 use crate::neighbors::Neighbors;
+use crate::parallel::Loops as _;
 use crate::particles::{Attribute, AttributeValues, OwnedPositions, Positions};
 
 /// The particles that values are interpolated from.

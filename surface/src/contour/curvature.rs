@@ -16,12 +16,11 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::neighborhood::{LeafNeighborhood, PhiBlock};
 use crate::grid::LEAF_EDGE;
 use crate::level_set::NarrowBand;
 use crate::mesh::{self, Mesh, TriangleBatch};
+use crate::parallel::Loops as _;
 use crate::simd::{Kernel, Lanes, dispatch};
 use crate::space::Lattice;
 

@@ -49,8 +49,6 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::cell_cycles::cell_cycles;
 use super::cell_vertex::{CellSamples, VertexBatch, Vertices};
 use super::neighborhood::{LeafNeighborhood, PhiBlock, SignRows};
@@ -61,6 +59,7 @@ use super::{MeshFrame, split};
 use crate::grid::{LeafMask, negative_masks, voxel_in_leaf};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
+use crate::parallel::Loops as _;
 use crate::simd::{Kernel, Lanes, dispatch};
 
 /// The dual mesh of φ = 0. A normal is zero where φ does not define one.

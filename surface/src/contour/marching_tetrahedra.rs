@@ -30,8 +30,6 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::neighborhood::{BLOCK_STEP, LeafNeighborhood, PhiBlock, SignRows};
 use super::normals::unit_or_zero;
 use super::{MeshFrame, split};
@@ -39,6 +37,7 @@ use crate::grid::{LEAF_VOXELS, LeafMask, ROW_COUNT, negative_masks, offset_in_le
 use crate::interrupt::checkpoint;
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
+use crate::parallel::Loops as _;
 
 /// Minimum distance of a vertex from the ends of its edge, as a fraction of the edge. It ensures that every
 /// triangle has a positive area. A larger margin would visibly bend the surface where it passes close to a

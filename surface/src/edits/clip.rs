@@ -22,11 +22,10 @@ use std::sync::Arc;
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use crate::grid::{Field, LEAF_EDGE, Leaf, LeafMask, Topology, negative_masks, voxel_in_leaf};
 use crate::level_set::{NEAREST_TO_ZERO, NarrowBand};
 use crate::mesh::Mesh;
+use crate::parallel::Loops as _;
 use crate::space::Lattice;
 
 /// A box in world units, including its boundary. A side at infinity does not clip.

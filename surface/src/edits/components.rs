@@ -14,9 +14,8 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use crate::grid::{FACE_STEPS, LeafMask, NO_LEAF, Topology, offset_in_leaf};
+use crate::parallel::Loops as _;
 
 /// Which voxels are connected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

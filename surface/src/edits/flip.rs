@@ -16,10 +16,9 @@ use std::collections::BTreeMap;
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, Topology, voxel_in_leaf};
 use crate::level_set::{NarrowBand, Sweeps, UNREACHED, extend};
+use crate::parallel::Loops as _;
 use crate::space::CoordBox;
 
 /// A side of the surface.

@@ -24,12 +24,11 @@ mod tests;
 
 use glam::DVec3;
 use rayon::prelude::*;
-
-use crate::parallel::Loops as _;
 use rustc_hash::FxHashMap;
 
 use crate::neighbors::Neighbors;
 use crate::obstacle::MeshDistance;
+use crate::parallel::Loops as _;
 use crate::particles::OwnedPositions;
 
 pub use carry::CARRY_REACH;

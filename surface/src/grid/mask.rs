@@ -3,10 +3,9 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::leaf::{Field, Leaf};
 use super::stencil::ROW_COUNT;
+use crate::parallel::Loops as _;
 use crate::simd::{Kernel, Lanes, dispatch};
 use crate::space::CoordBox;
 

@@ -2,11 +2,10 @@
 
 use glam::IVec3;
 use rayon::prelude::*;
-
-use crate::parallel::Loops as _;
 use rustc_hash::FxHashMap;
 
 use super::leaf::LEAF_EDGE;
+use crate::parallel::Loops as _;
 
 /// Index of a leaf that is not stored.
 pub const NO_LEAF: u32 = u32::MAX;

@@ -2,9 +2,8 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use crate::grid::Field;
+use crate::parallel::Loops as _;
 
 /// Signed distances to the outer and the inner union of spheres, on the topology of the band that they
 /// constrain. φ is negative inside, so the outer union gives the lower bound:

@@ -16,11 +16,10 @@ use std::sync::Arc;
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::redistance::{Sweeps, UNREACHED, extend};
 use super::{NEAREST_TO_ZERO, NarrowBand};
 use crate::grid::{Leaf, LeafMask, NO_LEAF, Topology, negative_masks};
+use crate::parallel::Loops as _;
 
 /// Moves the surface outward by `offset` voxels (inward if negative) and restores distances within ±
 /// `half_width`, the band's new half width. φ must hold distances up to the level `offset`.

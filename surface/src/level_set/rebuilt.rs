@@ -17,14 +17,13 @@ use std::fmt;
 
 use glam::IVec3;
 use rayon::prelude::*;
-
-use crate::parallel::Loops as _;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::{NarrowBand, Sweeps, UNREACHED, extend, redistance};
 use crate::grid::{
     Field, LEAF_EDGE, LEAF_VOXELS, Leaf, LeafMask, NO_LEAF, Topology, offset_in_leaf, voxel_in_leaf,
 };
+use crate::parallel::Loops as _;
 use crate::space::INDEX_LIMIT;
 
 /// Half width of a rebuilt band, in voxels, as other programs expect.

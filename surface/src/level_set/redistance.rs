@@ -54,10 +54,9 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::NarrowBand;
 use crate::grid::{Field, LEAVES_PER_TASK, Leaf, LeafMask, Neighborhood, Slab, Topology, vectors_in};
+use crate::parallel::Loops as _;
 use crate::simd::{self, Vector, WideKernel};
 
 /// Value of a voxel that no sweep has reached yet.

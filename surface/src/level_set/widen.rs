@@ -11,12 +11,11 @@
 
 use glam::IVec3;
 use rayon::prelude::*;
-
-use crate::parallel::Loops as _;
 use rustc_hash::FxHashMap;
 
 use super::{NarrowBand, Sweeps, redistance};
 use crate::grid::{Field, LEAF_EDGE, Leaf, Topology, offset_in_leaf};
+use crate::parallel::Loops as _;
 
 /// Maximum half width, in voxels: one layer of leaves around the leaves with a crossing contains such a band.
 pub const WIDENED_MAX: f32 = LEAF_EDGE as f32;

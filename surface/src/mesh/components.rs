@@ -7,9 +7,8 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::{CHUNK, Mesh};
+use crate::parallel::Loops as _;
 
 /// Joins the vertices of one chunk along the edges within the chunk. Overwrites `parents`: each entry becomes
 /// the root of its vertex. Returns the number of joins.

@@ -12,9 +12,8 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::{CHUNK, Mesh};
+use crate::parallel::Loops as _;
 
 /// The triangles of one chunk that touch one chunk of vertices.
 struct CornerRun {

@@ -24,12 +24,11 @@
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-
-use crate::parallel::Loops as _;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::Mesh;
 use super::triangles::{LANES, TriangleBatch};
+use crate::parallel::Loops as _;
 
 /// The rounding of a file format. The arguments are positions relative to an origin, and the origin. Returns
 /// the positions that a reader gets from the file, relative to the same origin.

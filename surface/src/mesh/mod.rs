@@ -31,7 +31,6 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::parallel::Loops as _;
-
 use crate::simd::{Kernel, Lanes, dispatch};
 use corners::{Corners, TouchingTriangles};
 pub use decimate::{DecimateReport, decimate};

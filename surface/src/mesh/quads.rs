@@ -14,9 +14,8 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::Mesh;
+use crate::parallel::Loops as _;
 
 /// Number of triangles per task.
 const CHUNK: usize = 1 << 14;

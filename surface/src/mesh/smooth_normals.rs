@@ -15,11 +15,10 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::corners::{Corners, TouchingTriangles};
 use super::{CHUNK, Mesh};
 use crate::interrupt::checkpoint;
+use crate::parallel::Loops as _;
 
 impl Mesh {
     /// Averages each normal with its neighbors, `rounds` times. Normals stay unit vectors; a normal whose

@@ -2,9 +2,8 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::Mesh;
+use crate::parallel::Loops as _;
 
 impl Mesh {
     /// Removes vertices that no triangle uses. The others keep their order.

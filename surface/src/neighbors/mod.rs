@@ -23,11 +23,10 @@ use std::ops::Range;
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
-
-use crate::parallel::Loops as _;
 use rustc_hash::FxHashMap;
 
 use crate::interrupt::checkpoint;
+use crate::parallel::Loops as _;
 use crate::particles::OwnedPositions;
 use crate::space::{INDEX_LIMIT, Lattice};
 

@@ -36,11 +36,10 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::leaf::ObstacleLeaf;
 use crate::grid::{Leaf, ROW_COUNT};
 use crate::level_set::{Bounds, NarrowBand};
+use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes};
 
 /// The contact of fluid and obstacles: filled gaps and displaced fluid. All 0 without obstacles.

@@ -3,10 +3,9 @@
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::{ObstacleLeaf, Obstacles};
 use crate::grid::{LEAF_EDGE, offset_in_leaf};
+use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Positions, Unread};
 use crate::space::Lattice;
 

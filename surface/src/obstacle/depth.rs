@@ -11,11 +11,10 @@
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::{Obstacle, ObstacleLeaf, ObstacleSdf, Obstacles};
 use crate::grid::{LEAF_EDGE, offset_in_leaf};
 use crate::mesh::Mesh;
+use crate::parallel::Loops as _;
 use crate::space::Lattice;
 
 /// How deep vertices are inside obstacles, after vertices that were too deep were moved out.

@@ -19,8 +19,6 @@ use std::ops::Range;
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
-
-use crate::parallel::Loops as _;
 use rustc_hash::FxHashSet;
 
 use super::batch::LeafBatch;
@@ -29,6 +27,7 @@ use super::occupancy::Occupancy;
 use super::region::{Regions, meet};
 use crate::grid::{LeafMask, Topology, offset_in_leaf};
 use crate::interrupt::checkpoint;
+use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Ellipsoid, Shapes, Unread};
 use crate::space::Lattice;
 

@@ -55,8 +55,6 @@ use std::borrow::Cow;
 
 use glam::IVec3;
 use rayon::prelude::*;
-
-use crate::parallel::Loops as _;
 use rustc_hash::FxHashSet;
 
 use super::cover::{Cover, OctantBall};
@@ -65,6 +63,7 @@ use super::region::Regions;
 use super::{Radii, RasterParams};
 use crate::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
 use crate::interrupt::checkpoint;
+use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::CoordBox;
 

@@ -9,8 +9,6 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::bin::ParticleBins;
 use super::culling::Culling;
 use super::ellipsoid::{BallShape, EllipsoidShape, Primitives};
@@ -18,6 +16,7 @@ use super::signed_distance::Below;
 use super::sphere::{ParticlePackets, nearest_distances};
 use super::{Radii, keep};
 use crate::grid::{Field, Leaf, LeafMask, Topology};
+use crate::parallel::Loops as _;
 use crate::particles::Shapes;
 use crate::simd;
 

@@ -30,8 +30,6 @@ use std::ops::Range;
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::bin::ParticleBins;
 use super::sphere::OUT_OF_REACH;
 use super::{EXACT_MARGIN, Radii};
@@ -39,6 +37,7 @@ use crate::grid::{
     Field, LEAF_EDGE, LEAVES_PER_TASK, Leaf, LeafMask, ROW_COUNT, SetBits, Topology, leaf_steps_within,
 };
 use crate::interrupt::checkpoint;
+use crate::parallel::Loops as _;
 use crate::particles::Ellipsoid;
 use crate::simd::{self, Kernel, Lanes, greatest};
 

@@ -15,8 +15,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
-
-use crate::parallel::Loops as _;
 use rustc_hash::FxHashSet;
 
 use super::RasterParams;
@@ -24,6 +22,7 @@ use super::batch::LeafBatch;
 use super::leaf_map::{ConcurrentLeafMap, LeafMap};
 use super::spread::spread;
 use crate::grid::{LEAF_EDGE, Topology};
+use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Unread};
 
 /// Estimated counts of leaves and particles.
@@ -376,8 +375,7 @@ mod tests {
 
     use super::*;
     use crate::obstacle::{MeshSdf, Obstacle, ObstacleSdf, Obstacles};
-    use crate::particles::OwnedPositions;
-    use crate::particles::erased;
+    use crate::particles::{OwnedPositions, erased};
     use crate::rasterize::{Radii, rasterize};
     use crate::space::Lattice;
 

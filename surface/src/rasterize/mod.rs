@@ -49,8 +49,6 @@ use std::sync::Arc;
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 pub use bin::ParticleBins;
 pub use footprint::{Footprint, NearSurface, footprint};
 pub use occupancy::Occupancy;
@@ -59,6 +57,7 @@ pub use vicinity::{GatherBlock, Gathered, Vicinity};
 use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::level_set::{Bounds, NarrowBand};
 use crate::obstacle::{ContactStats, ObstacleLeaf, Obstacles, apply_obstacle_constraint};
+use crate::parallel::Loops as _;
 use crate::particles::{AnySource, ParticleSource, Unread, erased};
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::{CoordBox, Lattice};

@@ -15,12 +15,11 @@
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::batch::LeafBatch;
 use super::leaf_map::{ConcurrentLeafMap, LeafMap};
 use super::outliers::outlier_leaves;
 use crate::grid::{LEAF_EDGE, Topology};
+use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Unread};
 use crate::space::{CoordBox, Lattice};
 

@@ -9,13 +9,12 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::distances::{SphereDistances, SphereUnion};
 use super::sphere::OUT_OF_REACH;
 use super::{Radii, sweep_count};
 use crate::grid::{Field, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::level_set::{Sweeps, UNREACHED, extend_in};
+use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes};
 
 /// The signed distance to one of the unions, swept up to the half width; values beyond it are only

@@ -15,10 +15,9 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::bin::ParticleBins;
 use crate::grid::{Field, LEAF_EDGE, LEAVES_PER_TASK, Leaf, LeafMask, SetBits, Topology, leaf_steps_within};
+use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes, greatest};
 
 /// Distance value of voxels without a particle within reach.

@@ -14,8 +14,6 @@
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
-
-use crate::parallel::Loops as _;
 use rustc_hash::FxHashSet;
 
 use super::batch::LeafCoords;
@@ -25,6 +23,7 @@ use super::culling::{Uncovered, leaves_of_boxes};
 use super::occupancy::{Occupancy, Octants};
 use super::region::meet;
 use crate::grid::{LEAF_EDGE, LEAF_VOXELS, LeafMask, NO_LEAF};
+use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Positions, Shapes, Unread};
 use crate::simd;
 use crate::space::{CoordBox, Lattice};

@@ -14,8 +14,6 @@ use std::ops::ControlFlow;
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::plan::{FIELD_BYTES, mesh_bytes, smoothing_fields};
 use super::postprocess::{PositionFormat, StoredMesh};
 use super::{FrameSurface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, lattice, postprocess, smooth_config};
@@ -25,6 +23,7 @@ use crate::level_set::{
     Bounds, NarrowBand, WIDENED_MAX, offset_surface, widened, widened_leaf_count, widened_leaf_count_max,
 };
 use crate::options::Settings;
+use crate::parallel::Loops as _;
 use crate::report::ReconstructionReport;
 use crate::smooth;
 use crate::validation::{CheckedRegion, certificate};

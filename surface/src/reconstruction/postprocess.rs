@@ -21,8 +21,6 @@ use std::sync::Arc;
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::{RasterParams, lattice};
 use crate::contour;
 use crate::edits::{self, DroppedIslands};
@@ -31,6 +29,7 @@ use crate::level_set::{NarrowBand, offset_surface};
 use crate::mesh::{Mesh, RoundedPositions, decimate};
 use crate::obstacle::ObstacleLeaf;
 use crate::options::Settings;
+use crate::parallel::Loops as _;
 use crate::report::{DepthStats, EditReport, ReconstructionReport};
 use crate::validation::{self, CheckedRegion, ExclusionMask, ParticleChecks};
 

@@ -5,10 +5,9 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::free_voxels::FreeVoxels;
 use crate::grid::{Field, Leaf, Neighborhood, Topology, vectors_in};
+use crate::parallel::Loops as _;
 use crate::simd::{self, Vector, WideKernel};
 
 /// The largest eigenvalue of the discrete biharmonic, in units of 1/h⁴.

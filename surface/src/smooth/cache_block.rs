@@ -16,10 +16,9 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::free_voxels::FreeVoxels;
 use crate::grid::{Direction, NO_LEAF, Topology};
+use crate::parallel::Loops as _;
 
 /// Leaves per block: their inner Laplacians take 128 kB of a core's cache, beside the streamed fields.
 const BLOCK_LEAVES: usize = 64;

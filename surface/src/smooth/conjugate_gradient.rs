@@ -6,12 +6,11 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::biharmonic::inner_laplacian;
 use super::free_voxels::FreeVoxels;
 use crate::grid::{Field, Leaf, LeafMask, Neighborhood, slabs_in};
 use crate::level_set::{Bounds, NarrowBand};
+use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes};
 
 /// The state between iterations.

@@ -10,13 +10,12 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::biharmonic::{EIGENVALUE_MAX, inner_laplacian};
 use super::free_voxels::FreeVoxels;
 use super::schedule::Workspace;
 use crate::grid::{Leaf, LeafMask, Neighborhood, slabs_in};
 use crate::level_set::{Bounds, NarrowBand};
+use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes};
 
 /// Takes one step of `step_size` h⁴. Returns the maximum change of a value in the `own` leaves, before

@@ -11,9 +11,8 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use crate::grid::{Direction, Field, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
+use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes};
 
 /// The free voxels of a step, and the rows where the inner Laplacian is needed.

@@ -49,14 +49,13 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::biharmonic::{EIGENVALUE_MAX, Laplacian};
 use super::cache_block::CacheBlock;
 use super::free_voxels::FreeVoxels;
 use super::thickness::thick;
 use crate::grid::{Field, Leaf, LeafMask, Neighborhood, ROW_COUNT, Topology, vectors_in};
 use crate::level_set::{Bounds, NarrowBand};
+use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes, Vector, WideKernel};
 
 /// What a step of 1 h⁴ adds to the smallest eigenvalue where the region is thin. A plate of width w that is

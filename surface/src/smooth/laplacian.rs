@@ -5,10 +5,9 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use crate::grid::{Field, LEAVES_PER_TASK, Leaf, Neighborhood, vectors_in};
 use crate::level_set::{Bounds, NarrowBand};
+use crate::parallel::Loops as _;
 use crate::simd::{self, Vector, WideKernel};
 
 /// Voxels with |φ| up to this are changed (Alg. 1, line 6).

@@ -30,10 +30,9 @@ use std::ops::ControlFlow;
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use crate::grid::Field;
 use crate::level_set::{Bounds, NEAREST_TO_ZERO, NarrowBand};
+use crate::parallel::Loops as _;
 use crate::words::word_enum;
 
 word_enum! {

@@ -33,11 +33,10 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::free_voxels::near;
 use super::thickness::with_neighbors;
 use crate::grid::{Field, LeafMask, Neighborhood, Topology, offset_in_leaf, voxel_in_leaf};
+use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes};
 
 /// Minimum fall of |φ| from a peak to every point of the [shell], in voxels. For a ball it is at least 1.31

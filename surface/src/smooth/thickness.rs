@@ -19,9 +19,8 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use crate::grid::{LeafMask, NO_LEAF, Topology};
+use crate::parallel::Loops as _;
 
 /// Voxels within this distance of a deep one, per axis, count as thick. Deep voxels are more than four from
 /// fixed ones.

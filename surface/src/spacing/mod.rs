@@ -28,7 +28,6 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::parallel::Loops as _;
-
 use crate::particles::Positions;
 
 pub use bounded::SourceSample;

@@ -14,8 +14,6 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::distances::is_inside_one;
 use super::mesh_cells::{corner, with_all_corners};
 use super::particle_checks::CheckedRegion;
@@ -23,6 +21,7 @@ use super::rays::not_enclosed;
 use super::surfaces::ShapedParticles;
 use crate::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
 use crate::level_set::NarrowBand;
+use crate::parallel::Loops as _;
 use crate::simd::{Kernel, Lanes, dispatch};
 
 /// The particles of a part that the mesh does not enclose, in voxels relative to the origin of their leaf,

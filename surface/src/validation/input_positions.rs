@@ -15,12 +15,11 @@
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::mesh_cells::corner;
 use super::{ExclusionMask, ParticlesOutside};
 use crate::grid::{Field, LEAF_EDGE, Topology, offset_in_leaf};
 use crate::level_set::NarrowBand;
+use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Unread};
 use crate::space::Lattice;
 

@@ -21,14 +21,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
-
-use crate::parallel::Loops as _;
 use rustc_hash::FxHashSet;
 
 use crate::grid::{LEAF_EDGE, LeafMask, Topology, negative_masks, offset_in_leaf, voxel_in_leaf};
 use crate::interrupt::checkpoint;
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
+use crate::parallel::Loops as _;
 use crate::space::Lattice;
 
 /// The cells that a mesh passes through, and the signs of φ around them. A cell is identified by its lowest

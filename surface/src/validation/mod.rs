@@ -34,8 +34,6 @@ mod surfaces;
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 pub use bound_violations::BoundViolation;
 pub use input_positions::{
     MovedParticle, count_inputs_outside, count_inputs_outside_of_source, possibly_outside,
@@ -44,6 +42,7 @@ pub use mesh_cells::MeshCells;
 pub use particle_checks::{CheckedRegion, ParticleChecks, check};
 
 use crate::mesh::{Mesh, MeshMeasures};
+use crate::parallel::Loops as _;
 use crate::rasterize::Radii;
 use crate::space::Lattice;
 use crate::words::pluralize;

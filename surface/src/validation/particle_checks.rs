@@ -12,11 +12,10 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::{BoundViolation, ExclusionMask, MeshCells, containment, distances};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
+use crate::parallel::Loops as _;
 use crate::rasterize::{ParticleBins, Radii};
 use crate::space::{CoordBox, Lattice};
 

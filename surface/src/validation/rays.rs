@@ -12,8 +12,6 @@
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
-
-use crate::parallel::Loops as _;
 use rustc_hash::FxHashMap;
 
 use super::containment::is_voxel_inside;
@@ -22,6 +20,7 @@ use super::particle_checks::CheckedRegion;
 use super::surfaces::ShapedParticles;
 use crate::grid::LEAF_EDGE;
 use crate::interrupt::checkpoint;
+use crate::parallel::Loops as _;
 
 /// Maximum length of a ray in cells; if it finds no clear cell, the particle counts as outside.
 const REACH: i32 = 32;

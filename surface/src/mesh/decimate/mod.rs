@@ -40,10 +40,9 @@ mod rings;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::Mesh;
 use crate::interrupt::checkpoint;
+use crate::parallel::Loops as _;
 use collapse::{Collapse, VertexStar};
 use rings::Rings;
 

@@ -15,10 +15,9 @@
 
 use rayon::prelude::*;
 
-use crate::parallel::Loops as _;
-
 use super::super::corners::{Corners, TouchingTriangles};
 use super::super::{CHUNK, Mesh};
+use crate::parallel::Loops as _;
 
 /// Maximum number of neighbors of a vertex that is not locked, also after a collapse into it.
 pub(super) const DEGREE_MAX: usize = 16;
