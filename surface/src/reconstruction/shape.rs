@@ -500,12 +500,12 @@ mod tests {
 
     #[test]
     fn batches_and_blocks_of_any_size_give_the_same_bits() {
-        let cloud = cloud(24);
+        let cloud = cloud(20);
         for choices in choices() {
             let settings = Settings::paper(0.5, &choices).expect("sound");
             let (whole, shape_stats) = shape_particles(cloud.clone(), &settings);
             assert!(
-                shape_stats.near_count > 5000 && shape_stats.near_count < cloud.positions.len(),
+                shape_stats.near_count > 3000 && shape_stats.near_count < cloud.positions.len(),
                 "{shape_stats:?}"
             );
             for (size, gathered_max) in [(1 << 20, 1), (700, 3000), (11, 1 << 22)] {
@@ -541,14 +541,16 @@ mod tests {
     /// Leaving particles deep inside unmoved does not change the surface.
     #[test]
     fn leaving_deep_particles_unmoved_keeps_the_surface() {
-        let block = cloud(26);
-        let ball = round(&cloud(34), 17.0);
-        let cases = choices().into_iter().flat_map(|choices| [(choices.clone(), &block), (choices, &ball)]);
-        for (choices, cloud) in cases {
+        let block = cloud(22);
+        let ball = round(&cloud(28), 14.0);
+        let [balls, neighbors, unmoved] = choices();
+        for (choices, cloud) in
+            [(balls, &ball), (neighbors.clone(), &block), (neighbors, &ball), (unmoved, &ball)]
+        {
             let settings = Settings::paper(0.5, &choices).expect("sound");
             let (near, shape_stats) = shape_particles(cloud.clone(), &settings);
             let deep_count = cloud.positions.len() - shape_stats.near_count;
-            assert!(deep_count > 2000, "{deep_count}");
+            assert!(deep_count > 1000, "{deep_count}");
             let config =
                 NeighborConfig { radius_world: settings.neighbor_radius, stretch: stretch(&settings) };
             let found = from_neighbors(&cloud.positions, |_| true, None, &config);
