@@ -12,8 +12,7 @@
     removed       nothing of the modules stays
     rendered      sequences_still.png, sequences_blurred.png: the last frame, sharp and with motion blur
 
-Runs in separate Pythons, with Blender 4.5 and 5.0 as a module. The package pymeniscus comes from the wheel that
-python/tests/run builds.
+Runs in separate Pythons, with Blender 4.5 and 5.0 as a module. The argument is the wheel of pymeniscus.
 """
 
 import contextlib
@@ -38,7 +37,7 @@ from mathutils import Matrix
 
 from check_blender import new_material, positions_of, render, stage, to_log, transformed
 from mesh_files import read_ply
-from project import OWN, ROOT, STRICT_TIMES, TARGET, WORK, Check
+from project import OWN, ROOT, STRICT_TIMES, WORK, Check
 
 HERE = Path(__file__).resolve().parent
 FOLDER = WORK / "sequences"
@@ -85,10 +84,7 @@ def main():
 
 def prepare():
     """Unpacks the wheel, registers the modules, and converts the frames, of which number 4 is missing."""
-    wheels = sorted((TARGET / "python" / "wheels").glob("*.whl"))
-    if not wheels:
-        sys.exit(f"there is no wheel in {TARGET / 'python' / 'wheels'}: build it with python/tests/run")
-    with zipfile.ZipFile(wheels[-1]) as wheel:
+    with zipfile.ZipFile(sys.argv[1]) as wheel:
         wheel.extractall(SITE)
     sys.path[:0] = [str(SITE), str(ROOT / "python" / "blender")]
     global conversion, sequence, pymeniscus
