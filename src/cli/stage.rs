@@ -21,8 +21,8 @@ pub(super) struct StageWriter {
     due: Instant,
 }
 
-/// Maximum number of missing files that are named.
-const MISSING_NAMED: usize = 3;
+/// Maximum number of missing files that are named, and of frames that are left out.
+const NAMED_MAX: usize = 3;
 
 impl StageWriter {
     /// The stage that the options name, if they name one, with these frames.
@@ -51,7 +51,12 @@ impl StageWriter {
             return outcome;
         };
         match write_stage(&self.outputs, &self.sequences) {
-            Ok(Some(StageReport { frame_count, missing, .. })) => {
+            Ok(Some(StageReport { frame_count, missing, left_out, .. })) => {
+                left_out.iter().take(NAMED_MAX).for_each(|why| console.warning(why));
+                if left_out.len() > NAMED_MAX {
+                    let more = pluralize(left_out.len() - NAMED_MAX, "more file");
+                    console.warning(format_args!("{path}: {more} left out for such reasons"));
+                }
                 let frames = pluralize(frame_count, "frame");
                 console.print_line(format_args!("{path}: a stage of {frames}{}", named(&missing)));
                 if frame_count < self.former_count {
@@ -79,8 +84,8 @@ fn named(missing: &[String]) -> String {
     if missing.is_empty() {
         return String::new();
     }
-    let others = (missing.len() > MISSING_NAMED).then_some("..");
-    let names: Vec<&str> = missing.iter().take(MISSING_NAMED).map(String::as_str).chain(others).collect();
+    let others = (missing.len() > NAMED_MAX).then_some("..");
+    let names: Vec<&str> = missing.iter().take(NAMED_MAX).map(String::as_str).chain(others).collect();
     let are = if missing.len() == 1 { "is" } else { "are" };
     format!("; {} {are} missing so far: {}", pluralize(missing.len(), "file"), names.join(", "))
 }

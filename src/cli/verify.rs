@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use crate::farm::{
     FrameCheck, PlanVerification, PlannedFrame, ShardPlan, VerificationReport, verify as verify_plan,
 };
-use crate::pipeline::{InspectedState, are_same_file, stage_frame_count};
+use crate::pipeline::{InspectedState, StageFrame, are_same_file, stage_frame_count};
 
 use super::CommandOutcome;
 use super::args::VerifyArgs;
@@ -47,16 +47,28 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     }
     summarize(&verdicts, start.elapsed().as_secs_f64(), console);
     if let Some(stage) = plan.stage() {
-        let done = verdicts.done_count();
+        let done = frames.iter().filter(|(_, verdict)| verdict.state == InspectedState::Done);
+        let is_playable = |(planned, _): &&(&PlannedFrame, &FrameCheck)| {
+            let outputs = &plan.sequences[planned.sequence].outputs;
+            StageFrame::new(outputs, &planned.stem, planned.number).is_playable()
+        };
+        let playable = done.filter(is_playable).count();
+        let path = stage.display();
+        let left_out = verdicts.done_count() - playable;
+        if left_out > 0 {
+            let left_out = pluralize(left_out, "finished frame");
+            console.warning(format_args!(
+                "{path}: the stage cannot have {left_out}, because USD cannot write their names or numbers: rename them"
+            ));
+        }
         match stage_frame_count(stage) {
-            Ok(listed) if listed.unwrap_or(0) < done => console.warning(format_args!(
-                "{}: the stage has {} of {}: run any shard again, which updates it",
-                stage.display(),
+            Ok(listed) if listed.unwrap_or(0) < playable => console.warning(format_args!(
+                "{path}: the stage has {} of {}: run any shard again, which updates it",
                 listed.unwrap_or(0),
-                pluralize(done, "finished frame")
+                pluralize(playable, "finished frame")
             )),
             Ok(_) => {}
-            Err(why) => console.warning(format_args!("{}: {why}", stage.display())),
+            Err(why) => console.warning(format_args!("{path}: {why}")),
         }
     }
     if let Some(planned) = planned.filter(|_| !verdicts.shards_to_run().is_empty()) {

@@ -145,6 +145,23 @@ fn stage_is_the_same_from_shards() {
 }
 
 #[test]
+fn verify_recommends_no_shard_for_frames_that_usd_cannot_name() {
+    let folder = frames(2);
+    let path = folder.path();
+    write_ply(&path.join("in/we\u{1}t.1.ply"), &block(5, 0.0));
+    let plan = ["plan", "in", "--out", "farm", "--shards", "1", "-o", "p.json", "--stage", "farm/s.usda"];
+    succeeded(&meniscus(path, &[&plan[..], &["--voxel-size=0.05", "--format=usdc"]].concat()));
+    let result = meniscus(path, &["convert", "--plan", "p.json", "--shard", "0"]);
+    succeeded(&result);
+    assert!(result.err.contains("we\\u{1}t.1.usdc is left out of the stage"), "{}", result.err);
+    assert_eq!(clips(&text(&path.join("farm/s.usda"))), ["dam.1.usdc", "dam.2.usdc"]);
+    let result = meniscus(path, &["verify", "farm", "--plan", "p.json"]);
+    succeeded(&result);
+    assert!(result.err.contains("the stage cannot have 1 finished frame, because USD"), "{}", result.err);
+    assert!(!result.err.contains("run any shard"), "{}", result.err);
+}
+
+#[test]
 fn text_frames_have_time_samples_only_for_a_stage() {
     let folder = frames(2);
     let path = folder.path();

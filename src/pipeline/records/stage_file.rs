@@ -12,6 +12,7 @@
 
 use std::cmp::Reverse;
 use std::collections::{HashMap, HashSet};
+use std::ffi::OsStr;
 use std::fs;
 use std::io::{self, Cursor, Read, Write};
 use std::path::{Path, PathBuf};
@@ -59,6 +60,28 @@ impl StageFrame {
             volume: has_volume.then(|| path(OutputFormat::Vdb)),
         }
     }
+
+    /// Whether a stage can list its files: USD cannot name every file, and has no time code for every number.
+    pub fn is_playable(&self) -> bool {
+        let mut names = self.files().map(|file| file.file_name().unwrap_or_default());
+        self.has_time_code() && names.all(|name| usd_text(name).is_some())
+    }
+
+    fn has_time_code(&self) -> bool {
+        self.number.is_none_or(|number| number <= TIME_CODE_MAX)
+    }
+
+    fn files(&self) -> impl Iterator<Item = &PathBuf> {
+        [&self.mesh, &self.volume].into_iter().flatten()
+    }
+}
+
+/// Time codes are 64-bit floats, which cannot distinguish larger integers.
+const TIME_CODE_MAX: u64 = 1 << f64::MANTISSA_DIGITS;
+
+/// A name as USD can write it; `None` if it is not Unicode, or has control characters.
+fn usd_text(name: &OsStr) -> Option<&str> {
+    name.to_str().filter(|name| !name.contains(char::is_control))
 }
 
 /// What a stage plays.
@@ -72,14 +95,17 @@ pub struct StageReport {
     pub volume_count: usize,
     /// The names of the files that do not exist yet, in the order of the frames.
     pub missing: Vec<String>,
+    /// Which frames are left out although their files exist, and why: a sentence each.
+    pub left_out: Vec<String>,
 }
 
 /// Writes the stage of the [options](OutputOptions::stage) atomically, unless the file is up to date. Returns
-/// `None`, and writes nothing, if no frame has a file, or if there is no stage in the options.
+/// `None`, and writes nothing, if no frame has a file, or if there is no stage in the options. A frame that the
+/// stage cannot play is left out.
 ///
 /// # Errors
-/// When the file exists and is not a stage of this program, a name is not Unicode, or the system reports an
-/// error.
+/// When the file exists and is not a stage of this program, the stage cannot play any of the frames that have
+/// files, USD cannot name the stage itself, or the system reports an error.
 pub fn write_stage(
     outputs: &OutputOptions,
     sequences: &[StageSequence],
@@ -170,16 +196,27 @@ fn stage_of(
     let format = outputs.stage_mesh_format().unwrap_or(OutputFormat::Usdc);
     let (mut found, mut report) = (Vec::new(), StageReport::default());
     for (name, frames) in merged(sequences) {
+        let (frames, beyond): (Vec<_>, Vec<_>) = frames.into_iter().partition(|frame| frame.has_time_code());
+        report.left_out.extend(
+            beyond
+                .into_iter()
+                .filter_map(|frame| frame.files().next())
+                .map(|file| left_out(file, &format!("frame numbers in USD are at most {TIME_CODE_MAX}"))),
+        );
         let numbers: Vec<Option<u64>> = frames.iter().map(|frame| frame.number).collect();
         let codes = increasing(&numbers);
-        let meshes =
+        let mut meshes =
             ExistingFiles::of(frames.iter().map(|frame| frame.mesh.as_deref()), &codes, &mut assets)?;
         let volumes =
             ExistingFiles::of(frames.iter().map(|frame| frame.volume.as_deref()), &codes, &mut assets)?;
-        report.add(&frames, &meshes, &volumes);
         let largest =
             volumes.largest_first().first().and_then(|&index| open_regular(volumes.sizes[index].1).ok());
-        let (declared_by, properties) = defining(&meshes, format)?;
+        let (declared_by, properties) = defining(&meshes, format).unwrap_or_else(|why| {
+            report.left_out.push(why);
+            meshes.unlist();
+            (0, Vec::new())
+        });
+        report.add(&meshes, &volumes);
         found.push(StageClips {
             name: prim_name(name).to_owned(),
             declared_by,
@@ -188,6 +225,9 @@ fn stage_of(
             volumes: volumes.clips,
             has_velocity: largest.is_some_and(|mut file| vdb::has_velocity(&mut file).unwrap_or(false)),
         });
+    }
+    if let (0, Some(why)) = (report.frame_count, report.left_out.first()) {
+        return Err(why.clone());
     }
     let OutputOptions { up, meters_per_unit, .. } = *outputs;
     let stage = UsdStage { path: assets.of_stage()?, up, meters_per_unit, fps, sequences: found };
@@ -222,8 +262,20 @@ struct ExistingFiles<'a> {
     clips: Vec<ClipFile>,
     /// The size and path of each.
     sizes: Vec<(u64, &'a Path)>,
-    /// For each frame, the file that it should have but that does not exist.
-    missing: Vec<Option<&'a Path>>,
+    /// For each frame, the state of its file.
+    states: Vec<FileState<'a>>,
+}
+
+/// The file of a frame in a stage.
+#[derive(Clone, Copy)]
+enum FileState<'a> {
+    /// The stage needs no such file.
+    Unlisted,
+    Listed,
+    /// It does not exist yet.
+    Missing(&'a Path),
+    /// USD cannot name it.
+    Unnamable(&'a Path),
 }
 
 impl<'a> ExistingFiles<'a> {
@@ -232,16 +284,27 @@ impl<'a> ExistingFiles<'a> {
         codes: &[u64],
         assets: &mut AssetPaths,
     ) -> Result<ExistingFiles<'a>, String> {
-        let (mut clips, mut sizes, mut missing) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut clips, mut sizes, mut states) = (Vec::new(), Vec::new(), Vec::new());
         for (path, &code) in paths.zip(codes) {
-            let metadata = path.and_then(|path| path.metadata().ok()).filter(fs::Metadata::is_file);
-            missing.push(path.filter(|_| metadata.is_none()));
-            if let Some((path, metadata)) = path.zip(metadata) {
+            let mut state_of = |path: &'a Path| -> Result<FileState<'a>, String> {
+                let Some(metadata) = path.metadata().ok().filter(fs::Metadata::is_file) else {
+                    return Ok(FileState::Missing(path));
+                };
+                let Some(asset) = assets.of(path)? else { return Ok(FileState::Unnamable(path)) };
                 sizes.push((metadata.len(), path));
-                clips.push(ClipFile { code, path: assets.of(path)? });
-            }
+                clips.push(ClipFile { code, path: asset });
+                Ok(FileState::Listed)
+            };
+            states.push(path.map_or(Ok(FileState::Unlisted), &mut state_of)?);
         }
-        Ok(ExistingFiles { clips, sizes, missing })
+        Ok(ExistingFiles { clips, sizes, states })
+    }
+
+    /// Removes all files from the stage.
+    fn unlist(&mut self) {
+        self.clips.clear();
+        let listed = self.states.iter_mut().filter(|state| matches!(state, FileState::Listed));
+        listed.for_each(|state| *state = FileState::Unlisted);
     }
 
     /// The indices of the files, by descending size.
@@ -253,19 +316,31 @@ impl<'a> ExistingFiles<'a> {
 }
 
 impl StageReport {
-    /// Adds the frames of a sequence.
-    fn add(&mut self, frames: &[&StageFrame], meshes: &ExistingFiles, volumes: &ExistingFiles) {
+    /// Adds the files of the frames of a sequence.
+    fn add(&mut self, meshes: &ExistingFiles, volumes: &ExistingFiles) {
         self.mesh_count += meshes.clips.len();
         self.volume_count += volumes.clips.len();
-        for (index, frame) in frames.iter().enumerate() {
-            let (mesh, volume) = (meshes.missing[index], volumes.missing[index]);
-            let exists =
-                |wanted: &Option<PathBuf>, missing: Option<&Path>| wanted.is_some() && missing.is_none();
-            self.frame_count += usize::from(exists(&frame.mesh, mesh) || exists(&frame.volume, volume));
+        for (mesh, volume) in meshes.states.iter().zip(&volumes.states) {
+            let files = [*mesh, *volume];
+            self.frame_count += usize::from(files.iter().any(|state| matches!(state, FileState::Listed)));
             let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            self.missing.extend([mesh, volume].into_iter().flatten().map(name));
+            self.missing.extend(files.iter().filter_map(|state| match state {
+                FileState::Missing(path) => Some(name(path)),
+                _ => None,
+            }));
+            let unnamable = files.iter().find_map(|state| match state {
+                FileState::Unnamable(path) => Some(path),
+                _ => None,
+            });
+            let why = "its path has control characters or is not Unicode, so USD cannot name it";
+            self.left_out.extend(unnamable.map(|path| left_out(path, why)));
         }
     }
+}
+
+/// The sentence about a frame that is left out of a stage, with one of its files.
+fn left_out(file: &Path, why: &str) -> String {
+    format!("{} is left out of the stage: {why}; rename its frame", file.display())
 }
 
 /// The mesh that defines the attributes of all, by its index, and those that have time samples in it: the
@@ -309,8 +384,8 @@ struct AssetPaths {
     stage: PathBuf,
     /// The folder of the stage, without links.
     folder: PathBuf,
-    /// The relative path of each folder.
-    relative: HashMap<PathBuf, String>,
+    /// The relative path of each folder; `None` if USD cannot name it.
+    relative: HashMap<PathBuf, Option<String>>,
 }
 
 impl AssetPaths {
@@ -321,23 +396,24 @@ impl AssetPaths {
 
     /// The path of the stage itself.
     fn of_stage(&self) -> Result<String, String> {
-        let name = self.stage.file_name().unwrap_or_default();
-        Ok(format!("./{}", name.to_str().ok_or_else(|| not_unicode(&self.stage))?))
+        let name = usd_text(self.stage.file_name().unwrap_or_default());
+        let name = name.ok_or("has control characters or is not Unicode: choose another name")?;
+        Ok(format!("./{name}"))
     }
 
-    /// The path of a file, for the stage.
-    fn of(&mut self, file: &Path) -> Result<String, String> {
+    /// The path of a file, for the stage; `None` if USD cannot name it.
+    fn of(&mut self, file: &Path) -> Result<Option<String>, String> {
         let parent = file.parent().unwrap_or(Path::new(""));
         if !self.relative.contains_key(parent) {
-            let folder = relative_folder(&self.folder, &real_folder(file)?)?;
+            let folder = relative_folder(&self.folder, &real_folder(file)?);
             self.relative.insert(parent.to_owned(), folder);
         }
-        let name = file.file_name().unwrap_or_default().to_str().ok_or_else(|| not_unicode(file))?;
-        let folder = &self.relative[parent];
+        let name = usd_text(file.file_name().unwrap_or_default());
+        let Some((folder, name)) = self.relative[parent].as_ref().zip(name) else { return Ok(None) };
         if folder == "./" && self.stage.file_name().is_some_and(|stage| stage == name) {
             return Err("the stage would replace one of its frames: choose another name".to_owned());
         }
-        Ok(format!("{folder}{name}"))
+        Ok(Some(format!("{folder}{name}")))
     }
 }
 
@@ -347,14 +423,10 @@ fn real_folder(file: &Path) -> Result<PathBuf, String> {
     folder.canonicalize().map_err(|error| format!("{}: {error}", folder.display()))
 }
 
-fn not_unicode(path: &Path) -> String {
-    format!("{} is not Unicode, so a stage cannot name it", path.display())
-}
-
 /// The path from one folder to another, with `/` after each name; absolute if the folders have only the root
 /// in common. A relative path starts with a dot: otherwise programs would also search for it in other
-/// folders.
-fn relative_folder(from: &Path, to: &Path) -> Result<String, String> {
+/// folders. `None` if USD cannot write it.
+fn relative_folder(from: &Path, to: &Path) -> Option<String> {
     let common = from.components().zip(to.components()).take_while(|(from, to)| from == to).count();
     let mut relative = match from.components().count() - common {
         _ if common < 2 => String::new(),
@@ -362,11 +434,11 @@ fn relative_folder(from: &Path, to: &Path) -> Result<String, String> {
         up_count => "../".repeat(up_count),
     };
     let rest: PathBuf = to.components().skip(if relative.is_empty() { 0 } else { common }).collect();
-    relative += &rest.to_str().ok_or_else(|| not_unicode(to))?.replace(std::path::MAIN_SEPARATOR, "/");
+    relative += &usd_text(rest.as_os_str())?.replace(std::path::MAIN_SEPARATOR, "/");
     if !relative.ends_with('/') {
         relative.push('/');
     }
-    Ok(relative)
+    Some(relative)
 }
 
 /// The part of a sequence's name before the number: `dam` of `dam.{}`, `sub/dam` of `sub/dam.{}`.
@@ -410,7 +482,7 @@ mod tests {
         ] {
             assert_eq!(
                 relative_folder(Path::new(from), Path::new(to)).as_deref(),
-                Ok(relative),
+                Some(relative),
                 "{from} {to}"
             );
         }
@@ -462,7 +534,8 @@ mod tests {
         }
         fs::write(folder.path().join("out/dam.4.vdb"), "volume").expect("written");
         let missing = ["dam.1.vdb", "dam.2.vdb", "dam.3.usdc", "dam.3.vdb"].map(str::to_owned).to_vec();
-        let report = StageReport { frame_count: 3, mesh_count: 3, volume_count: 1, missing };
+        let report =
+            StageReport { frame_count: 3, mesh_count: 3, volume_count: 1, missing, left_out: vec![] };
         assert_eq!(write_stage(&outputs, &frames).expect("written"), Some(report));
         let text = fs::read_to_string(folder.path().join("shot.usda")).expect("written");
         for part in [
@@ -517,6 +590,36 @@ mod tests {
         assert_eq!(report.frame_count, 2);
         let text = fs::read_to_string(folder.path().join("shot.usda")).expect("written");
         assert!(text.contains("references = @./out/dam.1.usdc@"), "{text}");
+    }
+
+    /// One file does not take the stage from all frames.
+    #[test]
+    fn frames_that_cannot_be_played_are_left_out() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let outputs = outputs(folder.path(), &[OutputFormat::Usdc]);
+        fs::create_dir(folder.path().join("out")).expect("made");
+        let of = |stem: &str, number: u64| StageSequence {
+            name: format!("{stem}.{{}}"),
+            frames: vec![StageFrame::new(&outputs, &format!("{stem}.{number}"), Some(number))],
+        };
+        let sequences = [of("dam", 1), of("a\u{1}b", 1), of("late", 1 << 60), of("torn", 1)];
+        let playable = sequences.each_ref().map(|sequence| sequence.frames[0].is_playable());
+        assert_eq!(playable, [true, false, false, true]);
+        for name in ["a\u{1}b.1.usdc", "late.1152921504606846976.usdc"] {
+            mesh(&folder.path().join("out").join(name), 1);
+        }
+        fs::write(folder.path().join("out/torn.1.usdc"), "torn").expect("written");
+        let error = write_stage(&outputs, &sequences).expect_err("nothing can be played").to_string();
+        assert!(error.contains("a\u{1}b.1.usdc is left out of the stage: its path has control"), "{error}");
+        mesh(&folder.path().join("out/dam.1.usdc"), 1);
+        let report = write_stage(&outputs, &sequences).expect("written").expect("frames");
+        assert_eq!((report.frame_count, report.mesh_count, report.missing.len()), (1, 1, 0));
+        let [control, number, torn] = &report.left_out[..] else { panic!("{:?}", report.left_out) };
+        assert!(control.contains("a\u{1}b.1.usdc is left out"), "{control}");
+        assert!(number.contains("frame numbers in USD are at most 9007199254740992"), "{number}");
+        assert!(torn.contains("torn.1.usdc: "), "{torn}");
+        let text = fs::read_to_string(folder.path().join("shot.usda")).expect("written");
+        assert!(text.contains("[@./out/dam.1.usdc@]") && !text.contains("torn"), "{text}");
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! those of `convert`, and a stage lists the ones that exist. So the old file of a frame that is converted
 //! again, or that failed, plays until a new one replaces it.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -37,6 +37,8 @@ struct WatchedStage {
     blocks: Vec<StagedWatch>,
     /// The error that was logged last, until the stage can be written again.
     logged_error: Option<String>,
+    /// The warnings about frames that are left out which were logged.
+    logged: HashSet<String>,
 }
 
 /// A watched folder, and the files in it that are frames: other blocks may watch the same folder for other
@@ -67,7 +69,11 @@ impl FolderStages {
             let block = StagedWatch { input, filter, outputs: watch.outputs.clone() };
             match stages.iter_mut().find(|known| known.blocks[0].outputs.stage.as_ref() == Some(stage)) {
                 Some(known) => known.blocks.push(block),
-                None => stages.push(WatchedStage { blocks: vec![block], logged_error: None }),
+                None => stages.push(WatchedStage {
+                    blocks: vec![block],
+                    logged_error: None,
+                    logged: HashSet::new(),
+                }),
             }
         }
         let now = Instant::now();
@@ -105,6 +111,11 @@ impl WatchedStage {
     /// Writes the stage, and returns whether that succeeded. An error is logged once, and so is the recovery.
     fn write(&mut self, frames: &HashMap<Arc<Path>, Arc<JournaledFrame>>) -> bool {
         let written = write_stage(&self.blocks[0].outputs, &self.sequences(frames));
+        for why in written.iter().flatten().flat_map(|report| &report.left_out) {
+            if self.logged.insert(why.clone()) {
+                tracing::warn!("{why}");
+            }
+        }
         let error = written.err().map(|error| error.to_string());
         match (&error, &self.logged_error) {
             (Some(error), logged) if logged.as_ref() != Some(error) => {
