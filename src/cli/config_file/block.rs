@@ -185,16 +185,26 @@ impl<'a> ConfigTable<'a> {
         value: ConfigValue<'a>,
         (verb, wanted): (&str, &str),
     ) -> Result<OsString> {
+        if let (true, DeValue::Array(items)) = (takes_commas(option), value.get_ref()) {
+            if items.is_empty() {
+                let what = format_args!("`{key}` is empty: expected {wanted}");
+                return Err(self.source.error(value.span().start, what));
+            }
+            let text = |item: ConfigValue<'a>| match item.get_ref() {
+                DeValue::String(text) => Ok(text.to_string()),
+                value => number_text(value)
+                    .ok_or_else(|| self.unexpected(key, "contains", "numbers, or text in quotes", item)),
+            };
+            return Ok(items.iter().map(text).collect::<Result<Vec<_>>>()?.join(",").into());
+        }
         let kind = kind_of(option);
         let is_switch = kind == Some(ValueKind::Switch);
         let is_length = kind == Some(ValueKind::Length);
         let is_number = is_length || matches!(kind, Some(ValueKind::Number | ValueKind::Count));
         let text = match value.get_ref() {
             DeValue::Boolean(switch) if is_switch => Some(switch.to_string()),
-            DeValue::Float(number) if is_number => Some(number.as_str().to_owned()),
-            DeValue::Integer(number) if is_number || is::<u64>(option) => {
-                i128::from_str_radix(number.as_str(), number.radix()).ok().map(|number| number.to_string())
-            }
+            value @ DeValue::Float(_) if is_number => number_text(value),
+            value @ DeValue::Integer(_) if is_number || is::<u64>(option) => number_text(value),
             DeValue::String(text) if is_length || !is_number && !is_switch => Some(text.to_string()),
             _ => None,
         };
@@ -226,6 +236,23 @@ impl<'a> ConfigTable<'a> {
         };
         self.source.error(value.span().start, format_args!("`{key}` {verb} {found}: expected {wanted}"))
     }
+}
+
+/// A number as the command line takes it; `None` for other values.
+fn number_text(value: &DeValue<'_>) -> Option<String> {
+    match value {
+        DeValue::Float(number) => Some(number.as_str().to_owned()),
+        DeValue::Integer(number) => {
+            i128::from_str_radix(number.as_str(), number.radix()).ok().map(|number| number.to_string())
+        }
+        _ => None,
+    }
+}
+
+/// Whether the text of an option may be a list with commas, for which the file may have a list.
+fn takes_commas(option: &Arg) -> bool {
+    let names = option.get_value_names().unwrap_or_default();
+    !is_list(option) && names.iter().any(|name| ["BOX", "LIST", "SPEC"].contains(&name.as_str()))
 }
 
 fn is_path(option: &Arg) -> bool {
@@ -264,6 +291,7 @@ fn wanted(option: &Arg) -> String {
         _ if is::<u64>(option) => "bytes, or text in quotes, with a unit, such as \"8GiB\"",
         _ if is::<Duration>(option) || is::<Poll>(option) => "text in quotes, with a unit, such as \"2s\"",
         _ if is_path(option) => "a path in quotes",
+        _ if takes_commas(option) => "text in quotes, or a list in brackets",
         _ => "text in quotes",
     };
     wanted.to_owned()

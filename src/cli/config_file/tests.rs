@@ -50,6 +50,21 @@ fn keys_of_blocks_become_options() {
 }
 
 #[test]
+fn lists_are_taken_for_text_with_commas() {
+    let frames = |keys: &str| {
+        let file = parsed(&format!("[[watch]]\ninput = \"a\"\n{keys}")).expect("a good file");
+        file.watches[0].frames.clone()
+    };
+    for (list, text) in [
+        ("attributes = [\"v\", \"Cd\"]", "attributes = \"v,Cd\""),
+        ("clip = [-1, 0, 0.5, 1, 2, 0x3]", "clip = \"-1,0,0.5,1,2,3\""),
+        ("camera = [\"azimuth=32\", \"zoom=2\"]", "camera = \"azimuth=32,zoom=2\""),
+    ] {
+        assert_eq!(frames(list), frames(text), "{list}");
+    }
+}
+
+#[test]
 fn unknown_keys_are_errors_that_name_the_nearest() {
     for (text, line, words) in [
         (
@@ -97,6 +112,9 @@ fn wrong_values_are_errors_with_their_line() {
         ("output = \"\"", &["`output` is empty"]),
         ("output = 1979-05-27", &["a date"]),
         ("pattern = [\"a\"]", &["a list"]),
+        ("clip = []", &["`clip` is empty: expected text in quotes, or a list in brackets"]),
+        ("clip = [0, [1]]", &["`clip` contains a list: expected numbers"]),
+        ("clip = [0, 1]", &["`clip`: "]),
         ("output = \"b\"\noutput = \"c\"", &["duplicate key `output`"]),
     ] {
         let line = 3 + entry.matches('\n').count();
