@@ -340,6 +340,19 @@ fn journal_lists_the_folders_of_its_outputs_only() {
         let expected: Vec<_> = inputs.iter().map(|input| serde_json::json!(path.join(input))).collect();
         assert_eq!(watched, expected);
     }
+    // All folders of the file, each once.
+    let status = |more: &[&str]| meniscus(path, &[&["status", "--config", "meniscus.toml"], more].concat());
+    let all = status(&["--json"]);
+    let json: serde_json::Value = serde_json::from_str(&all.out).expect("JSON");
+    let outputs = json.as_array().expect("a list").iter().map(|record| record["output"].clone());
+    assert!(outputs.eq(["out", "other"].map(|output| serde_json::json!(path.join(output)))), "{json}");
+    let text = status(&[]);
+    assert_eq!((text.status, text.out.matches("0 done, 0 queued").count()), (0, 2), "{}", text.out);
+    let more = "[[watch]]\ninput = \"dust\"\noutput = \"never\"\n";
+    fs::write(path.join("meniscus.toml"), blocks.concat() + more).expect("written");
+    let text = status(&[]);
+    assert_eq!((text.status, text.out.matches("0 done, 0 queued").count()), (1, 2), "{}", text.out);
+    assert!(text.err.contains("never: no record of a daemon"), "{}", text.err);
 }
 
 /// The output of --print-settings is a valid configuration file, and gives the same files for any options.

@@ -8,12 +8,16 @@ use clap::Args;
 #[command(after_long_help = STATUS_JSON)]
 pub(in crate::cli) struct StatusArgs {
     /// The daemon's folder for the results
-    #[arg(long, value_name = "DIR")]
-    pub(in crate::cli) out: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "config")]
+    pub(in crate::cli) out: Option<PathBuf>,
 
     /// The daemon's journal folder, if it is not DIR/.meniscus
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) journal: Option<PathBuf>,
+
+    /// The daemon's configuration file: show all its folders for results
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["out", "journal"])]
+    pub(in crate::cli) config: Option<PathBuf>,
 
     /// Write JSON
     #[arg(long)]
@@ -42,10 +46,10 @@ pub(in crate::cli) struct WhyArgs {
 const STATUS_JSON: &str = "\
 Exit status:
   0    no frame has failed
-  1    some frames have failed
-  2    no daemon has ever used this folder
+  1    some frames have failed; with --config also: no daemon has ever used some of the folders
+  2    no daemon has ever used the folder
 
-JSON: an object with
+JSON: an object with the following; with --config a list of such objects
   output, journal  the folders
   daemon           null if none is known, or an object with
                      running         true or false; null if the file system has no locks

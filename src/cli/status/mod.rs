@@ -18,16 +18,18 @@ use anyhow::{Context, Result, bail};
 use serde::Serialize;
 
 use crate::pipeline::{FileStamp, file_of, is_absent, is_missing_step, natural_order};
-use crate::watch::Watch;
 use crate::watch::journal::{
     DaemonState, Journal, JournalState, JournaledFrame, JournaledStatus, RefusedReload, STATE_FOLDER, now_ms,
 };
 use crate::watch::lock::{LockError, OutputLock};
 use crate::watch::waiting::{Waiting, waiting};
+use crate::watch::{Watch, WatchConfig};
 
 use super::CommandOutcome;
-use super::args::StatusArgs;
+use super::args::{StatusArgs, WatchArgs};
 use super::console::Console;
+use super::watch::make_plan;
+use super::wording::with_causes;
 
 /// The status of a folder of outputs.
 #[derive(Debug, PartialEq, Serialize)]
@@ -122,29 +124,67 @@ fn shown(path: &Path) -> String {
 /// Maximum number of finished frames listed: enough to show progress and speed.
 const LAST_DONE_COUNT: usize = 5;
 
-/// Prints the status of the daemon of a folder.
+/// Prints the status of the daemon of a folder, or of all folders of a configuration file.
 ///
 /// # Errors
-/// If no daemon has used the folder, or the journal cannot be read.
+/// If no daemon has used the folder, or the journal or the file cannot be read.
 pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<CommandOutcome> {
-    let journal = journal_folder(&args.out, args.journal.as_deref());
+    let (folders, journal) = match &args.config {
+        Some(config) => folders_of(config)?,
+        None => (args.out.iter().cloned().collect(), args.journal.clone()),
+    };
+    let mut records = Vec::new();
+    for folder in &folders {
+        match status_of(folder, journal.as_deref()) {
+            Ok(record) => records.push(record),
+            Err(error) if folders.len() > 1 => console.error(with_causes(&error)),
+            Err(error) => return Err(error),
+        }
+    }
+    match &records[..] {
+        [] => return Ok(CommandOutcome::NothingDone),
+        [record] if args.json && args.config.is_none() => console.print_json(record)?,
+        records if args.json => console.print_json(&records)?,
+        records => {
+            for (index, record) in records.iter().enumerate() {
+                if index > 0 {
+                    console.print_line("");
+                }
+                console.print_lines(record.lines(now_ms()));
+            }
+        }
+    }
+    let is_fine = records.len() == folders.len() && records.iter().all(|record| record.failed.is_empty());
+    Ok(if is_fine { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
+}
+
+/// The output folders of a configuration file, and its journal folder if it names one.
+fn folders_of(config: &Path) -> Result<(Vec<PathBuf>, Option<PathBuf>)> {
+    let watch_args = WatchArgs { config: Some(config.to_owned()), ..WatchArgs::default() };
+    let WatchConfig { watches, journal, .. } = make_plan(&watch_args)?.config;
+    let mut folders: Vec<PathBuf> = Vec::new();
+    for Watch { outputs, .. } in watches {
+        if !folders.contains(&outputs.folder) {
+            folders.push(outputs.folder);
+        }
+    }
+    Ok((folders, journal))
+}
+
+/// The status of the daemon of a folder.
+fn status_of(output: &Path, journal: Option<&Path>) -> Result<StatusRecord> {
+    let journal = journal_folder(output, journal);
     let state = read_journal(&journal)?;
-    let holder = Holder::of(&args.out)?;
+    let holder = Holder::of(output)?;
     if state == JournalState::default() && !matches!(holder, Holder::Daemon(_)) {
         bail!(
             "{}: no record of a daemon, because the journal in {} is missing or empty: \
              check --out and --journal",
-            args.out.display(),
+            output.display(),
             journal.display()
         );
     }
-    let record = StatusRecord::new(&args.out, &journal, &state, holder);
-    if args.json {
-        console.print_json(&record)?;
-    } else {
-        console.print_lines(record.lines(now_ms()));
-    }
-    Ok(if record.failed.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
+    Ok(StatusRecord::new(output, &journal, &state, holder))
 }
 
 /// The journal folder of a daemon that writes to `output`.
