@@ -101,6 +101,7 @@ pub use input::source::{
     FrameFile, Sequence, are_single_frames, has_particle_extension, natural_order, order_subframes,
     output_sequence, promises_particles, sequences, single_frame_sequences, single_frames_note,
 };
+pub(crate) use input::steps::step_in;
 pub use input::steps::{
     FileFrames, IndexPolicy, file_of, frame_name, frames_in, frames_in_unless, is_missing_step,
     may_hold_several, size_bytes, step_of,

@@ -48,7 +48,10 @@ struct EventLoop<'a> {
     notices: &'a mut dyn FnMut(Notice),
     last_status: String,
     last_tick: Option<Instant>,
+    /// The number of folders of outputs whose journal and stages are being written for the last time.
     unsynced_count: usize,
+    /// Whether that failed for one of them.
+    has_unwritten: bool,
 }
 
 /// The interval of heartbeats.
@@ -78,6 +81,7 @@ impl<'a> EventLoop<'a> {
             last_status: String::new(),
             last_tick: None,
             unsynced_count: 0,
+            has_unwritten: false,
         }
     }
 
@@ -136,7 +140,10 @@ impl<'a> EventLoop<'a> {
                         return Err(DaemonError::Threads(what.to_owned()));
                     }
                 }
-                Event::JournalSynced => self.unsynced_count = self.unsynced_count.saturating_sub(1),
+                Event::OutputSynced(is_written) => {
+                    self.unsynced_count = self.unsynced_count.saturating_sub(1);
+                    self.has_unwritten |= !is_written;
+                }
                 _ if self.core.is_stopping() && !is_of_frames(&event) => continue,
                 _ => {}
             }
@@ -254,22 +261,23 @@ impl<'a> EventLoop<'a> {
                     "frames in progress did not finish within {stop_deadline:?} (--stop-deadline): {next}"
                 );
                 self.core.record_daemon(DaemonState::Stopped);
-                self.sync_journals()?;
+                self.sync_outputs()?;
                 (self.notices)(Notice::Overdue);
             }
         }
         self.finish(reason)
     }
 
-    /// Records that the daemon has stopped, waits for the journals, and ends the workers.
+    /// Records that the daemon has stopped, waits for the journals and stages, and ends the workers.
     fn end(&mut self) -> Result<(), DaemonError> {
         self.core.record_daemon(DaemonState::Stopped);
-        self.sync_journals()
+        self.sync_outputs()
     }
 
-    /// Waits until all journals are on disk, except for folders that hang.
-    fn sync_journals(&mut self) -> Result<(), DaemonError> {
-        self.unsynced_count = self.core.sync_journals();
+    /// Waits until all journals and stages are on disk, except for folders that hang.
+    fn sync_outputs(&mut self) -> Result<(), DaemonError> {
+        self.unsynced_count = self.core.sync_outputs();
+        self.has_unwritten = false;
         self.carry_out()?;
         let until = Instant::now() + self.context.config.stop_deadline.max(TICK);
         while self.unsynced_count > 0 && Instant::now() < until && !self.core.has_stalled() {
@@ -282,7 +290,8 @@ impl<'a> EventLoop<'a> {
 
     fn finish(mut self, ended: EndReason) -> Result<WatchSummary, DaemonError> {
         self.end()?;
-        let summary = self.core.summary(ended);
+        let has_unwritten = self.has_unwritten || self.unsynced_count > 0;
+        let summary = WatchSummary { has_unwritten, ..self.core.summary(ended) };
         // Wait until the workers' threads end: they hold locks that the next run needs.
         let has_stalled = self.core.has_stalled();
         let wait = if has_stalled { GRACE } else { self.context.config.stop_deadline };
@@ -310,7 +319,7 @@ fn is_of_frames(event: &Event) -> bool {
             | Event::FrameFinished(_)
             | Event::PipelineEnded { .. }
             | Event::OutputDirChecked(_)
-            | Event::JournalSynced
+            | Event::OutputSynced(_)
             | Event::WorkerStalled(_)
             | Event::WorkerAnswered(_)
     )

@@ -21,7 +21,7 @@ use crate::pipeline::{
 };
 
 use super::config::{StabilityTimeouts, Watch};
-use super::core::completeness::{Candidate, Readiness, Seen, WaitReason};
+use super::core::completeness::{Candidate, FileHint, Readiness, Seen, WaitReason};
 use super::core::decision::{ConvertReason, Decision, SkipReason, decide};
 use super::core::sequences::{SequenceSettings, choices_fingerprint, fingerprint_with};
 use super::io::evidence::readiness_of;
@@ -221,7 +221,8 @@ fn facts(
 ) -> io::Result<(FileFacts, Decision)> {
     let Question { frame, watch, timeouts, record, .. } = *question;
     let now = Instant::now();
-    let readiness = readiness_of(file_of(frame), &Candidate::new(now, seen, false), now, watch, timeouts);
+    let candidate = Candidate::new(now, seen, FileHint::Changed);
+    let readiness = readiness_of(file_of(frame), &candidate, now, watch, timeouts);
     let is_same = |record: &JournaledFrame| record.stamp.still_holds(&seen.stamp);
     // Only a file with the same size and another stamp must be read to compare its content.
     let is_to_read = |record: &&JournaledFrame| {

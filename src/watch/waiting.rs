@@ -24,7 +24,7 @@ use std::time::{Duration, Instant};
 use crate::pipeline::{FileStamp, SniffedContent, content, file_of};
 
 use super::config::{StabilityTimeouts, Watch};
-use super::core::completeness::{Candidate, Readiness, Seen, WaitReason};
+use super::core::completeness::{Candidate, FileHint, Readiness, Seen, WaitReason};
 use super::explain::trust_clock;
 use super::io::evidence::readiness_of;
 use super::io::scan::scan;
@@ -128,7 +128,8 @@ fn why_waiting(path: &Path, seen: &Seen, watch: &Watch, timeouts: &StabilityTime
     // Without an age, the file would count as just changed at every request.
     let settle = if seen.age.is_some() { timeouts.settle } else { Duration::ZERO };
     let timeouts = StabilityTimeouts { settle, ..*timeouts };
-    let readiness = readiness_of(path, &Candidate::new(now, seen, false), now, watch, &timeouts);
+    let candidate = Candidate::new(now, seen, FileHint::Changed);
+    let readiness = readiness_of(path, &candidate, now, watch, &timeouts);
     let Readiness::Waiting { why, .. } = readiness else { return None };
     let is_certain =
         seen.age.is_some() || matches!(why, WaitReason::Sentinel | WaitReason::Incomplete { .. });
@@ -194,6 +195,7 @@ mod tests {
                     WaitReason::Sentinel => "sentinel",
                     WaitReason::Changing => "changing",
                     WaitReason::Unverifiable => "unverifiable",
+                    WaitReason::Open => "open",
                     WaitReason::Incomplete { .. } => "incomplete",
                 };
                 format!("{name}: {why}")

@@ -103,6 +103,19 @@ fn frame_whose_status_alone_changed_is_found_done_by_its_content() {
     assert_eq!((again.converted().len(), again.found_done().len()), (0, 0));
 }
 
+/// A writer that has mapped a frame into its memory changes the content after the times: only the event of
+/// its close shows that the frame may have changed. Opening a file for writing and closing it sends the same.
+#[test]
+fn frame_that_is_closed_without_a_change_is_read_again_and_found_done() {
+    let scene = Scene::new();
+    scene.put_moving([1]);
+    let daemon = watch(&scene, &[]);
+    daemon.await_converted("dam.1.ply");
+    drop(OpenOptions::new().append(true).open(scene.path("in/dam.1.ply")).expect("opened"));
+    daemon.await_lines(1, "it is found done", Line::is_found_done);
+    assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 1);
+}
+
 #[test]
 fn output_with_a_flipped_byte_is_made_again() {
     let scene = Scene::new();
@@ -170,7 +183,8 @@ fn frame_overwritten_while_it_is_read_is_read_again() {
     let scene = Scene::new();
     let versions = [0.0, 0.25, 0.5].map(|shift| text_ply_of_one_length(&block(30, 0.1, shift)));
     assert!(versions.iter().all(|version| version.len() == versions[0].len()));
-    let daemon = scene.watch(&[&["--settle", "1ms"], &NO_SCANS[..], &arguments].concat());
+    // Frames that are still open are read, too.
+    let daemon = scene.watch(&[&["--settle", "1ms", "--stalled", "1ms"], &NO_SCANS[..], &arguments].concat());
     let is_notice = |line: &Line| line.message.contains("was written while it was read");
     let mut write_count = 0;
     await_that("it is noticed", || {

@@ -1,7 +1,9 @@
 //! Stages grow with the frames, and survive restarts.
 
+use std::ffi::OsStr;
 use std::fs;
 use std::io::Write;
+use std::os::unix::ffi::OsStrExt;
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
@@ -103,6 +105,25 @@ fn file_that_is_not_a_stage_is_not_replaced() {
     daemon.await_converted("dam.1.ply");
     assert_eq!(stage(&scene), "#usda 1.0\n");
     daemon.finish();
+    // The frame is done, and the stage is not.
+    scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat()).assert_status(1);
+    scene.remove("dam.usda");
+    scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat()).assert_status(0);
+}
+
+#[test]
+fn frame_that_usd_cannot_name_is_left_out_with_a_warning() {
+    let scene = Scene::new();
+    scene.put_moving([1, 2]);
+    scene.put("in/we\u{1}t.3.ply", ply(&moving(3)));
+    let not_unicode = scene.path("in").join(OsStr::from_bytes(b"gr\xfcn.3.ply"));
+    let has_both = fs::copy(scene.path("in/dam.1.ply"), not_unicode);
+    let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    once.assert_status(0);
+    await_frames(&scene, &[1, 2]);
+    let warnings = once.log.iter().filter(|line| line.message.contains("is left out of the stage"));
+    // Some file systems take Unicode only.
+    assert_eq!(warnings.count(), if has_both.is_ok() { 2 } else { 1 }, "{}", log_text(&once.log));
 }
 
 #[test]

@@ -162,6 +162,23 @@ fn writer_that_closes_and_reopens_is_waited_for() {
     scene.assert_as_converted(&FORMATS);
 }
 
+/// A file that is filled through a memory map looks complete from the start, and sends no events: the daemon
+/// waits until its writer closes it.
+#[test]
+fn complete_frame_that_is_open_is_waited_for() {
+    let scene = Scene::new();
+    let daemon = watch(&scene, &[]);
+    let bytes = ply(&moving(1));
+    let mut file = File::create(scene.path("in/dam.1.ply")).expect("created");
+    file.write_all(&bytes).expect("written");
+    daemon.await_waiting("dam.1.ply", bytes.len(), "still has it open");
+    drop(file);
+    daemon.await_converted("dam.1.ply");
+    daemon.assert_no_complaints();
+    daemon.finish();
+    scene.assert_as_converted(&FORMATS);
+}
+
 /// If a table grows after the daemon considered it complete, it is converted again, with the new rows.
 #[test]
 fn late_rows_are_converted() {

@@ -120,7 +120,8 @@ option_set! {
         pub(in crate::cli) settle_unverifiable: Option<Duration>,
 
         /// How long an incomplete file may stay unchanged before its frame fails; the daemon then reads the
-        /// file, to report what is missing [default: 30s; with --once: the value of --settle-unverifiable]
+        /// file, to report what is missing. Also how long to wait for a program that writes a file to close
+        /// it [default: 30s; with --once: the value of --settle-unverifiable]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) stalled: Option<Duration>,
 
@@ -162,7 +163,7 @@ option_set! {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(in crate::cli) enum LogChoice {
-    /// Lines of text
+    /// Lines of text: short ones on a terminal, and elsewhere with all fields
     Text,
     /// One JSON object per line
     Json,
@@ -201,6 +202,7 @@ Signals:
 Exit status:
   0    with --once: every frame is converted. Without: the daemon stopped on request
   1    with --once: some frames failed, were not converted (for example because their sentinel is
-       missing), or failed validation; each is named, with the reason
+       missing), or failed validation; or the stage or the journal could not be written. Each is
+       named, with the reason
   2    the command is invalid; with --once also: no frame was converted
   130  stopped at once by a second SIGINT; 143 by a second SIGTERM";

@@ -116,7 +116,7 @@ fn exit_immediately(once: bool) {
 /// Logs how the run ended, and returns the exit status. `once` is `None` without `--once`; with it, `once` is
 /// the value of `--allow-violations`.
 fn log_summary(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) -> CommandOutcome {
-    let WatchSummary { ended, done_count, broken_count, failed, left_count } = summary;
+    let WatchSummary { ended, done_count, broken_count, failed, left_count, has_unwritten } = summary;
     if has_scrolled_away(failed) {
         for failure in failed {
             error!("failed: {}", failure.what);
@@ -126,6 +126,7 @@ fn log_summary(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) ->
         warn!("there are no frames to convert{}", no_frames::reasons(watches));
     }
     let why = match ended {
+        EndReason::Drained if *has_unwritten => "the journal or the stage is incomplete",
         EndReason::Drained if failed.len() + left_count == 0 => "no frames are left to convert",
         EndReason::Drained => "not all frames are converted",
         _ => "stopped on request",
@@ -142,7 +143,8 @@ fn log_summary(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) ->
     match done_count {
         0 => CommandOutcome::NothingDone,
         _ => {
-            CommandOutcome::of(*done_count, failed.len() + left_count, *broken_count > 0 && !allow_violations)
+            let is_flawed = *has_unwritten || *broken_count > 0 && !allow_violations;
+            CommandOutcome::of(*done_count, failed.len() + left_count, is_flawed)
         }
     }
 }

@@ -3,7 +3,8 @@ use std::fs;
 
 fn summary(ended: EndReason, done_count: usize, failed_count: usize, left_count: usize) -> WatchSummary {
     let failed = FailedFrame { what: "f: why".to_owned(), frames_since: Some(0) };
-    WatchSummary { ended, done_count, broken_count: 0, failed: vec![failed; failed_count], left_count }
+    let failed = vec![failed; failed_count];
+    WatchSummary { ended, done_count, broken_count: 0, failed, left_count, has_unwritten: false }
 }
 
 #[test]
@@ -17,6 +18,9 @@ fn once_has_the_exit_status_of_convert() {
     ] {
         assert_eq!(log_summary(Some(false), &[], &summary(EndReason::Drained, done, failed, left)), expected);
     }
+    let unwritten = WatchSummary { has_unwritten: true, ..summary(EndReason::Drained, 3, 0, 0) };
+    assert_eq!(log_summary(Some(true), &[], &unwritten), CommandOutcome::SomeFailed);
+    assert_eq!(log_summary(None, &[], &unwritten), CommandOutcome::Done);
     // A daemon that was stopped on request succeeded.
     assert_eq!(log_summary(None, &[], &summary(EndReason::Finish, 0, 3, 3)), CommandOutcome::Done);
 }

@@ -5,12 +5,15 @@
 //!                  its sentinel exists ─────────────────────────────────────────▶ ready
 //!   every change   ├─ settle ─┤ its format shows it ────────────────────────────▶ ready
 //!   starts anew    ├──── unverifiable ───┤ its format cannot show it ────────────▶ ready
+//!                  ├───────────────── stalled ────────────┤ its writer has it open ▶ ready
 //!                  ├───────────────── stalled ────────────┤ it is incomplete ────▶ ready, to report it
 //! ```
 //!
 //! The first proof wins. A rename proves only that the file was complete when it was renamed, so it counts
 //! only while the file is unchanged. If frames wait for a sentinel, nothing else counts. Closing a file
-//! proves nothing: many writers close it and open it again.
+//! proves nothing: many writers close it and open it again. But while a writer has it open, the writer may
+//! change it without a trace, by a memory map: it has its final size from the start, and its times are those
+//! of the first change.
 //!
 //! The functions here read no clock and no disk: callers pass the time and the file's state.
 
@@ -38,6 +41,19 @@ pub struct Seen {
     pub age: Option<Duration>,
 }
 
+/// What an event says about a file, besides that it may have changed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum FileHint {
+    /// Nothing else.
+    Changed,
+    /// It was renamed into place.
+    Renamed,
+    /// A program that has it open has written to it.
+    Written,
+    /// A program that had it open for writing has closed it.
+    Closed,
+}
+
 /// A file that may become a frame: its last known state, and since when it has not changed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
@@ -48,6 +64,8 @@ pub struct Candidate {
     age: Duration,
     /// Whether it was renamed into place in this state.
     renamed: bool,
+    /// Whether it was written and not closed since, as far as events show.
+    is_open: bool,
 }
 
 /// The file that marks a frame as complete.
@@ -98,6 +116,8 @@ pub enum WaitReason {
     Changing,
     /// Its format cannot show whether it is complete.
     Unverifiable,
+    /// Its format says that it is complete, but the program that wrote it has not closed it.
+    Open,
     /// Its format says that it is incomplete.
     Incomplete {
         /// The minimum size that its header declares, in bytes.
@@ -109,22 +129,32 @@ pub enum WaitReason {
 
 impl Candidate {
     /// A file that is seen for the first time.
-    pub fn new(now: Instant, seen: &Seen, renamed: bool) -> Candidate {
-        Candidate { stamp: seen.stamp, seen_at: now, age: seen.age.unwrap_or_default(), renamed }
+    pub fn new(now: Instant, seen: &Seen, hint: FileHint) -> Candidate {
+        Candidate {
+            stamp: seen.stamp,
+            seen_at: now,
+            age: seen.age.unwrap_or_default(),
+            renamed: hint == FileHint::Renamed,
+            // Setting the modification time sends the same event as writing, which sets both times.
+            is_open: hint == FileHint::Written
+                && seen.stamp.changed_ns.is_none_or(|changed_ns| changed_ns == seen.stamp.modified_ns),
+        }
     }
 
-    /// Updates the candidate with the current state of the file, and whether it was renamed into place since
-    /// the last update.
-    pub fn see(&mut self, now: Instant, seen: &Seen, renamed: bool) {
-        let later = Candidate::new(now, seen, renamed);
+    /// Updates the candidate with the current state of the file, and what an event said about it.
+    pub fn see(&mut self, now: Instant, seen: &Seen, hint: FileHint) {
+        let later = Candidate::new(now, seen, hint);
+        let is_same_file = seen.stamp.inode == self.stamp.inode;
+        let is_open = later.is_open || hint == FileHint::Changed && is_same_file && self.is_open;
         if seen.stamp != self.stamp {
             // A change of status alone, for example by `chmod`, does not invalidate the proof by rename.
             let renamed_before =
                 self.renamed && self.stamp.without_status_change() == seen.stamp.without_status_change();
-            *self = Candidate { renamed: renamed || renamed_before, ..later };
+            *self = Candidate { renamed: later.renamed || renamed_before, is_open, ..later };
             return;
         }
-        self.renamed |= renamed;
+        self.renamed |= later.renamed;
+        self.is_open = is_open;
         // The file was touched, although its size and times are the same.
         if seen.age.is_some_and(|age| age < self.unchanged_for(now)) {
             (self.seen_at, self.age) = (later.seen_at, later.age);
@@ -153,6 +183,9 @@ impl Candidate {
             _ => {}
         }
         self.left_alone(now, timeouts.settle, WaitReason::Changing).unwrap_or_else(|| match completeness() {
+            Completeness::Complete | Completeness::NeedsReading if self.is_open => self
+                .left_alone(now, timeouts.stalled, WaitReason::Open)
+                .unwrap_or(Readiness::Ready(Proof::Format)),
             Completeness::Complete | Completeness::NeedsReading => Readiness::Ready(Proof::Format),
             Completeness::Unknown => self
                 .left_alone(now, timeouts.unverifiable, WaitReason::Unverifiable)
@@ -207,6 +240,7 @@ impl fmt::Display for WaitReason {
             WaitReason::Unverifiable => f.write_str(
                 "its format cannot show whether it is complete, so it must be unchanged for --settle-unverifiable",
             ),
+            WaitReason::Open => f.write_str("the program that writes it still has it open"),
             WaitReason::Incomplete { expected, found } => {
                 write!(f, "it is not complete: {found} of at least {expected} bytes")
             }
@@ -286,8 +320,8 @@ mod tests {
     enum Step {
         /// The file is seen with this size, modification time, inode, and age in milliseconds.
         See(u64, i64, u64, Option<u64>),
-        /// The same, and the file was renamed into place.
-        Renamed(u64, i64, u64, Option<u64>),
+        /// The same, by an event with this hint.
+        Hint(FileHint, u64, i64, u64, Option<u64>),
         /// Checks the readiness, given the sentinel and what the format says, against the expected answer.
         Ask(Sentinel, Completeness, Answer),
     }
@@ -302,7 +336,8 @@ mod tests {
 
     use Answer::{Never, Ready, Until};
     use Completeness::{Complete, NeedsReading, Unknown};
-    use Step::{Ask, Renamed, See};
+    use FileHint::{Changed, Closed, Renamed, Written};
+    use Step::{Ask, Hint, See};
 
     const NONE: Sentinel = Sentinel { is_required: false, exists: false };
 
@@ -316,9 +351,9 @@ mod tests {
         let at = |ms: u64| start + Duration::from_millis(ms);
         let mut candidate: Option<Candidate> = None;
         for (ms, step) in steps {
-            let (stamp, age, renamed) = match step {
-                &See(size, modified, inode, age) => (stamp(size, modified, inode), age, false),
-                &Renamed(size, modified, inode, age) => (stamp(size, modified, inode), age, true),
+            let (stamp, age, hint) = match step {
+                &See(size, modified, inode, age) => (stamp(size, modified, inode), age, Changed),
+                &Hint(hint, size, modified, inode, age) => (stamp(size, modified, inode), age, hint),
                 Ask(sentinel, completeness, expected) => {
                     let candidate = candidate.expect("seen before");
                     let answer = match candidate.readiness(at(*ms), &TIMEOUTS, *sentinel, || *completeness) {
@@ -334,8 +369,8 @@ mod tests {
             };
             let seen = Seen { stamp, age: age.map(Duration::from_millis) };
             match &mut candidate {
-                None => candidate = Some(Candidate::new(at(*ms), &seen, renamed)),
-                Some(candidate) => candidate.see(at(*ms), &seen, renamed),
+                None => candidate = Some(Candidate::new(at(*ms), &seen, hint)),
+                Some(candidate) => candidate.see(at(*ms), &seen, hint),
             }
             assert_eq!(*candidate.expect("seen").stamp(), stamp, "{case}, at {ms} ms");
         }
@@ -483,7 +518,7 @@ mod tests {
         check(
             "renamed into place",
             &[
-                (0, Renamed(100, 1, 1, Some(0))),
+                (0, Hint(Renamed, 100, 1, 1, Some(0))),
                 (0, Ask(NONE, HALF, Ready(Proof::Renamed))),
                 (10, See(100, 1, 1, Some(10))),
                 (10, Ask(NONE, HALF, Ready(Proof::Renamed))),
@@ -493,20 +528,50 @@ mod tests {
             "seen before the rename event arrives",
             &[
                 (0, See(100, 1, 1, Some(0))),
-                (1, Renamed(100, 1, 1, Some(1))),
+                (1, Hint(Renamed, 100, 1, 1, Some(1))),
                 (1, Ask(NONE, Unknown, Ready(Proof::Renamed))),
             ],
         );
         check(
             "written again after its rename",
             &[
-                (0, Renamed(100, 1, 1, Some(0))),
+                (0, Hint(Renamed, 100, 1, 1, Some(0))),
                 (10, See(0, 2, 1, Some(0))),
                 (10, Ask(NONE, HALF, Until(510, WaitReason::Changing))),
                 (20, See(50, 3, 1, Some(0))),
                 (600, Ask(NONE, HALF, Until(10_020, WaitReason::Incomplete { expected: 100, found: 50 }))),
-                (700, Renamed(100, 4, 2, Some(0))),
+                (700, Hint(Renamed, 100, 4, 2, Some(0))),
                 (700, Ask(NONE, Complete, Ready(Proof::Renamed))),
+            ],
+        );
+    }
+
+    /// A memory map fills a file without an event, and without a change of its size and times.
+    #[test]
+    fn complete_file_is_read_when_its_writer_closes_it() {
+        check(
+            "closed after a while",
+            &[
+                (0, Hint(Written, 100, 1, 1, Some(0))),
+                (600, See(100, 1, 1, Some(600))),
+                (600, Ask(NONE, Complete, Until(10_000, WaitReason::Open))),
+                (600, Ask(NONE, Unknown, Until(2000, WaitReason::Unverifiable))),
+                (3000, Hint(Closed, 100, 1, 1, Some(3000))),
+                (3000, Ask(NONE, Complete, Ready(Proof::Format))),
+                (3100, Hint(Written, 100, 2, 1, Some(0))),
+                (3600, Ask(NONE, NeedsReading, Until(13_100, WaitReason::Open))),
+            ],
+        );
+        check(
+            "never closed",
+            &[(0, Hint(Written, 100, 1, 1, Some(0))), (10_000, Ask(NONE, Complete, Ready(Proof::Format)))],
+        );
+        check(
+            "replaced by another file",
+            &[
+                (0, Hint(Written, 100, 1, 1, Some(0))),
+                (100, See(100, 1, 2, Some(0))),
+                (600, Ask(NONE, Complete, Ready(Proof::Format))),
             ],
         );
     }
@@ -517,7 +582,7 @@ mod tests {
         check(
             "required",
             &[
-                (0, Renamed(100, 1, 1, Some(3_600_000))),
+                (0, Hint(Renamed, 100, 1, 1, Some(3_600_000))),
                 (0, Ask(wanted(false), Complete, Never(WaitReason::Sentinel))),
                 (90_000, Ask(wanted(false), HALF, Never(WaitReason::Sentinel))),
                 (90_000, Ask(wanted(true), HALF, Ready(Proof::Sentinel))),
@@ -542,8 +607,8 @@ mod tests {
         let start = Instant::now();
         let seen = Seen { stamp: stamp(1, 1, 1), age: None };
         let missing = Sentinel { is_required: true, exists: false };
-        for (renamed, sentinel) in [(false, NONE), (true, NONE), (false, missing)] {
-            let candidate = Candidate::new(start, &seen, renamed);
+        for (hint, sentinel) in [(Changed, NONE), (Renamed, NONE), (Changed, missing)] {
+            let candidate = Candidate::new(start, &seen, hint);
             candidate.readiness(start, &TIMEOUTS, sentinel, || panic!("computed needlessly"));
         }
     }

@@ -18,7 +18,7 @@ use crate::pipeline::{FileFrames, FileStamp, Frame, FrameError, ObstacleStamps, 
 use crate::surface::options::Settings;
 use crate::watch::journal::{Entry, JournaledFrame, OutputCheck, OutputRecord};
 
-use super::completeness::{Candidate, Proof, Seen, WaitReason};
+use super::completeness::{Candidate, FileHint, Proof, Seen, WaitReason};
 use super::frames::FrameId;
 use super::sequences::{MeasureOrder, SpacingResult};
 
@@ -34,7 +34,7 @@ pub(crate) struct Now {
 #[derive(Debug)]
 pub(crate) enum Event {
     /// A file was found, at a time that may be slightly in the past.
-    FileSeen { id: FrameId, seen: Seen, at: Instant, renamed: bool },
+    FileSeen { id: FrameId, seen: Seen, at: Instant, hint: FileHint },
     /// A file was removed.
     FileRemoved(FrameId),
     /// The system refuses to inspect a file.
@@ -63,8 +63,8 @@ pub(crate) enum Event {
     PipelineEnded { pipeline: usize },
     /// The state of a folder of outputs.
     OutputDirChecked(OutputDirState),
-    /// The journal of a folder of outputs is on the disk.
-    JournalSynced,
+    /// The answer to [`OutputRequest::Sync`]: whether the journal and the stages are on the disk.
+    OutputSynced(bool),
     /// A worker has not answered for a long time.
     WorkerStalled(Worker),
     /// A worker that had stalled has answered.
@@ -267,7 +267,7 @@ pub(crate) enum OutputRequest {
     Record(Entry, Option<Log>),
     /// Check the folder now.
     Check,
-    /// Sync the journal to the disk, because the daemon is about to exit.
+    /// Sync the journal to the disk and write the stages, because the daemon is about to exit.
     Sync,
 }
 

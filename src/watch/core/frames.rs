@@ -135,6 +135,8 @@ pub(crate) struct FrameState {
     pub(crate) scan_count: u64,
     /// Whether it was inspected at least once.
     pub(crate) was_inspected: bool,
+    /// Whether a writer closed its file while it was in progress.
+    pub(crate) was_closed: bool,
     /// The stamps of its obstacles at the last inspection; `None` without obstacles.
     pub(crate) obstacles: Option<Arc<ObstacleStamps>>,
     /// When to inspect it again.
@@ -239,6 +241,7 @@ impl FrameTable {
             attempt_count: 0,
             scan_count,
             was_inspected: false,
+            was_closed: false,
             obstacles: None,
             alarm_at: None,
             inspection: None,

@@ -17,7 +17,7 @@ impl Core {
     pub(crate) fn handle(&mut self, event: Event, now: Now) {
         self.now = now;
         match event {
-            Event::FileSeen { id, seen, at, renamed } => self.on_file_seen(&id, &seen, at, renamed),
+            Event::FileSeen { id, seen, at, hint } => self.on_file_seen(&id, &seen, at, hint),
             Event::FileRemoved(id) => self.remove(&id),
             Event::FileUnreadable(id, error) => self.on_file_unreadable(&id, error),
             Event::SentinelSeen(root, path) => self.on_sentinel_seen(root, &path),
@@ -40,7 +40,7 @@ impl Core {
             Event::OutputDirChecked(found) => self.on_output_dir_checked(found),
             Event::WorkerStalled(worker) => self.set_stalled(worker, Some(now.at)),
             Event::WorkerAnswered(worker) => self.set_stalled(worker, None),
-            Event::JournalSynced => {}
+            Event::OutputSynced(_) => {}
         }
     }
 
@@ -224,8 +224,8 @@ impl Core {
         roots || self.outputs.iter().any(|output| output.stalled_since.is_some())
     }
 
-    /// Requests that all journals be synced to disk; returns their number.
-    pub(crate) fn sync_journals(&mut self) -> usize {
+    /// Requests that all journals be synced to disk, and all stages written; returns the number of folders.
+    pub(crate) fn sync_outputs(&mut self) -> usize {
         for output in 0..self.outputs.len() {
             self.effects.push(Effect::Output(output, OutputRequest::Sync));
         }
@@ -242,7 +242,10 @@ impl Core {
             frames_since: failure.logged_at.map(|logged_at| self.finished_count - logged_at),
         });
         let unreadable = self.roots.iter().flat_map(|root| &root.unreadable);
-        let unreadable = unreadable.map(|(path, why)| FailedFrame {
+        let unreadable = unreadable.map(|(path, why)| (&**path, &**why));
+        // With `once`, the run does not wait for a folder that hangs.
+        let hanging = self.unavailable().filter(|_| self.config.once);
+        let unreadable = unreadable.chain(hanging).map(|(path, why)| FailedFrame {
             what: about(path, why),
             frames_since: Some(self.finished_count),
         });
@@ -252,6 +255,7 @@ impl Core {
             broken_count: self.broken_count(),
             failed: failed.chain(unreadable).collect(),
             left_count: counts.left(),
+            has_unwritten: false,
         }
     }
 

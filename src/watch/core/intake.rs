@@ -7,20 +7,19 @@
 //!        │                            │                ├ it may have several steps: search for these first
 //!        │                            │                └ no particles, or another frame owns its outputs
 //!        │                            └ known from the journal, or incomplete
-//!        └ seen before, and unchanged
+//!        └ seen before, and unchanged; unless a writer closed it: then it is read again
 //! ```
 
 use std::collections::BTreeSet;
-use std::collections::hash_map::Entry;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::pipeline::{FileStamp, Frame, Job, ObstacleStamps, OutputOptions, output_path};
+use crate::pipeline::{FileStamp, Frame, Job, ObstacleStamps, OutputOptions, output_path, step_in};
 use crate::surface::options::Settings;
 use crate::watch::journal::{JournaledFrame, JournaledStatus, OutputCheck};
 
-use super::completeness::{Candidate, Seen, path_of_sentinel};
+use super::completeness::{Candidate, FileHint, Seen, path_of_sentinel};
 use super::decision::{Decision, decide};
 use super::events::{
     Complete, FileContents, FoundObstacleStamps, Inspect, Inspected, InspectionExtent, InspectionResult,
@@ -28,18 +27,19 @@ use super::events::{
 };
 use super::frames::{FrameId, FramePhase, FrameState};
 use super::sequences::SequenceSettings;
-use super::state::{Core, Failure};
+use super::state::{Core, Failure, OutputFolder};
 
 /// How soon to inspect again a frame whose outputs are on an unmounted disk.
 const AWAY_RETRY: Duration = Duration::from_secs(1);
 
 impl Core {
     /// A file of a root was seen.
-    pub(super) fn on_file_seen(&mut self, id: &FrameId, seen: &Seen, at: Instant, renamed: bool) {
+    pub(super) fn on_file_seen(&mut self, id: &FrameId, seen: &Seen, at: Instant, hint: FileHint) {
         if let Some(file) = id.file() {
             return self.on_step_seen(&file, id, seen, at);
         }
-        let candidate = Candidate::new(at, seen, renamed);
+        let candidate = Candidate::new(at, seen, hint);
+        let was_closed = hint == FileHint::Closed;
         let Some(frame) = self.frames.get_mut(id) else {
             return self.add_frame(id, candidate);
         };
@@ -47,14 +47,20 @@ impl Core {
         let is_same = frame.stamp == seen.stamp;
         match frame.phase {
             FramePhase::Settling(mut candidate) => {
-                candidate.see(at, seen, renamed);
+                candidate.see(at, seen, hint);
                 (frame.phase, frame.stamp) = (FramePhase::Settling(candidate), seen.stamp);
+            }
+            FramePhase::Done | FramePhase::Failed | FramePhase::Ignored if is_same && was_closed => {
+                return self.read_again(id);
             }
             FramePhase::Done if is_same => return self.check_outputs(id),
             FramePhase::Steps if is_same => return self.check_steps(id),
             FramePhase::Failed if is_same => return self.check_refusal(id),
             // The file is inspected when the conversion ends.
-            FramePhase::InProgress(_) => return,
+            FramePhase::InProgress(_) => {
+                frame.was_closed |= was_closed;
+                return;
+            }
             _ if is_same => return,
             FramePhase::Steps => {
                 self.unqueue_steps(id, seen, at);
@@ -63,6 +69,15 @@ impl Core {
             _ => self.settle(id, candidate),
         }
         self.inspect_settling(id, InspectionExtent::AllOfJustSeen);
+    }
+
+    /// Reads a file again although its stamp is the same: a writer has closed it. A memory map changes the
+    /// content after the times of the file, and no event reports that.
+    pub(super) fn read_again(&mut self, id: &FrameId) {
+        match self.failed.get(id).is_some_and(|failure| failure.is_refusal) {
+            true => self.check_refusal(id),
+            false => self.inspect(id, None, None),
+        }
     }
 
     /// Adds a file, or a step of one, that was seen for the first time.
@@ -105,18 +120,14 @@ impl Core {
         for id in self.frames.ids_of(is_gone) {
             self.remove(&id);
         }
+        self.release_claims_of_missing(root);
     }
 
     /// Processes the files that a scan found.
     pub(super) fn on_files_scanned(&mut self, root: usize, mut files: Vec<(PathBuf, Seen)>, at: Instant) {
-        let records = &self.output(root).journal.frames;
-        let is_done =
-            |path: &Path| records.get(path).is_some_and(|record| record.status == JournaledStatus::Done);
-        // Done frames come first, so that they keep their outputs if another frame would have the same.
         files.sort_unstable_by(|(a, _), (b, _)| a.cmp(b));
-        let (done, others): (Vec<_>, Vec<_>) = files.into_iter().partition(|(path, _)| is_done(path));
-        for (path, seen) in done.iter().chain(&others) {
-            self.on_file_seen(&FrameId::new(root, path), seen, at, false);
+        for (path, seen) in &files {
+            self.on_file_seen(&FrameId::new(root, path), seen, at, FileHint::Changed);
         }
     }
 
@@ -173,6 +184,7 @@ impl Core {
         self.failed.remove(id);
         if let Some(frame) = self.frames.get_mut(id) {
             (frame.stamp, frame.attempt_count, frame.is_sparse) = (*candidate.stamp(), 0, false);
+            frame.was_closed = false;
         }
     }
 
@@ -216,6 +228,53 @@ impl Core {
         }
     }
 
+    /// Claims the outputs that frames had at the end of the last run, before any folder is scanned: which
+    /// folder is scanned first must not decide which of two frames with the same outputs keeps them.
+    /// `is_taken` says whether a file is a frame of a root.
+    pub(crate) fn claim_recorded(&mut self, is_taken: impl Fn(usize, &Path) -> bool) {
+        let mut owners = Vec::new();
+        for (output, OutputFolder { journal, .. }) in self.outputs.iter().enumerate() {
+            // Frames that failed or were refused have no outputs.
+            let is_owner = |status| !matches!(status, JournaledStatus::Refused | JournaledStatus::Failed);
+            for (input, record) in journal.frames.iter().filter(|(_, record)| is_owner(record.status)) {
+                let file = step_in(input, true).map(|(file, _)| file);
+                let mut roots = (0..self.roots.len()).filter(|&root| self.output_of[root] == output);
+                let id = roots.find_map(|root| match file {
+                    Some(file) if is_taken(root, file) => Some(FrameId::step(root, input)),
+                    _ => is_taken(root, input).then(|| FrameId::new(root, input)),
+                });
+                owners.extend(id.map(|id| (record.status == JournaledStatus::Done, record.at_ms, id)));
+            }
+        }
+        // If several frames had the same outputs, the last one that was finished has them.
+        owners.sort();
+        self.claims = owners.into_iter().map(|(.., id)| (self.claimed_stem(&id), id)).collect();
+    }
+
+    /// Whether a frame that has claimed outputs exists, or may still be found.
+    fn may_exist(&self, id: &FrameId) -> bool {
+        let root = &self.roots[id.root];
+        let is_searched = |file: FrameId| {
+            let phase = self.frames.phase(&file);
+            matches!(
+                phase,
+                Some(FramePhase::Settling(_) | FramePhase::FindingSteps | FramePhase::Retrying(_))
+            )
+        };
+        self.frames.get(id).is_some()
+            || !root.was_scanned
+            || root.unavailable.is_some()
+            || id.file().is_some_and(is_searched)
+    }
+
+    /// Releases the outputs of frames of a root that a scan did not find.
+    fn release_claims_of_missing(&mut self, root: usize) {
+        let is_missing = |id: &&FrameId| id.root == root && !self.may_exist(id);
+        for id in self.claims.values().filter(is_missing).cloned().collect::<Vec<_>>() {
+            self.release_claim(&id);
+        }
+    }
+
     /// Inspects a file that may be incomplete.
     pub(super) fn inspect_candidate(&mut self, id: &FrameId) {
         self.inspect_settling(id, InspectionExtent::All);
@@ -248,7 +307,7 @@ impl Core {
     pub(super) fn check_refusal(&mut self, id: &FrameId) {
         let is_refused = self.failed.get(id).is_some_and(|failure| failure.is_refusal);
         let owner = self.claims.get(&self.claimed_stem(id));
-        let is_owned = owner.is_some_and(|owner| owner != id && self.frames.get(owner).is_some());
+        let is_owned = owner.is_some_and(|owner| owner != id && self.may_exist(owner));
         if is_refused && !is_owned && self.output(id.root).is_mounted {
             self.inspect(id, None, None);
         }
@@ -324,7 +383,7 @@ impl Core {
         match found {
             InspectionResult::Missing => self.remove(&id),
             InspectionResult::Unreadable(error) => self.on_file_unreadable(&id, error),
-            InspectionResult::Changed(seen, at) => self.on_file_seen(&id, &seen, at, false),
+            InspectionResult::Changed(seen, at) => self.on_file_seen(&id, &seen, at, FileHint::Changed),
             InspectionResult::AsRecorded if is_settling => self.take_record(&id),
             InspectionResult::OutputsAway if is_waiting => {
                 self.frames.set_alarm(&id, self.now.at + AWAY_RETRY)
@@ -390,6 +449,7 @@ impl Core {
         match contents {
             FileContents::NotParticles => {
                 self.forget_steps(id);
+                self.release_claim(id);
                 self.set_phase(id, FramePhase::Ignored);
             }
             FileContents::MaybeSteps => self.find_steps(id, conflict),
@@ -511,28 +571,23 @@ impl Core {
     fn claim_outputs(&mut self, id: &FrameId, conflict: Option<String>) -> bool {
         let conflict = conflict.or_else(|| self.replaced_stage(id));
         let claimed = self.claimed_stem(id);
-        let owned = match self.claims.entry(claimed) {
-            Entry::Occupied(claim) if claim.get() != id && self.frames.get(claim.get()).is_some() => {
-                Some(format!(
-                    "{} and {} would both become {}.*: converting only the first; rename the second, or convert it into another folder",
-                    claim.get().path.display(),
-                    id.path.display(),
-                    claim.key().display(),
-                ))
+        let owner = self.claims.get(&claimed).filter(|owner| *owner != id && self.may_exist(owner));
+        let owned = owner.map(|owner| {
+            format!(
+                "{} and {} would both become {}.*: converting only the first; rename the second, or convert it into another folder",
+                owner.path.display(),
+                id.path.display(),
+                claimed.display(),
+            )
+        });
+        match owned.or(conflict) {
+            Some(conflict) => self.refuse(id, conflict),
+            None => {
+                self.claims.insert(claimed, id.clone());
+                return true;
             }
-            claim => {
-                if conflict.is_none() {
-                    claim.insert_entry(id.clone());
-                }
-                None
-            }
-        };
-        let conflict = owned.or(conflict);
-        let is_free = conflict.is_none();
-        if let Some(conflict) = conflict {
-            self.refuse(id, conflict);
         }
-        is_free
+        false
     }
 
     /// The reason to refuse a frame with an output that would replace a stage; `None` if none would.

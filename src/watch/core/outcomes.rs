@@ -9,7 +9,7 @@ use crate::pipeline::{FrameError, FrameReport, Outcome, ReadInput, Scope, Stage,
 use crate::watch::journal::{Entry, JournaledFrame, JournaledStatus, OutputRecord};
 use crate::watch::status_store::Figures;
 
-use super::completeness::{Candidate, Seen};
+use super::completeness::{Candidate, FileHint, Seen};
 use super::events::{FrameFinished, Log};
 use super::frames::{FrameId, FramePhase, FrameState};
 use super::retry::{RetryAction, backoff, recovery};
@@ -67,6 +67,8 @@ impl Core {
                     state = "converted",
                     outputs = logged_outputs,
                     particles = figures.particles,
+                    vertices = figures.vertices,
+                    triangles = figures.triangles,
                     read_s = rounded(seconds.read),
                     rasterize_s = rounded(seconds.rasterize),
                     smooth_s = rounded(seconds.smooth),
@@ -237,13 +239,16 @@ impl Core {
     /// Waits again until a file is complete, and discards what is known about it.
     pub(super) fn start_over(&mut self, id: &FrameId) {
         let Some(stamp) = self.frames.get(id).map(|frame| frame.stamp) else { return };
-        self.settle(id, Candidate::new(self.now.at, &Seen { stamp, age: None }, false));
+        self.settle(id, Candidate::new(self.now.at, &Seen { stamp, age: None }, FileHint::Changed));
         self.inspect_candidate(id);
     }
 
     /// A file may have changed, or been removed, while it was converted.
     pub(super) fn check_again(&mut self, id: &FrameId) {
+        let was_closed = |frame: &mut FrameState| std::mem::take(&mut frame.was_closed);
+        let was_closed = self.frames.get_mut(id).is_some_and(was_closed);
         match self.frames.phase(id) {
+            Some(FramePhase::Done | FramePhase::Failed) if was_closed => self.read_again(id),
             Some(FramePhase::Done) => self.check_outputs(id),
             Some(FramePhase::Settling(_)) | None => {}
             Some(_) => self.check_stamp(id),

@@ -121,7 +121,7 @@ impl Core {
     }
 
     /// Folders that are unavailable, and why.
-    fn unavailable(&self) -> impl Iterator<Item = (&Path, &str)> {
+    pub(super) fn unavailable(&self) -> impl Iterator<Item = (&Path, &str)> {
         let roots = self.roots.iter().filter_map(|root| {
             let stalled = root.stalled_since.map(|_| STALLED);
             Some((&*root.path, stalled.or(root.unavailable.as_deref())?))

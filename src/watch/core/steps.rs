@@ -20,7 +20,7 @@ use std::time::Instant;
 
 use crate::pipeline::{FileFrames, FileStamp};
 
-use super::completeness::{Candidate, Seen};
+use super::completeness::{Candidate, FileHint, Seen};
 use super::events::{Effect, FoundSteps, SlowRequest, StepsOrder};
 use super::frames::{FileSteps, FrameId, FramePhase};
 use super::state::Core;
@@ -76,7 +76,7 @@ impl Core {
 
     /// Handles a step of a file that has settled, and now has this stamp.
     fn take_step(&mut self, file: &FrameId, id: &FrameId, stamp: FileStamp) {
-        let candidate = Candidate::new(self.now.at, &Seen { stamp, age: None }, false);
+        let candidate = Candidate::new(self.now.at, &Seen { stamp, age: None }, FileHint::Changed);
         let Some(frame) = self.frames.get_mut(id) else {
             return self.add_frame(id, candidate);
         };
@@ -106,12 +106,12 @@ impl Core {
             Some(frame) if frame.stamp == seen.stamp => match frame.phase {
                 FramePhase::Steps if is_step => self.take_step(file, id, seen.stamp),
                 FramePhase::Settling(_) | FramePhase::FindingSteps => {
-                    self.on_file_seen(file, seen, at, false)
+                    self.on_file_seen(file, seen, at, FileHint::Changed)
                 }
                 // The file no longer contains this step.
                 _ => self.remove(id),
             },
-            _ => self.on_file_seen(file, seen, at, false),
+            _ => self.on_file_seen(file, seen, at, FileHint::Changed),
         }
     }
 
@@ -120,7 +120,7 @@ impl Core {
     pub(super) fn unqueue_steps(&mut self, file: &FrameId, seen: &Seen, at: Instant) {
         for step in self.known_steps(file) {
             if self.frames.phase(&step) == Some(FramePhase::Queued) {
-                self.settle(&step, Candidate::new(at, seen, false));
+                self.settle(&step, Candidate::new(at, seen, FileHint::Changed));
             }
         }
     }

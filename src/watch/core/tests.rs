@@ -20,7 +20,7 @@ use crate::watch::journal::{
     OutputCheck, OutputRecord,
 };
 
-use super::completeness::{Proof, Seen, WaitReason};
+use super::completeness::{FileHint, Proof, Seen, WaitReason};
 use super::events::{
     Complete, Effect, Event, FileContents, FrameFinished, Inspect, Inspected, InspectionExtent,
     InspectionResult, Now, OutputDirState, OutputRequest, Presence, RootRequest, Scan, SlowRequest, Start,
@@ -101,8 +101,18 @@ impl Rig {
             refused_reload: None,
         };
         let roots = (0..count).map(|root| (format!("/in{root}").into(), Arc::default())).collect();
-        let outputs = (0..count).map(|root| (format!("/out{root}").into(), journal.clone())).collect();
-        let mut core = Core::new(Arc::new(config), identity, roots, outputs, (0..count).collect(), now);
+        let mut folders: Vec<PathBuf> = Vec::new();
+        let mut output_of = Vec::new();
+        for watch in &config.watches {
+            let folder = &watch.outputs.folder;
+            if !folders.contains(folder) {
+                folders.push(folder.clone());
+            }
+            output_of.extend(folders.iter().position(|known| known == folder));
+        }
+        let outputs = folders.into_iter().map(|folder| (folder, journal.clone())).collect();
+        let mut core = Core::new(Arc::new(config), identity, roots, outputs, output_of, now);
+        core.claim_recorded(|root, path| path.starts_with(format!("/in{root}")));
         core.start();
         let mut rig = Rig {
             core,
@@ -207,9 +217,13 @@ impl Rig {
 
     /// Sends an event with the current state of a file.
     fn send_event(&mut self, path: &str) {
+        self.send(path, FileHint::Changed);
+    }
+
+    fn send(&mut self, path: &str, hint: FileHint) {
         let (id, at) = (id(path), self.now.at);
         let event = match self.files.get(Path::new(path)) {
-            Some((stamp, _)) => Event::FileSeen { id, seen: seen(*stamp), at, renamed: false },
+            Some((stamp, _)) => Event::FileSeen { id, seen: seen(*stamp), at, hint },
             None => Event::FileRemoved(id),
         };
         self.event(event);
@@ -243,8 +257,9 @@ impl Rig {
     }
 
     fn output_of(&self, path: &str) -> OutputRecord {
-        let path = path.replace("/in", "/out").replace(".ply", ".glb");
-        OutputRecord::new(path.into(), 1, None)
+        let id = id(path);
+        let folder = &self.core.config.watches[id.root].outputs.folder;
+        OutputRecord::new(folder.join(name(&id).replace(".ply", ".glb")), 1, None)
     }
 
     fn convert(&mut self, path: &str) {
@@ -334,9 +349,8 @@ fn lost_doubled_or_late_events_change_nothing() {
     // A late event: it is about a version of the file that was replaced meanwhile.
     rig.want(0);
     rig.files.insert("/in0/a.1.ply".into(), (stamp(3), None));
-    let late =
-        Event::FileSeen { id: id("/in0/a.1.ply"), seen: seen(stamp(2)), at: rig.now.at, renamed: false };
-    rig.event(late);
+    let (id, at) = (id("/in0/a.1.ply"), rig.now.at);
+    rig.event(Event::FileSeen { id, seen: seen(stamp(2)), at, hint: FileHint::Changed });
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.convert("/in0/a.1.ply");
     assert_eq!(rig.status(), "2 done, 0 queued");
@@ -382,6 +396,31 @@ fn file_that_changes_while_it_is_converted_is_converted_again() {
     rig.finish("/in0/a.1.ply", Outcome::Changed);
     rig.want(0);
     rig.pass(SECOND);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+}
+
+/// A memory map changes the content of a file, and not its stamp.
+#[test]
+fn file_that_is_closed_with_the_same_stamp_is_read_again() {
+    let mut rig = Rig::new(1);
+    rig.want(0);
+    rig.put("/in0/a.1.ply", 1);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    rig.want(0);
+    rig.send("/in0/a.1.ply", FileHint::Closed);
+    assert!(rig.started().is_empty(), "it is in progress");
+    rig.convert("/in0/a.1.ply");
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    rig.want(0);
+    rig.convert("/in0/a.1.ply");
+    assert!(rig.started().is_empty(), "it was read after its writer closed it");
+    rig.send("/in0/a.1.ply", FileHint::Closed);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    let error = FrameError::file(Path::new("/in0/a.1.ply"), Stage::Read, Error::unsupported("PLY", "no"));
+    rig.finish("/in0/a.1.ply", Outcome::Failed(error));
+    assert_eq!(rig.status(), "0 done, 0 queued, 1 failed");
+    rig.want(0);
+    rig.send("/in0/a.1.ply", FileHint::Closed);
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
 
@@ -525,6 +564,37 @@ fn outputs_claimed_twice_belong_to_the_first_frame_until_it_is_removed() {
     assert!(refused.is_empty(), "{refused:?}");
 }
 
+/// Two folders with the same outputs: the frame that was converted keeps them after a restart.
+#[test]
+fn recorded_owner_keeps_its_outputs_whichever_folder_is_scanned_first() {
+    let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
+    let mut config = config(2, &choices);
+    config.watches[1].outputs.folder = "/out0".into();
+    let mut before = Rig::with(config.clone(), JournalState::default());
+    before.want(0);
+    before.put("/in1/a.1.ply", 1);
+    before.convert("/in1/a.1.ply");
+    let mut journal = JournalState::default();
+    before.records.into_iter().for_each(|entry| journal.take(entry));
+
+    let restart = |files: &[&str]| {
+        let mut rig = Rig::with(config.clone(), journal.clone());
+        rig.outputs.clone_from(&before.outputs);
+        rig.files.extend(files.iter().map(|file| (PathBuf::from(file), (stamp(1), None))));
+        rig.want(0);
+        rig.scan(0);
+        assert!(rig.started().is_empty(), "the folder of the owner is not scanned yet");
+        rig.scan(1);
+        rig
+    };
+    let mut rig = restart(&["/in0/a.1.ply", "/in1/a.1.ply"]);
+    assert!(rig.started().is_empty());
+    assert_eq!(rig.status(), "1 done, 0 queued, 1 failed");
+    assert_eq!(rig.statuses("/in0/a.1.ply"), [JournaledStatus::Refused]);
+    let mut rig = restart(&["/in0/a.1.ply"]);
+    assert_eq!(rig.started(), ["a.1.ply"], "the owner is gone");
+}
+
 #[test]
 fn frame_whose_output_would_replace_a_users_file_is_refused() {
     let mut rig = Rig::new(1);
@@ -623,6 +693,20 @@ fn run_with_once_is_drained_only_when_all_frames_are_done() {
     assert!(!rig.core.is_drained(), "one is in progress");
     rig.convert("/in0/a.1.ply");
     assert!(rig.core.is_drained());
+}
+
+#[test]
+fn run_with_once_fails_if_a_folder_hangs() {
+    let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
+    let mut rig = Rig::with(WatchConfig { once: true, ..config(2, &choices) }, JournalState::default());
+    rig.want(0);
+    rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
+    rig.scan(0);
+    rig.event(Event::WorkerStalled(Worker::Root(1)));
+    rig.convert("/in0/a.1.ply");
+    assert!(rig.core.is_drained());
+    let failed = rig.core.summary(EndReason::Drained).failed;
+    assert!(failed.len() == 1 && failed[0].what.contains("/in1: its file system does not"), "{failed:?}");
 }
 
 #[test]

@@ -30,14 +30,13 @@ use notify::event::{AccessKind, AccessMode, CreateKind, EventKind, ModifyKind, R
 use notify::{ErrorKind, Event, RecommendedWatcher, RecursiveMode, Watcher as _};
 
 use crate::pipeline::FileStamp;
+use crate::watch::core::completeness::FileHint;
 
 /// A change that may have happened.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum FsEvent {
-    /// A file appeared, grew, or was removed.
-    Changed(PathBuf),
-    /// A file was renamed to this path. Its content was already complete under the earlier name.
-    Renamed(PathBuf),
+    /// A file appeared, changed, or was removed.
+    File(PathBuf, FileHint),
     /// A folder appeared, was removed, or was replaced. If it exists, it must be watched, even if it was
     /// watched before.
     Folder(PathBuf),
@@ -231,8 +230,8 @@ impl EventHandler {
                 let fs_event = |path: PathBuf| match change {
                     _ if is_folder || folders.folder_of.contains_key(&path) => FsEvent::Folder(path),
                     ChangeKind::FolderChanged => FsEvent::Folder(path),
-                    ChangeKind::Renamed => FsEvent::Renamed(path),
-                    ChangeKind::Changed | ChangeKind::Removed => FsEvent::Changed(path),
+                    ChangeKind::File(hint) => FsEvent::File(path, hint),
+                    ChangeKind::Removed => FsEvent::File(path, FileHint::Changed),
                 };
                 folders.requested_paths(&path).into_iter().map(fs_event).collect()
             };
@@ -257,8 +256,7 @@ impl EventHandler {
 /// The kind of change that an event reports for its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ChangeKind {
-    Changed,
-    Renamed,
+    File(FileHint),
     Removed,
     FolderChanged,
 }
@@ -267,17 +265,21 @@ enum ChangeKind {
 fn change_of(kind: EventKind) -> Option<ChangeKind> {
     Some(match kind {
         // The other access events are files opened, or closed after reading, by this process or by others.
-        EventKind::Access(AccessKind::Close(AccessMode::Write)) => ChangeKind::Changed,
+        EventKind::Access(AccessKind::Close(AccessMode::Write)) => ChangeKind::File(FileHint::Closed),
+        // Only Linux reports that a file is closed.
+        EventKind::Modify(ModifyKind::Data(_)) if cfg!(target_os = "linux") => {
+            ChangeKind::File(FileHint::Written)
+        }
         EventKind::Access(_) => return None,
         EventKind::Create(CreateKind::Folder) | EventKind::Remove(RemoveKind::Folder) => {
             ChangeKind::FolderChanged
         }
         EventKind::Remove(_) | EventKind::Modify(ModifyKind::Name(RenameMode::From)) => ChangeKind::Removed,
-        EventKind::Modify(ModifyKind::Name(RenameMode::To)) => ChangeKind::Renamed,
+        EventKind::Modify(ModifyKind::Name(RenameMode::To)) => ChangeKind::File(FileHint::Renamed),
         // Both sides were reported before, as separate events.
         EventKind::Modify(ModifyKind::Name(RenameMode::Both)) => return None,
         EventKind::Create(_) | EventKind::Modify(_) | EventKind::Any | EventKind::Other => {
-            ChangeKind::Changed
+            ChangeKind::File(FileHint::Changed)
         }
     })
 }
@@ -321,6 +323,22 @@ mod tests {
 
     const MARKER: &str = "marker-";
 
+    fn changed(path: &Path) -> FsEvent {
+        FsEvent::File(path.to_owned(), FileHint::Changed)
+    }
+
+    fn renamed_to(path: &Path) -> FsEvent {
+        FsEvent::File(path.to_owned(), FileHint::Renamed)
+    }
+
+    fn written_to(path: &Path) -> FsEvent {
+        FsEvent::File(path.to_owned(), FileHint::Written)
+    }
+
+    fn closed(path: &Path) -> FsEvent {
+        FsEvent::File(path.to_owned(), FileHint::Closed)
+    }
+
     impl Bench {
         fn new(capacity: usize) -> Bench {
             let base = tempdir().expect("a folder");
@@ -352,9 +370,9 @@ mod tests {
             self.marker_count += 1;
             let marker = self.path(&format!("{MARKER}{}", self.marker_count));
             File::create(&marker).expect("made");
-            let mut received = self.until(&FsEvent::Changed(marker));
+            let mut received = self.until(&closed(&marker));
             received.retain(
-                |fs_event| !matches!(fs_event, FsEvent::Changed(path) if path.to_string_lossy().contains(MARKER)),
+                |fs_event| !matches!(fs_event, FsEvent::File(path, _) if path.to_string_lossy().contains(MARKER)),
             );
             received
         }
@@ -365,28 +383,29 @@ mod tests {
         let bench = Bench::new(CAPACITY);
         let written = bench.path("written.ply");
         fs::write(&written, b"ply").expect("written");
-        bench.until(&FsEvent::Changed(written.clone()));
+        let received = bench.until(&closed(&written));
+        assert_eq!(received, [changed(&written), written_to(&written), closed(&written)]);
 
         let renamed = bench.path("renamed.ply");
         fs::rename(&written, &renamed).expect("renamed");
-        let received = bench.until(&FsEvent::Renamed(renamed.clone()));
-        assert!(received.contains(&FsEvent::Changed(written)), "the old name is not reported: {received:?}");
+        let received = bench.until(&renamed_to(&renamed));
+        assert!(received.contains(&changed(&written)), "the old name is not reported: {received:?}");
 
         let elsewhere = bench.outside.join("a.ply");
         let moved = bench.path("moved.ply");
         fs::write(&elsewhere, b"ply").expect("written");
         fs::rename(&elsewhere, &moved).expect("renamed");
-        bench.until(&FsEvent::Renamed(moved));
+        bench.until(&renamed_to(&moved));
 
         let linked = bench.path("linked.ply");
         fs::hard_link(&renamed, &linked).expect("linked");
         fs::remove_file(&renamed).expect("removed");
-        bench.until(&FsEvent::Changed(linked));
-        bench.until(&FsEvent::Changed(renamed));
+        bench.until(&changed(&linked));
+        bench.until(&changed(&renamed));
 
         let link = bench.path("link.ply");
         symlink("linked.ply", &link).expect("linked");
-        bench.until(&FsEvent::Changed(link));
+        bench.until(&changed(&link));
     }
 
     #[test]
@@ -397,11 +416,11 @@ mod tests {
         bench.so_far();
         let append = || File::options().append(true).open(&path).expect("a file");
         append().set_len(10).expect("longer");
-        assert!(bench.so_far().contains(&FsEvent::Changed(path.clone())));
+        assert_eq!(bench.so_far(), [written_to(&path), closed(&path)]);
         append().set_modified(std::time::UNIX_EPOCH).expect("set");
-        assert!(bench.so_far().contains(&FsEvent::Changed(path.clone())));
+        assert_eq!(bench.so_far().last(), Some(&closed(&path)));
         fs::remove_file(&path).expect("removed");
-        assert!(bench.so_far().contains(&FsEvent::Changed(path)));
+        assert!(bench.so_far().contains(&changed(&path)));
     }
 
     /// If reading sent events, every inspection would cause the next one.
@@ -424,7 +443,7 @@ mod tests {
         bench.until(&FsEvent::Folder(made.clone()));
         bench.watcher.watch(&made).expect("watched");
         fs::write(made.join("a.ply"), b"ply").expect("written");
-        bench.until(&FsEvent::Changed(made.join("a.ply")));
+        bench.until(&changed(&made.join("a.ply")));
 
         let (elsewhere, moved) = (bench.outside.join("sub"), bench.path("moved"));
         fs::create_dir(&elsewhere).expect("made");
@@ -439,7 +458,7 @@ mod tests {
         bench.until(&FsEvent::Folder(link.clone()));
         bench.watcher.watch(&link).expect("watched");
         fs::write(elsewhere.join("b.ply"), b"ply").expect("written");
-        bench.until(&FsEvent::Changed(link.join("b.ply")));
+        bench.until(&changed(&link.join("b.ply")));
         fs::remove_file(&link).expect("removed");
         bench.until(&FsEvent::Folder(link));
 
@@ -466,7 +485,7 @@ mod tests {
         bench.watcher.watch(&root).expect("watched");
         fs::write(away.join("a.ply"), b"ply").expect("written");
         let received = bench.so_far();
-        assert!(!received.contains(&FsEvent::Changed(root.join("a.ply"))), "{received:?}");
+        assert!(!received.contains(&changed(&root.join("a.ply"))), "{received:?}");
     }
 
     #[test]
@@ -478,18 +497,18 @@ mod tests {
         fs::write(bench.path("a.ply"), b"ply").expect("written");
         let received = bench.so_far();
         for path in [bench.path("a.ply"), other.join("a.ply")] {
-            assert!(received.contains(&FsEvent::Changed(path)), "{received:?}");
+            assert!(received.contains(&changed(&path)), "{received:?}");
         }
         bench.watcher.unwatch(&other);
         fs::write(bench.path("b.ply"), b"ply").expect("written");
         let received = bench.so_far();
-        assert!(received.contains(&FsEvent::Changed(bench.path("b.ply"))), "{received:?}");
-        assert!(!received.contains(&FsEvent::Changed(other.join("b.ply"))), "{received:?}");
+        assert!(received.contains(&changed(&bench.path("b.ply"))), "{received:?}");
+        assert!(!received.contains(&changed(&other.join("b.ply"))), "{received:?}");
         bench.watcher.unwatch(&bench.folder);
         fs::write(bench.path("c.ply"), b"ply").expect("written");
         bench.watcher.watch(&bench.folder).expect("watched");
         let received = bench.so_far();
-        assert!(!received.contains(&FsEvent::Changed(bench.path("c.ply"))), "{received:?}");
+        assert!(!received.contains(&changed(&bench.path("c.ply"))), "{received:?}");
     }
 
     #[test]
@@ -534,37 +553,39 @@ mod tests {
         }
     }
 
-    const WRITTEN: EventKind = EventKind::Access(AccessKind::Close(AccessMode::Write));
+    const CLOSED: EventKind = EventKind::Access(AccessKind::Close(AccessMode::Write));
 
-    fn changed(name: &str) -> FsEvent {
-        FsEvent::Changed(Path::new("/f").join(name))
+    fn closed_in_rig(name: &str) -> FsEvent {
+        closed(&Path::new("/f").join(name))
     }
 
     #[test]
     fn last_slot_of_the_queue_is_for_rescan() {
         let mut rig = Rig::new(4);
         let names = ["a", "b", "c", "d", "e", "f"];
-        names.iter().for_each(|name| rig.handle_event(WRITTEN, name));
-        assert_eq!(rig.received(), [changed("a"), changed("b"), changed("c"), FsEvent::Rescan]);
+        names.iter().for_each(|name| rig.handle_event(CLOSED, name));
+        assert_eq!(
+            rig.received(),
+            [closed_in_rig("a"), closed_in_rig("b"), closed_in_rig("c"), FsEvent::Rescan]
+        );
         // Events are lost again while `Rescan` is still in the queue.
-        names.iter().for_each(|name| rig.handle_event(WRITTEN, name));
-        assert_eq!(rig.fs_events.try_recv(), Ok(changed("a")));
-        names.iter().for_each(|name| rig.handle_event(WRITTEN, name));
+        names.iter().for_each(|name| rig.handle_event(CLOSED, name));
+        assert_eq!(rig.fs_events.try_recv(), Ok(closed_in_rig("a")));
+        names.iter().for_each(|name| rig.handle_event(CLOSED, name));
         assert_eq!(rig.received().last(), Some(&FsEvent::Rescan));
-        rig.handle_event(WRITTEN, "g");
-        assert_eq!(rig.received(), [changed("g")]);
+        rig.handle_event(CLOSED, "g");
+        assert_eq!(rig.received(), [closed_in_rig("g")]);
     }
 
     #[test]
     fn repeated_event_is_queued_once() {
         let mut rig = Rig::new(8);
         for _ in 0..3 {
-            rig.handle_event(EventKind::Create(CreateKind::File), "a");
-            rig.handle_event(WRITTEN, "a");
+            rig.handle_event(CLOSED, "a");
         }
-        assert_eq!(rig.received(), [changed("a")]);
-        rig.handle_event(WRITTEN, "a");
-        assert_eq!(rig.received(), [changed("a")], "it is queued again once it was taken");
+        assert_eq!(rig.received(), [closed_in_rig("a")]);
+        rig.handle_event(CLOSED, "a");
+        assert_eq!(rig.received(), [closed_in_rig("a")], "it is queued again once it was taken");
     }
 
     #[test]

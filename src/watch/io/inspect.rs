@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::pipeline::{Conflict, ObstacleStamps, SniffedContent, content, may_hold_several};
-use crate::watch::core::completeness::Readiness;
+use crate::watch::core::completeness::{FileHint, Readiness};
 use crate::watch::core::events::{
     Complete, FileContents, Inspect, Inspected, InspectionExtent, InspectionResult, Recorded,
 };
@@ -61,7 +61,7 @@ impl Root {
         }
         let mut proof = None;
         if let Some(mut candidate) = request.candidate {
-            candidate.see(at, &seen, false);
+            candidate.see(at, &seen, FileHint::Changed);
             match readiness_of(file, &candidate, at, &self.watch, &self.timeouts()) {
                 Readiness::Ready(found) => proof = Some(found),
                 Readiness::Waiting { until, why } => return InspectionResult::Waiting { until, why },

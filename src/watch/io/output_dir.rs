@@ -130,11 +130,13 @@ impl OutputDir {
     }
 
     /// Writes the stages of the recorded frames that are due; `at_once`, also those that are due later.
-    fn write_stages(&mut self, at_once: bool) {
+    /// Returns whether all stages are up to date.
+    fn write_stages(&mut self, at_once: bool) -> bool {
         self.is_mounted &= self.guard.is_in_place();
         if self.is_mounted {
             self.stages.write(&self.journal.state().frames, at_once);
         }
+        self.stages.due().is_none()
     }
 
     fn check(&mut self, report: &dyn Fn(Event)) {
@@ -145,14 +147,17 @@ impl OutputDir {
     }
 
     /// Adds a record to the journal. If the journal cannot be written, the only loss is repeated work after a
-    /// restart. The failure is logged once, not for every record, and so is the recovery.
-    fn write(&mut self, write: impl FnOnce(&mut Journal) -> io::Result<()>) {
-        let is_too_soon = self.journal_failed_at.is_some_and(|at| at.elapsed() < JOURNAL_RETRY);
+    /// restart. The failure is logged once, not for every record, and so is the recovery. After a failure the
+    /// next attempt is made later, unless it must be made `at_once`. Returns whether the journal is written.
+    fn write(&mut self, at_once: bool, write: impl FnOnce(&mut Journal) -> io::Result<()>) -> bool {
+        // Nothing is written if another folder may be in its place.
+        self.is_mounted &= self.guard.is_in_place();
+        let is_too_soon = !at_once && self.journal_failed_at.is_some_and(|at| at.elapsed() < JOURNAL_RETRY);
         let is_suspended = !self.is_mounted || is_too_soon;
         self.journal.set_suspended(is_suspended);
         let written = write(&mut self.journal);
         if is_suspended {
-            return;
+            return false;
         }
         let folder = self.guard.folder.display();
         match (written, self.journal_failed_at) {
@@ -168,6 +173,7 @@ impl OutputDir {
                 self.journal_failed_at = Some(Instant::now());
             }
         }
+        self.journal_failed_at.is_none()
     }
 }
 
@@ -178,18 +184,15 @@ impl Work for OutputDir {
         match request {
             OutputRequest::Record(entry, log) => {
                 self.stages.note(&entry);
-                // Nothing is written if another folder may be in its place.
-                self.is_mounted &= self.guard.is_in_place();
-                self.write(|journal| journal.note(entry));
+                self.write(false, |journal| journal.note(entry));
                 if let Some(log) = log {
                     log.write();
                 }
             }
             OutputRequest::Check => self.check(report),
             OutputRequest::Sync => {
-                self.write(Journal::sync);
-                self.write_stages(true);
-                report(Event::JournalSynced);
+                let is_recorded = self.write(true, Journal::sync);
+                report(Event::OutputSynced(self.write_stages(true) && is_recorded));
             }
         }
     }

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 use crate::pipeline::ObstacleFiles;
 use crate::watch::config::{Poll, StabilityTimeouts, Watch, WatchConfig};
-use crate::watch::core::completeness::may_be_sentinel;
+use crate::watch::core::completeness::{FileHint, may_be_sentinel};
 use crate::watch::core::events::{Event, FoundObstacleStamps, RootRequest, Scan};
 use crate::watch::core::frames::FrameId;
 
@@ -159,14 +159,14 @@ impl Root {
         report(Event::RootScanned { root: self.index, found, at: Instant::now() });
     }
 
-    fn on_file_event(&mut self, path: &Path, renamed: bool, report: &dyn Fn(Event)) {
+    fn on_file_event(&mut self, path: &Path, hint: FileHint, report: &dyn Fn(Event)) {
         if path == self.path {
             return self.scan_and_report(report);
         }
         if self.selection.takes(&self.path, path) {
             let id = FrameId::new(self.index, path);
             report(match file_state(path, self.trust_clock()) {
-                Ok(Some(seen)) => Event::FileSeen { id, seen, at: Instant::now(), renamed },
+                Ok(Some(seen)) => Event::FileSeen { id, seen, at: Instant::now(), hint },
                 Ok(None) => Event::FileRemoved(id),
                 Err(error) => Event::FileUnreadable(id, error),
             });
@@ -351,8 +351,7 @@ impl Work for Root {
     fn on_fs_event(&mut self, event: FsEvent, report: &dyn Fn(Event)) {
         match event {
             FsEvent::Rescan => self.rescans.request(Instant::now()),
-            FsEvent::Changed(path) => self.on_file_event(&path, false, report),
-            FsEvent::Renamed(path) => self.on_file_event(&path, true, report),
+            FsEvent::File(path, hint) => self.on_file_event(&path, hint, report),
             FsEvent::Folder(path) => self.on_folder_event(&path, report),
         }
     }

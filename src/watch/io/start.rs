@@ -68,7 +68,7 @@ pub(crate) fn start(
         outputs.iter().map(|output| (output.guard().folder.clone(), output.journal().state().clone()));
     let roots =
         paths.iter().zip(&obstacles).map(|((path, _), obstacles)| (path.clone(), Arc::clone(obstacles)));
-    let core = Core::new(
+    let mut core = Core::new(
         Arc::clone(config),
         identity(),
         roots.collect(),
@@ -76,6 +76,10 @@ pub(crate) fn start(
         output_of.clone(),
         now(),
     );
+    core.claim_recorded(|root, file| {
+        let (folder, selection) = &paths[root];
+        selection.takes(folder, file)
+    });
     let outputs_of_roots = output_of.iter().map(|&output| (output, Arc::clone(&guards[output]))).collect();
     let context = PipelineContext {
         config: Arc::clone(config),

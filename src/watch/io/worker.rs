@@ -96,7 +96,7 @@ impl StallMonitor {
 }
 
 /// After the first file-system event, up to this many more are handled in the same turn. Of equal events only
-/// one is inspected.
+/// the last is handled: whether a file was written after it was closed depends on their order.
 const FS_EVENTS_PER_TURN: usize = 4096;
 
 /// Starts a worker. It ends when the returned sender is dropped. If it hangs at that time, it ends as soon as
@@ -130,13 +130,11 @@ pub(crate) fn spawn<W: Work + 'static>(
                 recv(fs_events) -> event => match event {
                     Ok(first) => {
                         heartbeat.set_busy(true);
-                        let mut known = HashSet::new();
-                        let rest: Vec<FsEvent> = fs_events.try_iter().take(FS_EVENTS_PER_TURN).collect();
-                        for event in std::iter::once(first).chain(rest) {
+                        let mut turn = vec![first];
+                        turn.extend(fs_events.try_iter().take(FS_EVENTS_PER_TURN));
+                        for event in last_of_equals(turn) {
                             heartbeat.beat();
-                            if known.insert(event.clone()) {
-                                work.on_fs_event(event, &report);
-                            }
+                            work.on_fs_event(event, &report);
                         }
                     }
                     // The source of events has ended: scans find the changes without it.
@@ -152,6 +150,15 @@ pub(crate) fn spawn<W: Work + 'static>(
     };
     thread::Builder::new().name(name.to_owned()).spawn(run)?;
     Ok(sender)
+}
+
+/// The events in their order, without those that are repeated later.
+fn last_of_equals(mut events: Vec<FsEvent>) -> Vec<FsEvent> {
+    let mut known = HashSet::new();
+    events.reverse();
+    events.retain(|event| known.insert(event.clone()));
+    events.reverse();
+    events
 }
 
 /// The longest wait at a time.

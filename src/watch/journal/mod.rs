@@ -194,11 +194,14 @@ impl Journal {
         self.note(Entry::Plan(record))
     }
 
-    /// Writes pending records and syncs the file to disk, at the end of a run.
+    /// Writes pending records and syncs the file to disk, at the end of a run, unless writing is suspended.
     ///
     /// # Errors
     /// When the system refuses.
     pub fn sync(&mut self) -> io::Result<()> {
+        if self.is_suspended {
+            return Ok(());
+        }
         self.write_pending()?;
         match &self.file {
             Some(file) => file.sync_data(),

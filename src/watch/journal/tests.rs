@@ -277,6 +277,19 @@ fn sync_writes_pending_records() {
     assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
 }
 
+/// The output disk is not mounted: its mount point stays empty.
+#[test]
+fn suspended_journal_is_not_written_at_the_end() {
+    let parent = folder();
+    let folder = parent.path().join(STATE_FOLDER);
+    let mut journal = open(&folder);
+    fs::remove_dir_all(&folder).expect("removed");
+    journal.set_suspended(true);
+    journal.note_frame(&input(0), frame_record(JournaledStatus::Done, 1)).expect("kept");
+    journal.sync().expect("nothing is written");
+    assert!(!folder.exists());
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn write_to_a_full_disk_returns_an_error() {
