@@ -255,13 +255,17 @@ struct Family<'a> {
 }
 
 impl Family<'_> {
-    /// The columns of components 0, 1, 2 and so on, up to the first missing one.
+    /// The columns of components 0, 1, 2 and so on, up to the first missing one. Three or more numbered
+    /// components may start at 1, as in MATLAB: `pos_1`, but not `p_1`, which is a pressure.
     fn contiguous(&mut self) -> Vec<usize> {
         self.components.sort_unstable();
         self.components.dedup_by_key(|(component, _)| *component);
+        let is_named = self.stem.len() > 1 && matches!(self.spelling, Spelling::Digit(_));
+        let first = usize::from(is_named && self.components.len() > 2 && self.components[0].0 == 1);
         let consecutive =
-            self.components.iter().enumerate().take_while(|(expected, (got, _))| expected == got);
-        consecutive.map(|(_, &(_, column))| column).collect()
+            self.components.iter().zip(first..).take_while(|((found, _), expected)| found == expected);
+        let columns: Vec<usize> = consecutive.map(|(&(_, column), _)| column).collect();
+        if first == 1 && columns.len() < 3 { Vec::new() } else { columns }
     }
 
     fn arity_min(&self) -> usize {
@@ -347,6 +351,7 @@ const POSITIONS: &[&str] = &[
     "coordinate",
     "coords",
     "coord",
+    "location",
     "p",
     "unwrapped",
 ];
@@ -467,6 +472,11 @@ mod tests {
                 "x,y,z,accel_x,accel_y,accel_z,Acceleration:0,Acceleration:1,Acceleration:2",
                 "[0, 1, 2] | accel [3, 4, 5] | Acceleration [6, 7, 8] Acceleration",
             ),
+            // MATLAB.
+            ("pos_1,pos_2,pos_3,vel_1,vel_2,vel_3", "[0, 1, 2] | vel [3, 4, 5] Velocity"),
+            ("p_1,p_2,p_3", "[] | p_1 [0] | p_2 [1] | p_3 [2]"),
+            // Blender.
+            ("id,location_x,location_y,location_z", "[1, 2, 3] | id [0] Id"),
             // Research codes.
             ("ID,X,Y,Z,VX,VY,VZ", "[1, 2, 3] | ID [0] Id | V [4, 5, 6] Velocity"),
             ("x,y,z,velx,vely,velz", "[0, 1, 2] | vel [3, 4, 5] Velocity"),

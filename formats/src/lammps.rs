@@ -129,7 +129,11 @@ pub fn read_step(bytes: &[u8], step: &TimeStep, limits: &Limits) -> Result<Parti
         )
     };
     let (position, is_scaled) = position(&names).ok_or_else(no_position)?;
-    for (name, &column) in ["x", "y", "z"].into_iter().zip(&position) {
+    for (name, column) in ["x", "y", "z"].into_iter().zip(position) {
+        // An incomplete position beside the one that is read.
+        for other in names.iter_mut().filter(|other| *other == name) {
+            *other = format!("other_{name}");
+        }
         name.clone_into(&mut names[column]);
     }
     let table = bytes.get(..step.range.end).unwrap_or_default();

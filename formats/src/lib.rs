@@ -22,6 +22,7 @@ mod digest;
 pub mod error;
 mod excerpt;
 pub mod exr;
+mod first_column;
 mod frame_numbers;
 pub mod gltf;
 mod gzip;
@@ -76,7 +77,6 @@ pub use mesh::read_mesh;
 pub use mesh_options::{MeshOptions, UpAxis, WriteOption};
 pub use obstacle::{ObstacleData, check_obstacle, read_obstacle};
 pub use picture::{ColorPicture, PictureCamera, PictureLayer, PictureView, PixelSamples};
-use probe::LAMMPS_DATA;
 pub use probe::{Probe, ProbedKind, looks_like_particles, probe};
 pub use records::ReadAt;
 pub use row::{
@@ -93,7 +93,8 @@ pub use table::{Format, OutputFormat, listed, read_provenance};
 ///
 /// # Errors
 /// The errors of the format's reader, with offsets into the decompressed bytes; `Unsupported`, with what to
-/// do instead, if the file is not a particle file.
+/// do instead, if the file is not a particle file; `Invalid` if it has particles, and none of them has a finite
+/// position.
 pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<ParticleFrame> {
     let Probe { kind, codec } = probe(bytes, file_name);
     let is_vague = matches!(kind, ProbedKind::Empty | ProbedKind::Unknown | ProbedKind::UnknownText);
@@ -104,7 +105,20 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
         return Err(Error::truncated("", Position::File, "the file ends within its signature"));
     }
     let read = reader_of(kind, codec)?;
-    read(&compression::decompressed(bytes, limits)?, limits)
+    let frame = read(&compression::decompressed(bytes, limits)?, limits)?;
+    let (count, has_finite) = match &frame.positions {
+        FilePositions::F32(all) => {
+            (all.len(), all.iter().any(|one| one.iter().all(|along| along.is_finite())))
+        }
+        FilePositions::F64(all) => {
+            (all.len(), all.iter().any(|one| one.iter().all(|along| along.is_finite())))
+        }
+    };
+    if count > 0 && !has_finite {
+        let what = format!("none of the {count} particles has a finite position");
+        return Err(Error::invalid(kind.name(), Position::File, what));
+    }
+    Ok(frame)
 }
 
 /// Returns an error if no reader supports the file. Needs only its first bytes, so a large file is rejected
@@ -134,22 +148,23 @@ fn reader_of(kind: ProbedKind, codec: Option<Codec>) -> Result<ParticleReader> {
     if let Some(particles) = kind.format().and_then(|format| format.row().particles.as_ref()) {
         return Ok(particles.read);
     }
+    let remedy = probe::REMEDIES.iter().find(|(name, _)| kind == ProbedKind::Foreign(name));
+    if let Some((name, remedy)) = remedy {
+        return Err(Error::unsupported(name, *remedy));
+    }
     let content = kind.format().and_then(Format::output).map(OutputFormat::content);
-    let refusal = match (content, kind) {
-        (Some(Content::LevelSet), _) if codec.is_some() => {
+    let refusal = match content {
+        Some(Content::LevelSet) if codec.is_some() => {
             "this is a volume, not particles: to convert a level set, decompress it to a file whose name ends in .vdb"
         }
-        (Some(Content::LevelSet), _) => {
+        Some(Content::LevelSet) => {
             "this is a volume, not particles: to convert a level set, rename it so that its name ends in .vdb"
         }
-        (Some(Content::Mesh(_)), _) => {
+        Some(Content::Mesh(_)) => {
             "this is a mesh, not particles: use the particle file, or save the mesh's vertices as PLY"
         }
-        (Some(Content::Picture(_)), _) => "this is a picture, not particles: give the particle file",
-        (_, ProbedKind::Foreign(LAMMPS_DATA)) => {
-            "this is a `write_data` file, and only dumps are supported: write one with `write_dump all custom FILE id type x y z`"
-        }
-        _ => {
+        Some(Content::Picture(_)) => "this is a picture, not particles: give the particle file",
+        None => {
             "not a supported particle format: save it as PLY, BGEO or VTK (docs/formats.md lists all supported formats)"
         }
     };

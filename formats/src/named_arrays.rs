@@ -107,7 +107,8 @@ fn is_column(array: &NamedArray) -> bool {
     array.arity == 1 && !matches!(array.values, Values::Strings { .. })
 }
 
-fn widened(values: &Values) -> Option<Values> {
+/// The values as 64-bit floats; `None` for strings.
+pub(crate) fn widened(values: &Values) -> Option<Values> {
     Some(Values::F64(match values {
         Values::F32(values) => values.iter().map(|&value| value.into()).collect(),
         Values::F64(values) => values.clone(),

@@ -5,6 +5,7 @@
 //! then the beginning of a text, then whether its lines look like a table. The name matters only where the
 //! content is ambiguous.
 
+use std::borrow::Cow;
 use std::fmt;
 
 use crate::compression::{Codec, name_without_compression};
@@ -75,9 +76,6 @@ impl fmt::Display for Probe {
     }
 }
 
-/// The output of LAMMPS's `write_data` command.
-pub(crate) const LAMMPS_DATA: &str = "LAMMPS data";
-
 /// Number of bytes to examine.
 const HEAD_BYTES: usize = 8 << 10;
 
@@ -123,6 +121,12 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
     if let Some(format) = Format::ALL.into_iter().find(has_signature) {
         return ProbedKind::Format(format);
     }
+    if let Cow::Owned(text) = csv::decoded(head) {
+        return match kind_of(&text, name) {
+            ProbedKind::Format(Format::Delimited) => ProbedKind::Format(Format::Delimited),
+            _ => ProbedKind::Foreign("UTF-16 text: save it as UTF-8"),
+        };
+    }
     if let Some(&(_, name)) = FOREIGN_SIGNATURES.iter().find(|(signature, _)| head.starts_with(signature)) {
         return ProbedKind::Foreign(name);
     }
@@ -142,7 +146,19 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
         if name.ends_with(".stl") || head.starts_with(b"meniscus ") {
             return ProbedKind::Format(Format::Stl);
         }
-        return if name.ends_with(".xyz") { ProbedKind::Format(Format::RawXyz) } else { ProbedKind::Unknown };
+        let first_line = Lines::new(text).next().unwrap_or_default();
+        return match name {
+            // The reader reports the byte that is not text.
+            _ if is_text(first_line) && csv::names_position(first_line) => {
+                ProbedKind::Format(Format::Delimited)
+            }
+            _ if name.ends_with(".xyz") => ProbedKind::Format(Format::RawXyz),
+            _ if name.ends_with(".bobj") => ProbedKind::Foreign(BOBJ),
+            _ => ProbedKind::Unknown,
+        };
+    }
+    if let Some(&(name, _)) = FOREIGN_TEXTS.iter().find(|(_, is_such)| is_such(text)) {
+        return ProbedKind::Foreign(name);
     }
     match text.first() {
         Some(b'[') if starts_with_toml_table(text) => ProbedKind::Foreign("TOML"),
@@ -152,7 +168,6 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
             ProbedKind::Foreign("STL text: save it as binary STL")
         }
         _ if text.starts_with(b"ITEM:") => ProbedKind::Format(Format::LammpsDump),
-        _ if looks_like_lammps_data(text) => ProbedKind::Foreign(LAMMPS_DATA),
         _ if looks_like_atoms(text) => ProbedKind::Format(Format::XyzAtoms),
         _ if looks_like_obj(text, name) => ProbedKind::Format(Format::Obj),
         _ if looks_like_table(text) || csv::looks_like_particles(text) => {
@@ -169,8 +184,12 @@ fn first_member(head: &[u8]) -> Option<&[u8]> {
 }
 
 /// Whether a text starts with the header of a table: a name in single or double brackets, which is not a
-/// value of JSON.
+/// value of JSON. In the next line, TOML has a key, another header or a comment.
 fn starts_with_toml_table(text: &[u8]) -> bool {
+    let next = Lines::new(text).skip(1).map(<[u8]>::trim_ascii).find(|line| !line.is_empty());
+    if next.is_some_and(|next| !next.contains(&b'=') && !next.starts_with(b"[") && !next.starts_with(b"#")) {
+        return false;
+    }
     let name = text.strip_prefix(b"[[").or_else(|| text.strip_prefix(b"[")).unwrap_or_default();
     let name = name.split(|&byte| byte == b']').next().unwrap_or_default().trim_ascii();
     let is_name = |byte: &u8| byte.is_ascii_alphanumeric() || b"_-.".contains(byte);
@@ -220,7 +239,11 @@ fn looks_like_lammps_data(text: &[u8]) -> bool {
 fn looks_like_obj(text: &[u8], name: &str) -> bool {
     let mut vertex_seen = false;
     let mut line_count = 0;
+    let mut is_continued = false;
     for line in content_lines(text) {
+        if std::mem::replace(&mut is_continued, line.ends_with(b"\\")) {
+            continue;
+        }
         let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
         let keyword = words.next().unwrap_or_default();
         if !OBJ_KEYWORDS.contains(&keyword) {
@@ -270,16 +293,118 @@ fn contains(text: &[u8], word: &[u8]) -> bool {
 const OBJ_KEYWORDS: &[&[u8]] =
     &[b"v", b"vn", b"vt", b"vp", b"f", b"l", b"p", b"o", b"g", b"s", b"mtllib", b"usemtl"];
 
+/// Whether a text has the layout of a GROMACS file: below the title and the count, the first atom has its number
+/// and its position in fixed columns.
+fn looks_like_gro(text: &[u8]) -> bool {
+    let mut lines = Lines::new(text).skip(1);
+    let Some(count) = lines.next().map(<[u8]>::trim_ascii) else { return false };
+    let atom = lines.next().unwrap_or_default();
+    let is_number = |columns: std::ops::Range<usize>| {
+        let cell = atom.get(columns).unwrap_or_default().trim_ascii();
+        parse_number::<f64>(cell).is_some_and(|(_, length)| length == cell.len())
+    };
+    let residue = atom.get(5..10).unwrap_or_default().trim_ascii_start();
+    !count.is_empty()
+        && count.iter().all(u8::is_ascii_digit)
+        && residue.first().is_some_and(u8::is_ascii_alphabetic)
+        && [0..5, 15..20, 20..28, 28..36, 36..44].into_iter().all(is_number)
+}
+
+/// Whether a text has an atom in the layout of the Protein Data Bank: its position in fixed columns.
+fn looks_like_pdb(text: &[u8]) -> bool {
+    let is_atom = |line: &[u8]| {
+        let is_number = |columns: std::ops::Range<usize>| {
+            let cell = line.get(columns).unwrap_or_default().trim_ascii();
+            parse_number::<f64>(cell).is_some_and(|(_, length)| length == cell.len())
+        };
+        (line.starts_with(b"ATOM  ") || line.starts_with(b"HETATM"))
+            && [30..38, 38..46, 46..54].into_iter().all(is_number)
+    };
+    Lines::new(text).any(is_atom) || text.starts_with(b"HEADER    ")
+}
+
+/// Whether a text has the variables of a Tecplot file, after a title if there is one.
+fn looks_like_tecplot(text: &[u8]) -> bool {
+    let starts_with = |line: &[u8], word: &[u8]| {
+        let (start, rest) = line.split_at_checked(word.len()).unwrap_or_default();
+        start.eq_ignore_ascii_case(word) && rest.trim_ascii_start().starts_with(b"=")
+    };
+    let mut lines = content_lines(text);
+    let first = lines.find(|line| !starts_with(line, b"TITLE") && !starts_with(line, b"FILETYPE"));
+    first.is_some_and(|line| starts_with(line, b"VARIABLES"))
+}
+
 /// Signatures of formats that are recognised only for error messages.
 const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
     (b"\x89HDF\r\n\x1a\n", "HDF5"),
+    (b"CDF\x01", "netCDF"),
+    (b"CDF\x02", "netCDF"),
     (b"NanoVDB", "NanoVDB"),
     (b"\xc0PRT\r\n\x1a\n", "Krakatoa PRT"),
+    (b"\xda\xba\xfa\0", "RealFlow BIN"),
+    (b"#FileJBD ", BI4),
+    (b"#File BINX-", BI4),
+    (b"#!TDV", TECPLOT),
+    (b"ASTM-E57", "E57"),
+    (b"LASF", "LAS"),
+    (b"MATLAB 5.0 MAT-file", "MATLAB"),
+    (b"PAR1", "Parquet"),
+    (b"\x80\x04\x95", "Python pickle"),
     (b"\xfd7zXZ\0", "XZ archive"),
     (b"BZh", "bzip2 archive"),
-    (b"\xff\xfe", "UTF-16 text: save it as UTF-8"),
-    (b"\xfe\xff", "UTF-16 text: save it as UTF-8"),
+    (b"version https://git-lfs.github.com/spec/", GIT_LFS),
+    (b"# .PCD v", PCD),
+    (b"VERSION .7\nFIELDS ", PCD),
+    (b"VERSION 0.7\nFIELDS ", PCD),
 ];
+
+/// Texts that are recognised only for error messages.
+const FOREIGN_TEXTS: &[(&str, fn(&[u8]) -> bool)] = &[
+    (LAMMPS_DATA, looks_like_lammps_data),
+    (GRO, looks_like_gro),
+    (PDB, looks_like_pdb),
+    (TECPLOT, looks_like_tecplot),
+    (OPENFOAM, |text| {
+        text.starts_with(b"FoamFile") || text.starts_with(b"/*") && contains(text, b"\nFoamFile")
+    }),
+];
+
+/// What to do with the files of some of these formats.
+pub(crate) const REMEDIES: &[(&str, &str)] = &[
+    (
+        LAMMPS_DATA,
+        "this is a `write_data` file, and only dumps are supported: write one with `write_dump all custom FILE id type x y z`",
+    ),
+    (GIT_LFS, "this is only the reference to a file in Git LFS: get the file itself with `git lfs pull`"),
+    (PCD, "point clouds in this format are not supported: save it as PLY, for example with CloudCompare"),
+    (BI4, "data in this format are not supported: convert them with DualSPHysics's PartVTK"),
+    (GRO, "files of molecules in this format are not supported: save it as XYZ, for example with OVITO"),
+    (PDB, "files of molecules in this format are not supported: save it as XYZ, for example with OVITO"),
+    (
+        TECPLOT,
+        "tables in this format are not supported: save it as CSV with a header such as x,y,z, or as VTK",
+    ),
+    (
+        OPENFOAM,
+        "files in this format are not supported: convert the cloud with foamToVTK, and give its .vtk or .vtp files",
+    ),
+    (
+        BOBJ,
+        "this is the mesh of a surface, not particles: give the particles, or the mesh to a program that renders it",
+    ),
+];
+
+/// The output of LAMMPS's `write_data` command.
+const LAMMPS_DATA: &str = "LAMMPS data";
+const GIT_LFS: &str = "Git LFS pointer";
+const PCD: &str = "PCD point cloud";
+const BI4: &str = "DualSPHysics .bi4";
+const GRO: &str = "GROMACS .gro";
+const PDB: &str = "Protein Data Bank .pdb";
+const TECPLOT: &str = "Tecplot";
+const OPENFOAM: &str = "OpenFOAM";
+/// A mesh of Mantaflow, Blender's fluid simulation.
+const BOBJ: &str = "Mantaflow .bobj";
 
 #[cfg(test)]
 mod tests {
@@ -315,6 +440,8 @@ mod tests {
                 ProbedKind::Format(Format::Obj),
             ),
             (b"v x y z\n1 2 3 4\n", "a.obj", ProbedKind::Format(Format::Delimited)),
+            (b"v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 \\\n2 3\n", "a.obj", ProbedKind::Format(Format::Obj)),
+            (b"x,y,z,Mk\n1,2,3,\x01\n", "a.csv", ProbedKind::Format(Format::Delimited)),
             (b"o empty\n", "a.obj", ProbedKind::Format(Format::Obj)),
             (b"x,y,z\n1,2,3\n", "a", ProbedKind::Format(Format::Delimited)),
             (b"\xef\xbb\xbf\"x\";\"y\";\"z\"\n", "a", ProbedKind::Format(Format::Delimited)),
@@ -344,6 +471,42 @@ mod tests {
             (b"Dear reader,\nthere is nothing here\n", "a", ProbedKind::Format(Format::Delimited)), // has a comma; the reader reports the error
             (b"plyx\nformat ascii 1.0\nelement vertex 0\nend_header\n", "a.ply", ProbedKind::UnknownText),
             (b"Dear reader\n", "a", ProbedKind::UnknownText),
+            (b"0\n\n1\n\nO 1 2 3\n", "a.xyz", ProbedKind::Format(Format::XyzAtoms)),
+            (b"0\nstep 1\n0\n\n", "a.xyz", ProbedKind::Format(Format::XyzAtoms)),
+            (b"0\n0.5\n", "a.dat", ProbedKind::Format(Format::Delimited)),
+            (b"0\nstep 1\nother text\n", "a.dat", ProbedKind::Format(Format::Delimited)),
+            (b"\xff\xfex\0,\0y\0,\0z\0\n\0", "a.csv", ProbedKind::Format(Format::Delimited)),
+            (b"\xfe\xff\0{\0}", "a.json", ProbedKind::Foreign("UTF-16 text: save it as UTF-8")),
+            (
+                b"[Name]\nWater\n\n[Data]\nX [ m ], Y [ m ], Z [ m ]\n1,2,3\n",
+                "a.csv",
+                ProbedKind::Format(Format::Delimited),
+            ),
+            (b"[watch]\n\ninput = 1\n", "a.toml", ProbedKind::Foreign("TOML")),
+            (
+                b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n",
+                "a.ply",
+                ProbedKind::Foreign(GIT_LFS),
+            ),
+            (b"VERSION .7\nFIELDS x y z\n", "a.pcd", ProbedKind::Foreign(PCD)),
+            (b"#FileJBD BI4Part \n\0\x01", "Part_0001.bi4", ProbedKind::Foreign(BI4)),
+            (b"\x10\0\0\0\0\0\x80\x3f", "fluid_mesh_0001.bobj", ProbedKind::Foreign(BOBJ)),
+            (
+                b"water\n  1\n    1SOL     OW    1   0.000   0.005  -0.004\n   6.0 5.0 4.0\n",
+                "a.gro",
+                ProbedKind::Foreign(GRO),
+            ),
+            (
+                b"ATOM      1  OW  SOL A   1       0.001   0.045  -0.036  1.00  0.00           O\n",
+                "a.pdb",
+                ProbedKind::Foreign(PDB),
+            ),
+            (
+                b"title = \"t\"\nVARIABLES=\"X\",\"Y\",\"Z\"\nZONE\n1 2 3\n",
+                "a.dat",
+                ProbedKind::Foreign(TECPLOT),
+            ),
+            (b"FoamFile\n{ class Cloud; }\n1\n(\n(1 2 3) 0\n)\n", "positions", ProbedKind::Foreign(OPENFOAM)),
             (b"\x93NUMPY\x01\0", "a.npy", ProbedKind::Format(Format::Npy)),
             (b"PK\x03\x04", "a.npz", ProbedKind::Format(Format::Npz)),
             (b"PK\x03\x04", "a.zip", ProbedKind::Foreign("ZIP archive")),

@@ -1,7 +1,8 @@
-//! Finds the frames of multi-frame text files, line by line.
+//! Finds the frames of multi-frame files: those of texts line by line, those of arrays by the header.
 
-use std::io::{self, BufRead};
+use std::io::{self, BufRead, Read as _};
 use std::ops::Range;
+use std::sync::Arc;
 
 use crate::error::Result;
 use crate::limits::Limits;
@@ -12,11 +13,21 @@ pub struct FoundStep {
     /// The step number that the file states or, if the format has no step numbers, the index of the step,
     /// from 0. `None` if the format has step numbers and this step states none.
     pub number: Option<i64>,
-    /// The byte range of this step in the uncompressed file. These bytes alone are a valid single-frame file,
-    /// unless the step is damaged.
+    /// Bytes that precede those of the range in a file with this step alone: the header of its array; empty for
+    /// text.
+    pub head: Arc<[u8]>,
+    /// The byte range of this step in the uncompressed file. These bytes, after the head, are a valid
+    /// single-frame file, unless the step is damaged.
     pub range: Range<u64>,
     /// Number of lines before this step in the uncompressed file.
     pub lines_before: u64,
+}
+
+impl FoundStep {
+    /// A step of a text, which begins with the last line that was read.
+    fn of_text(number: Option<i64>, start: u64, lines: &LineHeads) -> FoundStep {
+        FoundStep { number, head: Arc::default(), range: start..start, lines_before: lines.count - 1 }
+    }
 }
 
 /// Finds the steps in the lines of a file and appends them to the known ones.
@@ -34,7 +45,7 @@ pub(crate) fn steps_of_dump(mut lines: LineHeads, steps: &mut Vec<FoundStep>, li
             if steps.len() == known_count || is_in_rows || (is_timestep && is_numbered) {
                 end_at(steps, start);
                 limits.check_step("LAMMPS dump", steps.len())?;
-                steps.push(FoundStep { number: None, range: start..start, lines_before: lines.count - 1 });
+                steps.push(FoundStep::of_text(None, start, &lines));
                 is_numbered = false;
             }
             is_numbered |= is_timestep;
@@ -46,7 +57,7 @@ pub(crate) fn steps_of_dump(mut lines: LineHeads, steps: &mut Vec<FoundStep>, li
                 step.number = std::str::from_utf8(line).ok().and_then(|number| number.parse().ok());
             }
         } else if steps.len() == known_count && !line.is_empty() {
-            steps.push(FoundStep { number: None, range: start..start, lines_before: lines.count - 1 });
+            steps.push(FoundStep::of_text(None, start, &lines));
         }
     }
     end_at(steps, lines.end);
@@ -69,7 +80,7 @@ pub(crate) fn steps_of_atoms(
         limits.check_step("XYZ atoms", steps.len())?;
         let count: Option<u64> = std::str::from_utf8(line).ok().and_then(|count| count.parse().ok());
         let number = i64::try_from(steps.len()).ok();
-        steps.push(FoundStep { number, range: start..start, lines_before: lines.count - 1 });
+        steps.push(FoundStep::of_text(number, start, &lines));
         // Skips the comment line and the atoms.
         for _ in 0..count.map_or(u64::MAX, |count| count.saturating_add(1)) {
             if lines.next()?.is_none() {
@@ -105,6 +116,13 @@ impl<'a> LineHeads<'a> {
     /// The lines of a source that starts `end` bytes and `count` lines into the file.
     pub(crate) fn new(source: &'a mut dyn BufRead, end: u64, count: u64) -> LineHeads<'a> {
         LineHeads { source, head: Vec::new(), end, count }
+    }
+
+    /// The first bytes of the source, instead of its lines.
+    pub(crate) fn first_bytes(self, count: u64) -> io::Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        self.source.take(count).read_to_end(&mut bytes)?;
+        Ok(bytes)
     }
 
     /// Reads the next line and returns its offset.

@@ -29,11 +29,20 @@ pub(crate) const FORMAT: &str = "XYZ atoms";
 
 /// Whether a text starts like a frame of atoms: the first line is a count alone, and the third line is a word
 /// followed by three numbers. A table has no such word, and other text has no such count. If an atomic number
-/// replaces the word, [`have_atomic_numbers`] applies stricter conditions.
+/// replaces the word, [`have_atomic_numbers`] applies stricter conditions. Frames without atoms may precede it,
+/// and be all that there is, with a comment that is not a number.
 pub(crate) fn looks_like_atoms(text: &[u8]) -> bool {
     let mut lines = Lines::new(text);
-    let Some(count) = lines.next().and_then(count) else { return false };
-    let comment = lines.next().unwrap_or_default();
+    let mut is_empty = false;
+    let (count, comment) = loop {
+        let Some(line) = lines.find(|line| !line.trim_ascii().is_empty()) else { return is_empty };
+        let Some(count) = count(line) else { return false };
+        let comment = lines.next();
+        if count > 0 {
+            break (count, comment.unwrap_or_default());
+        }
+        is_empty = comment.is_some_and(|comment| parse_number::<f64>(comment.trim_ascii()).is_none());
+    };
     let Some(row) = lines.clone().next() else { return false };
     let mut words = words(row);
     let is_element = words.next().is_some_and(|word| word[0].is_ascii_alphabetic());

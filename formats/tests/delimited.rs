@@ -91,7 +91,7 @@ fn comment_with_too_many_words_is_not_a_header() {
 fn rows_columns_and_head_beyond_limits_are_an_error() {
     let mut wide = String::from("x,y,z");
     wide += &",a".repeat(5000);
-    let long_head = "no table\n".repeat(200_000);
+    let long_head = "# no table\n".repeat(200_000);
     let long_line = "a".repeat(3 << 20);
     let table = [
         ("rows", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n", "more rows than the limit of 2"),
@@ -106,6 +106,14 @@ fn rows_columns_and_head_beyond_limits_are_an_error() {
         assert!(matches!(error, Error::TooLarge { .. }), "{case}: {error}");
         assert!(error.to_string().contains(expected), "{case}: {error}");
     }
+}
+
+/// The size of the box at the end of a file of molecules is not a table.
+#[test]
+fn numbers_below_many_lines_of_text_are_not_a_table() {
+    let text = format!("water\n999\n{}6 5 4\n", "1SOL OW 1 0.5 0.25 0.125\n".repeat(999));
+    let error = csv::read(text.as_bytes(), &Limits::default()).expect_err("text").to_string();
+    assert!(error.contains("found only text in the first 100 lines"), "{error}");
 }
 
 #[test]

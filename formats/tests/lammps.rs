@@ -53,6 +53,8 @@ fn scaled_positions_are_multiplied_by_the_box() {
         (straight, "xsu ysu zsu id", "1.5 0.5 0.25 1", [15.0, 0.0, 7.0]),
         (straight, "id xu yu zu xs ys zs", "1 1 2 3 0 0 0", [1.0, 2.0, 3.0]),
         (straight, "x y z xu yu zu", "1 2 3 9 9 9", [1.0, 2.0, 3.0]),
+        (straight, "id z xu yu zu", "1 9 1 2 3", [1.0, 2.0, 3.0]),
+        (straight, "id x y xs ys zs", "1 9 9 0.5 0.5 0.25", [5.0, 0.0, 7.0]),
         (tilted, "xs ys zs", "0.5 0.5 0.25", [2.0, 1.125, 2.0]),
         (general, "xs ys zs", "0.5 0.5 0.25", [2.0, 1.125, 2.0]),
     ];

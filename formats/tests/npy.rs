@@ -3,8 +3,9 @@
 use crate::fixtures;
 
 use fixtures::{archive, array, f32s, six};
+use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
-    AttributeRole, FileAttribute, FilePositions, Limits, ParticleFrame, Values, npy, read_particles,
+    AttributeRole, FileAttribute, FilePositions, Limits, ParticleFrame, Values, npy, probe, read_particles,
 };
 
 fn read(bytes: &[u8]) -> ParticleFrame {
@@ -27,7 +28,7 @@ fn positions_of_all_types_and_orders_are_read() {
         ("version 2", array(2, "'<f4'", false, "(2, 3)", &six()), false),
         ("version 3", array(3, "'<f4'", false, "(2, 3)", &six()), false),
         ("Fortran", array(1, "'<f4'", true, "(2, 3)", &columns), false),
-        ("three lengths", array(1, "'<f4'", false, "(2, 1, 3)", &six()), false),
+        ("three lengths", array(1, "'<f4'", false, "(1, 2, 3)", &six()), false),
         ("halves", array(1, "'<f2'", false, "(2, 3)", &halves), false),
         ("big-endian doubles", array(1, "'>f8'", false, "(2, 3)", &wide), true),
         ("integers", array(1, "'>i2'", false, "(2, 3)", &integers), true),
@@ -48,6 +49,46 @@ fn columns_after_the_third_become_attributes() {
     assert_eq!(frame.positions, FilePositions::F32(vec![TWO[0]]));
     let names: Vec<&str> = frame.attributes.iter().map(|a| a.name.as_str()).collect();
     assert_eq!((names.join(" "), frame.notes.len()), ("column_4 column_5 column_6".into(), 1));
+}
+
+#[test]
+fn first_column_of_different_integers_is_the_id() {
+    let rows = [[7.0, 0.5, 0.25, 0.125, 9.5], [5.0, 1.5, 0.25, 0.125, 9.5], [9.0, 2.5, 0.25, 0.125, 9.5]];
+    let rows = [rows.as_flattened(), &[4.0, 3.5, 0.25, 0.125, 9.5]].concat();
+    let frame = read(&array(1, "'<f4'", false, "(4, 5)", &f32s(&rows)));
+    assert_eq!(frame.positions, FilePositions::F32([0.5, 1.5, 2.5, 3.5].map(|x| [x, 0.25, 0.125]).to_vec()));
+    let found: Vec<_> = frame.attributes.iter().map(|a| (a.name.as_str(), a.role)).collect();
+    assert_eq!(found, [("id", Some(AttributeRole::Id)), ("column_5", None)]);
+    assert_eq!(frame.notes.len(), 1, "{:?}", frame.notes);
+}
+
+/// Each frame, behind the head of its step, is the file of a single frame.
+#[test]
+fn frames_of_an_array_are_steps() {
+    let records = "[('shape', '<f4'), ('pos', '<f4', (3,))]";
+    let record = |x: f32| [f32s(&[0.5, x, 2.0, 3.0]), f32s(&[0.5, x, 5.0, 6.0])].concat();
+    for (case, file, expected) in [
+        ("numbers", array(1, "'<f4'", false, "(2, 1, 3)", &six()), [vec![TWO[0]], vec![TWO[1]]]),
+        ("without blanks", array(2, "'<f4'", false, "(2,1,3)", &six()), [vec![TWO[0]], vec![TWO[1]]]),
+        (
+            "records",
+            array(1, records, false, "(2, 2)", &[record(1.0), record(4.0)].concat()),
+            [1.0, 4.0].map(|x| vec![[x, 2.0, 3.0], [x, 5.0, 6.0]]),
+        ),
+    ] {
+        let steps = find_steps(probe(&file, "a.npy").kind, &*file, &Limits::default()).expect("steps");
+        assert_eq!(steps.iter().map(|step| step.number).collect::<Vec<_>>(), [Some(0), Some(1)], "{case}");
+        for (step, expected) in steps.iter().zip(expected) {
+            let range = step.range.start as usize..step.range.end as usize;
+            let frame = read(&[&step.head[..], &file[range]].concat());
+            assert_eq!(frame.positions, FilePositions::F32(expected), "{case}");
+        }
+    }
+    for shape in ["(2, 3)", "(1, 2, 3)"] {
+        let file = array(1, "'<f4'", false, shape, &six());
+        let steps = find_steps(probe(&file, "a.npy").kind, &*file, &Limits::default()).expect("steps");
+        assert!(steps.is_empty(), "{shape}");
+    }
 }
 
 #[test]
@@ -146,17 +187,42 @@ fn invalid_arrays_are_errors() {
         (
             "columns without end",
             array(1, "'|u1'", false, "(1, 5000)", &[0; 5000]),
-            "5000 columns, more than the limit of 4096",
+            "found the shape (1, 5000): a list of particles does not have so many columns; reshape it",
         ),
         (
             "columns of Fortran without end",
             array(1, "'|u1'", true, "(1, 5000)", &[0; 5000]),
-            "5000 columns, more than the limit of 4096",
+            "does not have so many columns",
+        ),
+        ("columns of nothing", array(1, "'<f4'", false, "(0, 5000)", &[]), "does not have so many columns"),
+        ("a matrix", array(1, "'|u1'", false, "(33, 33)", &[0; 33 * 33]), "does not have so many columns"),
+        (
+            "a picture",
+            array(1, "'|u1'", false, "(2, 1, 3)", &[0; 6]),
+            "(2, 1, 3): 8-bit numbers in three dimensions",
         ),
         (
-            "columns of nothing",
-            array(1, "'<f4'", false, "(0, 5000)", &[]),
-            "5000 columns, more than the limit of 4096",
+            "a volume",
+            array(1, "'<f4'", false, "(1, 3, 2)", &six()),
+            "the last dimension must be that of x, y and z",
+        ),
+        ("four lengths", array(1, "'<f4'", false, "(1, 1, 2, 3)", &six()), "there are too many dimensions"),
+        (
+            "frames",
+            array(1, "'<f4'", false, "(2, 1, 3)", &six()),
+            "(2, 1, 3) has several frames: read each frame",
+        ),
+        ("frames of columns", array(1, "'<f4'", true, "(2, 1, 3)", &six()), "numpy.ascontiguousarray"),
+        (
+            "ids or coordinates",
+            array(
+                1,
+                "'<f4'",
+                false,
+                "(4, 3)",
+                &f32s(&[1.0, 0.5, 0.5, 2.0, 0.5, 0.5, 3.0, 0.5, 0.5, 4.0, 0.5, 0.5]),
+            ),
+            "may be an id or a position",
         ),
         (
             "letters without end",
@@ -177,6 +243,21 @@ fn invalid_arrays_are_errors() {
     };
     assert!(damaged(100, false).contains("`pos.npy` is damaged"), "{}", damaged(100, false));
     assert!(damaged(100, true).contains("`pos.npy` is damaged"), "{}", damaged(100, true));
+    for (name, what) in [("pos.npy", "`pos` has several frames"), ("a.npy", "`a` has several frames")] {
+        let frames = archive(&[(name, array(1, "'<f4'", false, "(2, 1, 3)", &six()))], false);
+        let error = npy::read_archive(&frames, &Limits::default()).unwrap_err().to_string();
+        assert!(error.contains(what), "{error}");
+    }
+    let objects = || array(1, "'|O'", false, "()", b"\x80");
+    let numbers = || array(1, "'<i8'", false, "(1,)", &[0; 8]);
+    for (names, what) in [
+        (["particles.npy", "solver_data.npy"], "this is output of PySPH"),
+        (["a.npy", "b.npy"], "pickled Python objects: a, b;"),
+    ] {
+        let pickled = [(names[0], objects()), (names[1], objects()), ("version.npy", numbers())];
+        let error = npy::read_archive(&archive(&pickled, false), &Limits::default()).unwrap_err().to_string();
+        assert!(error.contains(what), "{error}");
+    }
     let other = archive(&[("a.npy", array(1, "'<f4'", false, "(6,)", &six()))], true);
     let error = npy::read_archive(&other, &Limits::default()).unwrap_err().to_string();
     assert!(error.contains("found: a (6, 1)"), "{error}");

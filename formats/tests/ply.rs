@@ -94,6 +94,35 @@ fn positions_keep_their_precision() {
     }
 }
 
+/// The RealSense Viewer writes the color of a vertex in a line of its own.
+#[test]
+fn vertex_over_two_lines_is_read() {
+    let header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+                  property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 1\n\
+                  property list uchar int vertex_index\nend_header\n";
+    let body = "0 1 2 \n255 10 0 \n3 4 5\n\n255 10 1\n6 7 8\n255 10 2\n3 0 1 2\n";
+    let frame = read_text(&format!("{header}{body}"));
+    assert_eq!(positions(&frame), [[0.0, 1.0, 2.0], [3.0, 4.0, 5.0], [6.0, 7.0, 8.0]]);
+    assert_eq!(values(&frame, "color")[6..], [255.0, 10.0, 2.0]);
+    let mesh = read_mesh(format!("{header}{body}").as_bytes(), &Limits::default()).expect("a mesh");
+    assert_eq!(mesh.triangles, [[0, 1, 2]]);
+    for (wrong, expected) in [
+        (
+            "0 1 2\n255 10 0\n3 4\n5 255 10 0 6 7 8 9\n",
+            "at line 16: the values of a record end within the line",
+        ),
+        (
+            "0 1 2 255 10 0\n3 4 5\n255 10 1\n6 7 8 255 10 2\n",
+            "at line 14: the line ends where a value of `red`",
+        ),
+        ("0 1 2\n255 10 0\n3 4 5\n255 10", "the file ends where a value of `blue` was expected"),
+    ] {
+        let error =
+            read(format!("{header}{wrong}").as_bytes(), &Limits::default()).expect_err(wrong).to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
 #[test]
 fn file_without_particles_is_an_empty_frame() {
     let properties = "property float x\nproperty float y\nproperty float z\n";

@@ -23,6 +23,13 @@ fn elements_and_positions_are_read() {
 }
 
 #[test]
+fn frame_without_atoms_is_recognised() {
+    assert!(read("0\nstep 1\n").positions.is_empty());
+    let kind = probe(b"0\nstep 1\n\n1\nstep 2\nO 1 2 3\n", "a.txt").kind;
+    assert_eq!(kind, ProbedKind::Format(Format::XyzAtoms));
+}
+
+#[test]
 fn atomic_numbers_are_read_as_elements() {
     let frame = read("2\n\n8 0.5 0.25 1\n 1 1 2 3\n");
     assert_eq!(frame.positions, FilePositions::F64(vec![[0.5, 0.25, 1.0], [1.0, 2.0, 3.0]]));

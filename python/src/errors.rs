@@ -26,6 +26,7 @@ pub(crate) fn of_method(failure: Error, scratch: &Path) -> PyErr {
         Error::NoParticles { .. }
         | Error::MissingAttribute { .. }
         | Error::AttributeLength { .. }
+        | Error::RoundedPositions { .. }
         | Error::VoxelTooSmall { .. } => ParticleError::new_err(message),
         // Only an exception cancels a call, and the caller gets that exception.
         _ => PyRuntimeError::new_err(message),

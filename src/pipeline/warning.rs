@@ -11,6 +11,7 @@ use glam::DVec3;
 
 use crate::surface::level_set::RebuildReason;
 use crate::surface::mesh::MeshMeasures;
+use crate::surface::spacing::ROUNDING_REMEDY;
 use crate::surface::words::{pluralize, significant};
 
 /// A warning about a converted frame. Its `Display` form is a sentence.
@@ -52,6 +53,10 @@ pub enum Warning {
     Fragmented { particle_count: usize, piece_count: usize, voxel_size: f64 },
     /// All particles are within `width_voxels` voxels: the voxels are too large.
     Blob { particle_count: usize, width_voxels: f64, voxel_size: f64 },
+    /// 32-bit positions far from the origin that were rounded to this step. Lengths are in world units.
+    RoundedParticles { step: f64, spacing: f64 },
+    /// All particles have the same coordinate along this axis.
+    Planar { axis: char, at: f64 },
     /// A format moves vertices by up to `voxels` voxels; `storage` describes how it stores positions.
     RoundedPositions { voxels: f64, storage: &'static str },
     /// An attribute that a .vdb cannot hold.
@@ -313,6 +318,19 @@ impl Warning {
             Warning::RoundedPositions { voxels, storage } => {
                 write!(f, "vertices are moved by up to {voxels:.3} voxels in {storage}")
             }
+            Warning::RoundedParticles { step, spacing } => {
+                let [step, spacing] = [step, spacing].map(significant);
+                write!(
+                    f,
+                    "positions are rounded to steps of {step}, as 32-bit numbers so far from the origin are, and the \
+                     particle spacing is {spacing}: {ROUNDING_REMEDY}"
+                )
+            }
+            Warning::Planar { axis, at } => write!(
+                f,
+                "all particles have {axis} = {}: the surface of such a two-dimensional frame is a layer of one particle",
+                significant(at)
+            ),
             Warning::UnsupportedInVdb { ref name } => write!(
                 f,
                 "{name} is not in the .vdb, which can store only attributes of one or three floating-point numbers"

@@ -4,6 +4,7 @@ use std::fmt;
 use std::io;
 
 use crate::options::SettingsError;
+use crate::spacing::ROUNDING_REMEDY;
 
 /// Why [`reconstruct`](crate::reconstruct()) failed.
 ///
@@ -47,6 +48,14 @@ pub enum Error {
         /// The smallest voxel size that this frame allows, world units.
         least: f64,
     },
+    /// Positions are rounded, as 32-bit numbers far from the origin are, to steps larger than a tenth of the
+    /// measured particle spacing.
+    RoundedPositions {
+        /// The step, world units.
+        step: f64,
+        /// The measured particle spacing, world units.
+        spacing: f64,
+    },
     /// The frame needs more memory than the [limit](crate::Reconstructor::memory_limit). Raise the
     /// limit or choose larger voxels.
     MemoryLimit {
@@ -87,6 +96,11 @@ impl fmt::Display for Error {
             Error::VoxelTooSmall { voxel_size, least } => write!(
                 f,
                 "the voxel size {voxel_size} is too small for this frame; it must be at least {least}"
+            ),
+            Error::RoundedPositions { step, spacing } => write!(
+                f,
+                "positions are rounded to steps of {step}, as 32-bit numbers so far from the origin are, and the measured \
+                 particle spacing is {spacing}: {ROUNDING_REMEDY}"
             ),
             Error::MemoryLimit { needed_bytes, limit_bytes } => write!(
                 f,

@@ -364,8 +364,11 @@ impl<'a> Reconstructor<'a> {
         match planned {
             Ok(plan) => Ok(plan),
             Err(MemoryPlanError::TooLarge(too_large)) => Err(over(too_large.needed_bytes)),
-            Err(MemoryPlanError::VoxelTooSmall(too_small)) => {
-                Err(Error::VoxelTooSmall { voxel_size: too_small.voxel_size, least: too_small.least })
+            Err(MemoryPlanError::VoxelTooSmall(VoxelTooSmall { voxel_size, spacing, least, limit })) => {
+                Err(match limit {
+                    PrecisionLimit::Rounding(step) => Error::RoundedPositions { step, spacing },
+                    _ => Error::VoxelTooSmall { voxel_size, least },
+                })
             }
         }
     }
@@ -441,8 +444,10 @@ fn resolve(
     let per_particle_radius = options.per_particle_radius()?;
     let mut measured = None;
     if options.needs_spacing() {
-        measured = estimate_spacing(positions.borrowed()).map(|estimate| SequenceSpacing {
-            spacing: rounded(estimate.spacing),
+        let by_radius = per_particle_radius.as_ref().and_then(|own| own.spacing(attributes));
+        let spacing = by_radius.or_else(|| Some(estimate_spacing(positions.borrowed())?.spacing));
+        measured = spacing.map(|spacing| SequenceSpacing {
+            spacing: rounded(spacing),
             radius_median: per_particle_radius.and_then(|own| median(own.radii_min(attributes))),
         });
         if measured.is_none() && options.voxel_size.and_then(Length::world).is_none() {

@@ -420,21 +420,71 @@ fn unmeasurable_spacing_is_an_error_that_names_the_option() {
     }
 }
 
+/// Spray: the particles are far apart, and have their own radii.
+#[test]
+fn spacing_follows_the_particles_own_radii() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let rows: String = (0..6).map(|n| format!("{n},0,0,{}\n", 0.1 + 0.04 * f64::from(n))).collect();
+    fs::write(path.join("six.csv"), format!("x,y,z,pscale\n{rows}")).expect("written");
+    for more in [&["--voxel-size=0.02", "--radius-ratio=1.5"][..], &[]] {
+        let typed = ["convert", "six.csv", "--out=o", "--format=obj", "--radius-attribute=pscale"];
+        let result = meniscus(path, &[&typed, more].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
+        assert!(!result.err.contains("outside the surface"), "{}", result.err);
+        assert!(!result.err.contains("imply a spacing"), "{}", result.err);
+        assert!(result.out.contains("spacing 0.36,"), "{}", result.out);
+    }
+    // Without the option, the positions decide, and the warning names the file once.
+    let result = meniscus(path, &["convert", "six.csv", "--out=o", "--format=obj"]);
+    assert!(result.err.contains("warning: six.csv: the radii in `pscale` imply a spacing"), "{}", result.err);
+}
+
+#[test]
+fn positions_rounded_far_from_the_origin_and_planar_frames_cause_warnings() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let far =
+        block(6, 0.0).into_iter().map(|[x, y, z]| [x + 694_386.5, y + 5_155_487.0, z]).collect::<Vec<_>>();
+    write_ply(&path.join("far.ply"), &far);
+    let rounded =
+        "far.ply: positions are rounded to steps of 0.5, as 32-bit numbers so far from the origin are";
+    for (more, status) in [(&["--spacing=0.1"][..], 0), (&[], 2)] {
+        let result = meniscus(path, &[&["convert", "far.ply", "--out=o", "--format=obj"], more].concat());
+        assert_eq!(result.status, status, "{}", result.err);
+        assert!(result.err.contains(rounded) && !result.err.contains("or more"), "{}", result.err);
+    }
+    let flat: Vec<[f64; 3]> = block(6, 0.0).into_iter().filter(|[_, y, _]| *y == 0.0).collect();
+    for (name, particles, is_planar) in [("flat.ply", &flat, true), ("block.ply", &block(6, 0.0), false)] {
+        write_ply(&path.join(name), particles);
+        let result = meniscus(path, &["convert", name, "--out=o", "--format=obj"]);
+        assert_eq!(result.status, 0, "{}", result.err);
+        assert_eq!(result.err.contains("all particles have y = 0: "), is_planar, "{}", result.err);
+    }
+}
+
 #[test]
 fn unmeasurable_spacing_of_unusable_particles_is_explained() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     // With a given spacing, the surface would be empty.
-    write_ply(&path.join("nan.ply"), &[[f64::NAN; 3]; 4]);
+    write_ply(&path.join("nan.ply"), &[[f64::NAN; 3]; 64]);
     fs::write(path.join("nan.csv"), "x,y,z\nnan,0,0\n0,inf,0\n").expect("written");
     for (name, words) in [
-        ("nan.ply", "because no particle of nan.ply has a finite position"),
-        ("nan.csv", "(skipped 2 of 2 rows without a finite position)"),
+        ("nan.ply", "nan.ply: PLY: none of the 64 particles has a finite position"),
+        ("nan.csv", "nan.csv: delimited text: none of the 2 rows has a finite position"),
     ] {
-        let result = meniscus(path, &["convert", name, "--out", "o"]);
-        assert!(result.status == 2 && result.err.contains(words), "{}", result.err);
-        assert!(!result.err.contains("--spacing"), "{}", result.err);
+        for given in [&[][..], &["--spacing=0.1"]] {
+            let result = meniscus(path, &[&["convert", name, "--out", "o"], given].concat());
+            assert!(result.status == 2 && result.err.contains(words), "{}", result.err);
+            assert!(!result.err.contains("--spacing"), "{}", result.err);
+        }
     }
+    // Among others, it is one failed frame.
+    write_sequence(path, 1, 2);
+    fs::copy(path.join("nan.ply"), path.join("dam.3.ply")).expect("copied");
+    let result = meniscus(path, &["convert", "dam.#.ply", "--out", "o"]);
+    assert!(result.status == 1 && result.err.contains("dam.3.ply: PLY: none of the"), "{}", result.err);
     write_sequence(path, 1, 3);
     let result = meniscus(path, &["convert", "dam.#.ply", "--out", "o", "--radius-attribute", "pscale"]);
     assert!(result.err.contains("`pscale`") && result.err.contains("; the same applies to all 3 frames"));

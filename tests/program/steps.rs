@@ -1,4 +1,4 @@
-//! Files with several frames: LAMMPS dumps and atoms. Every command treats each step as a frame.
+//! Files with several frames: LAMMPS dumps, atoms and arrays. Every command treats each step as a frame.
 
 use std::fmt::Write;
 use std::fs;
@@ -98,6 +98,49 @@ fn each_step_is_a_frame() {
         .expect("a report");
     let inputs: Vec<_> = report["frames"].as_array().expect("frames").iter().map(|f| &f["input"]).collect();
     assert_eq!(inputs[3..], ["d.lammpstrj/step=0", "d.lammpstrj/step=5", "d.lammpstrj/step=20"]);
+}
+
+/// A NumPy array of 64-bit numbers with this shape.
+fn array(shape: &str, particles: &[Vec<[f64; 3]>]) -> Vec<u8> {
+    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");
+    let data = particles.iter().flatten().flatten().flat_map(|number| number.to_le_bytes());
+    let head = [&b"\x93NUMPY\x01\0"[..], &[118, 0], format!("{header:<117}\n").as_bytes()].concat();
+    head.into_iter().chain(data).collect()
+}
+
+#[test]
+fn each_frame_of_an_array_is_a_frame() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    let all = [0, 5, 20].map(particles);
+    let bytes = array("(3, 125, 3)", &all);
+    fs::write(folder.join("a.npy"), &bytes).expect("written");
+    let result = convert(folder, &["a.npy"]);
+    succeeded(&result);
+    assert!(result.out.contains("a.npy/step={}: 3 frames"), "{}", result.out);
+    assert_eq!(names_in(&folder.join("out")), ["a.0.obj", "a.1.obj", "a.2.obj"]);
+    fs::write(folder.join("alone.npy"), array("(125, 3)", &all[1..2])).expect("written");
+    succeeded(&convert(folder, &["alone.npy"]));
+    assert_eq!(surface(&folder.join("out/a.1.obj")), surface(&folder.join("out/alone.obj")));
+    // The last frame is truncated.
+    fs::write(folder.join("a.npy"), &bytes[..bytes.len() - 8]).expect("written");
+    let result = convert(folder, &["a.npy", "--on-error=continue"]);
+    assert_eq!(result.status, 1, "{}", result.err);
+    let message =
+        "a.npy/step=2: NumPy array, at byte 128: expected 3000 bytes for the shape (125, 3), 2992 remain";
+    assert!(result.err.contains(message), "{}", result.err);
+}
+
+#[test]
+fn trajectory_may_begin_without_atoms() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    fs::write(folder.join("a.xyz"), format!("0\nnothing yet\n{}", atoms(5))).expect("written");
+    let result = convert(folder, &["a.xyz"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    fs::write(folder.join("alone.xyz"), atoms(5)).expect("written");
+    succeeded(&convert(folder, &["alone.xyz"]));
+    assert_eq!(surface(&folder.join("out/a.1.obj")), surface(&folder.join("out/alone.obj")));
 }
 
 #[test]

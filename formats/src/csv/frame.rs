@@ -1,20 +1,59 @@
 //! Turns columns into the position and attributes.
 
+use super::FORMAT;
+use super::cell::quoted_excerpt;
 use super::column::{Column, ColumnValues};
 use super::layout::{self, TableLayout};
 use super::rows::Table;
 use crate::columns::{self, Group};
-use crate::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values};
+use crate::{AttributeRole, Error, FileAttribute, FilePositions, ParticleFrame, Position, Result, Values};
 
-/// The end of the note about particles that were skipped.
-pub const NOT_FINITE_NOTE: &str = "rows without a finite position";
+/// Refuses a table of several frames, with a column of their times: ids that repeat, or times in ascending order,
+/// show that they are not the times of particles.
+pub(super) fn check_times(layout: &TableLayout, table: &Table) -> Result<()> {
+    let is_time = |name: &String| TIMES.contains(&&*without_unit(name).to_ascii_lowercase());
+    let Some(index) = layout.names.iter().position(is_time) else { return Ok(()) };
+    let Some(times) = table.columns[index].numbers() else { return Ok(()) };
+    let groups = layout::group(&layout.names, |index| table.columns[index].is_text()).groups;
+    let id = groups.iter().find(|group| group.role == Some(AttributeRole::Id));
+    let is_several = match id.and_then(|id| table.columns[id.columns[0]].numbers()) {
+        Some(mut ids) => {
+            ids.sort_unstable_by(f64::total_cmp);
+            ids.windows(2).any(|pair| pair[0] == pair[1])
+        }
+        None => times.is_sorted(),
+    };
+    let other = times.iter().find(|&time| *time != times[0]).filter(|_| is_several);
+    match other {
+        None => Ok(()),
+        Some(other) => Err(Error::unsupported(
+            FORMAT,
+            format!(
+                "the column {} has several values, such as {} and {other}, so the table has several frames: save \
+                 each as a file of its own",
+                quoted_excerpt(layout.names[index].as_bytes()),
+                times[0]
+            ),
+        )),
+    }
+}
+
+/// Names of a column with the time of a frame, in lower case.
+const TIMES: [&str; 6] = ["time", "timestep", "time_step", "time step", "step", "frame"];
 
 /// Groups the columns by their names.
-pub(super) fn frame(layout: TableLayout, mut table: Table) -> ParticleFrame {
+///
+/// # Errors
+/// If there are rows, and none has a finite position.
+pub(super) fn frame(layout: TableLayout, mut table: Table) -> Result<ParticleFrame> {
     let mut notes = layout.notes;
     if table.dropped_row_count != 0 {
         let (dropped, all) = (table.dropped_row_count, table.dropped_row_count + table.row_count as u64);
-        notes.push(format!("skipped {dropped} of {all} {NOT_FINITE_NOTE}"));
+        if table.row_count == 0 {
+            let what = format!("none of the {all} rows has a finite position");
+            return Err(Error::invalid(FORMAT, Position::File, what));
+        }
+        notes.push(format!("skipped {dropped} of {all} rows without a finite position"));
     }
     let [x, ..] = layout.position;
     if let Some(unit) = columns::unit_of(&layout.names[x]).filter(|&unit| unit != "m") {
@@ -43,7 +82,7 @@ pub(super) fn frame(layout: TableLayout, mut table: Table) -> ParticleFrame {
             format!("integers of {name:?} are rounded: some exceed 64 bits, so all become 64-bit floats")
         }));
     }
-    ParticleFrame { positions, attributes, notes }
+    Ok(ParticleFrame { positions, attributes, notes })
 }
 
 fn positions(columns: &mut [Column], position: [usize; 3], row_count: usize) -> FilePositions {

@@ -1,5 +1,7 @@
 //! Detects the layout of a table: the header, the delimiter and the column names.
 
+use std::borrow::Cow;
+
 use super::FORMAT;
 use super::cell::{
     CellValue, DELIMITERS, Delimiter, cells, has_cells, has_decimal_comma, parse_cell, quoted_excerpt,
@@ -7,6 +9,7 @@ use super::cell::{
 };
 use crate::columns::{self, Columns};
 use crate::excerpt::excerpts;
+use crate::first_column::FirstColumn;
 use crate::scalar::Scalar;
 use crate::{Error, Limits, Position, Result};
 
@@ -38,10 +41,17 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<TableLayout> {
             head.take_comment(comment, limits);
             continue;
         }
-        if let Some((delimiter, count)) = row_shape(line.text) {
-            return head.above_row(delimiter, count, line, limits);
+        let row = row_shape(line.text);
+        let next = if row.is_some() { lines.peek_row().ok().flatten() } else { lines.peek_row()? };
+        if let Some((delimiter, count)) = row {
+            let is_row = |next: &[u8]| has_cells(next, delimiter, count) && has_fraction(next, delimiter);
+            let has_names = head.comment.is_some() || head.doubtful.is_some();
+            let is_header = !has_names && next.is_some_and(is_row);
+            return match numbered_columns(line.text, delimiter).filter(|_| is_header) {
+                Some(header) => Ok(header.into_layout(delimiter, lines.at, lines.number + 1, head.notes())),
+                None => head.above_row(bytes, (delimiter, count), line, limits),
+            };
         }
-        let next = lines.peek_row()?;
         for delimiter in DELIMITERS {
             let Some(header) = header(line.text, delimiter, limits)? else { continue };
             let is_confirmed = next.is_none_or(|next| has_cells(next, delimiter, header.names.len()));
@@ -61,17 +71,21 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<TableLayout> {
 /// This test is stricter than [`layout()`], whose callers expect a table: in other text, a sequence of words
 /// can name a position by chance.
 pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
-    let limits = Limits::default();
-    let mut lines = HeadLines::new(head, &limits);
+    let (text, limits) = (super::decoded(head), Limits::default());
+    let mut lines = HeadLines::new(&text, &limits);
     let mut has_header = false;
-    let mut has_text = false;
+    let mut text_last: Option<&[u8]> = None;
     while let Ok(Some(line)) = lines.next_line() {
         if let Some(comment) = comment(line.text) {
-            has_header |= headers(comment, &limits).next().is_some();
+            has_header |= !headers_in_comment(comment, &limits).is_empty();
             continue;
         }
-        if DELIMITERS.into_iter().any(|delimiter| begins_with_numbers(line.text, delimiter)) {
-            return true;
+        if let Some(delimiter) =
+            DELIMITERS.into_iter().find(|&delimiter| begins_with_numbers(line.text, delimiter))
+        {
+            // The header of a table of other quantities names no position.
+            let count = cells(line.text, delimiter).count();
+            return !text_last.is_some_and(|text| is_header_like(text, delimiter, count));
         }
         let Ok(next) = lines.peek_row() else { return false };
         let is_above = |(delimiter, header): (Delimiter, ColumnNames)| {
@@ -80,9 +94,9 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
         if headers(line.text, &limits).any(is_above) {
             return true;
         }
-        has_text = true;
+        text_last = Some(line.text);
     }
-    has_header && !has_text
+    has_header && text_last.is_none()
 }
 
 /// Whether a line names a position, and so can be a header.
@@ -95,6 +109,19 @@ fn headers(line: &[u8], limits: &Limits) -> impl Iterator<Item = (Delimiter, Col
     DELIMITERS.into_iter().filter_map(move |delimiter| {
         header(line, delimiter, limits).ok().flatten().map(|header| (delimiter, header))
     })
+}
+
+/// The comment as a header, with each delimiter for which it names a position. YADE writes
+/// `#format x_y_z_r`.
+fn headers_in_comment(comment: &[u8], limits: &Limits) -> Vec<(Delimiter, ColumnNames)> {
+    match comment.strip_prefix(b"format") {
+        Some(names) if names.starts_with(b" ") => {
+            let blank = |byte: &u8| if *byte == b'_' { b' ' } else { *byte };
+            let names: Vec<u8> = names.iter().map(blank).collect();
+            headers(&names, limits).collect()
+        }
+        _ => headers(comment, limits).collect(),
+    }
 }
 
 /// The lines seen so far above the rows.
@@ -116,7 +143,7 @@ struct TableHead<'a> {
 impl<'a> TableHead<'a> {
     fn take_comment(&mut self, comment: &'a [u8], limits: &Limits) {
         // A comment with too many words is prose or numbers: not an error, but not a header either.
-        if headers(comment, limits).next().is_some() {
+        if !headers_in_comment(comment, limits).is_empty() {
             self.comment = Some(comment);
         }
     }
@@ -126,6 +153,10 @@ impl<'a> TableHead<'a> {
             return Err(decimal_commas(line.number));
         }
         self.text_line_count += 1;
+        if self.text_line_count > TEXT_LINES_MAX {
+            let what = format!("expected a table, found only text in the first {TEXT_LINES_MAX} lines");
+            return Err(Error::invalid(FORMAT, Position::Line(line.number), what));
+        }
         self.text_first.get_or_insert(line);
         self.text_last = Some(line);
         Ok(())
@@ -134,8 +165,8 @@ impl<'a> TableHead<'a> {
     /// Called when the first row comes before any header.
     fn above_row(
         self,
-        delimiter: Delimiter,
-        count: usize,
+        bytes: &[u8],
+        (delimiter, count): (Delimiter, usize),
         row: HeadLine,
         limits: &Limits,
     ) -> Result<TableLayout> {
@@ -145,24 +176,41 @@ impl<'a> TableHead<'a> {
             let delimiter = if header.names.len() == count { delimiter } else { header_delimiter };
             return Ok(header.into_layout(delimiter, rows_offset, rows_line, Vec::new()));
         }
-        let mut above = self.comment.into_iter().flat_map(|comment| headers(comment, limits));
+        let mut above = self.comment.into_iter().flat_map(|comment| headers_in_comment(comment, limits));
         if let Some((_, header)) = above.find(|(_, header)| header.names.len() == count) {
             return Ok(header.into_layout(delimiter, row.offset, row.number, self.notes()));
+        }
+        let numbers = self.text_last.and_then(|text| numbered_columns(text.text, delimiter));
+        if let Some(header) = numbers.filter(|header| header.names.len() == count) {
+            let text_line_count = self.text_line_count - 1;
+            let text_first = self.text_first.filter(|_| text_line_count > 0);
+            let notes = TableHead { text_line_count, text_first, ..self }.notes();
+            return Ok(header.into_layout(delimiter, row.offset, row.number, notes));
         }
         if let Some(text) = self.text_last.filter(|text| is_header_like(text.text, delimiter, count)) {
             return Err(no_position(text, delimiter));
         }
         check_column_count(count, limits)?;
         let mut notes = self.notes();
-        if 3 < count {
+        let first = FirstColumn::of(first_numbers(&bytes[row.offset..], delimiter), count);
+        if first == FirstColumn::Unclear {
+            let what = "the table has no header, and its first column counts the rows: it may be an id or a position; \
+                        add a header that names the columns, such as id,x,y,z";
+            return Err(Error::invalid(FORMAT, Position::Line(row.number), what));
+        }
+        let skipped = usize::from(first == FirstColumn::Id);
+        if skipped > 0 {
+            notes.push(format!(
+                "the file has no header, and its first column has a different integer in each row: it is used as \
+                 the id, and the next 3 of {count} columns as the position"
+            ));
+        } else if 3 < count {
             notes.push(format!(
                 "the file has no header: the first 3 of {count} columns are used as the position, \
                  the others are named column_4 and so on"
             ));
         }
-        let names = (0..count)
-            .map(|index| ["x", "y", "z"].get(index).map_or(column_name(index), ToString::to_string));
-        let header = ColumnNames { names: names.collect(), position: [0, 1, 2] };
+        let header = ColumnNames::unnamed(&["id"][..skipped], count);
         Ok(header.into_layout(delimiter, row.offset, row.number, notes))
     }
 
@@ -171,7 +219,7 @@ impl<'a> TableHead<'a> {
         if let Some((header, delimiter, rows_offset, rows_line)) = self.doubtful {
             return Ok(header.into_layout(delimiter, rows_offset, rows_line, Vec::new()));
         }
-        let mut above = self.comment.into_iter().flat_map(|comment| headers(comment, limits));
+        let mut above = self.comment.into_iter().flat_map(|comment| headers_in_comment(comment, limits));
         if let Some((delimiter, header)) = above.next() {
             return Ok(header.into_layout(delimiter, bytes.len(), line + 1, self.notes()));
         }
@@ -213,6 +261,13 @@ struct ColumnNames {
 }
 
 impl ColumnNames {
+    /// Names for `count` columns: those of the first ones, then the position, then the columns' numbers.
+    fn unnamed(first: &[&str], count: usize) -> ColumnNames {
+        let known = first.iter().chain(&["x", "y", "z"]).map(ToString::to_string);
+        let names = known.chain((first.len() + 3..count).map(column_name)).collect();
+        ColumnNames { names, position: [0, 1, 2].map(|axis| first.len() + axis) }
+    }
+
     /// Whether a row has the same number of cells, and numbers or missing values in the position columns.
     fn names_positions_of(&self, row: &[u8], delimiter: Delimiter) -> bool {
         let is_coordinate = |&column: &usize| {
@@ -278,6 +333,40 @@ fn column_name(index: usize) -> String {
     format!("column_{}", index + 1)
 }
 
+/// The header of a table whose columns have numbers instead of names, as in `0,1,2`. The column of row numbers
+/// before them, in `,0,1,2`, has no name. Programs that write data frames do that.
+fn numbered_columns(line: &[u8], delimiter: Delimiter) -> Option<ColumnNames> {
+    let index_count = usize::from(cells(line, delimiter).next()?.is_empty());
+    let numbers = || cells(line, delimiter).skip(index_count).map(unquoted);
+    let is_numbered = numbers().enumerate().all(|(index, number)| *number == *index.to_string().as_bytes());
+    let count = numbers().count();
+    (is_numbered && count >= 3).then(|| ColumnNames::unnamed(&["index"][..index_count], index_count + count))
+}
+
+/// Whether one of the first cells of a line has a number that is not an integer.
+fn has_fraction(line: &[u8], delimiter: Delimiter) -> bool {
+    let number = |cell| match parse_cell(&unquoted(cell)) {
+        CellValue::Number(number) => number,
+        CellValue::Missing | CellValue::Text => 0.0,
+    };
+    cells(line, delimiter).take(3).map(number).any(|number| number.fract() != 0.0)
+}
+
+/// The first four numbers of each row, NaN for other cells.
+fn first_numbers(rows: &[u8], delimiter: Delimiter) -> impl Iterator<Item = [f64; 4]> {
+    let lines = rows.split(|byte| matches!(byte, b'\n' | b'\r'));
+    let lines = lines.filter(|line| !line.trim_ascii().is_empty() && comment(line).is_none());
+    lines.map(move |line| {
+        let mut numbers = [f64::NAN; 4];
+        for (number, cell) in numbers.iter_mut().zip(cells(line, delimiter)) {
+            if let CellValue::Number(found) = parse_cell(&unquoted(cell)) {
+                *number = found;
+            }
+        }
+        numbers
+    })
+}
+
 /// The delimiter and the number of cells of a line that starts with three numbers.
 fn row_shape(line: &[u8]) -> Option<(Delimiter, usize)> {
     DELIMITERS.into_iter().find_map(|delimiter| {
@@ -324,12 +413,39 @@ fn no_position(header: HeadLine, delimiter: Delimiter) -> Error {
     Error::invalid(FORMAT, Position::Line(header.number), what)
 }
 
-/// The error for numbers with decimal commas, as in French and German.
+/// The text with decimal points instead of decimal commas, as in French and German, if one of the first rows
+/// has such commas.
+pub(super) fn with_decimal_points(text: Cow<'_, [u8]>) -> Cow<'_, [u8]> {
+    const SAMPLE_BYTES: usize = 64 << 10;
+    let sample = &text[..text.len().min(SAMPLE_BYTES)];
+    let mut lines = sample.split(|byte| matches!(byte, b'\n' | b'\r')).filter(|line| line.contains(&b','));
+    let has_commas = |line: &[u8], delimiter| {
+        begins_with_numbers(line, delimiter)
+            && cells(line, delimiter).take(3).any(|cell| has_decimal_comma(&unquoted(cell)))
+    };
+    if !lines.any(|line| DELIMITERS.into_iter().any(|delimiter| has_commas(line, delimiter))) {
+        return text;
+    }
+    let mut text = text.into_owned();
+    for at in 1..text.len().saturating_sub(1) {
+        if text[at] == b',' && text[at - 1].is_ascii_digit() && text[at + 1].is_ascii_digit() {
+            text[at] = b'.';
+        }
+    }
+    Cow::Owned(text)
+}
+
+/// The error for numbers with decimal commas that [`with_decimal_points`] left unchanged.
 pub(super) fn decimal_commas(line: u64) -> Error {
-    let what =
-        format!("line {line} has numbers with a decimal comma, which is not supported: use a decimal point");
+    let what = format!(
+        "line {line} has numbers with a decimal comma, unlike the first rows or without a digit before it: use \
+         decimal points"
+    );
     Error::unsupported(FORMAT, what)
 }
+
+/// From this many lines of text on, a line of three numbers, such as the edges of a box, is no table.
+const TEXT_LINES_MAX: u64 = 100;
 
 /// The text after a comment mark.
 pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {

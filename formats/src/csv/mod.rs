@@ -18,8 +18,14 @@
 //! digits: the digits of one particle must not change how another is read. A note names the columns with
 //! integers that are rounded to floats, because they exceed 64 bits or share the column with other numbers.
 //!
-//! Not supported: decimal commas, several tables in one file, quoted line breaks. For LAMMPS dumps see
-//! [`crate::lammps`].
+//! Without names, the first column may also be an id: see [`crate::first_column`]. The header can consist of the
+//! numbers of the columns: `0,1,2`.
+//!
+//! Text in UTF-16 with a byte-order mark is decoded. Decimal commas are read if a row shows that they are not
+//! delimiters, as in `1,5;2,5;3,5`.
+//!
+//! Not supported: several tables in one file, several frames in one table, quoted line breaks. For LAMMPS dumps
+//! see [`crate::lammps`].
 
 mod cell;
 mod column;
@@ -28,8 +34,9 @@ mod layout;
 mod parts;
 mod rows;
 
-pub use frame::NOT_FINITE_NOTE;
 pub(crate) use layout::{looks_like_particles, names_position};
+
+use std::borrow::Cow;
 
 use crate::row::{FormatRow, ParticleInput};
 use crate::{Error, Limits, ParticleFrame, Position, Result};
@@ -42,17 +49,33 @@ const FORMAT: &str = "delimited text";
 /// # Errors
 ///
 /// [`Error::Invalid`], with the line, if a row has the wrong number of cells, a numeric column contains text,
-/// or no position is found; [`Error::Truncated`] in these cases if the file ends within that line, without a
-/// line end; [`Error::Unsupported`] for dialects that are recognised but not supported; [`Error::TooLarge`]
-/// beyond `limits`.
+/// no position is found, or none is finite; [`Error::Truncated`] in these cases if the file ends within that line, without a
+/// line end; [`Error::Unsupported`] for dialects that are recognised but not supported, and for several frames
+/// in one table; [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     if bytes.is_empty() {
         return Err(Error::truncated(FORMAT, Position::File, "expected text, found an empty file"));
     }
-    refuse_binary(bytes)?;
-    let layout = layout::layout(bytes, limits)?;
-    let table = parts::read_rows(bytes, &layout, limits)?;
-    Ok(frame::frame(layout, table))
+    let text = decoded(bytes);
+    refuse_binary(&text)?;
+    let text = layout::with_decimal_points(text);
+    let layout = layout::layout(&text, limits)?;
+    let table = parts::read_rows(&text, &layout, limits)?;
+    frame::check_times(&layout, &table)?;
+    frame::frame(layout, table)
+}
+
+/// Text in UTF-16 with a byte-order mark, as UTF-8. Other bytes are unchanged.
+pub(crate) fn decoded(bytes: &[u8]) -> Cow<'_, [u8]> {
+    let unit: fn([u8; 2]) -> u16 = match bytes {
+        [0xff, 0xfe, ..] => u16::from_le_bytes,
+        [0xfe, 0xff, ..] => u16::from_be_bytes,
+        _ => return Cow::Borrowed(bytes),
+    };
+    let units = bytes[2..].as_chunks().0.iter().map(|pair| unit(*pair));
+    let text: String =
+        char::decode_utf16(units).map(|char| char.unwrap_or(char::REPLACEMENT_CHARACTER)).collect();
+    Cow::Owned(text.into_bytes())
 }
 
 /// A note if neither a line end nor a blank follows the last number. For formats whose header states the
@@ -104,20 +127,21 @@ pub(crate) fn read_rows(bytes: &[u8], rows: CountedRows, limits: &Limits) -> Res
         let what = format!("expected {count} rows, found {found}: blank lines and comments are not rows");
         return Err(Error::invalid(FORMAT, Position::Line(line), what));
     }
-    Ok(Some(frame::frame(layout, table)))
+    frame::frame(layout, table).map(Some)
 }
 
 /// Detects binary data by its first bytes. Without this check, the error would be that of an invalid number.
 fn refuse_binary(bytes: &[u8]) -> Result<()> {
     const SAMPLE_BYTES: usize = 64 << 10; // binary data has a control byte in the first few dozen bytes
-    if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
-        return Err(Error::unsupported(FORMAT, "this is UTF-16 text: save it as UTF-8"));
-    }
     let sample = &bytes[..bytes.len().min(SAMPLE_BYTES)];
     let is_control = |byte: &u8| *byte < b' ' && !matches!(byte, b'\t' | b'\n' | b'\r' | 0x0c);
     match sample.iter().position(is_control) {
         Some(offset) => {
-            let what = format!("expected text, found the byte 0x{:02x}: this is binary data", sample[offset]);
+            let what = format!(
+                "expected text, found the byte 0x{:02x}: this is binary data, or a program wrote 8-bit numbers as \
+                 characters, as ParaView does: convert them to 32-bit integers before you save the table",
+                sample[offset]
+            );
             Err(Error::invalid(FORMAT, Position::Offset(offset as u64), what))
         }
         None => Ok(()),

@@ -15,6 +15,9 @@ const MAGIC: &[u8; 6] = b"\x93NUMPY";
 /// Maximum size of the header, in bytes. NumPy itself allows 10 000 by default.
 const HEADER_BYTES_MAX: u64 = 256 << 10;
 
+/// An array with more columns is a matrix or an image, not a list of particles.
+pub(super) const COLUMNS_MAX: u64 = 32;
+
 /// The header of an array.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct ArrayHeader {
@@ -23,7 +26,7 @@ pub(super) struct ArrayHeader {
     pub(super) is_fortran: bool,
     pub(super) shape: Vec<u64>,
     /// Offset of the data.
-    data_offset: usize,
+    pub(super) data_offset: usize,
 }
 
 /// The type of the elements.
@@ -103,6 +106,41 @@ impl ArrayHeader {
     pub(super) fn row_count(&self) -> u64 {
         let rows = if self.shape.len() < 2 { &self.shape[..] } else { &self.shape[..self.shape.len() - 1] };
         rows.iter().fold(1, |count: u64, &length| count.saturating_mul(length))
+    }
+
+    /// The number of frames, if there are several: T in the shape (T, N, 3), and in the shape (T, N) of records.
+    pub(super) fn frame_count(&self) -> Option<u64> {
+        match (&self.layout, &self.shape[..]) {
+            (ElementLayout::Plain { number: NumberType::Bool | NumberType::U8, .. }, _) => None,
+            (ElementLayout::Plain { .. }, &[count, _, 3..=COLUMNS_MAX])
+            | (ElementLayout::Fields { .. }, &[count, _]) => Some(count).filter(|&count| count > 1),
+            _ => None,
+        }
+    }
+
+    /// The header of a single frame of this array, in whose file the data begins at the same offset, and the
+    /// bytes of a frame. `bytes` is the file up to its data. `None` if the data of frames are not contiguous.
+    pub(super) fn of_frame(&self, bytes: &[u8]) -> Option<(Vec<u8>, u64)> {
+        let count = self.frame_count().filter(|_| !self.is_fortran)?;
+        let mut head = bytes.get(..self.data_offset)?.to_vec();
+        let is_key = |at: &usize| {
+            let (before, key) = head[..*at].split_last().zip(head[*at..].strip_prefix(b"shape"))?;
+            let rest = key.strip_prefix(&[*before.0])?.trim_ascii_start();
+            Some(rest.strip_prefix(b":")?.trim_ascii_start().starts_with(b"("))
+        };
+        let key = (1..head.len()).find(|at| is_key(at) == Some(true))?;
+        let start = key + head[key..].iter().position(|&byte| byte == b'(')? + 1;
+        let end = start + head[start..].iter().position(|&byte| byte == b')')?;
+        let (_, rest) = std::str::from_utf8(&head[start..end]).ok()?.split_once(',')?;
+        let rest = rest.trim();
+        let shape = if rest.contains(',') { format!("{rest})") } else { format!("{rest},)") };
+        // The frame has one number less, so its shape is shorter, and blanks may fill the place that it leaves.
+        let tail = head[end + 1..].to_vec();
+        let blank_count = (end + 1 - start).checked_sub(shape.len())?;
+        head.truncate(start);
+        head.extend(shape.bytes().chain(std::iter::repeat_n(b' ', blank_count)));
+        head.extend(tail);
+        Some((head, self.data_bytes().ok()? / count))
     }
 
     /// The shape in Python notation.

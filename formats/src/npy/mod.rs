@@ -6,7 +6,10 @@
 //!   numbers                       row by row, or column by column in Fortran order
 //! ```
 //!
-//! An array of shape (N, 3) contains the positions. If it has more columns, the first three are the position.
+//! An array of shape (N, 3) contains the positions. If it has more columns, the first three are the position,
+//! unless the first has different integers: see [`crate::first_column`]. An array of shape (T, N, 3) has T
+//! frames.
+//!
 //! A structured array has a name per field, and an archive has a name per array. The names are interpreted as
 //! in all formats: `pos` or `x`, `y`, `z` for the position, `vel`, `radius` and so on. Arrays without a value
 //! per particle, such as a time step saved along with the rest, are skipped with a note.
@@ -16,17 +19,20 @@ mod header;
 mod literal;
 
 use crate::columns::{group_columns, position_rank};
-use crate::data::ParticleFrame;
+use crate::data::{ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
-use crate::excerpt::excerpt;
+use crate::excerpt::{excerpt, excerpts};
+use crate::first_column::{self, FirstColumn};
 use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, frame_of};
-use crate::number::{self, components, interleaved};
+use crate::named_arrays::{NamedArray, frame_of, widened};
+use crate::number::{self, NumberType, components, interleaved};
 use crate::row::{Completeness, HeadCheck, exactly};
 use crate::row::{FormatRow, ParticleInput};
 use crate::scalar::Scalar;
+use crate::step_finders::{FoundStep, LineHeads};
+use std::sync::Arc;
 
-use header::{ArrayHeader, ElementLayout, StructField};
+use header::{ArrayHeader, COLUMNS_MAX, ElementLayout, StructField};
 
 /// The format's name in errors.
 const FORMAT: &str = "NumPy array";
@@ -37,11 +43,23 @@ const ARCHIVE: &str = "NumPy archive";
 /// # Errors
 ///
 /// [`Error::Invalid`] for a malformed header or an array that is not a list of positions,
-/// [`Error::Truncated`] if data is missing, [`Error::Unsupported`] for non-numeric types, [`Error::TooLarge`]
-/// beyond `limits`.
+/// [`Error::Truncated`] if data is missing, [`Error::Unsupported`] for non-numeric types and for several frames,
+/// which [`crate::steps::find_steps`] locates; [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = header::read(bytes, limits)?;
+    check_shape(&header)?;
     let data = header.data(bytes)?;
+    if header.frame_count().is_some() {
+        let found = header.shown();
+        let what = match header.is_fortran {
+            false => format!("{found} has several frames: read each frame separately"),
+            true => format!(
+                "{found} has several frames, and in Fortran order they cannot be read separately: save \
+                 numpy.ascontiguousarray(array)"
+            ),
+        };
+        return Err(Error::unsupported(FORMAT, what));
+    }
     let (arrays, mut notes) = arrays_of(&header, data, limits)?;
     let is_structured = matches!(header.layout, ElementLayout::Fields { .. });
     let mut frame = match is_structured {
@@ -49,11 +67,55 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         false => {
             let is_list = |array: &NamedArray| array.arity >= 3 && header.shape.len() >= 2;
             let array = arrays.into_iter().find(is_list);
-            unnamed_frame(array.ok_or_else(|| no_position(&header))?)
+            unnamed_frame(array.ok_or_else(|| no_position(&header))?)?
         }
     };
     frame.notes.append(&mut notes);
     Ok(frame)
+}
+
+/// Finds the frames of an array.
+fn steps_of_array(lines: LineHeads, steps: &mut Vec<FoundStep>, limits: &Limits) -> Result<()> {
+    let bytes = lines.first_bytes(limits.header_bytes)?;
+    // The reader reports what is wrong with an array.
+    let frame = header::read(&bytes, limits).ok().and_then(|header| {
+        let (head, frame_bytes) = header.of_frame(&bytes)?;
+        Some((Arc::from(head), header.data_offset as u64, frame_bytes, header.frame_count()?))
+    });
+    let Some((head, data_offset, frame_bytes, count)) = frame else { return Ok(()) };
+    for index in 0..count {
+        limits.check_step(FORMAT, steps.len())?;
+        let start = data_offset + index * frame_bytes;
+        let range = start..start + frame_bytes;
+        steps.push(FoundStep {
+            number: i64::try_from(index).ok(),
+            head: Arc::clone(&head),
+            range,
+            lines_before: 0,
+        });
+    }
+    Ok(())
+}
+
+/// Refuses images and matrices.
+fn check_shape(header: &ArrayHeader) -> Result<()> {
+    let ElementLayout::Plain { number, .. } = header.layout else { return Ok(()) };
+    let is_byte = matches!(number, NumberType::U8 | NumberType::Bool);
+    let reason = match header.shape[..] {
+        [_, _, _, ..] if is_byte => "8-bit numbers in three dimensions are a picture",
+        [_, columns] if columns > COLUMNS_MAX => "a list of particles does not have so many columns",
+        [_, _, columns] if !(3..=COLUMNS_MAX).contains(&columns) => {
+            "the last dimension must be that of x, y and z"
+        }
+        [_, _, _, _, ..] => "there are too many dimensions",
+        _ => return Ok(()),
+    };
+    let what = format!(
+        "expected positions as an array of shape (N, 3), with more columns, or (T, N, 3) for T frames, found {}: \
+         {reason}; reshape it, for example with array.reshape(-1, 3)",
+        header.shown()
+    );
+    Err(Error::invalid(FORMAT, Position::File, what))
 }
 
 /// Reads the particles of a `.npz` file.
@@ -64,6 +126,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut arrays = Vec::new();
     let mut notes = Vec::new();
+    let (mut pickled, mut last_unfit) = (Vec::new(), None);
     let mut totals = archive::ArchiveTotals::default();
     for member in archive::members(bytes, limits)? {
         let Some(name) = member.name.strip_suffix(".npy") else { continue };
@@ -72,7 +135,22 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         let header = header::read(&content, limits).map_err(within)?;
         if let ElementLayout::Unread(what) = &header.layout {
             notes.push(format!("skipped `{}`: it contains {what}", excerpt(name)));
+            pickled.push(name.to_owned());
             continue;
+        }
+        let mut unfit = check_shape(&header).map_err(within).err();
+        if header.frame_count().is_some() {
+            let what = format!(
+                "the array `{}` has several frames, with {}: save it alone, as .npy, or each frame as a file of its own",
+                excerpt(name),
+                header.shown()
+            );
+            unfit = Some(Error::unsupported(ARCHIVE, what));
+        }
+        // Arrays that are not the position may have any shape.
+        match unfit {
+            Some(error) if position_rank(name).is_some() => return Err(error),
+            unfit => last_unfit = unfit,
         }
         let data = header.data(&content).map_err(within)?;
         let (parts, more) = arrays_of(&header, data, limits).map_err(within)?;
@@ -82,9 +160,30 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
             false => array,
         }));
     }
-    let mut frame = frame_of_archive(arrays, &mut notes)?;
+    if let ([_], Some(error)) = (&arrays[..], last_unfit) {
+        return Err(error);
+    }
+    let mut frame = frame_of_archive(arrays, &mut notes).map_err(|error| match pickled.is_empty() {
+        true => error,
+        false => of_pickled(&pickled),
+    })?;
     frame.notes.append(&mut notes);
     Ok(frame)
+}
+
+/// The error of an archive without positions, in which these arrays are not numeric.
+fn of_pickled(names: &[String]) -> Error {
+    let is_pysph = ["particles", "solver_data"].iter().all(|name| names.iter().any(|found| found == name));
+    let what = match is_pysph {
+        true => "this is output of PySPH, with pickled Python objects: convert it with `pysph dump_vtk`"
+            .to_owned(),
+        false => format!(
+            "no array has positions, and these arrays are not numeric, or pickled Python objects: {}; save the \
+             positions as an array `pos` of numbers",
+            excerpts(names)
+        ),
+    };
+    Error::unsupported(ARCHIVE, what)
 }
 
 /// An error in an array of an archive, with offsets within the array.
@@ -150,25 +249,52 @@ fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<
     }
 }
 
-/// A frame from an array without names: its first three columns are the position, all others are attributes.
-fn unnamed_frame(array: NamedArray) -> ParticleFrame {
+/// A frame from an array without names: its first three columns are the position, unless the first is an id. All
+/// others are attributes.
+fn unnamed_frame(array: NamedArray) -> Result<ParticleFrame> {
     let NamedArray { arity, values, .. } = array;
+    let skipped = match FirstColumn::of(first_numbers(&values, arity).into_iter(), arity) {
+        FirstColumn::Coordinate => 0,
+        FirstColumn::Id => 1,
+        FirstColumn::Unclear => {
+            let what = "the array has no names, and its first column counts the rows: it may be an id or a position; \
+                        save the positions alone, or a structured array";
+            return Err(Error::invalid(FORMAT, Position::File, what));
+        }
+    };
     if arity == 3 {
         let positions = number::positions(values).unwrap_or_default();
-        return ParticleFrame { positions, ..ParticleFrame::default() };
+        return Ok(ParticleFrame { positions, ..ParticleFrame::default() });
     }
-    let positions = number::positions(components(&values, arity, 0..3)).unwrap_or_default();
+    let positions = number::positions(components(&values, arity, skipped..skipped + 3)).unwrap_or_default();
     let column = |index| NamedArray {
-        name: format!("column_{}", index + 1),
+        name: if index == 0 { "id".to_owned() } else { format!("column_{}", index + 1) },
         arity: 1,
         values: components(&values, arity, index..index + 1),
     };
-    let mut frame = frame_of(Some(positions), (3..arity).map(column).collect()).unwrap_or_default();
-    frame.notes.push(format!(
-        "the array has no names: the first 3 of {arity} columns are used as the position, the others are named \
-         column_4 and so on"
-    ));
-    frame
+    let others = (0..skipped).chain(skipped + 3..arity).map(column).collect();
+    let mut frame = frame_of(Some(positions), others).unwrap_or_default();
+    frame.notes.push(match skipped {
+        0 => format!(
+            "the array has no names: the first 3 of {arity} columns are used as the position, the others are named \
+             column_4 and so on"
+        ),
+        _ => format!(
+            "the array has no names, and its first column has a different integer in each row: it is used as the \
+             id, and the next 3 of {arity} columns as the position"
+        ),
+    });
+    Ok(frame)
+}
+
+/// The first four numbers of the first rows; NaN in a column that does not exist.
+fn first_numbers(values: &Values, arity: usize) -> Vec<[f64; 4]> {
+    let row_count = (number::length(values) / arity.max(1)).min(first_column::ROWS_MAX);
+    let Some(Values::F64(numbers)) = widened(&number::slice(values, 0..row_count * arity)) else {
+        return Vec::new();
+    };
+    let first = |row: &[f64]| std::array::from_fn(|column| row.get(column).copied().unwrap_or(f64::NAN));
+    numbers.chunks_exact(arity.max(1)).map(first).collect()
 }
 
 /// The frame of an archive. Skips arrays that do not have a value for each particle, with a note.
@@ -204,7 +330,7 @@ fn frame_of_only(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result
         }
     };
     notes.push(format!("`{}` is the only array: it is used as the position", excerpt(&array.name)));
-    Ok(unnamed_frame(array))
+    unnamed_frame(array)
 }
 
 /// The number of rows of the position if it consists of scalar arrays.
@@ -269,6 +395,7 @@ pub(crate) static ROW: FormatRow = FormatRow {
             let known = declared.map_or(Completeness::Unknown, |declared| exactly(declared, file_bytes));
             Ok(HeadCheck::Known(known))
         },
+        find_steps: Some(steps_of_array),
         ..ParticleInput::new(read)
     }),
     ..FormatRow::new(FORMAT, &["npy"])

@@ -1,10 +1,11 @@
 //! The body of an ASCII PLY file: one record per line, with values separated by spaces.
 //!
 //! A line with fewer or more values than the header declares is an error: taking values from the next line
-//! instead would silently shift all that follow. An error in the last value of the file is reported as
-//! `Truncated`, because the value may be incomplete.
+//! instead would silently shift all that follow. Only if the first record takes several lines, as in files of
+//! the RealSense Viewer, all records of its element may; each must end with a line. An error in the last value
+//! of the file is reported as `Truncated`, because the value may be incomplete.
 //!
-//! Since each record is a line, a long body is split at line ends. First the records before each part are
+//! If each record is a line, a long body is split at line ends. First the records before each part are
 //! counted; then all parts are read in parallel, each into its own range of the vectors. If several parts
 //! have errors, the error of the first of them is returned: it is the first error in the file.
 
@@ -23,15 +24,17 @@ const PART_BYTES: usize = 1 << 20;
 
 /// Reads the next `count` records into the targets, in the caller's thread pool.
 pub(super) fn read(
-    lines: BodyLines<'_>,
+    mut lines: BodyLines<'_>,
     element: &Element,
     count: usize,
     targets: Vec<Target<'_>>,
 ) -> Result<()> {
+    lines.begin(element);
     let destinations = destinations(element, &targets);
     let read_part = |part: RecordPart<'_, '_>| part.read(element, &destinations);
     let parts = match rayon::current_num_threads() {
         1 => vec![RecordPart { lines, count, targets }],
+        _ if lines.has_breaks => vec![RecordPart { lines, count, targets }],
         _ => parts(lines, count, targets, PART_BYTES),
     };
     let outcomes: Vec<Result<()>> = parts.into_par_iter().map(read_part).collect();
@@ -55,7 +58,7 @@ fn parts<'a, 't>(
     targets: Vec<Target<'t>>,
     part_bytes: usize,
 ) -> Vec<RecordPart<'a, 't>> {
-    let BodyLines { bytes, mut at } = lines;
+    let BodyLines { bytes, mut at, .. } = lines;
     let mut ranges = Vec::new();
     while bytes.len() - at > 2 * part_bytes {
         let rest = &bytes[at + part_bytes..];
@@ -72,7 +75,7 @@ fn parts<'a, 't>(
             break; // the rest belongs to another element
         }
         let targets = left.targets.iter_mut().map(|target| target.take_front(count)).collect();
-        parts.push(RecordPart { lines: BodyLines { bytes, at: range.start }, count, targets });
+        parts.push(RecordPart { lines: BodyLines { at: range.start, ..lines }, count, targets });
         left.lines.at = range.end;
         left.count -= count;
     }

@@ -7,17 +7,36 @@ use crate::scalar::Scalar;
 use crate::text::{line_number, parse_number};
 
 use super::FORMAT;
+use super::header::Element;
 
 /// A read position in the body.
 #[derive(Clone, Copy)]
 pub(super) struct BodyLines<'a> {
     pub(super) bytes: &'a [u8],
     pub(super) at: usize,
+    /// Whether a record takes several lines. Each record must still end with a line.
+    pub(super) has_breaks: bool,
 }
 
 impl<'a> BodyLines<'a> {
     pub(super) fn new(bytes: &'a [u8], at: usize) -> BodyLines<'a> {
-        BodyLines { bytes, at: at.min(bytes.len()) }
+        BodyLines { bytes, at: at.min(bytes.len()), has_breaks: false }
+    }
+
+    /// Before the first record of an element: finds out whether its records take several lines, as the values
+    /// of the first one do.
+    pub(super) fn begin(&mut self, element: &Element) {
+        let value_count = element.properties.len();
+        let lines = self.bytes[self.at..].split(|byte| matches!(byte, b'\n' | b'\r'));
+        let counts = lines.map(|line| line.split(|byte| matches!(byte, b' ' | b'\t')));
+        let mut counts =
+            counts.map(|words| words.filter(|word| !word.is_empty()).take(value_count + 1).count());
+        let (mut found, mut line_count) = (0, 0);
+        while let Some(count) = counts.next().filter(|_| found < value_count) {
+            found += count;
+            line_count += usize::from(count > 0);
+        }
+        self.has_breaks = !element.has_list() && found == value_count && line_count > 1;
     }
 
     pub(super) fn at(&self) -> usize {
@@ -36,8 +55,12 @@ impl<'a> BodyLines<'a> {
 
     /// Skips the spaces after the last value, and checks that the line ends there.
     pub(super) fn finish(&mut self) -> Result<()> {
-        match self.peek() {
+        self.skip_while(|byte| matches!(byte, b' ' | b'\t'));
+        match self.bytes.get(self.at) {
             None | Some(b'\n' | b'\r') => Ok(()),
+            Some(_) if self.has_breaks => Err(self.invalid(
+                "the values of a record end within the line, unlike those of the first record".into(),
+            )),
             Some(_) => Err(self.invalid("the line has more values than the header declares".into())),
         }
     }
@@ -104,9 +127,10 @@ impl<'a> BodyLines<'a> {
         }
     }
 
-    /// The next byte that is not a space, without consuming it.
+    /// The first byte of the next value of the record, or the line end before it, without consuming it.
     fn peek(&mut self) -> Option<u8> {
-        self.skip_while(|byte| matches!(byte, b' ' | b'\t'));
+        let has_breaks = self.has_breaks;
+        self.skip_while(|byte| matches!(byte, b' ' | b'\t') || has_breaks && matches!(byte, b'\n' | b'\r'));
         self.bytes.get(self.at).copied()
     }
 

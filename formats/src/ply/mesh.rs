@@ -88,6 +88,7 @@ fn triangles(mut rows: RecordReader<'_>, faces: &Element, vertex_count: usize) -
         return Ok(Vec::new());
     };
     let mut triangles = Vec::new();
+    rows.begin(faces);
     for _ in 0..count {
         rows.start()?;
         for property in &faces.properties {

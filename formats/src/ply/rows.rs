@@ -34,6 +34,14 @@ impl<'a> RecordReader<'a> {
         }
     }
 
+    /// Before the first record of an element.
+    pub(super) fn begin(&mut self, element: &Element) {
+        match self {
+            RecordReader::Binary(_) => {}
+            RecordReader::Ascii(lines) => lines.begin(element),
+        }
+    }
+
     /// Starts the next record.
     pub(super) fn start(&mut self) -> Result<()> {
         match self {
@@ -98,6 +106,7 @@ impl<'a> RecordReader<'a> {
             cursor.take(count * element.record_size_min(), &element.name)?;
             return Ok(());
         }
+        self.begin(element);
         for _ in 0..count {
             self.start()?;
             for property in &element.properties {

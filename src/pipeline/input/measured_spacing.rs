@@ -1,10 +1,10 @@
 //! Estimates the particle spacing of a sequence if none is given.
 //!
-//! The spacing is twice the median radius if the particles have a radius attribute that is consistent with
-//! their positions, and otherwise an estimate from the positions. It is measured on the first, the middle and
-//! the last readable frame, and is the same for all frames, because a separate spacing for each frame would
-//! make the surface flicker. All frames of the sequence count, even if only some are converted, so a part of
-//! a sequence gets the same result as the whole.
+//! The spacing is twice the median radius if each particle's r_min follows from its own radius, or if the
+//! particles have a radius attribute that is consistent with their positions; otherwise it is an estimate from
+//! the positions. It is measured on the first, the middle and the last readable frame, and is the same for all
+//! frames, because a separate spacing for each frame would make the surface flicker. All frames of the sequence
+//! count, even if only some are converted, so a part of a sequence gets the same result as the whole.
 //!
 //! ```text
 //!   frame     1   2   3   4   5   6   7   8   9
@@ -16,7 +16,6 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use meniscus_formats::csv;
 use serde::{Deserialize, Serialize};
 
 use crate::surface::options::{self, PerParticleRadius};
@@ -73,8 +72,6 @@ pub struct NoSpacing {
     pub sparse_count: usize,
     /// How many of these have no particles.
     pub empty_count: usize,
-    /// The first of these that has particles but no finite position, as a sentence.
-    pub not_finite: Option<String>,
     /// The number of frames that cannot be used: they are unreadable, or lack the radii.
     pub unreadable_count: usize,
     /// How many of these lack the radii.
@@ -85,11 +82,7 @@ pub struct NoSpacing {
 
 impl fmt::Display for NoSpacing {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let NoSpacing { sparse_count, empty_count, unreadable_count, missing_count, unreadable, .. } = self;
-        // No hint to give --spacing: the surface would be empty.
-        if let (None, Some(not_finite)) = (unreadable, &self.not_finite) {
-            return write!(f, "cannot measure the particle spacing, because {not_finite}");
-        }
+        let NoSpacing { sparse_count, empty_count, unreadable_count, missing_count, unreadable } = self;
         match unreadable {
             None if empty_count == sparse_count => f.write_str(
                 "cannot measure the particle spacing, because there are no particles: give --spacing",
@@ -134,16 +127,13 @@ pub fn measure_spacing<'a>(
     let mut none = NoSpacing {
         sparse_count: 0,
         empty_count: 0,
-        not_finite: None,
         unreadable_count: 0,
         missing_count: 0,
         unreadable: None,
     };
-    let mut first_sparse = None;
-    let note = |path: &Path, attempt: Attempt| match attempt {
+    let note = |_: &Path, attempt: Attempt| match attempt {
         Attempt::Measured => {}
         Attempt::TooFewParticles { count } => {
-            first_sparse.get_or_insert_with(|| path.to_owned());
             none.sparse_count += 1;
             none.empty_count += usize::from(count == 0);
         }
@@ -154,26 +144,7 @@ pub fn measure_spacing<'a>(
         }
     };
     let measured = measure_sequence(&files, per_particle_radius, note);
-    measured.ok_or_else(|| NoSpacing { not_finite: first_sparse.and_then(|path| not_finite(&path)), ..none })
-}
-
-/// Says that a frame has particles and none of them a finite position, if that is so. Reads the frame again,
-/// because this is an exception.
-fn not_finite(path: &Path) -> Option<String> {
-    if large_file(path).ok()?.is_some() {
-        return None;
-    }
-    let read = parse_particles(path, &read_file(path).ok()?, &AttributeRequest::default()).ok()?;
-    let positions = &read.cloud.positions;
-    let is_finite = |index: usize| positions.position(index).is_finite();
-    // The reader of tables skips such particles, with a warning.
-    let warnings = read.warnings.iter().map(ToString::to_string);
-    let skipped = warnings.into_iter().find(|warning| warning.ends_with(csv::NOT_FINITE_NOTE));
-    if (0..positions.len()).any(is_finite) || positions.is_empty() && skipped.is_none() {
-        return None;
-    }
-    let skipped = skipped.map_or(String::new(), |warning| format!(" ({warning})"));
-    Some(format!("no particle of {} has a finite position{skipped}", frame_name(path)))
+    measured.ok_or(none)
 }
 
 /// The result of measuring a frame.
@@ -281,7 +252,11 @@ fn measured_of(
     read: &ReadFrame,
     per_particle_radius: Option<&PerParticleRadius>,
 ) -> Option<FrameSpacing> {
-    let by_positions = estimate_spacing(&read.cloud.positions);
+    let own_spacing = per_particle_radius.and_then(|own| own.spacing(&read.cloud.attributes));
+    let by_positions = match own_spacing {
+        Some(_) => None, // spray, with its own radii, has no other spacing
+        None => estimate_spacing(&read.cloud.positions),
+    };
     let radius = match per_particle_radius {
         Some(own) => read.cloud.find_attribute(&own.attribute, 1),
         None => read.cloud.attributes.iter().find(|attribute| attribute.role == Role::Radius),
@@ -341,8 +316,7 @@ fn warnings(frames: &[FrameSpacing], estimate: &SequenceEstimate) -> Vec<String>
         frames.iter().find_map(|frame| Some((frame, frame.contradicting_radius.as_ref()?)))
     {
         warnings.push(format!(
-            "{}: the radii in `{name}` imply a spacing of {}, but the positions imply {}, which is used: give --spacing if that is wrong",
-            frame_name(&frame.path),
+            "the radii in `{name}` imply a spacing of {}, but the positions imply {}, which is used: give --spacing if that is wrong",
             significant(rounded(*spacing)),
             significant(rounded(frame.estimate.spacing))
         ));

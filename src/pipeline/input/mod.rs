@@ -9,6 +9,7 @@
 //!   measured_spacing  the spacing of a sequence          conflicts    outputs that would replace inputs
 //!   obstacles   the obstacles of a frame
 //!   obstacle_warnings, out_of_reach   likely mistakes in obstacles
+//!   position_doubts  positions that cannot make the expected surface
 //! ```
 
 pub(super) mod attributes;
@@ -22,6 +23,7 @@ pub(super) mod mesh_file;
 pub(super) mod obstacle_warnings;
 pub(super) mod obstacles;
 pub(super) mod out_of_reach;
+pub(super) mod position_doubts;
 pub(super) mod reading;
 pub(super) mod source;
 pub(super) mod steps;

@@ -11,13 +11,11 @@
 
 use std::path::Path;
 
-use glam::DVec3;
-use rayon::prelude::*;
-
 use crate::surface::obstacle::Obstacle;
 use crate::surface::options::{Anisotropy, RADIUS_MAX_VOXELS, Settings};
-use crate::surface::particles::{ParticleSource, Positions};
+use crate::surface::particles::ParticleSource;
 
+use super::position_doubts::box_of;
 use crate::pipeline::warning::{ObstacleFinding, Warning};
 
 /// A warning for each obstacle that is out of reach of all particles of a frame.
@@ -64,23 +62,3 @@ fn reach(settings: &Settings) -> f64 {
 
 /// Half the width of the band that is written for a level set, in voxels.
 const BAND_VOXELS: f64 = 3.0;
-
-/// The bounding box (minimum and maximum corner) of the particles with finite positions.
-fn box_of<S: ParticleSource>(particles: &S) -> Result<Option<[DVec3; 2]>, S::Error> {
-    fn around(points: impl Iterator<Item = DVec3>) -> Option<[DVec3; 2]> {
-        points.filter(|point| point.is_finite()).map(|point| [point; 2]).reduce(both)
-    }
-    let of_batch = |batch: usize| {
-        Ok(match particles.batch(batch)? {
-            Positions::F32(points) => around(points.iter().map(|&point| glam::Vec3::from(point).as_dvec3())),
-            Positions::F64(points) => around(points.iter().map(|&point| DVec3::from(point))),
-        })
-    };
-    let of_batches = (0..particles.batch_count()).into_par_iter().map(of_batch);
-    of_batches.try_reduce(|| None, |one, other| Ok(one.into_iter().chain(other).reduce(both)))
-}
-
-/// The bounding box of two boxes.
-fn both(one: [DVec3; 2], other: [DVec3; 2]) -> [DVec3; 2] {
-    [one[0].min(other[0]), one[1].max(other[1])]
-}

@@ -19,6 +19,7 @@ use crate::pipeline::input::frame_input::{FileParticles, FrameInput, LevelSetInp
 use crate::pipeline::input::level_set_file::{level_set_limits, other_grids};
 use crate::pipeline::input::obstacles::FoundObstacles;
 use crate::pipeline::input::out_of_reach::out_of_reach;
+use crate::pipeline::input::position_doubts::position_doubts;
 use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged};
 use crate::pipeline::input::steps::{reading_bytes, step_of};
 use crate::pipeline::method::Method;
@@ -209,6 +210,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             let (given, mut noted) = parse()?;
             let warnings = &mut noted.warnings;
             let failed = |cause| frame.failed(Stage::Read, cause);
+            warnings.extend(position_doubts(&given, &frame.settings).map_err(failed)?);
             let loaded = frame.obstacles.load(found, &frame.settings, allowed_bytes);
             let mut obstacles = loaded.map_err(|error| failed(Cause::Obstacle(Box::new(error))))?;
             warnings.append(&mut obstacles.warnings);

@@ -106,6 +106,11 @@ pub struct PerParticleRadius {
 }
 
 impl PerParticleRadius {
+    /// The particle spacing, world units: twice the median of the own radii that are positive and finite.
+    pub fn spacing(&self, attributes: &[Attribute]) -> Option<f64> {
+        median(self.radii_min(attributes)).map(|radius| 2.0 * radius / self.scale)
+    }
+
     /// r_min of each particle whose own radius is positive and finite, world units.
     pub fn radii_min(&self, attributes: &[Attribute]) -> Vec<f64> {
         let attribute = find_attribute(attributes, &self.attribute, 1);

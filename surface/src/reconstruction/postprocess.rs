@@ -124,6 +124,10 @@ pub enum PositionFormat {
     Rounded(RoundedPositions),
 }
 
+/// If a file moves vertices by more than this, in voxels, the mesh is not adapted to its rounding, unless all files
+/// do.
+const FINE_VOXELS_MAX: f64 = 0.125;
+
 /// Maximum number of rounds that move vertices back into their bounds. Vertices that are still outside after
 /// these rounds are reported as violations.
 const CLAMP_ROUNDS_MAX: usize = 3;
@@ -148,25 +152,32 @@ pub(super) fn finalize<E>(
         PositionFormat::Exact => None,
         PositionFormat::Rounded(rounding) => Some(*rounding),
     };
-    let roundings: Vec<RoundedPositions> = stored.iter().filter_map(rounding).collect();
+    let moved_voxels = |mesh: &Mesh, rounded: &[Vec3]| {
+        let moved = rounded.par_iter().zip(&mesh.positions).halved().map(|(one, other)| one.distance(*other));
+        f64::from(moved.reduce(|| 0.0, f32::max)) / lattice.voxel_size
+    };
+    // A file that rounds coarsely must not spoil the mesh of the others: it only fails validation.
+    let is_fine = |stored: &PositionFormat| {
+        rounding(stored).is_none_or(|rounding| moved_voxels(mesh, &mesh.rounded(rounding)) <= FINE_VOXELS_MAX)
+    };
+    let are_fine: Vec<bool> = stored.iter().map(is_fine).collect();
+    let adapts = |index: usize| are_fine[index] || !are_fine.contains(&true);
+    let adapted = stored.iter().enumerate().filter(|(index, _)| adapts(*index));
+    let roundings: Vec<RoundedPositions> = adapted.filter_map(|(_, stored)| rounding(stored)).collect();
     report.flat_triangles_removed = mesh.remove_flat_triangles(&roundings);
-    let has_unrounded = roundings.len() < stored.len();
+    let has_unrounded = stored.iter().any(|stored| rounding(stored).is_none());
     let mut checks = ParticleChecks::EMPTY;
     for returns in 0..=CLAMP_ROUNDS_MAX {
         checks = ParticleChecks::EMPTY;
         let mut corrections: BTreeMap<usize, Vec3> = BTreeMap::new();
-        for stored in stored {
+        for (index, stored) in stored.iter().enumerate() {
             let mut of_file = ParticleChecks::EMPTY;
             let mut rounded = rounding(stored).map(|rounding| mesh.rounded(rounding));
             // If rounding changes nothing, the check of the unrounded mesh suffices.
             if has_unrounded && rounded.as_ref().is_some_and(|rounded| *rounded == mesh.positions) {
                 continue;
             }
-            let moved_voxels = rounded.as_ref().map_or(0.0, |rounded| {
-                let moved =
-                    rounded.par_iter().zip(&mesh.positions).halved().map(|(one, other)| one.distance(*other));
-                f64::from(moved.reduce(|| 0.0, f32::max)) / lattice.voxel_size
-            });
+            let moved_voxels = rounded.as_ref().map_or(0.0, |rounded| moved_voxels(mesh, rounded));
             if let Some(rounded) = &mut rounded {
                 std::mem::swap(rounded, &mut mesh.positions);
             }
@@ -174,7 +185,8 @@ pub(super) fn finalize<E>(
             let parts = each_part(&checked, &mut |part| {
                 let (of_part, found) = validation::check(part);
                 of_file = of_file.merge(of_part);
-                corrections.extend(found.into_iter().map(|violation| (violation.vertex, violation.position)));
+                let found = found.into_iter().filter(|_| adapts(index));
+                corrections.extend(found.map(|violation| (violation.vertex, violation.position)));
             });
             if let Some(rounded) = &mut rounded {
                 std::mem::swap(rounded, &mut mesh.positions);
@@ -194,7 +206,7 @@ pub(super) fn finalize<E>(
         report.flat_triangles_removed += mesh.remove_flat_triangles(&roundings);
     }
     report.mesh = mesh.measure();
-    for rounding in roundings {
+    for rounding in stored.iter().filter_map(rounding) {
         let flat_count = &mut report.mesh.degenerate_triangle_count;
         *flat_count = mesh.flat_count(rounding).max(*flat_count);
     }

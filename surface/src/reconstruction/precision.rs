@@ -19,7 +19,7 @@ use crate::options::Settings;
 use crate::particles::{AnySource, OwnedPositions, Unread};
 use crate::rasterize::Footprint;
 use crate::space::INDEX_LIMIT;
-use crate::spacing::{SourceSample, median};
+use crate::spacing::{ROUNDING_REMEDY, ROUNDING_SHARE_MAX, SourceSample, median, rounding_step};
 use crate::words::significant;
 
 /// Upper limit of the median distance of particles from their median position, in voxels. Beyond it, 32-bit
@@ -41,12 +41,15 @@ pub struct VoxelTooSmall {
 }
 
 /// What limits the voxel size from below.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PrecisionLimit {
     /// Most particles are more than [`SPREAD_MAX_VOXELS`] from their median position.
     Spread,
     /// Most particles are more than [`INDEX_LIMIT`] voxels from the origin, outside the grid's index range.
     Reach,
+    /// 32-bit positions so far from the origin are rounded to this step, in world units, which distorts the
+    /// measured spacing.
+    Rounding(f64),
 }
 
 impl fmt::Display for VoxelTooSmall {
@@ -67,6 +70,12 @@ impl fmt::Display for VoxelTooSmall {
                 "the voxel size {h} (--voxel-size) is too small so far from the origin: most particles are more than \
                  {INDEX_LIMIT} voxels away, outside the grid; move them closer, or use --voxel-size {shown_least} or more"
             )?,
+            PrecisionLimit::Rounding(step) => write!(
+                f,
+                "positions are rounded to steps of {}, as 32-bit numbers so far from the origin are, and the measured \
+                 particle spacing is {shown_spacing}: {ROUNDING_REMEDY}",
+                significant(step)
+            )?,
         }
         match limit {
             // The minimum is for experts; it is not a recommendation.
@@ -74,7 +83,7 @@ impl fmt::Display for VoxelTooSmall {
                 write!(f, "; use --voxel-size {half} (half the spacing); the minimum is {shown_least}")
             }
             PrecisionLimit::Spread => write!(f, "; the minimum is --voxel-size {shown_least}"),
-            PrecisionLimit::Reach => Ok(()),
+            PrecisionLimit::Reach | PrecisionLimit::Rounding(_) => Ok(()),
         }
     }
 }
@@ -99,6 +108,8 @@ pub(super) fn voxel_too_small(
     let Some(estimate) = sample.estimate(source)? else { return Ok(None) };
     let spacing = estimate.spacing;
     let (voxel_size, (least, limit)) = (settings.voxel_size, least_voxel_size(&sample.particles));
+    let step = rounding_step(&sample.particles);
+    let limit = if step > ROUNDING_SHARE_MAX * spacing { PrecisionLimit::Rounding(step) } else { limit };
     Ok((voxel_size < least).then_some(VoxelTooSmall { voxel_size, spacing, least, limit }))
 }
 

@@ -212,6 +212,29 @@ pub fn median(mut numbers: Vec<f64>) -> Option<f64> {
     Some(*numbers.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
+/// The step to which 32-bit positions were rounded: along the axis with the largest coordinates, the distance of
+/// neighbouring 32-bit numbers at their median. 0 for positions that do not fit into 32 bits, and for integers,
+/// which are usually exact.
+pub fn rounding_step<'a>(positions: impl Into<Positions<'a>>) -> f64 {
+    let points = finite_positions(&positions.into());
+    let fits = |point: &DVec3| point.as_vec3().as_dvec3() == *point;
+    if !points.iter().all(fits) || points.iter().all(|point| point.fract() == DVec3::ZERO) {
+        return 0.0;
+    }
+    let step_along = |axis: usize| {
+        let at = median(points.iter().map(|point| point[axis].abs()).collect()).unwrap_or(0.0) as f32;
+        f64::from(at.next_up()) - f64::from(at)
+    };
+    (0..3).map(step_along).fold(0.0, f64::max)
+}
+
+/// A step of rounding that is larger than this share of the spacing moves particles visibly.
+pub const ROUNDING_SHARE_MAX: f64 = 0.1;
+
+/// What to do about positions that were rounded too coarsely.
+pub const ROUNDING_REMEDY: &str =
+    "write 64-bit positions, or move the scene near to the origin before its positions are rounded";
+
 fn finite_positions(positions: &Positions<'_>) -> Vec<DVec3> {
     (0..positions.len())
         // Adding zero turns −0 into 0, so that equal positions have equal bits.

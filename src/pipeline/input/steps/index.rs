@@ -119,9 +119,11 @@ impl StepIndex {
     /// Whether the file with this stamp is the indexed file plus appended bytes.
     fn has_become(&self, file: &mut File, stamp: &FileStamp, kind: ProbedKind) -> bool {
         let is_larger = stamp.inode == self.stamp.inode && stamp.size > self.stamp.size;
+        // The header of an array, not what is appended, says how many steps it has.
+        let is_text = self.steps.iter().all(|step| step.found.head.is_empty());
         let mut is_as_before =
             || self.edges.as_ref().is_some_and(|edges| edges.are_in(file).unwrap_or(false));
-        is_larger && kind == self.kind && !self.steps.is_empty() && is_as_before()
+        is_larger && is_text && kind == self.kind && !self.steps.is_empty() && is_as_before()
     }
 }
 
@@ -156,7 +158,7 @@ pub(super) fn index_steps(
         &mut known,
         &Limits::default(),
     )?;
-    let mut contents = StepIndex::new(stamp, kind, known);
+    let mut contents = StepIndex::new(stamp, kind, within(known, stamp.size));
     let head = before.and_then(|before| before.edges.as_ref()).map(|edges| edges.head);
     contents.edges = source.edges(start, head).filter(|edges| edges.tail.end == stamp.size);
     if let Some(before) = before {
@@ -175,7 +177,16 @@ fn index_compressed(mut source: impl Read, stamp: FileStamp, kind: ProbedKind) -
     let decompressed = decompressed(&bytes, &Limits::default())?;
     let found = find_steps(kind, &*decompressed, &Limits::default())?;
     let unpacking_bytes = Some((bytes.len() + decompressed.len()) as u64);
+    let found = within(found, decompressed.len() as u64);
     Ok(StepIndex { unpacking_bytes, ..StepIndex::new(stamp, kind, found) })
+}
+
+/// Steps of a file of this size: the header of a truncated array declares more.
+fn within(mut steps: Vec<FoundStep>, size: u64) -> Vec<FoundStep> {
+    for FoundStep { range, .. } in &mut steps {
+        *range = range.start.min(size)..range.end.min(size);
+    }
+    steps
 }
 
 /// Probes the first bytes of a file.
@@ -295,8 +306,12 @@ pub(super) const UNNUMBERED: &str = "unnumbered";
 /// The index of some file with `n` steps.
 #[cfg(test)]
 pub(super) fn of_count(stamp: FileStamp, count: usize) -> StepIndex {
-    let found =
-        |number: usize| FoundStep { number: i64::try_from(number).ok(), range: 0..1, lines_before: 0 };
+    let found = |number: usize| FoundStep {
+        number: i64::try_from(number).ok(),
+        head: [].into(),
+        range: 0..1,
+        lines_before: 0,
+    };
     let kind = ProbedKind::Format(meniscus_formats::Format::LammpsDump);
     StepIndex::new(stamp, kind, (0..count).map(found).collect())
 }

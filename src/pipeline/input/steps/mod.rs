@@ -27,7 +27,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use meniscus_formats::compression::decompressed;
-use meniscus_formats::steps::may_have_steps;
+use meniscus_formats::steps::{FoundStep, may_have_steps};
 use meniscus_formats::{Error, Limits, ReadAt, Result};
 use twox_hash::XxHash3_128;
 
@@ -211,7 +211,7 @@ pub(crate) fn read_step(
     by: IndexPolicy,
 ) -> Result<Option<(Vec<u8>, FileStamp)>> {
     let Some(contents) = by.index(file)? else { return Ok(None) };
-    let range = contents.step(step)?.range.clone();
+    let FoundStep { head, range, .. } = contents.step(step)?.clone();
     let input = InputFile::open(file)?;
     if input.stamp() != contents.stamp {
         return Ok(None);
@@ -238,6 +238,7 @@ pub(crate) fn read_step(
     } else {
         bytes
     };
+    let bytes = if head.is_empty() { bytes } else { [&*head, &*bytes].concat() };
     let has_same_bytes =
         || Ok(read(stored.clone())?.is_some_and(|again| XxHash3_128::oneshot(&again) == hash));
     Ok(input.is_unchanged_or(has_same_bytes)?.then_some((bytes, contents.stamp)))

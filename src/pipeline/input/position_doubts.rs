@@ -1,0 +1,68 @@
+//! Doubts about the positions of a frame, which cannot make the expected surface: none is finite, all are in a
+//! plane, or they were rounded.
+
+use glam::DVec3;
+use meniscus_formats::{Error, Position};
+use rayon::prelude::*;
+
+use crate::surface::options::Settings;
+use crate::surface::particles::{ParticleSource, Positions};
+use crate::surface::spacing::{ROUNDING_SHARE_MAX, rounding_step};
+
+use super::frame_input::FrameInput;
+use crate::pipeline::error::Cause;
+use crate::pipeline::warning::Warning;
+
+/// Warnings about the positions. Reads the first batch, and all of them if it is in a plane.
+///
+/// # Errors
+/// Those of reading the particles; if there are particles, and none has a finite position.
+pub(crate) fn position_doubts(particles: &FrameInput, settings: &Settings) -> Result<Vec<Warning>, Cause> {
+    let mut warnings = Vec::new();
+    if particles.is_empty() {
+        return Ok(warnings);
+    }
+    let first = particles.batch(0)?;
+    let step = rounding_step(first.clone());
+    if step > ROUNDING_SHARE_MAX * settings.spacing {
+        warnings.push(Warning::RoundedParticles { step, spacing: settings.spacing });
+    }
+    let of_first = box_of_batch(&first);
+    if of_first.is_none_or(|bounds| flat_axis(bounds).is_some()) {
+        let Some(bounds) = box_of(particles)? else {
+            let what = format!("none of the {} particles has a finite position", particles.len());
+            return Err(Cause::File(Error::invalid("", Position::File, what)));
+        };
+        let axis = flat_axis(bounds).filter(|_| particles.len() >= PLANAR_FROM);
+        warnings
+            .extend(axis.map(|axis| Warning::Planar { axis: ['x', 'y', 'z'][axis], at: bounds[0][axis] }));
+    }
+    Ok(warnings)
+}
+
+/// Fewer particles may be in a plane by chance.
+const PLANAR_FROM: usize = 10;
+
+/// The axis along which a box has no width, if it has a width along the two others.
+fn flat_axis([least, greatest]: [DVec3; 2]) -> Option<usize> {
+    let is_flat = |&axis: &usize| least[axis] == greatest[axis];
+    let mut flat = (0..3).filter(is_flat);
+    flat.next().filter(|_| flat.next().is_none())
+}
+
+/// The bounding box (minimum and maximum corner) of the particles with finite positions.
+pub(crate) fn box_of<S: ParticleSource>(particles: &S) -> Result<Option<[DVec3; 2]>, S::Error> {
+    let of_batch = |batch: usize| Ok(box_of_batch(&particles.batch(batch)?));
+    let of_batches = (0..particles.batch_count()).into_par_iter().map(of_batch);
+    of_batches.try_reduce(|| None, |one, other| Ok(one.into_iter().chain(other).reduce(both)))
+}
+
+/// The bounding box of two boxes.
+fn both(one: [DVec3; 2], other: [DVec3; 2]) -> [DVec3; 2] {
+    [one[0].min(other[0]), one[1].max(other[1])]
+}
+
+fn box_of_batch(positions: &Positions<'_>) -> Option<[DVec3; 2]> {
+    let points = (0..positions.len()).map(|index| positions.position(index));
+    points.filter(|point| point.is_finite()).map(|point| [point; 2]).reduce(both)
+}
