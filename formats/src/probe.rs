@@ -161,8 +161,8 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
         return ProbedKind::Foreign(name);
     }
     match text.first() {
-        Some(b'[') if starts_with_toml_table(text) => ProbedKind::Foreign("TOML"),
-        Some(b'{' | b'[') => json_kind(text, name),
+        Some(b'[') if starts_with_section(text) && continues_as_toml(text) => ProbedKind::Foreign("TOML"),
+        Some(b'{' | b'[') if !starts_with_section(text) => json_kind(text, name),
         Some(b'<') => ProbedKind::Foreign("XML"),
         _ if text.starts_with(b"solid") && name.ends_with(".stl") => {
             ProbedKind::Foreign("STL text: save it as binary STL")
@@ -183,13 +183,15 @@ fn first_member(head: &[u8]) -> Option<&[u8]> {
     head.get(30..)?.get(..length.into())
 }
 
-/// Whether a text starts with the header of a table: a name in single or double brackets, which is not a
-/// value of JSON. In the next line, TOML has a key, another header or a comment.
-fn starts_with_toml_table(text: &[u8]) -> bool {
+/// Whether the line below the header of a section is one of TOML: a key, another header or a comment.
+fn continues_as_toml(text: &[u8]) -> bool {
     let next = Lines::new(text).skip(1).map(<[u8]>::trim_ascii).find(|line| !line.is_empty());
-    if next.is_some_and(|next| !next.contains(&b'=') && !next.starts_with(b"[") && !next.starts_with(b"#")) {
-        return false;
-    }
+    next.is_none_or(|next| next.contains(&b'=') || next.starts_with(b"[") || next.starts_with(b"#"))
+}
+
+/// Whether a text starts with the header of a section: a name in single or double brackets, which is not a
+/// value of JSON.
+fn starts_with_section(text: &[u8]) -> bool {
     let name = text.strip_prefix(b"[[").or_else(|| text.strip_prefix(b"[")).unwrap_or_default();
     let name = name.split(|&byte| byte == b']').next().unwrap_or_default().trim_ascii();
     let is_name = |byte: &u8| byte.is_ascii_alphanumeric() || b"_-.".contains(byte);

@@ -79,8 +79,8 @@ fn frames_of_an_array_are_steps() {
         let steps = find_steps(probe(&file, "a.npy").kind, &*file, &Limits::default()).expect("steps");
         assert_eq!(steps.iter().map(|step| step.number).collect::<Vec<_>>(), [Some(0), Some(1)], "{case}");
         for (step, expected) in steps.iter().zip(expected) {
-            let range = step.range.start as usize..step.range.end as usize;
-            let frame = read(&[&step.head[..], &file[range]].concat());
+            let [start, end] = [step.range.start, step.range.end].map(|at| usize::try_from(at).expect("in the file"));
+            let frame = read(&[&step.head[..], &file[start..end]].concat());
             assert_eq!(frame.positions, FilePositions::F32(expected), "{case}");
         }
     }

@@ -18,8 +18,8 @@ use crate::parallel::Loops as _;
 use crate::particles::{Attribute, Positions, Shapes, find_attribute};
 use crate::reconstruction::tiled::{self, TiledError};
 use crate::reconstruction::{
-    self, FIELD_STORE_FILES, MemoryPlan, MemoryPlanError, PlanInputs, PositionFormat, ShapedSource, Storage,
-    Targets,
+    self, FIELD_STORE_FILES, MemoryPlan, MemoryPlanError, PlanInputs, PositionFormat, PrecisionLimit,
+    ShapedSource, Storage, Targets, VoxelTooSmall,
 };
 use crate::report::{Phase, ShapeStats};
 use crate::spacing::{estimate_spacing, median, rounded};

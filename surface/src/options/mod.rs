@@ -17,6 +17,7 @@ use std::fmt;
 pub use crate::contour::Contouring;
 use crate::particles::{Attribute, find_attribute};
 use crate::smooth::EIGENVALUE_MAX;
+use crate::spacing::median;
 pub use crate::smooth::Integrator;
 use crate::words::significant;
 use checks::{named, require};
