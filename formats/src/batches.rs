@@ -8,12 +8,12 @@
 //! If records have a fixed length, their offsets can be computed. Any batch can then be read at any time,
 //! repeatedly, and by several threads at once, each into its own buffer. This works for binary PLY without
 //! lists before the end of the vertices, and for classic BGEO. Text and compressed files must be read whole.
-//! Positions and errors are exactly those of [`crate::read_particles`].
+//! Positions, attributes and errors are exactly those of [`crate::read_particles`].
 
 use std::io;
 use std::ops::Range;
 
-use crate::data::FilePositions;
+use crate::data::{FilePositions, ParticleFrame};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::probe::{Probe, ProbedKind, probe};
@@ -80,9 +80,27 @@ impl<F: ReadAt> ParticleBatches<F> {
     /// # Errors
     /// [`Error::Io`] if reading fails, [`Error::Truncated`] if the file has become shorter.
     pub fn read_batch(&self, index: usize, batch: &mut ParticleBatch) -> Result<()> {
+        let ParticleBatch { positions, records } = batch;
+        self.read_records(index, records)?;
+        let Records { stride, .. } = self.records;
+        (self.records.gather)(records, stride, self.particle_range(index).len(), positions);
+        Ok(())
+    }
+
+    /// Reads a batch by its index, with all attributes. Without a batch of this index, the attributes have no
+    /// values. Their notes are those of the batch.
+    ///
+    /// # Errors
+    /// As for [`read_batch`](Self::read_batch).
+    pub fn read_frame(&self, index: usize) -> Result<ParticleFrame> {
+        let mut records = Vec::new();
+        self.read_records(index, &mut records)?;
+        (self.records.frame)(&records)
+    }
+
+    fn read_records(&self, index: usize, records: &mut Vec<u8>) -> Result<()> {
         let Records { format, offset, stride, .. } = self.records;
         let particles = self.particle_range(index);
-        let ParticleBatch { positions, records } = batch;
         records.resize(particles.len() * stride, 0);
         let start = offset + particles.start as u64 * stride as u64;
         self.file.read_exact_at(records, start).map_err(|error| match error.kind() {
@@ -92,13 +110,10 @@ impl<F: ReadAt> ParticleBatches<F> {
                 Error::truncated(format, Position::Offset(start), what)
             }
             _ => error.into(),
-        })?;
-        (self.records.gather)(records, stride, particles.len(), positions);
-        Ok(())
+        })
     }
 
-    /// Notes for the user on a file that was read successfully. They do not cover attributes, which are not
-    /// read here.
+    /// Notes for the user on a file that was read successfully. They do not cover the values of attributes.
     pub fn notes(&self) -> &[String] {
         &self.records.notes
     }

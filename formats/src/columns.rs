@@ -389,7 +389,22 @@ const ROLES: &[(AttributeRole, &[&str])] = &[
     (AttributeRole::Density, &["density", "rho", "rhop"]),
     (AttributeRole::Mass, &["mass"]),
     (AttributeRole::Id, &["id", "ids", "idp", "particle_id", "particleid", "index"]),
-    (AttributeRole::Kind, &["type", "phase", "mk", "group", "piece"]),
+    (
+        AttributeRole::Kind,
+        &[
+            "type",
+            "phase",
+            "mk",
+            "material",
+            "object",
+            "kind",
+            "group",
+            "piece",
+            "particle_type",
+            "material_id",
+            "object_id",
+        ],
+    ),
 ];
 
 /// Aliases of the radius whose values are diameters.

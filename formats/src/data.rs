@@ -29,6 +29,24 @@ impl FilePositions {
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
+
+    /// Keeps the particles for which `mask` is true.
+    fn retain(&mut self, mask: &[bool]) {
+        match self {
+            FilePositions::F32(positions) => retain_rows(positions, 1, mask),
+            FilePositions::F64(positions) => retain_rows(positions, 1, mask),
+        }
+    }
+}
+
+/// Keeps the rows of `arity` values for which `mask` is true.
+fn retain_rows<T>(values: &mut Vec<T>, arity: usize, mask: &[bool]) {
+    let mut index = 0;
+    values.retain(|_| {
+        index += 1;
+        mask.get((index - 1) / arity.max(1)).is_some_and(|is_kept| *is_kept)
+    });
+    values.shrink_to_fit();
 }
 
 impl Default for FilePositions {
@@ -82,6 +100,9 @@ pub enum Values {
     },
 }
 
+/// Integers up to this one are exact in `f64`: 2⁵³.
+const EXACT: f64 = 9_007_199_254_740_992.0;
+
 /// A named attribute of all particles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FileAttribute {
@@ -96,6 +117,61 @@ pub struct FileAttribute {
 }
 
 impl FileAttribute {
+    /// The distinct values of a scalar with the number of particles that have each, in ascending order; `None`
+    /// for vectors, for more than `count_max` values, and for numbers that are not integers. A particle
+    /// without a string counts as one with an empty string.
+    pub fn value_counts(&self, count_max: usize) -> Option<Vec<(String, usize)>> {
+        let mut counts: Vec<(i64, usize)> = Vec::new();
+        let mut last = 0;
+        let mut count = |value: i64| {
+            if counts.get(last).is_none_or(|(counted, _)| *counted != value) {
+                last = counts.iter().position(|(counted, _)| *counted == value).unwrap_or(counts.len());
+            }
+            if last == counts.len() {
+                counts.push((value, 0));
+            }
+            counts[last].1 += 1;
+            (counts.len() <= count_max).then_some(())
+        };
+        #[expect(clippy::cast_possible_truncation, reason = "an integer of at most 53 bits")]
+        let whole = |value: f64| (value.fract() == 0.0 && value.abs() <= EXACT).then_some(value as i64);
+        if self.arity != 1 {
+            return None;
+        }
+        match &self.values {
+            Values::F32(values) => values.iter().try_for_each(|&value| count(whole(value.into())?)),
+            Values::F64(values) => values.iter().try_for_each(|&value| count(whole(value)?)),
+            Values::U8(values) => values.iter().try_for_each(|&value| count(value.into())),
+            Values::I32(values) => values.iter().try_for_each(|&value| count(value.into())),
+            Values::I64(values) => values.iter().try_for_each(|&value| count(value)),
+            Values::Strings { table, indices } => indices.iter().try_for_each(|&index| {
+                let is_string = usize::try_from(index).is_ok_and(|index| index < table.len());
+                count(if is_string { index.into() } else { -1 })
+            }),
+        }?;
+        counts.sort_unstable();
+        let Values::Strings { table, .. } = &self.values else {
+            return Some(counts.into_iter().map(|(value, count)| (value.to_string(), count)).collect());
+        };
+        let string = |index: i64| usize::try_from(index).ok().and_then(|index| table.get(index).cloned());
+        let mut counts: Vec<(String, usize)> =
+            counts.into_iter().map(|(index, count)| (string(index).unwrap_or_default(), count)).collect();
+        counts.sort();
+        Some(counts)
+    }
+
+    /// Keeps the values of the particles for which `mask` is true.
+    fn retain(&mut self, mask: &[bool]) {
+        match &mut self.values {
+            Values::F32(values) => retain_rows(values, self.arity, mask),
+            Values::F64(values) => retain_rows(values, self.arity, mask),
+            Values::U8(values) => retain_rows(values, self.arity, mask),
+            Values::I32(values) => retain_rows(values, self.arity, mask),
+            Values::I64(values) => retain_rows(values, self.arity, mask),
+            Values::Strings { indices, .. } => retain_rows(indices, self.arity, mask),
+        }
+    }
+
     /// Multiplies all values; integers become floats.
     pub(crate) fn scale(&mut self, factor: f64) {
         if factor == 1.0 {
@@ -131,6 +207,14 @@ pub struct ParticleFrame {
     pub attributes: Vec<FileAttribute>,
     /// Notes for the user on a file that was read successfully: rows skipped, columns guessed.
     pub notes: Vec<String>,
+}
+
+impl ParticleFrame {
+    /// Keeps the particles for which `mask`, which has an element for each of them, is true.
+    pub fn retain(&mut self, mask: &[bool]) {
+        self.positions.retain(mask);
+        self.attributes.iter_mut().for_each(|attribute| attribute.retain(mask));
+    }
 }
 
 /// How a file was made: pairs of name and value, written in this order. Must not contain times, hosts, paths
@@ -286,4 +370,55 @@ pub trait LeafValues: fmt::Debug + Sync {
     /// into [`LevelSetView::leaves`]. Values of voxels outside the band are ignored; all others must be
     /// finite.
     fn fill(&self, leaf: usize, out: &mut [f32]);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn few_integers_and_strings_are_counted() {
+        let counts = |values: Values, arity: usize| {
+            let attribute = FileAttribute { name: "phase".into(), arity, role: None, values };
+            attribute.value_counts(3)
+        };
+        let texts = |pairs: &[(&str, usize)]| {
+            Some(pairs.iter().map(|(value, count)| ((*value).to_owned(), *count)).collect::<Vec<_>>())
+        };
+        let expected = texts(&[("-1", 1), ("0", 2), ("7", 1)]);
+        assert_eq!(counts(Values::I32(vec![0, 7, 0, -1]), 1), expected);
+        assert_eq!(counts(Values::F32(vec![0.0, 7.0, 0.0, -1.0]), 1), expected);
+        assert_eq!(counts(Values::U8(vec![1; 9]), 1), texts(&[("1", 9)]));
+        assert_eq!(counts(Values::I64(Vec::new()), 1), texts(&[]));
+        let table = vec!["wall".to_owned(), "fluid".to_owned()];
+        let strings = Values::Strings { table, indices: vec![0, 1, -1, 0, 9] };
+        assert_eq!(counts(strings, 1), texts(&[("", 2), ("fluid", 1), ("wall", 2)]));
+        for (values, arity) in [
+            (Values::I32(vec![0, 1, 2, 3]), 1),
+            (Values::I32(vec![0, 1]), 2),
+            (Values::F64(vec![0.0, 0.5]), 1),
+            (Values::F32(vec![f32::NAN]), 1),
+            (Values::F64(vec![f64::INFINITY]), 1),
+        ] {
+            assert_eq!(counts(values, arity), None);
+        }
+    }
+
+    #[test]
+    fn retained_particles_keep_their_values() {
+        let attribute =
+            |name: &str, arity, values| FileAttribute { name: name.into(), arity, role: None, values };
+        let mut frame = ParticleFrame {
+            positions: FilePositions::F64(vec![[0.0; 3], [1.0; 3], [2.0; 3]]),
+            attributes: vec![
+                attribute("v", 2, Values::F32(vec![0.0, 0.5, 1.0, 1.5, 2.0, 2.5])),
+                attribute("id", 1, Values::I64(vec![7, 8, 9])),
+            ],
+            notes: vec!["a note".into()],
+        };
+        frame.retain(&[true, false, true]);
+        assert_eq!(frame.positions, FilePositions::F64(vec![[0.0; 3], [2.0; 3]]));
+        assert_eq!(frame.attributes[0].values, Values::F32(vec![0.0, 0.5, 2.0, 2.5]));
+        assert_eq!(frame.attributes[1].values, Values::I64(vec![7, 9]));
+    }
 }

@@ -5,7 +5,7 @@ use std::io;
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::data::FilePositions;
+use crate::data::{FilePositions, ParticleFrame};
 use crate::error::Result;
 
 /// Random access from several threads at once: a file, or bytes in memory.
@@ -69,6 +69,8 @@ pub(crate) struct Records {
     pub(crate) count: usize,
     /// Extracts positions from records with this stride.
     pub(crate) gather: Arc<GatherPositions>,
+    /// Extracts positions and attributes from records with this stride.
+    pub(crate) frame: Arc<FrameOfRecords>,
     /// Notes for the user.
     pub(crate) notes: Vec<String>,
     /// The name of the velocity attribute, if there is one.
@@ -77,6 +79,9 @@ pub(crate) struct Records {
 
 /// Extracts positions from records. Arguments: bytes, stride, number of records, output.
 pub(crate) type GatherPositions = dyn Fn(&[u8], usize, usize, &mut FilePositions) + Send + Sync;
+
+/// Extracts all data of particles from the bytes of whole records.
+pub(crate) type FrameOfRecords = dyn Fn(&[u8]) -> Result<ParticleFrame> + Send + Sync;
 
 impl fmt::Debug for Records {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

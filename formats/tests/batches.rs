@@ -92,6 +92,27 @@ fn batches_match_reading_whole_files() {
 }
 
 #[test]
+fn batches_have_the_attributes_of_the_whole_file() {
+    let mut attribute_count = 0;
+    for (name, bytes) in corpus("valid").into_iter().chain([("written.bgeo".into(), written_bgeo())]) {
+        let batches = ParticleBatches::open(&bytes[..], "f", &Limits::default(), 500);
+        let Ok(Some(batches)) = batches else { continue };
+        let whole = read_particles(&bytes, "f", &Limits::default()).unwrap();
+        for index in 0..=batches.batch_count() {
+            let range = batches.particle_range(index);
+            let mut part = whole.clone();
+            part.retain(&(0..whole.positions.len()).map(|i| range.contains(&i)).collect::<Vec<_>>());
+            let frame = batches.read_frame(index).unwrap();
+            // As text, because NaN is not equal to itself.
+            let data = |frame: &ParticleFrame| format!("{:?}", (&frame.positions, &frame.attributes));
+            assert_eq!(data(&frame), data(&part), "{name}: batch {index}");
+            attribute_count += frame.attributes.len();
+        }
+    }
+    assert!(attribute_count > 10, "{attribute_count}");
+}
+
+#[test]
 fn both_byte_orders_and_all_types_are_read_in_batches() {
     for encoding in ["binary_little_endian", "binary_big_endian"] {
         for types in ["float double uchar", "char short ushort", "int uint double", "float float float"] {

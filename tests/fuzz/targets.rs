@@ -155,7 +155,9 @@ fn batches(bytes: &[u8], name: &str) {
     let mut count = 0;
     for index in 0..batches.batch_count() {
         batches.read_batch(index, &mut batch).expect("a batch of a file that has not changed");
+        let frame = batches.read_frame(index).expect("a batch of a file that has not changed");
         assert_eq!(batch.positions.len(), batches.particle_range(index).len());
+        assert_eq!(batch.positions.len(), frame.positions.len());
         count += batch.positions.len();
     }
     assert_eq!(count, batches.particle_count());

@@ -30,13 +30,18 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = header_within(bytes, limits)?;
     let points_bytes = checked_points_bytes(&header, bytes.len() as u64)?;
     let (records, rest) = bytes[header.points_offset..].split_at(points_bytes);
+    Ok(frame_of_records(header, records, rest))
+}
+
+/// The points in these records, which may be a part of those of the file.
+fn frame_of_records(header: BgeoHeader, records: &[u8], rest: &[u8]) -> ParticleFrame {
     let mut notes = notes(&header, rest);
     let (positions, mut columns) = gather(records, &header);
     for (column, attribute) in columns.iter_mut().zip(&header.attributes) {
         clear_strings_outside(column, attribute, &mut notes);
     }
     let attributes = attributes(header.attributes, columns);
-    Ok(ParticleFrame { positions: FilePositions::F32(positions), attributes, notes })
+    ParticleFrame { positions: FilePositions::F32(positions), attributes, notes }
 }
 
 /// Locates the points of a file of `file_bytes`, so that they can be read in batches. `rest` is the data
@@ -47,13 +52,15 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 /// Those of [`read`] that do not concern the header.
 pub(super) fn records(header: &BgeoHeader, file_bytes: u64, rest: &[u8]) -> Result<Records> {
     checked_points_bytes(header, file_bytes)?;
+    let (of_batch, rest) = (header.clone(), rest.to_vec());
     Ok(Records {
         format: FORMAT,
         offset: header.points_offset as u64,
         stride: header.record_bytes,
         count: header.point_count,
         gather: Arc::new(|records, stride, _, positions| gather_batch(records, stride, positions)),
-        notes: notes(header, rest),
+        notes: notes(header, &rest),
+        frame: Arc::new(move |records| Ok(frame_of_records(of_batch.clone(), records, &rest))),
         velocity: velocity_name(header),
     })
 }
@@ -97,16 +104,17 @@ enum WordColumn {
 
 fn gather(records: &[u8], header: &BgeoHeader) -> (Vec<[f32; 3]>, Vec<WordColumn>) {
     let stride = header.record_bytes;
-    let mut positions = Vec::with_capacity(header.point_count);
+    let count = records.len() / stride;
+    let mut positions = Vec::with_capacity(count);
     let mut columns: Vec<WordColumn> = header
         .attributes
         .iter()
         .map(|attribute| match attribute.kind {
             AttributeKind::Float | AttributeKind::Vector => {
-                WordColumn::Reals(Vec::with_capacity(header.point_count * attribute.arity))
+                WordColumn::Reals(Vec::with_capacity(count * attribute.arity))
             }
             AttributeKind::Int | AttributeKind::Strings(_) => {
-                WordColumn::Integers(Vec::with_capacity(header.point_count * attribute.arity))
+                WordColumn::Integers(Vec::with_capacity(count * attribute.arity))
             }
         })
         .collect();

@@ -12,7 +12,7 @@ use crate::scalar::Scalar;
 use super::FORMAT;
 use super::binary::{gather_part, scalar_offsets};
 use super::header::{Element, PlyHeader};
-use super::read::{VertexElement, fits_f32, note_on_faces, notes, scalar_of, vertices};
+use super::read::{VertexElement, fits_f32, frame_of_records, note_on_faces, notes, scalar_of, vertices};
 use super::rows::{check_limit, checked_binary_count};
 use super::target::{Slots, Target};
 
@@ -46,7 +46,9 @@ pub(super) fn records(header: &PlyHeader, file_bytes: u64, limits: &Limits) -> R
         Arc::new(move |records: &[u8], stride: usize, count: usize, positions: &mut FilePositions| {
             columns.gather(records, stride, endian, count, positions);
         });
-    Ok(Some(Records { format: FORMAT, offset: at, stride, count, gather, notes, velocity }))
+    let header = header.clone();
+    let frame = Arc::new(move |records: &[u8]| frame_of_records(&header, records, endian));
+    Ok(Some(Records { format: FORMAT, offset: at, stride, count, gather, frame, notes, velocity }))
 }
 
 /// The location of a position in a record: offsets in bytes, and types.

@@ -1,5 +1,6 @@
 //! Reads a PLY file as a frame of particles.
 
+use crate::bytes::Endian;
 use crate::columns::{Columns, Group};
 use crate::data::{FileAttribute, FilePositions, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
@@ -46,11 +47,26 @@ pub(super) fn read_vertices(bytes: &[u8], header: &PlyHeader, limits: &Limits) -
             binary::gather(records, stride, &offsets, cursor.endian(), targets);
         }
     }
+    scale_groups(&mut frame, &columns);
+    frame.notes = notes(element, &columns);
+    Ok(frame)
+}
+
+/// The particles in binary records without lists, read on the current thread.
+pub(super) fn frame_of_records(header: &PlyHeader, records: &[u8], endian: Endian) -> Result<ParticleFrame> {
+    let VertexElement { element, columns, position } = vertices(header)?;
+    let (offsets, stride) = binary::scalar_offsets(element);
+    let mut frame = empty_frame(element, &columns, position, records.len() / stride);
+    let mut targets = targets(element, &columns, position, &mut frame);
+    binary::gather_part(records, stride, &offsets, endian, &mut targets);
+    scale_groups(&mut frame, &columns);
+    Ok(frame)
+}
+
+fn scale_groups(frame: &mut ParticleFrame, columns: &Columns) {
     for (attribute, group) in frame.attributes.iter_mut().zip(&columns.groups) {
         attribute.scale(group.scale);
     }
-    frame.notes = notes(element, &columns);
-    Ok(frame)
 }
 
 /// The element with the particles.
