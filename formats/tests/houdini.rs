@@ -40,11 +40,18 @@ fn all_forms_give_the_same_frame() {
             attribute("id", 1, Some(AttributeRole::Id), Values::I64(vec![7, 8, 5_000_000_000])),
             attribute("pscale", 1, Some(AttributeRole::Radius), Values::F32(vec![0.125; 3])),
             attribute("part", 1, None, Values::Strings { table: table.clone(), indices: vec![1, 0, -1] }),
+            attribute("fluid", 1, None, Values::U8(vec![1, 0, 1])),
+            attribute("flags", 1, None, Values::U8(vec![0, 1, 1])),
+            attribute("walls", 1, None, Values::U8(vec![0, 1, 1])),
+            attribute("group_id", 1, None, Values::U8(vec![1, 0, 1])),
         ];
         assert_eq!(frame.attributes, expected, "{name}");
         assert_eq!(
             frame.notes,
-            ["skipped the point attribute \"neighbours\": its type \"arraydata\" is not supported"]
+            [
+                "skipped the point attribute \"neighbours\": its type \"arraydata\" is not supported",
+                "skipped the point group \"later\": its encoding is not supported"
+            ]
         );
     }
 }
@@ -82,6 +89,19 @@ fn points_of_other_primitives_are_an_error() {
 #[test]
 fn invalid_documents_are_errors_with_their_location() {
     let table = [
+        (
+            TUPLES.replace("[1,0,1]", "[1,0]"),
+            "fluid/group/selection/unordered: the group does not have 3 flags",
+        ),
+        (TUPLES.replace("[1,0,1]", "[1,0,1,1]"), "expected at most 3 numbers, found more"),
+        (TUPLES.replace("[1,false,2,true]", "[1,false,3,true]"), "the runs of the group exceed 3 points"),
+        (TUPLES.replace("[1,false,2,true]", "[1,false,-2,true]"), "the runs of the group exceed 3 points"),
+        (
+            TUPLES.replace("[1,false,2,true]", "[1,false,1,true]"),
+            "the runs of the group do not cover 3 points",
+        ),
+        (TUPLES.replace("[1,false,2,true]", "[1,false,2]"), "the runs of the group do not cover 3 points"),
+        (TUPLES.replace("[2,0]", "[2,3]"), "the group has the point 3 of 3"),
         (TUPLES.replace("[3,4,5]", "[3,4]"), "expected 3 values for each of 3 points, found 8"),
         (
             TUPLES.replace("[3,4,5]", "[3,4,5,6]"),

@@ -50,7 +50,7 @@ pub(super) fn point_attribute(walk: &mut TokenWalk, count: usize, limits: &Limit
 /// once, as a word: without this limit, many attributes could each copy the same long word.
 const NAME_BYTES_MAX: usize = 1024;
 
-fn short_text(walk: &mut TokenWalk) -> Result<String> {
+pub(super) fn short_text(walk: &mut TokenWalk) -> Result<String> {
     let text = walk.text()?;
     match text.len() <= NAME_BYTES_MAX {
         true => Ok(text.into_owned()),

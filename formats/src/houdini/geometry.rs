@@ -2,13 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use crate::data::{FilePositions, ParticleFrame};
+use crate::columns::role_of;
+use crate::data::{FilePositions, ParticleFrame, Values};
 use crate::error::{Error, Result};
 use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, frame_of};
 
 use super::FORMAT;
 use super::attributes::{PointAttribute, point_attribute, positions};
+use super::groups::point_group;
 use super::token::JsonToken;
 use super::tokens::TokenWalk;
 
@@ -39,6 +41,7 @@ pub(super) fn read(mut walk: TokenWalk, limits: &Limits) -> Result<ParticleFrame
             "pointattributes" => point_attributes(walk, &mut found, limits),
             _ => walk.skip(),
         }),
+        "pointgroups" => point_groups(walk, &mut found, limits),
         "primitives" => walk.items(key, |walk, token| primitive(walk, &token, &mut found.primitives)),
         _ => walk.skip(),
     })?;
@@ -67,16 +70,48 @@ fn point_count(walk: &mut TokenWalk, limits: &Limits) -> Result<usize> {
     usize::try_from(count).ok().filter(|_| count <= limits.particle_count).ok_or_else(too_large)
 }
 
+/// Reads the point groups as attributes, which are 1 for the members and 0 for other points. A group whose
+/// name has another meaning for attributes gets the prefix `group_`.
+fn point_groups(walk: &mut TokenWalk, found: &mut FoundGeometry, limits: &Limits) -> Result<()> {
+    let count = found.point_count.ok_or_else(|| walk.invalid("the groups come before the pointcount"))?;
+    walk.items("pointgroups", |walk, token| {
+        if token != JsonToken::Open {
+            return Err(walk.unexpected("a group", &token));
+        }
+        found.check_limit(limits)?;
+        match point_group(walk, count, limits)? {
+            (name, Some(members)) => {
+                let is_taken = found.arrays.iter().any(|array| array.name == name);
+                let prefix = if is_taken || role_of(&name, 1).is_some() { "group_" } else { "" };
+                let name = format!("{prefix}{name}");
+                found.arrays.push(NamedArray { name, arity: 1, values: Values::U8(members) });
+            }
+            (name, None) => {
+                found.notes.push(format!("skipped the point group {name:?}: its encoding is not supported"));
+            }
+        }
+        Ok(())
+    })
+}
+
+impl FoundGeometry {
+    /// Fails if there is no room for another attribute or group.
+    fn check_limit(&self, limits: &Limits) -> Result<()> {
+        if self.arrays.len() + self.notes.len() >= limits.attribute_count {
+            let what = format!("the file has more attributes than the limit of {}", limits.attribute_count);
+            return Err(Error::too_large(FORMAT, what));
+        }
+        Ok(())
+    }
+}
+
 fn point_attributes(walk: &mut TokenWalk, found: &mut FoundGeometry, limits: &Limits) -> Result<()> {
     let count = found.point_count.ok_or_else(|| walk.invalid("the attributes come before the pointcount"))?;
     walk.items("pointattributes", |walk, token| {
         if token != JsonToken::Open {
             return Err(walk.unexpected("an attribute", &token));
         }
-        if found.arrays.len() + found.notes.len() >= limits.attribute_count {
-            let what = format!("the file has more attributes than the limit of {}", limits.attribute_count);
-            return Err(Error::too_large(FORMAT, what));
-        }
+        found.check_limit(limits)?;
         match point_attribute(walk, count, limits)? {
             PointAttribute::Read(array) if array.name == "P" => {
                 let arity = array.arity;

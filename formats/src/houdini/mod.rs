@@ -8,14 +8,15 @@
 //!   .bgeo.sc    scf1 .. (the above, in Blosc frames) .. index 1fcs       see `container`
 //! ```
 //!
-//! Most objects of the document are flat lists of keys and values. Only the point attributes describe
-//! particles:
+//! Most objects of the document are flat lists of keys and values. Only the point attributes and the point
+//! groups describe particles:
 //!
 //! ```text
 //!   ["pointcount", 10, "attributes", ["pointattributes", [
 //!       [["type", "numeric", "name", "P"], ["size", 3, "storage", "fpreal32", "values", [..]]],
 //!       [["type", "string", "name", "part"], ["size", 1, "strings", ["a", "b"], "indices", [..]]], ..]],
-//!    "primitives", [[["type", "Part"], ..]]]
+//!    "primitives", [[["type", "Part"], ..]],
+//!    "pointgroups", [[["name", "fluid"], ["selection", [..]]], ..]]
 //! ```
 //!
 //! Points without primitives are particles, and so are the points of particle systems. All other points are
@@ -28,6 +29,7 @@ mod attributes;
 mod binary;
 mod container;
 mod geometry;
+mod groups;
 mod text;
 mod token;
 mod tokens;

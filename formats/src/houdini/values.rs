@@ -148,7 +148,7 @@ fn storage_of(walk: &mut TokenWalk) -> Result<StorageType> {
 
 /// Reads the next value, an array of numbers or of arrays of numbers, and flattens it. Fails if it has more
 /// than `most` numbers.
-fn numbers(walk: &mut TokenWalk, name: &str, storage: StorageType, most: usize) -> Result<Values> {
+pub(super) fn numbers(walk: &mut TokenWalk, name: &str, storage: StorageType, most: usize) -> Result<Values> {
     walk.within(name, |walk| {
         // The capacity to reserve: a number takes at least two bytes of the file. Only uniform arrays of the
         // binary form can take fewer.
@@ -167,6 +167,10 @@ fn numbers(walk: &mut TokenWalk, name: &str, storage: StorageType, most: usize) 
                 JsonToken::Integer(value) => list.push_integer(value),
                 JsonToken::Real(value) => list.push_real(value),
                 JsonToken::Bool(value) => list.push_integer(value.into()),
+                JsonToken::Bools(values) => {
+                    walk.check_widened(values.len().saturating_mul(storage.value_bytes()))?;
+                    values.into_iter().for_each(|value| list.push_integer(value.into()));
+                }
                 JsonToken::Numbers { number, endian, payload } => {
                     let more = payload.len() / number.size();
                     if most - number::length(&list.0) < more {
