@@ -26,7 +26,7 @@ use meniscus::glam::DVec3;
 use meniscus::pipeline::{
     self, Frame, FrameFile, LevelSetMethod, Outcome, OutputFormat, OutputOptions, PipelineOptions,
 };
-use meniscus::surface::options::Settings;
+use meniscus::surface::options::{Settings, SpacingOptions};
 use meniscus::surface::{Options, Phase, Reconstructor};
 use meniscus_formats::{FilePositions, Limits, MeshOptions, MeshView, gltf, read_particles};
 use rayon::ThreadPoolBuilder;
@@ -94,7 +94,7 @@ pub(crate) fn convert_folder(from: &Path, to: &Path) -> Result<usize, Box<dyn Er
     let mut frames = Vec::new();
     for sequence in pipeline::sequences(files.collect()) {
         let paths = sequence.frames.iter().map(|file| &*file.path);
-        let measured = pipeline::measure_spacing(paths, None)?;
+        let measured = pipeline::measure_spacing(paths, &SpacingOptions::default())?;
         let settings = Arc::new(Settings::resolve(&Options::default(), Some((&measured).into()))?);
         frames.extend(sequence.frames.iter().map(|file| Frame::new(file, &settings, &outputs)));
     }

@@ -27,6 +27,7 @@ pub(crate) fn of_method(failure: Error, scratch: &Path) -> PyErr {
         | Error::MissingAttribute { .. }
         | Error::AttributeLength { .. }
         | Error::RoundedPositions { .. }
+        | Error::Filter(_)
         | Error::VoxelTooSmall { .. } => ParticleError::new_err(message),
         // Only an exception cancels a call, and the caller gets that exception.
         _ => PyRuntimeError::new_err(message),

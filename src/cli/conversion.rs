@@ -93,7 +93,10 @@ impl Conversion {
                 (settings, measured)
             }
             Job::LevelSet { .. } => (Settings::for_level_sets(&self.options)?, None),
-            Job::Particles => (Settings::for_level_sets(&MethodOptions::default())?, None),
+            Job::Particles => {
+                let r#where = self.options.r#where.clone();
+                (Settings::for_level_sets(&MethodOptions { r#where, ..MethodOptions::default() })?, None)
+            }
         };
         let outputs = pool.install(|| outputs_of(sequence, &settings, &self.outputs));
         let resolved =

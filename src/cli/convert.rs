@@ -89,13 +89,14 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
 }
 
 /// The options allowed with `--particles-only`.
-const ALLOWED_WITH_PARTICLES_ONLY: [&str; 10] = [
+const ALLOWED_WITH_PARTICLES_ONLY: [&str; 11] = [
     "particles_only",
     "inputs",
     "input_format",
     "out",
     "format",
     "frames",
+    "where",
     "skip_done",
     "threads",
     "memory",
@@ -103,8 +104,8 @@ const ALLOWED_WITH_PARTICLES_ONLY: [&str; 10] = [
 ];
 
 const PARTICLES_ONLY: &str = "--particles-only makes no surfaces, so options for surfaces, their files and \
-     reports do not apply: only INPUT, --out, --format, --frames, --skip-done, --threads, --memory and \
-     --on-error may be combined with it";
+     reports do not apply: only INPUT, --out, --format, --frames, --where, --skip-done, --threads, --memory \
+     and --on-error may be combined with it";
 
 /// Refuses formats that cannot store particles.
 fn refuse_surface_formats(outputs: &OutputOptions) -> Result<()> {

@@ -18,6 +18,9 @@ fn remedy(warning: &Warning) -> Option<String> {
     let of_spacing = "check --spacing and --voxel-size, or leave them out: then the spacing is measured";
     Some(match warning {
         Warning::Tiled { .. } => "raise the limit with --memory".to_owned(),
+        Warning::SeveralKinds { attribute, .. } => {
+            format!("choose some with --where, such as --where '{attribute} == VALUE'")
+        }
         Warning::NotConverged => "choose a smaller --step-size or a larger --cg-tolerance".to_owned(),
         Warning::CflExceeded { .. } => "choose a smaller --step-size".to_owned(),
         Warning::SmallRadii { radius_min, .. } => {

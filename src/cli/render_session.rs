@@ -151,7 +151,8 @@ impl<'a> RenderSession<'a> {
         let bounds = match camera.needs_bounds() {
             true => {
                 let paths: Vec<&Path> = sequence.frames.iter().map(|file| &*file.path).collect();
-                sequence_bounds(&paths, settings.map_or(0.0, Settings::resting_height))?
+                let filter = settings.and_then(|settings| settings.filter.as_ref());
+                sequence_bounds(&paths, settings.map_or(0.0, Settings::resting_height), filter)?
             }
             false => None,
         };

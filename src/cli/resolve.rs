@@ -50,8 +50,8 @@ pub(super) fn measured_spacing(
     let warn = |what: &dyn fmt::Display| console.warning(format_args!("{}: {what}", sequence.name));
     let paths = sequence.frames.iter().map(|file| &*file.path);
     // An invalid radius scale is ignored here: `Settings::resolve` reports it.
-    let per_particle_radius = choices.per_particle_radius().ok().flatten();
-    match (measure_spacing(paths, per_particle_radius.as_ref()), choices.voxel_size.and_then(Length::world)) {
+    let options = choices.spacing_options().unwrap_or_default();
+    match (measure_spacing(paths, &options), choices.voxel_size.and_then(Length::world)) {
         (Ok(measured), _) => {
             measured.warnings.iter().for_each(|warning| warn(warning));
             Ok(Some(measured))
@@ -82,7 +82,7 @@ pub(super) fn outputs_of(
         return Ok(outputs.clone());
     }
     let paths: Vec<&Path> = sequence.frames.iter().map(|file| &*file.path).collect();
-    let bounds = sequence_bounds(&paths, settings.resting_height())?;
+    let bounds = sequence_bounds(&paths, settings.resting_height(), settings.filter.as_ref())?;
     Ok(outputs.with_camera_around(bounds.unwrap_or(EMPTY_BOUNDS)))
 }
 

@@ -206,6 +206,7 @@ pub fn in_memory_attributes(
     // yet, and any value will do.
     let options = MethodOptions {
         spacing: Some(1.0),
+        r#where: options.r#where.clone(),
         radius_attribute: options.radius_attribute.clone(),
         radius_scale: options.radius_scale,
         anisotropy: Some(options.anisotropy_kind()),

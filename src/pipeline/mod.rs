@@ -28,14 +28,14 @@
 //! use meniscus::pipeline::{
 //!     PipelineOptions, Frame, FrameFile, LevelSetMethod, Outcome, OutputFormat, OutputOptions, measure_spacing, run,
 //! };
-//! use meniscus::surface::options::{MethodOptions, Settings};
+//! use meniscus::surface::options::{MethodOptions, Settings, SpacingOptions};
 //!
 //! # let folder = tempfile::tempdir()?;
 //! # let path = folder.path().join("block.csv");
 //! # let line = |i: i32| format!("{},{},{}\n", i % 5, i / 5 % 5, i / 25);
 //! # std::fs::write(&path, (0..125).map(line).collect::<String>())?;
 //! # let out = folder.path().join("out");
-//! let measured = measure_spacing([&*path], None)?;
+//! let measured = measure_spacing([&*path], &SpacingOptions::default())?;
 //! let settings = Arc::new(Settings::resolve(&MethodOptions::default(), Some((&measured).into()))?);
 //! let outputs = Arc::new(OutputOptions::new(&out, &[OutputFormat::Glb, OutputFormat::Vdb]));
 //! let frames = [Frame::new(&FrameFile::new(path), &settings, &outputs)];
@@ -88,6 +88,7 @@ pub use in_memory::{
 pub use input::attributes::AttributeRequest;
 pub use input::bounds::{EMPTY_BOUNDS, bounds_of_particles, sequence_bounds};
 pub use input::conflicts::{Conflict, check_outputs};
+pub use input::filter::keep_chosen;
 pub use input::frame::{Frame, FrameReport, Job, Outcome, ReadInput, Seconds};
 pub use input::frame_input::FrameInput;
 pub use input::level_set_file::{LevelSetFile, is_level_set};

@@ -23,6 +23,11 @@ pub enum Warning {
     Sentence(String),
     /// An attribute selected for the surface is missing.
     MissingAttribute { name: String, available: Vec<String> },
+    /// The particles are of several kinds, such as fluid and walls, according to an attribute with these
+    /// values, and no condition chooses some of them.
+    SeveralKinds { attribute: String, values: Vec<String> },
+    /// No particle of the frame meets the condition.
+    NoneChosen { condition: String, particle_count: usize },
     /// The file has more grids than the one that was read.
     OtherGrids { count: usize },
     /// In places the level set stored only signs, so its distances were rebuilt.
@@ -145,9 +150,9 @@ impl ReportedWarnings {
             Warning::Sentence(text) => {
                 (None, text.chars().filter(|c| !(c.is_ascii_digit() || ".-".contains(*c))).collect())
             }
-            Warning::MissingAttribute { name, .. } | Warning::UnsupportedInVdb { name } => {
-                (None, name.clone())
-            }
+            Warning::MissingAttribute { name, .. }
+            | Warning::UnsupportedInVdb { name }
+            | Warning::SeveralKinds { attribute: name, .. } => (None, name.clone()),
             Warning::RoundedPositions { storage, .. } => (None, (*storage).to_owned()),
             Warning::Obstacle { path, finding } => {
                 (Some(std::mem::discriminant(finding)), path.to_string_lossy().into_owned())
@@ -205,6 +210,16 @@ impl fmt::Display for Warning {
             Warning::MissingAttribute { name, available } => {
                 write!(f, "the particles have no attribute `{name}` for the surface; available: ")?;
                 f.write_str(&if available.is_empty() { "none".to_owned() } else { available.join(", ") })
+            }
+            Warning::SeveralKinds { attribute, values } => write!(
+                f,
+                "the attribute `{attribute}` has {} values ({}), and particles with any of them become one surface",
+                values.len(),
+                values.join(", ")
+            ),
+            Warning::NoneChosen { condition, particle_count } => {
+                let particles = pluralize(*particle_count, "particle");
+                write!(f, "none of the {particles} meets the condition \"{condition}\": the frame is empty")
             }
             Warning::OtherGrids { count: 1 } => f.write_str("1 more grid in the file is ignored"),
             Warning::OtherGrids { count } => write!(f, "{count} more grids in the file are ignored"),

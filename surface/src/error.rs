@@ -40,6 +40,9 @@ pub enum Error {
         /// The number of values that it has.
         found: usize,
     },
+    /// No particle meets the condition [`where`](crate::Options::where), or the condition does not suit the
+    /// attributes of the particles. The message contains the condition.
+    Filter(String),
     /// The voxels are so small that 32-bit positions, or the grid's indices, cannot resolve them over the
     /// whole frame. Usually the unit of length is wrong.
     VoxelTooSmall {
@@ -93,6 +96,7 @@ impl fmt::Display for Error {
             Error::AttributeLength { name, expected, found } => {
                 write!(f, "the attribute `{name}` has {found} values; expected {expected}")
             }
+            Error::Filter(why) => f.write_str(why),
             Error::VoxelTooSmall { voxel_size, least } => write!(
                 f,
                 "the voxel size {voxel_size} is too small for this frame; it must be at least {least}"

@@ -64,7 +64,7 @@ pub use self::{
         Anisotropy, AnisotropyKind, AttributeSelection, ClipBox, Length, LengthUnit,
         MethodOptions as Options, PerParticleRadius, Preset, Settings, SettingsError,
     },
-    particles::{Attribute, AttributeValues, Positions, Role},
+    particles::{Attribute, AttributeValues, ParticleFilter, Positions, Role},
     reconstruction::Storage,
     report::{EditReport, Phase, ReconstructionReport as Report, ShapeStats, StageSeconds, TransferReport},
     smooth::{Convergence, Integrator},

@@ -15,7 +15,7 @@ use crate::mesh::Mesh;
 use crate::obstacle::{Obstacle, Obstacles};
 use crate::options::{Anisotropy, Length, SequenceSpacing, Settings};
 use crate::parallel::Loops as _;
-use crate::particles::{Attribute, Positions, Shapes, find_attribute};
+use crate::particles::{Attribute, OwnedPositions, Positions, Shapes, find_attribute};
 use crate::reconstruction::tiled::{self, TiledError};
 use crate::reconstruction::{
     self, FIELD_STORE_FILES, MemoryPlan, MemoryPlanError, PlanInputs, PositionFormat, PrecisionLimit,
@@ -226,7 +226,7 @@ impl<'a> Reconstructor<'a> {
     }
 
     /// Reconstructs the next frame, whose particles have attributes: for [`Options::attributes`],
-    /// [`Options::radius_attribute`] and stretching by velocity.
+    /// [`Options::where`], [`Options::radius_attribute`] and stretching by velocity.
     ///
     /// # Errors
     /// See [`Error`]. Each attribute must have arity × particles values. An attribute that is listed in
@@ -270,13 +270,19 @@ impl<'a> Reconstructor<'a> {
         RequestedParts { stored, band_half_width_voxels, allows_empty }: RequestedParts<'_>,
     ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
         self.begin(Phase::Prepare)?;
+        let chosen = chosen(&self.options, &positions, attributes)?;
+        let input_count = positions.len();
+        let (positions, attributes) = match &chosen {
+            Some((positions, attributes)) => (Positions::from(positions), &attributes[..]),
+            None => (positions, attributes),
+        };
         // Nothing can be measured on an empty frame.
         let is_resolved = self.settings.is_some() || !self.options.needs_spacing();
         if positions.is_empty() && !(allows_empty && is_resolved) {
-            return Err(Error::NoParticles { input_count: 0 });
+            return Err(no_particles(&self.options, input_count));
         }
         check_lengths(&positions, attributes)?;
-        let settings = self.resolve_on(positions.borrowed(), attributes)?.clone();
+        let settings = self.settings_on(&positions, attributes)?.clone();
         check_required_attributes(&settings, attributes)?;
         let token = self.token.clone();
         let given = CancellableParticles { positions, shapes: Shapes::Uniform, token };
@@ -316,9 +322,25 @@ impl<'a> Reconstructor<'a> {
         positions: impl Into<Positions<'p>>,
         attributes: &[Attribute],
     ) -> Result<&Settings, Error> {
+        let positions = positions.into();
+        match chosen(&self.options, &positions, attributes)? {
+            Some((chosen, _)) if chosen.is_empty() && self.options.needs_spacing() => {
+                Err(no_particles(&self.options, positions.len()))
+            }
+            Some((positions, attributes)) => self.settings_on(&(&positions).into(), &attributes),
+            None => self.settings_on(&positions, attributes),
+        }
+    }
+
+    /// Like [`resolve_on`](Self::resolve_on), on particles that were chosen already.
+    fn settings_on(
+        &mut self,
+        positions: &Positions<'_>,
+        attributes: &[Attribute],
+    ) -> Result<&Settings, Error> {
         let settings = match self.settings.take() {
             Some(settings) => settings,
-            None => interrupt::catch(|| resolve(&self.options, &positions.into(), attributes))
+            None => interrupt::catch(|| resolve(&self.options, positions, attributes))
                 .unwrap_or(Err(Error::Cancelled))?,
         };
         Ok(self.settings.insert(settings))
@@ -455,6 +477,28 @@ fn resolve(
         }
     }
     Ok(Settings::resolve(options, measured)?)
+}
+
+/// The particles that meet [`Options::where`], with their attributes; `None` without this option.
+fn chosen(
+    options: &Options,
+    positions: &Positions<'_>,
+    attributes: &[Attribute],
+) -> Result<Option<(OwnedPositions, Vec<Attribute>)>, Error> {
+    let Some(filter) = &options.r#where else { return Ok(None) };
+    check_lengths(positions, attributes)?;
+    let chosen = filter.chosen(positions, attributes);
+    chosen.map(Some).map_err(|why| Error::Filter(format!("`{filter}`: {why}")))
+}
+
+/// The error of a frame of `input_count` particles of which none is left.
+fn no_particles(options: &Options, input_count: usize) -> Error {
+    match &options.r#where {
+        Some(filter) if input_count > 0 => {
+            Error::Filter(format!("none of the {input_count} particles meets `{filter}`"))
+        }
+        _ => Error::NoParticles { input_count: 0 },
+    }
 }
 
 fn check_lengths(positions: &Positions<'_>, attributes: &[Attribute]) -> Result<(), Error> {

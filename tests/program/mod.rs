@@ -7,6 +7,7 @@ mod conflicts; // outputs that would replace inputs, each other, or data of othe
 mod convert; // the command on real frames: same bytes, reports, frames that are done
 #[cfg(unix)]
 mod escaping; // names and contents of files neither forge lines nor control the terminal
+mod filter; // particles chosen by a condition on their attributes
 mod flicker; // the flicker of surfaces: known spheres, in meshes of every format
 mod info; // the command that describes files
 mod level_sets; // level sets in .vdb as inputs

@@ -7,6 +7,7 @@ use clap::Args;
 use crate::cli::frame_selection::FrameSelection;
 use crate::cli::quantities::{parse_fps, parse_positive};
 use crate::surface::options::ranged;
+use crate::surface::particles::ParticleFilter;
 
 #[derive(Debug, Args)]
 #[command(after_long_help = DEFINITION)]
@@ -42,6 +43,10 @@ pub(in crate::cli) struct FlickerArgs {
     /// Distance between particles, the unit of the scores, in world units [default: measured as by convert]
     #[arg(long, value_name = "D", allow_negative_numbers = true, value_parser = parse_positive)]
     pub(in crate::cli) spacing: Option<f64>,
+
+    /// Use only the particles that meet this condition, as given to convert
+    #[arg(long = "where", value_name = "CONDITION")]
+    pub(in crate::cli) filter: Option<ParticleFilter>,
 
     /// Points on the surface of each frame
     #[arg(

@@ -49,7 +49,8 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
     let spacing = match args.spacing {
         Some(spacing) => spacing,
         None => {
-            let (spacing, warnings) = pool.install(|| reading::estimated_spacing(&frames))?;
+            let (spacing, warnings) =
+                pool.install(|| reading::estimated_spacing(&frames, args.filter.as_ref()))?;
             warnings.iter().for_each(|warning| console.warning(warning));
             spacing
         }
@@ -149,8 +150,8 @@ impl Scoring<'_> {
     /// Reads a frame. If it cannot be read, prints the error and returns `None`.
     fn read(&mut self, number: u64, console: &mut Console) -> Result<Option<FlickerFrame>> {
         let Some(files) = self.frames.files.get(&number) else { return Ok(None) };
-        let spacing = self.spacing;
-        let frame = match catch_panic(&files.mesh, || reading::read_frame(files, spacing)) {
+        let (spacing, filter) = (self.spacing, self.args.filter.as_ref());
+        let frame = match catch_panic(&files.mesh, || reading::read_frame(files, spacing, filter)) {
             Ok(frame) => frame,
             Err(error) => {
                 self.failed_count += 1;

@@ -1,34 +1,46 @@
 //! Reads a frame from its two files.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use meniscus_formats::{AttributeRole, FileAttribute, Limits, ParticleFrame, Values, read_particles};
 use std::path::Path;
 
-use crate::pipeline::{file_of, measure_spacing, particles, read_file, read_mesh_file, shown};
+use crate::pipeline::{file_of, keep_chosen, measure_spacing, particles, read_file, read_mesh_file, shown};
 use crate::surface::flicker::{FlickerFrame, MovingParticles};
 use crate::surface::obstacle::MeshDistance;
+use crate::surface::options::SpacingOptions;
+use crate::surface::particles::ParticleFilter;
 
 use super::frames::{FlickerFrames, FrameFiles};
 
-/// Reads the mesh and the particles of a frame.
-pub(super) fn read_frame(files: &FrameFiles, spacing: f64) -> Result<FlickerFrame> {
+/// Reads the mesh of a frame, and the particles that meet the condition.
+pub(super) fn read_frame(
+    files: &FrameFiles,
+    spacing: f64,
+    filter: Option<&ParticleFilter>,
+) -> Result<FlickerFrame> {
     let mesh = read_mesh_file(&files.mesh)?;
     let surface = MeshDistance::new(&mesh.positions, &mesh.triangles);
-    Ok(FlickerFrame::new(read_moving(&files.particles)?, surface, spacing))
+    Ok(FlickerFrame::new(read_moving(&files.particles, filter)?, surface, spacing))
 }
 
 /// Measures the particle spacing as `convert` does, on all frames of the particles, and returns warnings
 /// about it.
-pub(super) fn estimated_spacing(frames: &FlickerFrames) -> Result<(f64, Vec<String>)> {
-    let measured = measure_spacing(frames.particles.iter().map(|path| &**path), None)?;
+pub(super) fn estimated_spacing(
+    frames: &FlickerFrames,
+    filter: Option<&ParticleFilter>,
+) -> Result<(f64, Vec<String>)> {
+    let options = SpacingOptions { filter: filter.cloned(), ..SpacingOptions::default() };
+    let measured = measure_spacing(frames.particles.iter().map(|path| &**path), &options)?;
     Ok((measured.spacing, measured.warnings))
 }
 
-fn read_moving(path: &Path) -> Result<MovingParticles> {
+fn read_moving(path: &Path, filter: Option<&ParticleFilter>) -> Result<MovingParticles> {
     let bytes = read_file(path)?;
     let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
-    let ParticleFrame { positions, attributes, .. } =
+    let mut frame =
         read_particles(&bytes, &name, &Limits::default()).with_context(|| shown(path).to_string())?;
+    keep_chosen(&mut frame, filter).map_err(|why| anyhow!("{}: {why}", shown(path)))?;
+    let ParticleFrame { positions, attributes, .. } = frame;
     let of_role = |role: AttributeRole, arity: usize| {
         attributes.iter().find(move |attribute| attribute.role == Some(role) && attribute.arity == arity)
     };

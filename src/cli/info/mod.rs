@@ -28,6 +28,8 @@ use crate::pipeline::{
     read_file, read_regular, step_of,
 };
 
+use crate::surface::options::SpacingOptions;
+
 use super::args::InfoArgs;
 use super::console::{Console, json_text};
 use super::inputs::find_inputs;
@@ -194,7 +196,7 @@ impl FileInfo {
             _ => {
                 let frame = read_particles(&bytes, &name, &limits)?;
                 self.notes.clone_from(&frame.notes);
-                let measured = measure_spacing([path], None).ok();
+                let measured = measure_spacing([path], &SpacingOptions::default()).ok();
                 self.particles = Some(ParticlesInfo::of(frame, measured.as_ref()));
             }
         }

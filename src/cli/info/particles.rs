@@ -42,7 +42,20 @@ pub(super) struct AttributeInfo {
     /// The distinct strings.
     #[serde(skip_serializing_if = "Option::is_none")]
     strings: Option<Vec<String>>,
+    /// The number of particles with each value, for scalars with few distinct integers or strings.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    counts: Option<Vec<ValueCount>>,
 }
+
+/// The number of particles that have a value of an attribute.
+#[derive(Debug, Serialize)]
+struct ValueCount {
+    value: String,
+    count: usize,
+}
+
+/// Attributes with more distinct values are described by their range only.
+const VALUE_COUNT_MAX: usize = 12;
 
 /// A number, as an integer if it is one: `f64` cannot represent all 64-bit integers.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -117,6 +130,10 @@ fn attribute_info(attribute: &FileAttribute) -> AttributeInfo {
             Values::Strings { table, .. } => Some(table.clone()),
             _ => None,
         },
+        counts: attribute
+            .value_counts(VALUE_COUNT_MAX)
+            .filter(|counts| !counts.is_empty())
+            .map(|counts| counts.into_iter().map(|(value, count)| ValueCount { value, count }).collect()),
     }
 }
 
@@ -195,6 +212,10 @@ impl fmt::Display for AttributeInfo {
                 (Some(min), Some(max)) => write!(f, "{lead}{min} … {max}")?,
                 _ => write!(f, "{lead}none")?,
             }
+        }
+        let several = self.counts.iter().filter(|counts| counts.len() > 1);
+        for (index, ValueCount { value, count }) in several.flatten().enumerate() {
+            write!(f, "{} {count} × {value}", if index == 0 { ":" } else { "," })?;
         }
         Ok(())
     }

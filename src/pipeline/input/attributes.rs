@@ -5,8 +5,8 @@ use std::sync::Arc;
 use meniscus_formats::columns::aliases;
 use meniscus_formats::{AttributeRole, FileAttribute, Values};
 
-use crate::surface::options::{Anisotropy, AttributeSelection, OptionName, PerParticleRadius, Settings};
-use crate::surface::particles::{Attribute, AttributeValues, Role, find_attribute};
+use crate::surface::options::{Anisotropy, AttributeSelection, OptionName, Settings, SpacingOptions};
+use crate::surface::particles::{Attribute, AttributeValues, ParticleFilter, Role, find_attribute};
 
 use crate::pipeline::warning::Warning;
 
@@ -17,6 +17,8 @@ pub struct AttributeRequest {
     needed: Vec<RequiredAttribute>,
     /// Attributes to transfer to the surface.
     selected: Option<AttributeSelection>,
+    /// The condition that particles must meet.
+    pub(crate) filter: Option<ParticleFilter>,
 }
 
 /// An attribute that the reconstruction requires.
@@ -78,28 +80,35 @@ impl RequiredAttribute {
 impl AttributeRequest {
     /// The attributes that these settings require.
     pub fn for_settings(settings: &Settings) -> AttributeRequest {
-        let mut needed = AttributeRequest::radii(settings.per_particle_radius.as_ref()).needed;
+        let (filter, per_particle_radius) = (settings.filter.clone(), settings.per_particle_radius.clone());
+        let mut request = AttributeRequest::for_spacing(&SpacingOptions { filter, per_particle_radius });
         if matches!(settings.anisotropy, Anisotropy::Velocity { .. }) {
             let name = "velocity".to_owned();
-            needed.push(RequiredAttribute {
+            request.needed.push(RequiredAttribute {
                 name,
                 arity: 3,
                 option: OptionName::with_value("anisotropy", "velocity"),
                 is_length: false,
             });
         }
-        AttributeRequest { needed, selected: settings.attributes.clone() }
+        AttributeRequest { selected: settings.attributes.clone(), ..request }
     }
 
-    /// The per-particle radii only.
-    pub(crate) fn radii(own: Option<&PerParticleRadius>) -> AttributeRequest {
-        let needed = |own: &PerParticleRadius| RequiredAttribute {
+    /// The per-particle radii of the chosen particles.
+    pub(crate) fn for_spacing(options: &SpacingOptions) -> AttributeRequest {
+        let radii = options.per_particle_radius.as_ref().map(|own| RequiredAttribute {
             name: own.attribute.clone(),
             arity: 1,
             option: OptionName::new("radius_attribute"),
             is_length: true,
-        };
-        AttributeRequest { needed: own.map(needed).into_iter().collect(), selected: None }
+        });
+        let (needed, filter) = (radii.into_iter().collect(), options.filter.clone());
+        AttributeRequest { needed, selected: None, filter }
+    }
+
+    /// The positions of the particles that meet the condition.
+    pub(crate) fn positions_of(filter: Option<&ParticleFilter>) -> AttributeRequest {
+        AttributeRequest { filter: filter.cloned(), ..AttributeRequest::default() }
     }
 
     /// The same request, which also selects the particles' radii if the file has any.
@@ -107,7 +116,7 @@ impl AttributeRequest {
         AttributeRequest { selected: Some(AttributeSelection::Named(vec!["radius".to_owned()])), ..self }
     }
 
-    /// Whether only positions are needed.
+    /// Whether only the positions of the chosen particles are needed.
     pub fn is_empty(&self) -> bool {
         self.needed.is_empty() && self.selected.is_none()
     }
@@ -126,8 +135,8 @@ impl AttributeRequest {
     }
 
     /// Like [`select`](Self::select), for attributes that need not be in memory: `headers` are without
-    /// values, and `load` returns the attribute with this index. Loads only those that are requested. Errors
-    /// name options in this spelling.
+    /// values, and `load` returns the attribute with this index. Loads only those that are requested, and
+    /// those of the condition. Errors name options in this spelling.
     ///
     /// # Errors
     /// If a required attribute is missing or unusable.
@@ -137,12 +146,18 @@ impl AttributeRequest {
         mut load: impl FnMut(usize) -> Option<FileAttribute>,
         spelled: fn(OptionName) -> String,
     ) -> Result<(Vec<Attribute>, Vec<Warning>), String> {
-        if self.is_empty() {
+        if self.is_empty() && self.filter.is_none() {
             return Ok((Vec::new(), Vec::new()));
         }
         let all: Vec<Attribute> = headers.into_iter().map(attribute).collect();
         let available = || all.iter().map(|attribute| attribute.name.clone()).collect::<Vec<_>>();
         let exists = |name: &str| all.iter().any(|attribute| attribute.matches(name));
+        let for_filter = match &self.filter {
+            Some(filter) => filter
+                .needed(&all)
+                .map_err(|why| format!("{} \"{filter}\": {why}", spelled(OptionName::new("where"))))?,
+            None => Vec::new(),
+        };
         for needed in &self.needed {
             if find_attribute(&all, &needed.name, needed.arity).is_none() {
                 return Err(needed.why_missing(&all, spelled));
@@ -169,7 +184,7 @@ impl AttributeRequest {
             let is_needed = self.needed.iter().any(|needed| needed.is(attribute));
             is_needed || is_all || is_named(attribute)
         };
-        let kept = (0..all.len()).filter(|&index| is_kept(&all[index]));
+        let kept = (0..all.len()).filter(|index| is_kept(&all[*index]) || for_filter.contains(index));
         let kept: Vec<Attribute> = kept.filter_map(&mut load).map(attribute).collect();
         for needed in &self.needed {
             let found = find_attribute(&kept, &needed.name, needed.arity);
@@ -200,7 +215,7 @@ impl AttributeRequest {
 }
 
 /// The attribute without its values.
-fn header(attribute: &FileAttribute) -> FileAttribute {
+pub(super) fn header(attribute: &FileAttribute) -> FileAttribute {
     let values = match &attribute.values {
         Values::F32(_) => Values::F32(Vec::new()),
         Values::F64(_) => Values::F64(Vec::new()),
@@ -213,7 +228,7 @@ fn header(attribute: &FileAttribute) -> FileAttribute {
 }
 
 /// Converts a file's attribute for the method: 32-bit floats, colours from 0 to 1.
-fn attribute(attribute: FileAttribute) -> Attribute {
+pub(super) fn attribute(attribute: FileAttribute) -> Attribute {
     let FileAttribute { name, arity, role, values } = attribute;
     let surface_role = match role {
         Some(AttributeRole::Velocity) => Role::Velocity,

@@ -14,22 +14,27 @@ use super::reading::{parse_particles, read_file};
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::target::picture::PictureScene;
 use crate::surface::grid::{LeafMask, negative_masks};
-use crate::surface::particles::OwnedPositions;
+use crate::surface::particles::{OwnedPositions, ParticleFilter};
 use crate::surface::space::{CoordBox, box_of, joined};
 
 /// The box that a camera shows if a frame is empty.
 pub const EMPTY_BOUNDS: [DVec3; 2] = [DVec3::NEG_ONE, DVec3::ONE];
 
 /// The bounding box of the first, the middle and the last of these files: minimum and maximum corner in world
-/// units, or `None` if the files contain nothing. Particles are balls of this radius. Skips files that cannot
-/// be read. If none of the three can be read, uses the first file that can.
+/// units, or `None` if the files contain nothing. Particles are balls of this radius; only those that meet the
+/// condition count. Skips files that cannot be read. If none of the three can be read, uses the first file that can.
 ///
 /// # Errors
 /// The error of the first file, if no file can be read.
-pub fn sequence_bounds(paths: &[&Path], radius: f64) -> Result<Option<[DVec3; 2]>, FrameError> {
+pub fn sequence_bounds(
+    paths: &[&Path],
+    radius: f64,
+    filter: Option<&ParticleFilter>,
+) -> Result<Option<[DVec3; 2]>, FrameError> {
     let mut indices = vec![0, paths.len() / 2, paths.len().saturating_sub(1)];
     indices.dedup();
-    let read = |path: &Path| FrameError::catch(path, Stage::Read, || file_bounds(path, radius)).flatten();
+    let read =
+        |path: &Path| FrameError::catch(path, Stage::Read, || file_bounds(path, radius, filter)).flatten();
     let (mut bounds, mut is_read, mut failed) = (None, false, None);
     for path in indices.iter().filter_map(|&index| paths.get(index)) {
         match read(path) {
@@ -53,12 +58,16 @@ pub fn sequence_bounds(paths: &[&Path], radius: f64) -> Result<Option<[DVec3; 2]
 }
 
 /// The bounding box of the contents of a file: the level set of a .vdb, or particles.
-fn file_bounds(path: &Path, radius: f64) -> Result<Option<[DVec3; 2]>, FrameError> {
+fn file_bounds(
+    path: &Path,
+    radius: f64,
+    filter: Option<&ParticleFilter>,
+) -> Result<Option<[DVec3; 2]>, FrameError> {
     if is_level_set(path) {
         return Ok(LevelSetFile::read(path, false)?.scene().bounds());
     }
     let bytes = read_file(path)?;
-    let read = parse_particles(path, &bytes, &AttributeRequest::radii(None))?;
+    let read = parse_particles(path, &bytes, &AttributeRequest::positions_of(filter))?;
     Ok(bounds_of_particles(&read.cloud.positions, radius))
 }
 

@@ -34,7 +34,7 @@ pub enum Job {
         /// The position of voxel (0, 0, 0) in world units, set when the file is read.
         origin: DVec3,
     },
-    /// Particles are written unchanged, in particle formats. The settings do not matter.
+    /// Particles are written unchanged, in particle formats. Of the settings only the condition matters.
     Particles,
 }
 

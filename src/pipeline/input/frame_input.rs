@@ -9,15 +9,17 @@ use std::time::Instant;
 use glam::{DVec3, IVec3};
 use meniscus_formats::vdb;
 use meniscus_formats::{Error, FilePositions, Limits, ParticleBatch, ParticleBatches};
+use rayon::prelude::*;
 
 use crate::surface::grid::Leaf;
 use crate::surface::level_set::NarrowBand;
-use crate::surface::particles::{self, ParticleCloud, ParticleSource, Shapes};
+use crate::surface::particles::{self, ParticleCloud, ParticleFilter, ParticleSource, Shapes};
 
 use crate::surface::options::Settings;
 use crate::surface::reconstruction::{self, ShapedSource, smooth_level_set_bytes_max};
 use crate::surface::report::ShapeStats;
 
+use super::filter::{keep_chosen, none_chosen, several_kinds};
 use super::frame::{Frame, Job};
 use super::level_set_file::{LevelSetFile, is_leaf_origin, level_set_limits, voxel_size};
 use crate::pipeline::error::{Cause, FrameError, Stage};
@@ -117,10 +119,15 @@ fn too_large(frame: &Frame, bytes: &[u8], memory_bytes: u64) -> Option<FrameErro
 pub struct FileParticles {
     file: Arc<InputFile>,
     batches: ParticleBatches<Arc<InputFile>>,
+    /// The condition that particles must meet, and how many particles of each batch do.
+    chosen: Option<(ParticleFilter, Vec<usize>)>,
 }
 
 /// The number of bytes per batch: some ten thousand particles.
 const BATCH_BYTES: usize = 512 << 10;
+
+/// The kinds of particles are looked for in this many batches at most.
+const SAMPLED_BATCHES: usize = 16;
 
 impl FileParticles {
     /// The particles in an open file; `None` if the file has to be read whole.
@@ -131,12 +138,75 @@ impl FileParticles {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let file = Arc::new(file);
         let batches = ParticleBatches::open(Arc::clone(&file), &name, &Limits::default(), BATCH_BYTES)?;
-        Ok(batches.map(|batches| FileParticles { file, batches }))
+        Ok(batches.map(|batches| FileParticles { file, batches, chosen: None }))
+    }
+
+    /// Those of the particles that meet the condition. Reads the file once.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or the condition does not suit its attributes.
+    pub(crate) fn chosen_by(self, filter: Option<&ParticleFilter>) -> Result<FileParticles, Cause> {
+        let Some(filter) = filter else { return Ok(self) };
+        let count = |index: usize| Ok(self.chosen_of(index, filter)?.len());
+        // The batch after the last one is empty: it has the errors of the condition also if there are none.
+        let counts: Result<Vec<usize>, Cause> =
+            (0..=self.batches.batch_count()).into_par_iter().map(count).collect();
+        Ok(FileParticles { chosen: Some((filter.clone(), counts?)), ..self })
+    }
+
+    /// The particles of a batch that meet the condition.
+    fn chosen_of(&self, index: usize, filter: &ParticleFilter) -> Result<FilePositions, Cause> {
+        let mut frame = self.batches.read_frame(index).map_err(|error| self.cause(error))?;
+        keep_chosen(&mut frame, Some(filter)).map_err(Cause::Missing)?;
+        Ok(frame.positions)
+    }
+
+    /// The number of particles.
+    fn len(&self) -> usize {
+        match &self.chosen {
+            Some((_, counts)) => counts.iter().sum(),
+            None => self.batches.particle_count(),
+        }
+    }
+
+    fn batch_len(&self, index: usize) -> usize {
+        match &self.chosen {
+            Some((_, counts)) => counts.get(index).copied().unwrap_or_default(),
+            None => self.batches.particle_range(index).len(),
+        }
+    }
+
+    fn batch(&self, index: usize) -> Result<FilePositions, Cause> {
+        let Some((filter, counts)) = &self.chosen else {
+            let mut batch = ParticleBatch::default();
+            self.batches.read_batch(index, &mut batch).map_err(|error| self.cause(error))?;
+            return Ok(batch.positions);
+        };
+        let positions = self.chosen_of(index, filter)?;
+        // The callers rely on the number.
+        if counts.get(index) == Some(&positions.len()) { Ok(positions) } else { Err(Cause::Changed) }
     }
 
     /// Warnings about the file.
-    pub(crate) fn warnings(&self) -> Vec<Warning> {
-        self.batches.notes().iter().cloned().map(Warning::Sentence).collect()
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    pub(crate) fn warnings(&self) -> Result<Vec<Warning>, Cause> {
+        let about_kinds = match &self.chosen {
+            Some((filter, _)) => none_chosen(filter, self.batches.particle_count(), self.len()),
+            None => self.several_kinds()?,
+        };
+        let of_file = self.batches.notes().iter().cloned().map(Warning::Sentence);
+        Ok(of_file.chain(about_kinds).collect())
+    }
+
+    /// A warning if some batches, evenly distributed, have particles of several kinds.
+    fn several_kinds(&self) -> Result<Option<Warning>, Cause> {
+        let batch_count = self.batches.batch_count();
+        let sampled = (0..batch_count).step_by(batch_count.div_ceil(SAMPLED_BATCHES).max(1));
+        let parts: Result<Vec<_>, _> = sampled.map(|index| self.batches.read_frame(index)).collect();
+        let parts = parts.map_err(|error| self.cause(error))?;
+        Ok(several_kinds(parts.iter().map(|part| &part.attributes[..])))
     }
 
     /// The name of the velocities, which are not read.
@@ -150,7 +220,7 @@ impl FrameInput {
     pub fn len(&self) -> usize {
         match self {
             FrameInput::InMemory(cloud) => cloud.positions.len(),
-            FrameInput::OnDisk(file) => file.batches.particle_count(),
+            FrameInput::OnDisk(file) => file.len(),
             FrameInput::LevelSet(_) => 0,
         }
     }
@@ -237,14 +307,10 @@ impl ParticleSource for FrameInput {
                 let Ok(positions) = cloud.batch(index);
                 Ok(positions)
             }
-            FrameInput::OnDisk(file) => {
-                let mut batch = ParticleBatch::default();
-                file.batches.read_batch(index, &mut batch).map_err(|error| file.cause(error))?;
-                Ok(match batch.positions {
-                    FilePositions::F32(positions) => particles::Positions::F32(Cow::Owned(positions)),
-                    FilePositions::F64(positions) => particles::Positions::F64(Cow::Owned(positions)),
-                })
-            }
+            FrameInput::OnDisk(file) => Ok(match file.batch(index)? {
+                FilePositions::F32(positions) => particles::Positions::F32(Cow::Owned(positions)),
+                FilePositions::F64(positions) => particles::Positions::F64(Cow::Owned(positions)),
+            }),
             FrameInput::LevelSet(_) => Ok(particles::Positions::F32(Cow::Borrowed(&[]))),
         }
     }
@@ -252,7 +318,7 @@ impl ParticleSource for FrameInput {
     fn batch_len(&self, batch: usize) -> usize {
         match self {
             FrameInput::InMemory(cloud) => cloud.batch_len(batch),
-            FrameInput::OnDisk(file) => file.batches.particle_range(batch).len(),
+            FrameInput::OnDisk(file) => file.batch_len(batch),
             FrameInput::LevelSet(_) => 0,
         }
     }

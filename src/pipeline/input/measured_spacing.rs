@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::surface::options::{self, PerParticleRadius};
-use crate::surface::particles::{Attribute, Role, erased};
+use crate::surface::options::{self, SpacingOptions};
+use crate::surface::particles::{Attribute, ParticleFilter, Role, erased};
 use crate::surface::spacing::{
     CONFIDENCE_MIN, SequenceEstimate, SourceSample, SpacingEstimate, combine_estimates, estimate_spacing,
     median, rounded,
@@ -78,11 +78,19 @@ pub struct NoSpacing {
     pub missing_count: usize,
     /// The error of the first of these frames.
     pub unreadable: Option<Box<FrameError>>,
+    /// The condition that particles must meet, if there is one.
+    pub condition: Option<String>,
 }
 
 impl fmt::Display for NoSpacing {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let NoSpacing { sparse_count, empty_count, unreadable_count, missing_count, unreadable } = self;
+        let NoSpacing { sparse_count, empty_count, unreadable_count, missing_count, unreadable, condition } = self;
+        if let (None, true, Some(condition)) = (unreadable, empty_count == sparse_count, condition) {
+            return write!(
+                f,
+                "cannot measure the particle spacing, because no particle meets the condition \"{condition}\""
+            );
+        }
         match unreadable {
             None if empty_count == sparse_count => f.write_str(
                 "cannot measure the particle spacing, because there are no particles: give --spacing",
@@ -114,14 +122,14 @@ impl fmt::Display for NoSpacing {
 
 impl std::error::Error for NoSpacing {}
 
-/// Measures the spacing of the particles in these frames, which are in the order of their sequence.
+/// Measures the spacing of the chosen particles in these frames, which are in the order of their sequence.
 ///
 /// # Errors
 /// When no frame can be measured. Skips frames that cannot be read, or lack the radii: their conversion
 /// reports the reason.
 pub fn measure_spacing<'a>(
     files: impl IntoIterator<Item = &'a Path>,
-    per_particle_radius: Option<&PerParticleRadius>,
+    options: &SpacingOptions,
 ) -> Result<MeasuredSpacing, NoSpacing> {
     let files: Vec<&Path> = files.into_iter().collect();
     let mut none = NoSpacing {
@@ -130,6 +138,7 @@ pub fn measure_spacing<'a>(
         unreadable_count: 0,
         missing_count: 0,
         unreadable: None,
+        condition: options.filter.as_ref().map(ToString::to_string),
     };
     let note = |_: &Path, attempt: Attempt| match attempt {
         Attempt::Measured => {}
@@ -143,7 +152,7 @@ pub fn measure_spacing<'a>(
             none.unreadable.get_or_insert_with(|| Box::new(error));
         }
     };
-    let measured = measure_sequence(&files, per_particle_radius, note);
+    let measured = measure_sequence(&files, options, note);
     measured.ok_or(none)
 }
 
@@ -162,7 +171,7 @@ pub(crate) enum Attempt {
 /// cannot be measured; `note` receives every frame that was read. `None` if none can be measured.
 pub(crate) fn measure_sequence(
     files: &[&Path],
-    per_particle_radius: Option<&PerParticleRadius>,
+    options: &SpacingOptions,
     mut note: impl FnMut(&Path, Attempt),
 ) -> Option<MeasuredSpacing> {
     let mut is_read = vec![false; files.len()];
@@ -171,7 +180,7 @@ pub(crate) fn measure_sequence(
             if std::mem::replace(&mut is_read[index], true) {
                 continue;
             }
-            let (attempt, frame) = match measured(files[index], per_particle_radius) {
+            let (attempt, frame) = match measured(files[index], options) {
                 Ok((_, Some(frame))) => (Attempt::Measured, Some((index, frame))),
                 Ok((count, None)) => (Attempt::TooFewParticles { count }, None),
                 Err(error) => (Attempt::Unreadable(error), None),
@@ -203,15 +212,13 @@ struct FrameSpacing {
 }
 
 /// Counts the particles of a frame, and measures them; `None` if they are too few.
-fn measured(
-    path: &Path,
-    per_particle_radius: Option<&PerParticleRadius>,
-) -> Result<(usize, Option<FrameSpacing>), FrameError> {
+fn measured(path: &Path, options: &SpacingOptions) -> Result<(usize, Option<FrameSpacing>), FrameError> {
     let measure = || {
-        if per_particle_radius.is_none()
+        if options.per_particle_radius.is_none()
             && let Some(particles) = large_file(path)?
         {
             let failed = |cause| FrameError { path: path.to_owned(), during: Stage::Read, cause };
+            let particles = particles.chosen_by(options.filter.as_ref()).map_err(failed)?;
             let particles = FrameInput::OnDisk(Box::new(particles));
             let estimate =
                 erased(&particles, |source| SourceSample::of(source, particles.len())?.estimate(source));
@@ -225,8 +232,8 @@ fn measured(
             return Ok((particles.len(), estimate.map(of_estimate)));
         }
         let bytes = read_file(path)?;
-        let read = parse_particles(path, &bytes, &AttributeRequest::radii(per_particle_radius).and_radius())?;
-        Ok((read.cloud.positions.len(), measured_of(path, &read, per_particle_radius)))
+        let read = parse_particles(path, &bytes, &AttributeRequest::for_spacing(options).and_radius())?;
+        Ok((read.cloud.positions.len(), measured_of(path, &read, options)))
     };
     FrameError::catch(path, Stage::Read, measure).flatten()
 }
@@ -247,11 +254,8 @@ fn large_file(path: &Path) -> Result<Option<FileParticles>, FrameError> {
 /// In files of this size and larger, only a sample of the positions is measured, and no radii.
 const SAMPLED_FROM_BYTES: u64 = 256 << 20;
 
-fn measured_of(
-    path: &Path,
-    read: &ReadFrame,
-    per_particle_radius: Option<&PerParticleRadius>,
-) -> Option<FrameSpacing> {
+fn measured_of(path: &Path, read: &ReadFrame, options: &SpacingOptions) -> Option<FrameSpacing> {
+    let per_particle_radius = options.per_particle_radius.as_ref();
     let own_spacing = per_particle_radius.and_then(|own| own.spacing(&read.cloud.attributes));
     let by_positions = match own_spacing {
         Some(_) => None, // spray, with its own radii, has no other spacing
@@ -344,6 +348,7 @@ fn warnings(frames: &[FrameSpacing], estimate: &SequenceEstimate) -> Vec<String>
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::surface::options::PerParticleRadius;
     use crate::surface::particles::{AttributeValues, OwnedPositions, ParticleCloud};
 
     #[test]
@@ -365,7 +370,8 @@ mod tests {
             ReadFrame { cloud, warnings: Vec::new(), unused_velocity: None }
         };
         let of_frame = |read: &ReadFrame, own: Option<&PerParticleRadius>| {
-            combined(&[measured_of(Path::new("a"), read, own).expect("enough")]).expect("a frame")
+            let options = SpacingOptions { per_particle_radius: own.cloned(), ..SpacingOptions::default() };
+            combined(&[measured_of(Path::new("a"), read, &options).expect("enough")]).expect("a frame")
         };
         let own = PerParticleRadius { attribute: "pscale".into(), scale: 2.0 };
         assert_eq!(of_frame(&of_radii([0.25, 0.01, 40.0]), Some(&own)).radius_median, Some(0.5));

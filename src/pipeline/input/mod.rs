@@ -5,6 +5,7 @@
 //!   frame       frames to convert, and their outcomes    bounds       bounding boxes of frames and sequences
 //!   frame_input  particles in memory or on disk, or a level set
 //!   reading     reads files and parses particles         attributes   the attributes that a frame needs
+//!   filter      chooses particles by their attributes
 //!   level_set_file  level sets from .vdb                 mesh_file    meshes of any supported format
 //!   measured_spacing  the spacing of a sequence          conflicts    outputs that would replace inputs
 //!   obstacles   the obstacles of a frame
@@ -15,6 +16,7 @@
 pub(super) mod attributes;
 pub(super) mod bounds;
 pub(super) mod conflicts;
+pub(super) mod filter;
 pub(super) mod frame;
 pub(super) mod frame_input;
 pub(super) mod level_set_file;

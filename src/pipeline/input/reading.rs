@@ -1,6 +1,7 @@
 //! Reads files, and parses particles.
 
 use std::io::{self, Read};
+use std::iter;
 use std::path::Path;
 
 use meniscus_formats::compression::read_head;
@@ -11,6 +12,7 @@ use meniscus_formats::{
 use crate::surface::particles::{OwnedPositions, ParticleCloud, Shapes};
 
 use super::attributes::AttributeRequest;
+use super::filter::{keep_chosen, several_kinds};
 use super::steps::{IndexPolicy, by_lines_of_file, file_of, read_step, step_of};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::read_unchanged;
@@ -98,23 +100,29 @@ pub fn read_particles_of(path: &Path, bytes: &[u8]) -> Result<ParticleFrame, Fra
         .map_err(|error| FrameError::file(path, Stage::Read, by_lines_of_file(path, error)))
 }
 
-/// Parses particles from the bytes of the file at `path`, with the requested attributes.
+/// Parses particles from the bytes of the file at `path`: those that meet the condition of the request, with
+/// the requested attributes.
 ///
 /// # Errors
-/// When the bytes are not valid particles, or lack a required attribute.
+/// When the bytes are not valid particles, or lack an attribute that is required or in the condition.
 pub fn parse_particles(
     path: &Path,
     bytes: &[u8],
     wanted: &AttributeRequest,
 ) -> Result<ReadFrame, FrameError> {
-    let ParticleFrame { positions, attributes, notes } = read_particles_of(path, bytes)?;
+    let mut frame = read_particles_of(path, bytes)?;
     let missing_error =
         |what| FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Missing(what) };
+    let about_kinds = match &wanted.filter {
+        Some(_) => keep_chosen(&mut frame, wanted.filter.as_ref()).map_err(missing_error)?,
+        None => several_kinds(iter::once(&frame.attributes[..])),
+    };
+    let ParticleFrame { positions, attributes, notes } = frame;
     let velocity = attributes.iter().find(|attribute| attribute.role == Some(AttributeRole::Velocity));
     let unused_velocity =
         velocity.map(|attribute| attribute.name.clone()).filter(|name| !wanted.has_velocity(name));
     let (attributes, missing) = wanted.select(attributes).map_err(missing_error)?;
-    let warnings = notes.into_iter().map(Warning::Sentence).chain(missing).collect();
+    let warnings = notes.into_iter().map(Warning::Sentence).chain(about_kinds).chain(missing).collect();
     let cloud = ParticleCloud { positions: particles(positions), shapes: Shapes::Uniform, attributes };
     Ok(ReadFrame { cloud, warnings, unused_velocity })
 }

@@ -67,6 +67,7 @@ pub(crate) fn provenance(
     match frame.job {
         Job::Particles => {
             pairs.push((CONTENTS, PARTICLES.to_owned()));
+            pairs.extend(frame.settings.filter.iter().map(|filter| ("where", filter.to_string())));
             return owned(pairs);
         }
         Job::Surface => pairs.extend(settings_pairs(&frame.settings, format)),

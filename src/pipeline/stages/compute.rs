@@ -5,6 +5,7 @@ use crossbeam::channel::{Receiver, Sender};
 use meniscus_formats::{Limits, read_particles};
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
+use crate::pipeline::input::filter::keep_chosen;
 use crate::pipeline::input::frame::Frame;
 use crate::pipeline::input::steps::{by_lines_of_file, file_of};
 use crate::pipeline::method::Method;
@@ -129,7 +130,10 @@ fn staged<T>(made: Result<T, Cause>, frame: &Frame, stage: Stage) -> Result<Stag
 fn parsed<T>(bytes: &[u8], frame: &Frame) -> Result<Staged<T>, FrameError> {
     let name = file_of(&frame.input).file_name().unwrap_or_default().to_string_lossy();
     let failed = |error| FrameError::file(&frame.input, Stage::Read, by_lines_of_file(&frame.input, error));
-    let particles = read_particles(bytes, &name, &Limits::default()).map_err(failed)?;
+    let mut particles = read_particles(bytes, &name, &Limits::default()).map_err(failed)?;
+    let about_choice = keep_chosen(&mut particles, frame.settings.filter.as_ref());
+    let about_choice = about_choice.map_err(|why| frame.failed(Stage::Read, Cause::Missing(why)))?;
+    particles.notes.extend(about_choice.map(|warning| warning.to_string()));
     Ok(Staged::Particles(Box::new(particles)))
 }
 

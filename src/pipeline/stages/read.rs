@@ -153,10 +153,15 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             let streamed = FileParticles::open(&frame.input, file)
                 .map_err(|error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error)))?;
             if let Some(particles) = streamed {
-                let noted =
-                    Noted { warnings: particles.warnings(), unused_velocity: particles.unused_velocity() };
-                let particles = FrameInput::OnDisk(Box::new(particles));
-                return self.planned(number, frame, move || Ok((particles, noted)), obstacles, input);
+                let path = frame.input.clone();
+                let choose = move || {
+                    let failed = |cause| FrameError { path: path.clone(), during: Stage::Read, cause };
+                    let particles = particles.chosen_by(wanted.filter.as_ref()).map_err(failed)?;
+                    let (warnings, unused_velocity) = (particles.warnings(), particles.unused_velocity());
+                    let noted = Noted { warnings: warnings.map_err(failed)?, unused_velocity };
+                    Ok((FrameInput::OnDisk(Box::new(particles)), noted))
+                };
+                return self.planned(number, frame, choose, obstacles, input);
             }
         }
         let (bytes, input) = self.whole(frame)?;

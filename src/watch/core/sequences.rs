@@ -22,7 +22,7 @@ use crate::pipeline::{
     FileStamp, FrameError, Framing, Job, ObstacleStamps, OutputOptions, PictureOptions, ReportedWarnings,
     are_single_frames, settings_fingerprint,
 };
-use crate::surface::options::{self, PerParticleRadius, Settings};
+use crate::surface::options::{self, Settings, SpacingOptions};
 use crate::watch::config::Watch;
 use crate::watch::journal::{JournaledSequence, SequenceCamera, SequenceKey};
 
@@ -84,8 +84,8 @@ impl WatchedSequence {
 pub(crate) enum SequenceSettings {
     /// The settings of all its frames, and their fingerprint.
     Fixed(Arc<Settings>, Arc<str>),
-    /// Not measured yet; the attribute of per-particle radii, if there is one.
-    Unknown(Option<PerParticleRadius>),
+    /// Not measured yet; the options that affect the measurement.
+    Unknown(SpacingOptions),
     /// The measurement is in progress.
     BeingMeasured,
     /// The settings cannot be determined, for this reason.
@@ -178,7 +178,7 @@ impl SequenceSettings {
         let measured =
             remembered.and_then(|record| record.measured.as_ref()).map(options::SequenceSpacing::from);
         let lacks_camera = watch.outputs.needs_camera() && framing_of(watch, remembered).is_none();
-        let unknown = || watch.choices.per_particle_radius().map(SequenceSettings::Unknown);
+        let unknown = || watch.choices.spacing_options().map(SequenceSettings::Unknown);
         let resolved = || match watch.job() {
             Job::LevelSet { .. } => Settings::for_level_sets(&watch.choices),
             Job::Surface | Job::Particles => Settings::resolve(&watch.choices, measured),
@@ -231,8 +231,8 @@ pub(crate) struct MeasureOrder {
     pub(crate) sequence: usize,
     /// Its complete frames in natural order, with their stamps when they were found complete.
     pub(crate) files: Vec<(FrameId, FileStamp)>,
-    /// The attribute of per-particle radii, if there is one.
-    pub(crate) per_particle_radius: Option<PerParticleRadius>,
+    /// The options that affect the measurement.
+    pub(crate) options: SpacingOptions,
     /// The known particle spacing, if only the camera is missing.
     pub(crate) known: Option<JournaledSequence>,
     /// The configuration of the watched folder.

@@ -71,7 +71,7 @@ impl Core {
     /// order; `None` if there are no such frames, or nothing must be measured.
     fn measure_order(&self, index: usize) -> Option<MeasureOrder> {
         let sequence = self.sequences.get(index);
-        let SequenceSettings::Unknown(per_particle_radius) = &sequence.settings else { return None };
+        let SequenceSettings::Unknown(options) = &sequence.settings else { return None };
         let mut members: Vec<(&FrameId, Option<FileStamp>)> = self
             .frames
             .iter()
@@ -91,14 +91,8 @@ impl Core {
         let watch = self.config.watches[sequence.root].clone();
         let remembered = self.output(sequence.root).journal.sequences.get(&sequence.key).cloned();
         let given = (!watch.needs_spacing()).then(JournaledSequence::default);
-        let (per_particle_radius, known) = (per_particle_radius.clone(), given.or(remembered));
-        (!files.is_empty()).then_some(MeasureOrder {
-            sequence: index,
-            files,
-            per_particle_radius,
-            known,
-            watch,
-        })
+        let (options, known) = (options.clone(), given.or(remembered));
+        (!files.is_empty()).then_some(MeasureOrder { sequence: index, files, options, known, watch })
     }
 
     /// A sequence was measured, or could not be.

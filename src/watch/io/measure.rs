@@ -25,7 +25,7 @@ pub(super) fn measure(order: MeasureOrder) -> SpacingResult {
         None => {
             let paths: Vec<&Path> = order.files.iter().map(|(id, _)| &*id.path).collect();
             let note = |path: &Path, attempt: Attempt| note(&mut measured, path, attempt, &order);
-            let found = measure_sequence(&paths, order.per_particle_radius.as_ref(), note);
+            let found = measure_sequence(&paths, &order.options, note);
             found.map(|found| {
                 measured.warnings.clone_from(&found.warnings);
                 JournaledSequence { measured: Some(found), camera: None }
@@ -71,7 +71,7 @@ fn with_camera(
     let measured_here = measured_on.filter(|_| order.known.is_none());
     let is_before = |id: &FrameId| measured_here.is_some_and(|first| *id.path != **first);
     for (id, _) in order.files.iter().skip_while(|(id, _)| is_before(id)) {
-        let (attempt, bounds) = match sequence_bounds(&[&*id.path], radius) {
+        let (attempt, bounds) = match sequence_bounds(&[&*id.path], radius, order.options.filter.as_ref()) {
             Ok(Some(bounds)) => (Attempt::Measured, Some(bounds)),
             Ok(None) => (Attempt::TooFewParticles { count: 0 }, None),
             Err(error) => (Attempt::Unreadable(error), None),

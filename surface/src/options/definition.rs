@@ -13,6 +13,7 @@ use std::fmt::{Display, LowerExp};
 use std::ops::RangeInclusive;
 
 use crate::contour::Contouring;
+use crate::particles::ParticleFilter;
 use crate::smooth::Integrator;
 
 use super::checks::positive;
@@ -21,7 +22,7 @@ use super::length::{Length, LengthUnit};
 use super::pairs::Pairs;
 use super::presets::{Preset, Recipe};
 use super::values::{AnisotropyKind, AttributeSelection, ClipBox};
-use super::{OptionName, PerParticleRadius, SettingsError};
+use super::{OptionName, PerParticleRadius, SettingsError, SpacingOptions};
 
 /// Upper limit of `drop_islands`. A larger piece is not an island to drop. It may also be so thick that its
 /// deep leaves are not stored, and its particles cannot be counted.
@@ -99,6 +100,11 @@ method_options! {
             offset: Length,
         }
         Particles {
+            /// Use only the particles whose attributes meet this condition, such as 'phase == 0' or 'type in 1,2
+            /// and not (density < 500)'; comparisons are ==, !=, <, <=, >, >=, in and not in
+            #[value(named("CONDITION"))]
+            r#where: ParticleFilter,
+
             /// Attribute with each particle's own radius, in the particles' unit of length, such as pscale.
             /// That radius becomes its r_min; r_init and r_max scale with it
             #[value(named("NAME"))]
@@ -300,6 +306,15 @@ impl MethodOptions {
         Ok(Some(PerParticleRadius { attribute: attribute.clone(), scale }))
     }
 
+    /// The options that affect how the particle spacing is measured.
+    ///
+    /// # Errors
+    /// As for [`per_particle_radius`](Self::per_particle_radius).
+    pub fn spacing_options(&self) -> Result<SpacingOptions, SettingsError> {
+        let (filter, per_particle_radius) = (self.r#where.clone(), self.per_particle_radius()?);
+        Ok(SpacingOptions { filter, per_particle_radius })
+    }
+
     /// The given options that have no effect, each with the options of which it requires one;
     /// `has_obstacles` says whether there are obstacles.
     pub fn ineffective(&self, has_obstacles: bool) -> Vec<(&'static str, &'static [OptionName])> {
@@ -348,6 +363,7 @@ mod tests {
             radius_ratio: Some(1.5),
             radius_init: Some((f64::MIN_POSITIVE / 3.0).into()),
             offset: Some((-1.0 / 7.0).into()),
+            r#where: Some("phase in 1,2 or 'p é' != \"x, y\"".parse().expect("a condition")),
             radius_attribute: Some("p scale, \"é\"".to_owned()),
             radius_scale: Some(0.1_f64.next_up()),
             anisotropy: Some(AnisotropyKind::Velocity),

@@ -223,6 +223,14 @@ pub fn expected<T>(text: &str, value: Option<T>, what: impl Display) -> Result<T
     value.ok_or_else(|| format!("`{text}` is not {what}"))
 }
 
+/// The name of a field without the `r#` of a name that is a keyword of Rust.
+pub(super) const fn unraw(name: &str) -> &str {
+    match name.as_bytes() {
+        [b'r', b'#', ..] => name.split_at(2).1,
+        _ => name,
+    }
+}
+
 /// Parses a value within a range, for the command line.
 pub fn ranged<T>(
     range: RangeInclusive<T>,
@@ -291,7 +299,7 @@ macro_rules! method_options {
         impl $options {
             /// All options, in the order of `--help` and of files.
             pub const ALL: &'static [OptionInfo<$options>] = &[$($(OptionInfo {
-                name: stringify!($name),
+                name: fields::unraw(stringify!($name)),
                 group: OptionGroup::$group,
                 kind: <$value as OptionValue>::KIND,
                 syntax: fields::ValueSyntax::$syntax($value_name)$(.$modifier($($argument)?))*,
@@ -308,7 +316,7 @@ macro_rules! method_options {
 
             /// The options that are set, as text by name.
             pub fn to_pairs(&self) -> Pairs {
-                let pairs = [$($((stringify!($name), self.$name.as_ref().map(ToString::to_string)),)+)+];
+                let pairs = [$($((fields::unraw(stringify!($name)), self.$name.as_ref().map(ToString::to_string)),)+)+];
                 pairs.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
             }
 
@@ -317,11 +325,13 @@ macro_rules! method_options {
             /// # Errors
             /// A message if no option has this name, or if the text is not a value of it.
             pub fn set(&mut self, name: &str, text: &str) -> Result<(), String> {
-                match name {
-                    $($(stringify!($name) => self.$name = Some(<$value as OptionValue>::parsed(text)?),)+)+
-                    _ => return Err(format!("unknown option `{name}`")),
-                }
-                Ok(())
+                $($(
+                    if name == fields::unraw(stringify!($name)) {
+                        self.$name = Some(<$value as OptionValue>::parsed(text)?);
+                        return Ok(());
+                    }
+                )+)+
+                Err(format!("unknown option `{name}`"))
             }
 
             /// The range of an option, such as `0 to 4`, if its definition has one.

@@ -15,7 +15,7 @@ mod values;
 use std::fmt;
 
 pub use crate::contour::Contouring;
-use crate::particles::{Attribute, find_attribute};
+use crate::particles::{Attribute, ParticleFilter, find_attribute};
 use crate::smooth::EIGENVALUE_MAX;
 use crate::spacing::median;
 pub use crate::smooth::Integrator;
@@ -53,6 +53,8 @@ pub struct Settings {
     pub offset: f64,
     /// The chosen r_max / r_min. The quotient of the two fields may differ by a rounding error.
     pub radius_ratio: f64,
+    /// The condition that particles must meet; `None` for all particles.
+    pub filter: Option<ParticleFilter>,
     /// Per-particle radii. If set, the three radii above belong to a particle whose own radius is
     /// `radius_min` / `scale`.
     pub per_particle_radius: Option<PerParticleRadius>,
@@ -119,6 +121,15 @@ impl PerParticleRadius {
         let radii = radii.iter().map(|&radius| self.scale * f64::from(radius));
         radii.filter(|radius| radius.is_finite() && *radius > 0.0).collect()
     }
+}
+
+/// The options that affect how the particle spacing is measured.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SpacingOptions {
+    /// The condition that particles must meet; `None` for all particles.
+    pub filter: Option<ParticleFilter>,
+    /// Per-particle radii.
+    pub per_particle_radius: Option<PerParticleRadius>,
 }
 
 /// How particles are stretched (paper, Eq. 1 and 16, Fig. 11).
@@ -261,6 +272,7 @@ impl Settings {
             radius_max,
             offset: offset(options, radius_min, &scale)?,
             radius_ratio,
+            filter: options.r#where.clone(),
             per_particle_radius: options.per_particle_radius()?,
             anisotropy: anisotropy(options, radius_min, &scale)?,
             position_smoothing: options.position_smoothing(),

@@ -51,6 +51,7 @@ impl Settings {
             radius_ratio: Some(self.radius_ratio),
             radius_init: Some(self.radius_init.into()),
             offset: (self.offset != 0.0).then_some(self.offset.into()),
+            r#where: self.filter.clone(),
             radius_attribute: self.per_particle_radius.as_ref().map(|own| own.attribute.clone()),
             radius_scale: self.per_particle_radius.as_ref().map(|own| own.scale),
             anisotropy: Some(kind),

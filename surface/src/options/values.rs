@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use crate::contour::Contouring;
-use crate::particles::Attribute;
+use crate::particles::{Attribute, ParticleFilter};
 use crate::smooth::Integrator;
 use crate::words::{Word, word_enum};
 
@@ -57,7 +57,7 @@ macro_rules! option_values {
 }
 option_values!(
     Preset: Preset::WORDS, AnisotropyKind: AnisotropyKind::WORDS, Contouring: Contouring::WORDS,
-    Integrator: Integrator::WORDS, AttributeSelection, ClipBox
+    Integrator: Integrator::WORDS, AttributeSelection, ClipBox, ParticleFilter
 );
 
 impl AttributeSelection {
@@ -136,7 +136,7 @@ macro_rules! as_text {
         }
     )+};
 }
-as_text!(AttributeSelection, ClipBox);
+as_text!(AttributeSelection, ClipBox, ParticleFilter);
 
 #[cfg(test)]
 mod tests {

@@ -10,6 +10,7 @@
 
 mod attributes;
 mod erased;
+mod filter;
 mod shapes;
 
 use std::borrow::Cow;
@@ -21,6 +22,7 @@ use glam::DVec3;
 pub(crate) use attributes::scale_numbers;
 pub use attributes::{Attribute, AttributeValues, Role, find_attribute};
 pub use erased::{AnySource, Unread, erased};
+pub use filter::ParticleFilter;
 pub use shapes::{Ellipsoid, Shapes};
 
 /// Particle positions in world units, in the precision of the input.

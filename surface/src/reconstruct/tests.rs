@@ -218,6 +218,46 @@ fn invalid_input_returns_the_matching_error() {
     assert!(matches!(error(&spray, &[], large), Error::MemoryLimit { .. }));
 }
 
+/// The spacing, the surface and its attributes are those of the chosen particles alone.
+#[test]
+fn condition_gives_the_surface_of_the_particles_that_meet_it() {
+    let fluid = block(5, [0.0; 3]);
+    // Boundary particles, denser than the fluid and between its particles.
+    let wall: Vec<[f64; 3]> = block(8, [2.0, 0.0, 0.0]).iter().map(|at| at.map(|x| 0.3 * x)).collect();
+    let particles = [&fluid[..], &wall].concat();
+    let phases = |count: usize, phase: i64| vec![phase; count];
+    let phase = |values| Attribute {
+        name: "phase".to_owned(),
+        role: Role::Other,
+        arity: 1,
+        values: AttributeValues::Integers(values),
+    };
+    let of_all = phase([phases(fluid.len(), 0), phases(wall.len(), 1)].concat());
+    let options = |condition: &str| Options {
+        r#where: Some(condition.parse().expect("a condition")),
+        attributes: Some(AttributeSelection::All),
+        ..Options::default()
+    };
+    let mut reconstructor = Reconstructor::new(options("phase == 0"));
+    let chosen = reconstructor.reconstruct_with(&particles, std::slice::from_ref(&of_all)).expect("valid");
+    let mut reconstructor = Reconstructor::new(Options { r#where: None, ..options("phase") });
+    let alone = reconstructor.reconstruct_with(&fluid, &[phase(phases(fluid.len(), 0))]).expect("valid");
+    assert_eq!((&chosen.positions, &chosen.triangles), (&alone.positions, &alone.triangles));
+    assert_eq!((chosen.attributes, chosen.settings.spacing), (alone.attributes, 1.0));
+    assert_eq!(chosen.report.particle_count, fluid.len());
+    let resolved = |condition: &str| {
+        let mut reconstructor = Reconstructor::new(options(condition));
+        let found = reconstructor.resolve_on(&particles, std::slice::from_ref(&of_all));
+        found.map(|settings| settings.spacing).map_err(|error| error.to_string())
+    };
+    assert_eq!(resolved("phase == 0"), Ok(1.0));
+    let none = "none of the 637 particles meets `phase > 1`";
+    assert_eq!(resolved("phase > 1"), Err(none.to_owned()));
+    assert_eq!(error(&particles, &[of_all], options("phase > 1")).to_string(), none);
+    let missing = error(&particles, &[], options("mk == 1")).to_string();
+    assert_eq!(missing, "`mk == 1`: the particles have no attribute `mk`; available: none");
+}
+
 /// A random generator that favours extreme values.
 struct Hostile(u64);
 
