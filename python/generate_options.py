@@ -23,6 +23,8 @@ def _annotation(row: _native._OptionRow) -> str:
         return f"Literal[{', '.join(repr(word) for word in row['choices'])}] | None".replace("'", '"')
     if row["name"] == "clip":
         return "str | Sequence[float] | None"
+    if row["name"] == "where":
+        return "str | Sequence[bool] | NDArray[np.bool_] | None"
     kinds = {"number": "float", "count": "int", "switch": "bool", "length": "float | str", "text": "str"}
     return f"{kinds[row['kind']]} | None"
 
@@ -48,6 +50,9 @@ def option_values() -> str:
         "",
         "from collections.abc import Sequence",
         "from typing import Literal, TypedDict",
+        "",
+        "import numpy as np",
+        "from numpy.typing import NDArray",
         "",
         "",
         "class OptionValues(TypedDict, total=False):",

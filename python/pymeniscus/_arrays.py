@@ -110,6 +110,24 @@ def as_reals(values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
     return array
 
 
+def as_mask(values: Any, count: int, name: str) -> NDArray[np.bool_]:
+    """A mask of `count` particles.
+
+    Raises
+    ------
+    TypeError
+        If the values are not truth values.
+    ValueError
+        If their number is not `count`.
+    """
+    array = as_array(values, name)
+    if array.dtype != np.bool_:
+        raise TypeError(f"{name} must be a condition as text, or an array of truth values, not of {array.dtype}")
+    if array.shape != (count,):
+        raise ValueError(f"{name} must have the shape ({count},), not {array.shape}")
+    return array
+
+
 def as_attribute(
     values: Any, count: int, name: str
 ) -> tuple[int, NDArray[Any], list[str] | None]:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, TypedDict
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 class OptionValues(TypedDict, total=False):
     """The options of the method, as keywords. None means the default of the preset.
@@ -27,6 +30,8 @@ class OptionValues(TypedDict, total=False):
         Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.26 r_min]
     offset : float | str
         Move the finished surface outward by this distance, -r_min to 2 h; negative moves it inward [default: 0]
+    where : str | Sequence[bool] | NDArray[np.bool_]
+        Use only the particles whose attributes meet this condition, such as 'phase == 0' or 'type in 1,2 and not (density < 500)'; comparisons are ==, !=, <, <=, >, >=, in and not in
     radius_attribute : str
         Attribute with each particle's own radius, in the particles' unit of length, such as pscale. That radius becomes its r_min; r_init and r_max scale with it
     radius_scale : float
@@ -84,6 +89,7 @@ class OptionValues(TypedDict, total=False):
     radius_ratio: float | None
     radius_init: float | str | None
     offset: float | str | None
+    where: str | Sequence[bool] | NDArray[np.bool_] | None
     radius_attribute: str | None
     radius_scale: float | None
     anisotropy: Literal["none", "neighbors", "velocity"] | None

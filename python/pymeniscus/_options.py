@@ -105,6 +105,8 @@ def _text(name: str, value: Any) -> str:
     back."""
     if isinstance(value, str):
         return value
+    if name == "where":
+        raise TypeError("`where` must be a condition as text here: only `reconstruct` takes a mask of the particles")
     if isinstance(value, (bool, np.bool_)):
         return "true" if value else "false"
     if isinstance(value, (int, np.integer)):

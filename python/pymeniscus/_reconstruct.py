@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _native
-from ._arrays import as_array, as_attribute, as_points, as_reals, words_of
+from ._arrays import as_array, as_attribute, as_mask, as_points, as_reals, words_of
 from ._obstacles import Bodies, ObstacleLike
 from ._options import OptionValues, as_pairs, bytes_of, extensions_of, thread_count
 from ._particles import Particles
@@ -93,7 +93,9 @@ def reconstruct(
         ``"rasterize"``, ``"smooth"``, ``"contour"`` and ``"interpolate"``. If it raises an exception, the
         computation ends, and the caller gets the exception.
     **options
-        Every option of the method: see `OptionValues`, or `option_table` for their ranges and defaults.
+        Every option of the method: see `OptionValues`, or `option_table` for their ranges and defaults. `where`
+        chooses the particles that form the surface: a condition on their attributes, as on the command line, or
+        a mask, array_like of bool, shape (N,).
 
     Returns
     -------
@@ -110,8 +112,8 @@ def reconstruct(
         If an option is out of its range, or the particle spacing cannot be measured. A subclass of
         `ValueError`.
     ParticleError
-        If the voxel size must be measured and there are no particles, a required attribute is missing, or the
-        voxels are too small for the extent of the frame. A subclass of `ValueError`.
+        If the voxel size must be measured and there are no particles, a required attribute or one in `where` is
+        missing, or the voxels are too small for the extent of the frame. A subclass of `ValueError`.
     MemoryLimitError
         If the frame needs more memory than the limit. A subclass of `MemoryError`.
     OSError
@@ -129,8 +131,9 @@ def reconstruct(
     >>> surface = reconstruct(points, preset="splash", voxel_size="0.3d", velocity=v)      # doctest: +SKIP
     >>> surface.write("frame.glb")                                                         # doctest: +SKIP
     """
+    mask = None if isinstance(options.get("where"), str) else options.pop("where", None)
     as_pairs(options, _KEYWORDS)
-    given = _Given(points, radii, velocity, attributes)
+    given = _Given(points, radii, velocity, attributes, mask)
     limits = bytes_of(memory), _folder_of(scratch)
     bodies = Bodies(limits[0]).natives(obstacles)
     _warn_of_ignored(given, options, bodies)
@@ -192,7 +195,7 @@ class Sequence:
         self._resolved: dict[str, str] | None = None
         self._has_frame = False
         if first_frame is not None:
-            self._settings_on(_Given(first_frame, radii, velocity, None))
+            self._settings_on(_Given(first_frame, radii, velocity, None, None))
 
     def _settings_on(self, given: _Given) -> dict[str, str]:
         """The settings with all lengths in world units. The first call resolves them on its frame."""
@@ -215,6 +218,7 @@ class Sequence:
         radii: Any = None,
         velocity: Any = None,
         attributes: Attributes = None,
+        where: Any = None,
         obstacles: ObstacleLike | Iterable[ObstacleLike] | None = None,
         formats: Iterable[str] = (),
         quantize: bool = False,
@@ -227,6 +231,8 @@ class Sequence:
         ----------
         points, radii, velocity, attributes, obstacles, formats, quantize, threads, progress
             As for the function `reconstruct`. The options are those of the sequence.
+        where : array_like of bool, shape (N,), optional
+            The particles that form the surface. A condition on attributes is an option of the sequence.
 
         Returns
         -------
@@ -237,7 +243,7 @@ class Sequence:
         TypeError, ValueError, OptionError, ParticleError, MemoryLimitError, OSError, KeyboardInterrupt
             As for the function `reconstruct`. A frame that fails does not change the sequence.
         """
-        given = _Given(points, radii, velocity, attributes)
+        given = _Given(points, radii, velocity, attributes, where)
         bodies = self._bodies.natives(obstacles)
         if not self._has_frame:
             self._has_frame = True
@@ -249,7 +255,7 @@ class Sequence:
 class _Given:
     """The particles of a frame, in the form that the native module takes."""
 
-    def __init__(self, points: Any, radii: Any, velocity: Any, attributes: Attributes) -> None:
+    def __init__(self, points: Any, radii: Any, velocity: Any, attributes: Attributes, mask: Any) -> None:
         self.source: tuple[str, str] | None = None
         self.attributes: list[tuple[str, str | None, int, Any, list[str] | None]] = []
         self.selected: list[str] = []
@@ -258,8 +264,12 @@ class _Given:
         particles = points if isinstance(points, Particles) else None
         self.points = as_points(points if particles is None else particles.positions)
         count = len(self.points)
+        self._mask = None if mask is None else as_mask(mask, count, "where")
+        if self._mask is not None:
+            self.points = self.points[self._mask]
         if particles is not None:
-            if particles.path is not None and particles._hash is not None:
+            # Files cannot record a mask, so a surface of some of the particles has no source.
+            if mask is None and particles.path is not None and particles._hash is not None:
                 self.source = (particles.path, particles._hash)
             for name, values in particles.items():
                 self._add(name, particles.roles.get(name), values, count, particles._texts.get(name))
@@ -306,6 +316,8 @@ class _Given:
         if text is not None and table is not None and np.array_equal(words_of(*text), np.asarray(values).reshape(-1)):
             # The caller did not change the words, so they keep the indices that they have in the file.
             flat, table = text
+        if self._mask is not None:
+            flat = flat.reshape(-1, arity)[self._mask].reshape(-1)
         self.attributes.append((name, role, arity, flat, table))
 
     def pairs(self, options: Mapping[str, Any]) -> list[tuple[str, str]]:

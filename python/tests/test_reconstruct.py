@@ -249,7 +249,7 @@ def test_every_option_changes_something_or_is_refused(block):
     special = {"preset": "splash", "radius_min": "1.2d", "radius_ratio": 2.5, "radius_init": "1.5d", "spacing": 0.1,
                "voxel_size": "0.5d", "clip": (0, 0, 0, 0.5, 0.5, 0.5), "radius_attribute": "r", "max_stretch": 3.0,
                "thin_radius": "0.5d", "lone_radius": "0.8d", "neighbor_radius": "3d", "offset": "0.1h",
-               "step_size": 1.0, "fill_cavities": 4.0}  # fmt: skip
+               "step_size": 1.0, "fill_cavities": 4.0, "where": "r > 0"}  # fmt: skip
     needs = {"radius_attribute": {}, "radius_scale": {"radius_attribute": "r"}, "cg_tolerance": {"integrator": "implicit"},
              "velocity_gain": {"anisotropy": "velocity"}}  # fmt: skip
     attributes = {"r": np.full(1000, 0.07, np.float32)}
@@ -277,6 +277,35 @@ def test_radii_make_drops_of_different_sizes():
     assert made.settings["radius_attribute"] == "radius"
     with pytest.raises(ValueError, match="radii must have the shape"):
         pm.reconstruct(points, radii=[1.0])
+
+
+def test_only_chosen_particles_form_the_surface(block):
+    phase = np.where(block[:, 0] < 0.5, "fluid", "wall")
+    is_fluid = phase == "fluid"
+    alone = pm.reconstruct(block[is_fluid], radii=np.full(is_fluid.sum(), 0.05), attributes={"phase": phase[is_fluid]})
+    every = {"radii": np.full(1000, 0.05), "attributes": {"phase": phase}}
+    by_mask = pm.reconstruct(block, where=is_fluid, **every)
+    by_condition = pm.reconstruct(block, where="phase == fluid", **every)
+    in_sequence = pm.Sequence(where="phase == fluid").reconstruct(block, **every)
+    of_sequence = pm.Sequence().reconstruct(block, where=list(is_fluid), **every)
+    for made in (by_mask, by_condition, in_sequence, of_sequence):
+        assert np.array_equal(made.vertices, alone.vertices) and np.array_equal(made.triangles, alone.triangles)
+        assert np.array_equal(made.attributes["phase"], alone.attributes["phase"])
+    assert by_condition.settings["where"] == "phase == fluid" and "where" not in by_mask.settings
+    particles = pm.Particles(block, {"phase": phase}, path="a.ply", file_hash="0" * 32)
+    assert pm.reconstruct(particles, where=is_fluid)._source is None
+    assert pm.reconstruct(particles, where="phase != wall")._source is not None
+    for where, error, text in [
+        ("mk == 1", pm.ParticleError, r'`where` "mk == 1": the particles have no attribute `mk`; available: phase'),
+        ("phase = 1", pm.OptionError, "expected .* at character 7, found `=`"),
+        ("phase == oil", pm.ParticleError, "none of the 1000 particles meets `phase == oil`"),
+        (is_fluid[1:], ValueError, r"where must have the shape \(1000,\), not \(999,\)"),
+        (np.arange(1000), TypeError, "where must be a condition as text, or an array of truth values"),
+    ]:
+        with pytest.raises(error, match=text):
+            pm.reconstruct(block, attributes={"phase": phase}, where=where)
+    with pytest.raises(TypeError, match="only `reconstruct` takes a mask"):
+        pm.Sequence(where=is_fluid)
 
 
 def test_attributes_reach_the_vertices(block):

@@ -53,6 +53,17 @@ def test_exported_arrays_with_attributes_and_radii(block, tmp_path):
     assert (tmp_path / "again.vdb").read_bytes() == (tmp_path / "command" / "frame.vdb").read_bytes()
 
 
+def test_condition_on_attributes(block, tmp_path):
+    exported = tmp_path / "frame.npz"
+    np.savez(exported, position=block, phase=(block[:, 0] < 0.5).astype(np.int32), height=block[:, 1].copy())
+    options = {"where": "phase == 1 and height < 0.61", "attributes": "height"}
+    report = pm.convert(exported, tmp_path / "command", format=["glb", "vdb"], **options)
+    surface = pm.reconstruct(pm.read(exported), spacing=spacing_of(report), formats=["glb", "vdb"], **options)
+    for name in ("frame.glb", "frame.vdb"):
+        surface.write(tmp_path / name)
+        assert (tmp_path / name).read_bytes() == (tmp_path / "command" / name).read_bytes(), name
+
+
 @pytest.mark.parametrize(
     ("extension", "options"),
     [("glb", {"up": "z"}), ("usda", {"up": "z", "meters_per_unit": 0.01}), ("vdb", {"vdb_half": True})],
