@@ -224,7 +224,8 @@ Choosing the spacing, the voxel size and the radii:
   printed, and the same for every frame.
 
   A LENGTH is a number in world units, the particles' unit of length; or in particle spacings, such as
-  0.6d; or in voxels, such as 5h.
+  0.6d; or in voxels, such as 5h. Exceptions: --spacing has no other unit than the world unit, and
+  --voxel-size cannot be in voxels.
 
   By default, lengths and the amount (pseudo-time) of smoothing scale with d. The voxel size h is
   0.4 d: half of it shows more detail of the same surface, and takes about four times the time and the

@@ -327,7 +327,7 @@ macro_rules! method_options {
             pub fn set(&mut self, name: &str, text: &str) -> Result<(), String> {
                 $($(
                     if name == fields::unraw(stringify!($name)) {
-                        self.$name = Some(<$value as OptionValue>::parsed(text)?);
+                        self.$name = Some(fields::parser!($value $(, $parser)?)(text)?);
                         return Ok(());
                     }
                 )+)+

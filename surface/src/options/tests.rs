@@ -349,12 +349,28 @@ fn lengths_in_spacings_need_the_spacing_and_those_in_voxels_do_not() {
     assert!(paper("radius_min", "0.9d").needs_spacing());
     assert!(!paper("radius_min", "2h").needs_spacing() && !paper("radius_min", "0.2").needs_spacing());
     assert!(options(&[("preset", "paper"), ("voxel_size", "0.5d")]).needs_spacing());
-    let error =
-        Settings::resolve(&options(&[("spacing", "1"), ("voxel_size", "2h")]), None).expect_err("no unit");
+    let in_voxels: Length = "2h".parse().expect("a length");
+    let options_in_voxels = MethodOptions { spacing: Some(1.0), ..MethodOptions::default() };
+    let options_in_voxels = MethodOptions { voxel_size: Some(in_voxels), ..options_in_voxels };
+    let error = Settings::resolve(&options_in_voxels, None).expect_err("no unit");
     assert!(error.to_string().contains("2h") && error.to_string().contains("0.4d"), "{error}");
     // Lengths in different units are compared once the spacing is known.
     assert_eq!(Settings::check(&options(&[("radius_min", "0.1"), ("radius_init", "9d")])), Ok(()));
     assert!(Settings::check(&options(&[("radius_min", "1d"), ("radius_init", "9d")])).is_err());
+}
+
+#[test]
+fn errors_propose_only_units_that_the_option_takes() {
+    for (name, text, proposed) in [
+        ("voxel_size", "5h", "0.4d"),
+        ("voxel_size", "wide", "0.4d"),
+        ("spacing", "0.6d", "such as 0.05"),
+        ("radius_min", "wide", "5h"),
+    ] {
+        let why = MethodOptions::default().set(name, text).expect_err(text);
+        assert!(why.contains(proposed), "{why}");
+        assert!(name == "radius_min" || !why.contains("such as 5h"), "{why}");
+    }
 }
 
 #[test]
