@@ -264,6 +264,36 @@ fn invalid_arrays_are_errors() {
 }
 
 #[test]
+fn transposed_positions_are_refused() {
+    let columns = |count: usize, is_fortran| {
+        array(1, "'<f4'", is_fortran, &format!("(3, {count})"), &f32s(&vec![0.5; 3 * count]))
+    };
+    let error = |bytes: &[u8], name| match read_particles(bytes, name, &Limits::default()) {
+        Ok(frame) => panic!("{} particles", frame.positions.len()),
+        Err(error) => error.to_string(),
+    };
+    for count in [5, 1000, 5000] {
+        let asks =
+            format!("the shape (3, {count}), which has a column for each particle: save its transpose");
+        for is_fortran in [false, true] {
+            let found = error(&columns(count, is_fortran), "a.npy");
+            assert!(found.contains(&asks), "{found}");
+        }
+        for name in ["pos.npy", "arr_0.npy"] {
+            let found = error(&archive(&[(name, columns(count, false))], true), "a.npz");
+            assert!(found.contains(&asks), "{name}: {found}");
+        }
+    }
+    // Three particles with a radius, and an array that is no position.
+    assert_eq!(read(&columns(4, false)).positions.len(), 3);
+    let table = archive(
+        &[("pos.npy", array(1, "'<f4'", false, "(2, 3)", &six())), ("curve.npy", columns(9, false))],
+        true,
+    );
+    assert_eq!(npy::read_archive(&table, &Limits::default()).unwrap().positions.len(), 2);
+}
+
+#[test]
 fn decompression_bombs_are_errors() {
     let zeros = vec![0; 64 << 20];
     let bomb = archive(&[("pos.npy", array(1, "'<f4'", false, "(5592405, 3)", &zeros))], true);
