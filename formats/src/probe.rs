@@ -170,7 +170,7 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
         _ if text.starts_with(b"ITEM:") => ProbedKind::Format(Format::LammpsDump),
         _ if looks_like_atoms(text) => ProbedKind::Format(Format::XyzAtoms),
         _ if looks_like_obj(text, name) => ProbedKind::Format(Format::Obj),
-        _ if looks_like_table(text) || csv::looks_like_particles(text) => {
+        _ if looks_like_table(text, name) || csv::looks_like_particles(text) => {
             ProbedKind::Format(Format::Delimited)
         }
         _ => ProbedKind::UnknownText,
@@ -258,12 +258,12 @@ fn looks_like_obj(text: &[u8], name: &str) -> bool {
     vertex_seen || (name.ends_with(".obj") && line_count > 0)
 }
 
-/// Whether at least half of the cells of a line are numbers, or the first line has a delimiter and can thus
-/// be a header.
-fn looks_like_table(text: &[u8]) -> bool {
+/// Whether a line is like a row: it has two or more numbers, and at least half of its cells are numbers; or
+/// the first line has a delimiter and can thus be a header, and the name of the file is that of a table.
+fn looks_like_table(text: &[u8], name: &str) -> bool {
     let mut lines = content_lines(text);
     let Some(header) = lines.next() else { return false };
-    // At least half of the cells must be numbers; the others may be names.
+    // The other cells may be names.
     let is_numeric = |line: &[u8]| {
         let cells = line.split(|byte| b",;|\t ".contains(byte)).map(<[u8]>::trim_ascii);
         let (mut cell_count, mut number_count) = (0, 0);
@@ -271,10 +271,12 @@ fn looks_like_table(text: &[u8]) -> bool {
             cell_count += 1;
             number_count += usize::from(parse_number::<f64>(cell).is_some());
         }
-        cell_count > 0 && 2 * number_count >= cell_count
+        number_count > 1 && 2 * number_count >= cell_count
     };
+    let can_be_header = header.iter().any(|byte| b",;\t".contains(byte));
+    let is_named_table = name.ends_with(".csv") || name.ends_with(".tsv");
     // Some programs write several lines of free text before the table.
-    is_numeric(header) || lines.any(is_numeric) || header.iter().any(|byte| b",;\t".contains(byte))
+    is_numeric(header) || lines.any(is_numeric) || can_be_header && is_named_table
 }
 
 /// Lines that are neither empty nor comments. If the head may be only a part of the file, skips the last
@@ -470,7 +472,9 @@ mod tests {
             (b"2\nwater\n8 0 0 0\n119 1 0 0\n", "a.xyz", ProbedKind::Format(Format::Delimited)),
             (b"2\n\nH1 0 0 0 1 1", "a.txt", ProbedKind::Format(Format::XyzAtoms)),
             (b"2\n1 2 3\n4 5 6\n", "a.xyz", ProbedKind::Format(Format::Delimited)),
-            (b"Dear reader,\nthere is nothing here\n", "a", ProbedKind::Format(Format::Delimited)), // has a comma; the reader reports the error
+            (b"Dear reader,\nthere is nothing here\n", "a.txt", ProbedKind::UnknownText),
+            (b"# Notes\n\nFirst, read this:\n\n1. eat\n2. sleep\n", "a.md", ProbedKind::UnknownText),
+            (b"Name;Phase\nwater;liquid\n", "A.CSV", ProbedKind::Format(Format::Delimited)), // the reader reports what is missing
             (b"plyx\nformat ascii 1.0\nelement vertex 0\nend_header\n", "a.ply", ProbedKind::UnknownText),
             (b"Dear reader\n", "a", ProbedKind::UnknownText),
             (b"0\n\n1\n\nO 1 2 3\n", "a.xyz", ProbedKind::Format(Format::XyzAtoms)),
