@@ -1,7 +1,7 @@
 //! Formats numbers, options and errors as text.
 
 use crate::pipeline::{FrameReport, Job};
-pub(in crate::cli) use crate::surface::words::{pluralize, rounded_down, significant};
+pub(in crate::cli) use crate::surface::words::{pluralize, rounded_down, shortest, significant};
 
 /// Lines that were printed more than this many frames ago have probably scrolled out of view.
 pub(super) const FRAMES_IN_VIEW: usize = 20;

@@ -15,9 +15,15 @@ pub fn pluralize(count: usize, noun: &str) -> String {
 /// A number with six significant digits, without trailing zeros.
 pub fn significant(value: f64) -> String {
     // Round in decimal digits and parse the result: printing it again gives no more digits than these.
-    let rounded: f64 = format!("{value:.5e}").parse().unwrap_or(value);
-    let is_plain = rounded == 0.0 || !rounded.is_finite() || (1e-4..1e9).contains(&rounded.abs());
-    if is_plain { rounded.to_string() } else { format!("{rounded:e}") }
+    shortest(format!("{value:.5e}").parse().unwrap_or(value))
+}
+
+/// A number with all of its digits. A very large or very small one is in scientific notation if that is
+/// shorter.
+pub fn shortest(value: f64) -> String {
+    let (plain, scientific) = (value.to_string(), format!("{value:e}"));
+    let is_usual = (1e-4..1e9).contains(&value.abs());
+    if is_usual || plain.len() <= scientific.len() { plain } else { scientific }
 }
 
 /// Removes the digits that binary rounding adds to a product of decimal numbers: 0.020000000000000004 becomes
@@ -131,6 +137,23 @@ mod tests {
             (f64::INFINITY, "inf"),
         ] {
             assert_eq!(significant(value), expected);
+        }
+    }
+
+    #[test]
+    fn scientific_notation_is_used_where_it_is_shorter() {
+        for (value, expected) in [
+            (0.0, "0"),
+            (-0.001, "-0.001"),
+            (1000.0, "1000"),
+            (0.1f64.next_up(), "0.10000000000000002"),
+            (1e-5, "1e-5"),
+            (2.5e30, "2.5e30"),
+            (123_456_789_012.5, "123456789012.5"),
+            (f64::NEG_INFINITY, "-inf"),
+            (f64::NAN, "NaN"),
+        ] {
+            assert_eq!(shortest(value), expected);
         }
     }
 

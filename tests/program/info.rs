@@ -67,6 +67,25 @@ fn attributes_are_described() {
     assert_eq!(json[0]["particles"]["spacing"], 1.0);
 }
 
+#[test]
+fn numbers_of_any_magnitude_are_readable() {
+    let folder = tempdir().expect("a folder");
+    let row = "3,-1.23456789,2.5e-12,1e30";
+    fs::write(
+        folder.path().join("t.csv"),
+        format!("x,y,z,vx,vy,vz,mass\n0,0,0,0,0,0,1\n1e20,0,1e-7,{row}\n"),
+    )
+    .expect("written");
+    let out = meniscus(folder.path(), &["info", "t.csv"]).out;
+    for words in [
+        "(0, 0, 0) to (1e20, 0, 1e-7)",
+        "v: f64 × 3, velocity, (0, -1.23457, 0) to (3, 0, 2.5e-12)",
+        "mass: f64 × 1, mass, 1 to 1e30",
+    ] {
+        assert!(out.contains(words), "{words} is not in {out}");
+    }
+}
+
 /// A truncated step is marked as such, and the others are described.
 #[test]
 fn each_step_is_described() {
@@ -118,7 +137,9 @@ fn files_that_are_neither_particles_nor_surfaces_are_named() {
     fs::write(path.join("picture.png"), b"\x89PNG\r\n\x1a\n and so on").expect("written");
     fs::write(path.join("daemon.toml"), "[[watch]]\ninput = \"in\"\n").expect("written");
     fs::write(path.join("data.json"), "[[1, 2], [3, 4]]\n").expect("written");
+    fs::write(path.join("notes.md"), "# Notes\n\nFirst, read this; then:\n\n1. eat\n").expect("written");
     for (file, words) in [
+        ("notes.md", "text in an unknown format: not a supported particle format"),
         ("picture.png", "PNG image: this is a picture, not particles"),
         ("daemon.toml", "TOML: not a supported particle format"),
         ("data.json", "JSON: not a supported particle format"),
@@ -174,8 +195,11 @@ fn attributes_of_gltf_are_described() {
     assert_eq!(meniscus(path, &arguments).status, 0);
     for name in ["o/a.glb", "o/a.gltf"] {
         let out = meniscus(path, &["info", name]).out;
-        assert!(out.contains("_VELOCITY: f32 × 3, velocity, 1 … 1; 2 … 2; 3 … 3"), "{out}");
-        assert!(out.contains("_AGE: f32 × 1, 7 … 7") && !out.contains("spacing"), "{out}");
+        assert!(out.contains("_VELOCITY: f32 × 3, velocity, (1, 2, 3) to (1, 2, 3)"), "{out}");
+        assert!(out.contains("_AGE: f32 × 1, 7 to 7") && !out.contains("confidence"), "{out}");
+        let lines: Vec<&str> = out.lines().skip_while(|line| *line != "  made with").skip(1).collect();
+        assert!(lines.iter().any(|line| line.trim_end() == "    input              a.ply"), "{out}");
+        assert!(lines.len() > 10 && lines.iter().all(|line| line.starts_with("    ")), "{out}");
         let json: Value =
             serde_json::from_str(&meniscus(path, &["info", "--json", name]).out).expect("the output is JSON");
         let names: Vec<_> = json[0]["mesh"]["attributes"].as_array().expect("a list").iter().collect();

@@ -7,10 +7,10 @@ use glam::DVec3;
 use meniscus_formats::{AttributeRole, FileAttribute, MeshData};
 use serde::Serialize;
 
-use crate::cli::wording::significant;
+use crate::cli::wording::{shortest, significant};
 
 use super::particles::{AttributeInfo, attributes_of, fmt_attributes};
-use super::{BoundingBox, row};
+use super::{BoundingBox, row, vector};
 
 /// A triangle mesh; larger polygons count as the triangles they are cut into.
 #[derive(Debug, Serialize)]
@@ -111,10 +111,11 @@ impl fmt::Display for MeshInfo {
         let normals = if self.has_normals { ", with normals" } else { "" };
         row(f, "vertices", format_args!("{}{normals}", self.vertices))?;
         row(f, "triangles", self.triangles)?;
-        if let Some([x, y, z]) = self.first_not_finite {
+        if let Some(position) = self.first_not_finite {
             let first = format_args!(
-                "{}, the first at ({x}, {y}, {z}); triangles with them are not in the area and volume",
-                self.not_finite
+                "{}, the first at {}; triangles with them are not in the area and volume",
+                self.not_finite,
+                vector(&position.map(shortest))
             );
             row(f, "vertices not finite", first)?;
         }

@@ -33,7 +33,7 @@ use crate::surface::options::SpacingOptions;
 use super::args::InfoArgs;
 use super::console::{Console, json_text};
 use super::inputs::find_inputs;
-use super::wording::with_causes;
+use super::wording::{shortest, with_causes};
 use super::{CommandOutcome, DoneCounts};
 
 use mesh::MeshInfo;
@@ -370,9 +370,7 @@ impl fmt::Display for FileInfo {
             row(f, "vertices", vertices)?;
             row(f, "faces", faces)?;
         }
-        for (name, value) in self.made_by.iter().flatten() {
-            row(f, "made by", format_args!("{name}: {value}"))?;
-        }
+        self.made_by.iter().try_for_each(|made_by| block(f, "made with", made_by))?;
         for note in &self.notes {
             row(f, "note", note)?;
         }
@@ -383,6 +381,21 @@ impl fmt::Display for FileInfo {
 /// One line of text: a label and a value.
 fn row(f: &mut fmt::Formatter<'_>, label: &str, value: impl fmt::Display) -> fmt::Result {
     write!(f, "\n  {label:<20} {}", escaped(value))
+}
+
+/// A heading, and below it a line of text for each name and value.
+fn block(f: &mut fmt::Formatter<'_>, heading: &str, values: &BTreeMap<String, String>) -> fmt::Result {
+    if values.is_empty() {
+        return Ok(());
+    }
+    write!(f, "\n  {heading}")?;
+    let line = |(name, value)| write!(f, "\n    {:<18} {}", escaped(name).to_string(), escaped(value));
+    values.iter().try_for_each(line)
+}
+
+/// A vector as text.
+fn vector(components: &[String]) -> String {
+    format!("({})", components.join(", "))
 }
 
 /// A box in world units.
@@ -420,7 +433,7 @@ fn short(value: f64) -> f64 {
 
 impl fmt::Display for BoundingBox {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [min, max] = [self.min, self.max].map(|corner| corner.map(|x| x.to_string()).join(", "));
-        write!(f, "({min}) to ({max})")
+        let [min, max] = [self.min, self.max].map(|corner| vector(&corner.map(shortest)));
+        write!(f, "{min} to {max}")
     }
 }

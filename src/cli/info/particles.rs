@@ -9,8 +9,8 @@ use crate::pipeline::{MeasuredSpacing, particles};
 use crate::surface::options::Preset;
 use crate::surface::particles::OwnedPositions;
 
-use super::super::wording::significant;
-use super::{BoundingBox, row, short};
+use super::super::wording::{shortest, significant};
+use super::{BoundingBox, row, short, vector};
 
 /// A frame of particles.
 #[derive(Debug, Serialize)]
@@ -190,7 +190,7 @@ impl fmt::Display for ParticlesInfo {
             (Some(spacing), Some(confidence), Some(voxel_size)) => {
                 let percent = (100.0 * confidence).round();
                 row(f, "spacing", format_args!("{}, confidence {percent} %", significant(spacing)))?;
-                row(f, "suggested voxel size", voxel_size)
+                row(f, "suggested voxel size", shortest(voxel_size))
             }
             _ => row(f, "spacing", "unknown: no two particles have different positions"),
         }
@@ -206,12 +206,16 @@ impl fmt::Display for AttributeInfo {
         if let Some(strings) = &self.strings {
             write!(f, ", {} distinct", strings.len())?;
         }
-        for (component, (min, max)) in self.min.iter().zip(&self.max).enumerate() {
-            let lead = if component == 0 { ", " } else { "; " };
-            match (min, max) {
-                (Some(min), Some(max)) => write!(f, "{lead}{min} … {max}")?,
-                _ => write!(f, "{lead}none")?,
-            }
+        let [min, max] = [&self.min, &self.max].map(|corner| {
+            let component = |number: &Option<PrintedNumber>| {
+                number.as_ref().map_or_else(|| "none".to_owned(), ToString::to_string)
+            };
+            corner.iter().map(component).collect::<Vec<String>>()
+        });
+        match (&min[..], &max[..]) {
+            ([], []) => {}
+            ([min], [max]) => write!(f, ", {min} to {max}")?,
+            _ => write!(f, ", {} to {}", vector(&min), vector(&max))?,
         }
         let several = self.counts.iter().filter(|counts| counts.len() > 1);
         for (index, ValueCount { value, count }) in several.flatten().enumerate() {
@@ -225,7 +229,7 @@ impl fmt::Display for PrintedNumber {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             PrintedNumber::Integer(value) => write!(f, "{value}"),
-            PrintedNumber::Real(value) => write!(f, "{value}"),
+            PrintedNumber::Real(value) => f.write_str(&significant(*value)),
         }
     }
 }

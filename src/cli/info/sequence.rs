@@ -6,6 +6,7 @@ use std::fmt;
 
 use serde::Serialize;
 
+use super::super::wording::shortest;
 use super::row;
 
 /// A file with all frames of a sequence, as meniscus writes it.
@@ -48,7 +49,7 @@ impl fmt::Display for SequenceFileRecord {
         for (label, number) in [("first frame", self.first), ("last frame", self.last)] {
             number.iter().try_for_each(|number| row(f, label, number))?;
         }
-        self.fps.iter().try_for_each(|fps| row(f, "frames per second", fps))?;
+        self.fps.iter().try_for_each(|fps| row(f, "frames per second", shortest(*fps)))?;
         row(f, "vertices", format_args!("{}, in all frames", self.vertices))?;
         row(f, "triangles", format_args!("{}, in all frames", self.triangles))?;
         self.attributes.iter().try_for_each(|name| row(f, "attribute", name))

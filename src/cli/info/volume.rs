@@ -6,7 +6,8 @@ use std::fmt;
 use meniscus_formats::vdb::{GridInfo, MetaValue};
 use serde::Serialize;
 
-use super::row;
+use super::super::wording::shortest;
+use super::{block, row, vector};
 
 /// A grid.
 #[derive(Debug, Serialize)]
@@ -59,10 +60,10 @@ impl fmt::Display for GridRecord {
         let class = if self.class.is_empty() { "no class" } else { &self.class };
         row(f, "grid", format_args!("{}: {class}, {}", self.name, self.tree_type))?;
         if let Some(voxel_size) = self.voxel_size {
-            row(f, "voxel size", voxel_size.map(|x| x.to_string()).join(" × "))?;
+            row(f, "voxel size", voxel_size.map(shortest).join(" × "))?;
         }
         if let Some(origin) = self.origin {
-            row(f, "voxel (0, 0, 0) at", format_args!("({})", origin.map(|x| x.to_string()).join(", ")))?;
+            row(f, "voxel (0, 0, 0) at", vector(&origin.map(shortest)))?;
         }
         if let Some([min, max]) = self.active_bounds {
             row(f, "active voxels from", format_args!("{min:?} to {max:?}"))?;
@@ -70,9 +71,14 @@ impl fmt::Display for GridRecord {
         if let Some(count) = self.active_voxels {
             row(f, "active voxels", count)?;
         }
-        for (name, value) in &self.metadata {
-            row(f, "metadata", format_args!("{name}: {value}"))?;
-        }
-        Ok(())
+        let shown = |value: &serde_json::Value| match value {
+            serde_json::Value::String(text) => text.clone(),
+            serde_json::Value::Number(number) if number.is_f64() => {
+                number.as_f64().map_or_else(|| number.to_string(), shortest)
+            }
+            other => other.to_string(),
+        };
+        let metadata = self.metadata.iter().map(|(name, value)| (name.clone(), shown(value)));
+        block(f, "metadata", &metadata.collect())
     }
 }
