@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::surface::options::{self, SpacingOptions};
-use crate::surface::particles::{Attribute, ParticleFilter, Role, erased};
+use crate::surface::particles::{Attribute, Role, erased};
 use crate::surface::spacing::{
     CONFIDENCE_MIN, SequenceEstimate, SourceSample, SpacingEstimate, combine_estimates, estimate_spacing,
     median, rounded,
