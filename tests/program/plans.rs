@@ -417,7 +417,7 @@ fn in_certificate(folder: &Path, was: &str, becomes: &str) {
     });
 }
 
-const CASES: [Case; 12] = [
+const CASES: [Case; 14] = [
     ("missing", |f| fs::remove_file(f.join("out/dam.1.vdb")).expect("there"), "missing: dam.1.vdb"),
     (
         "missing",
@@ -427,14 +427,31 @@ const CASES: [Case; 12] = [
     (
         "damaged",
         |f| edit(f.join("out/dam.1.glb"), |bytes| bytes.truncate(bytes.len() - 9)),
-        "the file is truncated or has trailing data",
+        "dam.1.glb was changed or replaced: it has ",
+    ),
+    // Damage to the provenance of a file is damage, and not another setting.
+    (
+        "damaged",
+        |f| {
+            edit(f.join("out/dam.1.glb"), |bytes| {
+                let name = b"step_size";
+                let at = bytes.windows(name.len()).position(|part| part == name).expect("a setting");
+                bytes[at] ^= 1;
+            });
+        },
+        "dam.1.glb was changed or replaced: its hash differs from that in the certificate",
+    ),
+    (
+        "damaged",
+        |f| in_certificate(f, "\"input_hash\": \"xxh3-128:", "\"input_hash\": \"xxh3-128:0"),
+        "dam.1.glb: the certificate names another input than the file",
     ),
     (
         "damaged",
         |f| edit(f.join("out/dam.1.vdb"), |bytes| *bytes.last_mut().expect("bytes") ^= 1),
-        "dam.1.vdb was modified: its hash differs from that in the certificate",
+        "dam.1.vdb was changed or replaced: its hash differs from that in the certificate",
     ),
-    ("damaged", |f| edit(f.join("out/dam.1.glb"), Vec::clear), "dam.1.glb: "),
+    ("damaged", |f| edit(f.join("out/dam.1.glb"), Vec::clear), "dam.1.glb was changed or replaced"),
     (
         "damaged",
         |f| fs::write(f.join("out/dam.1.certificate.json"), "{}").expect("written"),
@@ -455,13 +472,14 @@ const CASES: [Case; 12] = [
         |f| in_certificate(f, "\"holds\": true", "\"holds\": true,\n    \"trust_me\": true"),
         "unknown field `trust_me`",
     ),
+    // Another run replaced a file, and wrote no certificate.
     (
-        "stale",
+        "damaged",
         |f| {
             let arguments = ["convert", "in/dam.1.ply", "--out=out", "--voxel-size=0.07", "--format=glb"];
             succeeded(&meniscus(f, &arguments));
         },
-        "dam.1.glb: made with voxel_size 0.07; the current setting is 0.04",
+        "dam.1.glb was changed or replaced",
     ),
     (
         "stale",

@@ -97,7 +97,7 @@ State of a frame:
   done     all files exist and are complete, were made from the current input with the plan's settings, match the
            hashes in their certificate (the file beside them with the results of validation), and passed validation
   missing  a file is missing
-  damaged  a file is truncated, or was modified after it was written
+  damaged  a file was changed or replaced after it was written
   stale    made from another version of the input, with other settings or by another version of meniscus
   failed validation
            all files exist, but a check of the surface failed: converting again would give the same result

@@ -160,11 +160,16 @@ impl CertifiedFrame {
             let output = output.ok_or_else(|| format!("the certificate has no entry for {name}"))?;
             let size_bytes = fs::metadata(path).map_err(|error| format!("{name}: {error}"))?.len();
             if size_bytes != output.size_bytes {
-                return Err(format!("{name} has {size_bytes} bytes, expected {}", output.size_bytes));
+                let size = output.size_bytes;
+                return Err(format!(
+                    "{name} was changed or replaced: it has {size_bytes} bytes, expected {size}"
+                ));
             }
             let hash = InputFile::open(path).and_then(|file| file.hash());
             if hash_text(hash.map_err(|error| format!("{name}: {error}"))?) != output.hash {
-                return Err(format!("{name} was modified: its hash differs from that in the certificate"));
+                return Err(format!(
+                    "{name} was changed or replaced: its hash differs from that in the certificate"
+                ));
             }
         }
         Ok(())

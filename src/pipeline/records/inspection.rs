@@ -2,14 +2,16 @@
 //!
 //! ```text
 //!   a file is missing             ─▶ Missing      ┐
-//!   the end of one is missing,                    │
-//!   or its bytes are not those                    ├ converted again
-//!   that were certified           ─▶ Damaged      │
+//!   its bytes are not those                       │
+//!   that were certified           ─▶ Damaged      ├ converted again
 //!   made from another input, or                   │
 //!   with other settings           ─▶ Stale        ┘
 //!   validation failed             ─▶ Uncertified    another conversion would give the same result
 //!   else                          ─▶ Done
 //! ```
+//!
+//! The hashes are compared before anything is read from the files: damaged bytes may be those that name the
+//! input and the settings.
 //!
 //! A shard inspects a frame before it converts it, and `verify` runs the same inspection for all shards. So a
 //! shard that runs again converts exactly the frames that `verify` reports as missing, damaged or stale.
@@ -18,12 +20,12 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use meniscus_formats::{Error, is_complete};
+use meniscus_formats::Error;
 use twox_hash::XxHash3_128;
 
 use super::certificate_file::{CertifiedFrame, certificate_path, read_certificate};
 use super::frame_warnings::does_not_hold;
-use super::provenance::{hash_text, provenance, recorded_provenance};
+use super::provenance::{provenance, recorded_provenance};
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::input::frame::{Frame, Job};
@@ -43,7 +45,7 @@ pub enum InspectedState {
         /// Whether none of them exists, as if the frame had never been converted.
         are_all: bool,
     },
-    /// A file was truncated or changed.
+    /// A file is not the one that was certified: it was truncated, changed or replaced.
     Damaged(String),
     /// A file was made from another version of the input, with other settings, or by another version of the
     /// program; or the input or an obstacle exists but cannot be read, so that this is unknown.
@@ -105,7 +107,8 @@ pub fn inspect(frame: &Frame) -> Inspection {
 /// A level-set frame with the voxel size of its file, if that can be read; any other frame unchanged.
 fn with_voxel_size_of_input(frame: &Frame) -> Frame {
     let read = |frame: &Frame| {
-        let voxel_size = LevelSetFile::read(&frame.input, false).ok()?.scene().lattice.voxel_size;
+        let voxel_size =
+            LevelSetFile::read(&frame.input, false).ok()?.scene().lattice.voxel_size;
         frame.settings.with_voxel_size(voxel_size).ok()
     };
     let settings = matches!(frame.job, Job::LevelSet { .. }).then(|| read(frame)).flatten();
@@ -153,43 +156,64 @@ fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> InspectedState {
         .map(|&format| (format, output_path(&options.folder, &frame.stem, format)))
         .collect();
     let certificate_path = certificate_path(&options.folder, &frame.stem);
-    let paths: Vec<PathBuf> = outputs.iter().map(|(_, path)| path.clone()).collect();
     let is_missing = |path: &&PathBuf| matches!(path.try_exists(), Ok(false));
-    let missing: Vec<String> =
-        paths.iter().chain([&certificate_path]).filter(is_missing).map(|path| name_of(path)).collect();
+    let paths = outputs.iter().map(|(_, path)| path).chain([&certificate_path]);
+    let missing: Vec<String> = paths.filter(is_missing).map(|path| name_of(path)).collect();
     if !missing.is_empty() {
-        let are_all = missing.len() == paths.len() + 1;
+        let are_all = missing.len() == outputs.len() + 1;
         return InspectedState::Missing { why: missing.join(", "), are_all };
     }
-    let certified = read_certificate(&certificate_path)
-        .map_err(|why| InspectedState::Damaged(format!("{}: {why}", name_of(&certificate_path))));
-    let state = outputs
-        .iter()
-        .try_for_each(|(format, path)| inspect_output(frame, made_from, *format, path))
-        .and_then(|()| certified.and_then(|certified| agrees(&certified, made_from, &paths)));
+    let state = read_certificate(&certificate_path)
+        .map_err(|why| InspectedState::Damaged(format!("{}: {why}", name_of(&certificate_path))))
+        .and_then(|certified| inspect_certified(frame, made_from, &outputs, &certified));
     state.err().unwrap_or(InspectedState::Done)
 }
 
-/// Inspects one file: whether it is complete, and its provenance.
+/// Inspects the outputs of a frame that has a certificate.
+fn inspect_certified(
+    frame: &Frame,
+    made_from: &MadeFrom,
+    outputs: &[(OutputFormat, PathBuf)],
+    certified: &CertifiedFrame,
+) -> Result<(), InspectedState> {
+    let paths: Vec<PathBuf> = outputs.iter().map(|(_, path)| path.clone()).collect();
+    if !certified.is_about(&paths) {
+        return Err(InspectedState::Stale(
+            "the certificate lists other files than the outputs of the frame".to_owned(),
+        ));
+    }
+    certified.check_bytes(&paths).map_err(InspectedState::Damaged)?;
+    outputs
+        .iter()
+        .try_for_each(|(format, path)| inspect_output(frame, made_from, (*format, path), certified))?;
+    match &certified.fault {
+        None => Ok(()),
+        Some(fault) => Err(InspectedState::Uncertified(does_not_hold(fault))),
+    }
+}
+
+/// Inspects the provenance of a file that has the certified bytes.
 fn inspect_output(
     frame: &Frame,
     made_from: &MadeFrom,
-    format: OutputFormat,
-    path: &Path,
+    (format, path): (OutputFormat, &Path),
+    certified: &CertifiedFrame,
 ) -> Result<(), InspectedState> {
     let damaged = |why: String| InspectedState::Damaged(format!("{}: {why}", name_of(path)));
-    let unreadable = |error: meniscus_formats::Error| damaged(error.to_string());
-    let mut file = open_regular(path).map_err(|error| damaged(error.to_string()))?;
-    let recorded = recorded_provenance(format, &file).map_err(unreadable)?;
-    if !is_complete(format, &mut file).map_err(unreadable)? {
-        return Err(damaged("the file is truncated or has trailing data".to_owned()));
-    }
+    let file = open_regular(path).map_err(|error| damaged(error.to_string()))?;
+    let recorded = recorded_provenance(format, &file).map_err(|error| damaged(error.to_string()))?;
     let hash = made_from.input_hash.unwrap_or_default();
     let obstacles = made_from.obstacles.as_deref().unwrap_or_default();
     let wanted = provenance(frame, (hash, obstacles), format);
-    match difference(&recorded, &wanted, (made_from, &frame.job)) {
-        None => Ok(()),
-        Some(difference) => Err(InspectedState::Stale(format!("{}: {difference}", name_of(path)))),
+    if let Some(difference) = difference(&recorded, &wanted, (made_from, &frame.job)) {
+        return Err(InspectedState::Stale(format!("{}: {difference}", name_of(path))));
+    }
+    // The file has the bytes that its writer certified, so it is the certificate that was changed.
+    let is_certified =
+        |(name, value): &(String, String)| name == "input_hash" && *value == certified.input_hash;
+    match recorded.iter().any(is_certified) {
+        true => Ok(()),
+        false => Err(damaged("the certificate names another input than the file".to_owned())),
     }
 }
 
@@ -228,25 +252,6 @@ fn describe_difference(name: &str, was: Option<String>, wanted: Option<String>) 
         (_, Some(was), Some(wanted)) => format!("made with {name} {was}; the current setting is {wanted}"),
         (_, None, Some(wanted)) => format!("made without {name}; the current setting is {wanted}"),
         (_, was, _) => format!("made with {name} {}, which is no longer set", was.unwrap_or_default()),
-    }
-}
-
-/// Checks that a certificate describes these files and this input, and that all its checks passed.
-fn agrees(certified: &CertifiedFrame, made_from: &MadeFrom, paths: &[PathBuf]) -> Result<(), InspectedState> {
-    if !certified.is_about(paths) {
-        return Err(InspectedState::Stale(
-            "the certificate lists other files than the outputs of the frame".to_owned(),
-        ));
-    }
-    certified.check_bytes(paths).map_err(InspectedState::Damaged)?;
-    if made_from.input_hash.is_some_and(|hash| hash_text(hash) != certified.input_hash) {
-        return Err(InspectedState::Stale(
-            "the input has changed since the certificate was written".to_owned(),
-        ));
-    }
-    match &certified.fault {
-        None => Ok(()),
-        Some(fault) => Err(InspectedState::Uncertified(does_not_hold(fault))),
     }
 }
 
