@@ -11,8 +11,8 @@ use std::process::Command;
 use std::sync::Arc;
 
 use meniscus::pipeline::{
-    Frame, Job, LevelSetMethod, ObstacleFiles, Outcome, OutputFormat, OutputOptions, PipelineOptions,
-    Warning, run,
+    Frame, FrameFile, Job, LevelSetMethod, ObstacleFiles, Outcome, OutputFormat, OutputOptions,
+    PipelineOptions, Warning, run,
 };
 use meniscus::surface::options::{ClipBox, MethodOptions, Settings};
 use meniscus_formats::{FilePositions, ParticleFrame, bgeo};
@@ -25,17 +25,53 @@ const EXCESS_MAX: f64 = 0.1;
 /// Set in the process that converts the frames.
 const IS_CHILD: &str = "MENISCUS_TEST_OF_MEMORY";
 
+/// Whether this is the process for a test. Otherwise runs the test in such a process: a process has only one
+/// peak memory.
+fn is_child(test: &str) -> bool {
+    if env::var_os(IS_CHILD).is_some() {
+        return true;
+    }
+    let mut child = Command::new(env::current_exe().expect("the path of this program"));
+    child.args(["--exact", &format!("memory_limit::{test}"), "--nocapture"]).env(IS_CHILD, "1");
+    let output = child.output().expect("started");
+    let text = [output.stdout, output.stderr].concat();
+    let text = String::from_utf8_lossy(&text);
+    assert!(output.status.success() && text.contains("1 passed"), "{text}");
+    false
+}
+
+/// Each of these particles has 125 leaves near it. Even counting these takes more memory than the limit, so the
+/// frame is refused before they are counted. The message states what is known by then.
+#[test]
+fn scattered_frame_is_refused_within_the_limit() {
+    if !is_child("scattered_frame_is_refused_within_the_limit") {
+        return;
+    }
+    let folder = tempdir().expect("a folder");
+    let input = folder.path().join("spray.bgeo");
+    write(&input, spray(200_000).into_iter().map(|position| position.map(|along| 50.0 * along)).collect());
+    let settings = Settings::paper(0.05, &MethodOptions::default()).expect("valid");
+    let outputs = OutputOptions::new(folder.path().join("out"), &[OutputFormat::Vdb]);
+    let frame = Frame::new(&FrameFile::new(input), &Arc::new(settings), &Arc::new(outputs));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
+    let memory_bytes = 64 << 20;
+    let pipeline_options = PipelineOptions { memory_bytes, ..PipelineOptions::new(&pool) };
+    run(&LevelSetMethod, &[frame], &pipeline_options, |_, outcome| {
+        let Outcome::Failed(error) = outcome else { panic!("{outcome:?}") };
+        let message = error.to_string();
+        assert!(
+            message.contains("the frame needs at least ") && message.contains("limit is 64 MiB"),
+            "{message}"
+        );
+    });
+    assert!(peak_bytes() < memory_bytes, "{} bytes", peak_bytes());
+}
+
 /// Two of these frames together need more than the limit; one frame does not.
 #[test]
 fn memory_limit_holds() {
-    // A process has only one peak memory, so the frames are converted in a process of their own.
-    if env::var_os(IS_CHILD).is_none() {
-        let mut child = Command::new(env::current_exe().expect("the path of this program"));
-        child.args(["--exact", "memory_limit::memory_limit_holds", "--nocapture"]).env(IS_CHILD, "1");
-        let output = child.output().expect("started");
-        let text = [output.stdout, output.stderr].concat();
-        let text = String::from_utf8_lossy(&text);
-        return assert!(output.status.success() && text.contains("1 passed"), "{text}");
+    if !is_child("memory_limit_holds") {
+        return;
     }
     let memory_share = memory_of_frames(8, 128 << 20, Some(1));
     // The program must also make use of the memory within the limit.

@@ -171,7 +171,9 @@ impl<'a> RenderSession<'a> {
         console: &Console,
     ) -> Result<RenderSource> {
         let source = if is_level_set(&file.path) {
-            RenderSource::LevelSet(Box::new(LevelSetFile::read(&file.path, self.has_velocities())?))
+            let level_set = LevelSetFile::read(&file.path, self.has_velocities(), self.memory_bytes)?;
+            level_set.require_memory(&file.path, &self.outputs, self.memory_bytes)?;
+            RenderSource::LevelSet(Box::new(level_set))
         } else {
             let settings = settings.with_context(|| {
                 format!(

@@ -31,12 +31,13 @@ pub trait Method: Sync {
     /// The result of smoothing.
     type Smoothed: Send;
 
-    /// Plans the reconstruction of the frame within a memory limit.
+    /// Plans the reconstruction of the frame, and the pictures among its outputs, within a memory limit.
     fn plan(
         &self,
         particles: &FrameInput,
         obstacles: &FrameObstacles,
         settings: &Settings,
+        outputs: &OutputOptions,
         allowed_bytes: u64,
     ) -> Result<MemoryPlan, Cause>;
     /// The first stage: rasterizes particles and obstacles. May write data that do not fit into memory to
@@ -88,17 +89,24 @@ impl Method for LevelSetMethod {
         particles: &FrameInput,
         obstacles: &FrameObstacles,
         settings: &Settings,
+        outputs: &OutputOptions,
         allowed_bytes: u64,
     ) -> Result<MemoryPlan, Cause> {
+        let picture_bytes = outputs.picture_bytes();
         if let FrameInput::LevelSet(given) = particles {
             let LevelSetInput { band, max_deviation_voxels, .. } = &**given;
-            let in_core_bytes = reconstruction::smooth_level_set_bytes(band, *max_deviation_voxels, settings);
-            level_set_limits(allowed_bytes).check_level_set(in_core_bytes, "").map_err(Cause::File)?;
+            let level_set_bytes =
+                reconstruction::smooth_level_set_bytes(band, *max_deviation_voxels, settings);
+            let in_core_bytes = level_set_bytes.saturating_add(picture_bytes);
+            let with_picture = if picture_bytes > 0 { " with its picture" } else { "" };
+            let limits = level_set_limits(allowed_bytes);
+            limits.check_level_set(in_core_bytes, with_picture).map_err(Cause::File)?;
             let memory_bytes = in_core_bytes.saturating_sub(particles.size_bytes());
             return Ok(MemoryPlan { memory_bytes, tile_leaves: None, in_core_bytes });
         }
-        // The input needs memory in addition to the plan.
+        // The input needs memory in addition to the plan, and so does a picture.
         let given_bytes = particles.size_bytes().saturating_add(obstacles.all_bytes);
+        let aside_bytes = given_bytes.saturating_add(picture_bytes);
         let planned = reconstruction::plan_memory(
             particles,
             settings,
@@ -106,12 +114,17 @@ impl Method for LevelSetMethod {
                 obstacles: &obstacles.obstacles,
                 attribute_bytes: particles.attribute_bytes(settings),
             },
-            allowed_bytes.saturating_sub(given_bytes),
+            allowed_bytes.saturating_sub(aside_bytes),
         )?;
-        planned.map_err(|error| match error {
+        let with_picture = |plan: MemoryPlan| MemoryPlan {
+            memory_bytes: plan.memory_bytes.saturating_add(picture_bytes),
+            in_core_bytes: plan.in_core_bytes.saturating_add(picture_bytes),
+            ..plan
+        };
+        planned.map(with_picture).map_err(|error| match error {
             MemoryPlanError::TooLarge(too_large) => {
-                let needed_bytes = too_large.needed_bytes.saturating_add(given_bytes);
-                Cause::TooLarge(TooLarge { needed_bytes, allowed_bytes, ..too_large })
+                let needed_bytes = too_large.needed_bytes.saturating_add(aside_bytes);
+                Cause::TooLarge(TooLarge { needed_bytes, allowed_bytes, picture_bytes, ..too_large })
             }
             MemoryPlanError::VoxelTooSmall(too_small) => Cause::VoxelTooSmall(too_small),
         })

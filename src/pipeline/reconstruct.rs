@@ -99,7 +99,8 @@ impl LoadedFrame {
         let obstacles = loaded.recorded.clone();
         let given = FrameInput::InMemory(self.cloud.clone());
         let method = LevelSetMethod;
-        let plan = stage(path, Stage::Read, || method.plan(&given, &loaded, settings, memory_bytes))?;
+        let plan =
+            stage(path, Stage::Read, || method.plan(&given, &loaded, settings, outputs, memory_bytes))?;
         let rasterize = || method.rasterize(given, loaded, settings, &plan, &outputs.folder);
         let rasterized = stage(path, Stage::Rasterize, rasterize)?;
         let smoothed = stage(path, Stage::Smooth, || method.smooth(rasterized, settings, &mut |_| {}))?;

@@ -62,7 +62,8 @@ pub enum Error {
     /// The frame needs more memory than the [limit](crate::Reconstructor::memory_limit). Raise the
     /// limit or choose larger voxels.
     MemoryLimit {
-        /// Upper estimate of the memory that the frame needs, in bytes.
+        /// The smallest limit that may be sufficient, in bytes. Usually it is sufficient; it is less if even
+        /// counting what the frame needs would exceed the limit by far.
         needed_bytes: u64,
         /// The limit, in bytes.
         limit_bytes: u64,
@@ -108,7 +109,7 @@ impl fmt::Display for Error {
             ),
             Error::MemoryLimit { needed_bytes, limit_bytes } => write!(
                 f,
-                "the frame needs {} MiB of memory; the limit is {} MiB: raise it or choose larger voxels",
+                "the frame needs at least {} MiB of memory; the limit is {} MiB: raise it or choose larger voxels",
                 needed_bytes.div_ceil(MEBIBYTE),
                 limit_bytes / MEBIBYTE
             ),

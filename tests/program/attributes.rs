@@ -201,7 +201,8 @@ fn tiled_conversion_gives_the_same_attributes() {
     let whole = convert(folder, "whole", &all);
     assert_eq!(whole.status, 0, "{}", whole.err);
     let least = convert(folder, "tiles", &[&all[..], &["--memory", "1MiB"]].concat());
-    let needed = least.err.split("the frame needs ").nth(1).and_then(|after| after.split(' ').next());
+    let needed =
+        least.err.split("the frame needs at least ").nth(1).and_then(|after| after.split(' ').next());
     let needed: u64 =
         needed.and_then(|number| number.parse().ok()).unwrap_or_else(|| panic!("{}", least.err));
     let memory = format!("{}MiB", needed + 1);

@@ -399,6 +399,35 @@ fn unlike(picture: &Pixels, reference: &Pixels) -> Option<String> {
         .then(|| format!("off by {mean:.2} levels in the mean, {far_off:.1} ‰ by more than {OFF_MAX}"))
 }
 
+/// A picture of this size takes some gigabytes.
+#[test]
+fn large_picture_is_refused_within_the_memory_limit() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    write_sequence(folder, 1, 1);
+    let common = ["--voxel-size", "0.05", "--format", "vdb", "--out", "out"];
+    assert_eq!(meniscus(folder, &[&["convert", "dam.1.ply"][..], &common].concat()).status, 0);
+    let preview = ["--preview", "exr", "--preview-size", "8192x4096", "--memory", "1GiB"];
+    let size = ["-o", "a.exr", "--size", "8192x4096", "--memory", "1GiB"];
+    for (arguments, words) in [
+        (
+            &[&["convert", "dam.1.ply"][..], &common, &preview].concat(),
+            "of which the picture needs 4160, and",
+        ),
+        (&[&["render", "dam.1.ply"][..], &size].concat(), "of which the picture needs 4160, and"),
+        (&[&["render", "out/dam.1.vdb"][..], &size].concat(), "the level set with its picture needs 416"),
+    ] {
+        let result = meniscus(folder, arguments);
+        assert_eq!(result.status, 2, "{arguments:?}");
+        assert!(result.err.contains(words) && result.err.contains("limit is 1024 MiB"), "{}", result.err);
+    }
+    // Smaller pictures fit.
+    let small =
+        [&["convert", "dam.1.ply"][..], &common, &["--preview", "exr", "--memory", "256MiB"]].concat();
+    let result = meniscus(folder, &small);
+    assert_eq!(result.status, 0, "{}", result.err);
+}
+
 /// Pictures of a ball, of a frame of water and of its particles match the references that a person has
 /// reviewed. The test leaves a differing picture in the build folder, to be reviewed and copied.
 #[test]

@@ -50,6 +50,7 @@ impl Method for Quick {
         _particles: &FrameInput,
         _obstacles: &FrameObstacles,
         _settings: &Settings,
+        _outputs: &OutputOptions,
         _allowed_bytes: u64,
     ) -> Result<MemoryPlan, Cause> {
         Ok(MemoryPlan { memory_bytes: 1 << 20, tile_leaves: None, in_core_bytes: 0 })

@@ -52,7 +52,8 @@ fn assert_same(folder: &Path, outs: [&str; 2]) {
 
 /// The number of mebibytes that a frame needs at least, according to the message.
 fn mebibytes_needed(result: &RunResult) -> u64 {
-    let after = result.err.split("the frame needs ").nth(1).unwrap_or_else(|| panic!("{}", result.err));
+    let after =
+        result.err.split("the frame needs at least ").nth(1).unwrap_or_else(|| panic!("{}", result.err));
     after.split(' ').next().and_then(|number| number.parse().ok()).expect("a number")
 }
 
@@ -101,7 +102,7 @@ fn smallest_stated_memory_gives_the_same_bytes() {
     converted(path, "whole", &[]);
     let refused = convert(path, "tiled", &["--memory", "1MiB"]);
     assert_eq!(refused.status, 2, "{}", refused.out);
-    assert!(refused.err.contains("rod.ply: the frame needs "), "{}", refused.err);
+    assert!(refused.err.contains("rod.ply: the frame needs at least "), "{}", refused.err);
     assert!(refused.err.contains("--memory") && !refused.err.contains("implicit"), "{}", refused.err);
     assert_eq!(names_in(&path.join("tiled")), [""; 0]);
 

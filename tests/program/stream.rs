@@ -35,6 +35,7 @@ impl<H: Fn(Stage, usize) + Sync> Method for Recording<H> {
         particles: &FrameInput,
         _obstacles: &FrameObstacles,
         _settings: &Settings,
+        _outputs: &OutputOptions,
         _allowed_bytes: u64,
     ) -> Result<MemoryPlan, Cause> {
         Ok(MemoryPlan { memory_bytes: (particles.len() as u64) << 20, tile_leaves: None, in_core_bytes: 0 })

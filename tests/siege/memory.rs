@@ -88,7 +88,7 @@ fn mebibytes_needed(folder: &Path) -> u64 {
     let output = meniscus(folder).args(arguments).output().expect("it starts");
     let err = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success() && err.contains("dam.1.ply"), "{err}");
-    let needs = err.split("the frame needs ").skip(1);
+    let needs = err.split("the frame needs at least ").skip(1);
     let number = |after: &str| after.split(' ').next().and_then(|number| number.parse().ok());
     needs.map(|after| number(after).expect("a number")).max().unwrap_or_else(|| panic!("{err}"))
 }

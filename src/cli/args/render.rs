@@ -89,12 +89,12 @@ option_set! {
         #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
         pub(in crate::cli) threads: Option<u16>,
 
-        /// Memory limit for all frames in flight together, such as 8GiB [default: half of the available
-        /// memory]
+        /// Memory limit for all frames and pictures in flight together, such as 8GiB [default: half of the
+        /// available memory]
         ///
         /// A frame that needs more is converted in tiles, which are stored in temporary files beside the
         /// results; the result is the same. If even that does not fit, the frame fails with an error that
-        /// states the memory it needs.
+        /// says how much memory it needs at least.
         #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
         pub(in crate::cli) memory: Option<u64>,
     }

@@ -8,7 +8,7 @@ use crate::cli::args::{ContactSheetArgs, MethodArgs, PictureArgs};
 use crate::cli::choices::refuse_misplaced_rounds;
 use crate::cli::console::Console;
 use crate::cli::frame_selection::FrameSelection;
-use crate::cli::machine::thread_pool;
+use crate::cli::machine::{memory_bytes, thread_pool};
 use crate::cli::render_session::{RenderSession, RenderSource, catch_panic};
 use crate::cli::wording::{pluralize, significant, with_causes};
 use crate::cli::{CommandOutcome, DoneCounts};
@@ -32,7 +32,7 @@ pub(in crate::cli) fn contact_sheet(
     found.report(console);
     let selected_strips = select_frames(strips, args)?;
     let cell_count = selected_strips.iter().map(|strip| strip.frames.len()).sum();
-    refuse_large(cell_count, args.size)?;
+    refuse_large(cell_count, args.size, memory_bytes(args.pictures.run.memory)?)?;
     let (file, session) =
         SheetFile::prepare(&args.output, &args.pictures, (args.size, &files), None, console)?;
     let contact = Contact { args, session };

@@ -69,8 +69,8 @@ impl SheetFile {
     }
 }
 
-/// Refuses sheets that are too large to view, before any work starts.
-fn refuse_large(cell_count: usize, [width, height]: PictureSize) -> Result<()> {
+/// Refuses sheets that are too large to view, or for the memory limit, before any work starts.
+fn refuse_large(cell_count: usize, [width, height]: PictureSize, memory_bytes: u64) -> Result<()> {
     let pixel_count = cell_count * usize::from(width) * usize::from(height);
     if pixel_count > PIXELS_MAX {
         bail!(
@@ -80,11 +80,23 @@ fn refuse_large(cell_count: usize, [width, height]: PictureSize) -> Result<()> {
             PIXELS_MAX / 1_000_000
         );
     }
+    let needed_bytes = pixel_count as u64 * PIXEL_BYTES;
+    if needed_bytes > memory_bytes {
+        bail!(
+            "{cell_count} cells of {width}x{height} pixels need {} MiB of memory, and the limit is {} MiB: raise \
+             --memory, or choose fewer cells or a smaller --size",
+            needed_bytes.div_ceil(1 << 20),
+            memory_bytes >> 20
+        );
+    }
     Ok(())
 }
 
-/// Maximum number of pixels of a sheet. Such a sheet takes 1 GB while it is assembled, and its cells another.
+/// Maximum number of pixels of a sheet.
 const PIXELS_MAX: usize = 64_000_000;
+
+/// Memory per pixel in bytes: colour and coverage, in the cell and on the sheet, and the encoded bytes.
+const PIXEL_BYTES: u64 = 40;
 
 /// The number of columns of an approximately square sheet with few empty cells.
 fn even_columns(cell_count: usize) -> usize {
@@ -128,8 +140,11 @@ mod tests {
 
     #[test]
     fn too_many_pixels_are_refused() {
-        assert!(refuse_large(60, [1024, 1024]).is_ok());
-        let why = refuse_large(1000, [640, 360]).expect_err("too many").to_string();
+        let refused = |cell_count, size, memory_bytes| refuse_large(cell_count, size, memory_bytes);
+        assert!(refused(60, [1024, 1024], 4 << 30).is_ok());
+        let why = refused(1000, [640, 360], u64::MAX).expect_err("too many").to_string();
         assert!(why.contains("230 million") && why.contains("64 million"), "{why}");
+        let why = refused(60, [1024, 1024], 1 << 30).expect_err("too little memory").to_string();
+        assert!(why.contains("need 2400 MiB of memory, and the limit is 1024 MiB"), "{why}");
     }
 }

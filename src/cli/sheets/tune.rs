@@ -18,7 +18,7 @@ use crate::cli::args::{MethodArgs, TuneArgs};
 use crate::cli::choices::refuse_misplaced_rounds;
 use crate::cli::console::Console;
 use crate::cli::inputs::find_inputs;
-use crate::cli::machine::thread_pool;
+use crate::cli::machine::{memory_bytes, thread_pool};
 use crate::cli::parameter_sweep::{Parameter, SweepValue};
 use crate::cli::remedies::with_remedy;
 use crate::cli::render_session::{RenderSession, catch_panic, picture_of_reconstruction, spacing_of};
@@ -99,7 +99,7 @@ impl Grid {
         if cell_count > CELLS_MAX {
             bail!("--vary makes {cell_count} cells; at most {CELLS_MAX} are shown: give fewer values");
         }
-        refuse_large(cell_count, args.size)?;
+        refuse_large(cell_count, args.size, memory_bytes(args.pictures.run.memory)?)?;
         // An axis that is not varied has the single value `None`.
         let or_none = |values: Option<Vec<SweepValue>>| -> Vec<Option<SweepValue>> {
             values.map_or(vec![None], |values| values.into_iter().map(Some).collect())

@@ -12,6 +12,7 @@ use super::attributes::AttributeRequest;
 use super::level_set_file::{LevelSetFile, is_level_set};
 use super::reading::{parse_particles, read_file};
 use crate::pipeline::error::{FrameError, Stage};
+use crate::pipeline::memory::default_memory_bytes;
 use crate::pipeline::target::picture::PictureScene;
 use crate::surface::grid::{LeafMask, negative_masks};
 use crate::surface::particles::{OwnedPositions, ParticleFilter};
@@ -64,7 +65,7 @@ fn file_bounds(
     filter: Option<&ParticleFilter>,
 ) -> Result<Option<[DVec3; 2]>, FrameError> {
     if is_level_set(path) {
-        return Ok(LevelSetFile::read(path, false)?.scene().bounds());
+        return Ok(LevelSetFile::read(path, false, default_memory_bytes())?.scene().bounds());
     }
     let bytes = read_file(path)?;
     let read = parse_particles(path, &bytes, &AttributeRequest::positions_of(filter))?;

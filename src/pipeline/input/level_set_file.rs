@@ -16,7 +16,7 @@ use crate::surface::space::{INDEX_LIMIT, Lattice};
 
 use super::reading::read_file;
 use crate::pipeline::error::{FrameError, Stage};
-use crate::pipeline::memory::default_memory_bytes;
+use crate::pipeline::target::outputs::OutputOptions;
 use crate::pipeline::target::picture::PictureScene;
 use crate::pipeline::warning::Warning;
 
@@ -38,12 +38,12 @@ pub struct LevelSetFile {
 }
 
 impl LevelSetFile {
-    /// Reads the level set of a .vdb, with its velocities if `wants_velocity` is set.
+    /// Reads the level set of a .vdb, with its velocities if `wants_velocity` is set, within a memory limit.
     ///
     /// # Errors
-    /// When the system reports an error, or the file has no readable level set.
-    pub fn read(path: &Path, wants_velocity: bool) -> Result<LevelSetFile, FrameError> {
-        LevelSetFile::of_bytes(path, &read_file(path)?, wants_velocity, default_memory_bytes())
+    /// When the system reports an error, or the file has no readable level set, or it needs more memory.
+    pub fn read(path: &Path, wants_velocity: bool, memory_bytes: u64) -> Result<LevelSetFile, FrameError> {
+        LevelSetFile::of_bytes(path, &read_file(path)?, wants_velocity, memory_bytes)
     }
 
     /// Parses the bytes of a .vdb as [`read`](LevelSetFile::read) does, with a memory limit.
@@ -100,6 +100,24 @@ impl LevelSetFile {
                 self.name
             )),
         }
+    }
+
+    /// Fails if the level set and a picture of it do not fit into a memory limit. `path` is its file.
+    ///
+    /// # Errors
+    /// The amount of memory that they need.
+    pub fn require_memory(
+        &self,
+        path: &Path,
+        outputs: &OutputOptions,
+        memory_bytes: u64,
+    ) -> Result<(), FrameError> {
+        let fields = if self.velocity.is_some() { 4 } else { 1 };
+        let leaf_count = self.band.topology.len() * fields;
+        let needed_bytes = (leaf_count * size_of::<Leaf>()) as u64 + outputs.picture_bytes();
+        level_set_limits(memory_bytes)
+            .check_level_set(needed_bytes, " with its picture")
+            .map_err(|error| FrameError::file(path, Stage::Read, error))
     }
 
     /// The position of its voxel (0, 0, 0), world units.

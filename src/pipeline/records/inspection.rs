@@ -31,6 +31,7 @@ use crate::pipeline::files::open::open_regular;
 use crate::pipeline::input::frame::{Frame, Job};
 use crate::pipeline::input::level_set_file::LevelSetFile;
 use crate::pipeline::input::steps::{IndexPolicy, read_step, step_of};
+use crate::pipeline::memory::default_memory_bytes;
 use crate::pipeline::target::outputs::{OutputFormat, output_path};
 
 /// The result of an inspection, with a reason if the frame is not done.
@@ -108,7 +109,7 @@ pub fn inspect(frame: &Frame) -> Inspection {
 fn with_voxel_size_of_input(frame: &Frame) -> Frame {
     let read = |frame: &Frame| {
         let voxel_size =
-            LevelSetFile::read(&frame.input, false).ok()?.scene().lattice.voxel_size;
+            LevelSetFile::read(&frame.input, false, default_memory_bytes()).ok()?.scene().lattice.voxel_size;
         frame.settings.with_voxel_size(voxel_size).ok()
     };
     let settings = matches!(frame.job, Job::LevelSet { .. }).then(|| read(frame)).flatten();

@@ -89,7 +89,8 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
                     if let Ok(surface) = &made {
                         let packing_bytes = surface.attributes.packing_bytes() as u64;
                         let surface_bytes = surface.size_bytes().saturating_mul(WRITING_MEMORY);
-                        info.memory.resize(surface_bytes.saturating_add(packing_bytes));
+                        let writing_bytes = packing_bytes.saturating_add(frame.outputs.picture_bytes());
+                        info.memory.resize(surface_bytes.saturating_add(writing_bytes));
                     }
                     staged(made, frame, Stage::Contour)
                 }

@@ -222,7 +222,8 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             let members = obstacles.obstacles.members.iter().map(Arc::as_ref);
             let by_path = obstacles.paths.iter().map(PathBuf::as_path).zip(members);
             warnings.extend(out_of_reach(by_path, &given, &frame.settings).map_err(failed)?);
-            let plan = method.plan(&given, &obstacles, &frame.settings, allowed_bytes).map_err(failed)?;
+            let plan = method.plan(&given, &obstacles, &frame.settings, &frame.outputs, allowed_bytes);
+            let plan = plan.map_err(failed)?;
             if plan.tile_leaves.is_some() {
                 let whole_bytes = plan.in_core_bytes.saturating_add(given.size_bytes());
                 warnings.push(Warning::Tiled { whole_bytes });

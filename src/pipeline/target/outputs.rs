@@ -93,6 +93,11 @@ impl OutputOptions {
         self.formats.iter().any(|format| format.is_picture())
     }
 
+    /// Upper estimate of the memory for a picture of a frame, in bytes; 0 without pictures.
+    pub fn picture_bytes(&self) -> u64 {
+        self.picture.largest_bytes(&self.formats)
+    }
+
     /// Whether there are pictures whose camera still depends on the bounds of the sequence.
     pub fn needs_camera(&self) -> bool {
         self.has_pictures() && self.picture.camera.needs_bounds()

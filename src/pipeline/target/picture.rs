@@ -40,11 +40,32 @@ impl Default for PictureOptions {
 }
 
 impl PictureOptions {
+    /// Upper estimate of the memory for rendering and encoding a picture in this format, in bytes; 0 for other
+    /// formats.
+    fn picture_bytes(&self, format: OutputFormat) -> u64 {
+        let of_pixel = match (format.is_picture(), format.has_attributes()) {
+            (false, _) => 0,
+            (true, false) => PIXEL_BYTES,
+            (true, true) => PIXEL_BYTES_WITH_DATA,
+        };
+        (self.size[0] as u64).saturating_mul(self.size[1] as u64).saturating_mul(of_pixel)
+    }
+
+    /// The memory for the largest of the pictures in these formats, in bytes; 0 without pictures.
+    pub(crate) fn largest_bytes(&self, formats: &[OutputFormat]) -> u64 {
+        formats.iter().map(|&format| self.picture_bytes(format)).max().unwrap_or(0)
+    }
+
     /// The width divided by the height.
     pub fn aspect(&self) -> f64 {
         self.size[0] as f64 / self.size[1] as f64
     }
 }
+
+/// Memory per pixel in bytes, as measured: the tiles and the picture that is assembled from them, or the
+/// picture, its layers as they are stored, and the encoded bytes.
+const PIXEL_BYTES: u64 = 60;
+const PIXEL_BYTES_WITH_DATA: u64 = 130;
 
 /// A level set to render.
 #[derive(Clone, Copy, Debug)]

@@ -10,6 +10,9 @@
 //! Each particle is visited once and no distances are computed. This takes about 1 % of the reconstruction
 //! time and is accurate to about a third. The estimate is usually too high, because balls are replaced by
 //! boxes.
+//!
+//! Scattered particles in small voxels have so many leaves near them that even counting these would take more
+//! memory than the frame may use. So counting stops at a limit.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -28,6 +31,8 @@ use crate::particles::{AnySource, Unread};
 /// Estimated counts of leaves and particles.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Footprint {
+    /// Whether counting stopped at its limit: then all numbers are less than those of the whole frame.
+    pub is_partial: bool,
     /// Origins of the leaves within the band's half width of the surface, unordered.
     pub surface: Vec<IVec3>,
     /// Number of leaves that contain particles.
@@ -136,7 +141,8 @@ impl OccupiedLeaves {
 }
 
 /// The footprint of these particles. `shaped` selects the particles whose neighborhoods are evaluated before
-/// rasterization.
+/// rasterization. Counting stops soon after `leaf_count_max` leaves that contain particles or are near the
+/// surface.
 ///
 /// # Errors
 /// Returns the source's error if a batch cannot be read.
@@ -144,6 +150,7 @@ pub fn footprint(
     source: &AnySource<'_>,
     scene: &RasterParams,
     shaped: Option<NearSurface>,
+    leaf_count_max: usize,
 ) -> Result<Footprint, Unread> {
     let RasterParams { lattice, radii, .. } = scene;
     let near = LeafReach::new(radii.init * radii.band_scale + radii.half_width());
@@ -151,6 +158,9 @@ pub fn footprint(
     let leaf_map: ConcurrentLeafMap<FootprintLeaf> = ConcurrentLeafMap::new();
     let dropped_count = AtomicUsize::new(0);
     let mark_batch = |batch: usize| -> Result<(), Unread> {
+        if leaf_map.leaf_count() > leaf_count_max {
+            return Ok(());
+        }
         let batch = LeafBatch::new(&source.batch(batch)?, lattice, false);
         dropped_count.fetch_add(batch.dropped_count, Ordering::Relaxed);
         for (origin, locals) in batch.leaves() {
@@ -170,8 +180,27 @@ pub fn footprint(
     (0..source.batch_count()).into_par_iter().halved().try_for_each(mark_batch)?;
     let occupied = OccupiedLeaves::new(&leaf_map.freeze(), &cells);
     let origins = occupied.topology.origins();
+    let near_count_max = leaf_count_max.saturating_sub(origins.len());
+    let mut surface = match origins.len() <= leaf_count_max {
+        true => near.leaves(origins, &occupied.leaves, near_count_max),
+        false => FxHashSet::default(),
+    };
+    let spread_voxels = spread(
+        || origins.iter().zip(&occupied.leaves).map(|(&origin, leaf)| (origin, leaf.count)),
+        SPREAD_UNSEEN_VOXELS,
+    );
+    if origins.len() > leaf_count_max || surface.len() > near_count_max {
+        return Ok(Footprint {
+            is_partial: true,
+            surface: surface.into_iter().collect(),
+            occupied_count: origins.len(),
+            particle_count: occupied.particle_count(),
+            dropped_count: dropped_count.into_inner(),
+            spread_voxels,
+            ..Footprint::default()
+        });
+    }
     let deep = occupied.surrounded(&occupied.is_full);
-    let mut surface = near.leaves(origins, &occupied.leaves);
     for (origin, _) in origins.iter().zip(&deep).filter(|(_, is_deep)| **is_deep) {
         surface.remove(origin);
     }
@@ -185,6 +214,7 @@ pub fn footprint(
     let dropped = occupied.surrounded(&deep);
     let kept = occupied.leaves.iter().zip(&dropped).filter(|(_, is_dropped)| !**is_dropped);
     Ok(Footprint {
+        is_partial: false,
         shaped_particle_count: shaped.map_or(0, |near| shaped_count(&occupied, near)),
         surface: surface.into_iter().collect(),
         occupied_count: origins.len(),
@@ -192,10 +222,7 @@ pub fn footprint(
         near_particle_count: kept.map(|(leaf, _)| leaf.count).sum(),
         area_voxels: occupied.open_area(&cells) + CUT_AREA * cut.len(),
         dropped_count: dropped_count.into_inner(),
-        spread_voxels: spread(
-            || origins.iter().zip(&occupied.leaves).map(|(&origin, leaf)| (origin, leaf.count)),
-            SPREAD_UNSEEN_VOXELS,
-        ),
+        spread_voxels,
     })
 }
 
@@ -226,6 +253,10 @@ struct FootprintLeaf {
 /// Number of leaves whose surroundings are collected in one set: so many that most surroundings they share are
 /// in the same set.
 const LEAVES_PER_SET: usize = 256;
+
+/// Maximum number of leaves in one set, and number of sets that are in memory at once.
+const SET_LEAVES_MAX: usize = 1 << 13;
+const SET_COUNT: usize = 32;
 
 /// A distance, and the leaves within that distance of a particle, per axis.
 ///
@@ -290,8 +321,9 @@ impl LeafReach {
         (((middle - self.voxels) / edge).floor() as i32, ((middle + self.voxels) / edge).floor() as i32)
     }
 
-    /// The leaves within reach of the position classes that occur in these leaves.
-    fn leaves(&self, origins: &[IVec3], leaves: &[FootprintLeaf]) -> FxHashSet<IVec3> {
+    /// The leaves within reach of the position classes that occur in these leaves. If there are more than
+    /// `most`, only some of them, but more than `most`.
+    fn leaves(&self, origins: &[IVec3], leaves: &[FootprintLeaf], most: usize) -> FxHashSet<IVec3> {
         let reached = |(origins, leaves): (&[IVec3], &[FootprintLeaf])| {
             let mut reached = FxHashSet::default();
             for (&origin, leaf) in origins.iter().zip(leaves) {
@@ -304,8 +336,17 @@ impl LeafReach {
             }
             reached
         };
-        let chunks = origins.par_chunks(LEAVES_PER_SET).zip(leaves.par_chunks(LEAVES_PER_SET));
-        chunks.with_max_len(1).halved().map(reached).flat_map_iter(FxHashSet::into_iter).collect()
+        let per_set = (SET_LEAVES_MAX / self.steps.len()).clamp(1, LEAVES_PER_SET);
+        let mut all = FxHashSet::default();
+        let several = origins.chunks(SET_COUNT * per_set).zip(leaves.chunks(SET_COUNT * per_set));
+        for (origins, leaves) in several {
+            let sets = origins.par_chunks(per_set).zip(leaves.par_chunks(per_set));
+            all.par_extend(sets.with_max_len(1).halved().map(reached).flat_map_iter(FxHashSet::into_iter));
+            if all.len() > most {
+                break;
+            }
+        }
+        all
     }
 
     /// All steps of a box.
@@ -399,8 +440,9 @@ mod tests {
         let scenes = [([40, 40, 40], 1), ([100, 100, 2], 1), ([40, 40, 40], 8), ([60, 60, 60], 60)];
         for (counts, every) in scenes {
             let particles = scattered(counts, every);
-            let Ok(Footprint { surface, near_particle_count, .. }) =
-                erased(&particles, |source| footprint(source, &RasterParams::open(LATTICE, RADII), None));
+            let Ok(Footprint { surface, near_particle_count, .. }) = erased(&particles, |source| {
+                footprint(source, &RasterParams::open(LATTICE, RADII), None, usize::MAX)
+            });
             let Ok(rasterized) = rasterize(&particles, &RasterParams::open(LATTICE, RADII));
             let (found, real) = (surface.len(), rasterized.band.topology.len());
             let ratio = found as f64 / real as f64;
@@ -428,10 +470,29 @@ mod tests {
         for radius in [10.0, 25.0] {
             let obstacles = octahedron(radius);
             let scene = RasterParams { obstacles: &obstacles, ..RasterParams::open(LATTICE, RADII) };
-            let Ok(Footprint { surface, .. }) = erased(&particles, |source| footprint(source, &scene, None));
+            let Ok(Footprint { surface, .. }) =
+                erased(&particles, |source| footprint(source, &scene, None, usize::MAX));
             let Ok(rasterized) = rasterize(&particles, &scene);
             let ratio = surface.len() as f64 / rasterized.band.topology.len() as f64;
             assert!((1.0..1.7).contains(&ratio), "{ratio:.2} times the leaves around {radius}");
+        }
+    }
+
+    /// The memory for counting is limited: see `plan_memory`.
+    #[test]
+    fn counting_stops_at_its_limit() {
+        let particles = scattered([60, 60, 60], 60);
+        let count = |most: usize| {
+            let Ok(footprint) = erased(&particles, |source| {
+                footprint(source, &RasterParams::open(LATTICE, RADII), None, most)
+            });
+            (footprint.is_partial, footprint.occupied_count + footprint.surface.len())
+        };
+        let (_, all) = count(usize::MAX);
+        assert_eq!(count(all), (false, all));
+        for most in [all / 2, 100, 0] {
+            let (is_partial, found) = count(most);
+            assert!(is_partial && most < found && found <= all, "{found} of {all}");
         }
     }
 
@@ -439,15 +500,15 @@ mod tests {
     fn footprint_area_counts_open_cell_faces() {
         // A block that fills 3 × 3 × 3 leaves, and an isolated particle in a cell of 4 voxels.
         let Ok(block) = erased(&scattered([12, 12, 12], 1), |source| {
-            footprint(source, &RasterParams::open(LATTICE, RADII), None)
+            footprint(source, &RasterParams::open(LATTICE, RADII), None, usize::MAX)
         });
         assert_eq!(block.area_voxels, 6 * 24 * 24);
         let Ok(particle) = erased(&OwnedPositions::F32(vec![[100.5; 3]]), |source| {
-            footprint(source, &RasterParams::open(LATTICE, RADII), None)
+            footprint(source, &RasterParams::open(LATTICE, RADII), None, usize::MAX)
         });
         assert_eq!(particle.area_voxels, 6 * 4 * 4);
         let Ok(nothing) = erased(&OwnedPositions::F32(vec![[f32::NAN; 3]]), |source| {
-            footprint(source, &RasterParams::open(LATTICE, RADII), None)
+            footprint(source, &RasterParams::open(LATTICE, RADII), None, usize::MAX)
         });
         assert_eq!(nothing, Footprint { dropped_count: 1, ..Footprint::default() });
     }

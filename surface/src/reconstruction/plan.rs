@@ -30,24 +30,35 @@ pub struct MemoryPlan {
 /// Error: a frame does not fit into the memory limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooLarge {
-    /// The smallest sufficient limit, in bytes.
+    /// The smallest limit that may be sufficient, in bytes: the smallest sufficient one, unless even counting
+    /// what the frame needs would exceed the limit by far.
     pub needed_bytes: u64,
     /// The limit, in bytes.
     pub allowed_bytes: u64,
     /// True if tiles are impossible because the integrator is global.
     pub requires_in_core: bool,
+    /// The part of `needed_bytes` that a picture of the surface takes.
+    pub picture_bytes: u64,
 }
 
 impl fmt::Display for TooLarge {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mebibytes = |bytes: u64| bytes.div_ceil(MEBIBYTE);
+        let TooLarge { needed_bytes, allowed_bytes, requires_in_core, picture_bytes } = *self;
+        let [needed, picture] = [needed_bytes, picture_bytes].map(|bytes| bytes.div_ceil(MEBIBYTE));
+        let limit = allowed_bytes / MEBIBYTE;
+        if needed_bytes.saturating_sub(picture_bytes) <= allowed_bytes {
+            return write!(
+                f,
+                "the frame and its picture need at least {needed} MiB of memory, of which the picture needs {picture}, \
+                 and the limit is {limit} MiB: raise --memory or choose a smaller picture"
+            );
+        }
         write!(
             f,
-            "the frame needs {} MiB of memory and the limit is {} MiB: raise --memory or increase --voxel-size",
-            mebibytes(self.needed_bytes),
-            self.allowed_bytes / MEBIBYTE
+            "the frame needs at least {needed} MiB of memory and the limit is {limit} MiB: raise --memory or increase \
+             --voxel-size"
         )?;
-        if self.requires_in_core {
+        if requires_in_core {
             f.write_str("; other integrators need less: implicit and adaptive cannot work in tiles")?;
         }
         Ok(())
@@ -57,6 +68,12 @@ impl fmt::Display for TooLarge {
 impl std::error::Error for TooLarge {}
 
 const MEBIBYTE: u64 = 1 << 20;
+
+/// Memory for counting a leaf, in bytes: its particles, its neighbors, and the tiles that contain it.
+const COUNTED_LEAF_BYTES: u64 = 256;
+
+/// Memory that counting may take under any limit, in bytes.
+const COUNTING_BYTES_MIN: u64 = 16 * MEBIBYTE;
 
 /// Edges of tiles in leaves, largest first. The smaller the tiles, the more work is done twice, in their
 /// overlapping halos.
@@ -113,18 +130,31 @@ fn plan_with_tiles(
     tile_edges: &[i32],
 ) -> Result<Result<MemoryPlan, MemoryPlanError>, Unread> {
     let PlanInputs { obstacles, attribute_bytes } = surroundings;
-    let footprint =
-        rasterize::footprint(source, &raster_params(settings, obstacles), shape::near_surface(settings))?;
+    // A counted leaf takes less memory than a leaf of the frame, so no frame that fits exceeds this number.
+    let leaf_count_max = allowed_bytes.max(COUNTING_BYTES_MIN) / COUNTED_LEAF_BYTES;
+    let footprint = rasterize::footprint(
+        source,
+        &raster_params(settings, obstacles),
+        shape::near_surface(settings),
+        usize::try_from(leaf_count_max).unwrap_or(usize::MAX),
+    )?;
     if let Some(too_small) = voxel_too_small(source, settings, &footprint)? {
         return Ok(Err(MemoryPlanError::VoxelTooSmall(too_small)));
+    }
+    let too_large = |needed_bytes, requires_in_core| {
+        let too_large = TooLarge { needed_bytes, allowed_bytes, requires_in_core, picture_bytes: 0 };
+        Ok(Err(MemoryPlanError::TooLarge(too_large)))
+    };
+    let requires_in_core = matches!(settings.integrator, Integrator::Implicit | Integrator::Adaptive);
+    if footprint.is_partial {
+        return too_large(least_bytes(&footprint, settings), requires_in_core);
     }
     let whole = in_core_bytes(&footprint, settings, attribute_bytes);
     if whole <= allowed_bytes {
         return Ok(Ok(MemoryPlan { memory_bytes: whole, tile_leaves: None, in_core_bytes: whole }));
     }
-    if matches!(settings.integrator, Integrator::Implicit | Integrator::Adaptive) {
-        let too_large = TooLarge { needed_bytes: whole, allowed_bytes, requires_in_core: true };
-        return Ok(Err(MemoryPlanError::TooLarge(too_large)));
+    if requires_in_core {
+        return too_large(whole, true);
     }
     let mut needed_bytes = whole;
     for &tile_leaves in tile_edges {
@@ -135,7 +165,7 @@ fn plan_with_tiles(
         }
         needed_bytes = needed_bytes.min(memory_bytes);
     }
-    Ok(Err(MemoryPlanError::TooLarge(TooLarge { needed_bytes, allowed_bytes, requires_in_core: false })))
+    too_large(needed_bytes, false)
 }
 
 /// Number of fields in memory during rasterization, including temporary fields of the sweeps. Anisotropic
@@ -290,6 +320,17 @@ fn in_core_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f6
     after.max(neighbors_bytes(footprint, settings)) as u64
 }
 
+/// Lower bound of the memory in tiles or in one piece: what writing needs, and all tiles together.
+fn least_bytes(footprint: &Footprint, settings: &Settings) -> u64 {
+    let [surface, _, occupied, _] = counts(footprint, settings);
+    (FIELD_BYTES * 2.0 * surface + kept_bytes(surface, occupied, settings)) as u64
+}
+
+/// Memory that a frame in tiles keeps from tile to tile.
+fn kept_bytes(surface: f64, occupied: f64, settings: &Settings) -> f64 {
+    occupied_leaf_bytes(settings) * occupied + TOPOLOGY_LEAF_BYTES as f64 * 2.0 * surface
+}
+
 fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64, tile_leaves: i32) -> u64 {
     let [surface, area, occupied, particles] = counts(footprint, settings);
     let most = |halo_leaves| most_in_a_tile(&footprint.surface, tile_leaves, halo_leaves) as f64;
@@ -298,7 +339,7 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64,
     // The particles that can affect the surface in a tile are near it.
     let part = (2.0 * rasterized / surface).min(1.0);
     let particles = SORTED_PARTICLE_BYTES * particles * part;
-    let kept = occupied_leaf_bytes(settings) * occupied + TOPOLOGY_LEAF_BYTES as f64 * 2.0 * surface;
+    let kept = kept_bytes(surface, occupied, settings);
     let sorting = (sorted_leaf_bytes(settings) - occupied_leaf_bytes(settings)) * occupied * part + particles;
     let stages = [
         FIELD_BYTES * rasterizing_fields(settings) * rasterized + sorting,

@@ -104,7 +104,9 @@ pub(super) fn voxel_too_small(
     if spread_voxels <= SPREAD_MAX_VOXELS && dropped_count <= particle_count {
         return Ok(None);
     }
-    let sample = SourceSample::of(source, particle_count + dropped_count)?;
+    // A partial footprint does not count all particles.
+    let particle_count = (0..source.batch_count()).map(|batch| source.batch_len(batch)).sum();
+    let sample = SourceSample::of(source, particle_count)?;
     let Some(estimate) = sample.estimate(source)? else { return Ok(None) };
     let spacing = estimate.spacing;
     let (voxel_size, (least, limit)) = (settings.voxel_size, least_voxel_size(&sample.particles));
