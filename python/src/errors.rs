@@ -4,7 +4,7 @@ use std::path::Path;
 
 use meniscus::surface::Error;
 use meniscus::surface::options::OptionName;
-use pyo3::exceptions::{PyOSError, PyRuntimeError};
+use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::import_exception;
 use pyo3::prelude::*;
 
@@ -29,6 +29,7 @@ pub(crate) fn of_method(failure: Error, scratch: &Path) -> PyErr {
         | Error::RoundedPositions { .. }
         | Error::Filter(_)
         | Error::VoxelTooSmall { .. } => ParticleError::new_err(message),
+        Error::ObstacleTooFar(_) => PyValueError::new_err(message),
         // Only an exception cancels a call, and the caller gets that exception.
         _ => PyRuntimeError::new_err(message),
     }

@@ -29,17 +29,12 @@ pub(super) fn warn_of_ignored(method: &MethodArgs, formats: &FormatArgs, console
 /// If a file is missing, or is neither a mesh nor a level set.
 pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
     let obstacles = ObstacleFiles::new(method.obstacle.clone());
-    if let Some(missing) = obstacles.missing() {
-        let name = missing.display();
-        match missing.metadata() {
-            Ok(metadata) if metadata.is_dir() => {
-                bail!(
-                    "{name}: this is a folder, not an obstacle: give a file, or a pattern such as body.####.obj"
-                )
-            }
-            Err(error) if error.kind() != io::ErrorKind::NotFound => bail!("obstacle {name}: {error}"),
-            Ok(_) => bail!("{name}: an obstacle has to be a regular file"),
-            Err(_) => bail!("{name}: obstacle not found"),
+    refuse_other_kinds(&obstacles)?;
+    if let Some((path, error)) = obstacles.unreadable().next() {
+        let name = path.display();
+        match error.kind() {
+            io::ErrorKind::NotFound => bail!("{name}: obstacle not found"),
+            _ => bail!("obstacle {name}: {error}"),
         }
     }
     for path in method.obstacle.iter().filter(|path| path.is_file()) {
@@ -51,6 +46,24 @@ pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
         }
     }
     Ok(obstacles)
+}
+
+/// Refuses obstacles that exist and are no files, but folders or devices.
+///
+/// # Errors
+/// What it is instead.
+pub(super) fn refuse_other_kinds(obstacles: &ObstacleFiles) -> Result<()> {
+    for (path, error) in obstacles.unreadable() {
+        let name = path.display();
+        match error.kind() {
+            io::ErrorKind::IsADirectory => bail!(
+                "{name}: this is a folder, not an obstacle: give a file, or a pattern such as body.####.obj"
+            ),
+            io::ErrorKind::InvalidInput => bail!("obstacle {name}: {error}"),
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 /// More bytes than are needed to recognise a mesh.

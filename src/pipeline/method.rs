@@ -12,7 +12,7 @@ use crate::surface::reconstruction::{
     ShapedSource, Storage, Targets, TooLarge,
 };
 
-use crate::pipeline::error::Cause;
+use crate::pipeline::error::{Cause, ObstacleError};
 use crate::pipeline::input::frame_input::{FrameInput, LevelSetInput};
 use crate::pipeline::input::level_set_file::level_set_limits;
 use crate::pipeline::input::obstacles::FrameObstacles;
@@ -127,6 +127,11 @@ impl Method for LevelSetMethod {
                 Cause::TooLarge(TooLarge { needed_bytes, allowed_bytes, picture_bytes, ..too_large })
             }
             MemoryPlanError::VoxelTooSmall(too_small) => Cause::VoxelTooSmall(too_small),
+            MemoryPlanError::ObstacleTooFar(too_far) => {
+                let path = obstacles.paths.get(too_far.index).cloned().unwrap_or_default();
+                let source = Some(meniscus_formats::Error::unsupported("", too_far.to_string()));
+                Cause::Obstacle(Box::new(ObstacleError { path, source }))
+            }
         })
     }
 

@@ -109,6 +109,8 @@ pub enum Warning {
 #[non_exhaustive]
 #[expect(missing_docs, reason = "fields are what their names and the sentence say")]
 pub enum ObstacleFinding {
+    /// Open sheets in its mesh, such as planes, which were closed behind their normals.
+    Sheets { count: usize },
     /// Its mesh is open.
     Open { edge_count: usize, encloses_nothing: bool },
     /// Triangles with reversed orientation, which were flipped.
@@ -430,7 +432,16 @@ impl fmt::Display for ObstacleFinding {
         match self {
             ObstacleFinding::Open { edge_count, encloses_nothing: true } => {
                 let edges = pluralize(*edge_count, "open edge");
-                write!(f, "the mesh has {edges} and encloses no volume: give it a thickness")
+                write!(f, "the mesh has {edges} and encloses no volume: close it, or give it a thickness")
+            }
+            ObstacleFinding::Sheets { count } => {
+                let sheets =
+                    if *count == 1 { "an open sheet".to_owned() } else { pluralize(*count, "open sheet") };
+                write!(
+                    f,
+                    "the mesh has {sheets}, taken as solid behind the normals, as deep as it is wide: flip the normals if \
+                     the fluid is on that side, or give it a thickness"
+                )
             }
             ObstacleFinding::Open { edge_count, encloses_nothing: false } => {
                 let edges = pluralize(*edge_count, "open edge");

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::io;
 
+use crate::obstacle::ObstacleTooFar;
 use crate::options::SettingsError;
 use crate::spacing::ROUNDING_REMEDY;
 
@@ -59,6 +60,8 @@ pub enum Error {
         /// The measured particle spacing, world units.
         spacing: f64,
     },
+    /// An obstacle has coordinates that are too large for the voxel size.
+    ObstacleTooFar(ObstacleTooFar),
     /// The frame needs more memory than the [limit](crate::Reconstructor::memory_limit). Raise the
     /// limit or choose larger voxels.
     MemoryLimit {
@@ -107,6 +110,7 @@ impl fmt::Display for Error {
                 "positions are rounded to steps of {step}, as 32-bit numbers so far from the origin are, and the measured \
                  particle spacing is {spacing}: {ROUNDING_REMEDY}"
             ),
+            Error::ObstacleTooFar(too_far) => write!(f, "obstacle {} (from 0): {too_far}", too_far.index),
             Error::MemoryLimit { needed_bytes, limit_bytes } => write!(
                 f,
                 "the frame needs at least {} MiB of memory; the limit is {} MiB: raise it or choose larger voxels",

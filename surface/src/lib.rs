@@ -59,7 +59,7 @@ pub use self::{
     grid::{Field, LEAF_EDGE, LEAF_VOXELS, Leaf, Topology},
     level_set::NarrowBand,
     mesh::MeshMeasures,
-    obstacle::{ContactStats, DepthStats, MeshFindings, Obstacle},
+    obstacle::{ContactStats, DepthStats, MeshFindings, Obstacle, ObstacleTooFar},
     options::{
         Anisotropy, AnisotropyKind, AttributeSelection, ClipBox, Length, LengthUnit,
         MethodOptions as Options, PerParticleRadius, Preset, Settings, SettingsError,

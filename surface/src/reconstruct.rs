@@ -392,6 +392,7 @@ impl<'a> Reconstructor<'a> {
                     _ => Error::VoxelTooSmall { voxel_size, least },
                 })
             }
+            Err(MemoryPlanError::ObstacleTooFar(too_far)) => Err(Error::ObstacleTooFar(too_far)),
         }
     }
 

@@ -478,6 +478,12 @@ fn invalid_obstacle_is_an_error() {
         "{}",
         in_folder.err
     );
+    #[cfg(unix)]
+    {
+        let device = convert(path, &[&arguments[..], &["/dev/zero"]].concat());
+        assert_eq!((device.status, device.err.lines().count()), (2, 1), "{}", device.err);
+        assert!(device.err.contains("obstacle /dev/zero: not a regular file: a device"), "{}", device.err);
+    }
     fs::write(path.join("empty.obj"), "").expect("written");
     let empty = convert(path, &[&arguments[..], &["empty.obj"]].concat());
     assert!(empty.err.contains("obstacle empty.obj: the file is empty"), "{}", empty.err);
@@ -523,10 +529,83 @@ fn obstacle_out_of_reach_causes_a_warning() {
             && err.contains("the particles span (0.1, 0, 0) to (0.4,"),
         "{err}"
     );
-    let mut plane = at(0.3);
-    plane.triangles.truncate(2);
-    let (_, err) = warning_count("plane.obj", &plane);
-    assert!(err.contains("encloses no volume"), "{err}");
+}
+
+/// A plane as a floor has the same effect as a box: the fluid rests on it, in one piece.
+#[test]
+fn plane_is_a_floor_that_is_solid_behind_its_normals() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("dam.1.ply"), &block(6, 0.0));
+    let (min, max) = (DVec3::new(-3.0, -3.0, -4.0), DVec3::new(3.0, 3.0, 0.2));
+    let floor = cuboid(min, max);
+    let mut plane = cuboid(min, max);
+    let is_top =
+        |triangle: &[u32; 3]| triangle.iter().all(|&corner| floor.positions[corner as usize][2] == max.z);
+    plane.triangles.retain(is_top);
+    let below =
+        Body { triangles: plane.triangles.iter().map(|&[a, b, c]| [a, c, b]).collect(), ..cuboid(min, max) };
+    // An open sheet that faces all ways.
+    let at = |index: u32| {
+        let angle = TAU * f64::from(index / 2) / 12.0;
+        [0.25 + angle.cos(), 0.25 + angle.sin(), 0.2 + 0.05 * f64::from(index % 2)]
+    };
+    let side = |index: u32| {
+        let [a, b] = [2 * index, (2 * index + 2) % 24];
+        [[a, b, b + 1], [a, b + 1, a + 1]]
+    };
+    let ring = Body {
+        positions: (0..24).map(at).collect(),
+        triangles: (0..12).flat_map(side).collect(),
+        ..cuboid(min, max)
+    };
+    for (name, body) in [("floor", &floor), ("plane", &plane), ("below", &below), ("ring", &ring)] {
+        fs::write(path.join(format!("{name}.obj")), body.obj()).expect("written");
+    }
+    let run = |name: &str| {
+        let obstacle = format!("{name}.obj");
+        let common = ["dam.1.ply", "--voxel-size", "0.03", "--format", "obj", "--out", name];
+        convert(path, &[&common[..], &["--obstacle", &obstacle, "--report", "r.json"]].concat())
+    };
+    let frame = |name: &str| {
+        let result = run(name);
+        assert_eq!(result.status, 0, "{}", result.err);
+        (report(&path.join("r.json"))["frames"][0].clone(), result.err)
+    };
+    let (on_floor, _) = frame("floor");
+    let (on_plane, err) = frame("plane");
+    assert_eq!(on_plane["components"], 1, "{on_plane}");
+    let volume = |frame: &Value| frame["volume"].as_f64().expect("a volume");
+    assert!((volume(&on_plane) / volume(&on_floor) - 1.0).abs() < 1e-3, "{on_plane} {on_floor}");
+    assert!(err.contains("obstacle plane.obj: the mesh has an open sheet, taken as solid behind"), "{err}");
+    assert_eq!(on_plane["obstacles"]["open_edges"], 0);
+    assert!(volume(&frame("below").0) < volume(&on_floor), "the other side is solid");
+    let refused = run("ring");
+    assert_eq!(refused.status, 2, "{}", refused.err);
+    assert!(
+        refused.err.contains("obstacle ring.obj: the mesh has")
+            && refused.err.contains("give it a thickness"),
+        "{}",
+        refused.err
+    );
+}
+
+/// The error names the file and the vertex.
+#[test]
+fn obstacle_too_far_from_the_origin_is_refused() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("dam.1.ply"), &block(4, 0.0));
+    let mut far = cuboid(DVec3::splat(-1.0), DVec3::splat(0.1));
+    far.positions[3] = [1e18, 0.0, -2.5];
+    fs::write(path.join("near.obj"), cuboid(DVec3::splat(-1.0), DVec3::splat(0.1)).obj()).expect("written");
+    fs::write(path.join("far.obj"), far.obj()).expect("written");
+    let obstacles = ["--obstacle", "near.obj", "--obstacle", "far.obj"];
+    let result =
+        convert(path, &[&["dam.1.ply", "--voxel-size", "0.05", "--out", "o"], &obstacles[..]].concat());
+    assert_eq!(result.status, 2, "{}", result.err);
+    let message = "dam.1.ply: obstacle far.obj: the vertex (1e18, 0, -2.5) is too far from the origin";
+    assert!(result.err.contains(message), "{}", result.err);
 }
 
 /// A surface can vanish in an obstacle, beyond a box, or as islands. Then the output is written, with a

@@ -16,6 +16,10 @@ pub(crate) fn findings_of(shape: &ObstacleSdf, settings: &Settings) -> Vec<Obsta
         ObstacleSdf::Mesh(solid) => {
             let MeshFindings { open_edge_count, encloses_nothing, flipped_count, .. } = *solid.findings();
             let MeshFindings { unchecked_part_count, invalid_count, triangle_count, .. } = *solid.findings();
+            let MeshFindings { sheet_count, .. } = *solid.findings();
+            if sheet_count > 0 {
+                found.push(ObstacleFinding::Sheets { count: sheet_count });
+            }
             if open_edge_count > 0 {
                 found.push(ObstacleFinding::Open { edge_count: open_edge_count, encloses_nothing });
             }

@@ -30,9 +30,10 @@ use super::obstacle_warnings::findings_of;
 use crate::pipeline::error::ObstacleError;
 use crate::pipeline::files::input_file::{read_start_unchanged, read_unchanged};
 use crate::pipeline::files::number_pattern::{NumberPattern, may_be_file};
+use crate::pipeline::files::open::require_regular;
 use crate::pipeline::files::path_identity::{are_same_file, canonical_entry};
 use crate::pipeline::files::stamp::FileStamp;
-use crate::pipeline::warning::Warning;
+use crate::pipeline::warning::{ObstacleFinding, Warning};
 
 /// The obstacles of a sequence.
 #[derive(Debug, Default)]
@@ -126,10 +127,13 @@ impl ObstacleFiles {
         self.paths.is_empty()
     }
 
-    /// The first path that is missing for every frame: no such file exists, and its name has no placeholder.
-    pub fn missing(&self) -> Option<&Path> {
-        let is_missing = |path: &&PathBuf| !path.is_file() && pattern_of(path).is_none();
-        self.paths.iter().find(is_missing).map(PathBuf::as_path)
+    /// The paths that no frame can read, and why: no such file exists, or it is a folder or a device, and the
+    /// name has no placeholder.
+    pub fn unreadable(&self) -> impl Iterator<Item = (&Path, io::Error)> {
+        self.paths.iter().filter(|path| pattern_of(path).is_none()).filter_map(|path| {
+            let error = path.metadata().and_then(|metadata| require_regular(&metadata)).err()?;
+            Some((path.as_path(), error))
+        })
     }
 
     /// The obstacle that an output would replace, or that the output would be mistaken for: for a moving
@@ -255,8 +259,18 @@ impl ObstacleFiles {
             };
             let shape = shape_of(data, memory_bytes.saturating_sub(file_bytes + all.all_bytes))
                 .map_err(|what| failed(&file.path, meniscus_formats::Error::unsupported("OpenVDB", what)))?;
+            let findings = findings_of(&shape, settings);
+            let is_fatal = |finding: &&ObstacleFinding| {
+                matches!(finding, ObstacleFinding::Open { encloses_nothing: true, .. })
+            };
+            if let Some(finding) = findings.iter().find(is_fatal) {
+                return Err(failed(
+                    &file.path,
+                    meniscus_formats::Error::unsupported("", finding.to_string()),
+                ));
+            }
             let about = |finding| Warning::Obstacle { path: file.path.clone(), finding };
-            all.warnings.extend(findings_of(&shape, settings).into_iter().map(about));
+            all.warnings.extend(findings.into_iter().map(about));
             all.open_edge_count += open_edges(&shape);
             let obstacle =
                 Arc::new(Obstacle::new(shape, usize::try_from(kept_bytes_max).unwrap_or(usize::MAX)));
@@ -315,7 +329,10 @@ fn file_of(path: &Path, number: Option<u64>) -> Result<PathBuf, ObstacleError> {
         return Ok(path.to_owned());
     }
     let Some(pattern) = pattern_of(path) else {
-        return missing(path, if path.is_dir() { "it is a folder".into() } else { "no such file".into() });
+        return match path.metadata().map(|metadata| require_regular(&metadata)) {
+            Ok(Err(error)) => Err(failed(path, error.into())),
+            _ => missing(path, "no such file".into()),
+        };
     };
     let Some(number) = number else {
         return missing(path, "the frame has no number, so no file of this pattern belongs to it".into());
@@ -494,7 +511,7 @@ mod tests {
         let first = find();
         let (recorded, stamps) = (first.recorded(), files.stamps(None));
         let loaded = files.load(first, &settings, 1 << 24).expect("a triangle");
-        assert_eq!(loaded.open_edge_count, 3);
+        assert_eq!(loaded.obstacles.members.len(), 1);
         let again = find();
         assert!(is_known(&again));
         assert_eq!((again.recorded(), files.stamps(None)), (recorded.clone(), stamps.clone()));
@@ -542,6 +559,29 @@ mod tests {
         assert!(!files.are_static() && ObstacleFiles::new(vec![at("still.obj")]).are_static());
     }
 
+    /// A path that exists and is no file will not become one: the daemon must not wait for it.
+    #[test]
+    #[cfg(unix)]
+    fn other_kinds_of_files_are_named() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let pipe = folder.path().join("pipe.obj");
+        rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR).expect("a pipe");
+        let socket = folder.path().join("socket.obj");
+        let _listener = std::os::unix::net::UnixListener::bind(&socket).expect("a socket");
+        for (path, what) in [
+            (Path::new("/dev/zero"), "not a regular file: a device"),
+            (&pipe, "not a regular file: a pipe"),
+            (&socket, "not a regular file: a socket"),
+            (folder.path(), "not a regular file: a folder"),
+            (Path::new("missing.obj"), "no such file"),
+        ] {
+            let files = ObstacleFiles::new(vec![path.to_owned()]);
+            let error = files.find(None).err().expect("no obstacle").to_string();
+            assert_eq!(error, format!("obstacle {}: {what}", path.display()));
+            assert_eq!(files.unreadable().count(), 1);
+        }
+    }
+
     #[test]
     fn duplicate_path_is_loaded_once() {
         let folder = tempfile::tempdir().expect("a folder");
@@ -561,7 +601,7 @@ mod tests {
         assert_eq!(ObstacleFiles::new(vec![folder.path().join("b.obj")]).loading_bytes(None), 0);
         let [note] = &loaded.warnings[..] else { panic!("{:?}", loaded.warnings) };
         let note = note.to_string();
-        assert!(note.contains(&*path.to_string_lossy()) && note.contains("3 open edges"), "{note}");
+        assert!(note.contains(&*path.to_string_lossy()) && note.contains("an open sheet"), "{note}");
     }
 
     #[test]

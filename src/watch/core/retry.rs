@@ -44,6 +44,7 @@ pub(crate) fn recovery(error: &FrameError) -> RetryAction {
 /// restart.
 fn recovery_of_obstacle(error: &ObstacleError) -> RetryAction {
     match &error.source {
+        Some(Error::Io(refusal)) if is_other_kind(refusal.kind()) => RetryAction::AwaitRestart,
         Some(source) if !matches!(source, Error::Io(_)) && !source.is_truncated() => {
             RetryAction::AwaitRestart
         }
@@ -59,10 +60,16 @@ fn recovery_of_file(during: Stage, source: &Error) -> RetryAction {
         Error::Io(refusal) if during == Stage::Write && concerns_all(refusal.kind()) => {
             RetryAction::AwaitSpace
         }
+        Error::Io(refusal) if during == Stage::Read && is_other_kind(refusal.kind()) => RetryAction::GiveUp,
         Error::Io(_) => RetryAction::Retry,
         source if source.is_truncated() => RetryAction::Retry,
         _ => RetryAction::GiveUp,
     }
+}
+
+/// Whether a read error means that the path is that of another kind of file, such as a folder or a device.
+fn is_other_kind(kind: io::ErrorKind) -> bool {
+    matches!(kind, io::ErrorKind::InvalidInput | io::ErrorKind::IsADirectory)
 }
 
 /// Whether a write error that occurred for one frame would occur for all frames.
@@ -113,6 +120,7 @@ mod tests {
         assert_eq!(after(Stage::Read, io(io::ErrorKind::NotFound)), RetryAction::Forget);
         assert_eq!(after(Stage::Write, io(io::ErrorKind::NotFound)), RetryAction::Retry);
         assert_eq!(after(Stage::Read, io(io::ErrorKind::PermissionDenied)), RetryAction::Retry);
+        assert_eq!(after(Stage::Read, io(io::ErrorKind::IsADirectory)), RetryAction::GiveUp);
         assert_eq!(after(Stage::Write, io(io::ErrorKind::StorageFull)), RetryAction::AwaitSpace);
         assert_eq!(after(Stage::Write, io(io::ErrorKind::QuotaExceeded)), RetryAction::AwaitSpace);
         assert_eq!(after(Stage::Write, io(io::ErrorKind::ReadOnlyFilesystem)), RetryAction::AwaitSpace);
@@ -136,6 +144,7 @@ mod tests {
         let obstacle =
             |source| smoothing(Cause::Obstacle(Box::new(ObstacleError { path: "b".into(), source })));
         assert_eq!(obstacle(Some(io(io::ErrorKind::NotFound))), RetryAction::Retry);
+        assert_eq!(obstacle(Some(io(io::ErrorKind::InvalidInput))), RetryAction::AwaitRestart);
         assert_eq!(obstacle(None), RetryAction::Retry);
         let invalid = Error::invalid("OBJ", Position::Line(3), "no");
         assert_eq!(obstacle(Some(invalid)), RetryAction::AwaitRestart);

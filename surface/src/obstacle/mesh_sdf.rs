@@ -44,6 +44,11 @@ impl MeshSdf {
         self.surface.tree.root().map(|node| [node.min, node.max])
     }
 
+    /// The finite corner of the mesh with the largest coordinate, world units.
+    pub(super) fn farthest(&self) -> DVec3 {
+        self.surface.farthest
+    }
+
     /// The memory of the mesh and its trees, in bytes.
     pub fn size_bytes(&self) -> usize {
         self.surface.tree.size_bytes() + self.surface.boundary.size_bytes()

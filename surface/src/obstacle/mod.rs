@@ -19,6 +19,7 @@ mod leaf;
 mod leaf_cache;
 mod mesh_distance;
 mod mesh_sdf;
+mod sheet;
 mod surface;
 #[cfg(test)]
 mod tests;
@@ -26,6 +27,7 @@ mod tree;
 mod triangle8;
 mod winding;
 
+use std::fmt;
 use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
@@ -39,6 +41,7 @@ pub use mesh_sdf::MeshSdf;
 pub use surface::MeshFindings;
 
 use crate::space::Lattice;
+use crate::words::{rounded_down, significant};
 use leaf_cache::LeafCache;
 
 /// The geometry of an obstacle.
@@ -55,6 +58,18 @@ impl ObstacleSdf {
         match self {
             ObstacleSdf::Mesh(solid) => solid.bounds(),
             ObstacleSdf::Grid(sampled) => sampled.bounds(),
+        }
+    }
+
+    /// The point with the largest coordinate, world units.
+    fn farthest(&self) -> DVec3 {
+        match self {
+            ObstacleSdf::Mesh(solid) => solid.farthest(),
+            ObstacleSdf::Grid(sampled) => {
+                let corners = sampled.bounds().unwrap_or_default();
+                let size = |corner: DVec3| corner.abs().max_element();
+                if size(corners[0]) > size(corners[1]) { corners[0] } else { corners[1] }
+            }
         }
     }
 
@@ -137,6 +152,33 @@ impl Obstacle {
 /// Default upper limit of an obstacle's cache of distances, in bytes.
 const CACHED_BYTES_MAX: usize = 64 << 20;
 
+/// Obstacles may have coordinates up to this number of voxels: farther away, coordinates of 64 bits round to
+/// thousandths of a voxel, and distances computed from them to more.
+const FARTHEST_VOXELS: f64 = (1u64 << 42) as f64;
+
+/// Error: an obstacle is too large, or too far from the origin, for the precision of distances.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ObstacleTooFar {
+    /// The index of the obstacle.
+    pub index: usize,
+    /// A vertex of it, or a corner of its level set, world units.
+    pub point: DVec3,
+    /// The largest coordinate that is allowed with the voxel size of the frame, world units.
+    pub limit: f64,
+}
+
+impl fmt::Display for ObstacleTooFar {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [x, y, z] = self.point.to_array().map(significant);
+        write!(
+            f,
+            "the vertex ({x}, {y}, {z}) is too far from the origin: with this voxel size, coordinates of obstacles \
+             may be up to {}; remove the vertex, or check the unit of length",
+            rounded_down(self.limit)
+        )
+    }
+}
+
 /// All obstacles of a frame.
 #[derive(Clone, Default)]
 pub struct Obstacles {
@@ -145,6 +187,16 @@ pub struct Obstacles {
 }
 
 impl Obstacles {
+    /// The first obstacle that is too large, or too far from the origin, for the precision of distances in voxels
+    /// of this size.
+    pub fn too_far(&self, voxel_size: f64) -> Option<ObstacleTooFar> {
+        let limit = FARTHEST_VOXELS * voxel_size;
+        let points = self.members.iter().map(|obstacle| obstacle.sdf.farthest()).enumerate();
+        let is_too_far = |(_, point): &(usize, DVec3)| point.abs().max_element() > limit;
+        let (index, point) = points.into_iter().find(is_too_far)?;
+        Some(ObstacleTooFar { index, point, limit })
+    }
+
     /// Whether the list is empty.
     pub fn is_empty(&self) -> bool {
         self.members.is_empty()

@@ -15,11 +15,22 @@
 //! ```
 //!
 //! Holes stay open: the [boundary](RepairedMesh::boundary) locates them, and the winding number closes them.
+//! But an open sheet, such as a plane, encloses nothing that its patches could close. It becomes a solid as deep
+//! as the sheet is wide, behind its normals:
+//!
+//! ```text
+//!          ↑ ↑ ↑ ↑
+//!    ──────────────────      the sheet
+//!    │                │
+//!    │                │      its boundary edges, swept
+//!    ──────────────────      the sheet, moved and turned
+//! ```
 
 use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::boundary::BoundaryEdges;
+use super::sheet::{close_sheets, find_sheets};
 use super::tree::TriangleTree;
 use super::winding::{WINDING_ERROR, winding};
 
@@ -39,9 +50,11 @@ pub struct MeshFindings {
     pub duplicate_count: usize,
     /// Triangles flipped to agree with their neighbours, or because their part had negative volume.
     pub flipped_count: usize,
-    /// Boundary edges of the surface, as at a hole.
+    /// Boundary edges of the surface, as at a hole, without those of sheets.
     pub open_edge_count: usize,
-    /// Whether the mesh is so open that it encloses nothing, like a plane.
+    /// Open sheets, such as planes: each was closed behind its normals, as deep as it is wide.
+    pub sheet_count: usize,
+    /// Whether the mesh is so open that it encloses nothing, and not a sheet that faces one way.
     pub encloses_nothing: bool,
     /// Parts with negative volume that were not flipped: with this many parts, it would take too long to find
     /// out which of them are cavities.
@@ -54,6 +67,8 @@ pub(super) struct RepairedMesh {
     /// The boundary edges: only near these does the winding number change gradually.
     pub(super) boundary: BoundaryEdges,
     pub(super) findings: MeshFindings,
+    /// The finite corner of a triangle with the largest coordinate.
+    pub(super) farthest: DVec3,
 }
 
 /// Positions with a larger coordinate are invalid: the squares of their squares would overflow.
@@ -66,14 +81,19 @@ impl RepairedMesh {
     /// Repairs these triangles, in world units.
     pub(super) fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> RepairedMesh {
         let mut findings = MeshFindings::default();
-        let (points, welded) = weld(positions);
+        let farthest = farthest_corner(positions, triangles);
+        let (mut points, welded) = weld(positions);
         let mut faces = distinct_faces(&points, &welded, triangles, &mut findings);
         let edges = EdgeTriangles::new(&faces);
         let mut flipped = vec![false; faces.len()];
         let parts = orient(&points, &faces, &edges, &mut flipped);
         flip(&mut faces, &flipped);
-        findings.unchecked_part_count = flip_parts(&points, &mut faces, &parts, &mut flipped);
+        let sheets = find_sheets(&points, &faces, &parts);
+        let parts = Parts { of_face: &parts, is_sheet: &sheets };
+        findings.unchecked_part_count = flip_parts(&points, &mut faces, parts, &mut flipped);
         findings.flipped_count = flipped.iter().filter(|&&flipped| flipped).count();
+        findings.sheet_count = sheets.iter().filter(|&&is_sheet| is_sheet).count();
+        close_sheets(&mut points, &mut faces, parts);
         let boundary = BoundaryEdges::new(boundary(&points, &faces));
         findings.open_edge_count = boundary.len();
         let corners: Vec<[DVec3; 3]> = faces
@@ -85,8 +105,25 @@ impl RepairedMesh {
         findings.degenerate_count += faces.len() - corners.len();
         let tree = TriangleTree::new(corners);
         findings.encloses_nothing = findings.open_edge_count > 0 && encloses_nothing(&tree);
-        RepairedMesh { tree, boundary, findings }
+        RepairedMesh { tree, boundary, findings, farthest }
     }
+}
+
+/// The finite corner of these triangles with the largest coordinate; 0 without any.
+fn farthest_corner(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> DVec3 {
+    let corners = triangles.iter().flatten().filter_map(|&corner| positions.get(corner as usize));
+    let finite = corners.map(|&corner| DVec3::from(corner)).filter(|corner| corner.is_finite());
+    let size = |corner: DVec3| corner.abs().max_element();
+    finite.fold(DVec3::ZERO, |far, corner| if size(corner) > size(far) { corner } else { far })
+}
+
+/// The connected parts of a mesh.
+#[derive(Clone, Copy)]
+pub(super) struct Parts<'a> {
+    /// The part of each triangle.
+    pub(super) of_face: &'a [u32],
+    /// Whether each part is a sheet.
+    pub(super) is_sheet: &'a [bool],
 }
 
 /// The triangles with an area and finite corners, in their original orientation.
@@ -182,14 +219,14 @@ fn distinct_faces(
 }
 
 /// The triangles at each edge.
-struct EdgeTriangles {
+pub(super) struct EdgeTriangles {
     /// The edge's ends, the lower index first; a triangle at the edge; whether the triangle traverses the
     /// edge from the lower to the higher index.
     uses: Vec<([u32; 2], u32, bool)>,
 }
 
 impl EdgeTriangles {
-    fn new(faces: &[[u32; 3]]) -> EdgeTriangles {
+    pub(super) fn new(faces: &[[u32; 3]]) -> EdgeTriangles {
         let mut uses: Vec<([u32; 2], u32, bool)> = Vec::with_capacity(3 * faces.len());
         for (face, &[a, b, c]) in faces.iter().enumerate() {
             for [from, to] in [[a, b], [b, c], [c, a]] {
@@ -198,6 +235,19 @@ impl EdgeTriangles {
         }
         uses.sort_unstable();
         EdgeTriangles { uses }
+    }
+
+    /// The boundary edges: those not traversed equally often in both directions. Each begins and ends as most of
+    /// its triangles traverse it.
+    pub(super) fn boundary(&self) -> impl Iterator<Item = [u32; 2]> {
+        self.iter().filter_map(|uses| {
+            let [low, high] = uses[0].0;
+            match uses.iter().map(|(_, _, up)| if *up { 1 } else { -1 }).sum::<i32>() {
+                0 => None,
+                1.. => Some([low, high]),
+                _ => Some([high, low]),
+            }
+        })
     }
 
     /// The edges, each with the triangles at it.
@@ -254,25 +304,30 @@ fn flip(faces: &mut [[u32; 3]], flipped: &[bool]) {
     faces.iter_mut().zip(flipped).filter(|(_, flipped)| **flipped).for_each(|(face, _)| face.swap(1, 2));
 }
 
-/// If a mesh has more parts than this, no single part is flipped: the mesh is rubble, or its triangles share
-/// no vertices.
-const PARTS_MAX: usize = 4096;
+/// If a mesh has more parts than this, no single part is flipped or is a sheet: the mesh is rubble, or its
+/// triangles share no vertices.
+pub(super) const PARTS_MAX: usize = 4096;
 
 /// Number of corners of a part to test; the part is a cavity if all of them are inside other parts.
 const CORNERS_TESTED: usize = 64;
 
-/// Flips parts with negative volume, except cavities. Returns how many such parts were left unchanged because
-/// there are too many parts.
-fn flip_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], flipped: &mut [bool]) -> usize {
-    let part_count = parts.iter().max().map_or(0, |&last| last as usize + 1);
+/// Flips parts with negative volume, except cavities and sheets. Returns how many such parts were left unchanged
+/// because there are too many parts.
+fn flip_parts(
+    points: &[DVec3],
+    faces: &mut [[u32; 3]],
+    Parts { of_face: parts, is_sheet }: Parts,
+    flipped: &mut [bool],
+) -> usize {
+    let part_count = is_sheet.len();
     let Some(&anchor) = points.first() else { return 0 };
     let mut volumes = vec![0.0; part_count];
-    for (face, &part) in faces.iter().zip(parts) {
+    for (face, &part) in faces.iter().zip(parts).filter(|&(_, &part)| !is_sheet[part as usize]) {
         let [a, b, c] = corners(points, *face).map(|corner| corner - anchor);
         volumes[part as usize] += a.dot(b.cross(c)) / 6.0;
     }
     let is_inside_out = volumes.iter().sum::<f64>() < 0.0;
-    let mut wrong: Vec<bool> = vec![is_inside_out; part_count];
+    let mut wrong: Vec<bool> = is_sheet.iter().map(|is_sheet| is_inside_out && !is_sheet).collect();
     if is_inside_out {
         volumes.iter_mut().for_each(|volume| *volume = -*volume);
     }
@@ -316,16 +371,12 @@ fn are_cavities(
     part_corners.iter().map(is_cavity).collect()
 }
 
-/// The edges that are not traversed equally often in both directions.
+/// The boundary edges of these triangles.
 fn boundary(points: &[DVec3], faces: &[[u32; 3]]) -> Vec<[DVec3; 2]> {
-    let edges = EdgeTriangles::new(faces);
-    let is_open = |uses: &&[([u32; 2], u32, bool)]| {
-        uses.iter().map(|(_, _, up)| if *up { 1 } else { -1 }).sum::<i32>() != 0
-    };
-    edges.iter().filter(is_open).map(|uses| uses[0].0.map(|end| points[end as usize])).collect()
+    EdgeTriangles::new(faces).boundary().map(|ends| ends.map(|end| points[end as usize])).collect()
 }
 
-fn corners(points: &[DVec3], face: [u32; 3]) -> [DVec3; 3] {
+pub(super) fn corners(points: &[DVec3], face: [u32; 3]) -> [DVec3; 3] {
     face.map(|corner| points[corner as usize])
 }
 
@@ -334,7 +385,7 @@ pub(super) fn area_vector([a, b, c]: &[DVec3; 3]) -> DVec3 {
     0.5 * (b - a).cross(c - a)
 }
 
-fn is_flat(corners: &[DVec3; 3]) -> bool {
+pub(super) fn is_flat(corners: &[DVec3; 3]) -> bool {
     let [a, b, c] = *corners;
     let longest = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
     let has_area = 2.0 * area_vector(corners).length() > FLAT * longest;

@@ -515,7 +515,91 @@ fn moved_vertices_face_the_wall() {
     assert_eq!(mesh.normals[1..], [Vec3::X; 2]);
 }
 
-/// A plane and terrain enclose no volume.
+/// A sheet is solid behind its normals: a plane, whichever way it faces, and terrain. Other meshes keep their
+/// shape, open or not.
+#[test]
+fn open_sheets_are_solid_behind_their_normals() {
+    let tilted = |x: f64, y: f64| DVec3::new(x, 0.8 * y - 0.3, 0.6 * y + 0.2);
+    let quad = |at: &dyn Fn(f64, f64) -> DVec3| TestMesh {
+        positions: [(-30.0, -30.0), (30.0, -30.0), (30.0, 30.0), (-30.0, 30.0)]
+            .map(|(x, y)| at(x, y).to_array())
+            .to_vec(),
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+    };
+    let bumpy = TestMesh {
+        positions: (0..31 * 31)
+            .map(|index| [f64::from(index % 31) * 2.0 - 30.0, f64::from(index / 31) * 2.0 - 30.0])
+            .map(|[x, y]| [x, y, (0.3 * x).sin() + (0.4 * y).cos()])
+            .collect(),
+        triangles: (0..30 * 30)
+            .map(|index| index / 30 * 31 + index % 30)
+            .flat_map(|corner| [[corner, corner + 1, corner + 32], [corner, corner + 32, corner + 31]])
+            .collect(),
+    };
+    let level = quad(&|x, y| DVec3::new(x, y, 0.25));
+    let aside = TestMesh::ball(DVec3::new(0.0, 0.0, 20.0), 4.0, 12);
+    let height = |point: DVec3| point.z - 0.25;
+    let slope = |point: DVec3| (point - DVec3::new(0.0, -0.3, 0.2)).dot(DVec3::new(0.0, -0.6, 0.8));
+    let bumps = |point: DVec3| point.z - (0.3 * point.x).sin() - (0.4 * point.y).cos();
+    let cases: [(&str, TestMesh, &dyn Fn(DVec3) -> f64, f64); 5] = [
+        ("level", level.clone(), &height, 1e-5),
+        ("facing down", level.clone().flipped(), &|point| -height(point), 1e-5),
+        ("tilted", quad(&tilted), &slope, 1e-5),
+        // The distance to bumps is not exact: only signs are compared.
+        ("bumpy", bumpy, &bumps, f64::INFINITY),
+        ("beside a ball", level.clone().and(aside.flipped()), &height, 1e-5),
+    ];
+    for (name, mesh, known, tolerance) in cases {
+        let solid = mesh.solid();
+        let MeshFindings { sheet_count, open_edge_count, encloses_nothing, .. } = *solid.findings();
+        assert_eq!((sheet_count, open_edge_count, encloses_nothing), (1, 0, false), "{name}");
+        let (from, to) = (IVec3::new(-16, -16, -16), IVec3::new(16, 16, 8));
+        for (voxel, value) in sample(from, to, &UNIT, |at, lattice, far| solid.leaf(at, lattice, far)) {
+            let known = known(voxel.as_dvec3());
+            assert!(known.abs() < 0.2 || (value < 0.0) == (known < 0.0), "{name}, {voxel}: {value}");
+            assert!(
+                (known.clamp(-6.0, 6.0) - f64::from(value)).abs() < tolerance.max(1e-5),
+                "{name}, {voxel}"
+            );
+        }
+    }
+    // The sides of a box that share no vertices, facing out or in, are no sheets.
+    let whole = TestMesh::cuboid(DVec3::splat(-9.5), DVec3::splat(9.5));
+    let mut apart = TestMesh::default();
+    for side in whole.triangles.chunks(2) {
+        let nudge = 1e-9 * apart.triangles.len() as f64;
+        let positions = whole.positions.iter().map(|position| position.map(|along| along + nudge)).collect();
+        apart = apart.and(TestMesh { positions, triangles: side.to_vec() });
+    }
+    for mesh in [apart.clone(), apart.flipped()] {
+        let solid = mesh.solid();
+        assert_eq!(solid.findings().sheet_count, 0);
+        for (at, is_inside) in [(0.0, true), (9.0, true), (10.0, false)] {
+            let distance = solid.distance(DVec3::new(at, 0.5, -0.5)).expect("triangles");
+            assert_eq!(distance < 0.0, is_inside, "{at}: {distance}");
+        }
+    }
+}
+
+/// Coordinates that round to more than thousandths of a voxel are refused: distances from them have no digits.
+#[test]
+fn obstacles_beyond_the_precision_are_refused() {
+    let limit = 2f64.powi(42);
+    for (corner, is_refused) in [(0.9 * limit, false), (1.1 * limit, true), (1e18, true), (-1e70, true)] {
+        let mut mesh = TestMesh::ball(DVec3::ZERO, 5.0, 8);
+        mesh.positions.extend([[corner, 0.0, 0.0], [f64::NAN; 3]]);
+        let unused = Obstacles { members: vec![obstacle(&mesh, 0)] };
+        assert_eq!(unused.too_far(1.0), None, "{corner}: no triangle has this vertex");
+        let last = mesh.positions.len() as u32 - 2;
+        mesh.triangles.extend([[0, 1, last], [0, 1, last + 1]]);
+        let obstacles = Obstacles { members: vec![unused.members[0].clone(), obstacle(&mesh, 0)] };
+        let too_far = obstacles.too_far(1.0);
+        assert_eq!(too_far.map(|far| (far.index, far.point.x)), is_refused.then_some((1, corner)));
+        assert!(obstacles.too_far(1e-3 * corner.abs() / limit).is_some());
+    }
+}
+
+/// An open mesh that encloses nothing and faces several ways is reported.
 #[test]
 fn open_meshes_that_enclose_nothing_are_reported() {
     let terrain = |bumps: f64| {
@@ -532,14 +616,15 @@ fn open_meshes_that_enclose_nothing_are_reported() {
             4.0 * across.sin(),
         )
     };
+    let ring = TestMesh::swept(24, 1, false, |u, v| DVec3::new((TAU * u).cos(), (TAU * u).sin(), 0.05 * v));
     let mut open_box = TestMesh::cuboid(DVec3::ZERO, DVec3::splat(4.0));
     open_box.triangles.truncate(10);
     let mut plane = TestMesh::cuboid(DVec3::ZERO, DVec3::splat(4.0));
     plane.triangles.truncate(2);
     for (name, mesh, expected) in [
-        ("a plane", plane.clone(), true),
-        ("a plane that faces the other way", plane.clone().flipped(), true),
-        ("hardly bent", terrain(0.0), true),
+        ("a plane", plane.clone(), false),
+        ("hardly bent", terrain(0.0), false),
+        ("a ring", ring, true),
         ("a box", TestMesh::cuboid(DVec3::ZERO, DVec3::splat(4.0)), false),
         ("a box without a side", open_box, false),
         ("half a torus", TestMesh::swept(24, 24, false, half_a_torus), false),

@@ -10,7 +10,7 @@ use super::precision::{VoxelTooSmall, voxel_too_small};
 use super::tiles::{HALO_LEAVES, tiles_around};
 use super::{TOPOLOGY_LEAF_BYTES, radii, raster_params, shape};
 use crate::grid::Leaf;
-use crate::obstacle::Obstacles;
+use crate::obstacle::{ObstacleTooFar, Obstacles};
 use crate::options::{Anisotropy, Contouring, Integrator, Settings};
 use crate::particles::{AnySource, ParticleSource, Unread, erased};
 use crate::rasterize::{self, Footprint};
@@ -95,6 +95,8 @@ pub enum MemoryPlanError {
     TooLarge(TooLarge),
     /// Its voxels are too small for the precision of positions.
     VoxelTooSmall(VoxelTooSmall),
+    /// An obstacle has coordinates that are too large for the precision of distances.
+    ObstacleTooFar(ObstacleTooFar),
 }
 
 /// Plans a frame with a limit of `allowed_bytes`: in one piece if possible, otherwise in the largest tiles
@@ -102,7 +104,7 @@ pub enum MemoryPlanError {
 ///
 /// # Errors
 /// The outer error is the source's. The inner error says why the frame cannot be reconstructed: there is too
-/// little memory, or the voxels are [too small](VoxelTooSmall).
+/// little memory, the voxels are [too small](VoxelTooSmall), or an obstacle is [too far away](ObstacleTooFar).
 pub fn plan_memory<S: ParticleSource>(
     source: &S,
     settings: &Settings,
@@ -130,6 +132,9 @@ fn plan_with_tiles(
     tile_edges: &[i32],
 ) -> Result<Result<MemoryPlan, MemoryPlanError>, Unread> {
     let PlanInputs { obstacles, attribute_bytes } = surroundings;
+    if let Some(too_far) = obstacles.too_far(settings.voxel_size) {
+        return Ok(Err(MemoryPlanError::ObstacleTooFar(too_far)));
+    }
     // A counted leaf takes less memory than a leaf of the frame, so no frame that fits exceeds this number.
     let leaf_count_max = allowed_bytes.max(COUNTING_BYTES_MIN) / COUNTED_LEAF_BYTES;
     let footprint = rasterize::footprint(

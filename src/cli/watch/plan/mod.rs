@@ -17,14 +17,14 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow, bail};
 
 use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OptionSet, WatchArgs};
-use crate::cli::choices::{ignored, refuse_misplaced_rounds};
+use crate::cli::choices::{ignored, refuse_misplaced_rounds, refuse_other_kinds};
 use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
 use crate::cli::destination::refuse_file_name;
 use crate::cli::level_sets::{Use, refuse_options};
 use crate::cli::machine::{memory_bytes, thread_count};
 use crate::cli::select::check_output_path;
 use crate::http::{AccessToken, Listen};
-use crate::pipeline::{default_in_flight, read_regular_text, refuse_file_for_folder};
+use crate::pipeline::{ObstacleFiles, default_in_flight, read_regular_text, refuse_file_for_folder};
 use crate::surface::options::Settings;
 use crate::watch::canonical_path::canonical_path;
 use crate::watch::selection::FileFilter;
@@ -172,6 +172,8 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     if let Some(sentinel) = &frames.sentinel {
         check_sentinel(sentinel)?;
     }
+    // An obstacle that does not exist may be written later.
+    refuse_other_kinds(&ObstacleFiles::new(frames.method.obstacle.clone()))?;
     Ok(Watch {
         input: absolute(input)?,
         pattern: frames.pattern.clone(),

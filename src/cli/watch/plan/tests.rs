@@ -232,6 +232,8 @@ fn errors_name_the_line_and_the_key() {
         ("pattern = \"a[\"", &["`pattern`: ", "not a valid pattern"]),
         ("radius_ratio = 0.5\npreset = \"granular\"", &["`radius_ratio`: ", "radius ratio is 0.5"]),
         ("sentinel = \"../a\"", &["`sentinel`: ", "beside the frame"]),
+        #[cfg(unix)]
+        ("obstacles = [\"none.obj\", \"/dev/zero\"]", &["obstacle /dev/zero: not a regular file: a device"]),
         ("spacing = 0.1\npattern = \"*.vdb\"", &["`spacing` cannot be given with a level set"]),
     ] {
         let bench = Bench::new(&format!("[[watch]]\noutput = \"o\"\ninput = \"a\"\n{entry}\n"));
