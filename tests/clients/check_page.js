@@ -132,7 +132,7 @@ async function failureIsExplained(watching, page) {
   await page.keyboard.press("f");
   await page.waitForSelector("#frame .reason");
   const shown = await page.$eval("#frame .reason", (reason) => reason.textContent);
-  const [hint, cell] = [await textOf(page, "#hint"), await textOf(page, ".frame.failed .details")];
+  const [hint, cell] = [await textOf(page, "#hint"), await textOf(page, ".frame.failed .picture")];
   const { reason } = await watching.frame(BAD);
   line(
     "failed",

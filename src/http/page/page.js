@@ -21,6 +21,7 @@ let frames = new Map(); // by name
 let order = []; // names, in natural order
 let counts = {};
 let status = {};
+let isConnected = false;
 let chosen = null;
 let scene = null;
 let playing = false;
@@ -109,9 +110,19 @@ async function follow() {
   });
 }
 
-function showConnection(isConnected) {
+function showConnection(connected) {
+  isConnected = connected;
   $('link').className = isConnected ? 'good' : 'bad';
-  $('link').textContent = isConnected ? 'live' : 'no connection';
+  $('link').textContent = isConnected ? 'live' : status.stopping ? 'stopped' : 'no connection';
+  showAlarms();
+  showForecast();
+}
+
+/** Shows what is wrong now. Without a connection, that is unknown. */
+function showAlarms() {
+  const alarms = [status.paused && `paused: ${status.paused}`, ...(status.unavailable ?? []), status.stopping && 'stopping'];
+  $('alarm').textContent = isConnected ? alarms.filter(Boolean).join(' · ') : '';
+  $('alarm').hidden = !$('alarm').textContent;
 }
 
 // ---- list of frames ----
@@ -130,9 +141,8 @@ function showAll() {
     countsText = texts.join();
     $('counts').replaceChildren(...(texts.length ? texts.map((text, i) => make('span', states[i], text)) : ['no frames yet']));
   }
-  const alarms = [status.paused && `paused: ${status.paused}`, ...(status.unavailable ?? []), status.stopping && 'stopping'];
-  $('alarm').textContent = alarms.filter(Boolean).join(' · ');
-  $('alarm').hidden = !$('alarm').textContent;
+  showAlarms();
+  showForecast();
   if ($('follow').checked && !playing) {
     const newest = listed.findLast(name => frames.get(name).surface) ?? listed.at(-1);
     if (newest !== undefined && newest !== chosen) return choose(newest, true);
@@ -189,7 +199,10 @@ function showCell(index, name, seenUntil) {
   const frame = frames.get(name);
   let cell = shown.get(name);
   if (!cell) {
-    cell = make('div', '', make('div', 'picture'), make('div', 'name'), make('div', 'details'));
+    // A long name is cut at its start, as text from right to left, so it must be isolated from that direction.
+    const name = make('bdi');
+    name.dir = 'ltr';
+    cell = make('div', '', make('div', 'picture'), make('div', 'name', name), make('div', 'details'));
     cell.setAttribute('role', 'option');
     cell.id = `frame-${cells++}`;
     cell.since = performance.now();
@@ -204,8 +217,8 @@ function showCell(index, name, seenUntil) {
   cell.setAttribute('aria-selected', isChosen);
   if (isChosen) $('strip').setAttribute('aria-activedescendant', cell.id);
   const [picture, title, details] = cell.children;
-  title.textContent = name;
-  details.textContent = frame.stage ?? (frame.state === 'done' ? `done ${seconds(frame.seconds)}` : reasonOf(frame) ?? frame.state);
+  title.firstChild.textContent = name;
+  details.textContent = frame.stage ?? (frame.state === 'done' ? `done ${seconds(frame.seconds)}` : frame.state);
   const isEarly = seenUntil < cell.since;
   if (!isEarly) showPicture(picture, frame);
   return isEarly;
@@ -214,13 +227,14 @@ let cells = 0;
 
 /** Why the frame failed or waits, without the path that precedes it: the name is already shown. */
 function reasonOf(frame) {
-  return frame.reason?.split(`${frame.name}: `).at(-1);
+  const file = frame.name.split('/').at(-1);
+  return frame.reason?.split(`${file}: `).at(-1).replace(/^(\/|[A-Za-z]:[\\/]|\\\\).*?: /, '');
 }
 
 function showPicture(box, frame) {
   const path = frame.picture && `files/${encodeURIComponent(frame.picture)}?at=${frame.since_ms}`;
   if (!path) {
-    box.textContent = frame.state === 'done' ? '' : frame.state;
+    box.textContent = frame.state === 'done' ? '' : reasonOf(frame) ?? frame.state;
   } else if (box.firstChild?.dataset?.path !== path) {
     const image = make('img');
     image.alt = '';
@@ -437,11 +451,14 @@ async function showFlow() {
   setTimeout(showFlow, 5000);
 }
 
-/** Shows how many results to expect, and an estimate of the time left. */
+/** Shows how many of the frames are done, and an estimate of the time left. */
 function showForecast() {
-  const { expected_count: expected, seconds_left: left } = forecast;
-  const time = left === null || left === undefined ? '' : `, about ${duration(left)} left`;
-  $('flow-forecast').textContent = expected ? `${number(counts.done)} of ${number(expected)} frames done${time}` : '';
+  const { done = 0, failed = 0, ...others } = counts;
+  const left = Object.values(others).reduce((sum, count) => sum + count, 0);
+  const time = isConnected && left && forecast.seconds_left ? `, about ${duration(forecast.seconds_left)} left` : '';
+  const failures = failed ? `, ${number(failed)} failed` : '';
+  const total = done + failed + left;
+  $('flow-forecast').textContent = total ? `${number(done)} of ${number(total)} frames done${failures}${time}` : '';
 }
 
 function duration(value) {
@@ -450,7 +467,7 @@ function duration(value) {
   return value < 172800 ? `${(value / 3600).toFixed(1)} h` : `${(value / 86400).toFixed(1)} days`;
 }
 
-/** Draws frames per minute as a line, and queued frames and frames in progress as an area; each has its own scale, written above it. */
+/** Draws frames per minute as a line, and queued frames and frames in progress as an area; each has its own scale, whose maximum is written above it. */
 function drawFlow() {
   const canvas = $('chart');
   const ratio = devicePixelRatio || 1;
@@ -495,8 +512,8 @@ function drawFlow() {
     pen.textAlign = align;
     pen.fillText(text, align === 'left' ? 0 : width, at);
   };
-  drawLabel(`${rateMax.toFixed(0)} frames/min`, 'accent', 'left', 13);
-  drawLabel(`${number(queueMax)} in the queue`, 'faint', 'right', 13);
+  drawLabel(`max ${rateMax.toFixed(0)} frames/min`, 'accent', 'left', 13);
+  drawLabel(`max ${number(queueMax)} in the queue`, 'faint', 'right', 13);
   drawLabel(ago(end - begin), 'faint', 'left', height - 3);
   drawLabel('now', 'faint', 'right', height - 3);
   $('flow-rate').textContent = `${rates.at(-1).toFixed(0)} frames a minute`;

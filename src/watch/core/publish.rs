@@ -6,7 +6,7 @@ use std::path::{Component, Path};
 
 use serde_json::{Value, json};
 
-use crate::pipeline::{SequenceRecord, text_of_name};
+use crate::pipeline::{Job, SequenceRecord, text_of_name};
 use crate::watch::config::{Order, Poll, Watch, WatchConfig};
 use crate::watch::journal::{JournaledFrame, JournaledStatus};
 use crate::watch::status_store::{
@@ -194,12 +194,13 @@ fn is_about(record: &JournaledFrame, phase: FramePhase) -> bool {
 /// The configuration of the daemon as JSON. Times in seconds, sizes in bytes.
 fn plan_of(config: &WatchConfig) -> Value {
     let watch = |watch: &Watch| {
-        let choices: serde_json::Map<String, Value> = watch
-            .choices
-            .to_pairs()
-            .into_iter()
-            .map(|(name, value)| (name.to_owned(), value.into()))
-            .collect();
+        let mut choices = watch.choices.clone();
+        // The preset of particles is shown also if it is the default.
+        if matches!(watch.job(), Job::Surface) {
+            choices.preset.get_or_insert_default();
+        }
+        let choices: serde_json::Map<String, Value> =
+            choices.to_pairs().into_iter().map(|(name, value)| (name.to_owned(), value.into())).collect();
         json!({
             "input": watch.input.to_string_lossy(),
             "output": watch.outputs.folder.to_string_lossy(),
