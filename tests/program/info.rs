@@ -191,8 +191,11 @@ fn attributes_of_gltf_are_described() {
     ply += "end_header\n";
     particles.iter().for_each(|[x, y, z]| ply += &format!("{x} {y} {z} 1 2 3 7\n"));
     fs::write(path.join("a.ply"), ply).expect("written");
-    let arguments = ["convert", "a.ply", "--out", "o", "--format", "glb,gltf", "--attributes", "all"];
+    let arguments = ["convert", "a.ply", "--out", "o", "--format", "glb,gltf,vdb", "--attributes", "all"];
     assert_eq!(meniscus(path, &arguments).status, 0);
+    let out = meniscus(path, &["info", "o/a.vdb"]).out;
+    assert!(out.contains("  made with\n    anisotropy         neighbors\n"), "{out}");
+    assert!(!out.contains("meniscus_"), "{out}");
     for name in ["o/a.glb", "o/a.gltf"] {
         let out = meniscus(path, &["info", name]).out;
         assert!(out.contains("_VELOCITY: f32 × 3, velocity, (1, 2, 3) to (1, 2, 3)"), "{out}");

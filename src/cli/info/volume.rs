@@ -78,7 +78,14 @@ impl fmt::Display for GridRecord {
             }
             other => other.to_string(),
         };
-        let metadata = self.metadata.iter().map(|(name, value)| (name.clone(), shown(value)));
-        block(f, "metadata", &metadata.collect())
+        let (mut made_with, mut others) = (BTreeMap::new(), BTreeMap::new());
+        for (name, value) in &self.metadata {
+            match name.strip_prefix("meniscus_") {
+                Some(name) => made_with.insert(name.to_owned(), shown(value)),
+                None => others.insert(name.clone(), shown(value)),
+            };
+        }
+        block(f, "metadata", &others)?;
+        block(f, "made with", &made_with)
     }
 }
