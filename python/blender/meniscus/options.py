@@ -77,7 +77,9 @@ def properties_of(info: OptionInfo, update: Update) -> dict[str, Any]:
         made[info.name] = FloatProperty(default=number, precision=4, step=1, **limits, **about)
     if info.kind == "length":
         first = unit if unit in ("d", "h") else "d"
-        made[f"{info.name}_unit"] = EnumProperty(name="Unit", items=UNITS, default=first, update=update)
+        # The voxel size cannot be in voxels.
+        units = [item for item in UNITS if info.name != "voxel_size" or item[0] != "h"]
+        made[f"{info.name}_unit"] = EnumProperty(name="Unit", items=units, default=first, update=update)
     made[f"use_{info.name}"] = BoolProperty(
         name=label_of(info.name), description=f"Override the preset. {info.help}", update=update
     )
