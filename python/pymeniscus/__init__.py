@@ -11,7 +11,7 @@ settings. `read` reads particles from files. `convert`, `render` and `watch` run
 can also run as ``python -m pymeniscus``.
 
 Lengths are in the unit of the particles. An option that is a length also takes text: ``"0.4d"`` is 0.4
-particle spacings and ``"5h"`` is 5 voxels.
+particle spacings and ``"5h"`` is 5 voxels. The voxel size itself cannot be in voxels.
 """
 
 from ._commands import CommandError, FinishedFrame, Watch, convert, render, watch

@@ -70,7 +70,7 @@ def as_points(values: Any, name: str = "points") -> NDArray[Any]:
     Raises
     ------
     TypeError
-        If the values are not real numbers.
+        If the values are not real numbers; Boolean values are not.
     ValueError
         If the shape is not (N, 3).
     """
@@ -80,7 +80,7 @@ def as_points(values: Any, name: str = "points") -> NDArray[Any]:
     kind, size = array.dtype.kind, array.dtype.itemsize
     if kind == "f":
         dtype = np.dtype(np.float32 if size <= 4 else np.float64)
-    elif kind in "iub":
+    elif kind in "iu":
         dtype = np.dtype(np.float64)
     else:
         raise TypeError(f"{name} must be real numbers, not {array.dtype}")
@@ -88,7 +88,9 @@ def as_points(values: Any, name: str = "points") -> NDArray[Any]:
         # An empty list has no second dimension.
         array = array.reshape(0, 3)
     if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"{name} must have the shape (N, 3), not {array.shape}")
+        is_transposed = array.ndim == 2 and array.shape[0] == 3 and array.shape[1] > 4
+        advice = f": pass the transpose, `{name}.T`" if is_transposed else ""
+        raise ValueError(f"{name} must have the shape (N, 3), not {array.shape}{advice}")
     return np.require(array, dtype, ["C_CONTIGUOUS", "ALIGNED"])
 
 
@@ -103,7 +105,7 @@ def as_reals(values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
         If they have another shape.
     """
     array = as_array(values, name)
-    if array.dtype.kind not in "fiub":
+    if array.dtype.kind not in "fiu":
         raise TypeError(f"{name} must be real numbers, not {array.dtype}")
     if array.shape != shape:
         raise ValueError(f"{name} must have the shape {shape}, not {array.shape}")

@@ -75,16 +75,20 @@ class CommandError(MeniscusError):
 
 
 def convert(
-    inputs: Paths, out: str | os.PathLike[str], *, allow_failures: bool = False, **options: Any
+    inputs: Paths | None = None,
+    out: str | os.PathLike[str] | None = None,
+    *,
+    allow_failures: bool = False,
+    **options: Any,
 ) -> dict[str, Any]:
     """Convert files, folders or sequences of particles into meshes and level sets: ``meniscus convert``.
 
     Parameters
     ----------
     inputs : path-like or iterable of path-like
-        Files, folders, globs, or numbered patterns such as ``dam.####.bgeo``.
+        Files, folders, globs, or numbered patterns such as ``dam.####.bgeo``. With ``plan=`` it is left out.
     out : path-like
-        The folder for the results; for a single frame, it may be a file.
+        The folder for the results; for a single frame, it may be a file. With ``plan=`` it is left out.
     allow_failures : bool
         Whether to return the report instead of raising an exception if some frames failed, or failed
         validation.
@@ -92,12 +96,13 @@ def convert(
         The options of the command with ``_`` for ``-``: ``format=["glb", "vdb"]``, ``preset="splash"``,
         ``skip_done=True``, ``obstacle="ship.obj"``, ``frames="1-240x2"`` and so on. An option that is None is
         left out. ``report="report.json"`` also writes the report to a file, which is left as it is if no
-        frame could be converted.
+        frame could be converted. ``help=True`` prints all options.
 
     Returns
     -------
     dict
-        The report; see docs/report.md for its entries.
+        The report; see docs/report.md for its entries. Empty if the options ask for text instead, which is
+        printed: ``help=True`` and ``print_settings=True``.
 
     Raises
     ------
@@ -112,12 +117,15 @@ def convert(
         written = Path(folder, "report.json")
         chosen = options.pop("report", None)
         arguments = ["convert", *_flags({**options, "out": out, "report": written}), "--", *_paths(inputs)]
-        status, messages = _run(arguments)
+        status, printed, messages = _run(arguments)
         report: dict[str, Any] | None = None
         if written.exists():
             report = json.loads(written.read_text(encoding="utf-8"))
             if chosen is not None:
                 shutil.copyfile(written, chosen)
+    if status == 0 and report is None:
+        print(printed, end="")
+        return {}
     if report is None or (status != 0 and not allow_failures):
         raise CommandError(status, messages, report)
     return report
@@ -148,9 +156,11 @@ def render(inputs: Paths, output: str | os.PathLike[str], **options: Any) -> Pat
     """
     is_file = os.path.splitext(os.fspath(output))[1].lower() in (".png", ".exr")
     target = {"output": output} if is_file else {"out": output}
-    status, messages = _run(["render", *_flags({**options, **target}), "--", *_paths(inputs)])
+    status, printed, messages = _run(["render", *_flags({**options, **target}), "--", *_paths(inputs)])
     if status != 0:
         raise CommandError(status, messages)
+    if not os.path.exists(output):
+        print(printed, end="")
     return Path(output)
 
 
@@ -358,27 +368,29 @@ def _command(arguments: list[str]) -> list[str]:
     return [sys.executable, "-c", _PROGRAM, str(Path(__file__).resolve().parents[1]), *arguments]
 
 
-def _run(arguments: list[str]) -> tuple[int, str]:
-    """Run a command until it ends. Returns its exit status and its standard error."""
+def _run(arguments: list[str]) -> tuple[int, str, str]:
+    """Run a command until it ends. Returns its exit status, its standard output and its standard error."""
     process = subprocess.Popen(
         _command(arguments),
         stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         encoding="utf-8",
         errors="replace",
     )
     try:
-        _, messages = process.communicate()
+        printed, messages = process.communicate()
     except BaseException:
         process.terminate()
         process.communicate()
         raise
-    return process.returncode, messages
+    return process.returncode, printed, messages
 
 
-def _paths(paths: Paths) -> list[str]:
+def _paths(paths: Paths | None) -> list[str]:
+    if paths is None:
+        return []
     if isinstance(paths, (str, os.PathLike)):
         return [os.fspath(paths)]
     found = [os.fspath(path) for path in paths]

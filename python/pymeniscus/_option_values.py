@@ -13,6 +13,7 @@ class OptionValues(TypedDict, total=False):
     """The options of the method, as keywords. None means the default of the preset.
 
     Lengths are numbers in the unit of the particles, or text: ``"0.6d"`` is 0.6 particle spacings, ``"5h"`` is 5 voxels.
+    The voxel size itself cannot be in voxels.
 
     Attributes
     ----------

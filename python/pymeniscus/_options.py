@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 import numbers
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import _native
+from ._errors import OptionError
 from ._option_values import OptionValues
 
 if TYPE_CHECKING:
     # Type checkers know this module without its package.
     from typing_extensions import Unpack
 
-__all__ = ["OptionInfo", "OptionValues", "Options", "as_pairs", "option_table"]
+__all__ = ["OptionInfo", "OptionValues", "Options", "as_pairs", "as_values", "option_table"]
 
 #: Options for which the functions have separate keywords.
 RESERVED = frozenset({"attributes"})
@@ -87,6 +88,8 @@ def as_pairs(options: Mapping[str, Any], others: Iterable[str] = ()) -> list[tup
     ------
     TypeError
         If no option has the name, or the value has the wrong type.
+    OptionError
+        If the value of a switch is neither True nor False.
     """
     known = {info.name: info for info in option_table()}
     pairs = []
@@ -95,9 +98,25 @@ def as_pairs(options: Mapping[str, Any], others: Iterable[str] = ()) -> list[tup
             near = difflib.get_close_matches(name, [*known, *others], n=1)
             hint = f"; did you mean `{near[0]}`?" if near else ""
             raise TypeError(f"unknown option `{name}`{hint}")
-        if value is not None:
-            pairs.append((name, _text(name, value)))
+        if value is None:
+            continue
+        if known[name].kind == "switch" and not isinstance(value, (bool, np.bool_)):
+            raise OptionError(f"option `{name}`: must be True or False, not {value!r}")
+        pairs.append((name, _text(name, value)))
     return pairs
+
+
+def as_values(pairs: Iterable[tuple[str, str]]) -> dict[str, Any]:
+    """Options that the core resolved, by name: numbers, True or False, or words. A box is six numbers. These
+    values give the same pairs again."""
+    kinds = {info.name: info.kind for info in option_table()}
+    convert: dict[str, Callable[[str], Any]] = {
+        "number": float, "length": float, "count": int, "switch": "true".__eq__, "text": str,
+    }  # fmt: skip
+    values = {name: convert[kinds[name]](text) for name, text in pairs if name in kinds}
+    if "clip" in values:
+        values["clip"] = tuple(float(number) for number in values["clip"].split(","))
+    return values
 
 
 def _text(name: str, value: Any) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import ItemsView, Iterator, KeysView, Mapping, ValuesView
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,13 @@ from . import _native
 from ._arrays import words_of
 
 
-class Particles(Mapping[str, NDArray[Any]]):
+class Particles:
     """A frame of particles: positions, and other attributes by name.
 
-    It is a mapping from the names of attributes to arrays, shape (N,) or (N, K). The arrays belong to the
-    caller, who may change them.
+    ``particles["velocity"]`` is the attribute with this name, or else the one with the role that the name
+    stands for: an array of shape (N,) or (N, K). As in a data frame, ``len(particles)`` is the number of
+    particles, and the iteration, `keys`, `values` and `items` are those of the attributes. The arrays belong
+    to the caller, who may change them.
 
     Attributes
     ----------
@@ -68,14 +70,36 @@ class Particles(Mapping[str, NDArray[Any]]):
         self._texts: dict[str, tuple[NDArray[np.int32], list[str]]] = {}
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        return self._attributes[name]
+        if name in self._attributes:
+            return self._attributes[name]
+        role = _native.role_of(name) or name
+        for other, other_role in self.roles.items():
+            if other_role == role and other in self._attributes:
+                return self._attributes[other]
+        known = ", ".join(f"`{other}`" for other in self._attributes) or "none"
+        raise KeyError(f"no attribute `{name}`; the attributes are: {known}")
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._attributes
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._attributes)
 
     def __len__(self) -> int:
-        """The number of attributes. The number of particles is ``len(particles.positions)``."""
-        return len(self._attributes)
+        """The number of particles."""
+        return len(self.positions)
+
+    def keys(self) -> KeysView[str]:
+        """The names of the attributes."""
+        return self._attributes.keys()
+
+    def values(self) -> ValuesView[NDArray[Any]]:
+        """The arrays of the attributes."""
+        return self._attributes.values()
+
+    def items(self) -> ItemsView[str, NDArray[Any]]:
+        """The names and the arrays of the attributes."""
+        return self._attributes.items()
 
     def __repr__(self) -> str:
         names = ", ".join(self._attributes) or "none"

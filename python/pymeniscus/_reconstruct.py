@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from . import _native
 from ._arrays import as_array, as_attribute, as_mask, as_points, as_reals, words_of
 from ._obstacles import Bodies, ObstacleLike
-from ._options import OptionValues, as_pairs, bytes_of, extensions_of, thread_count
+from ._options import OptionValues, as_pairs, as_values, bytes_of, extensions_of, thread_count
 from ._particles import Particles
 from ._surface import Surface
 
@@ -60,7 +60,7 @@ def reconstruct(
     points : array_like, shape (N, 3), or Particles
         Positions. float32 and float64 keep their precision. NumPy arrays and everything with ``__dlpack__``,
         ``__array_interface__``, ``__array__`` or the buffer protocol are used without a copy if they are
-        C-contiguous. Positions that are not finite are left out and counted in the report.
+        C-contiguous. Positions that are not finite are left out and counted in the report, unless all are.
     radii : array_like, shape (N,), optional
         Each particle's own radius, in the unit of the positions. This argument sets the option
         `radius_attribute` to ``"radius"``.
@@ -76,7 +76,8 @@ def reconstruct(
     formats : iterable of str, optional
         Extensions of the files that you will write with `Surface.write`. They have two effects. For ``"vdb"``
         and ``"exr"``, attributes are also computed at voxels. For ``"stl"`` and a quantized ``"glb"``, the
-        mesh is also checked with the rounded positions of these formats.
+        mesh is also checked with the rounded positions of these formats; those of ``"stl"`` are rounded only
+        far from the origin.
     quantize : bool, optional
         Whether the .glb of `formats` will be quantized.
     threads : int, optional
@@ -112,8 +113,9 @@ def reconstruct(
         If an option is out of its range, or the particle spacing cannot be measured. A subclass of
         `ValueError`.
     ParticleError
-        If the voxel size must be measured and there are no particles, a required attribute or one in `where` is
-        missing, or the voxels are too small for the extent of the frame. A subclass of `ValueError`.
+        If the voxel size must be measured and there are no particles, no position is finite, a required attribute
+        or one in `where` is missing, or the voxels are too small for the extent of the frame. A subclass of
+        `ValueError`.
     MemoryLimitError
         If the frame needs more memory than the limit. A subclass of `MemoryError`.
     OSError
@@ -192,23 +194,22 @@ class Sequence:
         self._limits = bytes_of(memory), _folder_of(scratch)
         self._bodies = Bodies(self._limits[0])
         self._lock = threading.Lock()
-        self._resolved: dict[str, str] | None = None
+        self._resolved: dict[str, Any] | None = None
         self._has_frame = False
         if first_frame is not None:
             self._settings_on(_Given(first_frame, radii, velocity, None, None))
 
-    def _settings_on(self, given: _Given) -> dict[str, str]:
+    def _settings_on(self, given: _Given) -> dict[str, Any]:
         """The settings with all lengths in world units. The first call resolves them on its frame."""
         with self._lock:
             if self._resolved is None:
                 pairs = given.pairs(self._options)
-                self._resolved = dict(_native.resolve(pairs, given.points, given.attributes))
+                self._resolved = as_values(_native.resolve(pairs, given.points, given.attributes))
             return self._resolved
 
     @property
-    def settings(self) -> dict[str, str] | None:
-        """The settings of the sequence as text by name, with lengths in world units; None before the first
-        frame."""
+    def settings(self) -> dict[str, Any] | None:
+        """The settings of the sequence, as in `Surface.settings`; None before the first frame."""
         return None if self._resolved is None else dict(self._resolved)
 
     def reconstruct(

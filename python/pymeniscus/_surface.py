@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _native
 from ._arrays import as_points, words_of
+from ._options import as_values
 from ._particles import Particles
 
 
@@ -263,9 +264,13 @@ class Surface:
         return Certificate(self.report["certificate"], self._native.fault())
 
     @cached_property
-    def settings(self) -> dict[str, str]:
-        """The resolved options as text by name. Lengths are numbers in world units."""
-        return dict(self._native.settings())
+    def settings(self) -> dict[str, Any]:
+        """The resolved options by name: numbers, True or False, or words. Lengths are in world units.
+
+        ``reconstruct(points, **surface.settings)`` gives the same surface, with the same `radii`, `velocity`,
+        `attributes` and `obstacles`, which are not in the settings. Options without effect are left out.
+        """
+        return as_values(self._native.settings())
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -290,8 +295,9 @@ class Surface:
         existing file.
 
         The file has the same bytes as that of ``meniscus convert`` with the same options and the same
-        `source`. If the format rounds positions (``stl``, a quantized ``glb``) or has attributes at voxels
-        (``vdb``, ``exr``), you must also pass it to `reconstruct`, in the argument `formats`.
+        `source`. Pass a quantized ``glb`` also to `reconstruct`, in the arguments `formats` and `quantize`: it
+        has other positions than the surface, which must be checked there. So has an ``stl`` if `origin` is not
+        zero. Pass ``vdb`` and ``exr`` to `formats` if they are to have attributes.
 
         Parameters
         ----------
@@ -321,8 +327,8 @@ class Surface:
         Raises
         ------
         ValueError
-            For an unknown format, choice or size, and for a format that rounds positions if `formats` of `reconstruct`
-            did not have it.
+            For an unknown format, choice or size, and for a file whose positions differ from those of the surface if
+            `formats` of `reconstruct` did not have it.
         TypeError
             If an argument has the wrong type.
         FormatError

@@ -213,6 +213,13 @@ pub(crate) fn word_of_role(role: AttributeRole) -> Option<&'static str> {
     ROLES.iter().find(|(known, _)| *known == role).map(|(_, word)| *word)
 }
 
+/// The role that an attribute with this name has in files.
+#[pyfunction]
+pub(crate) fn role_of(name: &str) -> Option<&'static str> {
+    let of_arity = |arity: usize| meniscus_formats::columns::role_of(name, arity);
+    [3, 1].into_iter().find_map(of_arity).and_then(word_of_role)
+}
+
 fn role_of_word(word: &str) -> PyResult<AttributeRole> {
     let found = ROLES.iter().find(|(_, known)| *known == word).map(|(role, _)| *role);
     found.ok_or_else(|| PyValueError::new_err(format!("unknown role `{word}`")))

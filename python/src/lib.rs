@@ -27,6 +27,8 @@ use pyo3::prelude::*;
 #[pymodule(gil_used = true)]
 mod _native {
     #[pymodule_export]
+    use crate::arrays::role_of;
+    #[pymodule_export]
     use crate::options::{check_options, option_table, option_warnings};
     #[pymodule_export]
     use crate::program::{

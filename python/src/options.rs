@@ -65,6 +65,20 @@ pub(crate) fn check_options(pairs: Pairs) -> PyResult<Vec<(&'static str, String)
     Ok(parse(&pairs)?.to_pairs())
 }
 
+/// Resolved options as names and values in text, without those that have no effect and are not in `given`:
+/// with them, a call would warn about options that its caller never chose.
+pub(crate) fn effective_pairs(
+    resolved: &Options,
+    has_obstacles: bool,
+    given: &[(String, String)],
+) -> Vec<(&'static str, String)> {
+    let ineffective = resolved.ineffective(has_obstacles);
+    let is_kept = |name: &str| {
+        given.iter().any(|(given, _)| given == name) || ineffective.iter().all(|(other, _)| *other != name)
+    };
+    resolved.to_pairs().into_iter().filter(|(name, _)| is_kept(name)).collect()
+}
+
 /// Warnings about deprecated presets and about options that have no effect; empty for invalid options.
 #[pyfunction]
 pub(crate) fn option_warnings(pairs: Pairs, has_obstacles: bool) -> PyResult<Vec<String>> {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use meniscus::cli::status_of;
 use meniscus::pipeline::{
     self, Cause, EmbeddedSurface, FrameError, InMemoryObstacle, OutputFormat, OutputOptions, PictureOptions,
-    ScratchFile, covers, default_memory_bytes, in_memory_attributes, in_memory_parts, obstacle_warnings,
+    ScratchFile, default_memory_bytes, in_memory_attributes, in_memory_parts, obstacle_warnings,
 };
 use meniscus::surface::reconstruction::{FrameSurface, PositionFormat};
 use meniscus::surface::{Options, Positions, Settings, Storage};
@@ -159,11 +159,11 @@ impl Embedded<'_> {
         let format = format_of(format)?;
         let mut outputs = options.outputs(format)?;
         let name = format.extension();
-        if !covers(&prepared.outputs, format, &outputs) {
+        if !self.inner().is_checked(&prepared.parts.0, format, &outputs) {
             let quantize = if outputs.quantize { ", quantize=True" } else { "" };
             return Err(WriteError::Choice(format!(
-                "the surface was not checked with the rounded positions of a .{name}: pass \
-                 formats=[\"{name}\"]{quantize} to reconstruct"
+                "the surface was not checked with the positions of a .{name}, which are rounded differently: \
+                 pass formats=[\"{name}\"]{quantize} to reconstruct"
             )));
         }
         if format.is_picture() {
@@ -211,7 +211,6 @@ impl Embedded<'_> {
 
 /// The files that a surface is prepared for.
 pub(crate) struct Prepared {
-    outputs: OutputOptions,
     /// See [`in_memory_parts`].
     pub(crate) parts: (Vec<PositionFormat>, Option<f32>),
 }
@@ -224,8 +223,7 @@ impl Prepared {
             formats.iter().map(|format| format_of(format)).collect();
         let formats = formats.map_err(|error| error.raised(Path::new("")))?;
         let outputs = OutputOptions { quantize, ..OutputOptions::new("", &formats) };
-        let parts = in_memory_parts(&outputs);
-        Ok(Prepared { outputs, parts })
+        Ok(Prepared { parts: in_memory_parts(&outputs) })
     }
 }
 

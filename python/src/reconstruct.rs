@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 use crate::arrays::{Attributes, Given, Positions};
 use crate::compute::run_with_progress;
 use crate::errors::{ParticleError, of_method};
-use crate::options::{Pairs, parse, selection};
+use crate::options::{Pairs, effective_pairs, parse, selection};
 use crate::program::{Obstacle, Prepared, needed_attributes, scratch_file};
 use crate::surface::Surface;
 
@@ -38,6 +38,7 @@ pub(crate) fn reconstruct(
     options.attributes = selection(all_attributes, attribute_names).or(options.attributes);
     let (positions, attributes) = (Positions::new(points)?, Attributes::new(attributes)?);
     let (positions, attributes) = (positions.as_slice()?, attributes.as_slices()?);
+    check_finite(&positions)?;
     let prepared = Prepared::new(&formats, quantize)?;
     let obstacles: Vec<&Obstacle> = obstacles.iter().map(Py::get).collect();
     let folder = scratch.clone().unwrap_or_default();
@@ -85,7 +86,7 @@ impl Failure {
 }
 
 /// The resolved settings, as names and values in text. Lengths that the options leave open are measured on
-/// these particles.
+/// these particles. Options without effect are left out, except those in `pairs`.
 #[pyfunction]
 pub(crate) fn resolve(
     py: Python<'_>,
@@ -96,6 +97,7 @@ pub(crate) fn resolve(
     let options = parse(&pairs)?;
     let (positions, attributes) = (Positions::new(points)?, Attributes::new(attributes)?);
     let (positions, attributes) = (positions.as_slice()?, attributes.as_slices()?);
+    check_finite(&positions)?;
     let is_empty = positions.is_empty();
     let resolved = run_with_progress(py, None, None, |token, _| {
         if is_empty && options.needs_spacing() {
@@ -107,5 +109,18 @@ pub(crate) fn resolve(
         let settings = reconstructor.resolve_on(positions, &attributes);
         settings.map(Settings::to_options).map_err(Failure::Method)
     })?;
-    Ok(resolved.map_err(|failure| failure.raised(Path::new("")))?.to_pairs())
+    let resolved = resolved.map_err(|failure| failure.raised(Path::new("")))?;
+    Ok(effective_pairs(&resolved, false, &pairs))
+}
+
+/// # Errors
+/// `ParticleError` if there are positions, and none is finite.
+fn check_finite(positions: &meniscus::surface::Positions<'_>) -> PyResult<()> {
+    let count = positions.len();
+    if count == 0 || (0..count).any(|index| positions.position(index).is_finite()) {
+        return Ok(());
+    }
+    Err(ParticleError::new_err(format!(
+        "none of the {count} positions is finite: each has a coordinate that is NaN or infinite"
+    )))
 }

@@ -14,6 +14,7 @@ use pyo3::prelude::*;
 use crate::audited::views::{make_read_only, view};
 use crate::compute::{run, run_with_progress};
 use crate::level_set::Rows;
+use crate::options::effective_pairs;
 use crate::program::{self, Prepared, WriteOptions};
 
 /// A surface. It never changes, because arrays borrow its memory.
@@ -224,9 +225,9 @@ impl Surface {
         Ok(Array1::from(values).into_pyarray(py))
     }
 
-    /// The resolved settings, as names and values in text.
+    /// The resolved settings that have an effect, as names and values in text.
     fn settings(&self) -> Vec<(&'static str, String)> {
-        self.settings.to_options().to_pairs()
+        effective_pairs(&self.settings.to_options(), !self.obstacles.is_empty(), &[])
     }
 
     /// The measurements as JSON.

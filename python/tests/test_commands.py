@@ -67,6 +67,11 @@ def test_convert_errors(tmp_path):
         pm.convert([], tmp_path)
 
 
+def test_text_is_printed_if_the_options_ask_for_it(capsys):
+    assert pm.convert(help=True) == {} and "--skip-done" in capsys.readouterr().out
+    assert pm.convert(print_settings=True, spacing=0.1) == {} and "voxel_size = " in capsys.readouterr().out
+
+
 def test_failed_frames(frame, tmp_path):
     bad = tmp_path / "bad.ply"
     bad.write_text("ply\nnothing")

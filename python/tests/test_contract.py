@@ -106,13 +106,22 @@ def test_text_has_the_bytes_of_the_command(block, tmp_path):
             assert written == (tmp_path / "command" / f"frame.{extension}").read_bytes(), extension
 
 
-def test_rounding_formats_must_be_prepared(surface, block, tmp_path):
-    with pytest.raises(ValueError, match=r'formats=\["stl"\]'):
-        surface.write(tmp_path / "surface.stl")
-    with pytest.raises(ValueError, match="quantize=True"):
-        surface.write(tmp_path / "surface.glb", quantize=True)
+def test_files_with_other_positions_than_those_that_were_checked_are_refused(surface, block, tmp_path):
+    far = block + np.float32(1000)
+    for made, extension, options, advice in [
+        (surface, "glb", {"quantize": True}, r'pass formats=\["glb"\], quantize=True'),
+        (pm.reconstruct(far, spacing=0.1), "stl", {}, r'pass formats=\["stl"\] to'),
+        (pm.reconstruct(far, spacing=0.1, formats=["stl"]), "ply", {}, r'pass formats=\["ply"\] to'),
+    ]:
+        with pytest.raises(ValueError, match=advice):
+            made.write(tmp_path / f"surface.{extension}", **options)
     assert not list(tmp_path.iterdir())
-    pm.reconstruct(block, spacing=0.1, formats=["stl"]).write(tmp_path / "surface.stl")
+
+
+def test_stl_needs_no_preparation_where_it_rounds_nothing(surface, block, tmp_path):
+    surface.write(tmp_path / "surface.stl")
+    pm.reconstruct(block, spacing=0.1, formats=["stl"]).write(tmp_path / "prepared.stl")
+    assert (tmp_path / "surface.stl").read_bytes() == (tmp_path / "prepared.stl").read_bytes()
 
 
 def test_writing_warns_about_what_a_format_cannot_store(block, tmp_path):

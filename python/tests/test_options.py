@@ -6,6 +6,7 @@ import copy
 import pickle
 import warnings
 
+import numpy as np
 import pytest
 from conftest import ROOT
 from simulate import load
@@ -25,7 +26,7 @@ def test_options_are_a_mapping(block):
     options = pm.Options(spacing=0.1, steps=3, decimate=None)
     assert dict(options) == {"spacing": 0.1, "steps": 3} and len(options) == 2
     assert options.replace(steps=None, quads=True) == pm.Options(spacing=0.1, quads=True)
-    assert pm.reconstruct(block, **options).settings["steps"] == "3"
+    assert pm.reconstruct(block, **options).settings["steps"] == 3
     assert pm.Options(voxel_size=0.1) == pm.Options(voxel_size="0.1") != pm.Options(voxel_size="0.1d")
     assert eval(repr(options), {"Options": pm.Options}) == options
 
@@ -55,7 +56,32 @@ def test_generated_files_are_those_of_the_core():
 
 def test_numbers_keep_all_digits(block):
     spacing = 0.1 + 2**-50
-    assert float(pm.reconstruct(block, spacing=spacing).settings["spacing"]) == spacing
+    assert pm.reconstruct(block, spacing=spacing).settings["spacing"] == spacing
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"preset": "splash", "voxel_size": "0.3d", "quads": True, "clip": (0, 0, 0, 0.5, 1, 1)},
+        {"preset": "paper", "voxel_size": 0.05, "integrator": "implicit"},
+        {"anisotropy": "velocity", "velocity_scale": 24.0, "offset": "-0.1d"},
+    ],
+)
+def test_settings_give_the_same_surface_without_warnings(block, options):
+    particles = {"velocity": block, "radii": np.full(1000, 0.1), "attributes": {"height": block[:, 2]}}
+    made = pm.reconstruct(block, spacing=0.1, **particles, **options)
+    values = {name: type(made.settings[name]) for name in ("voxel_size", "steps", "quads", "anisotropy")}
+    assert values == {"voxel_size": float, "steps": int, "quads": bool, "anisotropy": str}
+    assert "attributes" not in made.settings and ("clip" in made.settings) == ("clip" in options)
+    sequence = pm.Sequence(block, radii=particles["radii"], velocity=block, spacing=0.1, **options)
+    assert sequence.settings == made.settings
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        again = pm.reconstruct(block, **particles, **made.settings)
+    assert again.settings == made.settings and again.vertices.tobytes() == made.vertices.tobytes()
+    with pytest.raises(pm.ParticleError, match="`radius`, which `radius_attribute` needs"):
+        pm.reconstruct(block, **made.settings)
 
 
 @pytest.mark.parametrize(

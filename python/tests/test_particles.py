@@ -14,8 +14,8 @@ def test_every_example_is_read():
     for path in FRAMES.iterdir():
         if path.is_file():
             particles = pm.read(path)
-            assert particles.positions.shape[1] == 3 and len(particles.positions) > 10, path
-            assert all(len(values) == len(particles.positions) for values in particles.values())
+            assert particles.positions.shape[1] == 3 and len(particles) == len(particles.positions) > 10, path
+            assert all(len(values) == len(particles) for values in particles.values())
             assert repr(particles) and particles.path == str(path)
 
 
@@ -27,10 +27,21 @@ def test_types_and_roles_are_those_of_the_file(tmp_path):
     assert particles.positions.dtype == np.float64 and np.array_equal(particles.positions, points)
     assert particles["velocity"].dtype == np.float32 and particles.roles["velocity"] == "velocity"
     assert particles["id"].dtype.kind == "i" and particles.roles["id"] == "id"
-    assert set(particles) == {"velocity", "id", "density"} and len(particles) == 3
+    assert set(particles) == {"velocity", "id", "density"} and len(particles) == 4
     particles["velocity"][:] = 0
-    with pytest.raises(KeyError):
+    with pytest.raises(KeyError, match="no attribute `mass`; the attributes are: `velocity`, `id`, `density`"):
         particles["mass"]
+
+
+@pytest.mark.parametrize(("name", "others"), [("v", ["velocity", "vel"]), ("rho", ["density"])])
+def test_attributes_are_found_by_other_names_of_their_role(tmp_path, name, others):
+    arrays = {"v": np.ones((4, 3)), "rho": np.arange(4.0)}
+    path = tmp_path / "frame.npz"
+    for stored, *asked in [(name, *others), *((other, name) for other in others)]:
+        np.savez(path, position=np.zeros((4, 3)), **{stored: arrays[name]})
+        particles = pm.read(path)
+        assert list(particles) == [stored]
+        assert all(particles[other] is particles[stored] for other in asked), stored
 
 
 def test_text_columns_are_read(tmp_path):

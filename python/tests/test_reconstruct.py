@@ -186,7 +186,10 @@ def test_masked_values_are_refused(block, surface):
         (None, TypeError, "points"),
         (np.zeros((0, 3)), pm.ParticleError, "no particles"),
         ([], pm.ParticleError, "no particles"),
-        (np.full((4, 3), np.nan), pm.MeniscusError, "."),
+        (np.zeros((3, 5)), ValueError, r"shape \(N, 3\), not \(3, 5\): pass the transpose, `points.T`"),
+        (np.zeros((3, 4)), ValueError, r"not \(3, 4\)$"),
+        (np.zeros((4, 3), bool), TypeError, "points must be real numbers, not bool"),
+        (np.full((4, 3), np.nan), pm.ParticleError, "none of the 4 positions is finite"),
     ],
 )
 def test_invalid_points_are_refused(points, error, text):
@@ -199,17 +202,23 @@ def test_positions_that_are_not_finite_are_left_out(block):
     with pytest.warns(UserWarning):
         made = pm.reconstruct(points, spacing=0.1)
     assert made.report["dropped"] == 2 and made.warnings
+    for call in (pm.reconstruct, pm.Sequence(spacing=0.1).reconstruct, pm.Sequence):
+        with pytest.raises(pm.ParticleError, match="none of the 2 positions is finite"):
+            call(points[-2:], **({"spacing": 0.1} if call == pm.reconstruct else {}))
 
 
 @pytest.mark.parametrize(
     ("options", "error", "text"),
     [
         ({"voxelsize": 1}, TypeError, "did you mean `voxel_size`"),
-        ({"voxel_size": "wide"}, pm.OptionError, "voxel_size.*not a length"),
+        ({"voxel_size": "wide"}, pm.OptionError, "voxel_size.*not a voxel size.*such as 0.4d$"),
+        ({"voxel_size": "5h"}, pm.OptionError, "voxel_size.*not a voxel size.*such as 0.4d$"),
+        ({"radius_min": "wide"}, pm.OptionError, "radius_min.*not a length.*such as 5h$"),
         ({"decimate": 3}, pm.OptionError, "decimate is 3; it must be from 0 to 1"),
         ({"preset": "foam"}, pm.OptionError, "expected one of fluid"),
         ({"steps": -1}, pm.OptionError, "steps.*whole number"),
-        ({"quads": "maybe"}, pm.OptionError, "quads"),
+        ({"quads": "maybe"}, pm.OptionError, "`quads`: must be True or False, not 'maybe'"),
+        ({"quads": 1}, pm.OptionError, "`quads`: must be True or False, not 1"),
         ({"clip": [1, 2, 3]}, pm.OptionError, "clip"),
         ({"radius_ratio": float("nan")}, pm.OptionError, "."),
         ({"threads": 0}, ValueError, "1 to 1024"),
@@ -340,6 +349,7 @@ def test_attributes_reach_the_vertices(block):
         ({"velocity": np.full((1000, 3), "fast")}, TypeError),
         ({"radii": np.full(1000, "wide")}, TypeError),
         ({"radii": np.full(1000, 1j)}, TypeError),
+        ({"radii": np.full(1000, True)}, TypeError),
     ],
 )
 def test_attributes_that_do_not_fit(block, keywords, error):
@@ -514,7 +524,7 @@ def _fails(call):
 def test_sequences_keep_their_settings(block):
     coarse = block * 2
     sequence = pm.Sequence(block)
-    voxel_size = float(sequence.settings["voxel_size"])
+    voxel_size = sequence.settings["voxel_size"]
     made = sequence.reconstruct(coarse[:200])
     assert made.level_set.voxel_size == voxel_size
     assert pm.reconstruct(coarse[:200]).level_set.voxel_size != voxel_size

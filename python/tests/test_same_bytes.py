@@ -116,4 +116,4 @@ def test_without_a_source_a_file_does_not_name_one(surface, tmp_path):
 
 def test_spacing_of_one_frame_is_that_of_the_command(frame, tmp_path):
     report = pm.convert(frame, tmp_path, format="glb")
-    assert float(pm.reconstruct(pm.read(frame)).settings["spacing"]) == spacing_of(report)
+    assert pm.reconstruct(pm.read(frame)).settings["spacing"] == spacing_of(report)

@@ -37,6 +37,7 @@ again: pm.Surface = pm.reconstruct(points, obstacles=[pm.Obstacle(points, [[0, 1
 vertices: NDArray[np.float32] = surface.vertices
 triangles: NDArray[np.uint32] = surface.triangles
 velocities: NDArray[np.float32] | None = surface.velocities
+again = pm.reconstruct(points, **surface.settings)
 distances, (x, y, z) = surface.level_set.dense(([0, 0, 0], [1, 1, 1]))
 holds: bool = surface.certificate.holds
 surface.write(Path("a.glb"), up="z", size=(64, 36))

@@ -3,6 +3,7 @@
 //! The files have the same bytes as those of `meniscus convert` if the options, the particles and the source
 //! file of the particles are the same.
 
+use std::borrow::Cow;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -94,6 +95,25 @@ impl EmbeddedSurface<'_> {
         })
     }
 
+    /// Whether the mesh was checked with the positions that a file in this format stores. `checked` are the
+    /// number formats of positions in which it was checked: two of them can have the same positions.
+    pub fn is_checked(
+        &self,
+        checked: &[PositionFormat],
+        format: OutputFormat,
+        outputs: &OutputOptions,
+    ) -> bool {
+        let mesh = &self.surface.mesh;
+        let positions = |stored: &PositionFormat| match stored {
+            PositionFormat::Exact => Cow::Borrowed(&mesh.positions[..]),
+            PositionFormat::Rounded(rounding) => Cow::Owned(mesh.rounded(*rounding)),
+        };
+        let wanted = rounding(format, outputs)
+            .map_or(PositionFormat::Exact, |rounding| PositionFormat::Rounded(rounding.positions));
+        let wanted = positions(&wanted);
+        !format.is_mesh() || checked.iter().any(|checked| positions(checked) == wanted)
+    }
+
     /// Renders a picture with the size and the camera of `outputs`, and encodes it.
     ///
     /// # Errors
@@ -165,14 +185,6 @@ impl<W: Write> Write for Interruptible<'_, W> {
     fn flush(&mut self) -> io::Result<()> {
         self.0.flush()
     }
-}
-
-/// Whether a reconstruction that was prepared for the outputs `prepared` covers a file: a mesh with rounded
-/// positions must be checked with them.
-pub fn covers(prepared: &OutputOptions, format: OutputFormat, outputs: &OutputOptions) -> bool {
-    let subject = |format, outputs| Some(rounding(format, outputs)?.certificate_subject);
-    let wanted = subject(format, outputs);
-    wanted.is_none() || prepared.formats.iter().any(|format| subject(*format, prepared) == wanted)
 }
 
 /// The parts that a reconstruction has to prepare for these outputs: the number formats of positions in which
