@@ -57,6 +57,16 @@ impl StageWriter {
                     let more = pluralize(left_out.len() - NAMED_MAX, "more file");
                     console.warning(format_args!("{path}: {more} left out for such reasons"));
                 }
+                if frame_count == 0 {
+                    let what = format!("{path}: no stage was written, because it can have no finished frame");
+                    // Other frames may come, for example from other shards.
+                    if !missing.is_empty() {
+                        console.warning(what);
+                        return outcome;
+                    }
+                    console.error(what);
+                    return failed(outcome);
+                }
                 let frames = pluralize(frame_count, "frame");
                 console.print_line(format_args!("{path}: a stage of {frames}{}", named(&missing)));
                 if frame_count < self.former_count {
@@ -73,10 +83,15 @@ impl StageWriter {
             }
             Err(error) => {
                 console.error(error);
-                if outcome == CommandOutcome::Done { CommandOutcome::SomeFailed } else { outcome }
+                failed(outcome)
             }
         }
     }
+}
+
+/// The outcome of a command whose stage could not be written.
+fn failed(outcome: CommandOutcome) -> CommandOutcome {
+    if outcome == CommandOutcome::Done { CommandOutcome::SomeFailed } else { outcome }
 }
 
 /// The files that are missing.

@@ -118,9 +118,11 @@ fn frame_that_usd_cannot_name_is_left_out_with_a_warning() {
     scene.put("in/we\u{1}t.3.ply", ply(&moving(3)));
     let not_unicode = scene.path("in").join(OsStr::from_bytes(b"gr\xfcn.3.ply"));
     let has_both = fs::copy(scene.path("in/dam.1.ply"), not_unicode);
-    let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    let options = [&["--settle", "10ms"], &FORMATS[..]].concat();
+    let once = scene.once(&options);
     once.assert_status(0);
     await_frames(&scene, &[1, 2]);
+    assert!(once.log.iter().all(|line| line.level != "ERROR"), "{}", log_text(&once.log));
     let warnings = once.log.iter().filter(|line| line.message.contains("is left out of the stage"));
     // Some file systems take Unicode only.
     assert_eq!(warnings.count(), if has_both.is_ok() { 2 } else { 1 }, "{}", log_text(&once.log));

@@ -36,6 +36,7 @@ pub(super) fn start(choice: LogChoice) -> Result<()> {
         .with_max_level(level)
         .with_target(false)
         .with_writer(io::stderr)
+        .with_ansi(false)
         // By default the formatter reports a failed write with `eprintln!`. Here the standard error itself
         // has failed, so `eprintln!` would panic.
         .log_internal_errors(false);

@@ -100,12 +100,12 @@ pub struct StageReport {
 }
 
 /// Writes the stage of the [options](OutputOptions::stage) atomically, unless the file is up to date. Returns
-/// `None`, and writes nothing, if no frame has a file, or if there is no stage in the options. A frame that the
-/// stage cannot play is left out.
+/// `None`, and writes nothing, if no frame has a file, or if there is no stage in the options. A frame that
+/// the stage cannot play is left out; if it can play none, nothing is written, and the report has no frames.
 ///
 /// # Errors
-/// When the file exists and is not a stage of this program, the stage cannot play any of the frames that have
-/// files, USD cannot name the stage itself, or the system reports an error.
+/// When the file exists and is not a stage of this program, USD cannot name the stage itself, or the system
+/// reports an error.
 pub fn write_stage(
     outputs: &OutputOptions,
     sequences: &[StageSequence],
@@ -118,6 +118,9 @@ pub fn write_stage(
         let Some((stage, report)) = stage_of(outputs, (path, fps), sequences).map_err(fail)? else {
             return Ok(None);
         };
+        if report.frame_count == 0 {
+            return Ok(Some(report));
+        }
         let text = stage_text(&stage, &provenance(&report)).map_err(|error| fail(error.to_string()))?;
         if known_text(path).map_err(fail)?.as_deref() == Some(text.as_bytes()) {
             return Ok(Some(report));
@@ -186,7 +189,7 @@ fn read_stage(path: &Path) -> io::Result<Result<Vec<u8>, String>> {
     Ok(if is_ours { Ok(text) } else { Err("was changed by another program: choose another name".to_owned()) })
 }
 
-/// The stage of the files that exist; `None` without any.
+/// The stage of the files that exist, which may have to leave out all of them; `None` without any.
 fn stage_of(
     outputs: &OutputOptions,
     (path, fps): (&Path, f64),
@@ -226,12 +229,9 @@ fn stage_of(
             has_velocity: largest.is_some_and(|mut file| vdb::has_velocity(&mut file).unwrap_or(false)),
         });
     }
-    if let (0, Some(why)) = (report.frame_count, report.left_out.first()) {
-        return Err(why.clone());
-    }
     let OutputOptions { up, meters_per_unit, .. } = *outputs;
     let stage = UsdStage { path: assets.of_stage()?, up, meters_per_unit, fps, sequences: found };
-    Ok((report.frame_count > 0).then_some((stage, report)))
+    Ok((report.frame_count + report.left_out.len() > 0).then_some((stage, report)))
 }
 
 /// The frames of each name, and each output once. Inputs of several sequences may have outputs of one name,
@@ -583,8 +583,9 @@ mod tests {
         let frames = sequence(&outputs, &[1, 2]);
         fs::create_dir(folder.path().join("out")).expect("made");
         fs::write(folder.path().join("out/dam.2.usdc"), vec![0; 1 << 20]).expect("written");
-        let error = write_stage(&outputs, &frames).expect_err("no attributes").to_string();
-        assert!(error.contains("dam.2.usdc: "), "{error}");
+        let report = write_stage(&outputs, &frames).expect("no error").expect("a file");
+        assert!(report.frame_count == 0 && report.left_out[0].contains("dam.2.usdc: "), "{report:?}");
+        assert!(!folder.path().join("shot.usda").exists());
         mesh(&folder.path().join("out/dam.1.usdc"), 1);
         let report = write_stage(&outputs, &frames).expect("written").expect("frames");
         assert_eq!(report.frame_count, 2);
@@ -609,8 +610,9 @@ mod tests {
             mesh(&folder.path().join("out").join(name), 1);
         }
         fs::write(folder.path().join("out/torn.1.usdc"), "torn").expect("written");
-        let error = write_stage(&outputs, &sequences).expect_err("nothing can be played").to_string();
-        assert!(error.contains("a\u{1}b.1.usdc is left out of the stage: its path has control"), "{error}");
+        let report = write_stage(&outputs, &sequences).expect("no error").expect("files");
+        assert_eq!((report.frame_count, report.missing.len(), report.left_out.len()), (0, 1, 3));
+        assert!(!folder.path().join("shot.usda").exists());
         mesh(&folder.path().join("out/dam.1.usdc"), 1);
         let report = write_stage(&outputs, &sequences).expect("written").expect("frames");
         assert_eq!((report.frame_count, report.mesh_count, report.missing.len()), (1, 1, 0));

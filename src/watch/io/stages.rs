@@ -116,6 +116,7 @@ impl WatchedStage {
                 tracing::warn!("{why}");
             }
         }
+        let is_empty = matches!(&written, Ok(Some(report)) if report.frame_count == 0);
         let error = written.err().map(|error| error.to_string());
         match (&error, &self.logged_error) {
             (Some(error), logged) if logged.as_ref() != Some(error) => {
@@ -125,7 +126,7 @@ impl WatchedStage {
             _ => {}
         }
         self.logged_error = error;
-        self.logged_error.is_none()
+        self.logged_error.is_none() && !is_empty
     }
 
     /// The recorded frames, numbered and grouped by their inputs as `convert` does: the name of an output may
