@@ -61,13 +61,7 @@ pub fn check_obstacle(head: &[u8], file_name: &str) -> Result<()> {
     let is_ply = kind == ProbedKind::Format(Format::Ply) && codec.is_none();
     // A header that ends after these bytes is checked when the file is read.
     match is_ply.then(|| ply::read_header(head, &Limits::default())) {
-        Some(Ok(header)) => {
-            let is_mesh = |element: &ply::Element| {
-                let is_named = |name: &str| element.name.eq_ignore_ascii_case(name);
-                element.count > 0 && (is_named("face") || is_named("tristrips"))
-            };
-            if header.elements.iter().any(is_mesh) { Ok(()) } else { Err(without_triangles(kind)) }
-        }
+        Some(Ok(header)) if !header.has_faces() => Err(without_triangles(kind)),
         _ => Ok(()),
     }
 }

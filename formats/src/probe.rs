@@ -77,7 +77,7 @@ impl fmt::Display for Probe {
 }
 
 /// Number of bytes to examine.
-const HEAD_BYTES: usize = 8 << 10;
+pub(crate) const HEAD_BYTES: usize = 8 << 10;
 
 /// Recognises a file by its first bytes; a few kilobytes are enough. `file_name` only resolves ambiguities
 /// between formats.

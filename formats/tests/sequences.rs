@@ -12,7 +12,7 @@ use meniscus_formats::{
 
 /// A pyramid over a polygon, and the options for writing it.
 struct Frame {
-    code: u64,
+    code: i64,
     sides: u32,
     origin: [f64; 3],
     quantize: bool,
@@ -338,45 +338,48 @@ fn usdc_sequence_has_a_sample_per_frame() {
     }
 }
 
-/// Three frames with the same mesh: programs would interpolate between them.
-fn equal_frames() -> (Vec<SequenceFrame>, Vec<u8>) {
+/// Three frames with the same mesh, from this number on: programs would interpolate between them.
+fn equal_frames(first: i64) -> (Vec<SequenceFrame>, Vec<u8>) {
     let (shot, mut files) = gathered(UpAxis::Y);
     let frame = |code| SequenceFrame { code, ..shot[1].clone() };
-    ((1..=3).map(frame).collect(), files.swap_remove(1))
+    ((first..first + 3).map(frame).collect(), files.swap_remove(1))
 }
 
 #[test]
 fn frames_with_the_same_number_of_vertices_are_repeated_just_before_the_next() {
-    let (frames, file) = equal_frames();
-    let open = |_: usize| Ok(Cursor::new(&file));
-    let times = [1.0, 2.0 - 1.0 / 64.0, 2.0, 3.0 - 1.0 / 64.0, 3.0];
-    let codes = times.map(|time| time.to_string());
+    for (first, from) in [(1, 1.0), (-1, -1.0)] {
+        let (frames, file) = equal_frames(first);
+        let open = |_: usize| Ok(Cursor::new(&file));
+        let times = [0.0, 1.0 - 1.0 / 64.0, 1.0, 2.0 - 1.0 / 64.0, 2.0].map(|time| from + time);
+        let codes = times.map(|time| time.to_string());
 
-    let mut text = Vec::new();
-    usda::write_sequence(&frames, (24.0, 1.0), &[], open, &mut text).expect("written");
-    let text = String::from_utf8(text).expect("UTF-8");
-    for name in ["points", "velocities", "normals", "faceVertexIndices", "extent"] {
-        let found: Vec<&str> = samples(&text, name).iter().map(|(code, _)| *code).collect();
-        assert_eq!(found, codes, "{name}");
+        let mut text = Vec::new();
+        usda::write_sequence(&frames, (24.0, 1.0), &[], open, &mut text).expect("written");
+        let text = String::from_utf8(text).expect("UTF-8");
+        assert!(text.contains(&format!("    startTimeCode = {first}\n")));
+        for name in ["points", "velocities", "normals", "faceVertexIndices", "extent"] {
+            let found: Vec<&str> = samples(&text, name).iter().map(|(code, _)| *code).collect();
+            assert_eq!(found, codes, "{name}");
+        }
+
+        let mut bytes = Vec::new();
+        abc::write_sequence(&frames, 24.0, &provenance(), open, &mut bytes).expect("written");
+        assert_eq!(abc::read_times(&bytes).expect("times"), times.map(|time| time / 24.0));
+
+        let mut bytes = Cursor::new(Vec::new());
+        usdc::write_sequence(&frames, (24.0, 1.0), &[], open, &mut bytes).expect("written");
+        let bytes = bytes.into_inner();
+        let layer = usdc::UsdcLayer::read(&bytes, &Limits::default()).expect("our own file");
+        assert_eq!(layer.codes(), Some(&[from, from + 1.0, from + 2.0][..]));
+        let stored = times.map(f64::to_le_bytes);
+        assert!(bytes.windows(40).any(|window| window == stored.as_flattened()));
     }
-
-    let mut bytes = Vec::new();
-    abc::write_sequence(&frames, 24.0, &provenance(), open, &mut bytes).expect("written");
-    assert_eq!(abc::read_times(&bytes).expect("times"), times.map(|time| time / 24.0));
-
-    let mut bytes = Cursor::new(Vec::new());
-    usdc::write_sequence(&frames, (24.0, 1.0), &[], open, &mut bytes).expect("written");
-    let bytes = bytes.into_inner();
-    let layer = usdc::UsdcLayer::read(&bytes, &Limits::default()).expect("our own file");
-    assert_eq!(layer.codes(), Some(&[1.0, 2.0, 3.0][..]));
-    let stored = times.map(f64::to_le_bytes);
-    assert!(bytes.windows(40).any(|window| window == stored.as_flattened()));
 }
 
 #[test]
 fn usdc_sequence_contains_equal_arrays_once() {
     let (shot, files) = gathered(UpAxis::Y);
-    let sequence_of = |count: u64| {
+    let sequence_of = |count: i64| {
         let frame = |code| SequenceFrame { code, ..shot[3].clone() };
         let frames: Vec<SequenceFrame> = (0..count).map(frame).collect();
         let mut bytes = Cursor::new(Vec::new());

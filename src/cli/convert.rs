@@ -9,9 +9,9 @@ use meniscus_formats::listed;
 
 use crate::farm::{PlannedFrame, ShardPlan};
 use crate::pipeline::{
-    Frame, FrameFile, InspectedState, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions, Sequence,
-    SequenceRecord, StageFrame, StageSequence, check_existing, check_out_folder, check_outputs, file_of,
-    inspect, output_sequence, size_bytes,
+    self, Frame, FrameFile, InspectedState, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions,
+    Sequence, SequenceRecord, StageFrame, StageSequence, check_existing, check_out_folder, check_outputs,
+    file_of, inspect, output_sequence, size_bytes,
 };
 
 use super::CommandOutcome;
@@ -274,7 +274,10 @@ fn planned_stage_sequences(plan: &ShardPlan) -> Vec<StageSequence> {
             // The name of a sequence with a single frame is that of the file.
             let name = match planned.name.contains("{}") {
                 true => planned.name.clone(),
-                false => FrameFile::of_outputs(input.clone(), stem).sequence().1,
+                false => {
+                    let found = pipeline::sequences(vec![FrameFile::of_outputs(input.clone(), stem)]);
+                    found.first().map_or(String::new(), |sequence| sequence.frames[0].sequence().1)
+                }
             };
             staged.name = output_sequence(&name);
         }

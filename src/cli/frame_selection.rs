@@ -1,4 +1,4 @@
-//! A selection of frame numbers: `1-240x2`, `1-10,20,30-40x5`.
+//! A selection of frame numbers: `1-240x2`, `1-10,20,30-40x5`, `-24-240`.
 
 use std::collections::{BTreeSet, HashSet};
 use std::fmt;
@@ -16,14 +16,19 @@ pub(super) struct FrameSelection {
 /// `first`, and every `step`-th number from there up to `last`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct StepRange {
-    first: u64,
-    last: u64,
+    first: i64,
+    last: i64,
     step: u64,
 }
 
 impl StepRange {
-    fn contains(&self, number: u64) -> bool {
-        (self.first..=self.last).contains(&number) && (number - self.first).is_multiple_of(self.step)
+    fn contains(&self, number: i64) -> bool {
+        (self.first..=self.last).contains(&number) && number.abs_diff(self.first).is_multiple_of(self.step)
+    }
+
+    /// How many numbers it has.
+    fn count(&self) -> u64 {
+        (self.last.abs_diff(self.first) / self.step).saturating_add(1)
     }
 }
 
@@ -39,15 +44,15 @@ impl fmt::Display for StepRange {
 
 /// The numbers that are missing between the smallest and the largest of `numbers`, as text, and their count.
 /// `None` if no number is missing, or if most of the numbers are not evenly spaced.
-pub(super) fn gaps(numbers: impl IntoIterator<Item = u64>) -> Option<(String, u64)> {
-    let numbers: Vec<u64> = BTreeSet::from_iter(numbers).into_iter().collect();
-    let pairs = || numbers.windows(2).map(|pair| (pair[0], pair[1]));
-    let step = pairs().map(|(low, high)| high - low).min()?;
-    let even_count = pairs().filter(|(low, high)| high - low == step).count();
+pub(super) fn gaps(numbers: impl IntoIterator<Item = i64>) -> Option<(String, u64)> {
+    let numbers: Vec<i64> = BTreeSet::from_iter(numbers).into_iter().collect();
+    let differences = || numbers.windows(2).map(|pair| pair[1].abs_diff(pair[0]));
+    let step = differences().min()?;
+    let even_count = differences().filter(|difference| *difference == step).count();
     // Step numbers of a simulation may have any spacing, so a gap is meaningful only if most differences are
     // equal. Frame numbers usually differ by one, so for a difference of one, slightly fewer are sufficient.
     let is_even = 2 * even_count + usize::from(step == 1) >= numbers.len();
-    if !is_even || !pairs().all(|(low, high)| (high - low).is_multiple_of(step)) {
+    if !is_even || !differences().all(|difference| difference.is_multiple_of(step)) {
         return None;
     }
     gaps_in_steps(&numbers, step)
@@ -56,19 +61,24 @@ pub(super) fn gaps(numbers: impl IntoIterator<Item = u64>) -> Option<(String, u6
 /// The numbers of missing frames of a sequence file, as text, and their count. They are counted in steps of
 /// the greatest common divisor of the differences between the numbers. The frame before a missing one is
 /// held. `None` if no frame is missing, or if the numbers do not increase: the frames are then counted.
-pub(super) fn held_gaps(numbers: &[u64]) -> Option<(String, u64)> {
+pub(super) fn held_gaps(numbers: &[i64]) -> Option<(String, u64)> {
     let is_increasing = numbers.is_sorted_by(|one, next| one < next);
     is_increasing.then(|| gaps_in_steps(numbers, common_step(numbers))).flatten()
 }
 
 /// The numbers that are missing between these ascending numbers, whose differences are multiples of `step`.
-fn gaps_in_steps(numbers: &[u64], step: u64) -> Option<(String, u64)> {
+fn gaps_in_steps(numbers: &[i64], step: u64) -> Option<(String, u64)> {
+    let between = |low: i64, high: i64| StepRange {
+        first: low.saturating_add_unsigned(step),
+        last: high.saturating_sub_unsigned(step),
+        step,
+    };
     let gaps: Vec<StepRange> = numbers
         .windows(2)
-        .filter(|pair| pair[1] - pair[0] > step)
-        .map(|pair| StepRange { first: pair[0] + step, last: pair[1] - step, step })
+        .filter(|pair| pair[1].abs_diff(pair[0]) > step)
+        .map(|pair| between(pair[0], pair[1]))
         .collect();
-    let count = gaps.iter().map(|gap| (gap.last - gap.first) / step + 1).sum();
+    let count = gaps.iter().map(StepRange::count).fold(0, u64::saturating_add);
     let mut named: Vec<String> = gaps.iter().take(GAPS_NAMED).map(StepRange::to_string).collect();
     named.extend((gaps.len() > GAPS_NAMED).then(|| "..".to_owned()));
     (count > 0).then(|| (named.join(","), count))
@@ -82,9 +92,9 @@ const SEARCHED_MAX: u64 = 100_000;
 
 impl FrameSelection {
     /// The selected ranges with numbers that are missing in `numbers`, and the count of the missing numbers.
-    pub(super) fn missing(&self, numbers: &HashSet<u64>) -> Vec<(String, u64)> {
+    pub(super) fn missing(&self, numbers: &HashSet<i64>) -> Vec<(String, u64)> {
         let missing = |range: &StepRange| {
-            let named = (range.last - range.first) / range.step + 1;
+            let named = range.count();
             let existing_count = numbers.iter().filter(|&&number| range.contains(number)).count() as u64;
             (
                 range.to_string(),
@@ -99,7 +109,7 @@ impl FrameSelection {
         selection.is_none_or(|selection| file.number().is_some_and(|number| selection.contains(number)))
     }
 
-    pub(super) fn contains(&self, number: u64) -> bool {
+    pub(super) fn contains(&self, number: i64) -> bool {
         self.ranges.iter().any(|range| range.contains(number))
     }
 }
@@ -114,8 +124,8 @@ impl FromStr for FrameSelection {
 }
 
 fn parse_range(text: &str) -> Result<StepRange, String> {
-    let what = "a selection of frames: give a number such as 12, a range such as 1-240, every other frame of a range as in 1-240x2, \
-                or several of these with commas between";
+    let what = "a selection of frames: give a number such as 12, a range such as 1-240 or -24-240, every other frame of a range \
+                as in 1-240x2, or several of these with commas between";
     let range = expected(text, StepRange::parse(text), what)?;
     if range.step == 0 {
         return Err(format!("`{text}` has a step of 0; at least 1 is needed"));
@@ -131,27 +141,28 @@ impl StepRange {
     /// The three numbers as given; `None` if one is missing, too large or not a number.
     fn parse(text: &str) -> Option<StepRange> {
         let (range, step) = match text.split_once(['x', 'X']) {
-            Some((range, step)) => (range, parse_number(step)?),
+            Some((range, step)) => (range, step.trim().parse().ok().filter(|_| !step.contains('+'))?),
             None => (text, 1),
         };
-        let (first, last) = range.split_once('-').unwrap_or((range, range));
+        // A minus at the start is a sign; the next one is between the numbers.
+        let dash = range.char_indices().skip(1).find(|(_, c)| *c == '-').map(|(at, _)| at);
+        let (first, last) = dash.map_or((range, range), |at| (&range[..at], &range[at + 1..]));
         Some(StepRange { first: parse_number(first)?, last: parse_number(last)?, step })
     }
 }
 
-/// Parses digits only, without a sign.
-fn parse_number(digits: &str) -> Option<u64> {
-    let digits = digits.trim();
-    digits.parse().ok().filter(|_| digits.bytes().all(|byte| byte.is_ascii_digit()))
+/// Parses digits with or without a minus.
+fn parse_number(text: &str) -> Option<i64> {
+    text.trim().parse().ok().filter(|_| !text.contains('+'))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn selected(text: &str) -> Vec<u64> {
+    fn selected(text: &str) -> Vec<i64> {
         let selection: FrameSelection = text.parse().expect(text);
-        (0..50).filter(|&number| selection.contains(number)).collect()
+        (-50..50).filter(|&number| selection.contains(number)).collect()
     }
 
     #[test]
@@ -162,14 +173,38 @@ mod tests {
         assert_eq!(selected("0-10x3"), [0, 3, 6, 9]);
         assert_eq!(selected("1-3, 20 ,30-40x5"), [1, 2, 3, 20, 30, 35, 40]);
         assert_eq!(selected("0003"), [3]);
-        assert_eq!(selected("49-18446744073709551615x18446744073709551615"), [49]);
+        assert_eq!(selected("49-9223372036854775807x18446744073709551615"), [49]);
+        assert_eq!(selected("-2-1"), [-2, -1, 0, 1]);
+        assert_eq!(selected("-3--1,5"), [-3, -2, -1, 5]);
+        assert_eq!(selected("-2"), [-2]);
+        assert_eq!(selected("-4-4x4"), [-4, 0, 4]);
+        let all = "-9223372036854775808-9223372036854775807";
+        assert_eq!(
+            all.parse::<FrameSelection>().expect(all).missing(&HashSet::new()),
+            [(all.to_owned(), u64::MAX)]
+        );
     }
 
     #[test]
     fn anything_else_is_refused() {
-        for text in
-            ["", "a", "1-", "-3", "1-3x", "1-3x0", "5-3", "1,,2", "1-2-3", "+4", "99999999999999999999"]
-        {
+        for text in [
+            "",
+            "a",
+            "1-",
+            "-",
+            "--3",
+            "1-3x",
+            "1-3x0",
+            "1-3x-1",
+            "5-3",
+            "-1--3",
+            "1,,2",
+            "1-2-3",
+            "+4",
+            "1-3x+1",
+            "0.5",
+            "99999999999999999999",
+        ] {
             assert!(text.parse::<FrameSelection>().is_err(), "{text}");
         }
     }
@@ -191,6 +226,8 @@ mod tests {
             (&[][..], None),
             (&[7], None),
             (&[1, 900], None),
+            (&[-2, 1], None),
+            (&[-3, -2, 1], Some(("-1-0", 2))),
             (&[1, 2, 8], Some(("3-7", 5))),
             (&[1, 4, 8], Some(("2-3,5-7", 5))),
             (&[0, 100, 300], Some(("200", 1))),

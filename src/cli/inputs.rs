@@ -2,10 +2,10 @@
 //!
 //! ```text
 //!   dam.0012.bgeo      an existing file           that file
-//!   frames             an existing folder         the frames in it
+//!   frames             an existing folder         the frames in it, or in its sub-folders of times, 0.05
 //!   dam.####.bgeo      a number of ≥ 4 digits     dam.0012.bgeo, dam.10000.bgeo
 //!   dam.%04d.bgeo      the same
-//!   dam.{}.bgeo        a number of any width       dam.7.bgeo
+//!   dam.{}.bgeo        a number of any width       dam.7.bgeo, dam.-7.bgeo, dam.0.5.bgeo
 //!   shots/*/dam*.ply   anything else with * ? []   the matching files
 //!   dump.lammpstrj     a file with several steps   each of them
 //!   dump.lammpstrj/step=1000   one of its steps    that step
@@ -13,20 +13,19 @@
 //!
 //! An argument that names an existing path means that path, so special characters in names do no harm.
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::ffi::OsString;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 use glob::{MatchOptions, Pattern};
-use meniscus_formats::compression::read_head;
-use meniscus_formats::{Error, looks_like_particles};
+use meniscus_formats::{Error, Neighbor};
 
 use crate::pipeline::{
-    FrameFile, NumberPattern, canonical_entry, files_in, frames_in, is_absent, is_level_set, is_link_loop,
-    is_own_output, is_sequence_file, may_be_file, open_regular, promises_particles, shown, size_bytes,
-    step_of,
+    FrameFile, NumberPattern, SniffedContent, canonical_entry, content, files_in, frames_in, is_absent,
+    is_level_set, is_link_loop, is_number, is_sequence_file, may_be_file, promises_particles, shown,
+    size_bytes, step_of,
 };
 
 use super::console::Console;
@@ -37,16 +36,14 @@ use super::wording::pluralize;
 pub(super) struct MatchedInputs {
     /// Without duplicates.
     pub(super) files: Vec<FrameFile>,
-    /// Files in folders that are not frames: the first of them by path, and their count.
-    pub(super) skipped: Option<(PathBuf, usize)>,
+    /// Files in folders that are not frames, by what they are (`None` is unrelated): the first by path, and
+    /// the count.
+    pub(super) skipped: BTreeMap<Option<Neighbor>, (PathBuf, usize)>,
     /// Paths that could not be examined and may be or contain frames, each with the reason.
     pub(super) unreadable: Vec<(PathBuf, String)>,
     /// Other warnings, one sentence each.
     pub(super) warnings: Vec<String>,
 }
-
-/// The number of bytes that identify the format of a file.
-const HEAD_BYTES: u64 = 64 << 10;
 
 /// Finds the files that the inputs name.
 ///
@@ -170,8 +167,8 @@ impl MatchedInputs {
     pub(super) fn add(&mut self, found: MatchedInputs) {
         let mut seen: HashSet<PathBuf> = self.files.iter().map(|file| canonical_entry(&file.path)).collect();
         self.files.extend(found.files.into_iter().filter(|file| seen.insert(canonical_entry(&file.path))));
-        if let Some((first, count)) = found.skipped {
-            self.skip(first, count);
+        for (what, (first, count)) in found.skipped {
+            self.skip(what, first, count);
         }
         self.unreadable.extend(found.unreadable);
         self.warnings.extend(found.warnings);
@@ -194,28 +191,32 @@ impl MatchedInputs {
     }
 
     /// Counts files that are not frames; `first` is the first of them by path.
-    fn skip(&mut self, first: PathBuf, count: usize) {
-        let (before, count_before) = self.skipped.take().unwrap_or_else(|| (first.clone(), 0));
-        self.skipped = Some((before.min(first), count_before + count));
+    fn skip(&mut self, what: Option<Neighbor>, first: PathBuf, count: usize) {
+        let (before, count_before) = self.skipped.remove(&what).unwrap_or_else(|| (first.clone(), 0));
+        self.skipped.insert(what, (before.min(first), count_before + count));
     }
 
+    /// Adds the frames in a folder, or in its sub-folders of times if it has none itself.
     fn add_folder(&mut self, folder: &Path, may_be_empty: bool) -> Result<()> {
         let files = files_in(folder).with_context(|| folder.display().to_string())?;
-        let count_before = self.count();
+        let (count_before, mesh_count_before) = (self.count(), self.mesh_count());
         let file_count = files.len();
         let has_level_set = files.iter().any(|path| is_level_set(path));
-        for path in files {
-            match is_frame(&path) {
-                Ok(true) => self.files.push(FrameFile::new(path)),
-                Ok(false) => self.skip(path, 1),
-                // The file was removed since it was listed, or it is a dangling link whose name is not that
-                // of a frame.
-                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-                Err(error) => self.unreadable.push((path, error.to_string())),
+        self.add_files(files);
+        if self.count() == count_before {
+            for folder in numbered_folders_in(folder) {
+                match files_in(&folder) {
+                    Ok(files) => self.add_files(files),
+                    Err(error) => self.note_unreadable(&folder, &error),
+                }
             }
         }
         if self.count() == count_before && !may_be_empty {
             let hint = match subfolder_count(folder) {
+                _ if self.mesh_count() > mesh_count_before => {
+                    "; the points of meshes are particles only if you give the files by name or by a pattern"
+                        .to_owned()
+                }
                 _ if has_level_set => format!(
                     ": `convert` takes level sets by name, or by a pattern such as '{}'",
                     folder.join("*.vdb").display()
@@ -231,6 +232,28 @@ impl MatchedInputs {
             );
         }
         Ok(())
+    }
+
+    /// Adds those of the files in a folder that are frames.
+    fn add_files(&mut self, files: Vec<PathBuf>) {
+        for path in files {
+            match content_in_folder(&path) {
+                Ok(SniffedContent::Particles | SniffedContent::OwnParticles) => {
+                    self.files.push(FrameFile::new(path));
+                }
+                Ok(SniffedContent::Neighbor(neighbor)) => self.skip(Some(neighbor), path, 1),
+                Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles) => self.skip(None, path, 1),
+                // The file was removed since it was listed, or it is a dangling link whose name is not that
+                // of a frame.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                Err(error) => self.unreadable.push((path, error.to_string())),
+            }
+        }
+    }
+
+    /// The number of meshes that were skipped.
+    fn mesh_count(&self) -> usize {
+        self.skipped.get(&Some(Neighbor::Mesh)).map_or(0, |(_, count)| *count)
     }
 
     fn add_pattern(&mut self, input: &Path) -> Result<()> {
@@ -438,20 +461,27 @@ fn entries_of(folder: &Path, with_hidden: bool) -> io::Result<Vec<(OsString, boo
     Ok(entries)
 }
 
-/// Whether a file in a folder is a frame, by its name or by its content. A name that promises a frame is
-/// sufficient: a broken frame must be reported as an error, and not be skipped.
+/// What a file in a folder is. A name that promises a frame is sufficient for a file that cannot be read:
+/// reading the frame reports the error. Level sets are only taken by name.
 ///
 /// # Errors
 /// If only the content can decide, and it cannot be read.
-fn is_frame(path: &Path) -> io::Result<bool> {
+fn content_in_folder(path: &Path) -> io::Result<SniffedContent> {
+    if is_level_set(path) {
+        return Ok(SniffedContent::NotParticles);
+    }
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    // A folder may also contain results of an earlier run, such as a .ply, which can be a frame or a result.
-    Ok((promises_particles(&name) || head_is_of_particles(path, &name)?) && !is_own_output(path))
+    content(path).or_else(|error| match promises_particles(&name) {
+        true => Ok(SniffedContent::Particles),
+        false => Err(error),
+    })
 }
 
-fn head_is_of_particles(path: &Path, name: &str) -> io::Result<bool> {
-    let head = read_head(open_regular(path)?, HEAD_BYTES)?;
-    Ok(looks_like_particles(&head, name))
+/// The sub-folders of a folder whose names are numbers, such as those of times.
+fn numbered_folders_in(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let names = entries.map(|entry| entry.file_name()).filter(|name| name.to_str().is_some_and(is_number));
+    names.map(|name| folder.join(name)).filter(|path| path.is_dir()).collect()
 }
 
 const GLOB_OPTIONS: MatchOptions =

@@ -90,7 +90,7 @@ pub(super) fn outputs_of(
 /// only, so frames that are converted one by one have different settings, and the sequence flickers.
 pub(super) fn warn_of_siblings(sequence: &Sequence, console: &Console) {
     let [frame] = &sequence.frames[..] else { return };
-    if frame.number().is_none() {
+    if frame.value().is_none() {
         return;
     }
     let count = match step_of(&frame.path) {

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
+use meniscus_formats::Neighbor;
 
 use crate::farm::ShardPlan;
 use crate::pipeline::{
@@ -51,15 +52,16 @@ pub(super) fn select_frames(
     refuse_misplaced_rounds(method, inputs)?;
     let found = find_inputs(inputs)?;
     found.report(console);
-    if let Some((first, count)) = &found.skipped {
+    for (what, (first, count)) in &found.skipped {
         let is_one_folder = inputs.iter().filter(|input| input.is_dir()).count() < 2;
         let name =
             Path::new(first.file_name().filter(|_| is_one_folder).unwrap_or(first.as_os_str())).display();
+        let [one, several] = what.map_or(["not a particle file", "not particle files"], Neighbor::words);
         match count {
-            1 => console.print_line(format_args!("skipped {name}: not a particle file")),
+            1 => console.print_line(format_args!("skipped {name}: {one}")),
             _ => {
                 let others = pluralize(count - 1, "other file");
-                console.print_line(format_args!("skipped {name} and {others}: not particle files"));
+                console.print_line(format_args!("skipped {name} and {others}: {several}"));
             }
         }
     }
@@ -91,6 +93,7 @@ pub(super) fn selected_of(
     numbers: Option<&FrameSelection>,
 ) -> Result<Vec<SelectedSequence>> {
     let frame_count: usize = sequences.iter().map(|sequence| sequence.frames.len()).sum();
+    refuse_times(numbers, &sequences)?;
     let select = |sequence: Sequence| {
         let is_selected = |file: &&FrameFile| FrameSelection::takes(numbers, file);
         let selected: Vec<_> = sequence.frames.iter().filter(is_selected).cloned().collect();
@@ -100,6 +103,24 @@ pub(super) fn selected_of(
     match selected.is_empty() {
         true => bail!("--frames selects none of the {frame_count} frames"),
         false => Ok(selected),
+    }
+}
+
+/// Refuses a selection of numbers for sequences whose names have times.
+///
+/// # Errors
+/// Which sequence has times, and how to select its frames.
+pub(super) fn refuse_times<'a>(
+    numbers: Option<&FrameSelection>,
+    sequences: impl IntoIterator<Item = &'a Sequence>,
+) -> Result<()> {
+    let mut sequences = sequences.into_iter().filter(|_| numbers.is_some());
+    match sequences.find(|sequence| sequence.frames.iter().any(FrameFile::has_time)) {
+        Some(sequence) => bail!(
+            "--frames selects frame numbers, and the names of {} have times: select its files by a glob, such as '*_0.[0-4]*'",
+            sequence.name
+        ),
+        None => Ok(()),
     }
 }
 

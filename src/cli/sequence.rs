@@ -77,7 +77,7 @@ fn without_old_sequence_file(files: Vec<FrameFile>, output: &Path) -> Result<Vec
 /// Warns about missing frames, and about numbers that do not increase. Frames without a number are counted, so
 /// none of them are missing.
 fn warn_gaps(path: &Path, frames: &[SequenceSource], console: &mut Console) {
-    let numbers: Option<Vec<u64>> = frames.iter().map(|frame| frame.number).collect();
+    let numbers: Option<Vec<i64>> = frames.iter().map(|frame| frame.number).collect();
     let Some(numbers) = numbers else { return };
     let pair = frames.windows(2).find(|pair| pair[0].number >= pair[1].number);
     if let Some([before, after]) = pair {

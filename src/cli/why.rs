@@ -188,6 +188,7 @@ fn lines(
             match content {
                 SniffedContent::Particles | SniffedContent::OwnParticles => "a frame",
                 SniffedContent::OwnOutput => "made by this program",
+                SniffedContent::Neighbor(neighbor) => neighbor.words()[0],
                 SniffedContent::NotParticles => "not a frame",
             },
         );

@@ -51,7 +51,7 @@ pub struct PlannedFrame {
     /// The base name of its outputs: a file name without folder and extension.
     pub stem: String,
     /// The frame number, if the frame has one.
-    pub number: Option<u64>,
+    pub number: Option<i64>,
     /// The size of the particle file when the plan was made.
     pub size_bytes: u64,
     /// An index into the sequences.

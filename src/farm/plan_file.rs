@@ -216,6 +216,7 @@ fn in_words(error: &serde_json::Error) -> PlanError {
         .find_map(|start| what.strip_prefix(start)?.rsplit_once(", expected "));
     let what = match found_and_expected {
         Some((found, "u64" | "usize")) => format!("expected a whole number from 0, but found {found}"),
+        Some((found, "i64")) => format!("expected a whole number, but found {found}"),
         Some((found, expected)) => format!("expected {expected}, but found {found}"),
         None => what.replacen(" field `", " key `", 1).replacen("unknown variant `", "unknown value `", 1),
     };

@@ -67,6 +67,7 @@ mod warning;
 
 pub use error::{Cause, FrameError, ObstacleError, Stage};
 pub use files::atomic_write::{replace_own, stop_writing, write_atomically};
+pub use files::frame_number::{is_number, natural_order};
 pub use files::input_file::InputFile;
 pub(crate) use files::names::text_of_name;
 pub use files::number_pattern::{NumberPattern, files_in, is_absent, is_link_loop, may_be_file};
@@ -99,8 +100,8 @@ pub use input::obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use input::reading::{ReadFrame, parse_particles, particles, read_file, read_particles_of};
 pub(crate) use input::source::output_stem;
 pub use input::source::{
-    FrameFile, Sequence, are_single_frames, has_particle_extension, natural_order, order_subframes,
-    output_sequence, promises_particles, sequences, single_frame_sequences, single_frames_note,
+    FrameFile, Sequence, are_single_frames, has_particle_extension, order_by_number, output_sequence,
+    promises_particles, sequences, single_frame_sequences, single_frames_note,
 };
 pub(crate) use input::steps::step_in;
 pub use input::steps::{

@@ -23,7 +23,7 @@ use crate::pipeline::warning::Warning;
 #[derive(Debug)]
 pub struct LoadedFrame {
     path: PathBuf,
-    number: Option<u64>,
+    number: Option<i64>,
     cloud: ParticleCloud,
     hash: u128,
     warnings: Vec<Warning>,
@@ -47,7 +47,7 @@ impl LoadedFrame {
     /// # Errors
     /// When the system reports an error, or the file has no readable particles.
     pub fn read(
-        (path, number): (&Path, Option<u64>),
+        (path, number): (&Path, Option<i64>),
         settings: &Settings,
     ) -> Result<LoadedFrame, FrameError> {
         stage(path, Stage::Read, || {

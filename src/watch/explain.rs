@@ -114,7 +114,7 @@ pub enum FrameExplanation {
 /// The fingerprint of the settings that this frame would be converted with now; `None` if the particle
 /// spacing is needed, and is neither given nor in the journal.
 pub fn remembered_fingerprint(watch: &Watch, frame: &Path, state: &JournalState) -> Option<String> {
-    let file = FrameFile::new(frame.to_owned());
+    let file = FrameFile::new(frame.to_owned()).in_watched_folder(&watch.input);
     let (folder, name) = file.sequence();
     let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
     match SequenceSettings::new(watch, state.sequences.get(&key)) {
@@ -163,17 +163,13 @@ fn verdict(question: &Question<'_>, file: &FileFacts, decision: Decision) -> Fra
     match (decision, file.readiness, file.content) {
         (Decision::Skip(reason), _, _) => FrameExplanation::Skipped(reason),
         (_, Readiness::Waiting { why, .. }, _) => FrameExplanation::Waits(why),
-        (_, _, other @ (SniffedContent::OwnOutput | SniffedContent::NotParticles)) => {
-            FrameExplanation::NotAFrame(other)
-        }
+        (_, _, other) if !other.is_frame() => FrameExplanation::NotAFrame(other),
         // The journal has the same status for a frame of a running daemon and for one that an earlier daemon
         // did not finish.
         (Decision::Convert(ConvertReason::WasInterrupted), ..) if question.has_daemon => {
             FrameExplanation::Pending(question.record.and_then(|record| record.reason.clone()))
         }
-        (decision, _, SniffedContent::Particles | SniffedContent::OwnParticles) => {
-            FrameExplanation::Converted(decision)
-        }
+        (decision, ..) => FrameExplanation::Converted(decision),
     }
 }
 
@@ -269,6 +265,10 @@ impl fmt::Display for FrameExplanation {
             FrameExplanation::Waits(why) => write!(f, "is not converted yet because {why}"),
             FrameExplanation::NotAFrame(SniffedContent::OwnOutput) => {
                 f.write_str("is not converted because it is an output of this program")
+            }
+            FrameExplanation::NotAFrame(SniffedContent::Neighbor(neighbor)) => {
+                let [one, _] = neighbor.words();
+                write!(f, "is not converted because it is {one}")
             }
             FrameExplanation::NotAFrame(_) => {
                 f.write_str("is not converted because it is not a particle file")

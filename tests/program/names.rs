@@ -74,6 +74,201 @@ fn versions_and_subframes_are_one_sequence_everywhere() {
     }
 }
 
+/// The paths in a stage, in their order.
+fn played(stage: &Path) -> Vec<String> {
+    let text = fs::read_to_string(stage).expect("a stage");
+    let (_, list) = text.split_once("assetPaths = [").expect("a list");
+    let (list, _) = list.split_once(']').expect("its end");
+    list.split(", ").map(|path| path.trim_matches('@').to_owned()).collect()
+}
+
+#[test]
+fn times_in_names_are_one_sequence_in_the_order_of_their_values() {
+    let times = ["0.0", "0.05", "0.1", "0.15", "0.9000", "1.0000", "1.0500"];
+    for (names, pattern) in [(&times[..4], "result_{}.ply"), (&times[4..], "p_{}.ply")] {
+        let inputs: Vec<String> = names.iter().map(|time| pattern.replace("{}", time)).collect();
+        let folder = folder_with(&inputs.iter().map(String::as_str).collect::<Vec<_>>());
+        let path = folder.path();
+        let arguments = ["--format", "glb,usdc", "--stage", "out/shot.usda", "--sequence-usda", "all.usda"];
+        let result = meniscus(path, &[&["convert", "in", "--out", "out"], &arguments[..]].concat());
+        assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+        assert!(
+            result.out.contains(&format!("{pattern}: {} frames, spacing ", names.len())),
+            "{}",
+            result.out
+        );
+        let expected: Vec<String> =
+            inputs.iter().map(|name| format!("./{}", name.replace(".ply", ".usdc"))).collect();
+        assert_eq!(played(&path.join("out/shot.usda")), expected);
+        let shot = fs::read_to_string(path.join("all.usda")).expect("a shot");
+        assert!(shot.contains("    startTimeCode = 1\n"), "{shot}");
+        let again = meniscus(path, &["sequence", "out", "-o", "again.usda"]);
+        assert_eq!((again.status, &*again.err), (0, ""));
+        assert_eq!(fs::read_to_string(path.join("again.usda")).expect("a shot"), shot);
+        let by_pattern =
+            meniscus(path, &["convert", &format!("in/{pattern}"), "--out", "p", "--print-settings"]);
+        assert_eq!((by_pattern.status, &*by_pattern.err), (0, ""));
+        let watch = ["watch", "in", "--once", "--out", "watched", "--settle", "10ms", "--format", "glb,usdc"];
+        let result = meniscus(path, &[&watch[..], &["--stage", "watched/shot.usda"]].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
+        for name in names_in(&path.join("out")).iter().filter(|name| !name.ends_with(".json")) {
+            let [one, other] =
+                ["out", "watched"].map(|out| fs::read(path.join(out).join(name)).expect("there"));
+            assert!(one == other, "{name}: {}", result.err);
+        }
+        for command in [
+            &["contact-sheet", "in", "-o", "s.png", "--size", "64x48"][..],
+            &["tune", "in", "-o", "t.png", "--size", "64x48", "--vary", "smoothing=0,0.5"],
+        ] {
+            let result = meniscus(path, command);
+            assert_eq!(result.status, 0, "{command:?}: {}", result.err);
+        }
+        let result = meniscus(path, &["convert", "in", "--out", "o", "--frames", "0-1"]);
+        assert!(result.status == 2 && result.err.contains("have times: select"), "{}", result.err);
+    }
+}
+
+#[test]
+fn folders_of_times_are_one_sequence() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let times = ["0", "0.05", "0.1", "1e-05"];
+    for (index, time) in times.iter().enumerate() {
+        fs::create_dir_all(path.join("case").join(time)).expect("made");
+        write_ply(&path.join("case").join(time).join("p.ply"), &block(6, 0.025 * index as f64));
+    }
+    fs::create_dir(path.join("case/constant")).expect("made");
+    let arguments = ["--out", "out", "--format", "usdc", "--stage", "out/shot.usda"];
+    let result = meniscus(path, &[&["convert", "case"], &arguments[..]].concat());
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    assert!(result.out.contains("{}/p.ply: 4 frames, spacing "), "{}", result.out);
+    let sorted = ["0", "1e-05", "0.05", "0.1"];
+    assert_eq!(played(&path.join("out/shot.usda")), sorted.map(|time| format!("./p_{time}.usdc")));
+    for inputs in [&["case/0", "case/0.05"][..], &["case/*/p.ply"]] {
+        let result = meniscus(path, &[&["convert"], inputs, &["--out", "other", "--format", "obj"]].concat());
+        assert_eq!((result.status, &*result.err), (0, ""), "{inputs:?}: {}", result.out);
+        assert!(result.out.contains("{}/p.ply: "), "{}", result.out);
+    }
+    // The daemon mirrors folders.
+    let watch =
+        ["watch", "case", "--recursive", "--once", "--out", "w", "--settle", "10ms", "--format", "usdc"];
+    let result = meniscus(path, &[&watch[..], &["--stage", "w/shot.usda"]].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert_eq!(played(&path.join("w/shot.usda")), sorted.map(|time| format!("./{time}/p.usdc")));
+    for time in times {
+        let [one, other] = [format!("out/p_{time}.usdc"), format!("w/{time}/p.usdc")]
+            .map(|name| fs::read(path.join(name)).expect("there"));
+        assert!(one == other, "{time}");
+    }
+    // A single file keeps its name.
+    let result = convert(path, &["case/0.1/p.ply", "--out", "single", "--format", "obj"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert_eq!(names_in(&path.join("single")), ["p.obj"]);
+}
+
+#[test]
+fn negative_frame_numbers_precede_the_others() {
+    let folder = folder_with(&["dam.-003.ply", "dam.-002.ply", "dam.-001.ply", "dam.000.ply", "dam.001.ply"]);
+    let path = folder.path();
+    let arguments = ["--out", "out", "--format", "glb,usdc", "--stage", "out/shot.usda"];
+    let shots = ["--sequence-glb", "shot.glb", "--sequence-usda", "shot.usda"];
+    let result = meniscus(path, &[&["convert", "in"], &arguments[..], &shots].concat());
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    assert!(result.out.contains("dam.{}.ply: 5 frames, spacing "), "{}", result.out);
+    let names = ["-003", "-002", "-001", "000", "001"].map(|number| format!("./dam.{number}.usdc"));
+    assert_eq!(played(&path.join("out/shot.usda")), names);
+    let shot = fs::read_to_string(path.join("shot.usda")).expect("a shot");
+    assert!(shot.contains("    startTimeCode = -3\n") && shot.contains("    endTimeCode = 1\n"));
+    let result = meniscus(path, &["info", "shot.glb"]);
+    assert!(result.out.contains("-3"), "{}", result.out);
+    for (inputs, frames) in [("in", "--frames=-2-1"), ("in/dam.###.ply", "--frames=-2-1")] {
+        let folder = format!("{}{frames}", inputs.len());
+        let result = meniscus(path, &["convert", inputs, frames, "--out", &folder, "--format", "obj"]);
+        assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+        assert_eq!(
+            names_in(&path.join(&folder)),
+            ["-001", "-002", "000", "001"].map(|n| format!("dam.{n}.obj"))
+        );
+    }
+    let result = meniscus(path, &["convert", "in", "--frames", "-5--2", "--out", "few", "--format", "obj"]);
+    assert!(
+        result.status == 0 && result.err.contains("--frames -5--2: 2 frames are missing"),
+        "{}",
+        result.err
+    );
+    // A moving obstacle has the same numbers.
+    let body = "v 9 9 9\nv 10 9 9\nv 9 10 9\nv 9 9 10\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+    fs::write(path.join("body.-0003.obj"), body).expect("written");
+    let obstacle = ["--frames=-3", "--obstacle", "body.####.obj", "--out", "with", "--format", "obj"];
+    let result = meniscus(path, &[&["convert", "in"], &obstacle[..]].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
+}
+
+#[test]
+fn neighbors_of_frames_are_skipped_in_folders_and_named_on_request() {
+    let folder = folder_with(&["dam.1.ply", "dam.2.ply"]);
+    let path = folder.path();
+    let vtk = |data_set: &str, rest: &str| {
+        format!("# vtk DataFile Version 3.0\nt\nASCII\nDATASET {data_set}\n{rest}")
+    };
+    let points = "POINTS 4 float\n0 0 0 1 0 0 0 1 0 0 0 1\n";
+    let faces = "4 16\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n";
+    let index = |kind: &str| format!("<?xml version=\"1.0\"?>\n<VTKFile type=\"{kind}\"></VTKFile>\n");
+    let mesh = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+                element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
+    for (name, text) in [
+        ("dam.pvd", index("Collection")),
+        ("dam_1.pvtu", index("PUnstructuredGrid")),
+        ("dam.vtm", index("vtkMultiBlockDataSet")),
+        ("run_boundingBox.vtk", vtk("RECTILINEAR_GRID", "DIMENSIONS 2 2 2\n")),
+        (
+            "rb_data_0_1.vtk",
+            vtk("UNSTRUCTURED_GRID", &format!("{points}CELLS {faces}CELL_TYPES 4\n5 5 5 5\n")),
+        ),
+        ("mesh_00000.vtk", vtk("POLYDATA", &format!("{points}POLYGONS {faces}"))),
+        ("wall.ply", mesh.to_owned()),
+    ] {
+        fs::write(path.join("in").join(name), text).expect("written");
+    }
+    let result = convert(path, &["in", "--out", "out", "--format", "obj"]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    for line in [
+        "skipped dam.pvd and 2 other files: lists of other files",
+        "skipped mesh_00000.vtk and 2 other files: meshes, not particles",
+        "skipped run_boundingBox.vtk: a grid, not particles",
+    ] {
+        assert!(result.out.contains(line), "{line}: {}", result.out);
+    }
+    let watch = ["watch", "in", "--once", "--out", "watched", "--format", "obj", "--settle", "10ms"];
+    let result = meniscus(path, &[&watch[..], &["--settle-unverifiable", "10ms"], &QUICK].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert_eq!(names_in(&path.join("out")), ["dam.1.obj", "dam.2.obj"]);
+    let watched = names_in(&path.join("watched"));
+    assert_eq!(watched.iter().filter(|name| name.ends_with(".obj")).count(), 2, "{watched:?}");
+    for (name, words) in [
+        ("dam.pvd", "only lists other files"),
+        ("dam_1.pvtu", "only lists other files"),
+        ("dam.vtm", "only lists other files"),
+        ("run_boundingBox.vtk", "the type RECTILINEAR_GRID, which is not supported"),
+        ("rb_data_0_1.vtk", "polygons, which are ignored"),
+        ("mesh_00000.vtk", "polygons, which are ignored"),
+        ("wall.ply", "faces, which are ignored"),
+    ] {
+        let result =
+            meniscus(path, &["convert", &format!("in/{name}"), "--out", "named", "--voxel-size", "0.5"]);
+        assert!(result.err.contains(words), "{name}: {}", result.err);
+    }
+    for name in ["dam.1.ply", "dam.2.ply"] {
+        fs::remove_file(path.join("in").join(name)).expect("removed");
+    }
+    let result = convert(path, &["in", "--out", "none"]);
+    assert!(
+        result.status == 2 && result.err.contains("only if you give the files by name"),
+        "{}",
+        result.err
+    );
+}
+
 #[test]
 fn folder_of_single_frames_is_warned_about() {
     let folder = folder_with(&["dam_1_2.ply", "dam_2_3.ply"]);

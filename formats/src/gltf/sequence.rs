@@ -90,8 +90,9 @@ pub fn read_sequence_info(bytes: &[u8]) -> Result<Option<SequenceInfo>> {
 pub struct SequenceFrame {
     /// Its name.
     pub name: String,
-    /// The frame number. Numbers can be missing: a frame is shown until the next one that exists.
-    pub code: u64,
+    /// The frame number. Numbers can be missing: a frame is shown until the next one that exists. Frames
+    /// before frame 0 have negative numbers.
+    pub code: i64,
     /// Its file.
     pub file: GlbFrame,
 }
@@ -167,7 +168,7 @@ fn keys(frames: &[SequenceFrame], fps: f64) -> Result<Vec<Vec<ScaleKey>>> {
     let first = frames.first().map_or(0, |frame| frame.code);
     // A frame starts half a frame before its own time. The first frame counts as number 1.
     #[expect(clippy::cast_possible_truncation, reason = "times have 32 bits")]
-    let seconds = |code: u64| ((code.saturating_sub(first) as f64 + 0.5) / fps) as f32;
+    let seconds = |code: i64| ((code.saturating_sub(first) as f64 + 0.5) / fps) as f32;
     let mut all = Vec::with_capacity(frames.len());
     for (index, frame) in frames.iter().enumerate() {
         let next = frames.get(index + 1).map(|next| seconds(next.code));

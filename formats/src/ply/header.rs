@@ -130,6 +130,14 @@ impl PlyHeader {
         named.or_else(|| self.elements.iter().find(|element| element.columns().position.is_some()))
     }
 
+    /// Whether the file declares faces, so that it is a mesh.
+    pub fn has_faces(&self) -> bool {
+        let is_named = |element: &Element, name: &str| element.name.eq_ignore_ascii_case(name);
+        self.elements
+            .iter()
+            .any(|element| element.count > 0 && (is_named(element, "face") || is_named(element, "tristrips")))
+    }
+
     /// The minimum size in bytes of a complete file with this header; exact for a binary file without lists.
     /// `None` if it exceeds 2⁶⁴.
     pub fn file_size_min(&self) -> Option<u64> {

@@ -50,7 +50,7 @@ impl<'a> UsdSequence<'a> {
     }
 
     /// The first and the last time code, or zeros without frames.
-    pub(crate) fn code_range(&self) -> [u64; 2] {
+    pub(crate) fn code_range(&self) -> [i64; 2] {
         [self.frames.first(), self.frames.last()].map(|frame| frame.map_or(0, |frame| frame.code))
     }
 

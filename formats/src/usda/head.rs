@@ -9,7 +9,7 @@ use crate::usd::{FORMAT, LayerInfo, ROOT, SampledProperty};
 pub(super) const LAST_LINE: &str = "# end: ";
 
 /// The lines with the time codes of a sequence: the first and the last, and how many a second has.
-pub(super) fn times([first, last]: [u64; 2], fps: f64) -> String {
+pub(super) fn times([first, last]: [i64; 2], fps: f64) -> String {
     format!(
         "    endTimeCode = {last}\n    framesPerSecond = {fps}\n    startTimeCode = {first}\n    timeCodesPerSecond = {fps}\n"
     )

@@ -79,7 +79,7 @@ pub struct StageClips {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClipFile {
     /// When it is shown.
-    pub code: u64,
+    pub code: i64,
     /// Its path, relative to the folder of the stage or absolute, with `/` between names.
     pub path: String,
 }
@@ -244,8 +244,8 @@ mod tests {
     use super::*;
     use crate::frame_numbers::NUMBER_MAX;
 
-    fn files(codes: &[u64], extension: &str) -> Vec<ClipFile> {
-        let file = |&code: &u64| ClipFile { code, path: format!("./out/dam.{code}.{extension}") };
+    fn files(codes: &[i64], extension: &str) -> Vec<ClipFile> {
+        let file = |&code: &i64| ClipFile { code, path: format!("./out/dam.{code}.{extension}") };
         codes.iter().map(file).collect()
     }
 
@@ -409,6 +409,7 @@ def Xform \"root\"
             vec![file(1, "a\nb")],
             vec![file(2, "a"), file(2, "b")],
             vec![file(1, "a"), file(NUMBER_MAX + 1, "b")],
+            vec![file(-NUMBER_MAX - 1, "a")],
         ] {
             assert!(with(refused).is_err());
         }

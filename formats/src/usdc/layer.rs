@@ -45,7 +45,7 @@ pub(super) struct LayerHead<'a> {
     pub(super) up: UpAxis,
     pub(super) meters_per_unit: f64,
     /// The first and last time code, and the time codes per second; `None` for one frame.
-    pub(super) times: Option<([u64; 2], f64)>,
+    pub(super) times: Option<([i64; 2], f64)>,
     /// The name of the mesh.
     pub(super) prim: &'a str,
 }

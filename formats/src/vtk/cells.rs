@@ -15,6 +15,11 @@ pub(super) const POLYGON: i64 = 7;
 /// VTK's number for the cell type of triangle strips.
 pub(super) const TRIANGLE_STRIP: i64 = 6;
 
+/// Whether cells of this type are faces, or have faces: not points, lines or empty cells.
+pub(super) fn is_face(kind: i64) -> bool {
+    !matches!(kind, 0..=4 | 21)
+}
+
 /// Converts integers of any width; `None` if the values are not integers.
 pub(super) fn integers(values: Values) -> Option<Vec<i64>> {
     match values {
@@ -64,8 +69,7 @@ pub(super) fn add_cells(
             Ok(())
         };
         match (type_of(index), cell) {
-            // Points, lines and empty cells.
-            (0..=4 | 21, _) => {}
+            (kind, _) if !is_face(kind) => {}
             (5 | POLYGON | 9, &[first, ref rest @ ..]) => {
                 rest.windows(2).try_for_each(|pair| add([first, pair[0], pair[1]]))?;
             }

@@ -28,7 +28,7 @@ use crate::named_arrays::NamedArray;
 use crate::number::NumberType;
 
 use super::LEGACY;
-use super::cells::{POLYGON, Points, TRIANGLE_STRIP, add_cells, integers};
+use super::cells::{POLYGON, Points, TRIANGLE_STRIP, add_cells, integers, is_face};
 use super::pieces::{POLYGONS_NOTE, VtkPiece, checked_count, joined, positions_of};
 use super::xml_arrays::decimals;
 
@@ -107,6 +107,8 @@ struct LegacyData {
     /// Whether the following arrays have values for points.
     is_of_points: bool,
     has_polygons: bool,
+    /// Whether cells may have more than one corner each.
+    has_large_cells: bool,
     /// Whether to read cells; otherwise they are skipped.
     keeps_cells: bool,
     cells: Vec<CellList>,
@@ -185,8 +187,12 @@ impl<'a> File<'a> {
             "POINTS" => self.points(line, found),
             "VERTICES" | "LINES" | "POLYGONS" | "TRIANGLE_STRIPS" | "CELLS" => self.cell_section(line, found),
             "CELL_TYPES" => {
-                let types =
-                    self.cell_numbers(line, NumberType::I32, line.count(1, "the number of cells")?, found)?;
+                let count = line.count(1, "the number of cells")?;
+                if !found.keeps_cells && !found.has_large_cells {
+                    return self.pass(line, NumberType::I32, count);
+                }
+                let types = self.cell_integers(line, NumberType::I32, count)?;
+                found.has_polygons |= types.iter().any(|&kind| is_face(kind));
                 found.cell_types.extend(types);
                 Ok(())
             }
@@ -268,6 +274,9 @@ impl<'a> File<'a> {
             _ => Some(0),
         };
         found.has_polygons |= matches!(kind, Some(POLYGON | TRIANGLE_STRIP)) && cell_count > 0;
+        // Before version 5, each cell also has its number of corners.
+        let corner_count = if has_offsets { size } else { size.saturating_sub(count) };
+        found.has_large_cells |= kind.is_none() && corner_count > cell_count;
         if !has_offsets {
             let numbers = self.cell_numbers(line, NumberType::I32, size, found)?;
             if found.keeps_cells {
@@ -309,9 +318,13 @@ impl<'a> File<'a> {
         count: u64,
         found: &LegacyData,
     ) -> Result<Vec<i64>> {
-        if !found.keeps_cells {
-            return self.pass(line, number, count).map(|()| Vec::new());
+        match found.keeps_cells {
+            true => self.cell_integers(line, number, count),
+            false => self.pass(line, number, count).map(|()| Vec::new()),
         }
+    }
+
+    fn cell_integers(&mut self, line: &LegacyLine, number: NumberType, count: u64) -> Result<Vec<i64>> {
         let no_integers = || line.invalid("the cells are not integers");
         integers(self.values(line, number, count)?).ok_or_else(no_integers)
     }
@@ -604,6 +617,14 @@ fn check_data_set(line: &LegacyLine) -> Result<()> {
             );
             Err(Error::unsupported(LEGACY, what))
         }
+    }
+}
+
+/// The size of a number of this type, in bytes.
+pub(super) fn size_of_type(word: &str) -> Option<u64> {
+    match type_of(word)? {
+        Type::Of(number) => Some(number.size() as u64),
+        Type::Bits => None,
     }
 }
 

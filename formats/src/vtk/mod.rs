@@ -15,6 +15,7 @@ mod appended;
 mod blocks;
 mod cells;
 mod legacy;
+mod neighbor;
 mod pieces;
 mod read_strings;
 mod write;
@@ -24,9 +25,11 @@ mod xml_arrays;
 mod xml_polys;
 
 pub use legacy::{read as read_legacy, read_mesh as read_legacy_mesh};
+pub(crate) use neighbor::legacy_neighbor;
 pub use pieces::POLYGONS_NOTE;
 pub use write::{attribute_notes, write_mesh};
 pub use write_particles::{particle_notes, write_particles};
+pub(crate) use xml::neighbor as xml_neighbor;
 pub use xml::read as read_xml;
 pub use xml_polys::read_mesh;
 

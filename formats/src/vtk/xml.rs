@@ -23,12 +23,15 @@ use crate::error::{Error, Position, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::named_arrays::NamedArray;
+use crate::neighbor::Neighbor;
 use crate::number::NumberType;
 
 use super::XML;
 use super::blocks::{ArrayEncoding, ArrayTotals, BlockCompression};
+use super::cells::is_face;
 use super::pieces::{POLYGONS_NOTE, VtkPiece, checked_count, joined, positions_of};
 use super::xml_arrays::{Appended, ArrayForm, DataArray};
+use super::xml_polys::integers_of;
 
 /// Reads the points of all pieces.
 ///
@@ -39,7 +42,15 @@ use super::xml_arrays::{Appended, ArrayForm, DataArray};
 /// `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let (mut decoder, pieces, mut notes) = open(bytes, limits)?;
-    if pieces.iter().any(|piece| piece.polys.count != 0) {
+    let mut has_faces = pieces.iter().any(|piece| piece.polys.count > 0 || piece.strips.count > 0);
+    for piece in &pieces {
+        // Particles have no cells, or one for each.
+        if ![0, piece.point_count].contains(&piece.cells.count) {
+            let types = integers_of(&piece.cells, "types", piece.cells.count, &mut decoder)?;
+            has_faces |= types.into_iter().any(is_face);
+        }
+    }
+    if has_faces {
         notes.push(POLYGONS_NOTE.into());
     }
     let pieces: Vec<VtkPiece> =
@@ -203,19 +214,67 @@ pub(super) fn malformed(at: u64, what: &str) -> Error {
     Error::invalid(XML, Position::Offset(at), what)
 }
 
+/// What a data set of this type contains instead of particles.
+fn neighbor_of_type(kind: &str) -> Option<Neighbor> {
+    match kind {
+        "PolyData" | "UnstructuredGrid" => None,
+        // Collections (.pvd), parallel data sets (.pvtu and the like) and composite ones (.vtm and the like).
+        _ if kind == "Collection" || kind.starts_with('P') || kind.starts_with("vtk") => {
+            Some(Neighbor::Index)
+        }
+        _ => Some(Neighbor::Grid),
+    }
+}
+
+/// What a file with these first bytes contains instead of particles.
+pub(crate) fn neighbor(head: &[u8]) -> Option<Neighbor> {
+    let (text, _) = split_appended(head).unwrap_or((head, None));
+    let text = text.utf8_chunks().next()?.valid();
+    let mut reader = Reader::from_str(text);
+    reader.config_mut().check_end_names = false;
+    let mut has_types = false;
+    loop {
+        let tag = match reader.read_event().ok()? {
+            Event::Start(tag) | Event::Empty(tag) => tag,
+            Event::Eof => return None,
+            _ => continue,
+        };
+        match tag.local_name().as_ref() {
+            "VTKFile" => {
+                let kind = attribute(&tag, "type", 0).ok()??;
+                if let Some(neighbor) = neighbor_of_type(&kind) {
+                    return Some(neighbor);
+                }
+                has_types = kind == "UnstructuredGrid";
+            }
+            "Piece" => {
+                let count = |name: &str| attribute(&tag, name, 0).ok()??.trim().parse::<u64>().ok();
+                let cells = count("NumberOfCells");
+                let has_faces = match has_types {
+                    // The types come after the points. Particles have no cells, one for each, or one for all.
+                    true => cells > Some(1) && cells != count("NumberOfPoints"),
+                    false => ["NumberOfPolys", "NumberOfStrips"].iter().any(|name| count(name) > Some(0)),
+                };
+                return has_faces.then_some(Neighbor::Mesh);
+            }
+            _ => {}
+        }
+    }
+}
+
 /// Parses the first element, which describes the encoding of all data.
 fn opened<'a>(tag: &BytesStart, at: u64) -> Result<XmlDocument<'a>> {
     let kind = attribute(tag, "type", at)?.unwrap_or_default();
-    match kind.as_str() {
-        "PolyData" | "UnstructuredGrid" => {}
-        "PPolyData" | "PUnstructuredGrid" => {
-            let what = "this file only lists the files of the pieces: use those (.vtp or .vtu)";
+    match neighbor_of_type(&kind) {
+        None => {}
+        Some(Neighbor::Index) => {
+            let what = "this file only lists other files: use those (.vtp or .vtu)";
             return Err(Error::unsupported(XML, what));
         }
-        other => {
+        Some(Neighbor::Grid | Neighbor::Mesh) => {
             let what = format!(
                 "the data set has the type \"{}\", which is not supported: save it as PolyData (.vtp)",
-                excerpt(other)
+                excerpt(&kind)
             );
             return Err(Error::unsupported(XML, what));
         }

@@ -49,22 +49,27 @@ fn add(
     decoder: &mut Decoder,
     triangles: &mut Vec<[u32; 3]>,
 ) -> Result<()> {
-    let ends = integers(cells, "offsets", cells.count, decoder)?;
+    let ends = integers_of(cells, "offsets", cells.count, decoder)?;
     let corner_count = ends.last().copied().unwrap_or_default();
     let count = usize::try_from(corner_count).map_err(|_| {
         Error::invalid(XML, Position::File, format!("the cells have {corner_count} corners, too many"))
     })?;
-    let corners = integers(cells, "connectivity", count, decoder)?;
+    let corners = integers_of(cells, "connectivity", count, decoder)?;
     let types = match kind {
         Some(_) => Vec::new(),
-        None => integers(cells, "types", cells.count, decoder)?,
+        None => integers_of(cells, "types", cells.count, decoder)?,
     };
     let type_of = |index: usize| kind.unwrap_or_else(|| types.get(index).copied().unwrap_or(0));
     add_cells(XML, (&ends, &corners), type_of, points, triangles)
 }
 
 /// The `count` numbers of an array that describes cells.
-fn integers(cells: &CellArrays, name: &str, count: usize, decoder: &mut Decoder) -> Result<Vec<i64>> {
+pub(super) fn integers_of(
+    cells: &CellArrays,
+    name: &str,
+    count: usize,
+    decoder: &mut Decoder,
+) -> Result<Vec<i64>> {
     let found = cells.arrays.iter().find(|array| array.name.eq_ignore_ascii_case(name) && array.arity == 1);
     let array = found
         .ok_or_else(|| Error::invalid(XML, Position::File, format!("the cells have no `{name}` array")))?;

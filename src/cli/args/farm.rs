@@ -32,7 +32,7 @@ pub(in crate::cli) struct PlanArgs {
     pub(in crate::cli) formats: FormatArgs,
 
     /// Convert only frames with these numbers, such as 1-240x2 (every other frame) or 1-10,20,30-40x5
-    #[arg(long, value_name = "NUMBERS")]
+    #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
     pub(in crate::cli) frames: Option<FrameSelection>,
 
     /// Maximum distance by which smoothing may move the surface of a .vdb level set, in voxels, 0 to 3

@@ -59,7 +59,7 @@ pub(in crate::cli) struct FlickerArgs {
     pub(in crate::cli) samples: u32,
 
     /// Score only frames with these numbers, such as 1-240 or 1-10,20; their neighbours are read as well
-    #[arg(long, value_name = "NUMBERS")]
+    #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
     pub(in crate::cli) frames: Option<FrameSelection>,
 
     /// Write the scores of each frame to this file

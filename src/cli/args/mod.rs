@@ -119,7 +119,7 @@ option_set! {
         pub(super) formats: FormatArgs,
 
         /// Convert only frames with these numbers, such as 1-240x2 (every other frame) or 1-10,20,30-40x5
-        #[arg(long, value_name = "NUMBERS")]
+        #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
         pub(super) frames: Option<FrameSelection>,
 
         /// Write the measurements of each frame to this file, as JSON

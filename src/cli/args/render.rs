@@ -38,7 +38,7 @@ pub(in crate::cli) struct RenderArgs {
     pub(in crate::cli) format: Option<OutputFormat>,
 
     /// Only frames with these numbers, such as 1-240x2 (every other frame) or 1-10,20,30-40x5
-    #[arg(long, value_name = "NUMBERS")]
+    #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
     pub(in crate::cli) frames: Option<FrameSelection>,
 
     /// Width and height, pixels, each 16 to 8192

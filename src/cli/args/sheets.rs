@@ -26,7 +26,7 @@ pub(in crate::cli) struct ContactSheetArgs {
     pub(in crate::cli) output: PathBuf,
 
     /// Only frames with these numbers, such as 1-240x2 (every other frame) or 1-10,20,30-40x5
-    #[arg(long, value_name = "NUMBERS")]
+    #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
     pub(in crate::cli) frames: Option<FrameSelection>,
 
     /// Maximum number of cells for each sequence, 2 to 1000; if a sequence has more frames, evenly spaced
@@ -65,7 +65,7 @@ pub(in crate::cli) struct TuneArgs {
     pub(in crate::cli) vary: ParameterSweep,
 
     /// Show the frame with this number; of several, such as 100-200, the middle one is shown
-    #[arg(long, value_name = "NUMBERS")]
+    #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
     pub(in crate::cli) frames: Option<FrameSelection>,
 
     /// Width and height of a cell, pixels, each 16 to 8192

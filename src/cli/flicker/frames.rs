@@ -6,8 +6,10 @@
 //!                                             step: the greatest common divisor of their differences, 1
 //!                                             frame 6 is scored, because 5 and 7 are in the list
 //! ```
+//!
+//! Names with times are matched by their times, and counted in steps of the median difference.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
@@ -17,7 +19,8 @@ use crate::cli::args::FlickerArgs;
 use crate::cli::console::Console;
 use crate::cli::frame_selection::FrameSelection;
 use crate::cli::inputs::{find_inputs, with_files_of_folders};
-use crate::cli::select::only_sequence;
+use crate::cli::select::{only_sequence, refuse_times};
+use crate::cli::wording::pluralize;
 use crate::pipeline::{FrameFile, Sequence, common_step, shown};
 
 /// The files of a frame.
@@ -35,20 +38,20 @@ pub(super) struct FlickerFrames {
     /// The name of the sequence of meshes.
     pub(super) name: String,
     /// The frames that have both files, by number.
-    pub(super) files: BTreeMap<u64, FrameFiles>,
+    pub(super) files: BTreeMap<i64, FrameFiles>,
     /// All particle files in the order of their sequence, with or without meshes.
     pub(super) particles: Vec<PathBuf>,
     /// The greatest common divisor of the differences between the numbers of `files`.
-    pub(super) step: u64,
+    pub(super) step: i64,
     /// The greatest common divisor of the differences between the numbers of all particle files, with or
     /// without meshes.
     particle_step: u64,
     /// The selected frames that have both neighbours.
-    pub(super) scored: Vec<u64>,
+    pub(super) scored: Vec<i64>,
 }
 
 impl FlickerFrames {
-    pub(super) fn name_of(&self, number: u64) -> String {
+    pub(super) fn name_of(&self, number: i64) -> String {
         self.files.get(&number).map_or_else(|| number.to_string(), |files| files.name.clone())
     }
 
@@ -69,12 +72,20 @@ pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerF
     let formats: Vec<&[&str]> =
         Format::ALL.iter().filter(|format| format.has_mesh()).map(|format| format.extensions()).collect();
     let meshes = with_files_of_folders(&args.meshes, &formats, "meshes")?;
-    let meshes = one_sequence(&meshes, "meshes", console)?;
+    let mut meshes = one_sequence(&meshes, "meshes", console)?;
     let particles = one_sequence(&args.particles, "particles", console)?;
+    refuse_times(args.frames.as_ref(), [&meshes, &particles])?;
     let name = meshes.name.clone();
     let particle_paths = particles.frames.iter().map(|file| file.path.clone()).collect();
-    let (meshes, mut particles) = (by_number(meshes)?, by_number(particles)?);
-    let particle_numbers: Vec<u64> = particles.keys().copied().collect();
+    let numbers = NumbersOfTimes::of(&particles);
+    let mesh_count = meshes.frames.len();
+    meshes.frames.retain(|file| !file.has_time() || numbers.number(file).is_some());
+    if meshes.frames.len() < mesh_count {
+        let unmatched = pluralize(mesh_count - meshes.frames.len(), "mesh file");
+        console.warning(format_args!("{name}: no particles have the time of {unmatched}: not used"));
+    }
+    let (meshes, mut particles) = (numbers.sort(meshes)?, numbers.sort(particles)?);
+    let particle_numbers: Vec<i64> = particles.keys().copied().collect();
     let (mut files, mut alone) = (BTreeMap::new(), Vec::new());
     for (number, mesh) in meshes {
         match particles.remove(&number) {
@@ -88,7 +99,7 @@ pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerF
     if !alone.is_empty() {
         console.warning(format_args!("{name}: no particles for {}: not used", listed(&alone)));
     }
-    let numbers: Vec<u64> = files.keys().copied().collect();
+    let numbers: Vec<i64> = files.keys().copied().collect();
     if numbers.len() < 3 {
         bail!(
             "{name}: {} both a mesh and particles, matched by their frame numbers, and three frames are needed",
@@ -99,13 +110,13 @@ pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerF
             }
         );
     }
-    let step = common_step(&numbers);
-    let has_both = |number: &u64| {
+    let step = i64::try_from(common_step(&numbers)).unwrap_or(i64::MAX);
+    let has_both = |number: &i64| {
         let neighbors = number.checked_sub(step).zip(number.checked_add(step));
         neighbors.is_some_and(|(before, after)| files.contains_key(&before) && files.contains_key(&after))
     };
     let inner = &numbers[1..numbers.len() - 1];
-    let (scored, skipped): (Vec<u64>, Vec<u64>) = inner.iter().copied().partition(has_both);
+    let (scored, skipped): (Vec<i64>, Vec<i64>) = inner.iter().copied().partition(has_both);
     if scored.is_empty() {
         bail!(
             "{name}: no three frames follow each other: {} both a mesh and particles",
@@ -118,10 +129,10 @@ pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerF
             listed_with(&skipped, ["is", "are"])
         ));
     }
-    let is_selected = |number: &u64| {
+    let is_selected = |number: &i64| {
         args.frames.as_ref().is_none_or(|selection: &FrameSelection| selection.contains(*number))
     };
-    let scored: Vec<u64> = scored.into_iter().filter(is_selected).collect();
+    let scored: Vec<i64> = scored.into_iter().filter(is_selected).collect();
     if scored.is_empty() {
         bail!("--frames selects none of the frames that have both neighbours");
     }
@@ -135,27 +146,64 @@ fn one_sequence(inputs: &[PathBuf], what: &str, console: &mut Console) -> Result
     only_sequence(found.files, &format!("the {what} must be of one sequence"))
 }
 
-fn by_number(sequence: Sequence) -> Result<BTreeMap<u64, FrameFile>> {
-    let mut files: BTreeMap<u64, FrameFile> = BTreeMap::new();
-    for file in sequence.frames {
-        let Some(number) = file.number() else {
-            bail!("{}: the name has no frame number to match meshes and particles by", shown(&file.path));
-        };
-        if let Some(other) = files.get(&number) {
-            bail!(
-                "{} and {} are both frame {number}: subframes cannot be scored",
-                shown(&other.path),
-                shown(&file.path)
-            );
-        }
-        files.insert(number, file);
-    }
-    Ok(files)
+/// The numbers that stand for the times in names of particles; empty if the names have frame numbers.
+struct NumbersOfTimes {
+    /// By the bits of the time.
+    numbers: HashMap<u64, i64>,
 }
 
-fn listed(numbers: &[u64]) -> String {
-    let distinct: BTreeSet<u64> = numbers.iter().copied().collect();
-    let mut names: Vec<String> = distinct.iter().take(NUMBERS_NAMED).map(u64::to_string).collect();
+impl NumbersOfTimes {
+    /// Times that are a median difference apart, or less, have consecutive numbers. Longer differences, where
+    /// frames are missing, are rounded to such steps.
+    fn of(particles: &Sequence) -> NumbersOfTimes {
+        let with_times = particles.frames.iter().filter(|file| file.has_time());
+        let times: Vec<f64> = with_times.filter_map(FrameFile::value).collect();
+        let mut differences: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        differences.sort_by(f64::total_cmp);
+        let median = differences.get(differences.len() / 2).copied().unwrap_or(1.0);
+        let mut number = 1;
+        let mut numbers: HashMap<u64, i64> =
+            times.first().map(|time| (time.to_bits(), 1)).into_iter().collect();
+        for pair in times.windows(2) {
+            number += ((pair[1] - pair[0]) / median).round().clamp(1.0, STEPS_MAX) as i64;
+            numbers.insert(pair[1].to_bits(), number);
+        }
+        NumbersOfTimes { numbers }
+    }
+
+    fn number(&self, file: &FrameFile) -> Option<i64> {
+        match file.has_time() {
+            true => self.numbers.get(&file.value()?.to_bits()).copied(),
+            false => file.number(),
+        }
+    }
+
+    /// The frames of a sequence by their numbers.
+    fn sort(&self, sequence: Sequence) -> Result<BTreeMap<i64, FrameFile>> {
+        let mut files: BTreeMap<i64, FrameFile> = BTreeMap::new();
+        for file in sequence.frames {
+            let Some(number) = self.number(&file) else {
+                bail!("{}: the name has no frame number to match meshes and particles by", shown(&file.path));
+            };
+            if let Some(other) = files.get(&number) {
+                bail!(
+                    "{} and {} are both frame {number}: subframes cannot be scored",
+                    shown(&other.path),
+                    shown(&file.path)
+                );
+            }
+            files.insert(number, file);
+        }
+        Ok(files)
+    }
+}
+
+/// The most steps between two times.
+const STEPS_MAX: f64 = 1e6;
+
+fn listed(numbers: &[i64]) -> String {
+    let distinct: BTreeSet<i64> = numbers.iter().copied().collect();
+    let mut names: Vec<String> = distinct.iter().take(NUMBERS_NAMED).map(i64::to_string).collect();
     if distinct.len() > NUMBERS_NAMED {
         names.push(format!("and {} more", distinct.len() - NUMBERS_NAMED));
     }
@@ -163,13 +211,29 @@ fn listed(numbers: &[u64]) -> String {
 }
 
 /// The numbers of frames as text, followed by `one` if there is one frame, or else by `several`.
-fn listed_with(numbers: &[u64], [one, several]: [&str; 2]) -> String {
+fn listed_with(numbers: &[i64], [one, several]: [&str; 2]) -> String {
     format!("{} {}", listed(numbers), if numbers.len() == 1 { one } else { several })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pipeline::sequences;
+
+    #[test]
+    fn times_are_counted_in_steps() {
+        let names = ["p_0.9667.ply", "p_1.0000.ply", "p_1.0333.ply", "p_1.1000.ply"];
+        let [particles] = &sequences(names.map(|name| FrameFile::new(name.into())).to_vec())[..] else {
+            panic!("one sequence")
+        };
+        let numbers = NumbersOfTimes::of(particles);
+        let found: Vec<Option<i64>> = particles.frames.iter().map(|file| numbers.number(file)).collect();
+        assert_eq!(found, [Some(1), Some(2), Some(3), Some(5)]);
+        // The mesh of a time need not have the same decimals.
+        assert_eq!(numbers.number(&FrameFile::new("mesh_1.00.obj".into())), Some(2));
+        assert_eq!(numbers.number(&FrameFile::new("mesh_7.5.obj".into())), None);
+        assert_eq!(numbers.number(&FrameFile::new("mesh.7.obj".into())), Some(7));
+    }
 
     #[test]
     fn long_lists_are_shortened() {

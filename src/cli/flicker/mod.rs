@@ -104,7 +104,7 @@ struct Scoring<'a> {
     /// How points are followed from frame to frame. The first frame with particles determines it.
     carrier: Option<Carrier>,
     /// The frames read so far that may be needed again, by number; `None` for unreadable ones.
-    ready: BTreeMap<u64, Option<FlickerFrame>>,
+    ready: BTreeMap<i64, Option<FlickerFrame>>,
     failed_count: usize,
     /// Whether the first open mesh was reported.
     has_warned_of_open_mesh: bool,
@@ -116,7 +116,7 @@ impl Scoring<'_> {
     /// # Errors
     /// If the particles have neither ids nor velocities, or have only velocities and the time between frames
     /// is unknown.
-    fn score(&mut self, number: u64, console: &mut Console) -> Result<Option<ScoredFrame>> {
+    fn score(&mut self, number: i64, console: &mut Console) -> Result<Option<ScoredFrame>> {
         let numbers = [number - self.frames.step, number, number + self.frames.step];
         self.ready.retain(|known, _| *known >= numbers[0]);
         for number in numbers {
@@ -148,7 +148,7 @@ impl Scoring<'_> {
     }
 
     /// Reads a frame. If it cannot be read, prints the error and returns `None`.
-    fn read(&mut self, number: u64, console: &mut Console) -> Result<Option<FlickerFrame>> {
+    fn read(&mut self, number: i64, console: &mut Console) -> Result<Option<FlickerFrame>> {
         let Some(files) = self.frames.files.get(&number) else { return Ok(None) };
         let (spacing, filter) = (self.spacing, self.args.filter.as_ref());
         let frame = match catch_panic(&files.mesh, || reading::read_frame(files, spacing, filter)) {

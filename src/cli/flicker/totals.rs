@@ -7,7 +7,7 @@ use crate::surface::flicker::{Distribution, FrameFlicker, ScoredPoint};
 /// The scores of a frame.
 #[derive(Clone, Debug)]
 pub(super) struct ScoredFrame {
-    pub(super) number: u64,
+    pub(super) number: i64,
     pub(super) name: String,
     pub(super) summary: Distribution,
     pub(super) untracked_count: usize,
@@ -21,7 +21,7 @@ pub(super) struct ScoredFrame {
 /// A point with its position in world units and its flicker in particle spacings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct WorstPoint {
-    pub(super) frame: u64,
+    pub(super) frame: i64,
     pub(super) position: [f64; 3],
     pub(super) value: f64,
 }
@@ -33,7 +33,7 @@ const WORST_POINTS: usize = 1000;
 pub(super) const WORST_FRAMES: usize = 6;
 
 impl ScoredFrame {
-    pub(super) fn new(number: u64, name: String, found: FrameFlicker) -> ScoredFrame {
+    pub(super) fn new(number: i64, name: String, found: FrameFlicker) -> ScoredFrame {
         let FrameFlicker { points, untracked_count, clamped_count } = found;
         let worse = |one: ScoredPoint, other: &ScoredPoint| {
             if other.value.abs() > one.value.abs() { *other } else { one }
@@ -106,7 +106,7 @@ impl FlickerTotals {
 mod tests {
     use super::*;
 
-    fn frame(number: u64, values: &[f64]) -> ScoredFrame {
+    fn frame(number: i64, values: &[f64]) -> ScoredFrame {
         let point = |&value: &f64| ScoredPoint { position: DVec3::X * value, normal: DVec3::Z, value };
         let points = values.iter().map(point).collect();
         ScoredFrame::new(
@@ -128,7 +128,7 @@ mod tests {
         assert_eq!(totals.worst_frames(), [6, 9, 2, 3, 5, 4]);
         let with_points = totals.frames.iter().filter(|frame| !frame.points().is_empty());
         assert_eq!(with_points.map(|frame| frame.number).collect::<Vec<_>>(), [3, 4, 5, 6, 7, 10]);
-        let first: Vec<(u64, f64)> =
+        let first: Vec<(i64, f64)> =
             totals.worst_points.iter().take(4).map(|point| (point.frame, point.value)).collect();
         assert_eq!(first, [(7, -18.0), (10, -16.0), (3, -10.0), (4, -10.0)]);
         assert_eq!((totals.summary().count, totals.summary().max), (20, 18.0));

@@ -14,8 +14,8 @@ use super::row;
 pub(super) struct SequenceFileRecord {
     pub(super) frames: u64,
     /// The number of the first frame, and of the last.
-    first: Option<u64>,
-    last: Option<u64>,
+    first: Option<i64>,
+    last: Option<i64>,
     /// Frames per second.
     fps: Option<f64>,
     /// Total over all frames.

@@ -10,13 +10,14 @@ use crate::cli::console::Console;
 use crate::cli::frame_selection::FrameSelection;
 use crate::cli::machine::{memory_bytes, thread_pool};
 use crate::cli::render_session::{RenderSession, RenderSource, catch_panic};
+use crate::cli::select::refuse_times;
 use crate::cli::wording::{pluralize, significant, with_causes};
 use crate::cli::{CommandOutcome, DoneCounts};
 use crate::pipeline::{FrameFile, PictureOptions, SheetPart, Viewpoint, read_picture};
 use crate::render::{Cell, CellGroup, CellPicture, Picture, Sheet};
 use crate::surface::options::Settings;
 
-use super::sources::{SourceKind, Sources, Strip, find_sources, without_extension};
+use super::sources::{SourceKind, Sources, Strip, find_sources, stem_of};
 use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 
 /// Puts the selected frames on a sheet.
@@ -75,6 +76,7 @@ struct SelectedStrip {
 }
 
 fn select_frames(strips: Vec<Strip>, args: &ContactSheetArgs) -> Result<Vec<SelectedStrip>> {
+    refuse_times(args.frames.as_ref(), strips.iter().map(|strip| &strip.sequence))?;
     let is_selected = |file: &&FrameFile| FrameSelection::takes(args.frames.as_ref(), file);
     let selected_strips = strips.into_iter().map(|strip| {
         let selected: Vec<FrameFile> = strip.sequence.frames.iter().filter(is_selected).cloned().collect();
@@ -255,7 +257,7 @@ impl Contact<'_> {
 
 /// A picture with its frame's name, and the number of particles if known.
 fn cell(file: &FrameFile, kind: SourceKind, rendered: Result<(Picture, Option<usize>)>) -> Cell {
-    let mut lines = vec![without_extension(&file.name(), kind)];
+    let mut lines = vec![stem_of(file, kind)];
     let content = match rendered {
         Ok((picture, particle_count)) => {
             lines.extend(particle_count.map(|count| pluralize(count, "particle")));

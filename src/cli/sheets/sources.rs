@@ -97,7 +97,7 @@ pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[SourceKind]) -> Result<S
     for same in strips_of.into_values() {
         let stems = |strip: &Strip| -> HashSet<String> {
             let frames = strip.sequence.frames.iter();
-            frames.map(|file| without_extension(&file.name(), strip.kind)).collect()
+            frames.map(|file| stem_of(file, strip.kind)).collect()
         };
         let all: HashSet<String> = same.iter().flat_map(&stems).collect();
         let Some(strip) = cheapest(same) else { continue };
@@ -149,8 +149,13 @@ fn has_one_camera(strip: &Strip) -> bool {
     first.is_some() && cameras.all(|camera| camera == first)
 }
 
+/// The name of a frame, without the extensions of its kind.
+pub(super) fn stem_of(file: &FrameFile, kind: SourceKind) -> String {
+    if kind == SourceKind::Particles { file.stem() } else { without_extension(&file.name(), kind) }
+}
+
 /// The name of a file, without the extensions of its kind.
-pub(super) fn without_extension(name: &str, kind: SourceKind) -> String {
+fn without_extension(name: &str, kind: SourceKind) -> String {
     match kind {
         SourceKind::Particles => FrameFile::new(name.into()).stem(),
         SourceKind::LevelSets | SourceKind::Pictures => {

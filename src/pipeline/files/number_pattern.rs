@@ -1,9 +1,17 @@
 //! File names with a placeholder for a number: `dam.####.bgeo`, `dam.%04d.bgeo`, `dam.{}.bgeo`.
+//!
+//! ```text
+//!   ####   0012  10012  -012  -0012       4 digits or more; the width of printf includes the sign, that of
+//!                                         others does not
+//!   {}     12  0012  -12  0.05  0001.50   any number: also a time, or a frame with its subframe
+//! ```
 
 use std::fs;
 use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+
+use super::frame_number::{is_number, may_precede_sign};
 
 /// A file name with a placeholder for the frame number.
 #[derive(Debug, PartialEq, Eq)]
@@ -32,25 +40,24 @@ impl<'a> NumberPattern<'a> {
         })
     }
 
-    /// The name with this number, padded to the minimum width.
-    pub fn name_of(&self, number: u64) -> String {
+    /// The name with this number, padded to the minimum width as printf does.
+    pub fn name_of(&self, number: i64) -> String {
         let width = self.width_min;
         format!("{}{number:0width$}{}", self.before, self.after)
     }
 
     /// The file in a folder that has this number: the one with the name of [`name_of`](Self::name_of) if it
-    /// exists. Otherwise, if the number may have any number of leading zeros, the first by name of the files
-    /// that have it. `None` if there is none.
+    /// exists. Otherwise, if the number can be padded in other ways, the first by name of the files that have
+    /// it. `None` if there is none.
     ///
     /// # Errors
     /// When the folder cannot be listed.
-    pub fn file_of(&self, folder: &Path, number: u64) -> io::Result<Option<PathBuf>> {
+    pub fn file_of(&self, folder: &Path, number: i64) -> io::Result<Option<PathBuf>> {
         let padded = folder.join(self.name_of(number));
         let may_exist = may_be_file(&padded);
-        if self.width_min > 1 || may_exist {
+        if self.width_min > 1 && number >= 0 || may_exist {
             return Ok(may_exist.then_some(padded));
         }
-        // If the width is not fixed, a number may have any number of leading zeros in the file name.
         let is_it = |path: &PathBuf| {
             let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
             let digits = self.span_in(name).and_then(|span| name.get(span));
@@ -61,13 +68,17 @@ impl<'a> NumberPattern<'a> {
 
     /// The range of the number in a matching name.
     pub fn span_in(&self, name: &str) -> Option<Range<usize>> {
-        let digits = name.strip_prefix(self.before)?.strip_suffix(self.after)?;
-        let plain = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
-        // As printf formats numbers: padded to the width, and wider only if the number has more digits.
-        let padded = digits.len() == self.width_min || !digits.starts_with('0');
-        let any_width = self.width_min <= 1;
-        (plain && digits.len() >= self.width_min && (padded || any_width))
-            .then(|| self.before.len()..self.before.len() + digits.len())
+        let number = name.strip_prefix(self.before)?.strip_suffix(self.after)?;
+        let digits = number.strip_prefix('-').filter(|_| may_precede_sign(self.before)).unwrap_or(number);
+        let is_whole = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+        // Padded to the width, and wider only if the number has more digits.
+        let has_width =
+            |width: usize| width == self.width_min || width > self.width_min && !digits.starts_with('0');
+        let matches = match self.width_min {
+            0 | 1 => is_whole || !digits.starts_with('-') && is_number(digits),
+            _ => is_whole && (has_width(number.len()) || has_width(digits.len())),
+        };
+        matches.then(|| self.before.len()..self.before.len() + number.len())
     }
 }
 
@@ -159,6 +170,26 @@ mod tests {
     }
 
     #[test]
+    fn file_of_a_number_may_be_padded_in_several_ways() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for name in ["a.0007.ply", "a.-001.ply", "a.-0002.ply", "a.3.ply"] {
+            fs::write(folder.path().join(name), "").expect("written");
+        }
+        for (pattern, number, expected) in [
+            ("a.####.ply", 7, Some("a.0007.ply")),
+            ("a.####.ply", -1, Some("a.-001.ply")),
+            ("a.####.ply", -2, Some("a.-0002.ply")),
+            ("a.####.ply", 3, None),
+            ("a.{}.ply", 3, Some("a.3.ply")),
+            ("a.{}.ply", 7, Some("a.0007.ply")),
+            ("a.{}.ply", -2, Some("a.-0002.ply")),
+        ] {
+            let found = NumberPattern::find(pattern).expect(pattern).file_of(folder.path(), number);
+            assert_eq!(found.expect("a folder"), expected.map(|name| folder.path().join(name)), "{number}");
+        }
+    }
+
+    #[test]
     fn numbers_match_as_printf_formats_them() {
         let matches = |pattern, name| NumberPattern::find(pattern).and_then(|p| p.span_in(name)).is_some();
         for (pattern, name, expected) in [
@@ -170,7 +201,19 @@ mod tests {
             ("a.{}.ply", "a.7.ply", true),
             ("a.{}.ply", "a.0007.ply", true),
             ("a.{}.ply", "a..ply", false),
-            ("a.{}.ply", "a.-7.ply", false),
+            ("a.{}.ply", "a.-7.ply", true),
+            ("a{}.ply", "a-7.ply", false),
+            ("a-{}.ply", "a-7.ply", true),
+            ("a.{}.ply", "a.--7.ply", false),
+            ("a.####.ply", "a.-012.ply", true),
+            ("a.####.ply", "a.-0012.ply", true),
+            ("a.####.ply", "a.-12.ply", false),
+            ("a.####.ply", "a.-00012.ply", false),
+            ("a.###.ply", "a.-001.ply", true),
+            ("a_{}.ply", "a_0.05.ply", true),
+            ("a_{}.ply", "a_1e-05.ply", true),
+            ("a_####.ply", "a_0.05.ply", false),
+            ("a.{}.ply", "a.1.2.3.ply", false),
             ("a.{}.ply", "b.7.ply", false),
             ("1{}1", "11", false),
             ("1{}1", "1", false),

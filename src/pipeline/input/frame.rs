@@ -73,7 +73,7 @@ pub struct Frame {
     /// The outputs, and their folder.
     pub outputs: Arc<OutputOptions>,
     /// Its number, if it has one. A frame uses the files of moving obstacles that have the same number.
-    pub number: Option<u64>,
+    pub number: Option<i64>,
     /// Its obstacles.
     pub obstacles: Arc<ObstacleFiles>,
     /// The camera of its sequence, if later frames may still change it; `None` if the camera in `outputs` is

@@ -158,7 +158,7 @@ impl ObstacleFiles {
     }
 
     /// The current state of a frame's obstacle files.
-    pub fn stamps(&self, number: Option<u64>) -> ObstacleStamps {
+    pub fn stamps(&self, number: Option<i64>) -> ObstacleStamps {
         let mut stamps = ObstacleStamps { text: String::new(), all_exist: true };
         let mut add = |path: &Path, stamp: Option<FileStamp>| {
             stamps.all_exist &= stamp.is_some();
@@ -195,7 +195,7 @@ impl ObstacleFiles {
     }
 
     /// The memory that loading a frame's obstacles may take, without those that are loaded already, in bytes.
-    pub(crate) fn loading_bytes(&self, number: Option<u64>) -> u64 {
+    pub(crate) fn loading_bytes(&self, number: Option<i64>) -> u64 {
         let size = |path: &Path| path.metadata().map_or(0, |metadata| metadata.len());
         let of_one = |(index, path): (usize, &PathBuf)| {
             if self.loaded_of(index).is_some_and(|known| known.is_as_it_was()) {
@@ -210,12 +210,12 @@ impl ObstacleFiles {
     }
 
     /// Whether all obstacles of the frame with this number exist.
-    pub fn exist(&self, number: Option<u64>) -> bool {
+    pub fn exist(&self, number: Option<i64>) -> bool {
         self.stamps(number).all_exist
     }
 
     /// Finds and hashes the obstacles of a frame.
-    pub(crate) fn find(&self, number: Option<u64>) -> Result<FoundObstacles, ObstacleError> {
+    pub(crate) fn find(&self, number: Option<i64>) -> Result<FoundObstacles, ObstacleError> {
         let found = self.paths.iter().enumerate().map(|(index, path)| {
             let at = file_of(path, number)?;
             let still = (at == *path).then_some(index);
@@ -322,7 +322,7 @@ fn pattern_of(path: &Path) -> Option<NumberPattern<'_>> {
 }
 
 /// The obstacle file for the frame with this number: `path` itself, or the file of its pattern.
-fn file_of(path: &Path, number: Option<u64>) -> Result<PathBuf, ObstacleError> {
+fn file_of(path: &Path, number: Option<i64>) -> Result<PathBuf, ObstacleError> {
     let missing =
         |path: &Path, what: String| Err(failed(path, io::Error::new(io::ErrorKind::NotFound, what).into()));
     if may_be_file(path) {

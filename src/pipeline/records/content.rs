@@ -4,9 +4,10 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::compression::read_head;
-use meniscus_formats::{Content, Format, looks_like_particles, probe, read_provenance};
+use meniscus_formats::{Content, Format, Neighbor, looks_like_particles, neighbor, probe, read_provenance};
 
 use super::provenance::{HEAD_BYTES, are_particles};
+use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::input::conflicts::Conflict;
 use crate::pipeline::input::frame::Job;
@@ -23,6 +24,8 @@ pub enum SniffedContent {
     OwnParticles,
     /// Another output of this program.
     OwnOutput,
+    /// A file of a simulation in a format of particles, such as a mesh.
+    Neighbor(Neighbor),
     /// Anything else.
     NotParticles,
 }
@@ -31,6 +34,11 @@ impl SniffedContent {
     /// Whether the file counts as a frame.
     pub fn is_frame(self) -> bool {
         matches!(self, SniffedContent::Particles | SniffedContent::OwnParticles)
+    }
+
+    /// Whether it may be data of another program, which must not be replaced.
+    pub fn is_data(self) -> bool {
+        self.is_frame() || matches!(self, SniffedContent::Neighbor(_))
     }
 }
 
@@ -43,12 +51,15 @@ pub fn content(path: &Path) -> io::Result<SniffedContent> {
         return Ok(SniffedContent::NotParticles);
     }
     let (head, name) = head_and_name(path)?;
+    if let Some(own) = own_content(&head, &name) {
+        return Ok(own);
+    }
+    if let Some(neighbor) = neighbor(&head, &name, &InputFile::open(path)?) {
+        return Ok(SniffedContent::Neighbor(neighbor));
+    }
     let promises = promises_particles(&name) || is_level_set(path);
-    Ok(match own_content(&head, &name) {
-        Some(own) => own,
-        None if promises || looks_like_particles(&head, &name) => SniffedContent::Particles,
-        None => SniffedContent::NotParticles,
-    })
+    let is_frame = promises || looks_like_particles(&head, &name);
+    Ok(if is_frame { SniffedContent::Particles } else { SniffedContent::NotParticles })
 }
 
 /// Checks that no output of `job` for the planned frames (input and stem) replaces particles, or a mesh or a
@@ -159,7 +170,10 @@ mod tests {
         assert_eq!(of("surface.ply", &bytes), SniffedContent::OwnOutput);
         bytes.clear();
         ply::write::write_mesh(&mesh, &[], &mut bytes).expect("written");
-        assert_eq!(of("foreign.ply", &bytes), SniffedContent::Particles);
+        assert_eq!(of("foreign.ply", &bytes), SniffedContent::Neighbor(Neighbor::Mesh));
+        let pvd = b"<VTKFile type=\"Collection\"><Collection/></VTKFile>";
+        assert_eq!(of("all.pvd", pvd), SniffedContent::Neighbor(Neighbor::Index));
+        assert_eq!(of("cut_off.vtk", b"# vtk DataFile Version 3.0\n"), SniffedContent::Particles);
         bytes.clear();
         OutputFormat::Obj.write_mesh(&mesh, &MeshOptions::default(), &maker, &mut bytes).expect("written");
         assert_eq!(of("surface.obj", &bytes), SniffedContent::OwnOutput);

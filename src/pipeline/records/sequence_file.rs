@@ -68,7 +68,7 @@ pub struct SequenceSource {
     /// Its path.
     pub path: PathBuf,
     /// The frame's number, if it has one.
-    pub number: Option<u64>,
+    pub number: Option<i64>,
 }
 
 /// The timing and units of a sequence file in other programs.
@@ -131,7 +131,7 @@ pub fn write_sequence_file(
         return Err(no_frame(&left_out, path));
     }
     let mut report = SequenceReport { left_out, ..SequenceReport::default() };
-    let numbers: Vec<Option<u64>> = source_frames.iter().map(|frame| frame.source.number).collect();
+    let numbers: Vec<Option<i64>> = source_frames.iter().map(|frame| frame.source.number).collect();
     let numbers = increasing(&numbers);
     let codes = match format {
         SequenceFormat::Glb => in_steps(&numbers),
@@ -337,9 +337,9 @@ pub fn is_sequence_file(path: &Path) -> bool {
 }
 
 /// The provenance of the sequence file; the meshes have the provenance of their frames.
-fn provenance(numbers: &[u64], fps: f64) -> Vec<(String, String)> {
+fn provenance(numbers: &[i64], fps: f64) -> Vec<(String, String)> {
     let pair = |name: &str, value: String| (name.to_owned(), value);
-    let number = |number: Option<&u64>| number.copied().unwrap_or_default().to_string();
+    let number = |number: Option<&i64>| number.copied().unwrap_or_default().to_string();
     vec![
         pair("generator", GENERATOR_AND_VERSION.to_owned()),
         pair(SEQUENCE_FRAMES, numbers.len().to_string()),
@@ -350,30 +350,31 @@ fn provenance(numbers: &[u64], fps: f64) -> Vec<(String, String)> {
 }
 
 /// The numbers of the frames. If some have none, or they do not increase, frames are counted from 1.
-pub(super) fn increasing(numbers: &[Option<u64>]) -> Vec<u64> {
-    let known = numbers.iter().copied().collect::<Option<Vec<u64>>>();
+pub(super) fn increasing(numbers: &[Option<i64>]) -> Vec<i64> {
+    let known = numbers.iter().copied().collect::<Option<Vec<i64>>>();
     let increasing = known.filter(|known| known.windows(2).all(|pair| pair[0] < pair[1]));
-    increasing.unwrap_or_else(|| (1..=numbers.len() as u64).collect())
+    increasing.unwrap_or_else(|| (1..).take(numbers.len()).collect())
 }
 
 /// The positions in the animation of frames with these increasing numbers. The [common step](common_step) of
 /// the numbers becomes one frame of the animation. If it is 1, the positions are the numbers themselves.
 /// Otherwise they are the numbers divided by it or, if that leaves a remainder, counted from the first number
 /// on.
-fn in_steps(numbers: &[u64]) -> Vec<u64> {
+fn in_steps(numbers: &[i64]) -> Vec<i64> {
     let step = common_step(numbers);
     let Some(&first) = numbers.first() else { return Vec::new() };
-    let start = if first.is_multiple_of(step) { first / step } else { first };
-    numbers.iter().map(|number| start + (number - first) / step).collect()
+    let divided = first.unsigned_abs().is_multiple_of(step).then(|| first.unsigned_abs() / step);
+    let start = divided.map_or(first, |steps| 0i64.saturating_add_unsigned(steps) * first.signum());
+    numbers.iter().map(|number| start.saturating_add_unsigned(number.abs_diff(first) / step)).collect()
 }
 
 /// The greatest common divisor of the differences between these ascending numbers; 1 if there are no
 /// differences.
-pub fn common_step(numbers: &[u64]) -> u64 {
+pub fn common_step(numbers: &[i64]) -> u64 {
     fn common_divisor(a: u64, b: u64) -> u64 {
         if b == 0 { a } else { common_divisor(b, a % b) }
     }
-    numbers.windows(2).map(|pair| pair[1] - pair[0]).fold(0, common_divisor).max(1)
+    numbers.windows(2).map(|pair| pair[1].abs_diff(pair[0])).fold(0, common_divisor).max(1)
 }
 
 #[cfg(test)]
@@ -388,7 +389,8 @@ mod tests {
             (&[0, 100, 300], 100),
             (&[1, 3, 5], 2),
             (&[1, 3, 6], 1),
-            (&[0, u64::MAX], u64::MAX),
+            (&[-4, 2, 8], 6),
+            (&[i64::MIN, i64::MAX], u64::MAX),
         ] {
             assert_eq!(common_step(numbers), step, "{numbers:?}");
         }
@@ -401,14 +403,19 @@ mod tests {
         assert_eq!(in_steps(&[1000, 2000, 4000]), [1, 2, 4]);
         assert_eq!(in_steps(&[1, 3, 5]), [1, 2, 3]);
         assert_eq!(in_steps(&[12]), [12]);
-        assert_eq!(in_steps(&[u64::MAX - 1, u64::MAX]), [u64::MAX - 1, u64::MAX]);
+        assert_eq!(in_steps(&[i64::MAX - 1, i64::MAX]), [i64::MAX - 1, i64::MAX]);
+        assert_eq!(in_steps(&[-3, -2, 0]), [-3, -2, 0]);
+        assert_eq!(in_steps(&[-20, 0, 10]), [-2, 0, 1]);
+        assert_eq!(in_steps(&[-5, 0, 10]), [-1, 0, 2]);
+        assert_eq!(in_steps(&[i64::MIN, 0, i64::MAX - 1]).len(), 3);
         assert_eq!(in_steps(&[]), [0; 0]);
     }
 
     #[test]
     fn frames_without_increasing_numbers_are_counted_from_1() {
-        let of = |numbers: &[u64]| increasing(&numbers.iter().copied().map(Some).collect::<Vec<_>>());
+        let of = |numbers: &[i64]| increasing(&numbers.iter().copied().map(Some).collect::<Vec<_>>());
         assert_eq!(of(&[0, 100, 200]), [0, 100, 200]);
+        assert_eq!(of(&[-2, -1, 0, 1]), [-2, -1, 0, 1]);
         assert_eq!(of(&[3, 2, 9]), [1, 2, 3]);
         assert_eq!(of(&[3, 3]), [1, 2]);
         assert_eq!(increasing(&[Some(7), None]), [1, 2]);

@@ -24,6 +24,7 @@ use meniscus_formats::{Limits, is_complete, read_provenance, usda, usdc, vdb};
 use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use super::sequence_file::{SequenceError, increasing};
 use crate::pipeline::files::atomic_write::write_atomically;
+use crate::pipeline::files::frame_number::natural_order;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::sweep::is_gone;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, StageOptions, output_path};
@@ -42,7 +43,7 @@ pub struct StageSequence {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StageFrame {
     /// The frame's number, if it has one.
-    pub number: Option<u64>,
+    pub number: Option<i64>,
     /// The path of its mesh in USD, if it is among the outputs.
     pub mesh: Option<PathBuf>,
     /// The path of its level set in OpenVDB, if it is among the outputs.
@@ -51,7 +52,7 @@ pub struct StageFrame {
 
 impl StageFrame {
     /// The frame whose outputs have this stem.
-    pub fn new(outputs: &OutputOptions, stem: &str, number: Option<u64>) -> StageFrame {
+    pub fn new(outputs: &OutputOptions, stem: &str, number: Option<i64>) -> StageFrame {
         let path = |format| output_path(&outputs.folder, stem, format);
         let has_volume = outputs.formats.contains(&OutputFormat::Vdb);
         StageFrame {
@@ -68,7 +69,7 @@ impl StageFrame {
     }
 
     fn has_time_code(&self) -> bool {
-        self.number.is_none_or(|number| number <= TIME_CODE_MAX)
+        self.number.is_none_or(|number| (-TIME_CODE_MAX..=TIME_CODE_MAX).contains(&number))
     }
 
     fn files(&self) -> impl Iterator<Item = &PathBuf> {
@@ -77,7 +78,7 @@ impl StageFrame {
 }
 
 /// Time codes are 64-bit floats, which cannot distinguish larger integers.
-const TIME_CODE_MAX: u64 = 1 << f64::MANTISSA_DIGITS;
+const TIME_CODE_MAX: i64 = 1 << f64::MANTISSA_DIGITS;
 
 /// A name as USD can write it; `None` if it is not Unicode, or has control characters.
 fn usd_text(name: &OsStr) -> Option<&str> {
@@ -206,7 +207,7 @@ fn stage_of(
                 .filter_map(|frame| frame.files().next())
                 .map(|file| left_out(file, &format!("frame numbers in USD are at most {TIME_CODE_MAX}"))),
         );
-        let numbers: Vec<Option<u64>> = frames.iter().map(|frame| frame.number).collect();
+        let numbers: Vec<Option<i64>> = frames.iter().map(|frame| frame.number).collect();
         let codes = increasing(&numbers);
         let mut meshes =
             ExistingFiles::of(frames.iter().map(|frame| frame.mesh.as_deref()), &codes, &mut assets)?;
@@ -221,7 +222,7 @@ fn stage_of(
         });
         report.add(&meshes, &volumes);
         found.push(StageClips {
-            name: prim_name(name).to_owned(),
+            name: prim_name(name),
             declared_by,
             properties,
             meshes: meshes.clips,
@@ -249,7 +250,14 @@ fn merged(sequences: &[StageSequence]) -> Vec<(&str, Vec<&StageFrame>)> {
         let is_first = known.is_empty();
         known.extend(frames.iter().filter(|frame| listed.insert((&frame.mesh, &frame.volume))));
         if !is_first {
-            known.sort_by_key(|frame| frame.number);
+            // Times have no numbers.
+            known.sort_by(|one, other| {
+                let [one_path, other_path] = [one, other].map(|frame| {
+                    let path = frame.mesh.as_ref().or(frame.volume.as_ref());
+                    path.map(|path| path.to_string_lossy()).unwrap_or_default()
+                });
+                one.number.cmp(&other.number).then_with(|| natural_order(&one_path, &other_path))
+            });
         }
     }
     // Of equal names, the prims are numbered in this order, which must not depend on the command.
@@ -281,7 +289,7 @@ enum FileState<'a> {
 impl<'a> ExistingFiles<'a> {
     fn of(
         paths: impl Iterator<Item = Option<&'a Path>>,
-        codes: &[u64],
+        codes: &[i64],
         assets: &mut AssetPaths,
     ) -> Result<ExistingFiles<'a>, String> {
         let (mut clips, mut sizes, mut states) = (Vec::new(), Vec::new(), Vec::new());
@@ -442,10 +450,11 @@ fn relative_folder(from: &Path, to: &Path) -> Option<String> {
 }
 
 /// The part of a sequence's name before the number: `dam` of `dam.{}`, `sub/dam` of `sub/dam.{}`.
-fn prim_name(sequence: &str) -> &str {
-    let stem = sequence.split_once("{}").map_or(sequence, |(before, _)| before);
+fn prim_name(sequence: &str) -> String {
+    let stem = sequence.replacen("{}/", "", 1);
+    let stem = stem.split_once("{}").map_or(&*stem, |(before, _)| before);
     let plain = stem.trim_end_matches(|c: char| !c.is_alphanumeric());
-    if plain.is_empty() { "frames" } else { plain }
+    if plain.is_empty() { "frames".to_owned() } else { plain.to_owned() }
 }
 
 #[cfg(test)]
@@ -465,6 +474,8 @@ mod tests {
             ("dam_{}_b7", "dam"),
             ("sub/dam.{}", "sub/dam"),
             ("sub/{}", "sub"),
+            ("{}/p", "p"),
+            ("sub/{}/p", "sub/p"),
         ] {
             assert_eq!(prim_name(name), prim, "{name}");
         }
@@ -493,8 +504,8 @@ mod tests {
         OutputOptions { stage: Some(stage), ..OutputOptions::new(folder.join("out"), formats) }
     }
 
-    fn sequence(outputs: &OutputOptions, numbers: &[u64]) -> Vec<StageSequence> {
-        let frame = |number: &u64| StageFrame::new(outputs, &format!("dam.{number}"), Some(*number));
+    fn sequence(outputs: &OutputOptions, numbers: &[i64]) -> Vec<StageSequence> {
+        let frame = |number: &i64| StageFrame::new(outputs, &format!("dam.{number}"), Some(*number));
         vec![StageSequence { name: "dam.{}".to_owned(), frames: numbers.iter().map(frame).collect() }]
     }
 
@@ -629,7 +640,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let outputs = outputs(folder.path(), &[OutputFormat::Usdc]);
         fs::create_dir(folder.path().join("out")).expect("made");
-        let of = |name: &str, number: u64| StageSequence {
+        let of = |name: &str, number: i64| StageSequence {
             name: name.to_owned(),
             frames: vec![StageFrame::new(&outputs, &name.replace("{}", &number.to_string()), Some(number))],
         };

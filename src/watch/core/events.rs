@@ -14,6 +14,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
+use meniscus_formats::Neighbor;
+
 use crate::pipeline::{FileFrames, FileStamp, Frame, FrameError, ObstacleStamps, Outcome};
 use crate::surface::options::Settings;
 use crate::watch::journal::{Entry, JournaledFrame, OutputCheck, OutputRecord};
@@ -119,7 +121,7 @@ pub(crate) enum Presence {
 pub(crate) enum FoundObstacleStamps {
     /// All frames have the same stamps.
     Same(Arc<ObstacleStamps>),
-    PerNumber(std::collections::HashMap<Option<u64>, Arc<ObstacleStamps>>),
+    PerNumber(std::collections::HashMap<Option<i64>, Arc<ObstacleStamps>>),
 }
 
 /// A frame that a pipeline has finished with.
@@ -223,6 +225,8 @@ pub(crate) enum FileContents {
     MaybeSteps,
     /// No particles: an unrelated file, or an output of this program.
     NotParticles,
+    /// A file of the simulation without particles.
+    Neighbor(Neighbor),
     Unreadable(io::Error),
 }
 
@@ -233,7 +237,7 @@ pub(crate) enum RootRequest {
     /// Scan the whole folder.
     Scan,
     /// Stamp the obstacles of frames with these numbers.
-    StampObstacles(BTreeSet<Option<u64>>),
+    StampObstacles(BTreeSet<Option<i64>>),
 }
 
 /// A slow request, for the second thread of a root.

@@ -77,9 +77,9 @@ impl FrameId {
         if self.is_step { self.path.parent().unwrap_or(&self.path) } else { &self.path }
     }
 
-    /// The parts of its name.
-    pub(crate) fn frame_file(&self) -> FrameFile {
-        FrameFile::known(self.path.to_path_buf(), self.is_step)
+    /// The parts of its name; `root` is the path of its root.
+    pub(crate) fn frame_file(&self, root: &Path) -> FrameFile {
+        FrameFile::known(self.path.to_path_buf(), self.is_step).in_watched_folder(root)
     }
 
     /// The folder of its outputs: the folder of the file within `root`, mirrored below `out`.

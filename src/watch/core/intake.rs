@@ -15,6 +15,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use meniscus_formats::Neighbor;
+
 use crate::pipeline::{FileStamp, Frame, Job, ObstacleStamps, OutputOptions, output_path, step_in};
 use crate::surface::options::Settings;
 use crate::watch::journal::{JournaledFrame, JournaledStatus, OutputCheck};
@@ -447,10 +449,10 @@ impl Core {
             _ => {}
         });
         match contents {
-            FileContents::NotParticles => {
-                self.forget_steps(id);
-                self.release_claim(id);
-                self.set_phase(id, FramePhase::Ignored);
+            FileContents::NotParticles => self.ignore(id),
+            FileContents::Neighbor(neighbor) => {
+                self.ignore(id);
+                self.log_neighbor(id, neighbor);
             }
             FileContents::MaybeSteps => self.find_steps(id, conflict),
             // The error may be temporary, so the steps are kept.
@@ -461,6 +463,21 @@ impl Core {
                 }
                 self.hold(id, conflict);
             }
+        }
+    }
+
+    fn ignore(&mut self, id: &FrameId) {
+        self.forget_steps(id);
+        self.release_claim(id);
+        self.set_phase(id, FramePhase::Ignored);
+    }
+
+    /// Logs the first file of a sequence that is not of particles.
+    fn log_neighbor(&mut self, id: &FrameId, neighbor: Neighbor) {
+        let Some(index) = self.frames.get(id).map(|frame| frame.sequence) else { return };
+        if !std::mem::replace(&mut self.sequences.get_mut(index).is_neighbor_logged, true) {
+            let [one, _] = neighbor.words();
+            self.log_about(&*id.path, move |file| tracing::info!(%file, "skipped: {one}"));
         }
     }
 
@@ -490,7 +507,7 @@ impl Core {
         let sequence = self.sequences.get(frame.sequence);
         frame.settings_fingerprint = sequence.fingerprint(frame.obstacles.as_deref());
         let framing = sequence.framing.clone();
-        let file = id.frame_file();
+        let file = id.frame_file(self.root_path(id.root));
         let frame = Frame {
             input: id.path.to_path_buf(),
             job: Job::of(&id.path),
@@ -513,7 +530,8 @@ impl Core {
             return;
         }
         let frames = self.frames.iter().filter(|(id, frame)| id.root == root && has_ended(frame));
-        let numbers: BTreeSet<Option<u64>> = frames.map(|(id, _)| id.frame_file().number()).collect();
+        let path = self.root_path(root);
+        let numbers: BTreeSet<Option<i64>> = frames.map(|(id, _)| id.frame_file(path).number()).collect();
         self.request(root, RootRequest::StampObstacles(numbers));
     }
 
@@ -527,7 +545,9 @@ impl Core {
             }
             let of_frame: Option<&Arc<ObstacleStamps>> = match stamps {
                 FoundObstacleStamps::Same(stamps) => Some(stamps),
-                FoundObstacleStamps::PerNumber(stamps) => stamps.get(&id.frame_file().number()),
+                FoundObstacleStamps::PerNumber(stamps) => {
+                    stamps.get(&id.frame_file(self.root_path(root)).number())
+                }
             };
             // The removal of an obstacle does not count: the existing result stays.
             of_frame.filter(|stamps| stamps.all_exist).is_some_and(|stamps| {

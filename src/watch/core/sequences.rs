@@ -19,8 +19,8 @@ use std::sync::Arc;
 use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
-    FileStamp, FrameError, Framing, Job, ObstacleStamps, OutputOptions, PictureOptions, ReportedWarnings,
-    are_single_frames, settings_fingerprint,
+    FileStamp, FrameError, FrameFile, Framing, Job, ObstacleStamps, OutputOptions, PictureOptions,
+    ReportedWarnings, are_single_frames, settings_fingerprint,
 };
 use crate::surface::options::{self, Settings, SpacingOptions};
 use crate::watch::config::Watch;
@@ -61,6 +61,8 @@ pub(crate) struct WatchedSequence {
     pub(crate) framing: Option<Arc<Framing>>,
     /// Whether it was logged that its frames wait for one with more particles.
     pub(crate) is_sparse_logged: bool,
+    /// Whether it was logged that a file of this name has no particles.
+    pub(crate) is_neighbor_logged: bool,
     /// The warnings about its frames that were logged.
     pub(crate) reported: ReportedWarnings,
     /// Whether it was logged that its frames have velocities and the outputs do not.
@@ -93,15 +95,14 @@ pub(crate) enum SequenceSettings {
 }
 
 impl Sequences {
-    /// The index of the sequence of a frame. `remembered` returns what the journal knows about a sequence
-    /// that is new.
+    /// The index of the sequence of a frame with this name. `remembered` returns what the journal knows about
+    /// a sequence that is new.
     pub(crate) fn index(
         &mut self,
-        id: &FrameId,
+        (id, file): (&FrameId, &FrameFile),
         watch: &Watch,
         remembered: impl FnOnce(&SequenceKey) -> Option<JournaledSequence>,
     ) -> usize {
-        let file = id.frame_file();
         let (folder, name) = file.sequence();
         let location = (id.root, folder, name);
         let known = self.index_of.get(&location).copied();
@@ -130,6 +131,7 @@ impl Sequences {
             settings,
             framing,
             is_sparse_logged: false,
+            is_neighbor_logged: false,
             reported: ReportedWarnings::default(),
             has_reported_velocity: false,
         });

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::pipeline::{FileStamp, Job, natural_order, order_subframes, single_frames_note};
+use crate::pipeline::{FileStamp, Job, natural_order, order_by_number, single_frames_note};
 use crate::watch::config::Watch;
 use crate::watch::journal::{Entry, JournaledSequence, JournaledStatus};
 
@@ -17,7 +17,8 @@ impl Core {
         let watch = &self.config.watches[id.root];
         let remembered = &self.outputs[self.output_of[id.root]].journal.sequences;
         let known_count = self.sequences.len();
-        let index = self.sequences.index(id, watch, |key| remembered.get(key).cloned());
+        let file = id.frame_file(&self.roots[id.root].path);
+        let index = self.sequences.index((id, &file), watch, |key| remembered.get(key).cloned());
         if index == known_count {
             self.changed_sequences.push(index);
         }
@@ -85,7 +86,7 @@ impl Core {
             })
             .collect();
         members.sort_by(|(a, _), (b, _)| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
-        order_subframes(&mut members, |(id, _)| id.frame_file());
+        order_by_number(&mut members, |(id, _)| id.frame_file(self.root_path(id.root)));
         let files: Vec<(FrameId, FileStamp)> =
             members.into_iter().map_while(|(id, stamp)| Some((id.clone(), stamp?))).collect();
         let watch = self.config.watches[sequence.root].clone();

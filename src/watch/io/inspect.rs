@@ -21,7 +21,7 @@ impl Root {
     /// Inspects a file.
     pub(super) fn inspect(&self, request: Inspect) -> Inspected {
         let own = &self.obstacles[self.index];
-        let stamps = || Arc::new(own.stamps(request.id.frame_file().number()));
+        let stamps = || Arc::new(own.stamps(request.id.frame_file(&self.path).number()));
         let obstacles = (!own.is_empty()).then(stamps);
         let found = self.find(&request, obstacles.as_deref());
         Inspected { id: request.id, number: request.number, found, obstacles }
@@ -74,7 +74,7 @@ impl Root {
                 None if !self.output.is_in_place() => return InspectionResult::OutputsAway,
                 conflict => conflict,
             },
-            FileContents::NotParticles | FileContents::Unreadable(_) => None,
+            FileContents::NotParticles | FileContents::Neighbor(_) | FileContents::Unreadable(_) => None,
         };
         InspectionResult::Complete(Complete { proof, changed_output, contents, conflict })
     }
@@ -99,7 +99,7 @@ impl Root {
 /// Whether an output would replace particles, or a mesh or a level set of another program. An extension
 /// suffices here: the file may be a frame that a simulation has only begun to write.
 pub(in crate::watch) fn replaces_data(output: &Path) -> bool {
-    content(output).is_ok_and(SniffedContent::is_frame)
+    content(output).is_ok_and(SniffedContent::is_data)
 }
 
 /// Why such an output is not written.
@@ -122,10 +122,12 @@ fn has_recorded_settings(recorded: &Recorded, obstacles: Option<&ObstacleStamps>
 }
 
 fn contents_of(id: &FrameId) -> FileContents {
-    if let Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles) = content(id.file_path()) {
-        return FileContents::NotParticles;
+    match content(id.file_path()) {
+        Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles) => return FileContents::NotParticles,
+        Ok(SniffedContent::Neighbor(neighbor)) => return FileContents::Neighbor(neighbor),
+        // An unreadable file counts as a frame: reading it reports what is wrong.
+        Ok(SniffedContent::Particles | SniffedContent::OwnParticles) | Err(_) => {}
     }
-    // An unreadable file counts as a frame: reading it reports what is wrong.
     if id.is_step() {
         return FileContents::Frame;
     }

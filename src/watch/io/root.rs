@@ -34,7 +34,7 @@ pub(super) struct Root {
     timeouts: StabilityTimeouts,
     pub(super) watch: Watch,
     /// The absolute path.
-    path: PathBuf,
+    pub(super) path: PathBuf,
     selection: FileFilter,
     pub(super) obstacles: Vec<Arc<ObstacleFiles>>,
     pub(super) output: Arc<OutputGuard>,

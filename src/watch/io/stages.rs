@@ -139,7 +139,7 @@ impl WatchedStage {
             let file = FrameFile::new(input.to_path_buf());
             let takes = |block: &StagedWatch| block.filter.takes(&block.input, file.file());
             if let Some(index) = self.blocks.iter().position(takes) {
-                of_blocks[index].push(file);
+                of_blocks[index].push(file.in_watched_folder(&self.blocks[index].input));
             }
         }
         let of_block = |(block, files): (&StagedWatch, Vec<FrameFile>)| -> Vec<StageSequence> {
@@ -153,11 +153,15 @@ impl StagedWatch {
     /// The outputs of a sequence: sub-folders are mirrored below the folder of outputs.
     fn sequence(&self, Sequence { frames, .. }: &Sequence) -> StageSequence {
         let (folder, sequence) = frames.first().map(FrameFile::sequence).unwrap_or_default();
-        let within = folder.strip_prefix(&self.input).unwrap_or(Path::new(""));
-        let outputs = OutputOptions { folder: self.outputs.folder.join(within), ..self.outputs.clone() };
-        let names = within.components().map(|name| name.as_os_str().to_string_lossy().into_owned());
+        let within = |folder: &Path| folder.strip_prefix(&self.input).unwrap_or(Path::new("")).to_owned();
+        let names = within(&folder);
+        let names = names.components().map(|name| name.as_os_str().to_string_lossy().into_owned());
         let name = names.chain([output_sequence(&sequence)]).collect::<Vec<_>>().join("/");
-        let frame = |file: &FrameFile| StageFrame::new(&outputs, &file.stem(), file.number());
+        let mut outputs = self.outputs.clone();
+        let frame = |file: &FrameFile| {
+            outputs.folder = self.outputs.folder.join(within(file.file().parent().unwrap_or(Path::new(""))));
+            StageFrame::new(&outputs, &file.stem(), file.number())
+        };
         StageSequence { name, frames: frames.iter().map(frame).collect() }
     }
 }

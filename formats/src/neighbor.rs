@@ -1,0 +1,164 @@
+//! Recognises files that lie beside the frames of a simulation in formats of particles, but are none.
+
+use crate::compression::Codec;
+use crate::limits::Limits;
+use crate::ply;
+use crate::probe::{HEAD_BYTES, ProbedKind, probe};
+use crate::records::ReadAt;
+use crate::table::Format;
+use crate::vtk;
+
+/// What a file in a format of particles contains instead of particles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Neighbor {
+    /// The names of other files, such as a `.pvd`.
+    Index,
+    /// A mesh: its points are the corners of faces.
+    Mesh,
+    /// A grid, or other data without a list of points.
+    Grid,
+}
+
+impl Neighbor {
+    /// What it is, in words: one file, and several.
+    pub fn words(self) -> [&'static str; 2] {
+        match self {
+            Neighbor::Index => ["a list of other files", "lists of other files"],
+            Neighbor::Mesh => ["a mesh, not particles", "meshes, not particles"],
+            Neighbor::Grid => ["a grid, not particles", "grids, not particles"],
+        }
+    }
+}
+
+/// What a file contains instead of particles, as far as that shows without reading all of it; `None` for
+/// particles, and for files in which nothing shows it. `head` are the first bytes of `file`: 8 KiB, unless
+/// the file is shorter; it may be compressed.
+///
+/// In a folder of frames, such a file belongs to the frames, and is no frame: simulators write the meshes of
+/// rigid bodies and the bounds of the domain beside the particles.
+pub fn neighbor(head: &[u8], file_name: &str, file: &dyn ReadAt) -> Option<Neighbor> {
+    let ProbedKind::Format(format) = probe(head, file_name).kind else { return None };
+    let unpacked = Codec::of(head).map(|codec| codec.decompress_head(head, HEAD_BYTES));
+    let start = unpacked.as_deref().unwrap_or(head);
+    match format {
+        Format::Ply => {
+            let has_faces =
+                ply::read_header(start, &Limits::default()).is_ok_and(|header| header.has_faces());
+            has_faces.then_some(Neighbor::Mesh)
+        }
+        Format::Vtp => vtk::xml_neighbor(start),
+        // Of a compressed file, only the beginning is read.
+        Format::VtkLegacy if unpacked.is_some() => vtk::legacy_neighbor(&start),
+        Format::VtkLegacy => vtk::legacy_neighbor(file),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A binary file of the legacy format with three points: sections of a line and its numbers.
+    fn binary(sections: &[(&str, &[i32])]) -> Vec<u8> {
+        let mut bytes =
+            b"# vtk DataFile Version 3.0\nmade by hand\nBINARY\nDATASET UNSTRUCTURED_GRID\n".to_vec();
+        let points = ("POINTS 3 float", &[0; 9][..]);
+        for (line, numbers) in [&[points], sections].concat() {
+            bytes.extend(line.as_bytes());
+            bytes.push(b'\n');
+            bytes.extend(numbers.iter().flat_map(|number| number.to_be_bytes()));
+            bytes.push(b'\n');
+        }
+        bytes
+    }
+
+    #[test]
+    fn files_beside_frames_are_recognised() {
+        let ascii = |data_set: &str, rest: &str| {
+            format!("# vtk DataFile Version 4.2\nby hand\nASCII\nDATASET {data_set}\n{rest}").into_bytes()
+        };
+        let xml = |kind: &str, piece: &str| {
+            format!("<?xml version=\"1.0\"?>\n<VTKFile type=\"{kind}\"><{kind}><Piece {piece}>").into_bytes()
+        };
+        let ply = |more: &str| {
+            format!("ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n{more}end_header\n")
+                .into_bytes()
+        };
+        let points = "POINTS 3 float\n0 0 0 1 0 0\nnan 1 0\n";
+        let metadata = "METADATA\nINFORMATION 0\n\n";
+        let (mesh, index, grid) = (Some(Neighbor::Mesh), Some(Neighbor::Index), Some(Neighbor::Grid));
+        for (bytes, name, expected) in [
+            (ply("element face 1\nproperty list uchar int vertex_indices\n"), "a.ply", mesh),
+            (ply("element face 0\nproperty list uchar int vertex_indices\n"), "a.ply", None),
+            (ply(""), "a.ply", None),
+            (ascii("POLYDATA", &format!("{points}{metadata}POLYGONS 1 4\n3 0 1 2\n")), "a.vtk", mesh),
+            (ascii("POLYDATA", &format!("{points}VERTICES 3 6\n1 0 1 1 1 2\nPOINT_DATA 3\n")), "a.vtk", None),
+            (
+                ascii("UNSTRUCTURED_GRID", &format!("{points}CELLS 1 4\n3 0 1 2\nCELL_TYPES 1\n5\n")),
+                "a.vtk",
+                mesh,
+            ),
+            (
+                ascii("UNSTRUCTURED_GRID", &format!("{points}CELLS 1 4\n3 0 1 2\nCELL_TYPES 1\n2\n")),
+                "a.vtk",
+                None,
+            ),
+            (
+                ascii(
+                    "POLYDATA",
+                    &format!(
+                        "{points}POLYGONS 2 3\nOFFSETS vtktypeint64\n0 3\nCONNECTIVITY vtktypeint64\n0 1 2\n"
+                    ),
+                ),
+                "a.vtk",
+                mesh,
+            ),
+            (ascii("RECTILINEAR_GRID", "DIMENSIONS 2 2 2\n"), "a.vtk", grid),
+            (ascii("POLYDATA", "POINTS 3 float\n0 0"), "a.vtk", None),
+            (binary(&[("CELLS 3 6", &[1, 0, 1, 1, 1, 2]), ("CELL_TYPES 3", &[1; 3])]), "a.vtk", None),
+            (binary(&[("CELLS 1 4", &[3, 0, 1, 2]), ("CELL_TYPES 1", &[5])]), "a.vtk", mesh),
+            (
+                binary(&[
+                    ("CELLS 2 3\nOFFSETS vtktypeint32", &[0, 3]),
+                    ("CONNECTIVITY vtktypeint32", &[0, 1, 2]),
+                    ("CELL_TYPES 1", &[5]),
+                ]),
+                "a.vtk",
+                mesh,
+            ),
+            (binary(&[("POLYGONS 1 4", &[3, 0, 1, 2])]), "a.vtk", mesh),
+            (binary(&[("CELLS 99999999999 99999999999", &[])]), "a.vtk", None),
+            (xml("PolyData", "NumberOfPoints=\"3\" NumberOfPolys=\"1\""), "a.vtp", mesh),
+            (xml("PolyData", "NumberOfPoints=\"3\" NumberOfVerts=\"3\" NumberOfPolys=\"0\""), "a.vtp", None),
+            (xml("UnstructuredGrid", "NumberOfPoints=\"3\" NumberOfCells=\"2\""), "a.vtu", mesh),
+            (xml("UnstructuredGrid", "NumberOfPoints=\"3\" NumberOfCells=\"3\""), "a.vtu", None),
+            (xml("Collection", ""), "a.pvd", index),
+            (xml("PUnstructuredGrid", ""), "a.pvtu", index),
+            (xml("vtkMultiBlockDataSet", ""), "a.vtm", index),
+            (xml("ImageData", ""), "a.vti", grid),
+            (b"x,y,z\n0,0,0\n".to_vec(), "a.csv", None),
+            (Vec::new(), "a.vtk", None),
+        ] {
+            let shown = String::from_utf8_lossy(&bytes).into_owned();
+            assert_eq!(neighbor(&bytes, name, &&bytes[..]), expected, "{name}: {shown}");
+            // A file that is still being written is not mistaken for another.
+            for length in 0..bytes.len() {
+                let found = neighbor(&bytes[..length], name, &&bytes[..length]);
+                assert!(found.is_none() || found == expected, "{name}, {length} bytes: {shown}");
+            }
+        }
+    }
+
+    #[test]
+    fn long_text_is_searched_in_pieces() {
+        let line = "0.25 0.5 0.75\n";
+        let points = line.repeat(20_000);
+        let text =
+            format!("# vtk DataFile Version 4.2\nt\nASCII\nDATASET POLYDATA\nPOINTS 20000 float\n{points}");
+        let particles = format!("{text}VERTICES 1 2\n1 0\n");
+        let mesh = format!("{text}POLYGONS 1 4\n3 0 1 2\n");
+        for (text, expected) in [(particles, None), (mesh, Some(Neighbor::Mesh))] {
+            assert_eq!(neighbor(&text.as_bytes()[..8192], "a.vtk", &text.as_bytes()), expected);
+        }
+    }
+}
