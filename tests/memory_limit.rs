@@ -115,7 +115,7 @@ fn memory_of_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) -
             stem: number.to_string(),
             settings: settings[number / 2 % 2].clone(),
             outputs: outputs.clone(),
-            number: Some(number as u64),
+            number: Some(number as i64),
             obstacles: obstacles[number / 4 % 2].clone(),
             framing: None,
         })

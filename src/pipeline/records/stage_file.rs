@@ -610,7 +610,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let outputs = outputs(folder.path(), &[OutputFormat::Usdc]);
         fs::create_dir(folder.path().join("out")).expect("made");
-        let of = |stem: &str, number: u64| StageSequence {
+        let of = |stem: &str, number: i64| StageSequence {
             name: format!("{stem}.{{}}"),
             frames: vec![StageFrame::new(&outputs, &format!("{stem}.{number}"), Some(number))],
         };
