@@ -244,6 +244,8 @@ class Sequence:
         TypeError, ValueError, OptionError, ParticleError, MemoryLimitError, OSError, KeyboardInterrupt
             As for the function `reconstruct`. A frame that fails does not change the sequence.
         """
+        if isinstance(where, str):
+            raise TypeError("a condition as text is an option of Sequence: pass a mask, or Sequence(where=...)")
         given = _Given(points, radii, velocity, attributes, where)
         bodies = self._bodies.natives(obstacles)
         if not self._has_frame:
