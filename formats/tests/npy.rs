@@ -79,7 +79,8 @@ fn frames_of_an_array_are_steps() {
         let steps = find_steps(probe(&file, "a.npy").kind, &*file, &Limits::default()).expect("steps");
         assert_eq!(steps.iter().map(|step| step.number).collect::<Vec<_>>(), [Some(0), Some(1)], "{case}");
         for (step, expected) in steps.iter().zip(expected) {
-            let [start, end] = [step.range.start, step.range.end].map(|at| usize::try_from(at).expect("in the file"));
+            let [start, end] =
+                [step.range.start, step.range.end].map(|at| usize::try_from(at).expect("in the file"));
             let frame = read(&[&step.head[..], &file[start..end]].concat());
             assert_eq!(frame.positions, FilePositions::F32(expected), "{case}");
         }
@@ -195,6 +196,7 @@ fn invalid_arrays_are_errors() {
             "does not have so many columns",
         ),
         ("columns of nothing", array(1, "'<f4'", false, "(0, 5000)", &[]), "does not have so many columns"),
+        ("columns of positions", array(1, "'|u1'", false, "(3, 33)", &[0; 99]), "transpose it: array.T"),
         ("a matrix", array(1, "'|u1'", false, "(33, 33)", &[0; 33 * 33]), "does not have so many columns"),
         (
             "a picture",

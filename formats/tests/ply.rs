@@ -115,7 +115,10 @@ fn vertex_over_two_lines_is_read() {
             "0 1 2 255 10 0\n3 4 5\n255 10 1\n6 7 8 255 10 2\n",
             "at line 14: the line ends where a value of `red`",
         ),
-        ("0.000 1.000 2.000\n255 10 0\n3.000 4.000 5.000\n255 10", "the file ends where a value of `blue` was expected"),
+        (
+            "0.000 1.000 2.000\n255 10 0\n3.000 4.000 5.000\n255 10",
+            "the file ends where a value of `blue` was expected",
+        ),
     ] {
         let error =
             read(format!("{header}{wrong}").as_bytes(), &Limits::default()).expect_err(wrong).to_string();

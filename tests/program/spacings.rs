@@ -449,10 +449,10 @@ fn positions_rounded_far_from_the_origin_and_planar_frames_cause_warnings() {
     write_ply(&path.join("far.ply"), &far);
     let rounded =
         "far.ply: positions are rounded to steps of 0.5, as 32-bit numbers so far from the origin are";
-    for (more, status) in [(&["--spacing=0.1"][..], 0), (&[], 2)] {
+    for more in [&["--spacing=0.1"][..], &[]] {
         let result = meniscus(path, &[&["convert", "far.ply", "--out=o", "--format=obj"], more].concat());
-        assert_eq!(result.status, status, "{}", result.err);
-        assert!(result.err.contains(rounded) && !result.err.contains("or more"), "{}", result.err);
+        assert_eq!(result.status, 0, "{}", result.err);
+        assert!(result.err.contains(rounded), "{}", result.err);
     }
     let flat: Vec<[f64; 3]> = block(6, 0.0).into_iter().filter(|[_, y, _]| *y == 0.0).collect();
     for (name, particles, is_planar) in [("flat.ply", &flat, true), ("block.ply", &block(6, 0.0), false)] {

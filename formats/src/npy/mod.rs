@@ -115,9 +115,13 @@ fn check_shape(header: &ArrayHeader) -> Result<()> {
         [_, _, _, _, ..] => "there are too many dimensions",
         _ => return Ok(()),
     };
+    let remedy = match header.shape[..] {
+        [3, _] => "transpose it: array.T",
+        _ => "reshape it, for example with array.reshape(-1, 3)",
+    };
     let what = format!(
         "expected positions as an array of shape (N, 3), with more columns, or (T, N, 3) for T frames, found {}: \
-         {reason}; reshape it, for example with array.reshape(-1, 3)",
+         {reason}; {remedy}",
         header.shown()
     );
     Err(Error::invalid(FORMAT, Position::File, what))
