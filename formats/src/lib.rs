@@ -95,8 +95,8 @@ pub use table::{Format, OutputFormat, listed, read_provenance};
 ///
 /// # Errors
 /// The errors of the format's reader, with offsets into the decompressed bytes; `Unsupported`, with what to
-/// do instead, if the file is not a particle file; `Invalid` if it has particles, and none of them has a finite
-/// position.
+/// do instead, if the file is not a particle file; `Invalid` if it has particles, and none of them has a
+/// finite position.
 pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<ParticleFrame> {
     let Probe { kind, codec } = probe(bytes, file_name);
     let is_vague = matches!(kind, ProbedKind::Empty | ProbedKind::Unknown | ProbedKind::UnknownText);

@@ -297,8 +297,8 @@ fn contains(text: &[u8], word: &[u8]) -> bool {
 const OBJ_KEYWORDS: &[&[u8]] =
     &[b"v", b"vn", b"vt", b"vp", b"f", b"l", b"p", b"o", b"g", b"s", b"mtllib", b"usemtl"];
 
-/// Whether a text has the layout of a GROMACS file: below the title and the count, the first atom has its number
-/// and its position in fixed columns.
+/// Whether a text has the layout of a GROMACS file: below the title and the count, the first atom has its
+/// number and its position in fixed columns.
 fn looks_like_gro(text: &[u8]) -> bool {
     let mut lines = Lines::new(text).skip(1);
     let Some(count) = lines.next().map(<[u8]>::trim_ascii) else { return false };

@@ -13,8 +13,8 @@ pub struct FoundStep {
     /// The step number that the file states or, if the format has no step numbers, the index of the step,
     /// from 0. `None` if the format has step numbers and this step states none.
     pub number: Option<i64>,
-    /// Bytes that precede those of the range in a file with this step alone: the header of its array; empty for
-    /// text.
+    /// Bytes that precede those of the range in a file with this step alone: the header of its array; empty
+    /// for text.
     pub head: Arc<[u8]>,
     /// The byte range of this step in the uncompressed file. These bytes, after the head, are a valid
     /// single-frame file, unless the step is damaged.

@@ -13,9 +13,9 @@
 //!
 //! In a NumPy array of shape (T, N, 3), the header gives the places of the steps.
 //!
-//! The search of a text reads line by line and looks only at what marks the end of a step, so it handles files of
-//! any size. It stores only the steps it finds, at most as many as the limits allow. It does not validate the
-//! content of a step: the reader reports errors there, and they do not affect other steps.
+//! The search of a text reads line by line and looks only at what marks the end of a step, so it handles
+//! files of any size. It stores only the steps it finds, at most as many as the limits allow. It does not
+//! validate the content of a step: the reader reports errors there, and they do not affect other steps.
 
 use std::io::BufRead;
 

@@ -8,8 +8,8 @@ use super::rows::Table;
 use crate::columns::{self, Group};
 use crate::{AttributeRole, Error, FileAttribute, FilePositions, ParticleFrame, Position, Result, Values};
 
-/// Refuses a table of several frames, with a column of their times: ids that repeat, or times in ascending order,
-/// show that they are not the times of particles.
+/// Refuses a table of several frames, with a column of their times: ids that repeat, or times in ascending
+/// order, show that they are not the times of particles.
 pub(super) fn check_times(layout: &TableLayout, table: &Table) -> Result<()> {
     let is_time = |name: &String| TIMES.contains(&&*without_unit(name).to_ascii_lowercase());
     let Some(index) = layout.names.iter().position(is_time) else { return Ok(()) };

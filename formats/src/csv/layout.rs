@@ -333,8 +333,8 @@ fn column_name(index: usize) -> String {
     format!("column_{}", index + 1)
 }
 
-/// The header of a table whose columns have numbers instead of names, as in `0,1,2`. The column of row numbers
-/// before them, in `,0,1,2`, has no name. Programs that write data frames do that.
+/// The header of a table whose columns have numbers instead of names, as in `0,1,2`. The column of row
+/// numbers before them, in `,0,1,2`, has no name. Programs that write data frames do that.
 fn numbered_columns(line: &[u8], delimiter: Delimiter) -> Option<ColumnNames> {
     let index_count = usize::from(cells(line, delimiter).next()?.is_empty());
     let numbers = || cells(line, delimiter).skip(index_count).map(unquoted);

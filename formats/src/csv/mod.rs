@@ -18,14 +18,14 @@
 //! digits: the digits of one particle must not change how another is read. A note names the columns with
 //! integers that are rounded to floats, because they exceed 64 bits or share the column with other numbers.
 //!
-//! Without names, the first column may also be an id: see [`crate::first_column`]. The header can consist of the
-//! numbers of the columns: `0,1,2`.
+//! Without names, the first column may also be an id: see [`crate::first_column`]. The header can consist of
+//! the numbers of the columns: `0,1,2`.
 //!
 //! Text in UTF-16 with a byte-order mark is decoded. Decimal commas are read if a row shows that they are not
 //! delimiters, as in `1,5;2,5;3,5`.
 //!
-//! Not supported: several tables in one file, several frames in one table, quoted line breaks. For LAMMPS dumps
-//! see [`crate::lammps`].
+//! Not supported: several tables in one file, several frames in one table, quoted line breaks. For LAMMPS
+//! dumps see [`crate::lammps`].
 
 mod cell;
 mod column;
@@ -49,9 +49,9 @@ const FORMAT: &str = "delimited text";
 /// # Errors
 ///
 /// [`Error::Invalid`], with the line, if a row has the wrong number of cells, a numeric column contains text,
-/// no position is found, or none is finite; [`Error::Truncated`] in these cases if the file ends within that line, without a
-/// line end; [`Error::Unsupported`] for dialects that are recognised but not supported, and for several frames
-/// in one table; [`Error::TooLarge`] beyond `limits`.
+/// no position is found, or none is finite; [`Error::Truncated`] in these cases if the file ends within that
+/// line, without a line end; [`Error::Unsupported`] for dialects that are recognised but not supported, and
+/// for several frames in one table; [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     if bytes.is_empty() {
         return Err(Error::truncated(FORMAT, Position::File, "expected text, found an empty file"));

@@ -108,7 +108,8 @@ impl ArrayHeader {
         rows.iter().fold(1, |count: u64, &length| count.saturating_mul(length))
     }
 
-    /// The number of frames, if there are several: T in the shape (T, N, 3), and in the shape (T, N) of records.
+    /// The number of frames, if there are several: T in the shape (T, N, 3), and in the shape (T, N) of
+    /// records.
     pub(super) fn frame_count(&self) -> Option<u64> {
         match (&self.layout, &self.shape[..]) {
             (ElementLayout::Plain { number: NumberType::Bool | NumberType::U8, .. }, _) => None,
@@ -134,7 +135,8 @@ impl ArrayHeader {
         let (_, rest) = std::str::from_utf8(&head[start..end]).ok()?.split_once(',')?;
         let rest = rest.trim();
         let shape = if rest.contains(',') { format!("{rest})") } else { format!("{rest},)") };
-        // The frame has one number less, so its shape is shorter, and blanks may fill the place that it leaves.
+        // The frame has one number less, so its shape is shorter, and blanks may fill the place that it
+        // leaves.
         let tail = head[end + 1..].to_vec();
         let blank_count = (end + 1 - start).checked_sub(shape.len())?;
         head.truncate(start);

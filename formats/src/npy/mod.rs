@@ -44,8 +44,8 @@ const ARCHIVE: &str = "NumPy archive";
 /// # Errors
 ///
 /// [`Error::Invalid`] for a malformed header or an array that is not a list of positions,
-/// [`Error::Truncated`] if data is missing, [`Error::Unsupported`] for non-numeric types and for several frames,
-/// which [`crate::steps::find_steps`] locates; [`Error::TooLarge`] beyond `limits`.
+/// [`Error::Truncated`] if data is missing, [`Error::Unsupported`] for non-numeric types and for several
+/// frames, which [`crate::steps::find_steps`] locates; [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = header::read(bytes, limits)?;
     let is_plain = matches!(header.layout, ElementLayout::Plain { .. });
@@ -279,8 +279,8 @@ fn transposed(format: &'static str, found: &str) -> Error {
     Error::invalid(format, Position::File, what)
 }
 
-/// A frame from an array without names: its first three columns are the position, unless the first is an id. All
-/// others are attributes.
+/// A frame from an array without names: its first three columns are the position, unless the first is an id.
+/// All others are attributes.
 fn unnamed_frame(array: NamedArray) -> Result<ParticleFrame> {
     let NamedArray { arity, values, .. } = array;
     let skipped = match FirstColumn::of(first_numbers(&values, arity).into_iter(), arity) {

@@ -2,8 +2,8 @@
 //!
 //! A line with fewer or more values than the header declares is an error: taking values from the next line
 //! instead would silently shift all that follow. Only if the first record takes several lines, as in files of
-//! the RealSense Viewer, all records of its element may; each must end with a line. An error in the last value
-//! of the file is reported as `Truncated`, because the value may be incomplete.
+//! the RealSense Viewer, all records of its element may; each must end with a line. An error in the last
+//! value of the file is reported as `Truncated`, because the value may be incomplete.
 //!
 //! If each record is a line, a long body is split at line ends. First the records before each part are
 //! counted; then all parts are read in parallel, each into its own range of the vectors. If several parts

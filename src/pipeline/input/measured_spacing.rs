@@ -1,10 +1,11 @@
 //! Estimates the particle spacing of a sequence if none is given.
 //!
 //! The spacing is twice the median radius if each particle's r_min follows from its own radius, or if the
-//! particles have a radius attribute that is consistent with their positions; otherwise it is an estimate from
-//! the positions. It is measured on the first, the middle and the last readable frame, and is the same for all
-//! frames, because a separate spacing for each frame would make the surface flicker. All frames of the sequence
-//! count, even if only some are converted, so a part of a sequence gets the same result as the whole.
+//! particles have a radius attribute that is consistent with their positions; otherwise it is an estimate
+//! from the positions. It is measured on the first, the middle and the last readable frame, and is the same
+//! for all frames, because a separate spacing for each frame would make the surface flicker. All frames of
+//! the sequence count, even if only some are converted, so a part of a sequence gets the same result as the
+//! whole.
 //!
 //! ```text
 //!   frame     1   2   3   4   5   6   7   8   9

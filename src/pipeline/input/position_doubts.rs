@@ -1,5 +1,5 @@
-//! Doubts about the positions of a frame, which cannot make the expected surface: none is finite, all are in a
-//! plane, or they were rounded.
+//! Doubts about the positions of a frame, which cannot make the expected surface: none is finite, all are in
+//! a plane, or they were rounded.
 
 use glam::DVec3;
 use meniscus_formats::{Error, Position};

@@ -124,8 +124,8 @@ pub enum PositionFormat {
     Rounded(RoundedPositions),
 }
 
-/// If a file moves vertices by more than this, in voxels, the mesh is not adapted to its rounding, unless all files
-/// do.
+/// If a file moves vertices by more than this, in voxels, the mesh is not adapted to its rounding, unless all
+/// files do.
 const FINE_VOXELS_MAX: f64 = 0.125;
 
 /// Maximum number of rounds that move vertices back into their bounds. Vertices that are still outside after

@@ -212,9 +212,9 @@ pub fn median(mut numbers: Vec<f64>) -> Option<f64> {
     Some(*numbers.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// The step to which 32-bit positions were rounded: along the axis with the largest coordinates, the distance of
-/// neighbouring 32-bit numbers at their median. 0 for positions that do not fit into 32 bits, and for integers,
-/// which are usually exact.
+/// The step to which 32-bit positions were rounded: along the axis with the largest coordinates, the distance
+/// of neighbouring 32-bit numbers at their median. 0 for positions that do not fit into 32 bits, and for
+/// integers, which are usually exact.
 pub fn rounding_step<'a>(positions: impl Into<Positions<'a>>) -> f64 {
     let points = finite_positions(&positions.into());
     let fits = |point: &DVec3| point.as_vec3().as_dvec3() == *point;
