@@ -294,7 +294,7 @@ impl<'a> ExistingFiles<'a> {
     ) -> Result<ExistingFiles<'a>, String> {
         let (mut clips, mut sizes, mut states) = (Vec::new(), Vec::new(), Vec::new());
         for (path, &code) in paths.zip(codes) {
-            let mut state_of = |path: &'a Path| -> Result<FileState<'a>, String> {
+            let state_of = |path: &'a Path| -> Result<FileState<'a>, String> {
                 let Some(metadata) = path.metadata().ok().filter(fs::Metadata::is_file) else {
                     return Ok(FileState::Missing(path));
                 };
@@ -303,7 +303,7 @@ impl<'a> ExistingFiles<'a> {
                 clips.push(ClipFile { code, path: asset });
                 Ok(FileState::Listed)
             };
-            states.push(path.map_or(Ok(FileState::Unlisted), &mut state_of)?);
+            states.push(path.map_or(Ok(FileState::Unlisted), state_of)?);
         }
         Ok(ExistingFiles { clips, sizes, states })
     }
