@@ -74,7 +74,7 @@ pub use error::{Error, Position, Result};
 pub use excerpt::{Escaped, escaped, is_unsafe};
 pub use integrity::{completeness, is_complete};
 pub use limits::Limits;
-pub use mesh::read_mesh;
+pub use mesh::{looks_like_mesh, read_mesh};
 pub use mesh_options::{MeshOptions, UpAxis, WriteOption};
 pub use neighbor::{Neighbor, neighbor};
 pub use obstacle::{ObstacleData, check_obstacle, read_obstacle};

@@ -1,12 +1,16 @@
 //! Reads a mesh from a file in any supported format.
 
+use std::borrow::Cow;
+
 use crate::compression::name_without_compression;
 use crate::data::MeshData;
 use crate::error::{Error, Position, Result};
 use crate::gltf::ReadExternal;
 use crate::limits::Limits;
+use crate::ply;
 use crate::probe::{Probe, ProbedKind, probe};
 use crate::table::{Format, listed};
+use crate::vtk;
 
 /// Reads the triangles of a file in any supported mesh format, compressed or not. The content decides the
 /// format. `read_external` reads the external buffers of a .gltf file. The mesh can be empty.
@@ -36,6 +40,23 @@ pub fn read_mesh(
     }
 }
 
+/// Whether a file probably contains a mesh, judged by its first bytes: its format is for meshes only, or it is
+/// PLY or VTK XML and declares faces. In the legacy format of VTK, cells are behind the points, beyond the
+/// first bytes: such a file counts as particles.
+pub fn looks_like_mesh(head: &[u8], file_name: &str) -> bool {
+    let Probe { kind, codec } = probe_mesh(head, file_name);
+    let head: Cow<[u8]> =
+        codec.map_or(head.into(), |codec| codec.decompress_head(head, PACKED_HEAD_BYTES).into());
+    match kind {
+        ProbedKind::Format(Format::Ply) => ply::holds_mesh(&head, &Limits::default()).unwrap_or(false),
+        ProbedKind::Format(Format::Vtp) => vtk::holds_polys(&head),
+        kind => kind.format().is_some_and(|format| format.has_mesh() && !format.has_particles()),
+    }
+}
+
+/// More bytes than the header of a PLY file, or the description of the first piece of a VTK file.
+const PACKED_HEAD_BYTES: usize = 64 << 10;
+
 /// Lists the extensions of all mesh formats and of `others`, joined as in a sentence.
 pub(crate) fn readable(others: &[Format]) -> String {
     let formats = Format::ALL.iter().filter(|format| format.row().read_mesh.is_some()).chain(others);
@@ -61,4 +82,34 @@ type MeshFileReader = fn(&[u8], &Limits, &ReadExternal) -> Result<MeshData>;
 /// The mesh reader for files of this kind.
 pub(crate) fn reader_of(kind: ProbedKind) -> Option<MeshFileReader> {
     kind.format()?.row().read_mesh
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn meshes_and_particles_are_distinguished_by_their_head() {
+        let ply = |vertices: u32, faces: &str| {
+            format!("ply\nformat ascii 1.0\nelement vertex {vertices}\nproperty float x\n{faces}end_header\n")
+        };
+        let faces = |count: u32| format!("element face {count}\nproperty list uchar int vertex_indices\n");
+        let vtp = |polys: u32| format!("<VTKFile><Piece NumberOfPoints=\"3\" NumberOfPolys=\"{polys}\">");
+        for (head, name, expected) in [
+            (ply(3, &faces(1)), "a.ply", true),
+            (ply(3, &faces(0)), "a.ply", false),
+            (ply(0, &faces(0)), "a.ply", true),
+            (ply(3, ""), "a.ply", false),
+            ("ply\nformat ascii 1.0\n".to_owned(), "a.ply", false),
+            (vtp(1), "a.vtp", true),
+            (vtp(0), "a.vtp", false),
+            ("v 1 2 3\nv 4 5 6\n".to_owned(), "a.obj", true),
+            ("glTF\u{2}\0\0\0".to_owned(), "a", true),
+            ("# vtk DataFile Version 5.1\nx\nASCII\n".to_owned(), "a.vtk", false),
+            ("x,y,z\n1,2,3\n".to_owned(), "a.csv", false),
+            (String::new(), "a.stl", false),
+        ] {
+            assert_eq!(looks_like_mesh(head.as_bytes(), name), expected, "{name}: {head}");
+        }
+    }
 }

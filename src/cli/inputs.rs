@@ -24,7 +24,7 @@ use meniscus_formats::{Error, Neighbor};
 
 use crate::pipeline::{
     FrameFile, NumberPattern, SniffedContent, canonical_entry, content, files_in, frames_in, is_absent,
-    is_level_set, is_link_loop, is_number, is_sequence_file, may_be_file, promises_particles, shown,
+    is_level_set, is_link_loop, is_mesh, is_number, is_sequence_file, may_be_file, promises_particles, shown,
     size_bytes, step_of,
 };
 
@@ -214,11 +214,13 @@ impl MatchedInputs {
         if self.count() == count_before && !may_be_empty {
             let hint = match subfolder_count(folder) {
                 _ if self.mesh_count() > mesh_count_before => {
-                    "; the points of meshes are particles only if you give the files by name or by a pattern"
+                    "; it has meshes: `render` and `contact-sheet` show them, and `convert` takes their points if you give \
+                     them by name or by a pattern"
                         .to_owned()
                 }
                 _ if has_level_set => format!(
-                    ": `convert` takes level sets by name, or by a pattern such as '{}'",
+                    ": `convert` takes level sets by name, or by a pattern such as '{}', and `contact-sheet` shows \
+                     them",
                     folder.join("*.vdb").display()
                 ),
                 0 if file_count == 0 => bail!("{}: the folder is empty", folder.display()),

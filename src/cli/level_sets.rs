@@ -54,7 +54,7 @@ pub(super) enum Use {
 /// If such an option is given. The message names it, and states why it does not apply.
 pub(super) fn refuse_options(method: &MethodArgs, reason: Use) -> Result<()> {
     let solver_has_no_use = match reason {
-        Use::Picture => "a picture shows the file unchanged",
+        Use::Picture => "a picture shows the surface of the file unchanged",
         Use::AsItIs | Use::Smoothed => "without --max-deviation it is not smoothed",
     };
     // Offsets in voxels or spacings cannot be resolved: the voxel size of a level set is known only when it
@@ -64,15 +64,16 @@ pub(super) fn refuse_options(method: &MethodArgs, reason: Use) -> Result<()> {
     }
     for (group, why) in [
         (OptionGroup::General, "the voxel size is that of the file, and presets are for particles"),
-        (OptionGroup::Surface, "this option is for particles, and a level set has none"),
-        (OptionGroup::Particles, "this option is for particles, and a level set has none"),
+        (OptionGroup::Surface, "this option is for particles, and a surface has none"),
+        (OptionGroup::Particles, "this option is for particles, and a surface has none"),
         (OptionGroup::Obstacles, "obstacles are for particles"),
         (OptionGroup::Solver, solver_has_no_use),
     ] {
         let mut given = method.given();
         given.retain(|name| group_of(name, reason) == Some(group));
         if !given.is_empty() && (group != OptionGroup::Solver || reason != Use::Smoothed) {
-            bail!("{} cannot be given with a level set in .vdb: {why}", option_names(&given));
+            let what = if reason == Use::Picture { "a level set or a mesh" } else { "a level set in .vdb" };
+            bail!("{} cannot be given with {what}: {why}", option_names(&given));
         }
     }
     Ok(())

@@ -1,7 +1,7 @@
 //! `meniscus render`: pictures of frames.
 //!
 //! ```text
-//!   INPUT ──▶ sequences ──▶ a camera for each ──▶ frame ─┬─ .vdb: read ─────────────┬─▶ one picture,
+//!   INPUT ──▶ sequences ──▶ a camera for each ──▶ frame ─┬─ surface: read ──────────┬─▶ one picture,
 //!                                                        └─ particles: reconstruct ─┘   or a turntable
 //! ```
 
@@ -12,7 +12,7 @@ use anyhow::{Result, bail};
 
 use crate::pipeline::{
     self, CameraChoice, FrameFile, OutputFormat, PictureOptions, Viewpoint, check_outputs, encode_picture,
-    is_level_set, output_path,
+    output_path,
 };
 use crate::surface::options::Settings;
 
@@ -22,7 +22,9 @@ use super::console::Console;
 use super::level_sets::{Use, refuse_options};
 use super::machine::thread_pool;
 use super::out_folder::{OutFolder, write_file};
-use super::render_session::{RenderSession, RenderSource, catch_panic, find_render_sources, named_picture};
+use super::render_session::{
+    RenderSession, RenderSource, catch_panic, find_render_sources, named_picture, surface_name,
+};
 use super::select::{SelectedSequence, selected_files, selected_of};
 use super::wording::{pluralize, with_causes};
 use super::{CommandOutcome, DoneCounts};
@@ -91,15 +93,16 @@ impl<'a> RequestedPictures<'a> {
             bail!("-o names one picture, but there are {count} frames: give a folder with --out");
         }
         let mut files = sequences.iter().flat_map(|selected| &selected.sequence.frames);
-        if files.clone().all(|file| is_level_set(&file.path)) {
+        if files.clone().all(|file| surface_name(&file.path).is_some()) {
             refuse_options(&self.args.pictures.method, Use::Picture)?;
         }
-        if self.args.particles
-            && let Some(file) = files.find(|file| is_level_set(&file.path))
-        {
-            bail!("{}: --particles needs a particle file, and this is a level set", file.path.display());
+        let surface = files.find_map(|file| Some((file, surface_name(&file.path)?)));
+        match surface.filter(|_| self.args.particles) {
+            Some((file, name)) => {
+                bail!("{}: --particles needs a particle file, and this is a {name}", file.path.display())
+            }
+            None => Ok(()),
         }
-        Ok(())
     }
 
     /// The names of the pictures of a frame.

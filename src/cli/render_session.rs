@@ -2,8 +2,8 @@
 //!
 //! ```text
 //!   sequence ──▶ settings, viewpoint
-//!   frame ─┬─ .vdb: read ─────────────┬─▶ source ──▶ pictures
-//!          └─ particles: reconstruct ─┘
+//!   frame ─┬─ level set or mesh: read ─┬─▶ source ──▶ pictures
+//!          └─ particles: reconstruct ──┘
 //! ```
 
 use std::collections::HashSet;
@@ -12,9 +12,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Error, Result, bail};
 
 use crate::pipeline::{
-    EMPTY_BOUNDS, FrameError, FrameFile, LevelSetFile, LoadedFrame, MeasuredSpacing, ObstacleFiles,
+    EMPTY_BOUNDS, FrameError, FrameFile, LevelSetFile, LoadedFrame, MeasuredSpacing, MeshFile, ObstacleFiles,
     OutputFormat, OutputOptions, PictureOptions, PictureScene, Reconstruction, Sequence, Stage, Viewpoint,
-    Warning, files_in, is_level_set, picture_provenance, sequence_bounds, up_of, velocities,
+    Warning, files_in, is_level_set, is_mesh, is_sequence_file, picture_provenance, sequence_bounds, up_of,
+    velocities,
 };
 use crate::render::{Picture, render_particles, side_by_side};
 use crate::surface::grid::{LeafMask, negative_masks};
@@ -46,6 +47,8 @@ pub(super) struct RenderSession<'a> {
 pub(super) enum RenderSource {
     /// A level set, and the hash of its file.
     LevelSet(Box<LevelSetFile>),
+    /// A mesh, and the hash of its file.
+    Mesh(MeshFile),
     /// Particles and their surface.
     Reconstructed(Box<RenderedFrame>),
 }
@@ -105,7 +108,7 @@ impl<'a> RenderSession<'a> {
         }
     }
 
-    /// What all pictures of a sequence share: the settings for its particles (none for level sets), and the
+    /// What all pictures of a sequence share: the settings for its particles (none for surfaces), and the
     /// camera for pictures of this size.
     ///
     /// # Errors
@@ -131,7 +134,7 @@ impl<'a> RenderSession<'a> {
     }
 
     fn settings(&self, sequence: &Sequence, console: &Console) -> Result<Option<Settings>> {
-        if sequence.frames.iter().all(|file| is_level_set(&file.path)) {
+        if sequence.frames.iter().all(|file| surface_name(&file.path).is_some()) {
             return Ok(None);
         }
         let choices = self.options();
@@ -160,7 +163,7 @@ impl<'a> RenderSession<'a> {
         Ok(camera.viewpoint(bounds.unwrap_or(EMPTY_BOUNDS), aspect, up_of(self.outputs.up)))
     }
 
-    /// Reads a level set, or converts particles, and prints warnings about the frame.
+    /// Reads a level set or a mesh, or converts particles, and prints warnings about the frame.
     ///
     /// # Errors
     /// The errors of every stage.
@@ -174,12 +177,12 @@ impl<'a> RenderSession<'a> {
             let level_set = LevelSetFile::read(&file.path, self.has_velocities(), self.memory_bytes)?;
             level_set.require_memory(&file.path, &self.outputs, self.memory_bytes)?;
             RenderSource::LevelSet(Box::new(level_set))
+        } else if is_mesh(&file.path) {
+            RenderSource::Mesh(MeshFile::read(&file.path)?)
         } else {
             let settings = settings.with_context(|| {
-                format!(
-                    "{}: particles and level sets must be rendered by separate commands",
-                    file.path.display()
-                )
+                let file = file.path.display();
+                format!("{file}: particles and surfaces must be rendered by separate commands")
             })?;
             let frame = LoadedFrame::read((&file.path, file.number()), settings)?;
             let made = self.reconstruct(&frame, settings)?;
@@ -205,6 +208,16 @@ impl<'a> RenderSession<'a> {
     fn print_warnings(&self, file: &FrameFile, source: &RenderSource, console: &Console) {
         let warnings = match source {
             RenderSource::LevelSet(level_set) => &level_set.warnings,
+            RenderSource::Mesh(mesh) => {
+                if let count @ 1.. = mesh.broken_count() {
+                    console.warning(format_args!(
+                        "{}: left out {} with a corner that is missing or not finite",
+                        file.path.display(),
+                        pluralize(count, "triangle")
+                    ));
+                }
+                return;
+            }
             RenderSource::Reconstructed(reconstructed) => &reconstructed.made.warnings,
         };
         let is_requested = self.method.options.0.attributes.is_some();
@@ -226,6 +239,7 @@ impl RenderSource {
     pub(super) fn empty_part(&self) -> Option<&'static str> {
         let (band, part) = match self {
             RenderSource::LevelSet(level_set) => (level_set.scene().band, "level set"),
+            RenderSource::Mesh(mesh) => return mesh.bounds().is_none().then_some("mesh"),
             RenderSource::Reconstructed(reconstructed) => (&reconstructed.made.surface.band, "surface"),
         };
         negative_masks(&band.phi).iter().all(LeafMask::is_empty).then_some(part)
@@ -236,6 +250,7 @@ impl RenderSource {
     pub(super) fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], has_data: bool) -> Picture {
         match self {
             RenderSource::LevelSet(level_set) => level_set.scene().picture(viewpoint, size, has_data),
+            RenderSource::Mesh(mesh) => mesh.picture(viewpoint, size, has_data),
             RenderSource::Reconstructed(reconstructed) => picture_of_reconstruction(
                 &reconstructed.made,
                 &reconstructed.settings,
@@ -245,8 +260,8 @@ impl RenderSource {
         }
     }
 
-    /// A picture with the particles on the left and the surface on the right. For a level set, only the
-    /// surface.
+    /// A picture with the particles on the left and the surface on the right; only the surface if there are
+    /// no particles.
     pub(super) fn picture_beside_particles(&self, viewpoint: &Viewpoint, size: [usize; 2]) -> Picture {
         let [width, height] = size;
         let RenderSource::Reconstructed(reconstructed) = self else {
@@ -262,6 +277,7 @@ impl RenderSource {
     pub(super) fn provenance(&self, input: &Path, options: &PictureOptions) -> Vec<(String, String)> {
         match self {
             RenderSource::LevelSet(level_set) => picture_provenance(input, level_set.hash, None, options),
+            RenderSource::Mesh(mesh) => picture_provenance(input, mesh.hash, None, options),
             RenderSource::Reconstructed(reconstructed) => {
                 let RenderedFrame { frame, made, settings } = &**reconstructed;
                 picture_provenance(input, frame.hash(), Some((settings, &made.obstacles)), options)
@@ -288,36 +304,54 @@ pub(super) fn picture_of_reconstruction(
     PictureScene { band, lattice, origin, velocity: velocity.as_ref() }.picture(viewpoint, size, has_data)
 }
 
-/// The files that the inputs name: particles, and in folders also level sets of frames without particles.
+/// The files that the inputs name: particles, and in folders also a surface of each frame without particles.
 ///
 /// # Errors
 /// If an input matches no file.
 pub(super) fn find_render_sources(inputs: &[PathBuf]) -> Result<MatchedInputs> {
-    find_with_others(inputs, |input| Ok(level_sets_in(input)), add_level_sets)
+    find_with_others(inputs, |input| Ok(surfaces_in(input)), add_surfaces)
 }
 
-/// Adds those level sets of a folder whose frames have no particle files.
-fn add_level_sets(found: &mut MatchedInputs, level_sets: Vec<FrameFile>, folder: &Path) {
-    let stems: HashSet<String> = found.files.iter().map(FrameFile::stem).collect();
-    let count = level_sets.len();
-    let is_known =
-        |file: &FrameFile| file.path.file_stem().is_some_and(|stem| stems.contains(&*stem.to_string_lossy()));
-    let (known, new): (Vec<_>, Vec<_>) = level_sets.into_iter().partition(is_known);
+/// Adds a surface of each frame of a folder that has no particles: its level set, or else its first mesh by
+/// name.
+fn add_surfaces(found: &mut MatchedInputs, surfaces: Vec<FrameFile>, folder: &Path) {
+    // A mesh in PLY counts as particles in other folders.
+    found.files.retain(|file| !is_mesh(&file.path));
+    let mut stems: HashSet<String> = found.files.iter().map(FrameFile::stem).collect();
+    let count = surfaces.len();
+    let (known, mut new): (Vec<_>, Vec<_>) =
+        surfaces.into_iter().partition(|file| stems.contains(&file.stem()));
     if !known.is_empty() {
         found.warnings.push(format!(
             "{}: skipped {} of {}: the particles of the same frames are used instead",
             folder.display(),
             known.len(),
-            pluralize(count, "level set")
+            pluralize(count, "surface")
         ));
     }
+    new.sort_by_key(|file| !is_level_set(&file.path));
+    new.retain(|file| stems.insert(file.stem()));
     found.add(MatchedInputs { files: new, ..MatchedInputs::default() });
 }
 
 /// The level sets in a folder; empty if the path is not a folder.
 pub(super) fn level_sets_in(folder: &Path) -> Vec<FrameFile> {
+    files_of(folder, is_level_set)
+}
+
+/// The level sets and the meshes in a folder, without sequence files; empty if the path is not a folder.
+pub(super) fn surfaces_in(folder: &Path) -> Vec<FrameFile> {
+    files_of(folder, |path| surface_name(path).is_some() && !is_sequence_file(path))
+}
+
+fn files_of(folder: &Path, is_wanted: impl Fn(&Path) -> bool) -> Vec<FrameFile> {
     let files = if folder.is_dir() { files_in(folder).unwrap_or_default() } else { Vec::new() };
-    files.into_iter().filter(|path| is_level_set(path)).map(FrameFile::new).collect()
+    files.into_iter().filter(|path| is_wanted(path)).map(FrameFile::new).collect()
+}
+
+/// What a file with a surface is, for messages; `None` for other files.
+pub(super) fn surface_name(path: &Path) -> Option<&'static str> {
+    if is_level_set(path) { Some("level set") } else { is_mesh(path).then_some("mesh") }
 }
 
 /// The folder, the stem and the lower-case extension of a picture's file.

@@ -95,7 +95,7 @@ pub use input::frame_input::FrameInput;
 pub use input::level_set_file::{LevelSetFile, is_level_set};
 pub(crate) use input::measured_spacing::{Attempt, measure_sequence};
 pub use input::measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing};
-pub use input::mesh_file::read_mesh_file;
+pub use input::mesh_file::{MeshFile, is_mesh};
 pub use input::obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use input::reading::{ReadFrame, parse_particles, particles, read_file, read_particles_of};
 pub(crate) use input::source::output_stem;

@@ -218,6 +218,48 @@ fn particles_and_level_sets_become_pictures() {
     assert_eq!((reader.info().width, reader.info().height), (120, 40));
 }
 
+/// The mesh of a level set looks like it, in every format that is read.
+#[test]
+fn meshes_become_the_pictures_of_their_level_set() {
+    const VIEW: &str = "--camera=eye=2:1.4:2.5,target=0.35:0.35:0.35,ground=0";
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("block.ply"), &block(8, 0.0));
+    let convert = ["convert", "block.ply", "--out", "o", "--format", "vdb,glb,gltf,obj,ply,vtp,usdc,abc,stl"];
+    let result = meniscus(path, &convert);
+    assert_eq!(result.status, 0, "{}", result.err);
+    let render = |name: &str| -> (Vec<u8>, usize) {
+        let input = format!("o/block.{name}");
+        let result = meniscus(path, &["render", &input, "-o", "a.png", "--size", "160x120", VIEW]);
+        assert_eq!((result.status, &*result.err), (0, ""), "{name}: {}", result.out);
+        let (_, colors) = pixels(&path.join("a.png"));
+        let orange = colors.chunks_exact(3).filter(|rgb| u32::from(rgb[0]) > u32::from(rgb[2]) + 40).count();
+        (colors, orange)
+    };
+    let (reference, _) = render("vdb");
+    for name in ["glb", "gltf", "obj", "ply", "vtp", "usdc", "abc", "stl"] {
+        let (colors, orange) = render(name);
+        let off = colors.iter().zip(&reference).map(|(one, other)| f64::from(one.abs_diff(*other)));
+        let mean = off.sum::<f64>() / reference.len() as f64;
+        assert!(mean < 3.0 && orange == 0, "{name}: off by {mean} levels, {orange} pixels show the inside");
+    }
+
+    // Of each frame without particles, a folder gives one surface.
+    let result = meniscus(path, &["render", "o", "--out", "pictures", "--size", "64x48"]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    assert!(result.out.starts_with("o/block.vdb: "), "{}", result.out);
+    assert_eq!(names_in(&path.join("pictures")), ["block.png"]);
+    fs::remove_file(path.join("o/block.vdb")).expect("removed");
+    fs::copy(path.join("block.ply"), path.join("o/other.ply")).expect("copied");
+    let result = meniscus(path, &["render", "o/block.glb", "-o", "turn.exr", "--size", "64x48"]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    assert_eq!(layers_of(&path.join("turn.exr")).len(), 6);
+    let result = meniscus(path, &["render", "o", "--out", "turn", "--size", "64x48", "--turntable", "2"]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    let expected = ["block.000.png", "block.001.png", "other.000.png", "other.001.png"];
+    assert_eq!(names_in(&path.join("turn")), expected);
+}
+
 #[test]
 fn warning_about_an_empty_picture_says_what_is_empty() {
     let folder = tempdir().expect("a folder");
@@ -232,6 +274,9 @@ fn warning_about_an_empty_picture_says_what_is_empty() {
     };
     let err = rendered(&["o/none.vdb"]);
     assert!(err.contains("o/none.vdb: the level set is empty, and so is e"), "{err}");
+    fs::write(path.join("none.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 nan\nf 1 2 3\n").expect("written");
+    let err = rendered(&["none.obj"]);
+    assert!(err.contains("none.obj: the mesh is empty, and so is e"), "{err}");
     let away = "--camera=eye=9:9:9,target=20:20:20,ground=none";
     let err = rendered(&["none.ply", "--spacing=0.1", away]);
     assert!(err.contains("none.ply: the surface is empty, and so is e"), "{err}");
@@ -246,6 +291,7 @@ fn invalid_picture_arguments_are_refused() {
     let path = folder.path();
     write_sequence(path, 1, 2);
     fs::write(path.join("broken.vdb"), "no grid").expect("written");
+    fs::write(path.join("broken.stl"), "no triangle").expect("written");
     fs::write(path.join("scene.gltf"), r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[]}]}"#)
         .expect("written");
     for (arguments, words) in [
@@ -264,6 +310,9 @@ fn invalid_picture_arguments_are_refused() {
         (&["dam.1.ply", "-o", "a.png", "--frames", "7"], &["--frames selects none"]),
         (&["broken.vdb", "-o", "a.png"], &["broken.vdb", "OpenVDB"]),
         (&["broken.vdb", "-o", "a.png", "--particles"], &["--particles"]),
+        (&["broken.stl", "-o", "a.png"], &["broken.stl", "not a supported mesh format"]),
+        (&["broken.stl", "-o", "a.png", "--particles"], &["this is a mesh"]),
+        (&["broken.stl", "-o", "a.png", "--radius-ratio=3"], &["a level set or a mesh: this option is for"]),
     ] {
         let result = meniscus(path, &[&["render"], arguments].concat());
         assert_eq!(result.status, 2, "{arguments:?}: {} {}", result.out, result.err);

@@ -10,6 +10,23 @@ use super::header::{Element, Property, PropertyType, read_header};
 use super::read::read_vertices;
 use super::rows::{RecordReader, checked_count, rows_of};
 
+/// Whether a PLY file is a mesh, by its header. Some programs declare zero faces for point clouds, so a file
+/// with zero faces is a mesh only if it has zero vertices, too.
+///
+/// # Errors
+/// Those of [`read_header`].
+pub fn holds_mesh(bytes: &[u8], limits: &Limits) -> Result<bool> {
+    let header = read_header(bytes, limits)?;
+    let count = |name: &str| {
+        let mut elements = header.elements.iter();
+        elements.find(|element| element.name.eq_ignore_ascii_case(name)).map(|element| element.count)
+    };
+    // Strips of triangles count as faces, so that the mesh reader refuses them with a message that says what
+    // to do.
+    let faces = [count("face"), count("tristrips").filter(|&count| count > 0)].into_iter().flatten().max();
+    Ok(faces.is_some_and(|faces| faces > 0 || count("vertex") == Some(0)))
+}
+
 /// Reads vertices, normals and faces. Polygons with more than three corners become triangle fans.
 ///
 /// # Errors

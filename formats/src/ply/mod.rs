@@ -37,7 +37,7 @@ pub mod write;
 mod write_particles;
 
 pub use header::{Element, Encoding, PlyHeader, Property, PropertyType, read_header};
-pub use mesh::{read_mesh, read_mesh_and_vertices};
+pub use mesh::{holds_mesh, read_mesh, read_mesh_and_vertices};
 pub use read::read;
 pub use vertex_data::attribute_notes;
 pub use write_particles::{particle_notes, write_particles};

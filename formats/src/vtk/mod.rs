@@ -31,7 +31,7 @@ pub use write::{attribute_notes, write_mesh};
 pub use write_particles::{particle_notes, write_particles};
 pub(crate) use xml::neighbor as xml_neighbor;
 pub use xml::read as read_xml;
-pub use xml_polys::read_mesh;
+pub use xml_polys::{holds_polys, read_mesh};
 
 use appended::ends_as_written;
 use read_strings::field_strings;

@@ -9,6 +9,17 @@ use super::cells::{self, POLYGON, Points, TRIANGLE_STRIP, add_cells};
 use super::pieces::checked_count;
 use super::xml::{CellArrays, Decoder, malformed, open, points_of};
 
+/// Whether the first piece of a VTK XML file has polygons, by the beginning of the file.
+pub fn holds_polys(bytes: &[u8]) -> bool {
+    const PIECE_BYTES: usize = 1 << 20; // the description of the first piece is in here
+    let head = String::from_utf8_lossy(&bytes[..bytes.len().min(PIECE_BYTES)]);
+    let count = head
+        .split("NumberOfPolys=")
+        .nth(1)
+        .and_then(|rest| rest.get(1..)?.split(['"', '\'']).next()?.parse().ok());
+    count.is_some_and(|count: u64| count > 0)
+}
+
 /// Reads the points and the polygons of all pieces, without normals. Polygons with more than three corners
 /// become triangle fans. A file without polygons gives a mesh without triangles.
 ///

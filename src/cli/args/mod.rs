@@ -62,7 +62,7 @@ pub(super) enum Command {
     Verify(VerifyArgs),
     /// Combine the frames of a sequence into one animated file.
     Sequence(SequenceArgs),
-    /// Render pictures of frames: particles, which are converted first, or level sets.
+    /// Render pictures of frames: level sets, meshes, or particles, which are converted first.
     Render(Box<RenderArgs>),
     /// Show the frames of a sequence on one sheet.
     ContactSheet(Box<ContactSheetArgs>),

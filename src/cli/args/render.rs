@@ -17,7 +17,7 @@ use crate::surface::options::ranged;
 #[derive(Debug, Args)]
 #[command(after_long_help = CAMERAS)]
 pub(in crate::cli) struct RenderArgs {
-    /// Level sets in .vdb, or any input of convert: files, folders, globs, numbered patterns
+    /// Level sets in .vdb, meshes, or any input of convert: files, folders, globs, numbered patterns
     ///
     /// Particles are first converted to a surface with the options below, as convert does it.
     #[arg(required = true, value_name = "INPUT")]

@@ -4,7 +4,7 @@ use anyhow::{Context, Result, anyhow};
 use meniscus_formats::{AttributeRole, FileAttribute, Limits, ParticleFrame, Values, read_particles};
 use std::path::Path;
 
-use crate::pipeline::{file_of, keep_chosen, measure_spacing, particles, read_file, read_mesh_file, shown};
+use crate::pipeline::{MeshFile, file_of, keep_chosen, measure_spacing, particles, read_file, shown};
 use crate::surface::flicker::{FlickerFrame, MovingParticles};
 use crate::surface::obstacle::MeshDistance;
 use crate::surface::options::SpacingOptions;
@@ -18,7 +18,7 @@ pub(super) fn read_frame(
     spacing: f64,
     filter: Option<&ParticleFilter>,
 ) -> Result<FlickerFrame> {
-    let mesh = read_mesh_file(&files.mesh)?;
+    let mesh = MeshFile::read(&files.mesh)?.data;
     let surface = MeshDistance::new(&mesh.positions, &mesh.triangles);
     Ok(FlickerFrame::new(read_moving(&files.particles, filter)?, surface, spacing))
 }

@@ -272,7 +272,7 @@ impl FileInfo {
                 let attributes = abc::read_attributes(bytes, limits)?;
                 self.mesh = Some(MeshInfo::of(&abc::read_mesh(bytes, limits)?).with_attributes(&attributes));
             }
-            Format::Vtp if holds_polys(bytes) => {
+            Format::Vtp if vtk::holds_polys(bytes) => {
                 let mesh = vtk::read_mesh(bytes, limits)?;
                 let vertices = read_particles(bytes, name, limits)?;
                 // The polygons are reported as a mesh, so the note that they are ignored is omitted.
@@ -280,7 +280,7 @@ impl FileInfo {
                 self.notes = notes.cloned().collect();
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
             }
-            Format::Ply if holds_mesh(bytes, limits)? => {
+            Format::Ply if ply::holds_mesh(bytes, limits)? => {
                 let (mesh, vertices) = ply::read_mesh_and_vertices(bytes, limits)?;
                 self.notes.clone_from(&vertices.notes);
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
@@ -317,31 +317,6 @@ fn stage_note(made_by: &BTreeMap<String, String>, bytes: &[u8]) -> String {
         format!(", from time code {first} to {last}, at {fps} frames per second")
     });
     format!("a stage: it plays the files of {frames} frames{times}")
-}
-
-/// Whether a PLY file is a mesh. Some programs declare zero faces for point clouds, so a file with zero faces
-/// is a mesh only if it has zero vertices, too.
-fn holds_mesh(bytes: &[u8], limits: &Limits) -> Result<bool> {
-    let header = ply::read_header(bytes, limits)?;
-    let count = |name: &str| {
-        let mut elements = header.elements.iter();
-        elements.find(|element| element.name.eq_ignore_ascii_case(name)).map(|element| element.count)
-    };
-    // Strips of triangles count as faces, so that the mesh reader refuses them with a message that says what
-    // to do.
-    let faces = [count("face"), count("tristrips").filter(|&count| count > 0)].into_iter().flatten().max();
-    Ok(faces.is_some_and(|faces| faces > 0 || count("vertex") == Some(0)))
-}
-
-/// Whether the first piece of a VTK XML file has polygons.
-fn holds_polys(bytes: &[u8]) -> bool {
-    const PIECE_BYTES: usize = 1 << 20; // the description of the first piece is in here
-    let head = String::from_utf8_lossy(&bytes[..bytes.len().min(PIECE_BYTES)]);
-    let count = head
-        .split("NumberOfPolys=")
-        .nth(1)
-        .and_then(|rest| rest.get(1..)?.split(['"', '\'']).next()?.parse().ok());
-    count.is_some_and(|count: u64| count > 0)
 }
 
 /// Holds the provenance.

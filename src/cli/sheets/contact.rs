@@ -55,15 +55,15 @@ pub(in crate::cli) fn contact_sheet(
     Ok(counts.outcome())
 }
 
-/// The kinds of files that the sheet may be made from. Surface options require particles, because level sets
-/// and pictures already contain a surface. Camera options exclude pictures, which already have a camera.
+/// The kinds of files that the sheet may be made from. Surface options require particles, because the others
+/// already contain a surface. Camera options exclude pictures, which already have a camera.
 fn kinds(PictureArgs { camera, camera_from, up, method, .. }: &PictureArgs) -> &'static [SourceKind] {
     if *method != MethodArgs::default() {
         &[SourceKind::Particles]
     } else if camera.is_some() || camera_from.is_some() || up.is_some() {
-        &[SourceKind::LevelSets, SourceKind::Particles]
+        &[SourceKind::LevelSets, SourceKind::Meshes, SourceKind::Particles]
     } else {
-        &[SourceKind::Pictures, SourceKind::LevelSets, SourceKind::Particles]
+        &[SourceKind::Pictures, SourceKind::LevelSets, SourceKind::Meshes, SourceKind::Particles]
     }
 }
 
@@ -125,9 +125,7 @@ impl SequenceRows {
     fn title_with_time(&self) -> String {
         match self.selected_strip.strip.kind {
             SourceKind::Pictures => self.title(),
-            SourceKind::LevelSets | SourceKind::Particles => {
-                format!("{}, {:.2} s", self.title(), self.seconds)
-            }
+            _ => format!("{}, {:.2} s", self.title(), self.seconds),
         }
     }
 
@@ -219,7 +217,7 @@ impl Contact<'_> {
         };
         let source = self.session.source(file, settings.as_ref(), console)?;
         let particle_count = match &source {
-            RenderSource::LevelSet(..) => None,
+            RenderSource::LevelSet(_) | RenderSource::Mesh(_) => None,
             RenderSource::Reconstructed(reconstructed) => Some(reconstructed.frame.particles().len()),
         };
         Ok((source.picture(viewpoint, size, false), particle_count))

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   dam.0001.png   dam.0001.vdb   dam.0001.bgeo     the same frame: a picture is cheapest, then a level set,
-//!   dam.0002.png   dam.0002.vdb   dam.0002.bgeo     then particles, which must be converted
+//!   dam.0002.png   dam.0002.vdb   dam.0002.bgeo     a mesh, and particles, which must be converted
 //!                  dam.0003.vdb   dam.0003.bgeo
 //!                       ▲
 //!                       one kind for the whole sequence: the one with the most frames, then the cheapest
@@ -17,10 +17,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, bail};
 
 use crate::cli::inputs::{MatchedInputs, find_with_others};
-use crate::cli::render_session::level_sets_in;
+use crate::cli::render_session::surfaces_in;
 use crate::cli::wording::counted_are;
 use crate::pipeline::{
-    FrameFile, Sequence, camera_of_picture, files_in, is_level_set, natural_order, sequences,
+    FrameFile, Sequence, camera_of_picture, files_in, is_level_set, is_mesh, natural_order, sequences,
 };
 
 /// The kinds of files of a frame, the cheapest first.
@@ -28,6 +28,7 @@ use crate::pipeline::{
 pub(super) enum SourceKind {
     Pictures,
     LevelSets,
+    Meshes,
     Particles,
 }
 
@@ -37,6 +38,8 @@ impl SourceKind {
             SourceKind::LevelSets
         } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
             SourceKind::Pictures
+        } else if is_mesh(path) {
+            SourceKind::Meshes
         } else {
             SourceKind::Particles
         }
@@ -46,6 +49,7 @@ impl SourceKind {
         match self {
             SourceKind::Pictures => "pictures",
             SourceKind::LevelSets => "level sets",
+            SourceKind::Meshes => "meshes",
             SourceKind::Particles => "particles",
         }
     }
@@ -79,13 +83,15 @@ pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[SourceKind]) -> Result<S
     let add = |found: &mut MatchedInputs, files, _: &Path| {
         found.add(MatchedInputs { files, ..MatchedInputs::default() })
     };
-    let mut found = find_with_others(inputs, level_sets_and_pictures_in, add)?;
+    let mut found = find_with_others(inputs, surfaces_and_pictures_in, add)?;
     let files: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
-    let all_files = std::mem::take(&mut found.files);
+    let kind_of = |file: FrameFile| (SourceKind::of(&file.path), file);
+    let all_files: Vec<(SourceKind, FrameFile)> =
+        std::mem::take(&mut found.files).into_iter().map(kind_of).collect();
     let mut strips_of: HashMap<(PathBuf, String), Vec<Strip>> = HashMap::new();
     for kind in kinds {
-        let of_kind = all_files.iter().filter(|file| SourceKind::of(&file.path) == *kind);
-        for sequence in sequences(of_kind.cloned().collect()) {
+        let of_kind = all_files.iter().filter(|(of_file, _)| of_file == kind);
+        for sequence in sequences(of_kind.map(|(_, file)| file.clone()).collect()) {
             let (folder, name) = sequence.frames[0].sequence();
             let (base, name) = (without_extension(&name, *kind), &*sequence.name);
             let name = if sequence.frames.len() > 1 { common_name(&base) } else { name.to_owned() };
@@ -122,9 +128,10 @@ pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[SourceKind]) -> Result<S
     Ok(Sources { strips, files, found })
 }
 
-/// The level sets in a folder, and the pictures that meniscus rendered; empty if the path is not a folder.
-fn level_sets_and_pictures_in(folder: &Path) -> Result<Vec<FrameFile>> {
-    let mut others = level_sets_in(folder);
+/// The level sets and meshes in a folder, and the pictures that meniscus rendered; empty if the path is not a
+/// folder.
+fn surfaces_and_pictures_in(folder: &Path) -> Result<Vec<FrameFile>> {
+    let mut others = surfaces_in(folder);
     if folder.is_dir() {
         let is_picture = |path: &PathBuf| camera_of_picture(path).is_some();
         others.extend(files_in(folder)?.into_iter().filter(is_picture).map(FrameFile::new));
@@ -157,10 +164,8 @@ pub(super) fn stem_of(file: &FrameFile, kind: SourceKind) -> String {
 /// The name of a file, without the extensions of its kind.
 fn without_extension(name: &str, kind: SourceKind) -> String {
     match kind {
-        SourceKind::Particles => FrameFile::new(name.into()).stem(),
-        SourceKind::LevelSets | SourceKind::Pictures => {
-            name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_owned()
-        }
+        SourceKind::Pictures => name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_owned(),
+        _ => FrameFile::new(name.into()).stem(),
     }
 }
 
@@ -182,6 +187,7 @@ mod tests {
             ("dam.0001.vdb", SourceKind::LevelSets, "dam.0001"),
             ("dam.0001.bgeo.gz", SourceKind::Particles, "dam.0001"),
             ("dam.{}.ply", SourceKind::Particles, "dam.{}"),
+            ("dam.{}.glb", SourceKind::Meshes, "dam.{}"),
         ] {
             assert_eq!(without_extension(name, kind), expected);
         }
@@ -201,9 +207,10 @@ mod tests {
             cheapest(strips).map(|strip| strip.kind)
         };
         assert_eq!(
-            chosen(&[(SourceKind::LevelSets, 3), (SourceKind::Particles, 3)]),
+            chosen(&[(SourceKind::Meshes, 3), (SourceKind::LevelSets, 3), (SourceKind::Particles, 3)]),
             Some(SourceKind::LevelSets)
         );
+        assert_eq!(chosen(&[(SourceKind::Meshes, 3), (SourceKind::Particles, 3)]), Some(SourceKind::Meshes));
         assert_eq!(
             chosen(&[(SourceKind::LevelSets, 2), (SourceKind::Particles, 3)]),
             Some(SourceKind::Particles)

@@ -10,6 +10,7 @@ use glam::DVec3;
 
 use super::attributes::AttributeRequest;
 use super::level_set_file::{LevelSetFile, is_level_set};
+use super::mesh_file::{MeshFile, is_mesh};
 use super::reading::{parse_particles, read_file};
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::memory::default_memory_bytes;
@@ -58,7 +59,7 @@ pub fn sequence_bounds(
     }
 }
 
-/// The bounding box of the contents of a file: the level set of a .vdb, or particles.
+/// The bounding box of the contents of a file: the level set of a .vdb, a mesh, or particles.
 fn file_bounds(
     path: &Path,
     radius: f64,
@@ -66,6 +67,11 @@ fn file_bounds(
 ) -> Result<Option<[DVec3; 2]>, FrameError> {
     if is_level_set(path) {
         return Ok(LevelSetFile::read(path, false, default_memory_bytes())?.scene().bounds());
+    }
+    if is_mesh(path) {
+        // A radius is given if `convert` reads the vertices as particles.
+        let bounds = MeshFile::read(path)?.bounds();
+        return Ok(bounds.map(|[least, greatest]| [least - radius, greatest + radius]));
     }
     let bytes = read_file(path)?;
     let read = parse_particles(path, &bytes, &AttributeRequest::positions_of(filter))?;

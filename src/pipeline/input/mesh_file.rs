@@ -3,27 +3,78 @@
 use std::io::{self, Read};
 use std::path::Path;
 
-use meniscus_formats::{Limits, MeshData, gltf, read_mesh};
+use glam::DVec3;
+use meniscus_formats::compression::{name_without_compression, read_head};
+use meniscus_formats::{Format, Limits, MeshData, gltf, looks_like_mesh, looks_like_particles, read_mesh};
+use twox_hash::XxHash3_128;
 
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::open::{open_regular, read_regular};
+use crate::pipeline::target::viewpoint::Viewpoint;
+use crate::render::{Picture, TriangleMesh, render_mesh};
 
-/// Reads the mesh in a file of any supported mesh format. The mesh may be empty.
-///
-/// # Errors
-/// When the file cannot be read, or holds no mesh.
-pub fn read_mesh_file(path: &Path) -> Result<MeshData, FrameError> {
-    let fail = |error: meniscus_formats::Error| FrameError::file(path, Stage::Read, error);
-    let bytes = read_regular(path).map_err(|error| fail(error.into()))?;
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let read_external = |relative: &str| {
-        let files = gltf::external_files(&bytes).map_err(io::Error::other)?;
-        let file = files.iter().find(|file| file.path == relative).ok_or(io::ErrorKind::NotFound)?;
-        let mut content = Vec::new();
-        let at = path.parent().unwrap_or(Path::new("")).join(relative);
-        open_regular(&at)?.take(file.byte_count).read_to_end(&mut content)?;
-        Ok(content)
-    };
-    let read = || read_mesh(&bytes, &name, &Limits::default(), &read_external);
-    FrameError::catch(path, Stage::Read, read)?.map_err(fail)
+/// A mesh that was read from a file.
+#[derive(Clone, Debug)]
+pub struct MeshFile {
+    /// The mesh, which may be empty.
+    pub data: MeshData,
+    /// The XXH3 hash of the file, 128 bits.
+    pub hash: u128,
 }
+
+impl MeshFile {
+    /// Reads the mesh in a file of any supported mesh format.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or holds no mesh.
+    pub fn read(path: &Path) -> Result<MeshFile, FrameError> {
+        let fail = |error: meniscus_formats::Error| FrameError::file(path, Stage::Read, error);
+        let bytes = read_regular(path).map_err(|error| fail(error.into()))?;
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let read_external = |relative: &str| {
+            let files = gltf::external_files(&bytes).map_err(io::Error::other)?;
+            let file = files.iter().find(|file| file.path == relative).ok_or(io::ErrorKind::NotFound)?;
+            let mut content = Vec::new();
+            let at = path.parent().unwrap_or(Path::new("")).join(relative);
+            open_regular(&at)?.take(file.byte_count).read_to_end(&mut content)?;
+            Ok(content)
+        };
+        let read = || read_mesh(&bytes, &name, &Limits::default(), &read_external);
+        let data = FrameError::catch(path, Stage::Read, read)?.map_err(fail)?;
+        Ok(MeshFile { data, hash: XxHash3_128::oneshot(&bytes) })
+    }
+
+    fn scene(&self) -> TriangleMesh<'_> {
+        let MeshData { positions, normals, triangles } = &self.data;
+        TriangleMesh { positions, normals, triangles }
+    }
+
+    /// Number of triangles with a corner that is missing or not finite: pictures do not show them.
+    pub fn broken_count(&self) -> usize {
+        self.scene().broken_count()
+    }
+
+    /// The bounding box of the triangles, without outliers, in world units; `None` if there are none.
+    pub fn bounds(&self) -> Option<[DVec3; 2]> {
+        self.scene().bounds()
+    }
+
+    /// Renders a picture, with the data of its pixels if `data` is set.
+    pub fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], data: bool) -> Picture {
+        render_mesh(&self.scene(), &viewpoint.view(size), data)
+    }
+}
+
+/// Whether a file is a mesh, judged by its name and its first bytes. A damaged file counts as one if its
+/// extension is that of meshes only; a file that cannot be opened does not.
+pub fn is_mesh(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let Some((_, extension)) = name_without_compression(&name).rsplit_once('.') else { return false };
+    let is_named = |format: &&Format| format.has_mesh() && format.extensions().contains(&extension);
+    let Some(format) = Format::ALL.iter().find(is_named) else { return false };
+    let Ok(head) = open_regular(path).and_then(|file| read_head(file, HEAD_BYTES)) else { return false };
+    looks_like_mesh(&head, &name) || !format.has_particles() && !looks_like_particles(&head, &name)
+}
+
+/// More bytes than the headers of meshes.
+const HEAD_BYTES: u64 = 64 << 10;

@@ -18,6 +18,7 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use meniscus_formats::Format;
 use meniscus_formats::compression::name_without_compression;
 
 use super::steps::{STEP, name_of, step_in, step_of};
@@ -204,10 +205,18 @@ pub(crate) fn output_stem(frame: &Path, is_step: bool) -> String {
     }
 }
 
-/// The name of a file without its extension. A level set is not a particle file, but its extension is removed
-/// as well.
+/// The name of a file without its extension. Level sets and meshes are not particle files, but their
+/// extensions are removed as well.
 fn stem_of_file(name: &str) -> &str {
-    strip_extension(name, ".vdb").unwrap_or_else(|| stem(name))
+    let is_surface = |extension: &str| {
+        let formats = Format::ALL.iter().filter(|format| format.has_mesh() || **format == Format::Vdb);
+        let mut extensions = formats.flat_map(|format| format.extensions());
+        extensions.any(|known| extension.eq_ignore_ascii_case(known))
+    };
+    match name.rsplit_once('.') {
+        Some((stem, extension)) if !stem.is_empty() && is_surface(extension) => stem,
+        _ => stem(name),
+    }
 }
 
 /// Files whose names differ only in the frame's number, ordered by it.
@@ -426,6 +435,12 @@ mod tests {
         ] {
             assert_eq!(stem(name), expected, "{name}");
         }
+    }
+
+    #[test]
+    fn stems_of_outputs_lose_the_extensions_of_surfaces_too() {
+        let names = ["dam.0012.glb", "a.OBJ", "x.vdb", "x.bgeo.sc", ".stl"];
+        assert_eq!(names.map(|name| file(name).stem()), ["dam.0012", "a", "x", "x", ".stl"]);
     }
 
     #[test]

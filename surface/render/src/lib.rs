@@ -1,8 +1,10 @@
-//! Renders a picture of a level set directly from φ, without a mesh.
+//! Renders a picture of a level set directly from φ, without a mesh; or of the triangles of a mesh, with the
+//! same light.
 //!
 //! ```text
 //!   camera ──ray──▶ surface, ground or nothing ──▶ incoming light ──▶ colour
-//!    every pixel      first root of a cubic in a cell    one pixel of 4 × 4     edges: mean of eight rays
+//!    every pixel      first root of a cubic in a cell,   one pixel of 4 × 4     edges: mean of eight rays
+//!                     or the nearest triangle
 //! ```
 //!
 //! Smooth features are sampled sparsely: light is computed for one pixel of sixteen and interpolated between
@@ -10,11 +12,12 @@
 //! surfaces, a pixel is the mean of eight rays. Each pixel depends only on the frame and the view, not on the
 //! number of threads.
 //!
-//! The back side of the surface is orange. It is visible only if φ has a wrong sign, or if the surface has a
-//! hole.
+//! The back side of the surface is orange. It is visible only if φ has a wrong sign, if triangles are
+//! clockwise seen from outside, or if the surface has a hole.
 
 mod camera;
 mod light;
+mod mesh;
 mod plot;
 mod sheet;
 mod shrink;
@@ -29,6 +32,7 @@ use meniscus_surface::checkpoint;
 use rayon::prelude::*;
 
 pub use camera::{Camera, CameraPlacement, Up};
+pub use mesh::TriangleMesh;
 pub use plot::{Line, Plot};
 pub use sheet::{Cell, CellGroup, CellPicture, Sheet, side_by_side, stacked};
 
@@ -37,9 +41,10 @@ use meniscus_surface::grid::Field;
 use meniscus_surface::level_set::NarrowBand;
 use meniscus_surface::particles::OwnedPositions;
 use meniscus_surface::space::Lattice;
+use mesh::RayMesh;
 use sky::Sky;
 use surface::RaySurface;
-use tile::{FinishedTile, PixelTile, TILE_EDGE, Tracer};
+use tile::{FinishedTile, PixelTile, RayTarget, TILE_EDGE, Tracer};
 
 /// The view: camera, picture size and ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,9 +101,21 @@ pub struct Layers<'a> {
 
 /// Renders a level set.
 pub fn render(band: &NarrowBand, lattice: &Lattice, view: &View, layers: Layers) -> Picture {
-    let (surface, sky) = rayon::join(|| RaySurface::new(band), || Sky::new(band));
-    let tracer = Tracer::new(&surface, lattice, view);
-    let lighting = Lighting::new(&sky, view);
+    let (surface, sky) = rayon::join(|| RaySurface::new(band, layers.velocity), || Sky::new(band));
+    trace((&surface, lattice.voxel_size), &sky, view, layers)
+}
+
+/// Renders a mesh. `data` says whether to fill in [`Picture::data`].
+pub fn render_mesh(mesh: &TriangleMesh, view: &View, data: bool) -> Picture {
+    let surface = RayMesh::new(mesh);
+    let sky = Sky::of_mesh(&surface);
+    trace((&surface, surface.voxel_size), &sky, view, Layers { data, velocity: None })
+}
+
+/// Renders a surface with this voxel size, world units.
+fn trace<S: RayTarget>((surface, voxel_size): (&S, f64), sky: &Sky, view: &View, layers: Layers) -> Picture {
+    let tracer = Tracer::new(surface, voxel_size, view);
+    let lighting = Lighting::new(sky, view);
     assemble(view.size, |origin| PixelTile::new(&tracer, &lighting, origin).finish(layers))
 }
 

@@ -14,6 +14,8 @@
 use glam::{DVec3, I64Vec3, IVec3, Vec3};
 use rayon::prelude::*;
 
+use super::mesh::RayMesh;
+use super::walk::Ray;
 use meniscus_surface::grid::{LEAF_EDGE, negative_masks};
 use meniscus_surface::level_set::NarrowBand;
 use meniscus_surface::space::box_of;
@@ -50,7 +52,24 @@ impl Sky {
         let origins = band.topology.origins();
         let leaf_at = |index: usize| [origins[index].as_dvec3(), (origins[index] + LEAF_EDGE).as_dvec3()];
         let Some([least, greatest]) = box_of(origins.len(), leaf_at) else { return Sky::empty() };
-        let (least, extent) = (least.as_ivec3(), (greatest - least).as_i64vec3());
+        let fill = |finest: &mut DensityLevel, edge| fill(finest, band, least.as_ivec3(), edge);
+        Sky::of_box(least, (greatest - least).as_i64vec3(), fill)
+    }
+
+    /// The occlusion by a mesh.
+    pub(super) fn of_mesh(mesh: &RayMesh) -> Sky {
+        let (Some([least, greatest]), Some(bottom)) = (mesh.bounds, mesh.least_z()) else {
+            return Sky::empty();
+        };
+        let extent = (greatest - least).ceil().as_i64vec3().max(I64Vec3::ONE);
+        Sky::of_box(least, extent, |finest, edge| {
+            fill_columns(finest, mesh, (least, bottom), edge as f64);
+        })
+    }
+
+    /// The cells of a box that begins at `least`, in voxels. `fill` fills in the finest ones, which have this
+    /// edge.
+    fn of_box(least: DVec3, extent: I64Vec3, fill: impl FnOnce(&mut DensityLevel, i64)) -> Sky {
         let mut edge = i64::from(FINEST_EDGE);
         let size = |edge: i64| (extent + (edge - 1)) / edge;
         while size(edge).as_dvec3().element_product() > CELLS_MAX {
@@ -58,13 +77,19 @@ impl Sky {
         }
         let count = size(edge).element_product() as usize;
         let mut finest = DensityLevel { size: size(edge).as_ivec3(), density: vec![0.0; count] };
-        fill(&mut finest, band, least, edge);
+        fill(&mut finest, edge);
         let mut levels = vec![finest];
         while let Some(level) = levels.last().filter(|level| level.size.max_element() > 1) {
             let coarser = level.coarser();
             levels.push(coarser);
         }
-        Sky { origin: least.as_dvec3(), levels, edge: edge as f32 }
+        Sky { origin: least, levels, edge: edge as f32 }
+    }
+
+    /// The volume of the inside, in voxels.
+    #[cfg(test)]
+    pub(super) fn inside_voxels(&self) -> f32 {
+        self.levels[0].density.iter().sum::<f32>() * self.edge.powi(3)
     }
 
     /// The fraction of the light that arrives at a point, in voxels, through a cone along a direction.
@@ -194,6 +219,44 @@ fn fill(level: &mut DensityLevel, band: &NarrowBand, least: IVec3, edge: i64) {
     }
 }
 
+/// Fills in the inside fraction of each cell, which has this edge, by rays along z: what a ray enters and
+/// leaves is inside. The box begins at `least`, and nothing is below `bottom`. If a ray enters an open mesh
+/// and does not leave it, or the other way round, the inside is unknown: its cells count as outside.
+fn fill_columns(level: &mut DensityLevel, mesh: &RayMesh, (least, bottom): (DVec3, f64), edge: f64) {
+    let [rows, count] = [level.size.y as usize, level.size.z as usize];
+    let step = 1.0 / COLUMN_RAYS as f32;
+    level.density.par_chunks_mut(count).enumerate().for_each(|(column, cells)| {
+        let corner = DVec3::new((column / rows) as f64, (column % rows) as f64, 0.0);
+        let below = bottom.min(least.z) - edge;
+        // How often a ray has entered before the cell after this one, minus how often it has left.
+        let mut steps = vec![0.0; count];
+        for ray in 0..COLUMN_RAYS {
+            // No two rays share x or y, so that a surface along z covers cells smoothly. Neither is a simple
+            // fraction, where a mesh may have edges: a ray through an edge hits two triangles.
+            let [x, y] = [ray, 7 * ray % COLUMN_RAYS].map(|at| (at as f64 + 0.43) / COLUMN_RAYS as f64);
+            let origin = (least + edge * (corner + DVec3::new(x, y, 0.0))).with_z(below);
+            mesh.crossings(&Ray::new(origin, DVec3::Z), |t, is_front| {
+                let height = ((below + t - least.z) / edge).clamp(0.0, count as f64);
+                let cell = (height as usize).min(count - 1);
+                let step = if is_front { step } else { -step };
+                cells[cell] += step * (cell as f64 + 1.0 - height) as f32;
+                steps[cell] += step;
+            });
+        }
+        let mut inside = 0.0;
+        for (cell, step) in cells.iter_mut().zip(steps) {
+            *cell = (inside + *cell).abs().min(1.0);
+            inside += step;
+        }
+        if inside != 0.0 {
+            cells.fill(0.0);
+        }
+    });
+}
+
+/// Number of rays through a column of cells, a power of two.
+const COLUMN_RAYS: usize = 16;
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -228,7 +291,7 @@ mod tests {
     fn cells_hold_the_whole_inside_volume() {
         for radius in [10.0f32, 30.0] {
             let sky = Sky::new(&ball(radius));
-            let volume = sky.levels[0].density.iter().sum::<f32>() * sky.edge.powi(3);
+            let volume = sky.inside_voxels();
             let expected = 4.0 / 3.0 * std::f32::consts::PI * radius.powi(3);
             assert!((volume / expected - 1.0).abs() < 0.02, "{volume} of {expected}");
             assert!(sky.levels[0].density.iter().all(|&density| (0.0..=1.0).contains(&density)));

@@ -12,19 +12,22 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
+use super::tile::RayTarget;
 use super::walk::{Cells, Ray};
-use meniscus_surface::grid::{LEAF_EDGE, Leaf, LeafMask, NO_LEAF, negative_masks, offset_in_leaf};
+use meniscus_surface::grid::{Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, negative_masks, offset_in_leaf};
 use meniscus_surface::level_set::NarrowBand;
 use meniscus_surface::space::{CoordBox, box_of, joined};
 
 /// A level set prepared for ray intersection.
 pub(super) struct RaySurface<'a> {
     band: &'a NarrowBand,
+    /// Velocities at the voxels of the band, x, y and z, world units per second.
+    velocity: Option<&'a [Field; 3]>,
     /// For each node, the indices of its leaves in `crossed`; [`NO_LEAF`] for a leaf without a crossing.
     nodes: FxHashMap<IVec3, Box<[u32; NODE_LEAVES]>>,
     crossed: Vec<CrossedLeaf>,
     /// The bounding box of the cells with a crossing.
-    pub(super) cells: CoordBox,
+    cells: CoordBox,
 }
 
 /// A leaf with cells that the surface passes through.
@@ -38,10 +41,10 @@ struct CrossedLeaf {
 
 /// An intersection of a ray and the surface.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Hit {
-    pub(super) t: f64,
+struct Hit {
+    t: f64,
     /// Whether the ray came from outside.
-    pub(super) is_front: bool,
+    is_front: bool,
     leaf: u32,
     /// The lower corner of the cell, relative to the leaf.
     cell: IVec3,
@@ -57,7 +60,7 @@ const NODE_LEAVES: usize = (NODE_EDGE * NODE_EDGE * NODE_EDGE) as usize;
 const NODES_MAX: usize = 1 << 14;
 
 impl<'a> RaySurface<'a> {
-    pub(super) fn new(band: &'a NarrowBand) -> RaySurface<'a> {
+    pub(super) fn new(band: &'a NarrowBand, velocity: Option<&'a [Field; 3]>) -> RaySurface<'a> {
         let negative = negative_masks(&band.phi);
         let topology = &*band.topology;
         let crossed = |(leaf, &origin): (usize, &IVec3)| {
@@ -77,16 +80,16 @@ impl<'a> RaySurface<'a> {
             cells.include(leaf.origin + own.min);
             cells.include(leaf.origin + own.max);
         }
-        RaySurface { band, nodes, crossed, cells }
+        RaySurface { band, velocity, nodes, crossed, cells }
     }
 
-    /// The first intersection of a ray with the surface; `span` is the interval of t that is searched.
-    pub(super) fn intersect(&self, ray: &Ray, span: [f64; 2]) -> Option<Hit> {
+    /// The first intersection of a ray with the surface.
+    fn intersect(&self, ray: &Ray) -> Option<Hit> {
         if self.cells.is_empty() {
             return None;
         }
         let (least, greatest) = (self.cells.min.as_dvec3(), (self.cells.max + 1).as_dvec3());
-        let span = ray.within(least, greatest, span)?;
+        let span = ray.within(least, greatest, [0.0, f64::INFINITY])?;
         let mut side = SurfaceSide::Unknown;
         let leaf_range =
             [self.cells.min, self.cells.max].map(|cell| cell.div_euclid(IVec3::splat(LEAF_EDGE)));
@@ -163,7 +166,7 @@ impl<'a> RaySurface<'a> {
     }
 
     /// φ at the voxels of a hit's cell and of the cells around it.
-    pub(super) fn around(&self, ray: &Ray, hit: &Hit) -> Stencil {
+    fn around(&self, ray: &Ray, hit: &Hit) -> Stencil {
         let leaf = &self.crossed[hit.leaf as usize];
         let voxel = |index: i32| hit.cell + IVec3::new(index / 16, index / 4 % 4, index % 4) - 1;
         let values = std::array::from_fn(|index| self.value(leaf, voxel(index as i32)));
@@ -174,7 +177,7 @@ impl<'a> RaySurface<'a> {
 
     /// The value of a field on the same leaves at a hit, by trilinear interpolation. Reads only the leaf of
     /// the hit: the last voxels of the leaf replace those of the next leaves.
-    pub(super) fn interpolate(&self, field: &[Leaf], around: &Stencil) -> f32 {
+    fn interpolate(&self, field: &[Leaf], around: &Stencil) -> f32 {
         let values = &field[around.leaf as usize].values;
         let corner = |corner: i32| {
             let step = IVec3::new(corner >> 2, corner >> 1 & 1, corner & 1);
@@ -182,6 +185,27 @@ impl<'a> RaySurface<'a> {
             values[offset_in_leaf(voxel)]
         };
         trilinear(std::array::from_fn(|index| corner(index as i32)), around.at)
+    }
+}
+
+impl RayTarget for RaySurface<'_> {
+    type Local = Stencil;
+
+    fn hit(&self, ray: &Ray) -> Option<(f64, bool, Stencil)> {
+        self.intersect(ray).map(|hit| (hit.t, hit.is_front, self.around(ray, &hit)))
+    }
+
+    fn outward(&self, around: &Stencil) -> Vec3 {
+        around.gradient()
+    }
+
+    fn mean_curvature(&self, around: &Stencil) -> f32 {
+        around.mean_curvature()
+    }
+
+    fn velocity(&self, around: &Stencil) -> Option<[f32; 3]> {
+        let velocity = self.velocity?;
+        Some(velocity.each_ref().map(|along| self.interpolate(&along.leaves, around)))
     }
 }
 
@@ -336,13 +360,13 @@ impl Stencil {
     }
 
     /// ∇φ by central differences; it points outward.
-    pub(super) fn gradient(&self) -> Vec3 {
+    fn gradient(&self) -> Vec3 {
         let along = |step: IVec3| self.phi(step.x, step.y, step.z) - self.phi(-step.x, -step.y, -step.z);
         0.5 * Vec3::new(along(IVec3::X), along(IVec3::Y), along(IVec3::Z))
     }
 
     /// The mean curvature, per voxel: positive where the fluid is convex.
-    pub(super) fn mean_curvature(&self) -> f32 {
+    fn mean_curvature(&self) -> f32 {
         let g = self.gradient();
         let twice = |step: IVec3| {
             self.phi(step.x, step.y, step.z) + self.phi(-step.x, -step.y, -step.z) - 2.0 * self.phi(0, 0, 0)
@@ -370,7 +394,7 @@ mod tests {
 
     use super::*;
     use glam::DVec3;
-    use meniscus_surface::grid::{Field, Topology, voxel_in_leaf};
+    use meniscus_surface::grid::{Topology, voxel_in_leaf};
 
     /// The narrow band of a shape.
     fn band(reach: i32, distance: impl Fn(Vec3) -> f32) -> NarrowBand {
@@ -412,12 +436,11 @@ mod tests {
     fn rays_hit_a_sphere_at_its_surface() {
         let radius = 17.3;
         let band = band(40, |at| at.length() - radius);
-        let surface = RaySurface::new(&band);
+        let surface = RaySurface::new(&band, None);
         for ray in rays(20_000) {
             let middle = -ray.origin.dot(ray.direction);
             let nearest = ray.at(middle).length();
-            let hit = surface.intersect(&ray, [0.0, f64::INFINITY]);
-            if let Some(hit) = hit {
+            if let Some(hit) = surface.intersect(&ray) {
                 assert!((ray.at(hit.t).length() - f64::from(radius)).abs() < 0.02, "{hit:?} of {ray:?}");
                 assert!(hit.is_front && hit.t < middle + 1.0, "{hit:?} of {ray:?}");
                 let around = surface.around(&ray, &hit);

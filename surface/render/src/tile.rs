@@ -4,10 +4,8 @@
 use glam::{DVec2, DVec3, Vec3};
 
 use super::light::{Light, Lighting};
-use super::surface::{RaySurface, Stencil};
 use super::walk::Ray;
 use super::{FAR, Layers, PictureData, View};
-use meniscus_surface::space::Lattice;
 
 /// Edge of a tile, pixels.
 pub(super) const TILE_EDGE: usize = 64;
@@ -22,9 +20,29 @@ const LIGHT_STEP: usize = 4;
 
 const LIGHT_EDGE: usize = TRACED_EDGE / LIGHT_STEP;
 
+/// A surface that rays are traced to. Lengths are in voxels.
+pub(super) trait RayTarget: Sync {
+    /// The surface at a hit.
+    type Local;
+
+    /// The first hit of a ray: t, whether the ray came from outside, and the surface there.
+    fn hit(&self, ray: &Ray) -> Option<(f64, bool, Self::Local)>;
+
+    /// The outward normal, of any length.
+    fn outward(&self, local: &Self::Local) -> Vec3;
+
+    /// The mean curvature, per voxel: positive where the fluid is convex.
+    fn mean_curvature(&self, local: &Self::Local) -> f32;
+
+    /// The velocity, world units per second; `None` if the surface has no velocities.
+    fn velocity(&self, _: &Self::Local) -> Option<[f32; 3]> {
+        None
+    }
+}
+
 /// Traces rays through pixels. Lengths are in voxels.
-pub(super) struct Tracer<'a> {
-    surface: &'a RaySurface<'a>,
+pub(super) struct Tracer<'a, S> {
+    surface: &'a S,
     view: &'a View,
     voxel_size: f64,
     /// The position of the camera, in voxels.
@@ -50,9 +68,8 @@ enum HitKind {
     Inside,
 }
 
-impl<'a> Tracer<'a> {
-    pub(super) fn new(surface: &'a RaySurface<'a>, lattice: &Lattice, view: &'a View) -> Tracer<'a> {
-        let voxel_size = lattice.voxel_size;
+impl<'a, S: RayTarget> Tracer<'a, S> {
+    pub(super) fn new(surface: &'a S, voxel_size: f64, view: &'a View) -> Tracer<'a, S> {
         Tracer { surface, view, voxel_size, eye: view.camera.eye / voxel_size }
     }
 
@@ -68,16 +85,15 @@ impl<'a> Tracer<'a> {
         2.0 * self.view.camera.tan_half_view * t / self.view.size[1] as f64
     }
 
-    fn trace(&self, point: DVec2) -> (RayHit, Option<Stencil>) {
+    fn trace(&self, point: DVec2) -> (RayHit, Option<S::Local>) {
         let ray = self.ray(point);
         // The ground only receives shadows. It hides nothing, because fluid may be below it, or rest on it
         // without a gap.
-        if let Some(hit) = self.surface.intersect(&ray, [0.0, f64::INFINITY]) {
-            let around = self.surface.around(&ray, &hit);
-            let outward = around.gradient().normalize_or(-ray.direction.as_vec3());
+        if let Some((t, is_front, local)) = self.surface.hit(&ray) {
+            let outward = self.surface.outward(&local).normalize_or(-ray.direction.as_vec3());
             let (what, normal) =
-                if hit.is_front { (HitKind::Outside, outward) } else { (HitKind::Inside, -outward) };
-            return (RayHit { what, t: hit.t, position: ray.at(hit.t), normal }, Some(around));
+                if is_front { (HitKind::Outside, outward) } else { (HitKind::Inside, -outward) };
+            return (RayHit { what, t, position: ray.at(t), normal }, Some(local));
         }
         let up = self.view.up.direction().as_vec3();
         let seen = match self.ground_at(&ray) {
@@ -99,13 +115,13 @@ impl<'a> Tracer<'a> {
 }
 
 /// The rays of a tile's pixels and its border.
-pub(super) struct PixelTile<'a> {
-    tracer: &'a Tracer<'a>,
+pub(super) struct PixelTile<'a, S: RayTarget> {
+    tracer: &'a Tracer<'a, S>,
     lighting: &'a Lighting<'a>,
     /// The first pixel, including the border. It may be outside of the picture.
     first: [isize; 2],
     seen: Vec<RayHit>,
-    arounds: Vec<Option<Stencil>>,
+    locals: Vec<Option<S::Local>>,
     /// The light at one pixel of every `LIGHT_STEP` × `LIGHT_STEP`; `None` if its ray hit nothing.
     lights: Vec<Option<Light>>,
 }
@@ -117,21 +133,21 @@ pub(super) struct FinishedTile {
     pub(super) data: Option<PictureData>,
 }
 
-impl<'a> PixelTile<'a> {
+impl<'a, S: RayTarget> PixelTile<'a, S> {
     /// The tile whose first pixel is `first_pixel`.
     pub(super) fn new(
-        tracer: &'a Tracer<'a>,
+        tracer: &'a Tracer<'a, S>,
         lighting: &'a Lighting<'a>,
         first_pixel: [usize; 2],
-    ) -> PixelTile<'a> {
+    ) -> PixelTile<'a, S> {
         let first = first_pixel.map(|along| along as isize - BORDER as isize);
         let mut tile =
-            PixelTile { tracer, lighting, first, seen: Vec::new(), arounds: Vec::new(), lights: Vec::new() };
+            PixelTile { tracer, lighting, first, seen: Vec::new(), locals: Vec::new(), lights: Vec::new() };
         for y in 0..TRACED_EDGE {
             for x in 0..TRACED_EDGE {
-                let (seen, around) = tracer.trace(tile.pixel_corner(x, y) + 0.5);
+                let (seen, local) = tracer.trace(tile.pixel_corner(x, y) + 0.5);
                 tile.seen.push(seen);
-                tile.arounds.push(around);
+                tile.locals.push(local);
             }
         }
         for y in 0..LIGHT_EDGE {
@@ -175,7 +191,7 @@ impl<'a> PixelTile<'a> {
         if layers.data {
             let mut data =
                 PictureData { velocities: layers.velocity.map(|_| Vec::new()), ..PictureData::default() };
-            pixels().for_each(|(x, y)| self.push_data(&mut data, layers, x, y));
+            pixels().for_each(|(x, y)| self.push_data(&mut data, x, y));
             finished.data = Some(data);
         }
         finished
@@ -300,11 +316,11 @@ impl<'a> PixelTile<'a> {
         }
     }
 
-    fn push_data(&self, data: &mut PictureData, layers: Layers, x: usize, y: usize) {
+    fn push_data(&self, data: &mut PictureData, x: usize, y: usize) {
         let index = y * TRACED_EDGE + x;
-        let voxel_size = self.tracer.voxel_size;
-        let camera = &self.tracer.view.camera;
-        let Some(around) = &self.arounds[index] else {
+        let Tracer { surface, voxel_size, view, .. } = *self.tracer;
+        let camera = &view.camera;
+        let Some(local) = &self.locals[index] else {
             data.depth.push(FAR);
             data.normals.push([0.0; 3]);
             data.positions.push([0.0; 3]);
@@ -316,12 +332,11 @@ impl<'a> PixelTile<'a> {
         };
         let position = self.seen[index].position * voxel_size;
         data.depth.push((position - camera.eye).dot(camera.forward) as f32);
-        data.normals.push(around.gradient().normalize_or_zero().to_array());
+        data.normals.push(surface.outward(local).normalize_or_zero().to_array());
         data.positions.push(position.as_vec3().to_array());
-        data.curvatures.push((f64::from(around.mean_curvature()) / voxel_size) as f32);
-        if let (Some(velocities), Some(fields)) = (&mut data.velocities, layers.velocity) {
-            velocities
-                .push(fields.each_ref().map(|field| self.tracer.surface.interpolate(&field.leaves, around)));
+        data.curvatures.push((f64::from(surface.mean_curvature(local)) / voxel_size) as f32);
+        if let Some(velocities) = &mut data.velocities {
+            velocities.push(surface.velocity(local).unwrap_or_default());
         }
     }
 }

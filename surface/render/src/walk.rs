@@ -30,8 +30,8 @@ impl Ray {
         self.origin + self.direction * t
     }
 
-    /// The interval of t, between `t_min` and `t_max`, in which the ray is inside a box. `None` if the ray
-    /// misses the box or is not finite.
+    /// The interval of t, between `t_min` and `t_max`, in which the ray is inside a box, which may be flat.
+    /// `None` if the ray misses the box or is not finite.
     pub(super) fn within(&self, least: DVec3, greatest: DVec3, [t_min, t_max]: [f64; 2]) -> Option<[f64; 2]> {
         if !(self.origin.is_finite() && self.direction.is_finite()) {
             return None;
@@ -48,7 +48,7 @@ impl Ray {
                 last = last.min(one.max(other));
             }
         }
-        (first < last).then_some([first, last])
+        (first <= last).then_some([first, last])
     }
 }
 
@@ -139,6 +139,8 @@ mod tests {
         assert_eq!(ray.within(DVec3::new(2.0, -1.0, -1.0), DVec3::splat(3.0), [0.0, 9.0]), Some([2.0, 3.0]));
         assert_eq!(ray.within(DVec3::new(2.0, 1.0, -1.0), DVec3::splat(3.0), [0.0, 9.0]), None);
         assert_eq!(ray.within(DVec3::NEG_ONE, DVec3::ONE, [0.0, 9.0]), Some([0.0, 1.0]));
+        let flat = DVec3::new(0.0, 1.0, 1.0);
+        assert_eq!(ray.within(DVec3::X - flat, DVec3::X + flat, [0.0, 9.0]), Some([1.0, 1.0]));
     }
 
     #[test]
