@@ -24,7 +24,7 @@ use meniscus_formats::{Error, Neighbor};
 
 use crate::pipeline::{
     FrameFile, NumberPattern, SniffedContent, canonical_entry, content, files_in, frames_in, is_absent,
-    is_level_set, is_link_loop, is_mesh, is_number, is_sequence_file, may_be_file, promises_particles, shown,
+    is_level_set, is_link_loop, is_number, is_sequence_file, may_be_file, promises_particles, shown,
     size_bytes, step_of,
 };
 

@@ -60,7 +60,7 @@ fn contradictory_arguments_are_refused() {
         (&["nothing"], &["nothing: the folder is empty"]),
         (
             &["level_sets"],
-            &["`convert` takes level sets by name, or by a pattern such as 'level_sets/*.vdb'"],
+            &["`convert` takes level sets by name, or by a pattern such as 'level_sets/*.vdb', and"],
         ),
     ] {
         assert_refused(path, &[&["convert", "--out", "o/deep"], arguments].concat(), words);
@@ -96,7 +96,7 @@ fn unwritable_output_folder_is_refused() {
             &["plan", "dam.#.ply", "--shards", "2", "-o", "plan.json", "--out", out],
             &["man", "--out", out],
             &["contact-sheet", "dam.#.ply", "-o", &sheet],
-            &["tune", "dam.#.ply", "--vary", "ratio=1.5,2", "-o", &sheet],
+            &["tune", "dam.#.ply", "--vary", "radius-ratio=1.5,2", "-o", &sheet],
         ] {
             let result = meniscus(path, command);
             assert_eq!((result.status, &*result.out), (2, ""), "{command:?} {out}: {}", result.err);

@@ -135,6 +135,12 @@ fn sheet_uses_the_cheapest_source() {
     assert!((0..3).all(|column| has_fluid(&seen.cell(column, 0, 1))), "pictures are shrunk");
     from(&["o", "--camera", "azimuth=90"], "level sets");
     from(&["in"], "particles");
+    let result = meniscus(path, &["convert", "in", "--out", "m", "--format", "obj,glb"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    from(&["m", "--columns", "3"], "meshes");
+    let seen = Seen::read(&path.join("sheet.png"));
+    assert!((0..3).all(|column| has_fluid(&seen.cell(column, 0, 1))), "meshes are shown");
+    from(&["m/dam.#.obj"], "meshes");
     // One picture is missing, and in its place is a sheet, which is not a picture of a frame.
     fs::rename(path.join("sheet.png"), path.join("o/dam.2.png")).expect("moved");
     from(&["o"], "level sets");
@@ -199,18 +205,19 @@ fn printed_commands_give_the_pictures_of_the_cells() {
     let path = folder.path();
     write_ply(&path.join("dam.7.ply"), &block(8, 0.0));
     let tune = ["tune", "dam.7.ply", "-o", "tune.png", "--size", SIZE, "--out", "my meshes", "--vary"];
-    let tune = [&tune[..], &["ratio=1.25,3,time=0,5,h=1x,0.6x", "--preset", "water", "--clip"]].concat();
-    let tune = [&tune[..], &["-1,-1,-1,0.6,2,2", "--smooth-normals=2"]].concat();
+    let tune = [&tune[..], &["radius-ratio=1.25,3", "--vary", "preset=fluid,granular,paper"]].concat();
+    let tune = [&tune[..], &["--fill-cavities=9", "--clip", "-1,-1,-1,0.6,2,2"]].concat();
+    let tune = [&tune[..], &["--smooth-normals=2"]].concat();
     let result = meniscus(path, &[&tune[..], &["--threads", "1"]].concat());
     assert_eq!(result.status, 0, "{} {}", result.out, result.err);
     let first = fs::read(path.join("tune.png")).expect("there");
     assert_eq!(meniscus(path, &tune).status, 0);
     assert!(fs::read(path.join("tune.png")).expect("there") == first, "another run has other bytes");
 
-    assert_eq!(result.out.matches("--out 'my meshes' --").count(), 8, "{}", result.out);
+    assert_eq!(result.out.matches("--out 'my meshes' --").count(), 6, "{}", result.out);
     let out = result.out.replace("'my meshes'", "meshes");
     let commands = commands(&out);
-    assert_eq!(commands.len(), 8);
+    assert_eq!(commands.len(), 6);
     let seen = Seen::read(&path.join("tune.png"));
     let mut cells: Vec<Vec<[u8; 3]>> = Vec::new();
     for (index, command) in commands.iter().enumerate() {
@@ -236,17 +243,48 @@ fn printed_commands_give_the_pictures_of_the_cells() {
         }
         cells.push(Seen::read(&path.join("cell.png")).pixels);
     }
-    // Blocks of two rows of two cells, one below the other.
+    // Two rows of three cells.
     let mut tops = Vec::new();
     for (index, cell) in cells.iter().enumerate() {
-        let left = GAP + index % 2 * (CELL[0] + GAP);
+        let left = GAP + index % 3 * (CELL[0] + GAP);
         let height = seen.pixels.len() / seen.width;
         let is_at = |&top: &usize| seen.part([left, top], CELL) == *cell;
         tops.extend((0..height).find(is_at));
         assert!(has_fluid(cell) && tops.len() == index + 1, "cell {} is not on the sheet", index + 1);
         assert!(cells[..index].iter().all(|other| other != cell), "cell {} appears twice", index + 1);
     }
-    assert!(tops.is_sorted() && tops[0] == tops[1] && tops[1] < tops[2], "{tops:?}");
+    assert!(tops.is_sorted() && tops[0] == tops[2] && tops[2] < tops[3], "{tops:?}");
+}
+
+/// Options that decide which attributes are read, and whether the spacing is measured, differ between cells.
+#[test]
+fn each_cell_is_what_its_command_reads_and_measures() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let line = |[x, y, z]: [f64; 3]| format!("{x},{y},{z},3,0,0,0.05\n");
+    let lines: String = block(6, 0.0).into_iter().map(line).collect();
+    fs::write(path.join("jet.csv"), format!("x,y,z,vx,vy,vz,pscale\n{lines}")).expect("written");
+    let tune = ["tune", "jet.csv", "-o", "t.png", "--size", SIZE];
+    for (vary, labels) in [
+        ("anisotropy=none,velocity", ["anisotropy none", "anisotropy velocity"]),
+        ("radius-attribute=pscale,missing", ["radius-attribute pscale", ""]),
+        ("spacing=0.1,0.11", ["spacing 0.1 (the defaults)", "spacing 0.11"]),
+        ("voxel-size=0.05,0.4d", ["voxel-size 0.5d", "voxel-size 0.4d (the defaults)"]),
+        ("clip=0,0,0,1,1,1;0,0,0,0.3,1,1", ["clip 0,0,0,1,1,1", "clip 0,0,0,0.3,1,1"]),
+    ] {
+        let result = meniscus(path, &[&tune[..], &["--vary", vary]].concat());
+        let expected = if labels[1].is_empty() { 1 } else { 2 };
+        assert_eq!(result.status, 2 - expected, "{vary}: {}", result.err);
+        for (index, label) in labels.iter().take(expected as usize).enumerate() {
+            let label = format!("{}: {label}: ", index + 1);
+            assert!(result.out.contains(&label), "{vary} does not print {label}: {}", result.out);
+        }
+    }
+    // Without --vary, an option that is given is not varied.
+    let result = meniscus(path, &[&tune[..], &["--radius-min", "1d"]].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(result.out.contains("3: position-smoothing 0.7 (as typed): "), "{}", result.out);
+    assert_eq!(commands(&result.out).len(), 4);
 }
 
 #[test]
@@ -254,21 +292,22 @@ fn invalid_setting_leaves_the_other_cells() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 3);
-    let result = meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "ratio=0.5,2"]);
+    let tune = ["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "radius-ratio=0.5,2"];
+    let result = meniscus(path, &tune);
     assert_eq!(result.status, 1, "{} {}", result.out, result.err);
-    assert!(result.err.contains("cell 1: ratio 0.5: the radius ratio is 0.5"), "{}", result.err);
+    assert!(result.err.contains("cell 1: radius-ratio 0.5: the radius ratio is 0.5"), "{}", result.err);
     assert!(
         result.out.contains("showing dam.2.ply, one of 3 frames of ") && commands(&result.out).len() == 1,
         "{}",
         result.out
     );
     let result =
-        meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "time=0", "--frames", "3"]);
+        meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "steps=0", "--frames", "3"]);
     assert_eq!(result.status, 0, "{}", result.err);
     assert!(result.out.contains("showing dam.3.ply, one of 3 frames of "), "{}", result.out);
     assert!(!result.err.contains("its sequence has"), "{}", result.err);
     // The spacing of a frame of a sequence is that of the whole sequence only if the sequence is named.
-    let result = meniscus(path, &["tune", "dam.3.ply", "-o", "t.png", "--size", SIZE, "--vary", "time=0"]);
+    let result = meniscus(path, &["tune", "dam.3.ply", "-o", "t.png", "--size", SIZE, "--vary", "steps=0"]);
     assert_eq!(result.status, 0, "{}", result.err);
     assert!(result.err.contains("dam.3.ply: its sequence has 3 frames"), "{}", result.err);
     // If the common settings are invalid, there is nothing to compare.
@@ -288,6 +327,8 @@ fn invalid_sheet_arguments_are_refused() {
     write_ply(&path.join("other.ply"), &block(5, 0.0));
     fs::create_dir(path.join("empty")).expect("made");
     fs::write(path.join("grid.vdb"), "no grid").expect("written");
+    fs::create_dir(path.join("meshes")).expect("made");
+    fs::write(path.join("meshes/b.stl"), "not a mesh").expect("written");
     let result = meniscus(path, &["render", "dam.1.ply", "-o", "picture.png", "--size", SIZE]);
     assert_eq!(result.status, 0, "{}", result.err);
     for (arguments, words) in [
@@ -303,14 +344,13 @@ fn invalid_sheet_arguments_are_refused() {
         (&["contact-sheet", "dam.#.ply", "-o", "a.png", "--count", "1"], &["--count", "2 to 1000"]),
         (&["contact-sheet", ".", "-o", "a.png", "--size", "8192x4096"], &["8192x4096", "smaller --size"]),
         (&["tune", ".", "-o", "a.png"], &["sequences", "dam.{}.ply", "other.ply", "name one"]),
-        (&["tune", "grid.vdb", "-o", "a.png"], &["grid.vdb", "tune needs particles"]),
+        (&["tune", "grid.vdb", "-o", "a.png"], &["grid.vdb", "tune needs the particles"]),
         (&["tune", "dam.1.ply", "-o", "dam.1.ply"], &["dam.1.ply", ".png"]),
         (&["tune", "dam.1.ply", "-o", "a.png", "--frames", "7"], &["--frames selects none"]),
-        (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "size"], &["no `size` to vary", "ratio, time, h"]),
-        (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "ratio=x"], &["ratio=`x`", "expected a number"]),
-        (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "min=0.6w"], &["min=`0.6w`", "0.6d or 5h"]),
-        (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "offset=0.5x"], &["the base value is 0"]),
         (&["tune", "dam.1.ply", "-o", "a.png", "--size", "8192x4096"], &["16 cells", "smaller --size"]),
+        (&["tune", "meshes", "-o", "a.png"], &["meshes: no frames of particles", "`contact-sheet` show"]),
+        (&["tune", "meshes/b.stl", "-o", "a.png"], &["this is a mesh, and tune needs the particles"]),
+        (&["contact-sheet", "meshes", "-o", "a.png", "--steps", "3"], &["no particles"]),
     ] {
         let result = meniscus(path, arguments);
         assert_eq!(result.status, 2, "{arguments:?}: {} {}", result.out, result.err);
@@ -319,8 +359,23 @@ fn invalid_sheet_arguments_are_refused() {
         }
     }
     let many: Vec<String> = (0..101).map(|index| index.to_string()).collect();
-    let vary = format!("time={}", many.join(","));
-    let result = meniscus(path, &["tune", "dam.1.ply", "-o", "a.png", "--vary", &vary]);
-    assert!(result.status == 2 && result.err.contains("101 cells; at most 100"), "{}", result.err);
+    let many = format!("steps={}", many.join(","));
+    for (varied, given, words) in [
+        (&["size=1"][..], &[][..], "no option --size to vary"),
+        (&["radius-ratio=x"], &[], "radius-ratio: `x` is not a number"),
+        (&["radius-min=0.6w"], &[], "radius-min: `0.6w` is not a length"),
+        (&["steps=1", "steps=2"], &[], "--vary steps: give all values of an option in one --vary"),
+        (&["steps=1", "offset=0", "quads=true"], &[], "varies at most two options"),
+        (&["steps=1"], &["--steps=2"], "--steps is given and varied"),
+        (&["thin-radius=0.5d"], &["--preset=paper"], "has no effect without --anisotropy neighbors"),
+        (&["velocity-gain=1", "anisotropy=none,neighbors"], &[], "without --anisotropy velocity"),
+        (&[&many], &[], "101 cells; at most 100"),
+    ] {
+        let varied = varied.iter().flat_map(|vary| ["--vary", *vary]);
+        let tune = ["tune", "dam.1.ply", "-o", "a.png"].into_iter().chain(varied);
+        let tune: Vec<&str> = tune.chain(given.iter().copied()).collect();
+        let result = meniscus(path, &tune);
+        assert!(result.status == 2 && result.err.contains(words), "{words}: {}", result.err);
+    }
     assert!(!path.join("a.png").exists());
 }

@@ -6,14 +6,15 @@ use clap::Args;
 
 use super::render::PictureArgs;
 use crate::cli::frame_selection::FrameSelection;
-use crate::cli::parameter_sweep::{ParameterSweep, tuning_help};
 use crate::cli::quantities::{PictureSize, parse_picture_size};
+use crate::cli::varied_option::VariedOption;
 use crate::surface::options::ranged;
 
 #[derive(Debug, Args)]
 #[command(after_long_help = CONTACT_SHEETS)]
 pub(in crate::cli) struct ContactSheetArgs {
-    /// A folder of pictures, level sets in .vdb or particles; or files, globs, numbered patterns of them
+    /// A folder of pictures, level sets in .vdb, meshes or particles; or files, globs, numbered patterns of
+    /// them
     ///
     /// If a frame exists in several forms, the cheapest is shown. Particles are converted to a surface for
     /// the sheet with the options below, as convert does it; if one of these is given, only particles are
@@ -47,7 +48,7 @@ pub(in crate::cli) struct ContactSheetArgs {
 }
 
 #[derive(Debug, Args)]
-#[command(after_long_help = tuning_help())]
+#[command(after_long_help = TUNING)]
 pub(in crate::cli) struct TuneArgs {
     /// Particles, as convert takes them: a file, or a folder, glob or numbered pattern with one sequence
     ///
@@ -59,10 +60,14 @@ pub(in crate::cli) struct TuneArgs {
     #[arg(short, long, value_name = "FILE")]
     pub(in crate::cli) output: PathBuf,
 
-    /// What differs from cell to cell: one, two or three of the parameters that --help lists below the
-    /// options, with or without values
-    #[arg(long, value_name = "LIST", default_value = "smoothing,min")]
-    pub(in crate::cli) vary: ParameterSweep,
+    /// An option of convert for surfaces, with the values to show, such as preset=fluid,noisy,splash
+    /// [default: position-smoothing=0,0.5,0.7,0.9 and radius-min=0.85d,1d,1.15d,1.45d]
+    ///
+    /// Given once, the values fill the sheet; given twice, the first option differs from row to row, and the
+    /// second from column to column. Values are written as on the command line, and separated by commas, or
+    /// by semicolons if they contain commas.
+    #[arg(long, value_name = "OPTION=VALUES")]
+    pub(in crate::cli) vary: Vec<VariedOption>,
 
     /// Show the frame with this number; of several, such as 100-200, the middle one is shown
     #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
@@ -80,11 +85,25 @@ pub(in crate::cli) struct TuneArgs {
     pub(in crate::cli) pictures: PictureArgs,
 }
 
+const TUNING: &str = "\
+What is shown:
+  A close-up of the part of the frame with the most surface, 16 particle spacings wide; with --camera
+  zoom=1 the whole frame. --camera and --camera-from select any other view.
+
+  All other options apply to every cell; without --vary, an option that is given is not varied. For
+  each cell, the command that converts INPUT with its settings is on the sheet, and is printed with
+  the time that the cell took.
+
+Exit status:
+  0    every cell has its picture
+  1    some settings were refused or failed: their cells have the reasons, and the others are shown
+  2    the command is invalid, or no cell has a picture: no sheet was written";
+
 const CONTACT_SHEETS: &str = "\
 What is shown:
   Each sequence has its own part of the sheet and one camera; files outside sequences share a part.
-  Existing pictures are cheapest, then level sets, then particles. Pictures are used only if they show
-  all existing frames with one camera, and none of --camera, --camera-from and --up is given. The
+  Existing pictures are cheapest, then level sets, meshes and particles. Pictures are used only if they
+  show all existing frames with one camera, and none of --camera, --camera-from and --up is given. The
   title says which kind was used.
 
 Exit status:

@@ -1,10 +1,10 @@
 //! `meniscus tune`: one frame under a grid of settings, for visual comparison.
 //!
 //! ```text
-//!   INPUT ──▶ a frame, read once ──▶ base settings ─────▶ a camera for all
+//!   INPUT ──▶ a frame, read once ──▶ settings without --vary ──▶ a camera for all
 //!                                          │ --vary
 //!                                          ▼
-//!                         cells: settings ──▶ surface ──▶ picture, label, command
+//!                         cells: options ──▶ surface ──▶ picture, label, command
 //! ```
 //!
 //! A cell is a set of command options with some values replaced. Its settings and its printed command line
@@ -12,26 +12,29 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
+use meniscus_formats::listed;
 
-use crate::cli::args::{MethodArgs, TuneArgs};
+use crate::cli::args::{MethodArgs, OptionSet, TuneArgs};
 use crate::cli::choices::refuse_misplaced_rounds;
 use crate::cli::console::Console;
 use crate::cli::inputs::find_inputs;
 use crate::cli::machine::{memory_bytes, thread_pool};
-use crate::cli::parameter_sweep::{Parameter, SweepValue};
 use crate::cli::remedies::with_remedy;
-use crate::cli::render_session::{RenderSession, catch_panic, picture_of_reconstruction, spacing_of};
-use crate::cli::resolve::{settings_of, warn_of_siblings};
+use crate::cli::render_session::{
+    RenderSession, catch_panic, picture_of_reconstruction, spacing_of, surface_name,
+};
+use crate::cli::resolve::warn_of_siblings;
 use crate::cli::select::{SelectedSequence, only_sequence, selected_of};
-use crate::cli::wording::{pluralize, with_causes};
+use crate::cli::varied_option::{DEFAULT, VariedOption};
+use crate::cli::wording::{option_name, pluralize, with_causes};
 use crate::cli::{CommandOutcome, DoneCounts};
 use crate::pipeline::{
-    CameraChoice, EMPTY_BOUNDS, FrameFile, LoadedFrame, OutputFormat, Reconstruction, ReportedWarnings,
-    Sequence, SheetPart, Viewpoint, Warning, bounds_of_particles, close_up, is_level_set, up_of,
+    AttributeRequest, CameraChoice, EMPTY_BOUNDS, FrameFile, LoadedFrame, OutputFormat, Reconstruction,
+    ReportedWarnings, Sequence, SheetPart, Viewpoint, Warning, bounds_of_particles, close_up, up_of,
 };
 use crate::render::{Cell, CellGroup, CellPicture, Picture, Sheet};
-use crate::surface::options::{MethodOptions, SequenceSpacing, Settings};
+use crate::surface::options::{MethodOptions, PerParticleRadius, SequenceSpacing, Settings};
 
 use super::command::CommandLine;
 use super::{SheetFile, even_columns, fixed, reason, refuse_large};
@@ -42,12 +45,18 @@ use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 /// If no cell can be attempted. A cell that fails is reported and counted.
 pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<CommandOutcome> {
     refuse_misplaced_rounds(&args.pictures.method, &args.inputs)?;
+    let grid = Grid::new(args)?;
     let found = find_inputs(&args.inputs)?;
     found.report(console);
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let sequence = only_sequence(found.files, "`meniscus tune` shows one frame of one sequence")?;
-    if let Some(file) = sequence.frames.iter().find(|file| is_level_set(&file.path)) {
-        bail!("{}: this is a level set, and tune needs particles", file.path.display());
+    let surface = sequence.frames.iter().find_map(|file| Some((file, surface_name(&file.path)?)));
+    if let Some((file, name)) = surface {
+        bail!(
+            "{}: this is a {name}, and tune needs the particles that it was made from: `meniscus render` shows \
+             a {name}",
+            file.path.display()
+        );
     }
     let selected = selected_of(vec![sequence], args.frames.as_ref())?;
     let [SelectedSequence { sequence, selected }] = &selected[..] else { bail!("no frame was selected") };
@@ -56,8 +65,7 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
     let (file, session) =
         SheetFile::prepare(&args.output, &args.pictures, (args.size, &paths), Some(&CONVERTED), console)?;
     let pool = thread_pool(args.pictures.run.threads)?;
-    let tuning = pool.install(|| Tuning::new(args, session, sequence, frame, console))?;
-    let grid = Grid::new(args, &tuning.without)?;
+    let tuning = pool.install(|| Tuning::new(args, session, (sequence, frame), &grid, console))?;
     if sequence.frames.len() > 1 {
         let frame_count = pluralize(sequence.frames.len(), "frame");
         let (frame, name) = (frame.name(), &sequence.name);
@@ -65,7 +73,7 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
             "showing {frame}, one of {frame_count} of {name}; --frames selects another"
         ));
     }
-    console.show_bar(grid.settings.len());
+    console.show_bar(grid.cells.len());
     let (cells, counts) = pool.install(|| tuning.cells(&grid, console));
     console.hide_bar();
     if counts.done_count > 0 {
@@ -78,53 +86,98 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
 /// The formats that the printed commands write.
 const CONVERTED: [OutputFormat; 2] = [OutputFormat::Glb, OutputFormat::Vdb];
 
-/// The settings of the cells, row by row and block by block.
+/// The cells, row by row.
 struct Grid {
-    /// For each cell, its value on each axis.
-    settings: Vec<Vec<SweepValue>>,
-    axes: Vec<&'static Parameter>,
+    /// The options that differ from row to row, and from column to column.
+    axes: Vec<VariedOption>,
+    cells: Vec<TunedCell>,
     columns: usize,
-    /// The value of each block on the third axis; a single `None` if there are no blocks.
-    blocks: Vec<Option<SweepValue>>,
+}
+
+/// The options of a cell.
+struct TunedCell {
+    options: MethodOptions,
+    /// For each axis, its value.
+    values: Vec<String>,
 }
 
 impl Grid {
-    fn new(args: &TuneArgs, without: &Settings) -> Result<Grid> {
-        let varied = args.vary.values(without).map_err(anyhow::Error::msg)?;
-        let axes = varied.iter().map(|(axis, _)| *axis).collect();
-        let mut values = varied.into_iter().map(|(_, values)| values);
-        let (rows, columns, blocks) = (values.next().unwrap_or_default(), values.next(), values.next());
-        let count = |values: &Option<Vec<SweepValue>>| values.as_ref().map_or(1, Vec::len);
-        let cell_count = rows.len() * count(&columns) * count(&blocks);
+    fn new(args: &TuneArgs) -> Result<Grid> {
+        let method = &args.pictures.method;
+        let axes = axes(args)?;
+        let cell_count: usize = axes.iter().map(|axis| axis.values.len()).product();
         if cell_count > CELLS_MAX {
             bail!("--vary makes {cell_count} cells; at most {CELLS_MAX} are shown: give fewer values");
         }
         refuse_large(cell_count, args.size, memory_bytes(args.pictures.run.memory)?)?;
-        // An axis that is not varied has the single value `None`.
-        let or_none = |values: Option<Vec<SweepValue>>| -> Vec<Option<SweepValue>> {
-            values.map_or(vec![None], |values| values.into_iter().map(Some).collect())
-        };
-        let [across, blocks] = [&columns, &blocks].map(|values| or_none(values.clone()));
-        let mut settings = Vec::new();
-        for block in &blocks {
-            for row in &rows {
-                for column in &across {
-                    settings.push([Some(*row), *column, *block].into_iter().flatten().collect());
-                }
+        let mut cells = vec![TunedCell { options: method.to_options(), values: Vec::new() }];
+        for axis in &axes {
+            let with_value = |cell: &TunedCell, value: &String| {
+                let (mut options, mut values) = (cell.options.clone(), cell.values.clone());
+                axis.put(value, &mut options);
+                values.push(value.clone());
+                TunedCell { options, values }
+            };
+            let with_values = |cell: &TunedCell| -> Vec<TunedCell> {
+                axis.values.iter().map(|value| with_value(cell, value)).collect()
+            };
+            cells = cells.iter().flat_map(with_values).collect();
+        }
+        for axis in &axes {
+            let needed = |cell: &TunedCell| {
+                let ineffective = cell.options.ineffective(!method.obstacle.is_empty());
+                ineffective.into_iter().find(|(name, _)| *name == axis.name()).map(|(_, needed)| needed)
+            };
+            let needed: Option<Vec<_>> = cells.iter().map(needed).collect();
+            if let Some(needed) = needed.as_ref().and_then(|needed| needed.first()) {
+                let needed = listed(needed.iter().map(|option| option.flag()).collect(), "or");
+                bail!("--vary {} has no effect without {needed}", axis.flag());
             }
         }
-        let alone = if rows.len() <= ROW_MAX { rows.len() } else { even_columns(rows.len()) };
-        let columns = columns.map_or(alone, |columns| columns.len());
-        Ok(Grid { settings, axes, columns, blocks })
+        let columns = match &axes[..] {
+            [_, columns] => columns.values.len(),
+            _ if cells.len() <= ROW_MAX => cells.len(),
+            _ => even_columns(cells.len()),
+        };
+        Ok(Grid { axes, cells, columns })
     }
 
-    /// The meaning of rows, columns and blocks.
+    /// The meaning of rows and columns.
     fn meaning(&self) -> String {
         match &self.axes[..] {
-            [axis] => format!("by {}", axis.meaning),
-            [rows, columns, ..] => format!("rows: {}, columns: {}", rows.meaning, columns.meaning),
-            [] => String::new(),
+            [] => "the given settings".to_owned(),
+            [axis] => format!("by {}", axis.flag()),
+            [rows, columns, ..] => format!("rows: {}, columns: {}", rows.flag(), columns.flag()),
         }
+    }
+
+    /// A cell and its values, as text.
+    fn label(&self, cell: &TunedCell, settings: &Settings) -> String {
+        let labels = self.axes.iter().zip(&cell.values).map(|(axis, value)| axis.label(value, settings));
+        labels.collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// The options to vary: at most two. By default, those of [`DEFAULT`] that are not given.
+fn axes(args: &TuneArgs) -> Result<Vec<VariedOption>> {
+    let given = args.pictures.method.given();
+    let is_given = |axis: &VariedOption| given.contains(&axis.name());
+    if args.vary.is_empty() {
+        let usual = DEFAULT.iter().map(|text| text.parse::<VariedOption>().map_err(anyhow::Error::msg));
+        return usual.filter(|axis| !axis.as_ref().is_ok_and(is_given)).collect();
+    }
+    let axes = args.vary.clone();
+    if axes.len() > 2 {
+        bail!("--vary is given {} times, and a sheet varies at most two options", axes.len());
+    }
+    if let [one, other] = &axes[..]
+        && one.name() == other.name()
+    {
+        bail!("--vary {}: give all values of an option in one --vary", one.flag());
+    }
+    match axes.iter().find(|axis| is_given(axis)) {
+        Some(axis) => bail!("{} is given and varied: remove one of the two", option_name(axis.name())),
+        None => Ok(axes),
     }
 }
 
@@ -138,11 +191,13 @@ const ROW_MAX: usize = 6;
 struct Tuning<'a> {
     args: &'a TuneArgs,
     session: RenderSession<'a>,
+    /// The frame, with the attributes that the settings without --vary require.
     frame: LoadedFrame,
-    /// The spacing measured on the frame's sequence.
-    measured: Option<SequenceSpacing>,
+    file: FrameFile,
     /// The settings without --vary.
     without: Settings,
+    /// The settings of each cell.
+    settings: Vec<Result<Settings>>,
     viewpoint: Viewpoint,
 }
 
@@ -150,17 +205,21 @@ impl<'a> Tuning<'a> {
     fn new(
         args: &'a TuneArgs,
         session: RenderSession<'a>,
-        sequence: &Sequence,
-        file: &FrameFile,
+        (sequence, file): (&Sequence, &FrameFile),
+        grid: &Grid,
         console: &Console,
     ) -> Result<Tuning<'a>> {
+        let mut spacings = MeasuredSpacings { sequence, measured: Vec::new() };
         let options = args.pictures.method.to_options();
-        let measured = spacing_of(sequence, &args.vary.with_spacings(&options), console)?;
-        let without = settings_of(sequence, &options, measured.as_ref())?;
-        if measured.is_some() {
+        let spacing = spacings.spacing(&options, console)?;
+        let without = Settings::resolve(&options, spacing).with_context(|| sequence.name.clone())?;
+        let settings_of = |TunedCell { options, .. }: &TunedCell| -> Result<Settings> {
+            Ok(Settings::resolve(options, spacings.spacing(options, console)?)?)
+        };
+        let settings = grid.cells.iter().map(settings_of).collect();
+        if !spacings.measured.is_empty() {
             warn_of_siblings(sequence, console);
         }
-        let measured = measured.as_ref().map(SequenceSpacing::from);
         let frame = LoadedFrame::read((&file.path, file.number()), &without)?;
         let picture = session.outputs.picture;
         let bounds = bounds_of_particles(frame.particles(), without.radius_init).unwrap_or(EMPTY_BOUNDS);
@@ -173,22 +232,26 @@ impl<'a> Tuning<'a> {
                 .map_or(whole, |part| Viewpoint { ground: whole.ground, ..viewpoint(part) }),
             false => whole,
         };
-        Ok(Tuning { args, session, frame, measured, without, viewpoint })
+        Ok(Tuning { args, session, frame, file: file.clone(), without, settings, viewpoint })
     }
 
     /// Renders all cells, and collects the command of each cell with a picture.
     fn cells(&self, grid: &Grid, console: &mut Console) -> (Vec<(Cell, Option<CommandLine>)>, DoneCounts) {
         let (mut counts, mut reported) = (DoneCounts::default(), ReportedWarnings::default());
         let mut cells = Vec::new();
-        for (index, values) in grid.settings.iter().enumerate() {
-            let (number, options) = (index + 1, self.options(values));
-            // Some settings are derived from others, so the label uses those of the cell.
-            let settings = Settings::resolve(&options, self.measured);
-            let label = self.label(number, values, settings.as_ref().unwrap_or(&self.without));
+        for (index, (cell, settings)) in grid.cells.iter().zip(&self.settings).enumerate() {
+            let number = index + 1;
+            let values = grid.label(cell, settings.as_ref().unwrap_or(&self.without));
+            let label = self.label(number, &values, settings);
             let mut lines = vec![label.clone()];
-            let (content, command) = match catch_panic(self.frame.path(), || self.rendered(&options)) {
+            let rendered = match settings {
+                Ok(settings) => catch_panic(self.frame.path(), || self.rendered(settings))
+                    .map(|(made, picture)| (made, settings, picture)),
+                Err(error) => Err(anyhow!(with_causes(error))),
+            };
+            counts.add(rendered.is_ok());
+            let (content, command) = match rendered {
                 Ok((made, settings, picture)) => {
-                    counts.add(true);
                     let of_settings = settings.warnings().into_iter().map(Warning::Sentence);
                     for warning in of_settings.chain(made.warnings.iter().cloned()) {
                         if reported.is_new(&warning) {
@@ -196,7 +259,7 @@ impl<'a> Tuning<'a> {
                         }
                     }
                     let triangles = pluralize(made.surface.report.mesh.triangle_count, "triangle");
-                    let command = CommandLine::convert(self.args, &options);
+                    let command = CommandLine::convert(self.args, &cell.options);
                     // The time differs from run to run, so it is not part of the picture.
                     let seconds = seconds(&made);
                     console.print_line(format_args!("{label}: {seconds:.2} s, {triangles}"));
@@ -205,7 +268,6 @@ impl<'a> Tuning<'a> {
                     (CellPicture::Picture(picture), Some(command))
                 }
                 Err(error) => {
-                    counts.add(false);
                     console.error(format_args!("cell {label}: {}", with_causes(&error)));
                     (CellPicture::Text(reason(&error, self.frame.path())), None)
                 }
@@ -216,30 +278,29 @@ impl<'a> Tuning<'a> {
         (cells, counts)
     }
 
-    /// The options of a cell: the user's options with the varied ones replaced.
-    fn options(&self, values: &[SweepValue]) -> MethodOptions {
-        let mut options = self.args.pictures.method.to_options();
-        values.iter().for_each(|value| value.put(&mut options, &self.without));
-        options
-    }
-
-    fn rendered(&self, options: &MethodOptions) -> Result<(Reconstruction, Settings, Picture)> {
-        let settings = Settings::resolve(options, self.measured)?;
-        let made = self.session.reconstruct(&self.frame, &settings)?;
+    fn rendered(&self, settings: &Settings) -> Result<(Reconstruction, Picture)> {
+        let requests = [settings, &self.without].map(AttributeRequest::for_settings);
+        let made = match requests[0] == requests[1] {
+            true => self.session.reconstruct(&self.frame, settings)?,
+            false => {
+                let frame = LoadedFrame::read((&self.file.path, self.file.number()), settings)?;
+                self.session.reconstruct(&frame, settings)?
+            }
+        };
         let seen = (&self.viewpoint, self.session.outputs.picture.size);
-        let picture = picture_of_reconstruction(&made, &settings, seen, false);
-        Ok((made, settings, picture))
+        let picture = picture_of_reconstruction(&made, settings, seen, false);
+        Ok((made, picture))
     }
 
-    fn label(&self, number: usize, values: &[SweepValue], settings: &Settings) -> String {
-        let labels: Vec<String> = values.iter().map(|value| value.label(settings)).collect();
-        let is_without = values.iter().all(|value| value.is_without(&self.without));
+    fn label(&self, number: usize, values: &str, settings: &Result<Settings>) -> String {
+        let is_without = settings.as_ref().is_ok_and(|settings| *settings == self.without);
         let without = match (is_without, self.args.pictures.method == MethodArgs::default()) {
             (false, _) => "",
             (true, true) => " (the defaults)",
             (true, false) => " (as typed)",
         };
-        format!("{number}: {}{without}", labels.join(", "))
+        let label = format!("{values}{without}");
+        format!("{number}: {}", label.trim_start())
     }
 
     fn sheet(&self, grid: &Grid, cells: Vec<(Cell, Option<CommandLine>)>) -> Sheet {
@@ -249,22 +310,17 @@ impl<'a> Tuning<'a> {
             Some(format!("{}: {}", index + 1, command.as_ref()?.short_text()))
         });
         let footer = commands.collect();
-        let mut cells: Vec<Cell> = cells.into_iter().map(|(cell, _)| cell).collect();
-        let of_block = cells.len() / grid.blocks.len().max(1);
-        let blocks = grid.blocks.iter().map(|value| {
-            let rest = cells.split_off(of_block.min(cells.len()));
-            let title = value.map_or(String::new(), |value| value.label(&self.without));
-            CellGroup { title, cells: std::mem::replace(&mut cells, rest), columns: grid.columns }
-        });
-        Sheet { title, picture_size: self.args.size.map(usize::from), blocks: blocks.collect(), footer }
+        let cells = cells.into_iter().map(|(cell, _)| cell).collect();
+        let blocks = vec![CellGroup { title: String::new(), cells, columns: grid.columns }];
+        Sheet { title, picture_size: self.args.size.map(usize::from), blocks, footer }
     }
 
     fn made_from(&self, grid: &Grid) -> SheetPart {
-        let axes: Vec<&str> = grid.axes.iter().map(|axis| axis.name).collect();
+        let cells = pluralize(grid.cells.len(), "cell");
         SheetPart {
             name: self.name(),
             hash: Some(self.frame.hash()),
-            what: format!("{} by {}", pluralize(grid.settings.len(), "cell"), axes.join(", ")),
+            what: format!("{cells}: {}", grid.meaning()),
             settings: Some(self.without.clone()),
             options: Some(fixed(&self.session, self.viewpoint)),
         }
@@ -272,6 +328,29 @@ impl<'a> Tuning<'a> {
 
     fn name(&self) -> String {
         self.frame.path().file_name().unwrap_or_default().to_string_lossy().into_owned()
+    }
+}
+
+/// The spacings of a sequence, measured once for each attribute of radii.
+struct MeasuredSpacings<'a> {
+    sequence: &'a Sequence,
+    measured: Vec<(Option<PerParticleRadius>, Option<SequenceSpacing>)>,
+}
+
+impl MeasuredSpacings<'_> {
+    /// The spacing that `convert` measures with these options; `None` if they need none.
+    fn spacing(&mut self, options: &MethodOptions, console: &Console) -> Result<Option<SequenceSpacing>> {
+        if !options.needs_spacing() {
+            return Ok(None);
+        }
+        let radius = options.per_particle_radius().ok().flatten();
+        if let Some((_, spacing)) = self.measured.iter().find(|(of, _)| *of == radius) {
+            return Ok(*spacing);
+        }
+        let measured = spacing_of(self.sequence, options, console)?;
+        let spacing = measured.as_ref().map(SequenceSpacing::from);
+        self.measured.push((radius, spacing));
+        Ok(spacing)
     }
 }
 
