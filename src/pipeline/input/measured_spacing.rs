@@ -85,7 +85,8 @@ pub struct NoSpacing {
 
 impl fmt::Display for NoSpacing {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let NoSpacing { sparse_count, empty_count, unreadable_count, missing_count, unreadable, condition } = self;
+        let NoSpacing { sparse_count, empty_count, unreadable_count, missing_count, unreadable, condition } =
+            self;
         if let (None, true, Some(condition)) = (unreadable, empty_count == sparse_count, condition) {
             return write!(
                 f,
