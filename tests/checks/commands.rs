@@ -176,18 +176,13 @@ fn commands(text: &str) -> Vec<PageCommand<'_>> {
 
 /// Commands in code blocks that other checks run: the file of the check, and the text in it that runs the
 /// command.
-const RUN_ELSEWHERE: [(&str, &str, &str); 6] = [
+const RUN_ELSEWHERE: [(&str, &str, &str); 5] = [
     ("cargo install --path . --locked", ".ci/install", "cargo install --path . --locked"),
     ("pip install pysplishsplash==2.19.0", "tests/clients/install", "pysplishsplash==2.19.0"),
     (
         "python tests/clients/simulate_splishsplash.py simulation",
         "tests/clients/check_simulators.py",
         "simulate_{name}.py",
-    ),
-    (
-        "blender --python examples/blender/import_sequence.py -- surfaces",
-        "tests/clients/check_blender_example.py",
-        "\"import_sequence.py\"",
     ),
     (
         "examples/farm/submit.sh plan.json --cpus-per-task=4 --time=30",
