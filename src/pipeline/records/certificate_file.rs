@@ -29,6 +29,7 @@ use crate::pipeline::files::atomic_write::stage;
 use crate::pipeline::files::input_file::{InputFile, read_start_unchanged};
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::files::names::name_of_text;
+use crate::pipeline::files::open::require_regular;
 use crate::pipeline::files::staged_file::StagedFile;
 use crate::pipeline::input::steps::frame_name;
 
@@ -158,7 +159,8 @@ impl CertifiedFrame {
             let name = name_of(path);
             let output = self.outputs.iter().find(|output| output.file == name);
             let output = output.ok_or_else(|| format!("the certificate has no entry for {name}"))?;
-            let size_bytes = fs::metadata(path).map_err(|error| format!("{name}: {error}"))?.len();
+            let metadata = fs::metadata(path).and_then(|metadata| require_regular(&metadata).map(|()| metadata));
+            let size_bytes = metadata.map_err(|error| format!("{name}: {error}"))?.len();
             if size_bytes != output.size_bytes {
                 let size = output.size_bytes;
                 return Err(format!(
