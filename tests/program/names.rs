@@ -84,7 +84,7 @@ fn played(stage: &Path) -> Vec<String> {
 
 #[test]
 fn times_in_names_are_one_sequence_in_the_order_of_their_values() {
-    let times = ["0.0", "0.05", "0.1", "0.15", "0.9000", "1.0000", "1.0500"];
+    let times = ["0.0", "0.05", "0.1", "0.15", "0.9500", "1.0000", "1.0500"];
     for (names, pattern) in [(&times[..4], "result_{}.ply"), (&times[4..], "p_{}.ply")] {
         let inputs: Vec<String> = names.iter().map(|time| pattern.replace("{}", time)).collect();
         let folder = folder_with(&inputs.iter().map(String::as_str).collect::<Vec<_>>());
