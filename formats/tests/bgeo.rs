@@ -104,7 +104,7 @@ fn all_attribute_types_are_read() {
         attribute(
             "material",
             1,
-            None,
+            Some(AttributeRole::Kind),
             Values::Strings { table: vec!["oil".into(), "water".into()], indices: vec![1, -1] },
         ),
     ];

@@ -196,7 +196,11 @@ fn invalid_arrays_are_errors() {
             "does not have so many columns",
         ),
         ("columns of nothing", array(1, "'<f4'", false, "(0, 5000)", &[]), "does not have so many columns"),
-        ("columns of positions", array(1, "'|u1'", false, "(3, 33)", &[0; 99]), "transpose it: array.T"),
+        (
+            "columns of positions",
+            array(1, "'|u1'", false, "(3, 33)", &[0; 99]),
+            "save its transpose, `array.T`",
+        ),
         ("a matrix", array(1, "'|u1'", false, "(33, 33)", &[0; 33 * 33]), "does not have so many columns"),
         (
             "a picture",

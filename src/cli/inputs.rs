@@ -24,7 +24,7 @@ use meniscus_formats::{Error, Neighbor};
 
 use crate::pipeline::{
     FrameFile, NumberPattern, SniffedContent, canonical_entry, content, files_in, frames_in, is_absent,
-    is_level_set, is_link_loop, is_number, is_sequence_file, may_be_file, promises_particles, shown,
+    is_level_set, is_link_loop, is_mesh, is_number, is_sequence_file, may_be_file, promises_particles, shown,
     size_bytes, step_of,
 };
 
@@ -202,6 +202,7 @@ impl MatchedInputs {
         let (count_before, mesh_count_before) = (self.count(), self.mesh_count());
         let file_count = files.len();
         let has_level_set = files.iter().any(|path| is_level_set(path));
+        let has_mesh = files.iter().any(|path| is_mesh(path));
         self.add_files(files);
         if self.count() == count_before {
             for folder in numbered_folders_in(folder) {
@@ -213,7 +214,7 @@ impl MatchedInputs {
         }
         if self.count() == count_before && !may_be_empty {
             let hint = match subfolder_count(folder) {
-                _ if self.mesh_count() > mesh_count_before => {
+                _ if has_mesh || self.mesh_count() > mesh_count_before => {
                     "; it has meshes: `render` and `contact-sheet` show them, and `convert` takes their points if you give \
                      them by name or by a pattern"
                         .to_owned()

@@ -115,7 +115,7 @@ fn several_kinds_cause_one_warning_and_are_listed() {
     assert!(!alone.err.contains("become one surface"), "{}", alone.err);
     let info = meniscus(folder, &["info", "mixed/dam.1.csv"]).out;
     assert!(info.contains("phase: string × 1, kind, 2 distinct: 216 × fluid, 729 × wall"), "{info}");
-    assert!(info.contains("mk: i32 × 1, 1 … 11: 216 × 1, 729 × 11"), "{info}");
+    assert!(info.contains("mk: i32 × 1, 1 to 11: 216 × 1, 729 × 11"), "{info}");
     let json = meniscus(folder, &["info", "--json", "mixed/dam.1.csv"]).out;
     let json: Value = serde_json::from_str(&json).expect("JSON");
     let attributes = json[0]["particles"]["attributes"].as_array().expect("attributes");
@@ -207,7 +207,8 @@ fn file_in_batches_and_tiles_gives_the_surface_of_the_chosen_particles() {
     assert_eq!((whole.status, &*whole.err), (0, ""), "{}", whole.out);
     assert!(expected.len() > 1000 && surface_in(&folder.join("o/mixed.obj")) == expected, "in batches");
     let refused = convert("mixed.ply", "o", &[&chosen[..], &["--memory", "1MiB"]].concat());
-    let needed = refused.err.split("the frame needs ").nth(1).and_then(|rest| rest.split(' ').next());
+    let needed =
+        refused.err.split("the frame needs at least ").nth(1).and_then(|rest| rest.split(' ').next());
     let memory = format!("{}MiB", needed.unwrap_or_else(|| panic!("{}", refused.err)));
     let tiled = convert("mixed.ply", "tiled", &[&chosen[..], &["--memory", &memory]].concat());
     assert!(tiled.status == 0 && tiled.err.contains("processed in tiles"), "{}", tiled.err);

@@ -263,7 +263,7 @@ fn neighbors_of_frames_are_skipped_in_folders_and_named_on_request() {
     }
     let result = convert(path, &["in", "--out", "none"]);
     assert!(
-        result.status == 2 && result.err.contains("only if you give the files by name"),
+        result.status == 2 && result.err.contains("takes their points if you give them by name"),
         "{}",
         result.err
     );

@@ -48,10 +48,6 @@ const ARCHIVE: &str = "NumPy archive";
 /// frames, which [`crate::steps::find_steps`] locates; [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = header::read(bytes, limits)?;
-    let is_plain = matches!(header.layout, ElementLayout::Plain { .. });
-    if is_plain && header.shape.len() == 2 && is_transposed(header.row_count(), header.column_count()) {
-        return Err(transposed(FORMAT, &header.shown()));
-    }
     check_shape(&header)?;
     let data = header.data(bytes)?;
     if header.frame_count().is_some() {
@@ -102,9 +98,20 @@ fn steps_of_array(lines: LineHeads, steps: &mut Vec<FoundStep>, limits: &Limits)
     Ok(())
 }
 
-/// Refuses images and matrices.
+/// Refuses images, matrices, and arrays with a column for each particle: with four columns or fewer, the rows of
+/// a (3, N) array are particles.
 fn check_shape(header: &ArrayHeader) -> Result<()> {
     let ElementLayout::Plain { number, .. } = header.layout else { return Ok(()) };
+    if let [3, columns] = header.shape[..]
+        && columns > 4
+    {
+        let what = format!(
+            "expected positions as an array of shape (N, 3), found {}, which has a column for each particle: save its \
+             transpose, `array.T`",
+            header.shown()
+        );
+        return Err(Error::invalid(FORMAT, Position::File, what));
+    }
     let is_byte = matches!(number, NumberType::U8 | NumberType::Bool);
     let reason = match header.shape[..] {
         [_, _, _, ..] if is_byte => "8-bit numbers in three dimensions are a picture",
@@ -115,13 +122,9 @@ fn check_shape(header: &ArrayHeader) -> Result<()> {
         [_, _, _, _, ..] => "there are too many dimensions",
         _ => return Ok(()),
     };
-    let remedy = match header.shape[..] {
-        [3, _] => "transpose it: array.T",
-        _ => "reshape it, for example with array.reshape(-1, 3)",
-    };
     let what = format!(
         "expected positions as an array of shape (N, 3), with more columns, or (T, N, 3) for T frames, found {}: \
-         {reason}; {remedy}",
+         {reason}; reshape it, for example with array.reshape(-1, 3)",
         header.shown()
     );
     Err(Error::invalid(FORMAT, Position::File, what))
@@ -219,9 +222,6 @@ fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<
             check_count(header.row_count(), limits)?;
             let columns = header.column_count();
             if columns > limits.attribute_count {
-                if is_transposed(header.row_count(), columns) {
-                    return Err(transposed(FORMAT, &header.shown()));
-                }
                 let what = format!(
                     "the array has {columns} columns, more than the limit of {}",
                     limits.attribute_count
@@ -259,24 +259,6 @@ fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<
             format!("the array contains {what}: save numbers, such as float32"),
         )),
     }
-}
-
-/// Whether an array of positions has a column for each particle. With four columns or less, its rows are
-/// particles.
-fn is_transposed(row_count: u64, column_count: usize) -> bool {
-    row_count == 3 && column_count > 4
-}
-
-fn is_transposed_array(array: &NamedArray) -> bool {
-    is_transposed(array.particle_count() as u64, array.arity)
-}
-
-fn transposed(format: &'static str, found: &str) -> Error {
-    let what = format!(
-        "expected positions as an array of shape (N, 3), found {found}, which has a column for each particle: \
-         save its transpose, `array.T`"
-    );
-    Error::invalid(format, Position::File, what)
 }
 
 /// A frame from an array without names: its first three columns are the position, unless the first is an id.
@@ -353,7 +335,7 @@ fn frame_of_archive(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Res
 /// The frame of an archive with a single array: the array is used as the position, whatever its name.
 fn frame_of_only(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result<ParticleFrame> {
     let array = match arrays.pop() {
-        Some(array) if arrays.is_empty() && array.arity >= 3 && !is_transposed_array(&array) => array,
+        Some(array) if arrays.is_empty() && array.arity >= 3 => array,
         last => {
             arrays.extend(last);
             return Err(no_position_among(&arrays));
@@ -406,11 +388,6 @@ fn no_position(header: &ArrayHeader) -> Error {
 }
 
 fn no_position_among(arrays: &[NamedArray]) -> Error {
-    let is_position = |array: &&NamedArray| arrays.len() == 1 || position_rank(&array.name).is_some();
-    if let Some(array) = arrays.iter().filter(is_position).find(|array| is_transposed_array(array)) {
-        let found = format!("`{}` of the shape (3, {})", excerpt(&array.name), array.arity);
-        return transposed(ARCHIVE, &found);
-    }
     let shown = |array: &NamedArray| format!("{} ({}, {})", array.name, array.particle_count(), array.arity);
     let found: Vec<String> = arrays.iter().take(12).map(shown).collect();
     let what = format!(

@@ -159,7 +159,8 @@ impl CertifiedFrame {
             let name = name_of(path);
             let output = self.outputs.iter().find(|output| output.file == name);
             let output = output.ok_or_else(|| format!("the certificate has no entry for {name}"))?;
-            let metadata = fs::metadata(path).and_then(|metadata| require_regular(&metadata).map(|()| metadata));
+            let metadata =
+                fs::metadata(path).and_then(|metadata| require_regular(&metadata).map(|()| metadata));
             let size_bytes = metadata.map_err(|error| format!("{name}: {error}"))?.len();
             if size_bytes != output.size_bytes {
                 let size = output.size_bytes;

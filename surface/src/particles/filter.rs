@@ -291,7 +291,7 @@ impl FromStr for ParticleFilter {
             let mut parser = Parser { tokens: tokens(text)?, next: 0, depth: 0 };
             let condition = parser.condition()?;
             if parser.next < parser.tokens.len() {
-                return Err(parser.expected("and, or, or the end"));
+                return Err(parser.expected("`and`, `or` or the end"));
             }
             Ok(condition)
         };
