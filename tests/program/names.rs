@@ -118,7 +118,7 @@ fn times_in_names_are_one_sequence_in_the_order_of_their_values() {
         }
         for command in [
             &["contact-sheet", "in", "-o", "s.png", "--size", "64x48"][..],
-            &["tune", "in", "-o", "t.png", "--size", "64x48", "--vary", "smoothing=0,0.5"],
+            &["tune", "in", "-o", "t.png", "--size", "64x48", "--vary", "position-smoothing=0,0.5"],
         ] {
             let result = meniscus(path, command);
             assert_eq!(result.status, 0, "{command:?}: {}", result.err);
