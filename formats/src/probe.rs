@@ -479,8 +479,8 @@ mod tests {
             (b"Dear reader\n", "a", ProbedKind::UnknownText),
             (b"0\n\n1\n\nO 1 2 3\n", "a.xyz", ProbedKind::Format(Format::XyzAtoms)),
             (b"0\nstep 1\n0\n\n", "a.xyz", ProbedKind::Format(Format::XyzAtoms)),
-            (b"0\n0.5\n", "a.dat", ProbedKind::Format(Format::Delimited)),
-            (b"0\nstep 1\nother text\n", "a.dat", ProbedKind::Format(Format::Delimited)),
+            (b"0\n0.5\n", "a.dat", ProbedKind::UnknownText),
+            (b"0\nstep 1\nother text\n", "a.dat", ProbedKind::UnknownText),
             (b"\xff\xfex\0,\0y\0,\0z\0\n\0", "a.csv", ProbedKind::Format(Format::Delimited)),
             (b"\xfe\xff\0{\0}", "a.json", ProbedKind::Foreign("UTF-16 text: save it as UTF-8")),
             (

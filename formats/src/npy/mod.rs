@@ -160,19 +160,26 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
             unfit = Some(Error::unsupported(ARCHIVE, what));
         }
         // Arrays that are not the position may have any shape.
-        match unfit {
-            Some(error) if position_rank(name).is_some() => return Err(error),
-            unfit => last_unfit = unfit,
+        if position_rank(name).is_some()
+            && let Some(error) = unfit
+        {
+            return Err(error);
         }
         let data = header.data(&content).map_err(within)?;
-        let (parts, more) = arrays_of(&header, data, limits).map_err(within)?;
+        let (parts, more) = match (arrays_of(&header, data, limits).map_err(within), &unfit) {
+            (Err(_), Some(_)) => {
+                (Vec::new(), vec![format!("skipped `{}`: it is {}", excerpt(name), header.shown())])
+            }
+            (read, _) => read?,
+        };
+        last_unfit = unfit;
         notes.extend(more);
         arrays.extend(parts.into_iter().map(|array| match array.name.is_empty() {
             true => NamedArray { name: name.into(), ..array },
             false => array,
         }));
     }
-    if let ([_], Some(error)) = (&arrays[..], last_unfit) {
+    if let ([] | [_], Some(error)) = (&arrays[..], last_unfit) {
         return Err(error);
     }
     let mut frame = frame_of_archive(arrays, &mut notes).map_err(|error| match pickled.is_empty() {
