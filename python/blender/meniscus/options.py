@@ -118,7 +118,7 @@ def coarse(values: dict[str, Any]) -> dict[str, Any]:
 
     The radii and what else moves the surface stay, so that a drag of these values shows their effect.
     """
-    kept = {"radius_min", "radius_ratio", "radius_scale", "offset", "clip", "drop_islands", "spacing"}
+    kept = {"where", "radius_min", "radius_ratio", "radius_scale", "offset", "clip", "drop_islands", "spacing"}
     return {"preset": "preview", **{name: value for name, value in values.items() if name in kept}}
 
 

@@ -55,7 +55,9 @@ Progress = Callable[[str, float], object]
 def measured(points: Points, options: dict[str, Any]) -> float:
     """The particle spacing, rounded to the 32 bits of a property, so that the first surface is made with the
     value that is stored."""
-    settings = pymeniscus.Sequence(points.positions, radii=points.radii, **options).settings
+    # A condition needs the attributes.
+    first = pymeniscus.Particles(points.positions, points.attributes if "where" in options else None)
+    settings = pymeniscus.Sequence(first, radii=points.radii, velocity=points.velocity, **options).settings
     assert settings is not None
     return float(np.float32(settings["spacing"]))
 
