@@ -70,17 +70,25 @@ class Particles:
         self._texts: dict[str, tuple[NDArray[np.int32], list[str]]] = {}
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        if name in self._attributes:
-            return self._attributes[name]
-        role = _native.role_of(name) or name
-        for other, other_role in self.roles.items():
-            if other_role == role and other in self._attributes:
-                return self._attributes[other]
-        known = ", ".join(f"`{other}`" for other in self._attributes) or "none"
-        raise KeyError(f"no attribute `{name}`; the attributes are: {known}")
+        found = self._found(name)
+        if found is None:
+            known = ", ".join(f"`{other}`" for other in self._attributes) or "none"
+            raise KeyError(f"no attribute `{name}`; the attributes are: {known}")
+        return self._attributes[found]
 
     def __contains__(self, name: object) -> bool:
-        return name in self._attributes
+        return isinstance(name, str) and self._found(name) is not None
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """The attribute, or `default` if there is none."""
+        return self[name] if name in self else default
+
+    def _found(self, name: str) -> str | None:
+        """The name of the attribute with this name, or else with the role that it stands for."""
+        if name in self._attributes:
+            return name
+        role = _native.role_of(name) or name
+        return next((other for other in self._attributes if self.roles.get(other) == role), None)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._attributes)

@@ -286,6 +286,8 @@ class _Given:
             self.selected.append("velocity")
         if attributes is None:
             return
+        if isinstance(attributes, Particles):
+            attributes = dict(attributes.items())
         if not isinstance(attributes, Iterable):
             raise TypeError(f"attributes must be arrays by name, not {type(attributes).__name__}")
         if not isinstance(attributes, str):

@@ -41,7 +41,8 @@ def test_attributes_are_found_by_other_names_of_their_role(tmp_path, name, other
         np.savez(path, position=np.zeros((4, 3)), **{stored: arrays[name]})
         particles = pm.read(path)
         assert list(particles) == [stored]
-        assert all(particles[other] is particles[stored] for other in asked), stored
+        assert all(other in particles and particles[other] is particles[stored] for other in asked), stored
+        assert "mass" not in particles and particles.get("mass") is None and particles.get(name) is particles[stored]
 
 
 def test_text_columns_are_read(tmp_path):

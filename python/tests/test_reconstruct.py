@@ -332,6 +332,8 @@ def test_attributes_reach_the_vertices(block):
     assert set(made.attributes["phase"]) <= {"water", "oil"} and len(set(made.attributes["phase"])) == 2
     left = made.vertices[:, 0] < 0.3
     assert set(made.attributes["phase"][left]) == {"water"}
+    particles = pm.Particles(block, {"height": block[:, 2]})
+    assert list(pm.reconstruct(block, attributes=particles, spacing=0.1).attributes) == ["height"]
 
 
 @pytest.mark.parametrize(
