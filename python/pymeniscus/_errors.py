@@ -14,7 +14,7 @@ class OptionError(MeniscusError, ValueError):
 
 
 class ParticleError(MeniscusError, ValueError):
-    """The particles cannot have a surface: there are no particles, no position is finite, a required attribute is
+    """The particles cannot have a surface: there are none, no position is finite, a required attribute is
     missing, or the voxels are too small for the extent of the frame."""
 
 

@@ -18,8 +18,8 @@ class Particles:
 
     ``particles["velocity"]`` is the attribute with this name, or else the one with the role that the name
     stands for: an array of shape (N,) or (N, K). As in a data frame, ``len(particles)`` is the number of
-    particles, and the iteration, `keys`, `values` and `items` are those of the attributes. The arrays belong
-    to the caller, who may change them.
+    particles; iteration, `keys`, `values` and `items` give the attributes, as in a mapping. The arrays
+    belong to the caller, who may change them.
 
     Attributes
     ----------

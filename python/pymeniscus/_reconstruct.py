@@ -108,13 +108,13 @@ def reconstruct(
         For an unknown option, for `radii` with another `radius_attribute`, and for arrays of a wrong type or in
         the memory of a device.
     ValueError
-        For arrays of a wrong shape.
+        For arrays of a wrong shape, and obstacles that are too far from the origin.
     OptionError
         If an option is out of its range, or the particle spacing cannot be measured. A subclass of
         `ValueError`.
     ParticleError
-        If the voxel size must be measured and there are no particles, no position is finite, a required attribute
-        or one in `where` is missing, or the voxels are too small for the extent of the frame. A subclass of
+        If the voxel size must be measured and there are no particles, no position is finite, an attribute that
+        an option needs is missing, or the voxels are too small for the extent of the frame. A subclass of
         `ValueError`.
     MemoryLimitError
         If the frame needs more memory than the limit. A subclass of `MemoryError`.
@@ -151,8 +151,9 @@ class Sequence:
     Parameters
     ----------
     first_frame : array_like, shape (N, 3), or Particles, optional
-        The frame to measure the spacing on; by default, the first frame that you reconstruct. The constructor
-        does not reconstruct its surface. It uses all cores.
+        The frame to measure the spacing on; by default, the first frame that you reconstruct. For a condition
+        in `where`, it must be `Particles` with the attributes. The constructor does not reconstruct its
+        surface. It uses all cores.
     radii : array_like, shape (N,), optional
         The radii of the particles of `first_frame`.
     velocity : array_like, shape (N, 3), optional

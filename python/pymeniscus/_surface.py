@@ -268,7 +268,8 @@ class Surface:
         """The resolved options by name: numbers, True or False, or words. Lengths are in world units.
 
         ``reconstruct(points, **surface.settings)`` gives the same surface, with the same `radii`, `velocity`,
-        `attributes` and `obstacles`, which are not in the settings. Options without effect are left out.
+        `attributes`, `obstacles` and mask (`where`), which are not in the settings. Options without effect are
+        left out.
         """
         return as_values(self._native.settings())
 
@@ -327,8 +328,8 @@ class Surface:
         Raises
         ------
         ValueError
-            For an unknown format, choice or size, and for a file whose positions differ from those of the surface if
-            `formats` of `reconstruct` did not have it.
+            For an unknown format, choice or size, and for a file with positions at which `reconstruct` did not
+            check the surface: see `formats` there.
         TypeError
             If an argument has the wrong type.
         FormatError
