@@ -1,6 +1,6 @@
 //! Converts NumPy arrays to the input types of the surface reconstruction.
 
-use meniscus_formats::columns::{roles_of, with_role};
+use meniscus_formats::columns::{self, radius_scale, roles_of, with_role};
 use meniscus_formats::{AttributeRole, FileAttribute, Values};
 use numpy::{Element, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -213,11 +213,13 @@ pub(crate) fn word_of_role(role: AttributeRole) -> Option<&'static str> {
     ROLES.iter().find(|(known, _)| *known == role).map(|(_, word)| *word)
 }
 
-/// The role that an attribute with this name has in files.
+/// The role that an attribute with this name has in files, if the name means the same as all others with this
+/// role: an object is not a phase, and a diameter is not a radius.
 #[pyfunction]
 pub(crate) fn role_of(name: &str) -> Option<&'static str> {
-    let of_arity = |arity: usize| meniscus_formats::columns::role_of(name, arity);
-    [3, 1].into_iter().find_map(of_arity).and_then(word_of_role)
+    let role = [3, 1].into_iter().find_map(|arity| columns::role_of(name, arity))?;
+    let means_the_same = role != AttributeRole::Kind && radius_scale(name) == 1.0;
+    word_of_role(role).filter(|_| means_the_same)
 }
 
 fn role_of_word(word: &str) -> PyResult<AttributeRole> {

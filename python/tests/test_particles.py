@@ -45,6 +45,16 @@ def test_attributes_are_found_by_other_names_of_their_role(tmp_path, name, other
         assert "mass" not in particles and particles.get("mass") is None and particles.get(name) is particles[stored]
 
 
+def test_names_of_other_quantities_find_nothing(tmp_path):
+    path = tmp_path / "frame.npz"
+    np.savez(path, position=np.zeros((4, 3)), phase=np.arange(4), radius=np.ones(4))
+    particles = pm.read(path)
+    assert particles["kind"] is particles["phase"] and particles["pscale"] is particles["radius"]
+    for name in ("object", "diameter"):
+        with pytest.raises(KeyError, match="the attributes are: `phase`, `radius`"):
+            particles[name]
+
+
 def test_text_columns_are_read(tmp_path):
     path = tmp_path / "frame.csv"
     path.write_text("x,y,z,phase\n0,0,0,water\n1,0,0,oil\n0,1,0,water\n")
