@@ -200,9 +200,9 @@ function showCell(index, name, seenUntil) {
   let cell = shown.get(name);
   if (!cell) {
     // A long name is cut at its start, as text from right to left, so it must be isolated from that direction.
-    const name = make('bdi');
-    name.dir = 'ltr';
-    cell = make('div', '', make('div', 'picture'), make('div', 'name', name), make('div', 'details'));
+    const text = make('bdi');
+    text.dir = 'ltr';
+    cell = make('div', '', make('div', 'picture'), make('div', 'name', text), make('div', 'details'));
     cell.setAttribute('role', 'option');
     cell.id = `frame-${cells++}`;
     cell.since = performance.now();
