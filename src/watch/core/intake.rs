@@ -477,7 +477,7 @@ impl Core {
         let Some(index) = self.frames.get(id).map(|frame| frame.sequence) else { return };
         if !std::mem::replace(&mut self.sequences.get_mut(index).is_neighbor_logged, true) {
             let [one, _] = neighbor.words();
-            self.log_about(&*id.path, move |file| tracing::info!(%file, "skipped: {one}"));
+            self.log_about(&*id.path, move |path| tracing::info!(%path, "skipped: {one}"));
         }
     }
 
