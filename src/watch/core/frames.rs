@@ -135,7 +135,7 @@ pub(crate) struct FrameState {
     pub(crate) scan_count: u64,
     /// Whether it was inspected at least once.
     pub(crate) was_inspected: bool,
-    /// Whether a writer closed its file while it was in progress.
+    /// Whether a writer closed its file, which must then be read again.
     pub(crate) was_closed: bool,
     /// The stamps of its obstacles at the last inspection; `None` without obstacles.
     pub(crate) obstacles: Option<Arc<ObstacleStamps>>,

@@ -55,6 +55,7 @@ impl Core {
             FramePhase::Done | FramePhase::Failed | FramePhase::Ignored if is_same && was_closed => {
                 return self.read_again(id);
             }
+            FramePhase::Steps if is_same && was_closed => return self.read_steps_again(id),
             FramePhase::Done if is_same => return self.check_outputs(id),
             FramePhase::Steps if is_same => return self.check_steps(id),
             FramePhase::Failed if is_same => return self.check_refusal(id),
@@ -76,6 +77,9 @@ impl Core {
     /// Reads a file again although its stamp is the same: a writer has closed it. A memory map changes the
     /// content after the times of the file, and no event reports that.
     pub(super) fn read_again(&mut self, id: &FrameId) {
+        if let Some(frame) = self.frames.get_mut(id) {
+            frame.was_closed = true;
+        }
         match self.failed.get(id).is_some_and(|failure| failure.is_refusal) {
             true => self.check_refusal(id),
             false => self.inspect(id, None, None),
@@ -297,6 +301,10 @@ impl Core {
 
     /// Checks the outputs of a done frame.
     pub(super) fn check_outputs(&mut self, id: &FrameId) {
+        // This inspection may replace one that was to read the file again.
+        if self.frames.get(id).is_some_and(|frame| frame.was_closed) {
+            return self.inspect(id, None, None);
+        }
         let record = self.output(id.root).journal.frames.get(&*id.path);
         if let Some(record) = record.filter(|_| self.output(id.root).is_mounted).map(Arc::clone) {
             // Without settings: these are current, and obstacles are inspected separately.
@@ -429,6 +437,9 @@ impl Core {
     /// A file is complete.
     fn on_complete(&mut self, id: &FrameId, complete: Complete) {
         let Complete { proof, changed_output, contents, conflict } = complete;
+        if let Some(frame) = self.frames.get_mut(id) {
+            frame.was_closed = false;
+        }
         if let Some(refusal) = self.failed.get(id).filter(|failure| failure.is_refusal) {
             // The reason is logged and recorded already.
             if conflict.as_ref() == Some(&refusal.reason) {

@@ -245,8 +245,7 @@ impl Core {
 
     /// A file may have changed, or been removed, while it was converted.
     pub(super) fn check_again(&mut self, id: &FrameId) {
-        let was_closed = |frame: &mut FrameState| std::mem::take(&mut frame.was_closed);
-        let was_closed = self.frames.get_mut(id).is_some_and(was_closed);
+        let was_closed = self.frames.get(id).is_some_and(|frame| frame.was_closed);
         match self.frames.phase(id) {
             Some(FramePhase::Done | FramePhase::Failed) if was_closed => self.read_again(id),
             Some(FramePhase::Done) => self.check_outputs(id),

@@ -136,6 +136,19 @@ impl Core {
         }
     }
 
+    /// Reads the steps of a file again: a writer has closed it.
+    pub(super) fn read_steps_again(&mut self, file: &FrameId) {
+        for step in self.known_steps(file) {
+            let Some(frame) = self.frames.get_mut(&step) else { continue };
+            match frame.phase {
+                FramePhase::Done | FramePhase::Failed => self.read_again(&step),
+                // It is read again when its conversion ends.
+                FramePhase::InProgress(_) => frame.was_closed = true,
+                _ => {}
+            }
+        }
+    }
+
     /// A file was removed, or no longer has steps.
     pub(super) fn forget_steps(&mut self, file: &FrameId) {
         let steps = self.known_steps(file);
