@@ -34,7 +34,7 @@ use crate::pipeline::{
     ReportedWarnings, Sequence, SheetPart, Viewpoint, Warning, bounds_of_particles, close_up, up_of,
 };
 use crate::render::{Cell, CellGroup, CellPicture, Picture, Sheet};
-use crate::surface::options::{MethodOptions, PerParticleRadius, SequenceSpacing, Settings};
+use crate::surface::options::{MethodOptions, SequenceSpacing, Settings, SpacingOptions};
 
 use super::command::CommandLine;
 use super::{SheetFile, even_columns, fixed, reason, refuse_large};
@@ -331,10 +331,10 @@ impl<'a> Tuning<'a> {
     }
 }
 
-/// The spacings of a sequence, measured once for each attribute of radii.
+/// The spacings of a sequence, each measured once.
 struct MeasuredSpacings<'a> {
     sequence: &'a Sequence,
-    measured: Vec<(Option<PerParticleRadius>, Option<SequenceSpacing>)>,
+    measured: Vec<(SpacingOptions, Option<SequenceSpacing>)>,
 }
 
 impl MeasuredSpacings<'_> {
@@ -343,13 +343,14 @@ impl MeasuredSpacings<'_> {
         if !options.needs_spacing() {
             return Ok(None);
         }
-        let radius = options.per_particle_radius().ok().flatten();
-        if let Some((_, spacing)) = self.measured.iter().find(|(of, _)| *of == radius) {
+        // `Settings::resolve` reports an invalid radius scale.
+        let measured_with = options.spacing_options().unwrap_or_default();
+        if let Some((_, spacing)) = self.measured.iter().find(|(of, _)| *of == measured_with) {
             return Ok(*spacing);
         }
         let measured = spacing_of(self.sequence, options, console)?;
         let spacing = measured.as_ref().map(SequenceSpacing::from);
-        self.measured.push((radius, spacing));
+        self.measured.push((measured_with, spacing));
         Ok(spacing)
     }
 }
