@@ -200,56 +200,55 @@ impl MatchedInputs {
     fn add_folder(&mut self, folder: &Path, may_be_empty: bool) -> Result<()> {
         let files = files_in(folder).with_context(|| folder.display().to_string())?;
         let (count_before, mesh_count_before) = (self.count(), self.mesh_count());
-        let file_count = files.len();
-        let has_level_set = files.iter().any(|path| is_level_set(path));
-        let has_mesh = files.iter().any(|path| is_mesh(path));
-        self.add_files(files);
+        self.add_files(&files);
         if self.count() == count_before {
             for folder in numbered_folders_in(folder) {
                 match files_in(&folder) {
-                    Ok(files) => self.add_files(files),
+                    Ok(files) => self.add_files(&files),
                     Err(error) => self.note_unreadable(&folder, &error),
                 }
             }
         }
         if self.count() == count_before && !may_be_empty {
             let hint = match subfolder_count(folder) {
-                _ if has_mesh || self.mesh_count() > mesh_count_before => {
+                _ if self.mesh_count() > mesh_count_before || files.iter().any(|path| is_mesh(path)) => {
                     "; it has meshes: `render` and `contact-sheet` show them, and `convert` takes their points if you give \
                      them by name or by a pattern"
                         .to_owned()
                 }
-                _ if has_level_set => format!(
+                _ if files.iter().any(|path| is_level_set(path)) => format!(
                     ": `convert` takes level sets by name, or by a pattern such as '{}', and `contact-sheet` shows \
                      them",
                     folder.join("*.vdb").display()
                 ),
-                0 if file_count == 0 => bail!("{}: the folder is empty", folder.display()),
+                0 if files.is_empty() => bail!("{}: the folder is empty", folder.display()),
                 0 => String::new(),
                 count => format!("; it has {}: give them by name", pluralize(count, "sub-folder")),
             };
             bail!(
                 "{}: no frames of particles among the {} of this folder{hint}",
                 folder.display(),
-                pluralize(file_count, "file")
+                pluralize(files.len(), "file")
             );
         }
         Ok(())
     }
 
     /// Adds those of the files in a folder that are frames.
-    fn add_files(&mut self, files: Vec<PathBuf>) {
+    fn add_files(&mut self, files: &[PathBuf]) {
         for path in files {
-            match content_in_folder(&path) {
+            match content_in_folder(path) {
                 Ok(SniffedContent::Particles | SniffedContent::OwnParticles) => {
-                    self.files.push(FrameFile::new(path));
+                    self.files.push(FrameFile::new(path.clone()));
                 }
-                Ok(SniffedContent::Neighbor(neighbor)) => self.skip(Some(neighbor), path, 1),
-                Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles) => self.skip(None, path, 1),
+                Ok(SniffedContent::Neighbor(neighbor)) => self.skip(Some(neighbor), path.clone(), 1),
+                Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles) => {
+                    self.skip(None, path.clone(), 1);
+                }
                 // The file was removed since it was listed, or it is a dangling link whose name is not that
                 // of a frame.
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-                Err(error) => self.unreadable.push((path, error.to_string())),
+                Err(error) => self.unreadable.push((path.clone(), error.to_string())),
             }
         }
     }

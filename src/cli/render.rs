@@ -96,13 +96,12 @@ impl<'a> RequestedPictures<'a> {
         if files.clone().all(|file| surface_name(&file.path).is_some()) {
             refuse_options(&self.args.pictures.method, Use::Picture)?;
         }
-        let surface = files.find_map(|file| Some((file, surface_name(&file.path)?)));
-        match surface.filter(|_| self.args.particles) {
-            Some((file, name)) => {
-                bail!("{}: --particles needs a particle file, and this is a {name}", file.path.display())
-            }
-            None => Ok(()),
+        if self.args.particles
+            && let Some((file, name)) = files.find_map(|file| Some((file, surface_name(&file.path)?)))
+        {
+            bail!("{}: --particles needs a particle file, and this is a {name}", file.path.display());
         }
+        Ok(())
     }
 
     /// The names of the pictures of a frame.
