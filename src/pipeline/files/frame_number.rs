@@ -18,7 +18,8 @@
 //! ```
 //!
 //! These rules use only the name itself. If a name has only versions and counts, one of them is the frame
-//! number. Afterwards [`compared_numbers`] compares names that differ only in numbers, and corrects the choice.
+//! number. Afterwards [`compared_numbers`] compares names that differ only in numbers, and corrects the
+//! choice.
 
 use std::cmp::Ordering;
 use std::collections::HashSet;
@@ -290,8 +291,8 @@ fn decimals_of(stems: &[&str], found: &[NameNumber]) -> Option<(bool, Vec<Decima
 ///   p.0.95  p.1.00  p.1.05             yes    the step over a whole number is like the others
 ///   x.1.05  x.1.1                      yes    a frame is padded in all names, or in none
 ///   result_0.1  result_0.2             yes    by the names alone
-///   tank_2.001  tank_2.002             no     three decimals or more are the frames of a take, except between
-///   p_0.900  p_0.950                   yes    0 and 1 if they do not count up
+///   tank_2.001  tank_2.002             no     three decimals or more are the frames of a take, except
+///   p_0.900  p_0.950                   yes    between 0 and 1 if they do not count up
 /// ```
 fn are_times(stems: &[&str], found: &[NameNumber], numbers: &[DecimalNumber]) -> Option<bool> {
     let texts = |part: fn(&DecimalNumber) -> Range<usize>| -> Vec<&str> {

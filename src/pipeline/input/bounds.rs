@@ -23,8 +23,9 @@ use crate::surface::space::{CoordBox, box_of, joined};
 pub const EMPTY_BOUNDS: [DVec3; 2] = [DVec3::NEG_ONE, DVec3::ONE];
 
 /// The bounding box of the first, the middle and the last of these files: minimum and maximum corner in world
-/// units, or `None` if the files contain nothing. Particles are balls of this radius; only those that meet the
-/// condition count. Skips files that cannot be read. If none of the three can be read, uses the first file that can.
+/// units, or `None` if the files contain nothing. Particles are balls of this radius; only those that meet
+/// the condition count. Skips files that cannot be read. If none of the three can be read, uses the first file
+/// that can.
 ///
 /// # Errors
 /// The error of the first file, if no file can be read.

@@ -40,8 +40,8 @@ pub(super) fn none_chosen(
     is_none.then(|| Warning::NoneChosen { condition: filter.to_string(), particle_count })
 }
 
-/// A warning if the attributes of these parts of a frame show that its particles are of several kinds, such as
-/// fluid and walls, which all become one surface.
+/// A warning if the attributes of these parts of a frame show that its particles are of several kinds, such
+/// as fluid and walls, which all become one surface.
 pub(super) fn several_kinds<'a>(parts: impl Iterator<Item = &'a [FileAttribute]> + Clone) -> Option<Warning> {
     let first = parts.clone().next()?;
     let is_kind = |attribute: &FileAttribute| {

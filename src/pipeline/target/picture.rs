@@ -40,8 +40,8 @@ impl Default for PictureOptions {
 }
 
 impl PictureOptions {
-    /// Upper estimate of the memory for rendering and encoding a picture in this format, in bytes; 0 for other
-    /// formats.
+    /// Upper estimate of the memory for rendering and encoding a picture in this format, in bytes; 0 for
+    /// other formats.
     fn picture_bytes(&self, format: OutputFormat) -> u64 {
         let of_pixel = match (format.is_picture(), format.has_attributes()) {
             (false, _) => 0,
