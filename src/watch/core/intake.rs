@@ -270,6 +270,7 @@ impl Core {
         self.frames.get(id).is_some()
             || !root.was_scanned
             || root.unavailable.is_some()
+            || root.unreadable.keys().any(|folder| id.path.starts_with(folder))
             || id.file().is_some_and(is_searched)
     }
 
