@@ -82,6 +82,19 @@ fn appended_steps_are_converted() {
     assert!(status.out.contains("4 done"), "{}", status.out);
 }
 
+/// A writer that has mapped the file into its memory may have changed any step without a trace.
+#[test]
+fn steps_of_a_file_that_is_closed_without_a_change_are_read_again() {
+    let scene = Scene::new();
+    scene.write("in/d.dump", steps([1, 2]));
+    let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
+    daemon.await_converted("d.dump/step=1");
+    daemon.await_converted("d.dump/step=2");
+    append(&scene, "");
+    daemon.await_lines(2, "they are found done", Line::is_found_done);
+    assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
+}
+
 #[test]
 fn status_lists_failed_steps() {
     let scene = Scene::new();

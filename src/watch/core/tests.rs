@@ -425,6 +425,22 @@ fn file_that_is_closed_with_the_same_stamp_is_read_again() {
 }
 
 #[test]
+fn closed_file_is_read_again_although_a_scan_finds_it_unchanged_meanwhile() {
+    let mut rig = Rig::new(1);
+    rig.want(0);
+    rig.put("/in0/a.1.ply", 1);
+    rig.convert("/in0/a.1.ply");
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    rig.want(0);
+    rig.holds_inspections = true;
+    rig.send("/in0/a.1.ply", FileHint::Closed);
+    rig.scan(0);
+    rig.holds_inspections = false;
+    rig.settle();
+    assert_eq!(rig.started(), ["a.1.ply"]);
+}
+
+#[test]
 fn failures_are_retried_with_growing_waits_up_to_a_limit() {
     let mut rig = Rig::new(1);
     rig.put("/in0/a.1.ply", 1);
