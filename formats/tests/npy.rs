@@ -254,6 +254,9 @@ fn invalid_arrays_are_errors() {
         let error = npy::read_archive(&frames, &Limits::default()).unwrap_err().to_string();
         assert!(error.contains(what), "{error}");
     }
+    let records = array(1, "[('pos', '<f4', (3,)), ('id', '<f4')]", false, "(2, 1)", &f32s(&[0.5; 8]));
+    let error = npy::read_archive(&archive(&[("a.npy", records)], false), &Limits::default()).unwrap_err();
+    assert!(error.to_string().contains("`a` has several frames"), "{error}");
     let objects = || array(1, "'|O'", false, "()", b"\x80");
     let numbers = || array(1, "'<i8'", false, "(1,)", &[0; 8]);
     for (names, what) in [
@@ -297,6 +300,17 @@ fn transposed_positions_are_refused() {
         true,
     );
     assert_eq!(npy::read_archive(&table, &Limits::default()).unwrap().positions.len(), 2);
+}
+
+#[test]
+fn wide_array_beside_positions_is_skipped_in_any_order() {
+    let positions = || ("pos.npy", array(1, "'<f4'", false, "(2, 3)", &six()));
+    let wide = || ("wide.npy", array(1, "'|u1'", false, "(1, 5000)", &[0; 5000]));
+    for members in [[positions(), wide()], [wide(), positions()]] {
+        let frame = npy::read_archive(&archive(&members, false), &Limits::default()).expect("positions");
+        assert_eq!(frame.positions.len(), 2);
+        assert!(frame.notes.iter().any(|note| note.contains("skipped `wide`")), "{:?}", frame.notes);
+    }
 }
 
 #[test]

@@ -159,10 +159,10 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
             );
             unfit = Some(Error::unsupported(ARCHIVE, what));
         }
-        // Arrays that are not the position may have any shape.
-        if position_rank(name).is_some()
-            && let Some(error) = unfit
-        {
+        // Arrays that are not the position may have any shape. The position may be a field of records.
+        let may_be_position =
+            position_rank(name).is_some() || matches!(header.layout, ElementLayout::Fields { .. });
+        if may_be_position && let Some(error) = unfit {
             return Err(error);
         }
         let data = header.data(&content).map_err(within)?;
@@ -172,7 +172,10 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
             }
             (read, _) => read?,
         };
-        last_unfit = unfit;
+        // A skipped array does not change why the only other one can be unfit.
+        if arrays.is_empty() || !parts.is_empty() {
+            last_unfit = unfit;
+        }
         notes.extend(more);
         arrays.extend(parts.into_iter().map(|array| match array.name.is_empty() {
             true => NamedArray { name: name.into(), ..array },
