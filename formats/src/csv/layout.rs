@@ -418,7 +418,11 @@ fn no_position(header: HeadLine, delimiter: Delimiter) -> Error {
 pub(super) fn with_decimal_points(text: Cow<'_, [u8]>) -> Cow<'_, [u8]> {
     const SAMPLE_BYTES: usize = 64 << 10;
     let sample = &text[..text.len().min(SAMPLE_BYTES)];
-    let mut lines = sample.split(|byte| matches!(byte, b'\n' | b'\r')).filter(|line| line.contains(&b','));
+    let is_decimal = |three: &[u8]| matches!(three, [b'0'..=b'9', b',', b'0'..=b'9']);
+    // In a row such as ` 1, 2, 3,10`, commas are delimiters.
+    let mut lines = sample
+        .split(|byte| matches!(byte, b'\n' | b'\r'))
+        .filter(|line| line.windows(3).any(is_decimal) && row_shape(line).is_none());
     let has_commas = |line: &[u8], delimiter| {
         begins_with_numbers(line, delimiter)
             && cells(line, delimiter).take(3).any(|cell| has_decimal_comma(&unquoted(cell)))
@@ -428,7 +432,7 @@ pub(super) fn with_decimal_points(text: Cow<'_, [u8]>) -> Cow<'_, [u8]> {
     }
     let mut text = text.into_owned();
     for at in 1..text.len().saturating_sub(1) {
-        if text[at] == b',' && text[at - 1].is_ascii_digit() && text[at + 1].is_ascii_digit() {
+        if is_decimal(&text[at - 1..=at + 1]) {
             text[at] = b'.';
         }
     }
