@@ -23,19 +23,16 @@ pub(super) fn check_times(layout: &TableLayout, table: &Table) -> Result<()> {
         }
         None => times.is_sorted(),
     };
-    let other = times.iter().find(|&time| *time != times[0]).filter(|_| is_several);
-    match other {
-        None => Ok(()),
-        Some(other) => Err(Error::unsupported(
-            FORMAT,
-            format!(
-                "the column {} has several values, such as {} and {other}, so the table has several frames: save \
-                 each as a file of its own",
-                quoted_excerpt(layout.names[index].as_bytes()),
-                times[0]
-            ),
-        )),
-    }
+    let mut known = times.iter().filter(|time| !time.is_nan());
+    let first = known.next();
+    let other = known.find(|&time| Some(time) != first).filter(|_| is_several);
+    let (Some(first), Some(other)) = (first, other) else { return Ok(()) };
+    let what = format!(
+        "the column {} has several values, such as {first} and {other}, so the table has several frames: \
+         save each as a file of its own",
+        quoted_excerpt(layout.names[index].as_bytes())
+    );
+    Err(Error::unsupported(FORMAT, what))
 }
 
 /// Names of a column with the time of a frame, in lower case.
