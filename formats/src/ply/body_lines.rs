@@ -26,6 +26,10 @@ impl<'a> BodyLines<'a> {
     /// Before the first record of an element: finds out whether its records take several lines, as the values
     /// of the first one do.
     pub(super) fn begin(&mut self, element: &Element) {
+        self.has_breaks = false;
+        if element.count == 0 || element.properties.is_empty() || element.has_list() {
+            return; // without a record to read, many elements would each pass the same blank lines
+        }
         let value_count = element.properties.len();
         let lines = self.bytes[self.at..].split(|byte| matches!(byte, b'\n' | b'\r'));
         let counts = lines.map(|line| line.split(|byte| matches!(byte, b' ' | b'\t')));
@@ -36,7 +40,7 @@ impl<'a> BodyLines<'a> {
             found += count;
             line_count += usize::from(count > 0);
         }
-        self.has_breaks = !element.has_list() && found == value_count && line_count > 1;
+        self.has_breaks = found == value_count && line_count > 1;
     }
 
     pub(super) fn at(&self) -> usize {
