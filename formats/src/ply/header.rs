@@ -130,7 +130,8 @@ impl PlyHeader {
         named.or_else(|| self.elements.iter().find(|element| element.columns().position.is_some()))
     }
 
-    /// Whether the file declares faces, so that it is a mesh.
+    /// Whether the file declares faces, so that it is a mesh. Strips of triangles count, too, although the
+    /// reader of meshes refuses them: its message says what to do.
     pub fn has_faces(&self) -> bool {
         let is_named = |element: &Element, name: &str| element.name.eq_ignore_ascii_case(name);
         self.elements

@@ -17,14 +17,10 @@ use super::rows::{RecordReader, checked_count, rows_of};
 /// Those of [`read_header`].
 pub fn holds_mesh(bytes: &[u8], limits: &Limits) -> Result<bool> {
     let header = read_header(bytes, limits)?;
-    let count = |name: &str| {
-        let mut elements = header.elements.iter();
-        elements.find(|element| element.name.eq_ignore_ascii_case(name)).map(|element| element.count)
+    let is_empty = |name: &str| {
+        header.elements.iter().any(|element| element.name.eq_ignore_ascii_case(name) && element.count == 0)
     };
-    // Strips of triangles count as faces, so that the mesh reader refuses them with a message that says what
-    // to do.
-    let faces = [count("face"), count("tristrips").filter(|&count| count > 0)].into_iter().flatten().max();
-    Ok(faces.is_some_and(|faces| faces > 0 || count("vertex") == Some(0)))
+    Ok(header.has_faces() || is_empty("face") && is_empty("vertex"))
 }
 
 /// Reads vertices, normals and faces. Polygons with more than three corners become triangle fans.
