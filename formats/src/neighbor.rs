@@ -149,6 +149,15 @@ mod tests {
         }
     }
 
+    /// Reading stops before the end of a long section of text.
+    #[test]
+    fn little_of_a_long_file_is_read() {
+        let metadata = "METADATA\n".to_owned() + &"INFORMATION 0\n".repeat(2 << 20);
+        let head = "# vtk DataFile Version 4.2\nt\nASCII\nDATASET POLYDATA\n";
+        let text = format!("{head}{metadata}\nPOLYGONS 1 4\n");
+        assert_eq!(neighbor(&text.as_bytes()[..8192], "a.vtk", &text.as_bytes()), None);
+    }
+
     #[test]
     fn long_text_is_searched_in_pieces() {
         let line = "0.25 0.5 0.75\n";

@@ -9,8 +9,8 @@ use crate::records::ReadAt;
 use super::cells::is_face;
 use super::legacy::size_of_type;
 
-/// How much of a text is searched for faces. A longer one is taken for particles.
-const TEXT_BYTES_MAX: u64 = 16 << 20;
+/// How much of a file is read. If there are no faces in it, the file is taken for particles.
+const READ_BYTES_MAX: u64 = 16 << 20;
 
 /// The number of cells whose types are examined.
 const TYPES_MAX: u64 = 1 << 10;
@@ -20,8 +20,9 @@ const WINDOW_BYTES: usize = 64 << 10;
 
 /// What a legacy file contains instead of particles.
 pub(crate) fn legacy_neighbor(file: &dyn ReadAt) -> Option<Neighbor> {
+    let size = file.size_bytes().ok()?;
     let mut scan =
-        LegacyScan { file, size: file.size_bytes().ok()?, at: 0, window: Vec::new(), window_at: 0 };
+        LegacyScan { file, size, at: 0, window: Vec::new(), window_at: 0, readable_bytes: READ_BYTES_MAX };
     scan.line()?;
     scan.line()?;
     let is_binary = scan.line()?.trim_ascii().eq_ignore_ascii_case("BINARY");
@@ -62,16 +63,20 @@ struct LegacyScan<'a> {
     at: u64,
     window: Vec<u8>,
     window_at: u64,
+    /// The number of bytes that may still be read.
+    readable_bytes: u64,
 }
 
 impl LegacyScan<'_> {
-    /// The bytes from the position on, at least `length` if the file has as many.
+    /// The bytes from the position on, at least `length` if the file has as many; `None` beyond the end of the
+    /// file or the limit.
     fn bytes(&mut self, length: usize) -> Option<&[u8]> {
         let left = self.size.checked_sub(self.at)?;
         let start = self.at.checked_sub(self.window_at).and_then(|start| usize::try_from(start).ok());
         let known = start.and_then(|start| self.window.get(start..)).map_or(0, <[u8]>::len);
         if (known as u64) < left.min(length as u64) {
             let length = left.min(WINDOW_BYTES as u64);
+            self.readable_bytes = self.readable_bytes.checked_sub(length)?;
             self.window.resize(usize::try_from(length).ok()?, 0);
             self.file.read_exact_at(&mut self.window, self.at).ok()?;
             self.window_at = self.at;
@@ -91,8 +96,8 @@ impl LegacyScan<'_> {
         Some(line)
     }
 
-    /// The next line that begins with a keyword. In a binary file it is the next that is not blank; in a text,
-    /// the numbers before it are skipped.
+    /// The next line that begins with a keyword. In a binary file it is the next that is not blank; in a
+    /// text, the numbers before it are skipped.
     fn keyword_line(&mut self, is_binary: bool) -> Option<String> {
         loop {
             let line = self.line()?;
@@ -101,7 +106,7 @@ impl LegacyScan<'_> {
             if is_keyword {
                 return Some(line);
             }
-            if is_binary && !line.trim_ascii().is_empty() || self.at > TEXT_BYTES_MAX && !is_binary {
+            if is_binary && !line.trim_ascii().is_empty() {
                 return None;
             }
         }
