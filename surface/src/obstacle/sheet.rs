@@ -4,6 +4,8 @@
 //! it encloses anything on its sides. So a dome is no sheet, because the winding number shows what it encloses,
 //! and neither is a side of a box whose sides share no vertices.
 
+use std::collections::BTreeMap;
+
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 
@@ -75,9 +77,11 @@ fn is_wall(tree: &TriangleTree, triangles: &[[DVec3; 3]]) -> bool {
 /// Closes each sheet: adds its boundary edges, swept against its mean normal, and the sheet at the end of the
 /// sweep.
 pub(super) fn close_sheets(points: &mut Vec<DVec3>, faces: &mut Vec<[u32; 3]>, parts: Parts) {
-    for part in (0..parts.is_sheet.len()).filter(|&part| parts.is_sheet[part]) {
-        let of_part = faces.iter().zip(parts.of_face).filter(|&(_, &of_face)| of_face as usize == part);
-        let sheet: Vec<[u32; 3]> = of_part.map(|(face, _)| *face).collect();
+    let mut sheets: BTreeMap<u32, Vec<[u32; 3]>> = BTreeMap::new();
+    for (face, &part) in faces.iter().zip(parts.of_face).filter(|&(_, &part)| parts.is_sheet[part as usize]) {
+        sheets.entry(part).or_default().push(*face);
+    }
+    for sheet in sheets.into_values() {
         let corner = |index: &u32| points[*index as usize];
         let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for point in sheet.iter().flatten().map(corner) {
