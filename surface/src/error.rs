@@ -5,7 +5,7 @@ use std::io;
 
 use crate::obstacle::ObstacleTooFar;
 use crate::options::SettingsError;
-use crate::spacing::ROUNDING_REMEDY;
+use crate::spacing::rounding_error;
 
 /// Why [`reconstruct`](crate::reconstruct()) failed.
 ///
@@ -105,11 +105,7 @@ impl fmt::Display for Error {
                 f,
                 "the voxel size {voxel_size} is too small for this frame; it must be at least {least}"
             ),
-            Error::RoundedPositions { step, spacing } => write!(
-                f,
-                "positions are rounded to steps of {step}, as 32-bit numbers so far from the origin are, and the measured \
-                 particle spacing is {spacing}: {ROUNDING_REMEDY}"
-            ),
+            Error::RoundedPositions { step, spacing } => f.write_str(&rounding_error(*step, *spacing)),
             Error::ObstacleTooFar(too_far) => write!(f, "obstacle {} (from 0): {too_far}", too_far.index),
             Error::MemoryLimit { needed_bytes, limit_bytes } => write!(
                 f,

@@ -19,7 +19,7 @@ use crate::options::Settings;
 use crate::particles::{AnySource, OwnedPositions, Unread};
 use crate::rasterize::Footprint;
 use crate::space::INDEX_LIMIT;
-use crate::spacing::{ROUNDING_REMEDY, ROUNDING_SHARE_MAX, SourceSample, median, rounding_step};
+use crate::spacing::{ROUNDING_SHARE_MAX, SourceSample, median, rounding_error, rounding_step};
 use crate::words::significant;
 
 /// Upper limit of the median distance of particles from their median position, in voxels. Beyond it, 32-bit
@@ -70,12 +70,7 @@ impl fmt::Display for VoxelTooSmall {
                 "the voxel size {h} (--voxel-size) is too small so far from the origin: most particles are more than \
                  {INDEX_LIMIT} voxels away, outside the grid; move them closer, or use --voxel-size {shown_least} or more"
             )?,
-            PrecisionLimit::Rounding(step) => write!(
-                f,
-                "positions are rounded to steps of {}, as 32-bit numbers so far from the origin are, and the measured \
-                 particle spacing is {shown_spacing}: {ROUNDING_REMEDY}",
-                significant(step)
-            )?,
+            PrecisionLimit::Rounding(step) => f.write_str(&rounding_error(step, spacing))?,
         }
         match limit {
             // The minimum is for experts; it is not a recommendation.

@@ -29,6 +29,7 @@ use rayon::prelude::*;
 
 use crate::parallel::Loops as _;
 use crate::particles::Positions;
+use crate::words::significant;
 
 pub use bounded::SourceSample;
 use local::Local;
@@ -234,6 +235,15 @@ pub const ROUNDING_SHARE_MAX: f64 = 0.1;
 /// What to do about positions that were rounded too coarsely.
 pub const ROUNDING_REMEDY: &str =
     "write 64-bit positions, or move the scene near to the origin before its positions are rounded";
+
+/// The error about positions that are rounded to steps that are too large for the measured spacing.
+pub(crate) fn rounding_error(step: f64, spacing: f64) -> String {
+    let [step, spacing] = [step, spacing].map(significant);
+    format!(
+        "positions are rounded to steps of {step}, as 32-bit numbers so far from the origin are, and the \
+         measured particle spacing is {spacing}: {ROUNDING_REMEDY}"
+    )
+}
 
 fn finite_positions(positions: &Positions<'_>) -> Vec<DVec3> {
     (0..positions.len())
