@@ -7,6 +7,7 @@
 
 use std::borrow::Cow;
 use std::fmt;
+use std::ops::Range;
 
 use crate::compression::{Codec, name_without_compression};
 use crate::csv;
@@ -303,28 +304,28 @@ fn looks_like_gro(text: &[u8]) -> bool {
     let mut lines = Lines::new(text).skip(1);
     let Some(count) = lines.next().map(<[u8]>::trim_ascii) else { return false };
     let atom = lines.next().unwrap_or_default();
-    let is_number = |columns: std::ops::Range<usize>| {
-        let cell = atom.get(columns).unwrap_or_default().trim_ascii();
-        parse_number::<f64>(cell).is_some_and(|(_, length)| length == cell.len())
-    };
     let residue = atom.get(5..10).unwrap_or_default().trim_ascii_start();
     !count.is_empty()
         && count.iter().all(u8::is_ascii_digit)
         && residue.first().is_some_and(u8::is_ascii_alphabetic)
-        && [0..5, 15..20, 20..28, 28..36, 36..44].into_iter().all(is_number)
+        && have_numbers(atom, [0..5, 15..20, 20..28, 28..36, 36..44])
 }
 
 /// Whether a text has an atom in the layout of the Protein Data Bank: its position in fixed columns.
 fn looks_like_pdb(text: &[u8]) -> bool {
     let is_atom = |line: &[u8]| {
-        let is_number = |columns: std::ops::Range<usize>| {
-            let cell = line.get(columns).unwrap_or_default().trim_ascii();
-            parse_number::<f64>(cell).is_some_and(|(_, length)| length == cell.len())
-        };
         (line.starts_with(b"ATOM  ") || line.starts_with(b"HETATM"))
-            && [30..38, 38..46, 46..54].into_iter().all(is_number)
+            && have_numbers(line, [30..38, 38..46, 46..54])
     };
     Lines::new(text).any(is_atom) || text.starts_with(b"HEADER    ")
+}
+
+/// Whether each of these ranges of columns contains a number.
+fn have_numbers<const N: usize>(line: &[u8], columns: [Range<usize>; N]) -> bool {
+    columns.into_iter().all(|columns| {
+        let cell = line.get(columns).unwrap_or_default().trim_ascii();
+        parse_number::<f64>(cell).is_some_and(|(_, length)| length == cell.len())
+    })
 }
 
 /// Whether a text has the variables of a Tecplot file, after a title if there is one.
