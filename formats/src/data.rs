@@ -30,6 +30,18 @@ impl FilePositions {
         self.len() == 0
     }
 
+    /// Whether a position is finite.
+    pub(crate) fn has_finite(&self) -> bool {
+        match self {
+            FilePositions::F32(positions) => {
+                positions.iter().any(|position| position.iter().all(|along| along.is_finite()))
+            }
+            FilePositions::F64(positions) => {
+                positions.iter().any(|position| position.iter().all(|along| along.is_finite()))
+            }
+        }
+    }
+
     /// Keeps the particles for which `mask` is true.
     fn retain(&mut self, mask: &[bool]) {
         match self {

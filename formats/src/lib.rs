@@ -108,16 +108,9 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
     }
     let read = reader_of(kind, codec)?;
     let frame = read(&compression::decompressed(bytes, limits)?, limits)?;
-    let (count, has_finite) = match &frame.positions {
-        FilePositions::F32(all) => {
-            (all.len(), all.iter().any(|one| one.iter().all(|along| along.is_finite())))
-        }
-        FilePositions::F64(all) => {
-            (all.len(), all.iter().any(|one| one.iter().all(|along| along.is_finite())))
-        }
-    };
-    if count > 0 && !has_finite {
-        let what = format!("none of the {count} particles has a finite position");
+    let positions = &frame.positions;
+    if !positions.is_empty() && !positions.has_finite() {
+        let what = format!("none of the {} particles has a finite position", positions.len());
         return Err(Error::invalid(kind.name(), Position::File, what));
     }
     Ok(frame)
