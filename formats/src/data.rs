@@ -169,6 +169,12 @@ impl FileAttribute {
         let mut counts: Vec<(String, usize)> =
             counts.into_iter().map(|(index, count)| (string(index).unwrap_or_default(), count)).collect();
         counts.sort();
+        // The table may contain a string twice, or the empty one.
+        counts.dedup_by(|later, first| {
+            let is_same = later.0 == first.0;
+            first.1 += if is_same { later.1 } else { 0 };
+            is_same
+        });
         Some(counts)
     }
 
@@ -405,6 +411,8 @@ mod tests {
         let table = vec!["wall".to_owned(), "fluid".to_owned()];
         let strings = Values::Strings { table, indices: vec![0, 1, -1, 0, 9] };
         assert_eq!(counts(strings, 1), texts(&[("", 2), ("fluid", 1), ("wall", 2)]));
+        let twice = Values::Strings { table: vec!["a".to_owned(), "a".to_owned()], indices: vec![1, 0, 1] };
+        assert_eq!(counts(twice, 1), texts(&[("a", 3)]));
         for (values, arity) in [
             (Values::I32(vec![0, 1, 2, 3]), 1),
             (Values::I32(vec![0, 1]), 2),
