@@ -30,7 +30,7 @@ pub(super) fn point_group(
         }
         _ => walk.skip(),
     })?;
-    walk.within(&name.clone(), |walk| {
+    walk.within(&name, |walk| {
         walk.object("group", |walk, key| match key {
             "selection" => {
                 members = selection(walk, count, limits)?;
