@@ -129,9 +129,9 @@ pub struct FileAttribute {
 }
 
 impl FileAttribute {
-    /// The distinct values of a scalar with the number of particles that have each, in ascending order; `None`
-    /// for vectors, for more than `count_max` values, and for numbers that are not integers. A particle
-    /// without a string counts as one with an empty string.
+    /// The distinct values of a scalar with the number of particles that have each, in ascending order;
+    /// `None` for vectors, for more than `count_max` values, and for numbers that are not integers. A
+    /// particle without a string counts as one with an empty string.
     pub fn value_counts(&self, count_max: usize) -> Option<Vec<(String, usize)>> {
         let mut counts: Vec<(i64, usize)> = Vec::new();
         let mut last = 0;

@@ -40,8 +40,8 @@ pub fn read_mesh(
     }
 }
 
-/// Whether a file probably contains a mesh, judged by its first bytes: its format is for meshes only, or it is
-/// PLY or VTK XML and declares faces. In the legacy format of VTK, cells are behind the points, beyond the
+/// Whether a file probably contains a mesh, judged by its first bytes: its format is for meshes only, or it
+/// is PLY or VTK XML and declares faces. In the legacy format of VTK, cells are behind the points, beyond the
 /// first bytes: such a file counts as particles.
 pub fn looks_like_mesh(head: &[u8], file_name: &str) -> bool {
     let Probe { kind, codec } = probe_mesh(head, file_name);

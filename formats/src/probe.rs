@@ -475,7 +475,8 @@ mod tests {
             (b"2\n1 2 3\n4 5 6\n", "a.xyz", ProbedKind::Format(Format::Delimited)),
             (b"Dear reader,\nthere is nothing here\n", "a.txt", ProbedKind::UnknownText),
             (b"# Notes\n\nFirst, read this:\n\n1. eat\n2. sleep\n", "a.md", ProbedKind::UnknownText),
-            (b"Name;Phase\nwater;liquid\n", "A.CSV", ProbedKind::Format(Format::Delimited)), // the reader reports what is missing
+            // The reader reports what is missing.
+            (b"Name;Phase\nwater;liquid\n", "A.CSV", ProbedKind::Format(Format::Delimited)),
             (b"plyx\nformat ascii 1.0\nelement vertex 0\nend_header\n", "a.ply", ProbedKind::UnknownText),
             (b"Dear reader\n", "a", ProbedKind::UnknownText),
             (b"0\n\n1\n\nO 1 2 3\n", "a.xyz", ProbedKind::Format(Format::XyzAtoms)),

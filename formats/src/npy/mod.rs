@@ -8,8 +8,8 @@
 //!
 //! An array of shape (N, 3) contains the positions. If it has more columns, the first three are the position,
 //! unless the first has different integers: see [`crate::first_column`]. An array of shape (T, N, 3) has T
-//! frames. The shape (3, N) is refused: it is an array of x, y and z, or three particles with many attributes, which
-//! is rare.
+//! frames. The shape (3, N) is refused for N > 4: its rows are x, y and z, and three particles with many
+//! attributes are rare.
 //!
 //! A structured array has a name per field, and an archive has a name per array. The names are interpreted as
 //! in all formats: `pos` or `x`, `y`, `z` for the position, `vel`, `radius` and so on. Arrays without a value
@@ -98,8 +98,8 @@ fn steps_of_array(lines: LineHeads, steps: &mut Vec<FoundStep>, limits: &Limits)
     Ok(())
 }
 
-/// Refuses images, matrices, and arrays with a column for each particle: with four columns or fewer, the rows of
-/// a (3, N) array are particles.
+/// Refuses images, matrices, and arrays with a column for each particle: with four columns or fewer, the rows
+/// of a (3, N) array are particles.
 fn check_shape(header: &ArrayHeader) -> Result<()> {
     let ElementLayout::Plain { number, .. } = header.layout else { return Ok(()) };
     if let [3, columns] = header.shape[..]

@@ -187,8 +187,8 @@ pub struct Obstacles {
 }
 
 impl Obstacles {
-    /// The first obstacle that is too large, or too far from the origin, for the precision of distances in voxels
-    /// of this size.
+    /// The first obstacle that is too large, or too far from the origin, for the precision of distances in
+    /// voxels of this size.
     pub fn too_far(&self, voxel_size: f64) -> Option<ObstacleTooFar> {
         let limit = FARTHEST_VOXELS * voxel_size;
         let points = self.members.iter().map(|obstacle| obstacle.sdf.farthest()).enumerate();

@@ -1,8 +1,8 @@
 //! Open sheets, such as a plane as a floor: finds them, and closes them behind their normals.
 //!
-//! A part of a mesh is a sheet if it is open, all its triangles face one way, and neither it nor the mesh around
-//! it encloses anything on its sides. So a dome is no sheet, because the winding number shows what it encloses,
-//! and neither is a side of a box whose sides share no vertices.
+//! A part of a mesh is a sheet if it is open, all its triangles face one way, and neither it nor the mesh
+//! around it encloses anything on its sides. So a dome is no sheet, because the winding number shows what it
+//! encloses, and neither is a side of a box whose sides share no vertices.
 
 use std::collections::BTreeMap;
 
@@ -22,8 +22,8 @@ const TESTED: [[f64; 3]; 4] = [[1.0 / 3.0; 3], [0.8, 0.1, 0.1], [0.1, 0.8, 0.1],
 /// Distance of the tested points from the triangle, in units of the square root of its area.
 const APART: f64 = 1e-3;
 
-/// A point with a larger winding number is enclosed. It is 0.5 beside a plane, up to 0.6 in the valleys and under
-/// the hills of a terrain, at least 0.75 in half a ball or half a pipe, and 1 in a body.
+/// A point with a larger winding number is enclosed. It is 0.5 beside a plane, up to 0.6 in the valleys and
+/// under the hills of a terrain, at least 0.75 in half a ball or half a pipe, and 1 in a body.
 const ENCLOSED: f64 = 0.65;
 
 /// For each part, whether it is a sheet. `parts` is the part of each triangle.

@@ -15,8 +15,8 @@
 //! ```
 //!
 //! Holes stay open: the [boundary](RepairedMesh::boundary) locates them, and the winding number closes them.
-//! But an open sheet, such as a plane, encloses nothing that its patches could close. It becomes a solid as deep
-//! as the sheet is wide, behind its normals:
+//! But an open sheet, such as a plane, encloses nothing that its patches could close. It becomes a solid as
+//! deep as the sheet is wide, behind its normals:
 //!
 //! ```text
 //!          ↑ ↑ ↑ ↑
@@ -237,8 +237,8 @@ impl EdgeTriangles {
         EdgeTriangles { uses }
     }
 
-    /// The boundary edges: those not traversed equally often in both directions. Each begins and ends as most of
-    /// its triangles traverse it.
+    /// The boundary edges: those not traversed equally often in both directions. Each begins and ends as most
+    /// of its triangles traverse it.
     pub(super) fn boundary(&self) -> impl Iterator<Item = [u32; 2]> {
         self.iter().filter_map(|uses| {
             let [low, high] = uses[0].0;
@@ -311,8 +311,8 @@ pub(super) const PARTS_MAX: usize = 4096;
 /// Number of corners of a part to test; the part is a cavity if all of them are inside other parts.
 const CORNERS_TESTED: usize = 64;
 
-/// Flips parts with negative volume, except cavities and sheets. Returns how many such parts were left unchanged
-/// because there are too many parts.
+/// Flips parts with negative volume, except cavities and sheets. Returns how many such parts were left
+/// unchanged because there are too many parts.
 fn flip_parts(
     points: &[DVec3],
     faces: &mut [[u32; 3]],

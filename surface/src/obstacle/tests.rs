@@ -581,7 +581,8 @@ fn open_sheets_are_solid_behind_their_normals() {
     }
 }
 
-/// Coordinates that round to more than thousandths of a voxel are refused: distances from them have no digits.
+/// Coordinates that round to more than thousandths of a voxel are refused: distances from them have no
+/// digits.
 #[test]
 fn obstacles_beyond_the_precision_are_refused() {
     let limit = 2f64.powi(42);

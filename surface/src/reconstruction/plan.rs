@@ -104,7 +104,8 @@ pub enum MemoryPlanError {
 ///
 /// # Errors
 /// The outer error is the source's. The inner error says why the frame cannot be reconstructed: there is too
-/// little memory, the voxels are [too small](VoxelTooSmall), or an obstacle is [too far away](ObstacleTooFar).
+/// little memory, the voxels are [too small](VoxelTooSmall), or an obstacle is
+/// [too far away](ObstacleTooFar).
 pub fn plan_memory<S: ParticleSource>(
     source: &S,
     settings: &Settings,
