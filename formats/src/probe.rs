@@ -381,17 +381,17 @@ pub(crate) const REMEDIES: &[(&str, &str)] = &[
         "this is a `write_data` file, and only dumps are supported: write one with `write_dump all custom FILE id type x y z`",
     ),
     (GIT_LFS, "this is only the reference to a file in Git LFS: get the file itself with `git lfs pull`"),
-    (PCD, "point clouds in this format are not supported: save it as PLY, for example with CloudCompare"),
+    (PCD, "point clouds in this format are not supported: save them as PLY, for example with CloudCompare"),
     (BI4, "data in this format are not supported: convert them with DualSPHysics's PartVTK"),
-    (GRO, "files of molecules in this format are not supported: save it as XYZ, for example with OVITO"),
-    (PDB, "files of molecules in this format are not supported: save it as XYZ, for example with OVITO"),
+    (GRO, "files of molecules in this format are not supported: save them as XYZ, for example with OVITO"),
+    (PDB, "files of molecules in this format are not supported: save them as XYZ, for example with OVITO"),
     (
         TECPLOT,
-        "tables in this format are not supported: save it as CSV with a header such as x,y,z, or as VTK",
+        "tables in this format are not supported: save them as CSV with a header such as x,y,z, or as VTK",
     ),
     (
         OPENFOAM,
-        "files in this format are not supported: convert the cloud with foamToVTK, and give its .vtk or .vtp files",
+        "files in this format are not supported: convert the cloud with foamToVTK, and give the .vtk or .vtp files",
     ),
     (
         BOBJ,
