@@ -498,7 +498,7 @@ fn no_particles(options: &Options, input_count: usize) -> Error {
         Some(filter) if input_count > 0 => {
             Error::Filter(format!("none of the {input_count} particles meets `{filter}`"))
         }
-        _ => Error::NoParticles { input_count: 0 },
+        _ => Error::NoParticles { input_count },
     }
 }
 

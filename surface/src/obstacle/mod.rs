@@ -191,9 +191,9 @@ impl Obstacles {
     /// voxels of this size.
     pub fn too_far(&self, voxel_size: f64) -> Option<ObstacleTooFar> {
         let limit = FARTHEST_VOXELS * voxel_size;
-        let points = self.members.iter().map(|obstacle| obstacle.sdf.farthest()).enumerate();
+        let points = self.members.iter().map(|obstacle| obstacle.sdf.farthest());
         let is_too_far = |(_, point): &(usize, DVec3)| point.abs().max_element() > limit;
-        let (index, point) = points.into_iter().find(is_too_far)?;
+        let (index, point) = points.enumerate().find(is_too_far)?;
         Some(ObstacleTooFar { index, point, limit })
     }
 
