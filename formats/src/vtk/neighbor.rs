@@ -68,8 +68,8 @@ struct LegacyScan<'a> {
 }
 
 impl LegacyScan<'_> {
-    /// The bytes from the position on, at least `length` if the file has as many; `None` beyond the end of the
-    /// file or the limit.
+    /// The bytes from the position on, at least `length` if the file has as many; `None` beyond the end of
+    /// the file or the limit.
     fn bytes(&mut self, length: usize) -> Option<&[u8]> {
         let left = self.size.checked_sub(self.at)?;
         let start = self.at.checked_sub(self.window_at).and_then(|start| usize::try_from(start).ok());
