@@ -153,7 +153,8 @@ impl<'a> TableHead<'a> {
             return Err(decimal_commas(line.number));
         }
         self.text_line_count += 1;
-        if self.text_line_count > TEXT_LINES_MAX {
+        // Below a line that may be a header, lines are rows: their reader says what is wrong with the first.
+        if self.text_line_count > TEXT_LINES_MAX && self.doubtful.is_none() {
             let what = format!("expected a table, found only text in the first {TEXT_LINES_MAX} lines");
             return Err(Error::invalid(FORMAT, Position::Line(line.number), what));
         }
