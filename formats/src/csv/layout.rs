@@ -195,8 +195,8 @@ impl<'a> TableHead<'a> {
         let mut notes = self.notes();
         let first = FirstColumn::of(first_numbers(&bytes[row.offset..], delimiter), count);
         if first == FirstColumn::Unclear {
-            let what = "the table has no header, and its first column counts the rows: it may be an id or a position; \
-                        add a header that names the columns, such as id,x,y,z";
+            let what = "the table has no header, and its first column has a different integer in each row: it may \
+                        be an id or a position; add a header that names the columns, such as id,x,y,z";
             return Err(Error::invalid(FORMAT, Position::Line(row.number), what));
         }
         let skipped = usize::from(first == FirstColumn::Id);

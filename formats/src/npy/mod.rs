@@ -279,8 +279,8 @@ fn unnamed_frame(array: NamedArray) -> Result<ParticleFrame> {
         FirstColumn::Coordinate => 0,
         FirstColumn::Id => 1,
         FirstColumn::Unclear => {
-            let what = "the array has no names, and its first column counts the rows: it may be an id or a \
-                        position; save a structured array with names, such as id, x, y and z";
+            let what = "the array has no names, and its first column has a different integer in each row: it may \
+                        be an id or a position; save a structured array with names, such as id, x, y and z";
             return Err(Error::invalid(FORMAT, Position::File, what));
         }
     };
