@@ -328,7 +328,9 @@ fn in_core_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f6
 
 /// Lower bound of the memory in tiles or in one piece: what writing needs, and all tiles together.
 fn least_bytes(footprint: &Footprint, settings: &Settings) -> u64 {
-    let [surface, _, occupied, _] = counts(footprint, settings);
+    let [near, _, occupied, _] = counts(footprint, settings);
+    // Counting stopped before the leaves inside the fluid, which are not stored, were left out.
+    let surface = (near - occupied).max(0.0);
     (FIELD_BYTES * 2.0 * surface + kept_bytes(surface, occupied, settings)) as u64
 }
 
