@@ -100,8 +100,8 @@ method_options! {
             offset: Length,
         }
         Particles {
-            /// Use only the particles whose attributes meet this condition, such as 'phase == 0' or 'type in 1,2
-            /// and not (density < 500)'; comparisons are ==, !=, <, <=, >, >=, in and not in
+            /// Use only the particles whose attributes meet this condition, such as 'phase == 0' or 'type in
+            /// 1,2 and not (density < 500)'; comparisons are ==, !=, <, <=, >, >=, in and not in
             #[value(named("CONDITION"))]
             r#where: ParticleFilter,
 

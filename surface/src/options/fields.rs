@@ -316,7 +316,9 @@ macro_rules! method_options {
 
             /// The options that are set, as text by name.
             pub fn to_pairs(&self) -> Pairs {
-                let pairs = [$($((fields::unraw(stringify!($name)), self.$name.as_ref().map(ToString::to_string)),)+)+];
+                let pairs = [$($(
+                    (fields::unraw(stringify!($name)), self.$name.as_ref().map(ToString::to_string)),
+                )+)+];
                 pairs.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
             }
 
