@@ -363,8 +363,10 @@ const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
     (b"VERSION 0.7\nFIELDS ", PCD),
 ];
 
+type TextTest = fn(&[u8]) -> bool;
+
 /// Texts that are recognised only for error messages.
-const FOREIGN_TEXTS: &[(&str, fn(&[u8]) -> bool)] = &[
+const FOREIGN_TEXTS: &[(&str, TextTest)] = &[
     (LAMMPS_DATA, looks_like_lammps_data),
     (GRO, looks_like_gro),
     (PDB, looks_like_pdb),

@@ -281,8 +281,20 @@ mod tests {
     use super::*;
     use crate::sky::Sky;
 
+    struct Ball {
+        positions: Vec<[f64; 3]>,
+        normals: Vec<[f32; 3]>,
+        triangles: Vec<[u32; 3]>,
+    }
+
+    impl Ball {
+        fn mesh(&self) -> TriangleMesh<'_> {
+            TriangleMesh { positions: &self.positions, normals: &self.normals, triangles: &self.triangles }
+        }
+    }
+
     /// A ball of this radius around the origin: a latitude–longitude grid, with normals.
-    fn ball(radius: f64) -> (Vec<[f64; 3]>, Vec<[f32; 3]>, Vec<[u32; 3]>) {
+    fn ball(radius: f64) -> Ball {
         const ROWS: u32 = 60;
         let vertex = |index: u32| {
             let (row, column) = (index / (2 * ROWS), index % (2 * ROWS));
@@ -298,14 +310,13 @@ mod tests {
         };
         let positions = unit.iter().map(|normal| (*normal * radius).to_array()).collect();
         let normals = unit.iter().map(|normal| normal.as_vec3().to_array()).collect();
-        (positions, normals, (0..ROWS * 2 * ROWS).flat_map(quad).collect())
+        Ball { positions, normals, triangles: (0..ROWS * 2 * ROWS).flat_map(quad).collect() }
     }
 
     #[test]
     fn rays_hit_a_ball_of_triangles_at_its_surface() {
-        let (positions, normals, triangles) = ball(3.0);
-        let mesh = TriangleMesh { positions: &positions, normals: &normals, triangles: &triangles };
-        let target = RayMesh::new(&mesh);
+        let ball = ball(3.0);
+        let target = RayMesh::new(&ball.mesh());
         let radius = 3.0 / target.voxel_size;
         let mut hit_count = 0;
         for index in 0..4000 {
@@ -334,16 +345,16 @@ mod tests {
 
     #[test]
     fn mesh_occludes_the_sky_like_its_volume() {
-        let (positions, normals, triangles) = ball(3.0);
-        let mesh = TriangleMesh { positions: &positions, normals: &normals, triangles: &triangles };
+        let ball = ball(3.0);
+        let mesh = ball.mesh();
         let target = RayMesh::new(&mesh);
         let sky = Sky::of_mesh(&target);
         let expected = 4.0 / 3.0 * std::f64::consts::PI * (3.0 / target.voxel_size).powi(3);
         let volume = sky.inside_voxels();
         assert!((f64::from(volume) / expected - 1.0).abs() < 0.02, "{volume} of {expected}");
         // Rays along z enter half a ball and do not leave it: the inside is unknown.
-        let is_kept = |&index: &u32| positions[index as usize][2] < 1e-9;
-        let half = triangles.iter().filter(|triangle| triangle.iter().all(is_kept)).copied();
+        let is_kept = |&index: &u32| ball.positions[index as usize][2] < 1e-9;
+        let half = ball.triangles.iter().filter(|triangle| triangle.iter().all(is_kept)).copied();
         let half: Vec<[u32; 3]> = half.collect();
         let open = RayMesh::new(&TriangleMesh { triangles: &half, ..mesh });
         assert_eq!(Sky::of_mesh(&open).inside_voxels(), 0.0);
