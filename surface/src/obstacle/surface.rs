@@ -320,7 +320,12 @@ fn flip_parts(
     flipped: &mut [bool],
 ) -> usize {
     let part_count = is_sheet.len();
-    let Some(&anchor) = points.first() else { return 0 };
+    // The sides of a box that share no vertices are parts, too: seen from the middle, they have volumes.
+    let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for corner in faces.iter().flat_map(|face| corners(points, *face)) {
+        (min, max) = (min.min(corner), max.max(corner));
+    }
+    let anchor = 0.5 * (min + max);
     let mut volumes = vec![0.0; part_count];
     for (face, &part) in faces.iter().zip(parts).filter(|&(_, &part)| !is_sheet[part as usize]) {
         let [a, b, c] = corners(points, *face).map(|corner| corner - anchor);

@@ -541,7 +541,8 @@ fn open_sheets_are_solid_behind_their_normals() {
     let height = |point: DVec3| point.z - 0.25;
     let slope = |point: DVec3| (point - DVec3::new(0.0, -0.3, 0.2)).dot(DVec3::new(0.0, -0.6, 0.8));
     let bumps = |point: DVec3| point.z - (0.3 * point.x).sin() - (0.4 * point.y).cos();
-    let cases: [(&str, TestMesh, &dyn Fn(DVec3) -> f64, f64); 5] = [
+    type Distance<'a> = &'a dyn Fn(DVec3) -> f64;
+    let cases: [(&str, TestMesh, Distance, f64); 5] = [
         ("level", level.clone(), &height, 1e-5),
         ("facing down", level.clone().flipped(), &|point| -height(point), 1e-5),
         ("tilted", quad(&tilted), &slope, 1e-5),
