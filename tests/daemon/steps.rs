@@ -1,7 +1,7 @@
 //! Files with several frames: dumps to which a simulation appends steps.
 
 use std::fmt::Write as _;
-use std::fs::OpenOptions;
+use std::fs::{File, OpenOptions};
 use std::io::Write;
 
 use crate::daemon::scene::{Line, NO_SCANS, Scene, await_that, moving, names_in, ply};
@@ -80,6 +80,21 @@ fn appended_steps_are_converted() {
     let status = scene.run(&["status", "--out", "out"]);
     assert_eq!(status.status, Some(0), "{}", status.err);
     assert!(status.out.contains("4 done"), "{}", status.out);
+}
+
+/// A simulation keeps its dump open while it runs.
+#[test]
+fn steps_of_a_file_that_stays_open_are_converted() {
+    let scene = Scene::new();
+    let daemon = scene.watch(&[&["--stalled", "1h"], &NO_SCANS[..], &ARGUMENTS].concat());
+    let mut dump = File::create(scene.path("in/d.dump")).expect("created");
+    for (written, converted) in [(vec![1, 2], 1), (vec![3], 2), (vec![4], 3)] {
+        dump.write_all(steps(written).as_bytes()).expect("written");
+        daemon.await_converted(&format!("d.dump/step={converted}"));
+    }
+    drop(dump);
+    daemon.finish();
+    scene.assert_as_converted(&CONVERT);
 }
 
 /// A writer that has mapped the file into its memory may have changed any step without a trace.

@@ -1,8 +1,10 @@
 //! The ways in which programs write frames.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::Write;
+use std::io::{Seek, Write};
 use std::os::unix::fs::symlink;
+use std::thread;
+use std::time::Duration;
 
 use crate::daemon::scene::{Line, NO_SCANS, Scene, Watching, block, csv, moving, names_in, ply, text_ply};
 
@@ -176,6 +178,24 @@ fn complete_frame_that_is_open_is_waited_for() {
     daemon.await_converted("dam.1.ply");
     daemon.assert_no_complaints();
     daemon.finish();
+    scene.assert_as_converted(&FORMATS);
+}
+
+/// Opening the file sent no event, because no daemon was running.
+#[test]
+fn complete_frame_that_was_opened_before_is_waited_for() {
+    let scene = Scene::new();
+    let path = scene.path("in/dam.1.ply");
+    let mut file = File::create(&path).expect("created");
+    file.write_all(&ply(&moving(2))).expect("written");
+    let writer = thread::spawn(move || {
+        thread::sleep(Duration::from_millis(1500));
+        file.rewind().expect("rewound");
+        file.write_all(&ply(&moving(1))).expect("written");
+    });
+    let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    writer.join().expect("closed");
+    once.assert_status(0);
     scene.assert_as_converted(&FORMATS);
 }
 

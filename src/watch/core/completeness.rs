@@ -68,6 +68,9 @@ pub struct Candidate {
     is_open: bool,
 }
 
+/// How long after a file was found open it is checked again.
+const RECHECK: Duration = Duration::from_secs(1);
+
 /// The file that marks a frame as complete.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sentinel {
@@ -166,13 +169,15 @@ impl Candidate {
         &self.stamp
     }
 
-    /// Whether the file may be read. Calls `completeness` only if its result matters.
+    /// Whether the file may be read. Calls `completeness`, and `is_open`, whether a program has it open for
+    /// writing, only if the result matters.
     pub fn readiness(
         &self,
         now: Instant,
         timeouts: &StabilityTimeouts,
         sentinel: Sentinel,
         completeness: impl FnOnce() -> Completeness,
+        is_open: impl FnOnce() -> bool,
     ) -> Readiness {
         match sentinel {
             Sentinel { exists: true, .. } => return Readiness::Ready(Proof::Sentinel),
@@ -183,10 +188,11 @@ impl Candidate {
             _ => {}
         }
         self.left_alone(now, timeouts.settle, WaitReason::Changing).unwrap_or_else(|| match completeness() {
-            Completeness::Complete | Completeness::NeedsReading if self.is_open => self
-                .left_alone(now, timeouts.stalled, WaitReason::Open)
-                .unwrap_or(Readiness::Ready(Proof::Format)),
-            Completeness::Complete | Completeness::NeedsReading => Readiness::Ready(Proof::Format),
+            Completeness::Complete => {
+                self.held_open(now, timeouts, is_open).unwrap_or(Readiness::Ready(Proof::Format))
+            }
+            // Nobody fills such a file through a memory map, and a simulation that appends steps keeps it open.
+            Completeness::NeedsReading => Readiness::Ready(Proof::Format),
             Completeness::Unknown => self
                 .left_alone(now, timeouts.unverifiable, WaitReason::Unverifiable)
                 .unwrap_or(Readiness::Ready(Proof::Unchanged)),
@@ -194,6 +200,22 @@ impl Candidate {
                 .left_alone(now, timeouts.stalled, WaitReason::Incomplete { expected, found })
                 .unwrap_or(Readiness::Ready(Proof::Stalled)),
         })
+    }
+
+    /// How long to wait because a program has the file open for writing.
+    fn held_open(
+        &self,
+        now: Instant,
+        timeouts: &StabilityTimeouts,
+        is_open: impl FnOnce() -> bool,
+    ) -> Option<Readiness> {
+        let waiting = self.left_alone(now, timeouts.stalled, WaitReason::Open)?;
+        match self.is_open {
+            true => Some(waiting),
+            // No event tells when it is closed.
+            false => is_open()
+                .then(|| Readiness::Waiting { until: now.checked_add(RECHECK), why: WaitReason::Open }),
+        }
     }
 
     /// `None` if the file has been unchanged for at least `wanted`; otherwise how long to wait.
@@ -356,7 +378,13 @@ mod tests {
                 &Hint(hint, size, modified, inode, age) => (stamp(size, modified, inode), age, hint),
                 Ask(sentinel, completeness, expected) => {
                     let candidate = candidate.expect("seen before");
-                    let answer = match candidate.readiness(at(*ms), &TIMEOUTS, *sentinel, || *completeness) {
+                    let answer = match candidate.readiness(
+                        at(*ms),
+                        &TIMEOUTS,
+                        *sentinel,
+                        || *completeness,
+                        || false,
+                    ) {
                         Readiness::Ready(proof) => Ready(proof),
                         Readiness::Waiting { until: None, why } => Never(why),
                         Readiness::Waiting { until: Some(until), why } => {
@@ -609,7 +637,7 @@ mod tests {
         let missing = Sentinel { is_required: true, exists: false };
         for (hint, sentinel) in [(Changed, NONE), (Renamed, NONE), (Changed, missing)] {
             let candidate = Candidate::new(start, &seen, hint);
-            candidate.readiness(start, &TIMEOUTS, sentinel, || panic!("computed needlessly"));
+            candidate.readiness(start, &TIMEOUTS, sentinel, || panic!("needless"), || panic!("needless"));
         }
     }
 

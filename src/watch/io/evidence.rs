@@ -9,6 +9,8 @@ use crate::pipeline::{FileStamp, open_regular};
 use crate::watch::config::{StabilityTimeouts, Watch};
 use crate::watch::core::completeness::{Candidate, Readiness, Sentinel, path_of_sentinel, sentinel_counts};
 
+use super::writers::is_open_for_writing;
+
 /// Whether this file may be read now.
 pub(crate) fn readiness_of(
     file: &Path,
@@ -23,7 +25,7 @@ pub(crate) fn readiness_of(
         // A sentinel of an earlier version of the frame proves nothing.
         exists: sentinel.is_ok_and(|sentinel| sentinel_counts(&sentinel, candidate.stamp())),
     };
-    candidate.readiness(now, timeouts, sentinel, || completeness_of(file))
+    candidate.readiness(now, timeouts, sentinel, || completeness_of(file), || is_open_for_writing(file))
 }
 
 /// The completeness according to the file format. Errors are ignored here, because reading the frame reports

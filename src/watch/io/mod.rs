@@ -5,7 +5,7 @@
 //!   output_dir   a folder of outputs: journal, lock, free space   pipeline     converts frames
 //!   worker       the thread of either, and its stall detection
 //!   stages       the stages of a folder of outputs
-//!   inspect, evidence, scan, selection, fs_events, mounts, lock, canonical_path   what the workers call
+//!   inspect, evidence, writers, scan, selection, fs_events, mounts, lock, canonical_path   what the workers call
 //! ```
 
 pub mod canonical_path;
@@ -26,3 +26,4 @@ mod slow;
 mod stages;
 pub(crate) mod start;
 pub(crate) mod worker;
+mod writers;
