@@ -169,7 +169,7 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
             ProbedKind::Foreign("STL text: save it as binary STL")
         }
         _ if text.starts_with(b"ITEM:") => ProbedKind::Format(Format::LammpsDump),
-        _ if looks_like_atoms(text) => ProbedKind::Format(Format::XyzAtoms),
+        _ if looks_like_atoms(text, name) => ProbedKind::Format(Format::XyzAtoms),
         _ if looks_like_obj(text, name) => ProbedKind::Format(Format::Obj),
         _ if looks_like_table(text, name) || csv::looks_like_particles(text) => {
             ProbedKind::Format(Format::Delimited)

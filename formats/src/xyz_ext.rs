@@ -30,12 +30,14 @@ pub(crate) const FORMAT: &str = "XYZ atoms";
 /// Whether a text starts like a frame of atoms: the first line is a count alone, and the third line is a word
 /// followed by three numbers. A table has no such word, and other text has no such count. If an atomic number
 /// replaces the word, [`have_atomic_numbers`] applies stricter conditions. Frames without atoms may precede
-/// it, and be all that there is, with a comment that is not a number.
-pub(crate) fn looks_like_atoms(text: &[u8]) -> bool {
+/// it, and be all that there is, with a comment that is not a number and the name of an XYZ file.
+pub(crate) fn looks_like_atoms(text: &[u8], name: &str) -> bool {
     let mut lines = Lines::new(text);
     let mut is_empty = false;
     let (count, comment) = loop {
-        let Some(line) = lines.find(|line| !line.trim_ascii().is_empty()) else { return is_empty };
+        let Some(line) = lines.find(|line| !line.trim_ascii().is_empty()) else {
+            return is_empty && (name.ends_with(".xyz") || name.ends_with(".extxyz"));
+        };
         let Some(count) = count(line) else { return false };
         let comment = lines.next();
         if count > 0 {

@@ -276,7 +276,7 @@ impl<'a> EventLoop<'a> {
 
     /// Waits until all journals and stages are on disk, except for folders that hang.
     fn sync_outputs(&mut self) -> Result<(), DaemonError> {
-        self.unsynced_count = self.core.sync_outputs();
+        self.unsynced_count += self.core.sync_outputs();
         self.has_unwritten = false;
         self.carry_out()?;
         let until = Instant::now() + self.context.config.stop_deadline.max(TICK);

@@ -46,8 +46,9 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     for piece in &pieces {
         // Particles have no cells, or one for each.
         if ![0, piece.point_count].contains(&piece.cells.count) {
-            let types = integers_of(&piece.cells, "types", piece.cells.count, &mut decoder)?;
-            has_faces |= types.into_iter().any(is_face);
+            // Points do not need the types of cells.
+            let types = integers_of(&piece.cells, "types", piece.cells.count, &mut decoder);
+            has_faces |= types.is_ok_and(|types| types.into_iter().any(is_face));
         }
     }
     if has_faces {

@@ -13,8 +13,11 @@ use super::surface::{EdgeTriangles, PARTS_MAX, Parts, area_vector, corners, is_f
 use super::tree::TriangleTree;
 use super::winding::winding;
 
-/// Approximate number of triangles of a part that are tested.
+/// Approximate number of triangles of a part that are tested, at least one.
 const TRIANGLES_TESTED: usize = 64;
+
+/// The same for all parts.
+const TRIANGLES_TESTED_IN_ALL: usize = 4096;
 
 /// Points of a triangle that are tested: their weights at its corners.
 const TESTED: [[f64; 3]; 4] = [[1.0 / 3.0; 3], [0.8, 0.1, 0.1], [0.1, 0.8, 0.1], [0.1, 0.1, 0.8]];
@@ -50,17 +53,20 @@ pub(super) fn find_sheets(points: &[DVec3], faces: &[[u32; 3]], parts: &[u32]) -
     for (triangle, part) in solid_triangles().filter(|&(_, part)| is_sheet[part]) {
         of_sheets[part].push(triangle);
     }
+    let sheet_count = is_sheet.iter().filter(|&&is_sheet| is_sheet).count();
+    let tested = (TRIANGLES_TESTED_IN_ALL / sheet_count).clamp(1, TRIANGLES_TESTED);
     is_sheet
         .iter()
         .zip(of_sheets)
-        .map(|(&is_sheet, triangles)| is_sheet && !is_wall(&tree, &triangles))
+        .map(|(&is_sheet, triangles)| is_sheet && !is_wall(&tree, &triangles, tested))
         .collect()
 }
 
-/// Whether something is enclosed on one side of most of these triangles, however they are oriented.
-fn is_wall(tree: &TriangleTree, triangles: &[[DVec3; 3]]) -> bool {
+/// Whether something is enclosed on one side of most of about `tested` of these triangles, however they are
+/// oriented.
+fn is_wall(tree: &TriangleTree, triangles: &[[DVec3; 3]], tested: usize) -> bool {
     let (mut enclosed_count, mut tested_count) = (0, 0);
-    for triangle in triangles.iter().step_by(triangles.len().div_ceil(TRIANGLES_TESTED).max(1)) {
+    for triangle in triangles.iter().step_by(triangles.len().div_ceil(tested).max(1)) {
         let area = area_vector(triangle);
         let apart = area.normalize_or_zero() * (APART * area.length().sqrt());
         let [a, b, c] = *triangle;
