@@ -79,8 +79,10 @@ def request_of(surface: bpy.types.Object, graph: bpy.types.Depsgraph) -> Request
     """
     settings = surface.meniscus
     radius = settings.radius_attribute if settings.use_radius else ""
-    points = read(settings.source, graph, radius, settings.velocity_attribute, settings.use_attributes)
     values = options.values_of(settings.options)
+    # A condition may name any attribute.
+    has_attributes = settings.use_attributes or "where" in values
+    points = read(settings.source, graph, radius, settings.velocity_attribute, has_attributes)
     if settings.spacing > 0:
         values["spacing"] = options.text_of(settings.spacing)
     return Request(surface.session_uid, points, values, surface.data.get(meshes.SIGNATURE, ""))
