@@ -101,7 +101,7 @@ fn every_command_refuses_voxels_that_are_too_small() {
     for command in [
         &["convert", "in/a.ply", "--out", "out"][..],
         &["render", "in/a.ply", "-o", "a.png"],
-        &["tune", "in/a.ply", "-o", "tune.png"],
+        &["tune", "in/a.ply", "-o", "tune.png", "--vary", "offset=0,0.1d"],
         &["watch", "in", "--out", "seen", "--once", "--settle", "0s"],
     ] {
         let result = meniscus(path, &[command, &["--voxel-size", "1e-9"]].concat());
