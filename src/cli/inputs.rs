@@ -211,10 +211,13 @@ impl MatchedInputs {
         }
         if self.count() == count_before && !may_be_empty {
             let hint = match subfolder_count(folder) {
-                _ if self.mesh_count() > mesh_count_before || files.iter().any(|path| is_mesh(path)) => {
+                _ if self.mesh_count() > mesh_count_before => {
                     "; it has meshes: `render` and `contact-sheet` show them, and `convert` takes their points if you give \
                      them by name or by a pattern"
                         .to_owned()
+                }
+                _ if files.iter().any(|path| is_mesh(path)) => {
+                    "; it has meshes: `render` and `contact-sheet` show them".to_owned()
                 }
                 _ if files.iter().any(|path| is_level_set(path)) => format!(
                     ": `convert` takes level sets by name, or by a pattern such as '{}', and `contact-sheet` shows \

@@ -30,12 +30,12 @@ use std::ops::Range;
 pub(crate) struct NameNumber {
     /// Its bytes in the name, with the sign, and with the digits after a decimal point.
     pub(crate) span: Range<usize>,
-    pub(crate) kind: NumberKind,
+    pub(crate) kind: NumberMeaning,
 }
 
 /// What the number in a name counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum NumberKind {
+pub(crate) enum NumberMeaning {
     /// A frame.
     Frame,
     /// A frame and its subframe, `0001.50`.
@@ -47,14 +47,14 @@ pub(crate) enum NumberKind {
     TimeOrTake,
 }
 
-impl NumberKind {
+impl NumberMeaning {
     /// The kind of a number whose place in the name is known.
-    pub(crate) fn of_text(number: &str) -> NumberKind {
+    pub(crate) fn of_text(number: &str) -> NumberMeaning {
         match number.split_once('.') {
-            _ if number.contains(['e', 'E']) => NumberKind::Time,
-            None => NumberKind::Frame,
-            Some((frame, subframe)) if is_frame_with_subframe(frame, subframe) => NumberKind::Subframe,
-            Some(_) => NumberKind::Time,
+            _ if number.contains(['e', 'E']) => NumberMeaning::Time,
+            None => NumberMeaning::Frame,
+            Some((frame, subframe)) if is_frame_with_subframe(frame, subframe) => NumberMeaning::Subframe,
+            Some(_) => NumberMeaning::Time,
         }
     }
 
@@ -62,9 +62,9 @@ impl NumberKind {
     pub(crate) fn frame_in(self, number: &str) -> Option<i64> {
         let (whole, decimals) = number.split_once('.').unwrap_or((number, ""));
         match self {
-            NumberKind::Frame | NumberKind::Subframe => whole.parse().ok(),
-            NumberKind::TimeOrTake => decimals.parse().ok(),
-            NumberKind::Time => None,
+            NumberMeaning::Frame | NumberMeaning::Subframe => whole.parse().ok(),
+            NumberMeaning::TimeOrTake => decimals.parse().ok(),
+            NumberMeaning::Time => None,
         }
     }
 }
@@ -106,11 +106,11 @@ pub(crate) fn frame_number(stem: &str) -> Option<NameNumber> {
         .find_map(of_role)?
         .clone();
     if let Some(span) = with_subframe(stem, &numbers, &found) {
-        return Some(NameNumber { span, kind: NumberKind::Subframe });
+        return Some(NameNumber { span, kind: NumberMeaning::Subframe });
     }
     let decimal = DecimalNumber::around(stem, &numbers, &found);
     let decimal = decimal.and_then(|decimal| Some((decimal.kind(stem)?, decimal.span())));
-    let (kind, span) = decimal.unwrap_or((NumberKind::Frame, found));
+    let (kind, span) = decimal.unwrap_or((NumberMeaning::Frame, found));
     Some(NameNumber { span, kind })
 }
 
@@ -167,19 +167,19 @@ impl DecimalNumber {
     }
 
     /// What it is, by this name alone; `None` if it is not a decimal number but a frame.
-    fn kind(&self, stem: &str) -> Option<NumberKind> {
+    fn kind(&self, stem: &str) -> Option<NumberMeaning> {
         let whole = &stem[self.whole.clone()];
         let is_open = may_precede_time(&stem[..self.whole.start]);
         let is_short = self.decimals.len() < TAKE_DECIMALS_MIN;
         if is_padded(whole) {
             None
         } else if self.end > self.decimals.end {
-            is_open.then_some(NumberKind::Time)
+            is_open.then_some(NumberMeaning::Time)
         } else if is_short {
-            (is_open || without_sign(whole) == "0").then_some(NumberKind::Time)
+            (is_open || without_sign(whole) == "0").then_some(NumberMeaning::Time)
         } else {
             let is_frame = role_of(stem, &self.whole) == NumberRole::Frame;
-            (is_open && !is_frame).then_some(NumberKind::TimeOrTake)
+            (is_open && !is_frame).then_some(NumberMeaning::TimeOrTake)
         }
     }
 }
@@ -244,16 +244,16 @@ pub(crate) fn compared_numbers(
     is_shot_possible: bool,
 ) -> Option<Vec<NameNumber>> {
     let frames = |spans: Vec<Range<usize>>| -> Vec<NameNumber> {
-        spans.into_iter().map(|span| NameNumber { span, kind: NumberKind::Frame }).collect()
+        spans.into_iter().map(|span| NameNumber { span, kind: NumberMeaning::Frame }).collect()
     };
     let has = |kind| found.iter().any(|number| number.kind == kind);
-    let has_times = has(NumberKind::Time) || has(NumberKind::TimeOrTake);
+    let has_times = has(NumberMeaning::Time) || has(NumberMeaning::TimeOrTake);
     if !has_times && let Some(last) = numbers_behind_shots(stems, found, is_shot_possible) {
         return Some(frames(last));
     }
-    let verdict = if has(NumberKind::Subframe) && !has_times { None } else { decimals_of(stems, found) };
+    let verdict = if has(NumberMeaning::Subframe) && !has_times { None } else { decimals_of(stems, found) };
     if let Some((true, decimals)) = &verdict {
-        let time = |decimal: &DecimalNumber| NameNumber { span: decimal.span(), kind: NumberKind::Time };
+        let time = |decimal: &DecimalNumber| NameNumber { span: decimal.span(), kind: NumberMeaning::Time };
         return Some(decimals.iter().map(time).collect());
     }
     let numbers = verdict.map(|(_, decimals)| {
@@ -316,9 +316,9 @@ fn are_times(stems: &[&str], found: &[NameNumber], numbers: &[DecimalNumber]) ->
         None
     } else if width_varies && decimals.iter().any(|digits| is_padded(digits)) {
         Some(true)
-    } else if has(NumberKind::Time) {
+    } else if has(NumberMeaning::Time) {
         Some(is_expected || are_below_one)
-    } else if has(NumberKind::TimeOrTake) {
+    } else if has(NumberMeaning::TimeOrTake) {
         let frames: HashSet<u64> = decimals.iter().filter_map(|digits| digits.parse().ok()).collect();
         let counts_up = frames.iter().any(|frame| frames.contains(&frame.saturating_add(1)));
         Some(are_below_one && !counts_up)
@@ -615,7 +615,7 @@ mod tests {
 
     #[test]
     fn decimal_number_is_a_time() {
-        use NumberKind::{Frame, Subframe, Time, TimeOrTake};
+        use NumberMeaning::{Frame, Subframe, Time, TimeOrTake};
         for (stem, number, kind) in [
             ("result_0.05", "0.05", Time),
             ("result_12.5", "12.5", Time),

@@ -23,7 +23,7 @@ use meniscus_formats::compression::name_without_compression;
 
 use super::steps::{STEP, name_of, step_in, step_of};
 use crate::pipeline::files::frame_number::{
-    NameNumber, NumberKind, compared_numbers, frame_number, is_number, natural_order, without_numbers,
+    NameNumber, NumberMeaning, compared_numbers, frame_number, is_number, natural_order, without_numbers,
 };
 use crate::pipeline::files::names::text_of_name;
 use crate::pipeline::target::outputs::OutputFormat;
@@ -85,7 +85,7 @@ impl FrameFile {
     /// A file whose frame number is at a known position: a range of bytes in the file name.
     pub fn with_number_at(path: PathBuf, span: Range<usize>) -> FrameFile {
         let mut file = FrameFile::new(path);
-        let kind = file.name().get(span.clone()).map_or(NumberKind::Frame, NumberKind::of_text);
+        let kind = file.name().get(span.clone()).map_or(NumberMeaning::Frame, NumberMeaning::of_text);
         file.number = Some(NameNumber { span, kind });
         FrameFile { is_number_given: true, ..file }
     }
@@ -97,7 +97,7 @@ impl FrameFile {
         if self.number.is_some() || self.is_step || !is_number(&folder) {
             return None;
         }
-        let number = Some(NameNumber { span: 0..folder.len(), kind: NumberKind::of_text(&folder) });
+        let number = Some(NameNumber { span: 0..folder.len(), kind: NumberMeaning::of_text(&folder) });
         Some(FrameFile { number, is_numbered_by_folder: true, ..self.clone() })
     }
 
@@ -162,7 +162,7 @@ impl FrameFile {
 
     /// Whether the name has a time in place of a frame number.
     pub fn has_time(&self) -> bool {
-        self.number.as_ref().is_some_and(|number| number.kind == NumberKind::Time)
+        self.number.as_ref().is_some_and(|number| number.kind == NumberMeaning::Time)
     }
 
     /// The key of all files whose names differ only in numbers: the folder, and the name without its numbers.
@@ -185,7 +185,7 @@ impl FrameFile {
 }
 
 fn frame_at(span: Range<usize>) -> NameNumber {
-    NameNumber { span, kind: NumberKind::Frame }
+    NameNumber { span, kind: NumberMeaning::Frame }
 }
 
 /// The base name of the outputs of a sequence with this name, with `{}` in place of the frame's number:
@@ -250,7 +250,7 @@ pub fn sequences(mut files: Vec<FrameFile>) -> Vec<Sequence> {
         // The whole numbers among times, such as 0 and 1, are times as well.
         if sequence.frames.iter().any(FrameFile::has_time) {
             let numbers = sequence.frames.iter_mut().filter_map(|frame| frame.number.as_mut());
-            numbers.for_each(|number| number.kind = NumberKind::Time);
+            numbers.for_each(|number| number.kind = NumberMeaning::Time);
         }
         if sequence.frames.len() > 1 {
             sequence.name = sequence.frames[0].sequence().1;
@@ -281,7 +281,7 @@ fn use_compared_numbers(files: &mut [FrameFile]) {
         }
     }
     let kind_of = |file: &FrameFile| file.number.as_ref().map(|number| number.kind);
-    let has_whole_number = |file: &&FrameFile| kind_of(file) == Some(NumberKind::Frame);
+    let has_whole_number = |file: &&FrameFile| kind_of(file) == Some(NumberMeaning::Frame);
     let whole: HashSet<(PathBuf, String)> =
         files.iter().filter(has_whole_number).map(FrameFile::sequence).collect();
     for members in groups.into_values() {
@@ -290,7 +290,8 @@ fn use_compared_numbers(files: &mut [FrameFile]) {
         let found: Vec<NameNumber> =
             members.iter().filter_map(|&index| files[index].number.clone()).collect();
         let belongs_to_sequence = |index: &usize| {
-            kind_of(&files[*index]) == Some(NumberKind::Subframe) && whole.contains(&files[*index].sequence())
+            kind_of(&files[*index]) == Some(NumberMeaning::Subframe)
+                && whole.contains(&files[*index].sequence())
         };
         let is_shot_possible = members.len() > 1 && !members.iter().any(belongs_to_sequence);
         let numbers = compared_numbers(&stems, &found, is_shot_possible).unwrap_or_default();

@@ -46,12 +46,12 @@ struct Test {
     /// The results of a comparison that meet the test.
     allowed: &'static [Ordering],
     /// One of these values suffices.
-    values: Vec<Operand>,
+    values: Vec<ConditionOperand>,
 }
 
 /// A value in a condition. A number without quotes may also be the text of an attribute with texts.
 #[derive(Clone, Debug, PartialEq)]
-struct Operand {
+struct ConditionOperand {
     text: Option<String>,
     number: Option<f64>,
     /// The number, if it is an integer: `f64` cannot represent all of them.
@@ -206,7 +206,7 @@ impl Test {
     /// The values to compare with, in the type of the attribute.
     fn operands<'a>(&'a self, attribute: &Attribute) -> Result<Operands<'a>, String> {
         let name = &attribute.name;
-        let number = |operand: &Operand| {
+        let number = |operand: &ConditionOperand| {
             operand.number.ok_or_else(|| {
                 let text = operand.text.as_deref().unwrap_or_default();
                 format!("the attribute `{name}` has numbers, so it cannot be compared with the text `{text}`")
@@ -218,14 +218,14 @@ impl Test {
                 Operands::Numbers(numbers.collect::<Result<_, String>>()?)
             }
             AttributeValues::Integers(_) => {
-                let integer = |operand: &Operand| match operand.integer {
+                let integer = |operand: &ConditionOperand| match operand.integer {
                     Some(integer) => Ok(Ok(integer)),
                     None => number(operand).map(Err),
                 };
                 Operands::Integers(self.values.iter().map(integer).collect::<Result<_, String>>()?)
             }
             AttributeValues::Strings { .. } => {
-                let text = |operand: &'a Operand| {
+                let text = |operand: &'a ConditionOperand| {
                     operand.text.as_deref().ok_or_else(|| {
                         format!("the attribute `{name}` is text: compare it, as in {name} == fluid")
                     })
@@ -288,7 +288,7 @@ impl FromStr for ParticleFilter {
     fn from_str(text: &str) -> Result<ParticleFilter, String> {
         let text = text.trim();
         let parse = || {
-            let mut parser = Parser { tokens: tokens(text)?, next: 0, depth: 0 };
+            let mut parser = ConditionParser { tokens: tokens(text)?, next: 0, depth: 0 };
             let condition = parser.condition()?;
             if parser.next < parser.tokens.len() {
                 return Err(parser.expected("`and`, `or` or the end"));
@@ -346,7 +346,7 @@ fn tokens(text: &str) -> Result<Vec<Token<'_>>, String> {
     }
 }
 
-struct Parser<'a> {
+struct ConditionParser<'a> {
     tokens: Vec<Token<'a>>,
     /// The index of the next token.
     next: usize,
@@ -357,7 +357,7 @@ struct Parser<'a> {
 /// Deeper conditions are refused, because each level takes memory of the stack.
 const DEPTH_MAX: usize = 100;
 
-impl<'a> Parser<'a> {
+impl<'a> ConditionParser<'a> {
     fn condition(&mut self) -> Result<Condition, String> {
         let mut parts = vec![self.term()?];
         while self.take_word("or") {
@@ -420,7 +420,7 @@ impl<'a> Parser<'a> {
         {
             (*allowed, *is_negated, vec![self.value()?])
         } else if self.ends_test() {
-            let zero = Operand { text: None, number: Some(0.0), integer: Some(0) };
+            let zero = ConditionOperand { text: None, number: Some(0.0), integer: Some(0) };
             (OPERATORS[0].1, true, vec![zero])
         } else {
             return Err(self.expected("==, !=, <, <=, >, >= or in"));
@@ -438,7 +438,7 @@ impl<'a> Parser<'a> {
         }
     }
 
-    fn values(&mut self) -> Result<Vec<Operand>, String> {
+    fn values(&mut self) -> Result<Vec<ConditionOperand>, String> {
         let closing = [("(", ")"), ("[", "]")].into_iter().find(|(opening, _)| self.take_symbol(opening));
         let mut values = vec![self.value()?];
         while self.take_symbol(",") {
@@ -452,20 +452,20 @@ impl<'a> Parser<'a> {
         }
     }
 
-    fn value(&mut self) -> Result<Operand, String> {
+    fn value(&mut self) -> Result<ConditionOperand, String> {
         let operand = match self.peek() {
             Some(TokenKind::Quoted(text)) => {
-                Operand { text: Some(text.to_owned()), number: None, integer: None }
+                ConditionOperand { text: Some(text.to_owned()), number: None, integer: None }
             }
             Some(TokenKind::Word(word)) if is_numeric(word) => {
                 let number = word.parse().ok().filter(|number: &f64| number.is_finite());
                 if number.is_none() {
                     return Err(self.expected("a number, or a text in quotes"));
                 }
-                Operand { text: Some(word.to_owned()), number, integer: word.parse().ok() }
+                ConditionOperand { text: Some(word.to_owned()), number, integer: word.parse().ok() }
             }
             Some(TokenKind::Word(word)) if !is_keyword(word) => {
-                Operand { text: Some(word.to_owned()), number: None, integer: None }
+                ConditionOperand { text: Some(word.to_owned()), number: None, integer: None }
             }
             _ => return Err(self.expected("a number or a text")),
         };
