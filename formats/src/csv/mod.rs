@@ -18,7 +18,7 @@
 //! digits: the digits of one particle must not change how another is read. A note names the columns with
 //! integers that are rounded to floats, because they exceed 64 bits or share the column with other numbers.
 //!
-//! Without names, the first column may also be an id: see [`crate::first_column`]. The header can consist of
+//! Without names, the first column may also be an id: see `first_column.rs`. The header can consist of
 //! the numbers of the columns: `0,1,2`.
 //!
 //! Text in UTF-16 with a byte-order mark is decoded. Decimal commas are read if a row shows that they are not

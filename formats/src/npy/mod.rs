@@ -7,7 +7,7 @@
 //! ```
 //!
 //! An array of shape (N, 3) contains the positions. If it has more columns, the first three are the position,
-//! unless the first has different integers: see [`crate::first_column`]. An array of shape (T, N, 3) has T
+//! unless the first has different integers: see `first_column.rs`. An array of shape (T, N, 3) has T
 //! frames. The shape (3, N) is refused for N > 4: its rows are x, y and z, and three particles with many
 //! attributes are rare.
 //!

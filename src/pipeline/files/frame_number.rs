@@ -476,7 +476,7 @@ fn role_of(stem: &str, number: &Range<usize>) -> NumberRole {
 const SEPARATORS: [char; 4] = ['.', '_', '-', ' '];
 
 /// Compares text, with numbers by their value: -2 before 10, and 10 before 10.05, which comes before 10.5.
-/// Decimal points are recognized as in [`frame_number`]; of equal numbers, the one with fewer leading zeros
+/// Decimal points are recognized as in names of frames; of equal numbers, the one with fewer leading zeros
 /// comes first.
 pub fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (0, 0);
