@@ -292,6 +292,7 @@ fn leaf_of_sphere(origin: IVec3, radius: f32) -> Leaf {
 /// Updates of free voxels per second, over all threads: passes times free voxels.
 fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
     let config = SmoothConfig {
+        redistances_first: false,
         laplacian_steps: 0,
         integrator: Integrator::Fast,
         steps: 1,

@@ -143,6 +143,7 @@ fn distances(page: &mut Page) -> Outcome<()> {
 
 fn explicit(steps: u32) -> SmoothConfig {
     SmoothConfig {
+        redistances_first: false,
         laplacian_steps: 0,
         integrator: Integrator::Explicit,
         steps,

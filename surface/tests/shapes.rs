@@ -26,6 +26,7 @@ pub(crate) fn default_config(integrator: Integrator) -> SmoothConfig {
         Integrator::Fast | Integrator::Implicit => (5, 20.0, 1),
     };
     SmoothConfig {
+        redistances_first: false,
         laplacian_steps: 15,
         integrator,
         steps,

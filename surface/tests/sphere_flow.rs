@@ -67,6 +67,7 @@ fn thin_plate_smoothing_restores_a_noisy_sphere() {
     ] {
         let (mut band, bounds) = noisy_sphere();
         let config = SmoothConfig {
+            redistances_first: false,
             laplacian_steps: 0,
             integrator,
             steps,

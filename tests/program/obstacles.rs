@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DQuat, DVec3, EulerRot};
-use meniscus::surface::grid::voxel_in_leaf;
+use meniscus::surface::grid::{offset_in_leaf, voxel_in_leaf};
 use meniscus::surface::obstacle::{MeshSdf, Obstacle, ObstacleSdf, Obstacles};
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::{OwnedPositions, ParticleCloud, Shapes};
@@ -204,7 +204,8 @@ fn film_touches_all_faces_of_a_tetrahedron() {
         let flat = distances.iter().filter(|distance| distance.abs() < 0.25).count();
         assert!(contact > 5000 && flat * 1000 > contact * 995, "{off}: {flat} of {contact}");
         let (count, dry_count) = dry_voxels(&surface, &body, |_| true);
-        assert!(dry_count * 500 < count, "{off}: {dry_count} of {count}");
+        // Where the film is thinner than 1.5 voxels, as at corners, it is removed.
+        assert!(dry_count * 300 < count, "{off}: {dry_count} of {count}");
         assert_eq!(surface.report.contact.particle_count > 0, off < 1.0, "{off}");
         // If voids are not filled, the gap below particles at a distance from the faces stays.
         if off > 3.0 {
@@ -320,6 +321,124 @@ fn moved_surface_rests_on_the_wall() {
         let (count, dry_count) = dry_voxels(&surface, &plate, |_| true);
         assert!(count > 500 && dry_count == 0, "{offset}: {dry_count} of {count}");
         assert_eq!(surface.report.mesh.component_count, 2);
+    }
+}
+
+/// A floor with its top through the origin: across the contact line, along it, and upward.
+struct Floor {
+    body: Body,
+    axes: [DVec3; 3],
+}
+
+fn floor(rotation: DQuat) -> Floor {
+    let Body { positions, triangles, .. } =
+        cuboid(DVec3::new(-80.0, -80.0, -30.0), DVec3::new(80.0, 80.0, 0.0));
+    let positions = positions.iter().map(|position| (rotation * DVec3::from(*position)).to_array()).collect();
+    let axes = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| rotation * axis);
+    let distance = Box::new(move |point: DVec3| axes[2].dot(point));
+    Floor { body: Body { positions, triangles, distance }, axes }
+}
+
+/// φ at a point, in voxels; outside where it is not stored.
+fn phi_at(surface: &FrameSurface, index: DVec3) -> f64 {
+    let cell = index.floor();
+    let part = index - cell;
+    (0..8)
+        .map(|corner| {
+            let step = DVec3::new(f64::from(corner & 1), f64::from(corner >> 1 & 1), f64::from(corner >> 2));
+            let stored = surface.band.topology.find_voxel((cell + step).as_ivec3());
+            let value = stored.map_or(3.0, |(leaf, local)| {
+                f64::from(surface.band.phi.leaves[leaf].values[offset_in_leaf(local)])
+            });
+            (step * part + (1.0 - step) * (1.0 - part)).element_product() * value
+        })
+        .sum()
+}
+
+/// How far the fluid reaches across a floor, at a height above it: along the contact line, at points `step`
+/// apart. In world units, from the level set and from the mesh.
+fn contact_lines(surface: &FrameSurface, floor: &Floor, h: f64, height: f64, along: &[f64]) -> [Vec<f64>; 2] {
+    let [across_axis, along_axis, up] = floor.axes;
+    let of_phi = |&along: &f64| {
+        let at = |across: f64| phi_at(surface, (across_axis * across + along_axis * along + up * height) / h);
+        let mut across = 10.0;
+        while at(across) >= 0.0 && across > -10.0 {
+            across -= 0.1 * h;
+        }
+        let (inner, outer) = (at(across), at(across + 0.1 * h));
+        across + 0.1 * h * inner / (inner - outer)
+    };
+    let mut segments = Vec::new();
+    for triangle in &surface.mesh.triangles {
+        let corners = triangle.map(|corner| {
+            let world = surface.mesh.origin + surface.mesh.positions[corner as usize].as_dvec3();
+            DVec3::new(across_axis.dot(world), along_axis.dot(world), up.dot(world) - height)
+        });
+        let cut = |one: DVec3, other: DVec3| one.lerp(other, one.z / (one.z - other.z));
+        let ends: Vec<DVec3> = (0..3)
+            .map(|edge| [corners[edge], corners[(edge + 1) % 3]])
+            .filter(|[one, other]| (one.z < 0.0) != (other.z < 0.0))
+            .map(|[one, other]| cut(one, other))
+            .collect();
+        if let [one, other] = ends[..] {
+            segments.push([one, other]);
+        }
+    }
+    let of_mesh = |&along: &f64| {
+        let spanning = segments.iter().filter(|[one, other]| (one.y < along) != (other.y < along));
+        let crossings = spanning.map(|[one, other]| one.lerp(*other, (along - one.y) / (other.y - one.y)).x);
+        crossings.fold(f64::NEG_INFINITY, f64::max)
+    };
+    [along.iter().map(of_phi).collect(), along.iter().map(of_mesh).collect()]
+}
+
+/// Rms of the deviation of a line from its mean over `count` points.
+fn roughness(line: &[f64], count: usize) -> f64 {
+    let deviations: Vec<f64> = line
+        .windows(count)
+        .map(|window| window[count / 2] - window.iter().sum::<f64>() / count as f64)
+        .collect();
+    (deviations.iter().map(|deviation| deviation.powi(2)).sum::<f64>() / deviations.len() as f64).sqrt()
+}
+
+/// Where fluid, floor and air meet, the surface has no scallops of a voxel, and does not hover above the
+/// floor.
+#[test]
+fn contact_line_is_smooth_and_on_the_floor() {
+    for (name, rotation, layers, h) in [
+        ("flat", DQuat::from_rotation_z(0.35), 1, 0.4),
+        ("flat and finer", DQuat::from_rotation_z(0.35), 3, 0.25),
+        ("sloped", DQuat::from_euler(EulerRot::XYZ, 0.3, 0.2, 0.5), 3, 0.4),
+        ("sloped and finer", DQuat::from_euler(EulerRot::XYZ, 0.3, 0.2, 0.5), 1, 0.25),
+    ] {
+        let floor = floor(rotation);
+        // About 1 apart, beside the plane across = 0.
+        let place = |index: usize| {
+            let jitter = DVec3::new(random(3 * index), random(3 * index + 1), random(3 * index + 2)) - 0.5;
+            let [x, y, z] = [index % 6, index / 6 % 24, index / 144].map(|step| step as f64);
+            rotation * (DVec3::new(x - 5.5, y - 11.5, z + 0.5) + 0.3 * jitter)
+        };
+        let particles = (0..144 * layers).map(|index| place(index).to_array()).collect();
+        let choices =
+            MethodOptions { spacing: Some(1.0), voxel_size: Some(h.into()), ..MethodOptions::default() };
+        let settings = Settings::resolve(&choices, None).expect("sound");
+        let positions = OwnedPositions::F64(particles);
+        let cloud = ParticleCloud { positions, shapes: Shapes::Uniform, attributes: Vec::new() };
+        let surface = reconstruct_cloud(cloud, &settings, &floor.body.obstacles());
+        check(name, &surface, &floor.body);
+        let along: Vec<f64> = (-90..=90).map(|step| 0.1 * f64::from(step)).collect();
+        let lines = [0.25, 0.5, 1.0].map(|height| contact_lines(&surface, &floor, h, height * h, &along));
+        let rough = lines.each_ref().map(|lines| lines.each_ref().map(|line| roughness(line, 31) / h));
+        // Where a cell has an edge, contouring places vertices less exactly than interpolation.
+        for [of_phi, of_mesh] in rough {
+            assert!(of_phi < 0.1 && of_mesh < 0.1, "{name}: {rough:?}");
+        }
+        for kind in 0..2 {
+            let [low, _, high] =
+                lines.each_ref().map(|lines| lines[kind].iter().sum::<f64>() / lines[kind].len() as f64);
+            // The edge is rounded with a radius of about a voxel.
+            assert!(low > high - 1.25 * h, "{name}: hovers, {low} {high}");
+        }
     }
 }
 

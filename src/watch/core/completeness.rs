@@ -587,7 +587,8 @@ mod tests {
                 (3000, Hint(Closed, 100, 1, 1, Some(3000))),
                 (3000, Ask(NONE, Complete, Ready(Proof::Format))),
                 (3100, Hint(Written, 100, 2, 1, Some(0))),
-                (3600, Ask(NONE, NeedsReading, Until(13_100, WaitReason::Open))),
+                (3600, Ask(NONE, Complete, Until(13_100, WaitReason::Open))),
+                (3600, Ask(NONE, NeedsReading, Ready(Proof::Format))),
             ],
         );
         check(

@@ -28,7 +28,7 @@ use glam::IVec3;
 
 use crate::grid::{Field, LEAF_VOXELS, Topology};
 
-/// Minimum |φ| of a finished level set, in voxels, unless bounds or an obstacle require a smaller value.
+/// Minimum |φ| of a finished level set, in voxels, unless bounds require a smaller value.
 /// Where the surface almost touches a voxel, meshers fold it around that voxel into tiny sharp triangles.
 /// With OpenVDB's mesher, a single voxel with |φ| = 10⁻⁶ adds 4800 to ∫H², three times the ∫H² of its whole
 /// frame. With |φ| = 0.0002, it adds 320; with 0.003, 30; with 1/128, less than a drop's 4π.

@@ -11,41 +11,20 @@
 //! point is now on another part. So distances are swept again. The sweeps start from the voxels next to the
 //! moved surface, which keep their values.
 
-use std::sync::Arc;
-
-use glam::IVec3;
 use rayon::prelude::*;
 
 use super::redistance::{Sweeps, UNREACHED, extend};
 use super::{NEAREST_TO_ZERO, NarrowBand};
-use crate::grid::{Leaf, LeafMask, NO_LEAF, Topology, negative_masks};
+use crate::grid::{LeafMask, NO_LEAF, Topology, negative_masks};
 use crate::parallel::Loops as _;
 
 /// Moves the surface outward by `offset` voxels (inward if negative) and restores distances within ±
-/// `half_width`, the band's new half width. φ must hold distances up to the level `offset`.
-///
-/// `floor` returns a lower bound of φ for the leaf with a given origin, such as the distance to an obstacle,
-/// or `None` for no bound. A voxel that is below the floor, or above it by no more than a rounding error, is
-/// set to the floor exactly. All other voxels keep |φ| ≥ [`NEAREST_TO_ZERO`], unless the floor prevents it.
-pub fn offset_surface(
-    band: &mut NarrowBand,
-    offset: f32,
-    half_width: f32,
-    floor: impl Fn(IVec3) -> Option<Arc<Leaf>> + Sync,
-) {
-    band.phi.leaves.par_iter_mut().zip(band.topology.origins()).halved().for_each(|(phi, &origin)| {
-        let floor = floor(origin);
-        for (index, phi) in phi.values.iter_mut().enumerate() {
-            let least = floor.as_ref().map_or(f32::NEG_INFINITY, |floor| floor.values[index]);
-            let moved = *phi - offset;
-            *phi = if moved < least + ROUNDING {
-                outside_if_zero(least)
-            } else if moved.abs() < NEAREST_TO_ZERO {
-                NEAREST_TO_ZERO.copysign(moved).max(least)
-            } else {
-                moved
-            };
-        }
+/// `half_width`, the band's new half width. φ must hold distances up to the level `offset`. All voxels keep
+/// |φ| ≥ [`NEAREST_TO_ZERO`].
+pub fn offset_surface(band: &mut NarrowBand, offset: f32, half_width: f32) {
+    band.phi.leaves.par_iter_mut().halved().flat_map_iter(|leaf| &mut leaf.values).for_each(|phi| {
+        let moved = *phi - offset;
+        *phi = moved.abs().max(NEAREST_TO_ZERO).copysign(moved);
     });
     let fixed = next_to_surface(band);
     band.phi.leaves.par_iter_mut().zip(&fixed).halved().for_each(|(phi, fixed)| {
@@ -62,9 +41,6 @@ pub fn offset_surface(
 pub fn offset_reach_voxels(half_width: f32) -> u32 {
     2 * (3f32.sqrt() * half_width).ceil() as u32 + 1
 }
-
-/// Values this close to the floor, in voxels, differ from it only by 32-bit rounding.
-const ROUNDING: f32 = 1e-4;
 
 /// Replaces −0 by +0. A voxel with φ = 0 is outside, but sweeps determine the side from the sign bit and
 /// would treat −0 as inside. A swept voxel must be on the same side as its neighbors; otherwise signs would
@@ -117,8 +93,10 @@ fn next_to_other_side(topology: &Topology, side: &[LeafMask], leaf: usize) -> Le
 
 #[cfg(test)]
 mod tests {
+    use glam::IVec3;
+
     use super::*;
-    use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, offset_in_leaf, voxel_in_leaf};
+    use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, offset_in_leaf, voxel_in_leaf};
 
     const HALF_WIDTH: f32 = 7.0;
 
@@ -143,7 +121,7 @@ mod tests {
 
     fn moved(band: &NarrowBand, offset: f32) -> NarrowBand {
         let mut moved = band.clone();
-        offset_surface(&mut moved, offset, 5.0, |_| None);
+        offset_surface(&mut moved, offset, 5.0);
         moved
     }
 
@@ -192,45 +170,6 @@ mod tests {
         // −0.85. The voxels next to the seam keep their values. In such a crease, their depth is up to one
         // voxel too small.
         assert!((phi(middle) + 3.84).abs() < 1.1, "{}", phi(middle));
-    }
-
-    #[test]
-    fn offset_stays_above_the_floor_and_snaps_to_it() {
-        // A slab from z = −0.8 to 10.8. When it is moved by 1.3, the wall below z = 0.5 stops its lower side.
-        let given = band(|[_, _, z]| (z - 5.0).abs() - 5.8);
-        let wall = |origin: IVec3| Leaf {
-            values: std::array::from_fn(|offset| 0.5 - (origin + voxel_in_leaf(offset)).z as f32),
-        };
-        let mut held = given.clone();
-        offset_surface(&mut held, 1.3, 5.0, |origin| Some(Arc::new(wall(origin))));
-        for (leaf, &origin) in held.phi.leaves.iter().zip(held.topology.origins()) {
-            let inner = origin.cmpge(IVec3::splat(-16)).all() && origin.cmplt(IVec3::splat(16)).all();
-            for (offset, phi) in leaf.values.iter().enumerate().filter(|_| inner) {
-                let z = (origin + voxel_in_leaf(offset)).z as f32;
-                let expected = (0.5 - z).max(z - 12.1);
-                if expected.abs() < 4.0 {
-                    assert!((phi - expected).abs() < 1e-4, "{phi} at {z}");
-                }
-            }
-        }
-    }
-
-    /// A film half a voxel thick on a wall whose surface passes through voxels: φ of these voxels is the
-    /// floor, which is +0 or −0, and no voxel is inside.
-    #[test]
-    fn voxels_on_the_floor_are_outside_for_both_signs_of_zero() {
-        let given = band(|[_, _, z]| (z + 5.0).abs() - 4.2);
-        for zero in [0.0, -0.0] {
-            let wall = |origin: IVec3| Leaf {
-                values: std::array::from_fn(|offset| match (origin + voxel_in_leaf(offset)).z {
-                    0 => zero,
-                    z => -z as f32,
-                }),
-            };
-            let mut held = given.clone();
-            offset_surface(&mut held, 1.3, 5.0, |origin| Some(Arc::new(wall(origin))));
-            assert!(held.phi.leaves.iter().flat_map(|leaf| leaf.values).all(|phi| phi == 5.0), "{zero:?}");
-        }
     }
 
     /// The surface almost touches an outside voxel with φ = +0 or −0.

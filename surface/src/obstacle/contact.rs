@@ -1,35 +1,41 @@
-//! The contact of fluid and obstacles: makes φ and its bounds respect the obstacles (paper, §3.6, Eq. 12).
+//! The contact of fluid and obstacles: fills narrow gaps, and cuts the fluid off at the obstacles (paper,
+//! §3.6, Eq. 12).
 //!
 //! ```text
-//!   ──╮    fluid     ╭──    ──╮    fluid     ╭──          φ_0    initial signed distance of the fluid
-//!     │              │        │              │            φ_o    signed distance to the obstacle
-//!     │              │        │              │
-//!     ╰──────────────╯        │              │            φ_0 + φ_o < ε in the void below the fluid: it is
-//!           void              │              │            filled, and the fluid touches the obstacle
-//!   ────────────────────    ──┴──────────────┴──          without a gap. Beside it, the gap is wider, and
-//!         obstacle                obstacle                stays.
+//!        before               filled                smoothed, cut
+//!
+//!      ──────────╮          ──────────╮             ──────────╮
+//!       fluid     │          fluid     │                       ╲        φ    signed distance of the fluid
+//!      ──────────╯           ┊          ╲              ┊        ╲       φ_o  signed distance to the obstacle
+//!   ── gap ───────────    ── ┊ ──────────┊ ──       ── ┴─────────┴ ──
+//!        obstacle            ╰───────────╯
 //! ```
 //!
-//! Intersections: φ ≥ −φ_o is a lower bound. It overrides the inner spheres of particles inside the obstacle.
-//!
-//! Voids: the paper sets φ = −φ_o where φ_0 > 0, φ_o > 0 and φ_0 + φ_o < ε. The filled part then ends in
-//! steps of one voxel. Here it ends where φ_0 + φ_o = ε, between voxels. With a steepness k, where φ_o < ε:
+//! Gaps: the paper sets φ = −φ_o where φ > 0, φ_o > 0 and φ + φ_o < ε, which ends in steps of one voxel.
+//! Here the fluid grows toward the wall and continues straight into it. It grows by a distance c, which has no
+//! step and fades out at w = ε + 1 voxels from the wall:
 //!
 //! ```text
-//!   φ = max(min(φ_0, k·(φ_0 + φ_o − ε)), −φ_o)
+//!   φ_0 − c(φ_o)       c = ε (1 − φ_o/w)²     outside the obstacle, up to φ_o = w
+//!                      c = ε − φ_o            inside, down to φ_o = −3
 //! ```
 //!
-//! Where φ_0 > 0 and φ_o > 0, this is the paper's value, unless φ_0 + φ_o is between ε − ε/k and
-//! ε + ε/(k − 1). In the fluid near a wall it may be lower than the paper's, with the same sign. (Compared
-//! with the paper's steps, the edge around a drop on a floor has three quarters of the bending energy, and
-//! vertices are half as deep in the floor.) The same formula applies inside the wall. If only the voxels
-//! outside the obstacle had this value, the zero crossing would be interpolated between them and the φ_0
-//! inside the wall, which is too large there.
+//! A gap narrower than ε is filled, and one a little wider becomes narrower, so a gap that widens slowly does
+//! not open suddenly. φ_0 − c is no distance, so smoothing begins with a redistancing. A wall that is wet stays
+//! wet: there, φ stays below φ_0 − c + 1 or −φ_o.
 //!
-//! The voids are found once, from φ_0. If they were searched again after smoothing, the fluid would climb the
-//! walls. Instead, the φ of the formula above is kept as an upper bound where a void was filled, and where
-//! fluid is closer to the wall than to its own surface. So the surface does not detach from the wall where
-//! the wall was wet.
+//! Intersections: φ = max(φ, −φ_o), after smoothing and the offset. Smoothing sees the fluid inside the
+//! obstacle instead of an edge at the wall, so it neither rounds that edge nor lifts it off the wall, and the
+//! contact line is as smooth as the rest of the surface. But the grid cannot store a sharp edge, nor a film
+//! that is thinner than a voxel, as above a ball that is nearly immersed: they would be scalloped and torn. So
+//! the maximum is a smooth one, which rounds the edge with a radius of about a voxel, and ends a film where it
+//! becomes thinner than k/2 = 1.5 voxels:
+//!
+//! ```text
+//!   max(a, b) + k/4 (1 − |a − b|/k)²   for |a − b| < k, with a = φ and b = −φ_o
+//! ```
+//!
+//! At a particle φ ≤ −r_min, so with k ≤ 4 r_min it stays inside if it is k/4 away from the wall.
 //!
 //! Each voxel is computed alone, so tiles give the same result.
 
@@ -38,7 +44,7 @@ use rayon::prelude::*;
 
 use super::leaf::ObstacleLeaf;
 use crate::grid::{Leaf, ROW_COUNT};
-use crate::level_set::{Bounds, NarrowBand};
+use crate::level_set::{Bounds, NEAREST_TO_ZERO, NarrowBand};
 use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes};
 
@@ -66,10 +72,10 @@ impl ContactStats {
     }
 }
 
-/// Makes φ_0 and its bounds respect the obstacles. `obstacle` returns the distances to the obstacles in the
-/// leaf with a given origin, clamped to the half width of the band. Fills voids narrower than
-/// `void_threshold` voxels; 0 fills none.
-pub fn apply_obstacle_constraint(
+/// Fills the gaps between φ_0 and the obstacles that are narrower than `void_threshold` voxels; 0 fills none.
+/// Lets the bounds allow that, and the cut by [`cut_off_at_obstacles`]. `obstacle` returns the distances to
+/// the obstacles in the leaf with a given origin, clamped to the half width of the band.
+pub fn fill_gaps_at_obstacles(
     obstacle: impl Fn(IVec3) -> ObstacleLeaf + Sync,
     void_threshold: f32,
     band: &mut NarrowBand,
@@ -86,53 +92,109 @@ pub fn apply_obstacle_constraint(
             ObstacleLeaf::Inside => &inside,
             ObstacleLeaf::Near(distances) => distances,
         };
-        simd::dispatch(ContactKernel { obstacle, void_threshold, phi, lower, upper })
+        simd::dispatch(FillKernel { obstacle, void_threshold, half_width, phi, lower, upper })
     };
     fields.halved().map(of_leaf).reduce(ContactStats::default, ContactStats::merge)
 }
 
-/// The slope of φ where the filled part ends. A smaller slope leaves voids near the threshold half filled; a
-/// larger one ends in steps.
-const STEEPNESS: f32 = 4.0;
+/// How deep the fluid continues into an obstacle, in voxels: so far that the smoothing of its end does not
+/// reach the wall.
+const CONTINUATION: f32 = 3.0;
 
-/// The kernel for one leaf.
-struct ContactKernel<'a> {
+/// Fills the gaps in one leaf.
+struct FillKernel<'a> {
     obstacle: &'a Leaf,
     void_threshold: f32,
+    half_width: f32,
     phi: &'a mut Leaf,
     lower: &'a mut Leaf,
     upper: &'a mut Leaf,
 }
 
-impl Kernel for ContactKernel<'_> {
+impl Kernel for FillKernel<'_> {
     type Output = ContactStats;
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> ContactStats {
-        let (zero, threshold) = (V::splat(0.0), V::splat(self.void_threshold));
+        let (zero, one) = (V::splat(0.0), V::splat(1.0));
+        let (threshold, least) = (V::splat(self.void_threshold), V::splat(-self.half_width));
+        // Where φ_0 is at least the half width, the fluid does not grow.
+        let growth_max = V::splat(self.half_width - 1.0);
+        let per_width = V::splat(1.0 / (self.void_threshold + 1.0));
         let mut stats = ContactStats::default();
         for row in 0..ROW_COUNT {
             let obstacle = V::load(self.obstacle.row(row));
             let wall = zero.sub(obstacle);
             let phi = V::load(self.phi.row(row));
             let (lower, upper) = (V::load(self.lower.row(row)), V::load(self.upper.row(row)));
-            let gap = phi.add(obstacle).sub(threshold);
-            let is_near = obstacle.lt(threshold);
-            let filled = V::select(is_near, V::splat(STEEPNESS).mul(gap), phi).min(phi);
-            let contact = filled.max(wall);
-            let is_held = V::not(V::both(V::not(filled.lt(phi)), wall.lt(phi)));
-            let is_held = V::both(is_near, is_held);
-            let new_lower = lower.min(contact).max(wall);
-            let new_upper = V::select(is_held, upper.min(contact), upper).max(new_lower);
+            let faded = one.sub(obstacle.max(zero).mul(per_width)).max(zero);
+            let depth = wall.max(zero).min(V::splat(CONTINUATION));
+            let growth = threshold.mul(faded).mul(faded).add(depth).min(growth_max);
+            let filled = phi.sub(growth).max(least);
+            let is_filled = V::both(zero.lt(growth), filled.lt(zero));
             let is_outside = V::both(zero.lt(phi), zero.lt(obstacle));
-            let is_void = V::both(is_outside, gap.lt(zero));
+            let is_void = V::both(is_outside, filled.lt(zero));
             stats.void_count += u64::from(V::bits(is_void).count_ones());
             let is_displaced = V::both(obstacle.lt(zero), upper.lt(wall));
             stats.displaced_voxel_count += u64::from(V::bits(is_displaced).count_ones());
-            contact.max(new_lower).min(new_upper).store(self.phi.row_mut(row));
-            new_lower.store(self.lower.row_mut(row));
-            new_upper.store(self.upper.row_mut(row));
+            filled.store(self.phi.row_mut(row));
+            V::select(is_filled, least, lower.min(filled)).store(self.lower.row_mut(row));
+            let is_wet = V::both(V::both(zero.lt(obstacle), zero.lt(faded)), filled.lt(zero));
+            let held = V::select(is_wet, upper.min(filled.add(one)), upper);
+            held.max(wall).store(self.upper.row_mut(row));
         }
         stats
+    }
+}
+
+/// Cuts the fluid off at the obstacles: φ = max(φ, −φ_o), where the edge is rounded over `rounding` voxels, k
+/// in the module. `obstacle` returns the distances to the obstacles in the leaf with a given origin.
+/// Keeps |φ| ≥ [`NEAREST_TO_ZERO`]: a wall that is nearer to a voxel passes beside it.
+pub fn cut_off_at_obstacles(
+    obstacle: impl Fn(IVec3) -> ObstacleLeaf + Sync,
+    rounding: f32,
+    band: &mut NarrowBand,
+) {
+    let half_width = band.half_width;
+    let leaves = band.phi.leaves.par_iter_mut().zip(band.topology.origins());
+    leaves.halved().for_each(|(phi, &origin)| match obstacle(origin) {
+        ObstacleLeaf::Outside => {}
+        ObstacleLeaf::Inside => *phi = Leaf::splat(half_width),
+        ObstacleLeaf::Near(obstacle) => {
+            let per_rounding = if rounding > 0.0 { 1.0 / rounding } else { f32::MAX };
+            simd::dispatch(CutKernel { obstacle: &obstacle, rounding, per_rounding, half_width, phi });
+        }
+    });
+}
+
+/// The rounding with which the grid stores edges without scallops, and thin films without holes, in voxels.
+pub const ROUNDING_MAX: f32 = 3.0;
+
+/// Cuts off the fluid in one leaf.
+struct CutKernel<'a> {
+    obstacle: &'a Leaf,
+    rounding: f32,
+    per_rounding: f32,
+    half_width: f32,
+    phi: &'a mut Leaf,
+}
+
+impl Kernel for CutKernel<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        let (zero, one, least) = (V::splat(0.0), V::splat(1.0), V::splat(NEAREST_TO_ZERO));
+        let (quarter, per_rounding) = (V::splat(0.25 * self.rounding), V::splat(self.per_rounding));
+        for row in 0..ROW_COUNT {
+            let (obstacle, phi) = (V::load(self.obstacle.row(row)), V::load(self.phi.row(row)));
+            let wall = zero.sub(obstacle);
+            let apart = phi.sub(wall).abs().mul(per_rounding);
+            let near = one.sub(apart).max(zero);
+            let cut = wall.max(phi).add(near.mul(near).mul(quarter));
+            let is_outside = V::not(cut.lt(zero));
+            let cut = V::select(is_outside, cut.max(least), cut.min(zero.sub(least)));
+            cut.min(V::splat(self.half_width)).store(self.phi.row_mut(row));
+        }
     }
 }

@@ -56,7 +56,7 @@ pub use vicinity::{GatherBlock, Gathered, Vicinity};
 
 use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::level_set::{Bounds, NarrowBand};
-use crate::obstacle::{ContactStats, ObstacleLeaf, Obstacles, apply_obstacle_constraint};
+use crate::obstacle::{ContactStats, ObstacleLeaf, Obstacles, fill_gaps_at_obstacles};
 use crate::parallel::Loops as _;
 use crate::particles::{AnySource, ParticleSource, Unread, erased};
 use crate::simd::{self, Kernel, Lanes};
@@ -385,7 +385,7 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     finish(&mut band, &mut bounds, (inner_from, POSITIVE_MARGIN + radii.outward()));
     let contact = match scene.obstacles.is_empty() {
         true => ContactStats::default(),
-        false => apply_obstacle_constraint(
+        false => fill_gaps_at_obstacles(
             |origin| scene.obstacle_before_offset(origin),
             scene.void_threshold,
             &mut band,

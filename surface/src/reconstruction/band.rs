@@ -22,6 +22,7 @@ use crate::grid::{Field, negative_masks};
 use crate::level_set::{
     Bounds, NarrowBand, WIDENED_MAX, offset_surface, widened, widened_leaf_count, widened_leaf_count_max,
 };
+use crate::obstacle::Obstacles;
 use crate::options::Settings;
 use crate::parallel::Loops as _;
 use crate::report::ReconstructionReport;
@@ -95,7 +96,7 @@ impl BoundedBand {
                 advanced(fraction);
                 ControlFlow::Continue(())
             };
-            let config = smooth_config(settings);
+            let config = smooth_config(settings, &Obstacles::default());
             let ControlFlow::Continue(smoothed) =
                 smooth::smooth_while::<Infallible>(band, bounds, &config, &mut advanced);
             report.free_voxel_count = smoothed.free_voxel_count;
@@ -116,7 +117,7 @@ impl BoundedBand {
         let offset = offset_voxels(settings);
         if offset != 0.0 {
             let half_width = band.half_width - offset.abs().ceil();
-            offset_surface(&mut band, offset, half_width, |_| None);
+            offset_surface(&mut band, offset, half_width);
         }
         let lattice = lattice(settings);
         let mut mesh = contour::contour(&band, &lattice, settings.contouring);

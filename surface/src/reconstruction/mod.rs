@@ -191,8 +191,9 @@ fn rasterize_any(
     let contact = ContactStats { particle_count: inside_obstacles(source, &scene)?, ..contact };
     let possibly_outside = match source.is_smoothed() {
         true => {
-            let upper = (&*band.topology, &bounds.upper, scene.radii.offset);
-            Some(possibly_outside(source, &scene.lattice, upper)?)
+            let (upper, later) =
+                ((&*band.topology, &bounds.upper), (scene.radii.offset, !obstacles.is_empty()));
+            Some(possibly_outside(source, &scene.lattice, upper, later)?)
         }
         false => None,
     };
@@ -234,7 +235,8 @@ pub(crate) fn smooth_while<B>(
     advanced: &mut dyn FnMut(f64) -> ControlFlow<B>,
 ) -> ControlFlow<B, SmoothedFrame> {
     let RasterizedFrame { bins, mut band, bounds, obstacles, possibly_outside, mut report } = rasterized;
-    let smoothed = smooth::smooth_while(&mut band, &bounds, &smooth_config(settings), advanced)?;
+    let config = smooth_config(settings, &obstacles);
+    let smoothed = smooth::smooth_while(&mut band, &bounds, &config, advanced)?;
     report_smoothing(&mut report, smoothed, settings);
     ControlFlow::Continue(SmoothedFrame { bins, band, bounds, obstacles, possibly_outside, report })
 }
@@ -272,7 +274,7 @@ pub(crate) fn contour_while<B>(
     let RasterParams { lattice, radii, .. } = scene;
     let bound_violation_count = bounds.violation_count(&band.phi);
     drop(bounds);
-    postprocess::offset(&mut band, &scene);
+    postprocess::offset_and_cut(&mut band, &scene);
     let edits = match postprocess::has_edits(settings) {
         true => postprocess::edit(&mut band, bins.leaves(), (&scene, settings), &mut report.edits),
         false => Edits::default(),
@@ -352,8 +354,9 @@ fn longest_of(shape_stats: &ShapeStats) -> f32 {
     if *shape_stats == ShapeStats::default() { 1.0 } else { shape_stats.longest }
 }
 
-fn smooth_config(settings: &Settings) -> smooth::SmoothConfig {
+fn smooth_config(settings: &Settings, obstacles: &Obstacles) -> smooth::SmoothConfig {
     smooth::SmoothConfig {
+        redistances_first: !obstacles.is_empty(),
         laplacian_steps: settings.laplacian_steps,
         integrator: settings.integrator,
         steps: settings.steps,

@@ -1,8 +1,8 @@
 //! Postprocessing: from the smoothed level set to the validated mesh.
 //!
 //! ```text
-//!   φ ──offset──▶ φ ──islands, cavities, box──▶ φ ──contour──▶ mesh ─┐
-//!      ┌──────────────────────────────────────────────────────────────┘
+//!   φ ──offset, obstacles──▶ φ ──islands, cavities, box──▶ φ ──contour──▶ mesh ─┐
+//!      ┌─────────────────────────────────────────────────────────────────────────┘
 //!      └─obstacles──▶ mesh ──decimate──▶ mesh ──▶ validate
 //! ```
 //!
@@ -16,7 +16,6 @@
 //! box or an obstacle cuts.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
@@ -27,7 +26,7 @@ use crate::edits::{self, DroppedIslands};
 use crate::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
 use crate::level_set::{NarrowBand, offset_surface};
 use crate::mesh::{Mesh, RoundedPositions, decimate};
-use crate::obstacle::ObstacleLeaf;
+use crate::obstacle::{ObstacleLeaf, ROUNDING_MAX, cut_off_at_obstacles};
 use crate::options::Settings;
 use crate::parallel::Loops as _;
 use crate::report::{DepthStats, EditReport, ReconstructionReport};
@@ -45,21 +44,17 @@ pub(super) fn has_edits(settings: &Settings) -> bool {
     settings.drop_islands > 0 || settings.fill_cavities > 0.0 || settings.clip.is_some()
 }
 
-/// Moves the surface by the offset, if any, but not into obstacles.
-pub(super) fn offset(band: &mut NarrowBand, scene: &RasterParams) {
+/// Moves the surface by the offset, and cuts it off at the obstacles, if there are any.
+pub(super) fn offset_and_cut(band: &mut NarrowBand, scene: &RasterParams) {
     let radii = scene.radii;
-    if radii.offset == 0.0 {
-        return;
+    if radii.offset != 0.0 {
+        offset_surface(band, radii.offset, radii.result_half_width());
     }
-    let wall = |origin: IVec3| match scene.obstacle(origin) {
-        // Far outside obstacles the surface is not limited, and deep inside them there is none.
-        ObstacleLeaf::Outside | ObstacleLeaf::Inside => None,
-        ObstacleLeaf::Near(mut distances) => {
-            Arc::make_mut(&mut distances).values.iter_mut().for_each(|distance| *distance = -*distance);
-            Some(distances)
-        }
-    };
-    offset_surface(band, radii.offset, radii.result_half_width(), wall);
+    if !scene.obstacles.is_empty() {
+        // The cut raises φ by a quarter of this at most, so particles outside the margin stay inside the surface.
+        let rounding = (4.0 * (radii.min * radii.min_scale + radii.offset)).clamp(0.0, ROUNDING_MAX);
+        cut_off_at_obstacles(|origin| scene.obstacle(origin), rounding, band);
+    }
 }
 
 /// Applies the edits in the settings. `particles` yields the origin of each leaf and its particles, in voxels

@@ -173,7 +173,7 @@ fn smooth_fields(
     settings: &Settings,
     advanced: &mut dyn FnMut(f64),
 ) -> io::Result<()> {
-    let config = smooth_config(settings);
+    let config = smooth_config(settings, &fields.obstacles);
     let smoothed = tiles::smooth(&mut fields.store, &fields.tiling, fields.half_width, &config, advanced)?;
     report_smoothing(&mut fields.report, smoothed, settings);
     Ok(())
@@ -212,7 +212,7 @@ fn contour_any(
         let bins = rasterize::particles_in_window(source, &occupancy, &scene, owned);
         bins.map(|bins| (owned, bins)).map_err(TiledError::Source)
     };
-    postprocess::offset(&mut band, &scene);
+    postprocess::offset_and_cut(&mut band, &scene);
     let mut edits = Edits::default();
     if postprocess::has_edits(settings) {
         let mut particles = Vec::new();

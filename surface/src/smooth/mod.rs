@@ -61,6 +61,8 @@ impl Integrator {
 /// Configuration, in units of voxels and of the time h⁴.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SmoothConfig {
+    /// True if φ_0 is no distance, as next to obstacles: φ is redistanced first.
+    pub redistances_first: bool,
     /// Number of Laplacian steps before the biharmonic ones. If 0, φ is redistanced instead.
     pub laplacian_steps: u32,
     /// The integrator of the biharmonic steps.
@@ -151,6 +153,7 @@ pub fn radius_after_laplacian(radius_voxels: f64, steps: u32) -> f64 {
 pub fn smooth_laplacian_only(band: &mut NarrowBand, bounds: &Bounds, steps: u32) {
     const REDISTANCE_EVERY: u32 = 50;
     let config = SmoothConfig {
+        redistances_first: false,
         laplacian_steps: steps,
         integrator: Integrator::Explicit,
         steps: 0,

@@ -133,6 +133,9 @@ impl SmoothOp {
 /// possible.
 pub fn schedule(config: &SmoothConfig, reach_max: u32) -> Vec<SmoothOp> {
     let mut schedule = Vec::new();
+    if config.redistances_first && config.laplacian_steps > 0 {
+        schedule.push(SmoothOp::Restore);
+    }
     match config.laplacian_steps {
         // Noise in the values that the first step holds fixed must be removed: otherwise a sphere with a
         // radius of 20 voxels would lose one percent of its volume.
@@ -408,6 +411,7 @@ mod tests {
     fn config(integrator: Integrator, steps: u32, redistance_every: u32) -> SmoothConfig {
         let step_size = if integrator == Integrator::Explicit { 0.01 } else { 20.0 };
         SmoothConfig {
+            redistances_first: false,
             laplacian_steps: 15,
             integrator,
             steps,

@@ -19,6 +19,7 @@ use super::mesh_cells::corner;
 use super::{ExclusionMask, ParticlesOutside};
 use crate::grid::{Field, LEAF_EDGE, Topology, offset_in_leaf};
 use crate::level_set::NarrowBand;
+use crate::obstacle::ROUNDING_MAX;
 use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Unread};
 use crate::space::Lattice;
@@ -54,23 +55,27 @@ fn moved_particles(
 }
 
 /// The moved particles whose input position may be outside the surface, batch by batch. The smoothing of the
-/// level set keeps φ ≤ `upper`, a field on `topology`; `offset`, in voxels, is subtracted from φ afterwards.
+/// level set keeps φ ≤ `upper`, a field on `topology`. Afterwards `offset`, in voxels, is subtracted from φ,
+/// and if `has_obstacles` is true, the fluid is cut off at these, which may raise φ to zero if it is above
+/// −[`ROUNDING_MAX`].
 ///
 /// # Errors
 /// Those of the source.
 pub fn possibly_outside(
     source: &AnySource<'_>,
     lattice: &Lattice,
-    (topology, upper, offset): (&Topology, &Field, f32),
+    (topology, upper): (&Topology, &Field),
+    (offset, has_obstacles): (f32, bool),
 ) -> Result<Vec<Vec<MovedParticle>>, Unread> {
     if !source.is_smoothed() {
         return Ok(Vec::new());
     }
+    let least = offset.min(0.0) - if has_obstacles { ROUNDING_MAX } else { 0.0 };
     let is_doubtful = |particle: &MovedParticle| match particle.corner_values(topology, upper) {
         // φ is at most `upper`. Rounding is monotonic, so the interpolated φ is at most the interpolated
         // `upper`, too.
-        Some(corners) if offset == 0.0 => particle.interpolated(corners) > 0.0,
-        Some(corners) => corners.iter().any(|value| *value >= offset.min(0.0)),
+        Some(corners) if offset == 0.0 && !has_obstacles => particle.interpolated(corners) > 0.0,
+        Some(corners) => corners.iter().any(|value| *value >= least),
         None => particle.first_stored(topology, upper).is_some(),
     };
     let of_batch = |batch| {
