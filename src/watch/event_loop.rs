@@ -289,6 +289,10 @@ impl<'a> EventLoop<'a> {
     }
 
     fn finish(mut self, ended: EndReason) -> Result<WatchSummary, DaemonError> {
+        // The last status that the page shows.
+        self.core.stop();
+        self.last_tick = None;
+        self.tick();
         self.end()?;
         let has_unwritten = self.has_unwritten || self.unsynced_count > 0;
         let summary = WatchSummary { has_unwritten, ..self.core.summary(ended) };

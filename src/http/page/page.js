@@ -199,10 +199,12 @@ function showCell(index, name, seenUntil) {
   const frame = frames.get(name);
   let cell = shown.get(name);
   if (!cell) {
-    // A long name is cut at its start, as text from right to left, so it must be isolated from that direction.
-    const text = make('bdi');
+    // A long name is cut at its start, behind the number of its folder, as text from right to left, so it must be
+    // isolated from that direction.
+    const folder = name.match(/^\d+\//)?.[0] ?? '';
+    const text = make('bdi', '', name.slice(folder.length));
     text.dir = 'ltr';
-    cell = make('div', '', make('div', 'picture'), make('div', 'name', text), make('div', 'details'));
+    cell = make('div', '', make('div', 'picture'), make('div', 'name', folder, make('span', '', text)), make('div', 'details'));
     cell.setAttribute('role', 'option');
     cell.id = `frame-${cells++}`;
     cell.since = performance.now();
@@ -216,8 +218,7 @@ function showCell(index, name, seenUntil) {
   const isChosen = name === chosen;
   cell.setAttribute('aria-selected', isChosen);
   if (isChosen) $('strip').setAttribute('aria-activedescendant', cell.id);
-  const [picture, title, details] = cell.children;
-  title.firstChild.textContent = name;
+  const [picture, , details] = cell.children;
   details.textContent = frame.stage ?? (frame.state === 'done' ? `done ${seconds(frame.seconds)}` : frame.state);
   const isEarly = seenUntil < cell.since;
   if (!isEarly) showPicture(picture, frame);
@@ -285,7 +286,9 @@ async function showSurface() {
   try {
     await scene.show(surfacePath(frame), next.map(surfacePath));
   } catch (error) {
-    if (frame.name === chosen) $('hint').textContent = `${frame.name}: ${error.message}`;
+    if (frame.name !== chosen) return;
+    scene.clear();
+    $('hint').textContent = `${frame.name}: ${isConnected ? error.message : 'no connection to the daemon'}`;
   }
 }
 
@@ -329,8 +332,10 @@ async function showFrame() {
   const request = ++detailRequests;
   let frame = frames.get(chosen);
   if (!frame) return;
+  let isWhole = false;
   try {
     frame = await json(`api/frames/${encodeURIComponent(chosen)}`);
+    isWhole = true;
   } catch {
     // The frame is gone, or the connection is: the summary from the strip is shown.
   }
@@ -352,7 +357,7 @@ async function showFrame() {
     ['total time', seconds(frame.seconds)],
   ]));
   if (figures) parts.push(...stageBar(figures.seconds));
-  else if (frame.state === 'done') parts.push(make('p', 'note', 'No statistics: the version that converted this frame did not record them.'));
+  else if (isWhole && frame.state === 'done') parts.push(make('p', 'note', 'No statistics: the version that converted this frame did not record them.'));
   for (const note of figures?.notes ?? []) parts.push(make('p', 'note', note));
   const links = (frame.outputs ?? []).map(output => {
     const link = make('a', '', `${output.name} (${bytes(output.size_bytes)})`);
