@@ -29,7 +29,7 @@
 //! contact line is as smooth as the rest of the surface. But the grid cannot store a sharp edge, nor a film
 //! that is thinner than a voxel, as above a ball that is nearly immersed: they would be scalloped and torn. So
 //! the maximum is a smooth one, which rounds the edge with a radius of about a voxel, and ends a film where it
-//! becomes thinner than k/2 = 1.5 voxels:
+//! becomes thinner than k/2 = 1.25 voxels:
 //!
 //! ```text
 //!   max(a, b) + k/4 (1 − |a − b|/k)²   for |a − b| < k, with a = φ and b = −φ_o
@@ -168,7 +168,7 @@ pub fn cut_off_at_obstacles(
 }
 
 /// The rounding with which the grid stores edges without scallops, and thin films without holes, in voxels.
-pub const ROUNDING_MAX: f32 = 3.0;
+pub const ROUNDING_MAX: f32 = 2.5;
 
 /// Cuts off the fluid in one leaf.
 struct CutKernel<'a> {
