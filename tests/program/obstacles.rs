@@ -204,8 +204,7 @@ fn film_touches_all_faces_of_a_tetrahedron() {
         let flat = distances.iter().filter(|distance| distance.abs() < 0.25).count();
         assert!(contact > 5000 && flat * 1000 > contact * 995, "{off}: {flat} of {contact}");
         let (count, dry_count) = dry_voxels(&surface, &body, |_| true);
-        // Where the film is thinner than 1.25 voxels, as at corners, it is removed.
-        assert!(dry_count * 300 < count, "{off}: {dry_count} of {count}");
+        assert!(dry_count * 500 < count, "{off}: {dry_count} of {count}");
         assert_eq!(surface.report.contact.particle_count > 0, off < 1.0, "{off}");
         // If voids are not filled, the gap below particles at a distance from the faces stays.
         if off > 3.0 {
