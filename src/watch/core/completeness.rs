@@ -68,6 +68,9 @@ pub struct Candidate {
     is_open: bool,
 }
 
+/// How long to wait at least for a program that has the file open now: with `--once`, `stalled` is short.
+const OPEN_MIN: Duration = Duration::from_secs(30);
+
 /// How long after a file was found open it is checked again.
 const RECHECK: Duration = Duration::from_secs(1);
 
@@ -209,13 +212,13 @@ impl Candidate {
         timeouts: &StabilityTimeouts,
         is_open: impl FnOnce() -> bool,
     ) -> Option<Readiness> {
-        let waiting = self.left_alone(now, timeouts.stalled, WaitReason::Open)?;
-        match self.is_open {
-            true => Some(waiting),
+        let by_event = || self.left_alone(now, timeouts.stalled, WaitReason::Open);
+        self.is_open.then(by_event).flatten().or_else(|| {
+            self.left_alone(now, timeouts.stalled.max(OPEN_MIN), WaitReason::Open)?;
             // No event tells when it is closed.
-            false => is_open()
-                .then(|| Readiness::Waiting { until: now.checked_add(RECHECK), why: WaitReason::Open }),
-        }
+            let until = now.checked_add(RECHECK);
+            is_open().then_some(Readiness::Waiting { until, why: WaitReason::Open })
+        })
     }
 
     /// `None` if the file has been unchanged for at least `wanted`; otherwise how long to wait.

@@ -9,7 +9,14 @@ use crate::pipeline::{FileStamp, open_regular};
 use crate::watch::config::{StabilityTimeouts, Watch};
 use crate::watch::core::completeness::{Candidate, Readiness, Sentinel, path_of_sentinel, sentinel_counts};
 
+#[cfg(target_os = "linux")]
 use super::writers::is_open_for_writing;
+
+/// Other systems do not show it without unsafe code.
+#[cfg(not(target_os = "linux"))]
+fn is_open_for_writing(_file: &Path) -> bool {
+    false
+}
 
 /// Whether this file may be read now.
 pub(crate) fn readiness_of(

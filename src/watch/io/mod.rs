@@ -26,4 +26,5 @@ mod slow;
 mod stages;
 pub(crate) mod start;
 pub(crate) mod worker;
+#[cfg(target_os = "linux")]
 mod writers;

@@ -1,19 +1,18 @@
 //! Which files a program has open for writing, as far as Linux shows it: `/proc` lists the open files and the
 //! shared memory maps of the processes of the same user.
 
-use std::path::Path;
+use std::collections::HashSet;
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// How long the files of one search are used: one search suffices for many files.
+const VALID: Duration = Duration::from_millis(250);
 
 /// Whether a process of this user has this file open for writing, or mapped into its memory to write to it.
-#[cfg(target_os = "linux")]
 pub(crate) fn is_open_for_writing(file: &Path) -> bool {
-    use std::collections::HashSet;
-    use std::path::PathBuf;
-    use std::sync::{Mutex, PoisonError};
-    use std::time::{Duration, Instant};
-
-    /// How long the files of one search are used: one search suffices for many files.
-    const VALID: Duration = Duration::from_millis(250);
-
     static FOUND: Mutex<Option<(Instant, HashSet<PathBuf>)>> = Mutex::new(None);
 
     let Ok(path) = file.canonicalize() else { return false };
@@ -24,16 +23,10 @@ pub(crate) fn is_open_for_writing(file: &Path) -> bool {
     found.as_ref().is_some_and(|(_, files)| files.contains(&path))
 }
 
-#[cfg(not(target_os = "linux"))]
-pub(crate) fn is_open_for_writing(_file: &Path) -> bool {
-    false
-}
-
 /// The files that processes of this user may write to. Processes of others are skipped, because their open
 /// files cannot be listed.
-#[cfg(target_os = "linux")]
-fn written_files() -> std::collections::HashSet<std::path::PathBuf> {
-    let processes = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+fn written_files() -> HashSet<PathBuf> {
+    let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
     processes
         .flat_map(|process| [open_files(&process.path()), mapped_files(&process.path())])
         .flatten()
@@ -41,11 +34,9 @@ fn written_files() -> std::collections::HashSet<std::path::PathBuf> {
 }
 
 /// The files that this process has open for writing.
-#[cfg(target_os = "linux")]
-fn open_files(process: &Path) -> Vec<std::path::PathBuf> {
-    use std::os::unix::fs::PermissionsExt;
+fn open_files(process: &Path) -> Vec<PathBuf> {
     const WRITABLE: u32 = 0o200;
-    let entries = std::fs::read_dir(process.join("fd")).into_iter().flatten().flatten();
+    let entries = fs::read_dir(process.join("fd")).into_iter().flatten().flatten();
     let written = entries
         .filter(|entry| entry.metadata().is_ok_and(|metadata| metadata.permissions().mode() & WRITABLE != 0));
     // Pipes and sockets have names that are no paths.
@@ -53,9 +44,8 @@ fn open_files(process: &Path) -> Vec<std::path::PathBuf> {
 }
 
 /// The files that this process has mapped into its memory to write to them.
-#[cfg(target_os = "linux")]
-fn mapped_files(process: &Path) -> Vec<std::path::PathBuf> {
-    let maps = std::fs::read_to_string(process.join("maps")).unwrap_or_default();
+fn mapped_files(process: &Path) -> Vec<PathBuf> {
+    let maps = fs::read_to_string(process.join("maps")).unwrap_or_default();
     let written = |line: &str| {
         // Address range, permissions, offset, device, inode, path.
         let permissions = line.split(' ').nth(1)?;
