@@ -92,7 +92,9 @@ async fn send_events(subscriber: Subscriber, seen: Option<String>, sender: mpsc:
         return;
     }
     let mut sent_at = Instant::now();
-    while !*closing.borrow() {
+    loop {
+        // Before the store is read: a server that closes has published its last status.
+        let is_closing = *closing.borrow();
         let text = match version == store.version() {
             true if sent_at.elapsed() < HEARTBEAT_EVERY => Bytes::new(),
             true => Bytes::from_static(b":\n\n"),
@@ -113,6 +115,9 @@ async fn send_events(subscriber: Subscriber, seen: Option<String>, sender: mpsc:
             return;
         }
         if version == store.version() {
+            if is_closing {
+                return;
+            }
             sleep_until(subscribers.next_look()).await;
         }
     }

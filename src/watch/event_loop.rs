@@ -270,6 +270,10 @@ impl<'a> EventLoop<'a> {
 
     /// Records that the daemon has stopped, waits for the journals and stages, and ends the workers.
     fn end(&mut self) -> Result<(), DaemonError> {
+        // The last status that the page shows.
+        self.core.stop();
+        self.last_tick = None;
+        self.tick();
         self.core.record_daemon(DaemonState::Stopped);
         self.sync_outputs()
     }
@@ -289,10 +293,6 @@ impl<'a> EventLoop<'a> {
     }
 
     fn finish(mut self, ended: EndReason) -> Result<WatchSummary, DaemonError> {
-        // The last status that the page shows.
-        self.core.stop();
-        self.last_tick = None;
-        self.tick();
         self.end()?;
         let has_unwritten = self.has_unwritten || self.unsynced_count > 0;
         let summary = WatchSummary { has_unwritten, ..self.core.summary(ended) };

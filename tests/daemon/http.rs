@@ -579,6 +579,12 @@ fn server_ends_with_the_daemon() {
     watching.signal(Signal::TERM);
     let mut rest = Vec::new();
     let _ = following.0.read_to_end(&mut rest);
+    // The page shows that it has stopped, instead of a lost connection.
+    assert!(
+        String::from_utf8_lossy(&rest).contains("\"stopping\":true"),
+        "{}",
+        String::from_utf8_lossy(&rest)
+    );
     await_that("the daemon ends", || !watching.is_alive());
     assert!(TcpStream::connect(&address).is_err());
     assert!(fs::metadata(scene.path("out")).is_ok_and(|out| out.is_dir()));

@@ -189,7 +189,8 @@ fn complete_frame_that_was_opened_before_is_waited_for() {
     let mut file = File::create(&path).expect("created");
     file.write_all(&ply(&moving(2))).expect("written");
     let writer = thread::spawn(move || {
-        thread::sleep(Duration::from_millis(1500));
+        // Longer than `--once` waits for an incomplete file.
+        thread::sleep(Duration::from_secs(4));
         file.rewind().expect("rewound");
         file.write_all(&ply(&moving(1))).expect("written");
     });

@@ -218,6 +218,36 @@ fn film_touches_all_faces_of_a_tetrahedron() {
     }
 }
 
+/// The rounded edge at an oblique wall may leave small particles beside it outside the surface: the certificate
+/// exempts these, and only these.
+#[test]
+fn small_particles_beside_a_wall_are_certified() {
+    let body = tetrahedron(24.0);
+    for off in [0.15, 0.3, 0.45, 0.6, 0.9, 1.2] {
+        let mut particles = Vec::new();
+        for &triangle in &body.triangles {
+            let [a, b, c] = body.corners(triangle);
+            let normal = (b - a).cross(c - a).normalize();
+            for seed in 0..200 {
+                let [u, v] = [random(2 * seed), random(2 * seed + 1)];
+                let [u, v] = if u + v > 1.0 { [1.0 - u, 1.0 - v] } else { [u, v] };
+                particles.push((a + (b - a) * u + (c - a) * v + normal * off).to_array());
+            }
+        }
+        let options = MethodOptions {
+            radius_min: Some(0.9.into()),
+            void_threshold: Some(0.0),
+            ..MethodOptions::default()
+        };
+        let settings = Settings::paper(1.0, &options).expect("sound");
+        let positions = OwnedPositions::F64(particles);
+        let cloud = ParticleCloud { positions, shapes: Shapes::Uniform, attributes: Vec::new() };
+        let surface = reconstruct_cloud(cloud, &settings, &body.obstacles());
+        let certificate = &surface.report.certificate;
+        assert!(certificate.holds(), "{off}: {certificate:?}");
+    }
+}
+
 /// A drop on a floor touches the floor in a flat disc, and nowhere else.
 #[test]
 fn drop_lies_flat_on_the_floor() {
@@ -231,9 +261,8 @@ fn drop_lies_flat_on_the_floor() {
         // The disc is 27 voxels wide, so its middle part must be wet.
         let (count, dry_count) = dry_voxels(&surface, &body, |position| from_axis(position) < 11.0);
         assert!(count > 300 && dry_count == 0, "{gap}: {dry_count} of {count}");
-        let (_, wide_count) = dry_voxels(&surface, &body, |position| from_axis(position) > 19.0);
-        let (all_count, _) = dry_voxels(&surface, &body, |position| from_axis(position) > 19.0);
-        assert_eq!(wide_count, all_count, "{gap}");
+        let (count, dry_count) = dry_voxels(&surface, &body, |position| from_axis(position) > 19.0);
+        assert!(count > 0 && dry_count == count, "{gap}: {dry_count} of {count}");
         let vertices = surface.mesh.positions.iter().map(|position| position.as_dvec3());
         let below: Vec<f64> = distances
             .iter()

@@ -120,8 +120,8 @@ option_set! {
         pub(in crate::cli) settle_unverifiable: Option<Duration>,
 
         /// How long an incomplete file may stay unchanged before its frame fails; the daemon then reads the
-        /// file, to report what is missing. Also how long to wait for a program that writes a file to close
-        /// it [default: 30s; with --once: the value of --settle-unverifiable]
+        /// file, to report what is missing. Also how long, but at least 30s, to wait for a program that
+        /// writes a file to close it [default: 30s; with --once: the value of --settle-unverifiable]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) stalled: Option<Duration>,
 

@@ -286,7 +286,8 @@ async function showSurface() {
   try {
     await scene.show(surfacePath(frame), next.map(surfacePath));
   } catch (error) {
-    if (frame.name !== chosen) return;
+    const current = frames.get(chosen);
+    if (!current?.surface || surfacePath(current) !== surfacePath(frame)) return;
     scene.clear();
     $('hint').textContent = `${frame.name}: ${isConnected ? error.message : 'no connection to the daemon'}`;
   }

@@ -154,7 +154,8 @@ pub(crate) struct CertificateRecord {
     /// moved the particles.
     given_outside: Option<ParticlesOutside>,
     /// Particles near the surface that were not checked, because they are in a dropped island, outside the
-    /// clip box or within a voxel of its faces, or in an obstacle or within a voxel of it.
+    /// clip box or within a voxel of its faces, in an obstacle, or so near to it that the
+    /// rounded edge of the fluid reaches them.
     particles_exempt: usize,
     /// Vertices that were out of their bounds, and were moved back.
     vertices_returned: usize,

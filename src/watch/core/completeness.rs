@@ -5,7 +5,7 @@
 //!                  its sentinel exists ─────────────────────────────────────────▶ ready
 //!   every change   ├─ settle ─┤ its format shows it ────────────────────────────▶ ready
 //!   starts anew    ├──── unverifiable ───┤ its format cannot show it ────────────▶ ready
-//!                  ├───────────────── stalled ────────────┤ its writer has it open ▶ ready
+//!                  ├──────── stalled, at least 30 s ──────┤ its writer has it open ▶ ready
 //!                  ├───────────────── stalled ────────────┤ it is incomplete ────▶ ready, to report it
 //! ```
 //!
@@ -68,8 +68,8 @@ pub struct Candidate {
     is_open: bool,
 }
 
-/// How long to wait at least for a program that has the file open now: with `--once`, `stalled` is short.
-const OPEN_MIN: Duration = Duration::from_secs(30);
+/// The shortest limit of the wait for a program that has the file open now: with `--once`, `stalled` is short.
+const OPEN_LIMIT_MIN: Duration = Duration::from_secs(30);
 
 /// How long after a file was found open it is checked again.
 const RECHECK: Duration = Duration::from_secs(1);
@@ -172,15 +172,16 @@ impl Candidate {
         &self.stamp
     }
 
-    /// Whether the file may be read. Calls `completeness`, and `is_open`, whether a program has it open for
-    /// writing, only if the result matters.
+    /// Whether the file may be read. Calls `completeness`, and `is_open`, only if the result matters.
+    /// `is_open` returns whether a program has the file open for writing; its argument is how long the file has
+    /// been unchanged.
     pub fn readiness(
         &self,
         now: Instant,
         timeouts: &StabilityTimeouts,
         sentinel: Sentinel,
         completeness: impl FnOnce() -> Completeness,
-        is_open: impl FnOnce() -> bool,
+        is_open: impl FnOnce(Duration) -> bool,
     ) -> Readiness {
         match sentinel {
             Sentinel { exists: true, .. } => return Readiness::Ready(Proof::Sentinel),
@@ -210,15 +211,17 @@ impl Candidate {
         &self,
         now: Instant,
         timeouts: &StabilityTimeouts,
-        is_open: impl FnOnce() -> bool,
+        is_open: impl FnOnce(Duration) -> bool,
     ) -> Option<Readiness> {
-        let by_event = || self.left_alone(now, timeouts.stalled, WaitReason::Open);
-        self.is_open.then(by_event).flatten().or_else(|| {
-            self.left_alone(now, timeouts.stalled.max(OPEN_MIN), WaitReason::Open)?;
-            // No event tells when it is closed.
-            let until = now.checked_add(RECHECK);
-            is_open().then_some(Readiness::Waiting { until, why: WaitReason::Open })
-        })
+        if self.is_open
+            && let Some(waiting) = self.left_alone(now, timeouts.stalled, WaitReason::Open)
+        {
+            return Some(waiting);
+        }
+        self.left_alone(now, timeouts.stalled.max(OPEN_LIMIT_MIN), WaitReason::Open)?;
+        // Perhaps no event tells when it is closed.
+        let until = now.checked_add(RECHECK);
+        is_open(self.unchanged_for(now)).then_some(Readiness::Waiting { until, why: WaitReason::Open })
     }
 
     /// `None` if the file has been unchanged for at least `wanted`; otherwise how long to wait.
@@ -349,6 +352,8 @@ mod tests {
         Hint(FileHint, u64, i64, u64, Option<u64>),
         /// Checks the readiness, given the sentinel and what the format says, against the expected answer.
         Ask(Sentinel, Completeness, Answer),
+        /// The same, while a program has the file open.
+        AskOpen(Sentinel, Completeness, Answer),
     }
 
     #[derive(Debug, PartialEq)]
@@ -362,7 +367,7 @@ mod tests {
     use Answer::{Never, Ready, Until};
     use Completeness::{Complete, NeedsReading, Unknown};
     use FileHint::{Changed, Closed, Renamed, Written};
-    use Step::{Ask, Hint, See};
+    use Step::{Ask, AskOpen, Hint, See};
 
     const NONE: Sentinel = Sentinel { is_required: false, exists: false };
 
@@ -379,14 +384,15 @@ mod tests {
             let (stamp, age, hint) = match step {
                 &See(size, modified, inode, age) => (stamp(size, modified, inode), age, Changed),
                 &Hint(hint, size, modified, inode, age) => (stamp(size, modified, inode), age, hint),
-                Ask(sentinel, completeness, expected) => {
+                Ask(sentinel, completeness, expected) | AskOpen(sentinel, completeness, expected) => {
+                    let is_open = matches!(step, AskOpen(..));
                     let candidate = candidate.expect("seen before");
                     let answer = match candidate.readiness(
                         at(*ms),
                         &TIMEOUTS,
                         *sentinel,
                         || *completeness,
-                        || false,
+                        |_| is_open,
                     ) {
                         Readiness::Ready(proof) => Ready(proof),
                         Readiness::Waiting { until: None, why } => Never(why),
@@ -599,6 +605,25 @@ mod tests {
             &[(0, Hint(Written, 100, 1, 1, Some(0))), (10_000, Ask(NONE, Complete, Ready(Proof::Format)))],
         );
         check(
+            "never closed, and still open",
+            &[
+                (0, Hint(Written, 100, 1, 1, Some(0))),
+                (9_999, AskOpen(NONE, Complete, Until(10_000, WaitReason::Open))),
+                (10_000, AskOpen(NONE, Complete, Until(11_000, WaitReason::Open))),
+                (29_999, AskOpen(NONE, Complete, Until(30_999, WaitReason::Open))),
+                (30_000, AskOpen(NONE, Complete, Ready(Proof::Format))),
+            ],
+        );
+        check(
+            "opened before the daemon started",
+            &[
+                (0, See(100, 1, 1, Some(0))),
+                (500, AskOpen(NONE, Complete, Until(1500, WaitReason::Open))),
+                (500, AskOpen(NONE, NeedsReading, Ready(Proof::Format))),
+                (1500, Ask(NONE, Complete, Ready(Proof::Format))),
+            ],
+        );
+        check(
             "replaced by another file",
             &[
                 (0, Hint(Written, 100, 1, 1, Some(0))),
@@ -641,7 +666,7 @@ mod tests {
         let missing = Sentinel { is_required: true, exists: false };
         for (hint, sentinel) in [(Changed, NONE), (Renamed, NONE), (Changed, missing)] {
             let candidate = Candidate::new(start, &seen, hint);
-            candidate.readiness(start, &TIMEOUTS, sentinel, || panic!("needless"), || panic!("needless"));
+            candidate.readiness(start, &TIMEOUTS, sentinel, || panic!("needless"), |_| panic!("needless"));
         }
     }
 

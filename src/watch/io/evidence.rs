@@ -14,7 +14,7 @@ use super::writers::is_open_for_writing;
 
 /// Other systems do not show it without unsafe code.
 #[cfg(not(target_os = "linux"))]
-fn is_open_for_writing(_file: &Path) -> bool {
+fn is_open_for_writing(_file: &Path, _unchanged_for: std::time::Duration) -> bool {
     false
 }
 
@@ -32,7 +32,13 @@ pub(crate) fn readiness_of(
         // A sentinel of an earlier version of the frame proves nothing.
         exists: sentinel.is_ok_and(|sentinel| sentinel_counts(&sentinel, candidate.stamp())),
     };
-    candidate.readiness(now, timeouts, sentinel, || completeness_of(file), || is_open_for_writing(file))
+    candidate.readiness(
+        now,
+        timeouts,
+        sentinel,
+        || completeness_of(file),
+        |unchanged_for| is_open_for_writing(file, unchanged_for),
+    )
 }
 
 /// The completeness according to the file format. Errors are ignored here, because reading the frame reports

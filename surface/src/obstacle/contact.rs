@@ -35,7 +35,8 @@
 //!   max(a, b) + k/4 (1 − |a − b|/k)²   for |a − b| < k, with a = φ and b = −φ_o
 //! ```
 //!
-//! At a particle φ ≤ −r_min, so with k ≤ 4 r_min it stays inside if it is k/4 away from the wall.
+//! At a particle φ ≤ −r_min, so with k ≤ 4 r_min it stays inside if it is k/4 away from the wall, except between
+//! voxels.
 //!
 //! Each voxel is computed alone, so tiles give the same result.
 
@@ -169,6 +170,20 @@ pub fn cut_off_at_obstacles(
 
 /// The rounding with which the grid stores edges without scallops, and thin films without holes, in voxels.
 pub const ROUNDING_MAX: f32 = 2.5;
+
+/// The width over which edges are rounded, k in the module, in voxels, where particles are at least `depth`
+/// voxels below the surface.
+pub fn edge_rounding(depth: f32) -> f32 {
+    (4.0 * depth).clamp(0.0, ROUNDING_MAX)
+}
+
+/// The least distance from an obstacle, in voxels, at which a point that was `depth` voxels below the surface is
+/// still in the fluid after the [cut](cut_off_at_obstacles), with the largest rounding.
+pub fn edge_clearance(depth: f32) -> f32 {
+    // There, the smooth maximum of −depth and −distance is 0. From a depth of k/4, the distance is the smaller one.
+    let (k, depth) = (ROUNDING_MAX, depth.max(0.0));
+    if depth < 0.25 * k { depth + k - 2.0 * (k * depth).sqrt() } else { 0.25 * k }
+}
 
 /// Cuts off the fluid in one leaf.
 struct CutKernel<'a> {

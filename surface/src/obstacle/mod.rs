@@ -32,7 +32,9 @@ use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
 
-pub use contact::{ContactStats, ROUNDING_MAX, cut_off_at_obstacles, fill_gaps_at_obstacles};
+pub use contact::{
+    ContactStats, ROUNDING_MAX, cut_off_at_obstacles, edge_clearance, edge_rounding, fill_gaps_at_obstacles,
+};
 pub use depth::DepthStats;
 pub use grid_sdf::{GridSdf, SourceLevelSet};
 pub use leaf::ObstacleLeaf;

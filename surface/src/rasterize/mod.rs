@@ -137,6 +137,11 @@ impl Radii {
         self.offset.max(0.0)
     }
 
+    /// The least depth of a particle below the finished surface, in voxels.
+    pub fn depth_min(&self) -> f32 {
+        self.min * self.min_scale + self.offset
+    }
+
     /// A leaf is stored if one of its voxels is within this distance, per axis, of a voxel next to the
     /// surface.
     fn band_margin(&self) -> i32 {

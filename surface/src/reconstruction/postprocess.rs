@@ -26,7 +26,7 @@ use crate::edits::{self, DroppedIslands};
 use crate::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
 use crate::level_set::{NarrowBand, offset_surface};
 use crate::mesh::{Mesh, RoundedPositions, decimate};
-use crate::obstacle::{ObstacleLeaf, ROUNDING_MAX, cut_off_at_obstacles};
+use crate::obstacle::{ObstacleLeaf, cut_off_at_obstacles, edge_clearance, edge_rounding};
 use crate::options::Settings;
 use crate::parallel::Loops as _;
 use crate::report::{DepthStats, EditReport, ReconstructionReport};
@@ -51,9 +51,7 @@ pub(super) fn offset_and_cut(band: &mut NarrowBand, scene: &RasterParams) {
         offset_surface(band, radii.offset, radii.result_half_width());
     }
     if !scene.obstacles.is_empty() {
-        // The cut raises φ by a quarter of this at most, so particles outside the margin stay inside the surface.
-        let rounding = (4.0 * (radii.min * radii.min_scale + radii.offset)).clamp(0.0, ROUNDING_MAX);
-        cut_off_at_obstacles(|origin| scene.obstacle(origin), rounding, band);
+        cut_off_at_obstacles(|origin| scene.obstacle(origin), edge_rounding(radii.depth_min()), band);
     }
 }
 
@@ -233,7 +231,7 @@ impl ExclusionMask for SurfaceExclusions<'_> {
         let is_dropped =
             self.edits.islands.as_ref().is_some_and(|islands| islands.contains(leaf_origin, local));
         let index = leaf_origin.as_dvec3() + local.as_dvec3();
-        is_dropped || self.is_near_cut(index) || self.obstacle_distance(index) < PARTICLE_MARGIN
+        is_dropped || self.is_near_cut(index) || self.obstacle_distance(index) < self.particle_margin()
     }
 
     fn vertex(&self, index: DVec3) -> bool {
@@ -243,13 +241,19 @@ impl ExclusionMask for SurfaceExclusions<'_> {
     }
 }
 
-/// A particle is outside an obstacle if its nearest voxel is at least this far from it, in voxels.
-const PARTICLE_MARGIN: f32 = 1.0;
+/// The largest distance from a position to its nearest voxel, in voxels.
+const HALF_DIAGONAL: f32 = 0.867;
 
 /// Obstacles do not affect vertices farther from them than the widest filled gap plus this margin, in voxels.
 const VERTEX_MARGIN: f32 = 2.0;
 
 impl SurfaceExclusions<'_> {
+    /// An obstacle does not affect a particle if the voxel nearest to it is at least this far from the obstacle,
+    /// in voxels. The surface is interpolated between voxels, where it is less deep than at the particle.
+    fn particle_margin(&self) -> f32 {
+        edge_clearance(self.scene.radii.depth_min() - HALF_DIAGONAL) + HALF_DIAGONAL
+    }
+
     /// True if a position, in voxels, is outside the box or within a voxel of its faces.
     fn is_near_cut(&self, index: DVec3) -> bool {
         let voxel_size = self.scene.lattice.voxel_size;

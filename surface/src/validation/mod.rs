@@ -208,7 +208,7 @@ pub fn certificate(
 /// Whether the inward offset is so large that a particle may end up outside: the corners of the cell that
 /// contains the particle need not all be inside.
 fn may_leave_particles_outside(radii: &Radii) -> bool {
-    radii.offset < 0.0 && radii.min * radii.min_scale + radii.offset <= SURE_DEPTH
+    radii.offset < 0.0 && radii.depth_min() <= SURE_DEPTH
 }
 
 /// A ball of this radius, in voxels, contains all corners of the cell around its centre: √3. In a smaller
