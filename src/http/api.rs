@@ -1,17 +1,27 @@
-//! The JSON API: frames, settings and the state of the daemon.
+//! The JSON API: frames, settings and the state of the daemon; and whether it is healthy.
 
-use hyper::StatusCode;
-use serde::Serialize;
-use serde_json::json;
+use std::num::NonZero;
 
-use crate::watch::status_store::{FrameSummary, StatusStore};
+use axum::Json;
+use axum::extract::{Path, Query, State};
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 
-use super::answer::{Answer, json, not_found, text};
-use super::query::value_of;
+use crate::watch::status_store::FrameSummary;
+
+use super::{Shared, not_found};
 
 /// Default number of frames in a page, and the maximum.
 const LIMIT: usize = 500;
 const LIMIT_MAX: usize = 2000;
+
+#[derive(Deserialize)]
+pub(super) struct PageQuery {
+    after: Option<String>,
+    limit: Option<NonZero<usize>>,
+}
 
 #[derive(Serialize)]
 struct FramesPage<'a> {
@@ -24,39 +34,36 @@ struct FramesPage<'a> {
 }
 
 /// A page of frames, in natural order: `?after=NAME&limit=N`.
-pub(super) fn frames(store: &StatusStore, query: Option<&str>) -> Answer {
-    let after = value_of(query, "after");
-    let limit = match value_of(query, "limit").map(|limit| limit.parse::<usize>()) {
-        None => LIMIT,
-        Some(Ok(limit @ 1..)) => limit.min(LIMIT_MAX),
-        Some(_) => return text(StatusCode::BAD_REQUEST, "limit must be a whole number of at least 1"),
-    };
-    let page = store.page(after.as_deref(), limit);
+pub(super) async fn frames(State(state): Shared, Query(query): Query<PageQuery>) -> Response {
+    let limit = query.limit.map_or(LIMIT, NonZero::get).min(LIMIT_MAX);
+    let page = state.store.page(query.after.as_deref(), limit);
     let last = page.frames.last().filter(|_| page.has_more);
-    json(&FramesPage {
-        at: format!("{}-{}", store.run(), page.version),
+    let page = FramesPage {
+        at: format!("{}-{}", state.store.run(), page.version),
         total: page.total,
         frames: page.frames.iter().map(|frame| &frame.summary).collect(),
         next: last.map(|frame| &*frame.summary.name),
-    })
+    };
+    Json(page).into_response()
 }
 
 /// All details of a frame.
-pub(super) fn frame(store: &StatusStore, name: &str) -> Answer {
-    store.frame(name).map_or_else(not_found, |frame| json(&*frame))
+pub(super) async fn frame(State(state): Shared, Path(name): Path<String>) -> Response {
+    state.store.frame(&name).map_or_else(not_found, |frame| Json(&*frame).into_response())
 }
 
 /// The configuration of the daemon, and the settings of each sequence.
-pub(super) fn settings(store: &StatusStore) -> Answer {
-    let (daemon, sequences) = store.settings();
-    json(&json!({ "daemon": *daemon, "sequences": sequences }))
+pub(super) async fn settings(State(state): Shared) -> Json<Value> {
+    let (daemon, sequences) = state.store.settings();
+    Json(json!({ "daemon": *daemon, "sequences": sequences }))
 }
 
 /// The current state of the daemon, and its samples of the last quarter of an hour.
-pub(super) fn status(store: &StatusStore) -> Answer {
+pub(super) async fn status(State(state): Shared) -> Json<Value> {
+    let store = &state.store;
     let (status, counts) = store.status();
     let counters = store.counters();
-    json(&json!({
+    Json(json!({
         "run": store.run(),
         "ready": store.is_ready(),
         "status": status,
@@ -73,20 +80,25 @@ pub(super) fn status(store: &StatusStore) -> Answer {
 }
 
 /// 200 unless the daemon is stuck.
-pub(super) fn health(store: &StatusStore) -> Answer {
-    match store.is_alive() {
-        true => text(StatusCode::OK, "ok"),
-        false => text(StatusCode::SERVICE_UNAVAILABLE, "the daemon has not responded for 30 seconds"),
+pub(super) async fn health(State(state): Shared) -> (StatusCode, &'static str) {
+    if state.store.is_alive() {
+        (StatusCode::OK, "ok\n")
+    } else {
+        (StatusCode::SERVICE_UNAVAILABLE, "the daemon has not responded for 30 seconds\n")
     }
 }
 
 /// 200 if the first scans are complete, and the daemon is neither stopping nor stuck.
-pub(super) fn readiness(store: &StatusStore) -> Answer {
-    let (status, _) = store.status();
-    match (store.is_ready(), status.stopping, store.is_alive()) {
-        (true, false, true) => text(StatusCode::OK, "ready"),
-        (_, true, _) => text(StatusCode::SERVICE_UNAVAILABLE, "stopping"),
-        (false, ..) => text(StatusCode::SERVICE_UNAVAILABLE, "starting"),
-        (_, _, false) => text(StatusCode::SERVICE_UNAVAILABLE, "stuck"),
-    }
+pub(super) async fn readiness(State(state): Shared) -> (StatusCode, &'static str) {
+    let (status, _) = state.store.status();
+    let why_not = if status.stopping {
+        "stopping\n"
+    } else if !state.store.is_ready() {
+        "starting\n"
+    } else if !state.store.is_alive() {
+        "stuck\n"
+    } else {
+        return (StatusCode::OK, "ready\n");
+    };
+    (StatusCode::SERVICE_UNAVAILABLE, why_not)
 }

@@ -4,50 +4,63 @@
 
 use std::fmt::{Display, Write as _};
 
-use hyper::StatusCode;
+use axum::extract::State;
+use axum::http::header::{CONTENT_TYPE, HeaderName};
 
-use crate::watch::status_store::{BUCKETS_S, Counters, Histogram, STAGES, StateCounts, StatusStore};
+use crate::watch::status_store::{BUCKETS_S, Histogram, STAGES, StateCounts, StatusStore};
 
-use super::answer::{Answer, ResponseBody, answer};
+use super::Shared;
 
 /// The response with all metrics.
-pub(super) fn metrics(store: &StatusStore) -> Answer {
-    answer(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", ResponseBody::full(exposition(store)))
+pub(super) async fn metrics(State(state): Shared) -> ([(HeaderName, &'static str); 1], String) {
+    ([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], exposition(&state.store))
 }
 
 fn exposition(store: &StatusStore) -> String {
     let (status, counts) = store.status();
     let counters = store.counters();
     let mut text = MetricsText(String::new());
-    text.head(
-        "meniscus_build_info",
-        "gauge",
-        "Build information: the version is a label, the value is always 1.",
-    );
-    text.value("meniscus_build_info", &format!("version=\"{}\"", env!("CARGO_PKG_VERSION")), 1);
+    let version = concat!("version=\"", env!("CARGO_PKG_VERSION"), "\"");
+    text.head("meniscus_build_info", "gauge", "Build information: the version is a label, the value is 1.");
+    text.value("meniscus_build_info", version, 1);
     text.frames(&counts);
-    text.gauge("meniscus_queue_depth", "Frames in the queue.", counts.queued);
-    text.gauge(
-        "meniscus_paused",
-        "1 while the daemon is paused: an output disk is full, not mounted, or refuses writes.",
-        u8::from(status.paused.is_some()),
-    );
-    text.gauge(
-        "meniscus_unavailable_folders",
-        "Number of watched and output folders that are unavailable.",
-        status.unavailable.len(),
-    );
-    if let Some(bytes) = status.disk_free_bytes {
-        text.gauge(
+    let unavailable_count = status.unavailable.len() as u64;
+    for (name, help, value) in [
+        ("meniscus_queue_depth", "Frames in the queue.", Some(counts.queued as u64)),
+        (
+            "meniscus_paused",
+            "1 while the daemon is paused: an output disk is full, not mounted, or refuses writes.",
+            Some(u64::from(status.paused.is_some())),
+        ),
+        (
+            "meniscus_unavailable_folders",
+            "Watched and output folders that are unavailable.",
+            Some(unavailable_count),
+        ),
+        (
             "meniscus_disk_free_bytes",
-            "The least free space of all file systems of outputs, in bytes.",
-            bytes,
-        );
+            "The least free space of all file systems of outputs.",
+            status.disk_free_bytes,
+        ),
+        ("meniscus_resident_memory_bytes", "Resident memory of the process.", status.memory_bytes),
+        ("meniscus_frames_converted_total", "Frames that were converted.", Some(counters.converted)),
+        (
+            "meniscus_frames_found_done_total",
+            "Frames that were done when they were read.",
+            Some(counters.found_done),
+        ),
+        ("meniscus_failures_total", "Failures that are not retried.", Some(counters.failures)),
+        ("meniscus_retries_total", "Failures that are retried.", Some(counters.retries)),
+        ("meniscus_scans_total", "Full scans of a watched folder.", Some(counters.scans)),
+        ("meniscus_rescans_total", "Full scans because events were lost.", Some(counters.rescans)),
+        ("meniscus_input_bytes_total", "Bytes of converted input files.", Some(counters.input_bytes)),
+        ("meniscus_output_bytes_total", "Bytes of written outputs.", Some(counters.output_bytes)),
+    ] {
+        if let Some(value) = value {
+            text.head(name, if name.ends_with("_total") { "counter" } else { "gauge" }, help);
+            text.value(name, "", value);
+        }
     }
-    if let Some(bytes) = status.memory_bytes {
-        text.gauge("meniscus_resident_memory_bytes", "Resident memory of the process, in bytes.", bytes);
-    }
-    text.counters(&counters);
     text.stages(&counters.stages);
     text.0
 }
@@ -67,11 +80,6 @@ impl MetricsText {
         };
     }
 
-    fn gauge(&mut self, name: &str, help: &str, value: impl Display) {
-        self.head(name, "gauge", help);
-        self.value(name, "", value);
-    }
-
     fn frames(&mut self, counts: &StateCounts) {
         self.head("meniscus_frames", "gauge", "Frames by state.");
         let StateCounts { waiting, queued, working, retrying, done, failed } = *counts;
@@ -84,26 +92,6 @@ impl MetricsText {
             ("failed", failed),
         ] {
             self.value("meniscus_frames", &format!("state=\"{state}\""), count);
-        }
-    }
-
-    fn counters(&mut self, counters: &Counters) {
-        for (name, help, value) in [
-            ("meniscus_frames_converted_total", "Frames that were converted.", counters.converted),
-            (
-                "meniscus_frames_found_done_total",
-                "Frames that were already done when they were read.",
-                counters.found_done,
-            ),
-            ("meniscus_failures_total", "Failures that are not retried.", counters.failures),
-            ("meniscus_retries_total", "Failures that are retried.", counters.retries),
-            ("meniscus_scans_total", "Full scans of a watched folder.", counters.scans),
-            ("meniscus_rescans_total", "Full scans because file-system events were lost.", counters.rescans),
-            ("meniscus_input_bytes_total", "Bytes of converted input files.", counters.input_bytes),
-            ("meniscus_output_bytes_total", "Bytes of written outputs.", counters.output_bytes),
-        ] {
-            self.head(name, "counter", help);
-            self.value(name, "", value);
         }
     }
 
@@ -126,7 +114,7 @@ impl MetricsText {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::watch::status_store::Figures;
+    use crate::watch::status_store::{Counters, Figures};
 
     #[test]
     fn buckets_are_cumulative() {

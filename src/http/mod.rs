@@ -2,13 +2,11 @@
 //! [status store](crate::watch::status_store).
 //!
 //! ```text
-//!   serve     sockets ──▶ requests: limits of number, size and time
-//!   access    host name and token
-//!   routes    dispatch by path           api       frames, settings, status as JSON
-//!   answer    headers and bodies         events    stream of changes
-//!                                        files     outputs, by their names in the status store
-//!                                        metrics   for Prometheus
-//!                                        assets    the page
+//!   clients ──▶ this file: connections, checks, routes
+//!                 ├──▶ api       frames, settings, status as JSON; health
+//!                 ├──▶ events    stream of changes
+//!                 ├──▶ files     outputs, by their names in the status store, and the page
+//!                 └──▶ metrics   for Prometheus
 //! ```
 //!
 //! One thread serves all clients, and at most two more threads read files for it, so the conversion of frames
@@ -17,28 +15,38 @@
 //! `docs/status-page.md` describes the interface for users.
 
 mod access;
-mod answer;
 mod api;
-mod assets;
-mod connections;
 mod events;
 mod files;
 mod metrics;
-mod query;
-mod routes;
-mod serve;
 
 use std::io;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
+use std::time::Duration;
 
+use axum::Router;
+use axum::body::HttpBody;
+use axum::extract::{Query, Request, State};
+use axum::http::header::{self, HeaderName, HeaderValue};
+use axum::http::{Method, StatusCode};
+use axum::middleware::{self, Next};
+use axum::response::{IntoResponse, Redirect, Response};
+use axum::routing::get;
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::server::graceful::GracefulShutdown;
+use hyper_util::service::TowerToHyperService;
+use serde::Deserialize;
 use tokio::runtime;
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
+use tokio::time::{sleep, timeout};
+use tokio_io_timeout::TimeoutStream;
 
 use crate::watch::status_store::StatusStore;
 
-pub use access::{AccessToken, TokenError};
+pub use access::AccessToken;
 
 /// The address to listen on, and the token.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -62,10 +70,47 @@ pub struct HttpServer {
 struct ServerState {
     store: Arc<StatusStore>,
     token: Option<AccessToken>,
+    port: u16,
     /// Becomes true when the server closes.
     closing: watch::Receiver<bool>,
-    subscribers: events::Subscribers,
+    /// A permit for each further subscriber of events.
+    subscribers: Arc<Semaphore>,
 }
+
+type Shared = State<Arc<ServerState>>;
+
+/// What one client may occupy, and for how long.
+#[derive(Clone, Copy, Debug)]
+struct ClientLimits {
+    /// Maximum number of connections; beyond it, clients wait until one ends.
+    connections_max: usize,
+    /// How long a request may take to arrive, and a connection may stay without one.
+    request_timeout: Duration,
+    /// How long a client may accept nothing of a response.
+    write_timeout: Duration,
+}
+
+const LIMITS: ClientLimits = ClientLimits {
+    connections_max: 512,
+    request_timeout: Duration::from_secs(10),
+    write_timeout: Duration::from_secs(30),
+};
+
+/// Maximum number of subscribers of events, which keep their connections.
+const SUBSCRIBERS_MAX: usize = 256;
+
+/// Maximum size of a request head, in bytes, and maximum number of headers.
+const HEAD_BYTES_MAX: usize = 16 << 10;
+const HEAD_LINES_MAX: usize = 64;
+
+/// How long the disk may take to open a file.
+const OPEN_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// How long responses may continue after the server is asked to close.
+const CLOSING_TIMEOUT: Duration = Duration::from_millis(300);
+
+/// Pause after the system fails to accept a connection.
+const REFUSED_WAIT: Duration = Duration::from_millis(100);
 
 /// Stack size of the server's threads, which have no deep call chains.
 const STACK_BYTES: usize = 512 << 10;
@@ -80,16 +125,21 @@ impl HttpServer {
     /// # Errors
     /// When the address is in use, or the system refuses.
     pub fn open(listen: &Listen, store: Arc<StatusStore>) -> io::Result<HttpServer> {
+        HttpServer::open_within(LIMITS, listen, store)
+    }
+
+    fn open_within(limits: ClientLimits, listen: &Listen, store: Arc<StatusStore>) -> io::Result<HttpServer> {
         let listener = TcpListener::bind(listen.address)?;
         listener.set_nonblocking(true)?;
         let address = listener.local_addr()?;
         let (closing, is_closing) = watch::channel(false);
-        let shared = Arc::new(ServerState {
+        let state = ServerState {
             store,
             token: listen.token.clone(),
-            closing: is_closing,
-            subscribers: events::Subscribers::default(),
-        });
+            port: address.port(),
+            closing: is_closing.clone(),
+            subscribers: Arc::new(Semaphore::new(SUBSCRIBERS_MAX)),
+        };
         let runtime = runtime::Builder::new_current_thread()
             .enable_io()
             .enable_time()
@@ -98,7 +148,7 @@ impl HttpServer {
             .build()?;
         let thread = thread::Builder::new().name("http".to_owned()).stack_size(STACK_BYTES);
         let thread = thread.spawn(move || {
-            if let Err(error) = runtime.block_on(serve::serve(listener, shared)) {
+            if let Err(error) = runtime.block_on(serve(limits, listener, routes(state), is_closing)) {
                 tracing::error!("the status page and the API have stopped: {error}; the daemon continues");
             }
             // Does not wait for threads that still read a file.
@@ -120,6 +170,176 @@ impl Drop for HttpServer {
         if let Some(thread) = self.thread.take() {
             // The thread has logged its error.
             let _ = thread.join();
+        }
+    }
+}
+
+/// Serves all clients until the server closes.
+async fn serve(
+    limits: ClientLimits,
+    listener: TcpListener,
+    routes: Router,
+    mut closing: watch::Receiver<bool>,
+) -> io::Result<()> {
+    let listener = tokio::net::TcpListener::from_std(listener)?;
+    let slots = Arc::new(Semaphore::new(limits.connections_max));
+    let connections = GracefulShutdown::new();
+    let mut protocol = http1::Builder::new();
+    protocol
+        .timer(TokioTimer::new())
+        .header_read_timeout(limits.request_timeout)
+        .max_buf_size(HEAD_BYTES_MAX)
+        .max_headers(HEAD_LINES_MAX);
+    let accept_all = async {
+        loop {
+            let slot = Arc::clone(&slots).acquire_owned().await;
+            let Ok((stream, _)) = listener.accept().await else {
+                // The system lacks a resource, or the client is already gone.
+                sleep(REFUSED_WAIT).await;
+                continue;
+            };
+            // Events are small and must not be delayed.
+            let _ = stream.set_nodelay(true);
+            let mut stream = TimeoutStream::new(stream);
+            stream.set_write_timeout(Some(limits.write_timeout));
+            let service = TowerToHyperService::new(routes.clone());
+            let connection = protocol.serve_connection(TokioIo::new(Box::pin(stream)), service);
+            let connection = connections.watch(connection);
+            tokio::spawn(async move {
+                let _slot = slot;
+                if let Err(error) = connection.await {
+                    tracing::debug!("a connection to the status page has ended: {error}");
+                }
+            });
+        }
+    };
+    tokio::select! {
+        () = accept_all => {}
+        // An error means that the sender is gone: then the server closes, too.
+        _ = closing.wait_for(|&is_closing| is_closing) => {}
+    }
+    // Connections that do not end in time are cut off.
+    let _ = timeout(CLOSING_TIMEOUT, connections.shutdown()).await;
+    Ok(())
+}
+
+fn routes(state: ServerState) -> Router {
+    let state = Arc::new(state);
+    Router::new()
+        .route("/api/frames", get(api::frames))
+        .route("/api/frames/{*name}", get(api::frame))
+        .route("/api/settings", get(api::settings))
+        .route("/api/status", get(api::status))
+        .route("/events", get(events::follow))
+        .route("/files/{*name}", get(files::output))
+        .route("/metrics", get(metrics::metrics))
+        .fallback(files::asset)
+        .layer(middleware::from_fn_with_state(Arc::clone(&state), require_token))
+        // These need no token: they reveal only whether the daemon runs.
+        .route("/healthz", get(api::health))
+        .route("/readyz", get(api::readiness))
+        .layer(middleware::from_fn(check))
+        .with_state(state)
+}
+
+/// Refuses requests that no reader of the status sends, and adds the security headers to every response.
+async fn check(request: Request, next: Next) -> Response {
+    let mut response = if !access::is_for_this_machine(&request) {
+        let what = "unknown host name: open this page by the IP address of this machine, or as localhost";
+        refusal(StatusCode::MISDIRECTED_REQUEST, what)
+    } else if !matches!(*request.method(), Method::GET | Method::HEAD) {
+        let refusal = refusal(StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD are allowed");
+        ([(header::ALLOW, "GET, HEAD")], refusal).into_response()
+    } else if !request.body().is_end_stream() {
+        refusal(StatusCode::PAYLOAD_TOO_LARGE, "requests must not have a body")
+    } else {
+        next.run(request).await
+    };
+    for (name, value) in [
+        (header::CACHE_CONTROL, "no-store"),
+        // The page may load content only from this server, and no other page may embed it.
+        (
+            header::CONTENT_SECURITY_POLICY,
+            "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; \
+             form-action 'none'; frame-ancestors 'none'",
+        ),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::X_FRAME_OPTIONS, "DENY"),
+        (header::REFERRER_POLICY, "no-referrer"),
+        (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
+        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+    ] {
+        response.headers_mut().entry(name).or_insert(HeaderValue::from_static(value));
+    }
+    response
+}
+
+/// Closes the connection after this response, because anything else that the client sends on it would be
+/// ignored.
+fn refusal(status: StatusCode, what: &'static str) -> Response {
+    (status, [(header::CONNECTION, "close")], format!("{what}\n")).into_response()
+}
+
+/// The query of the first URL that a browser opens.
+#[derive(Deserialize)]
+struct Login {
+    token: String,
+}
+
+/// Requires the token, if there is one: as `Authorization: Bearer`, or in the cookie that `/?token=…` sets.
+async fn require_token(State(state): Shared, request: Request, next: Next) -> Response {
+    let Some(token) = &state.token else { return next.run(request).await };
+    if token.is_in(request.headers(), state.port) {
+        return next.run(request).await;
+    }
+    let login = Query::<Login>::try_from_uri(request.uri());
+    if request.uri().path() == "/" && login.is_ok_and(|Query(login)| token.is(&login.token)) {
+        // The address that the browser shows and keeps has no token.
+        return ([(header::SET_COOKIE, token.cookie(state.port))], Redirect::to("/")).into_response();
+    }
+    let what = "a token is required: open /?token=TOKEN, or send it as an Authorization: Bearer header\n";
+    (StatusCode::UNAUTHORIZED, [(header::WWW_AUTHENTICATE, "Bearer")], what).into_response()
+}
+
+fn not_found() -> Response {
+    (StatusCode::NOT_FOUND, "not found\n").into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use std::io::{Read, Write};
+    use std::net::TcpStream;
+
+    /// A server for one connection at a time.
+    #[test]
+    fn client_that_is_slower_than_a_limit_is_disconnected() {
+        let (soon, never) = (Duration::from_millis(200), Duration::from_secs(3600));
+        let page = "GET /vendor/three.core.min.js HTTP/1.1\r\nHost: localhost\r\n\r\n".repeat(100);
+        for (what, sent, request_timeout, write_timeout) in [
+            ("sends nothing", "", soon, never),
+            ("sends half a request", "GET / HTTP/1.1\r\nHost: localhost\r\n", soon, never),
+            ("does not read", &page, never, soon),
+        ] {
+            let limits = ClientLimits { connections_max: 1, request_timeout, write_timeout };
+            let listen = Listen { address: "127.0.0.1:0".parse().expect("an address"), token: None };
+            let store = Arc::new(StatusStore::new());
+            store.record_heartbeat();
+            let server = HttpServer::open_within(limits, &listen, store).expect("a port");
+            let connect = || {
+                let stream = TcpStream::connect(server.address()).expect("connected");
+                stream.set_read_timeout(Some(Duration::from_secs(60))).expect("set");
+                stream
+            };
+            let mut slow = connect();
+            slow.write_all(sent.as_bytes()).expect("sent");
+            let mut next = connect();
+            let request = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
+            next.write_all(request).expect("sent");
+            let mut answer = String::new();
+            next.read_to_string(&mut answer).expect("an answer");
+            assert!(answer.starts_with("HTTP/1.1 200"), "a client that {what} blocks the next one: {answer}");
         }
     }
 }

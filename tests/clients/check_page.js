@@ -5,7 +5,8 @@
 //   surface     the 3D view draws the surface, and the mouse rotates it
 //   play        playback continues while the sequence still grows; slider and keys choose frames
 //   order       the names have the daemon's order
-//   restart     the daemon restarts during playback: the page continues with the new daemon's frames
+//   restart     the daemon restarts during playback: the page continues with the new daemon's frames, and shows no
+//               rate and no queue in between; the downloads of a frame in a subfolder are named after it, too
 //   figures     the figures of a frame, of its stages and of the settings equal those of /api; the chart is
 //               drawn
 //   many        10 000 frames: few elements, smooth scrolling, the right names at the end
@@ -46,7 +47,7 @@ async function main() {
   console.log(`page: the status page in ${browser.version}`);
   const running = [];
   try {
-    const watching = await Watching.start(PROGRAM, path.join(WORK, "live"), ["--format", "glb,vdb", "--preview", "png"]);
+    const watching = await Watching.start(PROGRAM, path.join(WORK, "live"), ["--recursive", "--format", "glb,vdb", "--preview", "png"]);
     running.push(watching);
     const { page, faults } = await openPage(browser, watching.address);
     const darkroom = await Darkroom.make(browser);
@@ -357,12 +358,16 @@ async function restartIsSurvived(watching, page, faults) {
   await page.keyboard.press("Home");
   await page.click("#play");
   await page.evaluate(() => {
-    window.links = [];
+    [window.links, window.legends] = [[], []];
     const link = document.getElementById("link");
-    new MutationObserver(() => window.links.push(link.className)).observe(link, { childList: true });
+    const note = () => {
+      window.links.push(link.className);
+      if (link.className === "bad") window.legends.push(document.getElementById("flow-rate").textContent, document.getElementById("flow-queue").textContent);
+    };
+    new MutationObserver(note).observe(link, { childList: true });
   });
   await watching.restart();
-  const late = nameOf(FIRST_COUNT + 5);
+  const late = `sub/${nameOf(FIRST_COUNT + 5)}`;
   watching.put(late, frameBytes(FIRST_COUNT + 5));
   await page.waitForFunction(() => window.links.includes("bad") && window.links.at(-1) === "good", { timeout: 120_000 });
   // Click pause and play twice without a delay: one playback must continue, instead of three.
@@ -376,6 +381,9 @@ async function restartIsSurvived(watching, page, faults) {
   await page.waitForFunction((name) => window.played.includes(name), { timeout: 120_000 }, late);
   const [played, label, stayed] = [await page.evaluate(() => window.played), await textOf(page, "#play"), await page.evaluate(() => window.stayed)];
   await page.click("#play");
+  const legends = await page.evaluate(() => window.legends);
+  await choose(page, late);
+  const downloads = await page.$$eval("#frame a", (links) => links.map((link) => link.download));
   // The browser itself logs that the server did not respond for a while.
   const own = faults.splice(before).filter((fault) => !/net::ERR_|Failed to load resource/.test(fault));
   line(
@@ -385,6 +393,8 @@ async function restartIsSurvived(watching, page, faults) {
       failed({
         "playback stopped": label === "Pause" && new Set(played).size > 3,
         "the page was reloaded": stayed === true,
+        "the page shows a rate or a queue without a connection": legends.length > 0 && !/\d/.test(legends.join()),
+        "the downloads have no name of the folder": downloads.length === 3 && downloads.every((name) => name.startsWith("sub_dam.")),
       }),
     ),
   );

@@ -49,9 +49,10 @@ class Watching {
 
   /** Writes a frame next to the watched folder, and renames it into this folder. */
   put(name, bytes) {
-    const beside = path.join(this.folder, `${name}.part`);
+    const [beside, target] = [path.join(this.folder, "part"), path.join(this.folder, "in", name)];
+    fs.mkdirSync(path.dirname(target), { recursive: true });
     fs.writeFileSync(beside, bytes);
-    fs.renameSync(beside, path.join(this.folder, "in", name));
+    fs.renameSync(beside, target);
   }
 
   async ask(what) {

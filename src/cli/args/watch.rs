@@ -53,10 +53,6 @@ pub(in crate::cli) struct WatchArgs {
 
     #[command(flatten, next_help_heading = "Daemon")]
     pub(in crate::cli) daemon: DaemonArgs,
-
-    /// Require this token, instead of --token-file; other users can see it in the process list
-    #[arg(long, value_name = "TOKEN", conflicts_with = "token_file", help_heading = "Daemon")]
-    pub(in crate::cli) token: Option<String>,
 }
 
 option_set! {

@@ -115,7 +115,7 @@ function showConnection(connected) {
   $('link').className = isConnected ? 'good' : 'bad';
   $('link').textContent = isConnected ? 'live' : status.stopping ? 'stopped' : 'no connection';
   showAlarms();
-  showForecast();
+  showProgress();
 }
 
 /** Shows what is wrong now. Without a connection, that is unknown. */
@@ -142,7 +142,7 @@ function showAll() {
     $('counts').replaceChildren(...(texts.length ? texts.map((text, i) => make('span', states[i], text)) : ['no frames yet']));
   }
   showAlarms();
-  showForecast();
+  showProgress();
   if ($('follow').checked && !playing) {
     const newest = listed.findLast(name => frames.get(name).surface) ?? listed.at(-1);
     if (newest !== undefined && newest !== chosen) return choose(newest, true);
@@ -363,7 +363,8 @@ async function showFrame() {
   const links = (frame.outputs ?? []).map(output => {
     const link = make('a', '', `${output.name} (${bytes(output.size_bytes)})`);
     link.href = `files/${encodeURIComponent(output.name)}`;
-    link.download = output.name.split('/').at(-1);
+    // Frames in several folders may have the same name.
+    link.download = output.name.replaceAll('/', '_');
     return link;
   });
   $('frame').replaceChildren(...parts, ...links);
@@ -443,13 +444,14 @@ function plain(value) {
 
 let samples = [];
 let forecast = {};
+let rate = 0; // frames per minute, now
 async function showFlow() {
   if (!document.hidden) {
     try {
       const answer = await json('api/status');
       ({ status, samples, forecast } = answer);
       drawFlow();
-      showForecast();
+      showProgress();
     } catch {
       // The connection indicator shows the failure.
     }
@@ -457,14 +459,17 @@ async function showFlow() {
   setTimeout(showFlow, 5000);
 }
 
-/** Shows how many of the frames are done, and an estimate of the time left. */
-function showForecast() {
+/** Shows how many of the frames are done, and, while there is a connection, the current rate and queue, and an estimate of the time left. */
+function showProgress() {
   const { done = 0, failed = 0, ...others } = counts;
   const left = Object.values(others).reduce((sum, count) => sum + count, 0);
   const time = isConnected && left && forecast.seconds_left ? `, about ${duration(forecast.seconds_left)} left` : '';
   const failures = failed ? `, ${number(failed)} failed` : '';
   const total = done + failed + left;
   $('flow-forecast').textContent = total ? `${number(done)} of ${number(total)} frames done${failures}${time}` : '';
+  const { queued = 0, working = 0 } = counts;
+  $('flow-rate').textContent = `${isConnected ? `${rate.toFixed(0)} ` : ''}frames a minute`;
+  $('flow-queue').textContent = `${isConnected ? `${number(queued + working)} ` : ''}queued or in progress`;
 }
 
 function duration(value) {
@@ -522,8 +527,7 @@ function drawFlow() {
   drawLabel(`max ${number(queueMax)} in the queue`, 'faint', 'right', 13);
   drawLabel(ago(end - begin), 'faint', 'left', height - 3);
   drawLabel('now', 'faint', 'right', height - 3);
-  $('flow-rate').textContent = `${rates.at(-1).toFixed(0)} frames a minute`;
-  $('flow-queue').textContent = `${number(queues.at(-1))} queued or in progress`;
+  rate = rates.at(-1);
   $('flow-resources').textContent = `${bytes(samples.at(-1).memory_bytes) ?? 'unknown'} of memory · ${bytes(status.disk_free_bytes) ?? 'unknown'} of disk free`;
 }
 

@@ -68,7 +68,7 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
         let daemon = args.daemon.clone().over(daemon.clone());
         refuse_shared_journal(&watches, daemon.journal.as_deref())?;
         let config = config(watches.clone(), args.once, &daemon)?;
-        let listen = listen(&daemon, args.token.as_deref())?;
+        let listen = listen(&daemon)?;
         Ok(WatchPlan { config, log: daemon.log.unwrap_or(LogChoice::Text), listen, warnings: Vec::new() })
     };
     let plan = match &file {
@@ -301,22 +301,18 @@ fn timeouts(once: bool, daemon: &DaemonArgs) -> Result<StabilityTimeouts> {
 }
 
 /// The address and the access token of the HTTP server.
-fn listen(daemon: &DaemonArgs, token: Option<&str>) -> Result<Option<Listen>> {
-    let token = match (token, &daemon.token_file) {
-        (Some(token), _) => Some(AccessToken::new(token).context("--token")?),
-        (None, Some(path)) => Some(token_in(path)?),
-        (None, None) => None,
-    };
+fn listen(daemon: &DaemonArgs) -> Result<Option<Listen>> {
+    let token = daemon.token_file.as_deref().map(token_in).transpose()?;
     let Some(address) = daemon.listen else {
         if token.is_some() {
-            bail!("--token and --token-file require --listen");
+            bail!("--token-file requires --listen");
         }
         return Ok(None);
     };
     if token.is_none() && !address.ip().to_canonical().is_loopback() {
         bail!(
-            "{address} can be reached from other machines: give --token-file or --token to restrict access, \
-             or listen on 127.0.0.1"
+            "{address} can be reached from other machines: give --token-file to restrict access, or listen on \
+             127.0.0.1"
         );
     }
     Ok(Some(Listen { address, token }))
@@ -325,7 +321,12 @@ fn listen(daemon: &DaemonArgs, token: Option<&str>) -> Result<Option<Listen>> {
 fn token_in(path: &Path) -> Result<AccessToken> {
     let text = read_regular_text(path).with_context(|| format!("cannot read {}", path.display()))?;
     let line = text.lines().next().unwrap_or_default();
-    AccessToken::new(line.trim()).with_context(|| format!("the first line of {}", path.display()))
+    AccessToken::new(line.trim()).with_context(|| {
+        format!(
+            "the first line of {} is not a token: 16 to 256 ASCII letters, digits, or - _ . ~",
+            path.display()
+        )
+    })
 }
 
 /// An absolute path: the journal must identify frames by the same paths wherever the daemon is started.

@@ -89,9 +89,15 @@ fn non_loopback_address_requires_token() {
     for address in ["[::1]:0", "127.8.9.1:80", "[::ffff:127.0.0.1]:80"] {
         assert!(bench.plan(&["--listen", address]).is_ok(), "{address}");
     }
+    let token = bench.folder.path().join("token");
+    let token_file = ["--token-file", token.to_str().expect("text")];
+    fs::write(&token, "short\n").expect("written");
+    bench.refused(&token_file, &["the first line of", "is not a token: 16 to 256"]);
+    fs::write(&token, "0123456789abcdef\n").expect("written");
     for address in ["0.0.0.0:80", "[::]:80", "192.168.1.7:80"] {
         bench.refused(&["--listen", address], &[address, "--token-file"]);
-        assert!(bench.plan(&["--listen", address, "--token", "0123456789abcdef"]).is_ok(), "{address}");
+        let listen = bench.plan(&[&["--listen", address][..], &token_file].concat()).expect("a plan").listen;
+        assert_eq!(listen.expect("an address").token, AccessToken::new("0123456789abcdef"), "{address}");
     }
     bench.refused(&["--token-file", "none-there"], &["cannot read none-there"]);
     let bench = Bench::new("[daemon]\nlisten = \"7700\"\n");
@@ -243,7 +249,7 @@ fn errors_name_the_line_and_the_key() {
     }
     for (entry, words) in [
         ("memory = 8", &["`memory`: ", "too small"][..]),
-        ("listen = \"0.0.0.0:7700\"", &["`listen`: ", "give `token_file` or --token"]),
+        ("listen = \"0.0.0.0:7700\"", &["`listen`: ", "give `token_file` to restrict access"]),
         ("token_file = \"none\"\nlisten = \"127.0.0.1:1\"", &["`token_file`: cannot read"]),
         ("token_file = \"meniscus.toml\"", &["`token_file`"]),
         ("stalled = \"1ms\"", &["`stalled` is 1ms"]),
