@@ -29,11 +29,8 @@ impl AccessToken {
 
     /// Compares in constant time, so that timing does not reveal how much of a guess is right.
     pub(super) fn is(&self, given: &str) -> bool {
-        let (wanted, given) = (self.0.as_bytes(), given.as_bytes());
-        let mut difference = u8::from(wanted.len() != given.len());
-        for (index, byte) in wanted.iter().enumerate() {
-            difference |= byte ^ given.get(index).copied().unwrap_or(0);
-        }
+        let pairs = self.0.bytes().zip(given.bytes());
+        let difference = pairs.fold(self.0.len() ^ given.len(), |all, (a, b)| all | usize::from(a ^ b));
         black_box(difference) == 0
     }
 

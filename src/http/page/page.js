@@ -358,7 +358,7 @@ async function showFrame() {
     ['total time', seconds(frame.seconds)],
   ]));
   if (figures) parts.push(...stageBar(figures.seconds));
-  else if (isWhole && frame.state === 'done') parts.push(make('p', 'note', 'No statistics: the version that converted this frame did not record them.'));
+  else if (isWhole && frame.state === 'done') parts.push(make('p', 'note', 'No statistics were recorded for this frame.'));
   for (const note of figures?.notes ?? []) parts.push(make('p', 'note', note));
   const links = (frame.outputs ?? []).map(output => {
     const link = make('a', '', `${output.name} (${bytes(output.size_bytes)})`);
