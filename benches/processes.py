@@ -6,9 +6,11 @@ same state of the machine.
 """
 
 import argparse
+import csv
 import datetime
 import importlib.machinery
 import importlib.util
+import io
 import json
 import os
 import re
@@ -131,22 +133,31 @@ class Table:
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in self.rows]
         return "\n".join([self.title, *lines])
 
-    def markdown(self):
-        lines = [f"| {' | '.join(row)} |" for row in self.rows]
-        return "\n".join([self.title, "", lines[0], "|" + "---|" * len(self.rows[0]), *lines[1:]])
+    def csv(self):
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(self.rows)
+        return f"# {self.title}\n{text.getvalue()}"
 
 
 def arguments(doc):
     """Returns a parser whose help is the module's docstring."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables there, too")
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the tables there, too")
     return parser
 
 
-def publish(tables, markdown):
-    """Prints the tables, and writes them to the file of --markdown, if given."""
+def publish(tables, path, about=None):
+    """Prints the tables, and writes them to a file, if given, below a comment: `about`, or the machine and the
+    program. Each table follows its title, which is a comment, too."""
     for table in tables:
         print(f"\n{table.plain()}")
-    if markdown:
-        text = "\n\n".join([conditions() + ".", *(table.markdown() for table in tables)])
-        markdown.write_text(text + "\n", encoding="utf-8")
+    if path:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        text = "\n".join(table.csv() for table in tables)
+        path.write_text(f"# {about or conditions()}\n{text}", encoding="utf-8")
+
+
+def recorded(path):
+    """Returns the rows, by column, of a file with one table that `publish` wrote."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return list(csv.DictReader(line for line in lines if not line.startswith("#")))

@@ -1,4 +1,4 @@
-"""Generates ``_option_values.py``, and the table of options in ``docs/python.md``, from the core's options.
+"""Generates ``_option_values.py`` from the core's options.
 
 After you add an option, build the native module with ``maturin develop``, and run this in the clone:
 ``python python/generate_options.py``.
@@ -11,11 +11,7 @@ from pathlib import Path
 
 from pymeniscus import _native
 
-_ROOT = Path(__file__).resolve().parents[1]
-OPTION_VALUES = _ROOT / "python" / "pymeniscus" / "_option_values.py"
-PAGE = _ROOT / "docs" / "python.md"
-
-_BEGIN, _END = "<!-- options: begin -->", "<!-- options: end -->"
+OPTION_VALUES = Path(__file__).resolve().parent / "pymeniscus" / "_option_values.py"
 
 
 def _annotation(row: _native._OptionRow) -> str:
@@ -72,28 +68,9 @@ def option_values() -> str:
     return "\n".join(lines) + "\n"
 
 
-def option_docs() -> str:
-    """The table of options in the documentation."""
-    lines = ["| keyword | value | meaning |", "|---|---|---|"]
-    for row in _rows():
-        value = ", ".join(f"`{word}`" for word in row["choices"]) or row["kind"]
-        if row["range"]:
-            value += f", {row['range']}"
-        lines.append(f"| `{row['name']}` | {value} | {_help(row).replace('|', '&#124;')} |")
-    return "\n".join(lines)
-
-
-def with_options(page: str) -> str:
-    """A page of the documentation, with a new table of options between its two marks."""
-    before, rest = page.split(_BEGIN)
-    _, after = rest.split(_END)
-    return f"{before}{_BEGIN}\n{option_docs()}\n{_END}{after}"
-
-
 def main() -> None:
-    """Write both files."""
+    """Write the file."""
     OPTION_VALUES.write_text(option_values(), encoding="utf-8")
-    PAGE.write_text(with_options(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":

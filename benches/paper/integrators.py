@@ -1,4 +1,11 @@
-"""Table 1: the stages of a frame for each integrator."""
+"""Table 1: the stages of a frame for each integrator.
+
+The paper's frames are not published, so we use others: small simulations with h = half the spacing, and a solid
+of 600 000 particles with h = spacing. Both explicit runs work on the same sparse leaves as the other integrators:
+meniscus has no dense grid. `smooth` is what the paper lists as operator, slope, vectors of CG, voxels on and off,
+constraints, and sweeping between steps; `rasterize` includes the sweeping of the bounds; `contour`, for which the
+paper lists no time, includes the measurements and the certificate.
+"""
 
 import statistics
 import sys
@@ -22,21 +29,6 @@ LONGEST = "explicit, 10 000 steps"  # Runs once instead of once per round.
 # Half the particle spacing of the dam break in examples/frames.
 DAM_VOXEL_SIZE = 0.0264
 
-ABOUT = """The paper's frames are not published, so we use others: small simulations with h = half the spacing, and a solid of 600 000 particles with h = spacing.
-The table may lack some of them, because `--frames` selects frames.
-
-- meniscus has no dense grid.
-  Its `explicit` integrator works on the same sparse leaves as the others, so the paper's gain over a dense grid cannot be measured here.
-  The authors' program in the tables is their published sparse one, not a dense one.
-- The paper's explicit runs take 10 000 steps.
-  Ours take 500 with the preset `paper`, and integrate a twentieth of the time of the implicit ones.
-  The tables have both, the 10 000 from one run each.
-- `smooth` is what the paper lists as operator, slope, vectors of CG, voxels on and off, constraints, and sweeping between steps.
-  `rasterize` includes the sweeping of the bounds.
-  `contour` includes the measurements and the certificate; the paper lists no time for contouring.
-- The time of the whole process also includes the start of the program and reading."""
-
-
 @dataclass
 class Example:
     """One frame, or several whose mean is used, and the seconds that the authors' program took."""
@@ -48,13 +40,13 @@ class Example:
     program_explicit: float | None = None
 
 
-def table(args):
+def tables(args):
     parts = [part for part in args.frames.split(",") if part]
     chosen = [frame for frame in examples() if not parts or any(part in frame.name.lower() for part in parts)]
     if not chosen:
         sys.exit("tables: no frame name matches")
     taken = {frame.name: by_integrator(frame, args.rounds) for frame in chosen}
-    return "\n\n".join([ABOUT, papers(), *(table.markdown() for table in ours(chosen, taken))])
+    return [papers(), *ours(chosen, taken)]
 
 
 def examples():
@@ -96,7 +88,7 @@ def papers():
     for name, parts in (("explicit, dense, 10 000 steps", figures.EXPLICIT), ("implicit, sparse", figures.IMPLICIT)):
         for part, values in parts.items():
             table.row(name, part, *(f"{value:g}" for value in values))
-    return table.markdown()
+    return table
 
 
 def ours(frames, taken):

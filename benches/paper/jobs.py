@@ -1,5 +1,10 @@
 """Table 2: converts many frames, with many single-threaded processes or with fewer processes of more
-threads."""
+threads.
+
+The same surface of 4.8 million particles at h = spacing is made repeatedly. The last row of ours is a single
+process that gets all frames in one command: there each thread processes a different frame as long as there are
+enough.
+"""
 
 import os
 import tempfile
@@ -12,14 +17,7 @@ from paper import figures
 from paper.measuring import UPPER_RIGHT, in_seconds
 from processes import Table, spread
 
-ABOUT = """The same surface of 4.8 million particles at h = spacing is made repeatedly: by one process per core with one thread each, or by fewer processes with more threads each.
-The last row of ours is a single process that gets all frames in one command: there each thread processes a different frame as long as there are enough (`src/pipeline/scheduler.rs`).
-
-The paper's text says 120 jobs, its caption 12.
-According to the time of a job in its Table 3, there were 120."""
-
-
-def table(args):
+def tables(args):
     path, spacing = processes.solid(UPPER_RIGHT)
     cores = os.cpu_count()
     ways = [(count, cores // count) for count in range(cores, 0, -1) if cores % count == 0]
@@ -37,7 +35,7 @@ def table(args):
             together.append(in_one(Path(folder) / "job.####.ply", spacing, cores))
             print(".", end="", flush=True)
     print()
-    return "\n\n".join([ABOUT, papers(), ours(args.jobs, taken, together, cores)])
+    return [papers(), ours(args.jobs, taken, together, cores)]
 
 
 def at_once(frames, voxel_size, count, threads):
@@ -73,7 +71,7 @@ def papers():
         job = figures.job_seconds(processes_at_once, minutes)
         duration = f"{minutes // 60}:{minutes % 60:02}"
         table.row(processes_at_once, threads, duration, f"{minutes / least:.2f}", f"{job:.0f}", f"{speedup:.2f}")
-    return table.markdown()
+    return table
 
 
 def ours(jobs, taken, together, cores):
@@ -90,4 +88,4 @@ def ours(jobs, taken, together, cores):
         memory = max(size for _, size in rounds) / 1e9
         seconds = in_seconds([seconds for seconds, _ in rounds])
         table.row(count, threads, seconds, spread(beside, ".2f"), f"{memory:.2f}")
-    return table.markdown()
+    return table

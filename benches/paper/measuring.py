@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import processes
-from processes import ROOT, THREADS, Run, spread
+from processes import THREADS, Run, spread
 
 # Excluding reading and writing, as in the paper.
 COMPUTING = ("rasterize", "smooth", "contour")
@@ -77,8 +77,3 @@ class OtherLoad:
         share = self.share()
         shared = ": the machine was shared" if share > OTHER_LOAD_MAX else ""
         return f"other processes used {100 * share:.0f} % of the CPU time{shared}"
-
-
-def section_of_performance(heading):
-    text = (ROOT / "docs" / "performance.md").read_text(encoding="utf-8")
-    return text.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]

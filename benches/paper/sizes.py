@@ -1,4 +1,8 @@
-"""Table 3: from 0.6 to 309 million particles."""
+"""Table 3: from 0.6 to 309 million particles.
+
+The dragon of the paper's Fig. 17 on finer and finer lattices, and a solid with about its area and volume
+(`examples/solid`), both with h = spacing. A row with ¹ is from docs/results/scale.csv.
+"""
 
 import statistics
 import sys
@@ -13,20 +17,15 @@ from paper.measuring import (
     SMALL,
     UPPER_RIGHT,
     in_seconds,
-    section_of_performance,
     measure_frame,
 )
 from processes import THREADS, Table, spread
 
-ABOUT = """The dragon of the paper's Fig. 17 on finer and finer lattices, and a solid with about its area and volume (`examples/solid`), both with
-h = spacing. A row with ¹ is from [performance.md](../performance.md#large-frames), with the machine and commit given there; the others were measured for this page, the row of 38.6 million particles only once."""
-
-
-def table(args):
+def tables(args):
     rows = [measured_solid(count, args.rounds) for count in (SMALL, UPPER_RIGHT)]
     rows.append(measured_solid(LARGE, 1))
     rows.append(measured_solid(LARGEST, 1) if args.long else recorded_large_solid(LARGEST))
-    return "\n\n".join([ABOUT, papers(), ours(rows)])
+    return [papers(), ours(rows)]
 
 
 @dataclass
@@ -36,21 +35,21 @@ class Large:
     particles: str
     free_voxels: str
     stages: list
-    seconds: float | None  # None if read from docs/performance.md.
+    seconds: float | None  # None if read from docs/results/scale.csv.
     whole: str
     cpu: str
     memory: str
 
 
 def recorded_large_solid(count):
-    """Reads the row of this solid from the output of `benches/scale` in docs/performance.md."""
-    for line in section_of_performance("Large frames").splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        digits = cells[0].replace(",", "")
-        if digits.isdigit() and f"{float(digits):.3g}" == f"{count:.3g}":
-            particles, free, _, rasterize, smooth, contour, _, whole, cpu, memory, *_ = cells
-            return Large(f"{particles} ¹", free, [rasterize, smooth, contour], None, whole, cpu, memory)
-    sys.exit(f"tables: docs/performance.md has no row of {count:.3g} particles; --long measures it")
+    """Reads the row of this solid from the output of `benches/scale`."""
+    for row in processes.recorded(processes.ROOT / "docs" / "results" / "scale.csv"):
+        digits = row["particles"].replace(",", "")
+        if row["preset"] == "paper" and digits.isdigit() and f"{float(digits):.3g}" == f"{count:.3g}":
+            stages = [row[stage] for stage in COMPUTING]
+            costs = row["total seconds"], row["CPU seconds"], row["peak memory, GB"]
+            return Large(f"{row['particles']} ¹", row["free voxels"], stages, None, *costs)
+    sys.exit(f"tables: docs/results/scale.csv has no row of {count:.3g} particles; --long measures it")
 
 
 def measured_solid(count, rounds):
@@ -86,7 +85,7 @@ def papers():
         millions = f"{particles / 1e6:g} M"
         table.row(millions, f"{seconds:g}", growth, f"{rasterization:g}", cpu, f"{memory:g}", iterations, *program)
         above = seconds
-    return table.markdown()
+    return table
 
 
 def ours(rows):
@@ -100,4 +99,4 @@ def ours(rows):
         growth = f"{row.seconds / above:.1f}" if above and row.seconds else "–"
         table.row(row.particles, row.free_voxels, *row.stages, row.whole, growth, row.cpu, row.memory)
         above = row.seconds
-    return table.markdown()
+    return table

@@ -1,4 +1,10 @@
-"""Fig. 18 to 20: the speedup of threads, and a projection of it from the serial share of the work."""
+"""Fig. 18 to 20: the speedup of threads, and a projection of it from the serial share of the work.
+
+The paper's figures are plots without numbers; its speedups follow from its Table 2. The serial share s makes
+Amdahl's law, T(n) = T(1)·(s + (1 − s)/n), fit the times with one thread and with the most threads, round by round.
+The projection to more cores is that law; it ignores shared memory and caches, and loops with too few pieces for
+that many cores, which reduce the real speedup.
+"""
 
 import os
 import statistics
@@ -7,27 +13,12 @@ import sys
 import plot
 import processes
 from paper import figures
-from paper.measuring import COMPUTING, OTHER_LOAD_MAX, SMALL, UPPER_RIGHT, OtherLoad, in_seconds
-from paper.measuring import section_of_performance, measure_frame
+from paper.measuring import COMPUTING, OTHER_LOAD_MAX, SMALL, UPPER_RIGHT, OtherLoad, in_seconds, measure_frame
 from processes import Table, spread
 
-PICTURE = "tables_speedup.svg"  # beside the page
+PICTURE = "tables_speedup.svg"  # beside the tables
 
-ABOUT = f"""The paper's figures are plots without numbers.
-Their content, the speedup with {figures.CORES} threads, also follows from its Table 2, which has jobs of many threads and jobs of one thread.
-(According to the paper, twelve of the latter at once were a little slower than one alone, so these speedups are slightly too high.)
-
-**The figures for more cores than were measured are a projection**, not a measurement.
-The serial share s makes Amdahl's law, T(n) = T(1)·(s + (1 − s)/n), fit the times with one thread and with the most threads, round by round; the projection is that law.
-It ignores memory and caches that more cores share, distant processors, and loops with too few pieces for that many cores.
-All of these reduce the real speedup.
-A share of 0, which noise can cause, gives the number of cores."""
-
-NOTHING_PROJECTED = """Other work took a part of the cores while the first of these two tables was measured, so that two threads got hardly more of
-them than one. So it is ignored: the table and the picture below use only the second one."""
-
-
-def table(args):
+def tables(args):
     cores = os.cpu_count()
     counts = [threads for threads in (1, 2, 3, 4, 6, 8, 12) if threads <= cores]
     if len(counts) < 2:
@@ -36,28 +27,26 @@ def table(args):
     taken = {particles: on_threads(particles, counts, args.rounds) for particles in (SMALL, UPPER_RIGHT)}
     is_shared = other_load.share() > OTHER_LOAD_MAX
     recorded = recorded_threads()
-    tables = [
+    measured = [
         stages_on_threads(
             "Measured now, h = spacing: seconds, medians (least–greatest).",
             {f"{count / 1e6:g} M": rounds for count, rounds in taken.items()},
             is_shared,
         ),
         stages_on_threads(
-            "The same from the output of `cargo bench --bench stages` in [performance.md](../performance.md#stages), with the machine"
-            " and commit given there: another solid with h = half the spacing, which has many more free voxels.",
+            "The same from the output of `cargo bench --bench stages` in stages.txt: another solid with h = half the"
+            " spacing, which has many more free voxels.",
             recorded,
         ),
     ]
-    # The largest solid of each measurement. If the machine is shared, the times are too noisy for a
-    # projection.
+    # The largest solid of each measurement. If the machine is shared, two threads get hardly more of the cores
+    # than one, and the times are too noisy for a projection.
     sources = {} if is_shared else {"now": taken[UPPER_RIGHT]}
     sources["stages"] = list(recorded.values())[-1]
-    args.markdown.parent.mkdir(parents=True, exist_ok=True)
+    args.folder.mkdir(parents=True, exist_ok=True)
     picture = plot.svg("threads", "speedup over one thread", figures.CORES, figures.CORES, 2, speedup_lines(sources))
-    args.markdown.with_name(PICTURE).write_text(picture, encoding="utf-8")
-    left_out = [NOTHING_PROJECTED] if is_shared else []
-    tables += [*left_out, projected(sources), f"![Speedup over one thread]({PICTURE})"]
-    return "\n\n".join([ABOUT, *tables])
+    (args.folder / PICTURE).write_text(picture, encoding="utf-8")
+    return [*measured, projected(sources)]
 
 
 def on_threads(particles, counts, rounds):
@@ -76,9 +65,10 @@ def on_threads(particles, counts, rounds):
 
 
 def recorded_threads():
-    """Reads the stages on one and on two threads from docs/performance.md: particles, and the format of `on_threads`."""
+    """Reads the stages on one and on two threads from docs/results/stages.txt: particles, and the format of `on_threads`."""
     rows = {}
-    for line in section_of_performance("Stages").splitlines():
+    path = processes.ROOT / "docs" / "results" / "stages.txt"
+    for line in path.read_text(encoding="utf-8").splitlines():
         words = line.split()
         if len(words) == 9 and words[0].isdigit():
             threads, particles, _, *seconds = words
@@ -128,14 +118,14 @@ def stages_on_threads(title, taken, is_shared=False):
                 "–" if is_shared else spread([100 * share for share in shares], ".1f"),
                 "–" if is_shared else spread([amdahl(share, figures.CORES) for share in shares], ".1f"),
             )
-    return table.markdown()
+    return table
 
 
 def projected(sources):
     """Fig. 18 and 20: the paper's speedups, and ours at the same numbers of threads."""
     names = [name for source in sources for name in (f"measured, {source}", f"projected, {source}")]
     table = Table(
-        "Speedup over one thread, all three stages.\nThe paper's are derived from its Table 2; ours are those of the largest"
+        "Speedup over one thread, all three stages. The paper's are derived from its Table 2; ours are those of the largest"
         " solids above.",
         *("threads", "the paper's", *names),
     )
@@ -146,7 +136,7 @@ def projected(sources):
             cells.append(spread(speedups(ours, threads), ".2f") if is_measured else "–")
             cells.append("–" if is_measured else f"{amdahl(share_of(ours), threads):.1f}")
         table.row(threads, f"{theirs:.2f}", *cells)
-    return table.markdown()
+    return table
 
 
 def share_of(rounds):

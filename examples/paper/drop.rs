@@ -7,6 +7,11 @@
 //!
 //! Each frame is reconstructed without the others, on a grid that does not depend on the particles, and
 //! smoothing does not couple surfaces through air. So the surface of the pool is bit-identical in all frames.
+//! Implicit steps are the exception: conjugate gradients stop when the whole frame is close enough to the
+//! solution, so the drop changes the whole frame a little.
+//!
+//! A vertex has changed if the other frame has no vertex with exactly the same bits, whether it is new or
+//! gone. Its movement is its distance to the surface of the other frame.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -18,7 +23,7 @@ use meniscus::surface::smooth::Integrator;
 use meniscus::surface::space::Lattice;
 
 use crate::Outcome;
-use crate::output::Page;
+use crate::output::Files;
 use crate::samples::Random;
 use crate::splashsurf::{Post, Splashsurf};
 use crate::surfaces::{Program, Scale, mesh_of, reconstructed};
@@ -34,17 +39,10 @@ const HEIGHT: f64 = 14.0;
 /// Radius of the drop, in spacings.
 const RADIUS: f64 = 4.0;
 
-const INTRODUCTION: &str = "\
-9 216 particles of a pool stand still while a drop of 257 particles flies over it through 24 frames, always 10 spacings above.
-The vertices of the pool are compared from one frame to the next.
-A vertex has changed if the other frame has no vertex with exactly the same bits, whether it is new or gone.
-Its movement is its distance to the surface of the other frame.";
-
 /// Measures the changes of the pool for each program.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let peer = Splashsurf::find()?;
-    let mut page = Page::new(folder, "drop", "A pool and a drop");
-    page.paragraph(INTRODUCTION);
+    let files = Files::new(folder, "drop");
     let programs = [
         Program::Meniscus(Integrator::Fast),
         Program::Meniscus(Integrator::Explicit),
@@ -53,7 +51,8 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
         Program::Splashsurf(Post::Processed),
     ];
     let rows = programs.map(|program| Ok(changes(program, &peer)?.row(program)));
-    page.table(
+    files.table(
+        "frames",
         &[
             "program",
             "vertices of the pool",
@@ -62,17 +61,10 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
             "largest movement, h",
         ],
         &rows.into_iter().collect::<Outcome<Vec<_>>>()?,
-    );
-    page.paragraph(IMPLICIT);
+    )?;
     let pictures: Outcome<Vec<_>> = [0, FRAMES / 2, FRAMES - 1].into_iter().map(picture).collect();
-    page.pictures("frames", "Three of the 24 frames", vec![pictures?])?;
-    page.finish()
+    files.pictures("frames", vec![pictures?])
 }
-
-const IMPLICIT: &str = "\
-The implicit integrator solves for all voxels of a frame together, with conjugate gradients that stop when the whole frame is close enough to the solution.
-So a drop changes the whole frame a little.
-Fast and explicit steps, and splashsurf without its smoothing, have a limited reach.";
 
 /// Changes of the pool's vertices from frame to frame.
 struct Changes {

@@ -7,7 +7,12 @@
 //! ```
 //!
 //! All programs get the same particles and the same grid. The points of a program start on its own surface of
-//! the first frame.
+//! the first frame, evenly by area. Particles on a lattice fill the body, except for half a spacing below its
+//! surface. Zalesak's sphere has the radius 0.15, and a notch 0.05 wide and 0.125 deep.
+//!
+//! The whole surface may tremble, which the median of the second differences measures, or jump where a sheet
+//! tears or two sheets meet, which the maximum shows. The share of the worst 5 % of the points in the sum of
+//! squares is 5 % if all points flicker equally.
 
 use std::path::Path;
 use std::time::Instant;
@@ -21,7 +26,7 @@ use meniscus::surface::space::Lattice;
 
 use crate::flicker::{Flicker, Score};
 use crate::flow::Flow;
-use crate::output::{Page, Plot};
+use crate::output::{Files, Plot};
 use crate::samples::{on_mesh, particles_in};
 use crate::splashsurf::{Post, Splashsurf};
 use crate::surfaces::{Program, Scale, band_of, mesh_of};
@@ -70,7 +75,7 @@ impl Case {
         program == Program::Meniscus(Integrator::Fast) || is_comparison
     }
 
-    /// The first case of each page is plotted, and rendered next to splashsurf.
+    /// The first case of each study is plotted, and rendered next to splashsurf.
     fn is_first(&self) -> bool {
         self.flow == Flow::Enright && self.count >= 5_000
     }
@@ -89,18 +94,15 @@ impl Case {
 #[derive(Clone, Copy)]
 struct Grid {
     part: &'static str,
-    heading: &'static str,
     scale: fn(f64) -> Scale,
 }
 
-const FINE: Grid = Grid { part: "fine", heading: ON_FINE, scale: Scale::fine };
-const USUAL: Grid = Grid { part: "usual", heading: ON_USUAL, scale: Scale::usual };
+const FINE: Grid = Grid { part: "fine", scale: Scale::fine };
+const USUAL: Grid = Grid { part: "usual", scale: Scale::usual };
 
-/// The contents of a page.
+/// What to compare.
 struct Study {
     name: &'static str,
-    title: &'static str,
-    introduction: &'static str,
     cases: Vec<Case>,
     programs: &'static [Program],
     grids: &'static [Grid],
@@ -111,8 +113,6 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let cases = [(Flow::Enright, 5_000), (Flow::Enright, 500), (Flow::Zalesak, 5_000)];
     let study = Study {
         name: "flows",
-        title: "Sequences in known flows",
-        introduction: INTRODUCTION,
         cases: cases.map(|(flow, count)| Case::short(flow, count)).into(),
         programs: &Program::USUAL,
         grids: &[FINE, USUAL],
@@ -125,8 +125,6 @@ pub(crate) fn run_integrators(folder: &Path) -> Outcome<()> {
     let cases = [(Flow::Enright, 5_000), (Flow::Enright, 500), (Flow::Zalesak, 5_000)];
     let study = Study {
         name: "flows_integrators",
-        title: "Sequences in known flows, by three integrators",
-        introduction: SAMPLED,
         cases: cases.map(|(flow, count)| Case::sampled(flow, count)).into(),
         programs: &Program::OURS,
         grids: &[USUAL],
@@ -138,8 +136,6 @@ pub(crate) fn run_integrators(folder: &Path) -> Outcome<()> {
 pub(crate) fn run_many(folder: &Path) -> Outcome<()> {
     let study = Study {
         name: "flows_many",
-        title: "50 000 particles in a known flow",
-        introduction: SAMPLED,
         cases: vec![Case::sampled(Flow::Enright, 50_000)],
         programs: &Program::ALL,
         grids: &[USUAL],
@@ -150,16 +146,11 @@ pub(crate) fn run_many(folder: &Path) -> Outcome<()> {
 impl Study {
     fn publish(&self, folder: &Path) -> Outcome<()> {
         let peer = Splashsurf::find()?;
-        let mut page = Page::new(folder, self.name, self.title);
-        page.paragraph(self.introduction);
-        for grid in self.grids {
-            self.publish_grid(grid, &peer, &mut page)?;
-        }
-        page.finish()
+        let files = Files::new(folder, self.name);
+        self.grids.iter().try_for_each(|grid| self.publish_grid(grid, &peer, &files))
     }
 
-    fn publish_grid(&self, grid: &Grid, peer: &Splashsurf, page: &mut Page) -> Outcome<()> {
-        page.paragraph(grid.heading);
+    fn publish_grid(&self, grid: &Grid, peer: &Splashsurf, files: &Files) -> Outcome<()> {
         let mut rows = Vec::new();
         let mut curves = Vec::new();
         let mut pictures = Vec::new();
@@ -178,15 +169,11 @@ impl Study {
                 }
             }
         }
-        page.table(&COLUMNS, &rows);
+        files.table(grid.part, &COLUMNS, &rows)?;
         let title = "The first of them: flicker around each frame".to_owned();
         let axes = ["frame", "flicker, h"];
-        page.plot(grid.part, &Plot { title, axes, is_log: [false, true], curves })?;
-        page.pictures(
-            grid.part,
-            "Sequences at four times: surfaces of meniscus, unless another program is named",
-            pictures,
-        )
+        files.plot(grid.part, &Plot { title, axes, is_log: [false, true], curves })?;
+        files.pictures(grid.part, pictures)
     }
 }
 
@@ -200,38 +187,6 @@ const COLUMNS: [&str; 8] = [
     "maximum, h",
     "share of the worst 5 %",
 ];
-
-const INTRODUCTION: &str = "\
-Particles on a lattice fill a body, except for half a spacing below its surface, and an analytic flow carries them: any motion of the surface relative to the flow comes from the program.
-A cycle has 300 frames: 12.5 seconds at 24 frames per second.
-4000 points start on the first surface of each program, evenly by area, and follow the flow as well.
-
-The flicker is the root mean square of the second difference in time of the points' signed distances to the surface, in units of h.
-It has two parts: the whole surface trembles, which the median measures, and it jumps where a sheet tears or two sheets meet, which the maximum shows.
-The last column is the share of the worst 5 % of the points in the sum of squares: 5 % if all points flicker equally.
-The unit is h, so only scores on the same grid can be compared.
-
-In the second half of the test of Enright all frames of the first return in reverse, so a whole cycle has nearly the score of its half, which is in the table.
-Zalesak's sphere has the radius 0.15, and a notch 0.05 wide and 0.125 deep.";
-
-const SAMPLED: &str = "\
-The flows are those of [flows.md](flows.md). This page covers a whole cycle, but only three consecutive frames of every ten are reconstructed: 29 of the 299 second differences.";
-
-const ON_FINE: &str = "\
-## On a fine grid
-
-h is a quarter of the spacing, the cell size that splashsurf recommends, and splashsurf has the settings that its authors recommend.
-As in the paper, the radii of meniscus do not follow such a grid: r_min is the spacing, r_max twice as much.
-There are 30 Laplacian steps, between the 15 of the usual grid and the 60 that would reach as far in world units.
-r_min and these steps were chosen for sequences by this score, from a few candidates: with r_min at 0.87 spacings and 15 steps, the values of the usual grid, the flicker of 5 000 particles was a fifth larger.
-For a spacing of 1 the options are `--voxel-size 0.25 --radius-min 1 --laplacian-steps 30`.
-Time steps are in units of h, so smoothing reaches less far here than on the usual grid: at frame 0 the steps of the lattice are visible.";
-
-const ON_USUAL: &str = "\
-## On the usual grid
-
-h is half the spacing, and all other settings are those of the preset `paper`.
-splashsurf's cells have the same size, which is twice what it recommends.";
 
 /// The results of a sequence.
 struct Sequence {

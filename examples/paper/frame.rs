@@ -13,7 +13,7 @@ use meniscus::surface::space::Lattice;
 use meniscus_formats::{FilePositions, Limits, read_particles};
 
 use crate::Outcome;
-use crate::output::{Page, Plot};
+use crate::output::{Files, Plot};
 
 /// A frame that the example `dam_break` made.
 const FRAME: &str = "examples/frames/dam.0006.bgeo";
@@ -29,43 +29,16 @@ const RATIOS: [f64; 5] = [1.0, 1.25, 1.5, 2.0, 4.0];
 /// steps of 20, or 5 in 500 explicit steps of 0.01.
 const TIMES: [f64; 7] = [0.0, 5.0, 20.0, 40.0, 60.0, 80.0, 100.0];
 
-const INTRODUCTION: &str = "\
-The frame has 3 072 particles of a dam break that splashes up: `examples/frames/dam.0006.bgeo`, made by `examples/dam_break`.
-The voxel size is half the spacing: `--voxel-size 0.025`.
-
-## The ratio of the radii
-
-r_min is √3 h, r_max is r_min times the ratio, and r_init is their mean.
-A larger ratio lets the surface move farther from the particles to become smooth.";
-
-const VOXELS: &str = "\
-## The voxel size
-
-h is the spacing, half of it, which is the default of the preset `paper`, and a quarter.
-With a quarter, the radii would shrink, too, and the spheres of neighbouring particles would not touch; so the third row has the radii of the second.";
-
-const ENERGY: &str = "\
-## Bending energy over time
-
-The same frame after increasing fictitious times, in units of h⁴, after the 15 Laplacian steps.
-Implicit and fast steps are 20 h⁴ long, except a shorter last one; explicit steps are 0.01 h⁴ long.
-With the preset `paper` a frame gets 100 h⁴ with implicit and fast steps, and 5 h⁴ with explicit ones.
-Seconds are those of the smoothing alone, the minimum of three runs.";
-
 /// Varies the radius ratio, the voxel size and the smoothing time; the last with the bending energy.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
-    let mut page = Page::new(folder, "frame", "One frame with different settings");
+    let files = Files::new(folder, "frame");
     let particles = particles()?;
-    page.paragraph(INTRODUCTION);
-    ratios(&mut page, &particles)?;
-    page.paragraph(VOXELS);
-    voxels(&mut page, &particles)?;
-    page.paragraph(ENERGY);
-    energies(&mut page, &particles)?;
-    page.finish()
+    ratios(&files, &particles)?;
+    voxels(&files, &particles)?;
+    energies(&files, &particles)
 }
 
-fn ratios(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
+fn ratios(files: &Files, particles: &OwnedPositions) -> Outcome<()> {
     let mut rows = Vec::new();
     let mut pictures = Vec::new();
     for ratio in RATIOS {
@@ -81,12 +54,12 @@ fn ratios(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
         ]);
         pictures.push((picture(&surface, VOXEL_SIZE, [400, 260]), format!("r_max / r_min = {ratio}")));
     }
-    page.table(&["r_max / r_min", "∫H²", "volume, m³", "pieces", "certificate"], &rows);
+    files.table("ratios", &["r_max / r_min", "∫H²", "volume, m³", "pieces", "certificate"], &rows)?;
     let second = pictures.split_off(3);
-    page.pictures("ratios", "Ratios 1, 1.25, 1.5, 2 and 4", vec![pictures, second])
+    files.pictures("ratios", vec![pictures, second])
 }
 
-fn voxels(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
+fn voxels(files: &Files, particles: &OwnedPositions) -> Outcome<()> {
     let mut rows = Vec::new();
     let mut pictures = Vec::new();
     let usual = Settings::paper(VOXEL_SIZE, &MethodOptions::default())?;
@@ -107,11 +80,11 @@ fn voxels(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
         ]);
         pictures.push((picture(&surface, voxel_size, [400, 260]), format!("h = {part} spacings")));
     }
-    page.table(&["h / spacing", "∫H²", "volume, m³", "triangles"], &rows);
-    page.pictures("voxels", "Voxel sizes of one spacing, a half and a quarter", vec![pictures])
+    files.table("voxels", &["h / spacing", "∫H²", "volume, m³", "triangles"], &rows)?;
+    files.pictures("voxels", vec![pictures])
 }
 
-fn energies(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
+fn energies(files: &Files, particles: &OwnedPositions) -> Outcome<()> {
     let mut rows = Vec::new();
     let mut over_time = Vec::new();
     let mut over_seconds = Vec::new();
@@ -155,15 +128,15 @@ fn energies(page: &mut Page, particles: &OwnedPositions) -> Outcome<()> {
     let choices = MethodOptions { laplacian_steps: Some(0), steps: Some(0), ..MethodOptions::default() };
     let first =
         reconstruct_frame(particles, &Settings::paper(VOXEL_SIZE, &choices)?).report.mesh.bending_energy;
-    page.paragraph(&format!("Before the Laplacian steps ∫H² is {first:.0}."));
-    page.table(&["integrator", "time, h⁴", "∫H²", "seconds of smoothing"], &rows);
+    rows.push(vec!["before the Laplacian steps".into(), "–".into(), format!("{first:.0}"), "–".into()]);
+    files.table("time", &["integrator", "time, h⁴", "∫H²", "seconds of smoothing"], &rows)?;
     let title = "Bending energy over integration time".to_owned();
     let axes = ["time, h⁴", "∫H²"];
-    page.plot("time", &Plot { title, axes, is_log: [false; 2], curves: over_time })?;
+    files.plot("time", &Plot { title, axes, is_log: [false; 2], curves: over_time })?;
     let title = "Bending energy over seconds".to_owned();
     let axes = ["seconds of smoothing", "∫H²"];
-    page.plot("seconds", &Plot { title, axes, is_log: [true, false], curves: over_seconds })?;
-    page.pictures("time", "From top to bottom: explicit, implicit, fast", pictures)
+    files.plot("seconds", &Plot { title, axes, is_log: [true, false], curves: over_seconds })?;
+    files.pictures("time", pictures)
 }
 
 /// The surface after this pseudo-time, in steps of equal size, at most `step_size`.

@@ -35,7 +35,7 @@ use crate::splashsurf::Splashsurf;
 /// The result of an experiment, or its error.
 pub(crate) type Outcome<T> = Result<T, Box<dyn Error>>;
 
-/// An experiment, which writes a page into a folder.
+/// An experiment, which writes its tables and pictures into a folder.
 #[derive(Clone, Copy)]
 struct Experiment {
     name: &'static str,

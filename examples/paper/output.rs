@@ -1,6 +1,5 @@
-//! The output of an experiment: a page with its tables, plots and pictures.
+//! The output of an experiment: its tables, plots and pictures, as files that docs/results.md shows.
 
-use std::fmt::Write as _;
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -12,54 +11,39 @@ use plotters::prelude::*;
 
 use crate::Outcome;
 
-/// A page that is being written.
-pub(crate) struct Page {
+/// The files of an experiment: `<name>_<part>.csv`, `.svg` and `.png` in one folder.
+pub(crate) struct Files {
     folder: PathBuf,
     name: &'static str,
-    text: String,
 }
 
-impl Page {
-    /// An empty page.
-    pub(crate) fn new(folder: &Path, name: &'static str, title: &str) -> Page {
-        Page { folder: folder.to_owned(), name, text: format!("# {title}\n") }
+impl Files {
+    /// The files of the experiment `name`.
+    pub(crate) fn new(folder: &Path, name: &'static str) -> Files {
+        Files { folder: folder.to_owned(), name }
     }
 
-    /// Adds a paragraph.
-    pub(crate) fn paragraph(&mut self, text: &str) {
-        let _ = write!(self.text, "\n{text}\n");
-    }
-
-    /// Adds a table. Each row has a cell for each column.
-    pub(crate) fn table(&mut self, columns: &[&str], rows: &[Vec<String>]) {
-        self.text.push('\n');
-        let mut line = |cells: &mut dyn Iterator<Item = &str>| {
-            self.text.push('|');
-            cells.for_each(|cell| {
-                let _ = write!(self.text, " {cell} |");
-            });
-            self.text.push('\n');
+    /// Writes a table, below a comment with the command and the machine. Each row has a cell for each column.
+    pub(crate) fn table(&self, part: &str, columns: &[&str], rows: &[Vec<String>]) -> Outcome<()> {
+        let quoted = |cell: &str| match cell.contains([',', '"']) {
+            true => format!("\"{}\"", cell.replace('"', "\"\"")),
+            false => cell.to_owned(),
         };
-        line(&mut columns.iter().copied());
-        line(&mut columns.iter().map(|_| "---"));
-        rows.iter().for_each(|row| line(&mut row.iter().map(String::as_str)));
+        let head: Vec<String> = columns.iter().map(|column| quoted(column)).collect();
+        let rows = rows.iter().map(|row| row.iter().map(|cell| quoted(cell)).collect());
+        let lines: Vec<String> =
+            [head].into_iter().chain(rows).map(|row: Vec<String>| row.join(",")).collect();
+        let made = format!("cargo run --release -p paper -- {}: {}", self.name, conditions());
+        Ok(fs::write(self.path(part, "csv"), format!("# {made}\n{}\n", lines.join("\n")))?)
     }
 
-    /// Writes a plot and adds a link to it.
-    pub(crate) fn plot(&mut self, part: &str, plot: &Plot) -> Outcome<()> {
-        let file = format!("{}_{part}.svg", self.name);
-        plot.write(&self.folder.join(&file))?;
-        self.paragraph(&format!("![{}]({file})", plot.title));
-        Ok(())
+    /// Writes a plot.
+    pub(crate) fn plot(&self, part: &str, plot: &Plot) -> Outcome<()> {
+        plot.write(&self.path(part, "svg"))
     }
 
-    /// Writes pictures in rows, each with its caption, and adds a link.
-    pub(crate) fn pictures(
-        &mut self,
-        part: &str,
-        caption: &str,
-        rows: Vec<Vec<(Picture, String)>>,
-    ) -> Outcome<()> {
+    /// Writes rows of pictures, each with a label, as one picture.
+    pub(crate) fn pictures(&self, part: &str, rows: Vec<Vec<(Picture, String)>>) -> Outcome<()> {
         let picture_size = rows.iter().flatten().map(|(picture, _)| picture.size).next().unwrap_or([1, 1]);
         let columns = rows.iter().map(Vec::len).max().unwrap_or(1);
         let cell = |(picture, line)| Cell { content: CellPicture::Picture(picture), lines: vec![line] };
@@ -70,25 +54,17 @@ impl Page {
         };
         let blocks = rows.into_iter().map(block).collect();
         let sheet = Sheet { title: String::new(), picture_size, blocks, footer: Vec::new() }.picture();
-        let file = format!("{}_{part}.png", self.name);
-        let mut out = BufWriter::new(File::create(self.folder.join(&file))?);
+        let mut out = BufWriter::new(File::create(self.path(part, "png"))?);
         let Picture { size, color, .. } = &sheet;
         png::write(
             &PictureView { size: *size, color, layers: &[], camera: None, provenance: &[] },
             &mut out,
         )?;
-        self.paragraph(&format!("![{caption}]({file})"));
         Ok(())
     }
 
-    /// Writes the page.
-    pub(crate) fn finish(mut self) -> Outcome<()> {
-        self.paragraph(&format!(
-            "Made by `cargo run --release -p paper -- {}`: {}.",
-            self.name,
-            conditions()
-        ));
-        Ok(fs::write(self.folder.join(format!("{}.md", self.name)), self.text)?)
+    fn path(&self, part: &str, extension: &str) -> PathBuf {
+        self.folder.join(format!("{}_{part}.{extension}", self.name))
     }
 }
 

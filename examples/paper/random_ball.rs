@@ -1,4 +1,11 @@
 //! Random particles in a ball: how close the surface is to a sphere (paper, Fig. 12).
+//!
+//! Positions are uniformly random in a ball of radius 1, so that some are close together and some leave gaps.
+//! The spacing is the edge of the cube that each particle occupies on average. Three measures, weighted by
+//! area: the standard deviation of the triangles' distances from the centre, relative to the radius; the root
+//! mean square of the angle between a triangle and the ball; and the integral of H² relative to a ball's 4π.
+//! The first two exclude inner surfaces around gaps: triangles that face inward, or that are nearer to the
+//! centre than three quarters of the radius.
 
 use std::f64::consts::PI;
 use std::path::Path;
@@ -11,29 +18,15 @@ use meniscus::surface::space::Lattice;
 use meniscus_formats::MeshData;
 
 use crate::Outcome;
-use crate::output::Page;
+use crate::output::Files;
 use crate::samples::Random;
 use crate::splashsurf::{Post, Splashsurf};
 use crate::surfaces::{Program, Scale, band_of, mesh_of};
 
-const INTRODUCTION: &str = "\
-Particles have uniformly random positions in a ball of radius 1, so that some are close together and some leave gaps.
-The spacing is the edge of the cube that each particle occupies on average.
-Three measures describe the roughness of the surface:
-
-- the standard deviation of the triangles' distances from the centre, weighted by area, relative to the radius;
-- the root mean square of the angle between a triangle and the ball, weighted by area, in degrees;
-- the integral of H² relative to that of a ball, 4π, if slivers do not make it meaningless.
-
-The first two exclude inner surfaces around gaps: triangles that face inward, or that are nearer to the centre than three quarters of the radius.
-splashsurf is made for the even distributions of simulations.
-So the table also has it with the cell size that its authors recommend, and with a kernel twice as wide, which spans the gaps.";
-
 /// Measures meniscus with 50 000 particles, and splashsurf with 50 000 and with 1 000 000.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let peer = Splashsurf::find()?;
-    let mut page = Page::new(folder, "random_ball", "Random particles in a ball");
-    page.paragraph(INTRODUCTION);
+    let files = Files::new(folder, "random_ball");
     let (few, many) = (50_000, 1_000_000);
     let (usual, fine): (Grid, Grid) = (Scale::usual, Scale::fine);
     let ball_by = [
@@ -68,7 +61,8 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
             pictures[usize::from(count == many)].push((picture, format!("{name}, {count} particles")));
         }
     }
-    page.table(
+    files.table(
+        "ball",
         &[
             "particles",
             "program",
@@ -80,9 +74,8 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
             "triangles",
         ],
         &rows,
-    );
-    page.pictures("ball", "Top: 50 000 particles; bottom: 1 000 000", pictures.into())?;
-    page.finish()
+    )?;
+    files.pictures("ball", pictures.into())
 }
 
 type Grid = fn(f64) -> Scale;

@@ -13,46 +13,21 @@ use meniscus::surface::reconstruction::{FrameSurface, reconstruct_cloud};
 use meniscus::surface::space::Lattice;
 
 use crate::Outcome;
-use crate::output::Page;
+use crate::output::Files;
 use crate::samples::Random;
 use crate::submerged;
 
-const CROWN: &str = "\
-## Anisotropy
-
-A crown, as a falling drop throws it up: a thin sheet that opens and ends in ligaments, with one layer of particles that move along it.
-From left to right: the particles, and the surfaces of balls, of particles stretched by their neighbours, and of particles stretched by their velocities.
-All have the same voxels.";
-
-const SIZES: &str = "\
-## Per-particle radii
-
-A heap of particles of four sizes.
-From left to right: the particles, the surface with the smallest radius for all, and with the radius of each particle.
-r_max is 1.25 r_min.
-The other method in the paper's comparison was not run.";
-
-const TETRAHEDRON: &str = "\
-## An obstacle around the particles
-
-Particles on the inside of a tetrahedral mould, some slightly outside of it.
-From left to right: without the mould; without the part of the surface inside the mould's walls; and with gaps below h filled as well, which is the default.
-The distance of the outer side from the walls is measured at its vertices.";
-
-/// Renders each shape, with a table below the picture.
+/// Renders each shape, and measures its surfaces.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
-    let mut page = Page::new(folder, "shapes", "Anisotropic particles, per-particle radii, and obstacles");
-    page.paragraph(CROWN);
-    crown(&mut page)?;
-    page.paragraph(SIZES);
-    sizes(&mut page)?;
-    page.paragraph(TETRAHEDRON);
-    tetrahedron(&mut page)?;
-    submerged::publish(&mut page)?;
-    page.finish()
+    let files = Files::new(folder, "shapes");
+    crown(&files)?;
+    sizes(&files)?;
+    tetrahedron(&files)?;
+    submerged::publish(&files)
 }
 
-fn crown(page: &mut Page) -> Outcome<()> {
+/// A thin sheet that opens and ends in ligaments, with one layer of particles that move along it.
+fn crown(files: &Files) -> Outcome<()> {
     let mut random = Random::new(11);
     let (mut positions, mut velocities) = (Vec::new(), Vec::new());
     for row in 0..26 {
@@ -95,11 +70,12 @@ fn crown(page: &mut Page) -> Outcome<()> {
         ]);
         pictures.push((picture(&surface, voxel_size, &view), name.to_owned()));
     }
-    page.table(&["particles", "∫H²", "volume", "pieces", "certificate"], &rows);
-    page.pictures("crown", "A crown: particles, balls, stretched by neighbours, by velocity", vec![pictures])
+    files.table("crown", &["particles", "∫H²", "volume", "pieces", "certificate"], &rows)?;
+    files.pictures("crown", vec![pictures])
 }
 
-fn sizes(page: &mut Page) -> Outcome<()> {
+/// A heap of particles of four sizes.
+fn sizes(files: &Files) -> Outcome<()> {
     let mut random = Random::new(13);
     let (mut centers, mut radii): (Vec<DVec3>, Vec<f64>) = (Vec::new(), Vec::new());
     // The largest balls first: smaller ones fill the remaining space.
@@ -127,11 +103,7 @@ fn sizes(page: &mut Page) -> Outcome<()> {
         pictures
             .push((picture(&surface, voxel_size, &view), format!("{name}, certificate {}", holds(&surface))));
     }
-    page.pictures(
-        "sizes",
-        "A heap of particles of four sizes: particles, one radius, their own",
-        vec![pictures],
-    )
+    files.pictures("sizes", vec![pictures])
 }
 
 /// The particles as balls, with almost no smoothing.
@@ -150,7 +122,8 @@ fn balls(centers: &[DVec3], radii: &[f64], view: &View) -> Outcome<Picture> {
     Ok(picture(&reconstructed(&cloud, voxel_size, &choices, &Obstacles::default())?, voxel_size, view))
 }
 
-fn tetrahedron(page: &mut Page) -> Outcome<()> {
+/// Particles on the inside of a tetrahedral mould, some slightly outside of it.
+fn tetrahedron(files: &Files) -> Outcome<()> {
     let rotation = DMat3::from_quat(DQuat::from_euler(EulerRot::XYZ, 0.3, 0.2, 0.5));
     let corners = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]
         .map(|corner| rotation * DVec3::from(corner));
@@ -179,11 +152,12 @@ fn tetrahedron(page: &mut Page) -> Outcome<()> {
         rows.push(vec![name.to_owned(), number(off.beyond), number(off.rms), holds(&surface)]);
         pictures.push((picture(&surface, voxel_size, &view), name.to_owned()));
     }
-    page.table(
+    files.table(
+        "tetrahedron",
         &["surface", "largest distance beyond the walls, h", "rms distance from the walls, h", "certificate"],
         &rows,
-    );
-    page.pictures("tetrahedron", "No obstacle, walls taken away, and gaps filled", vec![pictures])
+    )?;
+    files.pictures("tetrahedron", vec![pictures])
 }
 
 /// Distances of the outer surface from the walls of the mould, world units.

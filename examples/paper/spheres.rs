@@ -23,7 +23,7 @@ use meniscus::surface::smooth::{
 use meniscus::surface::space::Lattice;
 
 use crate::Outcome;
-use crate::output::{Page, Plot};
+use crate::output::Files;
 use crate::samples::Random;
 
 const RADIUS: f32 = 20.0;
@@ -38,23 +38,9 @@ const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
 const LAPLACIAN_STEPS: [u32; 9] = [0, 5, 15, 50, 100, 200, 400, 700, 1000];
 const BIHARMONIC_STEPS: [u32; 9] = [0, 20, 50, 150, 500, 1000, 2000, 5000, 10_000];
 
-const LAPLACIAN: &str = "\
-A sphere of radius 20 h has a field with ± 1 h of noise at every voxel, and its surface may move between spheres of 16 and 24 h.
-Laplacian smoothing removes the noise at once, and then shrinks the sphere until the inner bound stops it.
-Thin-plate smoothing takes longer and ends at the original sphere.
-A Laplacian step is 0.1 h² long and a thin-plate step 0.01 h⁴ long, so their numbers of steps cannot be compared.";
-
-const DISTANCE: &str = "\
-## Where φ is not a distance
-
-The same sphere, with a field that rises too quickly away from the surface where x < 0, and more so farther to the left.
-The flow of the thin-plate energy is linear in φ, so it moves a surface less where φ is steep.
-Without redistancing the left side stays rough and only the right side becomes smooth; with redistancing both sides become smooth.";
-
 /// Both flows over time, and the effect of redistancing.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
-    let mut page = Page::new(folder, "spheres", "A noisy sphere under Laplacian and thin-plate smoothing");
-    page.paragraph(LAPLACIAN);
+    let files = Files::new(folder, "spheres");
     let laplacian = LAPLACIAN_STEPS.map(|steps| {
         let (mut band, bounds) = noisy_sphere(|distance, _| distance);
         if steps > 0 {
@@ -70,45 +56,24 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
         (steps, band)
     });
     let mut rows = Vec::new();
-    let mut curves: [Vec<(String, Vec<[f64; 2]>)>; 2] = Default::default();
     for (flow, bands) in [("Laplacian", &laplacian), ("thin-plate", &biharmonic)] {
-        let measured: Vec<(u32, MeshMeasures)> =
-            bands.iter().map(|(steps, band)| (*steps, measured(band))).collect();
-        for (steps, measures) in &measured {
-            let [volume, energy] = relative(measures);
+        for (steps, band) in bands {
+            let [volume, energy] = relative(&measured(band));
             rows.push(vec![flow.into(), steps.to_string(), format!("{volume:.4}"), format!("{energy:.4}")]);
         }
-        for (curves, index) in curves.iter_mut().zip(0..) {
-            let points =
-                measured.iter().map(|(steps, measures)| [f64::from(steps + 1), relative(measures)[index]]);
-            curves.push((flow.to_owned(), points.collect()));
-        }
     }
-    page.table(&["smoothing", "steps", "volume / sphere volume", "∫H² / 4π"], &rows);
-    let [volumes, energies] = curves;
-    for (part, title, axis, is_log, curves) in [
-        ("volume", "Volume relative to the sphere", "volume", false, volumes),
-        ("energy", "Bending energy relative to a sphere", "∫H² / 4π", true, energies),
-    ] {
-        let axes = ["steps + 1", axis];
-        page.plot(part, &Plot { title: title.into(), axes, is_log: [true, is_log], curves })?;
-    }
+    files.table("flows", &["smoothing", "steps", "volume / sphere volume", "∫H² / 4π"], &rows)?;
     let shown = |bands: &[(u32, NarrowBand)], flow: &str| -> Vec<(Picture, String)> {
         let some = [0, 2, 4, 8].into_iter().filter_map(|index| bands.get(index));
         some.map(|(steps, band)| (picture(band), format!("{flow}, {steps} steps"))).collect()
     };
-    page.pictures(
-        "flows",
-        "Top: Laplacian smoothing; bottom: thin-plate smoothing",
-        vec![shown(&laplacian, "Laplacian"), shown(&biharmonic, "thin-plate")],
-    )?;
-    distances(&mut page)?;
-    page.finish()
+    files.pictures("flows", vec![shown(&laplacian, "Laplacian"), shown(&biharmonic, "thin-plate")])?;
+    distances(&files)
 }
 
-/// Fig. 10: the effect of redistancing.
-fn distances(page: &mut Page) -> Outcome<()> {
-    page.paragraph(DISTANCE);
+/// Fig. 10: the effect of redistancing. The flow of the thin-plate energy is linear in φ, so it moves a
+/// surface less where φ is steep.
+fn distances(files: &Files) -> Outcome<()> {
     let start = || noisy_sphere(|distance, at| distance * (1.0 + 0.4 * (-at.x).max(0.0)));
     let mut rows = Vec::new();
     let mut pictures = Vec::new();
@@ -134,11 +99,12 @@ fn distances(page: &mut Page) -> Outcome<()> {
         rows.push(vec![name.into(), format!("{left:.3}"), format!("{right:.3}")]);
         pictures.push((picture(&band), name.to_owned()));
     }
-    page.table(
+    files.table(
+        "distance",
         &["10 000 explicit steps", "standard deviation of the radius for x < −5 h, h", "for x > 5 h, h"],
         &rows,
-    );
-    page.pictures("distance", "Without and with redistancing", vec![pictures])
+    )?;
+    files.pictures("distance", vec![pictures])
 }
 
 fn explicit(steps: u32) -> SmoothConfig {

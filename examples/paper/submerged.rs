@@ -1,4 +1,7 @@
-//! A ball in water, cut open (paper, Fig. 16).
+//! A ball in water, cut open at the ball's centre (paper, Fig. 16).
+//!
+//! As after a simulation, no particle is in the ball. The distance of the water from the ball is measured at
+//! the vertices within 2 h of it and below its centre, where water surrounds it.
 
 use std::sync::Arc;
 
@@ -12,17 +15,9 @@ use meniscus::surface::space::Lattice;
 
 use crate::Outcome;
 use crate::frame::{self, VOXEL_SIZE};
-use crate::output::Page;
+use crate::output::Files;
 use crate::shapes::{holds, reconstructed};
 use crate::surfaces::{cut_open, data};
-
-const INTRODUCTION: &str = "\
-## An obstacle in water
-
-The same frame of a dam break as in [frame.md](frame.md), `examples/frames/dam.0006.bgeo`, with a ball where the water is deep; no particle is in the ball, as after a simulation.
-The picture is cut open at the centre of the ball, and the ball itself is not drawn: the hole is where it is.
-From left to right: without the ball, so that the water extends into it; without the part of the surface inside the ball; and with gaps below h filled as well, which is the default. \
-The distance of the water from the ball is measured at the vertices within 2 h of it and below its centre, where water surrounds it.";
 
 /// Centre of the ball: between the floor of the tank and the waterline. The top of the ball is above the
 /// water.
@@ -30,8 +25,7 @@ const CENTER: DVec3 = DVec3::new(0.62, 0.24, 0.3);
 
 const RADIUS: f64 = 0.15;
 
-pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
-    page.paragraph(INTRODUCTION);
+pub(crate) fn publish(files: &Files) -> Outcome<()> {
     let is_out = |position: &[f64; 3]| DVec3::from(*position).distance(CENTER) > RADIUS + 1.5 * VOXEL_SIZE;
     let particles = frame::particles()?;
     let positions = (0..particles.len()).map(|index| particles.position(index).to_array()).filter(is_out);
@@ -64,11 +58,12 @@ pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
         let layers = Layers { data: false, velocity: None };
         pictures.push((render(&band, &Lattice { voxel_size: fine }, &view, layers), name.to_owned()));
     }
-    page.table(
+    files.table(
+        "submerged",
         &["surface", "largest depth in the ball, h", "rms distance from the ball, h", "certificate"],
         &rows,
-    );
-    page.pictures("submerged", "No obstacle, a ball taken away, and gaps filled", vec![pictures])
+    )?;
+    files.pictures("submerged", vec![pictures])
 }
 
 /// A triangulated sphere, finer than the voxels.

@@ -58,9 +58,8 @@ fn table(heading: Option<&str>) -> String {
             names => names.map_or(String::new(), |names| names[0].to_string()),
         };
         let range = MethodOptions::range(id).or_else(|| stated_range(option)).unwrap_or_default();
-        let help = option.get_long_help().or(option.get_help()).map(ToString::to_string).unwrap_or_default();
-        let what = help.trim().replace("\n\n", ". ");
-        let what = what.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|");
+        let help = option.get_help().map(ToString::to_string).unwrap_or_default();
+        let what = help.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|");
         writeln!(table, "| `{name}`{short} | {value} | {range} | {what} |").expect("text");
     }
     table

@@ -44,7 +44,7 @@
 //!
 //! An update takes about 90 operations, among them a square root and a division that depend on nearly all
 //! others. One thread updates 38 million rows of eight voxels per second, one by one: about 40 % of the
-//! roofline of its arithmetic units (docs/performance.md, Kernels). So vectors of two rows are used if the
+//! roofline of its arithmetic units (docs/performance.md, Stages). So vectors of two rows are used if the
 //! processor has them.
 //!
 //! This work is based on:
