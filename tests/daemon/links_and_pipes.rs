@@ -7,7 +7,7 @@ use std::os::unix::fs::symlink;
 use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustix::process::Signal;
 
-use crate::daemon::scene::{Line, NO_SCANS, Scene, moving, names_in, ply};
+use crate::daemon::scene::{Line, Scene, moving, names_in, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 const QUICK: [&str; 2] = ["--settle", "20ms"];
@@ -75,24 +75,21 @@ fn state_folder_that_is_a_link_is_refused() {
 /// A folder that the user names may be a link: other users cannot predict its name, and so cannot put a link
 /// there.
 #[test]
-fn journal_and_output_folders_named_by_the_user_may_be_links() {
+fn output_folder_named_by_the_user_may_be_a_link() {
     let scene = Scene::new();
     scene.put_moving([1]);
-    for name in ["journals", "outputs"] {
-        fs::create_dir(scene.path(name)).expect("made");
-    }
-    symlink(scene.path("journals"), scene.path("linked")).expect("a link");
+    fs::create_dir(scene.path("outputs")).expect("made");
     symlink(scene.path("outputs"), scene.path("out")).expect("a link");
-    scene.once(&[&QUICK[..], &FORMATS, &["--journal", "linked"]].concat()).assert_status(0);
-    assert!(scene.path("journals/journal").is_file() && scene.path("outputs/dam.1.obj").is_file());
-    let result = scene.run(&[&STATUS[..], &["--journal", "linked"]].concat());
+    scene.once(&[&QUICK[..], &FORMATS].concat()).assert_status(0);
+    assert!(scene.path("outputs/dam.1.obj").is_file());
+    let result = scene.run(&STATUS);
     assert_eq!(result.status, Some(0), "{}", result.err);
 }
 
 #[test]
 fn journal_that_becomes_a_link_or_a_pipe_is_replaced_under_a_running_daemon() {
     let scene = scene_with_state();
-    let daemon = scene.watch(&[&QUICK[..], &NO_SCANS, &FORMATS].concat());
+    let daemon = scene.watch(&[&QUICK[..], &FORMATS].concat());
     for (number, is_pipe) in [(2, false), (3, true)] {
         scene.remove("out/.meniscus/journal");
         match is_pipe {

@@ -34,7 +34,7 @@ use crate::watch::core::completeness::FileHint;
 
 /// A change that may have happened.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub enum FsEvent {
+pub(crate) enum FsEvent {
     /// A file appeared, changed, or was removed.
     File(PathBuf, FileHint),
     /// A folder appeared, was removed, or was replaced. If it exists, it must be watched, even if it was
@@ -46,7 +46,7 @@ pub enum FsEvent {
 
 /// Why a folder cannot be watched.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum WatchError {
+pub(crate) enum WatchError {
     /// The system's limit of watches for this user is reached. The text says what to do.
     TooMany(String),
     /// The folder does not exist.
@@ -58,7 +58,7 @@ pub enum WatchError {
 impl fmt::Display for WatchError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            WatchError::TooMany(what) | WatchError::Other(what) => f.write_str(what),
+            WatchError::TooMany(message) | WatchError::Other(message) => f.write_str(message),
             WatchError::Missing => f.write_str("the folder does not exist"),
         }
     }
@@ -68,7 +68,7 @@ impl std::error::Error for WatchError {}
 
 /// Watches folders, each without its sub-folders.
 #[derive(Debug)]
-pub struct Watcher {
+pub(crate) struct Watcher {
     notify: RecommendedWatcher,
     folders: Arc<Mutex<Folders>>,
 }
@@ -81,7 +81,7 @@ impl Watcher {
     ///
     /// # Errors
     /// When a resource limit of the system is reached.
-    pub fn new() -> Result<(Watcher, Receiver<FsEvent>), WatchError> {
+    pub(crate) fn new() -> Result<(Watcher, Receiver<FsEvent>), WatchError> {
         Watcher::with_capacity(CAPACITY)
     }
 
@@ -98,7 +98,7 @@ impl Watcher {
     ///
     /// # Errors
     /// When the folder does not exist, or the system refuses.
-    pub fn watch(&mut self, folder: &Path) -> Result<(), WatchError> {
+    pub(crate) fn watch(&mut self, folder: &Path) -> Result<(), WatchError> {
         let watched = WatchedFolder::of(folder).map_err(|error| match error.kind() {
             io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => WatchError::Missing,
             _ => WatchError::Other(error.to_string()),
@@ -117,7 +117,7 @@ impl Watcher {
     }
 
     /// Stops watching a folder.
-    pub fn unwatch(&mut self, folder: &Path) {
+    pub(crate) fn unwatch(&mut self, folder: &Path) {
         let unused = lock(&self.folders).remove(folder);
         if let Some(path) = unused {
             // A removed folder is no longer watched anyway.
@@ -148,10 +148,10 @@ impl WatchedFolder {
     fn of(folder: &Path) -> io::Result<WatchedFolder> {
         let path = folder.canonicalize()?;
         let metadata = fs::metadata(&path)?;
-        match metadata.is_dir() {
-            true => Ok(WatchedFolder { path, inode: FileStamp::of(&metadata).inode }),
-            false => Err(io::ErrorKind::NotADirectory.into()),
+        if !metadata.is_dir() {
+            return Err(io::ErrorKind::NotADirectory.into());
         }
+        Ok(WatchedFolder { path, inode: FileStamp::of(&metadata).inode })
     }
 }
 
