@@ -5,7 +5,6 @@ use std::fs;
 use std::os::unix::fs::symlink;
 
 use rustix::fs::{CWD, FileType, Mode, mknodat};
-use rustix::process::Signal;
 
 use crate::daemon::scene::{Line, Scene, moving, names_in, ply};
 
@@ -187,19 +186,4 @@ fn pipes_do_not_block_verify_and_convert() {
     scene.remove("plan.json");
     make_pipe(&scene, "plan.json");
     assert_ne!(verify().status, Some(0));
-}
-
-/// A process that opened the pipe would hang, and ignore further signals.
-#[test]
-fn daemon_ends_although_its_configuration_is_a_pipe() {
-    let scene = Scene::new();
-    let text = "[[watch]]\ninput = \"in\"\noutput = \"out\"\n";
-    scene.write("meniscus.toml", text);
-    let daemon = scene.start_as(&["watch", "--config", "meniscus.toml", "--log", "json"]);
-    daemon.await_ready();
-    scene.remove("meniscus.toml");
-    make_pipe(&scene, "meniscus.toml");
-    daemon.signal(Signal::HUP);
-    daemon.await_line("it is refused", |line| line.message.contains("not a regular file: a pipe"));
-    daemon.finish();
 }

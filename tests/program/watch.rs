@@ -191,7 +191,7 @@ fn status_of_a_frame_prints_its_record() {
     }
     let json = meniscus(path, &["status", "in/dam.2.ply", "--out", "out", "--json"]);
     let json: serde_json::Value = serde_json::from_str(&json.out).expect("JSON");
-    assert_eq!(json["state"], "not yet complete");
+    assert_eq!(json["state"], "waiting");
 }
 
 #[test]

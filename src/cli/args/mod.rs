@@ -69,7 +69,7 @@ pub(super) enum Command {
     /// Show one frame under a grid of settings, with the command for each, to choose by eye.
     Tune(Box<TuneArgs>),
     /// Score how much a sequence of surfaces flickers, compared with its particles.
-    Flicker(FlickerArgs),
+    Flicker(Box<FlickerArgs>),
     /// Print the contents of files: particles, meshes, level sets.
     Info(InfoArgs),
     /// Watch folders, and convert every frame as it arrives.

@@ -44,7 +44,8 @@ JSON: an object with the following; with --config a list of such objects; with F
                    frames, each with input, state, outputs, attempts, settings and at_ms, and if they
                    are known reason, particles, seconds and flaws. waiting: files that are not yet
                    complete; last_done: the newest first, five at most; flawed: those converted without
-                   some particles, or that failed validation. settings: equal for frames that were
-                   converted with the same settings
+                   some particles, or that failed validation. state: waiting, queued, done, retrying,
+                   failed, refused (because of other files), given_up (after all retries), ignored (not a
+                   frame). settings: equal for frames that were converted with the same settings
   damaged_lines    unreadable lines of the journal; they cost repeated work and nothing else
 Times that end in _ms are milliseconds since 1970.";

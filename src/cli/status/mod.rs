@@ -76,7 +76,7 @@ struct StatusCounts {
 #[derive(Debug, PartialEq, Serialize)]
 struct FrameStatus {
     input: String,
-    state: String,
+    state: JournaledStatus,
     outputs: Vec<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     reason: Option<String>,
@@ -325,7 +325,7 @@ impl FrameStatus {
         FrameStatus {
             input: shown(input),
             outputs: frame.outputs.iter().map(|output| shown(&output.path)).collect(),
-            state: frame.status.to_string(),
+            state: frame.status,
             reason: frame.reason.as_ref().map(ToString::to_string),
             attempts: frame.attempt_count,
             particles: frame.particle_count,
