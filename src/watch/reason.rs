@@ -92,12 +92,12 @@ impl fmt::Display for Reason {
             Reason::Retry => "it failed with an error that may be temporary",
             Reason::ConflictGone => "it was refused for a reason that may be gone now",
             Reason::NoSpacing => {
-                "cannot measure the particle spacing yet, because no frame of the sequence has two particles in \
-                 different places: waiting for one that has; or give --spacing"
+                "cannot measure the particle spacing yet, because no frame of the sequence has two particles \
+                 in different places: waiting for one that has; or give --spacing"
             }
             Reason::NoCamera => {
-                "cannot place the camera of the pictures yet, because no frame of the sequence has particles: \
-                 waiting for one that has; or give eye, target and ground in --camera"
+                "cannot place the camera of the pictures yet, because no frame of the sequence has \
+                 particles: waiting for one that has; or give eye, target and ground in --camera"
             }
             Reason::NotAFrame(kind) => return write!(f, "it is {kind}"),
             Reason::Steps(count) => return write!(f, "it has {count} steps, each of which is a frame"),

@@ -47,8 +47,8 @@ pub(super) fn print(
     }
     if !is_found {
         bail!(
-            "{}: nothing is recorded of it: a frame must be in a watched folder, must not be hidden, and must match \
-             --pattern (by default: be a particle file)",
+            "{}: nothing is recorded of it: a frame must be in a watched folder, must not be hidden, and must \
+             match --pattern (by default: be a particle file)",
             frame.display()
         );
     }

@@ -13,8 +13,8 @@
 //! `Rescan`, which says that events were lost. Every event that is lost before the receiver takes the
 //! `Rescan` precedes the requested scan, so the scan finds the change.
 //!
-//! The kernel watches folders, not paths. A folder that is reached by two paths is watched once, and its events
-//! are reported for the path that was watched last; scans find the changes under the other.
+//! The kernel watches folders, not paths. A folder that is reached by two paths is watched once, and its
+//! events are reported for the path that was watched last; scans find the changes under the other.
 //!
 //! Reading a file also causes events. They are dropped; otherwise every inspection would cause the next one.
 

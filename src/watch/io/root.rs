@@ -87,8 +87,8 @@ const LOSS_PAUSE_MIN: Duration = Duration::from_millis(100);
 /// Regular scans take at most 1/200 of the time of a core.
 const SCAN_SHARE: u32 = 200;
 
-/// Scans that replace events, or follow their loss, take at most 1/10 of the time of a core: more than regular
-/// scans, because users wait for their results.
+/// Scans that replace events, or follow their loss, take at most 1/10 of the time of a core: more than
+/// regular scans, because users wait for their results.
 const POLL_SHARE: u32 = 10;
 
 impl Root {
@@ -320,8 +320,8 @@ impl Root {
         );
     }
 
-    /// Events were lost. They are lost when there are too many, and a scan for each loss would block all other
-    /// work, so these scans have a pause between them.
+    /// Events were lost. They are lost when there are too many, and a scan for each loss would block all
+    /// other work, so these scans have a pause between them.
     fn scan_after_loss(&mut self) {
         self.is_after_loss = true;
         let pause = LOSS_PAUSE_MIN.max(self.scan_cost * POLL_SHARE);
