@@ -25,11 +25,9 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crossbeam::channel;
-use meniscus::pipeline::{OutputFormat, OutputOptions, default_in_flight, default_memory_bytes};
+use meniscus::pipeline::{OutputFormat, OutputOptions, default_memory_bytes};
 use meniscus::surface::options::MethodOptions;
-use meniscus::watch::{
-    self, DaemonRequest, Order, Poll, StabilityTimeouts, Watch, WatchConfig, WatchSummary,
-};
+use meniscus::watch::{self, Order, Poll, Watch, WatchConfig, WatchSummary};
 use meniscus_formats::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values, bgeo};
 
 use water::Water;
@@ -52,20 +50,20 @@ fn simulate_and_watch(cache: &Path, frame_count: usize, surfaces: &Path) -> Resu
     std::fs::create_dir_all(cache)?;
     std::fs::create_dir_all(surfaces)?;
     let config = config(&std::path::absolute(cache)?, &std::path::absolute(surfaces)?);
-    let (commands, commands_rx) = channel::unbounded();
+    let (finish, requests) = channel::unbounded();
     let (simulated, end, watched) = thread::scope(|scope| {
-        let watching = scope.spawn(|| watch::run(&config, None, &commands_rx, &mut |_| ()));
+        let watching = scope.spawn(|| watch::run(&config, None, &requests, &mut |_| ()));
         let simulated = simulate(cache, frame_count);
         let end = Instant::now();
         // If the daemon has already ended, its thread returns the reason.
-        let _ = commands.send(DaemonRequest::Finish);
+        let _ = finish.send(());
         (simulated, end, watching.join())
     });
     simulated?;
     watched.map_err(|_| "the daemon panicked")??;
     // The simulation may end before the daemon has started all frames. A second run continues from the
     // journal of the first, and converts the frames that are left.
-    let summary = watch::run(&WatchConfig { once: true, ..config }, None, &commands_rx, &mut |_| ())?;
+    let summary = watch::run(&WatchConfig { once: true, ..config }, None, &requests, &mut |_| ())?;
     print_summary(&summary, end.elapsed())
 }
 
@@ -76,7 +74,7 @@ fn print_summary(summary: &WatchSummary, after: Duration) -> Result<(), Box<dyn 
         summary.done_count,
         after.as_secs_f64()
     )?;
-    let failed: Vec<&str> = summary.failed.iter().map(|failed| &*failed.what).collect();
+    let failed: Vec<&str> = summary.failed.iter().map(|failed| &*failed.message).collect();
     if failed.is_empty() { Ok(()) } else { Err(failed.join("\n").into()) }
 }
 
@@ -88,18 +86,10 @@ fn config(cache: &Path, surfaces: &Path) -> WatchConfig {
         once: false,
         order: Order::Natural,
         threads,
-        in_flight: default_in_flight(threads),
         memory_bytes: default_memory_bytes(),
         disk_floor_bytes: 1 << 30,
-        timeouts: StabilityTimeouts {
-            settle: Duration::from_millis(500),
-            unverifiable: Duration::from_secs(2),
-            stalled: Duration::from_secs(30),
-        },
+        settle: Duration::from_millis(500),
         poll: Poll::Auto,
-        rescan_every: Duration::from_secs(60),
-        journal: None,
-        stop_deadline: Duration::from_secs(30),
     }
 }
 

@@ -122,7 +122,7 @@ def test_watch_reports_failed_frames(frame, tmp_path):
 def test_watch_sees_new_frames_and_stops(frame, tmp_path):
     cache = tmp_path / "cache"
     cache.mkdir()
-    with pm.watch(cache, tmp_path / "out", format="glb", settle="50ms", settle_unverifiable="100ms") as frames:
+    with pm.watch(cache, tmp_path / "out", format="glb", settle="50ms") as frames:
         shutil.copy(frame, cache / f"dam.0001{frame.suffix}")
         first = next(iter(frames))
         assert first.state == "converted" and first.path.name.startswith("dam.0001")

@@ -42,7 +42,6 @@ mod suggest;
 mod varied_option;
 mod verify;
 mod watch;
-mod why;
 mod wording;
 
 use std::ffi::OsString;
@@ -154,7 +153,6 @@ pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8
         Command::Info(args) => info::info(&args, &mut console),
         Command::Watch(args) => watch::watch(&args),
         Command::Status(args) => status::status(&args, &mut console),
-        Command::Why(args) => why::why(&args, &mut console),
         Command::Completions(args) => manual::completions(&args, &mut console),
         Command::Man(args) => manual::man(&args),
     };

@@ -57,16 +57,13 @@ pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
     parse_time(text, Duration::ZERO)
 }
 
-/// Parses the interval between full scans.
-pub(super) fn parse_rescan(text: &str) -> Result<Duration, String> {
-    parse_time(text, POLL_MIN)
-}
-
 /// Parses the interval between scans of the folders, or `auto`.
 pub(super) fn parse_poll(text: &str) -> Result<Poll, String> {
     match text {
         "auto" => Ok(Poll::Auto),
-        _ => parse_rescan(text).map(Poll::Every).map_err(|why| format!("{why}; auto is also allowed")),
+        _ => {
+            parse_time(text, POLL_MIN).map(Poll::Every).map_err(|why| format!("{why}; auto is also allowed"))
+        }
     }
 }
 
@@ -139,12 +136,12 @@ mod tests {
     }
 
     #[test]
-    fn poll_and_rescan_intervals_have_a_minimum() {
+    fn poll_interval_has_a_minimum() {
         assert_eq!(parse_poll("auto"), Ok(Poll::Auto));
         assert_eq!(parse_poll("2s"), Ok(Poll::Every(Duration::from_secs(2))));
-        assert_eq!(parse_rescan("50ms"), Ok(POLL_MIN));
+        assert_eq!(parse_poll("50ms"), Ok(Poll::Every(POLL_MIN)));
         for text in ["0", "1ms", "never"] {
-            assert!(parse_poll(text).is_err() && parse_rescan(text).is_err(), "{text}");
+            assert!(parse_poll(text).is_err(), "{text}");
         }
     }
 

@@ -1,15 +1,4 @@
-//! The requests that a caller sends to the daemon, and what the daemon reports back.
-
-/// A request to a running daemon.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum DaemonRequest {
-    /// Finish the frames in progress, then exit.
-    Finish,
-    /// Finish the frames in progress, then return so that the caller can start with a new configuration.
-    Reload,
-    /// Record that the caller could not read a new configuration, for this reason, and continue.
-    ReloadRefused(String),
-}
+//! What the daemon reports to its caller.
 
 /// What a running daemon reports to its caller.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -47,7 +36,7 @@ pub struct WatchSummary {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FailedFrame {
     /// Which frame failed, and why, as a sentence.
-    pub what: String,
+    pub message: String,
     /// How many frames were finished since the failure was reported; `None` if the failure is from an earlier
     /// run and was not reported in this one.
     pub frames_since: Option<usize>,
@@ -58,8 +47,6 @@ pub struct FailedFrame {
 pub enum EndReason {
     /// With `once`: all frames that existed are done.
     Drained,
-    /// The caller sent [`DaemonRequest::Finish`].
+    /// The caller asked the daemon to finish.
     Finish,
-    /// The caller sent [`DaemonRequest::Reload`].
-    Reload,
 }

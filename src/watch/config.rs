@@ -3,9 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
-
-use crate::pipeline::files::json::path;
 use crate::pipeline::{Job, OutputOptions, is_level_set};
 use crate::surface::options::MethodOptions;
 
@@ -20,8 +17,6 @@ pub struct WatchConfig {
     pub order: Order,
     /// Number of compute threads.
     pub threads: usize,
-    /// Maximum number of frames between the start of their reading and the end of their writing.
-    pub in_flight: usize,
     /// Memory limit, in bytes, for all frames in progress together. A frame that exceeds the limit alone is
     /// reconstructed out of core, in tiles kept on disk; if that is impossible, it fails with a message that
     /// says how much memory it needs.
@@ -29,41 +24,30 @@ pub struct WatchConfig {
     /// No frame is started while the file system of its outputs has less free space than this.
     pub disk_floor_bytes: u64,
     /// How long a file must be unchanged before it is read.
-    pub timeouts: StabilityTimeouts,
+    pub settle: Duration,
     /// When to poll instead of waiting for file-system events.
     pub poll: Poll,
-    /// Approximate interval between full scans, which run even without events.
-    pub rescan_every: Duration,
-    /// The folder of the journal; `.meniscus` in the folder of the outputs by default.
-    pub journal: Option<PathBuf>,
-    /// How long frames in progress may take to finish after a request to stop.
-    pub stop_deadline: Duration,
 }
 
 /// One watched folder, and how its frames are converted.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Watch {
     /// The folder. It may not exist yet.
-    #[serde(with = "path")]
     pub input: PathBuf,
     /// A glob for the path of a frame within the folder; any particle file by default.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pattern: Option<String>,
     /// Whether to watch sub-folders, too.
     pub recursive: bool,
     /// The name of the file that marks a frame as complete; `{name}` and `{stem}` are replaced by those of
     /// the frame. If it is given, each frame waits for its sentinel. Otherwise `{stem}.done` proves
     /// completeness if it exists, but is not required.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sentinel: Option<String>,
     /// What to write, and where.
     pub outputs: OutputOptions,
     /// The options of the method.
-    #[serde(with = "by_name")]
     pub choices: MethodOptions,
     /// Absolute paths of obstacles. A path with a placeholder for the frame number, such as `body.####.obj`,
     /// means one file for each frame.
-    #[serde(with = "path::list", default, skip_serializing_if = "Vec::is_empty")]
     pub obstacles: Vec<PathBuf>,
 }
 
@@ -95,16 +79,27 @@ pub enum Order {
     Latest,
 }
 
-/// How long a file must be unchanged before it is read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct StabilityTimeouts {
+/// How long a file must be unchanged before it is read. All follow from one option.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct StabilityTimeouts {
     /// For a file whose format says that it is complete, or whose reader detects truncation.
-    pub settle: Duration,
+    pub(crate) settle: Duration,
     /// For a file whose format cannot show whether it is complete.
-    #[serde(alias = "unproven")]
-    pub unverifiable: Duration,
+    pub(crate) unverifiable: Duration,
     /// For a file whose format says that it is incomplete. The file is then read anyway, to report the error.
-    pub stalled: Duration,
+    pub(crate) stalled: Duration,
+}
+
+/// The shortest wait for the rest of an incomplete file, and for a program that has a file open to close it.
+pub(super) const STALLED_MIN: Duration = Duration::from_secs(30);
+
+impl StabilityTimeouts {
+    pub(super) fn new(settle: Duration, once: bool) -> StabilityTimeouts {
+        let unverifiable = settle.saturating_mul(4);
+        // With `once` the daemon gives up incomplete files earlier, because their writers may be gone.
+        let stalled = if once { unverifiable } else { STALLED_MIN.max(unverifiable) };
+        StabilityTimeouts { settle, unverifiable, stalled }
+    }
 }
 
 /// When to poll folders.
@@ -116,28 +111,21 @@ pub enum Poll {
     Every(Duration),
 }
 
-/// Serializes the options of the method as a map of names to text. Text keeps numbers exact to the last bit,
-/// because results depend on them.
-mod by_name {
-    use std::collections::BTreeMap;
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-    use serde::de::Error;
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
-    use crate::surface::options::MethodOptions;
-
-    pub(super) fn serialize<S: Serializer>(options: &MethodOptions, to: S) -> Result<S::Ok, S::Error> {
-        options.to_pairs().into_iter().collect::<BTreeMap<_, _>>().serialize(to)
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<MethodOptions, D::Error> {
-        let pairs = BTreeMap::<String, String>::deserialize(from)?;
-        let mut options = MethodOptions::default();
-        for (name, value) in &pairs {
-            options.set(name, value).map_err(|_| {
-                D::Error::custom(format!("unknown option or invalid value: {name} = {value}"))
-            })?;
+    #[test]
+    fn timeouts_follow_settle() {
+        for (settle, once, expected) in [
+            (500, false, [500, 2000, 30_000]),
+            (20_000, false, [20_000, 80_000, 80_000]),
+            (500, true, [500, 2000, 2000]),
+            (0, false, [0, 0, 30_000]),
+        ] {
+            let StabilityTimeouts { settle, unverifiable, stalled } =
+                StabilityTimeouts::new(Duration::from_millis(settle), once);
+            assert_eq!([settle, unverifiable, stalled].map(|time| time.as_millis()), expected);
         }
-        Ok(options)
     }
 }

@@ -1,7 +1,6 @@
 //! The event loop: passes events to the core, carries out its effects, and sends heartbeats. It never waits
 //! for a file system; other threads do.
 
-use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
@@ -9,7 +8,7 @@ use crossbeam::channel::{Receiver, Sender, never, select, unbounded};
 
 use crate::pipeline::resident_memory_bytes;
 
-use super::api::{DaemonRequest, EndReason, Notice, WatchSummary};
+use super::api::{EndReason, Notice, WatchSummary};
 use super::config::WatchConfig;
 use super::core::events::{Effect, Event, Start};
 use super::core::state::Core;
@@ -19,8 +18,9 @@ use super::io::start::{Workers, now, start};
 use super::journal::DaemonState;
 use super::status_store::StatusStore;
 
-/// Watches and converts until a command stops it or, with `once`, until all frames are converted. Publishes
-/// its state to the `store`, if given.
+/// Watches and converts until the caller asks it to finish or, with `once`, until all frames are converted.
+/// A message on the channel `finish` asks it to finish the frames in progress and to exit. Publishes its
+/// state to the `store`, if given.
 ///
 /// # Errors
 /// When it cannot start. Failures of single frames are not errors: they are logged, recorded in the journal,
@@ -28,13 +28,13 @@ use super::status_store::StatusStore;
 pub fn run(
     config: &WatchConfig,
     store: Option<&Arc<StatusStore>>,
-    commands: &Receiver<DaemonRequest>,
+    finish: &Receiver<()>,
     notices: &mut dyn FnMut(Notice),
 ) -> Result<WatchSummary, DaemonError> {
     let config = Arc::new(config.clone());
     let (to_loop, events) = unbounded();
     let (core, workers, context) = start(&config, store.cloned(), &to_loop)?;
-    EventLoop::new(core, workers, context, events, notices).run(commands)
+    EventLoop::new(core, workers, context, events, notices)?.run(finish)
 }
 
 /// The state of the loop.
@@ -42,8 +42,9 @@ struct EventLoop<'a> {
     core: Core,
     workers: Workers,
     context: PipelineContext,
-    /// The channel through which each pipeline gets its frames; `None` once the pipeline was asked to end.
-    pipelines: HashMap<usize, Option<Sender<Start>>>,
+    /// The channel through which the pipeline gets its frames; `None` once it was asked to end.
+    pipeline: Option<Sender<Start>>,
+    has_pipeline_ended: bool,
     events: Receiver<Event>,
     notices: &'a mut dyn FnMut(Notice),
     last_status: String,
@@ -53,6 +54,9 @@ struct EventLoop<'a> {
     /// Whether that failed for one of them.
     has_unwritten: bool,
 }
+
+/// How long frames in progress may take to finish after a request to stop.
+pub const STOP_DEADLINE: Duration = Duration::from_secs(30);
 
 /// The interval of heartbeats.
 const TICK: Duration = Duration::from_secs(1);
@@ -70,33 +74,35 @@ impl<'a> EventLoop<'a> {
         context: PipelineContext,
         events: Receiver<Event>,
         notices: &'a mut dyn FnMut(Notice),
-    ) -> EventLoop<'a> {
-        EventLoop {
+    ) -> Result<EventLoop<'a>, DaemonError> {
+        let pipeline = start_pipeline(context.clone());
+        Ok(EventLoop {
             core,
             workers,
             context,
-            pipelines: HashMap::new(),
+            pipeline: Some(pipeline.map_err(|error| DaemonError::Threads(error.to_string()))?),
+            has_pipeline_ended: false,
             events,
             notices,
             last_status: String::new(),
             last_tick: None,
             unsynced_count: 0,
             has_unwritten: false,
-        }
+        })
     }
 
-    /// Runs until a command stops it, or nothing is left to do.
-    fn run(mut self, commands: &Receiver<DaemonRequest>) -> Result<WatchSummary, DaemonError> {
+    /// Runs until the caller asks it to finish, or nothing is left to do.
+    fn run(mut self, finish: &Receiver<()>) -> Result<WatchSummary, DaemonError> {
         if let Some(store) = &self.context.store {
             store.begin(self.core.plan());
             self.core.counters = store.counters();
         }
         let once = self.context.config.once;
-        let mut commands = commands.clone();
+        let mut finish = finish.clone();
         let mut is_ready = false;
         self.core.start();
         loop {
-            self.settle_batch()?;
+            self.settle_batch();
             if once && let Some((root, why)) = self.core.unavailable_root() {
                 let folder = self.context.config.watches[root].input.clone();
                 self.end()?;
@@ -114,12 +120,10 @@ impl<'a> EventLoop<'a> {
             }
             select! {
                 recv(self.events) -> event => self.take_batch(event.ok())?,
-                recv(commands) -> command => match command {
-                    Ok(DaemonRequest::Finish) => return self.shut_down(EndReason::Finish, &commands),
-                    Ok(DaemonRequest::Reload) => return self.shut_down(EndReason::Reload, &commands),
-                    Ok(DaemonRequest::ReloadRefused(why)) => self.core.record_refused_reload(why),
-                    // All senders are gone: no further commands can arrive.
-                    Err(_) => commands = never(),
+                recv(finish) -> message => match message {
+                    Ok(()) => return self.shut_down(),
+                    // All senders are gone: no message can arrive.
+                    Err(_) => finish = never(),
                 },
                 default(self.wait()) => {}
             }
@@ -131,60 +135,46 @@ impl<'a> EventLoop<'a> {
     fn take_batch(&mut self, first: Option<Event>) -> Result<(), DaemonError> {
         let rest: Vec<Event> = self.events.try_iter().take(BATCH).collect();
         for event in first.into_iter().chain(rest) {
-            match &event {
-                Event::PipelineEnded { pipeline } => {
-                    let is_wanted = self.pipelines.remove(pipeline).flatten().is_some();
-                    if is_wanted && !self.core.is_stopping() {
-                        let what = "a pipeline ended unexpectedly, which is a bug: restart the daemon, and \
-                                    report the bug with the log";
-                        return Err(DaemonError::Threads(what.to_owned()));
-                    }
+            match event {
+                Event::PipelineEnded if self.core.is_stopping() => self.has_pipeline_ended = true,
+                Event::PipelineEnded => {
+                    let what = "the pipeline ended unexpectedly, which is a bug: restart the daemon, and \
+                                report the bug with the log";
+                    return Err(DaemonError::Threads(what.to_owned()));
                 }
                 Event::OutputSynced(is_written) => {
                     self.unsynced_count = self.unsynced_count.saturating_sub(1);
                     self.has_unwritten |= !is_written;
                 }
-                _ if self.core.is_stopping() && !is_of_frames(&event) => continue,
-                _ => {}
+                event if self.core.is_stopping() && !matters_at_the_end(&event) => {}
+                event => self.core.handle(event, now()),
             }
-            self.core.handle(event, now());
         }
         Ok(())
     }
 
     /// Decides what follows from several events together, publishes it, and carries out the effects.
-    fn settle_batch(&mut self) -> Result<(), DaemonError> {
+    fn settle_batch(&mut self) {
         self.core.settle_batch(now());
-        self.carry_out()
+        self.carry_out();
     }
 
-    fn carry_out(&mut self) -> Result<(), DaemonError> {
+    fn carry_out(&mut self) {
         self.core.publish(self.context.store.as_deref());
         // Workers live as long as the loop, so a failed send means that the loop is ending.
         for effect in self.core.take_effects() {
             match effect {
                 Effect::Root(root, request) => drop(self.workers.roots[root].send(request)),
-                Effect::Slow(root, request) => drop(self.workers.slow[root].send(request)),
+                Effect::Slow(request) => drop(self.workers.slow.send(request)),
                 Effect::Output(output, request) => drop(self.workers.outputs[output].send(request)),
-                Effect::Start(pipeline, start) => {
-                    if let Some(Some(sender)) = self.pipelines.get(&pipeline) {
-                        let _ = sender.try_send(start);
-                    }
-                }
-                Effect::StartPipeline(pipeline) => {
-                    let sender = start_pipeline(pipeline, self.context.clone());
-                    let sender = sender.map_err(|error| DaemonError::Threads(error.to_string()))?;
-                    self.pipelines.insert(pipeline, Some(sender));
-                }
-                Effect::EndPipeline(pipeline) => {
-                    if let Some(sender) = self.pipelines.get_mut(&pipeline) {
-                        *sender = None;
+                Effect::Start(start) => {
+                    if let Some(pipeline) = &self.pipeline {
+                        let _ = pipeline.try_send(start);
                     }
                 }
                 Effect::Log(log) => log.write(),
             }
         }
-        Ok(())
     }
 
     /// The time until the next action is due.
@@ -217,55 +207,32 @@ impl<'a> EventLoop<'a> {
         self.core.record_pause();
     }
 
-    /// Finishes the frames in progress. A reload may be upgraded to a stop while this runs.
-    fn shut_down(
-        mut self,
-        mut reason: EndReason,
-        commands: &Receiver<DaemonRequest>,
-    ) -> Result<WatchSummary, DaemonError> {
-        let stop_deadline = self.context.config.stop_deadline;
-        let mut commands = commands.clone();
+    /// Finishes the frames in progress.
+    fn shut_down(mut self) -> Result<WatchSummary, DaemonError> {
         (self.notices)(Notice::Stopping);
         self.core.stop();
-        let mut overdue_at = Some(Instant::now() + stop_deadline);
+        self.pipeline = None;
         self.last_tick = None;
-        loop {
-            self.settle_batch()?;
-            // A pipeline that still hangs after the deadline is abandoned.
-            let is_abandoned = overdue_at.is_none() && !self.core.has_frames_in_progress(false);
-            if self.pipelines.is_empty() || is_abandoned {
-                break;
-            }
+        let mut overdue_at = Some(Instant::now() + STOP_DEADLINE);
+        while !self.has_pipeline_ended {
+            self.settle_batch();
             self.tick();
-            let until_overdue = overdue_at.map(|at| at.saturating_duration_since(Instant::now()));
-            select! {
-                recv(self.events) -> event => self.take_batch(event.ok())?,
-                recv(commands) -> another => match another {
-                    Ok(DaemonRequest::Finish) if reason == EndReason::Reload => {
-                        reason = EndReason::Finish;
-                        (self.notices)(Notice::Stopping);
-                        overdue_at = Some(Instant::now() + stop_deadline);
-                    }
-                    Ok(_) => {}
-                    Err(_) => commands = never(),
-                },
-                default(until_overdue.map_or(TICK, |wait| wait.min(TICK))) => {}
-            }
+            let wait = overdue_at.map_or(TICK, |at| at.saturating_duration_since(Instant::now()).min(TICK));
+            let event = self.events.recv_timeout(wait);
+            self.take_batch(event.ok())?;
             if overdue_at.is_some_and(|at| at <= Instant::now()) {
                 overdue_at = None;
-                let next = match reason {
-                    EndReason::Reload => "the reload still waits for those whose file system responds",
-                    _ => "exiting without them; the next start converts them",
-                };
                 tracing::warn!(
-                    "frames in progress did not finish within {stop_deadline:?} (--stop-deadline): {next}"
+                    "frames in progress did not finish within {STOP_DEADLINE:?}: exiting without them; the \
+                     next start converts them"
                 );
                 self.core.record_daemon(DaemonState::Stopped);
                 self.sync_outputs()?;
                 (self.notices)(Notice::Overdue);
             }
         }
-        self.finish(reason)
+        self.settle_batch();
+        self.finish(EndReason::Finish)
     }
 
     /// Records that the daemon has stopped, waits for the journals and stages, and ends the workers.
@@ -278,12 +245,12 @@ impl<'a> EventLoop<'a> {
         self.sync_outputs()
     }
 
-    /// Waits until all journals and stages are on disk, except for folders that hang.
+    /// Waits until all journals and stages are on disk, unless a folder hangs.
     fn sync_outputs(&mut self) -> Result<(), DaemonError> {
         self.unsynced_count += self.core.sync_outputs();
         self.has_unwritten = false;
-        self.carry_out()?;
-        let until = Instant::now() + self.context.config.stop_deadline.max(TICK);
+        self.carry_out();
+        let until = Instant::now() + STOP_DEADLINE;
         while self.unsynced_count > 0 && Instant::now() < until && !self.core.has_stalled() {
             let event = self.events.recv_timeout(self.wait().max(Duration::from_millis(1)));
             self.take_batch(event.ok())?;
@@ -296,12 +263,11 @@ impl<'a> EventLoop<'a> {
         self.end()?;
         let has_unwritten = self.has_unwritten || self.unsynced_count > 0;
         let summary = WatchSummary { has_unwritten, ..self.core.summary(ended) };
-        // Wait until the workers' threads end: they hold locks that the next run needs.
-        let has_stalled = self.core.has_stalled();
-        let wait = if has_stalled { GRACE } else { self.context.config.stop_deadline };
-        let EventLoop { workers, context, pipelines, notices, .. } = self;
+        // Wait until the workers' threads end: they hold locks that the next run of a caller needs.
+        let wait = if self.core.has_stalled() { GRACE } else { STOP_DEADLINE };
+        let EventLoop { workers, context, pipeline, notices, .. } = self;
         let guards = workers.guards.clone();
-        drop((workers, context, pipelines));
+        drop((workers, context, pipeline));
         let (began, mut alive_at) = (Instant::now(), Instant::now());
         while guards.iter().any(|guard: &Weak<_>| guard.strong_count() > 0) && began.elapsed() < wait {
             if alive_at.elapsed() >= TICK {
@@ -315,15 +281,12 @@ impl<'a> EventLoop<'a> {
 }
 
 /// Whether an event still matters once no further frame starts.
-fn is_of_frames(event: &Event) -> bool {
+fn matters_at_the_end(event: &Event) -> bool {
     matches!(
         event,
-        Event::FrameRequested { .. }
-            | Event::FrameReturned { .. }
+        Event::FrameReturned { .. }
             | Event::FrameFinished(_)
-            | Event::PipelineEnded { .. }
             | Event::OutputDirChecked(_)
-            | Event::OutputSynced(_)
             | Event::WorkerStalled(_)
             | Event::WorkerAnswered(_)
     )
@@ -340,7 +303,7 @@ mod tests {
 
     use crate::pipeline::{OutputFormat, OutputOptions};
     use crate::surface::options::MethodOptions;
-    use crate::watch::config::{Order, Poll, StabilityTimeouts, Watch};
+    use crate::watch::config::{Order, Poll, Watch};
     use crate::watch::core::events::{RootRequest, Worker};
     use crate::watch::io::worker::{Heartbeat, StallMonitor, Work, spawn};
 
@@ -380,53 +343,41 @@ mod tests {
             once: false,
             order: Order::Natural,
             threads: 1,
-            in_flight: 2,
             memory_bytes: 1 << 30,
             disk_floor_bytes: 0,
-            timeouts: StabilityTimeouts {
-                settle: Duration::ZERO,
-                unverifiable: Duration::ZERO,
-                stalled: Duration::from_secs(60),
-            },
+            settle: Duration::ZERO,
             poll: Poll::Every(Duration::from_millis(50)),
-            rescan_every: Duration::from_secs(60),
-            journal: None,
-            stop_deadline: Duration::from_secs(60),
         }
     }
 
     #[test]
-    fn hanging_folder_blocks_neither_the_loop_nor_other_folders() {
+    fn hanging_folder_leaves_heartbeat_status_and_end() {
         let folder = tempfile::tempdir().expect("a folder");
-        let config = Arc::new(config(["hanging", "sound"].map(|name| watch(folder.path(), name)).to_vec()));
-        let block = (0..64).map(|i| format!("{},{},{}\n", i % 4, i / 4 % 4, i / 16)).collect::<String>();
-        fs::write(folder.path().join("sound/a.1.csv"), format!("x,y,z\n{block}")).expect("written");
-
+        let config = Arc::new(config(vec![watch(folder.path(), "hanging")]));
         let (to_loop, events) = unbounded();
         let (core, mut workers, context) = start(&config, None, &to_loop).expect("started");
         let (answers, hanging) = bounded(0);
         let heartbeat = Heartbeat::default();
-        let started = Instant::now();
         workers.roots[0] =
             spawn("hanging", Hanging(hanging), None, heartbeat.clone(), to_loop).expect("a thread");
-        workers.monitors.push(StallMonitor::new(Worker::Root(0), heartbeat, started));
+        workers.monitors.push(StallMonitor::new(Worker::Root(0), heartbeat, Instant::now()));
 
-        let (commands, to_obey) = bounded(1);
+        let (finish, to_obey) = bounded(1);
         let (notice_sender, notices) = unbounded();
         let mut send_notice = move |notice| drop(notice_sender.send(notice));
         let running = thread::spawn(move || {
-            EventLoop::new(core, workers, context, events, &mut send_notice).run(&to_obey)
+            EventLoop::new(core, workers, context, events, &mut send_notice)?.run(&to_obey)
         });
-        let out = folder.path().join("out/sound/a.1.obj");
-        let mut alive_count = 0;
-        while !out.exists() || alive_count < 3 {
+        let (mut alive_count, mut is_reported) = (0, false);
+        while alive_count < 3 || !is_reported {
             let notice = notices.recv_timeout(Duration::from_secs(60)).expect("a heartbeat");
             alive_count += usize::from(notice == Notice::Alive);
-            assert!(alive_count < 60, "the other folder waits");
+            is_reported |= matches!(notice, Notice::Status(status) if status.ends_with("is unavailable"));
+            assert!(alive_count < 60, "it does not say that the folder hangs");
         }
-        commands.send(DaemonRequest::Finish).expect("it listens");
+        finish.send(()).expect("it listens");
         let summary = running.join().expect("no panic").expect("no error");
-        assert_eq!((summary.ended, summary.done_count), (EndReason::Finish, 1));
+        assert_eq!(summary.ended, EndReason::Finish);
         drop(answers);
     }
 }

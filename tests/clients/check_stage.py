@@ -54,7 +54,7 @@ class Watching:
 
     def __init__(self, folder, formats):
         options = ["--format", formats, "--stage", "shot.usda", "--fps", FPS, "--attributes", "velocity", "--up", "z"]
-        words = [PROGRAM, "watch", "in", "--out", "out", "--spacing", 0.1, "--settle", "10ms", "--settle-unverifiable", "50ms"]
+        words = [PROGRAM, "watch", "in", "--out", "out", "--spacing", 0.1, "--settle", "10ms"]
         self.words, self.folder = [str(word) for word in [*words, *options]], folder
 
     def __enter__(self):

@@ -5,7 +5,7 @@ use std::thread;
 
 use rustix::process::Signal;
 
-use crate::daemon::scene::{Line, NO_SCANS, Scene, Watching, by_length, csv, names_in, ply};
+use crate::daemon::scene::{Line, Scene, Watching, by_length, csv, names_in, ply};
 
 /// Settings with which a frame of few particles takes little time. Only `watch` has the last two options.
 const CHEAP: [&str; 12] = [
@@ -40,7 +40,7 @@ fn events_kept_max() -> usize {
 fn frames_whose_events_were_lost_are_found() {
     let frame_count = by_length(600, 5000);
     let scene = Scene::new();
-    let daemon = scene.watch(&[&CHEAP[..], &NO_SCANS].concat());
+    let daemon = scene.watch(&CHEAP);
     daemon.signal(Signal::STOP);
     // Each rename produces two events: one for the old name and one for the new name.
     let [here, there] = ["in/here", "in/there"].map(|name| scene.path(name));
@@ -65,7 +65,7 @@ fn frames_whose_events_were_lost_are_found() {
 fn frames_written_by_four_threads_are_all_converted() {
     let frame_count = by_length(400, 5000);
     let scene = Scene::new();
-    let daemon = scene.watch(&[&CHEAP[..], &NO_SCANS].concat());
+    let daemon = scene.watch(&CHEAP);
     thread::scope(|scope| {
         for writer in 0..4 {
             let scene = &scene;
@@ -92,7 +92,7 @@ fn outputs(scene: &Scene, folder: &str) -> Vec<String> {
 }
 
 fn watch_recursively(scene: &Scene) -> Watching {
-    scene.watch(&[&CHEAP[..], &NO_SCANS, &["--recursive"]].concat())
+    scene.watch(&[&CHEAP[..], &["--recursive"]].concat())
 }
 
 /// Fills a folder before the daemon can watch it. The test repeats this, because it depends on a race.
@@ -174,7 +174,7 @@ fn folder_removed_and_created_again_is_watched() {
 #[test]
 fn subfolders_are_ignored_without_recursive() {
     let scene = Scene::new();
-    let daemon = scene.watch(&[&CHEAP[..], &NO_SCANS].concat());
+    let daemon = scene.watch(&CHEAP);
     scene.write("in/sub/dam.1.ply", ply(&few(1)));
     scene.write("in/table.2.csv", csv(&few(2)));
     scene.put("in/dam.3.ply", ply(&few(3)));

@@ -7,10 +7,10 @@ use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustix::process::geteuid;
 use serde_json::Value;
 
-use crate::daemon::scene::{Line, NO_SCANS, Scene, log_text, moving, names_in, ply};
+use crate::daemon::scene::{Line, Scene, log_text, moving, names_in, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
-const QUICK: [&str; 4] = ["--settle", "50ms", "--stalled", "300ms"];
+const QUICK: [&str; 2] = ["--settle", "50ms"];
 
 /// The output of `status --json`.
 fn status(scene: &Scene) -> Value {
@@ -25,7 +25,7 @@ fn is_failure_of<'a>(name: &'a str) -> impl Fn(&Line) -> bool + 'a {
 #[test]
 fn corrupt_frame_fails_once_and_the_others_are_converted() {
     let scene = Scene::new();
-    let arguments = [&QUICK[..], &NO_SCANS, &FORMATS].concat();
+    let arguments = [&QUICK[..], &FORMATS].concat();
     scene.put_moving([1, 3]);
     let mut corrupt = ply(&moving(2));
     corrupt[20..30].copy_from_slice(b"nonsense..");
@@ -86,7 +86,7 @@ fn files_that_are_not_frames_are_ignored() {
     let once = scene.once(&[&QUICK[..], &FORMATS].concat());
     once.assert_status(0);
     assert_eq!(once.converted(), ["dam.1.ply"]);
-    let daemon = scene.watch(&[&QUICK[..], &NO_SCANS, &FORMATS].concat());
+    let daemon = scene.watch(&[&QUICK[..], &FORMATS].concat());
     litter(2);
     scene.put_moving([2]);
     daemon.await_converted("dam.2.ply");
@@ -116,15 +116,13 @@ fn frame_that_cannot_be_examined_fails_the_run() {
 #[test]
 fn empty_file_fails_after_a_while() {
     let scene = Scene::new();
-    let daemon = scene.watch(&[&QUICK[..], &NO_SCANS, &FORMATS].concat());
     scene.write("in/dam.2.ply", "");
     scene.put_moving([3]);
-    let complaint =
-        daemon.await_line("it is logged", |line| line.is_complaint() && line.is_about("dam.2.ply"));
-    assert!(complaint.message.contains("is empty"), "{}", complaint.message);
-    daemon.await_converted("dam.3.ply");
-    daemon.finish();
-    scene.once(&[&QUICK[..], &FORMATS].concat()).assert_status(1);
+    let once = scene.once(&[&QUICK[..], &FORMATS].concat());
+    once.assert_status(1);
+    assert_eq!(once.converted(), ["dam.3.ply"]);
+    let is_complaint = |line: &Line| line.is_about("dam.2.ply") && line.message.contains("is empty");
+    assert!(once.log.iter().any(is_complaint), "{}", log_text(&once.log));
     // Then the writer fills the file.
     scene.write("in/dam.2.ply", ply(&moving(2)));
     scene.once(&[&QUICK[..], &FORMATS].concat()).assert_status(0);
@@ -140,7 +138,7 @@ fn frame_without_read_permission_is_logged_and_retried() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
     fs::set_permissions(scene.path("in/dam.2.ply"), Permissions::from_mode(0o000)).expect("changed");
-    let daemon = scene.watch(&[&QUICK[..], &NO_SCANS, &FORMATS].concat());
+    let daemon = scene.watch(&[&QUICK[..], &FORMATS].concat());
     daemon.await_converted("dam.1.ply");
     daemon.await_line("the failure is logged", |line| line.is_complaint() && line.is_about("dam.2.ply"));
     fs::set_permissions(scene.path("in/dam.2.ply"), Permissions::from_mode(0o644)).expect("changed");

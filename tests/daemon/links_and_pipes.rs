@@ -5,9 +5,8 @@ use std::fs;
 use std::os::unix::fs::symlink;
 
 use rustix::fs::{CWD, FileType, Mode, mknodat};
-use rustix::process::Signal;
 
-use crate::daemon::scene::{Line, NO_SCANS, Scene, moving, names_in, ply};
+use crate::daemon::scene::{Line, Scene, moving, names_in, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 const QUICK: [&str; 2] = ["--settle", "20ms"];
@@ -75,24 +74,21 @@ fn state_folder_that_is_a_link_is_refused() {
 /// A folder that the user names may be a link: other users cannot predict its name, and so cannot put a link
 /// there.
 #[test]
-fn journal_and_output_folders_named_by_the_user_may_be_links() {
+fn output_folder_named_by_the_user_may_be_a_link() {
     let scene = Scene::new();
     scene.put_moving([1]);
-    for name in ["journals", "outputs"] {
-        fs::create_dir(scene.path(name)).expect("made");
-    }
-    symlink(scene.path("journals"), scene.path("linked")).expect("a link");
+    fs::create_dir(scene.path("outputs")).expect("made");
     symlink(scene.path("outputs"), scene.path("out")).expect("a link");
-    scene.once(&[&QUICK[..], &FORMATS, &["--journal", "linked"]].concat()).assert_status(0);
-    assert!(scene.path("journals/journal").is_file() && scene.path("outputs/dam.1.obj").is_file());
-    let result = scene.run(&[&STATUS[..], &["--journal", "linked"]].concat());
+    scene.once(&[&QUICK[..], &FORMATS].concat()).assert_status(0);
+    assert!(scene.path("outputs/dam.1.obj").is_file());
+    let result = scene.run(&STATUS);
     assert_eq!(result.status, Some(0), "{}", result.err);
 }
 
 #[test]
 fn journal_that_becomes_a_link_or_a_pipe_is_replaced_under_a_running_daemon() {
     let scene = scene_with_state();
-    let daemon = scene.watch(&[&QUICK[..], &NO_SCANS, &FORMATS].concat());
+    let daemon = scene.watch(&[&QUICK[..], &FORMATS].concat());
     for (number, is_pipe) in [(2, false), (3, true)] {
         scene.remove("out/.meniscus/journal");
         match is_pipe {
@@ -190,19 +186,4 @@ fn pipes_do_not_block_verify_and_convert() {
     scene.remove("plan.json");
     make_pipe(&scene, "plan.json");
     assert_ne!(verify().status, Some(0));
-}
-
-/// A process that opened the pipe would hang, and ignore further signals.
-#[test]
-fn daemon_ends_although_its_configuration_is_a_pipe() {
-    let scene = Scene::new();
-    let text = "[[watch]]\ninput = \"in\"\noutput = \"out\"\n";
-    scene.write("meniscus.toml", text);
-    let daemon = scene.start_as(&["watch", "--config", "meniscus.toml", "--log", "json"]);
-    daemon.await_ready();
-    scene.remove("meniscus.toml");
-    make_pipe(&scene, "meniscus.toml");
-    daemon.signal(Signal::HUP);
-    daemon.await_line("it is refused", |line| line.message.contains("not a regular file: a pipe"));
-    daemon.finish();
 }

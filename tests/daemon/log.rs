@@ -1,10 +1,10 @@
-//! The output of `status` and `why`, and the log, for running and stopped daemons.
+//! The output of `status`, and the log, for running and stopped daemons.
 
 use std::path::PathBuf;
 
 use serde_json::Value;
 
-use crate::daemon::scene::{NO_SCANS, Scene, Watching, await_that, moving, ply};
+use crate::daemon::scene::{Scene, Watching, await_that, moving, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj"];
 
@@ -14,10 +14,9 @@ pub(crate) fn status(scene: &Scene) -> Value {
     serde_json::from_str(&result.out).unwrap_or_else(|error| panic!("{error}: {}{}", result.out, result.err))
 }
 
-fn why(scene: &Scene, within: &str) -> String {
-    let result = scene.run(&["why", within, "--out", "out"]);
-    assert_eq!(result.status, Some(0), "{}{}", result.out, result.err);
-    result.out
+/// What `status` prints of a frame.
+fn status_of(scene: &Scene, within: &str) -> String {
+    scene.run(&["status", within, "--out", "out"]).out
 }
 
 /// A scene with two valid frames, a corrupt frame, and a frame that stays incomplete.
@@ -26,7 +25,7 @@ fn scene() -> (Scene, Watching) {
     scene.put_moving(1..=2);
     scene.put("in/dam.3.ply", "ply\nformat nonsense 1.0\n");
     scene.write("in/dam.4.ply", &ply(&moving(4))[..1000]);
-    let daemon = scene.watch(&[&["--settle", "20ms"], &NO_SCANS[..], &FORMATS].concat());
+    let daemon = scene.watch(&[&["--settle", "20ms"][..], &FORMATS].concat());
     daemon.await_lines(2, "both are converted", |line| line.is_converted());
     daemon.await_line("one has failed", |line| line.level == "ERROR");
     (scene, daemon)
@@ -50,14 +49,9 @@ fn status_describes_running_and_stopped_daemons() {
     assert!(text_of("reason").starts_with("it is not complete: 1000 of at least"), "{running}");
     let text = scene.run(&["status", "--out", "out"]);
     assert_eq!(text.status, Some(1), "{}", text.err);
-    for expected in [
-        "2 ",
-        "1 file not yet complete:",
-        "dam.4.ply: it is not",
-        "dam.3.ply",
-        reason,
-        &daemon.pid().to_string(),
-    ] {
+    for expected in
+        ["2 ", "not yet complete:", "dam.4.ply: it is not", "dam.3.ply", reason, &daemon.pid().to_string()]
+    {
         assert!(text.out.contains(expected), "{expected}: {}", text.out);
     }
     daemon.finish();
@@ -65,7 +59,7 @@ fn status_describes_running_and_stopped_daemons() {
     assert_eq!(stopped["daemon"]["running"], false, "{stopped}");
     assert_eq!(stopped["counts"], running["counts"]);
     assert_eq!(stopped["failed"], running["failed"]);
-    assert_eq!(stopped["waiting"], serde_json::json!([]), "no frame waits");
+    assert_eq!(stopped["waiting"], running["waiting"]);
     // A killed daemon cannot record its end, but the commands must not report it as running.
     let daemon = scene.watch(&FORMATS);
     await_that("it is running", || status(&scene)["daemon"]["running"] == true);
@@ -76,30 +70,34 @@ fn status_describes_running_and_stopped_daemons() {
 }
 
 #[test]
-fn why_explains_each_frame() {
+fn status_describes_each_frame() {
     let (scene, daemon) = scene();
     let check = || {
-        assert!(why(&scene, "in/dam.1.ply").contains("it is done"), "{}", why(&scene, "in/dam.1.ply"));
-        let failed = why(&scene, "in/dam.3.ply");
-        assert!(failed.contains("failed") && failed.contains("nonsense"), "{failed}");
-        let growing = why(&scene, "in/dam.4.ply");
-        assert!(!growing.contains("it is done"), "{growing}");
+        for (frame, words) in [
+            ("in/dam.1.ply", &["state     done", "dam.1.obj", "216 particles"][..]),
+            ("in/dam.3.ply", &["state     failed", "nonsense"]),
+            ("in/dam.4.ply", &["state     not yet complete", "it is not complete: 1000 of at least"]),
+        ] {
+            let text = status_of(&scene, frame);
+            assert!(words.iter().all(|word| text.contains(word)), "{words:?}: {text}");
+        }
     };
+    await_that("it is recorded", || status_of(&scene, "in/dam.4.ply").contains("it is not complete"));
     check();
+    assert!(!status_of(&scene, "in/dam.4.ply").contains("no daemon"));
     daemon.finish();
     check();
-    // Changes that happen while no daemon runs.
-    scene.put("in/dam.1.ply", ply(&moving(8)[..200]));
-    await_that("it was left alone", || why(&scene, "in/dam.1.ply").contains("written again"));
-    scene.remove("out/dam.2.obj");
-    assert!(why(&scene, "in/dam.2.ply").contains("dam.2.obj"), "{}", why(&scene, "in/dam.2.ply"));
-    scene.put_moving([5]);
-    await_that("it is new", || why(&scene, "in/dam.5.ply").contains("it is new"));
-    // `why` also explains files that are not frames, and missing files.
-    for absent in ["in/dam.9.ply", "in"] {
-        let result = scene.run(&["why", absent, "--out", "out"]);
-        assert!(!result.out.contains("it is done"), "{}", result.out);
-        assert!(!format!("{}{}", result.out, result.err).is_empty());
+    assert!(status_of(&scene, "in/dam.4.ply").contains("no daemon is running for out: start one"));
+    let json = scene.run(&["status", "in/dam.3.ply", "--out", "out", "--json"]);
+    let failed: Value = serde_json::from_str(&json.out).expect("JSON");
+    assert_eq!((json.status, &failed["state"]), (Some(1), &"failed".into()), "{failed}");
+    for (other, words) in [
+        ("in/dam.9.ply", "in/dam.9.ply: nothing is recorded of it"),
+        ("in", "in: it has several frames: give one of them, from "),
+    ] {
+        let result = scene.run(&["status", other, "--out", "out"]);
+        assert_eq!((result.status, &*result.out), (Some(2), ""), "{}", result.err);
+        assert!(result.err.contains(words), "{}", result.err);
     }
 }
 
@@ -122,7 +120,7 @@ fn log_has_the_warnings_about_a_frame() {
         text.contains("done, but failed validation or left out particles") && text.contains(left_out),
         "{text}"
     );
-    assert!(why(&scene, "in/dam.1.ply").contains(left_out), "{}", why(&scene, "in/dam.1.ply"));
+    assert!(status_of(&scene, "in/dam.1.ply").contains(left_out), "{text}");
     daemon.finish();
     assert_eq!(status(&scene)["flawed"].as_array().map(Vec::len), Some(1));
 }

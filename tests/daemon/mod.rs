@@ -11,13 +11,13 @@ mod http; // the HTTP server: contents, access, and misbehaving clients
 mod invalid_files; // files that are not frames, and unreadable frames
 mod killed; // SIGKILL loses no frame and leaves no incomplete output
 mod links_and_pipes; // links and named pipes instead of files
-mod log; // `status`, `why` and the log, for running and stopped daemons
+mod log; // `status` and the log, for running and stopped daemons
 mod restart; // state survives a restart, also without the journal
 mod rewrites; // frames that change before, during or after conversion
 mod scene; // a watched folder, the daemon beside it, and its log
 mod sentinels; // sentinel files, which mark a frame as complete
 mod sequences; // one voxel size for a sequence, in any order
-mod signals; // signals: end, end at once, reload the configuration
+mod signals; // signals: end, end at once
 mod stages; // stages that grow with the frames, and survive restarts
 mod steps; // dumps to which a simulation appends steps
 mod writers; // the ways in which programs write frames

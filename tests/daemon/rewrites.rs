@@ -6,14 +6,14 @@ use std::thread;
 use std::time::{Duration, SystemTime};
 
 use crate::daemon::scene::{
-    Line, NO_SCANS, Scene, Watching, await_that, block, by_length, log_text, moving, ply, text_ply,
+    Line, Scene, Watching, await_that, block, by_length, log_text, moving, ply, text_ply,
 };
 
 /// The voxel size is fixed, because these tests change the frames on which it would be measured.
 const FORMATS: [&str; 6] = ["--format", "obj,vdb", "--preset", "paper", "--voxel-size", "0.06"];
 
 fn watch(scene: &Scene, more: &[&str]) -> Watching {
-    scene.watch(&[&["--settle", "100ms"], &NO_SCANS[..], &FORMATS, more].concat())
+    scene.watch(&[&["--settle", "100ms"][..], &FORMATS, more].concat())
 }
 
 /// Rewrites a frame by a rename, in place with another length, and in place with the same length.
@@ -52,8 +52,8 @@ fn touched_frame_is_not_converted_again() {
     let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
     once.assert_status(0);
     assert_eq!((once.converted(), once.found_done()), (vec![], vec!["dam.1.ply".to_owned()]));
-    let why = scene.run(&["why", "in/dam.1.ply", "--out", "out"]);
-    assert!(why.out.contains("it is done"), "{}{}", why.out, why.err);
+    let status = scene.run(&["status", "in/dam.1.ply", "--out", "out"]);
+    assert!(status.out.contains("state     done"), "{}{}", status.out, status.err);
     scene.assert_as_converted(&FORMATS);
 }
 
@@ -120,7 +120,7 @@ fn frame_that_is_closed_without_a_change_is_read_again_and_found_done() {
 fn output_with_a_flipped_byte_is_made_again() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
-    let daemon = scene.watch(&[&["--settle", "10ms", "--rescan", "50ms"], &FORMATS[..]].concat());
+    let daemon = scene.watch(&[&["--settle", "10ms", "--poll", "50ms"], &FORMATS[..]].concat());
     daemon.await_lines(2, "both are converted", Line::is_converted);
     flip_byte(&scene, "out/dam.1.vdb");
     daemon.await_lines(3, "the damaged one is made again", |line| line.is_converted());
@@ -130,8 +130,6 @@ fn output_with_a_flipped_byte_is_made_again() {
     assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 3);
     scene.assert_as_converted(&FORMATS);
     flip_byte(&scene, "out/dam.2.obj");
-    let why = scene.run(&["why", "in/dam.2.ply", "--out", "out"]);
-    assert!(why.out.contains("dam.2.obj"), "{}{}", why.out, why.err);
     let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
     once.assert_status(0);
     assert_eq!(once.converted(), ["dam.2.ply"]);
@@ -183,8 +181,7 @@ fn frame_overwritten_while_it_is_read_is_read_again() {
     let scene = Scene::new();
     let versions = [0.0, 0.25, 0.5].map(|shift| text_ply_of_one_length(&block(30, 0.1, shift)));
     assert!(versions.iter().all(|version| version.len() == versions[0].len()));
-    // Frames that are still open are read, too.
-    let daemon = scene.watch(&[&["--settle", "1ms", "--stalled", "1ms"], &NO_SCANS[..], &arguments].concat());
+    let daemon = scene.watch(&[&["--settle", "1ms"][..], &arguments].concat());
     let is_notice = |line: &Line| line.message.contains("was written while it was read");
     let mut write_count = 0;
     await_that("it is noticed", || {
@@ -232,7 +229,7 @@ fn text_ply_of_one_length(particles: &[[f32; 3]]) -> Vec<u8> {
 fn frames_removed_while_they_wait_do_not_fail() {
     let scene = Scene::new();
     scene.put_moving(1..=200);
-    let daemon = watch(&scene, &["--in-flight", "1", "--threads", "1"]);
+    let daemon = watch(&scene, &["--threads", "1"]);
     daemon.await_lines(1, "one is converted", Line::is_converted);
     for number in 20..=200 {
         scene.remove(&format!("in/dam.{number}.ply"));
@@ -275,8 +272,6 @@ fn removed_output_is_made_again() {
     // A truncated output counts as missing.
     let half = scene.bytes("out/dam.3.vdb");
     scene.write("out/dam.3.vdb", &half[..half.len() / 2]);
-    let why = scene.run(&["why", "in/dam.2.ply", "--out", "out"]);
-    assert!(why.out.contains("dam.2.obj"), "{}{}", why.out, why.err);
     let again = once();
     again.assert_status(0);
     assert_eq!(again.converted(), ["dam.2.ply", "dam.3.ply"]);
@@ -303,7 +298,7 @@ fn rewritten_obstacle_converts_its_frames_again() {
     scene.write("floor.obj", floor(-0.1));
     (1..=3).for_each(|number| scene.write(&format!("body.{number}.obj"), floor(-0.2)));
     let arguments = [&FORMATS[..], &around].concat();
-    let daemon = scene.watch(&[&["--settle", "10ms", "--rescan", "50ms"], &arguments[..]].concat());
+    let daemon = scene.watch(&[&["--settle", "10ms", "--poll", "50ms"], &arguments[..]].concat());
     daemon.await_lines(3, "all are converted", Line::is_converted);
     let before = scene.bytes("out/dam.2.vdb");
     scene.put("body.2.obj", floor(0.15));
@@ -338,7 +333,7 @@ fn frames_are_converted_when_their_obstacle_becomes_valid() {
     let scene = Scene::new();
     scene.put_moving(1..=2);
     scene.write("body.1.obj", "v 1 2\n");
-    let arguments = ["--settle", "10ms", "--rescan", "50ms", "--obstacle", "body.#.obj"];
+    let arguments = ["--settle", "10ms", "--poll", "50ms", "--obstacle", "body.#.obj"];
     let daemon = scene.watch(&[&arguments[..], &FORMATS].concat());
     let is_wrong = |name: &'static str, what: &'static str| {
         move |line: &Line| line.is_about(name) && line.message.contains(what)

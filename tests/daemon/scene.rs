@@ -27,9 +27,6 @@ pub(crate) fn timeout() -> Duration {
     Duration::from_secs(by_length(600, 1800))
 }
 
-/// Settings without periodic scans: the daemon finds changes by events alone.
-pub(crate) const NO_SCANS: [&str; 2] = ["--rescan", "1h"];
-
 /// Options for an HTTP server at a free port.
 pub(crate) const WINDOW: [&str; 2] = ["--listen", "127.0.0.1:0"];
 

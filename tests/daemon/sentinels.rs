@@ -1,6 +1,6 @@
 //! Sentinel files, which mark a frame as complete.
 
-use crate::daemon::scene::{Line, NO_SCANS, Scene, csv, moving, ply};
+use crate::daemon::scene::{Line, Scene, csv, moving, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj"];
 
@@ -8,7 +8,7 @@ const FORMATS: [&str; 2] = ["--format", "obj"];
 #[test]
 fn usual_sentinel_ends_the_wait() {
     let scene = Scene::new();
-    let daemon = scene.watch(&[&["--settle", "1h"], &NO_SCANS[..], &FORMATS].concat());
+    let daemon = scene.watch(&[&["--settle", "1h"][..], &FORMATS].concat());
     scene.write("in/dam.1.ply", ply(&moving(1)));
     scene.write("in/dam.1.done", "");
     daemon.await_converted("dam.1.ply");
@@ -26,7 +26,7 @@ fn usual_sentinel_ends_the_wait() {
 #[test]
 fn frame_waits_for_its_required_sentinel() {
     let scene = Scene::new();
-    let arguments = [&["--settle", "50ms", "--sentinel", "{name}.ok"], &NO_SCANS[..], &FORMATS].concat();
+    let arguments = [&["--settle", "50ms", "--sentinel", "{name}.ok"][..], &FORMATS].concat();
     let daemon = scene.watch(&arguments);
     scene.write("in/dam.1.ply", ply(&moving(1)));
     scene.put_moving([2]);

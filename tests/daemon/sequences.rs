@@ -3,7 +3,7 @@
 use std::fs::{FileTimes, OpenOptions};
 use std::time::{Duration, SystemTime};
 
-use crate::daemon::scene::{Line, NO_SCANS, Once, Scene, block, contents, ply};
+use crate::daemon::scene::{Line, Once, Scene, block, contents, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 const QUICK: [&str; 2] = ["--settle", "50ms"];
@@ -39,7 +39,7 @@ fn voxel_size_stays_after_a_restart_without_its_frame() {
     scene.remove("in/dam.1.ply");
     // Frames arrive while no daemon runs, and while a daemon runs.
     put_shrinking(&scene, [3]);
-    let daemon = scene.watch(&[&QUICK[..], &FORMATS, &NO_SCANS].concat());
+    let daemon = scene.watch(&[&QUICK[..], &FORMATS].concat());
     daemon.await_converted("dam.3.ply");
     put_shrinking(&scene, [4]);
     daemon.await_converted("dam.4.ply");
@@ -51,7 +51,7 @@ fn voxel_size_stays_after_a_restart_without_its_frame() {
 #[test]
 fn frames_wait_for_the_first_one() {
     let scene = Scene::new();
-    let daemon = scene.watch(&[&QUICK[..], &FORMATS, &NO_SCANS].concat());
+    let daemon = scene.watch(&[&QUICK[..], &FORMATS].concat());
     // If the first frame is measured, the spacing rounds to 0.11; without it, to 0.1.
     let frame = |spacing: f32, number: usize| ply(&block(6, spacing, 0.025 * number as f32));
     let first = frame(0.108, 1);
@@ -74,7 +74,7 @@ fn frames_wait_for_the_first_one() {
 #[test]
 fn single_particle_frames_wait_for_one_with_a_spacing() {
     let scene = Scene::new();
-    let daemon = scene.watch(&[&QUICK[..], &FORMATS, &NO_SCANS].concat());
+    let daemon = scene.watch(&[&QUICK[..], &FORMATS].concat());
     for number in 1..=2 {
         scene.put(&format!("in/dam.{number}.ply"), ply(&block(1, 0.1, 0.0)));
     }
@@ -106,7 +106,7 @@ fn newest_first_gives_the_same_outputs() {
     }
     // All frames are old enough not to wait when the daemon starts.
     let once =
-        scene.once(&[&["--settle", "1ms", "--order", "latest", "--in-flight", "1"], &FORMATS[..]].concat());
+        scene.once(&[&["--settle", "1ms", "--order", "latest", "--threads", "1"], &FORMATS[..]].concat());
     once.assert_status(0);
     let converted = once.converted_in_order();
     scene.assert_as_converted(&FORMATS);

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 
-use crate::daemon::scene::{Line, NO_SCANS, Scene, await_that, moving, names_in, ply};
+use crate::daemon::scene::{Line, Scene, await_that, moving, names_in, ply};
 
 const ARGUMENTS: [&str; 8] =
     ["--format", "obj", "--settle", "100ms", "--preset", "paper", "--voxel-size", "0.06"];
@@ -33,7 +33,7 @@ fn append(scene: &Scene, text: &str) {
 fn appended_steps_are_converted() {
     let scene = Scene::new();
     scene.write("in/d.dump", steps([1, 2]));
-    let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
+    let daemon = scene.watch(&ARGUMENTS);
     daemon.await_converted("d.dump/step=2");
     daemon.await_converted("d.dump/step=1");
     append(&scene, &steps([30]));
@@ -65,18 +65,14 @@ fn appended_steps_are_converted() {
     assert_eq!(once.converted(), ["step=30"]);
     scene.assert_as_converted(&CONVERT);
 
-    let why = scene.run(&["why", "in/d.dump/step=30", "--out", "out"]);
-    assert!(why.out.contains("step=30") && why.out.contains("it is done"), "{}{}", why.out, why.err);
-    let why = scene.run(&["why", "in/d.dump/step=999", "--out", "out"]);
-    assert_eq!(why.status, Some(2), "{}", why.out);
-    assert!(why.err.contains("d.dump/step=999: no such step"), "{}", why.err);
-    let why = scene.run(&["why", "in/d.dump", "--out", "out"]);
-    assert!(
-        why.out.contains("several frames") && why.out.contains("d.dump/step=40"),
-        "{}{}",
-        why.out,
-        why.err
-    );
+    let frame = |path: &str| scene.run(&["status", path, "--out", "out"]);
+    let done = frame("in/d.dump/step=30");
+    assert!(done.out.contains("step=30") && done.out.contains("state     done"), "{}{}", done.out, done.err);
+    let unknown = frame("in/d.dump/step=999");
+    assert_eq!(unknown.status, Some(2), "{}", unknown.out);
+    assert!(unknown.err.contains("d.dump/step=999: nothing is recorded of it"), "{}", unknown.err);
+    let file = frame("in/d.dump");
+    assert!(file.err.contains("several frames") && file.err.contains("d.dump/step=40"), "{}", file.err);
     let status = scene.run(&["status", "--out", "out"]);
     assert_eq!(status.status, Some(0), "{}", status.err);
     assert!(status.out.contains("4 done"), "{}", status.out);
@@ -86,7 +82,7 @@ fn appended_steps_are_converted() {
 #[test]
 fn steps_of_a_file_that_stays_open_are_converted() {
     let scene = Scene::new();
-    let daemon = scene.watch(&[&["--stalled", "1h"], &NO_SCANS[..], &ARGUMENTS].concat());
+    let daemon = scene.watch(&ARGUMENTS);
     let mut dump = File::create(scene.path("in/d.dump")).expect("created");
     for (written, converted) in [(vec![1, 2], 1), (vec![3], 2), (vec![4], 3)] {
         dump.write_all(steps(written).as_bytes()).expect("written");
@@ -102,7 +98,7 @@ fn steps_of_a_file_that_stays_open_are_converted() {
 fn steps_of_a_file_that_is_closed_without_a_change_are_read_again() {
     let scene = Scene::new();
     scene.write("in/d.dump", steps([1, 2]));
-    let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
+    let daemon = scene.watch(&ARGUMENTS);
     daemon.await_converted("d.dump/step=1");
     daemon.await_converted("d.dump/step=2");
     append(&scene, "");
@@ -163,8 +159,6 @@ fn failed_step_becomes_the_file_when_it_is_the_only_one() {
     let status = scene.run(&["status", "--out", "out"]);
     assert_eq!(status.status, Some(0), "{}{}", status.out, status.err);
     assert!(status.out.contains("2 done, 0 queued, 0 to retry, 0 failed"), "{}", status.out);
-    let why = scene.run(&["why", "in/d.dump/step=9", "--out", "out"]);
-    assert!(why.out.contains("It is not converted because there is no such frame"), "{}{}", why.out, why.err);
 }
 
 /// The daemon cannot know whether the last step is complete: it logs this, and converts the step again when
@@ -175,7 +169,7 @@ fn step_without_a_final_newline_is_converted_with_a_message_and_again_when_the_f
     let text = steps([1, 2]);
     let (start, rest) = text.split_at(text.len() - 3);
     scene.write("in/d.dump", start);
-    let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
+    let daemon = scene.watch(&ARGUMENTS);
     daemon.await_line("it is logged", |line| {
         line.is_about("d.dump/step=2") && line.fields.to_string().contains("without a line end")
     });
@@ -191,7 +185,7 @@ fn step_without_a_final_newline_is_converted_with_a_message_and_again_when_the_f
 fn rewritten_dump_replaces_its_steps() {
     let scene = Scene::new();
     scene.write("in/d.dump", steps([1, 2, 3]));
-    let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
+    let daemon = scene.watch(&ARGUMENTS);
     daemon.await_lines(3, "all are converted", Line::is_converted);
     scene.put("in/d.dump", steps([2, 7]));
     daemon.await_converted("d.dump/step=7");
@@ -214,7 +208,7 @@ fn done_count(log: &[Line]) -> u64 {
 fn dump_overwritten_with_another_format_has_no_steps() {
     let scene = Scene::new();
     scene.write("in/d.dump", steps([1, 2]));
-    let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
+    let daemon = scene.watch(&ARGUMENTS);
     daemon.await_lines(2, "all are converted", Line::is_converted);
     // The daemon's own output is not a frame, whatever its name.
     scene.put("in/d.dump", scene.bytes("out/d.2.obj"));
@@ -227,7 +221,7 @@ fn dump_overwritten_with_another_format_has_no_steps() {
 fn queued_steps_are_converted_with_appended_ones() {
     let scene = Scene::new();
     scene.write("in/d.dump", steps(0..12));
-    let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
+    let daemon = scene.watch(&ARGUMENTS);
     daemon.await_converted("d.dump/step=0");
     for number in 12..15 {
         append(&scene, &steps([number]));

@@ -26,20 +26,8 @@ fn times() -> [SystemTime; 5] {
     ]
 }
 
-const WATCH: [&str; 12] = [
-    "watch",
-    "in",
-    "--once",
-    "--out",
-    "out",
-    "--voxel-size",
-    "0.1",
-    "--format",
-    "obj",
-    "--settle",
-    "100ms",
-    "--settle-unverifiable=100ms",
-];
+const WATCH: [&str; 11] =
+    ["watch", "in", "--once", "--out", "out", "--voxel-size", "0.1", "--format", "obj", "--settle", "100ms"];
 
 #[test]
 fn frames_of_any_time_are_converted_once() {

@@ -189,7 +189,6 @@ fn help_and_version_succeed() {
         &["info", "-h"],
         &["watch", "-h"],
         &["status", "--help"],
-        &["why", "-h"],
     ] {
         assert_eq!(meniscus(folder.path(), arguments).status, 0);
     }

@@ -72,7 +72,7 @@ fn control_characters_in_file_names_are_escaped_in_the_log_and_in_status() {
     let status = run(path, &["status", "--out", "out", "--json"], 1).out;
     let status: Value = serde_json::from_str(&status).expect("JSON");
     assert!(status["last_done"][0]["input"].as_str().expect("a path").ends_with(NAME), "{status}");
-    run(path, &["why", &format!("in/{NAME}"), "--out", "out"], 0);
+    run(path, &["status", &format!("in/{NAME}"), "--out", "out"], 0);
     let log = ["watch", "in", "--out", "json", "--once", "--settle", "10ms", "--log", "json"];
     let lines = run(path, &log, 1).err;
     let entries: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();

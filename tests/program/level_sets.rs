@@ -324,15 +324,7 @@ fn watch_converts_foreign_level_sets_that_a_pattern_names() {
     fs::write(folder.join("in/ball.1.vdb"), ball(|distance| (0.1 * distance).clamp(-0.3, 0.3)))
         .expect("written");
     let watch = |more: &[&str]| {
-        let arguments = [
-            "watch",
-            "in",
-            "--out=in",
-            "--once",
-            "--settle=0ms",
-            "--settle-unverifiable=0ms",
-            "--format=obj",
-        ];
+        let arguments = ["watch", "in", "--out=in", "--once", "--settle=0ms", "--format=obj"];
         meniscus(folder, &[&arguments[..], more].concat())
     };
     // Without such a pattern, level sets may be outputs of other programs.
@@ -380,7 +372,7 @@ fn printed_settings_of_a_level_set_make_the_same_files() {
     let block = format!("[[watch]]\ninput = \"balls\"\noutput = \"watched\"\n{}", printed.out);
     fs::write(folder.join("meniscus.toml"), block).expect("written");
     succeeded(&convert(&[]));
-    let watch = ["watch", "--config=meniscus.toml", "--once", "--settle=0ms", "--settle-unverifiable=0ms"];
+    let watch = ["watch", "--config=meniscus.toml", "--once", "--settle=0ms"];
     let result = meniscus(folder, &watch);
     assert_eq!(result.status, 0, "{}", result.err);
     let bytes = |path: &str| fs::read(folder.join(path)).expect("there");

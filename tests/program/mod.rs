@@ -36,4 +36,4 @@ mod suggestions; // unknown options: misspelt ones, and those of other commands
 mod unreadable; // frames with unreadable metadata fail, instead of being ignored
 pub(crate) mod vdb_file; // common parts of small .vdb files
 mod voxel_sizes; // voxel sizes and radii that do not fit the particles: errors and warnings
-mod watch; // the commands `watch`, `status` and `why`: arguments and output
+mod watch; // the commands `watch` and `status`: arguments and output

@@ -240,7 +240,7 @@ fn neighbors_of_frames_are_skipped_in_folders_and_named_on_request() {
         assert!(result.out.contains(line), "{line}: {}", result.out);
     }
     let watch = ["watch", "in", "--once", "--out", "watched", "--format", "obj", "--settle", "10ms"];
-    let result = meniscus(path, &[&watch[..], &["--settle-unverifiable", "10ms"], &QUICK].concat());
+    let result = meniscus(path, &[&watch[..], &QUICK].concat());
     assert_eq!(result.status, 0, "{}", result.err);
     assert_eq!(names_in(&path.join("out")), ["dam.1.obj", "dam.2.obj"]);
     let watched = names_in(&path.join("watched"));
@@ -492,11 +492,10 @@ fn one_of_two_files_for_one_result_is_converted() {
     }
     assert!(result.err.contains("in/dam.1.csv and in/dam.1.ply.gz would both become"), "{}", result.err);
     assert!(result.out.contains("2 frames: 2 done, 3 left out"), "{}", result.out);
-    // The daemon gives the output name to the file that is complete first. By default, it waits longer until
-    // it considers a table complete.
+    // The daemon gives the output name to the file that is complete first. It waits longer until it considers
+    // a table complete, unless it does not wait at all.
     let watch = ["watch", "in", "--once", "--out", "watched", "--format", "obj"];
-    let timeouts = ["--settle", "10ms", "--settle-unverifiable", "10ms"];
-    let watched = meniscus(path, &[&watch[..], &timeouts, &QUICK].concat());
+    let watched = meniscus(path, &[&watch[..], &["--settle", "0"], &QUICK].concat());
     assert_eq!(watched.status, 1, "{}", watched.err);
     for name in ["dam.1.obj", "dam.2.obj"] {
         let [one, two, three] =

@@ -348,8 +348,7 @@ fn previews_of_a_sequence_have_one_camera() {
 }
 
 /// Converts the files of `in` once, without waiting.
-const WATCH: [&str; 9] =
-    ["watch", "in", "--out", "o", "--once", "--settle=0", "--settle-unverifiable=0", "--format", "vdb"];
+const WATCH: [&str; 8] = ["watch", "in", "--out", "o", "--once", "--settle=0", "--format", "vdb"];
 
 #[test]
 fn splash_that_leaves_the_picture_of_watch_is_not_cropped() {

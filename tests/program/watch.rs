@@ -1,10 +1,10 @@
-//! The commands `watch`, `status` and `why`: arguments, errors and output.
+//! The commands `watch` and `status`: arguments, errors and output.
 
 use std::fs;
 use std::path::Path;
 
 use meniscus::pipeline::FileStamp;
-use meniscus::watch::Watch;
+use meniscus::watch::Reason;
 use meniscus::watch::journal::{Journal, JournaledFrame, JournaledStatus, OutputRecord};
 use meniscus::watch::lock::OutputLock;
 use tempfile::tempdir;
@@ -116,18 +116,14 @@ fn numbers_have_the_documented_ranges() {
 /// Records in the journal of `out` that a frame is done, with `output`, or failed for a reason.
 fn note(out: &Path, frame: &Path, result: Result<&Path, &str>) {
     let record = JournaledFrame {
-        status: if result.is_ok() { JournaledStatus::Done } else { JournaledStatus::Failed },
         stamp: FileStamp::of_path(frame).expect("the frame exists"),
-        hash: None,
         settings: "settings".into(),
         outputs: result.iter().map(|path| OutputRecord::new(path.to_path_buf(), 0, None)).collect(),
-        reason: result.err().map(str::to_owned),
+        reason: result.err().map(|reason| Reason::Error(reason.to_owned())),
         attempt_count: 1,
         at_ms: 1,
         particle_count: result.ok().map(|_| 216),
-        seconds: None,
-        flaws: Vec::new(),
-        figures: None,
+        ..JournaledFrame::new(if result.is_ok() { JournaledStatus::Done } else { JournaledStatus::Failed })
     };
     let mut journal = Journal::open(&out.join(".meniscus")).expect("a journal");
     journal.note_frame(&frame.canonicalize().expect("a path"), record).expect("noted");
@@ -141,7 +137,7 @@ fn status_reads_the_journal_and_the_lock() {
         |more: &[&str]| -> RunResult { meniscus(path, &[&["status", "--out", "out"], more].concat()) };
     let nothing = status(&[]);
     assert_eq!(nothing.status, 2);
-    assert!(nothing.err.contains("out: no record of a daemon"), "{}", nothing.err);
+    assert!(nothing.err.contains("out: no daemon has written here"), "{}", nothing.err);
     assert!(!path.join("out").exists());
 
     write_sequence(path, 1, 2);
@@ -161,167 +157,45 @@ fn status_reads_the_journal_and_the_lock() {
     assert_eq!(json["failed"][0]["reason"], "no end");
     assert_eq!(json["last_done"][0]["particles"], 216);
     drop(lock);
-    let elsewhere = status(&["--journal", "nowhere"]);
-    assert!(elsewhere.err.contains("the journal in nowhere is missing"), "{}", elsewhere.err);
 }
 
 #[test]
-fn why_lists_everything_that_decides() {
+fn status_of_a_frame_prints_its_record() {
     let folder = tempdir().expect("a folder");
     let path = &folder.path().canonicalize().expect("a path");
     let out = path.join("out");
-    fs::create_dir(path.join("in")).expect("made");
-    write_sequence(&path.join("in"), 1, 2);
-    fs::write(path.join("in/notes.md"), "Words.\n").expect("written");
-    let why = |frame: &str, more: &[&str]| meniscus(path, &[&["why", frame], more].concat());
-    let assert_explains = |frame: &str, more: &[&str], words: &[&str]| {
-        let result = why(frame, more);
-        assert_eq!(result.status, 0, "{}", result.err);
-        for word in words {
-            assert!(result.out.contains(word), "{} does not say {word}", result.out);
-        }
-    };
-    let typed = ["--out", "out"];
-    // The file is new: it counts as stable only after half a second.
-    let unknown = "The journal does not record the daemon's settings";
-    assert_explains("in/dam.1.ply", &typed, &["journal   nothing", "content   a frame", "It ", unknown]);
-    assert_explains(
-        "in/notes.md",
-        &typed,
-        &["not selected as a frame", "It is not converted because its path"],
-    );
-
-    fs::create_dir(&out).expect("made");
-    fs::write(out.join("dam.1.glb"), "").expect("written");
-    note(&out, &path.join("in/dam.1.ply"), Ok(&out.join("dam.1.glb")));
-    note(&out, &path.join("in/dam.2.ply"), Err("no end"));
-    let words =
-        ["journal   done", "input     as recorded", "all recorded outputs exist", "because it is done"];
-    assert_explains("in/dam.1.ply", &typed, &words);
-    assert_explains("in/dam.2.ply", &typed, &["journal   failed", "no end", "it failed, and neither it nor"]);
-    fs::remove_file(out.join("dam.1.glb")).expect("removed");
-
-    let config = "[daemon]\nsettle = \"0s\"\n[[watch]]\ninput = \"in\"\noutput = \"out\"\n";
-    fs::write(path.join("meniscus.toml"), config).expect("written");
-    let configured = ["--config", "meniscus.toml"];
-    let words = ["dam.1.glb is missing", "It will be converted because its output", "No daemon is"];
-    assert_explains("in/dam.1.ply", &configured, &words);
-    fs::write(path.join("meniscus.toml"), format!("{config}spacing = 0.1\n")).expect("written");
-    assert_explains(
-        "in/dam.1.ply",
-        &configured,
-        &["settings  not as recorded", "because its settings or obstacles have changed"],
-    );
-    fs::write(path.join("meniscus.toml"), format!("{config}pattern = \"spray*\"\n")).expect("written");
-    assert_explains("in/dam.1.ply", &configured, &["name      not selected as a frame"]);
-    for (frame, options, words) in [
-        ("in/gone.ply", &typed[..], "no such file, and nothing is recorded of it"),
-        ("meniscus.toml", &configured, "not in a folder that is watched"),
-        ("in/dam.1.ply", &[], "--out"),
-    ] {
-        let result = why(frame, options);
-        assert_eq!(result.status, 2);
-        assert!(result.err.contains(words), "{}", result.err);
-    }
-}
-
-#[test]
-fn why_recognizes_outputs_of_convert() {
-    let folder = tempdir().expect("a folder");
-    let path = &folder.path().canonicalize().expect("a path");
-    fs::create_dir(path.join("in")).expect("made");
-    write_sequence(&path.join("in"), 1, 2);
-    let result = meniscus(path, &["convert", "in", "--out", "out", "--frames", "1", "--format", "glb,ply"]);
-    assert_eq!(result.status, 0, "{}", result.err);
-    // The daemon waits until nothing has changed the file for half a second.
-    let settled = |frame: &str| loop {
-        let result = meniscus(path, &["why", frame, "--out", "out"]);
-        assert_eq!(result.status, 0, "{}", result.err);
-        if !result.out.contains("is not converted yet") {
-            return result.out;
-        }
-    };
-    let done = settled("in/dam.1.ply");
-    assert!(done.contains("It is converted already"), "{done}");
-    assert!(done.contains("dam.1.glb, dam.1.ply were made from its current content"), "{done}");
-    assert!(!done.contains("will be") && !done.contains("No daemon"), "{done}");
-    assert!(settled("in/dam.2.ply").contains("It will be converted because"));
-    // `why` does not list a damaged output as made from the frame.
-    let cut = |name: &str| {
-        let whole = fs::read(path.join(name)).expect("there");
-        fs::write(path.join(name), &whole[..whole.len() / 2]).expect("written");
-    };
-    cut("out/dam.1.glb");
-    assert!(settled("in/dam.1.ply").contains("but dam.1.ply was made from its current content"));
-    cut("out/dam.1.ply");
-    assert!(settled("in/dam.1.ply").contains("It will be converted because"));
-    // Outputs of an earlier file at this path do not count.
-    let result = meniscus(path, &["convert", "in", "--out", "out", "--frames", "1", "--format", "glb,ply"]);
-    assert_eq!(result.status, 0, "{}", result.err);
-    fs::copy(path.join("in/dam.2.ply"), path.join("in/dam.1.ply")).expect("copied");
-    assert!(settled("in/dam.1.ply").contains("It will be converted because"));
-}
-
-#[test]
-fn why_reads_the_arguments_of_the_daemon_from_the_journal() {
-    let folder = tempdir().expect("a folder");
-    let path = &folder.path().canonicalize().expect("a path");
-    fs::create_dir(path.join("in")).expect("made");
-    write_sequence(&path.join("in"), 1, 1);
+    fs::create_dir(path.join("real")).expect("made");
+    std::os::unix::fs::symlink("real", path.join("in")).expect("linked");
+    write_sequence(&path.join("in"), 1, 3);
+    let watch = ["watch", "in", "--out", "out", "--once", "--sentinel", "{stem}.ok", "--format", "obj"];
     fs::write(path.join("in/dam.1.ok"), "").expect("written");
-    fs::copy(path.join("in/dam.1.ply"), path.join("in/spray.1.ply")).expect("copied");
-    let options = ["--pattern", "dam.*.ply", "--radius-ratio", "1.5", "--sentinel", "{stem}.ok"];
-    let result = meniscus(path, &[&["watch", "in", "--out", "out", "--once"], &options[..]].concat());
-    assert_eq!(result.status, 0, "{}", result.err);
-    let assert_explains = |frame: &str, words: &[&str]| {
-        let result = meniscus(path, &["why", frame, "--out", "out"]);
-        assert_eq!(result.status, 0, "{}", result.err);
-        for word in words {
-            assert!(result.out.contains(word), "{} does not say {word}", result.out);
-        }
-        assert!(!result.out.contains("does not record the daemon's settings"), "{}", result.out);
-    };
-    assert_explains(
-        "in/dam.1.ply",
-        &["name      selected as a frame", "settings  as recorded", "because it is done"],
-    );
-    assert_explains(
-        "in/spray.1.ply",
-        &["name      not selected as a frame", "It is not converted because its path"],
-    );
-    write_sequence(&path.join("in"), 2, 2);
-    assert_explains(
-        "in/dam.2.ply",
-        &["It is not converted yet because its sentinel", "No daemon is running"],
-    );
-    let elsewhere = meniscus(path, &["why", "out/dam.1.glb", "--out", "out"]);
-    assert!(elsewhere.err.contains("not in a folder that is watched"), "{}", elsewhere.err);
-    let status = meniscus(path, &["status", "--out", "out"]);
-    let watched = format!("{}, only dam.*.ply, each when its {{stem}}.ok exists", path.join("in").display());
-    assert!(status.out.contains(&watched), "{}", status.out);
-
-    // Imitate a restart of the daemon with other settings.
-    let change_plan = |change: &dyn Fn(&mut Watch)| {
-        let mut journal = Journal::open(&path.join("out/.meniscus")).expect("a journal");
-        let mut plan = journal.state().plan.clone().expect("a plan");
-        change(&mut plan.watches[0]);
-        journal.note_plan(plan).expect("noted");
-    };
-    change_plan(&|watch| watch.choices.radius_ratio = Some(1.25));
-    assert_explains("in/dam.1.ply", &["settings  not compared, because the particle spacing"]);
-    change_plan(&|watch| watch.choices.spacing = Some(0.05));
-    assert_explains(
-        "in/dam.1.ply",
-        &["settings  not as recorded", "because its settings or obstacles have changed"],
-    );
-    // The configuration file takes precedence.
-    fs::write(path.join("meniscus.toml"), "[[watch]]\ninput = \"in\"\noutput = \"out\"\n").expect("written");
-    let spray = meniscus(path, &["why", "in/spray.1.ply", "--config", "meniscus.toml"]);
-    assert!(spray.out.contains("name      selected as a frame"), "{}", spray.out);
+    let result = meniscus(path, &watch);
+    assert_eq!(result.status, 1, "{}", result.err);
+    note(&out, &path.join("real/dam.3.ply"), Err("no end"));
+    let settings = "settings  ";
+    for (frame, status, words) in [
+        ("in/dam.1.ply", 0, &["in/dam.1.ply\n", "state     done, ", "out/dam.1.obj", settings][..]),
+        ("real/dam.1.ply", 0, &["state     done, "]),
+        (
+            "in/dam.2.ply",
+            0,
+            &["state     not yet complete, ", "its sentinel is missing", "no daemon is running"],
+        ),
+        ("real/dam.3.ply", 1, &["state     failed, ", "reason    no end"]),
+        ("in/gone.ply", 2, &["in/gone.ply: nothing is recorded of it: a frame must be in a watched folder"]),
+    ] {
+        let result = meniscus(path, &["status", frame, "--out", "out"]);
+        let text = format!("{}{}", result.out, result.err);
+        assert_eq!(result.status, status, "{text}");
+        assert!(words.iter().all(|word| text.contains(word)), "{words:?}: {text}");
+    }
+    let json = meniscus(path, &["status", "in/dam.2.ply", "--out", "out", "--json"]);
+    let json: serde_json::Value = serde_json::from_str(&json.out).expect("JSON");
+    assert_eq!(json["state"], "waiting");
 }
 
 #[test]
-fn journal_lists_the_folders_of_its_outputs_only() {
+fn status_of_a_file_lists_all_its_folders() {
     let folder = tempdir().expect("a folder");
     let path = &folder.path().canonicalize().expect("a path");
     let blocks = [("water", "out"), ("spray", "out"), ("dust", "other")]
@@ -332,14 +206,6 @@ fn journal_lists_the_folders_of_its_outputs_only() {
     }
     let result = meniscus(path, &["watch", "--config", "meniscus.toml", "--once"]);
     assert!(result.err.contains("there are no frames to convert"), "{}", result.err);
-    for (output, inputs) in [("out", &["water", "spray"][..]), ("other", &["dust"])] {
-        let status = meniscus(path, &["status", "--out", output, "--json"]);
-        let json: serde_json::Value = serde_json::from_str(&status.out).expect("JSON");
-        let watched: Vec<_> =
-            json["watches"].as_array().expect("a list").iter().map(|watch| watch["input"].clone()).collect();
-        let expected: Vec<_> = inputs.iter().map(|input| serde_json::json!(path.join(input))).collect();
-        assert_eq!(watched, expected);
-    }
     // All folders of the file, each once.
     let status = |more: &[&str]| meniscus(path, &[&["status", "--config", "meniscus.toml"], more].concat());
     let all = status(&["--json"]);
@@ -352,7 +218,20 @@ fn journal_lists_the_folders_of_its_outputs_only() {
     fs::write(path.join("meniscus.toml"), blocks.concat() + more).expect("written");
     let text = status(&[]);
     assert_eq!((text.status, text.out.matches("0 done, 0 queued").count()), (1, 2), "{}", text.out);
-    assert!(text.err.contains("never: no record of a daemon"), "{}", text.err);
+    assert!(text.err.contains("never: no daemon has written here"), "{}", text.err);
+}
+
+#[test]
+fn sub_folders_are_named_if_there_are_no_other_frames() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    for take in ["take1", "take2"] {
+        fs::create_dir_all(path.join("in").join(take)).expect("made");
+        write_sequence(&path.join("in").join(take), 1, 1);
+    }
+    let result = meniscus(path, &["watch", "in", "--out", "in/out", "--once"]);
+    let reason = "there are no frames to convert: it has 2 sub-folders, which only --recursive watches";
+    assert!(result.status == 2 && result.err.contains(reason), "{}", result.err);
 }
 
 /// The output of --print-settings is a valid configuration file, and gives the same files for any options.

@@ -161,7 +161,7 @@ fn outputs_that_fill_the_disk_stop_at_the_floor() {
     with_own_mounts("disk::outputs_that_fill_the_disk_stop_at_the_floor", || {
         let siege = Siege::new(24);
         siege.fill_up_to(3 << 20);
-        let floor = ["in", "--out", "out", "--disk-floor", "2MiB", "--in-flight", "1"];
+        let floor = ["in", "--out", "out", "--disk-floor", "2MiB", "--threads", "1"];
         let mut daemon = Daemon::start(siege.path(), &floor);
         daemon.until("it says that it is paused", is_paused);
         let converted = daemon.converted();

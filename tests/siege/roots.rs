@@ -24,8 +24,7 @@ fn begun(last: usize) -> (TempDir, Daemon) {
     (folder, daemon)
 }
 
-/// Arguments without frequent scans: the daemon must find changes by events, or by waiting for the folder.
-const ARGUMENTS: [&str; 7] = ["in", "--out", "out", "--settle", "50ms", "--rescan", "1h"];
+const ARGUMENTS: [&str; 5] = ["in", "--out", "out", "--settle", "50ms"];
 
 /// Asserts that frames `1..=last` were converted once each, and that their outputs exist.
 fn assert_all_once(folder: &Path, daemon: Daemon, last: usize) {
@@ -72,8 +71,7 @@ fn daemon_waits_for_an_unmounted_disk() {
         }
         land_sequence(&disk, 1, 3, 5);
         mount_bind(&disk, &inside);
-        let arguments = ["in", "--out", "out", "--settle", "50ms", "--rescan", "500ms"];
-        let mut daemon = Daemon::start(folder.path(), &arguments);
+        let mut daemon = Daemon::start(folder.path(), &ARGUMENTS);
         daemon.until_converted(&frame_names(1, 3));
         unmount(&inside);
         assert!(names_in(&inside).is_empty());
@@ -147,8 +145,7 @@ fn removed_outputs_are_made_again() {
     let [inside, out] = ["in", "out"].map(|name| folder.path().join(name));
     fs::create_dir(&inside).expect("made");
     land_sequence(&inside, 1, 3, 5);
-    let arguments = ["in", "--out", "out", "--settle", "50ms", "--rescan", "200ms"];
-    let mut daemon = Daemon::start(folder.path(), &arguments);
+    let mut daemon = Daemon::start(folder.path(), &ARGUMENTS);
     daemon.until_converted(&frame_names(1, 3));
     // This removes the journal and the lock, too; the daemon may write there at that moment.
     while fs::remove_dir_all(&out).is_err_and(|error| error.kind() == ErrorKind::DirectoryNotEmpty) {}

@@ -83,7 +83,7 @@ class Conversion:
         self.progress = Progress()
         self._arguments = [
             *("watch", f"--out={out}", f"--stage={self.stage}", "--log=json", "--listen=127.0.0.1:0"),
-            *(f"--stop-deadline={STOP_SECONDS}s", *options, "--", str(folder)),
+            *(*options, "--", str(folder)),
         ]
         self._process: subprocess.Popen[str] | None = None
         self._lock = threading.Lock()

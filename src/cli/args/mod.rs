@@ -38,7 +38,7 @@ pub(super) use manual::{CompletionsArgs, ManArgs};
 pub(super) use merge::{OptionSet, option_set};
 pub(super) use method::MethodArgs;
 pub(super) use method_options::MethodOptionArgs;
-pub(super) use query::{StatusArgs, WhyArgs};
+pub(super) use query::StatusArgs;
 pub(super) use render::{PictureArgs, RenderArgs, RunArgs};
 pub(super) use sequence::{FPS, SequenceArgs, SequenceFileArgs};
 pub(super) use sheets::{ContactSheetArgs, TuneArgs};
@@ -69,15 +69,13 @@ pub(super) enum Command {
     /// Show one frame under a grid of settings, with the command for each, to choose by eye.
     Tune(Box<TuneArgs>),
     /// Score how much a sequence of surfaces flickers, compared with its particles.
-    Flicker(FlickerArgs),
+    Flicker(Box<FlickerArgs>),
     /// Print the contents of files: particles, meshes, level sets.
     Info(InfoArgs),
     /// Watch folders, and convert every frame as it arrives.
     Watch(Box<WatchArgs>),
-    /// Print the state of a daemon: finished, waiting and failed frames, with reasons.
+    /// Print the state of a daemon, or of one frame: finished, waiting and failed frames, with reasons.
     Status(StatusArgs),
-    /// Explain why a frame was or was not converted.
-    Why(WhyArgs),
     /// Print a script for shells that completes commands, options and values.
     Completions(CompletionsArgs),
     /// Write the manual: a page for each command.

@@ -13,8 +13,7 @@ use super::formats::FormatArgs;
 use super::merge::{OptionSet, option_set};
 use super::method::MethodArgs;
 use super::render::RunArgs;
-use crate::cli::quantities::{parse_bytes, parse_duration, parse_listen, parse_poll, parse_rescan};
-use crate::surface::options::ranged;
+use crate::cli::quantities::{parse_bytes, parse_duration, parse_listen, parse_poll};
 use crate::watch::{Order, Poll};
 
 #[derive(Clone, Debug, Default, Args)]
@@ -35,8 +34,7 @@ pub(in crate::cli) struct WatchArgs {
 
     /// Read folders and settings from this file; options given here override it
     ///
-    /// examples/meniscus.toml in the sources has every key, explained. On SIGHUP, the daemon reads
-    /// FILE again.
+    /// examples/meniscus.toml in the sources has every key, explained.
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) config: Option<PathBuf>,
 
@@ -98,42 +96,22 @@ option_set! {
         #[command(flatten)]
         pub(in crate::cli) run: RunArgs,
 
-        /// Maximum number of frames in flight, 1 to 1024 [default: depends on the number of threads]
-        #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
-        pub(in crate::cli) in_flight: Option<u16>,
-
         /// Start no frame while the disk of the results has less free space than this [default: 1GiB]
         #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
         pub(in crate::cli) disk_floor: Option<u64>,
 
         /// How long a file must be unchanged before it is read [default: 500ms]
+        ///
+        /// If its format cannot show whether it is complete: four times as long. If its format shows that it
+        /// is incomplete: at least 30s, with --once four times as long; then it is read, and its frame fails
+        /// with a message about the missing part.
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(in crate::cli) settle: Option<Duration>,
-
-        /// How long a file must be unchanged before it is read, if its format cannot show whether it is
-        /// complete [default: 4 times --settle, at least 2s]
-        #[arg(long, alias = "unproven", value_name = "TIME", value_parser = parse_duration)]
-        pub(in crate::cli) settle_unverifiable: Option<Duration>,
-
-        /// How long an incomplete file may stay unchanged before its frame fails; the daemon then reads the
-        /// file, to report what is missing. Also how long, but at least 30s, to wait for a program that
-        /// writes a file to close it [default: 30s; with --once: the value of --settle-unverifiable]
-        #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-        pub(in crate::cli) stalled: Option<Duration>,
 
         /// Find changes by scanning the folders at this interval; auto does so only where the operating
         /// system sends no file-system events, as on network file systems [default: auto]
         #[arg(long, value_name = "TIME", value_parser = parse_poll)]
         pub(in crate::cli) poll: Option<Poll>,
-
-        /// Where the operating system sends file-system events: approximate interval between full scans,
-        /// which find changes whose event was lost [default: 60s]
-        #[arg(long, value_name = "TIME", value_parser = parse_rescan)]
-        pub(in crate::cli) rescan: Option<Duration>,
-
-        /// Folder for the journal [default: .meniscus in the folder for the results]
-        #[arg(long, value_name = "DIR")]
-        pub(in crate::cli) journal: Option<PathBuf>,
 
         /// Format of the log on the standard error [default: text]
         #[arg(long, value_name = "HOW", ignore_case = true)]
@@ -150,10 +128,6 @@ option_set! {
         /// digits or - _ . ~
         #[arg(long, value_name = "FILE")]
         pub(in crate::cli) token_file: Option<PathBuf>,
-
-        /// Time limit for in-flight frames after a request to stop the daemon [default: 30s]
-        #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-        pub(in crate::cli) stop_deadline: Option<Duration>,
     }
 }
 
@@ -183,17 +157,16 @@ When a frame is read:
     it was renamed into place
     its sentinel exists
     its format shows that it is complete, and it has not changed for --settle
-    its format cannot show whether it is complete, and it has not changed for --settle-unverifiable
+    its format cannot show whether it is complete, and it has not changed for 4 times --settle
   A file that is written again later is converted again. Inputs are never moved, changed or removed.
 
   A journal records the finished frames, so a restarted daemon resumes where it left off.
-  `meniscus status --out DIR` prints them, and `meniscus why FILE --out DIR` explains why a frame was
-  or was not converted.
+  `meniscus status --out DIR` prints them, and `meniscus status FRAME --out DIR` what is recorded of
+  one frame.
 
 Signals:
-  SIGTERM, SIGINT  finish the frames in flight within --stop-deadline, and exit; a second one exits
-                   at once. Neither leaves partial files
-  SIGHUP           reload the --config file; if it is invalid, continue with the old settings
+  SIGTERM, SIGINT  finish the frames in flight within 30s, and exit; a second one exits at once.
+                   Neither leaves partial files
 
 Exit status:
   0    with --once: every frame is converted. Without: the daemon stopped on request

@@ -29,11 +29,10 @@ fn keys_of_blocks_become_options() {
          up = \"Z\"\n",
     )
     .expect("a good file");
-    let DaemonArgs { order, run, disk_floor, poll, log, settle, rescan, .. } = file.daemon.options();
+    let DaemonArgs { order, run, disk_floor, poll, log, settle, .. } = file.daemon.options();
     assert_eq!((order, log), (Some(Order::Latest), Some(LogChoice::Json)));
     assert_eq!((run, disk_floor), (RunArgs { threads: Some(4), memory: Some(8 << 30) }, Some(1024)));
     assert_eq!((poll, settle), (Some(Poll::Auto), Some(Duration::from_secs(2))));
-    assert_eq!(rescan, None);
     let [first, second] = &file.watches[..] else { panic!("two blocks") };
     assert_eq!((first.keys.line(), second.keys.line()), (10, 19));
     assert_eq!((&*first.input, first.output.as_deref()), (Path::new("farm/a"), Some(Path::new("/out"))));
@@ -124,11 +123,10 @@ fn wrong_values_are_errors_with_their_line() {
         ("settle = 1", &["`settle` is 1", "with a unit"][..]),
         ("settle = \"soon\"", &["`settle`: `soon` is not a time"]),
         ("poll = \"0s\"", &["from 50ms"]),
-        ("rescan = \"99d\"", &["to 30days"]),
+        ("poll = \"99d\"", &["to 30days"]),
         ("memory = \"lots\"", &["`memory`: `lots` is not a size"]),
         ("memory = -1", &["`memory`: `-1` is not a size"]),
         ("threads = 0", &["from 1 to 1024"]),
-        ("in_flight = 99999", &["from 1 to 1024"]),
         ("log = \"xml\"", &["\"text\", \"json\""]),
     ] {
         assert_wrong(&format!("# A comment\n[daemon]\n{entry}\n"), 3, words);
@@ -179,15 +177,6 @@ fn mention(key: &str) -> Option<String> {
         ValueKind::Text => format!("\"{}\"", option.get_possible_values().first()?.get_name()),
     };
     Some(format!("\n# {}.\n#{key} = {value}\n", option.get_help()?))
-}
-
-#[test]
-fn former_key_is_accepted_with_a_warning() {
-    let file = parsed("[daemon]\nunproven = \"3s\"\n").expect("a former key");
-    assert_eq!(file.daemon.options().settle_unverifiable, Some(Duration::from_secs(3)));
-    assert_eq!(file.warnings, ["farm/meniscus.toml:2: `unproven` is deprecated: use `settle_unverifiable`"]);
-    let both = "[daemon]\nsettle_unverifiable = \"3s\"\nunproven = \"3s\"\n";
-    assert_wrong(both, 3, &["`unproven` is the former name of `settle_unverifiable`"]);
 }
 
 #[test]

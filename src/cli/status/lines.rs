@@ -1,10 +1,8 @@
 //! The status as text.
 
+use super::{DaemonStatus, FrameStatus, StatusCounts, StatusRecord};
 use crate::cli::clock::ago;
 use crate::cli::wording::{pluralize, significant};
-use crate::watch::journal::RefusedReload;
-
-use super::{DaemonStatus, FrameStatus, StatusCounts, StatusRecord, WaitingStatus, WatchStatus};
 
 /// Maximum number of entries printed per list; `--json` has all.
 const LISTED_MAX: usize = 20;
@@ -16,34 +14,13 @@ impl StatusRecord {
             Some(daemon) => daemon.text(now_ms),
             None => "no daemon is known".to_owned(),
         };
-        let StatusCounts { done, queued, retrying, failed } = self.counts;
+        let StatusCounts { done, queued, retrying, failed, waiting: _ } = self.counts;
         let mut lines = vec![
             format!("{}: {daemon}", self.output),
             format!("{done} done, {queued} queued, {retrying} to retry, {failed} failed"),
         ];
-        let running = self.daemon.as_ref().filter(|daemon| daemon.is_running());
-        if let Some(refused) = running.and_then(|daemon| daemon.refused_reload.as_ref()) {
-            let RefusedReload { at_ms, reason } = refused;
-            lines.push(format!(
-                "the configuration was not reloaded, {}: {reason}; the earlier one still applies",
-                ago(*at_ms, now_ms)
-            ));
-        }
-        if let Some(watches) = &self.watches {
-            lines.push("watched:".to_owned());
-            lines.extend(watches.iter().map(|watch| format!("  {}", watch.text())));
-        }
-        if !self.waiting.is_empty() {
-            lines.push(format!("{} not yet complete:", pluralize(self.waiting.len(), "file")));
-            for WaitingStatus { input, reason } in self.waiting.iter().take(LISTED_MAX) {
-                lines.push(format!("  {input}: {reason}"));
-            }
-            lines.extend(more(self.waiting.len()));
-        }
-        if self.waiting_cut_short {
-            lines.push("not all files were examined: more may be incomplete".to_owned());
-        }
         let lists = [
+            ("not yet complete", &self.waiting),
             ("failed", &self.failed),
             ("to retry", &self.retrying),
             ("done last", &self.last_done),
@@ -92,22 +69,6 @@ impl DaemonStatus {
             }
             (state, _) => format!("{state} ({who})"),
         }
-    }
-}
-
-impl WatchStatus {
-    fn text(&self) -> String {
-        let mut text = self.input.clone();
-        if self.recursive {
-            text += " and its sub-folders";
-        }
-        if let Some(pattern) = &self.pattern {
-            text += &format!(", only {pattern}");
-        }
-        if let Some(sentinel) = &self.sentinel {
-            text += &format!(", each when its {sentinel} exists");
-        }
-        text + ", as " + &self.formats.join(", ")
     }
 }
 

@@ -3,11 +3,9 @@
 //! It reads the journal, and checks the lock to see whether a daemon is running: the journal of a killed
 //! daemon still says "running".
 //!
-//! The journal does not list files whose writers have not finished: `status` scans the watched folders for
-//! them.
-//!
 //! The structs here define the JSON; the text shows the same values.
 
+mod frame;
 mod lines;
 
 use std::collections::HashSet;
@@ -18,12 +16,11 @@ use anyhow::{Context, Result, bail};
 use serde::Serialize;
 
 use crate::pipeline::{FileStamp, file_of, is_absent, is_missing_step, natural_order};
+use crate::watch::Watch;
 use crate::watch::journal::{
-    DaemonState, Journal, JournalState, JournaledFrame, JournaledStatus, RefusedReload, STATE_FOLDER, now_ms,
+    DaemonState, Journal, JournalState, JournaledFrame, JournaledStatus, STATE_FOLDER, now_ms,
 };
 use crate::watch::lock::{LockError, OutputLock};
-use crate::watch::waiting::{Waiting, waiting};
-use crate::watch::{Watch, WatchConfig};
 
 use super::CommandOutcome;
 use super::args::{StatusArgs, WatchArgs};
@@ -35,20 +32,15 @@ use super::wording::with_causes;
 #[derive(Debug, PartialEq, Serialize)]
 struct StatusRecord {
     output: String,
-    journal: String,
     /// Null if no daemon is known.
     daemon: Option<DaemonStatus>,
-    /// Null if the journal does not record them.
-    watches: Option<Vec<WatchStatus>>,
     counts: StatusCounts,
     /// In natural order.
     failed: Vec<FrameStatus>,
     /// In natural order.
     retrying: Vec<FrameStatus>,
-    /// Files that a daemon will take as frames once they are complete, in natural order.
-    waiting: Vec<WaitingStatus>,
-    /// Whether the scan was cut short, so that there may be more such files.
-    waiting_cut_short: bool,
+    /// Files that were not yet complete when the daemon inspected them last, in natural order.
+    waiting: Vec<FrameStatus>,
     /// The most recently finished frames, the newest first.
     last_done: Vec<FrameStatus>,
     /// Finished frames with defects, in natural order.
@@ -70,17 +62,6 @@ struct DaemonStatus {
     started_ms: Option<u64>,
     /// When it entered this state.
     at_ms: Option<u64>,
-    /// Why the last reload of the configuration was refused; null if it was not.
-    refused_reload: Option<RefusedReload>,
-}
-
-#[derive(Debug, PartialEq, Serialize)]
-struct WatchStatus {
-    input: String,
-    pattern: Option<String>,
-    recursive: bool,
-    sentinel: Option<String>,
-    formats: Vec<&'static str>,
 }
 
 #[derive(Debug, Default, PartialEq, Serialize)]
@@ -88,12 +69,14 @@ struct StatusCounts {
     done: usize,
     queued: usize,
     retrying: usize,
+    waiting: usize,
     failed: usize,
 }
 
 #[derive(Debug, PartialEq, Serialize)]
 struct FrameStatus {
     input: String,
+    state: JournaledStatus,
     outputs: Vec<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     reason: Option<String>,
@@ -104,16 +87,12 @@ struct FrameStatus {
     seconds: Option<f64>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     flaws: Vec<String>,
+    /// The fingerprint of its settings.
+    settings: String,
     at_ms: u64,
     /// When the daemon tries the failed frame again although its file has not changed.
     #[serde(skip)]
     retried: Option<&'static str>,
-}
-
-#[derive(Debug, PartialEq, Serialize)]
-struct WaitingStatus {
-    input: String,
-    reason: String,
 }
 
 /// A path as text for JSON, which needs Unicode.
@@ -124,18 +103,21 @@ fn shown(path: &Path) -> String {
 /// Maximum number of finished frames listed: enough to show progress and speed.
 const LAST_DONE_COUNT: usize = 5;
 
-/// Prints the status of the daemon of a folder, or of all folders of a configuration file.
+/// Prints the status of the daemon of a folder, or of all folders of a configuration file; or of one frame.
 ///
 /// # Errors
 /// If no daemon has used the folder, or the journal or the file cannot be read.
 pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<CommandOutcome> {
-    let (folders, journal) = match &args.config {
+    let folders = match &args.config {
         Some(config) => folders_of(config)?,
-        None => (args.out.iter().cloned().collect(), args.journal.clone()),
+        None => args.out.iter().cloned().collect(),
     };
+    if let Some(frame) = &args.frame {
+        return frame::print(frame, &folders, args.json, console);
+    }
     let mut records = Vec::new();
     for folder in &folders {
-        match status_of(folder, journal.as_deref()) {
+        match status_of(folder) {
             Ok(record) => records.push(record),
             Err(error) if folders.len() > 1 => console.error(with_causes(&error)),
             Err(error) => return Err(error),
@@ -158,53 +140,40 @@ pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<Command
     Ok(if is_fine { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
 }
 
-/// The output folders of a configuration file, and its journal folder if it names one.
-fn folders_of(config: &Path) -> Result<(Vec<PathBuf>, Option<PathBuf>)> {
+/// The output folders of a configuration file.
+fn folders_of(config: &Path) -> Result<Vec<PathBuf>> {
     let watch_args = WatchArgs { config: Some(config.to_owned()), ..WatchArgs::default() };
-    let WatchConfig { watches, journal, .. } = make_plan(&watch_args)?.config;
     let mut folders: Vec<PathBuf> = Vec::new();
-    for Watch { outputs, .. } in watches {
+    for Watch { outputs, .. } in make_plan(&watch_args)?.config.watches {
         if !folders.contains(&outputs.folder) {
             folders.push(outputs.folder);
         }
     }
-    Ok((folders, journal))
+    Ok(folders)
 }
 
 /// The status of the daemon of a folder.
-fn status_of(output: &Path, journal: Option<&Path>) -> Result<StatusRecord> {
-    let journal = journal_folder(output, journal);
-    let state = read_journal(&journal)?;
+fn status_of(output: &Path) -> Result<StatusRecord> {
+    let state = read_journal(output)?;
     let holder = Holder::of(output)?;
     if state == JournalState::default() && !matches!(holder, Holder::Daemon(_)) {
-        bail!(
-            "{}: no record of a daemon, because the journal in {} is missing or empty: \
-             check --out and --journal",
-            output.display(),
-            journal.display()
-        );
+        bail!("{}: no daemon has written here: check --out", output.display());
     }
-    Ok(StatusRecord::new(output, &journal, &state, holder))
+    Ok(StatusRecord::new(output, &state, holder))
 }
 
-/// The journal folder of a daemon that writes to `output`.
-pub(super) fn journal_folder(output: &Path, given: Option<&Path>) -> PathBuf {
-    // The same rule as in the daemon.
-    let canonical = given.map(|given| given.canonicalize().unwrap_or_else(|_| given.to_owned()));
-    canonical.unwrap_or_else(|| output.join(STATE_FOLDER))
-}
-
-/// Reads the journal in a folder.
+/// Reads the journal of an output folder.
 ///
 /// # Errors
 /// If it cannot be read.
-pub(super) fn read_journal(folder: &Path) -> Result<JournalState> {
-    Journal::read(folder).with_context(|| format!("cannot read the journal in {}", folder.display()))
+fn read_journal(output: &Path) -> Result<JournalState> {
+    let folder = output.join(STATE_FOLDER);
+    Journal::read(&folder).with_context(|| format!("cannot read the journal in {}", folder.display()))
 }
 
 /// Which process holds the lock of an output folder.
 #[derive(Debug)]
-pub(super) enum Holder {
+enum Holder {
     Daemon(String),
     Unlocked,
     /// The file system has no locks.
@@ -216,7 +185,7 @@ impl Holder {
     ///
     /// # Errors
     /// If the system reports an error.
-    pub(super) fn of(output: &Path) -> Result<Holder> {
+    fn of(output: &Path) -> Result<Holder> {
         match OutputLock::holder(output) {
             Ok(Some(by)) => Ok(Holder::Daemon(by)),
             Ok(None) => Ok(Holder::Unlocked),
@@ -227,7 +196,7 @@ impl Holder {
 }
 
 impl StatusRecord {
-    fn new(output: &Path, journal: &Path, state: &JournalState, holder: Holder) -> StatusRecord {
+    fn new(output: &Path, state: &JournalState, holder: Holder) -> StatusRecord {
         let has_daemon = matches!(holder, Holder::Daemon(_));
         let files = Files::new(state, has_daemon);
         let with_status = |status| {
@@ -245,6 +214,7 @@ impl StatusRecord {
             frames.iter().map(|(input, frame)| FrameStatus::new(input, frame, is_running)).collect()
         };
         let retrying = with_status(JournaledStatus::Retrying);
+        let waiting = with_status(JournaledStatus::Waiting);
         let mut failed = with_status(JournaledStatus::Failed);
         failed.extend(with_status(JournaledStatus::Refused));
         failed.extend(with_status(JournaledStatus::RetriesExhausted));
@@ -253,6 +223,7 @@ impl StatusRecord {
             done: done.len(),
             queued: with_status(JournaledStatus::Queued).len(),
             retrying: retrying.len(),
+            waiting: waiting.len(),
             failed: failed.len(),
         };
         let flawed: Vec<_> = done.iter().copied().filter(|(_, frame)| !frame.flaws.is_empty()).collect();
@@ -260,18 +231,13 @@ impl StatusRecord {
         done.reverse();
         done.sort_by_key(|(_, frame)| std::cmp::Reverse(frame.at_ms));
         done.truncate(LAST_DONE_COUNT);
-        // Files wait only for a running daemon.
-        let waiting = if has_daemon { waiting(state) } else { Waiting::default() };
         StatusRecord {
             output: shown(output),
-            journal: shown(journal),
             daemon,
-            watches: state.plan.as_ref().map(|plan| plan.watches.iter().map(WatchStatus::new).collect()),
             counts,
             failed: statuses(&failed),
             retrying: statuses(&retrying),
-            waiting_cut_short: waiting.is_cut_short,
-            waiting: WaitingStatus::all(waiting),
+            waiting: statuses(&waiting),
             last_done: statuses(&done),
             flawed: statuses(&flawed),
             damaged_lines: state.damaged_line_count,
@@ -350,30 +316,7 @@ impl DaemonStatus {
             host: record.map(|record| record.host.clone()),
             started_ms: record.map(|record| record.started_ms),
             at_ms: record.map(|record| record.at_ms),
-            refused_reload: record.and_then(|record| record.refused_reload.clone()),
         })
-    }
-}
-
-impl WatchStatus {
-    fn new(watch: &Watch) -> WatchStatus {
-        WatchStatus {
-            input: shown(&watch.input),
-            pattern: watch.pattern.clone(),
-            recursive: watch.recursive,
-            sentinel: watch.sentinel.clone(),
-            formats: watch.outputs.formats.iter().map(|format| format.extension()).collect(),
-        }
-    }
-}
-
-impl WaitingStatus {
-    fn all(Waiting { mut files, .. }: Waiting) -> Vec<WaitingStatus> {
-        files.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
-        files
-            .into_iter()
-            .map(|(input, why)| WaitingStatus { input: shown(&input), reason: why.to_string() })
-            .collect()
     }
 }
 
@@ -382,11 +325,13 @@ impl FrameStatus {
         FrameStatus {
             input: shown(input),
             outputs: frame.outputs.iter().map(|output| shown(&output.path)).collect(),
-            reason: frame.reason.clone(),
+            state: frame.status,
+            reason: frame.reason.as_ref().map(ToString::to_string),
             attempts: frame.attempt_count,
             particles: frame.particle_count,
             seconds: frame.seconds,
             flaws: frame.flaws.clone(),
+            settings: frame.settings.clone(),
             at_ms: frame.at_ms,
             retried: match frame.status {
                 JournaledStatus::Refused if is_running => Some("will be checked again at each scan"),

@@ -1,5 +1,6 @@
 //! Why a watched folder has no frames to convert.
 
+use std::fs;
 use std::path::Path;
 
 use glob::Pattern;
@@ -12,12 +13,14 @@ use crate::watch::{Watch, names_level_sets};
 
 /// The reasons that are known, to follow "there are no frames to convert"; empty if there are none.
 pub(super) fn reasons(watches: &[Watch]) -> String {
-    let reasons = watches.iter().filter_map(|watch| Some((watch, reason(watch)?)));
-    let reasons = reasons.map(|(watch, reason)| match watches {
-        [_] => reason,
-        _ => format!("{}: {reason}", watch.input.display()),
-    });
-    let reasons: Vec<String> = reasons.collect();
+    let mut reasons = Vec::new();
+    for watch in watches {
+        let Some(reason) = reason(watch).or_else(|| unwatched_folders(watch)) else { continue };
+        reasons.push(match watches {
+            [_] => reason,
+            _ => format!("{}: {reason}", watch.input.display()),
+        });
+    }
     if reasons.is_empty() { String::new() } else { format!(": {}", reasons.join("; ")) }
 }
 
@@ -57,6 +60,16 @@ fn reason(watch: &Watch) -> Option<String> {
         _ => "",
     };
     Some(format!("none of the {} in this folder matches {pattern}{hint}", pluralize(files.len(), "file")))
+}
+
+/// The sub-folders that are not watched.
+fn unwatched_folders(watch: &Watch) -> Option<String> {
+    let entries = fs::read_dir(&watch.input).into_iter().flatten().flatten();
+    let is_hidden = |path: &Path| name_of(path).starts_with('.');
+    let folders = entries.map(|entry| entry.path()).filter(|path| path.is_dir() && !is_hidden(path));
+    let count = folders.filter(|path| *path != watch.outputs.folder).count();
+    let folders = pluralize(count, "sub-folder");
+    (count > 0 && !watch.recursive).then(|| format!("it has {folders}, which only --recursive watches"))
 }
 
 fn level_sets_left_alone(count: usize) -> Option<String> {

@@ -148,18 +148,6 @@ pub(crate) mod path {
         PathForm::deserialize(from)?.into_path().map(P::from)
     }
 
-    pub(crate) mod list {
-        use super::*;
-
-        pub(crate) fn serialize<S: Serializer>(paths: &[PathBuf], to: S) -> Result<S::Ok, S::Error> {
-            to.collect_seq(paths.iter().map(|path| PathForm::from(path.as_path())))
-        }
-
-        pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<PathBuf>, D::Error> {
-            Vec::<PathForm>::deserialize(from)?.into_iter().map(PathForm::into_path).collect()
-        }
-    }
-
     #[cfg(unix)]
     fn units(path: &Path) -> Vec<u16> {
         use std::os::unix::ffi::OsStrExt;

@@ -1,11 +1,10 @@
 //! The outputs of a frame, and their folder.
 
-use std::ops::{Not, RangeInclusive};
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::DVec3;
-use serde::{Deserialize, Serialize};
 
 pub use meniscus_formats::OutputFormat;
 use meniscus_formats::{MeshOptions, UpAxis, WriteOption, vdb};
@@ -13,7 +12,6 @@ use meniscus_formats::{MeshOptions, UpAxis, WriteOption, vdb};
 use crate::render::Up;
 
 use super::picture::{PictureOptions, up_of};
-use crate::pipeline::files::json::{path, text};
 use crate::pipeline::files::names::name_of_text;
 
 /// The allowed length of a world unit in metres: from a nanometre to a million kilometres.
@@ -23,10 +21,9 @@ pub const METERS_PER_UNIT: RangeInclusive<f64> = 1e-9..=1e9;
 pub const FRAME_RATES: RangeInclusive<f64> = f64::MIN_POSITIVE..=1000.0;
 
 /// The outputs of a frame, and their folder.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct OutputOptions {
     /// The folder of all outputs, created if it is missing.
-    #[serde(with = "path")]
     pub folder: PathBuf,
     /// One file in each of these formats.
     pub formats: Vec<OutputFormat>,
@@ -34,41 +31,26 @@ pub struct OutputOptions {
     /// file rotates the mesh.
     pub up: UpAxis,
     /// The length of a world unit in metres, within [`METERS_PER_UNIT`]: 1e-9 to 1e9. USD records it.
-    #[serde(with = "text", default = "meter", skip_serializing_if = "is_meter")]
     pub meters_per_unit: f64,
     /// Whether .glb files store positions and normals as small integers (KHR_mesh_quantization).
-    #[serde(default, skip_serializing_if = "Not::not")]
     pub quantize: bool,
     /// Whether .vdb files have 16-bit values.
     pub vdb_half: bool,
     /// The compression of values in .vdb.
     pub vdb_compression: vdb::Compression,
     /// The size and camera of pictures.
-    #[serde(default)]
     pub picture: PictureOptions,
     /// The stage that plays the files of the frames.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stage: Option<StageOptions>,
 }
 
 /// A stage.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct StageOptions {
     /// The file, with the extension `.usda`.
-    #[serde(with = "path")]
     pub path: PathBuf,
     /// Frames per second.
-    #[serde(with = "text")]
     pub fps: f64,
-}
-
-fn meter() -> f64 {
-    1.0
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
-fn is_meter(meters: &f64) -> bool {
-    *meters == meter()
 }
 
 impl OutputOptions {

@@ -10,8 +10,6 @@ use meniscus_formats::{
     Content, Error, OutputFormat, PictureLayer, PictureView, PixelSamples, Provenance, UpAxis,
 };
 
-use serde::{Deserialize, Serialize};
-
 use crate::render::{self, Layers, Picture, Up};
 use crate::surface::attributes::BandAttribute;
 use crate::surface::grid::Field;
@@ -21,15 +19,13 @@ use crate::surface::reconstruction::FrameSurface;
 use crate::surface::space::Lattice;
 
 use super::viewpoint::{CameraChoice, Viewpoint};
-use crate::pipeline::files::json::text;
 
 /// The size and camera of pictures.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PictureOptions {
     /// Width and height, pixels.
     pub size: [usize; 2],
     /// The camera. If it is not fixed, the bounds of each frame place it.
-    #[serde(with = "text")]
     pub camera: CameraChoice,
 }
 

@@ -26,24 +26,25 @@ use meniscus_formats::Completeness;
 
 use crate::pipeline::{FileStamp, FrameFile};
 
-use crate::watch::config::{StabilityTimeouts, Watch};
+use crate::watch::Reason;
+use crate::watch::config::{STALLED_MIN, StabilityTimeouts, Watch};
 
 /// The default name of a sentinel.
-pub const DEFAULT_SENTINEL: &str = "{stem}.done";
+pub(crate) const DEFAULT_SENTINEL: &str = "{stem}.done";
 
 /// The state of a file when it was inspected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Seen {
+pub(crate) struct Seen {
     /// Identifies the content of the file: changes when the file does.
-    pub stamp: FileStamp,
+    pub(crate) stamp: FileStamp,
     /// How long ago the file or its metadata changed last, by the clock of this machine. `None` if the file
     /// system has another clock, or the change lies in the future.
-    pub age: Option<Duration>,
+    pub(crate) age: Option<Duration>,
 }
 
 /// What an event says about a file, besides that it may have changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum FileHint {
+pub(crate) enum FileHint {
     /// Nothing else.
     Changed,
     /// It was renamed into place.
@@ -56,7 +57,7 @@ pub enum FileHint {
 
 /// A file that may become a frame: its last known state, and since when it has not changed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Candidate {
+pub(crate) struct Candidate {
     stamp: FileStamp,
     /// When the file was first seen in this state, or when it was last touched without another change.
     seen_at: Instant,
@@ -68,24 +69,21 @@ pub struct Candidate {
     is_open: bool,
 }
 
-/// The shortest limit of the wait for a program that has the file open now: with `--once`, `stalled` is short.
-const OPEN_LIMIT_MIN: Duration = Duration::from_secs(30);
-
 /// How long after a file was found open it is checked again.
 const RECHECK: Duration = Duration::from_secs(1);
 
 /// The file that marks a frame as complete.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Sentinel {
+pub(crate) struct Sentinel {
     /// Whether the frame waits for it; otherwise it is one of several possible proofs.
-    pub is_required: bool,
+    pub(crate) is_required: bool,
     /// Whether it exists, and [`counts`](sentinel_counts).
-    pub exists: bool,
+    pub(crate) exists: bool,
 }
 
 /// Whether a file may be read now.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Readiness {
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Readiness {
     /// It may be read.
     Ready(Proof),
     /// It may not be read yet.
@@ -93,13 +91,13 @@ pub enum Readiness {
         /// When to check again if nothing changes before; `None` if only a change can help.
         until: Option<Instant>,
         /// The missing proof.
-        why: WaitReason,
+        why: Reason,
     },
 }
 
 /// Why a file may be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Proof {
+pub(crate) enum Proof {
     /// It was renamed into place.
     Renamed,
     /// Its sentinel exists.
@@ -113,29 +111,9 @@ pub enum Proof {
     Stalled,
 }
 
-/// Why a file may not be read yet.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WaitReason {
-    /// Its sentinel is missing, or older than the frame.
-    Sentinel,
-    /// It changed just now.
-    Changing,
-    /// Its format cannot show whether it is complete.
-    Unverifiable,
-    /// Its format says that it is complete, but the program that wrote it has not closed it.
-    Open,
-    /// Its format says that it is incomplete.
-    Incomplete {
-        /// The minimum size that its header declares, in bytes.
-        expected: u64,
-        /// Its size, in bytes.
-        found: u64,
-    },
-}
-
 impl Candidate {
     /// A file that is seen for the first time.
-    pub fn new(now: Instant, seen: &Seen, hint: FileHint) -> Candidate {
+    pub(crate) fn new(now: Instant, seen: &Seen, hint: FileHint) -> Candidate {
         Candidate {
             stamp: seen.stamp,
             seen_at: now,
@@ -148,7 +126,7 @@ impl Candidate {
     }
 
     /// Updates the candidate with the current state of the file, and what an event said about it.
-    pub fn see(&mut self, now: Instant, seen: &Seen, hint: FileHint) {
+    pub(crate) fn see(&mut self, now: Instant, seen: &Seen, hint: FileHint) {
         let later = Candidate::new(now, seen, hint);
         let is_same_file = seen.stamp.inode == self.stamp.inode;
         let is_open = later.is_open || hint == FileHint::Changed && is_same_file && self.is_open;
@@ -168,14 +146,14 @@ impl Candidate {
     }
 
     /// The file's last known stamp.
-    pub fn stamp(&self) -> &FileStamp {
+    pub(crate) fn stamp(&self) -> &FileStamp {
         &self.stamp
     }
 
     /// Whether the file may be read. Calls `completeness`, and `is_open`, only if the result matters.
     /// `is_open` returns whether a program has the file open for writing; its argument is how long the file has
     /// been unchanged.
-    pub fn readiness(
+    pub(crate) fn readiness(
         &self,
         now: Instant,
         timeouts: &StabilityTimeouts,
@@ -186,61 +164,52 @@ impl Candidate {
         match sentinel {
             Sentinel { exists: true, .. } => return Readiness::Ready(Proof::Sentinel),
             Sentinel { is_required: true, .. } => {
-                return Readiness::Waiting { until: None, why: WaitReason::Sentinel };
+                return Readiness::Waiting { until: None, why: Reason::NoSentinel };
             }
             _ if self.renamed => return Readiness::Ready(Proof::Renamed),
             _ => {}
         }
-        self.left_alone(now, timeouts.settle, WaitReason::Changing).unwrap_or_else(|| match completeness() {
+        self.remaining_wait(now, timeouts.settle, Reason::Changing).unwrap_or_else(|| match completeness() {
             Completeness::Complete => {
-                self.held_open(now, timeouts, is_open).unwrap_or(Readiness::Ready(Proof::Format))
+                self.wait_while_open(now, timeouts, is_open).unwrap_or(Readiness::Ready(Proof::Format))
             }
             // Nobody fills such a file through a memory map, and a simulation that appends steps keeps it open.
             Completeness::NeedsReading => Readiness::Ready(Proof::Format),
             Completeness::Unknown => self
-                .left_alone(now, timeouts.unverifiable, WaitReason::Unverifiable)
+                .remaining_wait(now, timeouts.unverifiable, Reason::Unverifiable)
                 .unwrap_or(Readiness::Ready(Proof::Unchanged)),
             Completeness::Incomplete { expected, found } => self
-                .left_alone(now, timeouts.stalled, WaitReason::Incomplete { expected, found })
+                .remaining_wait(now, timeouts.stalled, Reason::Incomplete { expected, found })
                 .unwrap_or(Readiness::Ready(Proof::Stalled)),
         })
     }
 
     /// How long to wait because a program has the file open for writing.
-    fn held_open(
+    fn wait_while_open(
         &self,
         now: Instant,
         timeouts: &StabilityTimeouts,
         is_open: impl FnOnce(Duration) -> bool,
     ) -> Option<Readiness> {
         if self.is_open
-            && let Some(waiting) = self.left_alone(now, timeouts.stalled, WaitReason::Open)
+            && let Some(waiting) = self.remaining_wait(now, timeouts.stalled, Reason::Open)
         {
             return Some(waiting);
         }
-        self.left_alone(now, timeouts.stalled.max(OPEN_LIMIT_MIN), WaitReason::Open)?;
+        self.remaining_wait(now, timeouts.stalled.max(STALLED_MIN), Reason::Open)?;
         // Perhaps no event tells when it is closed.
         let until = now.checked_add(RECHECK);
-        is_open(self.unchanged_for(now)).then_some(Readiness::Waiting { until, why: WaitReason::Open })
+        is_open(self.unchanged_for(now)).then_some(Readiness::Waiting { until, why: Reason::Open })
     }
 
     /// `None` if the file has been unchanged for at least `wanted`; otherwise how long to wait.
-    fn left_alone(&self, now: Instant, wanted: Duration, why: WaitReason) -> Option<Readiness> {
+    fn remaining_wait(&self, now: Instant, wanted: Duration, why: Reason) -> Option<Readiness> {
         let missing = wanted.checked_sub(self.unchanged_for(now)).filter(|missing| !missing.is_zero())?;
         Some(Readiness::Waiting { until: now.checked_add(missing), why })
     }
 
     fn unchanged_for(&self, now: Instant) -> Duration {
         now.saturating_duration_since(self.seen_at).saturating_add(self.age)
-    }
-}
-
-impl fmt::Display for Readiness {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Readiness::Ready(proof) => write!(f, "ready: {proof}"),
-            Readiness::Waiting { why, .. } => write!(f, "waiting: {why}"),
-        }
     }
 }
 
@@ -252,40 +221,22 @@ impl fmt::Display for Proof {
             Proof::Format => {
                 "it has not changed for --settle; if it is incomplete, reading it will detect that"
             }
-            Proof::Unchanged => "it has not changed for --settle-unverifiable, so it counts as complete",
-            Proof::Stalled => {
-                "it is incomplete and has not changed for --stalled, so it is read to report the error"
-            }
+            Proof::Unchanged => "it has not changed for 4 times --settle, so it counts as complete",
+            Proof::Stalled => "it is incomplete and no longer changes, so it is read to report the error",
         })
-    }
-}
-
-impl fmt::Display for WaitReason {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            WaitReason::Sentinel => f.write_str("its sentinel is missing, or older than the frame"),
-            WaitReason::Changing => f.write_str("it changed just now"),
-            WaitReason::Unverifiable => f.write_str(
-                "its format cannot show whether it is complete, so it must be unchanged for --settle-unverifiable",
-            ),
-            WaitReason::Open => f.write_str("the program that writes it still has it open"),
-            WaitReason::Incomplete { expected, found } => {
-                write!(f, "it is not complete: {found} of at least {expected} bytes")
-            }
-        }
     }
 }
 
 /// Whether a sentinel applies to the current content of the frame: false if the frame was written after the
 /// sentinel.
-pub fn sentinel_counts(sentinel: &FileStamp, frame: &FileStamp) -> bool {
+pub(crate) fn sentinel_counts(sentinel: &FileStamp, frame: &FileStamp) -> bool {
     frame.modified_ns <= sentinel.modified_ns
 }
 
 /// The path of a frame's sentinel. In the pattern, `{name}` is replaced by the name of the frame's file, and
 /// `{stem}` by that name without the extensions of particle files. A relative pattern starts from the folder
 /// of the frame.
-pub fn sentinel_path(frame: &Path, pattern: &str) -> PathBuf {
+pub(crate) fn sentinel_path(frame: &Path, pattern: &str) -> PathBuf {
     let name = frame.file_name().unwrap_or_default();
     let stem = stem(frame);
     let mut sentinel = OsString::new();
@@ -360,8 +311,8 @@ mod tests {
     enum Answer {
         Ready(Proof),
         /// Waiting until this many milliseconds after the start.
-        Until(u64, WaitReason),
-        Never(WaitReason),
+        Until(u64, Reason),
+        Never(Reason),
     }
 
     use Answer::{Never, Ready, Until};
@@ -419,8 +370,8 @@ mod tests {
             "complete",
             &[
                 (0, See(100, 1, 1, Some(0))),
-                (0, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
-                (499, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
+                (0, Ask(NONE, Complete, Until(500, Reason::Changing))),
+                (499, Ask(NONE, Complete, Until(500, Reason::Changing))),
                 (500, Ask(NONE, Complete, Ready(Proof::Format))),
                 (500, Ask(NONE, NeedsReading, Ready(Proof::Format))),
             ],
@@ -429,7 +380,7 @@ mod tests {
             "format without a length",
             &[
                 (0, See(100, 1, 1, Some(0))),
-                (600, Ask(NONE, Unknown, Until(2000, WaitReason::Unverifiable))),
+                (600, Ask(NONE, Unknown, Until(2000, Reason::Unverifiable))),
                 (2000, Ask(NONE, Unknown, Ready(Proof::Unchanged))),
             ],
         );
@@ -437,7 +388,7 @@ mod tests {
             "abandoned by its writer",
             &[
                 (0, See(50, 1, 1, Some(0))),
-                (9999, Ask(NONE, HALF, Until(10_000, WaitReason::Incomplete { expected: 100, found: 50 }))),
+                (9999, Ask(NONE, HALF, Until(10_000, Reason::Incomplete { expected: 100, found: 50 }))),
                 (10_000, Ask(NONE, HALF, Ready(Proof::Stalled))),
             ],
         );
@@ -455,7 +406,7 @@ mod tests {
             &[
                 (0, See(100, 1, 1, Some(1000))),
                 (0, Ask(NONE, Complete, Ready(Proof::Format))),
-                (0, Ask(NONE, Unknown, Until(1000, WaitReason::Unverifiable))),
+                (0, Ask(NONE, Unknown, Until(1000, Reason::Unverifiable))),
             ],
         );
         check(
@@ -463,7 +414,7 @@ mod tests {
             &[
                 (0, See(100, 1, 1, None)),
                 (400, See(100, 1, 1, None)),
-                (499, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
+                (499, Ask(NONE, Complete, Until(500, Reason::Changing))),
                 (500, Ask(NONE, Complete, Ready(Proof::Format))),
             ],
         );
@@ -476,11 +427,11 @@ mod tests {
             &[
                 (0, See(10, 1, 1, Some(0))),
                 (1000, See(40, 2, 1, Some(200))),
-                (1200, Ask(NONE, HALF, Until(1300, WaitReason::Changing))),
+                (1200, Ask(NONE, HALF, Until(1300, Reason::Changing))),
                 (3000, See(70, 3, 1, Some(0))),
-                (3600, Ask(NONE, HALF, Until(13_000, WaitReason::Incomplete { expected: 100, found: 50 }))),
+                (3600, Ask(NONE, HALF, Until(13_000, Reason::Incomplete { expected: 100, found: 50 }))),
                 (5000, See(100, 4, 1, Some(0))),
-                (5499, Ask(NONE, Complete, Until(5500, WaitReason::Changing))),
+                (5499, Ask(NONE, Complete, Until(5500, Reason::Changing))),
                 (5500, Ask(NONE, Complete, Ready(Proof::Format))),
             ],
         );
@@ -489,7 +440,7 @@ mod tests {
             &[
                 (0, See(100, 1, 1, Some(0))),
                 (400, See(160, 2, 1, Some(0))),
-                (500, Ask(NONE, Complete, Until(900, WaitReason::Changing))),
+                (500, Ask(NONE, Complete, Until(900, Reason::Changing))),
                 (900, Ask(NONE, Complete, Ready(Proof::Format))),
             ],
         );
@@ -498,7 +449,7 @@ mod tests {
             &[
                 (0, See(100, 1, 1, Some(0))),
                 (400, See(100, 2, 1, Some(0))),
-                (600, Ask(NONE, Complete, Until(900, WaitReason::Changing))),
+                (600, Ask(NONE, Complete, Until(900, Reason::Changing))),
             ],
         );
     }
@@ -511,7 +462,7 @@ mod tests {
                 (0, See(100, 1, 1, Some(3_600_000))),
                 (0, Ask(NONE, Complete, Ready(Proof::Format))),
                 (100, See(100, 1, 2, Some(0))),
-                (100, Ask(NONE, Complete, Until(600, WaitReason::Changing))),
+                (100, Ask(NONE, Complete, Until(600, Reason::Changing))),
             ],
         );
         check(
@@ -519,7 +470,7 @@ mod tests {
             &[
                 (0, See(100, 900, 1, Some(0))),
                 (300, See(100, 5, 1, Some(0))),
-                (600, Ask(NONE, Complete, Until(800, WaitReason::Changing))),
+                (600, Ask(NONE, Complete, Until(800, Reason::Changing))),
                 (800, Ask(NONE, Complete, Ready(Proof::Format))),
             ],
         );
@@ -527,7 +478,7 @@ mod tests {
             "modification time in the future",
             &[
                 (0, See(100, i64::MAX, 1, None)),
-                (0, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
+                (0, Ask(NONE, Complete, Until(500, Reason::Changing))),
                 (500, Ask(NONE, Complete, Ready(Proof::Format))),
             ],
         );
@@ -536,7 +487,7 @@ mod tests {
             &[
                 (0, See(100, 1, 1, Some(450))),
                 (40, See(100, 1, 1, Some(10))),
-                (60, Ask(NONE, Complete, Until(530, WaitReason::Changing))),
+                (60, Ask(NONE, Complete, Until(530, Reason::Changing))),
                 (530, Ask(NONE, Complete, Ready(Proof::Format))),
             ],
         );
@@ -574,9 +525,9 @@ mod tests {
             &[
                 (0, Hint(Renamed, 100, 1, 1, Some(0))),
                 (10, See(0, 2, 1, Some(0))),
-                (10, Ask(NONE, HALF, Until(510, WaitReason::Changing))),
+                (10, Ask(NONE, HALF, Until(510, Reason::Changing))),
                 (20, See(50, 3, 1, Some(0))),
-                (600, Ask(NONE, HALF, Until(10_020, WaitReason::Incomplete { expected: 100, found: 50 }))),
+                (600, Ask(NONE, HALF, Until(10_020, Reason::Incomplete { expected: 100, found: 50 }))),
                 (700, Hint(Renamed, 100, 4, 2, Some(0))),
                 (700, Ask(NONE, Complete, Ready(Proof::Renamed))),
             ],
@@ -591,12 +542,12 @@ mod tests {
             &[
                 (0, Hint(Written, 100, 1, 1, Some(0))),
                 (600, See(100, 1, 1, Some(600))),
-                (600, Ask(NONE, Complete, Until(10_000, WaitReason::Open))),
-                (600, Ask(NONE, Unknown, Until(2000, WaitReason::Unverifiable))),
+                (600, Ask(NONE, Complete, Until(10_000, Reason::Open))),
+                (600, Ask(NONE, Unknown, Until(2000, Reason::Unverifiable))),
                 (3000, Hint(Closed, 100, 1, 1, Some(3000))),
                 (3000, Ask(NONE, Complete, Ready(Proof::Format))),
                 (3100, Hint(Written, 100, 2, 1, Some(0))),
-                (3600, Ask(NONE, Complete, Until(13_100, WaitReason::Open))),
+                (3600, Ask(NONE, Complete, Until(13_100, Reason::Open))),
                 (3600, Ask(NONE, NeedsReading, Ready(Proof::Format))),
             ],
         );
@@ -608,9 +559,9 @@ mod tests {
             "never closed, and still open",
             &[
                 (0, Hint(Written, 100, 1, 1, Some(0))),
-                (9_999, AskOpen(NONE, Complete, Until(10_000, WaitReason::Open))),
-                (10_000, AskOpen(NONE, Complete, Until(11_000, WaitReason::Open))),
-                (29_999, AskOpen(NONE, Complete, Until(30_999, WaitReason::Open))),
+                (9_999, AskOpen(NONE, Complete, Until(10_000, Reason::Open))),
+                (10_000, AskOpen(NONE, Complete, Until(11_000, Reason::Open))),
+                (29_999, AskOpen(NONE, Complete, Until(30_999, Reason::Open))),
                 (30_000, AskOpen(NONE, Complete, Ready(Proof::Format))),
             ],
         );
@@ -618,7 +569,7 @@ mod tests {
             "opened before the daemon started",
             &[
                 (0, See(100, 1, 1, Some(0))),
-                (500, AskOpen(NONE, Complete, Until(1500, WaitReason::Open))),
+                (500, AskOpen(NONE, Complete, Until(1500, Reason::Open))),
                 (500, AskOpen(NONE, NeedsReading, Ready(Proof::Format))),
                 (1500, Ask(NONE, Complete, Ready(Proof::Format))),
             ],
@@ -640,8 +591,8 @@ mod tests {
             "required",
             &[
                 (0, Hint(Renamed, 100, 1, 1, Some(3_600_000))),
-                (0, Ask(wanted(false), Complete, Never(WaitReason::Sentinel))),
-                (90_000, Ask(wanted(false), HALF, Never(WaitReason::Sentinel))),
+                (0, Ask(wanted(false), Complete, Never(Reason::NoSentinel))),
+                (90_000, Ask(wanted(false), HALF, Never(Reason::NoSentinel))),
                 (90_000, Ask(wanted(true), HALF, Ready(Proof::Sentinel))),
             ],
         );
@@ -649,7 +600,7 @@ mod tests {
             "optional",
             &[
                 (0, See(100, 1, 1, Some(0))),
-                (0, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
+                (0, Ask(NONE, Complete, Until(500, Reason::Changing))),
                 (0, Ask(Sentinel { is_required: false, exists: true }, Unknown, Ready(Proof::Sentinel))),
             ],
         );

@@ -18,9 +18,10 @@ use meniscus_formats::Neighbor;
 
 use crate::pipeline::{FileFrames, FileStamp, Frame, FrameError, ObstacleStamps, Outcome};
 use crate::surface::options::Settings;
+use crate::watch::Reason;
 use crate::watch::journal::{Entry, JournaledFrame, OutputCheck, OutputRecord};
 
-use super::completeness::{Candidate, FileHint, Proof, Seen, WaitReason};
+use super::completeness::{Candidate, FileHint, Proof, Seen};
 use super::frames::FrameId;
 use super::sequences::{MeasureOrder, SpacingResult};
 
@@ -55,14 +56,14 @@ pub(crate) enum Event {
     Measured(Box<SpacingResult>),
     /// The search of a file for steps has ended.
     StepsFound(FoundSteps),
-    /// A pipeline has a free slot for a frame.
-    FrameRequested { pipeline: usize },
-    /// A pipeline returns a frame that it cannot start, because its outputs cannot be written now.
+    /// The pipeline has a free slot for a frame.
+    FrameRequested,
+    /// The pipeline returns a frame that it cannot start, because its outputs cannot be written now.
     FrameReturned { id: FrameId, frame: Box<Frame>, found: OutputDirState },
-    /// A pipeline has finished with a frame.
+    /// The pipeline has finished with a frame.
     FrameFinished(Box<FrameFinished>),
-    /// All frames of a pipeline are finished, and it has ended.
-    PipelineEnded { pipeline: usize },
+    /// All frames of the pipeline are finished, and it has ended.
+    PipelineEnded,
     /// The state of a folder of outputs.
     OutputDirChecked(OutputDirState),
     /// The answer to [`OutputRequest::Sync`]: whether the journal and the stages are on the disk.
@@ -124,7 +125,7 @@ pub(crate) enum FoundObstacleStamps {
     PerNumber(std::collections::HashMap<Option<i64>, Arc<ObstacleStamps>>),
 }
 
-/// A frame that a pipeline has finished with.
+/// A frame that the pipeline has finished with.
 #[derive(Debug)]
 pub(crate) struct FrameFinished {
     pub(crate) id: FrameId,
@@ -199,7 +200,7 @@ pub(crate) enum InspectionResult {
     /// Its outputs are missing because their folder is not mounted.
     OutputsAway,
     /// It is incomplete.
-    Waiting { until: Option<Instant>, why: WaitReason },
+    Waiting { until: Option<Instant>, why: Reason },
     /// It is complete.
     Complete(Complete),
 }
@@ -240,7 +241,7 @@ pub(crate) enum RootRequest {
     StampObstacles(BTreeSet<Option<i64>>),
 }
 
-/// A slow request, for the second thread of a root.
+/// A request that may take minutes, for a thread of its own.
 #[derive(Debug)]
 pub(crate) enum SlowRequest {
     Measure(Box<MeasureOrder>),
@@ -306,13 +307,9 @@ pub(crate) struct Start {
 #[derive(Debug)]
 pub(crate) enum Effect {
     Root(usize, RootRequest),
-    Slow(usize, SlowRequest),
+    Slow(SlowRequest),
     Output(usize, OutputRequest),
-    /// Give a frame to a pipeline that has asked for one.
-    Start(usize, Start),
-    /// Start a new pipeline in addition to those that hang.
-    StartPipeline(usize),
-    /// Inform a pipeline that there are no more frames.
-    EndPipeline(usize),
+    /// Give a frame to the pipeline, which has asked for one.
+    Start(Start),
     Log(Log),
 }

@@ -19,6 +19,8 @@ use std::time::Instant;
 
 use crate::pipeline::{FileFrames, FileStamp, FrameFile, ObstacleStamps, output_stem};
 
+use crate::watch::Reason;
+
 use super::completeness::Candidate;
 
 /// A file in a watched folder, or a step of a file. A file in two watched folders is two frames, because
@@ -139,6 +141,8 @@ pub(crate) struct FrameState {
     pub(crate) was_closed: bool,
     /// The stamps of its obstacles at the last inspection; `None` without obstacles.
     pub(crate) obstacles: Option<Arc<ObstacleStamps>>,
+    /// Why it is to be converted.
+    pub(crate) reason: Option<Reason>,
     /// When to inspect it again.
     alarm_at: Option<Instant>,
     /// The number of the inspection in progress.
@@ -160,10 +164,10 @@ pub(crate) enum FramePhase {
     Settling(Candidate),
     /// Complete, but its sequence has no settings yet.
     Held,
-    /// Waiting for a pipeline.
+    /// Waiting for the pipeline.
     Queued,
-    /// In the pipeline with this number. Until it finishes, changes of its file have no effect.
-    InProgress(usize),
+    /// In the pipeline. Until it finishes, changes of its file have no effect.
+    InProgress,
     /// Failed; the retry is due at this time.
     Retrying(Instant),
     /// Its outputs exist.
@@ -243,6 +247,7 @@ impl FrameTable {
             was_inspected: false,
             was_closed: false,
             obstacles: None,
+            reason: None,
             alarm_at: None,
             inspection: None,
         };
@@ -338,7 +343,7 @@ impl FrameTable {
                     counts.stuck += usize::from(frame.is_stuck());
                 }
                 FramePhase::Held => counts.held += 1,
-                FramePhase::Queued | FramePhase::InProgress(_) => counts.queued += 1,
+                FramePhase::Queued | FramePhase::InProgress => counts.queued += 1,
                 FramePhase::FindingSteps => counts.finding_steps += 1,
                 FramePhase::Retrying(_) => counts.retrying += 1,
                 FramePhase::Done => counts.done += 1,

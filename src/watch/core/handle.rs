@@ -27,7 +27,7 @@ impl Core {
             Event::ObstaclesStamped { root, stamps } => self.on_obstacles_stamped(root, &stamps),
             Event::Measured(measured) => self.on_measured(*measured),
             Event::StepsFound(found) => self.on_steps_found(found),
-            Event::FrameRequested { pipeline } => self.requesting.push_back(pipeline),
+            Event::FrameRequested => self.requested_count += 1,
             Event::FrameReturned { id, frame, found } => {
                 if let Some(state) = self.frames.get_mut(&id) {
                     state.phase = FramePhase::Queued;
@@ -36,11 +36,10 @@ impl Core {
                 self.on_output_dir_checked(found);
             }
             Event::FrameFinished(finished) => self.on_finished(*finished),
-            Event::PipelineEnded { pipeline } => self.requesting.retain(|requesting| *requesting != pipeline),
             Event::OutputDirChecked(found) => self.on_output_dir_checked(found),
-            Event::WorkerStalled(worker) => self.set_stalled(worker, Some(now.at)),
-            Event::WorkerAnswered(worker) => self.set_stalled(worker, None),
-            Event::OutputSynced(_) => {}
+            Event::WorkerStalled(worker) => self.set_stalled(worker, true),
+            Event::WorkerAnswered(worker) => self.set_stalled(worker, false),
+            Event::PipelineEnded | Event::OutputSynced(_) => {}
         }
     }
 
@@ -53,7 +52,6 @@ impl Core {
         }
         self.check_space();
         self.resolve_sequences();
-        self.replace_stalled_pipeline();
         self.start_frames();
     }
 
@@ -67,66 +65,40 @@ impl Core {
         std::mem::take(&mut self.effects)
     }
 
-    /// Gives frames to the pipelines that have asked for one.
+    /// Gives frames to the pipeline, if it has asked for some.
     fn start_frames(&mut self) {
-        while let Some(&pipeline) = self.requesting.front() {
-            // A pipeline that was replaced because it hung responds again: it finishes its frames and ends.
-            if self.is_stopping || pipeline != self.pipeline {
-                self.requesting.pop_front();
-                self.effects.push(Effect::EndPipeline(pipeline));
-                continue;
-            }
-            if self.guard.reason().is_some() {
-                return;
-            }
-            let may_begin: Vec<bool> = (0..self.roots.len()).map(|root| self.may_begin(root)).collect();
-            let Some((id, frame)) = self.queue.pop(|root| may_begin[root]) else { return };
-            self.requesting.pop_front();
+        while self.requested_count > 0 && !self.is_stopping && self.guard.reason().is_none() {
+            let Some((id, frame)) = self.queue.pop() else { return };
+            self.requested_count -= 1;
             if let Some(state) = self.frames.get_mut(&id) {
-                state.phase = FramePhase::InProgress(pipeline);
+                state.phase = FramePhase::InProgress;
             }
             let record = self.record_of(&id);
             let known_outputs = record.map_or(Vec::new(), |record| record.outputs.clone());
-            self.effects.push(Effect::Start(pipeline, Start { id, frame, known_outputs }));
+            self.effects.push(Effect::Start(Start { id, frame, known_outputs }));
         }
     }
 
-    /// Starts another pipeline if frames of the current one wait for a file system that does not respond, so
-    /// that frames of other folders are converted meanwhile.
-    fn replace_stalled_pipeline(&mut self) {
-        let may_others_begin = (0..self.roots.len()).any(|root| self.may_begin(root));
-        if self.is_stopping || !may_others_begin || !self.has_stalled() {
-            return;
-        }
-        let hangs = |(id, frame): (&FrameId, &FrameState)| {
-            frame.phase == FramePhase::InProgress(self.pipeline) && !self.may_begin(id.root)
-        };
-        if !self.frames.iter().any(hangs) {
-            return;
-        }
-        self.pipeline += 1;
-        self.log(|| tracing::warn!("in-flight frames are blocked by a file system that does not respond: starting another pipeline for the other folders"));
-        self.effects.push(Effect::StartPipeline(self.pipeline));
-    }
-
-    fn set_stalled(&mut self, worker: Worker, since: Option<Instant>) {
-        let (path, stalled) = match worker {
+    fn set_stalled(&mut self, worker: Worker, has_stalled: bool) {
+        let folder = match worker {
             Worker::Root(root) => {
-                let root = &mut self.roots[root];
-                (root.path.clone(), &mut root.stalled_since)
+                self.roots[root].has_stalled = has_stalled;
+                self.root_path(root).to_owned()
             }
             Worker::Output(output) => {
-                let output = &mut self.outputs[output];
-                (output.folder.clone(), &mut output.stalled_since)
+                self.outputs[output].has_stalled = has_stalled;
+                self.outputs[output].folder.clone()
             }
         };
-        *stalled = since;
-        self.log_about(path, move |folder| match since {
-            Some(_) => tracing::warn!(
-                %folder,
-                "folder is unavailable: its file system has not responded for {STALL_AFTER:?}; other folders continue"
-            ),
-            None => tracing::info!(%folder, "file system responds again"),
+        self.log_about(folder, move |folder| {
+            if has_stalled {
+                tracing::warn!(
+                    %folder,
+                    "folder is unavailable: its file system has not responded for {STALL_AFTER:?}"
+                );
+            } else {
+                tracing::info!(%folder, "file system responds again");
+            }
         });
     }
 
@@ -149,8 +121,8 @@ impl Core {
     /// Whether every folder was scanned once, except folders that hang. If no folder hangs, the files must
     /// have been inspected, too.
     pub(crate) fn is_ready(&self) -> bool {
-        let is_waiting = self.roots.iter().any(|root| !root.was_scanned && root.stalled_since.is_none());
-        let hangs = self.roots.iter().any(|root| root.stalled_since.is_some());
+        let is_waiting = self.roots.iter().any(|root| !root.was_scanned && !root.has_stalled);
+        let hangs = self.roots.iter().any(|root| root.has_stalled);
         !is_waiting && (hangs || !self.frames.is_inspecting(None))
     }
 
@@ -206,22 +178,13 @@ impl Core {
         self.is_stopping = true;
     }
 
-    /// Whether frames are in progress; with `with_stalled`, including those that hang.
-    pub(crate) fn has_frames_in_progress(&self, with_stalled: bool) -> bool {
-        let is_in_progress = |(id, frame): (&FrameId, &FrameState)| {
-            matches!(frame.phase, FramePhase::InProgress(_)) && (with_stalled || self.may_begin(id.root))
-        };
-        self.frames.iter().any(is_in_progress)
-    }
-
     pub(crate) fn is_stopping(&self) -> bool {
         self.is_stopping
     }
 
     /// Whether a folder hangs.
     pub(crate) fn has_stalled(&self) -> bool {
-        let roots = self.roots.iter().any(|root| root.stalled_since.is_some());
-        roots || self.outputs.iter().any(|output| output.stalled_since.is_some())
+        self.roots.iter().any(|root| root.has_stalled) || self.outputs.iter().any(|output| output.has_stalled)
     }
 
     /// Requests that all journals be synced to disk, and all stages written; returns the number of folders.
@@ -235,25 +198,27 @@ impl Core {
     /// The summary of the run; failures in natural order.
     pub(crate) fn summary(&self, ended: EndReason) -> WatchSummary {
         let counts = self.frames.counts();
-        let mut failed: Vec<_> = self.failed.iter().collect();
-        failed.sort_by(|(a, _), (b, _)| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
-        let failed = failed.into_iter().map(|(id, failure)| FailedFrame {
-            what: about(&id.path, &failure.reason),
-            frames_since: failure.logged_at.map(|logged_at| self.finished_count - logged_at),
-        });
+        let mut failures: Vec<_> = self.failed.iter().collect();
+        failures
+            .sort_by(|(a, _), (b, _)| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
+        let mut failed = Vec::new();
+        for (id, failure) in failures {
+            let frames_since = failure.logged_at.map(|logged_at| self.finished_count - logged_at);
+            failed.push(FailedFrame { message: about(&id.path, &failure.reason), frames_since });
+        }
         let unreadable = self.roots.iter().flat_map(|root| &root.unreadable);
         let unreadable = unreadable.map(|(path, why)| (&**path, &**why));
         // With `once`, the run does not wait for a folder that hangs.
         let hanging = self.unavailable().filter(|_| self.config.once);
-        let unreadable = unreadable.chain(hanging).map(|(path, why)| FailedFrame {
-            what: about(path, why),
-            frames_since: Some(self.finished_count),
-        });
+        for (path, why) in unreadable.chain(hanging) {
+            let frames_since = Some(self.finished_count);
+            failed.push(FailedFrame { message: about(path, why), frames_since });
+        }
         WatchSummary {
             ended,
             done_count: counts.done,
             broken_count: self.broken_count(),
-            failed: failed.chain(unreadable).collect(),
+            failed,
             left_count: counts.left(),
             has_unwritten: false,
         }

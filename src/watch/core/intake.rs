@@ -10,7 +10,7 @@
 //!        └ seen before, and unchanged; unless a writer closed it: then it is read again
 //! ```
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -19,10 +19,11 @@ use meniscus_formats::Neighbor;
 
 use crate::pipeline::{FileStamp, Frame, Job, ObstacleStamps, OutputOptions, output_path, step_in};
 use crate::surface::options::Settings;
+use crate::watch::Reason;
 use crate::watch::journal::{JournaledFrame, JournaledStatus, OutputCheck};
 
 use super::completeness::{Candidate, FileHint, Seen, path_of_sentinel};
-use super::decision::{Decision, decide};
+use super::decision::reason_to_convert;
 use super::events::{
     Complete, FileContents, FoundObstacleStamps, Inspect, Inspected, InspectionExtent, InspectionResult,
     Recorded, RootRequest, Scan,
@@ -46,25 +47,17 @@ impl Core {
             return self.add_frame(id, candidate);
         };
         frame.scan_count = self.scan_count;
-        let is_same = frame.stamp == seen.stamp;
-        match frame.phase {
-            FramePhase::Settling(mut candidate) => {
+        match &mut frame.phase {
+            FramePhase::Settling(candidate) => {
                 candidate.see(at, seen, hint);
-                (frame.phase, frame.stamp) = (FramePhase::Settling(candidate), seen.stamp);
+                frame.stamp = seen.stamp;
             }
-            FramePhase::Done | FramePhase::Failed | FramePhase::Ignored if is_same && was_closed => {
-                return self.read_again(id);
-            }
-            FramePhase::Steps if is_same && was_closed => return self.read_steps_again(id),
-            FramePhase::Done if is_same => return self.check_outputs(id),
-            FramePhase::Steps if is_same => return self.check_steps(id),
-            FramePhase::Failed if is_same => return self.check_refusal(id),
             // The file is inspected when the conversion ends.
-            FramePhase::InProgress(_) => {
+            FramePhase::InProgress => {
                 frame.was_closed |= was_closed;
                 return;
             }
-            _ if is_same => return,
+            _ if frame.stamp == seen.stamp => return self.on_unchanged(id, was_closed),
             FramePhase::Steps => {
                 self.unqueue_steps(id, seen, at);
                 self.settle(id, candidate);
@@ -74,15 +67,30 @@ impl Core {
         self.inspect_settling(id, InspectionExtent::AllOfJustSeen);
     }
 
+    /// A file was seen that is unchanged since it was read, or its writer closed it.
+    fn on_unchanged(&mut self, id: &FrameId, was_closed: bool) {
+        match self.frames.phase(id) {
+            Some(FramePhase::Done | FramePhase::Failed | FramePhase::Ignored) if was_closed => {
+                self.read_again(id);
+            }
+            Some(FramePhase::Steps) if was_closed => self.read_steps_again(id),
+            Some(FramePhase::Done) => self.check_outputs(id),
+            Some(FramePhase::Steps) => self.check_steps(id),
+            Some(FramePhase::Failed) => self.check_refusal(id),
+            _ => {}
+        }
+    }
+
     /// Reads a file again although its stamp is the same: a writer has closed it. A memory map changes the
     /// content after the times of the file, and no event reports that.
     pub(super) fn read_again(&mut self, id: &FrameId) {
         if let Some(frame) = self.frames.get_mut(id) {
             frame.was_closed = true;
         }
-        match self.failed.get(id).is_some_and(|failure| failure.is_refusal) {
-            true => self.check_refusal(id),
-            false => self.inspect(id, None, None),
+        if self.failed.get(id).is_some_and(|failure| failure.is_refusal) {
+            self.check_refusal(id);
+        } else {
+            self.inspect(id, None, None);
         }
     }
 
@@ -141,19 +149,16 @@ impl Core {
     /// unreadable at the end. Without `once`, the daemon waits for the target of a dangling link; with
     /// `once`, such a link counts as unreadable.
     fn note_unreadable(&mut self, root: usize, problems: &[(PathBuf, String)], dangling: Vec<PathBuf>) {
-        let dangling = dangling.into_iter().filter(|_| self.config.once);
-        let dangling = dangling.map(|path| (path, "the target of this link is missing".to_owned()));
-        let unreadable = problems.iter().cloned().chain(dangling).collect();
-        let known = std::mem::replace(&mut self.roots[root].unreadable, unreadable);
-        let is_new = |(path, why): &(&PathBuf, &String)| known.get(*path) != Some(why);
-        let news: Vec<(PathBuf, String)> = self.roots[root]
-            .unreadable
-            .iter()
-            .filter(is_new)
-            .map(|(path, why)| (path.clone(), why.clone()))
-            .collect();
-        for (path, why) in news {
-            self.log_about(path, move |path| tracing::error!(%path, "path cannot be read: {why}"));
+        let mut unreadable: BTreeMap<PathBuf, String> = problems.iter().cloned().collect();
+        if self.config.once {
+            let reason = "the target of this link is missing";
+            unreadable.extend(dangling.into_iter().map(|path| (path, reason.to_owned())));
+        }
+        let known = std::mem::replace(&mut self.roots[root].unreadable, unreadable.clone());
+        for (path, why) in unreadable {
+            if known.get(&path) != Some(&why) {
+                self.log_about(path, move |path| tracing::error!(%path, "path cannot be read: {why}"));
+            }
         }
     }
 
@@ -204,7 +209,7 @@ impl Core {
     /// what happens to the frame.
     pub(super) fn remove(&mut self, id: &FrameId) {
         let Some(frame) = self.frames.get(id) else { return };
-        if matches!(frame.phase, FramePhase::InProgress(_)) {
+        if frame.phase == FramePhase::InProgress {
             return;
         }
         // Frames that waited for this one to measure the settings need not wait any longer.
@@ -240,9 +245,13 @@ impl Core {
     pub(crate) fn claim_recorded(&mut self, is_taken: impl Fn(usize, &Path) -> bool) {
         let mut owners = Vec::new();
         for (output, OutputFolder { journal, .. }) in self.outputs.iter().enumerate() {
-            // Frames that failed or were refused have no outputs.
-            let is_owner = |status| !matches!(status, JournaledStatus::Refused | JournaledStatus::Failed);
-            for (input, record) in journal.frames.iter().filter(|(_, record)| is_owner(record.status)) {
+            // Other frames have no outputs yet, or no longer.
+            let is_owner = |record: &JournaledFrame| match record.status {
+                JournaledStatus::Refused | JournaledStatus::Failed | JournaledStatus::Ignored => false,
+                JournaledStatus::Waiting => !record.outputs.is_empty(),
+                _ => true,
+            };
+            for (input, record) in journal.frames.iter().filter(|(_, record)| is_owner(record)) {
                 let file = step_in(input, true).map(|(file, _)| file);
                 let mut roots = (0..self.roots.len()).filter(|&root| self.output_of[root] == output);
                 let id = roots.find_map(|root| match file {
@@ -373,8 +382,8 @@ impl Core {
             None => sequence.fingerprint(None),
         };
         let unrecorded = unrecorded.map(PathBuf::as_path);
-        let decision = decide(Some(&*record), stamp, &fingerprint, unrecorded, None);
-        matches!(decision, Decision::Skip(_)).then_some(Recorded { record, settings })
+        let reason = reason_to_convert(Some(&*record), stamp, &fingerprint, unrecorded);
+        reason.is_none().then_some(Recorded { record, settings })
     }
 
     /// Handles the result of an inspection.
@@ -401,6 +410,7 @@ impl Core {
             }
             InspectionResult::Same | InspectionResult::AsRecorded | InspectionResult::OutputsAway => {}
             InspectionResult::Waiting { until, why } => {
+                self.note_waiting(&id, &why);
                 self.log_about(
                     &*id.path,
                     move |frame| tracing::debug!(%frame, bytes, "waiting because {why}"),
@@ -413,6 +423,24 @@ impl Core {
         }
     }
 
+    /// Records why a frame waits. A growing file would fill the journal if each of its sizes were recorded.
+    fn note_waiting(&mut self, id: &FrameId, why: &Reason) {
+        let is_recorded = self.record_of(id).is_some_and(|record| {
+            record.status == JournaledStatus::Waiting
+                && record.reason.as_ref().is_some_and(|recorded| recorded.is_like(why))
+        });
+        if !is_recorded {
+            self.record_status(id, JournaledStatus::Waiting, Some(why.clone()), None);
+        }
+    }
+
+    /// Records that a file, which was recorded as waiting, is not a frame.
+    pub(super) fn note_ignored(&mut self, id: &FrameId, why: Reason) {
+        if self.record_of(id).is_some_and(|record| record.status == JournaledStatus::Waiting) {
+            self.record_status(id, JournaledStatus::Ignored, Some(why), None);
+        }
+    }
+
     /// Restores the state of a frame from its record.
     fn take_record(&mut self, id: &FrameId) {
         let Some(record) = self.record_of(id).map(Arc::clone) else { return };
@@ -421,7 +449,7 @@ impl Core {
             JournaledStatus::Done if self.claim_outputs(id, None) => FramePhase::Done,
             JournaledStatus::Done => return,
             _ => {
-                let reason = record.reason.clone().unwrap_or_default();
+                let reason = record.reason.as_ref().map(Reason::to_string).unwrap_or_default();
                 self.failed.insert(id.clone(), Failure { reason, logged_at: None, is_refusal: false });
                 FramePhase::Failed
             }
@@ -438,8 +466,9 @@ impl Core {
     /// A file is complete.
     fn on_complete(&mut self, id: &FrameId, complete: Complete) {
         let Complete { proof, changed_output, contents, conflict } = complete;
+        let reason = self.reason_to_convert(id, changed_output.as_ref().map(|(output, _)| &**output));
         if let Some(frame) = self.frames.get_mut(id) {
-            frame.was_closed = false;
+            (frame.was_closed, frame.reason) = (false, reason);
         }
         if let Some(refusal) = self.failed.get(id).filter(|failure| failure.is_refusal) {
             // The reason is logged and recorded already.
@@ -461,9 +490,11 @@ impl Core {
             _ => {}
         });
         match contents {
-            FileContents::NotParticles => self.ignore(id),
+            FileContents::NotParticles => {
+                self.ignore(id, "not a particle file, or a result of meniscus");
+            }
             FileContents::Neighbor(neighbor) => {
-                self.ignore(id);
+                self.ignore(id, neighbor.words()[0]);
                 self.log_neighbor(id, neighbor);
             }
             FileContents::MaybeSteps => self.find_steps(id, conflict),
@@ -478,7 +509,20 @@ impl Core {
         }
     }
 
-    fn ignore(&mut self, id: &FrameId) {
+    /// Why a complete frame is to be converted.
+    fn reason_to_convert(&self, id: &FrameId, changed_output: Option<&Path>) -> Option<Reason> {
+        let (frame, record) = (self.frames.get(id)?, self.record_of(id));
+        let mut settings = self.sequences.get(frame.sequence).fingerprint(frame.obstacles.as_deref());
+        if let Some(record) = record.filter(|_| settings.is_empty()) {
+            settings.clone_from(&record.settings);
+        }
+        let reason =
+            reason_to_convert(record.map(|record| &**record), &frame.stamp, &settings, changed_output);
+        reason.or_else(|| frame.was_closed.then_some(Reason::Closed))
+    }
+
+    fn ignore(&mut self, id: &FrameId, kind: &str) {
+        self.note_ignored(id, Reason::NotAFrame(kind.to_owned()));
         self.forget_steps(id);
         self.release_claim(id);
         self.set_phase(id, FramePhase::Ignored);
@@ -519,6 +563,7 @@ impl Core {
         let sequence = self.sequences.get(frame.sequence);
         frame.settings_fingerprint = sequence.fingerprint(frame.obstacles.as_deref());
         let framing = sequence.framing.clone();
+        let reason = frame.reason.clone();
         let file = id.frame_file(self.root_path(id.root));
         let frame = Frame {
             input: id.path.to_path_buf(),
@@ -531,7 +576,7 @@ impl Core {
             framing,
         };
         self.set_phase(id, FramePhase::Queued);
-        self.record_status(id, JournaledStatus::Queued, None, None);
+        self.record_status(id, JournaledStatus::Queued, reason, None);
         self.queue.push(id, Box::new(frame), modified_ns);
     }
 

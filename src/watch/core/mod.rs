@@ -4,15 +4,15 @@
 //!   Event ──▶ handle ─▶ intake ─▶ steps, settle ─▶ queue ──▶ Effect
 //!                       outcomes ─▶ retry
 //!   frames         the phase of each frame       completeness   when a file is complete
-//!   sequences      settings, resolved once       decision       why a frame is, or is not, converted
+//!   sequences      settings, resolved once       decision       why a recorded frame is converted again
 //!   disk_guard     free space and mounts         publish        views for clients
 //! ```
 //!
 //! Every event is a fact that may be out of date. An event that is lost, doubled or late changes only when
 //! the daemon acts, not what it does.
 
-pub mod completeness;
-pub mod decision;
+pub(crate) mod completeness;
+mod decision;
 pub(crate) mod disk_guard;
 pub(crate) mod events;
 pub(crate) mod frames;

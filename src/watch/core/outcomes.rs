@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::pipeline::{FrameError, FrameReport, Outcome, ReadInput, Scope, Stage, Warning};
+use crate::watch::Reason;
 use crate::watch::journal::{Entry, JournaledFrame, JournaledStatus, OutputRecord};
 use crate::watch::status_store::Figures;
 
@@ -16,7 +17,7 @@ use super::retry::{RetryAction, backoff, recovery};
 use super::state::{Core, Failure};
 
 impl Core {
-    /// A pipeline has finished with a frame.
+    /// The pipeline has finished with a frame.
     pub(super) fn on_finished(&mut self, finished: FrameFinished) {
         let FrameFinished { id, outputs, outcome, free_bytes } = finished;
         self.finished_count += 1;
@@ -142,9 +143,10 @@ impl Core {
                 // The last known free space is out of date.
                 let output = &mut self.outputs[self.output_of[id.root]];
                 output.free_bytes = free_bytes.or(output.free_bytes);
-                match error.is_disk_full() {
-                    true => self.guard.on_full(folder, free_bytes, now),
-                    false => self.guard.on_refusal(reason.clone(), now),
+                if error.is_disk_full() {
+                    self.guard.on_full(folder, free_bytes, now);
+                } else {
+                    self.guard.on_refusal(reason.clone(), now);
                 }
                 self.retry_at(id, now, &reason, |path, why| {
                     tracing::warn!(frame = %path.display(), "{}; paused until writing succeeds again", without_path(path, why));
@@ -180,7 +182,8 @@ impl Core {
         self.set_phase(id, FramePhase::Retrying(at));
         let (path, why) = (Arc::clone(&id.path), reason.to_owned());
         let log = Log::new(move || log(&path, &why));
-        self.record_status(id, JournaledStatus::Retrying, Some(reason.to_owned()), Some(log));
+        let reason = Reason::Error(reason.to_owned());
+        self.record_status(id, JournaledStatus::Retrying, Some(reason), Some(log));
         self.frames.set_alarm(id, at);
     }
 
@@ -220,7 +223,7 @@ impl Core {
                 _ => tracing::error!(frame = %path.display(), state = "failed", "{why}"),
             }
         });
-        self.record_status(id, status, Some(reason.clone()), Some(log));
+        self.record_status(id, status, Some(Reason::Error(reason.clone())), Some(log));
         let (logged_at, is_refusal) = (Some(self.finished_count), status == JournaledStatus::Refused);
         self.failed.insert(id.clone(), Failure { reason, logged_at, is_refusal });
         self.counters.failures += 1;
@@ -267,12 +270,13 @@ impl Core {
         &mut self,
         id: &FrameId,
         status: JournaledStatus,
-        reason: Option<String>,
+        reason: Option<Reason>,
         log: Option<Log>,
     ) {
         // A frame that is inspected again may turn out to be done: until then its outputs and measurements
         // are kept.
-        let is_kept = matches!(status, JournaledStatus::Queued | JournaledStatus::Retrying);
+        let is_kept =
+            matches!(status, JournaledStatus::Waiting | JournaledStatus::Queued | JournaledStatus::Retrying);
         let known = self.record_of(id).filter(|_| is_kept);
         let outputs = known.map_or(Vec::new(), |known| known.outputs.clone());
         let record = with_measurements(self.new_record(id, status), known);
@@ -285,27 +289,20 @@ impl Core {
     /// The fingerprint of the settings of a frame. For a frame in progress, the one at the time when it was
     /// queued, because an obstacle may have changed since.
     fn settings_fingerprint(&self, frame: &FrameState) -> String {
-        match frame.settings_fingerprint.is_empty() {
-            true => self.sequences.get(frame.sequence).fingerprint(frame.obstacles.as_deref()),
-            false => frame.settings_fingerprint.clone(),
+        if frame.settings_fingerprint.is_empty() {
+            return self.sequences.get(frame.sequence).fingerprint(frame.obstacles.as_deref());
         }
+        frame.settings_fingerprint.clone()
     }
 
     fn new_record(&self, id: &FrameId, status: JournaledStatus) -> JournaledFrame {
-        let frame = self.frames.get(id);
+        let record = JournaledFrame { at_ms: self.now.unix_ms, ..JournaledFrame::new(status) };
+        let Some(frame) = self.frames.get(id) else { return record };
         JournaledFrame {
-            status,
-            stamp: frame.map(|frame| frame.stamp).unwrap_or_default(),
-            hash: None,
-            settings: frame.map_or(String::new(), |frame| self.settings_fingerprint(frame)),
-            outputs: Vec::new(),
-            reason: None,
-            attempt_count: frame.map_or(0, |frame| frame.attempt_count),
-            at_ms: self.now.unix_ms,
-            particle_count: None,
-            seconds: None,
-            flaws: Vec::new(),
-            figures: None,
+            stamp: frame.stamp,
+            settings: self.settings_fingerprint(frame),
+            attempt_count: frame.attempt_count,
+            ..record
         }
     }
 }

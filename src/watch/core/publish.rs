@@ -43,7 +43,9 @@ impl Core {
         let done = record.filter(|_| state == FrameProgress::Done);
         let outputs: Vec<OutputView> = done.map_or_else(Vec::new, |record| self.shown_outputs(id, record));
         let failure = self.failed.get(id).map(|failure| failure.reason.clone());
-        let reason = failure.or_else(|| record.and_then(|record| record.reason.clone()));
+        let reason = failure.or_else(|| record?.reason.as_ref().map(ToString::to_string));
+        let has_reason =
+            matches!(state, FrameProgress::Waiting | FrameProgress::Retrying | FrameProgress::Failed);
         let named = |ending: &str| outputs.iter().find(|output| output.name.ends_with(ending));
         let [surface, picture] =
             [".glb", ".png"].map(|ending| named(ending).map(|output| output.name.clone()));
@@ -52,7 +54,7 @@ impl Core {
                 name: name.into(),
                 state,
                 stage: None,
-                reason: reason.filter(|_| state != FrameProgress::Done),
+                reason: reason.filter(|_| has_reason),
                 since_ms: done.map_or(self.now.unix_ms, |done| done.at_ms),
                 particles: done.and_then(|record| record.particle_count),
                 seconds: done.and_then(|record| record.seconds),
@@ -123,10 +125,10 @@ impl Core {
     /// Folders that are unavailable, and why.
     pub(super) fn unavailable(&self) -> impl Iterator<Item = (&Path, &str)> {
         let roots = self.roots.iter().filter_map(|root| {
-            let stalled = root.stalled_since.map(|_| STALLED);
+            let stalled = root.has_stalled.then_some(STALLED);
             Some((&*root.path, stalled.or(root.unavailable.as_deref())?))
         });
-        let stalled = self.outputs.iter().filter(|output| output.stalled_since.is_some());
+        let stalled = self.outputs.iter().filter(|output| output.has_stalled);
         roots.chain(stalled.map(|output| (&*output.folder, STALLED)))
     }
 
@@ -163,7 +165,7 @@ const STALLED: &str = "its file system does not respond";
 fn state_of(phase: FramePhase) -> Option<FrameProgress> {
     Some(match phase {
         FramePhase::Settling(_) | FramePhase::Held | FramePhase::FindingSteps => FrameProgress::Waiting,
-        FramePhase::Queued | FramePhase::InProgress(_) => FrameProgress::Queued,
+        FramePhase::Queued | FramePhase::InProgress => FrameProgress::Queued,
         FramePhase::Retrying(_) => FrameProgress::Retrying,
         FramePhase::Done => FrameProgress::Done,
         FramePhase::Failed => FrameProgress::Failed,
@@ -180,14 +182,16 @@ fn is_inside(path: &Path, folder: &Path) -> bool {
 /// Whether a record applies to the frame in its current phase.
 fn is_about(record: &JournaledFrame, phase: FramePhase) -> bool {
     match record.status {
+        JournaledStatus::Waiting => matches!(phase, FramePhase::Settling(_)),
         JournaledStatus::Done => phase == FramePhase::Done,
         JournaledStatus::Queued => {
-            matches!(phase, FramePhase::Queued | FramePhase::InProgress(_) | FramePhase::Held)
+            matches!(phase, FramePhase::Queued | FramePhase::InProgress | FramePhase::Held)
         }
         JournaledStatus::Retrying => matches!(phase, FramePhase::Retrying(_)),
         JournaledStatus::Failed | JournaledStatus::Refused | JournaledStatus::RetriesExhausted => {
             phase == FramePhase::Failed
         }
+        JournaledStatus::Ignored => false,
     }
 }
 
@@ -220,17 +224,13 @@ fn plan_of(config: &WatchConfig) -> Value {
             Order::Latest => "latest",
         },
         "threads": config.threads,
-        "in_flight": config.in_flight,
         "memory_bytes": config.memory_bytes,
         "disk_floor_bytes": config.disk_floor_bytes,
-        "settle_s": config.timeouts.settle.as_secs_f64(),
-        "settle_unverifiable_s": config.timeouts.unverifiable.as_secs_f64(),
-        "stalled_s": config.timeouts.stalled.as_secs_f64(),
+        "settle_s": config.settle.as_secs_f64(),
         "poll_s": match config.poll {
             Poll::Auto => None,
             Poll::Every(time) => Some(time.as_secs_f64()),
         },
-        "rescan_s": config.rescan_every.as_secs_f64(),
         "watches": config.watches.iter().map(watch).collect::<Vec<_>>(),
     })
 }

@@ -19,7 +19,7 @@ pub(crate) struct Queue {
 }
 
 /// The position of a frame in the order.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Debug, PartialEq, Eq)]
 struct QueueRank {
     /// Compared before the name and the path. The frame with the smallest value leaves the queue first.
     urgency: i64,
@@ -43,11 +43,9 @@ impl Queue {
         self.waiting.remove(&self.rank(id, modified_ns)).is_some()
     }
 
-    /// Removes and returns the first frame whose root, the index of its watched folder, passes `may_begin`.
-    pub(crate) fn pop(&mut self, may_begin: impl Fn(usize) -> bool) -> Option<(FrameId, Box<Frame>)> {
-        let rank = self.waiting.keys().find(|rank| may_begin(rank.id.root))?.clone();
-        let frame = self.waiting.remove(&rank)?;
-        Some((rank.id, frame))
+    /// Removes and returns the first frame.
+    pub(crate) fn pop(&mut self) -> Option<(FrameId, Box<Frame>)> {
+        self.waiting.pop_first().map(|(rank, frame)| (rank.id, frame))
     }
 
     /// The number of frames in the queue.
@@ -124,7 +122,7 @@ mod tests {
         for (name, modified_ns) in frames {
             queue.push(&id(name), frame(name), *modified_ns);
         }
-        std::iter::from_fn(|| queue.pop(|_| true)).map(|(_, frame)| frame.stem).collect()
+        std::iter::from_fn(|| queue.pop()).map(|(_, frame)| frame.stem).collect()
     }
 
     #[test]
@@ -139,7 +137,7 @@ mod tests {
         let mut queue = Queue::new(Order::Natural);
         queue.push(&id("a.2"), frame("a.2"), 0);
         queue.push(&id("a.3"), frame("a.3"), 0);
-        let next = |queue: &mut Queue| queue.pop(|_| true).map(|(_, frame)| frame.stem);
+        let next = |queue: &mut Queue| queue.pop().map(|(_, frame)| frame.stem);
         assert_eq!(next(&mut queue).as_deref(), Some("a.2"));
         queue.push(&id("a.1"), frame("a.1"), 0);
         queue.push(&id("a.3"), frame("a.3"), 0);
@@ -147,15 +145,5 @@ mod tests {
         assert!(queue.remove(&id("a.3"), 0) && !queue.remove(&id("a.3"), 0));
         assert_eq!(next(&mut queue).as_deref(), Some("a.1"));
         assert_eq!(next(&mut queue), None);
-    }
-
-    #[test]
-    fn frames_of_a_blocked_root_stay_in_the_queue() {
-        let mut queue = Queue::new(Order::Natural);
-        queue.push(&id("a.1"), frame("a.1"), 0);
-        queue.push(&FrameId::new(1, Path::new("a.2")), frame("a.2"), 0);
-        assert_eq!(queue.pop(|root| root != 0).map(|(id, _)| id.root), Some(1));
-        assert!(queue.pop(|root| root != 0).is_none());
-        assert_eq!(queue.pop(|_| true).map(|(id, _)| id.root), Some(0));
     }
 }

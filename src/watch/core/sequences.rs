@@ -99,7 +99,8 @@ impl Sequences {
     /// a sequence that is new.
     pub(crate) fn index(
         &mut self,
-        (id, file): (&FrameId, &FrameFile),
+        id: &FrameId,
+        file: &FrameFile,
         watch: &Watch,
         remembered: impl FnOnce(&SequenceKey) -> Option<JournaledSequence>,
     ) -> usize {
@@ -185,9 +186,10 @@ impl SequenceSettings {
             Job::LevelSet { .. } => Settings::for_level_sets(&watch.choices),
             Job::Surface | Job::Particles => Settings::resolve(&watch.choices, measured),
         };
-        let settings = match watch.needs_spacing() && measured.is_none() {
-            true => unknown(),
-            false => resolved().and_then(|settings| {
+        let settings = if watch.needs_spacing() && measured.is_none() {
+            unknown()
+        } else {
+            resolved().and_then(|settings| {
                 if lacks_camera {
                     return unknown();
                 }
@@ -195,7 +197,7 @@ impl SequenceSettings {
                 // stale.
                 let fingerprint = settings_fingerprint(&settings, &watch.outputs).into();
                 Ok(SequenceSettings::Fixed(Arc::new(settings), fingerprint))
-            }),
+            })
         };
         settings.unwrap_or_else(|error| SequenceSettings::Impossible(error.to_string()))
     }

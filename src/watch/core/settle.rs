@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::pipeline::{FileStamp, Job, natural_order, order_by_number, single_frames_note};
-use crate::watch::config::Watch;
+use crate::watch::Reason;
 use crate::watch::journal::{Entry, JournaledSequence, JournaledStatus};
 
 use super::events::{Effect, Log, SlowRequest};
@@ -18,7 +18,7 @@ impl Core {
         let remembered = &self.outputs[self.output_of[id.root]].journal.sequences;
         let known_count = self.sequences.len();
         let file = id.frame_file(&self.roots[id.root].path);
-        let index = self.sequences.index((id, &file), watch, |key| remembered.get(key).cloned());
+        let index = self.sequences.index(id, &file, watch, |key| remembered.get(key).cloned());
         if index == known_count {
             self.changed_sequences.push(index);
         }
@@ -51,8 +51,7 @@ impl Core {
             if let Some(order) = self.measure_order(index) {
                 self.sequences.get_mut(index).settings = SequenceSettings::BeingMeasured;
                 self.measuring_count += 1;
-                let root = self.sequences.get(index).root;
-                self.effects.push(Effect::Slow(root, SlowRequest::Measure(Box::new(order))));
+                self.effects.push(Effect::Slow(SlowRequest::Measure(Box::new(order))));
             }
         }
     }
@@ -160,14 +159,16 @@ impl Core {
     /// Logs, once, that frames wait for another one with more particles.
     fn log_sparse(&mut self, index: usize, sparse: &[FrameId]) {
         let root = self.sequences.get(index).root;
-        let why = why_held(&self.config.watches[root]);
+        let needs_spacing = self.config.watches[root].needs_spacing();
+        let why = if needs_spacing { Reason::NoSpacing } else { Reason::NoCamera };
         let sequence = self.sequences.get_mut(index);
         if !sparse.is_empty() && !std::mem::replace(&mut sequence.is_sparse_logged, true) {
             let path = sequence.key.folder.join(&sequence.key.name);
+            let why = why.clone();
             self.log_about(path, move |sequence| tracing::warn!(%sequence, "{why}"));
         }
         for id in sparse {
-            self.record_status(id, JournaledStatus::Queued, Some(why.to_owned()), None);
+            self.record_status(id, JournaledStatus::Queued, Some(why.clone()), None);
         }
     }
 
@@ -208,24 +209,11 @@ impl Core {
 /// already.
 fn headline_of(record: &JournaledSequence, known: Option<&JournaledSequence>) -> &'static str {
     let was_known = known.is_some_and(|known| known.measured.is_some());
-    match record.measured.is_some() && !was_known {
-        true => "measured the particle spacing, for all frames of the sequence",
-        false => "settings of the sequence",
+    if record.measured.is_some() && !was_known {
+        return "measured the particle spacing, for all frames of the sequence";
     }
+    "settings of the sequence"
 }
-
-/// Why frames with too few particles wait.
-fn why_held(watch: &Watch) -> &'static str {
-    if watch.needs_spacing() { TOO_SPARSE_YET } else { EMPTY_YET }
-}
-
-/// Why frames wait although their particle spacing is known.
-const EMPTY_YET: &str = "cannot place the camera of the pictures yet, because no frame of the sequence has particles: \
-                         waiting for one that has; or give eye, target and ground in --camera";
-
-/// Why frames wait.
-const TOO_SPARSE_YET: &str = "cannot measure the particle spacing yet, because no frame of the sequence has two \
-                              particles in different places: waiting for one that has; or give --spacing";
 
 /// Rounds to six significant digits, which is enough for people.
 fn six_digits(value: f64) -> f64 {

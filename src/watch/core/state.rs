@@ -1,13 +1,13 @@
 //! The state of the daemon.
 
-use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{self, Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crate::pipeline::{ObstacleFiles, OutputOptions};
 use crate::watch::config::{Watch, WatchConfig};
-use crate::watch::journal::{DaemonRecord, DaemonState, Entry, JournalState, PlanRecord, RefusedReload};
+use crate::watch::journal::{DaemonRecord, DaemonState, Entry, JournalState};
 use crate::watch::status_store::Counters;
 
 use super::disk_guard::{DiskGuard, FoundSpace};
@@ -38,15 +38,13 @@ pub(crate) struct Core {
     /// The options of each mirrored sub-folder.
     pub(super) outputs_of: HashMap<(usize, PathBuf), Arc<OutputOptions>>,
     pub(super) queue: Queue,
-    /// Pipelines that have asked for a frame.
-    pub(super) requesting: VecDeque<usize>,
-    /// The pipeline that gets new frames. Earlier ones wait for a file system, and end when it answers.
-    pub(super) pipeline: usize,
+    /// The number of frames that the pipeline has asked for.
+    pub(super) requested_count: usize,
     pub(super) guard: DiskGuard,
     pub(super) scan_count: u64,
     /// Frames that failed.
     pub(super) failed: HashMap<FrameId, Failure>,
-    /// The number of frames that the pipelines have finished with.
+    /// The number of frames that the pipeline has finished with.
     pub(super) finished_count: usize,
     pub(super) is_stopping: bool,
     /// Counters since the start of the process.
@@ -66,8 +64,8 @@ pub(crate) struct RootState {
     pub(super) obstacles: Arc<ObstacleFiles>,
     /// Why it cannot be scanned; `None` if it can.
     pub(super) unavailable: Option<String>,
-    /// Since when its worker has not responded.
-    pub(super) stalled_since: Option<Instant>,
+    /// Whether its worker does not respond.
+    pub(super) has_stalled: bool,
     pub(super) was_scanned: bool,
     /// Paths that the last scan could not examine, and why.
     pub(super) unreadable: BTreeMap<PathBuf, String>,
@@ -80,7 +78,8 @@ pub(crate) struct OutputFolder {
     pub(super) journal: JournalState,
     pub(super) is_mounted: bool,
     pub(super) free_bytes: Option<u64>,
-    pub(super) stalled_since: Option<Instant>,
+    /// Whether its worker does not respond.
+    pub(super) has_stalled: bool,
 }
 
 /// Why a frame failed.
@@ -112,7 +111,7 @@ impl Core {
             path,
             obstacles,
             unavailable: None,
-            stalled_since: None,
+            has_stalled: false,
             was_scanned: false,
             unreadable: BTreeMap::new(),
         };
@@ -121,7 +120,7 @@ impl Core {
             journal,
             is_mounted: true,
             free_bytes: None,
-            stalled_since: None,
+            has_stalled: false,
         };
         Core {
             queue: Queue::new(config.order),
@@ -138,8 +137,7 @@ impl Core {
             measuring_count: 0,
             claims: HashMap::new(),
             outputs_of: HashMap::new(),
-            requesting: VecDeque::new(),
-            pipeline: 0,
+            requested_count: 0,
             scan_count: 0,
             failed: HashMap::new(),
             finished_count: 0,
@@ -152,33 +150,25 @@ impl Core {
         }
     }
 
-    /// Records what is watched, and that the daemon is running; logs the folders, and requests the first
-    /// scans.
+    /// Records that the daemon is running, logs the folders, and requests the first scans.
     pub(crate) fn start(&mut self) {
-        let of_root =
-            |(root, watch): (&RootState, &Watch)| Watch { input: root.path.clone(), ..watch.clone() };
-        let watches: Vec<Watch> = self.roots.iter().zip(&self.config.watches).map(of_root).collect();
         for output in 0..self.outputs.len() {
-            let of_output = watches.iter().zip(&self.output_of).filter(|(_, of)| **of == output);
-            let watches = of_output.map(|(watch, _)| watch.clone()).collect();
-            let timeouts = self.config.timeouts;
-            self.record(output, Entry::Plan(PlanRecord { watches, timeouts }), None);
             // Check free space before frames are queued: no frame may start while it is below the floor.
             self.effects.push(Effect::Output(output, OutputRequest::Check));
         }
         self.record_daemon(DaemonState::Running);
-        for watch in watches {
+        for root in 0..self.roots.len() {
+            let (folder, outputs) = (self.root_path(root).to_owned(), self.output(root).folder.clone());
             self.log(move || {
                 tracing::info!(
-                    folder = %watch.input.display(),
-                    outputs = %watch.outputs.folder.display(),
+                    folder = %folder.display(),
+                    outputs = %outputs.display(),
                     version = env!("CARGO_PKG_VERSION"),
                     "watching"
                 );
             });
         }
         self.scan_all();
-        self.effects.push(Effect::StartPipeline(self.pipeline));
     }
 
     /// The view of a frame has changed, or the frame is gone.
@@ -224,16 +214,6 @@ impl Core {
     /// Records the state of the daemon.
     pub(crate) fn record_daemon(&mut self, state: DaemonState) {
         self.identity = DaemonRecord { state, at_ms: self.now.unix_ms, ..self.identity.clone() };
-        self.record_identity();
-    }
-
-    /// Records that the configuration could not be reloaded.
-    pub(crate) fn record_refused_reload(&mut self, reason: String) {
-        self.identity.refused_reload = Some(RefusedReload { at_ms: self.now.unix_ms, reason });
-        self.record_identity();
-    }
-
-    fn record_identity(&mut self) {
         for output in 0..self.outputs.len() {
             self.record(output, Entry::Daemon(self.identity.clone()), None);
         }
@@ -274,11 +254,6 @@ impl Core {
             }
             _ => {}
         }
-    }
-
-    /// Whether frames of a root may start.
-    pub(super) fn may_begin(&self, root: usize) -> bool {
-        self.roots[root].stalled_since.is_none() && self.output(root).stalled_since.is_none()
     }
 
     /// The absolute path of a root.

@@ -19,6 +19,7 @@
 use std::time::Instant;
 
 use crate::pipeline::{FileFrames, FileStamp};
+use crate::watch::Reason;
 
 use super::completeness::{Candidate, FileHint, Seen};
 use super::events::{Effect, FoundSteps, SlowRequest, StepsOrder};
@@ -31,7 +32,7 @@ impl Core {
         let Some(stamp) = self.frames.get(id).map(|frame| frame.stamp) else { return };
         self.set_phase(id, FramePhase::FindingSteps);
         let order = StepsOrder { id: id.clone(), stamp, conflict };
-        self.effects.push(Effect::Slow(id.root, SlowRequest::FindSteps(order)));
+        self.effects.push(Effect::Slow(SlowRequest::FindSteps(order)));
     }
 
     /// Handles the steps that were found in a file.
@@ -68,6 +69,7 @@ impl Core {
             self.remove(&step);
         }
         self.release_claim(id);
+        self.note_ignored(id, Reason::Steps(steps.len()));
         self.set_phase(id, FramePhase::Steps);
         for step in &steps {
             self.take_step(id, step, stamp);
@@ -91,7 +93,7 @@ impl Core {
             }
             FramePhase::Settling(_) => {}
             // It is inspected when its conversion ends.
-            FramePhase::InProgress(_) => return,
+            FramePhase::InProgress => return,
             _ if is_same => return,
             _ => {}
         }
@@ -143,7 +145,7 @@ impl Core {
             match frame.phase {
                 FramePhase::Done | FramePhase::Failed => self.read_again(&step),
                 // It is read again when its conversion ends.
-                FramePhase::InProgress(_) => frame.was_closed = true,
+                FramePhase::InProgress => frame.was_closed = true,
                 _ => {}
             }
         }

@@ -14,13 +14,15 @@ use crate::pipeline::{
 };
 use crate::surface::options::MethodOptions;
 use crate::watch::api::EndReason;
-use crate::watch::config::{Order, Poll, StabilityTimeouts, Watch, WatchConfig};
+use crate::watch::config::{Order, Poll, Watch, WatchConfig};
 use crate::watch::journal::{
     DaemonRecord, DaemonState, Entry, JournalState, JournaledFrame, JournaledSequence, JournaledStatus,
     OutputCheck, OutputRecord,
 };
 
-use super::completeness::{FileHint, Proof, Seen, WaitReason};
+use crate::watch::Reason;
+
+use super::completeness::{FileHint, Proof, Seen};
 use super::events::{
     Complete, Effect, Event, FileContents, FrameFinished, Inspect, Inspected, InspectionExtent,
     InspectionResult, Now, OutputDirState, OutputRequest, Presence, RootRequest, Scan, SlowRequest, Start,
@@ -37,7 +39,7 @@ struct Rig {
     core: Core,
     now: Now,
     /// Files by path; an incomplete file has a reason to wait.
-    files: HashMap<PathBuf, (FileStamp, Option<WaitReason>)>,
+    files: HashMap<PathBuf, (FileStamp, Option<Reason>)>,
     /// Outputs that exist.
     outputs: HashSet<PathBuf>,
     /// Outputs that would replace a user's file.
@@ -45,11 +47,9 @@ struct Rig {
     /// Whether inspections are answered only when a test requests it.
     holds_inspections: bool,
     inspections: Vec<Inspect>,
-    started: Vec<(usize, FrameId, Box<Frame>)>,
+    started: Vec<(FrameId, Box<Frame>)>,
     orders: Vec<MeasureOrder>,
     records: Vec<Entry>,
-    pipelines: Vec<usize>,
-    ended_pipelines: Vec<usize>,
 }
 
 fn config(root_count: usize, choices: &MethodOptions) -> WatchConfig {
@@ -67,18 +67,10 @@ fn config(root_count: usize, choices: &MethodOptions) -> WatchConfig {
         once: false,
         order: Order::Natural,
         threads: 1,
-        in_flight: 2,
         memory_bytes: GIB,
         disk_floor_bytes: GIB,
-        timeouts: StabilityTimeouts {
-            settle: Duration::from_millis(500),
-            unverifiable: Duration::from_secs(2),
-            stalled: Duration::from_secs(10),
-        },
+        settle: Duration::from_millis(500),
         poll: Poll::Auto,
-        rescan_every: Duration::from_secs(30),
-        journal: None,
-        stop_deadline: Duration::from_secs(30),
     }
 }
 
@@ -98,7 +90,6 @@ impl Rig {
             started_ms: 0,
             state: DaemonState::Running,
             at_ms: 0,
-            refused_reload: None,
         };
         let roots = (0..count).map(|root| (format!("/in{root}").into(), Arc::default())).collect();
         let mut folders: Vec<PathBuf> = Vec::new();
@@ -125,8 +116,6 @@ impl Rig {
             started: Vec::new(),
             orders: Vec::new(),
             records: Vec::new(),
-            pipelines: Vec::new(),
-            ended_pipelines: Vec::new(),
         };
         rig.settle();
         rig
@@ -148,13 +137,9 @@ impl Rig {
             for effect in effects {
                 match effect {
                     Effect::Root(_, RootRequest::Inspect(inspect)) => self.inspections.push(*inspect),
-                    Effect::Slow(_, SlowRequest::Measure(order)) => self.orders.push(*order),
+                    Effect::Slow(SlowRequest::Measure(order)) => self.orders.push(*order),
                     Effect::Output(_, OutputRequest::Record(entry, _)) => self.records.push(entry),
-                    Effect::Start(pipeline, Start { id, frame, .. }) => {
-                        self.started.push((pipeline, id, frame))
-                    }
-                    Effect::StartPipeline(pipeline) => self.pipelines.push(pipeline),
-                    Effect::EndPipeline(pipeline) => self.ended_pipelines.push(pipeline),
+                    Effect::Start(Start { id, frame, .. }) => self.started.push((id, frame)),
                     Effect::Root(..) | Effect::Slow(..) | Effect::Output(..) | Effect::Log(_) => {}
                 }
             }
@@ -175,13 +160,13 @@ impl Rig {
                 InspectionResult::Changed(seen(*stamp), self.now.at)
             }
             Some(_) if inspect.extent == InspectionExtent::Stamp => InspectionResult::Same,
-            Some((_, waits)) => self.found(inspect, *waits),
+            Some((_, waits)) => self.found(inspect, waits.clone()),
         };
         let (id, number) = (inspect.id.clone(), inspect.number);
         Event::Inspected(Box::new(Inspected { id, number, found, obstacles: None }))
     }
 
-    fn found(&self, inspect: &Inspect, waits: Option<WaitReason>) -> InspectionResult {
+    fn found(&self, inspect: &Inspect, waits: Option<Reason>) -> InspectionResult {
         let mut changed_output = None;
         if let Some(recorded) = &inspect.recorded {
             let gone = recorded.record.outputs.iter().find(|output| !self.outputs.contains(&output.path));
@@ -237,13 +222,13 @@ impl Rig {
         self.event(Event::RootScanned { root, found, at: self.now.at });
     }
 
-    fn want(&mut self, pipeline: usize) {
-        self.event(Event::FrameRequested { pipeline });
+    fn want(&mut self) {
+        self.event(Event::FrameRequested);
     }
 
     /// The names of the frames that were started since the last call.
     fn started(&mut self) -> Vec<String> {
-        self.started.drain(..).map(|(_, id, _)| name(&id)).collect()
+        self.started.drain(..).map(|(id, _)| name(&id)).collect()
     }
 
     fn finish(&mut self, path: &str, outcome: Outcome) {
@@ -315,13 +300,12 @@ const SECOND: Duration = Duration::from_secs(1);
 #[test]
 fn complete_frame_goes_to_the_pipeline_that_asked_for_one() {
     let mut rig = Rig::new(1);
-    assert_eq!(rig.pipelines, [0]);
     rig.put("/in0/a.2.ply", 1);
     rig.put("/in0/a.10.ply", 1);
     rig.put("/in0/a.1.ply", 1);
     assert!(rig.started().is_empty(), "no pipeline has asked for a frame");
-    rig.want(0);
-    rig.want(0);
+    rig.want();
+    rig.want();
     assert_eq!(rig.started(), ["a.1.ply", "a.2.ply"]);
     rig.convert("/in0/a.1.ply");
     assert_eq!(rig.status(), "1 done, 2 queued");
@@ -331,13 +315,13 @@ fn complete_frame_goes_to_the_pipeline_that_asked_for_one() {
 #[test]
 fn lost_doubled_or_late_events_change_nothing() {
     let mut rig = Rig::new(1);
-    rig.want(0);
+    rig.want();
     for _ in 0..3 {
         rig.put("/in0/a.1.ply", 1);
     }
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.convert("/in0/a.1.ply");
-    rig.want(0);
+    rig.want();
     // A repeated event: the frame is done already.
     rig.send_event("/in0/a.1.ply");
     assert!(rig.started().is_empty());
@@ -347,7 +331,7 @@ fn lost_doubled_or_late_events_change_nothing() {
     assert_eq!(rig.started(), ["a.2.ply"]);
     rig.convert("/in0/a.2.ply");
     // A late event: it is about a version of the file that was replaced meanwhile.
-    rig.want(0);
+    rig.want();
     rig.files.insert("/in0/a.1.ply".into(), (stamp(3), None));
     let (id, at) = (id("/in0/a.1.ply"), rig.now.at);
     rig.event(Event::FileSeen { id, seen: seen(stamp(2)), at, hint: FileHint::Changed });
@@ -364,11 +348,11 @@ fn lost_doubled_or_late_events_change_nothing() {
 #[test]
 fn result_of_an_earlier_inspection_is_disregarded() {
     let mut rig = Rig::new(1);
-    rig.want(0);
+    rig.want();
     rig.holds_inspections = true;
     rig.put("/in0/a.1.ply", 1);
     let early = rig.answer(&rig.inspections[0]);
-    rig.files.insert("/in0/a.1.ply".into(), (stamp(2), Some(WaitReason::Changing)));
+    rig.files.insert("/in0/a.1.ply".into(), (stamp(2), Some(Reason::Changing)));
     rig.send_event("/in0/a.1.ply");
     assert_eq!(rig.inspections.len(), 2);
     rig.event(early);
@@ -384,17 +368,17 @@ fn result_of_an_earlier_inspection_is_disregarded() {
 #[test]
 fn file_that_changes_while_it_is_converted_is_converted_again() {
     let mut rig = Rig::new(1);
-    rig.want(0);
+    rig.want();
     rig.put("/in0/a.1.ply", 1);
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.put("/in0/a.1.ply", 2);
-    rig.want(0);
+    rig.want();
     assert!(rig.started().is_empty(), "it is in progress");
     let input = ReadInput { stamp: stamp(1), hash: 7 };
     rig.finish("/in0/a.1.ply", Outcome::Converted(Box::new(FrameReport { input, ..FrameReport::default() })));
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.finish("/in0/a.1.ply", Outcome::Changed);
-    rig.want(0);
+    rig.want();
     rig.pass(SECOND);
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
@@ -403,15 +387,15 @@ fn file_that_changes_while_it_is_converted_is_converted_again() {
 #[test]
 fn file_that_is_closed_with_the_same_stamp_is_read_again() {
     let mut rig = Rig::new(1);
-    rig.want(0);
+    rig.want();
     rig.put("/in0/a.1.ply", 1);
     assert_eq!(rig.started(), ["a.1.ply"]);
-    rig.want(0);
+    rig.want();
     rig.send("/in0/a.1.ply", FileHint::Closed);
     assert!(rig.started().is_empty(), "it is in progress");
     rig.convert("/in0/a.1.ply");
     assert_eq!(rig.started(), ["a.1.ply"]);
-    rig.want(0);
+    rig.want();
     rig.convert("/in0/a.1.ply");
     assert!(rig.started().is_empty(), "it was read after its writer closed it");
     rig.send("/in0/a.1.ply", FileHint::Closed);
@@ -419,7 +403,7 @@ fn file_that_is_closed_with_the_same_stamp_is_read_again() {
     let error = FrameError::file(Path::new("/in0/a.1.ply"), Stage::Read, Error::unsupported("PLY", "no"));
     rig.finish("/in0/a.1.ply", Outcome::Failed(error));
     assert_eq!(rig.status(), "0 done, 0 queued, 1 failed");
-    rig.want(0);
+    rig.want();
     rig.send("/in0/a.1.ply", FileHint::Closed);
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
@@ -427,11 +411,11 @@ fn file_that_is_closed_with_the_same_stamp_is_read_again() {
 #[test]
 fn closed_file_is_read_again_although_a_scan_finds_it_unchanged_meanwhile() {
     let mut rig = Rig::new(1);
-    rig.want(0);
+    rig.want();
     rig.put("/in0/a.1.ply", 1);
     rig.convert("/in0/a.1.ply");
     assert_eq!(rig.started(), ["a.1.ply"]);
-    rig.want(0);
+    rig.want();
     rig.holds_inspections = true;
     rig.send("/in0/a.1.ply", FileHint::Closed);
     rig.scan(0);
@@ -446,7 +430,7 @@ fn failures_are_retried_with_growing_waits_up_to_a_limit() {
     rig.put("/in0/a.1.ply", 1);
     let mut waits = Vec::new();
     for _ in 0..12 {
-        rig.want(0);
+        rig.want();
         let mut waited = 0.0;
         while rig.started().is_empty() {
             assert!(waited < 100.0, "after {waits:?}");
@@ -458,7 +442,7 @@ fn failures_are_retried_with_growing_waits_up_to_a_limit() {
     }
     assert_eq!(waits[..6], [0.0, 0.5, 1.0, 2.0, 4.0, 8.0]);
     assert_eq!(rig.statuses("/in0/a.1.ply").last(), Some(&JournaledStatus::RetriesExhausted));
-    rig.want(0);
+    rig.want();
     rig.pass(Duration::from_secs(3600));
     assert!(rig.started().is_empty());
     // A changed frame is tried again.
@@ -475,7 +459,7 @@ fn low_disk_space_pauses_until_there_is_more() {
     let mut rig = Rig::new(1);
     rig.output_dir(0, Presence::Present, GIB - 1);
     rig.put("/in0/a.1.ply", 1);
-    rig.want(0);
+    rig.want();
     assert!(rig.started().is_empty());
     assert!(rig.status().contains("paused: /out0 has"), "{}", rig.status());
     rig.output_dir(0, Presence::Present, GIB);
@@ -483,7 +467,7 @@ fn low_disk_space_pauses_until_there_is_more() {
 
     // After a full disk, the frame is tried again when space was freed, or after a while.
     rig.fail("/in0/a.1.ply", Stage::Write, io::ErrorKind::StorageFull);
-    rig.want(0);
+    rig.want();
     rig.output_dir(0, Presence::Present, GIB - 1);
     rig.pass(4 * SECOND);
     assert!(rig.started().is_empty());
@@ -495,12 +479,12 @@ fn low_disk_space_pauses_until_there_is_more() {
 #[test]
 fn frame_that_cannot_begin_is_queued_again() {
     let mut rig = Rig::new(1);
-    rig.want(0);
+    rig.want();
     rig.put("/in0/a.1.ply", 1);
-    let (_, id, frame) = rig.started.pop().expect("started");
+    let (id, frame) = rig.started.pop().expect("started");
     let found = OutputDirState { output: 0, presence: Presence::Missing, free_bytes: None };
     rig.event(Event::FrameReturned { id, frame, found });
-    rig.want(0);
+    rig.want();
     assert!(rig.started().is_empty());
     assert!(rig.status().contains("/out0 is not mounted"), "{}", rig.status());
     rig.output_dir(0, Presence::Present, 2 * GIB);
@@ -510,13 +494,13 @@ fn frame_that_cannot_begin_is_queued_again() {
 #[test]
 fn unmounted_outputs_are_awaited_and_removed_outputs_are_made_again() {
     let mut rig = Rig::new(1);
-    rig.want(0);
+    rig.want();
     rig.put("/in0/a.1.ply", 1);
     rig.convert("/in0/a.1.ply");
     rig.started();
     let outputs = std::mem::take(&mut rig.outputs);
     rig.output_dir(0, Presence::Missing, 0);
-    rig.want(0);
+    rig.want();
     rig.scan(0);
     assert!(rig.started().is_empty(), "unmounted outputs are not missing");
     assert_eq!(rig.core.summary(EndReason::Finish).done_count, 1);
@@ -534,7 +518,7 @@ fn unmounted_outputs_are_awaited_and_removed_outputs_are_made_again() {
 #[test]
 fn unmounted_root_keeps_its_state() {
     let mut rig = Rig::new(1);
-    rig.want(0);
+    rig.want();
     rig.put("/in0/a.1.ply", 1);
     rig.convert("/in0/a.1.ply");
     rig.started();
@@ -544,7 +528,7 @@ fn unmounted_root_keeps_its_state() {
     }
     assert_eq!(rig.status(), "1 done, 0 queued; /in0 is unavailable");
     rig.files.insert("/in0/a.2.ply".into(), (stamp(1), None));
-    rig.want(0);
+    rig.want();
     rig.scan(0);
     assert_eq!(rig.started(), ["a.2.ply"]);
     assert_eq!(rig.status(), "1 done, 1 queued");
@@ -553,10 +537,10 @@ fn unmounted_root_keeps_its_state() {
 #[test]
 fn output_that_is_removed_is_made_again() {
     let mut rig = Rig::new(1);
-    rig.want(0);
+    rig.want();
     rig.put("/in0/a.1.ply", 1);
     rig.convert("/in0/a.1.ply");
-    rig.want(0);
+    rig.want();
     rig.started();
     rig.outputs.clear();
     rig.scan(0);
@@ -566,8 +550,8 @@ fn output_that_is_removed_is_made_again() {
 #[test]
 fn outputs_claimed_twice_belong_to_the_first_frame_until_it_is_removed() {
     let mut rig = Rig::new(1);
-    rig.want(0);
-    rig.want(0);
+    rig.want();
+    rig.want();
     rig.put("/in0/a.1.ply", 1);
     rig.put("/in0/a.1.csv", 1);
     assert_eq!(rig.started(), ["a.1.ply"]);
@@ -587,7 +571,7 @@ fn recorded_owner_keeps_its_outputs_whichever_folder_is_scanned_first() {
     let mut config = config(2, &choices);
     config.watches[1].outputs.folder = "/out0".into();
     let mut before = Rig::with(config.clone(), JournalState::default());
-    before.want(0);
+    before.want();
     before.put("/in1/a.1.ply", 1);
     before.convert("/in1/a.1.ply");
     let mut journal = JournalState::default();
@@ -597,7 +581,7 @@ fn recorded_owner_keeps_its_outputs_whichever_folder_is_scanned_first() {
         let mut rig = Rig::with(config.clone(), journal.clone());
         rig.outputs.clone_from(&before.outputs);
         rig.files.extend(files.iter().map(|file| (PathBuf::from(file), (stamp(1), None))));
-        rig.want(0);
+        rig.want();
         rig.scan(0);
         assert!(rig.started().is_empty(), "the folder of the owner is not scanned yet");
         rig.scan(1);
@@ -614,7 +598,7 @@ fn recorded_owner_keeps_its_outputs_whichever_folder_is_scanned_first() {
 #[test]
 fn frame_whose_output_would_replace_a_users_file_is_refused() {
     let mut rig = Rig::new(1);
-    rig.want(0);
+    rig.want();
     rig.conflicts.insert("/out0/a.1.glb".into(), "its output would replace a particle file".to_owned());
     rig.put("/in0/a.1.ply", 1);
     assert!(rig.started().is_empty());
@@ -624,7 +608,7 @@ fn frame_whose_output_would_replace_a_users_file_is_refused() {
 #[test]
 fn refused_frame_is_checked_at_each_scan() {
     let mut rig = Rig::new(1);
-    rig.want(0);
+    rig.want();
     let output = PathBuf::from("/out0/a.1.glb");
     rig.conflicts.insert(output.clone(), "its output would replace a particle file".to_owned());
     rig.put("/in0/a.1.ply", 1);
@@ -652,7 +636,7 @@ fn refused_frame_is_checked_at_each_scan() {
 /// A journal with a record of one frame with this status.
 fn journal(status: JournaledStatus) -> JournalState {
     let mut rig = Rig::new(1);
-    rig.want(0);
+    rig.want();
     rig.put("/in0/a.1.ply", 1);
     rig.convert("/in0/a.1.ply");
     let Some(Entry::Frame { input: path, record }) = rig.records.pop() else { panic!("no record") };
@@ -663,7 +647,7 @@ fn journal(status: JournaledStatus) -> JournalState {
 }
 
 #[test]
-fn after_a_reload_only_unfinished_frames_are_converted() {
+fn after_a_restart_only_unfinished_frames_are_converted() {
     let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
     for (status, has_output, expected) in [
         (JournaledStatus::Done, true, 0),
@@ -675,7 +659,7 @@ fn after_a_reload_only_unfinished_frames_are_converted() {
         (JournaledStatus::Refused, true, 1),
     ] {
         let mut rig = Rig::with(config(1, &choices), journal(status));
-        rig.want(0);
+        rig.want();
         rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
         if has_output {
             rig.outputs.insert("/out0/a.1.glb".into());
@@ -688,7 +672,7 @@ fn after_a_reload_only_unfinished_frames_are_converted() {
     let other = MethodOptions { spacing: Some(0.2), ..MethodOptions::default() };
     let mut rig = Rig::with(config(1, &other), journal(JournaledStatus::Done));
     rig.outputs.insert("/out0/a.1.glb".into());
-    rig.want(0);
+    rig.want();
     rig.put("/in0/a.1.ply", 1);
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
@@ -705,7 +689,7 @@ fn run_with_once_is_drained_only_when_all_frames_are_done() {
     rig.holds_inspections = false;
     rig.settle();
     assert!(rig.core.is_ready() && !rig.core.is_drained(), "one is queued");
-    rig.want(0);
+    rig.want();
     assert!(!rig.core.is_drained(), "one is in progress");
     rig.convert("/in0/a.1.ply");
     assert!(rig.core.is_drained());
@@ -715,78 +699,104 @@ fn run_with_once_is_drained_only_when_all_frames_are_done() {
 fn run_with_once_fails_if_a_folder_hangs() {
     let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
     let mut rig = Rig::with(WatchConfig { once: true, ..config(2, &choices) }, JournalState::default());
-    rig.want(0);
+    rig.want();
     rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
     rig.scan(0);
     rig.event(Event::WorkerStalled(Worker::Root(1)));
     rig.convert("/in0/a.1.ply");
     assert!(rig.core.is_drained());
     let failed = rig.core.summary(EndReason::Drained).failed;
-    assert!(failed.len() == 1 && failed[0].what.contains("/in1: its file system does not"), "{failed:?}");
+    assert!(failed.len() == 1 && failed[0].message.contains("/in1: its file system does not"), "{failed:?}");
 }
 
 #[test]
 fn stop_starts_no_further_frame() {
     let mut rig = Rig::new(1);
-    rig.want(0);
+    rig.want();
     rig.put("/in0/a.1.ply", 1);
     rig.put("/in0/a.2.ply", 1);
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.core.stop();
-    rig.want(0);
-    assert_eq!(rig.ended_pipelines, [0]);
-    assert!(rig.core.has_frames_in_progress(true));
+    rig.want();
     rig.convert("/in0/a.1.ply");
-    assert!(!rig.core.has_frames_in_progress(true) && rig.started().is_empty());
+    assert!(rig.started().is_empty());
     let summary = rig.core.summary(EndReason::Finish);
     assert_eq!((summary.done_count, summary.left_count), (1, 1));
 }
 
 #[test]
-fn hanging_folder_delays_only_its_own_frames() {
-    let mut rig = Rig::new(2);
-    rig.want(0);
-    rig.put("/in0/a.1.ply", 1);
-    assert_eq!(rig.started(), ["a.1.ply"]);
-    rig.put("/in0/a.2.ply", 1);
-    rig.put("/in1/b.1.ply", 1);
-    // Pipeline 0 hangs with its frame, so it does not request another.
-    rig.event(Event::WorkerStalled(Worker::Root(0)));
-    assert_eq!(rig.pipelines, [0, 1]);
-    assert!(rig.status().ends_with("/in0 is unavailable"), "{}", rig.status());
-    rig.want(1);
-    rig.want(1);
-    assert_eq!(rig.started(), ["b.1.ply"]);
-    rig.convert("/in1/b.1.ply");
-    assert!(!rig.core.has_frames_in_progress(false) && rig.core.has_frames_in_progress(true));
-    // It responds again: it finishes its frames and ends. The remaining frames continue in the other
-    // pipeline.
-    rig.event(Event::WorkerAnswered(Worker::Root(0)));
-    assert_eq!(rig.started(), ["a.2.ply"]);
-    rig.convert("/in0/a.1.ply");
-    rig.want(0);
-    assert_eq!(rig.ended_pipelines, [0]);
-    rig.convert("/in0/a.2.ply");
-    assert_eq!(rig.status(), "3 done, 0 queued");
-    assert_eq!(rig.pipelines, [0, 1]);
-}
-
-#[test]
-fn hanging_folder_of_outputs_delays_only_its_own_frames() {
+fn hanging_folder_is_reported() {
     let mut rig = Rig::new(2);
     rig.event(Event::WorkerStalled(Worker::Output(1)));
-    rig.want(0);
-    rig.put("/in1/b.1.ply", 1);
-    assert!(rig.started().is_empty());
-    rig.put("/in0/a.1.ply", 1);
-    assert_eq!(rig.started(), ["a.1.ply"]);
-    assert_eq!(rig.pipelines, [0], "none of its frames was in progress");
+    assert!(rig.status().ends_with("/out1 is unavailable") && rig.core.has_stalled(), "{}", rig.status());
+    rig.event(Event::WorkerAnswered(Worker::Output(1)));
+    assert_eq!((rig.status().as_str(), rig.core.has_stalled()), ("0 done, 0 queued", false));
+}
+
+/// The recorded reasons of a frame, in order.
+#[test]
+fn reasons_are_recorded() {
+    let mut rig = Rig::new(1);
+    let path = "/in0/a.1.ply";
+    let half = |found| Reason::Incomplete { expected: 100, found };
+    for (version, why) in [(1, Reason::Changing), (2, half(40)), (3, half(50))] {
+        rig.files.insert(path.into(), (stamp(version), Some(why)));
+        rig.send_event(path);
+    }
+    rig.put(path, 4);
+    rig.want();
+    rig.convert(path);
+    rig.put(path, 5);
+    rig.want();
+    rig.fail(path, Stage::Read, io::ErrorKind::PermissionDenied);
+    let reasons: Vec<Option<Reason>> = rig
+        .records
+        .iter()
+        .filter_map(|entry| match entry {
+            Entry::Frame { record, .. } => Some(record.reason.clone()),
+            _ => None,
+        })
+        .collect();
+    let [changing, incomplete, new, done, again, Some(Reason::Error(error))] = &reasons[..] else {
+        panic!("{reasons:?}")
+    };
+    assert_eq!([changing, incomplete], [&Some(Reason::Changing), &Some(half(40))]);
+    assert_eq!([new, done, again], [&Some(Reason::New), &None, &Some(Reason::Touched)]);
+    assert!(error.starts_with("/in0/a.1.ply"), "{error}");
+    let failed = rig.core.record_of(&id(path)).expect("recorded");
+    assert_eq!((failed.status, failed.outputs.len()), (JournaledStatus::Retrying, 1));
+}
+
+/// A waiting file that turns out to be no frame must not stay listed as waiting.
+#[test]
+fn waiting_file_that_is_no_frame_is_recorded_as_ignored() {
+    let mut rig = Rig::new(1);
+    let path = "/in0/notes.txt";
+    rig.files.insert(path.into(), (stamp(1), Some(Reason::Changing)));
+    rig.send_event(path);
+    rig.files.insert(path.into(), (stamp(1), None));
+    rig.holds_inspections = true;
+    rig.send_event(path);
+    let inspect = rig.inspections.pop().expect("an inspection");
+    let complete = Complete {
+        proof: Some(Proof::Format),
+        changed_output: None,
+        contents: FileContents::NotParticles,
+        conflict: None,
+    };
+    rig.event(Event::Inspected(Box::new(Inspected {
+        id: id(path),
+        number: inspect.number,
+        found: InspectionResult::Complete(complete),
+        obstacles: None,
+    })));
+    assert_eq!(rig.statuses(path), [JournaledStatus::Waiting, JournaledStatus::Ignored]);
 }
 
 #[test]
 fn sequence_is_measured_when_all_its_frames_were_inspected() {
     let mut rig = Rig::with(config(1, &MethodOptions::default()), JournalState::default());
-    rig.want(0);
+    rig.want();
     rig.files.extend((1..=3).map(|number| (format!("/in0/a.{number}.ply").into(), (stamp(1), None))));
     rig.holds_inspections = true;
     rig.scan(0);

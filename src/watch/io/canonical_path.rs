@@ -34,13 +34,6 @@ fn resolved(folder: &Path) -> PathBuf {
     }
 }
 
-/// The path of `file` below `folder`, if it lies there, whichever paths to the two are given.
-pub fn below(folder: &Path, file: &Path) -> Option<PathBuf> {
-    let real = resolved(file.parent()?).join(file.file_name()?);
-    let within = real.strip_prefix(resolved(folder)).ok()?;
-    Some(folder.join(within))
-}
-
 #[cfg(test)]
 #[cfg(unix)]
 mod tests {
@@ -67,18 +60,5 @@ mod tests {
             assert_eq!(canonical_path(&top.join(typed)).expect(typed), top.join(expected), "{typed}");
         }
         assert!(canonical_path(Path::new("")).is_err());
-    }
-
-    #[test]
-    fn below_finds_a_file_by_any_of_its_paths() {
-        let scratch = tempfile::tempdir().expect("a folder");
-        let top = scratch.path().canonicalize().expect("there");
-        fs::create_dir_all(top.join("a/b")).expect("made");
-        symlink(top.join("a"), top.join("link")).expect("linked");
-        for (folder, file) in [("a", "a/b/c.ply"), ("a", "link/b/c.ply"), ("link", "a/b/c.ply")] {
-            let found = below(&top.join(folder), &top.join(file));
-            assert_eq!(found, Some(top.join(folder).join("b/c.ply")), "{folder} {file}");
-        }
-        assert_eq!(below(&top.join("a/b"), &top.join("a/c.ply")), None);
     }
 }

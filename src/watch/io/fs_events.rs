@@ -13,8 +13,8 @@
 //! `Rescan`, which says that events were lost. Every event that is lost before the receiver takes the
 //! `Rescan` precedes the requested scan, so the scan finds the change.
 //!
-//! **Folders are watched by their canonical paths.** The kernel watches folders, not paths. A folder that is
-//! reached by two paths is watched once, and its events are reported for both.
+//! The kernel watches folders, not paths. A folder that is reached by two paths is watched once, and its
+//! events are reported for the path that was watched last; scans find the changes under the other.
 //!
 //! Reading a file also causes events. They are dropped; otherwise every inspection would cause the next one.
 
@@ -34,7 +34,7 @@ use crate::watch::core::completeness::FileHint;
 
 /// A change that may have happened.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub enum FsEvent {
+pub(crate) enum FsEvent {
     /// A file appeared, changed, or was removed.
     File(PathBuf, FileHint),
     /// A folder appeared, was removed, or was replaced. If it exists, it must be watched, even if it was
@@ -46,7 +46,7 @@ pub enum FsEvent {
 
 /// Why a folder cannot be watched.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum WatchError {
+pub(crate) enum WatchError {
     /// The system's limit of watches for this user is reached. The text says what to do.
     TooMany(String),
     /// The folder does not exist.
@@ -58,7 +58,7 @@ pub enum WatchError {
 impl fmt::Display for WatchError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            WatchError::TooMany(what) | WatchError::Other(what) => f.write_str(what),
+            WatchError::TooMany(message) | WatchError::Other(message) => f.write_str(message),
             WatchError::Missing => f.write_str("the folder does not exist"),
         }
     }
@@ -68,10 +68,13 @@ impl std::error::Error for WatchError {}
 
 /// Watches folders, each without its sub-folders.
 #[derive(Debug)]
-pub struct Watcher {
+pub(crate) struct Watcher {
     notify: RecommendedWatcher,
-    folders: Arc<Mutex<Folders>>,
+    folders: WatchedFolders,
 }
+
+/// The watched folders by their paths, and the inode of each; 0 if the system has none.
+type WatchedFolders = Arc<Mutex<HashMap<PathBuf, u64>>>;
 
 /// The capacity of the queue of events.
 const CAPACITY: usize = 4096;
@@ -81,13 +84,13 @@ impl Watcher {
     ///
     /// # Errors
     /// When a resource limit of the system is reached.
-    pub fn new() -> Result<(Watcher, Receiver<FsEvent>), WatchError> {
+    pub(crate) fn new() -> Result<(Watcher, Receiver<FsEvent>), WatchError> {
         Watcher::with_capacity(CAPACITY)
     }
 
     fn with_capacity(capacity: usize) -> Result<(Watcher, Receiver<FsEvent>), WatchError> {
         let (queue, fs_events) = bounded(capacity);
-        let folders = Arc::new(Mutex::new(Folders::default()));
+        let folders = WatchedFolders::default();
         let mut handler = EventHandler { queue, capacity, last: None, folders: folders.clone() };
         let notify = notify::recommended_watcher(move |event| handler.receive(event)).map_err(watch_error)?;
         Ok((Watcher { notify, folders }, fs_events))
@@ -98,100 +101,35 @@ impl Watcher {
     ///
     /// # Errors
     /// When the folder does not exist, or the system refuses.
-    pub fn watch(&mut self, folder: &Path) -> Result<(), WatchError> {
-        let watched = WatchedFolder::of(folder).map_err(|error| match error.kind() {
+    pub(crate) fn watch(&mut self, folder: &Path) -> Result<(), WatchError> {
+        let metadata = fs::metadata(folder).map_err(|error| match error.kind() {
             io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => WatchError::Missing,
             _ => WatchError::Other(error.to_string()),
         })?;
+        if !metadata.is_dir() {
+            return Err(WatchError::Missing);
+        }
+        let inode = FileStamp::of(&metadata).inode;
         // The folder that had this path may still exist elsewhere, and its events would carry its old path.
-        if lock(&self.folders).folder_of.get(folder).is_some_and(|known| *known != watched) {
+        if lock(&self.folders).get(folder).is_some_and(|known| *known != inode) {
             self.unwatch(folder);
         }
-        let path = watched.path.clone();
-        // The folder is registered before it is watched, so that the path of the first event can be resolved.
-        lock(&self.folders).add(folder, watched);
-        self.notify.watch(&path, RecursiveMode::NonRecursive).map_err(|error| {
-            lock(&self.folders).remove(folder);
-            watch_error(error)
-        })
+        self.notify.watch(folder, RecursiveMode::NonRecursive).map_err(watch_error)?;
+        lock(&self.folders).insert(folder.to_owned(), inode);
+        Ok(())
     }
 
     /// Stops watching a folder.
-    pub fn unwatch(&mut self, folder: &Path) {
-        let unused = lock(&self.folders).remove(folder);
-        if let Some(path) = unused {
-            // A removed folder is no longer watched anyway.
-            let _ = self.notify.unwatch(&path);
-        }
-    }
-}
-
-/// The watched folders.
-#[derive(Debug, Default)]
-struct Folders {
-    /// The folder to which each path leads.
-    folder_of: HashMap<PathBuf, WatchedFolder>,
-    /// The paths that lead to each canonical path.
-    paths_to: HashMap<PathBuf, Vec<PathBuf>>,
-}
-
-/// A folder, independent of the path that leads to it.
-#[derive(Clone, Debug, PartialEq, Eq)]
-struct WatchedFolder {
-    /// Its canonical path.
-    path: PathBuf,
-    /// Its inode; 0 if the system has none.
-    inode: u64,
-}
-
-impl WatchedFolder {
-    fn of(folder: &Path) -> io::Result<WatchedFolder> {
-        let path = folder.canonicalize()?;
-        let metadata = fs::metadata(&path)?;
-        match metadata.is_dir() {
-            true => Ok(WatchedFolder { path, inode: FileStamp::of(&metadata).inode }),
-            false => Err(io::ErrorKind::NotADirectory.into()),
-        }
-    }
-}
-
-impl Folders {
-    fn add(&mut self, folder: &Path, watched: WatchedFolder) {
-        let paths = self.paths_to.entry(watched.path.clone()).or_default();
-        if !paths.iter().any(|path| path == folder) {
-            paths.push(folder.to_owned());
-        }
-        self.folder_of.insert(folder.to_owned(), watched);
-    }
-
-    /// Removes a path; returns the canonical path if no other path leads there.
-    fn remove(&mut self, folder: &Path) -> Option<PathBuf> {
-        let WatchedFolder { path, .. } = self.folder_of.remove(folder)?;
-        let paths = self.paths_to.get_mut(&path)?;
-        paths.retain(|path| path != folder);
-        if !paths.is_empty() {
-            return None;
-        }
-        self.paths_to.remove(&path);
-        Some(path)
-    }
-
-    /// Converts a canonical path of an event into the paths under which it was requested: as a watched
-    /// folder, and as an entry of watched folders.
-    fn requested_paths(&self, path: &Path) -> Vec<PathBuf> {
-        let itself = self.paths_to.get(path).into_iter().flatten().cloned();
-        let within = path.parent().zip(path.file_name()).and_then(|(folder, name)| {
-            Some(self.paths_to.get(folder)?.iter().map(move |folder| folder.join(name)))
-        });
-        let mut paths: Vec<PathBuf> = itself.chain(within.into_iter().flatten()).collect();
-        paths.dedup();
-        paths
+    pub(crate) fn unwatch(&mut self, folder: &Path) {
+        lock(&self.folders).remove(folder);
+        // A removed folder is no longer watched anyway.
+        let _ = self.notify.unwatch(folder);
     }
 }
 
 /// Each update of the map is complete before the lock is released, so the map is consistent even if the
 /// lock is poisoned.
-fn lock(folders: &Mutex<Folders>) -> MutexGuard<'_, Folders> {
+fn lock(folders: &WatchedFolders) -> MutexGuard<'_, HashMap<PathBuf, u64>> {
     folders.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -201,7 +139,7 @@ struct EventHandler {
     capacity: usize,
     /// The event that was sent last.
     last: Option<FsEvent>,
-    folders: Arc<Mutex<Folders>>,
+    folders: WatchedFolders,
 }
 
 impl EventHandler {
@@ -225,17 +163,13 @@ impl EventHandler {
             // Links are followed, because a link to a folder counts as a folder. A removed path was a folder
             // if it was watched.
             let is_folder = change != ChangeKind::Removed && path.is_dir();
-            let fs_events: Vec<FsEvent> = {
-                let folders = lock(&self.folders);
-                let fs_event = |path: PathBuf| match change {
-                    _ if is_folder || folders.folder_of.contains_key(&path) => FsEvent::Folder(path),
-                    ChangeKind::FolderChanged => FsEvent::Folder(path),
-                    ChangeKind::File(hint) => FsEvent::File(path, hint),
-                    ChangeKind::Removed => FsEvent::File(path, FileHint::Changed),
-                };
-                folders.requested_paths(&path).into_iter().map(fs_event).collect()
-            };
-            fs_events.into_iter().for_each(|fs_event| self.send(fs_event));
+            let was_folder = lock(&self.folders).contains_key(&path);
+            self.send(match change {
+                _ if is_folder || was_folder => FsEvent::Folder(path),
+                ChangeKind::FolderChanged => FsEvent::Folder(path),
+                ChangeKind::File(hint) => FsEvent::File(path, hint),
+                ChangeKind::Removed => FsEvent::File(path, FileHint::Changed),
+            });
         }
     }
 
@@ -489,29 +423,6 @@ mod tests {
     }
 
     #[test]
-    fn folder_watched_by_two_paths_is_reported_for_both() {
-        let mut bench = Bench::new(CAPACITY);
-        let other = bench.outside.join("link");
-        symlink(&bench.folder, &other).expect("linked");
-        bench.watcher.watch(&other).expect("watched");
-        fs::write(bench.path("a.ply"), b"ply").expect("written");
-        let received = bench.so_far();
-        for path in [bench.path("a.ply"), other.join("a.ply")] {
-            assert!(received.contains(&changed(&path)), "{received:?}");
-        }
-        bench.watcher.unwatch(&other);
-        fs::write(bench.path("b.ply"), b"ply").expect("written");
-        let received = bench.so_far();
-        assert!(received.contains(&changed(&bench.path("b.ply"))), "{received:?}");
-        assert!(!received.contains(&changed(&other.join("b.ply"))), "{received:?}");
-        bench.watcher.unwatch(&bench.folder);
-        fs::write(bench.path("c.ply"), b"ply").expect("written");
-        bench.watcher.watch(&bench.folder).expect("watched");
-        let received = bench.so_far();
-        assert!(!received.contains(&changed(&bench.path("c.ply"))), "{received:?}");
-    }
-
-    #[test]
     fn watching_a_file_or_a_missing_folder_fails() {
         let mut bench = Bench::new(CAPACITY);
         fs::write(bench.path("a.ply"), b"ply").expect("written");
@@ -538,14 +449,12 @@ mod tests {
     impl Rig {
         fn new(capacity: usize) -> Rig {
             let (queue, fs_events) = bounded(capacity);
-            let mut folders = Folders::default();
-            folders.add(Path::new("/f"), WatchedFolder { path: "/true".into(), inode: 1 });
-            let folders = Arc::new(Mutex::new(folders));
+            let folders = WatchedFolders::default();
             Rig { handler: EventHandler { queue, capacity, last: None, folders }, fs_events }
         }
 
         fn handle_event(&mut self, kind: EventKind, name: &str) {
-            self.handler.receive(Ok(Event::new(kind).add_path(Path::new("/true").join(name))));
+            self.handler.receive(Ok(Event::new(kind).add_path(Path::new("/f").join(name))));
         }
 
         fn received(&self) -> Vec<FsEvent> {

@@ -4,8 +4,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{Conflict, ObstacleStamps, SniffedContent, content, may_hold_several};
-use crate::watch::core::completeness::{FileHint, Readiness};
+use meniscus_formats::{Completeness, completeness};
+
+use crate::pipeline::{
+    Conflict, FileStamp, ObstacleStamps, SniffedContent, content, may_hold_several, open_regular,
+};
+use crate::watch::config::{StabilityTimeouts, Watch};
+use crate::watch::core::completeness::{
+    Candidate, FileHint, Readiness, Sentinel, path_of_sentinel, sentinel_counts,
+};
 use crate::watch::core::events::{
     Complete, FileContents, Inspect, Inspected, InspectionExtent, InspectionResult, Recorded,
 };
@@ -13,9 +20,16 @@ use crate::watch::core::frames::FrameId;
 use crate::watch::core::sequences::fingerprint_with;
 use crate::watch::journal::OutputCheck;
 
-use super::evidence::readiness_of;
 use super::root::Root;
 use super::scan::file_state;
+#[cfg(target_os = "linux")]
+use super::writers::is_open_for_writing;
+
+/// Other systems do not show it without unsafe code.
+#[cfg(not(target_os = "linux"))]
+fn is_open_for_writing(_file: &Path, _unchanged_for: std::time::Duration) -> bool {
+    false
+}
 
 impl Root {
     /// Inspects a file.
@@ -98,12 +112,12 @@ impl Root {
 
 /// Whether an output would replace particles, or a mesh or a level set of another program. An extension
 /// suffices here: the file may be a frame that a simulation has only begun to write.
-pub(in crate::watch) fn replaces_data(output: &Path) -> bool {
+fn replaces_data(output: &Path) -> bool {
     content(output).is_ok_and(SniffedContent::is_data)
 }
 
 /// Why such an output is not written.
-pub(in crate::watch) fn replacement(output: &Path) -> String {
+fn replacement(output: &Path) -> String {
     Conflict::ReplacesData { output: output.to_owned(), other_count: 0 }.to_string()
 }
 
@@ -136,4 +150,35 @@ fn contents_of(id: &FrameId) -> FileContents {
         Ok(false) => FileContents::Frame,
         Err(error) => FileContents::Unreadable(error),
     }
+}
+
+/// Whether this file may be read now.
+fn readiness_of(
+    file: &Path,
+    candidate: &Candidate,
+    now: Instant,
+    watch: &Watch,
+    timeouts: &StabilityTimeouts,
+) -> Readiness {
+    let sentinel = FileStamp::of_path(&path_of_sentinel(watch, file));
+    let sentinel = Sentinel {
+        is_required: watch.sentinel.is_some(),
+        // A sentinel of an earlier version of the frame proves nothing.
+        exists: sentinel.is_ok_and(|sentinel| sentinel_counts(&sentinel, candidate.stamp())),
+    };
+    candidate.readiness(
+        now,
+        timeouts,
+        sentinel,
+        || completeness_of(file),
+        |unchanged_for| is_open_for_writing(file, unchanged_for),
+    )
+}
+
+/// The completeness according to the file format. Errors are ignored here, because reading the frame reports
+/// them.
+fn completeness_of(path: &Path) -> Completeness {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let check = || completeness(&mut open_regular(path)?, &name);
+    check().unwrap_or(Completeness::Unknown)
 }

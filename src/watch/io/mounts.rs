@@ -14,7 +14,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// When the path does not exist, or the system refuses.
-pub fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
+pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
     system::network_file_system(path)
 }
 
@@ -23,7 +23,7 @@ pub fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
 /// # Errors
 /// When the path does not exist, or the system refuses; [`io::ErrorKind::Unsupported`] on systems other than
 /// Unix.
-pub fn free_bytes(path: &Path) -> io::Result<u64> {
+pub(crate) fn free_bytes(path: &Path) -> io::Result<u64> {
     system::free_bytes(path)
 }
 
@@ -32,7 +32,7 @@ pub fn free_bytes(path: &Path) -> io::Result<u64> {
 ///
 /// On systems other than Unix, all identities are equal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RootIdentity {
+pub(crate) struct RootIdentity {
     device: u64,
 }
 
@@ -41,7 +41,7 @@ impl RootIdentity {
     ///
     /// # Errors
     /// When the path does not exist, or the system refuses.
-    pub fn of(path: &Path) -> io::Result<RootIdentity> {
+    pub(crate) fn of(path: &Path) -> io::Result<RootIdentity> {
         Ok(RootIdentity { device: system::device(&path.metadata()?) })
     }
 }

@@ -31,9 +31,6 @@ pub(super) struct OutputDir {
     is_mounted: bool,
     next_check: Instant,
     stages: FolderStages,
-    /// The lock of the journal's folder, if that is another folder: the journal, too, must have only one
-    /// writer.
-    _journal_lock: Option<OutputLock>,
 }
 
 /// Checks whether a folder of outputs is still the one that was opened.
@@ -83,24 +80,12 @@ fn open_folder(folder: &Path) -> Result<PathBuf, DaemonError> {
 impl OutputDir {
     fn open(index: usize, folder: PathBuf, config: &WatchConfig) -> Result<OutputDir, DaemonError> {
         let lock = OutputLock::take(&folder).map_err(DaemonError::Locked)?;
-        // The journal folder in the configuration may be a link; the default one (`.meniscus`), whose name
-        // the daemon chooses, may not.
-        let configured = config.journal.as_deref();
-        let configured =
-            configured.map(|configured| configured.canonicalize().unwrap_or_else(|_| configured.to_owned()));
-        let journal_folder = configured.unwrap_or_else(|| folder.join(STATE_FOLDER));
-        let is_elsewhere = journal_folder.canonicalize().is_ok_and(|journal| !journal.starts_with(&folder));
-        let journal_lock = match is_elsewhere || !journal_folder.exists() {
-            true => Some(OutputLock::take(&journal_folder).map_err(DaemonError::Locked)?),
-            false => None,
-        };
+        let state_folder = folder.join(STATE_FOLDER);
         let failed = |source| DaemonError::Folder { folder: folder.clone(), source };
         let identity = RootIdentity::of(&folder).map_err(failed)?;
-        let journal = Journal::open(&journal_folder).map_err(|source| DaemonError::Folder {
-            folder: journal_folder.join(JOURNAL_FILE_NAME),
-            source,
-        })?;
-        match sweep(&folder) + sweep_one(&journal_folder) {
+        let journal = Journal::open(&state_folder)
+            .map_err(|source| DaemonError::Folder { folder: state_folder.join(JOURNAL_FILE_NAME), source })?;
+        match sweep(&folder) + sweep_one(&state_folder) {
             0 => {}
             count => {
                 let files = pluralize(count, "half-written file");
@@ -117,7 +102,6 @@ impl OutputDir {
             is_mounted: true,
             next_check: Instant::now(),
             stages,
-            _journal_lock: journal_lock,
         })
     }
 

@@ -1,8 +1,5 @@
-//! Pipelines: threads that convert the frames that the core gives them.
-//!
-//! Usually there is one pipeline. If its frames wait for a file system that does not respond, a second
-//! pipeline converts the frames of the other folders. Therefore each pipeline has its own threads, and
-//! nothing waits for these threads to end.
+//! The pipeline: threads that convert the frames that the core gives them. Nothing waits for these threads to
+//! end, because they may wait for a file system that does not respond.
 
 use std::io;
 use std::path::PathBuf;
@@ -14,7 +11,7 @@ use rayon::ThreadPoolBuilder;
 
 use crate::pipeline::{
     Frame, FrameError, IndexPolicy, LevelSetMethod, Observer, OnError, Outcome, OutputStates,
-    PipelineOptions, Stage, stream,
+    PipelineOptions, Stage, default_in_flight, stream,
 };
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, FrameFinished, Start};
@@ -25,7 +22,7 @@ use crate::watch::status_store::StatusStore;
 use super::mounts::free_bytes;
 use super::output_dir::OutputGuard;
 
-/// The context that all pipelines share.
+/// What the pipeline needs.
 #[derive(Clone)]
 pub(crate) struct PipelineContext {
     pub(crate) config: Arc<WatchConfig>,
@@ -35,37 +32,36 @@ pub(crate) struct PipelineContext {
     pub(crate) events: Sender<Event>,
 }
 
-/// Starts a pipeline. It requests frames by [`Event::FrameRequested`], and ends when the returned sender is
+/// Starts the pipeline. It requests frames by [`Event::FrameRequested`], and ends when the returned sender is
 /// dropped.
 ///
 /// # Errors
 /// When the system refuses to start a thread.
-pub(crate) fn start(index: usize, context: PipelineContext) -> io::Result<Sender<Start>> {
+pub(crate) fn start(context: PipelineContext) -> io::Result<Sender<Start>> {
     let pool = ThreadPoolBuilder::new()
         .num_threads(context.config.threads)
         .thread_name(|index| format!("compute {index}"))
         .build()
         .map_err(io::Error::other)?;
     let (sender, frames) = bounded(1);
-    thread::Builder::new().name(format!("pipeline {index}")).spawn(move || {
+    thread::Builder::new().name("pipeline".into()).spawn(move || {
         // However the pipeline ends, the core must be notified.
-        let _ended = PipelineEnded(index, context.events.clone());
-        run(index, &pool, &frames, &context);
+        let _ended = PipelineEnded(context.events.clone());
+        run(&pool, &frames, &context);
     })?;
     Ok(sender)
 }
 
-struct PipelineEnded(usize, Sender<Event>);
+struct PipelineEnded(Sender<Event>);
 
 impl Drop for PipelineEnded {
     fn drop(&mut self) {
         // Fails only if the daemon has already ended.
-        let _ = self.1.send(Event::PipelineEnded { pipeline: self.0 });
+        let _ = self.0.send(Event::PipelineEnded);
     }
 }
 
 fn run(
-    index: usize,
     pool: &rayon::ThreadPool,
     frames: &Receiver<Start>,
     PipelineContext { config, store, outputs, events }: &PipelineContext,
@@ -77,7 +73,7 @@ fn run(
         on_error: OnError::Continue,
         skip_done: true,
         certificates: false,
-        in_flight: config.in_flight,
+        in_flight: default_in_flight(config.threads),
         memory_bytes: config.memory_bytes,
         // A separate thread searches files for steps.
         index_policy: IndexPolicy::External,
@@ -87,7 +83,7 @@ fn run(
     };
     let next = || {
         loop {
-            events.send(Event::FrameRequested { pipeline: index }).ok()?;
+            events.send(Event::FrameRequested).ok()?;
             let Start { id, frame, known_outputs } = frames.recv().ok()?;
             let (output, guard) = &outputs[id.root];
             // Checked at the last moment, so that nothing is written if the folder of outputs is not mounted

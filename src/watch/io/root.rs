@@ -1,5 +1,5 @@
 //! A watched folder: checks whether it exists, lists its files, and schedules the next scan. Each root has
-//! its own thread, so a file system that hangs delays only its own folder.
+//! its own thread.
 //!
 //! Events are hints; only scans are authoritative. A root is scanned at the start, after events were lost,
 //! when it becomes available again, and at regular intervals. On a network file system, which sends no
@@ -13,6 +13,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use crossbeam::channel::Receiver;
+
 use crate::pipeline::ObstacleFiles;
 use crate::watch::config::{Poll, StabilityTimeouts, Watch, WatchConfig};
 use crate::watch::core::completeness::{FileHint, may_be_sentinel};
@@ -22,8 +24,7 @@ use crate::watch::core::frames::FrameId;
 use super::fs_events::{FsEvent, WatchError, Watcher};
 use super::mounts::network_file_system;
 use super::output_dir::OutputGuard;
-use super::rescan_backoff::RescanBackoff;
-use super::scan::{FolderIdentity, file_state, scan_with};
+use super::scan::{FolderIdentity, file_state, scan};
 use super::selection::FileFilter;
 use super::worker::{Heartbeat, Work};
 
@@ -31,7 +32,7 @@ use super::worker::{Heartbeat, Work};
 pub(super) struct Root {
     pub(super) index: usize,
     once: bool,
-    timeouts: StabilityTimeouts,
+    settle: Duration,
     pub(super) watch: Watch,
     /// The absolute path.
     pub(super) path: PathBuf,
@@ -39,17 +40,19 @@ pub(super) struct Root {
     pub(super) obstacles: Vec<Arc<ObstacleFiles>>,
     pub(super) output: Arc<OutputGuard>,
     watcher: Option<Watcher>,
-    rescans: RescanBackoff,
     /// Whether the next scan is due to lost events.
     is_after_loss: bool,
     /// The type of its file system, if it is a network file system.
     network: Option<&'static str>,
     /// The interval of scans that replace events; `None` if the system reports events.
     poll: Option<Duration>,
-    rescan_every: Duration,
     /// Folders whose events are received.
     watched_folders: HashSet<PathBuf>,
     next_scan: Instant,
+    /// When the last scan ended.
+    scanned_at: Instant,
+    /// The time that the last scan took.
+    scan_cost: Duration,
     /// The time spent on inspections since the last scan.
     inspected_for: Duration,
     /// When its identity was last checked.
@@ -75,24 +78,31 @@ const COMPARE_EVERY: Duration = Duration::from_secs(1);
 /// How soon an unavailable folder is checked again.
 const UNAVAILABLE_RETRY: Duration = Duration::from_secs(1);
 
+/// The approximate interval between regular scans, which find changes whose event was lost.
+const RESCAN_EVERY: Duration = Duration::from_secs(60);
+
+/// The shortest pause between scans after lost events.
+const LOSS_PAUSE_MIN: Duration = Duration::from_millis(100);
+
 /// Regular scans take at most 1/200 of the time of a core.
 const SCAN_SHARE: u32 = 200;
 
-/// Scans that replace events take at most 1/10 of the time of a core: more than regular scans, because users
-/// wait for their results.
+/// Scans that replace events, or follow their loss, take at most 1/10 of the time of a core: more than
+/// regular scans, because users wait for their results.
 const POLL_SHARE: u32 = 10;
 
 impl Root {
-    /// A folder that is not scanned yet and may not exist. If `watcher` is an error, the folder is polled.
+    /// A folder that is not scanned yet and may not exist, and the receiver of its events. If the system
+    /// sends none, the folder is polled.
     pub(super) fn new(
         index: usize,
-        (path, selection): (PathBuf, FileFilter),
+        path: PathBuf,
+        selection: FileFilter,
         config: &WatchConfig,
         obstacles: Vec<Arc<ObstacleFiles>>,
         output: Arc<OutputGuard>,
-        watcher: Result<Option<Watcher>, WatchError>,
         heartbeat: Heartbeat,
-    ) -> Root {
+    ) -> (Root, Option<Receiver<FsEvent>>) {
         let poll = match config.poll {
             Poll::Every(interval) => Some(interval),
             Poll::Auto => None,
@@ -100,32 +110,34 @@ impl Root {
         let mut root = Root {
             index,
             once: config.once,
-            timeouts: config.timeouts,
+            settle: config.settle,
             watch: config.watches[index].clone(),
             path,
             selection,
             obstacles,
             output,
             watcher: None,
-            rescans: RescanBackoff::default(),
             is_after_loss: false,
             network: None,
             poll,
-            rescan_every: config.rescan_every,
             watched_folders: HashSet::new(),
             // The core requests the first scan.
             next_scan: Instant::now() + NEVER,
+            scanned_at: Instant::now(),
+            scan_cost: Duration::ZERO,
             inspected_for: Duration::ZERO,
             compared_at: Instant::now(),
             had_frames: false,
             identity: None,
             heartbeat,
         };
-        match watcher {
-            Ok(watcher) => root.watcher = watcher,
+        // A run with `once` needs no events.
+        let mut fs_events = None;
+        match (!config.once).then(Watcher::new).transpose() {
+            Ok(watching) => (root.watcher, fs_events) = watching.unzip(),
             Err(error) => root.poll_instead(&error),
         }
-        root
+        (root, fs_events)
     }
 
     /// Whether this machine's clock sets the times of its files; not on a network file system.
@@ -135,26 +147,25 @@ impl Root {
 
     /// How long its files must be unchanged before they are read.
     pub(super) fn timeouts(&self) -> StabilityTimeouts {
-        let StabilityTimeouts { settle, unverifiable, stalled } = self.timeouts;
-        match self.network {
-            None => self.timeouts,
-            Some(_) => StabilityTimeouts {
-                settle: settle.max(NETWORK_SETTLE_MIN),
-                unverifiable: unverifiable.max(2 * NETWORK_SETTLE_MIN),
-                stalled: stalled.max(2 * NETWORK_SETTLE_MIN),
-            },
-        }
+        let settle_min = if self.network.is_some() { NETWORK_SETTLE_MIN } else { Duration::ZERO };
+        StabilityTimeouts::new(self.settle.max(settle_min), self.once)
     }
 
     /// Scans the folder, and reports the result.
     fn scan_and_report(&mut self, report: &dyn Fn(Event)) {
         let started = Instant::now();
         let after_loss = std::mem::take(&mut self.is_after_loss);
+        if after_loss {
+            tracing::info!("events were lost: scanning everything");
+            // The lost events may have reported that a folder was replaced, so all folders are watched again.
+            self.watched_folders.clear();
+        }
         let found = self.scan().map(|found| Scan { after_loss, ..found });
         if found.is_ok() {
             // Files that a scan finds are inspected; the inspections count as part of its cost.
-            let cost = started.elapsed() + std::mem::take(&mut self.inspected_for);
-            self.next_scan = Instant::now() + self.interval(cost);
+            self.scan_cost = started.elapsed() + std::mem::take(&mut self.inspected_for);
+            self.scanned_at = Instant::now();
+            self.next_scan = self.scanned_at + self.interval();
         }
         report(Event::RootScanned { root: self.index, found, at: Instant::now() });
     }
@@ -255,7 +266,7 @@ impl Root {
     }
 
     fn scan_folder(&self, folder: &Path) -> io::Result<Scan> {
-        scan_with(folder, &self.path, &self.selection, self.trust_clock(), &|| self.heartbeat.beat())
+        scan(folder, &self.path, &self.selection, self.trust_clock(), &|| self.heartbeat.beat())
     }
 
     /// Stops listening to a folder that is gone or was replaced.
@@ -309,15 +320,23 @@ impl Root {
         );
     }
 
+    /// Events were lost. They are lost when there are too many, and a scan for each loss would block all
+    /// other work, so these scans have a pause between them.
+    fn scan_after_loss(&mut self) {
+        self.is_after_loss = true;
+        let pause = LOSS_PAUSE_MIN.max(self.scan_cost * POLL_SHARE);
+        self.next_scan = self.next_scan.min(self.scanned_at + pause);
+    }
+
     /// The time until the next regular scan: about the configured interval, or longer if scans take long.
-    fn interval(&self, cost: Duration) -> Duration {
+    fn interval(&self) -> Duration {
         match self.poll {
-            Some(poll) => poll.max(cost * POLL_SHARE),
+            Some(poll) => poll.max(self.scan_cost * POLL_SHARE),
             // Between 3/4 and 5/4 of the interval, so that several daemons on one disk do not scan at the
             // same time.
             None => {
                 let jitter = (RandomState::new().hash_one(()) % 1024) as f64 / 1024.0;
-                self.rescan_every.mul_f64(0.75 + 0.5 * jitter).max(cost * SCAN_SHARE)
+                RESCAN_EVERY.mul_f64(0.75 + 0.5 * jitter).max(self.scan_cost * SCAN_SHARE)
             }
         }
     }
@@ -336,12 +355,11 @@ impl Work for Root {
             }
             RootRequest::StampObstacles(numbers) => {
                 let obstacles = &self.obstacles[self.index];
-                let stamps = match obstacles.are_static() {
-                    true => FoundObstacleStamps::Same(Arc::new(obstacles.stamps(None))),
-                    false => {
-                        let stamps = |number| (number, Arc::new(obstacles.stamps(number)));
-                        FoundObstacleStamps::PerNumber(numbers.into_iter().map(stamps).collect())
-                    }
+                let stamps = if obstacles.are_static() {
+                    FoundObstacleStamps::Same(Arc::new(obstacles.stamps(None)))
+                } else {
+                    let stamps = |number| (number, Arc::new(obstacles.stamps(number)));
+                    FoundObstacleStamps::PerNumber(numbers.into_iter().map(stamps).collect())
                 };
                 report(Event::ObstaclesStamped { root: self.index, stamps });
             }
@@ -350,7 +368,7 @@ impl Work for Root {
 
     fn on_fs_event(&mut self, event: FsEvent, report: &dyn Fn(Event)) {
         match event {
-            FsEvent::Rescan => self.rescans.request(Instant::now()),
+            FsEvent::Rescan => self.scan_after_loss(),
             FsEvent::File(path, hint) => self.on_file_event(&path, hint, report),
             FsEvent::Folder(path) => self.on_folder_event(&path, report),
         }
@@ -358,13 +376,6 @@ impl Work for Root {
 
     fn on_time(&mut self, report: &dyn Fn(Event)) {
         let now = Instant::now();
-        if self.rescans.is_due(now) {
-            tracing::info!("events were lost: scanning everything");
-            // The lost events may have reported that a folder was replaced, so all folders are watched again.
-            self.watched_folders.clear();
-            self.is_after_loss = true;
-            self.next_scan = now;
-        }
         let mut is_due = self.next_scan <= now;
         if !self.once && self.compared_at + COMPARE_EVERY <= now {
             self.compared_at = now;
@@ -380,8 +391,7 @@ impl Work for Root {
 
     fn next_time(&self) -> Instant {
         let compare_at = if self.once { self.next_scan } else { self.compared_at + COMPARE_EVERY };
-        let next = self.next_scan.min(compare_at);
-        self.rescans.due_at.map_or(next, |due_at| due_at.min(next))
+        self.next_scan.min(compare_at)
     }
 }
 

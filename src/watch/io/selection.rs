@@ -34,12 +34,12 @@ pub struct FileFilter {
 /// Why a pattern is invalid.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PatternError {
-    what: String,
+    message: String,
 }
 
 impl fmt::Display for PatternError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.what)
+        f.write_str(&self.message)
     }
 }
 
@@ -104,11 +104,11 @@ impl FileFilter {
 
 fn parse_pattern(text: &str, recursive: bool) -> Result<Pattern, PatternError> {
     let pattern = Pattern::new(text).map_err(|error| PatternError {
-        what: format!("`{text}` is not a valid pattern: {}, at {}", error.msg, error.pos),
+        message: format!("`{text}` is not a valid pattern: {}, at {}", error.msg, error.pos),
     })?;
     if text.contains('/') && !recursive {
-        let what = format!("`{text}` reaches into sub-folders, which are only scanned with --recursive");
-        return Err(PatternError { what });
+        let message = format!("`{text}` reaches into sub-folders, which are only scanned with --recursive");
+        return Err(PatternError { message });
     }
     Ok(pattern)
 }

@@ -133,8 +133,12 @@ impl WatchedStage {
     /// contain other numbers as well, such as that of the file whose step it is.
     fn sequences(&self, frames: &HashMap<Arc<Path>, Arc<JournaledFrame>>) -> Vec<StageSequence> {
         let mut of_blocks: Vec<Vec<FrameFile>> = self.blocks.iter().map(|_| Vec::new()).collect();
-        // A file with the name of an output of a refused frame is not that output.
-        let played = frames.iter().filter(|(_, frame)| frame.status != JournaledStatus::Refused);
+        // A file with the name of an output of a frame that was never converted may be that of another frame.
+        let played = frames.iter().filter(|(_, frame)| match frame.status {
+            JournaledStatus::Refused | JournaledStatus::Ignored => false,
+            JournaledStatus::Waiting => !frame.outputs.is_empty(),
+            _ => true,
+        });
         for (input, _) in played {
             let file = FrameFile::new(input.to_path_buf());
             let takes = |block: &StagedWatch| block.filter.takes(&block.input, file.file());

@@ -1,7 +1,7 @@
 //! Opens the folders, and starts the workers.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock, Weak};
+use std::sync::{Arc, Weak};
 use std::time::Instant;
 
 use crossbeam::channel::Sender;
@@ -15,7 +15,6 @@ use crate::watch::status_store::StatusStore;
 
 use super::canonical_path::canonical_path;
 use super::error::DaemonError;
-use super::fs_events::Watcher;
 use super::lock::host_name;
 use super::output_dir::{OutputGuard, open_outputs};
 use super::pipeline::PipelineContext;
@@ -28,8 +27,7 @@ use super::worker::{Heartbeat, StallMonitor, spawn};
 /// system answers.
 pub(crate) struct Workers {
     pub(crate) roots: Vec<Sender<RootRequest>>,
-    /// The thread of each root for slow requests.
-    pub(crate) slow: Vec<Sender<SlowRequest>>,
+    pub(crate) slow: Sender<SlowRequest>,
     pub(crate) outputs: Vec<Sender<OutputRequest>>,
     pub(crate) monitors: Vec<StallMonitor>,
     /// The guards that the workers hold; all gone once the workers have ended.
@@ -44,7 +42,7 @@ impl Drop for Workers {
 }
 
 /// Opens all folders of outputs, and starts all workers. Also returns the core, which starts with the records
-/// of the journals, and the context of the pipelines.
+/// of the journals, and the context of the pipeline.
 ///
 /// # Errors
 /// When a folder of outputs cannot be opened, a pattern is invalid, or the system refuses to start a thread.
@@ -87,36 +85,29 @@ pub(crate) fn start(
         outputs: Arc::new(outputs_of_roots),
         events: events.clone(),
     };
+    let failed = |error: std::io::Error| DaemonError::Threads(error.to_string());
+    let is_over = Arc::<AtomicBool>::default();
+    let slow = slow::spawn(config.threads, Arc::clone(&is_over), events.clone()).map_err(failed)?;
     let mut workers = Workers {
         roots: Vec::new(),
-        slow: Vec::new(),
+        slow,
         outputs: Vec::new(),
         monitors: Vec::new(),
         guards: guards.iter().map(Arc::downgrade).collect(),
-        is_over: Arc::default(),
+        is_over,
     };
-    let failed = |error: std::io::Error| DaemonError::Threads(error.to_string());
     for (index, output) in outputs.into_iter().enumerate() {
         let heartbeat = workers.monitor(Worker::Output(index));
         let sender = spawn(&format!("output {index}"), output, None, heartbeat, events.clone());
         workers.outputs.push(sender.map_err(failed)?);
     }
-    for (index, path_and_selection) in paths.into_iter().enumerate() {
-        // A run with `once` needs no events.
-        let (watcher, fs_events) = match (!config.once).then(Watcher::new).transpose() {
-            Ok(Some((watcher, fs_events))) => (Ok(Some(watcher)), Some(fs_events)),
-            Ok(None) => (Ok(None), None),
-            Err(error) => (Err(error), None),
-        };
+    for (index, (path, selection)) in paths.into_iter().enumerate() {
         let heartbeat = workers.monitor(Worker::Root(index));
         let guard = Arc::clone(&guards[output_of[index]]);
-        let obstacles = obstacles.clone();
-        let root = Root::new(index, path_and_selection, config, obstacles, guard, watcher, heartbeat.clone());
+        let (obstacles, beats) = (obstacles.clone(), heartbeat.clone());
+        let (root, fs_events) = Root::new(index, path, selection, config, obstacles, guard, beats);
         let sender = spawn(&format!("root {index}"), root, fs_events, heartbeat, events.clone());
         workers.roots.push(sender.map_err(failed)?);
-        let is_over = Arc::clone(&workers.is_over);
-        let sender = slow::spawn(&format!("slow {index}"), config.threads, is_over, events.clone());
-        workers.slow.push(sender.map_err(failed)?);
     }
     Ok((core, workers, context))
 }
@@ -135,16 +126,11 @@ fn identity() -> DaemonRecord {
     DaemonRecord {
         pid: std::process::id(),
         host: host_name(),
-        started_ms: *STARTED_MS.get_or_init(now_ms),
+        started_ms: now_ms(),
         state: DaemonState::Running,
         at_ms: now_ms(),
-        refused_reload: None,
     }
 }
-
-/// When the first run of this process began: a reload starts a new run, and no new daemon. A process has only
-/// one daemon.
-static STARTED_MS: OnceLock<u64> = OnceLock::new();
 
 /// The current time.
 pub(crate) fn now() -> Now {

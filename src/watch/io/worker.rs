@@ -1,5 +1,5 @@
-//! A thread that does I/O for the core: requests in, events out. If its file system hangs, only this thread
-//! hangs.
+//! A thread that does I/O for the core: requests in, events out. If its file system hangs, this thread hangs,
+//! and the event loop reports it.
 //!
 //! ```text
 //!   core ──requests──▶ ┌────────┐ ──events──▶ core
@@ -88,10 +88,8 @@ impl StallMonitor {
         if std::mem::replace(&mut self.has_stalled, has_stalled) == has_stalled {
             return None;
         }
-        Some(match has_stalled {
-            true => Event::WorkerStalled(self.worker),
-            false => Event::WorkerAnswered(self.worker),
-        })
+        let event = if has_stalled { Event::WorkerStalled } else { Event::WorkerAnswered };
+        Some(event(self.worker))
     }
 }
 

@@ -62,10 +62,11 @@ mod tests {
 
     use super::super::state::{
         DaemonRecord, DaemonState, JournaledFrame, JournaledSequence, JournaledStatus, OutputRecord,
-        RefusedReload, SequenceCamera, SequenceKey,
+        SequenceCamera, SequenceKey,
     };
     use super::*;
     use crate::pipeline::{FileStamp, Framed, MeasuredSpacing, OutputState};
+    use crate::watch::Reason;
     use crate::watch::status_store::Figures;
 
     #[track_caller]
@@ -104,7 +105,7 @@ mod tests {
                     }),
                 ),
             ],
-            reason: Some("line 3:\tno number\r\n".to_owned()),
+            reason: Some(Reason::Error("line 3:\tno number\r\n".to_owned())),
             attempt_count: 3,
             at_ms: 1_760_000_000_000,
             particle_count: Some(250_000),
@@ -124,6 +125,8 @@ mod tests {
             JournaledStatus::Retrying,
             JournaledStatus::Refused,
             JournaledStatus::RetriesExhausted,
+            JournaledStatus::Waiting,
+            JournaledStatus::Ignored,
         ];
         for status in statuses {
             comes_back(&frame("/sim/dam.0001.bgeo", status));
@@ -139,7 +142,16 @@ mod tests {
             figures: None,
             ..(*record).clone()
         };
-        comes_back(&Entry::Frame { input, record: Arc::new(bare) });
+        comes_back(&Entry::Frame { input: Arc::clone(&input), record: Arc::new(bare.clone()) });
+        for reason in [
+            Reason::Changing,
+            Reason::Incomplete { expected: u64::MAX, found: 0 },
+            Reason::OutputChanged { output: "/out/a b\n.glb".into() },
+            Reason::Steps(7),
+        ] {
+            let record = JournaledFrame { reason: Some(reason), ..bare.clone() };
+            comes_back(&Entry::Frame { input: Arc::clone(&input), record: Arc::new(record) });
+        }
     }
 
     #[test]
@@ -225,7 +237,6 @@ mod tests {
                 started_ms: 1,
                 state,
                 at_ms: 2,
-                refused_reload: Some(RefusedReload { at_ms: 3, reason: "m.toml:2: unknown key".to_owned() }),
             }));
         }
     }

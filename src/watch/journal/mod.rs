@@ -7,9 +7,8 @@
 //!   c2609b1ea0f347d8 {"frame":{"input":"/sim/dam.00                                     torn: truncated
 //! ```
 //!
-//! The journal records which frames are done, so that they are not converted again, and which frames failed
-//! and why. It also records the settings of each sequence, and the daemon's configuration. If a frame has
-//! several records, the last one counts.
+//! The journal records which frames are done, so that they are not converted again, and why the others are
+//! not. It also records the settings of each sequence. If a frame has several records, the last one counts.
 //!
 //! **Losing the journal only costs time.** An output is on disk before it gets its name, and contains the
 //! provenance of its input. Without a journal, frames are read again and found done. This keeps the journal
@@ -31,8 +30,6 @@ mod line;
 mod state;
 #[cfg(test)]
 mod tests;
-#[cfg(test)]
-mod tests_of_plan;
 
 use std::collections::HashSet;
 use std::fs::{self, File, OpenOptions};
@@ -48,7 +45,7 @@ use state::RecordKey;
 
 pub use state::{
     DaemonRecord, DaemonState, JournalState, JournaledFrame, JournaledSequence, JournaledStatus, OutputCheck,
-    OutputRecord, PlanRecord, RefusedReload, SequenceCamera, SequenceKey,
+    OutputRecord, SequenceCamera, SequenceKey,
 };
 
 /// The folder for the daemon's own files, in the folder of outputs.
@@ -184,14 +181,6 @@ impl Journal {
     /// When the record cannot be written.
     pub fn note_frame(&mut self, input: &Path, record: JournaledFrame) -> io::Result<()> {
         self.note(Entry::Frame { input: input.into(), record: record.into() })
-    }
-
-    /// Records the configuration of the daemon.
-    ///
-    /// # Errors
-    /// When the record cannot be written.
-    pub fn note_plan(&mut self, record: PlanRecord) -> io::Result<()> {
-        self.note(Entry::Plan(record))
     }
 
     /// Writes pending records and syncs the file to disk, at the end of a run, unless writing is suspended.

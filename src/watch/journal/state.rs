@@ -1,5 +1,4 @@
-//! The content of the journal: the last record of each frame, each sequence and the daemon, and the daemon's
-//! configuration.
+//! The content of the journal: the last record of each frame, each sequence and the daemon.
 //!
 //! These types are serialized directly, so a field that is renamed needs its old name as its `serde` name.
 //! Frames and their outputs, of which there may be very many, are read through [`FrameForm`] and
@@ -15,7 +14,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::pipeline::files::json::{hex, path, text};
 use crate::pipeline::{CameraChoice, FileStamp, Framed, MeasuredSpacing, OutputState, is_level_set};
-use crate::watch::config::{StabilityTimeouts, Watch};
+use crate::watch::Reason;
 use crate::watch::status_store::Figures;
 
 /// The content of a journal.
@@ -27,8 +26,6 @@ pub struct JournalState {
     pub sequences: HashMap<SequenceKey, JournaledSequence>,
     /// The daemon that wrote last. The state "running" does not prove that it still runs.
     pub daemon: Option<DaemonRecord>,
-    /// The configuration of the daemon.
-    pub plan: Option<PlanRecord>,
     /// The number of damaged lines that were skipped.
     pub damaged_line_count: usize,
 }
@@ -50,9 +47,9 @@ pub struct JournaledFrame {
     /// Its outputs.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub outputs: Vec<OutputRecord>,
-    /// Why it failed.
+    /// Why it has this status; `None` if it is done.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub reason: Option<String>,
+    pub reason: Option<Reason>,
     /// The number of attempts.
     #[serde(rename = "attempts")]
     pub attempt_count: u32,
@@ -72,10 +69,32 @@ pub struct JournaledFrame {
     pub figures: Option<Arc<Figures>>,
 }
 
+impl JournaledFrame {
+    /// A record with this status, and nothing else.
+    pub fn new(status: JournaledStatus) -> JournaledFrame {
+        JournaledFrame {
+            status,
+            stamp: FileStamp::default(),
+            hash: None,
+            settings: String::new(),
+            outputs: Vec::new(),
+            reason: None,
+            attempt_count: 0,
+            at_ms: 0,
+            particle_count: None,
+            seconds: None,
+            flaws: Vec::new(),
+            figures: None,
+        }
+    }
+}
+
 /// The status of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JournaledStatus {
+    /// It is not read yet, because its writer may not have finished it.
+    Waiting,
     /// It is queued or in progress.
     Queued,
     /// All its outputs exist.
@@ -91,6 +110,8 @@ pub enum JournaledStatus {
     /// starts.
     #[serde(rename = "given_up")]
     RetriesExhausted,
+    /// It turned out not to be a frame.
+    Ignored,
 }
 
 /// An output of a frame.
@@ -171,7 +192,7 @@ struct FrameForm {
     #[serde(default)]
     outputs: Vec<OutputRecord>,
     #[serde(default)]
-    reason: Option<String>,
+    reason: Option<Reason>,
     attempts: u32,
     at_ms: u64,
     #[serde(default)]
@@ -323,29 +344,6 @@ pub struct DaemonRecord {
     pub state: DaemonState,
     /// When it entered this state, in milliseconds since 1970.
     pub at_ms: u64,
-    /// The last reload of its configuration, if that was refused.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub refused_reload: Option<RefusedReload>,
-}
-
-/// A reload of the configuration that failed, so that the earlier configuration still applies.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct RefusedReload {
-    /// When it failed, in milliseconds since 1970.
-    pub at_ms: u64,
-    /// What is wrong with the new configuration.
-    pub reason: String,
-}
-
-/// The part of a daemon's configuration that concerns the outputs of this journal. Separate from
-/// [`DaemonRecord`], so that it is written once per run.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PlanRecord {
-    /// The watched folders with these outputs.
-    pub watches: Vec<Watch>,
-    /// How long files must be unchanged.
-    #[serde(flatten)]
-    pub timeouts: StabilityTimeouts,
 }
 
 /// The state of a daemon.
@@ -363,12 +361,14 @@ pub enum DaemonState {
 impl fmt::Display for JournaledStatus {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            JournaledStatus::Queued => "queued",
+            JournaledStatus::Waiting => "not yet complete",
+            JournaledStatus::Queued => "queued or in progress",
             JournaledStatus::Done => "done",
             JournaledStatus::Failed => "failed",
-            JournaledStatus::Retrying => "retrying",
-            JournaledStatus::Refused => "refused",
-            JournaledStatus::RetriesExhausted => "given up",
+            JournaledStatus::Retrying => "failed, will be retried",
+            JournaledStatus::Refused => "not converted",
+            JournaledStatus::RetriesExhausted => "failed, after all retries",
+            JournaledStatus::Ignored => "not a frame",
         })
     }
 }
@@ -389,7 +389,6 @@ pub(super) enum RecordKey {
     Frame(Arc<Path>),
     Sequence(SequenceKey),
     Daemon,
-    Plan,
 }
 
 /// A record: one line of the journal. Cheap to clone: one copy stays in memory, and one is written.
@@ -410,7 +409,6 @@ pub(in crate::watch) enum Entry {
         record: Box<JournaledSequence>,
     },
     Daemon(DaemonRecord),
-    Plan(PlanRecord),
 }
 
 impl Entry {
@@ -419,7 +417,6 @@ impl Entry {
             Entry::Frame { input, .. } => RecordKey::Frame(Arc::clone(input)),
             Entry::Sequence { key, .. } => RecordKey::Sequence(key.clone()),
             Entry::Daemon(_) => RecordKey::Daemon,
-            Entry::Plan(_) => RecordKey::Plan,
         }
     }
 }
@@ -435,7 +432,6 @@ impl JournalState {
                 self.sequences.insert(key, *record);
             }
             Entry::Daemon(record) => self.daemon = Some(record),
-            Entry::Plan(record) => self.plan = Some(record),
         }
     }
 
@@ -445,7 +441,6 @@ impl JournalState {
             RecordKey::Frame(input) => self.frames.get_key_value(input).map(frame_entry),
             RecordKey::Sequence(key) => self.sequences.get_key_value(key).map(sequence_entry),
             RecordKey::Daemon => self.daemon.clone().map(Entry::Daemon),
-            RecordKey::Plan => self.plan.clone().map(Entry::Plan),
         }
     }
 
@@ -453,14 +448,12 @@ impl JournalState {
     pub(super) fn entries(&self) -> impl Iterator<Item = Entry> + '_ {
         let frames = self.frames.iter().map(frame_entry);
         let sequences = self.sequences.iter().map(sequence_entry);
-        let plan = self.plan.clone().map(Entry::Plan);
-        frames.chain(sequences).chain(plan).chain(self.daemon.clone().map(Entry::Daemon))
+        frames.chain(sequences).chain(self.daemon.clone().map(Entry::Daemon))
     }
 
     /// The number of records.
     pub(super) fn entry_count(&self) -> usize {
-        let of_daemon = usize::from(self.daemon.is_some()) + usize::from(self.plan.is_some());
-        self.frames.len() + self.sequences.len() + of_daemon
+        self.frames.len() + self.sequences.len() + usize::from(self.daemon.is_some())
     }
 }
 

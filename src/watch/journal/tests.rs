@@ -2,9 +2,6 @@
 
 use crate::pipeline::MeasuredSpacing;
 use std::io::{Seek, SeekFrom};
-use std::time::Duration;
-
-use crate::watch::config::StabilityTimeouts;
 
 use super::*;
 
@@ -74,23 +71,7 @@ fn sequence() -> (SequenceKey, JournaledSequence) {
 }
 
 fn daemon_record(state: DaemonState) -> DaemonRecord {
-    DaemonRecord {
-        pid: 12,
-        host: "render-04".to_owned(),
-        started_ms: 1,
-        state,
-        at_ms: 2,
-        refused_reload: None,
-    }
-}
-
-fn plan_record() -> PlanRecord {
-    let timeouts = StabilityTimeouts {
-        settle: Duration::from_millis(500),
-        unverifiable: Duration::ZERO,
-        stalled: Duration::MAX,
-    };
-    PlanRecord { watches: Vec::new(), timeouts }
+    DaemonRecord { pid: 12, host: "render-04".to_owned(), started_ms: 1, state, at_ms: 2 }
 }
 
 /// Writes records of all kinds. Returns the states after each record, starting with the empty state.
@@ -98,8 +79,6 @@ fn write_some(folder: &Path) -> Vec<JournalState> {
     let mut journal = open(folder);
     let mut states = vec![journal.state().clone()];
     let mut remember = |journal: &Journal| states.push(journal.state().clone());
-    journal.note_plan(plan_record()).expect("noted");
-    remember(&journal);
     journal.note_daemon(daemon_record(DaemonState::Running)).expect("noted");
     remember(&journal);
     let (key, record) = sequence();
@@ -203,7 +182,6 @@ fn check_was_written(state: &JournalState, states: &[JournalState]) {
     for (key, record) in &state.sequences {
         assert!(states.iter().any(|state| state.sequences.get(key) == Some(record)), "{record:?}");
     }
-    assert!(states.iter().any(|earlier| earlier.plan == state.plan), "{:?}", state.plan);
     assert!(states.iter().any(|earlier| earlier.daemon == state.daemon), "{:?}", state.daemon);
 }
 

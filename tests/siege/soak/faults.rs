@@ -7,8 +7,6 @@ use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-use crate::siege::scene::Daemon;
-
 use super::producer::Producer;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,10 +15,6 @@ pub(super) enum Fault {
     Kill,
     /// SIGTERM, followed by a restart.
     End,
-    /// SIGHUP, with other settings for the daemon.
-    Reload,
-    /// SIGHUP, with an invalid configuration.
-    BrokenReload,
     /// The disk of the outputs has no free byte while frames are produced.
     FullDisk,
     /// The watched folder is moved away for a while.
@@ -30,42 +24,16 @@ pub(super) enum Fault {
 }
 
 impl Fault {
-    pub(super) const ALL: [Fault; 7] = [
-        Fault::Kill,
-        Fault::End,
-        Fault::Reload,
-        Fault::BrokenReload,
-        Fault::FullDisk,
-        Fault::FolderGone,
-        Fault::Crowd,
-    ];
+    pub(super) const ALL: [Fault; 5] =
+        [Fault::Kill, Fault::End, Fault::FullDisk, Fault::FolderGone, Fault::Crowd];
 
     /// The faults that do not end the daemon.
-    pub(super) const OF_ONE_LIFE: [Fault; 5] =
-        [Fault::Reload, Fault::BrokenReload, Fault::FullDisk, Fault::FolderGone, Fault::Crowd];
+    pub(super) const OF_ONE_LIFE: [Fault; 3] = [Fault::FullDisk, Fault::FolderGone, Fault::Crowd];
 
     /// Causes the fault; faults that end the daemon are handled by the caller.
-    pub(super) fn inject(
-        self,
-        folder: &Path,
-        daemon: &Daemon,
-        http_address: Option<&str>,
-        producer: &mut Producer,
-    ) {
+    pub(super) fn inject(self, folder: &Path, http_address: Option<&str>, producer: &mut Producer) {
         match self {
             Fault::Kill | Fault::End => {}
-            Fault::Reload => {
-                // Any other settings of the daemon work here, because done frames stay done.
-                write_config(folder, if producer.act_count().is_multiple_of(2) { "50ms" } else { "150ms" });
-                daemon.signal("HUP");
-            }
-            Fault::BrokenReload => {
-                let sane = fs::read(folder.join(CONFIG)).expect("readable");
-                fs::write(folder.join(CONFIG), "[daemon]\nsettle = 12 parsecs\n").expect("written");
-                daemon.signal("HUP");
-                thread::sleep(Duration::from_millis(500));
-                fs::write(folder.join(CONFIG), sane).expect("written");
-            }
             Fault::FullDisk => while_the_disk_is_full(folder, producer),
             Fault::FolderGone => {
                 let [inside, away] = ["in", "away"].map(|name| folder.join(name));
@@ -81,12 +49,10 @@ impl Fault {
 const CONFIG: &str = "soak.toml";
 
 /// Settings with short waiting times.
-pub(super) fn write_config(folder: &Path, settle: &str) {
-    let text = format!(
-        "[daemon]\nsettle = \"{settle}\"\nsettle_unverifiable = \"500ms\"\nstalled = \"2s\"\nrescan = \"5s\"\n\
+pub(super) fn write_config(folder: &Path) {
+    let text = "[daemon]\nsettle = \"100ms\"\n\
          disk_floor = \"0\"\nmemory = \"512MiB\"\nlisten = \"127.0.0.1:0\"\n\
-         [[watch]]\ninput = \"in\"\noutput = \"out\"\npreset = \"paper\"\nvoxel_size = 0.05\n"
-    );
+         [[watch]]\ninput = \"in\"\noutput = \"out\"\npreset = \"paper\"\nvoxel_size = 0.05\n";
     fs::write(folder.join(CONFIG), text).expect("written");
 }
 

@@ -26,7 +26,11 @@ pub(super) fn await_idle(folder: &Path, daemon: &mut Daemon) {
             return;
         }
         if start.elapsed() > TIMEOUT {
-            panic!("these do not come: {pending:?}\n{}\n{:#}", why(folder, &pending[0]), status(folder));
+            panic!(
+                "these do not come: {pending:?}\n{}\n{:#}",
+                status_of(folder, &pending[0]),
+                status(folder)
+            );
         }
     }
 }
@@ -72,8 +76,9 @@ fn name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The output of `why` for a frame.
-fn why(folder: &Path, frame: &Path) -> String {
-    let output = meniscus(folder).arg("why").arg(frame).args(["--out", "out"]).output().expect("it starts");
+/// What is recorded of a frame.
+fn status_of(folder: &Path, frame: &Path) -> String {
+    let output =
+        meniscus(folder).arg("status").arg(frame).args(["--out", "out"]).output().expect("it starts");
     String::from_utf8_lossy(&output.stdout).into_owned()
 }

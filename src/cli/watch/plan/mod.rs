@@ -7,8 +7,6 @@
 //!                         ▼
 //!                      Config           absolute paths; consistent numbers
 //! ```
-//!
-//! A reload makes a new plan from the same options and the current content of the file.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -24,11 +22,11 @@ use crate::cli::level_sets::{Use, refuse_options};
 use crate::cli::machine::{memory_bytes, thread_count};
 use crate::cli::select::check_output_path;
 use crate::http::{AccessToken, Listen};
-use crate::pipeline::{ObstacleFiles, default_in_flight, read_regular_text, refuse_file_for_folder};
+use crate::pipeline::{ObstacleFiles, read_regular_text, refuse_file_for_folder};
 use crate::surface::options::Settings;
 use crate::watch::canonical_path::canonical_path;
 use crate::watch::selection::FileFilter;
-use crate::watch::{Order, Poll, StabilityTimeouts, Watch, WatchConfig, names_level_sets};
+use crate::watch::{Order, Poll, Watch, WatchConfig, names_level_sets};
 
 /// The daemon's configuration, and warnings to log before it starts.
 #[derive(Clone, Debug)]
@@ -66,7 +64,6 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
     warnings.retain(|warning: &String| seen.insert(warning.clone()));
     let resolved = |daemon: &DaemonArgs| {
         let daemon = args.daemon.clone().over(daemon.clone());
-        refuse_shared_journal(&watches, daemon.journal.as_deref())?;
         let config = config(watches.clone(), args.once, &daemon)?;
         let listen = listen(&daemon)?;
         Ok(WatchPlan { config, log: daemon.log.unwrap_or(LogChoice::Text), listen, warnings: Vec::new() })
@@ -89,7 +86,7 @@ fn typed_watches(args: &WatchArgs, warnings: &mut Vec<String>) -> Result<Vec<Wat
     let mut seen = HashSet::new();
     let inputs = args.inputs.iter().filter(|input| seen.insert(*input));
     let typed = |input: &PathBuf| {
-        check_input(input)?;
+        check_input(input, args.once)?;
         check_output(output)?;
         watch(input, output, &args.frames, warnings).with_context(|| input.display().to_string())
     };
@@ -120,7 +117,7 @@ fn watch_of_block(args: &WatchArgs, block: &WatchBlock, warnings: &mut Vec<Strin
     let output = args.out.as_ref().or(block.output.as_ref()).ok_or_else(|| {
         anyhow!("{}: this [[watch]] block names no output: add one, or give --out", keys.place("output"))
     })?;
-    check_input(input).with_context(|| keys.place("input"))?;
+    check_input(input, args.once).with_context(|| keys.place("input"))?;
     check_output(output).with_context(|| keys.place("output"))?;
     let checked = |frames: &FrameArgs, warnings: &mut Vec<String>| {
         let all = args.frames.over_file(frames);
@@ -134,7 +131,13 @@ fn watch_of_block(args: &WatchArgs, block: &WatchBlock, warnings: &mut Vec<Strin
     checked(&block.frames, warnings).map_err(located)
 }
 
-fn check_input(input: &Path) -> Result<()> {
+fn check_input(input: &Path, once: bool) -> Result<()> {
+    if once && !input.exists() {
+        bail!(
+            "{}: there is no such folder: check the path; without --once, watch waits for the folder",
+            input.display()
+        );
+    }
     if input.exists() && !input.is_dir() {
         bail!(
             "{}: this is a file, and watch needs a folder: use `meniscus convert` for files",
@@ -241,63 +244,22 @@ fn refuse_shared_stage(watches: &[Watch], blocks: &[WatchBlock]) -> Result<()> {
     Ok(())
 }
 
-/// Refuses a journal that several output folders would share.
-fn refuse_shared_journal(watches: &[Watch], journal: Option<&Path>) -> Result<()> {
-    let mut outputs = watches.iter().map(|watch| &watch.outputs.folder);
-    let first = outputs.next();
-    if let (Some(journal), Some(first)) = (journal, first)
-        && let Some(other) = outputs.find(|other| !same_folder(first, other))
-    {
-        bail!(
-            "the journal {} can serve only one output folder, but there are several, such as {} and {}: run a \
-             daemon for each, or leave out --journal, so that each folder has its own journal",
-            journal.display(),
-            first.display(),
-            other.display()
-        );
-    }
-    Ok(())
-}
-
 fn same_folder(a: &Path, b: &Path) -> bool {
     let real = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
     a == b || real(a) == real(b)
 }
 
 fn config(watches: Vec<Watch>, once: bool, daemon: &DaemonArgs) -> Result<WatchConfig> {
-    let threads = thread_count(daemon.run.threads);
     Ok(WatchConfig {
         watches,
         once,
         order: daemon.order.unwrap_or(Order::Natural),
-        threads,
-        in_flight: daemon.in_flight.map_or_else(|| default_in_flight(threads), usize::from),
+        threads: thread_count(daemon.run.threads),
         memory_bytes: memory_bytes(daemon.run.memory)?,
         disk_floor_bytes: daemon.disk_floor.unwrap_or(DISK_FLOOR_BYTES),
-        timeouts: timeouts(once, daemon)?,
+        settle: daemon.settle.unwrap_or(SETTLE),
         poll: daemon.poll.unwrap_or(Poll::Auto),
-        rescan_every: daemon.rescan.unwrap_or(RESCAN_EVERY),
-        journal: daemon.journal.as_deref().map(absolute).transpose()?,
-        stop_deadline: daemon.stop_deadline.unwrap_or(STOP_DEADLINE),
     })
-}
-
-fn timeouts(once: bool, daemon: &DaemonArgs) -> Result<StabilityTimeouts> {
-    let settle = daemon.settle.unwrap_or(SETTLE);
-    let long = SETTLE_UNVERIFIABLE_MIN.max(4 * settle);
-    let unverifiable = daemon.settle_unverifiable.unwrap_or(long);
-    // With `--once` the daemon gives up incomplete files earlier, because their writers may be gone.
-    let stalled = daemon.stalled.unwrap_or(if once { long } else { STALLED.max(long) });
-    for (name, time) in [("settle_unverifiable", unverifiable), ("stalled", stalled)] {
-        if time < settle {
-            bail!(
-                "`{name}` is {}, but must be at least `settle` ({}): otherwise files would be read too early",
-                humantime::format_duration(time),
-                humantime::format_duration(settle)
-            );
-        }
-    }
-    Ok(StabilityTimeouts { settle, unverifiable, stalled })
 }
 
 /// The address and the access token of the HTTP server.
@@ -335,10 +297,6 @@ fn absolute(path: &Path) -> Result<PathBuf> {
 }
 
 const SETTLE: Duration = Duration::from_millis(500);
-const SETTLE_UNVERIFIABLE_MIN: Duration = Duration::from_secs(2);
-const STALLED: Duration = Duration::from_secs(30);
-const RESCAN_EVERY: Duration = Duration::from_secs(60);
-const STOP_DEADLINE: Duration = Duration::from_secs(30);
 const DISK_FLOOR_BYTES: u64 = 1 << 30;
 
 #[cfg(test)]

@@ -51,10 +51,8 @@ fn defaults_are_filled_in() {
     assert_eq!((log, listen, warnings.len(), config.once), (LogChoice::Text, None, 0, false));
     assert_eq!((config.order, config.poll), (Order::Natural, Poll::Auto));
     assert_eq!(config.disk_floor_bytes, 1 << 30);
-    assert_eq!((config.rescan_every.as_secs(), config.stop_deadline.as_secs()), (60, 30));
-    let StabilityTimeouts { settle, unverifiable, stalled } = config.timeouts;
-    assert_eq!([settle, unverifiable, stalled].map(|time| time.as_millis()), [500, 2000, 30_000]);
-    assert!(config.threads > 0 && config.in_flight > 0 && config.memory_bytes > 0);
+    assert_eq!(config.settle.as_millis(), 500);
+    assert!(config.threads > 0 && config.memory_bytes > 0);
     let [watch] = &config.watches[..] else { panic!("one folder") };
     assert!(watch.input.is_absolute() && watch.input.ends_with("in") && watch.outputs.folder.is_absolute());
     assert_eq!(watch.outputs.formats, [OutputFormat::Glb, OutputFormat::Vdb]);
@@ -105,24 +103,6 @@ fn non_loopback_address_requires_token() {
 }
 
 #[test]
-fn timeouts_follow_settle() {
-    for (options, expected) in [
-        (&["--settle", "1s"][..], [1000, 4000, 30_000]),
-        (&["--settle", "20s"], [20_000, 80_000, 80_000]),
-        (&["--once"], [500, 2000, 2000]),
-        (&["--once", "--settle", "1s"], [1000, 4000, 4000]),
-        (&["--settle-unverifiable", "500ms", "--stalled", "1m"], [500, 500, 60_000]),
-        // The former name.
-        (&["--unproven", "500ms", "--stalled", "1m"], [500, 500, 60_000]),
-        (&["--settle", "0"], [0, 2000, 30_000]),
-    ] {
-        let config = plan(&[&["in", "--out", "out"], options].concat()).expect("a plan").config;
-        let StabilityTimeouts { settle, unverifiable, stalled } = config.timeouts;
-        assert_eq!([settle, unverifiable, stalled].map(|time| time.as_millis()), expected, "{options:?}");
-    }
-}
-
-#[test]
 fn options_override_every_block() {
     let bench = Bench::new(
         "[daemon]\norder = \"latest\"\nsettle = \"3s\"\n\
@@ -130,13 +110,13 @@ fn options_override_every_block() {
          [[watch]]\ninput = \"b\"\noutput = \"o\"\nvoxel_size = 0.25\npattern = \"*.ply\"\n",
     );
     let config = bench.plan(&[]).expect("a plan").config;
-    assert_eq!((config.order, config.timeouts.settle.as_secs()), (Order::Latest, 3));
+    assert_eq!((config.order, config.settle.as_secs()), (Order::Latest, 3));
     assert_eq!(config.watches[0].input, bench.folder.path().join("a"));
     assert_eq!(config.watches[0].choices.steps, Some(7));
 
     let options = ["--voxel-size", "1", "--order", "natural", "--format", "ply", "--recursive", "--out", "x"];
     let config = bench.plan(&options).expect("a plan").config;
-    assert_eq!((config.order, config.timeouts.settle.as_secs()), (Order::Natural, 3));
+    assert_eq!((config.order, config.settle.as_secs()), (Order::Natural, 3));
     assert_eq!(config.watches[1].pattern.as_deref(), Some("*.ply"));
     for watch in &config.watches {
         assert_eq!((watch.choices.voxel_size, watch.recursive), (Some(1.0.into()), true));
@@ -152,7 +132,7 @@ fn folders_on_the_command_line_replace_blocks() {
     let bench =
         Bench::new("[daemon]\nsettle = \"3s\"\n[[watch]]\ninput = \"a\"\noutput = \"o\"\nvoxel_size = 0.5\n");
     let config = bench.plan(&["c", "d", "c", "--out", "x"]).expect("a plan").config;
-    assert_eq!((config.watches.len(), config.timeouts.settle.as_secs()), (2, 3));
+    assert_eq!((config.watches.len(), config.settle.as_secs()), (2, 3));
     assert!(config.watches.iter().all(|watch| watch.choices.voxel_size.is_none()));
     bench.refused(&["c"], &["replaces the [[watch]] blocks", "needs --out"]);
 }
@@ -168,16 +148,6 @@ fn one_out_for_blocks_with_different_outputs_is_refused() {
     assert_eq!(bench.plan(&["--out", "x"]).expect("a plan").config.watches.len(), 2);
     Bench::new("[daemon]\n").refused(&[], &["no folder to watch"]);
     Bench::new("[daemon]\n").refused(&["--out", "x"], &["no folder to watch"]);
-}
-
-#[test]
-fn journal_for_two_output_folders_is_refused() {
-    let block =
-        |input: &str, output: &str| format!("[[watch]]\ninput = \"{input}\"\noutput = \"{output}\"\n");
-    let bench = Bench::new(&(block("a", "o") + &block("b", "p")));
-    bench.refused(&["--journal", "j"], &["the journal", "only one output folder", "run a daemon for each"]);
-    assert!(bench.plan(&["--journal", "j", "c", "--out", "o"]).is_ok());
-    assert!(Bench::new(&(block("a", "o") + &block("b", "./o"))).plan(&["--journal", "j"]).is_ok());
 }
 
 #[test]
@@ -202,11 +172,7 @@ fn invalid_options_are_refused() {
         (&["--sentinel", ""], &["sentinel"]),
         (&["--sentinel", "../{stem}"], &["beside the frame"]),
         (&["--sentinel", "{name}"], &["beside the frame"]),
-        (
-            &["--settle", "5s", "--settle-unverifiable", "1s"],
-            &["`settle_unverifiable` is 1s, but must be at least `settle` (5s)"],
-        ),
-        (&["--stalled", "1ms"], &["`stalled` is 1ms"]),
+        (&["--once"], &["in: there is no such folder", "without --once"]),
         (&["--settle", "soon"], &["--settle", "not a time"]),
         (&["--poll", "1us"], &["--poll", "from 50ms"]),
         (&["--memory", "some"], &["--memory", "not a size"]),
@@ -252,7 +218,6 @@ fn errors_name_the_line_and_the_key() {
         ("listen = \"0.0.0.0:7700\"", &["`listen`: ", "give `token_file` to restrict access"]),
         ("token_file = \"none\"\nlisten = \"127.0.0.1:1\"", &["`token_file`: cannot read"]),
         ("token_file = \"meniscus.toml\"", &["`token_file`"]),
-        ("stalled = \"1ms\"", &["`stalled` is 1ms"]),
     ] {
         let block = "[[watch]]\ninput = \"a\"\noutput = \"o\"\n";
         let bench = Bench::new(&format!("{block}[daemon]\n{entry}\n"));

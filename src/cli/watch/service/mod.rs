@@ -3,9 +3,9 @@
 #[cfg(target_os = "linux")]
 mod systemd;
 #[cfg(target_os = "linux")]
-pub(super) use systemd::{Service, notify_reload_failed, notify_reloading};
+pub(super) use systemd::Service;
 
 #[cfg(not(target_os = "linux"))]
 mod noop;
 #[cfg(not(target_os = "linux"))]
-pub(super) use noop::{Service, notify_reload_failed, notify_reloading};
+pub(super) use noop::Service;

@@ -11,7 +11,3 @@ impl Service {
 
     pub(in crate::cli::watch) fn notify(&mut self, _notice: &Notice) {}
 }
-
-pub(in crate::cli::watch) fn notify_reloading() {}
-
-pub(in crate::cli::watch) fn notify_reload_failed(_why: &str) {}

@@ -2,11 +2,10 @@
 //! sends nothing.
 //!
 //! ```text
-//!   Notice::Ready      READY=1        also after a reload
+//!   Notice::Ready      READY=1
 //!   Notice::Status     STATUS=…
 //!   Notice::Alive      WATCHDOG=1     if a watchdog is configured, at most twice per timeout
 //!   Notice::Stopping   STOPPING=1
-//!   a reload begins    RELOADING=1, MONOTONIC_USEC=…; READY=1 ends it, even if the reload failed
 //! ```
 
 use std::time::{Duration, Instant};
@@ -36,7 +35,7 @@ impl Service {
             _ => None,
         };
         if let Some(message) = self.message(escaped_status.as_ref().unwrap_or(notice), Instant::now()) {
-            send(&[message]);
+            send(message);
         }
     }
 
@@ -58,22 +57,9 @@ impl Service {
     }
 }
 
-/// Reports the start of a reload.
-pub(in crate::cli::watch) fn notify_reloading() {
-    match NotifyState::monotonic_usec_now() {
-        Ok(now) => send(&[NotifyState::Reloading, now]),
-        Err(error) => warn!("cannot notify the service manager of the reload: {error}"),
-    }
-}
-
-/// Reports a failed reload: the service continues with its old configuration.
-pub(in crate::cli::watch) fn notify_reload_failed(why: &str) {
-    send(&[NotifyState::Ready, NotifyState::Status(&escaped(why).to_string())]);
-}
-
 /// Sends a message. A failure is logged, and the daemon continues.
-fn send(messages: &[NotifyState<'_>]) {
-    if let Err(error) = sd_notify::notify(messages) {
+fn send(message: NotifyState<'_>) {
+    if let Err(error) = sd_notify::notify(&[message]) {
         warn!("cannot notify the service manager: {error}");
     }
 }
@@ -104,8 +90,6 @@ mod tests {
         service.notify(&Notice::Alive);
         service.notify(&Notice::Alive);
         service.notify(&Notice::Status("3 frames wait\nMAINPID=1".into()));
-        notify_reloading();
-        notify_reload_failed("two\nlines");
         service.notify(&Notice::Stopping);
     }
 
@@ -138,13 +122,8 @@ mod tests {
         while let Ok(count) = socket.recv(&mut bytes) {
             messages.push(String::from_utf8_lossy(&bytes[..count]).trim_end().to_owned());
         }
-        let [ready, alive, status, reloading, not_reloaded, stopping] = &messages[..] else {
-            panic!("{messages:?}")
-        };
+        let [ready, alive, status, stopping] = &messages[..] else { panic!("{messages:?}") };
         assert_eq!((&**ready, &**alive), ("READY=1", "WATCHDOG=1"));
         assert_eq!((&**status, &**stopping), ("STATUS=3 frames wait\\nMAINPID=1", "STOPPING=1"));
-        let time = reloading.strip_prefix("RELOADING=1\nMONOTONIC_USEC=").expect("a time");
-        assert!(time.parse::<u64>().is_ok_and(|time| time > 0), "{time}");
-        assert_eq!(not_reloaded, "READY=1\nSTATUS=two\\nlines");
     }
 }

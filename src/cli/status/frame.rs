@@ -1,0 +1,123 @@
+//! `meniscus status FRAME`: prints what is recorded of one frame.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+
+use crate::cli::CommandOutcome;
+use crate::cli::clock::ago;
+use crate::cli::console::Console;
+use crate::cli::wording::{pluralize, significant};
+use crate::pipeline::{file_of, natural_order, step_of};
+use crate::watch::canonical_path::canonical_path;
+use crate::watch::journal::{JournalState, JournaledFrame, JournaledStatus, now_ms};
+
+use super::{FrameStatus, Holder, read_journal};
+
+/// Prints the record of a frame in each of these output folders that has one.
+///
+/// # Errors
+/// If nothing is recorded of it, or something cannot be read.
+pub(super) fn print(
+    frame: &Path,
+    folders: &[PathBuf],
+    as_json: bool,
+    console: &mut Console,
+) -> Result<CommandOutcome> {
+    let path = known_path(frame).with_context(|| format!("`{}` is not a valid path", frame.display()))?;
+    let (mut is_found, mut has_failed) = (false, false);
+    for folder in folders {
+        let state = read_journal(folder)?;
+        if let Some((first, last)) = steps_of(&state, &path) {
+            bail!("{}: it has several frames: give one of them, from {first} to {last}", frame.display());
+        }
+        let Some((input, record)) = recorded(&state, &path) else { continue };
+        let has_daemon = !matches!(Holder::of(folder)?, Holder::Unlocked);
+        let status = FrameStatus::new(input, record, has_daemon);
+        if as_json {
+            console.print_json(&status)?;
+        } else {
+            console.print_lines(status.details(now_ms(), file_of(input).exists()));
+            if !has_daemon && is_to_come(record.status) {
+                console.print_line(format_args!("no daemon is running for {}: start one", folder.display()));
+            }
+        }
+        is_found = true;
+        has_failed |= is_failure(record.status);
+    }
+    if !is_found {
+        bail!(
+            "{}: nothing is recorded of it: a frame must be in a watched folder, must not be hidden, and must \
+             match --pattern (by default: be a particle file)",
+            frame.display()
+        );
+    }
+    Ok(if has_failed { CommandOutcome::SomeFailed } else { CommandOutcome::Done })
+}
+
+/// The path by which the daemon identifies a frame.
+fn known_path(frame: &Path) -> std::io::Result<PathBuf> {
+    let file = canonical_path(file_of(frame))?;
+    Ok(match (step_of(frame), frame.file_name()) {
+        (Some(_), Some(step)) => file.join(step),
+        _ => file,
+    })
+}
+
+/// The record of a frame. The watched folder may be a link: then the recorded path is another one.
+fn recorded<'a>(state: &'a JournalState, path: &Path) -> Option<(&'a Path, &'a JournaledFrame)> {
+    let is_meant = |input: &Path| {
+        input == path
+            || input.file_name() == path.file_name() && known_path(input).is_ok_and(|known| known == path)
+    };
+    let exact = state.frames.get_key_value(path);
+    let found = exact.or_else(|| state.frames.iter().find(|(input, _)| is_meant(input)));
+    found.map(|(input, record)| (&**input, &**record))
+}
+
+/// The first and the last of the frames in this file, if several are recorded.
+fn steps_of(state: &JournalState, file: &Path) -> Option<(String, String)> {
+    let steps = state.frames.keys().filter(|input| input.parent() == Some(file));
+    let mut steps: Vec<String> = steps.map(|input| input.display().to_string()).collect();
+    steps.sort_by(|a, b| natural_order(a, b));
+    Some((steps.first()?.clone(), steps.last()?.clone()))
+}
+
+fn is_failure(status: JournaledStatus) -> bool {
+    matches!(status, JournaledStatus::Failed | JournaledStatus::Refused | JournaledStatus::RetriesExhausted)
+}
+
+/// Whether a daemon will convert, or try to convert, a frame without further changes.
+fn is_to_come(status: JournaledStatus) -> bool {
+    !is_failure(status) && !matches!(status, JournaledStatus::Done | JournaledStatus::Ignored)
+}
+
+impl FrameStatus {
+    /// Everything that is recorded, as lines of text; `now_ms` is in milliseconds since 1970.
+    fn details(&self, now_ms: u64, file_exists: bool) -> Vec<String> {
+        let mut lines = vec![self.input.clone()];
+        let mut line = |name: &str, text: &str| lines.push(format!("  {name:<9} {text}"));
+        line("state", &format!("{}, {}", self.state, ago(self.at_ms, now_ms)));
+        for text in self.reason.as_deref().into_iter().chain(self.retried) {
+            line("reason", text);
+        }
+        if !file_exists {
+            line("file", "it no longer exists");
+        }
+        if self.attempts > 1 {
+            line("attempts", &self.attempts.to_string());
+        }
+        if let Some(count) = self.particles {
+            line("input", &pluralize(count, "particle"));
+        }
+        if let Some(seconds) = self.seconds {
+            line("time", &format!("{} s", significant(seconds)));
+        }
+        self.flaws.iter().for_each(|flaw| line("flaw", flaw));
+        self.outputs.iter().for_each(|output| line("output", output));
+        if !self.settings.is_empty() {
+            line("settings", &self.settings);
+        }
+        lines
+    }
+}
