@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   files      particles, meshes, level sets, pictures; checks before reading a file
-//!   ours       the configuration, the journal, the plan: text that a user or a disk may have damaged
+//!   ours       the configuration, the journal: text that a user or a disk may have damaged
 //!   http       the HTTP server: bytes from a socket
 //! ```
 //!
@@ -49,7 +49,7 @@ pub(crate) enum Content {
 }
 
 /// All targets.
-pub(crate) const TARGETS: [Target; 35] = [
+pub(crate) const TARGETS: [Target; 34] = [
     plain("ply", |bytes| checked(ply::read(bytes, &limits()))),
     plain("ply_mesh", |bytes| drop(ply::read_mesh_and_vertices(bytes, &limits()))),
     compressed("bgeo", |bytes| checked(bgeo::read(bytes, &limits()))),
@@ -83,7 +83,6 @@ pub(crate) const TARGETS: [Target; 35] = [
     plain("integrity", integrity),
     plain("config", config),
     plain("journal", journal),
-    plain("plan", |bytes| drop(meniscus::farm::parse(bytes))),
     plain("http", http),
 ];
 

@@ -120,7 +120,7 @@ fn note(out: &Path, frame: &Path, result: Result<&Path, &str>) {
         stamp: FileStamp::of_path(frame).expect("the frame exists"),
         hash: None,
         settings: "settings".into(),
-        outputs: result.iter().map(|path| OutputRecord::new(path.to_path_buf(), 0, None)).collect(),
+        outputs: result.iter().map(|path| OutputRecord::of_size(path.to_path_buf(), 0)).collect(),
         reason: result.err().map(str::to_owned),
         attempt_count: 1,
         at_ms: 1,

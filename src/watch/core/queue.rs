@@ -115,6 +115,7 @@ mod tests {
             number: None,
             obstacles: Arc::default(),
             framing: None,
+            records: None,
         })
     }
 

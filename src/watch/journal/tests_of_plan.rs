@@ -5,8 +5,9 @@ use std::time::Duration;
 use meniscus_formats::UpAxis;
 use meniscus_formats::vdb::Compression;
 
-use super::line::{parse_line, push_line};
+use super::line::parse_line;
 use super::state::{Entry, PlanRecord};
+use crate::pipeline::files::checked_line::push_line;
 use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions, StageOptions};
 use crate::surface::options::MethodOptions;
 use crate::watch::config::{StabilityTimeouts, Watch};
