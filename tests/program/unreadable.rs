@@ -53,30 +53,22 @@ fn unreadable_frames_fail_the_conversion() {
     }
 }
 
+/// Otherwise the shards would not agree on which frames are whose.
 #[test]
-fn plan_with_unreadable_frame_is_refused() {
+fn shard_with_unreadable_frame_is_refused() {
     for kept in REASONS {
         let folder = folder();
         for (name, _) in REASONS.iter().filter(|(name, _)| *name != kept.0) {
             fs::remove_file(folder.path().join("in").join(name)).expect("removed");
         }
+        fs::create_dir(folder.path().join("out")).expect("made");
         for input in ["in", "in/dam.#.ply"] {
-            let arguments = [
-                "plan",
-                input,
-                "--out",
-                "out",
-                "--output",
-                "plan.json",
-                "--shards",
-                "2",
-                "--voxel-size",
-                "0.1",
-            ];
+            let arguments = ["convert", input, "--out", "out", "--shard", "1/2", "--voxel-size", "0.1"];
             let result = meniscus(folder.path(), &arguments);
             assert_eq!(result.status, 2, "{input}: {}", result.err);
             assert!(result.err.contains(kept.0) && result.err.contains(kept.1), "{}", result.err);
-            assert!(!folder.path().join("plan.json").exists());
+            assert!(result.err.contains("shards need all frames"), "{}", result.err);
+            assert!(names_in(&folder.path().join("out")).is_empty());
         }
     }
 }
@@ -95,7 +87,7 @@ fn unreadable_frames_fail_watch_once() {
 
 /// If a file has no extension, only its contents show whether it is a frame.
 #[test]
-fn unreadable_file_of_unknown_kind_fails_the_conversion_and_the_plan() {
+fn unreadable_file_of_unknown_kind_fails_the_conversion_and_the_shard() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 1);
@@ -109,9 +101,9 @@ fn unreadable_file_of_unknown_kind_fails_the_conversion_and_the_plan() {
         result.err
     );
     assert!(path.join("o/dam.1.obj").is_file());
-    let result = meniscus(path, &[&["plan", "--output", "plan.json", "--shards", "1"], &common[..]].concat());
+    let result = meniscus(path, &[&["convert", "--shard", "1/1"], &common[..]].concat());
     assert_eq!(result.status, 2, "{}", result.err);
-    assert!(result.err.contains("odd") && !path.join("plan.json").exists(), "{}", result.err);
+    assert!(result.err.contains("odd"), "{}", result.err);
     let result = meniscus(path, &[&["convert", "--on-error", "stop"], &common[..]].concat());
     assert_eq!(result.status, 2, "{}", result.err);
 }

@@ -525,8 +525,10 @@ impl OwnFile {
     fn create(folder: &Path, settings: HashSet<String>) -> io::Result<OwnFile> {
         loop {
             let path = folder.join(format!("{FILE_PREFIX}{:016x}", random_number()));
-            if let Some(lock) = create_locked(&path.with_extension(LOCK_EXTENSION))? {
-                let file = open_own(&path, OpenOptions::new().append(true).create_new(true))?;
+            let lock_path = path.with_extension(LOCK_EXTENSION);
+            if let Some(lock) = create_locked(&lock_path)? {
+                let created = open_own(&path, OpenOptions::new().append(true).create_new(true));
+                let file = created.inspect_err(|_| drop(remove_if_exists(&lock_path)))?;
                 return Ok(OwnFile { path, file, _lock: lock, settings });
             }
         }

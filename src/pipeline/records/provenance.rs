@@ -1,8 +1,8 @@
 //! The provenance that an output records: the version of this program, the settings, and the input.
 //!
 //! Provenance does not depend on the time, the folder or the machine: the same input and settings give the
-//! same bytes. An output is up to date if it records exactly what this run would record. If an output has
-//! another provenance, or none, its frame must be converted again.
+//! same bytes. It is for people and other programs: whether a frame is done follows from its
+//! [record](super::frame_records).
 
 use std::io::Read;
 use std::path::Path;
