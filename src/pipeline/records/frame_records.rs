@@ -227,8 +227,9 @@ impl FrameRecords {
         self.content.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The state of a frame's outputs, and the record that it follows from. If it is not done, records that
-    /// other processes have written meanwhile are read first.
+    /// The state of a frame's outputs, and the record that it follows from, with the current stamps of the
+    /// outputs if it is done. If it is not done, records that other processes have written meanwhile are read
+    /// first.
     pub fn state(
         &self,
         wanted: &Wanted<'_>,
@@ -257,7 +258,8 @@ impl FrameRecords {
         let mut states = records
             .into_iter()
             .rev()
-            .map(|record| (self.state_of(&record, wanted, comparison), Some(record)));
+            .map(|record| self.state_of(record, wanted, comparison))
+            .map(|(state, record)| (state, Some(record)));
         let latest = states.next();
         let Some(latest) = latest else { return (ResultState::Missing(self.why_missing(wanted.name)), None) };
         if latest.0.is_done() {
@@ -275,12 +277,12 @@ impl FrameRecords {
 
     fn state_of(
         &self,
-        record: &DoneRecord,
+        mut record: Arc<DoneRecord>,
         wanted: &Wanted<'_>,
         comparison: OutputComparison,
-    ) -> ResultState {
-        if let Some(difference) = self.difference(record, wanted) {
-            return ResultState::Stale(difference);
+    ) -> (ResultState, Arc<DoneRecord>) {
+        if let Some(difference) = self.difference(&record, wanted) {
+            return (ResultState::Stale(difference), record);
         }
         let folder = self.folder.join(&record.name);
         let folder = folder.parent().unwrap_or(&self.folder);
@@ -288,13 +290,19 @@ impl FrameRecords {
         let absent: Vec<String> =
             record.outputs.iter().filter(is_absent).map(|file| file.name.display().to_string()).collect();
         if !absent.is_empty() {
-            return ResultState::Missing(absent.join(", "));
+            return (ResultState::Missing(absent.join(", ")), record);
         }
-        match (record.outputs.iter().find_map(|file| file.damage(folder, comparison)), &record.violations) {
-            (Some(damage), _) => ResultState::Damaged(damage),
-            (None, Some(violations)) => ResultState::DoneWithViolations(violations.clone()),
-            (None, None) => ResultState::Done,
+        let current = record.outputs.iter().map(|file| file.current_stamp(folder, comparison));
+        let stamps: Vec<FileStamp> = match current.collect() {
+            Ok(stamps) => stamps,
+            Err(damage) => return (ResultState::Damaged(damage), record),
+        };
+        if record.outputs.iter().zip(&stamps).any(|(file, stamp)| file.stamp != *stamp) {
+            let outputs = &mut Arc::make_mut(&mut record).outputs;
+            outputs.iter_mut().zip(stamps).for_each(|(file, stamp)| file.stamp = stamp);
         }
+        let violations = record.violations.clone();
+        (violations.map_or(ResultState::Done, ResultState::DoneWithViolations), record)
     }
 
     /// The first way in which a record is not what is wanted.
@@ -401,29 +409,30 @@ impl ResultState {
 }
 
 impl OutputFile {
-    /// How a file in `folder` differs from this record of it.
-    fn damage(&self, folder: &Path, comparison: OutputComparison) -> Option<String> {
+    /// The stamp of the file in `folder`, if it has the recorded bytes.
+    ///
+    /// # Errors
+    /// How it differs from its record.
+    fn current_stamp(&self, folder: &Path, comparison: OutputComparison) -> Result<FileStamp, String> {
         let (path, name) = (folder.join(&self.name), self.name.display());
-        let file = match InputFile::open(&path) {
-            Ok(file) => file,
-            Err(error) => return Some(format!("{name}: {error}")),
-        };
-        if comparison == OutputComparison::Stamps && self.stamp.still_holds(&file.stamp()) {
-            return None;
+        let file = InputFile::open(&path).map_err(|error| format!("{name}: {error}"))?;
+        let stamp = file.stamp();
+        if comparison == OutputComparison::Stamps && self.stamp.still_holds(&stamp) {
+            return Ok(stamp);
         }
         if !file.is_regular() {
-            return Some(format!("{name} is no file"));
+            return Err(format!("{name} is no file"));
         }
-        let (size, written) = (file.stamp().size, self.stamp.size);
+        let (size, written) = (stamp.size, self.stamp.size);
         if size != written {
-            return Some(format!(
+            return Err(format!(
                 "{name} was changed or replaced: it has {size} bytes, and {written} were written"
             ));
         }
         match file.hash() {
-            Ok(hash) if hash == self.hash => None,
-            Ok(_) => Some(format!("{name} was changed or replaced: it has other bytes than were written")),
-            Err(error) => Some(format!("{name}: {error}")),
+            Ok(hash) if hash == self.hash => Ok(stamp),
+            Ok(_) => Err(format!("{name} was changed or replaced: it has other bytes than were written")),
+            Err(error) => Err(format!("{name}: {error}")),
         }
     }
 }
@@ -662,17 +671,21 @@ mod tests {
         records.record_done(record, &settings).expect("recorded");
     }
 
-    fn state(records: &FrameRecords, name: &str, voxel_size: &str, input_hash: u128) -> ResultState {
-        let (name, settings) = (Path::new(name), &values(voxel_size));
-        let wanted = Wanted {
+    fn wanted<'a>(name: &'a str, settings: &'a SettingValues, input_hash: u128) -> Wanted<'a> {
+        let name = Path::new(name);
+        Wanted {
             name,
             outputs: Some(vec![name.with_added_extension("glb")]),
             input_hash: Some(input_hash),
             obstacles: Some(""),
             settings,
             cameras: Vec::new(),
-        };
-        records.state(&wanted, OutputComparison::Stamps).0
+        }
+    }
+
+    fn state(records: &FrameRecords, name: &str, voxel_size: &str, input_hash: u128) -> ResultState {
+        let settings = values(voxel_size);
+        records.state(&wanted(name, &settings, input_hash), OutputComparison::Stamps).0
     }
 
     fn touch(path: &Path) {
@@ -699,6 +712,9 @@ mod tests {
         assert_eq!(state(&records, "a", "0.1", 8), ResultState::Stale(changed.to_owned()));
         touch(&path);
         assert_eq!(state(&records, "a", "0.1", 7), ResultState::Done, "the same bytes under another time");
+        let (_, record) = records.state(&wanted("a", &values("0.1"), 7), OutputComparison::Stamps);
+        let stamp = InputFile::open(&path).expect("opened").stamp();
+        assert_eq!(record.expect("a record").outputs[0].stamp, stamp, "the record has the current stamp");
         fs::write(&path, "mEsh").expect("written");
         assert!(matches!(state(&records, "a", "0.1", 7), ResultState::Damaged(_)));
         fs::write(&path, "mes").expect("written");
