@@ -88,7 +88,8 @@ impl Cycle<'_> {
             self.assert_complete(&after, &about);
             let lost: Vec<&String> = before.keys().filter(|name| is_lost(name, &after)).collect();
             assert!(lost.is_empty(), "{lost:?} are lost: {}", about());
-            let current: BTreeSet<usize> = (1..=FRAME_COUNT).filter(|n| self.is_current(&after, *n)).collect();
+            let current: BTreeSet<usize> =
+                (1..=FRAME_COUNT).filter(|n| self.is_current(&after, *n)).collect();
             let done = self.scene.done();
             assert!(done.is_subset(&current), "{done:?} are recorded as done: {}", about());
             let reported = reported_done(&arguments, &result);

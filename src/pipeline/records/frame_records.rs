@@ -177,11 +177,11 @@ enum RecordLine {
 #[derive(Debug)]
 pub struct FrameRecords {
     folder: PathBuf,
-    content: Mutex<Content>,
+    content: Mutex<KnownRecords>,
 }
 
 #[derive(Debug, Default)]
-struct Content {
+struct KnownRecords {
     /// The records of each frame, the latest one last; one for each input and settings.
     done: HashMap<PathBuf, Vec<Arc<DoneRecord>>>,
     failed: HashMap<PathBuf, Arc<FailureRecord>>,
@@ -223,7 +223,7 @@ impl FrameRecords {
     }
 
     /// Each change is a single insertion, so records whose lock is poisoned are still consistent.
-    fn content(&self) -> MutexGuard<'_, Content> {
+    fn content(&self) -> MutexGuard<'_, KnownRecords> {
         self.content.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -437,7 +437,7 @@ impl OutputFile {
     }
 }
 
-impl Content {
+impl KnownRecords {
     /// Adds a record.
     fn take(&mut self, line: RecordLine) {
         match line {
