@@ -35,7 +35,6 @@
 //! | [`surface`] | the method, in memory: the crate `meniscus-surface` |
 //! | [`render`] | pictures of level sets: the crate `meniscus-render` |
 //! | [`pipeline`] | conversion of files, several frames at once |
-//! | [`farm`] | the division of a sequence among machines |
 //! | [`watch`], [`http`] | a daemon that follows a simulation, and its status page |
 //! | [`cli`] | the command line |
 //!
@@ -65,8 +64,6 @@ pub use meniscus_render as render;
 pub use meniscus_surface as surface;
 
 pub mod pipeline;
-
-pub mod farm;
 
 pub mod watch;
 

@@ -86,9 +86,9 @@ def convert(
     Parameters
     ----------
     inputs : path-like or iterable of path-like
-        Files, folders, globs, or numbered patterns such as ``dam.####.bgeo``. With ``plan=`` it is left out.
+        Files, folders, globs, or numbered patterns such as ``dam.####.bgeo``.
     out : path-like
-        The folder for the results; for a single frame, it may be a file. With ``plan=`` it is left out.
+        The folder for the results; for a single frame, it may be a file.
     allow_failures : bool
         Whether to return the report instead of raising an exception if some frames failed, or failed
         validation.

@@ -1,4 +1,4 @@
-//! Shared by `convert` and `plan`: which frames are converted to which files, and how.
+//! What `convert` converts: which frames become which files, and how.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -1,5 +1,6 @@
 //! `meniscus convert`: converts frames of particles into meshes and level sets.
 
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -7,24 +8,21 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use meniscus_formats::listed;
 
-use crate::farm::{PlannedFrame, ShardPlan};
 use crate::pipeline::{
-    self, Frame, FrameFile, InspectedState, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions,
-    Sequence, SequenceRecord, StageFrame, StageSequence, check_existing, check_out_folder, check_outputs,
-    file_of, inspect, output_sequence, size_bytes,
+    Frame, FrameFile, FrameRecords, Job, OnError, OutputFormat, OutputOptions, Sequence, SequenceRecord,
+    StageFrame, StageSequence, output_sequence,
 };
 
 use super::CommandOutcome;
-use super::args::{ConvertArgs, FormatArgs, OptionSet, ShardChoice};
+use super::args::{ConvertArgs, FormatArgs, FrameShard, OptionSet, ShardChoice};
 use super::console::Console;
-use super::conversion::{Conversion, refuse_combination, warn_before, warn_of_level};
+use super::conversion::{Conversion, refuse_combination, warn_before};
 use super::destination::Destination;
 use super::level_sets::surface_job;
 use super::machine::thread_pool;
-use super::out_folder;
 use super::print_settings::{print_settings, print_settings_of_any};
 use super::run::{Batch, RunOptions};
-use super::select::{SelectedSequence, refuse_level_sets, refuse_report_of_plan, select_frames};
+use super::select::{InputSelection, SelectedSequence, refuse_level_sets, select_frames, selected_files};
 use super::sequence::SequenceOutputs;
 use super::stage::StageWriter;
 use super::standard_input::StandardInput;
@@ -37,9 +35,6 @@ use super::wording::pluralize;
 /// here: it is reported and counted.
 pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<CommandOutcome> {
     let start = Instant::now();
-    if let Some(plan) = &args.plan {
-        return convert_shard(args, plan, start, console);
-    }
     if args.particles_only {
         refuse_combination(&args.given(), &ALLOWED_WITH_PARTICLES_ONLY, PARTICLES_ONLY)?;
     }
@@ -84,12 +79,20 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         print_settings(&selection.sequences, job, (&args.method, &outputs), &pool, console)?;
         return Ok(CommandOutcome::Done);
     }
+    if let Some(shard) = shard_of(args, &destination, &outputs)? {
+        shard.keep_only(&mut selection, console)?;
+    }
     let conversion = Conversion::new(selection, job, &args.method, outputs)?;
-    destination.send(convert_all(args, conversion, start, console)?)
+    // Only a folder of results has records.
+    let records = matches!(destination, Destination::Folder)
+        .then(|| FrameRecords::open(&conversion.outputs.folder))
+        .transpose()
+        .with_context(|| format!("{}: cannot read the records", conversion.outputs.folder.display()))?;
+    destination.send(convert_all(args, conversion, records.map(Arc::new), start, console)?)
 }
 
 /// The options allowed with `--particles-only`.
-const ALLOWED_WITH_PARTICLES_ONLY: [&str; 11] = [
+const ALLOWED_WITH_PARTICLES_ONLY: [&str; 12] = [
     "particles_only",
     "inputs",
     "input_format",
@@ -98,14 +101,15 @@ const ALLOWED_WITH_PARTICLES_ONLY: [&str; 11] = [
     "frames",
     "where",
     "skip_done",
+    "shard",
     "threads",
     "memory",
     "on_error",
 ];
 
 const PARTICLES_ONLY: &str = "--particles-only makes no surfaces, so options for surfaces, their files and \
-     reports do not apply: only INPUT, --out, --format, --frames, --where, --skip-done, --threads, --memory \
-     and --on-error may be combined with it";
+     reports do not apply: only INPUT, --out, --format, --frames, --where, --skip-done, --shard, --threads, \
+     --memory and --on-error may be combined with it";
 
 /// Refuses formats that cannot store particles.
 fn refuse_surface_formats(outputs: &OutputOptions) -> Result<()> {
@@ -121,6 +125,7 @@ fn refuse_surface_formats(outputs: &OutputOptions) -> Result<()> {
 fn convert_all(
     args: &ConvertArgs,
     conversion: Conversion,
+    records: Option<Arc<FrameRecords>>,
     start: Instant,
     console: &mut Console,
 ) -> Result<CommandOutcome> {
@@ -135,7 +140,7 @@ fn convert_all(
         all.map(|sequence| stage_sequence(sequence, outputs)).collect()
     });
     for sequence in sequences {
-        add(&mut batch, sequence, &conversion, console)?;
+        add(&mut batch, sequence, &conversion, records.as_ref(), console)?;
     }
     conversion.folder.keep();
     batch.convert(console);
@@ -179,6 +184,7 @@ fn add(
     batch: &mut Batch,
     selected: &SelectedSequence,
     conversion: &Conversion,
+    records: Option<&Arc<FrameRecords>>,
     console: &mut Console,
 ) -> Result<()> {
     let resolved = conversion.resolve(selected, &batch.options.pool, console)?;
@@ -195,6 +201,7 @@ fn add(
         let frame = resolved.as_ref().map(|shared| Frame {
             job: *job,
             obstacles: Arc::clone(obstacles),
+            records: records.cloned(),
             ..Frame::new(file, &shared.settings, &shared.outputs)
         });
         batch.add_frame(&file.path, sequence_index, frame.map_err(String::clone));
@@ -202,146 +209,112 @@ fn add(
     Ok(())
 }
 
-/// The options allowed with `--plan`.
-const ALLOWED_WITH_PLAN: [&str; 7] =
-    ["plan", "shard", "report", "threads", "memory", "on_error", "allow_violations"];
-
-const PLAN: &str = "the plan determines frames, settings and outputs: only --shard, --report, --threads, \
-     --memory, --on-error and --allow-violations may be combined with --plan; for other frames or options, make a new plan";
-
-/// Converts the frames of a shard.
-fn convert_shard(
+/// The shard of `--shard`, if it is given.
+///
+/// # Errors
+/// If the environment does not name one, or the shard does not suit the other options.
+fn shard_of(
     args: &ConvertArgs,
-    path: &Path,
-    start: Instant,
-    console: &mut Console,
-) -> Result<CommandOutcome> {
-    refuse_combination(&args.given(), &ALLOWED_WITH_PLAN, PLAN)?;
-    let plan = ShardPlan::read(path).with_context(|| path.display().to_string())?;
-    let shard = args.shard.context("--plan requires --shard K: the index of the shard to convert")?;
-    let (shard, frames) = shard_of(&plan, shard)?;
-    warn_of_level(console);
-    let obstacles = Arc::new(ObstacleFiles::new(plan.obstacles.clone()));
-    let out = plan.out().context("the plan has no sequence")?;
-    if !out.is_dir() {
+    destination: &Destination,
+    outputs: &OutputOptions,
+) -> Result<Option<FrameShard>> {
+    let Some(choice) = args.shard else { return Ok(None) };
+    if !matches!(destination, Destination::Folder) {
+        bail!("--shard writes into a folder that all shards share: name a folder with --out");
+    }
+    if !outputs.folder.is_dir() {
         bail!(
-            "{}: the folder of the results, which `plan` made, does not exist: is it mounted?",
-            out.display()
+            "{}: the folder of the results does not exist: is it mounted? Create it before the shards start",
+            outputs.folder.display()
         );
     }
-    check_out_folder(out)?;
-    out_folder::recover(out)?;
-    refuse_report_of_plan(args.report.as_deref(), &plan, path)?;
-    let options = RunOptions::new(args, start)?;
-    let mut batch = Batch::new(&options);
-    for sequence in &plan.sequences {
-        let (files, measured) = ((&*sequence.outputs, &*obstacles), sequence.measured.as_ref());
-        let record = SequenceRecord::new(&sequence.name, &sequence.job, &sequence.settings, measured, files);
-        batch.add_sequence(&sequence.name, record);
-    }
-    // Only the inputs of this shard are checked: `plan` checked already, by name, that no result replaces
-    // another shard's input. If every shard checked all files of the sequence, it would overload a file
-    // server.
-    let inputs: Vec<_> = frames.iter().map(|frame| frame.input.clone()).collect();
-    let planned: Vec<_> = frames.iter().map(|frame| (frame.input.clone(), frame.stem.clone())).collect();
-    if let Some(sequence) = plan.sequences.first() {
-        check_outputs(&planned, &inputs, &obstacles, &sequence.outputs, &[])?;
-        check_existing(&planned, &sequence.outputs, sequence.job)?;
-    }
-    let numbers = match plan.shards.len() {
-        1 => "the only one".to_owned(),
-        count => format!("of 0 to {}", count - 1),
-    };
-    console.print_line(format_args!("shard {shard} ({numbers}): {}", pluralize(frames.len(), "frame")));
-    for planned in frames {
-        add_planned(&mut batch, planned, plan.frame(planned, &obstacles), console);
-    }
-    batch.stage = plan
-        .sequences
-        .first()
-        .and_then(|sequence| StageWriter::new(&sequence.outputs, || planned_stage_sequences(&plan)));
-    batch.convert(console);
-    Ok(finish(batch, console))
-}
-
-/// All frames of a plan, which are those of all shards.
-fn planned_stage_sequences(plan: &ShardPlan) -> Vec<StageSequence> {
-    let none = || StageSequence { name: String::new(), frames: Vec::new() };
-    let mut sequences: Vec<StageSequence> = plan.sequences.iter().map(|_| none()).collect();
-    for PlannedFrame { input, stem, number, sequence, .. } in &plan.frames {
-        let (planned, staged) = (&plan.sequences[*sequence], &mut sequences[*sequence]);
-        if staged.frames.is_empty() {
-            // The name of a sequence with a single frame is that of the file.
-            let name = match planned.name.contains("{}") {
-                true => planned.name.clone(),
-                false => {
-                    let found = pipeline::sequences(vec![FrameFile::of_outputs(input.clone(), stem)]);
-                    found.first().map_or(String::new(), |sequence| sequence.frames[0].sequence().1)
-                }
-            };
-            staged.name = output_sequence(&name);
-        }
-        staged.frames.push(StageFrame::new(&planned.outputs, stem, *number));
-    }
-    sequences
-}
-
-/// Adds a frame of a plan to a batch.
-fn add_planned(batch: &mut Batch, planned: &PlannedFrame, frame: Frame, console: &mut Console) {
-    if let Ok(input_bytes) = size_bytes(&planned.input)
-        && input_bytes != planned.size_bytes
-    {
-        let (name, was) = (planned.input.display(), planned.size_bytes);
-        console.warning(format_args!(
-            "{name}: changed since the plan was made ({was} bytes then, {input_bytes} now): using the current file"
-        ));
-    }
-    match done_without_inputs(&frame) {
-        Some(fault) => {
-            console.print_line(format_args!("{}: done already; its inputs no longer exist", planned.stem));
-            batch.add_done(frame, planned.sequence, fault);
-        }
-        None => batch.add_frame(&planned.input, planned.sequence, Ok(frame)),
-    }
-}
-
-/// `Some` if an input or obstacle of the frame no longer exists, and its outputs are done by the criteria of
-/// `verify`. The inner value is the reason if the outputs failed validation, or else `None`.
-fn done_without_inputs(frame: &Frame) -> Option<Option<String>> {
-    let is_absent = matches!(file_of(&frame.input).try_exists(), Ok(false));
-    let is_gone = is_absent || !frame.obstacles.exist(frame.number);
-    match is_gone.then(|| inspect(frame).state)? {
-        InspectedState::Done => Some(None),
-        InspectedState::Uncertified(why) => Some(Some(why)),
-        InspectedState::Missing { .. } | InspectedState::Damaged(_) | InspectedState::Stale(_) => None,
-    }
-}
-
-/// The selected shard, and its frames.
-fn shard_of(plan: &ShardPlan, choice: ShardChoice) -> Result<(usize, &[PlannedFrame])> {
-    let (shard, named) = match choice {
-        ShardChoice::Number(number) => (number, "--shard".to_owned()),
-        ShardChoice::Slurm => (slurm_task()?, SLURM_TASK.to_owned()),
-    };
-    let last = plan.shards.len().saturating_sub(1);
-    let frames = usize::try_from(shard).ok().and_then(|shard| Some((shard, plan.shards.get(shard)?.clone())));
-    let Some((shard, frames)) = frames else {
+    if args.shot.is_any() {
         bail!(
-            "{named} is {shard}, but the plan has shards 0 to {last} (for a job array of Slurm: --array=0-{last})"
+            "--shard converts a part of the frames: make sequence files afterwards, with `meniscus sequence`"
         );
+    }
+    match choice {
+        ShardChoice::Part(shard) => Ok(Some(shard)),
+        ShardChoice::Slurm => slurm_shard().map(Some),
+    }
+}
+
+/// The shard of this task of a job array.
+fn slurm_shard() -> Result<FrameShard> {
+    let [task, min, max, step] =
+        ["SLURM_ARRAY_TASK_ID", "SLURM_ARRAY_TASK_MIN", "SLURM_ARRAY_TASK_MAX", "SLURM_ARRAY_TASK_STEP"];
+    let number = |name: &str| -> Result<usize> {
+        let value = std::env::var_os(name).with_context(|| {
+            format!(
+                "--shard slurm: {name} is not set: Slurm sets it in the tasks of a job array (sbatch --array)"
+            )
+        })?;
+        let value = value.to_string_lossy();
+        value.parse().with_context(|| format!("--shard slurm: {name} is `{value}`, which is not a number"))
     };
-    Ok((shard, plan.frames.get(frames).unwrap_or_default()))
+    let (id, min, max) = (number(task)?, number(min)?, number(max)?);
+    let step = if std::env::var_os(step).is_some() { number(step)? } else { 1 };
+    if step == 0 || !(min..=max).contains(&id) || !(id - min).is_multiple_of(step) {
+        bail!("--shard slurm: task {id} is not in the array {min}-{max}:{step}");
+    }
+    Ok(FrameShard { index: (id - min) / step, count: (max - min) / step + 1 })
 }
 
-/// The index of this task in a job array.
-fn slurm_task() -> Result<u64> {
-    let number = std::env::var_os(SLURM_TASK).with_context(|| {
-        format!("--shard slurm: {SLURM_TASK} is not set: Slurm sets it in the tasks of a job array (sbatch --array)")
-    })?;
-    let number = number.to_string_lossy();
-    let parsed = number.parse().ok().filter(|_| number.bytes().all(|byte| byte.is_ascii_digit()));
-    parsed.with_context(|| format!("--shard slurm: {SLURM_TASK} is `{number}`, which is not a shard index"))
+impl FrameShard {
+    /// Leaves only the frames of this shard in a selection. The settings of each sequence still follow from all
+    /// its frames.
+    ///
+    /// # Errors
+    /// If not all frames can be found: then the shards would not cover them.
+    fn keep_only(self, selection: &mut InputSelection, console: &mut Console) -> Result<()> {
+        if !selection.is_complete {
+            bail!("nothing is converted, because shards need all frames: make the paths above readable");
+        }
+        let frame_count = selected_files(&selection.sequences).count();
+        let frames = self.frames(frame_count);
+        let (number, count) = (self.index + 1, self.count);
+        let kept = pluralize(frames.len(), "frame");
+        console.print_line(format_args!("shard {number}/{count}: {kept} of {frame_count}"));
+        let mut first = 0;
+        for selected in &mut selection.sequences {
+            let all = std::mem::take(&mut selected.selected);
+            let numbers = first..first + all.len();
+            first = numbers.end;
+            let numbered = numbers.zip(all).filter(|(number, _)| frames.contains(number));
+            selected.selected = numbered.map(|(_, file)| file).collect();
+        }
+        let (kept, others): (Vec<_>, Vec<_>) = std::mem::take(&mut selection.sequences)
+            .into_iter()
+            .partition(|selected| !selected.selected.is_empty());
+        selection.sequences = kept;
+        selection.unselected.extend(others.into_iter().map(|selected| selected.sequence));
+        Ok(())
+    }
+
+    /// The numbers of the frames of this shard, of `frame_count` frames. The sizes of shards differ by one at
+    /// most. If there are more shards than frames, some have none.
+    fn frames(self, frame_count: usize) -> Range<usize> {
+        let (each, more) = (frame_count / self.count, frame_count % self.count);
+        let first_of = |index: usize| index * each + index.min(more);
+        first_of(self.index)..first_of(self.index + 1)
+    }
 }
 
-/// The environment variable with the index of a Slurm task.
-const SLURM_TASK: &str = "SLURM_ARRAY_TASK_ID";
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_divided_into_even_shards() {
+        for frame_count in [0, 1, 2, 7, 8, 9, 240, 1001] {
+            for count in [1, 2, 3, 8, 16, 300] {
+                let shards: Vec<_> =
+                    (0..count).map(|index| FrameShard { index, count }.frames(frame_count)).collect();
+                let dealt: Vec<usize> = shards.iter().cloned().flatten().collect();
+                assert_eq!(dealt, (0..frame_count).collect::<Vec<_>>());
+                let sizes = || shards.iter().map(ExactSizeIterator::len);
+                assert!(sizes().max().unwrap_or(0) - sizes().min().unwrap_or(0) <= 1, "{shards:?}");
+            }
+        }
+    }
+}

@@ -64,6 +64,12 @@ impl Destination {
             refuse_foreign_extension(&out)?;
             (Destination::Folder, out, args.particles_only.then_some(OutputFormat::Ply))
         };
+        if args.skip_done && !matches!(destination, Destination::Folder) {
+            bail!(
+                "--skip-done compares results with the records in their folder: name a folder with --out, or \
+                 leave --skip-done out"
+            );
+        }
         let mut formats = args.formats.clone();
         // If --format is given, it takes precedence. For a file or the standard output, it was checked above
         // to name the same format.
@@ -242,9 +248,6 @@ fn is_existing_or_named_folder(out: &Path) -> bool {
 
 /// The format for the standard output.
 fn only_format(args: &ConvertArgs) -> Result<OutputFormat> {
-    if args.skip_done {
-        bail!("--skip-done needs output files, and the standard output has none: leave --skip-done out");
-    }
     if args.formats.preview.is_some() {
         bail!(
             "--preview writes a second file, and the standard output takes only one: name a folder with --out"

@@ -1,6 +1,6 @@
 //! A selection of frame numbers: `1-240x2`, `1-10,20,30-40x5`, `-24-240`.
 
-use std::collections::{BTreeSet, HashSet};
+use std::collections::HashSet;
 use std::fmt;
 use std::str::FromStr;
 
@@ -40,22 +40,6 @@ impl fmt::Display for StepRange {
             (false, step) => write!(f, "{}-{}x{step}", self.first, self.last),
         }
     }
-}
-
-/// The numbers that are missing between the smallest and the largest of `numbers`, as text, and their count.
-/// `None` if no number is missing, or if most of the numbers are not evenly spaced.
-pub(super) fn gaps(numbers: impl IntoIterator<Item = i64>) -> Option<(String, u64)> {
-    let numbers: Vec<i64> = BTreeSet::from_iter(numbers).into_iter().collect();
-    let differences = || numbers.windows(2).map(|pair| pair[1].abs_diff(pair[0]));
-    let step = differences().min()?;
-    let even_count = differences().filter(|difference| *difference == step).count();
-    // Step numbers of a simulation may have any spacing, so a gap is meaningful only if most differences are
-    // equal. Frame numbers usually differ by one, so for a difference of one, slightly fewer are sufficient.
-    let is_even = 2 * even_count + usize::from(step == 1) >= numbers.len();
-    if !is_even || !differences().all(|difference| difference.is_multiple_of(step)) {
-        return None;
-    }
-    gaps_in_steps(&numbers, step)
 }
 
 /// The numbers of missing frames of a sequence file, as text, and their count. They are counted in steps of
@@ -236,25 +220,6 @@ mod tests {
         ] {
             let expected = expected.map(|(gaps, count)| (gaps.to_owned(), count));
             assert_eq!(held_gaps(numbers), expected, "{numbers:?}");
-        }
-    }
-
-    #[test]
-    fn gaps_are_reported_for_evenly_spaced_numbers() {
-        for (numbers, expected) in [
-            (&[][..], None),
-            (&[7], None),
-            (&[1, 900], None),
-            (&[1, 2, 3, 6, 7], Some(("4-5", 2))),
-            (&[1, 2, 4], Some(("3", 1))),
-            (&[0, 100, 300], None),
-            (&[0, 100, 200, 400], Some(("300", 1))),
-            (&[0, 10, 20, 60, 70, 90], Some(("30-50x10,80", 4))),
-            (&[0, 7, 20, 21, 50], None),
-            (&[1, 2, 3, 3, 2, 1], None),
-        ] {
-            let expected = expected.map(|(gaps, count)| (gaps.to_owned(), count));
-            assert_eq!(gaps(numbers.iter().copied()), expected, "{numbers:?}");
         }
     }
 }

@@ -122,7 +122,7 @@ fn search(inputs: &[PathBuf], may_be_empty: bool) -> Result<MatchedInputs> {
             Ok(metadata) if metadata.is_dir() => found.add_folder(input, may_be_empty)?,
             Ok(_) => found.files.push(FrameFile::new(input.clone())),
             // A link that cannot be followed: reading it later reports the error.
-            Err(_) if input.symlink_metadata().is_ok() => found.files.push(FrameFile::new(input.clone())),
+            Err(_) if input.is_symlink() => found.files.push(FrameFile::new(input.clone())),
             Err(_) if step_of(input).is_some_and(|(file, _)| file.is_file()) => {
                 size_bytes(input).map_err(|error| anyhow!("{}: {error}", shown(input)))?;
                 found.files.push(FrameFile::new(input.clone()));

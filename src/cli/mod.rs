@@ -22,8 +22,6 @@ mod level_sets;
 mod machine;
 mod manual;
 mod out_folder;
-mod output_records;
-mod plan;
 mod print_settings;
 mod progress;
 mod quantities;
@@ -143,7 +141,6 @@ pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8
     }
     let verdict = match typed.command {
         Command::Convert(args) => convert::convert(&args, &mut console),
-        Command::Plan(args) => plan::plan(&args, &mut console),
         Command::Verify(args) => verify::verify(&args, &mut console),
         Command::Sequence(args) => sequence::sequence(&args, &mut console),
         Command::Render(args) => render::render(&args, &mut console),

@@ -6,9 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use crate::pipeline::{OutFolderError, make_out_folder, recover_out_folder, write_atomically};
-
-use super::console::print_error;
+use crate::pipeline::{OutFolderError, make_out_folder, sweep_temporaries, write_atomically};
 
 /// The folder that contains a file.
 pub(super) fn folder_of(path: &Path) -> &Path {
@@ -33,11 +31,10 @@ pub(super) struct OutFolder {
 }
 
 impl OutFolder {
-    /// Creates a folder and its parents, and restores the files in it that an interrupted command had partly
-    /// replaced.
+    /// Creates a folder and its parents, and removes the temporary files of killed processes in it.
     ///
     /// # Errors
-    /// If it cannot be created, is not writable, or files cannot be restored.
+    /// If it cannot be created, or is not writable.
     pub(super) fn make(folder: &Path) -> Result<OutFolder, OutFolderError> {
         // An empty path is the current folder.
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
@@ -48,7 +45,8 @@ impl OutFolder {
             .filter(|part| part.file_name().is_some());
         let made = OutFolder { made: missing.map(Path::to_owned).collect() };
         make_out_folder(folder)?;
-        recover(folder)?;
+        // If the folder cannot be listed, the temporary files of killed processes stay.
+        let _ = sweep_temporaries(folder);
         Ok(made)
     }
 
@@ -56,18 +54,6 @@ impl OutFolder {
     pub(super) fn keep(mut self) {
         self.made.clear();
     }
-}
-
-/// Restores the files that an interrupted command had partly replaced, and prints the warnings about files
-/// that were left in place.
-///
-/// # Errors
-/// If files cannot be restored.
-pub(super) fn recover(folder: &Path) -> Result<(), OutFolderError> {
-    for warning in recover_out_folder(folder)? {
-        print_error(None, format_args!("warning: {warning}"));
-    }
-    Ok(())
 }
 
 impl Drop for OutFolder {

@@ -16,7 +16,6 @@ use super::CommandOutcome;
 use super::args::ConvertArgs;
 use super::console::Console;
 use super::machine::{memory_bytes, thread_pool};
-use super::output_records::OutputRecords;
 use super::progress::ProgressDisplay;
 use super::remedies::{velocity_hint, with_remedy};
 use super::stage::StageWriter;
@@ -33,9 +32,6 @@ struct BatchItem {
 /// What to do with a frame.
 enum ItemState {
     Convert(Frame),
-    /// Skip it: its outputs exist, and its inputs are gone. The string is the reason if the frame failed
-    /// validation.
-    Done(Frame, Option<String>),
     /// Report a failure: its sequence has no settings, for this reason.
     Impossible(String),
 }
@@ -49,8 +45,6 @@ pub(super) struct RunOptions {
     report: Option<PathBuf>,
     /// Skip frames that are done.
     skip_done: bool,
-    /// Write certificates beside the outputs.
-    certificates: bool,
     /// Memory limit for all frames in flight together.
     memory_bytes: u64,
     /// The threads for all computations.
@@ -58,8 +52,7 @@ pub(super) struct RunOptions {
 }
 
 impl RunOptions {
-    /// The run options of a command that started at `start`. With `--plan`, frames get certificates, and
-    /// frames that are done are skipped.
+    /// The run options of a command that started at `start`. A shard skips frames that are done.
     ///
     /// # Errors
     /// If the memory limit is too small, or threads cannot be started.
@@ -69,8 +62,7 @@ impl RunOptions {
             on_error: args.on_error.unwrap_or(OnError::Continue),
             allow_violations: args.allow_violations,
             report: args.report.clone(),
-            skip_done: args.skip_done || args.plan.is_some(),
-            certificates: args.plan.is_some(),
+            skip_done: args.skip_done || args.shard.is_some(),
             memory_bytes: memory_bytes(args.run.memory)?,
             pool: thread_pool(args.run.threads)?,
         })
@@ -137,15 +129,9 @@ impl<'a> Batch<'a> {
         self.items.push(BatchItem { input: input.to_owned(), sequence_index, state });
     }
 
-    /// Adds a finished frame whose inputs are gone. `fault` is the reason if it failed validation.
-    pub(super) fn add_done(&mut self, frame: Frame, sequence_index: usize, fault: Option<String>) {
-        let input = frame.input.clone();
-        self.items.push(BatchItem { input, sequence_index, state: ItemState::Done(frame, fault) });
-    }
-
     /// Converts all added frames.
     pub(super) fn convert(&mut self, console: &mut Console) {
-        let &RunOptions { on_error, skip_done, certificates, memory_bytes, ref pool, .. } = self.options;
+        let &RunOptions { on_error, skip_done, memory_bytes, ref pool, .. } = self.options;
         let items = std::mem::take(&mut self.items);
         let begin_count = match on_error {
             OnError::Continue => items.len(),
@@ -160,21 +146,15 @@ impl<'a> Batch<'a> {
             .enumerate()
             .filter_map(|(item_index, item)| match &item.state {
                 ItemState::Convert(frame) => Some((item_index, frame.clone())),
-                ItemState::Done(..) | ItemState::Impossible(_) => None,
+                ItemState::Impossible(_) => None,
             })
             .unzip();
-        // With certificates no output records are needed: a certificate contains the hashes of the outputs,
-        // and lists what failed.
-        let records = (!certificates)
-            .then(|| OutputRecords::load(frames.iter().map(|frame| frame.outputs.folder.clone())));
         let has_bar = console.show_bar(frames.len());
         let progress = ProgressDisplay::new(frames.len(), pool.current_num_threads(), console.bar());
         let options = PipelineOptions {
             on_error,
             skip_done,
-            certificates,
             memory_bytes,
-            output_states: records.as_ref().map(OutputRecords::states),
             observer: Some(&progress),
             ..PipelineOptions::new(pool)
         };
@@ -184,17 +164,11 @@ impl<'a> Batch<'a> {
             progress.finished(&frames[index], report);
             self.note_without_outcome(&items[self.outcomes.noted_count..item_indices[index]], console);
             self.note(&frames[index], items[item_indices[index]].sequence_index, &outcome, has_bar, console);
-            if let Some(records) = &records {
-                records.frame_finished();
-            }
             if let Some(stage) = &mut self.stage {
                 stage.update();
             }
         });
         console.hide_bar();
-        if let Some(records) = &records {
-            records.save(console);
-        }
         self.note_without_outcome(&items[self.outcomes.noted_count..], console);
     }
 
@@ -204,10 +178,6 @@ impl<'a> Batch<'a> {
         for BatchItem { input, sequence_index, state } in items {
             let is_stopped = self.options.on_error == OnError::Stop && !self.outcomes.failures.is_empty();
             match state {
-                ItemState::Done(frame, fault) => {
-                    self.record.add_done(frame, *sequence_index);
-                    self.note_done(input, fault.as_deref(), console);
-                }
                 ItemState::Impossible(why) if !is_stopped => {
                     // The reason is the same for all frames of a sequence.
                     if printed.replace(*sequence_index) != Some(*sequence_index) {
@@ -252,21 +222,17 @@ impl<'a> Batch<'a> {
                     console.print_line(format_args!("{name}: {}", described(&frame.job, report)));
                 }
             }
-            Outcome::AlreadyDone { fault, .. } => {
-                self.note_done(&frame.input, fault.as_deref(), console);
+            Outcome::AlreadyDone { record, .. } => {
+                self.note_done(&frame.input, record.violations.as_deref(), console);
                 if !has_bar {
                     console.print_line(format_args!("{name}: done already"));
                 }
             }
             Outcome::Changed => {
                 let failure = format!("{name}: the file was written while it was read");
-                console.error(&failure);
-                self.fail(failure);
+                self.fail_frame(frame, failure, console);
             }
-            Outcome::Failed(error) => {
-                console.error(error);
-                self.fail(error.to_string());
-            }
+            Outcome::Failed(error) => self.fail_frame(frame, error.to_string(), console),
             Outcome::NotStarted => self.outcomes.not_started_count += 1,
         }
         console.advance_bar();
@@ -317,6 +283,15 @@ impl<'a> Batch<'a> {
     /// inputs.
     pub(super) fn sequence_frames(&self) -> &[SequenceSource] {
         &self.outcomes.sequence_frames
+    }
+
+    /// Reports and records that a frame failed.
+    fn fail_frame(&mut self, frame: &Frame, failure: String, console: &Console) {
+        console.error(&failure);
+        if let Err(error) = frame.record_failure(&failure) {
+            console.warning(format_args!("{}: cannot record that it failed: {error}", shown(&frame.input)));
+        }
+        self.fail(failure);
     }
 
     fn fail(&mut self, failure: String) {

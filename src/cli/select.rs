@@ -6,9 +6,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, anyhow, bail};
 use meniscus_formats::Neighbor;
 
-use crate::farm::ShardPlan;
 use crate::pipeline::{
-    self, FrameFile, OutFolderError, Sequence, are_same_file, check_out_folder, file_of, is_level_set,
+    self, FrameFile, OutFolderError, Sequence, check_out_folder, file_of, is_level_set,
     single_frame_sequences, single_frames_note,
 };
 
@@ -22,7 +21,7 @@ use super::wording::{counted_are, pluralize};
 
 /// The frames to convert.
 pub(super) struct InputSelection {
-    /// At least one.
+    /// At least one, except in a shard without frames.
     pub(super) sequences: Vec<SelectedSequence>,
     /// The sequences without any selected frame.
     pub(super) unselected: Vec<Sequence>,
@@ -209,22 +208,6 @@ pub(super) fn refuse_level_sets(selection: &InputSelection, command: &str) -> Re
         ),
         None => Ok(()),
     }
-}
-
-/// Refuses a report that cannot be written, or would replace the plan or a file named in it.
-///
-/// # Errors
-/// The reason.
-pub(super) fn refuse_report_of_plan(report: Option<&Path>, plan: &ShardPlan, plan_path: &Path) -> Result<()> {
-    let Some(report) = report else { return Ok(()) };
-    check_output_path("the report", report)?;
-    if are_same_file(report, plan_path) {
-        bail!("{}: the report would replace the plan", report.display());
-    }
-    if plan.names(report) {
-        bail!("{}: the report would replace a file of the plan", report.display());
-    }
-    Ok(())
 }
 
 /// Refuses an output path, such as that of a report, whose folder is missing or that names something other

@@ -1,167 +1,257 @@
-//! `meniscus verify`: checks the results of a plan.
+//! `meniscus verify`: checks the results in a folder against their records.
 
-use std::path::{Path, absolute};
+use std::collections::BTreeMap;
+use std::io;
+use std::path::{Path, PathBuf, absolute};
+use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
+use rayon::prelude::*;
+use serde::Serialize;
 
-use crate::farm::{
-    FrameCheck, PlanVerification, PlannedFrame, ShardPlan, VerificationReport, verify as verify_plan,
+use crate::pipeline::files::json::write_json;
+use crate::pipeline::{
+    DoneRecord, FrameFile, FrameRecords, OutputComparison, ResultState, STATE_FOLDER, SettingValues, Wanted,
+    canonical_entry, file_of, hash_of_input,
 };
-use crate::pipeline::{InspectedState, StageFrame, are_same_file, stage_frame_count};
 
 use super::CommandOutcome;
 use super::args::VerifyArgs;
 use super::console::Console;
+use super::inputs::find_inputs;
 use super::machine::thread_pool;
-use super::select::refuse_report_of_plan;
+use super::out_folder::write_file;
+use super::select::check_output_path;
 use super::wording::pluralize;
 
-/// Checks the outputs of a plan.
+/// A frame, and the state of its results.
+#[derive(Debug)]
+struct VerifiedFrame {
+    name: PathBuf,
+    input: PathBuf,
+    state: ResultState,
+    /// Whether its input exists, so that it was compared with the record.
+    input_exists: bool,
+}
+
+/// The report, as JSON.
+#[derive(Debug, Serialize)]
+struct VerifyReport<'a> {
+    version: &'static str,
+    folder: String,
+    /// The number of frames in each state, and of frames whose input does not exist.
+    summary: BTreeMap<&'static str, usize>,
+    frames: Vec<ReportedFrame<'a>>,
+}
+
+#[derive(Debug, Serialize)]
+struct ReportedFrame<'a> {
+    name: String,
+    input: String,
+    state: &'static str,
+    reason: Option<&'a str>,
+    input_exists: bool,
+}
+
+/// Checks the results in a folder.
 ///
 /// # Errors
 /// If nothing can be checked.
 pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<CommandOutcome> {
     let start = Instant::now();
-    let folder =
-        absolute(&args.folder).with_context(|| format!("`{}` is not a valid path", args.folder.display()))?;
+    let folder = &args.folder;
     if !folder.is_dir() {
-        bail!("{}: folder not found", args.folder.display());
+        bail!("{}: folder not found", folder.display());
     }
-    // `folder/.` can be resolved only with the permission to search the folder, and reading the files in it
-    // requires no other permission of the folder.
-    folder
-        .join(".")
-        .metadata()
-        .with_context(|| format!("{}: cannot read this folder", args.folder.display()))?;
-    let plan = ShardPlan::read(&args.plan).with_context(|| args.plan.display().to_string())?;
-    let planned = plan.out().filter(|planned| !are_same_file(planned, &folder)).map(Path::to_owned);
-    let plan = plan.with_out(&folder);
-    refuse_report_of_plan(args.report.as_deref(), &plan, &args.plan)?;
-    let verdicts = thread_pool(args.threads)?.install(|| verify_plan(&plan));
-    let frames: Vec<(&PlannedFrame, &FrameCheck)> = plan.frames.iter().zip(&verdicts.frames).collect();
-    for shard in frames.chunk_by(|(_, one), (_, other)| one.shard == other.shard) {
-        for line in describe_shard(shard) {
-            console.warn(line);
-        }
+    if let Some(report) = &args.report {
+        check_output_path("the report", report)?;
     }
-    summarize(&verdicts, start.elapsed().as_secs_f64(), console);
-    if let Some(stage) = plan.stage() {
-        let done = frames.iter().filter(|(_, verdict)| verdict.state == InspectedState::Done);
-        let is_playable = |(planned, _): &&(&PlannedFrame, &FrameCheck)| {
-            let outputs = &plan.sequences[planned.sequence].outputs;
-            StageFrame::new(outputs, &planned.stem, planned.number).is_playable()
-        };
-        let playable = done.filter(is_playable).count();
-        let path = stage.display();
-        let left_out = verdicts.done_count() - playable;
-        if left_out > 0 {
-            let left_out = pluralize(left_out, "finished frame");
-            console.warning(format_args!(
-                "{path}: the stage cannot have {left_out}, because USD cannot write their names or numbers: rename them"
-            ));
-        }
-        match stage_frame_count(stage) {
-            Ok(listed) if listed.unwrap_or(0) < playable => console.warning(format_args!(
-                "{path}: the stage has {} of {}: run any shard again, which updates it",
-                listed.unwrap_or(0),
-                pluralize(playable, "finished frame")
-            )),
-            Ok(_) => {}
-            Err(why) => console.warning(format_args!("{path}: {why}")),
-        }
+    let records = FrameRecords::open(folder)
+        .with_context(|| format!("{}: cannot read the records", folder.join(STATE_FOLDER).display()))?;
+    let mut frames = recorded_frames(&records);
+    if !args.input.is_empty() {
+        let found = find_inputs(&args.input)?;
+        found.report(console);
+        add_inputs(&mut frames, &found.files)?;
     }
-    if let Some(planned) = planned.filter(|_| !verdicts.shards_to_run().is_empty()) {
-        console.warning(format_args!(
-            "checked {}, but the plan writes to {planned}: shards that run again will write to {planned}",
-            args.folder.display(),
-            planned = planned.display()
-        ));
+    if frames.is_empty() {
+        bail!(
+            "{}: there are no records of results here: name the folder that was given to --out",
+            folder.display()
+        );
     }
+    refuse_to_replace(args.report.as_deref(), folder, &frames)?;
+    let wanted = current_settings(&records, frames.values().filter_map(|frame| frame.record.as_ref()));
+    let frames: Vec<(PathBuf, KnownFrame)> = frames.into_iter().collect();
+    let verified: Vec<VerifiedFrame> = thread_pool(args.threads)?.install(|| {
+        frames.into_par_iter().map(|(name, frame)| verify_frame(&records, name, frame, &wanted)).collect()
+    });
+    for frame in verified.iter().filter(|frame| frame.state != ResultState::Done) {
+        let (name, state) = (frame.name.display(), frame.state.word());
+        console.warn(format_args!("{name}: {state}: {}", frame.state.reason().unwrap_or_default()));
+    }
+    let done_count = summarize(&verified, start.elapsed().as_secs_f64(), console);
     if let Some(path) = &args.report {
-        let record = VerificationReport::new(&plan, &verdicts, &args.plan, &folder);
-        // If the path is a symbolic link, the report replaces the link's target, not the link.
-        let path = path.canonicalize().unwrap_or_else(|_| path.clone());
-        record.write(&path).with_context(|| format!("{}: cannot write the report", path.display()))?;
+        write_report(path, folder, &verified)?;
     }
-    let done_count = verdicts.done_count();
-    Ok(CommandOutcome::of(done_count, verdicts.frames.len() - done_count, false))
+    Ok(CommandOutcome::of(done_count, verified.len() - done_count, false))
 }
 
-/// The problems of a shard: a line for each frame, or a single line if the shard has not run.
-fn describe_shard(shard: &[(&PlannedFrame, &FrameCheck)]) -> Vec<String> {
-    let is_missing = |(_, verdict): &(_, &FrameCheck)| {
-        matches!(verdict.state, InspectedState::Missing { are_all: true, .. })
-    };
-    if let [(first, verdict), .., (last, _)] = shard
-        && shard.iter().all(is_missing)
-    {
-        let (number, count, first, last) = (verdict.shard, shard.len(), &first.stem, &last.stem);
-        return vec![format!("shard {number}: missing: all of its {count} frames, {first} to {last}")];
-    }
-    let line = |(planned, verdict): &(&PlannedFrame, &FrameCheck)| {
-        let why = verdict.why()?;
-        let state = match verdict.state {
-            // This reason begins with the state.
-            InspectedState::Uncertified(_) => String::new(),
-            _ => format!("{}: ", verdict.status()),
-        };
-        Some(format!("{} (shard {}): {state}{why}", planned.stem, verdict.shard))
-    };
-    shard.iter().filter_map(line).collect()
+/// A frame to verify.
+struct KnownFrame {
+    input: PathBuf,
+    /// Its latest record.
+    record: Option<Arc<DoneRecord>>,
 }
 
-fn summarize(verdicts: &PlanVerification, seconds: f64, console: &mut Console) {
-    let [(_, done), others @ ..] = verdicts.counts();
-    let mut summary = format!("{}: {done} done", pluralize(verdicts.frames.len(), "frame"));
-    for (status, count) in others.into_iter().filter(|&(_, count)| count > 0) {
-        // The JSON report calls this state `uncertified`.
-        let state = if status == "uncertified" { "failed validation" } else { status };
+/// The frames with a record, by name.
+fn recorded_frames(records: &FrameRecords) -> BTreeMap<PathBuf, KnownFrame> {
+    let done = records.latest().into_iter().map(|(name, record)| {
+        let input = record.input.clone();
+        (name, KnownFrame { input, record: Some(record) })
+    });
+    let failed = records
+        .failures()
+        .into_iter()
+        .map(|(name, failure)| (name, KnownFrame { input: failure.input.clone(), record: None }));
+    done.chain(failed).collect()
+}
+
+/// Adds the frames of these inputs. The paths of inputs replace those in the records, because inputs may have
+/// been moved.
+fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: &[FrameFile]) -> Result<()> {
+    for file in files {
+        let input = absolute(&file.path).with_context(|| file.path.display().to_string())?;
+        let known = frames
+            .entry(file.stem().into())
+            .or_insert_with(|| KnownFrame { input: PathBuf::new(), record: None });
+        known.input = input;
+    }
+    Ok(())
+}
+
+/// The settings of each sequence: those of its latest record.
+fn current_settings<'a>(
+    records: &FrameRecords,
+    done: impl Iterator<Item = &'a Arc<DoneRecord>>,
+) -> BTreeMap<(PathBuf, String), SettingValues> {
+    let mut latest: BTreeMap<(PathBuf, String), &Arc<DoneRecord>> = BTreeMap::new();
+    for record in done {
+        let known = latest.entry(sequence_of(record)).or_insert(record);
+        if record.at_ms > known.at_ms {
+            *known = record;
+        }
+    }
+    let settings = |record: &DoneRecord| records.settings(&record.settings).unwrap_or_default();
+    latest.into_iter().map(|(sequence, record)| (sequence, settings(record))).collect()
+}
+
+fn sequence_of(record: &DoneRecord) -> (PathBuf, String) {
+    FrameFile::new(record.input.clone()).sequence()
+}
+
+fn verify_frame(
+    records: &FrameRecords,
+    name: PathBuf,
+    KnownFrame { input, record }: KnownFrame,
+    settings: &BTreeMap<(PathBuf, String), SettingValues>,
+) -> VerifiedFrame {
+    let input_hash = match hash_of_input(&input) {
+        Ok(hash) => Ok(Some(hash)),
+        Err(meniscus_formats::Error::Io(error)) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => {
+            Err(format!("{}: {error}; the results cannot be compared with their input", input.display()))
+        }
+    };
+    let none = SettingValues::new();
+    let settings = record.as_ref().and_then(|record| settings.get(&sequence_of(record))).unwrap_or(&none);
+    let wanted = Wanted {
+        name: &name,
+        outputs: None,
+        input_hash: input_hash.clone().ok().flatten(),
+        obstacles: None,
+        settings,
+        cameras: Vec::new(),
+    };
+    let (state, _) = records.state(&wanted, OutputComparison::Bytes);
+    let input_exists = input_hash != Ok(None);
+    let state = match input_hash {
+        Err(unreadable) if state.is_done() => ResultState::Stale(unreadable),
+        _ => state,
+    };
+    VerifiedFrame { name, input, state, input_exists }
+}
+
+/// Refuses a report that would replace an input or a result.
+fn refuse_to_replace(
+    report: Option<&Path>,
+    folder: &Path,
+    frames: &BTreeMap<PathBuf, KnownFrame>,
+) -> Result<()> {
+    let Some(report) = report else { return Ok(()) };
+    let entry = canonical_entry(report);
+    let is_result = |record: &DoneRecord| {
+        let within = folder.join(&record.name);
+        record.outputs.iter().any(|file| canonical_entry(&within.with_file_name(&file.name)) == entry)
+    };
+    let is_named = |frame: &KnownFrame| {
+        frame.record.as_ref().is_some_and(|record| is_result(record))
+            || canonical_entry(file_of(&frame.input)) == entry
+    };
+    if frames.values().any(is_named) {
+        bail!("{}: the report would replace an input or a result", report.display());
+    }
+    Ok(())
+}
+
+/// Prints how many frames are in each state. Returns the number of frames that are done.
+fn summarize(frames: &[VerifiedFrame], seconds: f64, console: &mut Console) -> usize {
+    let counts = counts_of(frames);
+    let done_count = counts.get("done").copied().unwrap_or(0);
+    let mut summary = format!("{}: {done_count} done", pluralize(frames.len(), "frame"));
+    for (state, count) in counts.iter().filter(|(state, _)| **state != "done") {
         summary += &format!(", {count} {state}");
     }
     console.print_line(format_args!("{summary}, in {seconds:.2} s"));
-    for (gone, what) in [
-        (verdicts.input_missing_count(), "a missing input"),
-        (verdicts.obstacle_missing_count(), "a missing obstacle"),
-    ] {
-        if gone > 0 {
-            let frames = pluralize(gone, "frame");
-            console.warning(format_args!("{frames} with {what}: cannot check whether they are up to date"));
-        }
+    let gone_count = frames.iter().filter(|frame| !frame.input_exists).count();
+    if gone_count > 0 {
+        let frames = pluralize(gone_count, "frame");
+        console
+            .warning(format_args!("{frames} with a missing input: cannot check whether they are up to date"));
     }
-    let shards = verdicts.shards_to_run();
-    if !shards.is_empty() {
-        let what = if shards.len() == 1 { "shard" } else { "shards" };
-        console.print_line(format_args!("run again: {what} {}", in_ranges(&shards)));
-    }
+    done_count
 }
 
-/// Formats ascending numbers for schedulers: `0-3,7`.
-fn in_ranges(numbers: &[usize]) -> String {
-    let mut ranges: Vec<(usize, usize)> = Vec::new();
-    for &number in numbers {
-        match ranges.last_mut() {
-            Some((_, last)) if *last + 1 == number => *last = number,
-            _ => ranges.push((number, number)),
-        }
+fn counts_of(frames: &[VerifiedFrame]) -> BTreeMap<&'static str, usize> {
+    let mut counts = BTreeMap::new();
+    for frame in frames {
+        *counts.entry(frame.state.word()).or_insert(0) += 1;
     }
-    let text = |(first, last): (usize, usize)| match first == last {
-        true => first.to_string(),
-        false => format!("{first}-{last}"),
+    counts
+}
+
+fn write_report(path: &Path, folder: &Path, frames: &[VerifiedFrame]) -> Result<()> {
+    let mut summary = counts_of(frames);
+    summary.insert("frames", frames.len());
+    summary.insert("inputs_missing", frames.iter().filter(|frame| !frame.input_exists).count());
+    let report = VerifyReport {
+        version: env!("CARGO_PKG_VERSION"),
+        folder: folder.to_string_lossy().into_owned(),
+        summary,
+        frames: frames.iter().map(reported).collect(),
     };
-    ranges.into_iter().map(text).collect::<Vec<_>>().join(",")
+    // If the path is a symbolic link, the report replaces the link's target, not the link.
+    let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    write_file(&path, |out| write_json(&mut &mut *out, &report))
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn consecutive_numbers_become_ranges() {
-        for (numbers, text) in
-            [(&[][..], ""), (&[4], "4"), (&[0, 1], "0-1"), (&[0, 1, 2, 7, 9, 10], "0-2,7,9-10")]
-        {
-            assert_eq!(in_ranges(numbers), text);
-        }
+fn reported(frame: &VerifiedFrame) -> ReportedFrame<'_> {
+    ReportedFrame {
+        name: frame.name.to_string_lossy().into_owned(),
+        input: frame.input.to_string_lossy().into_owned(),
+        state: frame.state.word(),
+        reason: frame.state.reason(),
+        input_exists: frame.input_exists,
     }
 }

@@ -1,10 +1,10 @@
 //! Converts frames through a sequence of stages: from files to files, several at once.
 //!
 //! ```text
-//!   files        names and stamps of files; atomic writes of files and sets of files
+//!   files        names and stamps of files; atomic writes
 //!   target       the outputs of a frame: formats, pictures, and their camera
 //!   input        the inputs of frames: files and their steps, particles, level sets, obstacles
-//!   records      provenance in outputs, certificates beside them, states of outputs, the report of a run
+//!   records      the record of finished frames, provenance in outputs, the report of a run
 //!   output       encodes surfaces and particles
 //!   error        why a frame was not converted          warning    likely mistakes in a converted frame
 //!
@@ -75,13 +75,12 @@ pub use files::open::{
     has_other_names, open_itself, open_own, open_regular, read_regular, read_regular_text,
 };
 pub use files::out_folder::{
-    OutFolderError, check_out_folder, is_disk_full, make_out_folder, recover_out_folder,
-    refuse_file_for_folder,
+    OutFolderError, check_out_folder, is_disk_full, make_out_folder, refuse_file_for_folder,
 };
 pub use files::path_identity::{are_same_file, canonical_entry};
 pub use files::shown::{STANDARD_INPUT, show_as, shown};
-pub use files::stamp::FileStamp;
-pub use files::sweep::{SweepError, Swept, remove_left_behind, sweep_temporaries, sweep_temporaries_of};
+pub use files::stamp::{FileStamp, now_ms};
+pub use files::sweep::{remove_left_behind, sweep_temporaries, sweep_temporaries_of};
 pub use in_memory::{
     EmbeddedSurface, InMemoryObstacle, in_memory_attributes, in_memory_parts, obstacle_warnings,
     requested_parts,
@@ -97,7 +96,9 @@ pub(crate) use input::measured_spacing::{Attempt, measure_sequence};
 pub use input::measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing};
 pub use input::mesh_file::{MeshFile, is_mesh};
 pub use input::obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
-pub use input::reading::{ReadFrame, parse_particles, particles, read_file, read_particles_of};
+pub use input::reading::{
+    ReadFrame, hash_of_input, parse_particles, particles, read_file, read_particles_of,
+};
 pub(crate) use input::source::output_stem;
 pub use input::source::{
     FrameFile, Sequence, are_single_frames, has_particle_extension, order_by_number, output_sequence,
@@ -114,14 +115,15 @@ pub use observer::Observer;
 pub use output::writing::{encode_level_set, mesh_view, vertex_attributes};
 pub use phase_timer::PhaseTimer;
 pub use reconstruct::{LoadedFrame, Reconstruction};
-pub use records::certificate_file::certificate_path;
 pub use records::content::{SniffedContent, check_existing, content};
-pub use records::inspection::{InspectedState, Inspection, inspect};
-pub use records::output_states::{OutputState, OutputStates};
+pub use records::frame_records::{
+    DoneRecord, FailureRecord, FrameRecords, OutputComparison, OutputFile, ResultState, STATE_FOLDER,
+    SettingValues, Wanted, settings_id,
+};
 pub use records::picture_file::{camera_of_picture, read_picture};
 pub use records::provenance::{
-    CAMERA, GENERATOR_AND_VERSION, SheetPart, are_particles, is_own_output, outputs_made_from,
-    picture_provenance, settings_fingerprint, sheet_provenance,
+    CAMERA, GENERATOR_AND_VERSION, SheetPart, are_particles, is_own_output, picture_provenance,
+    settings_fingerprint, sheet_provenance,
 };
 pub use records::record::{RunRecord, SequenceRecord};
 pub use records::sequence_file::{

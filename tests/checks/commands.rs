@@ -48,7 +48,7 @@ const TIMEOUT: Duration = Duration::from_secs(120);
 /// Numbers of the frames in `cache/`, and of those with the same names in the folder above.
 const FRAMES: [usize; 3] = [11, 12, 13];
 
-/// Number of frames in `shot/`: with 60 shards, shard 17 in docs/commands.md is the last shard with a frame.
+/// Number of frames in `shot/`: with 60 shards, shard 18 in docs/commands.md is the last shard with a frame.
 const SHOT_FRAMES: usize = 18;
 
 /// Runs every command of a page, and checks that each makes the files that it names. A test for each page, so that
@@ -143,7 +143,7 @@ fn run_command(page: &str, &PageCommand { text: command, status }: &PageCommand,
             }
             scene.runs(command, status);
         }
-        ["cp" | "rm", ..] => scene.runs(command, status),
+        ["cp" | "mkdir" | "rm", ..] => scene.runs(command, status),
         _ => panic!("{page}: this test does not know how to run: {command}"),
     }
     // With `--once` the frames may be done already.
@@ -185,12 +185,12 @@ const RUN_ELSEWHERE: [(&str, &str, &str); 5] = [
         "simulate_{name}.py",
     ),
     (
-        "examples/farm/submit.sh plan.json --cpus-per-task=4 --time=30",
+        "examples/farm/submit.sh 4 --cpus-per-task=4 --time=30 -- examples/frames --out meshes",
         "tests/clients/check_slurm.py",
         "\"submit.sh\"",
     ),
     (
-        "openjd run examples/farm/openjd.yaml -p Plan=\"$PWD/plan.json\" -p Out=\"$PWD/meshes\" -p LastShard=3",
+        "openjd run examples/farm/openjd.yaml -p Input=\"$PWD/examples/frames\" -p Out=\"$PWD/meshes\" -p Shards=4",
         "tests/clients/check_openjd.py",
         "OPENJD, \"run\", TEMPLATE",
     ),
@@ -246,8 +246,6 @@ fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
     }
     let options: &[&str] = match words[..] {
         [_, "status" | "why", ..] => &[],
-        // The folder of `plan --out` is for the outputs of the shards.
-        [_, "plan", ..] => &["-o"],
         _ => &["--out", "-o", "--report", "--sequence-glb", "--sequence-usdc", "--sequence-abc"],
     };
     words.windows(2).filter(|pair| options.contains(&pair[0])).map(|pair| pair[1]).collect()
@@ -390,11 +388,11 @@ impl Scene {
         fs::remove_file(socket).expect("removed");
     }
 
-    /// Runs all shards of the plan in docs/commands.md except the last, which a command on the page runs.
+    /// Runs all shards in docs/commands.md except the last one with a frame, which a command on the page runs.
     fn runs_other_shards(&self) {
-        for shard in 0..SHOT_FRAMES - 1 {
-            let result =
-                meniscus(self.path(), &["convert", "--plan", "plan.json", "--shard", &shard.to_string()]);
+        for shard in 1..SHOT_FRAMES {
+            let shard = format!("{shard}/60");
+            let result = meniscus(self.path(), &["convert", "shot", "--out", "meshes", "--shard", &shard]);
             assert_eq!(result.status, 0, "{}{}", result.out, result.err);
         }
     }
@@ -514,7 +512,6 @@ fn commands_are_found_without_their_remarks() {
     assert_eq!(found, [("meniscus a b", 0), ("meniscus d.##.e", 1), ("cargo test", 0)]);
     assert_eq!(made_by(&["meniscus", "render", "a", "-o", "b.png", "--out", "c"]), ["b.png", "c"]);
     assert_eq!(made_by(&["meniscus", "status", "--out", "c"]), [""; 0]);
-    assert_eq!(made_by(&["meniscus", "plan", "a", "--out", "c", "-o", "p"]), ["p"]);
     assert_eq!(made_by(&["cargo", "run", "-p", "e", "--", "in", "out"]), ["out"]);
     assert_eq!(made_by(&["cargo", "run", "-p", "dam_break", "--", "in", "60"]), ["in"]);
     assert_eq!(made_by(&["cp", "-r", "a", "b"]), ["b"]);

@@ -1,4 +1,4 @@
-"""Checks that a plan runs as an Open Job Description. The command `openjd` of that project validates the
+"""Checks that shards run as an Open Job Description. The command `openjd` of that project validates the
 template and runs it on this machine.
 
 Five shards in chunks of two are three tasks. The next step verifies all outputs. In a second run, every frame
@@ -19,7 +19,7 @@ SHARD_COUNT = 5
 
 
 def main():
-    check = Check("a plan by an Open Job Description")
+    check = Check("shards by an Open Job Description")
     work = WORK / "openjd_job"
     shutil.rmtree(work, ignore_errors=True)
     frames = work / "in"
@@ -31,18 +31,17 @@ def main():
     status, said = run([OPENJD, "check", TEMPLATE])
     check.line("openjd check", said.strip().splitlines()[-1], [said] if status else [])
 
-    plan, out = work / "plan.json", work / "out"
-    status, said = run([PROGRAM, "plan", frames, "--out", out, "--shards", SHARD_COUNT, "-o", plan])
-    check.line("plan", said.strip().splitlines()[-1], [said] if status else [])
-    given = {"Plan": plan, "Out": out, "LastShard": SHARD_COUNT - 1, "ShardsPerTask": 2, "Meniscus": PROGRAM}
+    out = work / "out"
+    out.mkdir()
+    given = {"Input": frames, "Out": out, "Options": "--format glb,vdb", "Shards": SHARD_COUNT, "ShardsPerTask": 2, "Meniscus": PROGRAM}
     command = [OPENJD, "run", TEMPLATE, *(word for name, value in given.items() for word in ("-p", f"{name}={value}"))]
     for label, already in (("openjd run", 0), ("openjd run again", FRAME_COUNT)):
         status, said = run(command)
         # Three tasks of the first step, and the task that verifies all outputs.
         task_count = said.count("Running Task")
         found = [task_count == 4, f"{FRAME_COUNT} frames: {FRAME_COUNT} done" in said, said.count(": done already") == already]
-        for shard in range(SHARD_COUNT):
-            found.append(f"shard {shard} (of 0 to {SHARD_COUNT - 1}): " in said)
+        for shard in range(1, SHARD_COUNT + 1):
+            found.append(f"shard {shard}/{SHARD_COUNT}: " in said)
         faults = [said] if status or not all(found) else []
         check.line(label, f"{task_count} tasks, {already} frames done already", faults)
 

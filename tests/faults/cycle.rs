@@ -7,7 +7,7 @@ use std::path::Path;
 use serde_json::Value;
 
 use crate::faults::scene::{
-    CHEAP, FORMATS, FRAME_COUNT, FaultKind, Faults, Files, PLAN, Random, References, RunResult, Scene,
+    CHEAP, CONVERT, FORMATS, FRAME_COUNT, FaultKind, Faults, Files, Random, References, RunResult, Scene,
     Version, files_in, print_line, stem,
 };
 
@@ -24,7 +24,6 @@ enum Mode {
     Farm,
 }
 
-const CONVERT: [&str; 4] = ["convert", "in", "--out", "out"];
 const WATCH: [&str; 9] = ["watch", "in", "--out", "out", "--once", "--settle", "1ms", "--log", "json"];
 
 struct Cycle<'a> {
@@ -72,21 +71,8 @@ impl Cycle<'_> {
     /// Runs the commands with faults, and checks their files after each. Returns whether the program was
     /// killed.
     fn run_with(&mut self, faults: &Faults<'_>) -> bool {
-        let commands: Vec<Vec<&str>> = match self.mode {
-            Mode::Convert => vec![[&CONVERT[..], &CHEAP].concat()],
-            Mode::Watch => vec![[&WATCH[..], &CHEAP].concat()],
-            Mode::Farm => {
-                let shard = |shard: &'static str| vec!["convert", "--plan", "plan.json", "--shard", shard];
-                vec![
-                    [&PLAN[..], &CHEAP[..10]].concat(),
-                    shard("0"),
-                    shard("1"),
-                    vec!["verify", "out", "--plan", "plan.json"],
-                ]
-            }
-        };
         let mut was_killed = false;
-        for arguments in commands {
+        for arguments in self.mode.commands() {
             let before = files_in(&self.scene.path("out"));
             let result = self.scene.run(&arguments, Some(faults));
             let is_killed = result.status.signal() == Some(9);
@@ -100,9 +86,19 @@ impl Cycle<'_> {
             assert!(is_killed || result.status.code().is_some_and(|code| code <= 2), "{}", about());
             let after = files_in(&self.scene.path("out"));
             self.assert_complete(&after, &about);
-            self.assert_nothing_lost(&before, &after, faults, &about);
-            if !is_killed {
-                self.assert_no_wrong_success(&arguments, &result, &after, &about);
+            let lost: Vec<&String> = before.keys().filter(|name| is_lost(name, &after)).collect();
+            assert!(lost.is_empty(), "{lost:?} are lost: {}", about());
+            let current: BTreeSet<usize> =
+                (1..=FRAME_COUNT).filter(|n| self.is_current(&after, *n)).collect();
+            let done = self.scene.done();
+            assert!(done.is_subset(&current), "{done:?} are recorded as done: {}", about());
+            let reported = reported_done(&arguments, &result);
+            assert!(reported.is_subset(&done), "{reported:?} are said to be done: {}", about());
+            if result.status.code() == Some(0) {
+                // A shard has only its frames.
+                let expected = if arguments.contains(&"--shard") { &reported } else { &current };
+                let count = if arguments.contains(&"--shard") { 1 } else { FRAME_COUNT };
+                assert!(expected.len() >= count, "exit status 0, but frames are missing: {}", about());
             }
             was_killed |= is_killed;
         }
@@ -119,36 +115,23 @@ impl Cycle<'_> {
                 self.seed, self.mode, result.out, result.err
             )
         };
-        let run = |arguments: &[&str]| {
-            let result = self.scene.run(arguments, None);
+        let run = |arguments: Vec<&'static str>| {
+            let result = self.scene.run(&arguments, None);
             assert_eq!(result.status.code(), Some(0), "{}", about(&result));
             result
         };
-        let last = match self.mode {
-            Mode::Convert => run(&[&CONVERT[..], &CHEAP].concat()),
-            Mode::Watch => run(&[&WATCH[..], &CHEAP].concat()),
-            Mode::Farm => {
-                run(&[&PLAN[..], &CHEAP[..10]].concat());
-                run(&["convert", "--plan", "plan.json", "--shard", "0"]);
-                run(&["convert", "--plan", "plan.json", "--shard", "1"]);
-                run(&["verify", "out", "--plan", "plan.json"])
-            }
-        };
+        let last = self.mode.commands().into_iter().map(run).last().expect("a command");
         let found = files_in(&self.scene.path("out"));
         for (name, bytes) in self.references.of(version) {
-            if self.is_made(name) {
-                assert!(found.get(name) == Some(bytes), "{name} is not as it should be: {}", about(&last));
-            }
+            assert!(found.get(name) == Some(bytes), "{name} is not as it should be: {}", about(&last));
         }
         let is_more = |name: &&String| !self.references.of(version).contains_key(*name);
-        let is_state = |name: &&String| self.mode == Mode::Watch && name.starts_with(".meniscus/");
+        let is_state = |name: &&String| {
+            name.starts_with(".meniscus/frames-")
+                || self.mode == Mode::Watch && name.starts_with(".meniscus/")
+        };
         let more: Vec<&String> = found.keys().filter(is_more).filter(|name| !is_state(name)).collect();
         assert!(more.is_empty(), "{more:?} are left: {}", about(&last));
-    }
-
-    /// Whether a command makes a file of this name.
-    fn is_made(&self, name: &str) -> bool {
-        self.mode == Mode::Farm || !name.ends_with(".certificate.json")
     }
 
     /// Asserts that every visible file with the name of an output is a complete output.
@@ -160,84 +143,42 @@ impl Cycle<'_> {
         }
     }
 
-    /// Asserts that a frame that had all its outputs still has them, all of the same version. If the program
-    /// was killed, or several operations failed, some outputs may have hidden names; the next run finds them.
-    fn assert_nothing_lost(
-        &self,
-        before: &Files,
-        after: &Files,
-        faults: &Faults<'_>,
-        about: &dyn Fn() -> String,
-    ) {
-        for number in 1..=FRAME_COUNT {
-            let was_complete = !self.complete_sets(before, number).is_empty();
-            let is_complete = !self.complete_sets(after, number).is_empty();
-            let is_fine = match faults.kind {
-                FaultKind::Nth(_) if was_complete => is_complete,
-                _ if was_complete || self.has_old => is_complete || self.can_be_completed(after, number),
-                _ => true,
-            };
-            assert!(is_fine, "the outputs of frame {number} are lost: {}", about());
+    /// Whether all outputs of a frame are those of its current version.
+    fn is_current(&self, found: &Files, number: usize) -> bool {
+        let reference = self.references.of(Version::New);
+        let names = FORMATS.map(|format| format!("{}.{format}", stem(number)));
+        names.iter().all(|name| found.get(name) == Some(&reference[name]))
+    }
+}
+
+impl Mode {
+    /// The commands that convert all frames. Each skips frames that are done.
+    fn commands(self) -> Vec<Vec<&'static str>> {
+        let convert = |more: &[&'static str]| [&CONVERT[..], &CHEAP, more].concat();
+        match self {
+            Mode::Convert => vec![convert(&["--skip-done"])],
+            Mode::Watch => vec![[&WATCH[..], &CHEAP].concat()],
+            Mode::Farm => vec![
+                convert(&["--shard", "1/2"]),
+                convert(&["--shard", "2/2"]),
+                vec!["verify", "out", "--input", "in"],
+            ],
         }
     }
+}
 
-    /// Whether all outputs of one version of a frame exist, under their final or hidden names.
-    fn can_be_completed(&self, found: &Files, number: usize) -> bool {
-        let exists = |name: &String, version: Version| {
-            let wanted = &self.references.of(version)[name];
-            let is_hidden = |(other, bytes): (&String, &Vec<u8>)| other.starts_with('.') && bytes == wanted;
-            found.get(name) == Some(wanted) || found.iter().any(is_hidden)
-        };
-        let names = self.names(number);
-        [Version::New, Version::Old].iter().any(|&version| names.iter().all(|name| exists(name, version)))
-    }
+/// Whether an output no longer exists.
+fn is_lost(name: &str, after: &Files) -> bool {
+    !name.starts_with('.') && !after.contains_key(name)
+}
 
-    /// The versions for which all outputs of a frame exist.
-    fn complete_sets(&self, found: &Files, number: usize) -> Vec<Version> {
-        let versions = [Version::New, Version::Old].into_iter();
-        let is_complete = |version: &Version| {
-            let reference = self.references.of(*version);
-            self.names(number).iter().all(|name| found.get(name) == Some(&reference[name]))
-        };
-        versions.filter(is_complete).collect()
-    }
-
-    fn names(&self, number: usize) -> Vec<String> {
-        FORMATS.iter().map(|format| format!("{}.{format}", stem(number))).collect()
-    }
-
-    /// Asserts that all frames that the command reports as done are done.
-    fn assert_no_wrong_success(
-        &self,
-        arguments: &[&str],
-        result: &RunResult,
-        after: &Files,
-        about: &dyn Fn() -> String,
-    ) {
-        let is_current = |number: usize| self.complete_sets(after, number).contains(&Version::New);
-        let current: Vec<usize> = (1..=FRAME_COUNT).filter(|&number| is_current(number)).collect();
-        let reported: BTreeSet<usize> = match arguments[0] {
-            "watch" => (1..=FRAME_COUNT).filter(|&number| is_logged_done(&result.err, number)).collect(),
-            _ => (1..=FRAME_COUNT).filter(|&number| is_printed_done(&result.out, number)).collect(),
-        };
-        for number in &reported {
-            assert!(current.contains(number), "frame {number} is said to be done: {}", about());
-        }
-        if result.status.code() != Some(0) {
-            return;
-        }
-        match arguments {
-            ["plan", ..] => {
-                let plan = std::fs::read(self.scene.path("plan.json")).expect("a plan that was made");
-                let plan: Value = serde_json::from_slice(&plan).expect("JSON");
-                let count = plan["frames"].as_array().map_or(0, Vec::len);
-                assert_eq!(count, FRAME_COUNT, "frames are missing in the plan: {}", about());
-            }
-            // A shard has only its frames; those that it reports as done were checked above.
-            ["convert", "--plan", ..] => assert!(!reported.is_empty(), "it did nothing: {}", about()),
-            _ => assert_eq!(current.len(), FRAME_COUNT, "exit status 0, but frames are missing: {}", about()),
-        }
-    }
+/// The numbers of the frames that a command reports as done.
+fn reported_done(arguments: &[&str], result: &RunResult) -> BTreeSet<usize> {
+    let is_reported = |number: &usize| match arguments[0] {
+        "watch" => is_logged_done(&result.err, *number),
+        _ => is_printed_done(&result.out, *number),
+    };
+    (1..=FRAME_COUNT).filter(is_reported).collect()
 }
 
 fn is_printed_done(out: &str, number: usize) -> bool {

@@ -6,6 +6,9 @@
 //!
 //!   a cycle:  [good outputs of earlier frames] ─▶ one to three runs with faults ─▶ one without
 //!                                                   └ checked after each            └ all outputs exist
+//!
+//! After each run, an output that was there is still there, complete, in its old or new version; and only frames
+//! whose files are all of the current version are recorded as done.
 //! ```
 //!
 //! The number of a cycle is its seed. `MENISCUS_FAULT_CYCLES=2000` runs more cycles than the usual 200, and

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   files      particles, meshes, level sets, pictures; checks before reading a file
-//!   ours       the configuration, the journal, the plan: text that a user or a disk may have damaged
+//!   ours       the configuration, the journal, records: text that a user or a disk may have damaged
 //!   http       the HTTP server: bytes from a socket
 //! ```
 //!
@@ -11,10 +11,12 @@
 
 use std::io::{self, Cursor, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpStream};
+use std::path::Path;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use meniscus::http::{HttpServer, Listen};
+use meniscus::pipeline::{FrameRecords, STATE_FOLDER};
 use meniscus::watch::journal::Journal;
 use meniscus::watch::status_store::StatusStore;
 use meniscus_formats::steps::find_steps;
@@ -83,7 +85,7 @@ pub(crate) const TARGETS: [Target; 35] = [
     plain("integrity", integrity),
     plain("config", config),
     plain("journal", journal),
-    plain("plan", |bytes| drop(meniscus::farm::parse(bytes))),
+    plain("records", records),
     plain("http", http),
 ];
 
@@ -266,6 +268,25 @@ fn journal(bytes: &[u8]) {
         let after = Journal::read(folder.path()).expect("read");
         assert_eq!(before.frames, after.frames);
         assert_eq!(before.sequences, after.sequences);
+    }
+}
+
+/// Checks that another record keeps those in a file of these bytes. A second pass corrects the checksums first.
+fn records(bytes: &[u8]) {
+    let lines = bytes.split_inclusive(|&byte| byte == b'\n');
+    let with_checksums: Vec<u8> = lines.flat_map(with_checksum).collect();
+    for bytes in [bytes, &with_checksums] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let state = folder.path().join(STATE_FOLDER);
+        std::fs::create_dir(&state).expect("made");
+        std::fs::write(state.join("frames-0123456789abcdef"), bytes).expect("written");
+        // As an earlier process leaves it: this one continues the file.
+        std::fs::write(state.join("frames-0123456789abcdef.lock"), "").expect("written");
+        let before = FrameRecords::open(folder.path()).expect("opened");
+        before.record_failure(Path::new("\u{1}"), Path::new("/in"), "why").expect("recorded");
+        let after = FrameRecords::open(folder.path()).expect("opened");
+        assert!(before.latest().keys().eq(after.latest().keys()));
+        assert!(before.failures().keys().eq(after.failures().keys()));
     }
 }
 

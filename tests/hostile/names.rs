@@ -80,16 +80,19 @@ fn folders_with_names_that_are_not_unicode_are_watched() {
     assert!(!again.err.contains("converted 2"), "{}", again.err);
 }
 
-/// A plan is Unicode text and cannot contain such a name: the command reports the name, and writes no plan.
+/// The records keep the bytes of such names.
 #[test]
-fn plan_refuses_names_that_are_not_unicode() {
+fn names_that_are_not_unicode_are_recorded() {
     let scene = scene();
-    let arguments =
-        ["plan", "--out=out", "--voxel-size=0.1", "--shards=2", "-o=plan.json"].map(PathBuf::from);
-    let result = scene.run(&[&arguments[..], &[path(&[FOLDER])]].concat());
-    assert_eq!(result.status, Some(2), "{}", result.err);
-    assert!(result.err.contains("the path is not Unicode"), "{}", result.err);
-    assert!(!scene.path("plan.json").exists());
+    let convert = ["convert", "--skip-done", "--voxel-size=0.1", "--format=obj"].map(PathBuf::from);
+    let folders = [path(&[FOLDER]), "--out".into(), path(&[OUT])];
+    let run = || scene.run(&[&convert[..], &folders].concat());
+    assert_eq!(run().status, Some(0));
+    let again = run();
+    assert_eq!(again.out.matches("done already").count(), 2, "{}", again.out);
+    let verified = scene.run(&["verify".into(), path(&[OUT])]);
+    assert_eq!((verified.status, &*verified.err), (Some(0), ""));
+    assert!(verified.out.starts_with("2 frames: 2 done"), "{}", verified.out);
 }
 
 /// A browser can request outputs by the displayed name.

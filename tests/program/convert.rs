@@ -1,7 +1,7 @@
 //! The command on real frames: names, bit-identical outputs, reports, and frames that are done.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 use tempfile::tempdir;
@@ -211,26 +211,62 @@ fn skip_done_converts_nothing_again() {
     assert_eq!(convert(path, &tolerance).out.matches("done already").count(), 2);
 }
 
-/// A killed run wrote outputs, but no records: they are like the outputs of a run without --skip-done.
 #[test]
-fn skip_done_ignores_records_of_outputs_that_another_run_replaced() {
+fn lost_records_cost_a_conversion_and_give_the_same_bytes() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 2);
     let arguments = ["dam.#.ply", "--out", "o", "--skip-done"];
     converted(path, &arguments);
-    let changed = ["dam.#.ply", "--out", "o", "--laplacian-steps", "3"];
-    converted(path, &changed);
-    let skipping = [&changed[..], &["--skip-done"]].concat();
-    assert_eq!(converted(path, &skipping).matches("done already").count(), 2);
-    // Imitate a second run that replaces the outputs, and is killed before it writes records: the records are
-    // those of the first run.
-    let records = path.join("o/.meniscus/outputs.json");
-    let before = fs::read(&records).expect("records");
-    let other = ["dam.#.ply", "--out", "o", "--skip-done", "--laplacian-steps", "2"];
-    converted(path, &other);
-    fs::write(&records, before).expect("written");
-    assert_eq!(converted(path, &other).matches("done already").count(), 2);
+    let outputs = || {
+        let names = names_in(&path.join("o"));
+        names.iter().map(|name| fs::read(path.join("o").join(name)).expect("readable")).collect::<Vec<_>>()
+    };
+    let before = outputs();
+    // The last record is that of one frame; the folder has the records of all.
+    let state = path.join("o/.meniscus");
+    let is_records = |path: &PathBuf| path.extension().is_none();
+    let mut records = fs::read_dir(&state).expect("there").map(|entry| entry.expect("an entry").path());
+    let records = records.find(is_records).expect("a file of records");
+    let lines = fs::read_to_string(&records).expect("text");
+    let end = lines.trim_end().rfind('\n').expect("several lines");
+    fs::write(&records, &lines[..end + 9]).expect("written");
+    assert_eq!(converted(path, &arguments).matches("done already").count(), 1);
+    assert!(outputs() == before);
+    fs::remove_dir_all(&state).expect("removed");
+    assert_eq!(converted(path, &arguments).matches("done already").count(), 0);
+    assert!(outputs() == before);
+    assert_eq!(converted(path, &arguments).matches("done already").count(), 2);
+}
+
+/// Imitates a run that was killed after it replaced some outputs of a frame, and another one whose record
+/// another machine lost: the outputs decide.
+#[test]
+fn mixed_versions_of_outputs_are_never_done() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 1);
+    let [plain, smooth] = ["1", "3"].map(|steps| {
+        ["dam.1.ply", "--out", "o", "--skip-done", "--format", "obj,vdb", "--laplacian-steps", steps]
+    });
+    let read = || ["obj", "vdb"].map(|e| fs::read(path.join(format!("o/dam.1.{e}"))).expect("there"));
+    converted(path, &plain);
+    let old = read();
+    converted(path, &smooth);
+    let new = read();
+    for (obj, vdb, plain_is_done, smooth_is_done) in [
+        (&old[0], &new[1], false, false),
+        (&new[0], &old[1], false, false),
+        (&old[0], &old[1], true, false),
+        (&new[0], &new[1], false, true),
+    ] {
+        for (arguments, is_done, made) in [(&plain, plain_is_done, &old), (&smooth, smooth_is_done, &new)] {
+            fs::write(path.join("o/dam.1.obj"), obj).expect("written");
+            fs::write(path.join("o/dam.1.vdb"), vdb).expect("written");
+            assert_eq!(converted(path, arguments).contains("done already"), is_done);
+            assert!(read() == *made);
+        }
+    }
 }
 
 #[test]

@@ -137,10 +137,6 @@ fn options_that_need_particles_are_refused_by_name() {
         ),
         (&["render", "in/block.vdb", "-o=r.png", "--steps=1"], "error: --steps cannot be given"),
         (
-            &["plan", "in/block.vdb", "--out=out", "--shards=1", "-o=p.json", "--steps=3"],
-            "without --max-deviation it is not smoothed",
-        ),
-        (
             &["watch", "in", "--out=watched", "--once", "--pattern=*.vdb", "--voxel-size=1"],
             "error: in: --voxel-size cannot be given",
         ),
@@ -264,57 +260,33 @@ fn former_name_of_max_deviation_is_accepted() {
         fs::read(folder.join("out/block.obj")).expect("there")
     };
     assert!(bytes("--max-deviation=0.5") == bytes("--band-slack=0.5"));
-    succeeded(&meniscus(folder, &[&["plan", "in/f.#.vdb", "--shards=1", "-o=p.json"], &MADE[..]].concat()));
-    let plan = fs::read_to_string(folder.join("p.json")).expect("there");
-    let former = plan.replace("\"max_deviation\"", "\"band_slack\"");
-    assert_ne!(former, plan);
-    fs::write(folder.join("p.json"), former).expect("written");
-    succeeded(&meniscus(folder, &["convert", "--plan=p.json", "--shard=0"]));
-}
-
-#[test]
-fn plan_of_level_sets_that_are_not_smoothed_is_converted_and_verified() {
-    let folder = sequence();
-    let folder = folder.path();
-    succeeded(&meniscus(folder, &["plan", "in/f.#.vdb", "--out=out", "--shards=1", "-o=p.json"]));
-    succeeded(&meniscus(folder, &["convert", "--plan=p.json", "--shard=0"]));
-    succeeded(&meniscus(folder, &["verify", "out", "--plan=p.json"]));
-    let plan = fs::read_to_string(folder.join("p.json")).expect("there");
-    for wrong in ["-1", "3.5", "NaN", "x"] {
-        let wrong = plan.replace("\"max_deviation\": \"0\"", &format!("\"max_deviation\": \"{wrong}\""));
-        assert_ne!(wrong, plan);
-        fs::write(folder.join("p.json"), wrong).expect("written");
-        let refused = meniscus(folder, &["convert", "--plan=p.json", "--shard=0"]);
-        assert_eq!(refused.status, 2, "{}", refused.err);
-        assert!(refused.err.contains("is not a number of voxels from 0 to 3"), "{}", refused.err);
-    }
 }
 
 #[test]
 fn shards_of_level_sets_give_the_results_of_convert() {
-    let folder = sequence();
-    let folder = folder.path();
-    let expected: Vec<&str> =
-        MADE.iter().map(|&option| if option == "--out=out" { "--out=one" } else { option }).collect();
-    succeeded(&meniscus(folder, &[&["convert", "in/f.#.vdb"], &expected[..]].concat()));
-    succeeded(&meniscus(folder, &[&["plan", "in/f.#.vdb", "--shards=2", "-o=p.json"], &MADE[..]].concat()));
-    for shard in ["--shard=0", "--shard=1"] {
-        succeeded(&meniscus(folder, &["convert", "--plan=p.json", shard]));
+    for options in [&["--format=glb,stl", "--max-deviation=0.5", "--steps=3"][..], &["--format=glb"]] {
+        let folder = sequence();
+        let folder = folder.path();
+        let convert = |more: &[&str]| meniscus(folder, &[&["convert", "in/f.#.vdb"], options, more].concat());
+        succeeded(&convert(&["--out=one"]));
+        fs::create_dir(folder.join("out")).expect("made");
+        for shard in ["--shard=1/2", "--shard=2/2"] {
+            succeeded(&convert(&["--out=out", shard]));
+        }
+        for name in names_in(&folder.join("one")) {
+            let bytes = |out: &str| fs::read(folder.join(out).join(&name)).expect("there");
+            assert!(bytes("one") == bytes("out"), "{name}");
+        }
+        let verify = || meniscus(folder, &["verify", "out"]);
+        assert_eq!(verify().status, 0, "{}", verify().err);
+        assert!(convert(&["--out=out", "--shard=1/2"]).out.contains("done already"));
+        // A missing input cannot be compared, and its outputs count as done.
+        fs::remove_file(folder.join("in/f.1.vdb")).expect("removed");
+        assert_eq!(verify().status, 0, "{}", verify().err);
+        let bytes = fs::read(folder.join("in/f.2.vdb")).expect("there");
+        fs::write(folder.join("in/f.1.vdb"), [&bytes[..], b" "].concat()).expect("written");
+        assert_eq!(verify().status, 1, "{}", verify().err);
     }
-    for name in names_in(&folder.join("one")) {
-        let bytes = |out: &str| fs::read(folder.join(out).join(&name)).expect("there");
-        assert!(bytes("one") == bytes("out"), "{name}");
-    }
-    let verify = || meniscus(folder, &["verify", "out", "--plan=p.json"]);
-    assert_eq!(verify().status, 0, "{}", verify().err);
-    assert!(meniscus(folder, &["convert", "--plan=p.json", "--shard=0"]).out.contains("done already"));
-    // A missing input cannot be compared, and its outputs count as done.
-    fs::remove_file(folder.join("in/f.1.vdb")).expect("removed");
-    assert_eq!(verify().status, 0, "{}", verify().err);
-    fs::copy(folder.join("in/f.2.vdb"), folder.join("in/f.1.vdb")).expect("copied");
-    let bytes = fs::read(folder.join("in/f.1.vdb")).expect("there");
-    fs::write(folder.join("in/f.1.vdb"), [&bytes[..], b" "].concat()).expect("written");
-    assert_eq!(verify().status, 1, "{}", verify().err);
 }
 
 #[test]

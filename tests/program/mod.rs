@@ -19,12 +19,12 @@ mod offset; // surface offset: position and guarantees
 mod particles_only; // particles from one format to another, without a surface
 mod pictures; // pictures of balls with known geometry; picture files, and the command
 mod pipeline; // frames in the stages of the pipeline, with a quick method in place of the real one
-mod plans; // frames divided among machines: plans, shards, verification
 mod raw_vdb; // writes unusual level sets
 mod same_bytes;
 pub(crate) mod scene; // small frames of particles, and a way to run the command
 mod sequence_files; // meshes in other programs' formats, and all frames of a sequence in one file
 mod service; // the daemon as a service: notifications to systemd, and signals
+mod shards; // frames divided among machines: plans, shards, verification
 mod shared; // files of real programs are converted, or refused with the expected reason
 mod sheets; // sheets of pictures: contents, and the commands that they print
 mod spacings; // the measured spacing of particles, against known values

@@ -59,10 +59,6 @@ fn versions_and_subframes_are_one_sequence_everywhere() {
         assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
         assert!(is_measured_once(&result.out, sequence), "{}", result.out);
         assert_eq!(names_in(&path.join("out")).len(), 3);
-        let arguments = ["plan", "in", "--out", "out", "--output", "plan.json", "--shards", "2"];
-        let result = meniscus(path, &arguments);
-        assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
-        assert!(is_measured_once(&result.out, sequence), "{}", result.out);
         let watch = ["watch", "in", "--once", "--out", "watched", "--format", "obj", "--settle", "10ms"];
         let result = meniscus(path, &watch);
         assert_eq!(result.status, 0, "{}", result.err);
@@ -276,7 +272,6 @@ fn folder_of_single_frames_is_warned_about() {
     let note = "2 files form 2 sequences of one frame each, so each gets its own particle spacing";
     for arguments in [
         &["convert", "in", "--out", "out", "--format", "obj"][..],
-        &["plan", "in", "--out", "out", "--output", "plan.json", "--shards", "2"],
         &["watch", "in", "--once", "--out", "watched", "--format", "obj", "--settle", "10ms"],
     ] {
         let result = meniscus(path, arguments);
@@ -302,8 +297,6 @@ fn single_frame_is_written_to_the_named_file() {
         assert_eq!(result.status, 0, "{}", result.err);
         let whole = fs::read(path.join(format!("whole/dam.7.{format}"))).expect("there");
         assert!(fs::read(path.join(&file)).expect("there") == whole, "{format}");
-        let again = convert(path, &["in/dam.7.ply", "--skip-done", "--out", &file]);
-        assert!(again.status == 0 && again.out.contains("done"), "{format}: {} {}", again.out, again.err);
         fs::remove_dir_all(path.join("new")).expect("removed");
     }
     let result = meniscus(path, &["convert", "in", "-o", "x.vtp", "--particles-only"]);
@@ -331,13 +324,10 @@ fn file_name_that_cannot_be_written_is_refused_with_a_remedy() {
             &["--particles-only writes ply and vtp"],
         ),
         (&["convert", "dam.1.ply", "-o", "-", "--format", "ply,obj"], &["one format"]),
-        (&["convert", "dam.1.ply", "-o", "-", "--skip-done"], &["--skip-done"]),
+        (&["convert", "dam.1.ply", "-o", "-", "--skip-done"], &["--skip-done", "name a folder"]),
+        (&["convert", "dam.1.ply", "-o", "x.obj", "--skip-done"], &["--skip-done", "name a folder"]),
         (&["convert", "dam.1.ply", "-o", "o", "--input-format", "ply"], &["--input-format"]),
-        (
-            &["plan", "dam.#.ply", "--out", "x.glb", "--output", "p.json", "--shards", "1"],
-            &["x.glb", "folder"],
-        ),
-        (&["plan", "dam.#.ply", "--out", "-", "--output", "p.json", "--shards", "1"], &["name a folder"]),
+        (&["convert", "dam.1.ply", "-o", "-", "--shard", "1/1"], &["name a folder"]),
         (&["watch", ".", "--once", "--out", "x.glb"], &["x.glb", "folder"]),
         (&["convert", "dam.1.ply", "-o", "X.PLY"], &["X.PLY", "use X.ply"]),
         (&["convert", "dam.1.ply", "-o", "x.Png"], &["x.Png", "meniscus render"]),
@@ -350,10 +340,7 @@ fn file_name_that_cannot_be_written_is_refused_with_a_remedy() {
         (&["convert", "dam.1.ply", "-o", "x.gbl"], &["x.gbl: .gbl is not", "write x.glb", "write x.gbl/"]),
         (&["convert", "dam.1.ply", "-o", "x.glft"], &["write x.gltf"]),
         (&["convert", "dam.1.ply", "-o", "x.us.objj"], &["write x.us.obj"]),
-        (
-            &["plan", "dam.#.ply", "--out", "x.dae", "--output", "p.json", "--shards", "1"],
-            &["x.dae: .dae is not an output format"],
-        ),
+        (&["convert", "dam.#.ply", "--out", "x.dae"], &["x.dae: .dae is not an output format"]),
         (&["watch", ".", "--once", "--out", "x.bgeo"], &["x.bgeo: .bgeo is not an output format"]),
     ] {
         let result = meniscus(path, arguments);
@@ -502,12 +489,4 @@ fn one_of_two_files_for_one_result_is_converted() {
             ["expected", "out", "watched"].map(|out| fs::read(path.join(out).join(name)).expect("there"));
         assert!(one == two && two == three, "{name}");
     }
-    let plan = ["plan", "in", "--out", "planned", "--output", "plan.json", "--shards", "1"];
-    let result = meniscus(path, &[&plan[..], &QUICK].concat());
-    assert_eq!(result.status, 1, "{}", result.err);
-    assert!(
-        result.err.contains("would both become") && result.out.contains("2 frames in 1 shard"),
-        "{}",
-        result.out
-    );
 }

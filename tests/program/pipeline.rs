@@ -6,8 +6,9 @@ use std::sync::Arc;
 
 use glam::{DVec3, IVec3, Vec3};
 use meniscus::pipeline::{
-    Cause, FileStamp, Frame, FrameInput, FrameObstacles, IndexPolicy, Job, LevelSetMethod, Method, OnError,
-    Outcome, OutputFormat, OutputOptions, PictureOptions, PipelineOptions, Stage, run,
+    Cause, FileStamp, Frame, FrameInput, FrameObstacles, FrameRecords, IndexPolicy, Job, LevelSetMethod,
+    Method, OnError, Outcome, OutputFormat, OutputOptions, PictureOptions, PipelineOptions, STATE_FOLDER,
+    Stage, run,
 };
 use meniscus::surface::grid::{Field, Topology};
 use meniscus::surface::level_set::NarrowBand;
@@ -122,6 +123,7 @@ impl Bench {
             stage: None,
         });
         fs::create_dir(&outputs.folder).expect("made");
+        let records = Arc::new(FrameRecords::open(&outputs.folder).expect("readable"));
         let mut frames = Vec::new();
         for (number, &edge_count) in edge_counts.iter().enumerate() {
             let input = folder.path().join(format!("f.{number}.ply"));
@@ -139,6 +141,7 @@ impl Bench {
                 number: None,
                 obstacles: Arc::default(),
                 framing: None,
+                records: Some(Arc::clone(&records)),
             });
         }
         Bench { folder, frames }
@@ -187,7 +190,7 @@ impl Bench {
 
     /// The numbers of the frames that have all outputs. Asserts that the other frames have none.
     pub(crate) fn written(&self) -> Vec<usize> {
-        let names = names_in(&self.out());
+        let names: Vec<_> = names_in(&self.out()).into_iter().filter(|name| name != STATE_FOLDER).collect();
         let count = |number: usize| names.iter().filter(|n| n.starts_with(&format!("f.{number}."))).count();
         let written: Vec<usize> = (0..self.frames.len()).filter(|&number| count(number) == 4).collect();
         assert_eq!(names.len(), 4 * written.len(), "{names:?}");
@@ -201,12 +204,10 @@ pub(crate) fn pipeline_options(pool: &ThreadPool) -> PipelineOptions<'_> {
         pool,
         on_error: OnError::Continue,
         skip_done: false,
-        certificates: false,
         in_flight: 5,
         memory_bytes: 1 << 30,
         index_policy: IndexPolicy::OnRead,
         mirrors: &[],
-        output_states: None,
         observer: None,
     }
 }
@@ -234,7 +235,8 @@ fn frames_are_converted_in_order() {
     assert_eq!(report.reconstruction.particle_count, 27);
     assert_eq!(report.outputs[0], bench.out().join("f.1.glb"));
     let size_bytes = |path: &PathBuf| fs::metadata(path).expect("there").len();
-    assert_eq!(report.output_bytes, report.outputs.iter().map(size_bytes).collect::<Vec<_>>());
+    let sizes: Vec<u64> = report.files.iter().map(|file| file.stamp.size).collect();
+    assert_eq!(sizes, report.outputs.iter().map(size_bytes).collect::<Vec<_>>());
     assert_eq!(report.input.stamp, FileStamp::of_path(&bench.frames[1].input).expect("there"));
     // The report has the hash and the stamp of the file, also for a frame that was done already.
     let again = bench.run_with(&quick, OnError::Continue, true, 2);

@@ -5,6 +5,8 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
+use meniscus::pipeline::STATE_FOLDER;
+
 /// A block of `edge_count`³ particles, 0.1 apart, moved along x.
 pub(crate) fn block(edge_count: usize, shift: f64) -> Vec<[f64; 3]> {
     let along = |index: usize| index as f64 * 0.1;
@@ -63,11 +65,12 @@ pub(crate) fn command(folder: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-/// The names in a folder, sorted.
+/// The names in a folder, sorted, without the folder of records.
 pub(crate) fn names_in(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).expect("the folder exists");
     let mut names: Vec<String> =
         entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
+    names.retain(|name| name != STATE_FOLDER);
     names.sort();
     names
 }

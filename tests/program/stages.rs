@@ -100,65 +100,33 @@ fn stage_holds_missing_frames_until_they_are_converted() {
 fn stage_is_the_same_from_shards() {
     let folder = frames(4);
     let path = folder.path();
-    let options = ["--voxel-size=0.05", "--format=usdc,vdb", "--attributes=all"];
-    succeeded(&meniscus(
-        path,
-        &[&["convert", "in", "--out", "out", "--stage", "out/dam.usda"], &options[..]].concat(),
-    ));
-    let plan =
-        ["plan", "in", "--out", "farm", "--shards", "3", "-o", "plan.json", "--stage", "farm/dam.usda"];
-    succeeded(&meniscus(path, &[&plan[..], &options].concat()));
-    assert!(text(&path.join("plan.json")).contains("\"name\": \"dam.usda\""));
-    let mut seen = Vec::new();
-    for shard in ["2", "0", "1"] {
-        succeeded(&meniscus(path, &["convert", "--plan", "plan.json", "--shard", shard]));
-        seen.push(clips(&text(&path.join("farm/dam.usda"))).len());
-    }
-    assert!(seen[0] < seen[1] && seen[1] < seen[2] && seen[2] == 4, "{seen:?}");
-    assert_eq!(text(&path.join("farm/dam.usda")), text(&path.join("out/dam.usda")));
-    let verify = |folder: &str| {
-        let result = meniscus(path, &["verify", folder, "--plan", "plan.json"]);
-        succeeded(&result);
-        result.err
+    let convert = |out: &str, more: &[&str]| {
+        let options = ["--voxel-size=0.05", "--format=usdc,vdb", "--attributes=all"];
+        let stage = format!("{out}/dam.usda");
+        let arguments = ["convert", "in", "--out", out, "--stage", &stage];
+        succeeded(&meniscus(path, &[&arguments[..], &options, more].concat()));
+        text(&path.join(stage))
     };
-    assert!(!verify("farm").contains("stage"), "{}", verify("farm"));
-    // The stage moves with the results.
-    fs::rename(path.join("farm"), path.join("moved")).expect("moved");
-    assert!(!verify("moved").contains("stage"), "{}", verify("moved"));
-    fs::rename(path.join("moved"), path.join("farm")).expect("moved back");
+    let expected = convert("out", &[]);
+    fs::create_dir(path.join("farm")).expect("made");
+    let counts = ["3/3", "1/3", "2/3"].map(|shard| clips(&convert("farm", &["--shard", shard])).len());
+    assert!(counts[0] < counts[1] && counts[1] < counts[2] && counts[2] == 4, "{counts:?}");
+    assert_eq!(text(&path.join("farm/dam.usda")), expected);
+    // Any shard completes a stage, also one without frames to convert.
     fs::remove_file(path.join("farm/dam.usda")).expect("removed");
-    let incomplete = "dam.usda: the stage has 0 of 4 finished frames: run any shard again";
-    assert!(verify("farm").contains(incomplete), "{}", verify("farm"));
-    succeeded(&meniscus(path, &["convert", "--plan", "plan.json", "--shard", "1"]));
-    assert_eq!(text(&path.join("farm/dam.usda")), text(&path.join("out/dam.usda")));
-    refused(path, &["convert", "--plan", "plan.json", "--shard", "0", "--stage", "s.usda"], &["--stage"]);
-    let plan = text(&path.join("plan.json"));
-    for (old, new, why) in [
-        ("\"name\": \"dam.usda\"", "\"name\": \"../dam.usda\"", "is not a plain file name"),
-        ("\"name\": \"dam.usda\"", "\"name\": \"dam.1.usdc\"", "ends in .usda"),
-        ("\"fps\": 24.0", "\"fps\": 0.0", "more than 0"),
-    ] {
-        assert!(plan.contains(old), "{old}: {plan}");
-        fs::write(path.join("bad.json"), plan.replace(old, new)).expect("written");
-        refused(path, &["convert", "--plan", "bad.json", "--shard", "0"], &["/outputs/stage/", why]);
-    }
+    assert_eq!(convert("farm", &["--shard", "2/3"]), expected);
+    succeeded(&meniscus(path, &["verify", "farm"]));
 }
 
 #[test]
-fn verify_recommends_no_shard_for_frames_that_usd_cannot_name() {
+fn frame_that_usd_cannot_name_is_left_out_of_the_stage() {
     let folder = frames(2);
     let path = folder.path();
     write_ply(&path.join("in/we\u{1}t.1.ply"), &block(5, 0.0));
-    let plan = ["plan", "in", "--out", "farm", "--shards", "1", "-o", "p.json", "--stage", "farm/s.usda"];
-    succeeded(&meniscus(path, &[&plan[..], &["--voxel-size=0.05", "--format=usdc"]].concat()));
-    let result = meniscus(path, &["convert", "--plan", "p.json", "--shard", "0"]);
+    let result = meniscus(path, &[&CONVERT[..], &STAGE, &["--format=usdc"]].concat());
     succeeded(&result);
     assert!(result.err.contains("we\\u{1}t.1.usdc is left out of the stage"), "{}", result.err);
-    assert_eq!(clips(&text(&path.join("farm/s.usda"))), ["dam.1.usdc", "dam.2.usdc"]);
-    let result = meniscus(path, &["verify", "farm", "--plan", "p.json"]);
-    succeeded(&result);
-    assert!(result.err.contains("the stage cannot have 1 finished frame, because USD"), "{}", result.err);
-    assert!(!result.err.contains("run any shard"), "{}", result.err);
+    assert_eq!(clips(&text(&path.join("shot.usda"))), ["dam.1.usdc", "dam.2.usdc"]);
 }
 
 #[test]
@@ -264,9 +232,9 @@ fn sequences_have_the_same_prims_from_shards() {
     let options = ["--voxel-size=0.05", "--format=usdc"];
     let convert = ["convert", "in", "--out", "out", "--stage", "out/s.usda"];
     succeeded(&meniscus(path, &[&convert[..], &options].concat()));
-    let plan = ["plan", "in", "--out", "farm", "--shards", "1", "-o", "p.json", "--stage", "farm/s.usda"];
-    succeeded(&meniscus(path, &[&plan[..], &options].concat()));
-    succeeded(&meniscus(path, &["convert", "--plan", "p.json", "--shard", "0"]));
+    fs::create_dir(path.join("farm")).expect("made");
+    let shard = ["convert", "in", "--out", "farm", "--stage", "farm/s.usda", "--shard", "1/1"];
+    succeeded(&meniscus(path, &[&shard[..], &options].concat()));
     let stage = text(&path.join("out/s.usda"));
     assert_eq!(text(&path.join("farm/s.usda")), stage);
     for part in [
@@ -287,27 +255,18 @@ fn stages_without_anything_to_play_are_refused() {
     let path = folder.path();
     let convert = |more: &[&'static str]| [&["convert", "in", "--out", "o"][..], more].concat();
     let watch = |more: &[&'static str]| [&["watch", "in", "--out", "o", "--once"][..], more].concat();
-    let plan = |more: &[&'static str]| {
-        [&["plan", "in", "--out", "o", "--shards", "1", "-o", "plan.json"][..], more].concat()
-    };
     for formats in [&[][..], &["--format", "glb"], &["--format", "obj,vdb"]] {
         let more = [&["--stage", "s.usda"][..], formats].concat();
-        for arguments in [convert(&more), watch(&more), plan(&more)] {
+        for arguments in [convert(&more), watch(&more)] {
             refused(path, &arguments, &["--stage", "add usdc to --format"]);
         }
     }
     let usdc = |more: &[&'static str]| [&["--format", "usdc"][..], more].concat();
-    for arguments in [
-        convert(&usdc(&["--stage", "s.usdc"])),
-        watch(&usdc(&["--stage", "s.usdc"])),
-        plan(&usdc(&["--stage", "o/s.usdc"])),
-    ] {
+    for arguments in [convert(&usdc(&["--stage", "s.usdc"])), watch(&usdc(&["--stage", "s.usdc"]))] {
         refused(path, &arguments, &["s.usdc: the name of this file must end in .usda"]);
     }
     refused(path, &convert(&usdc(&["--fps", "25"])), &["--fps", "--stage"]);
     refused(path, &watch(&usdc(&["--fps", "25"])), &["--fps is for a stage"]);
-    refused(path, &plan(&usdc(&["--fps", "25"])), &["--fps is for a stage"]);
-    refused(path, &plan(&usdc(&["--stage", "s.usda"])), &["beside their results", "o/s.usda"]);
     for arguments in [convert(&usdc(&["--stage", "no/s.usda"])), watch(&usdc(&["--stage", "no/s.usda"]))] {
         refused(path, &arguments, &["the folder for the stage does not exist"]);
     }
@@ -317,7 +276,7 @@ fn stages_without_anything_to_play_are_refused() {
     refused(path, &convert(&usda), &["the stage and the result of", "would both become"]);
     let usda = ["--format", "usda", "--stage", "s.usda", "--report", "s.usda"];
     refused(path, &convert(&usda), &["the report and the stage would both become"]);
-    assert!(!path.join("s.usda").exists() && !path.join("plan.json").exists());
+    assert!(!path.join("s.usda").exists());
 
     // A file of somebody else is not replaced, and the frames are converted nevertheless.
     fs::write(path.join("s.usda"), "#usda 1.0\n(\n    defaultPrim = \"set\"\n)\n").expect("written");

@@ -31,13 +31,10 @@ fn misspelt_option_is_refused_with_a_suggestion() {
 fn option_of_another_command_is_refused_with_the_name_of_that_command() {
     let folder = tempdir().expect("a folder");
     for (typed, tip) in [
-        (
-            &["watch", "in", "--out=o", "--max-deviation=1"][..],
-            "--max-deviation is an option of convert and plan",
-        ),
+        (&["watch", "in", "--out=o", "--max-deviation=1"][..], "--max-deviation is an option of convert"),
         (&["watch", "in", "--out=o", "--report", "r.json"], "--report is an option of convert and verify"),
         (&["watch", "in", "--out=o", "--sequence-glb=s.glb"], "--sequence-glb is an option of convert"),
-        (&["plan", "in", "--out=o", "--sequence-glb=s.glb"], "--sequence-glb is an option of convert"),
+        (&["verify", "out", "--skip-done"], "--skip-done is an option of convert"),
         (&["watch", "in", "--out=o", "--print-settings"], "--print-settings is an option of convert"),
         (&["convert", "a.ply", "--out=o", "--settle=1s"], "--settle is an option of watch"),
     ] {
@@ -50,10 +47,5 @@ fn option_of_another_command_is_refused_with_the_name_of_that_command() {
     for typed in ["--zzzz", "--grxqw=1"] {
         let result = meniscus(folder.path(), &["convert", "a.ply", "--out=o", typed]);
         assert!(result.status == 2 && !result.err.contains("tip:"), "{}", result.err);
-    }
-    let negative = ["convert", "--plan=p.json", "--shard", "-1"];
-    let result = meniscus(folder.path(), &negative);
-    for words in ["'-1' for '--shard <K>'", "a number from 0, or slurm"] {
-        assert!(result.status == 2 && result.err.contains(words), "{}", result.err);
     }
 }

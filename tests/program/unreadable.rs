@@ -54,31 +54,22 @@ fn unreadable_frames_fail_the_conversion() {
 }
 
 #[test]
-fn plan_with_unreadable_frame_is_refused() {
-    for kept in REASONS {
-        let folder = folder();
-        for (name, _) in REASONS.iter().filter(|(name, _)| *name != kept.0) {
-            fs::remove_file(folder.path().join("in").join(name)).expect("removed");
-        }
-        for input in ["in", "in/dam.#.ply"] {
-            let arguments = [
-                "plan",
-                input,
-                "--out",
-                "out",
-                "--output",
-                "plan.json",
-                "--shards",
-                "2",
-                "--voxel-size",
-                "0.1",
-            ];
-            let result = meniscus(folder.path(), &arguments);
-            assert_eq!(result.status, 2, "{input}: {}", result.err);
-            assert!(result.err.contains(kept.0) && result.err.contains(kept.1), "{}", result.err);
-            assert!(!folder.path().join("plan.json").exists());
-        }
+fn unreadable_frames_fail_the_shards_that_have_them() {
+    let folder = folder();
+    let path = folder.path();
+    fs::create_dir(path.join("out")).expect("made");
+    let mut errors = String::new();
+    for (shard, status) in [("1/2", 1), ("2/2", 2)] {
+        let convert = ["convert", "in", "--out", "out", "--format", "obj", "--voxel-size", "0.1"];
+        let result = meniscus(path, &[&convert[..], &["--shard", shard]].concat());
+        assert_eq!(result.status, status, "{shard}: {}", result.err);
+        errors += &result.err;
     }
+    assert_reasons(&errors);
+    assert_eq!(names_in(&path.join("out")), ["dam.1.obj", "dam.2.obj"]);
+    let result = meniscus(path, &["verify", "out", "--input", "in"]);
+    assert!(result.status == 1 && result.out.contains("2 done, 4 missing"), "{} {}", result.out, result.err);
+    assert_reasons(&result.err);
 }
 
 #[test]
@@ -95,7 +86,7 @@ fn unreadable_frames_fail_watch_once() {
 
 /// If a file has no extension, only its contents show whether it is a frame.
 #[test]
-fn unreadable_file_of_unknown_kind_fails_the_conversion_and_the_plan() {
+fn unreadable_file_of_unknown_kind_fails_the_conversion_and_the_shard() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 1);
@@ -109,9 +100,9 @@ fn unreadable_file_of_unknown_kind_fails_the_conversion_and_the_plan() {
         result.err
     );
     assert!(path.join("o/dam.1.obj").is_file());
-    let result = meniscus(path, &[&["plan", "--output", "plan.json", "--shards", "1"], &common[..]].concat());
+    let result = meniscus(path, &[&["convert", "--shard", "1/1"], &common[..]].concat());
     assert_eq!(result.status, 2, "{}", result.err);
-    assert!(result.err.contains("odd") && !path.join("plan.json").exists(), "{}", result.err);
+    assert!(result.err.contains("odd"), "{}", result.err);
     let result = meniscus(path, &[&["convert", "--on-error", "stop"], &common[..]].concat());
     assert_eq!(result.status, 2, "{}", result.err);
 }

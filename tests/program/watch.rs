@@ -118,7 +118,7 @@ fn note(out: &Path, frame: &Path, result: Result<&Path, &str>) {
     let record = JournaledFrame {
         stamp: FileStamp::of_path(frame).expect("the frame exists"),
         settings: "settings".into(),
-        outputs: result.iter().map(|path| OutputRecord::new(path.to_path_buf(), 0, None)).collect(),
+        outputs: result.iter().map(|path| OutputRecord::of_size(path.to_path_buf(), 0)).collect(),
         reason: result.err().map(|reason| Reason::Error(reason.to_owned())),
         attempt_count: 1,
         at_ms: 1,

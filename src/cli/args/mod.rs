@@ -30,7 +30,7 @@ use super::quantities::one_of;
 
 use farm::parse_shard;
 
-pub(super) use farm::{PlanArgs, ShardChoice, VerifyArgs};
+pub(super) use farm::{FrameShard, ShardChoice, VerifyArgs};
 pub(super) use flicker::FlickerArgs;
 pub(super) use formats::FormatArgs;
 use formats::SEQUENCE_FILE;
@@ -56,9 +56,7 @@ pub(super) struct Cli {
 pub(super) enum Command {
     /// Convert frames of particles into meshes and level sets.
     Convert(Box<ConvertArgs>),
-    /// Split a sequence among many machines: write a plan whose shards `convert --plan` converts.
-    Plan(Box<PlanArgs>),
-    /// Verify the results of a plan: whether every frame is complete and up to date, and passed validation.
+    /// Verify results: whether every frame is complete and up to date, and passed validation.
     Verify(VerifyArgs),
     /// Combine the frames of a sequence into one animated file.
     Sequence(SequenceArgs),
@@ -94,7 +92,7 @@ option_set! {
         /// .vdb are converted to meshes. Frames are in natural order (9 before 10); files whose names differ
         /// only in the frame number form one sequence, and share their settings. `-` reads one file from the
         /// standard input.
-        #[arg(required_unless_present_any = ["print_settings", "plan"], value_name = "INPUT")]
+        #[arg(required_unless_present = "print_settings", value_name = "INPUT")]
         pub(super) inputs: Vec<PathBuf>,
 
         /// Format of the standard input, by its usual extension, such as ply or bgeo.gz [default: found by
@@ -110,7 +108,7 @@ option_set! {
         /// written shot.obj/. Files are written under temporary names, and renamed when they are complete. A
         /// result that would replace an input, particles, or a mesh or a level set of another program is
         /// refused.
-        #[arg(short, long, value_name = "PATH", required_unless_present_any = ["print_settings", "plan"])]
+        #[arg(short, long, value_name = "PATH", required_unless_present = "print_settings")]
         pub(super) out: Option<PathBuf>,
 
         #[command(flatten)]
@@ -124,7 +122,7 @@ option_set! {
         #[arg(long, value_name = "FILE")]
         pub(super) report: Option<PathBuf>,
 
-        /// Skip frames whose results exist and were made from the same input, settings and version
+        /// Skip frames that are done: recorded with the same input, settings and version, and unchanged
         #[arg(long)]
         pub(super) skip_done: bool,
 
@@ -147,18 +145,12 @@ option_set! {
         #[arg(long)]
         pub(super) particles_only: bool,
 
-        /// Convert a shard of this plan, which `meniscus plan` wrote, and skip finished frames
+        /// Convert only part K of N of the frames, and skip finished ones: 1/60, or slurm for the task of a
+        /// job array
         ///
-        /// The plan has the frames and their settings, so it cannot be combined with options that select
-        /// frames or change the results.
-        #[arg(long, value_name = "FILE", requires = "shard", help_heading = "Farm")]
-        pub(super) plan: Option<PathBuf>,
-
-        /// Index of the shard to convert, from 0; or slurm, for the value of SLURM_ARRAY_TASK_ID
-        #[arg(
-            long, value_name = "K", requires = "plan", allow_negative_numbers = true, value_parser = parse_shard,
-            help_heading = "Farm"
-        )]
+        /// The parts are consecutive frames. Each part measures the settings on the same frames, so together
+        /// the parts write the files of a single run. The folder of the results must exist.
+        #[arg(long, value_name = "K/N", value_parser = parse_shard)]
         pub(super) shard: Option<ShardChoice>,
 
         #[command(flatten)]

@@ -56,6 +56,14 @@ option_set! {
     }
 }
 
+impl SequenceFileArgs {
+    /// Whether a sequence file is requested.
+    pub(in crate::cli) fn is_any(&self) -> bool {
+        let SequenceFileArgs { sequence_glb, sequence_usda, sequence_usdc, sequence_abc } = self;
+        [sequence_glb, sequence_usda, sequence_usdc, sequence_abc].iter().any(|path| path.is_some())
+    }
+}
+
 /// The default frames per second.
 pub(in crate::cli) const FPS: f64 = 24.0;
 

@@ -16,7 +16,7 @@ fn state() -> JournalState {
     let mut add =
         |name: String, record| state.frames.insert(Path::new("/sim").join(name).into(), Arc::new(record));
     for number in 1..=30 {
-        let outputs = vec![OutputRecord::new(format!("/out/dam.{number}.glb").into(), 1, None)];
+        let outputs = vec![OutputRecord::of_size(format!("/out/dam.{number}.glb").into(), 1)];
         let (particle_count, seconds) = (Some(250_000), Some(2.25));
         let done = frame(JournaledStatus::Done, 1000 * number);
         add(format!("dam.{number}.ply"), JournaledFrame { outputs, particle_count, seconds, ..done });

@@ -7,8 +7,9 @@
 //!   dam.0012.glb             never visible half written, whatever stops the program
 //! ```
 //!
-//! All files of a set are written before the first of them is renamed. Then all are renamed, and
-//! [`file_set`](super::file_set) ensures that a failure leaves all the old files or all the new ones.
+//! All files of a frame are written before the first of them is renamed. Then they are renamed one after the
+//! other. If that is interrupted, some names have new files and others old ones: such a mixture is never
+//! recorded as done, so the frame is converted again.
 //! [`stop_writing`] removes the temporary files of a program that is about to exit.
 
 use std::fs::{self, File};
@@ -20,7 +21,6 @@ use std::time::Duration;
 
 use meniscus_formats::Result;
 
-use super::file_set::replace_together;
 use super::open::require_own_folder;
 use super::staged_file::{StagedFile, sync_folder, write_temporary};
 use super::sweep::remove_left_behind;
@@ -32,7 +32,7 @@ use super::temporary::active_temporaries;
 /// The error of `write`, or of the system. Then nothing is left behind, and an existing file at `path` is
 /// unchanged.
 pub fn write_atomically(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>) -> Result<()> {
-    commit(vec![stage(path, write)?]).map_err(|(_, error)| error)?;
+    commit(&[stage(path, write)?]).map_err(|(_, error)| error)?;
     Ok(())
 }
 
@@ -76,22 +76,21 @@ fn rename_locked(from: &Path, to: &Path) -> io::Result<()> {
 }
 
 /// Renames staged files of one folder to their final names, one after the other, and replaces existing files.
-/// Returns their paths.
 ///
 /// # Errors
-/// The path that cannot be replaced, and why. Then no new file appears, and all existing files are as before.
-pub(crate) fn commit(files: Vec<StagedFile>) -> std::result::Result<Vec<PathBuf>, (PathBuf, io::Error)> {
+/// The path that cannot be replaced, and why. Then it and the paths after it have their old files.
+pub(crate) fn commit(files: &[StagedFile]) -> std::result::Result<(), (PathBuf, io::Error)> {
     // A folder at a final path is a failure that can be predicted: it is found before anything is replaced.
     if let Some(file) = files.iter().find(|file| file.path().symlink_metadata().is_ok_and(|m| m.is_dir())) {
         return Err((file.path().to_owned(), io::ErrorKind::IsADirectory.into()));
     }
-    if let [file] = &*files {
+    for file in files {
         rename_locked(file.written_path(), file.path()).map_err(|error| (file.path().to_owned(), error))?;
-        sync_folder(file.path().parent().unwrap_or(Path::new("")));
-    } else {
-        replace_together(&files)?;
     }
-    Ok(files.iter().map(|file| file.path().to_owned()).collect())
+    if let Some(folder) = files.first().and_then(|file| file.path().parent()) {
+        sync_folder(folder);
+    }
+    Ok(())
 }
 
 /// Removes all temporary files, and blocks all further writes and renames. For a process that exits right
@@ -173,52 +172,30 @@ mod tests {
     }
 
     #[test]
-    fn files_of_a_set_appear_together_or_not_at_all() {
+    fn failed_rename_removes_nothing() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = |name: &str| folder.path().join(name);
-        let staged =
-            |name: &str| stage(&path(name), |out| Ok(out.write_all(name.as_bytes())?)).expect("written");
-        let names = ["a.glb", "a.vdb", "a.obj"];
-        let files: Vec<StagedFile> = names.map(staged).into();
-        assert!(names.iter().all(|name| !path(name).exists()));
-        assert_eq!(files[1].size_bytes(), 5);
-        assert_eq!(commit(files).expect("published"), names.map(path));
-        assert_eq!(names_in(folder.path()).len(), 3);
-        // A folder at the path of an output is found before anything is replaced. A failure that only the
-        // rename reveals leaves the other files unchanged.
-        fs::write(path("a.glb"), "old").expect("written");
+        let names = ["a.glb", "a.obj", "a.vdb"];
+        let text = |name: &str| fs::read_to_string(path(name)).expect("readable");
+        let staged = |text: &'static str| {
+            names.map(|name| stage(&path(name), |out| Ok(out.write_all(text.as_bytes())?)).expect("written"))
+        };
+        commit(&staged("old")).expect("renamed");
+        assert_eq!(names.map(text), ["old"; 3]);
+        // Only the rename reveals this.
+        let files = staged("new");
+        fs::remove_file(files[1].written_path()).expect("removed");
+        assert_eq!(commit(&files).expect_err("the second is gone").0, path("a.obj"));
+        drop(files);
+        assert_eq!(names.map(text), ["new", "old", "old"]);
+        // A folder at the path of an output is found before anything is replaced.
         fs::remove_file(path("a.vdb")).expect("removed");
         fs::create_dir(path("a.vdb")).expect("made");
-        let (culprit, _) = commit(names.map(staged).into()).expect_err("the path is a folder");
-        assert_eq!(culprit, path("a.vdb"));
-        assert_eq!(fs::read_to_string(path("a.glb")).expect("readable"), "old");
-        fs::remove_dir(path("a.vdb")).expect("removed");
-        let files: Vec<StagedFile> = names.map(staged).into();
-        fs::remove_file(files[2].written_path()).expect("removed");
-        fs::write(path("a.obj"), "old").expect("written");
-        assert_eq!(commit(files).expect_err("the last is gone").0, path("a.obj"));
-        let mut names = names_in(folder.path());
-        names.sort();
-        assert_eq!(names, ["a.glb", "a.obj"]);
-        assert_eq!(fs::read_to_string(path("a.glb")).expect("readable"), "old");
-    }
-
-    #[test]
-    fn second_rename_that_fails_keeps_the_old_files() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = |name: &str| folder.path().join(name);
-        let names = ["a.glb", "a.vdb", "a.obj"];
-        for name in names {
-            fs::write(path(name), "old").expect("written");
-        }
-        let staged = |name: &str| stage(&path(name), |out| Ok(out.write_all(b"new")?)).expect("written");
-        let files: Vec<StagedFile> = names.map(staged).into();
-        fs::remove_file(files[1].written_path()).expect("removed");
-        assert_eq!(commit(files).expect_err("the second is gone").0, path("a.vdb"));
-        assert_eq!(names_in(folder.path()).len(), 3);
-        for name in names {
-            assert_eq!(fs::read_to_string(path(name)).expect("readable"), "old");
-        }
+        assert_eq!(commit(&staged("newer")).expect_err("a folder").0, path("a.vdb"));
+        assert_eq!(text("a.glb"), "new");
+        let mut found = names_in(folder.path());
+        found.sort();
+        assert_eq!(found, names);
     }
 
     /// Set in the child of the test below.

@@ -6,12 +6,12 @@
 //!   stamp         detects that a file was written again  input_file   a file that may change during a read
 //!   path_identity  whether two paths are the same file   json         values that JSON cannot represent
 //!   temporary     a file that is not complete yet        staged_file  complete, without its final name
-//!   file_set      replaces all files of a set, or none   atomic_write  writes files atomically
+//!   checked_line  lines of JSON with a checksum          atomic_write  writes files atomically
 //!   sweep         cleans up after killed processes       out_folder   checks the output folder before a run
 //! ```
 
 pub(super) mod atomic_write;
-pub(super) mod file_set;
+pub(crate) mod checked_line;
 pub(super) mod frame_number;
 pub(super) mod input_file;
 pub(crate) mod json;

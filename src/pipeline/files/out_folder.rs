@@ -7,7 +7,6 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::sweep::{SweepError, sweep_temporaries};
 use super::temporary::Temporary;
 
 /// Why a folder cannot take results.
@@ -33,13 +32,6 @@ pub enum OutFolderError {
         folder: PathBuf,
         /// Why.
         source: io::Error,
-    },
-    /// The files of an interrupted process in the folder cannot be recovered.
-    Recover {
-        /// The folder.
-        folder: PathBuf,
-        /// Why.
-        source: SweepError,
     },
 }
 
@@ -91,24 +83,6 @@ pub fn check_out_folder(folder: &Path) -> Result<(), OutFolderError> {
     }
 }
 
-/// Removes the temporary files that killed processes left in a folder. If such a process has replaced only
-/// some files of a set (see `file_set`), replaces the others too, or restores the old ones. Returns warnings
-/// about files that were left in place.
-///
-/// # Errors
-/// When the folder cannot be listed for another reason than missing permission, or a set of files is only
-/// partly replaced and its old files cannot be restored.
-pub fn recover_out_folder(folder: &Path) -> Result<Vec<String>, OutFolderError> {
-    let shown = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-    match sweep_temporaries(shown) {
-        // A folder that is writable but cannot be listed is treated as having nothing to recover.
-        Err(SweepError::Folder(source)) if source.kind() == io::ErrorKind::PermissionDenied => Ok(Vec::new()),
-        swept => swept
-            .map(|swept| swept.warnings)
-            .map_err(|source| OutFolderError::Recover { folder: folder.to_owned(), source }),
-    }
-}
-
 /// [`check_out_folder`] tests a folder with a temporary file whose name is formed from this one. That file is
 /// removed and never renamed, so no file ever has exactly this name.
 const TRIED: &str = "tried";
@@ -122,16 +96,7 @@ impl fmt::Display for OutFolderError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (OutFolderError::File { folder, .. }
         | OutFolderError::Make { folder, .. }
-        | OutFolderError::Write { folder, .. }
-        | OutFolderError::Recover { folder, .. }) = self;
-        match self {
-            OutFolderError::Recover { source: SweepError::Folder(source), .. } => {
-                return write!(f, "{}: cannot look for interrupted conversions: {source}", folder.display());
-            }
-            // The text of this error already begins with a path, that of the record of the file set.
-            OutFolderError::Recover { source, .. } => return source.fmt(f),
-            _ => {}
-        }
+        | OutFolderError::Write { folder, .. }) = self;
         write!(f, "{}: expected a folder for the results, but ", folder.display())?;
         match self {
             OutFolderError::File { folder, file } if folder == file => f.write_str("this is a file"),
@@ -140,7 +105,6 @@ impl fmt::Display for OutFolderError {
             }
             OutFolderError::Make { source, .. } => write!(f, "it cannot be created: {source}"),
             OutFolderError::Write { source, .. } => write!(f, "nothing can be written into it: {source}"),
-            OutFolderError::Recover { source, .. } => source.fmt(f),
         }
     }
 }
@@ -150,7 +114,6 @@ impl std::error::Error for OutFolderError {
         match self {
             OutFolderError::File { .. } => None,
             OutFolderError::Make { source, .. } | OutFolderError::Write { source, .. } => Some(source),
-            OutFolderError::Recover { source, .. } => Some(source),
         }
     }
 }
@@ -174,18 +137,6 @@ mod tests {
             assert!(matches!(&error, OutFolderError::File { file: named, .. } if *named == file), "{error}");
             assert!(error.to_string().contains(words), "{error}");
         }
-    }
-
-    /// A daemon recovers only after it has locked the folder.
-    #[test]
-    fn making_a_folder_does_not_recover_it() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let left = folder.path().join(".a.glb.tmp-0123456789abcdef");
-        fs::write(&left, "half a fra").expect("written");
-        make_out_folder(folder.path()).expect("there");
-        assert!(left.exists());
-        recover_out_folder(folder.path()).expect("readable");
-        assert!(!left.exists());
     }
 
     #[test]

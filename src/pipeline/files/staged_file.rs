@@ -83,14 +83,12 @@ impl StagedFile {
         Ok(StagedFile { temporary, path: path.to_owned(), stamp })
     }
 
-    /// The size of the file.
-    pub(crate) fn size_bytes(&self) -> u64 {
-        self.stamp.size
-    }
-
-    /// The stamp of the file.
-    pub(crate) fn stamp(&self) -> FileStamp {
-        self.stamp
+    /// The stamp after the rename to the final path, which changes only the status change time.
+    pub(crate) fn stamp_after_rename(&self) -> FileStamp {
+        let renamed = FileStamp::of_path(&self.path).ok();
+        let is_same = |now: &FileStamp| now.without_status_change() == self.stamp.without_status_change();
+        // If another process has replaced the file meanwhile, the hash decides later.
+        renamed.filter(is_same).unwrap_or(self.stamp)
     }
 
     /// The final path.

@@ -64,6 +64,12 @@ impl FileStamp {
     }
 }
 
+/// The current time in milliseconds since 1970. A clock before 1970 counts as 1970.
+pub fn now_ms() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
+}
+
 /// Nanoseconds since 1970; `None` for times that do not fit into 64 bits.
 fn nanoseconds(time: SystemTime) -> Option<i64> {
     match time.duration_since(UNIX_EPOCH) {

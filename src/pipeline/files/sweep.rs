@@ -1,12 +1,9 @@
-//! Cleans up after killed processes: removes temporary files. If a process has replaced only some files of a
-//! [set](super::file_set), replaces the others too, or restores the old ones.
+//! Cleans up after killed processes: removes their temporary files.
 
-use std::fmt;
 use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use super::file_set::{RecordRecovery, is_record_name, record_of_old_file, recover, remove_old_file};
 use super::temporary::{
     is_temporary_name, left_behind_count, lock_abandoned, record_left_behind, remove_if_exists,
     take_left_behind, temporary_name,
@@ -16,113 +13,21 @@ use super::temporary::{
 pub fn remove_left_behind() -> usize {
     // The list is not locked meanwhile, because the disk may be slow.
     for path in take_left_behind() {
-        let is_record = is_record_name(&path.file_name().unwrap_or_default().to_string_lossy());
-        let removed = if is_record { recover(&path).map(|_| ()) } else { remove_if_exists(&path) };
-        if removed.is_err() {
+        if remove_if_exists(&path).is_err() {
             record_left_behind(path);
         }
     }
     left_behind_count()
 }
 
-/// The result of [`sweep_temporaries`].
-#[derive(Debug, Default)]
-pub struct Swept {
-    /// The number of temporary files it removed, plus the number of file sets it completed or undid.
-    pub count: usize,
-    /// Warnings about records of file sets that it left in place, with the reason and the remedy.
-    pub warnings: Vec<String>,
-}
-
-/// Why a folder cannot be swept.
-#[derive(Debug)]
-pub enum SweepError {
-    /// The folder cannot be listed.
-    Folder(io::Error),
-    /// An interrupted process replaced only some files of a set, and the old ones cannot be restored.
-    Recover {
-        /// The record of the set.
-        record: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-}
-
-impl fmt::Display for SweepError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            SweepError::Folder(source) => source.fmt(f),
-            SweepError::Recover { record, source } => write!(
-                f,
-                "{}: an interrupted conversion replaced only some of the files in this record, and the old ones cannot be \
-                 restored: {source}; remove the cause and start again, or remove the record to keep the files as they are",
-                record.display()
-            ),
-        }
-    }
-}
-
-impl std::error::Error for SweepError {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        match self {
-            SweepError::Folder(source) | SweepError::Recover { source, .. } => Some(source),
-        }
-    }
-}
-
-/// Whether the error means that a file disappeared between two calls.
-pub(crate) fn is_gone(error: &io::Error) -> bool {
-    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::StaleNetworkFileHandle)
-}
-
-/// Removes the abandoned temporary files in a folder, whichever process or machine created them. Before that,
-/// completes or undoes each set of files whose process was killed. On a file system without locks, a file
-/// counts as abandoned if it was not written for a day. Leaves files that it may not remove.
+/// Removes the abandoned temporary files in a folder, whichever process or machine created them. On a file
+/// system without locks, a file counts as abandoned if it was not written for a day. Leaves files that it may
+/// not remove. Returns the number of removed files.
 ///
 /// # Errors
-/// When the folder cannot be read, or the old files of a partly replaced set cannot be restored.
-pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
-    let (mut records, mut temporaries, mut old_files) = (Vec::new(), Vec::new(), Vec::new());
-    for entry in fs::read_dir(folder).map_err(SweepError::Folder)? {
-        let entry = match entry {
-            Err(error) if is_gone(&error) => continue,
-            entry => entry.map_err(SweepError::Folder)?,
-        };
-        let name = entry.file_name().to_string_lossy().into_owned();
-        // An entry whose type cannot be read has disappeared, or cannot be opened either.
-        let is_file = || entry.file_type().is_ok_and(|kind| kind.is_file());
-        if let Some(record) = record_of_old_file(&entry.path()) {
-            old_files.push((entry.path(), record));
-        } else if is_record_name(&name) && is_file() {
-            records.push(entry.path());
-        } else if is_temporary_name(&name) && is_file() {
-            temporaries.push(entry.path());
-        }
-    }
-    let (mut swept, mut is_other_at_it, mut failure) = (Swept::default(), false, None);
-    for path in records {
-        match recover(&path) {
-            Ok(RecordRecovery::Done) => swept.count += 1,
-            Ok(RecordRecovery::InUse) => is_other_at_it = true,
-            Ok(RecordRecovery::Left(warning)) => {
-                is_other_at_it = true;
-                swept.warnings.push(warning);
-            }
-            // The record belongs to another account.
-            Err(error) if error.kind() == io::ErrorKind::PermissionDenied => is_other_at_it = true,
-            // Another process, such as another shard, has just recovered it.
-            Err(error) if is_gone(&error) => is_other_at_it = true,
-            Err(source) => failure = Some(SweepError::Recover { record: path, source }),
-        }
-    }
-    // If sets remain, the process that recovers them needs their temporary files.
-    if !is_other_at_it && failure.is_none() {
-        swept.count += temporaries.iter().filter(|path| sweep(path).unwrap_or(false)).count();
-    }
-    for (path, record) in old_files {
-        let _ = remove_old_file(&path, &record);
-    }
-    failure.map_or(Ok(swept), Err)
+/// When the folder cannot be read.
+pub fn sweep_temporaries(folder: &Path) -> io::Result<usize> {
+    sweep_names(folder, is_temporary_name)
 }
 
 /// Removes the abandoned temporary files of one file. Its folder may be one that only holds this file of the
@@ -134,12 +39,17 @@ pub fn sweep_temporaries_of(path: &Path) -> io::Result<usize> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let start = temporary_name(&path.file_name().unwrap_or_default().to_string_lossy(), 0);
     let start = start.trim_end_matches('0');
+    sweep_names(folder, |name| is_temporary_name(name) && name.starts_with(start))
+}
+
+fn sweep_names(folder: &Path, is_swept: impl Fn(&str) -> bool) -> io::Result<usize> {
     let mut count = 0;
+    // An entry that cannot be read has disappeared.
     for entry in fs::read_dir(folder)?.flatten() {
-        let name = entry.file_name().to_string_lossy().into_owned();
-        let is_its = is_temporary_name(&name) && name.starts_with(start);
         let is_file = || entry.file_type().is_ok_and(|kind| kind.is_file());
-        count += usize::from(is_its && is_file() && sweep(&entry.path()).unwrap_or(false));
+        if is_swept(&entry.file_name().to_string_lossy()) && is_file() {
+            count += usize::from(sweep(&entry.path()).unwrap_or(false));
+        }
     }
     Ok(count)
 }
@@ -180,13 +90,13 @@ mod tests {
             fs::write(folder.path().join(name), "of another writer").expect("written");
         }
         fs::create_dir(folder.path().join(temporary_name("folder", 7))).expect("made");
-        assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 1);
+        assert_eq!(sweep_temporaries(folder.path()).expect("readable"), 1);
         assert!(!left.exists() && written.path().exists());
         assert_eq!(fs::read_dir(folder.path()).expect("there").count(), others.len() + 2);
         // As if the process had been killed: the file stays and the lock is released.
         let killed = written.path().to_owned();
         written.file().unlock().expect("unlocked");
-        assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 1);
+        assert_eq!(sweep_temporaries(folder.path()).expect("readable"), 1);
         assert!(!killed.exists());
         assert!(sweep_temporaries(&folder.path().join("missing")).is_err());
     }
@@ -215,7 +125,7 @@ mod tests {
         fs::write(&users_file, "precious").expect("written");
         let link = folder.path().join(temporary_name("a.glb", 7));
         std::os::unix::fs::symlink(&users_file, &link).expect("linked");
-        assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 0);
+        assert_eq!(sweep_temporaries(folder.path()).expect("readable"), 0);
         assert!(link.is_symlink() && users_file.exists());
     }
 

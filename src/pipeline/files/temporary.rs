@@ -44,10 +44,7 @@ impl Temporary {
     }
 
     /// Creates a file beside `path`, under the first of these names that is not taken.
-    ///
-    /// # Errors
-    /// When the system reports an error.
-    pub(crate) fn create_named(path: &Path, mut next_name: impl FnMut() -> String) -> io::Result<Temporary> {
+    fn create_named(path: &Path, mut next_name: impl FnMut() -> String) -> io::Result<Temporary> {
         // The mutex of the set is held until the new file is in the set, so that `stop_writing`, which locks
         // the same mutex, removes every temporary file.
         let mut temporaries = active_temporaries();
@@ -78,21 +75,10 @@ impl Temporary {
     pub(crate) fn file(&self) -> &File {
         &self.file
     }
-
-    /// Releases the lock and leaves the file to [`remove_left_behind`](super::sweep::remove_left_behind).
-    pub(crate) fn keep(mut self) {
-        let path = std::mem::take(&mut self.path);
-        active_temporaries().remove(&path);
-        drop(self);
-        record_left_behind(path);
-    }
 }
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        if self.path.as_os_str().is_empty() {
-            return;
-        }
         // After a rename there is nothing to remove. An error here is not reported: the error that made the
         // caller drop the file is more useful.
         if remove_if_exists(&self.path).is_err() {
@@ -143,7 +129,7 @@ pub(crate) fn active_temporaries() -> MutexGuard<'static, HashSet<PathBuf>> {
 }
 
 /// Creates a locked file; `None` if another process swept it away before it was locked.
-fn create_locked(path: &Path) -> io::Result<Option<File>> {
+pub(crate) fn create_locked(path: &Path) -> io::Result<Option<File>> {
     // Opens neither an existing file, because another process may be writing it, nor a link.
     let file = OpenOptions::new().write(true).create_new(true).open(path)?;
     match file.try_lock() {
@@ -156,7 +142,7 @@ fn create_locked(path: &Path) -> io::Result<Option<File>> {
 }
 
 /// Whether the name still leads to this file.
-fn is_still_at(path: &Path, file: &File) -> bool {
+pub(crate) fn is_still_at(path: &Path, file: &File) -> bool {
     let stamps = FileStamp::of_path(path).and_then(|at_path| Ok((at_path, FileStamp::of(&file.metadata()?))));
     stamps.is_ok_and(|(at_path, ours)| at_path.inode == ours.inode)
 }

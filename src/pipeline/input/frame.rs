@@ -1,5 +1,6 @@
 //! Frames to convert, and their outcomes.
 
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -13,7 +14,13 @@ use super::level_set_file::is_level_set;
 use super::obstacles::ObstacleFiles;
 use super::source::FrameFile;
 use crate::pipeline::error::{Cause, FrameError, Stage};
-use crate::pipeline::files::stamp::FileStamp;
+use crate::pipeline::files::stamp::{FileStamp, now_ms};
+use crate::pipeline::records::frame_records::{
+    DoneRecord, FrameRecords, OutputComparison, OutputFile, ResultState, Wanted, settings_id,
+};
+use crate::pipeline::records::frame_warnings::fault;
+use crate::pipeline::records::provenance::{recorded_settings, valid_cameras};
+use crate::pipeline::records::record::measured_json;
 use crate::pipeline::target::framing::Framing;
 use crate::pipeline::target::outputs::{OutputOptions, output_path};
 use crate::pipeline::target::picture::PictureOptions;
@@ -79,6 +86,8 @@ pub struct Frame {
     /// The camera of its sequence, if later frames may still change it; `None` if the camera in `outputs` is
     /// used.
     pub framing: Option<Arc<Framing>>,
+    /// The records of the folder of its outputs; `None` if they are not recorded.
+    pub records: Option<Arc<FrameRecords>>,
 }
 
 impl Frame {
@@ -93,6 +102,7 @@ impl Frame {
             number: file.number(),
             obstacles: Arc::default(),
             framing: None,
+            records: None,
         }
     }
 
@@ -121,6 +131,63 @@ impl Frame {
         let OutputOptions { folder, formats, .. } = &*self.outputs;
         formats.iter().map(|&format| output_path(folder, &self.stem, format)).collect()
     }
+
+    /// The name of the frame in its records: the path of its outputs in the folder, without extension.
+    fn recorded_name(&self, records: &FrameRecords) -> PathBuf {
+        let folder = &self.outputs.folder;
+        folder.strip_prefix(records.folder()).unwrap_or(folder).join(&self.stem)
+    }
+
+    /// The recorded state of the frame's outputs, if it has records and its input has this hash.
+    pub(crate) fn recorded_state(
+        &self,
+        input_hash: u128,
+        obstacles: &str,
+    ) -> Option<(ResultState, Option<Arc<DoneRecord>>)> {
+        let records = self.records.as_ref()?;
+        let name = |path: PathBuf| path.file_name().unwrap_or_default().into();
+        let wanted = Wanted {
+            name: &self.recorded_name(records),
+            outputs: Some(self.output_paths().into_iter().map(name).collect()),
+            input_hash: Some(input_hash),
+            obstacles: Some(obstacles),
+            settings: &recorded_settings(self),
+            cameras: valid_cameras(self),
+        };
+        Some(records.state(&wanted, OutputComparison::Stamps))
+    }
+
+    /// Records that the frame was converted from an input with this hash, if it has records.
+    ///
+    /// # Errors
+    /// When the record cannot be written.
+    pub(crate) fn record_done(&self, report: &FrameReport) -> io::Result<()> {
+        let Some(records) = &self.records else { return Ok(()) };
+        let settings = recorded_settings(self);
+        let record = DoneRecord {
+            name: self.recorded_name(records),
+            input: std::path::absolute(&self.input).unwrap_or_else(|_| self.input.clone()),
+            input_hash: report.input.hash,
+            obstacles: report.obstacles.clone(),
+            settings: settings_id(&settings),
+            camera: self.has_pictures().then(|| self.outputs.picture.camera.to_string()),
+            outputs: report.files.clone(),
+            violations: (self.job != Job::Particles).then(|| fault(&report.reconstruction)).flatten(),
+            at_ms: now_ms(),
+            measured: measured_json(report),
+        };
+        records.record_done(record, &settings)
+    }
+
+    /// Records that the frame could not be converted, if it has records.
+    ///
+    /// # Errors
+    /// When the record cannot be written.
+    pub fn record_failure(&self, reason: &str) -> io::Result<()> {
+        let Some(records) = &self.records else { return Ok(()) };
+        let input = std::path::absolute(&self.input).unwrap_or_else(|_| self.input.clone());
+        records.record_failure(&self.recorded_name(records), &input, reason)
+    }
 }
 
 /// The state of a file that was read.
@@ -142,9 +209,8 @@ pub enum Outcome {
     AlreadyDone {
         /// The state of the input that was read.
         input: ReadInput,
-        /// The failed checks of the frame, according to its certificate or the records of outputs; `None` if
-        /// all passed, or neither exists.
-        fault: Option<String>,
+        /// The record of the frame.
+        record: Arc<DoneRecord>,
     },
     /// The input was written while it was read, so the bytes are neither those of the old file nor those of
     /// the new one. The caller has to read it again later.
@@ -205,10 +271,10 @@ pub struct FrameReport {
     /// The peak memory of this process until the frame was written, in bytes; `None` if the system does not
     /// report it.
     pub peak_memory_bytes: Option<u64>,
-    /// The files that were written.
+    /// The paths of the files that were written.
     pub outputs: Vec<PathBuf>,
-    /// The size of each file in `outputs`.
-    pub output_bytes: Vec<u64>,
+    /// The names, stamps and hashes of the files in `outputs`.
+    pub files: Vec<OutputFile>,
     /// Warnings about the frame, without those from [measurements](FrameReport::all_warnings).
     pub warnings: Vec<Warning>,
     /// The name of the particles' velocities, if the outputs could have velocities but do not.
@@ -217,8 +283,6 @@ pub struct FrameReport {
 
 #[cfg(test)]
 mod tests {
-    use std::io;
-
     use super::*;
     use crate::pipeline::OutputFormat;
     use crate::surface::options::MethodOptions;

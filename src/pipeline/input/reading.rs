@@ -6,8 +6,10 @@ use std::path::Path;
 
 use meniscus_formats::compression::read_head;
 use meniscus_formats::{
-    AttributeRole, FilePositions, Limits, ParticleFrame, check_supported, read_particles,
+    AttributeRole, Error, FilePositions, Limits, ParticleFrame, check_supported, read_particles,
 };
+
+use twox_hash::XxHash3_128;
 
 use crate::surface::particles::{OwnedPositions, ParticleCloud, Shapes};
 
@@ -15,7 +17,7 @@ use super::attributes::AttributeRequest;
 use super::filter::{keep_chosen, several_kinds};
 use super::steps::{IndexPolicy, by_lines_of_file, file_of, read_step, step_of};
 use crate::pipeline::error::{Cause, FrameError, Stage};
-use crate::pipeline::files::input_file::read_unchanged;
+use crate::pipeline::files::input_file::{InputFile, read_unchanged};
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::warning::Warning;
@@ -133,4 +135,22 @@ pub fn particles(positions: FilePositions) -> OwnedPositions {
         FilePositions::F32(positions) => OwnedPositions::F32(positions),
         FilePositions::F64(positions) => OwnedPositions::F64(positions),
     }
+}
+
+/// The hash of the bytes of an input.
+///
+/// # Errors
+/// When it cannot be read, is not a regular file, has no such step, or changes during the read.
+pub fn hash_of_input(path: &Path) -> Result<u128, Error> {
+    let changed = || io::Error::other("the file changed while it was read");
+    let Some(step) = step_of(path) else {
+        let file = InputFile::open(path)?;
+        if !file.is_regular() {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file").into());
+        }
+        let hash = file.hash()?;
+        return if file.is_unchanged()? { Ok(hash) } else { Err(changed().into()) };
+    };
+    let (bytes, _) = read_step(step, IndexPolicy::OnRead)?.ok_or_else(changed)?;
+    Ok(XxHash3_128::oneshot(&bytes))
 }

@@ -16,21 +16,21 @@ use crate::surface::mesh::Mesh;
 use crate::surface::options::Settings;
 use crate::surface::particles::{Attribute, AttributeValues, Role};
 use crate::surface::reconstruction::FrameSurface;
-use crate::surface::report::ReconstructionReport;
 use crate::surface::space::Lattice;
 
 use super::diagnostics::diagnose;
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::atomic_write::{commit, stage};
+use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::staged_file::StagedFile;
 use crate::pipeline::input::bounds::EMPTY_BOUNDS;
 use crate::pipeline::input::frame::Frame;
-use crate::pipeline::records::certificate_file::{certificate_path, write_certificate};
+use crate::pipeline::records::frame_records::OutputFile;
 use crate::pipeline::records::provenance::provenance;
 use crate::pipeline::scheduler::Scheduler;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, output_path};
 use crate::pipeline::target::picture::{PictureOptions, PictureScene, encode_picture, up_of, velocities};
-use crate::pipeline::target::stored::{checked_as, rounding};
+use crate::pipeline::target::stored::rounding;
 use crate::pipeline::warning::Warning;
 
 /// Half the width of the band in a .vdb, in voxels: the width that programs expect of a level set.
@@ -39,11 +39,10 @@ pub(crate) const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
 /// The files of a frame.
 pub(crate) struct WrittenFiles {
     pub(crate) paths: Vec<PathBuf>,
-    pub(crate) sizes_bytes: Vec<u64>,
+    pub(crate) files: Vec<OutputFile>,
 }
 
-/// Writes a frame in every format with `write`: either all files appear, complete, or none. If `certify` is
-/// given (the hash of the input, and the report), the frame's certificate appears together with them. Creates
+/// Writes a frame in every format with `write`. All files are complete before the first gets its name. Creates
 /// their folder if it is missing.
 ///
 /// # Errors
@@ -51,7 +50,6 @@ pub(crate) struct WrittenFiles {
 pub(crate) fn write_files(
     frame: &Frame,
     write: impl Fn(OutputFormat, &mut BufWriter<&File>) -> meniscus_formats::Result<()>,
-    certify: Option<(u128, &ReconstructionReport)>,
 ) -> Result<WrittenFiles, FrameError> {
     let OutputOptions { folder, formats, .. } = &*frame.outputs;
     let fail = |path: &Path, error| FrameError::file(path, Stage::Write, error);
@@ -60,17 +58,19 @@ pub(crate) fn write_files(
         let path = output_path(folder, &frame.stem, format);
         stage(&path, |out| write(format, out)).map_err(|error| fail(&path, error))
     };
-    let mut staged: Vec<StagedFile> = formats.iter().map(write_one).collect::<Result<_, _>>()?;
-    if let Some((input_hash, report)) = certify {
-        let path = certificate_path(folder, &frame.stem);
-        let checked = formats.iter().map(|&format| checked_as(format, &frame.outputs));
-        let outputs: Vec<(&StagedFile, &str)> = staged.iter().zip(checked).collect();
-        let certificate = write_certificate(&path, (&frame.input, input_hash), report, &outputs);
-        staged.push(certificate.map_err(|error| fail(&path, error))?);
-    }
-    let sizes_bytes = staged.iter().map(StagedFile::size_bytes).collect();
-    let paths = commit(staged).map_err(|(path, error)| fail(&path, error.into()))?;
-    Ok(WrittenFiles { paths, sizes_bytes })
+    let staged: Vec<StagedFile> = formats.iter().map(write_one).collect::<Result<_, _>>()?;
+    // The hashes are those of the bytes on disk, not of those in memory.
+    let hash = |file: &StagedFile| InputFile::open(file.written_path())?.hash();
+    let hashed = |file: &StagedFile| hash(file).map_err(|error| fail(file.path(), error.into()));
+    let hashes: Vec<u128> = staged.iter().map(hashed).collect::<Result<_, _>>()?;
+    commit(&staged).map_err(|(path, error)| fail(&path, error.into()))?;
+    let paths: Vec<PathBuf> = staged.iter().map(|file| file.path().to_owned()).collect();
+    let output = |(file, hash): (&StagedFile, u128)| OutputFile {
+        name: file.path().file_name().unwrap_or_default().into(),
+        stamp: file.stamp_after_rename(),
+        hash,
+    };
+    Ok(WrittenFiles { files: staged.iter().zip(hashes).map(output).collect(), paths })
 }
 
 /// Writes one file of a frame. The pool encodes it in pieces that are complete before they are written, so

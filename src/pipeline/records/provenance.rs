@@ -1,45 +1,24 @@
 //! The provenance that an output records: the version of this program, the settings, and the input.
 //!
 //! Provenance does not depend on the time, the folder or the machine: the same input and settings give the
-//! same bytes. An output is up to date if it records exactly what this run would record. If an output has
-//! another provenance, or none, its frame must be converted again.
+//! same bytes. It is for people and other programs: whether a frame is done follows from its
+//! [record](super::frame_records).
 
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use meniscus_formats::{WriteOption, is_complete, read_provenance};
+use meniscus_formats::{WriteOption, read_provenance};
 use twox_hash::XxHash3_64;
 
 use crate::surface::options::{MethodOptions, OptionGroup, Pairs, Settings};
 
+use super::frame_records::SettingValues;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::input::frame::{Frame, Job};
 use crate::pipeline::input::steps::frame_name;
 use crate::pipeline::target::framing::Framed;
-use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, output_path};
+use crate::pipeline::target::outputs::{OutputFormat, OutputOptions};
 use crate::pipeline::target::picture::PictureOptions;
-
-/// Names of settings that earlier versions recorded under another name: the current and the former name.
-const RENAMED: [(&str, &str); 1] = [("max_deviation", "band_slack")];
-
-/// The name under which earlier versions recorded a setting.
-fn former_name(name: &str) -> &str {
-    RENAMED.iter().find(|(current, _)| *current == name).map_or(name, |renamed| renamed.1)
-}
-
-/// Reads the provenance of an output. Names that earlier versions recorded are replaced by the current ones.
-pub(crate) fn recorded_provenance(
-    format: OutputFormat,
-    file: impl Read,
-) -> meniscus_formats::Result<Vec<(String, String)>> {
-    let mut recorded = read_provenance(format, file)?;
-    for (name, _) in &mut recorded {
-        if let Some((current, _)) = RENAMED.iter().find(|(_, former)| *former == name.as_str()) {
-            *name = (*current).to_owned();
-        }
-    }
-    Ok(recorded)
-}
 
 /// The value of `generator` in provenance begins with this text; the version follows.
 const GENERATOR: &str = "meniscus ";
@@ -64,20 +43,26 @@ pub(crate) fn provenance(
     format: OutputFormat,
 ) -> Vec<(String, String)> {
     let mut pairs = made_from(&frame.input, hash);
+    pairs.extend(job_pairs(frame, format));
+    if frame.job != Job::Particles {
+        pairs.extend(obstacle_pairs(&frame.settings, obstacles));
+        pairs.extend(option_pairs(&frame.outputs, format));
+    }
+    owned(if format == OutputFormat::Stl { condensed(pairs) } else { pairs })
+}
+
+/// The settings that affect the output of a frame in `format`.
+fn job_pairs(frame: &Frame, format: OutputFormat) -> Pairs {
     match frame.job {
         Job::Particles => {
-            pairs.push((CONTENTS, PARTICLES.to_owned()));
-            pairs.extend(frame.settings.filter.iter().map(|filter| ("where", filter.to_string())));
-            return owned(pairs);
+            let filter = frame.settings.filter.iter().map(|filter| ("where", filter.to_string()));
+            std::iter::once((CONTENTS, PARTICLES.to_owned())).chain(filter).collect()
         }
-        Job::Surface => pairs.extend(settings_pairs(&frame.settings, format)),
+        Job::Surface => settings_pairs(&frame.settings, format),
         Job::LevelSet { max_deviation_voxels, .. } => {
-            pairs.extend(level_set_pairs(&frame.settings, max_deviation_voxels, format));
+            level_set_pairs(&frame.settings, max_deviation_voxels, format)
         }
     }
-    pairs.extend(obstacle_pairs(&frame.settings, obstacles));
-    pairs.extend(option_pairs(&frame.outputs, format));
-    owned(if format == OutputFormat::Stl { condensed(pairs) } else { pairs })
 }
 
 /// Shortens provenance to the 80 characters that an .stl has for it: keeps the generator and the hash of the
@@ -85,8 +70,7 @@ pub(crate) fn provenance(
 fn condensed(pairs: Pairs) -> Pairs {
     const OF_OBSTACLES: [&str; 2] = ["void_threshold", "obstacles"];
     let hash = |pairs: &[&(&str, String)], digits: usize| {
-        // With the former names, so that the hash of equal settings is the same as in earlier versions.
-        let line = |(name, value): &&(&str, String)| format!("{}={value}\n", former_name(name));
+        let line = |(name, value): &&(&str, String)| format!("{name}={value}\n");
         let text: String = pairs.iter().map(line).collect();
         format!("{:016x}", XxHash3_64::oneshot(text.as_bytes()))[..digits].to_owned()
     };
@@ -173,74 +157,34 @@ fn owned(pairs: Pairs) -> Vec<(String, String)> {
     pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
-/// Whether every output of a frame is complete and records what this run would record. Complete means that
-/// the end of the file is present; overwritten bytes in the middle are not detected.
-pub(crate) fn is_done(frame: &Frame, hash: u128, obstacles: &str) -> bool {
-    match frame.framing.as_ref().filter(|_| frame.has_pictures()) {
-        None => records_all(frame, hash, obstacles),
-        // A picture with an earlier camera of the sequence is still valid.
-        Some(framing) => {
-            let Framed { camera, earlier, .. } = framing.framed();
-            let mut cameras = std::iter::once(camera).chain(earlier);
-            cameras.any(|camera| records_all(&frame.with_camera(camera), hash, obstacles))
-        }
+/// The settings that affect the outputs of a frame, for its record: those of all its formats together, and the
+/// version of this program. Not among them are the camera of pictures, which may follow the frames, and the
+/// voxel size of a level set, which its file has.
+pub(crate) fn recorded_settings(frame: &Frame) -> SettingValues {
+    let mut formats: Vec<&str> = frame.outputs.formats.iter().map(|format| format.extension()).collect();
+    formats.sort_unstable();
+    let mut pairs = vec![("program", GENERATOR_AND_VERSION.to_owned()), ("formats", formats.join(","))];
+    for &format in &frame.outputs.formats {
+        pairs.extend(job_pairs(frame, format));
+        pairs.extend(option_pairs(&frame.outputs, format));
     }
-}
-
-/// Whether every output of a frame is complete and records exactly this provenance.
-fn records_all(frame: &Frame, hash: u128, obstacles: &str) -> bool {
-    let options = &*frame.outputs;
-    options.formats.iter().all(|&format| {
-        let wanted = provenance(frame, (hash, obstacles), format);
-        let path = output_path(&options.folder, &frame.stem, format);
-        records(&path, format, &wanted).unwrap_or(false)
-    })
-}
-
-/// Whether a file is complete and records exactly `wanted`.
-pub(crate) fn records(
-    path: &Path,
-    format: OutputFormat,
-    wanted: &[(String, String)],
-) -> meniscus_formats::Result<bool> {
-    // If an option was set when the file was written and is not set now, the file records a name that is not
-    // in `wanted`.
-    let is_wanted = |(name, _): &(String, String)| wanted.iter().any(|(wanted, _)| wanted == name);
-    is_whole_and(path, format, |recorded| {
-        recorded.iter().all(is_wanted) && wanted.iter().all(|pair| recorded.contains(pair))
-    })
-}
-
-/// Whether a file is complete, and `is_meant` accepts its provenance.
-fn is_whole_and(
-    path: &Path,
-    format: OutputFormat,
-    is_meant: impl FnOnce(&[(String, String)]) -> bool,
-) -> meniscus_formats::Result<bool> {
-    let mut file = open_regular(path)?;
-    let recorded = recorded_provenance(format, &file)?;
-    Ok(is_meant(&recorded) && is_complete(format, &mut file)?)
-}
-
-/// The files in a folder that have this stem and an output format, are complete, and record an input with the
-/// hash that `hash` returns. Ignores the settings. Calls `hash` only if there are files with this stem and an
-/// output format.
-pub fn outputs_made_from<E>(
-    folder: &Path,
-    stem: &str,
-    hash: impl FnOnce() -> Result<u128, E>,
-) -> Result<Vec<PathBuf>, E> {
-    let mut outputs: Vec<(OutputFormat, PathBuf)> =
-        OutputFormat::ALL.map(|format| (format, output_path(folder, stem, format))).into();
-    outputs.retain(|(_, path)| path.metadata().is_ok_and(|metadata| metadata.is_file()));
-    if outputs.is_empty() {
-        return Ok(Vec::new());
+    if !frame.obstacles.is_empty() {
+        pairs.push(("void_threshold", frame.settings.void_threshold.to_string()));
     }
-    let wanted = ("input_hash".to_owned(), hash_text(hash()?));
-    let is_made_from = |(format, path): &(OutputFormat, PathBuf)| {
-        is_whole_and(path, *format, |recorded| recorded.contains(&wanted)).unwrap_or(false)
-    };
-    Ok(outputs.into_iter().filter(is_made_from).map(|(_, path)| path).collect())
+    let is_level_set = matches!(frame.job, Job::LevelSet { .. });
+    let is_recorded = |name: &str| name != CAMERA && !(is_level_set && name == "voxel_size");
+    owned(pairs.into_iter().filter(|(name, _)| is_recorded(name)).collect()).into_iter().collect()
+}
+
+/// The cameras that the pictures of a frame may have, the current one first; empty if it has no pictures. A
+/// picture with an earlier camera of its sequence is still valid.
+pub(crate) fn valid_cameras(frame: &Frame) -> Vec<String> {
+    if !frame.has_pictures() {
+        return Vec::new();
+    }
+    let Some(framing) = &frame.framing else { return vec![frame.outputs.picture.camera.to_string()] };
+    let Framed { camera, earlier, .. } = framing.framed();
+    std::iter::once(camera).chain(earlier).map(|camera| camera.to_string()).collect()
 }
 
 /// Whether a file is a surface or a picture that any version of this program wrote, according to its
@@ -337,22 +281,4 @@ fn settings_pairs(settings: &Settings, format: OutputFormat) -> Pairs {
         Some(OptionGroup::Mesh) => format.is_mesh(),
         _ => true,
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn former_names_of_settings_are_read_as_current_names() {
-        let head = b"# meniscus_generator: meniscus 0.1.0\n# meniscus_band_slack: 0.5\nv 0 0 0\n";
-        let recorded = recorded_provenance(OutputFormat::Obj, &head[..]).expect("read");
-        assert_eq!(recorded[1], ("max_deviation".to_owned(), "0.5".to_owned()));
-    }
-
-    #[test]
-    fn hash_of_settings_is_the_same_under_former_names() {
-        let with_name = |name| condensed(vec![("generator", "g".to_owned()), (name, "1".to_owned())]);
-        assert_eq!(with_name("max_deviation"), with_name("band_slack"));
-    }
 }

@@ -15,7 +15,6 @@ use crate::surface::options::Settings;
 use crate::surface::report::{
     Convergence, EditReport, ParticlesOutside, ReconstructionReport, ShapeStats, TransferReport,
 };
-use crate::surface::validation::Certificate;
 
 use super::provenance::{chosen_options, level_set_pairs};
 use crate::pipeline::files::atomic_write::write_atomically;
@@ -203,11 +202,6 @@ impl RunRecord {
     pub fn add_sequence(&mut self, sequence: SequenceRecord) -> usize {
         self.settings.push(sequence);
         self.settings.len() - 1
-    }
-
-    /// Adds a frame that is done, and whose input was not read.
-    pub fn add_done(&mut self, frame: &Frame, sequence_index: usize) {
-        self.add(&frame.input, sequence_index, OutcomeStatus::AlreadyDone, None, None);
     }
 
     /// Adds a frame that went through the pipeline. Frames are reported in the order they are added.
@@ -402,40 +396,7 @@ fn obstacles_record(report: &FrameReport) -> Option<ObstaclesRecord> {
     })
 }
 
-impl CertificateRecord {
-    /// A description of the failed checks; `None` if all hold.
-    ///
-    /// # Errors
-    /// When `holds` contradicts the counts, or other fields contradict each other.
-    pub(crate) fn fault(&self) -> Result<Option<String>, String> {
-        let mut certificate = Certificate::default();
-        certificate.bound_violation_count = self.bound_violations;
-        certificate.vertices_inside_min = self.vertices_inside_min;
-        certificate.vertices_outside_max = self.vertices_outside_max;
-        certificate.particles_outside = self.particles_outside;
-        certificate.may_leave_particles_outside = self.particles_may_be_outside;
-        certificate.mesh_is_closed_manifold = self.closed_manifold;
-        let fault = certificate.violations();
-        if (self.positions == CheckedPositions::Smoothed) != self.given_outside.is_some() {
-            return Err("given_outside must be present exactly if positions is \"smoothed\"".to_owned());
-        }
-        let range = self.vertex_distance_min_voxels.zip(self.vertex_distance_max_voxels);
-        if range.is_some_and(|(least, largest)| least > largest) {
-            return Err("the least distance from a vertex to a particle is above the largest".to_owned());
-        }
-        if self.particles_may_be_outside && self.offset >= 0.0 {
-            return Err("particles may be outside though the surface was not moved inward".to_owned());
-        }
-        match (self.holds, certificate.holds()) {
-            (true, true) => Ok(None),
-            (false, false) => Ok(Some(fault)),
-            (true, false) => Err(format!("holds is true, but: {fault}")),
-            (false, true) => Err("holds is false, but every check passed".to_owned()),
-        }
-    }
-}
-
-pub(crate) fn certificate_record(report: &ReconstructionReport) -> CertificateRecord {
+fn certificate_record(report: &ReconstructionReport) -> CertificateRecord {
     let certificate = &report.certificate;
     CertificateRecord {
         holds: certificate.holds(),
@@ -465,20 +426,4 @@ pub(crate) fn certificate_record(report: &ReconstructionReport) -> CertificateRe
 
 fn text(path: &Path) -> String {
     shown(path).to_string()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn certificate_with_infinite_largest_distance_is_read_back() {
-        let mut report = ReconstructionReport::default();
-        report.certificate.vertex_distance_max = f64::INFINITY;
-        report.certificate.vertices_outside_max = 1;
-        report.certificate.mesh_is_closed_manifold = true;
-        let written = serde_json::to_string(&certificate_record(&report)).expect("written");
-        let read: CertificateRecord = serde_json::from_str(&written).expect("read");
-        assert_eq!(read.fault(), Ok(Some("1 vertex too far from particles".to_owned())));
-    }
 }

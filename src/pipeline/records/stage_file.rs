@@ -26,7 +26,6 @@ use super::sequence_file::{SequenceError, increasing};
 use crate::pipeline::files::atomic_write::write_atomically;
 use crate::pipeline::files::frame_number::natural_order;
 use crate::pipeline::files::open::open_regular;
-use crate::pipeline::files::sweep::is_gone;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, StageOptions, output_path};
 
 /// The frames of a sequence in a stage, whether their files exist or not.
@@ -172,7 +171,11 @@ fn recorded_frame_count(head: &[u8]) -> Option<usize> {
 fn known_text(path: &Path) -> Result<Option<Vec<u8>>, String> {
     match read_stage(path) {
         // Another shard may replace the file while it is read. Then it is written, and read again.
-        Err(error) if is_gone(&error) => Ok(None),
+        Err(error)
+            if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::StaleNetworkFileHandle) =>
+        {
+            Ok(None)
+        }
         read => read.map_err(|error| error.to_string())?.map(Some),
     }
 }

@@ -43,7 +43,6 @@ use crate::pipeline::input::steps::IndexPolicy;
 use crate::pipeline::memory::default_memory_bytes;
 use crate::pipeline::method::Method;
 use crate::pipeline::observer::Observer;
-use crate::pipeline::records::output_states::OutputStates;
 use crate::pipeline::scheduler::{Scheduler, TaskQueue};
 
 use shared::{FinishedFrame, StageContext, Stages, is_failure, link};
@@ -65,12 +64,8 @@ pub struct PipelineOptions<'a> {
     /// What to do when a frame fails, or changes while it is read. With `Stop`, frames keep their order: each
     /// stage handles one frame at a time.
     pub on_error: OnError,
-    /// Skip frames whose outputs exist, from the same input with the same settings and the same version of
-    /// this program.
+    /// Skip frames that are done according to their [records](Frame::records).
     pub skip_done: bool,
-    /// Write a certificate with hashes of the outputs beside them. Then a frame is done only if it has a
-    /// certificate whose hashes match its outputs.
-    pub certificates: bool,
     /// The maximum number of frames that were requested and are not finished; at least one.
     pub in_flight: usize,
     /// The approximate limit on the memory of all frames in flight, in bytes. A frame that alone needs more
@@ -82,54 +77,24 @@ pub struct PipelineOptions<'a> {
     /// Output folders that mirror input folders: the pipeline does not write through links below them,
     /// because other accounts may have created those.
     pub mirrors: &'a [PathBuf],
-    /// The recorded states of outputs: a frame is not done if the bytes of an output differ from its record.
-    /// With `skip_done`, all new outputs are recorded. Without it, only those of frames that fail validation,
-    /// and those that have a record already. `None`: bytes are neither recorded nor compared.
-    pub output_states: Option<&'a OutputStates>,
     /// Receives the progress of frames.
     pub observer: Option<&'a dyn Observer>,
 }
 
 impl<'a> PipelineOptions<'a> {
     /// The defaults of `meniscus convert` on this pool: continue when a frame fails, overwrite frames that
-    /// are done, write no certificates, and use the [default number](default_in_flight) of frames in flight
-    /// and the [default memory](default_memory_bytes).
+    /// are done, and use the [default number](default_in_flight) of frames in flight and the
+    /// [default memory](default_memory_bytes).
     pub fn new(pool: &'a ThreadPool) -> PipelineOptions<'a> {
         PipelineOptions {
             pool,
             on_error: OnError::Continue,
             skip_done: false,
-            certificates: false,
             in_flight: default_in_flight(pool.current_num_threads()),
             memory_bytes: default_memory_bytes(),
             index_policy: IndexPolicy::OnRead,
             mirrors: &[],
-            output_states: None,
             observer: None,
-        }
-    }
-
-    /// Compares the outputs of a frame with their records. `None`: the bytes of an output differ from its
-    /// record. `Some`: they match, or no records are kept; it contains the failed checks of the frame, if
-    /// any.
-    pub(super) fn recorded_fault(&self, outputs: &[PathBuf]) -> Option<Option<String>> {
-        self.output_states.map_or(Some(None), |states| states.recorded_fault(outputs))
-    }
-
-    /// Records the outputs of a frame that were just written, with its failed checks, if records are kept. A
-    /// failed check is saved at once: after an interrupted run, no other file would show that the frame
-    /// failed validation.
-    pub(super) fn record(&self, outputs: &[PathBuf], fault: Option<&str>) {
-        if let Some(states) = self.output_states
-            && (self.skip_done || fault.is_some() || states.has_any(outputs))
-        {
-            states.record(outputs, fault);
-            if fault.is_some()
-                && let Some(folder) = outputs.first().and_then(|path| path.parent())
-            {
-                // The end of the run saves again, and reports an error.
-                let _ = states.save(folder);
-            }
         }
     }
 }

@@ -23,12 +23,9 @@ use crate::pipeline::input::position_doubts::position_doubts;
 use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged};
 use crate::pipeline::input::steps::{reading_bytes, step_of};
 use crate::pipeline::method::Method;
-use crate::pipeline::records::inspection::certified_fault;
-use crate::pipeline::records::provenance::is_done;
 use crate::pipeline::warning::Warning;
 use crate::surface::options::Settings;
 
-use super::PipelineOptions;
 use super::shared::{FinishedFrame, InputInfo, Noted, Read, Stages, WorkItem, outcome_of};
 
 impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
@@ -186,18 +183,13 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
 
     /// Ends a frame that is done already, if such frames are skipped.
     fn refuse_done(&self, frame: &Frame, input: ReadInput, obstacles: &str) -> Result<(), Outcome> {
-        let options = self.shared.options;
-        let PipelineOptions { skip_done, certificates, .. } = *options;
-        if !skip_done {
+        if !self.shared.options.skip_done {
             return Ok(());
         }
-        let fault = match certificates {
-            true => certified_fault(frame, input.hash, obstacles),
-            false => is_done(frame, input.hash, obstacles)
-                .then(|| options.recorded_fault(&frame.output_paths()))
-                .flatten(),
-        };
-        fault.map_or(Ok(()), |fault| Err(Outcome::AlreadyDone { input, fault }))
+        match frame.recorded_state(input.hash, obstacles) {
+            Some((state, Some(record))) if state.is_done() => Err(Outcome::AlreadyDone { input, record }),
+            _ => Ok(()),
+        }
     }
 
     /// Parses and plans a frame in the pool; only the reading before it happens on this thread.

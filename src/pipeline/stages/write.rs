@@ -16,7 +16,6 @@ use crate::pipeline::input::frame::{Frame, FrameReport, Job, Outcome, Seconds};
 use crate::pipeline::memory::peak_memory_bytes;
 use crate::pipeline::output::particle_files::{particle_warnings, write_particles};
 use crate::pipeline::output::writing::{WrittenFiles, surface_warnings, write_files, write_surface};
-use crate::pipeline::records::frame_warnings::fault;
 use crate::pipeline::records::provenance::provenance;
 use crate::pipeline::target::outputs::OutputFormat;
 use crate::pipeline::target::picture::PictureScene;
@@ -59,20 +58,14 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
                 let provenance = provenance(frame, (info.input.hash, ""), format);
                 write_particles(particles, format, &provenance, out)
             };
-            let written = write_files(frame, write, None)?;
-            self.shared.options.record(&written.paths, None);
-            Ok(written)
+            let written = write_files(frame, write)?;
+            let warnings = particle_warnings(particles, &frame.outputs.formats);
+            let mut report = report(frame, info, (written, warnings));
+            report.reconstruction.particle_count = particles.positions.len();
+            report.seconds.write = start.elapsed().as_secs_f64();
+            recorded(frame, report)
         });
-        match written.flatten() {
-            Ok(written) => {
-                let warnings = particle_warnings(particles, &frame.outputs.formats);
-                let mut report = report(frame, info, (written, warnings));
-                report.reconstruction.particle_count = particles.positions.len();
-                report.seconds.write = start.elapsed().as_secs_f64();
-                Outcome::Converted(Box::new(report))
-            }
-            Err(error) => Outcome::Failed(error),
-        }
+        converted(written.flatten())
     }
 
     fn write_one(
@@ -83,7 +76,8 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
     ) -> Outcome {
         let start = Instant::now();
         self.shared.begin(frame, Stage::Write);
-        let made_from = (info.input.hash, info.obstacles.0.as_str());
+        let obstacles = info.obstacles.0.clone();
+        let made_from = (info.input.hash, obstacles.as_str());
         let surface = Arc::new(surface);
         let preview_time = Mutex::new(Duration::ZERO);
         // Everything runs within `catch`, so that a panic in the framing, too, fails only this frame.
@@ -107,15 +101,10 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
                 *preview_time.lock().unwrap_or_else(PoisonError::into_inner) += start.elapsed();
                 written
             };
-            let options = self.shared.options;
-            let certify = options.certificates.then_some((info.input.hash, &surface.report));
-            let written = write_files(frame, write, certify)?;
-            options.record(&frame.output_paths(), fault(&surface.report).as_deref());
-            Ok((written, surface_warnings(&surface, &frame.outputs, &frame.settings)))
-        });
-        let preview_time = *preview_time.lock().unwrap_or_else(PoisonError::into_inner);
-        match written.flatten() {
-            Ok((written, warnings)) => Outcome::Converted(Box::new(FrameReport {
+            let written = write_files(frame, write)?;
+            let warnings = surface_warnings(&surface, &frame.outputs, &frame.settings);
+            let preview_time = *preview_time.lock().unwrap_or_else(PoisonError::into_inner);
+            let report = FrameReport {
                 reconstruction: surface.report.clone(),
                 seconds: Seconds {
                     read: info.read_seconds,
@@ -126,10 +115,22 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
                     preview: preview_time.as_secs_f64(),
                 },
                 ..report(frame, info, (written, warnings))
-            })),
-            Err(error) => Outcome::Failed(error),
-        }
+            };
+            recorded(frame, report)
+        });
+        converted(written.flatten())
     }
+}
+
+/// Records a frame whose outputs all have their names.
+fn recorded(frame: &Frame, report: FrameReport) -> Result<FrameReport, FrameError> {
+    let recorded = frame.record_done(&report).map_err(meniscus_formats::Error::from);
+    recorded.map_err(|error| FrameError::file(&frame.outputs.folder, Stage::Write, error))?;
+    Ok(report)
+}
+
+fn converted(written: Result<FrameReport, FrameError>) -> Outcome {
+    written.map_or_else(Outcome::Failed, |report| Outcome::Converted(Box::new(report)))
 }
 
 impl<M> StageContext<'_, M> {
@@ -161,7 +162,7 @@ fn report(
         seconds: Seconds { read: info.read_seconds, ..Seconds::default() },
         peak_memory_bytes: peak_memory_bytes(),
         outputs: written.paths,
-        output_bytes: written.sizes_bytes,
+        files: written.files,
         warnings: [of_input, warnings].concat(),
         unused_velocity: unused_velocity.filter(|_| has_attributes),
         ..FrameReport::default()

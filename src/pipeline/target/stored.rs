@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use meniscus_formats::{Content, OutputFormat, PositionRounding};
+use meniscus_formats::{OutputFormat, PositionRounding};
 
 use crate::surface::reconstruction::PositionFormat;
 
@@ -28,15 +28,4 @@ pub(crate) fn stored(outputs: &OutputOptions) -> Vec<PositionFormat> {
         stored.push(PositionFormat::Exact);
     }
     stored
-}
-
-/// What was checked for a file, in the words of its certificate.
-pub(crate) fn checked_as(format: OutputFormat, outputs: &OutputOptions) -> &'static str {
-    match format.content() {
-        Content::LevelSet if outputs.vdb_half => "level set, before its values are rounded to 16 bits",
-        Content::LevelSet => "level set",
-        Content::Picture(_) => "level set, of which it is a picture",
-        Content::Mesh(_) => rounding(format, outputs)
-            .map_or("mesh, at its positions relative to its origin", |rounding| rounding.certificate_subject),
-    }
 }

@@ -295,12 +295,11 @@ impl fmt::Debug for Log {
     }
 }
 
-/// A frame to convert, and what is known of its existing outputs.
+/// A frame to convert.
 #[derive(Debug)]
 pub(crate) struct Start {
     pub(crate) id: FrameId,
     pub(crate) frame: Box<Frame>,
-    pub(crate) known_outputs: Vec<OutputRecord>,
 }
 
 /// An action that the core requests. Effects are carried out in order.

@@ -73,9 +73,7 @@ impl Core {
             if let Some(state) = self.frames.get_mut(&id) {
                 state.phase = FramePhase::InProgress;
             }
-            let record = self.record_of(&id);
-            let known_outputs = record.map_or(Vec::new(), |record| record.outputs.clone());
-            self.effects.push(Effect::Start(Start { id, frame, known_outputs }));
+            self.effects.push(Effect::Start(Start { id, frame }));
         }
     }
 

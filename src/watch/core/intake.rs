@@ -574,6 +574,7 @@ impl Core {
             number: file.number(),
             obstacles: Arc::clone(&self.roots[id.root].obstacles),
             framing,
+            records: None,
         };
         self.set_phase(id, FramePhase::Queued);
         self.record_status(id, JournaledStatus::Queued, reason, None);

@@ -46,7 +46,11 @@ impl Core {
         self.guard.on_success();
         let (seconds, logged_outputs) = (report.seconds.total(), paths_json(&outputs));
         let figures = Arc::new(Figures::of(report, self.config.watches[id.root].job()));
-        self.counters.add_converted(&figures, report.input.stamp.size, report.output_bytes.iter().sum());
+        self.counters.add_converted(
+            &figures,
+            report.input.stamp.size,
+            report.files.iter().map(|file| file.stamp.size).sum(),
+        );
         let record = JournaledFrame {
             outputs,
             hash: Some(report.input.hash),

@@ -113,6 +113,7 @@ mod tests {
             number: None,
             obstacles: Arc::default(),
             framing: None,
+            records: None,
         })
     }
 

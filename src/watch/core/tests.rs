@@ -244,7 +244,7 @@ impl Rig {
     fn output_of(&self, path: &str) -> OutputRecord {
         let id = id(path);
         let folder = &self.core.config.watches[id.root].outputs.folder;
-        OutputRecord::new(folder.join(name(&id).replace(".ply", ".glb")), 1, None)
+        OutputRecord::of_size(folder.join(name(&id).replace(".ply", ".glb")), 1)
     }
 
     fn convert(&mut self, path: &str) {

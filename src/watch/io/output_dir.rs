@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::pipeline::{make_out_folder, remove_left_behind, sweep_temporaries};
+use crate::pipeline::{FrameRecords, STATE_FOLDER, make_out_folder, remove_left_behind, sweep_temporaries};
 use crate::surface::words::pluralize;
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, OutputDirState, OutputRequest, Presence};
-use crate::watch::journal::{FILE_NAME as JOURNAL_FILE_NAME, Journal, STATE_FOLDER};
+use crate::watch::journal::{FILE_NAME as JOURNAL_FILE_NAME, Journal};
 
 use super::error::DaemonError;
 use super::lock::{FILE_NAME as LOCK_FILE_NAME, OutputLock};
@@ -38,6 +38,8 @@ pub(super) struct OutputDir {
 pub(crate) struct OutputGuard {
     /// The absolute path.
     pub(crate) folder: PathBuf,
+    /// The records of finished frames in the folder.
+    pub(crate) records: Arc<FrameRecords>,
     floor_bytes: u64,
     locked: Mutex<LockedFolder>,
 }
@@ -92,11 +94,18 @@ impl OutputDir {
                 tracing::info!(folder = %folder.display(), "removed {files}");
             }
         }
+        let records = FrameRecords::open(&folder)
+            .map_err(|source| DaemonError::Folder { folder: folder.join(STATE_FOLDER), source })?;
         let locked = Mutex::new(LockedFolder { lock, identity });
         let stages = FolderStages::new(&folder, config);
         Ok(OutputDir {
             index,
-            guard: Arc::new(OutputGuard { folder, floor_bytes: config.disk_floor_bytes, locked }),
+            guard: Arc::new(OutputGuard {
+                folder,
+                records: Arc::new(records),
+                floor_bytes: config.disk_floor_bytes,
+                locked,
+            }),
             journal,
             journal_failed_at: None,
             is_mounted: true,
@@ -265,9 +274,5 @@ fn sweep_one(folder: &Path) -> usize {
     let cannot = |error| {
         tracing::warn!(folder = %folder.display(), "cannot look for half-written files: {error}");
     };
-    let swept = sweep_temporaries(folder).map_err(cannot).unwrap_or_default();
-    for warning in swept.warnings {
-        tracing::warn!("{warning}");
-    }
-    swept.count
+    sweep_temporaries(folder).map_err(cannot).unwrap_or_default()
 }

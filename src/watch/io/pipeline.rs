@@ -10,8 +10,8 @@ use crossbeam::channel::{Receiver, Sender, bounded};
 use rayon::ThreadPoolBuilder;
 
 use crate::pipeline::{
-    Frame, FrameError, IndexPolicy, LevelSetMethod, Observer, OnError, Outcome, OutputStates,
-    PipelineOptions, Stage, default_in_flight, stream,
+    Frame, FrameError, IndexPolicy, LevelSetMethod, Observer, OnError, Outcome, OutputFile, PipelineOptions,
+    Stage, default_in_flight, stream,
 };
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, FrameFinished, Start};
@@ -67,24 +67,21 @@ fn run(
     PipelineContext { config, store, outputs, events }: &PipelineContext,
 ) {
     let mirrors: Vec<PathBuf> = outputs.iter().map(|(_, guard)| guard.folder.clone()).collect();
-    let output_states = OutputStates::default();
     let options = PipelineOptions {
         pool,
         on_error: OnError::Continue,
         skip_done: true,
-        certificates: false,
         in_flight: default_in_flight(config.threads),
         memory_bytes: config.memory_bytes,
         // A separate thread searches files for steps.
         index_policy: IndexPolicy::External,
         mirrors: &mirrors,
-        output_states: Some(&output_states),
         observer: store.as_ref().map(|store| &**store as &dyn Observer),
     };
     let next = || {
         loop {
             events.send(Event::FrameRequested).ok()?;
-            let Start { id, frame, known_outputs } = frames.recv().ok()?;
+            let Start { id, mut frame } = frames.recv().ok()?;
             let (output, guard) = &outputs[id.root];
             // Checked at the last moment, so that nothing is written if the folder of outputs is not mounted
             // and another folder is in its place.
@@ -93,16 +90,12 @@ fn run(
                 events.send(Event::FrameReturned { id, frame, found }).ok()?;
                 continue;
             }
-            for output in known_outputs {
-                if let Some(state) = output.state() {
-                    output_states.put(&output.path, state);
-                }
-            }
+            frame.records = Some(Arc::clone(&guard.records));
             return Some((id, *frame));
         }
     };
     stream(&LevelSetMethod, next, &options, |id, frame, outcome| {
-        let finished = finished(id, &frame, outcome, &output_states);
+        let finished = finished(id, &frame, outcome);
         // Fails only if the daemon has already ended.
         let _ = events.send(Event::FrameFinished(Box::new(finished)));
     });
@@ -114,20 +107,14 @@ impl Observer for StatusStore {
     }
 }
 
-fn finished(id: FrameId, frame: &Frame, outcome: Outcome, output_states: &OutputStates) -> FrameFinished {
-    let outputs = match &outcome {
-        Outcome::Converted(report) => {
-            let record = |path: &PathBuf, &size_bytes: &u64| {
-                OutputRecord::new(path.clone(), size_bytes, output_states.take(path))
-            };
-            report.outputs.iter().zip(&report.output_bytes).map(|(path, size)| record(path, size)).collect()
-        }
-        Outcome::AlreadyDone { .. } => {
-            let paths = frame.output_paths().into_iter();
-            paths.map(|path| OutputRecord::new(path.clone(), 0, output_states.take(&path))).collect()
-        }
-        Outcome::Changed | Outcome::Failed(_) | Outcome::NotStarted => Vec::new(),
+fn finished(id: FrameId, frame: &Frame, outcome: Outcome) -> FrameFinished {
+    let files: &[OutputFile] = match &outcome {
+        Outcome::Converted(report) => &report.files,
+        Outcome::AlreadyDone { record, .. } => &record.outputs,
+        Outcome::Changed | Outcome::Failed(_) | Outcome::NotStarted => &[],
     };
+    let folder = &frame.outputs.folder;
+    let outputs = files.iter().map(|file| OutputRecord::of(folder.join(&file.name), file)).collect();
     let free_bytes = match &outcome {
         Outcome::Failed(error) if error.is_disk_full() => free_bytes_at(error),
         _ => None,

@@ -1,45 +1,14 @@
-//! The format of the journal: one record per line.
-//!
-//! ```text
-//!   8f3a09c1d2e4b576 {"frame":{"input":"/sim/dam.0012.bgeo","standing":"done", … }}⏎
-//!   xxh3-64 of the   one JSON object: the kind of record, and the record
-//!   rest, in hex
-//! ```
-//!
-//! Records are lines of text, so that people can read and search them. A checksum detects lines that were
-//! written partially or overwritten. A record is read completely or not at all.
-
-use std::io;
+//! The lines of the journal: see [`checked_line`](crate::pipeline::files::checked_line).
 
 use serde_json::Value;
-use twox_hash::XxHash3_64;
+
+use crate::pipeline::files::checked_line::record_of_line;
 
 use super::state::Entry;
 
-/// Digits of a checksum.
-const CHECKSUM_DIGITS: usize = 16;
-
-/// Appends the line of a record to `out`.
-///
-/// # Errors
-/// When the record cannot be serialized; `out` is unchanged then.
-pub(super) fn push_line(out: &mut Vec<u8>, entry: &Entry) -> io::Result<()> {
-    let record = serde_json::to_vec(entry)?;
-    let checksum = XxHash3_64::oneshot(&record);
-    out.extend_from_slice(format!("{checksum:0CHECKSUM_DIGITS$x} ").as_bytes());
-    out.extend_from_slice(&record);
-    out.push(b'\n');
-    Ok(())
-}
-
 /// Parses a line without its line break; `None` if the checksum does not match.
 pub(super) fn parse_line(line: &[u8]) -> Option<Entry> {
-    let (checksum, rest) = line.split_at_checked(CHECKSUM_DIGITS)?;
-    let record = rest.strip_prefix(b" ")?;
-    let checksum = u64::from_str_radix(str::from_utf8(checksum).ok()?, 16).ok()?;
-    if checksum != XxHash3_64::oneshot(record) {
-        return None;
-    }
+    let record = record_of_line(line)?;
     serde_json::from_slice(record).or_else(|_| without_figures(record)).ok()
 }
 
@@ -65,7 +34,10 @@ mod tests {
         SequenceCamera, SequenceKey,
     };
     use super::*;
-    use crate::pipeline::{FileStamp, Framed, MeasuredSpacing, OutputState};
+    use twox_hash::XxHash3_64;
+
+    use crate::pipeline::files::checked_line::push_line;
+    use crate::pipeline::{FileStamp, Framed, MeasuredSpacing};
     use crate::watch::Reason;
     use crate::watch::status_store::Figures;
 
@@ -90,20 +62,17 @@ mod tests {
             hash: Some(0x0123_4567_89ab_cdef),
             settings: "h=0.1 \"quoted\"\n⏎".to_owned(),
             outputs: vec![
-                OutputRecord::new("/out/dam.0001.glb".into(), 1 << 60, None),
-                OutputRecord::new(
-                    "/out/dam.0001.vdb".into(),
-                    7,
-                    Some(OutputState {
-                        stamp: FileStamp {
-                            size: 7,
-                            modified_ns: i64::MIN,
-                            inode: u64::MAX,
-                            changed_ns: Some(-1),
-                        },
-                        hash: u128::MAX,
-                    }),
-                ),
+                OutputRecord::of_size("/out/dam.0001.glb".into(), 1 << 60),
+                OutputRecord {
+                    path: "/out/dam.0001.vdb".into(),
+                    stamp: FileStamp {
+                        size: 7,
+                        modified_ns: i64::MIN,
+                        inode: u64::MAX,
+                        changed_ns: Some(-1),
+                    },
+                    hash: Some(u128::MAX),
+                },
             ],
             reason: Some(Reason::Error("line 3:\tno number\r\n".to_owned())),
             attempt_count: 3,
@@ -160,7 +129,7 @@ mod tests {
         let line = format!("{:016x} {record}", XxHash3_64::oneshot(record.as_bytes()));
         let Some(Entry::Frame { record, .. }) = parse_line(line.as_bytes()) else { panic!("not a frame") };
         assert_eq!(record.stamp, FileStamp { size: 5, modified_ns: 6, inode: 7, changed_ns: None });
-        assert_eq!(record.outputs, [OutputRecord::new("/out/a.glb".into(), 9, None)]);
+        assert_eq!(record.outputs, [OutputRecord::of_size("/out/a.glb".into(), 9)]);
     }
 
     #[test]
@@ -170,7 +139,7 @@ mod tests {
         };
         let mut line = Vec::new();
         push_line(&mut line, &Entry::Frame { input, record: Arc::clone(&record) }).expect("a line");
-        let text = String::from_utf8(line).expect("text").trim_end()[CHECKSUM_DIGITS + 1..].to_owned();
+        let text = String::from_utf8(line).expect("text").trim_end()[17..].to_owned();
         let text = text.replace("\"vertices\":3", "\"vertices\":\"three\"");
         let line = format!("{:016x} {text}", XxHash3_64::oneshot(text.as_bytes()));
         let Some(Entry::Frame { record: read, .. }) = parse_line(line.as_bytes()) else {

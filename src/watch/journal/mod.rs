@@ -35,11 +35,11 @@ use std::collections::HashSet;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::time::{SystemTime, UNIX_EPOCH};
 
+use crate::pipeline::files::checked_line::push_line;
 use crate::pipeline::{FileStamp, has_other_names, is_disk_full, open_own, replace_own};
 
-use line::{parse_line, push_line};
+use line::parse_line;
 pub(in crate::watch) use state::Entry;
 use state::RecordKey;
 
@@ -48,15 +48,7 @@ pub use state::{
     OutputRecord, SequenceCamera, SequenceKey,
 };
 
-/// The folder for the daemon's own files, in the folder of outputs.
-pub const STATE_FOLDER: &str = ".meniscus";
-
-/// The time of a record: milliseconds since 1970.
-pub fn now_ms() -> u64 {
-    // A clock before 1970 counts as 1970.
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
-}
+pub use crate::pipeline::{STATE_FOLDER, now_ms};
 
 /// The name of the journal in its folder.
 pub(in crate::watch) const FILE_NAME: &str = "journal";

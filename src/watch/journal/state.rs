@@ -13,7 +13,9 @@ use glam::DVec3;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::pipeline::files::json::{hex, path, text};
-use crate::pipeline::{CameraChoice, FileStamp, Framed, MeasuredSpacing, OutputState, is_level_set};
+use crate::pipeline::{
+    CameraChoice, FileStamp, Framed, InputFile, MeasuredSpacing, OutputFile, is_level_set,
+};
 use crate::watch::Reason;
 use crate::watch::status_store::Figures;
 
@@ -141,33 +143,34 @@ pub enum OutputCheck {
 }
 
 impl OutputRecord {
-    /// An output with this state or, if the state is unknown, with this size.
-    pub fn new(path: PathBuf, size_bytes: u64, state: Option<OutputState>) -> OutputRecord {
-        let of_size = FileStamp { size: size_bytes, ..FileStamp::default() };
-        let stamp = state.map_or(of_size, |state| state.stamp);
-        OutputRecord { path, stamp, hash: state.map(|state| state.hash) }
+    /// An output of which only the size is known.
+    pub fn of_size(path: PathBuf, size_bytes: u64) -> OutputRecord {
+        let stamp = FileStamp { size: size_bytes, ..FileStamp::default() };
+        OutputRecord { path, stamp, hash: None }
     }
 
-    /// Its stamp and its hash, if both are known.
-    pub fn state(&self) -> Option<OutputState> {
-        Some(OutputState { stamp: self.stamp, hash: self.hash? })
+    /// An output at this path.
+    pub fn of(path: PathBuf, file: &OutputFile) -> OutputRecord {
+        OutputRecord { path, stamp: file.stamp, hash: Some(file.hash) }
     }
 
     /// Compares the file with the record, without reading it.
     pub fn check(&self) -> OutputCheck {
-        match (FileStamp::of_path(&self.path), self.state()) {
-            (Ok(now), _) if now.size != self.stamp.size => OutputCheck::Missing,
-            (Ok(now), Some(state)) if !state.stamp.still_holds(&now) => OutputCheck::Touched,
-            (Ok(_), _) => OutputCheck::Unchanged,
-            (Err(_), _) => OutputCheck::Missing,
+        match FileStamp::of_path(&self.path) {
+            Ok(now) if now.size != self.stamp.size => OutputCheck::Missing,
+            Ok(now) if self.hash.is_some() && !self.stamp.still_holds(&now) => OutputCheck::Touched,
+            Ok(_) => OutputCheck::Unchanged,
+            Err(_) => OutputCheck::Missing,
         }
     }
 
     /// Whether the file has the recorded content. It is read only if its stamp differs.
     pub fn has_recorded_bytes(&self) -> bool {
-        match self.state() {
-            Some(state) => state.now(&self.path).is_ok_and(|now| now.hash == state.hash),
-            None => self.check() == OutputCheck::Unchanged,
+        match (self.check(), self.hash) {
+            (OutputCheck::Touched, Some(hash)) => {
+                InputFile::open(&self.path).and_then(|file| file.hash()).is_ok_and(|now| now == hash)
+            }
+            (check, _) => check == OutputCheck::Unchanged,
         }
     }
 }

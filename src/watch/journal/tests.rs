@@ -38,7 +38,7 @@ fn frame_record(status: JournaledStatus, attempt_count: u32) -> JournaledFrame {
         },
         hash: Some(u128::MAX / 3),
         settings: "0123456789abcdef0123456789abcdef".to_owned(),
-        outputs: vec![OutputRecord::new("/out/water/dam.0001.glb".into(), 1_234_567, None)],
+        outputs: vec![OutputRecord::of_size("/out/water/dam.0001.glb".into(), 1_234_567)],
         reason: None,
         attempt_count,
         at_ms: 1_760_000_000_000,
