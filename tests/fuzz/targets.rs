@@ -51,7 +51,7 @@ pub(crate) enum Content {
 }
 
 /// All targets.
-pub(crate) const TARGETS: [Target; 34] = [
+pub(crate) const TARGETS: [Target; 35] = [
     plain("ply", |bytes| checked(ply::read(bytes, &limits()))),
     plain("ply_mesh", |bytes| drop(ply::read_mesh_and_vertices(bytes, &limits()))),
     compressed("bgeo", |bytes| checked(bgeo::read(bytes, &limits()))),
