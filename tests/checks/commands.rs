@@ -392,7 +392,8 @@ impl Scene {
     fn runs_other_shards(&self) {
         for shard in 1..SHOT_FRAMES {
             let shard = format!("{shard}/60");
-            let result = meniscus(self.path(), &["convert", "shot", "--out", "meshes", "--shard", &shard]);
+            let result =
+                meniscus(self.path(), &["convert", "shot", "--out", "shot_meshes", "--shard", &shard]);
             assert_eq!(result.status, 0, "{}{}", result.out, result.err);
         }
     }

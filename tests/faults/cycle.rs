@@ -120,10 +120,11 @@ impl Cycle<'_> {
             assert_eq!(result.status.code(), Some(0), "{}", about(&result));
             result
         };
-        let last = self.mode.commands().into_iter().map(run).last().expect("a command");
+        let results: Vec<RunResult> = self.mode.commands().into_iter().map(run).collect();
+        let last = results.last().expect("a command");
         let found = files_in(&self.scene.path("out"));
         for (name, bytes) in self.references.of(version) {
-            assert!(found.get(name) == Some(bytes), "{name} is not as it should be: {}", about(&last));
+            assert!(found.get(name) == Some(bytes), "{name} is not as it should be: {}", about(last));
         }
         let is_more = |name: &&String| !self.references.of(version).contains_key(*name);
         let is_state = |name: &&String| {
@@ -131,7 +132,7 @@ impl Cycle<'_> {
                 || self.mode == Mode::Watch && name.starts_with(".meniscus/")
         };
         let more: Vec<&String> = found.keys().filter(is_more).filter(|name| !is_state(name)).collect();
-        assert!(more.is_empty(), "{more:?} are left: {}", about(&last));
+        assert!(more.is_empty(), "{more:?} are left: {}", about(last));
     }
 
     /// Asserts that every visible file with the name of an output is a complete output.
