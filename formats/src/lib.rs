@@ -82,8 +82,7 @@ pub use picture::{ColorPicture, PictureCamera, PictureLayer, PictureView, PixelS
 pub use probe::{Probe, ProbedKind, looks_like_particles, probe};
 pub use records::ReadAt;
 pub use row::{
-    BatchEncoder, Completeness, Content, MeshEncoder, MeshWriter, ParticleWriter, PictureWriter,
-    PositionRounding, RoundPositions, StreamWriter,
+    BatchEncoder, Completeness, Content, MeshEncoder, MeshWriter, ParticleWriter, PictureWriter, StreamWriter,
 };
 pub use table::{Format, OutputFormat, listed, read_provenance};
 

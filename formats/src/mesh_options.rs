@@ -37,8 +37,6 @@ pub struct MeshOptions {
     pub up: UpAxis,
     /// The length of a world unit in metres, positive and finite.
     pub meters_per_unit: f64,
-    /// Whether to quantize positions and normals to small integers.
-    pub quantize: bool,
     /// For each triangle, whether it and the next one form a quad, which is then written as one face. Empty:
     /// all faces are triangles.
     pub quads: Arc<[bool]>,
@@ -54,7 +52,6 @@ impl Default for MeshOptions {
             name: "surface".into(),
             up: UpAxis::Y,
             meters_per_unit: 1.0,
-            quantize: false,
             quads: Arc::default(),
             time_samples: false,
         }
@@ -70,8 +67,6 @@ pub enum WriteOption {
     Up,
     /// The length of a world unit.
     MetersPerUnit,
-    /// Quantization to small integers.
-    Quantize,
     /// 16-bit values.
     Half,
     /// The compression of values.
@@ -86,11 +81,10 @@ pub enum WriteOption {
 
 impl WriteOption {
     /// All options that are settings, in the order in which they are printed.
-    pub const ALL: [WriteOption; 8] = [
+    pub const ALL: [WriteOption; 7] = [
         WriteOption::Quads,
         WriteOption::Up,
         WriteOption::MetersPerUnit,
-        WriteOption::Quantize,
         WriteOption::Half,
         WriteOption::Compression,
         WriteOption::Size,
@@ -104,7 +98,6 @@ impl WriteOption {
             WriteOption::Quads => "quads",
             WriteOption::Up => "up",
             WriteOption::MetersPerUnit => "meters_per_unit",
-            WriteOption::Quantize => "quantize",
             WriteOption::Half => "half",
             WriteOption::Compression => "compression",
             WriteOption::Size => "size",

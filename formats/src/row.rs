@@ -133,8 +133,9 @@ pub struct MeshWriter {
     pub encoder: MeshEncoder,
     /// Notes on vertex attributes that its files cannot represent exactly.
     pub attribute_notes: fn(&[VertexAttribute]) -> Vec<String>,
-    /// How its files round positions with these options; `None` if they do not.
-    pub rounding: fn(&MeshOptions) -> Option<&'static PositionRounding>,
+    /// Whether its files have world positions in 32 bits, and no origin. A mesh far from the origin must be
+    /// rounded to such positions before, so that all files of a frame have the same ones.
+    pub has_world_positions: bool,
 }
 
 /// How a mesh is encoded.
@@ -152,27 +153,10 @@ pub enum MeshEncoder {
     },
 }
 
-/// Rounds positions relative to an origin, in world units, to the values that a reader of the file gets.
-pub type RoundPositions = fn(&[[f32; 3]], [f64; 3]) -> Vec<[f32; 3]>;
-
-/// How a format rounds the positions of a mesh. The functions take positions relative to an origin, in world
-/// units.
-#[derive(Debug)]
-pub struct PositionRounding {
-    /// The positions that a reader gets, relative to the same origin.
-    pub positions: RoundPositions,
-    /// The largest rounding error along an axis.
-    pub error: fn(&[[f32; 3]], [f64; 3]) -> f64,
-    /// What the certificate of a rounded file names as its subject.
-    pub certificate_subject: &'static str,
-    /// Which files are rounded, and why. Completes the warning "vertices are moved by up to 0.1 voxels in …".
-    pub reason: &'static str,
-}
-
 impl MeshWriter {
-    /// A writer that keeps all attributes under their names and does not round positions.
+    /// A writer that keeps all attributes under their names, and the origin of the mesh.
     pub(crate) const fn new(encoder: MeshEncoder) -> MeshWriter {
-        MeshWriter { encoder, attribute_notes: |_| Vec::new(), rounding: |_| None }
+        MeshWriter { encoder, attribute_notes: |_| Vec::new(), has_world_positions: false }
     }
 
     /// Writes a mesh.

@@ -186,6 +186,11 @@ impl OutputFormat {
         self.row().write_particles.as_ref()
     }
 
+    /// Whether files of this format have world positions in 32 bits: see [`MeshWriter::has_world_positions`].
+    pub fn has_world_positions(self) -> bool {
+        self.mesh().is_some_and(|writer| writer.has_world_positions)
+    }
+
     /// Whether files of this format contain a mesh.
     pub fn is_mesh(self) -> bool {
         self.mesh().is_some()

@@ -65,7 +65,6 @@ struct Outputs {
     up: UpAxis,
     #[serde(default = "one", skip_serializing_if = "is_one")]
     meters_per_unit: f64,
-    quantize: bool,
     vdb_half: bool,
     vdb_compression: Compression,
     picture_size: [usize; 2],
@@ -289,23 +288,14 @@ fn is_one(number: &f64) -> bool {
 
 impl Outputs {
     fn of(options: &OutputOptions) -> Result<Outputs, PlanError> {
-        let OutputOptions { up, meters_per_unit, quantize, vdb_half, vdb_compression, .. } = *options;
+        let OutputOptions { up, meters_per_unit, vdb_half, vdb_compression, .. } = *options;
         let (formats, picture_size) = (options.formats.clone(), options.picture.size);
         let stage = options.stage.as_ref().map(StageEntry::of).transpose()?;
-        Ok(Outputs { formats, up, meters_per_unit, quantize, vdb_half, vdb_compression, picture_size, stage })
+        Ok(Outputs { formats, up, meters_per_unit, vdb_half, vdb_compression, picture_size, stage })
     }
 
     fn into_options(self, folder: PathBuf) -> Result<OutputOptions, PlanError> {
-        let Outputs {
-            formats,
-            up,
-            meters_per_unit,
-            quantize,
-            vdb_half,
-            vdb_compression,
-            picture_size,
-            stage,
-        } = self;
+        let Outputs { formats, up, meters_per_unit, vdb_half, vdb_compression, picture_size, stage } = self;
         let stage = stage.map(|stage| stage.into_options(&folder)).transpose()?;
         if formats.is_empty() {
             return Err(PlanError::at("/outputs/formats", "must not be empty"));
@@ -321,17 +311,7 @@ impl Outputs {
             return Err(PlanError::at("/outputs/meters_per_unit", "it must be from 1e-9 to 1e9"));
         }
         let picture = PictureOptions { size: picture_size, camera: CameraChoice::default() };
-        Ok(OutputOptions {
-            folder,
-            formats,
-            up,
-            meters_per_unit,
-            quantize,
-            vdb_half,
-            vdb_compression,
-            picture,
-            stage,
-        })
+        Ok(OutputOptions { folder, formats, up, meters_per_unit, vdb_half, vdb_compression, picture, stage })
     }
 }
 

@@ -345,7 +345,6 @@ mod tests {
                     formats: vec![OutputFormat::Glb],
                     up: meniscus_formats::gltf::UpAxis::Y,
                     meters_per_unit: 1.0,
-                    quantize: false,
                     vdb_half: false,
                     vdb_compression: meniscus_formats::vdb::Compression::None,
                     picture: crate::pipeline::PictureOptions::default(),

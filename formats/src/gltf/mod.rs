@@ -18,14 +18,13 @@ use crate::error::{Error, Result};
 use crate::limits::Limits;
 use crate::mesh_options::WriteOption;
 use crate::row::Integrity;
-use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, PositionRounding};
+use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow};
 
 mod buffer;
 mod chunks;
 mod external;
 mod frame_file;
 mod placement;
-mod quantized;
 mod read;
 mod read_attributes;
 mod read_camera;
@@ -39,7 +38,6 @@ pub use crate::mesh_options::UpAxis;
 pub use crate::row::ReadExternal;
 pub use external::{ExternalFile, external_files};
 pub use frame_file::GlbFrame;
-pub use quantized::{quantization_error, quantized_positions};
 pub use read::{read_mesh, read_mesh_with_external};
 pub use read_attributes::{read_attribute_names, read_attributes};
 pub use read_camera::{CameraData, read_camera};
@@ -64,7 +62,6 @@ const CHUNK_BIN: [u8; 4] = *b"BIN\0";
 
 /// The codes of the component types that the writer uses.
 mod component {
-    pub(super) const I8: u32 = 5120;
     pub(super) const U16: u32 = 5123;
     pub(super) const U32: u32 = 5125;
     pub(super) const F32: u32 = 5126;
@@ -80,14 +77,13 @@ pub(crate) static GLB: OutputRow = OutputRow {
     help: "Binary glTF: positions, normals",
     content: Content::Mesh(MeshWriter {
         attribute_notes,
-        rounding: |options| options.quantize.then_some(&QUANTIZED),
         ..MeshWriter::new(MeshEncoder::Stream(|mesh, options, provenance, mut out| {
             write_glb(mesh, options, provenance, &mut out)
         }))
     }),
     write_particles: None,
     has_attributes: true,
-    options: &[WriteOption::Up, WriteOption::Quantize],
+    options: &[WriteOption::Up],
     read_provenance: |head| read_provenance(json_of_glb_head(head)?),
     integrity: Integrity::Length(|head, _| glb_bytes_declared(head)),
 };
@@ -107,13 +103,6 @@ pub(crate) static GLTF: OutputRow = OutputRow {
     options: &[WriteOption::Up],
     read_provenance,
     integrity: Integrity::Json,
-};
-
-static QUANTIZED: PositionRounding = PositionRounding {
-    positions: |positions, _| quantized_positions(positions),
-    error: |positions, _| quantization_error(positions),
-    certificate_subject: "mesh, at its 16-bit positions",
-    reason: "the quantized .glb: the frame is too wide for 65536 steps",
 };
 
 /// Reads the mesh of a `.glb`. Rejects a sequence: it has a mesh per frame, and nothing says which one to

@@ -21,7 +21,6 @@ pub(crate) struct SequencePlacement {
 /// How the positions in the file of a frame become positions of a sequence.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PositionTransform {
-    scale: f64,
     shift: [f64; 3],
 }
 
@@ -34,7 +33,7 @@ impl SequencePlacement {
     pub(crate) fn of(frames: &[SequenceFrame], format: &'static str) -> Result<SequencePlacement> {
         let mut placement = None;
         for frame in frames.iter().filter(|frame| frame.file.has_mesh()) {
-            let FramePlacement { up, origin, .. } = frame.file.placement()?;
+            let FramePlacement { up, origin } = frame.file.placement()?;
             let first = placement.get_or_insert(SequencePlacement { up, origin });
             if up != first.up {
                 let what = "some frames have Y up and others Z up: convert all frames with the same --up";
@@ -47,10 +46,10 @@ impl SequencePlacement {
     /// The transform of the positions of a frame.
     pub(crate) fn transform(&self, frame: &GlbFrame) -> Result<PositionTransform> {
         if !frame.has_mesh() {
-            return Ok(PositionTransform { scale: 1.0, shift: [0.0; 3] });
+            return Ok(PositionTransform { shift: [0.0; 3] });
         }
-        let FramePlacement { origin, scale, .. } = frame.placement()?;
-        Ok(PositionTransform { scale, shift: std::array::from_fn(|axis| origin[axis] - self.origin[axis]) })
+        let origin = frame.placement()?.origin;
+        Ok(PositionTransform { shift: std::array::from_fn(|axis| origin[axis] - self.origin[axis]) })
     }
 }
 
@@ -73,8 +72,7 @@ impl GlbFrame {
     ) -> Result<Option<usize>> {
         values.clear();
         let Some(column) = self.column(semantic)? else { return Ok(None) };
-        let scale = if semantic == POSITION { positions.scale } else { 1.0 };
-        self.read_column(&column, scale, file, values)?;
+        self.read_column(&column, file, values)?;
         if semantic == POSITION {
             for position in values.as_chunks_mut::<3>().0 {
                 *position = std::array::from_fn(|axis| positions.shifted(axis, position[axis]));
@@ -85,11 +83,9 @@ impl GlbFrame {
 
     /// The smallest and the largest transformed position; zeros for a frame without a mesh.
     pub(crate) fn transformed_bounds(&self, positions: &PositionTransform) -> Result<[[f32; 3]; 2]> {
-        let scale = positions.scale;
         #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
-        let corner = |corner: [f64; 3]| {
-            std::array::from_fn(|axis| positions.shifted(axis, (corner[axis] * scale) as f32))
-        };
+        let corner =
+            |corner: [f64; 3]| std::array::from_fn(|axis| positions.shifted(axis, corner[axis] as f32));
         Ok(self.bounds()?.map(corner))
     }
 }

@@ -75,7 +75,6 @@ fn plan() -> PlanRecord {
             formats: vec![OutputFormat::Glb, OutputFormat::Vdb],
             up: meniscus_formats::gltf::UpAxis::Y,
             meters_per_unit: 1.0,
-            quantize: false,
             vdb_half: false,
             vdb_compression: meniscus_formats::vdb::Compression::Blosc,
             picture: crate::pipeline::PictureOptions::default(),

@@ -35,7 +35,6 @@ fn bare() -> Watch {
             formats: Vec::new(),
             up: UpAxis::Y,
             meters_per_unit: 1.0,
-            quantize: false,
             vdb_half: false,
             vdb_compression: Compression::None,
             picture: PictureOptions::default(),
@@ -57,7 +56,6 @@ fn plan_survives_a_round_trip_bit_for_bit() {
             formats: OutputFormat::ALL.to_vec(),
             up: UpAxis::Z,
             meters_per_unit: 0.01_f64.next_up(),
-            quantize: true,
             vdb_half: true,
             stage: Some(StageOptions { path: "/s\u{e9} 1.usda".into(), fps: 1.0 / 3.0 }),
             ..bare().outputs

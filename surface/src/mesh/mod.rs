@@ -22,6 +22,7 @@ mod corners;
 mod decimate;
 mod flat;
 mod quads;
+mod rounding;
 mod smooth_normals;
 mod triangles;
 mod unused;
@@ -34,7 +35,7 @@ use crate::parallel::Loops as _;
 use crate::simd::{Kernel, Lanes, dispatch};
 use corners::{Corners, TouchingTriangles};
 pub use decimate::{DecimateReport, decimate};
-pub use flat::RoundedPositions;
+pub use rounding::PositionRounding;
 pub(crate) use triangles::{LANES, TriangleBatch};
 
 /// A triangle mesh in world units.

@@ -15,19 +15,19 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
 use super::plan::{FIELD_BYTES, mesh_bytes, smoothing_fields};
-use super::postprocess::{PositionFormat, StoredMesh};
 use super::{FrameSurface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, lattice, postprocess, smooth_config};
 use crate::contour;
 use crate::grid::{Field, negative_masks};
 use crate::level_set::{
     Bounds, NarrowBand, WIDENED_MAX, offset_surface, widened, widened_leaf_count, widened_leaf_count_max,
 };
+use crate::mesh::{Mesh, PositionRounding};
 use crate::obstacle::Obstacles;
 use crate::options::Settings;
 use crate::parallel::Loops as _;
 use crate::report::ReconstructionReport;
 use crate::smooth;
-use crate::validation::{CheckedRegion, certificate};
+use crate::validation::Checks;
 
 /// Limit of the maximum deviation, in voxels: the stored band around the surface is not wider.
 pub const DEVIATION_MAX_VOXELS: f32 = 3.0;
@@ -41,17 +41,17 @@ const MARGIN: f32 = 5.0;
 /// Computes the surface of a level set, whose values are in units of the settings' voxel size. With a maximum
 /// deviation above 0, it is the smoothest surface that stays within that distance, in voxels, of the given
 /// one; the settings' offset is applied afterwards. Settings for particles have no effect. Voxel (0, 0, 0) is
-/// at `translation`, in world units. The mesh is validated as stored in each of the formats in `stored`.
+/// at `translation`, in world units.
 pub fn smooth_level_set(
     band: NarrowBand,
     translation: DVec3,
     max_deviation_voxels: f32,
     settings: &Settings,
-    stored: &[PositionFormat],
+    rounding: PositionRounding,
 ) -> FrameSurface {
     bound_level_set(band, translation, max_deviation_voxels, settings)
         .smooth(settings, &mut |_| {})
-        .contour(settings, stored)
+        .contour(settings, rounding)
 }
 
 /// A level set between two stages of [`smooth_level_set`], with the bounds that its surface must keep.
@@ -109,10 +109,10 @@ impl BoundedBand {
         self
     }
 
-    /// Third stage: the mesh and its validation, for each storage format.
-    pub fn contour(self, settings: &Settings, stored: &[PositionFormat]) -> FrameSurface {
+    /// Third stage: the mesh with rounded positions, and its validation.
+    pub fn contour(self, settings: &Settings, rounding: PositionRounding) -> FrameSurface {
         let BoundedBand { mut band, bounds, translation, mut report, .. } = self;
-        let bound_violation_count = bounds.violation_count(&band.phi);
+        report.certificate.bound_violation_count = bounds.violation_count(&band.phi);
         drop(bounds);
         let offset = offset_voxels(settings);
         if offset != 0.0 {
@@ -122,14 +122,11 @@ impl BoundedBand {
         let lattice = lattice(settings);
         let mut mesh = contour::contour(&band, &lattice, settings.contouring);
         report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
-        // Files may store world positions, so rounding depends on where the mesh is.
+        // Rounding to world positions depends on where the mesh is.
         mesh.origin += translation;
         // A level set has no particles to check.
-        let no_part = |_: &StoredMesh, _: &mut dyn FnMut(&CheckedRegion)| Ok::<(), Infallible>(());
-        let Ok(checks) = postprocess::finalize(&mut mesh, (settings, stored), &mut report, no_part);
-        let counts = (bound_violation_count, 0);
-        report.certificate =
-            certificate(checks, counts, (None, settings.offset), &mesh, &report.mesh, &lattice);
+        let validate = |_: &Mesh, _: f32| Ok::<Checks, Infallible>(Checks::EMPTY);
+        let Ok(()) = postprocess::finalize(&mut mesh, settings, None, rounding, &mut report, validate);
         FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report }
     }
 }
@@ -236,8 +233,6 @@ fn moved(phi: &Field, by: f32) -> Field {
 
 #[cfg(test)]
 mod tests {
-    use glam::Vec3;
-
     use super::*;
     use crate::grid::{LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
     use crate::options::MethodOptions;
@@ -272,18 +267,11 @@ mod tests {
 
     #[test]
     fn distant_mesh_is_validated_at_rounded_world_positions() {
-        let world_positions = PositionFormat::Rounded(|positions, origin| {
-            let origin = DVec3::from(origin);
-            let read = |position: &[f32; 3]| {
-                let world = (origin + Vec3::from(*position).as_dvec3()).as_vec3();
-                (world.as_dvec3() - origin).as_vec3().to_array()
-            };
-            positions.iter().map(read).collect()
-        });
         let band = ball();
         let settings = Settings::paper(0.01, &MethodOptions::default()).expect("sound");
         let flat_count = |translation: DVec3| {
-            let surface = smooth_level_set(band.clone(), translation, 0.0, &settings, &[world_positions]);
+            let surface =
+                smooth_level_set(band.clone(), translation, 0.0, &settings, PositionRounding::World);
             surface.report.flat_triangles_removed + surface.report.mesh.degenerate_triangle_count
         };
         assert_eq!(flat_count(DVec3::ZERO), 0);

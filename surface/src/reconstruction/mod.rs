@@ -28,7 +28,6 @@ pub use band::{
 pub use field_store::{FIELD_STORE_FILES, Storage};
 pub(crate) use plan::plan_in_core;
 pub use plan::{MemoryPlan, MemoryPlanError, PlanInputs, TooLarge, plan_memory};
-pub use postprocess::PositionFormat;
 pub use precision::{PrecisionLimit, SPREAD_MAX_VOXELS, VoxelTooSmall};
 pub(crate) use shape::shapes_by_attributes;
 pub use shape::{ShapedSource, shape_by_attributes, shape_by_neighbors, shape_particles};
@@ -36,7 +35,7 @@ pub use shape::{ShapedSource, shape_by_attributes, shape_by_neighbors, shape_par
 use crate::contour;
 use crate::grid::Leaf;
 use crate::level_set::{Bounds, NarrowBand, offset_reach_voxels};
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, PositionRounding};
 use crate::obstacle::{ContactStats, Obstacles};
 use crate::options::Settings;
 use crate::particles::{AnySource, OwnedPositions, ParticleCloud, ParticleSource, Unread, erased};
@@ -45,9 +44,9 @@ use crate::report::{Phase, ReconstructionReport, ShapeStats};
 use crate::smooth;
 use crate::space::{CoordBox, Lattice};
 use crate::validation::{
-    CheckedRegion, MeshCells, MovedParticle, certificate, count_inputs_outside, possibly_outside,
+    CheckedRegion, MeshCells, MovedParticle, check, count_inputs_outside, possibly_outside,
 };
-use postprocess::{Edits, StoredMesh, SurfaceExclusions};
+use postprocess::{Edits, SurfaceExclusions};
 
 /// The surface of one frame.
 #[derive(Clone, Debug)]
@@ -149,7 +148,7 @@ pub fn reconstruct_frame_observed(
     entered(Phase::Smooth);
     let smoothed = smooth(rasterized, settings);
     entered(Phase::Contour);
-    contour(smoothed, settings, &[PositionFormat::Exact])
+    contour(smoothed, settings, PositionRounding::Local)
 }
 
 /// Reconstructs the surface of one frame of particles with attributes and obstacles, and transfers the
@@ -157,7 +156,7 @@ pub fn reconstruct_frame_observed(
 pub fn reconstruct_cloud(cloud: ParticleCloud, settings: &Settings, obstacles: &Obstacles) -> FrameSurface {
     let (shaped, shape_stats) = shape_particles(cloud, settings);
     let Ok(rasterized) = rasterize(&shaped, settings, shape_stats, obstacles.clone());
-    let mut surface = contour(smooth(rasterized, settings), settings, &[PositionFormat::Exact]);
+    let mut surface = contour(smooth(rasterized, settings), settings, PositionRounding::Local);
     transfer_attributes(
         &mut surface,
         &shaped.into_moved(),
@@ -255,10 +254,10 @@ fn report_smoothing(report: &mut ReconstructionReport, smoothed: smooth::SmoothR
     report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
 }
 
-/// Third stage: the mesh, its measures, and the certificate, which validates the mesh as each file stores it.
-pub fn contour(smoothed: SmoothedFrame, settings: &Settings, stored: &[PositionFormat]) -> FrameSurface {
+/// Third stage: the mesh with rounded positions, its measures, and the certificate.
+pub fn contour(smoothed: SmoothedFrame, settings: &Settings, rounding: PositionRounding) -> FrameSurface {
     let ControlFlow::Continue(surface) =
-        contour_while::<Infallible>(smoothed, settings, stored, &|| ControlFlow::Continue(()));
+        contour_while::<Infallible>(smoothed, settings, rounding, &|| ControlFlow::Continue(()));
     surface
 }
 
@@ -266,13 +265,13 @@ pub fn contour(smoothed: SmoothedFrame, settings: &Settings, stored: &[PositionF
 pub(crate) fn contour_while<B>(
     smoothed: SmoothedFrame,
     settings: &Settings,
-    stored: &[PositionFormat],
+    rounding: PositionRounding,
     go_on: &dyn Fn() -> ControlFlow<B>,
 ) -> ControlFlow<B, FrameSurface> {
     let SmoothedFrame { bins, mut band, bounds, obstacles, possibly_outside, mut report } = smoothed;
     let scene = raster_params(settings, &obstacles);
     let RasterParams { lattice, radii, .. } = scene;
-    let bound_violation_count = bounds.violation_count(&band.phi);
+    report.certificate.bound_violation_count = bounds.violation_count(&band.phi);
     drop(bounds);
     postprocess::offset_and_cut(&mut band, &scene);
     let edits = match postprocess::has_edits(settings) {
@@ -282,25 +281,25 @@ pub(crate) fn contour_while<B>(
     go_on()?;
     let mut mesh = postprocess::mesh(&band, &edits, (&scene, settings), &mut report.depth);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
-    let (exempt, owned) = (&SurfaceExclusions { scene: &scene, edits: &edits }, CoordBox::ALL);
-    let how = (settings, stored);
-    let settled = postprocess::finalize(&mut mesh, how, &mut report, |checked, check| {
-        if let ControlFlow::Break(broken) = go_on() {
-            return Err(broken);
-        }
-        let StoredMesh { mesh, rounding } = *checked;
-        let (bins, band, lattice) = (&bins, &band, &lattice);
-        let cells = &MeshCells::new(mesh, band, lattice);
-        check(&CheckedRegion { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
-        Ok(())
-    });
-    let checks = match settled {
-        Ok(checks) => checks,
-        Err(broken) => return ControlFlow::Break(broken),
+    let exempt = &SurfaceExclusions { scene: &scene, edits: &edits };
+    let validate = |mesh: &Mesh, rounding_voxels: f32| match go_on() {
+        ControlFlow::Break(reason) => Err(reason),
+        ControlFlow::Continue(()) => Ok(check(&CheckedRegion {
+            bins: &bins,
+            radii,
+            band: &band,
+            mesh,
+            cells: &MeshCells::new(mesh, &band, &lattice),
+            rounding_voxels,
+            lattice: &lattice,
+            owned: CoordBox::ALL,
+            exempt,
+        })),
     };
-    let counts = (bound_violation_count, report.dropped_count);
-    report.certificate =
-        certificate(checks, counts, (Some(&radii), settings.offset), &mesh, &report.mesh, &lattice);
+    let validated = postprocess::finalize(&mut mesh, settings, Some(&radii), rounding, &mut report, validate);
+    if let Err(reason) = validated {
+        return ControlFlow::Break(reason);
+    }
     report.certificate.input_positions_outside = possibly_outside.map(|possibly_outside| {
         count_inputs_outside(&possibly_outside, &band, (&lattice, radii.offset), exempt)
     });

@@ -405,10 +405,11 @@ mod tests {
     use super::super::changes::{moved_double, rounded};
     use super::*;
     use crate::anisotropy::from_neighbors;
+    use crate::mesh::PositionRounding;
     use crate::obstacle::Obstacles;
     use crate::options::{AnisotropyKind, MethodOptions};
     use crate::particles::Ellipsoid;
-    use crate::reconstruction::{FrameSurface, PositionFormat, contour, rasterize, smooth};
+    use crate::reconstruction::{FrameSurface, contour, rasterize, smooth};
 
     /// A source with batches of a given size, as from a file.
     struct Batches<'a> {
@@ -528,7 +529,7 @@ mod tests {
         let Ok(rasterized) = rasterize(source, settings, shape_stats, Obstacles::default()) else {
             panic!("in memory")
         };
-        contour(smooth(rasterized, settings), settings, &[PositionFormat::Exact])
+        contour(smooth(rasterized, settings), settings, PositionRounding::Local)
     }
 
     /// The particles within a ball, so that the surface has normals in all directions.

@@ -45,15 +45,15 @@ pub(super) const MOVE_MAX: f32 = 1.0;
 const STEPS_MAX: usize = 8;
 
 /// How far to the valid side of its bound a vertex is moved, in voxels: more than the rounding error of a
-/// 32-bit position. The rounding error of the positions in the mesh file is added.
+/// 32-bit position. The error of rounding to world positions is added.
 const SLACK: f32 = 2e-3;
 
 /// The step from a position to the bound that it violates; `None` if it violates none.
 fn step(part: &CheckedRegion, near: &NearLeaves, point: Vec3) -> Option<Vec3> {
-    let CheckedRegion { bins, radii, rounding, .. } = *part;
+    let CheckedRegion { bins, radii, rounding_voxels, .. } = *part;
     let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max] } =
         DistanceLimits::new(&radii).with_margin(CELL_MARGIN);
-    let slack = SLACK + rounding;
+    let slack = SLACK + rounding_voxels;
     let (mut deepest, mut nearest) = ((f32::INFINITY, Vec3::ZERO), (f32::INFINITY, Vec3::ZERO));
     for &(from_leaf, leaf) in &near.leaves {
         for (index, &center) in bins.range(leaf).zip(bins.in_leaf(leaf)) {
@@ -92,7 +92,7 @@ mod tests {
     use crate::particles::{Ellipsoid, OwnedPositions, ParticleCloud, Shapes};
     use crate::rasterize::{Radii, RasterFields, RasterParams, rasterize};
     use crate::space::{CoordBox, Lattice};
-    use crate::validation::{MeshCells, NoExclusions, check};
+    use crate::validation::{Checks, MeshCells, NoExclusions, check};
 
     /// Vertices that are pushed out of bounds come back, and the others stay.
     #[test]
@@ -124,19 +124,19 @@ mod tests {
                 band: &band,
                 mesh: &mesh,
                 cells,
-                rounding: 0.0,
+                rounding_voxels: 0.0,
                 lattice: &lattice,
                 owned,
                 exempt,
             };
-            let (before, found) = check(&part);
+            let Checks { particles: before, violations } = check(&part);
             assert!(before.vertices_inside_min == 1 && before.vertices_outside_max == 1, "{before:?}");
             let mut corrected = mesh.clone();
-            for violation in &found {
+            for violation in &violations {
                 corrected.positions[violation.vertex] = violation.position;
             }
-            let (after, _) = check(&CheckedRegion { mesh: &corrected, ..part });
-            assert_eq!(found.len(), 2, "{found:?}");
+            let after = check(&CheckedRegion { mesh: &corrected, ..part }).particles;
+            assert_eq!(violations.len(), 2, "{violations:?}");
             assert_eq!(after.vertices_inside_min + after.vertices_outside_max, 0, "{after:?}");
         }
     }

@@ -8,7 +8,7 @@
 //!   the mesh closed and 2-manifold
 //! ```
 //!
-//! The mesh is checked as it is written: after decimation, and with the rounded positions that a reader gets.
+//! The mesh is checked as it is written: after decimation, and with rounded positions.
 //!
 //! A surface that is moved outward by b is farther from S_min by b, and farther from S_max by at most b. A
 //! surface that is moved inward by b is closer to S_min by b, but may be as close to S_max as before:
@@ -32,19 +32,16 @@ mod rays;
 mod surfaces;
 
 use glam::{DVec3, IVec3, Vec3};
-use rayon::prelude::*;
 
 pub use bound_violations::BoundViolation;
 pub use input_positions::{
     MovedParticle, count_inputs_outside, count_inputs_outside_of_source, possibly_outside,
 };
 pub use mesh_cells::MeshCells;
-pub use particle_checks::{CheckedRegion, ParticleChecks, check};
+pub use particle_checks::{CheckedRegion, Checks, ParticleChecks, check};
 
-use crate::mesh::{Mesh, MeshMeasures};
-use crate::parallel::Loops as _;
+use crate::mesh::MeshMeasures;
 use crate::rasterize::Radii;
-use crate::space::Lattice;
 use crate::words::pluralize;
 
 /// The results of the checks of the finished surface. [`holds`](Self::holds) says whether it passed all of
@@ -87,7 +84,7 @@ pub struct Certificate {
     /// triangle is degenerate.
     pub mesh_is_closed_manifold: bool,
     /// Rounding error of 32-bit positions, in voxels: large only if part of a frame is tens of thousands of
-    /// voxels from the rest.
+    /// voxels from the rest, or from the world origin if a file has world positions.
     pub position_rounding: f64,
 }
 
@@ -172,36 +169,29 @@ impl ExclusionMask for NoExclusions {
     }
 }
 
-/// Assembles the certificate of a result. `radii` are those of the particles, and `None` for surfaces of
+/// The results of these checks as a certificate. `radii` are those of the particles, and `None` for surfaces of
 /// level sets.
 pub fn certificate(
-    checks: ParticleChecks,
-    (bound_violation_count, particles_left_out): (usize, usize),
-    (radii, offset): (Option<&Radii>, f64),
-    mesh: &Mesh,
+    checks: &ParticleChecks,
+    radii: Option<&Radii>,
     measures: &MeshMeasures,
-    lattice: &Lattice,
+    voxel_size: f64,
 ) -> Certificate {
+    let distance_limits = radii.map(|radii| DistanceLimits::new(radii).limits());
     Certificate {
-        bound_violation_count,
-        particles_left_out,
         mesh_is_closed_manifold: measures.is_closed_manifold(),
-        position_rounding: position_rounding(mesh, lattice),
         vertex_distance_min: f64::from(checks.vertex_distance_min),
         vertex_distance_max: f64::from(checks.vertex_distance_max),
-        offset,
-        distance_limits: radii.map(|radii| {
-            DistanceLimits::new(radii).limits().map(|limit| f64::from(limit) * lattice.voxel_size)
-        }),
+        distance_limits: distance_limits.map(|limits| limits.map(|limit| f64::from(limit) * voxel_size)),
         vertices_inside_min: checks.vertices_inside_min,
         vertices_outside_max: checks.vertices_outside_max,
         particles_outside: ParticlesOutside {
             count: checks.particles_outside,
-            deepest: f64::from(checks.deepest_outside) * lattice.voxel_size,
+            deepest: f64::from(checks.deepest_outside) * voxel_size,
         },
         may_leave_particles_outside: radii.is_some_and(may_leave_particles_outside),
-        input_positions_outside: None,
         particles_exempt: checks.particles_exempt,
+        ..Certificate::default()
     }
 }
 
@@ -241,15 +231,4 @@ impl DistanceLimits {
         let [from_min, from_max] = self.from_spheres;
         DistanceLimits { from_spheres: [from_min - margin, from_max + margin], ..self }
     }
-}
-
-/// Half the distance between adjacent 32-bit numbers at the farthest position, in voxels.
-fn position_rounding(mesh: &Mesh, lattice: &Lattice) -> f64 {
-    let farthest = mesh
-        .positions
-        .par_iter()
-        .halved()
-        .map(|position| position.abs().max_element())
-        .reduce(|| 0.0, f32::max);
-    f64::from(farthest.next_up() - farthest) / 2.0 / lattice.voxel_size
 }

@@ -33,9 +33,8 @@ pub struct CheckedRegion<'a> {
     pub mesh: &'a Mesh,
     /// The cells that the mesh passes through.
     pub cells: &'a MeshCells,
-    /// Rounding error of the file's positions, in voxels. Vertices are moved farther into their bounds by
-    /// this.
-    pub rounding: f32,
+    /// How far rounding may move a vertex, in voxels. Vertices are moved farther into their bounds by this.
+    pub rounding_voxels: f32,
     /// Converts the mesh's positions to voxels.
     pub lattice: &'a Lattice,
     /// The voxels whose leaves are checked.
@@ -76,19 +75,6 @@ impl ParticleChecks {
         particles_exempt: 0,
     };
 
-    /// The worse of each value, for a mesh that is stored in two files.
-    pub fn worst_of(self, other: ParticleChecks) -> ParticleChecks {
-        ParticleChecks {
-            vertex_distance_min: self.vertex_distance_min.min(other.vertex_distance_min),
-            vertex_distance_max: self.vertex_distance_max.max(other.vertex_distance_max),
-            vertices_inside_min: self.vertices_inside_min.max(other.vertices_inside_min),
-            vertices_outside_max: self.vertices_outside_max.max(other.vertices_outside_max),
-            particles_outside: self.particles_outside.max(other.particles_outside),
-            deepest_outside: self.deepest_outside.max(other.deepest_outside),
-            particles_exempt: self.particles_exempt.max(other.particles_exempt),
-        }
-    }
-
     /// The combined checks of two parts without common leaves.
     pub fn merge(self, other: ParticleChecks) -> ParticleChecks {
         ParticleChecks {
@@ -103,16 +89,36 @@ impl ParticleChecks {
     }
 }
 
-/// Checks a part of a frame. Returns the checks, and a corrected position for each vertex that is out of
-/// bounds, if the correction steps reach one within one voxel of the vertex.
-pub fn check(part: &CheckedRegion) -> (ParticleChecks, Vec<BoundViolation>) {
+/// The checks of a part of a frame, and the vertices to move.
+#[derive(Debug)]
+pub struct Checks {
+    /// The checks of vertices and particles.
+    pub particles: ParticleChecks,
+    /// A corrected position for each vertex that is out of bounds, if the correction steps reach one within
+    /// one voxel of the vertex.
+    pub violations: Vec<BoundViolation>,
+}
+
+impl Checks {
+    /// The checks of an empty part.
+    pub const EMPTY: Checks = Checks { particles: ParticleChecks::EMPTY, violations: Vec::new() };
+
+    /// The combined checks of two parts without common leaves.
+    pub fn merge(mut self, other: Checks) -> Checks {
+        self.violations.extend(other.violations);
+        Checks { particles: self.particles.merge(other.particles), ..self }
+    }
+}
+
+/// Checks a part of a frame.
+pub fn check(part: &CheckedRegion) -> Checks {
     let (vertices, violations) = distances::check_vertices(part);
     let (outside, particles_exempt) = containment::particles_outside(part);
     let depth = |&(origin, local): &(IVec3, Vec3)| containment::depth_outside(part.band, origin, local);
     let deepest_outside = outside.par_iter().halved().map(depth).reduce(|| 0.0, f32::max);
-    let checks =
+    let particles =
         ParticleChecks { particles_outside: outside.len(), deepest_outside, particles_exempt, ..vertices };
-    (checks, violations)
+    Checks { particles, violations }
 }
 
 #[cfg(test)]
@@ -153,12 +159,12 @@ mod tests {
                     band: &band,
                     mesh,
                     cells,
-                    rounding: 0.0,
+                    rounding_voxels: 0.0,
                     lattice,
                     owned,
                     exempt,
                 })
-                .0
+                .particles
             };
             let whole = part(CoordBox::ALL);
             let counts = [whole.vertices_inside_min, whole.vertices_outside_max, whole.particles_outside];
@@ -212,11 +218,11 @@ mod tests {
             band: &band,
             mesh,
             cells,
-            rounding: 0.0,
+            rounding_voxels: 0.0,
             lattice,
             owned,
             exempt,
         };
-        assert_eq!(check(&part).0.particles_outside, 0);
+        assert_eq!(check(&part).particles.particles_outside, 0);
     }
 }
