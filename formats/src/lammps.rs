@@ -25,10 +25,10 @@ use std::ops::Range;
 use crate::csv;
 use crate::data::{FilePositions, ParticleFrame};
 use crate::error::{Error, Position, Result};
-use crate::excerpt::{excerpt, excerpts};
 use crate::limits::Limits;
 use crate::row::{FormatRow, ParticleInput};
-use crate::step_finders::steps_of_dump;
+use crate::steps::steps_of_dump;
+use crate::text::{excerpt, excerpts};
 
 /// The format's name in errors.
 pub(crate) const FORMAT: &str = "LAMMPS dump";

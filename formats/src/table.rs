@@ -18,9 +18,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Result};
-use crate::mesh_options::{MeshOptions, WriteOption};
 use crate::provenance::HEAD_BYTES_MAX;
-use crate::row::{Content, FormatRow, MeshWriter, OutputRow, ParticleWriter};
+use crate::row::{Content, FormatRow, MeshOptions, MeshWriter, OutputRow, ParticleWriter, WriteOption};
 
 /// Generates the two format enums from the rows.
 macro_rules! formats {

@@ -21,7 +21,7 @@ use crate::data::ParticleFrame;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::row::{FormatRow, ParticleInput};
-use crate::step_finders::{LineHeads, steps_of_atoms};
+use crate::steps::{LineHeads, steps_of_atoms};
 use crate::text::{Lines, parse_number};
 
 /// The format's name in errors.

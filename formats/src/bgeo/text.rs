@@ -12,10 +12,9 @@
 //!   ..                                        primitives and everything else: not read
 //! ```
 
-use crate::excerpt::excerpt;
 use crate::named_arrays::{NamedArray, frame_of};
 use crate::number::divided;
-use crate::text::line_number;
+use crate::text::{excerpt, line_number};
 use crate::{Error, FilePositions, Limits, ParticleFrame, Position, Result, Values};
 
 /// The format's name in errors.

@@ -3,14 +3,13 @@
 use std::borrow::Cow;
 
 use super::FORMAT;
-use super::cell::{
+use super::rows::{
     CellValue, DELIMITERS, Delimiter, cells, has_cells, has_decimal_comma, parse_cell, quoted_excerpt,
     unquoted,
 };
-use crate::columns::{self, Columns};
-use crate::excerpt::excerpts;
-use crate::first_column::FirstColumn;
-use crate::scalar::Scalar;
+use crate::columns::{self, Columns, FirstColumn};
+use crate::number::Scalar;
+use crate::text::excerpts;
 use crate::{Error, Limits, Position, Result};
 
 /// The layout of the rows.

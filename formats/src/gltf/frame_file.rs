@@ -5,10 +5,12 @@ use std::io::{ErrorKind, Read, Seek, SeekFrom};
 
 use serde_json::{Map, Value};
 
-use super::buffer::invalid;
+use super::read::invalid;
+use super::sequence::SequenceFrame;
+use super::write::usual_name;
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, component};
 use crate::error::{Error, Position, Result};
-use crate::mesh_options::UpAxis;
+use crate::row::UpAxis;
 
 /// A frame of a sequence.
 #[derive(Clone, Debug)]
@@ -258,7 +260,7 @@ impl GlbFrame {
     }
 
     /// Reads vertex data, which replace the `values`.
-    pub(super) fn read_column(
+    fn read_column(
         &self,
         column: &VertexColumn,
         file: &mut (impl Read + Seek),
@@ -349,3 +351,142 @@ const NOT_OURS: &str =
 
 /// The names of vectors with one to four components.
 const TYPES: [&str; 4] = ["SCALAR", "VEC2", "VEC3", "VEC4"];
+
+// The placement of the frames of a sequence, relative to one origin.
+
+/// The placement of all frames of a sequence.
+///
+/// Frames far from the world's origin have origins of their own, which jump from one frame to the next.
+/// Programs interpolate transforms, and compute motion blur from them. So a sequence has one origin, that of
+/// its first frame with a mesh, and the positions of all frames are relative to it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct SequencePlacement {
+    pub(crate) up: UpAxis,
+    pub(crate) origin: [f64; 3],
+}
+
+/// How the positions in the file of a frame become positions of a sequence.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PositionTransform {
+    shift: [f64; 3],
+}
+
+impl SequencePlacement {
+    /// The placement of these frames.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Invalid`] if a document is damaged, or if frames differ in their up axis.
+    pub(crate) fn of(frames: &[SequenceFrame], format: &'static str) -> Result<SequencePlacement> {
+        let mut placement = None;
+        for frame in frames.iter().filter(|frame| frame.file.has_mesh()) {
+            let FramePlacement { up, origin } = frame.file.placement()?;
+            let first = placement.get_or_insert(SequencePlacement { up, origin });
+            if up != first.up {
+                let what = "some frames have Y up and others Z up: convert all frames with the same --up";
+                return Err(Error::invalid(format, Position::File, what));
+            }
+        }
+        Ok(placement.unwrap_or_default())
+    }
+
+    /// The transform of the positions of a frame.
+    pub(crate) fn transform(&self, frame: &GlbFrame) -> Result<PositionTransform> {
+        if !frame.has_mesh() {
+            return Ok(PositionTransform { shift: [0.0; 3] });
+        }
+        let origin = frame.placement()?.origin;
+        Ok(PositionTransform { shift: std::array::from_fn(|axis| origin[axis] - self.origin[axis]) })
+    }
+}
+
+impl PositionTransform {
+    #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
+    fn shifted(&self, axis: usize, coordinate: f32) -> f32 {
+        (f64::from(coordinate) + self.shift[axis]) as f32
+    }
+}
+
+impl GlbFrame {
+    /// Reads a vertex attribute, whose numbers replace the `values`. Returns how many each vertex has; `None`
+    /// if the vertices do not have the attribute. Positions are transformed.
+    pub(crate) fn read_attribute(
+        &self,
+        semantic: &str,
+        positions: &PositionTransform,
+        file: &mut (impl Read + Seek),
+        values: &mut Vec<f32>,
+    ) -> Result<Option<usize>> {
+        values.clear();
+        let Some(column) = self.column(semantic)? else { return Ok(None) };
+        self.read_column(&column, file, values)?;
+        if semantic == POSITION {
+            for position in values.as_chunks_mut::<3>().0 {
+                *position = std::array::from_fn(|axis| positions.shifted(axis, position[axis]));
+            }
+        }
+        Ok(Some(column.arity))
+    }
+
+    /// The smallest and the largest transformed position; zeros for a frame without a mesh.
+    pub(crate) fn transformed_bounds(&self, positions: &PositionTransform) -> Result<[[f32; 3]; 2]> {
+        #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
+        let corner =
+            |corner: [f64; 3]| std::array::from_fn(|axis| positions.shifted(axis, corner[axis] as f32));
+        Ok(self.bounds()?.map(corner))
+    }
+}
+
+// The vertex attributes that a sequence can have: those of all its frames.
+
+/// A vertex attribute that all frames with a mesh have.
+pub(crate) struct SharedAttribute {
+    /// Its name in the frames' `.glb` files.
+    pub(crate) semantic: String,
+    /// Its name in the first frame with a name of its own. A format may have a property for it instead.
+    pub(crate) name: String,
+    /// Number of values per vertex.
+    pub(crate) arity: usize,
+}
+
+/// The attributes that all frames with a mesh have, in the order of their names in the `.glb` files, and
+/// notes on the others. Positions and normals are not among them: every mesh has these.
+///
+/// # Errors
+///
+/// [`Error::Invalid`](crate::Error::Invalid) if a document is damaged.
+pub(crate) fn shared_attributes(frames: &[SequenceFrame]) -> Result<(Vec<SharedAttribute>, Vec<String>)> {
+    let files: Vec<&GlbFrame> =
+        frames.iter().map(|frame| &frame.file).filter(|file| file.has_mesh()).collect();
+    let mut semantics: Vec<&String> = Vec::new();
+    for file in &files {
+        semantics.extend(file.attributes()?.keys());
+    }
+    semantics.sort();
+    semantics.dedup();
+    let (mut shared, mut notes) = (Vec::new(), Vec::new());
+    for semantic in semantics.into_iter().filter(|semantic| ![NORMAL, POSITION].contains(&semantic.as_str()))
+    {
+        match arity(&files, semantic)? {
+            Ok(arity) => {
+                let own_name = files.iter().find_map(|file| file.own_name(semantic));
+                let name = own_name.map_or_else(|| usual_name(semantic), str::to_owned);
+                shared.push(SharedAttribute { semantic: semantic.clone(), name, arity });
+            }
+            Err(why) => notes.push(format!("{semantic} is missing in the sequence: {why}")),
+        }
+    }
+    Ok((shared, notes))
+}
+
+/// The number of values per vertex of an attribute, or why a sequence cannot have it.
+fn arity(files: &[&GlbFrame], semantic: &str) -> Result<std::result::Result<usize, &'static str>> {
+    if files.iter().any(|file| file.has_string_indices(semantic)) {
+        return Ok(Err("its values are strings, and each frame has its own table"));
+    }
+    let columns: Vec<Option<VertexColumn>> =
+        files.iter().map(|file| file.column(semantic)).collect::<Result<_>>()?;
+    let mut arities = columns.iter().map(|column| column.map(|column| column.arity));
+    let first = arities.next().flatten().filter(|first| arities.all(|arity| arity == Some(*first)));
+    Ok(first.ok_or("not all frames have it with the same number of values per vertex"))
+}

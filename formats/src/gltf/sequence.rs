@@ -27,12 +27,10 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 
 use serde_json::{Map, Value, json};
 
-use super::buffer::invalid;
-use super::chunks::{chunks, parse};
 use super::frame_file::GlbFrame;
-use super::read_provenance::read_provenance;
+use super::read::{chunks, invalid, parse};
 use super::write::{glb_bytes, write_chunk_head};
-use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
+use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component, read_provenance};
 use crate::data::Provenance;
 use crate::error::{Error, Result};
 use crate::provenance::GENERATOR;

@@ -12,16 +12,14 @@
 //! The packing divides the components of a point into parts: x y z and w. A page stores one part of all its
 //! points, then the next part. The flags of a part say for each page whether the part is constant there.
 
+use super::FORMAT;
+use super::tokens::{JsonToken, TokenWalk};
 use crate::bytes::Endian;
 use crate::data::Values;
 use crate::error::{Error, Result};
-use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::number::{self, NumberType, interleaved};
-
-use super::FORMAT;
-use super::token::JsonToken;
-use super::tokens::TokenWalk;
+use crate::text::excerpt;
 
 /// The storage type of numbers, which determines their type in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

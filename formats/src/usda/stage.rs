@@ -35,8 +35,9 @@ use std::collections::HashSet;
 
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
-use crate::frame_numbers::{check_numbers, held_times};
-use crate::mesh_options::UpAxis;
+use crate::row::UpAxis;
+use crate::steps::{check_numbers, held_times};
+
 use crate::usd::{FORMAT, PRIM, ROOT, SAMPLE_CODE, SampledProperty, TRANSLATE, identifier};
 use crate::vertex_attributes::UsedNames;
 
@@ -242,7 +243,7 @@ fn asset(path: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame_numbers::NUMBER_MAX;
+    use crate::steps::NUMBER_MAX;
 
     fn files(codes: &[i64], extension: &str) -> Vec<ClipFile> {
         let file = |&code: &i64| ClipFile { code, path: format!("./out/dam.{code}.{extension}") };

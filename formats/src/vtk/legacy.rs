@@ -19,18 +19,18 @@
 //!
 //! The format has no end mark: a file is complete if no data is missing.
 
+use super::blocks::decimals;
+use super::{
+    LEGACY, POLYGON, POLYGONS_NOTE, Points, TRIANGLE_STRIP, VtkPiece, add_cells, checked_count, integers,
+    is_face, joined, positions_of,
+};
 use crate::bytes::Endian;
 use crate::data::{FilePositions, MeshData, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
-use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::named_arrays::NamedArray;
 use crate::number::NumberType;
-
-use super::LEGACY;
-use super::cells::{POLYGON, Points, TRIANGLE_STRIP, add_cells, integers, is_face};
-use super::pieces::{POLYGONS_NOTE, VtkPiece, checked_count, joined, positions_of};
-use super::xml_arrays::decimals;
+use crate::text::excerpt;
 
 /// The longest line of text.
 const LINE_BYTES_MAX: usize = 64 << 10;

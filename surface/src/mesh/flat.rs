@@ -25,7 +25,7 @@ use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::Mesh;
-use super::triangles::{LANES, TriangleBatch};
+use super::corners::{LANES, TriangleBatch};
 use crate::parallel::Loops as _;
 
 /// Number of triangles per task.

@@ -21,9 +21,8 @@ use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
 use super::RasterParams;
-use super::batch::LeafBatch;
-use super::leaf_map::{ConcurrentLeafMap, LeafMap};
-use super::spread::spread;
+use super::bin::LeafBatch;
+use super::occupancy::{ConcurrentLeafMap, LeafMap, spread};
 use crate::grid::{LEAF_EDGE, Topology};
 use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Unread};

@@ -402,13 +402,13 @@ const SCALE_MARGIN: f32 = 3.0;
 
 #[cfg(test)]
 mod tests {
-    use super::super::changes::{moved_double, rounded};
     use super::*;
     use crate::anisotropy::from_neighbors;
     use crate::mesh::PositionRounding;
     use crate::obstacle::Obstacles;
     use crate::options::{AnisotropyKind, MethodOptions};
     use crate::particles::Ellipsoid;
+    use crate::reconstruction::changes::{moved_double, rounded};
     use crate::reconstruction::{FrameSurface, contour, rasterize, smooth};
 
     /// A source with batches of a given size, as from a file.

@@ -8,9 +8,8 @@ use std::sync::Arc;
 
 use glam::IVec3;
 
-use super::field_store::{FieldStore, Storage};
 use super::postprocess::{self, Edits, SurfaceExclusions};
-use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
+use super::tiles::{self, FieldStore, HALO_LEAVES, Storage, Tiling, tile_voxels, tiles_around};
 use super::{
     FrameSurface, SurfaceAttributes, inside_obstacles, raster_params, report_smoothing, smooth_config,
 };
@@ -271,12 +270,13 @@ const RUN_LEAVES: usize = 4096;
 mod tests {
     use std::sync::Mutex;
 
-    use super::super::{FIELD_STORE_FILES, reconstruct_frame};
+    use glam::DVec3;
+
     use super::*;
     use crate::obstacle::{MeshSdf, Obstacle, ObstacleSdf};
     use crate::options::{AnisotropyKind, ClipBox, Integrator, MethodOptions};
     use crate::particles::{Attribute, AttributeValues, OwnedPositions, ParticleCloud, Role};
-    use glam::DVec3;
+    use crate::reconstruction::{FIELD_STORE_FILES, reconstruct_frame};
 
     /// A storage in memory.
     #[derive(Default)]
