@@ -150,9 +150,10 @@ pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
         let position = Position::Offset((bytes.len() - rest.len() + at) as u64);
         let what = "the compressed data is followed by other bytes";
         // A single remaining byte can be the start of another member, which is truncated.
-        return Err(match MAGIC.starts_with(rest) {
-            true => Error::truncated(FORMAT, position, what),
-            false => Error::invalid(FORMAT, position, what),
+        return Err(if MAGIC.starts_with(rest) {
+            Error::truncated(FORMAT, position, what)
+        } else {
+            Error::invalid(FORMAT, position, what)
         });
     }
     Ok(inflated)

@@ -98,10 +98,7 @@ pub fn steps(bytes: &[u8], limits: &Limits) -> Result<Vec<TimeStep>> {
         limits.check_step(FORMAT, steps.len())?;
         steps.push(step(&mut lines, limits)?);
     }
-    match steps.is_empty() {
-        true => Err(lines.truncated("expected ITEM: TIMESTEP")),
-        false => Ok(steps),
-    }
+    if steps.is_empty() { Err(lines.truncated("expected ITEM: TIMESTEP")) } else { Ok(steps) }
 }
 
 /// Reads one step of the dump in which it was found.

@@ -75,9 +75,10 @@ impl NumberType {
 fn unsigned(records: &StridedNumbers) -> Values {
     let is_signed = |value: &i64| *value >= 0;
     let signed = records.map(i64::from_le_bytes);
-    match signed.iter().all(is_signed) {
-        true => Values::I64(signed),
-        false => Values::F64(records.map(|bytes| u64::from_le_bytes(bytes) as f64)),
+    if signed.iter().all(is_signed) {
+        Values::I64(signed)
+    } else {
+        Values::F64(records.map(|bytes| u64::from_le_bytes(bytes) as f64))
     }
 }
 
@@ -144,10 +145,7 @@ pub(crate) fn divided<T>([x, y, z, w]: [T; 4]) -> [T; 3]
 where
     T: Copy + PartialEq + From<u8> + std::ops::Div<Output = T>,
 {
-    match w == T::from(0) || w == T::from(1) {
-        true => [x, y, z],
-        false => [x / w, y / w, z / w],
-    }
+    if w == T::from(0) || w == T::from(1) { [x, y, z] } else { [x / w, y / w, z / w] }
 }
 
 /// The given range of each particle's `arity` components.

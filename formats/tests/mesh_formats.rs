@@ -177,9 +177,10 @@ fn vtp_round_trips_exactly() {
             let limits = Limits::default();
             let found = vtk::read_mesh(&bytes, &limits).expect("our own file");
             assert_eq!(found.positions, mesh.world());
-            match has_quads {
-                false => assert_eq!(found.triangles, mesh.triangles),
-                true => assert_eq!(found.triangles, fans(&mesh)),
+            if has_quads {
+                assert_eq!(found.triangles, fans(&mesh))
+            } else {
+                assert_eq!(found.triangles, mesh.triangles)
             }
             let frame = read_particles(&bytes, "a.vtp", &limits).expect("our own file");
             let values = |name: &str| {
@@ -327,9 +328,12 @@ fn damaged_meshes_are_errors_without_panics() {
     };
     let mesh = torus(5, 4, FAR);
     for (bytes, is_vtp) in [(vtp(&mesh, true), true), (stl_bytes(&mesh), false)] {
-        let read = |bytes: &[u8]| match is_vtp {
-            true => vtk::read_mesh(bytes, &Limits::default()).is_ok(),
-            false => stl::read_mesh(bytes, &Limits::default()).is_ok(),
+        let read = |bytes: &[u8]| {
+            if is_vtp {
+                vtk::read_mesh(bytes, &Limits::default()).is_ok()
+            } else {
+                stl::read_mesh(bytes, &Limits::default()).is_ok()
+            }
         };
         assert!(read(&bytes));
         for length in 0..bytes.len() - 1 {

@@ -259,9 +259,10 @@ impl<'a> MeshArchive<'a> {
 
     /// The attributes for which the schema has no property, from `.arbGeomParams`.
     pub(super) fn params(&self) -> Result<Vec<(PropertyHeader, Reference)>> {
-        match self.has(names::PARAMS) {
-            true => self.container.properties(self.property(names::PARAMS)?.1),
-            false => Ok(Vec::new()),
+        if self.has(names::PARAMS) {
+            self.container.properties(self.property(names::PARAMS)?.1)
+        } else {
+            Ok(Vec::new())
         }
     }
 

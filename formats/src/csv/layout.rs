@@ -229,9 +229,10 @@ impl<'a> TableHead<'a> {
             Some(text) => {
                 let what = format!("{expected}, found {}", quoted_excerpt(text.text));
                 let position = Position::Line(text.number);
-                match bytes.ends_with(b"\n") || bytes.ends_with(b"\r") {
-                    true => Error::invalid(FORMAT, position, what),
-                    false => Error::truncated(FORMAT, position, what), // the line may be truncated
+                if bytes.ends_with(b"\n") || bytes.ends_with(b"\r") {
+                    Error::invalid(FORMAT, position, what)
+                } else {
+                    Error::truncated(FORMAT, position, what) // the line may be truncated
                 }
             }
             None => Error::truncated(FORMAT, Position::File, format!("{expected}, found only comments")),

@@ -256,13 +256,14 @@ impl<'a> RowReader<'a> {
     /// An error at the current position. A line without a line end at the end of the file may be truncated.
     fn wrong(&self, what: String) -> Error {
         let position = Position::Line(self.line);
-        match self.at + self.line_text().len() < self.bytes.len() {
-            true => Error::invalid(FORMAT, position, what),
-            false => Error::truncated(
+        if self.at + self.line_text().len() < self.bytes.len() {
+            Error::invalid(FORMAT, position, what)
+        } else {
+            Error::truncated(
                 FORMAT,
                 position,
                 format!("{what}; the file ends in this line, which has no line end"),
-            ),
+            )
         }
     }
 }
@@ -277,9 +278,10 @@ fn integer(text: &[u8]) -> Option<(i64, usize)> {
     let mut length = sign;
     while let Some(digit @ b'0'..=b'9') = text.get(length) {
         let digit = i64::from(digit - b'0');
-        value = match length < sign + DIGITS_MAX {
-            true => 10 * value - digit,
-            false => value.checked_mul(10)?.checked_sub(digit)?,
+        value = if length < sign + DIGITS_MAX {
+            10 * value - digit
+        } else {
+            value.checked_mul(10)?.checked_sub(digit)?
         };
         length += 1;
     }

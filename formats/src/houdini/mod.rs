@@ -75,9 +75,10 @@ pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 /// Those of [`read_binary`], with offsets into the decompressed data, and those of the container.
 pub fn read_container(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let decompressed = decompress(bytes, limits)?;
-    match is_binary(&decompressed) {
-        true => read_binary(&decompressed, limits),
-        false => read_text(&decompressed, limits),
+    if is_binary(&decompressed) {
+        read_binary(&decompressed, limits)
+    } else {
+        read_text(&decompressed, limits)
     }
 }
 
@@ -323,12 +324,13 @@ const NAME_BYTES_MAX: usize = 1024;
 
 fn short_text(walk: &mut TokenWalk) -> Result<String> {
     let text = walk.text()?;
-    match text.len() <= NAME_BYTES_MAX {
-        true => Ok(text.into_owned()),
-        false => Err(Error::too_large(
+    if text.len() <= NAME_BYTES_MAX {
+        Ok(text.into_owned())
+    } else {
+        Err(Error::too_large(
             FORMAT,
             format!("a name has {} bytes, more than the limit of {NAME_BYTES_MAX} bytes", text.len()),
-        )),
+        ))
     }
 }
 
@@ -501,9 +503,10 @@ fn runs(walk: &mut TokenWalk, key: &str, count: usize, limits: &Limits) -> Resul
         let end = end.ok_or_else(|| walk.invalid(format!("the runs of the group exceed {count} points")))?;
         flags.resize(end, u8::from(*flag != 0));
     }
-    match flags.len() == count && pairs.len() % 2 == 0 {
-        true => Ok(flags),
-        false => Err(walk.invalid(format!("the runs of the group do not cover {count} points"))),
+    if flags.len() == count && pairs.len() % 2 == 0 {
+        Ok(flags)
+    } else {
+        Err(walk.invalid(format!("the runs of the group do not cover {count} points")))
     }
 }
 

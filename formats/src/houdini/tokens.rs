@@ -78,12 +78,10 @@ impl<'a> TokenWalk<'a> {
     pub(super) fn check_widened(&mut self, bytes: usize) -> Result<()> {
         self.widened_bytes = self.widened_bytes.saturating_add(bytes);
         let most = widened_bytes_max(self.lexer.file_bytes());
-        match self.widened_bytes <= most {
-            true => Ok(()),
-            false => Err(Error::too_large(
-                FORMAT,
-                format!("the arrays expand to more than the limit of {most} bytes"),
-            )),
+        if self.widened_bytes <= most {
+            Ok(())
+        } else {
+            Err(Error::too_large(FORMAT, format!("the arrays expand to more than the limit of {most} bytes")))
         }
     }
 
@@ -351,12 +349,13 @@ impl<'a> Binary<'a> {
         let id = self.length()?;
         let word = self.bytes("a word")?;
         self.words.insert(id, word);
-        match self.words.len() > WORD_COUNT_MAX {
-            true => Err(Error::too_large(
+        if self.words.len() > WORD_COUNT_MAX {
+            Err(Error::too_large(
                 FORMAT,
                 format!("the file has more words than the limit of {WORD_COUNT_MAX}"),
-            )),
-            false => Ok(()),
+            ))
+        } else {
+            Ok(())
         }
     }
 
@@ -410,12 +409,15 @@ impl<'a> Binary<'a> {
         };
         let length = usize::try_from(count).ok().filter(|&count| count / 8 <= self.cursor.remaining());
         let length = length.ok_or_else(|| too_many(&self.cursor))?;
-        let check_kept = |most: usize, what: &str| match length <= most {
-            true => Ok(()),
-            false => Err(Error::too_large(
-                FORMAT,
-                format!("an array has {length} {what}, more than the limit of {most}"),
-            )),
+        let check_kept = |most: usize, what: &str| {
+            if length <= most {
+                Ok(())
+            } else {
+                Err(Error::too_large(
+                    FORMAT,
+                    format!("an array has {length} {what}, more than the limit of {most}"),
+                ))
+            }
         };
         match code {
             0x10 | 0x30 | 0x31 => {
@@ -592,9 +594,11 @@ impl<'a> TextTokens<'a> {
         }
         let found = rest[..length.clamp(1, 24)].escape_ascii();
         let what = format!("expected a value, found `{found}`");
-        Err(match length == rest.len() {
-            true => Error::truncated(FORMAT, self.position(), what), // the word may be truncated
-            false => Error::invalid(FORMAT, self.position(), what),
+        Err(if length == rest.len() {
+            Error::truncated(FORMAT, self.position(), what)
+        } else {
+            // the word may be truncated
+            Error::invalid(FORMAT, self.position(), what)
         })
     }
 

@@ -50,24 +50,24 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let data = header.data(bytes)?;
     if header.frame_count().is_some() {
         let found = header.shown();
-        let what = match header.is_fortran {
-            false => format!("{found} has several frames: read each frame separately"),
-            true => format!(
+        let what = if header.is_fortran {
+            format!(
                 "{found} has several frames, and in Fortran order they cannot be read separately: save \
                  numpy.ascontiguousarray(array)"
-            ),
+            )
+        } else {
+            format!("{found} has several frames: read each frame separately")
         };
         return Err(Error::unsupported(FORMAT, what));
     }
     let (arrays, mut notes) = arrays_of(&header, data, limits)?;
     let is_structured = matches!(header.layout, ElementLayout::Fields { .. });
-    let mut frame = match is_structured {
-        true => frame_of(None, arrays).ok_or_else(|| no_position(&header))?,
-        false => {
-            let is_list = |array: &NamedArray| array.arity >= 3 && header.shape.len() >= 2;
-            let array = arrays.into_iter().find(is_list);
-            unnamed_frame(array.ok_or_else(|| no_position(&header))?)?
-        }
+    let mut frame = if is_structured {
+        frame_of(None, arrays).ok_or_else(|| no_position(&header))?
+    } else {
+        let is_list = |array: &NamedArray| array.arity >= 3 && header.shape.len() >= 2;
+        let array = arrays.into_iter().find(is_list);
+        unnamed_frame(array.ok_or_else(|| no_position(&header))?)?
     };
     frame.notes.append(&mut notes);
     Ok(frame)
@@ -175,18 +175,15 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
             last_unfit = unfit;
         }
         notes.extend(more);
-        arrays.extend(parts.into_iter().map(|array| match array.name.is_empty() {
-            true => NamedArray { name: name.into(), ..array },
-            false => array,
+        arrays.extend(parts.into_iter().map(|array| {
+            if array.name.is_empty() { NamedArray { name: name.into(), ..array } } else { array }
         }));
     }
     if let ([] | [_], Some(error)) = (&arrays[..], last_unfit) {
         return Err(error);
     }
-    let mut frame = frame_of_archive(arrays, &mut notes).map_err(|error| match pickled.is_empty() {
-        true => error,
-        false => of_pickled(&pickled),
-    })?;
+    let mut frame = frame_of_archive(arrays, &mut notes)
+        .map_err(|error| if pickled.is_empty() { error } else { of_pickled(&pickled) })?;
     frame.notes.append(&mut notes);
     Ok(frame)
 }
@@ -194,14 +191,14 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 /// The error of an archive without positions, in which these arrays are not numeric.
 fn of_pickled(names: &[String]) -> Error {
     let is_pysph = ["particles", "solver_data"].iter().all(|name| names.iter().any(|found| found == name));
-    let what = match is_pysph {
-        true => "this is output of PySPH, with pickled Python objects: convert it with `pysph dump_vtk`"
-            .to_owned(),
-        false => format!(
+    let what = if is_pysph {
+        "this is output of PySPH, with pickled Python objects: convert it with `pysph dump_vtk`".to_owned()
+    } else {
+        format!(
             "no array has positions, and these arrays are not numeric, or pickled Python objects: {}; save the \
              positions as an array `pos` of numbers",
             excerpts(names)
-        ),
+        )
     };
     Error::unsupported(ARCHIVE, what)
 }
@@ -236,14 +233,12 @@ fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<
                 );
                 return Err(Error::too_large(FORMAT, what));
             }
-            let values = match header.is_fortran && columns > 1 {
-                false => number.decode(data, *endian),
-                true => {
-                    let column = |part| number.decode(part, *endian);
-                    let parts: Vec<_> =
-                        data.chunks_exact((data.len() / columns).max(1)).map(column).collect();
-                    interleaved(&parts.iter().collect::<Vec<_>>()).unwrap_or_else(|| column(&[]))
-                }
+            let values = if header.is_fortran && columns > 1 {
+                let column = |part| number.decode(part, *endian);
+                let parts: Vec<_> = data.chunks_exact((data.len() / columns).max(1)).map(column).collect();
+                interleaved(&parts.iter().collect::<Vec<_>>()).unwrap_or_else(|| column(&[]))
+            } else {
+                number.decode(data, *endian)
             };
             Ok((vec![NamedArray { name: String::new(), arity: columns, values }], notes))
         }
@@ -378,19 +373,16 @@ fn no_position(header: &ArrayHeader) -> Error {
         }
         _ => Vec::new(),
     };
-    let what = match names.is_empty() {
-        true => {
-            format!(
-                "expected positions as an array of shape (N, 3) or with more columns, found {}",
-                header.shown()
-            )
-        }
-        false => {
-            format!(
-                "expected a field `pos` with three numbers, or fields x, y and z; found: {}",
-                names.join(", ")
-            )
-        }
+    let what = if names.is_empty() {
+        format!(
+            "expected positions as an array of shape (N, 3) or with more columns, found {}",
+            header.shown()
+        )
+    } else {
+        format!(
+            "expected a field `pos` with three numbers, or fields x, y and z; found: {}",
+            names.join(", ")
+        )
     };
     Error::invalid(FORMAT, Position::File, what)
 }

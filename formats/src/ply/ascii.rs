@@ -275,17 +275,19 @@ impl<'a> BodyLines<'a> {
     }
 
     fn missing(&self, what: &str) -> Error {
-        match self.at == self.bytes.len() {
-            true => self.truncated(format!("the file ends where a value of `{what}` was expected")),
-            false => self.invalid(format!("the line ends where a value of `{what}` was expected")),
+        if self.at == self.bytes.len() {
+            self.truncated(format!("the file ends where a value of `{what}` was expected"))
+        } else {
+            self.invalid(format!("the line ends where a value of `{what}` was expected"))
         }
     }
 
     /// An error in the value at the current position: `Truncated` if the value ends with the file.
     fn wrong_value(&self, what: String) -> Error {
-        match self.bytes[self.at..].iter().any(u8::is_ascii_whitespace) {
-            true => self.invalid(what),
-            false => self.truncated(what),
+        if self.bytes[self.at..].iter().any(u8::is_ascii_whitespace) {
+            self.invalid(what)
+        } else {
+            self.truncated(what)
         }
     }
 

@@ -183,9 +183,10 @@ fn no_position(element: &Element) -> Error {
 
 /// A frame with space for all values. The caller has compared `count` with the remaining bytes.
 fn empty_frame(element: &Element, columns: &Columns, position: [usize; 3], count: usize) -> ParticleFrame {
-    let positions = match fits_f32(position.map(|column| scalar_of(element, column))) {
-        true => FilePositions::F32(vec![[0.0; 3]; count]),
-        false => FilePositions::F64(vec![[0.0; 3]; count]),
+    let positions = if fits_f32(position.map(|column| scalar_of(element, column))) {
+        FilePositions::F32(vec![[0.0; 3]; count])
+    } else {
+        FilePositions::F64(vec![[0.0; 3]; count])
     };
     let attributes = columns.groups.iter().map(|group| FileAttribute {
         name: group.name.clone(),

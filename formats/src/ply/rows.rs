@@ -76,10 +76,10 @@ impl<'a> RecordReader<'a> {
         };
         usize::try_from(count).ok().filter(|&count| count <= most).ok_or_else(|| {
             let name = &property.name;
-            match count < 0 {
-                true => self.invalid(format!("list `{name}` has a negative count, {count}")),
-                false => self
-                    .truncated(format!("list `{name}` has a count of {count}, beyond the end of the file")),
+            if count < 0 {
+                self.invalid(format!("list `{name}` has a negative count, {count}"))
+            } else {
+                self.truncated(format!("list `{name}` has a count of {count}, beyond the end of the file"))
             }
         })
     }

@@ -235,9 +235,10 @@ fn word(name: &str) -> String {
 
 fn names_of(attribute: &FileAttribute, stem: &str) -> Vec<String> {
     let is_color = attribute.role == Some(AttributeRole::Color) && stem == COLOR;
-    match is_color {
-        true => COLORS.iter().take(attribute.arity).map(|&name| name.to_owned()).collect(),
-        false => component_names(stem, attribute.arity),
+    if is_color {
+        COLORS.iter().take(attribute.arity).map(|&name| name.to_owned()).collect()
+    } else {
+        component_names(stem, attribute.arity)
     }
 }
 

@@ -125,9 +125,10 @@ fn check(files: &[ClipFile]) -> Result<()> {
 }
 
 fn check_path(path: &str) -> Result<()> {
-    match path.contains(char::is_control) {
-        true => Err(invalid(format!("{path:?} has control characters, which USD does not allow"))),
-        false => Ok(()),
+    if path.contains(char::is_control) {
+        Err(invalid(format!("{path:?} has control characters, which USD does not allow")))
+    } else {
+        Ok(())
     }
 }
 
@@ -139,10 +140,7 @@ fn manifest(sequences: &[StageClips]) -> String {
             lines += &format!("        {kind} {name}\n");
         }
     }
-    match names.is_empty() {
-        true => String::new(),
-        false => format!("    over \"{PRIM}\"\n    {{\n{lines}    }}\n\n"),
-    }
+    if names.is_empty() { String::new() } else { format!("    over \"{PRIM}\"\n    {{\n{lines}    }}\n\n") }
 }
 
 /// The prim of a sequence in the stage with this path.
@@ -234,10 +232,7 @@ fn volume(path: &str, files: &[ClipFile], has_velocity: bool, is_hidden: bool) -
 
 /// A path between its delimiters.
 fn asset(path: &str) -> String {
-    match path.contains('@') {
-        false => format!("@{path}@"),
-        true => format!("@@@{}@@@", path.replace("@@@", "\\@@@")),
-    }
+    if path.contains('@') { format!("@@@{}@@@", path.replace("@@@", "\\@@@")) } else { format!("@{path}@") }
 }
 
 #[cfg(test)]

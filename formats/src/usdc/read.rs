@@ -329,9 +329,10 @@ fn values_of(source: &Source, spec: &Spec) -> Result<PropertyValues> {
         (f64::from_le_bytes(*time), ValueRep(u64::from_le_bytes(*value)))
     };
     let samples: Vec<(f64, ValueRep)> = times.iter().zip(values).map(value).collect();
-    match samples.is_sorted_by(|(a, _), (b, _)| a < b) {
-        true => Ok(PropertyValues::Samples(samples)),
-        false => Err(at.invalid(format!("the times of {name} do not increase"))),
+    if samples.is_sorted_by(|(a, _), (b, _)| a < b) {
+        Ok(PropertyValues::Samples(samples))
+    } else {
+        Err(at.invalid(format!("the times of {name} do not increase")))
     }
 }
 

@@ -307,9 +307,10 @@ fn append_contents(sections: [(u64, u64); SECTIONS.len()], out: &mut Vec<u8>) {
 
 /// Fails unless a file starts like binary USD.
 pub(super) fn check_magic(head: &[u8]) -> Result<()> {
-    match head.starts_with(MAGIC) {
-        true => Ok(()),
-        false => Err(Error::invalid(FORMAT, Position::Offset(0), "expected PXR-USDC")),
+    if head.starts_with(MAGIC) {
+        Ok(())
+    } else {
+        Err(Error::invalid(FORMAT, Position::Offset(0), "expected PXR-USDC"))
     }
 }
 
@@ -605,10 +606,9 @@ fn read_specs(
     }
     let expected = [SpecType::PseudoRoot, SpecType::Prim, SpecType::Prim].map(|kind| kind as i32);
     let kinds = specs.iter().take(3).map(|spec| spec.kind);
-    match kinds.eq(expected) {
-        true => Ok(specs),
-        false => {
-            Err(Error::unsupported(FORMAT, format!("this file has prims other than one mesh: {NOT_OURS}")))
-        }
+    if kinds.eq(expected) {
+        Ok(specs)
+    } else {
+        Err(Error::unsupported(FORMAT, format!("this file has prims other than one mesh: {NOT_OURS}")))
     }
 }

@@ -309,9 +309,10 @@ fn grid_cursor<'a>(
     let within = usize::try_from(end).ok().and_then(|end| bytes.get(..end));
     let Some(within) = within.filter(|_| after.position() as u64 <= grid_start && grid_start <= end) else {
         let length = bytes.len();
-        let what = match end > length as u64 {
-            true => format!("the file is truncated: a grid ends at byte {end}, but the file at {length}"),
-            false => format!("a grid has the invalid range from byte {grid_start} to byte {end} of {length}"),
+        let what = if end > length as u64 {
+            format!("the file is truncated: a grid ends at byte {end}, but the file at {length}")
+        } else {
+            format!("a grid has the invalid range from byte {grid_start} to byte {end} of {length}")
         };
         return Err(after.error(what));
     };

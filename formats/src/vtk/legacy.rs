@@ -318,9 +318,10 @@ impl<'a> File<'a> {
         count: u64,
         found: &LegacyData,
     ) -> Result<Vec<i64>> {
-        match found.keeps_cells {
-            true => self.cell_integers(line, number, count),
-            false => self.pass(line, number, count).map(|()| Vec::new()),
+        if found.keeps_cells {
+            self.cell_integers(line, number, count)
+        } else {
+            self.pass(line, number, count).map(|()| Vec::new())
         }
     }
 
@@ -463,11 +464,10 @@ impl<'a> File<'a> {
         })?;
         let found = crate::number::length(&values);
         self.at += end;
-        match found == count {
-            true => Ok(values),
-            false => {
-                Err(self.truncated(format!("expected {count} numbers of {}, found {found}", line.word(0))))
-            }
+        if found == count {
+            Ok(values)
+        } else {
+            Err(self.truncated(format!("expected {count} numbers of {}, found {found}", line.word(0))))
         }
     }
 
@@ -482,11 +482,10 @@ impl<'a> File<'a> {
         let found = words.by_ref().take(count).count();
         let end = words.at;
         self.at += end;
-        match found == count {
-            true => Ok(()),
-            false => {
-                Err(self.truncated(format!("expected {count} numbers of {}, found {found}", line.word(0))))
-            }
+        if found == count {
+            Ok(())
+        } else {
+            Err(self.truncated(format!("expected {count} numbers of {}, found {found}", line.word(0))))
         }
     }
 

@@ -272,10 +272,7 @@ pub(crate) fn field_strings(head: &[u8]) -> Result<Vec<(String, String)>> {
             _ => {}
         }
     }
-    match is_vtk {
-        true => Ok(found),
-        false => Err(Error::invalid(XML, Position::File, "expected <VTKFile>")),
-    }
+    if is_vtk { Ok(found) } else { Err(Error::invalid(XML, Position::File, "expected <VTKFile>")) }
 }
 
 /// Decodes a single string from its byte codes.

@@ -198,10 +198,11 @@ fn write_faces(
         let range = start..(start + PIECE).min(triangles.len());
         numbers.clear();
         faces(triangles, quads, range).for_each(|face| append(face, &mut numbers));
-        match is_wide {
-            true => write_pieces(&numbers, u64::to_le_bytes, out)?,
+        if is_wide {
+            write_pieces(&numbers, u64::to_le_bytes, out)?;
+        } else {
             #[expect(clippy::cast_possible_truncation, reason = "all values were checked to fit")]
-            false => write_pieces(&numbers, |number| (number as u32).to_le_bytes(), out)?,
+            write_pieces(&numbers, |number| (number as u32).to_le_bytes(), out)?;
         }
     }
     Ok(())

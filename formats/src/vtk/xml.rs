@@ -200,9 +200,10 @@ fn document<'a>(text: &'a str, limits: &Limits) -> Result<XmlDocument<'a>> {
         }
     }
     let document = document.ok_or_else(|| malformed(0, "expected <VTKFile>"))?;
-    match document.pieces.is_empty() {
-        true => Err(Error::invalid(XML, Position::File, "the file has no <Piece>")),
-        false => Ok(document),
+    if document.pieces.is_empty() {
+        Err(Error::invalid(XML, Position::File, "the file has no <Piece>"))
+    } else {
+        Ok(document)
     }
 }
 
@@ -246,10 +247,11 @@ pub(crate) fn neighbor(head: &[u8]) -> Option<Neighbor> {
             "Piece" => {
                 let count = |name: &str| attribute(&tag, name, 0).ok()??.trim().parse::<u64>().ok();
                 let cells = count("NumberOfCells");
-                let has_faces = match has_types {
+                let has_faces = if has_types {
                     // The types come after the points. Particles have no cells, one for each, or one for all.
-                    true => cells > Some(1) && cells != count("NumberOfPoints"),
-                    false => ["NumberOfPolys", "NumberOfStrips"].iter().any(|name| count(name) > Some(0)),
+                    cells > Some(1) && cells != count("NumberOfPoints")
+                } else {
+                    ["NumberOfPolys", "NumberOfStrips"].iter().any(|name| count(name) > Some(0))
                 };
                 return has_faces.then_some(Neighbor::Mesh);
             }

@@ -15,6 +15,8 @@
 //! The back side of the surface is orange. It is visible only if φ has a wrong sign, if triangles are
 //! clockwise seen from outside, or if the surface has a hole.
 
+#![warn(clippy::match_bool)]
+
 mod camera;
 mod mesh;
 mod sheet;

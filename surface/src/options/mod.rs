@@ -256,10 +256,8 @@ impl Settings {
         let integrator = options.integrator.unwrap_or_default();
         let voxels = scale.voxels(recipe.unit);
         let explicit = is_explicit(integrator);
-        let neighbor_radius = match options.uses_neighbors() {
-            true => neighbor_radius(options, radius_min, &scale)?,
-            false => 0.0,
-        };
+        let neighbor_radius =
+            if options.uses_neighbors() { neighbor_radius(options, radius_min, &scale)? } else { 0.0 };
         let settings = Settings {
             spacing,
             voxel_size: h,

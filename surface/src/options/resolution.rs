@@ -41,20 +41,20 @@ const EXPLICIT_STEP_SIZE: f64 = 0.01;
 
 /// Default number of biharmonic steps of an integrator.
 pub(super) fn default_steps(recipe: &Recipe, integrator: Integrator, voxels: f64) -> u32 {
-    match is_explicit(integrator) {
-        true => {
-            let steps = recipe.explicit_time * voxels.powi(4) / EXPLICIT_STEP_SIZE;
-            steps.round().clamp(0.0, f64::from(STEPS_MAX)) as u32
-        }
-        false => recipe.steps,
+    if is_explicit(integrator) {
+        let steps = recipe.explicit_time * voxels.powi(4) / EXPLICIT_STEP_SIZE;
+        steps.round().clamp(0.0, f64::from(STEPS_MAX)) as u32
+    } else {
+        recipe.steps
     }
 }
 
 /// Default size of a biharmonic step, in units of h⁴.
 pub(super) fn default_step_size(recipe: &Recipe, integrator: Integrator, voxels: f64) -> f64 {
-    match is_explicit(integrator) {
-        true => EXPLICIT_STEP_SIZE,
-        false => rounded_to_digits(recipe.step_size * voxels.powi(4)).clamp(STEP_SIZE_MIN, STEP_SIZE_MAX),
+    if is_explicit(integrator) {
+        EXPLICIT_STEP_SIZE
+    } else {
+        rounded_to_digits(recipe.step_size * voxels.powi(4)).clamp(STEP_SIZE_MIN, STEP_SIZE_MAX)
     }
 }
 

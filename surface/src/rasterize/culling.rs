@@ -189,10 +189,11 @@ impl<'a> Culling<'a> {
             let leaf = self.occupied.find(origin);
             // A voxel whose face neighbors are all inside is not next to the surface.
             let inside = leaf.map_or(LeafMask::EMPTY, |leaf| self.inside[leaf]);
-            let voxels = match inside == LeafMask::FULL {
+            let voxels = if inside == LeafMask::FULL {
                 // An obstacle cuts through the leaf.
-                true => LeafMask::FULL.bounding_box(),
-                false => inside.complement().bounding_box(),
+                LeafMask::FULL.bounding_box()
+            } else {
+                inside.complement().bounding_box()
             };
             (origin, voxels.expanded(radii.band_margin()))
         };

@@ -374,15 +374,16 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     // need no such limit: the surface moves far inward only where it is sharply convex, as around small
     // balls, and there S_min is near. `inner_from` does not include the extra width for the offset.
     let inner_from = if bins.shapes.is_uniform() { f32::INFINITY } else { radii.result_half_width() - 2.0 };
-    finish(&mut band, &mut bounds, (inner_from, POSITIVE_MARGIN + radii.outward()));
-    let contact = match scene.obstacles.is_empty() {
-        true => ContactStats::default(),
-        false => fill_gaps_at_obstacles(
+    finish(&mut band, &mut bounds, inner_from, POSITIVE_MARGIN + radii.outward());
+    let contact = if scene.obstacles.is_empty() {
+        ContactStats::default()
+    } else {
+        fill_gaps_at_obstacles(
             |origin| scene.obstacle_before_offset(origin),
             scene.void_threshold,
             &mut band,
             &mut bounds,
-        ),
+        )
     };
     RasterFields { bins, band, bounds, contact }
 }
@@ -440,7 +441,7 @@ fn sweep_count(half_width: f32) -> u32 {
 /// Clamps all values to ± half width, ensures `lower` ≤ `upper` at every voxel (independent sweeps do not
 /// guarantee it), and clamps φ between them. Where φ_0 is above `inner_from`, φ stays at or above
 /// `inner_value`.
-fn finish(band: &mut NarrowBand, bounds: &mut Bounds, (inner_from, inner_value): (f32, f32)) {
+fn finish(band: &mut NarrowBand, bounds: &mut Bounds, inner_from: f32, inner_value: f32) {
     let half_width = band.half_width;
     let bounds = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
     band.phi.leaves.par_iter_mut().zip(bounds).halved().for_each(|(phi, (lower, upper))| {

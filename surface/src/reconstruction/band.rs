@@ -139,9 +139,10 @@ fn offset_voxels(settings: &Settings) -> f32 {
 /// for two reasons: values in the file need not be distances that far out, and the band left after the offset
 /// must not be narrower than without one.
 fn working_half_width(given_half_width: f32, max_deviation: f32, offset: f32) -> Option<f32> {
-    let without_offset = match max_deviation > 0.0 {
-        true => Some(MARGIN + max_deviation.ceil()),
-        false => (given_half_width < HALF_WIDTH_MIN).then_some(HALF_WIDTH_MIN),
+    let without_offset = if max_deviation > 0.0 {
+        Some(MARGIN + max_deviation.ceil())
+    } else {
+        (given_half_width < HALF_WIDTH_MIN).then_some(HALF_WIDTH_MIN)
     };
     if offset == 0.0 {
         return without_offset;
@@ -155,7 +156,7 @@ pub fn smooth_level_set_bytes(band: &NarrowBand, max_deviation_voxels: f32, sett
     let half_width = working_half_width(band.half_width, max_deviation_voxels, offset_voxels(settings));
     let wide = half_width.map(|_| widened_leaf_count(band));
     let crossed = crossed_edge_count(band) as f64;
-    working_bytes((band.topology.len(), wide), crossed, max_deviation_voxels, settings)
+    working_bytes(band.topology.len(), wide, crossed, max_deviation_voxels, settings)
 }
 
 /// Upper estimate of [`smooth_level_set_bytes`] for a band with leaves at these origins, whose values are
@@ -169,7 +170,7 @@ pub fn smooth_level_set_bytes_max(
     let working = working_half_width(half_width, max_deviation_voxels, offset_voxels(settings));
     let wide = working.map(|_| widened_leaf_count_max(origins.iter().copied()));
     let crossed = CROSSED_EDGES_PER_LEAF * origins.len() as f64;
-    working_bytes((origins.len(), wide), crossed, max_deviation_voxels, settings)
+    working_bytes(origins.len(), wide, crossed, max_deviation_voxels, settings)
 }
 
 /// Edges of the grid in a leaf that the surface crosses, at most, as the mean of a band: those of a plane
@@ -179,7 +180,8 @@ const CROSSED_EDGES_PER_LEAF: f64 = 128.0;
 /// The memory for a band with `given` leaves, which is widened to `wide` leaves unless that is `None`, in
 /// bytes.
 fn working_bytes(
-    (given, wide): (usize, Option<usize>),
+    given: usize,
+    wide: Option<usize>,
     crossed_edge_count: f64,
     max_deviation_voxels: f32,
     settings: &Settings,
@@ -194,10 +196,8 @@ fn working_bytes(
         None => (given, 0.0),
     };
     let mesh = mesh_bytes(settings) * crossed_edge_count;
-    let smoothing = match max_deviation_voxels > 0.0 {
-        true => FIELD_BYTES * smoothing_fields(settings) * leaves,
-        false => 0.0,
-    };
+    let smoothing =
+        if max_deviation_voxels > 0.0 { FIELD_BYTES * smoothing_fields(settings) * leaves } else { 0.0 };
     let contouring = FIELD_BYTES * 4.0 * leaves + mesh;
     let topologies = TOPOLOGY_LEAF_BYTES as f64 * (given + leaves);
     (widening.max(smoothing).max(contouring) + topologies) as u64

@@ -190,13 +190,10 @@ fn rasterize_any(
     let scene = raster_params(settings, &obstacles);
     let rasterize::RasterFields { bins, band, bounds, contact } = rasterize::rasterize_any(source, &scene)?;
     let contact = ContactStats { particle_count: inside_obstacles(source, &scene)?, ..contact };
-    let possibly_outside = match source.is_smoothed() {
-        true => {
-            let (upper, later) =
-                ((&*band.topology, &bounds.upper), (scene.radii.offset, !obstacles.is_empty()));
-            Some(possibly_outside(source, &scene.lattice, upper, later)?)
-        }
-        false => None,
+    let possibly_outside = if source.is_smoothed() {
+        Some(possibly_outside(source, &scene, &band.topology, &bounds.upper)?)
+    } else {
+        None
     };
     let report = ReconstructionReport {
         particle_count: bins.particle_count,
@@ -276,12 +273,13 @@ pub(crate) fn contour_while<B>(
     report.certificate.bound_violation_count = bounds.violation_count(&band.phi);
     drop(bounds);
     postprocess::offset_and_cut(&mut band, &scene);
-    let edits = match postprocess::has_edits(settings) {
-        true => postprocess::edit(&mut band, bins.leaves(), (&scene, settings), &mut report.edits),
-        false => Edits::default(),
+    let edits = if postprocess::has_edits(settings) {
+        postprocess::edit(&mut band, bins.leaves(), &scene, settings, &mut report.edits)
+    } else {
+        Edits::default()
     };
     go_on()?;
-    let mut mesh = postprocess::mesh(&band, &edits, (&scene, settings), &mut report.depth);
+    let mut mesh = postprocess::mesh(&band, &edits, &scene, settings, &mut report.depth);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     let exempt = &SurfaceExclusions { scene: &scene, edits: &edits };
     let validate = |mesh: &Mesh, rounding_voxels: f32| match go_on() {
@@ -302,9 +300,8 @@ pub(crate) fn contour_while<B>(
     if let Err(reason) = validated {
         return ControlFlow::Break(reason);
     }
-    report.certificate.input_positions_outside = possibly_outside.map(|possibly_outside| {
-        count_inputs_outside(&possibly_outside, &band, (&lattice, radii.offset), exempt)
-    });
+    report.certificate.input_positions_outside = possibly_outside
+        .map(|possibly_outside| count_inputs_outside(&possibly_outside, &band, &scene, exempt));
     ControlFlow::Continue(FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report })
 }
 
@@ -325,9 +322,10 @@ fn raster_params<'a>(settings: &Settings, obstacles: &'a Obstacles) -> RasterPar
 
 /// Number of particles inside obstacles.
 fn inside_obstacles(source: &AnySource<'_>, scene: &RasterParams) -> Result<usize, Unread> {
-    match scene.obstacles.is_empty() {
-        true => Ok(0),
-        false => scene.obstacles.count_inside(source, &scene.lattice, scene.obstacle_half_width()),
+    if scene.obstacles.is_empty() {
+        Ok(0)
+    } else {
+        scene.obstacles.count_inside(source, &scene.lattice, scene.obstacle_half_width())
     }
 }
 
@@ -336,17 +334,18 @@ fn radii(settings: &Settings) -> Radii {
     let voxels = |world: f64| (world / settings.voxel_size) as f32;
     let [min, init, max] = [settings.radius_min, settings.radius_init, settings.radius_max].map(voxels);
     let offset = voxels(settings.offset);
-    match settings.has_per_particle_shapes() {
-        false => Radii { offset, ..Radii::uniform(min, init, max) },
+    if settings.has_per_particle_shapes() {
         // The semi-axes of an ellipsoid are recovered from its matrix, which may round them slightly down.
-        true => Radii {
+        Radii {
             min,
             init,
             max,
             min_scale: 0.9999 * shape::min_scale(settings),
             band_scale: shape::band_scale(settings),
             offset,
-        },
+        }
+    } else {
+        Radii { offset, ..Radii::uniform(min, init, max) }
     }
 }
 

@@ -57,7 +57,8 @@ pub(super) fn offset_and_cut(band: &mut NarrowBand, scene: &RasterParams) {
 pub(super) fn edit<P: AsRef<[Vec3]>>(
     band: &mut NarrowBand,
     particles: impl IntoIterator<Item = (IVec3, P)>,
-    (scene, settings): (&RasterParams, &Settings),
+    scene: &RasterParams,
+    settings: &Settings,
     report: &mut EditReport,
 ) -> Edits {
     let mut edits = Edits::default();
@@ -92,7 +93,8 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
 pub(super) fn mesh(
     band: &NarrowBand,
     edits: &Edits,
-    (scene, settings): (&RasterParams, &Settings),
+    scene: &RasterParams,
+    settings: &Settings,
     depth: &mut DepthStats,
 ) -> Mesh {
     let mut mesh = contour::contour(band, &scene.lattice, settings.contouring);

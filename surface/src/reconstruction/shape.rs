@@ -177,11 +177,12 @@ impl Depth {
     fn new(settings: &Settings, given_have_shapes: bool) -> Depth {
         let voxels = |world: f64| world / settings.voxel_size;
         let ball = if settings.has_per_particle_shapes() { resolved_radius(settings).max(1.0) } else { 1.0 };
-        let cover_scale = match given_have_shapes {
+        let cover_scale = if given_have_shapes {
             // The semi-axes of an ellipsoid are recovered from its matrix, which may round them slightly
             // down.
-            true => 0.9999 * resolved_radius(settings),
-            false => ball,
+            0.9999 * resolved_radius(settings)
+        } else {
+            ball
         };
         Depth {
             cover_voxels: voxels(settings.radius_init) as f32 * cover_scale,

@@ -221,9 +221,9 @@ fn contour_any(
             let own = bins.leaves().filter(|(origin, _)| owned.contains(*origin));
             particles.extend(own.map(|(origin, locals)| (origin, locals.to_vec())));
         }
-        edits = postprocess::edit(&mut band, particles, (&scene, settings), &mut report.edits);
+        edits = postprocess::edit(&mut band, particles, &scene, settings, &mut report.edits);
     }
-    let mut mesh = postprocess::mesh(&band, &edits, (&scene, settings), &mut report.depth);
+    let mut mesh = postprocess::mesh(&band, &edits, &scene, settings, &mut report.depth);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     let exempt = &SurfaceExclusions { scene: &scene, edits: &edits };
     let validate = |mesh: &Mesh, rounding_voxels: f32| {
@@ -240,9 +240,8 @@ fn contour_any(
     };
     postprocess::finalize(&mut mesh, settings, Some(&radii), rounding, &mut report, validate)?;
     if source.is_smoothed() {
-        let how = (&lattice, radii.offset);
         let outside =
-            count_inputs_outside_of_source(source, &band, how, exempt).map_err(TiledError::Source)?;
+            count_inputs_outside_of_source(source, &band, &scene, exempt).map_err(TiledError::Source)?;
         report.certificate.input_positions_outside = Some(outside);
     }
     Ok(FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report })

@@ -184,9 +184,8 @@ fn apply(
     let bounds = Bounds { lower, upper };
     let phi = store.read(0, &runs)?;
     let mut band = NarrowBand { topology: Arc::new(Topology::new(origins)), phi, half_width };
-    let read = |field: usize| match op.reads()[field] {
-        true => store.read(field, &runs),
-        false => Ok(Field::splat(tile.leaves.len(), 0.0)),
+    let read = |field: usize| {
+        if op.reads()[field] { store.read(field, &runs) } else { Ok(Field::splat(tile.leaves.len(), 0.0)) }
     };
     let mut workspace = Workspace { first: read(1)?, second: read(2)? };
     let own = Some(&tile.own[..]);

@@ -146,14 +146,21 @@ impl HeavyBall<'_> {
 
     /// Sets x and x⁻ to the prediction, and stores the band's φ as the start.
     fn predict(&mut self, region: &FreeVoxels, repetition: f32) {
-        let fields = self.band.phi.leaves.par_iter_mut().zip(&mut self.start.leaves);
-        let bounds = self.bounds.lower.leaves.par_iter().zip(&self.bounds.upper.leaves);
-        fields.zip(&mut self.previous.leaves).zip(bounds).zip(&region.free).halved().for_each(
-            |((((phi, start), previous), (lower, upper)), free)| {
-                simd::dispatch(Predict { phi, start, bounds: [lower, upper], free, repetition });
-                *previous = *phi;
-            },
-        );
+        self.leaves_mut(region).for_each(|leaf| simd::dispatch(Predict { leaf, repetition }));
+    }
+
+    fn leaves_mut<'l>(&'l mut self, region: &'l FreeVoxels) -> impl ParallelIterator<Item = StepLeaf<'l>> {
+        let Bounds { lower, upper } = self.bounds;
+        let phi = self.band.phi.leaves.par_iter_mut();
+        let fields = phi.zip(&mut self.start.leaves).zip(&mut self.previous.leaves).enumerate();
+        fields.halved().map(|(leaf, ((phi, start), previous))| StepLeaf {
+            phi,
+            start,
+            previous,
+            lower: &lower.leaves[leaf],
+            upper: &upper.leaves[leaf],
+            free: &region.free[leaf],
+        })
     }
 
     /// Runs `count` passes over the region. Afterwards the band's φ is x. Returns the number of voxel
@@ -189,14 +196,22 @@ impl HeavyBall<'_> {
     }
 }
 
-/// Kernel: predicts the values of a leaf from which the passes start.
-struct Predict<'a> {
+/// A leaf of all fields of a step.
+struct StepLeaf<'a> {
     /// φ; becomes x.
     phi: &'a mut Leaf,
     /// φ at the start of the previous step; becomes that of this step.
     start: &'a mut Leaf,
-    bounds: [&'a Leaf; 2],
+    /// x⁻.
+    previous: &'a mut Leaf,
+    lower: &'a Leaf,
+    upper: &'a Leaf,
     free: &'a LeafMask,
+}
+
+/// Kernel: predicts the values of a leaf from which the passes start.
+struct Predict<'a> {
+    leaf: StepLeaf<'a>,
     repetition: f32,
 }
 
@@ -205,16 +220,17 @@ impl Kernel for Predict<'_> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) {
+        let StepLeaf { phi, start, previous, lower, upper, free } = self.leaf;
         let (repetition, limit) = (V::splat(self.repetition), PREDICTED_CHANGE_MAX);
         for row in 0..ROW_COUNT {
-            let phi = V::load(self.phi.row(row));
-            let change = phi.sub(V::load(self.start.row(row))).max(V::splat(-limit)).min(V::splat(limit));
-            let expected = phi.add(repetition.mul(change));
-            let [lower, upper] = [V::load(self.bounds[0].row(row)), V::load(self.bounds[1].row(row))];
-            let free = V::mask(self.free.row(row));
-            phi.store(self.start.row_mut(row));
-            V::select(free, expected.max(lower).min(upper), phi).store(self.phi.row_mut(row));
+            let value = V::load(phi.row(row));
+            let change = value.sub(V::load(start.row(row))).max(V::splat(-limit)).min(V::splat(limit));
+            let expected = value.add(repetition.mul(change));
+            let bounded = expected.max(V::load(lower.row(row))).min(V::load(upper.row(row)));
+            value.store(start.row_mut(row));
+            V::select(V::mask(free.row(row)), bounded, value).store(phi.row_mut(row));
         }
+        *previous = *phi;
     }
 }
 

@@ -151,26 +151,14 @@ impl Solver {
         // q holds Δt ∇⁴ d: A d = d + q.
         let curvature = sum(d.leaves.par_iter().zip(&q.leaves).halved().map(|(d, q)| dot(d, d) + dot(d, q)));
         let alpha = (residual / curvature) as f32;
-        let met: usize = band
-            .phi
-            .leaves
-            .par_iter_mut()
-            .zip(&mut self.r.leaves)
-            .zip(&mut self.region.free)
-            .enumerate()
-            .halved()
-            .map(|(leaf, ((x, r), free))| {
-                advance(
-                    x,
-                    r,
-                    &d.leaves[leaf],
-                    &q.leaves[leaf],
-                    alpha,
-                    free,
-                    [&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]],
-                )
-            })
-            .sum();
+        let x = band.phi.leaves.par_iter_mut();
+        let fields = x.zip(&mut self.r.leaves).zip(&mut self.region.free).enumerate().halved();
+        let advanced = fields.map(|(leaf, ((x, r), free))| {
+            let (d, q) = (&d.leaves[leaf], &q.leaves[leaf]);
+            let (lower, upper) = (&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]);
+            SolverLeaf { x, r, d, q, free, lower, upper }.advance(alpha)
+        });
+        let met: usize = advanced.sum();
         if met > 0 {
             self.region.recount_free_rows();
             return SolveOutcome::MetBounds;
@@ -233,30 +221,34 @@ enum Operand {
     Direction,
 }
 
-/// x += α d and r −= α A d on a leaf. Voxels that leave their bounds are clamped and fixed. Returns their
-/// number.
-fn advance(
-    x: &mut Leaf,
-    r: &mut Leaf,
-    d: &Leaf,
-    q: &Leaf,
-    alpha: f32,
-    free: &mut LeafMask,
-    bounds: [&Leaf; 2],
-) -> usize {
-    let [lower, upper] = bounds;
-    let mut held = LeafMask::EMPTY;
-    for offset in free.iter() {
-        let moved = x.values[offset] + alpha * d.values[offset];
-        let clamped = moved.max(lower.values[offset]).min(upper.values[offset]);
-        x.values[offset] = clamped;
-        r.values[offset] -= alpha * (d.values[offset] + q.values[offset]);
-        if clamped != moved {
-            held.insert(offset);
+/// A leaf of all fields of an iteration.
+struct SolverLeaf<'a> {
+    x: &'a mut Leaf,
+    r: &'a mut Leaf,
+    d: &'a Leaf,
+    q: &'a Leaf,
+    free: &'a mut LeafMask,
+    lower: &'a Leaf,
+    upper: &'a Leaf,
+}
+
+impl SolverLeaf<'_> {
+    /// x += α d and r −= α A d. Voxels that leave their bounds are clamped and fixed. Returns their number.
+    fn advance(self, alpha: f32) -> usize {
+        let SolverLeaf { x, r, d, q, free, lower, upper } = self;
+        let mut held = LeafMask::EMPTY;
+        for offset in free.iter() {
+            let moved = x.values[offset] + alpha * d.values[offset];
+            let clamped = moved.max(lower.values[offset]).min(upper.values[offset]);
+            x.values[offset] = clamped;
+            r.values[offset] -= alpha * (d.values[offset] + q.values[offset]);
+            if clamped != moved {
+                held.insert(offset);
+            }
         }
+        free.remove_all(&held);
+        held.count() as usize
     }
-    free.remove_all(&held);
-    held.count() as usize
 }
 
 /// Dot product of two leaves, in double precision and in a fixed order.

@@ -127,11 +127,11 @@ pub fn smooth_while<B>(
 
 /// Moves values away from zero, unless the bounds require values that small.
 fn keep_off_zero(phi: &mut Field, bounds: &Bounds) {
-    let bounds = bounds.lower.leaves.par_iter().zip(&bounds.upper.leaves);
-    phi.leaves.par_iter_mut().zip(bounds).halved().for_each(|(phi, (lower, upper))| {
-        for ((phi, lower), upper) in phi.values.iter_mut().zip(&lower.values).zip(&upper.values) {
+    phi.leaves.par_iter_mut().enumerate().halved().for_each(|(leaf, phi)| {
+        let (lower, upper) = (&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]);
+        for (offset, phi) in phi.values.iter_mut().enumerate() {
             if phi.abs() < NEAREST_TO_ZERO {
-                *phi = NEAREST_TO_ZERO.copysign(*phi).max(*lower).min(*upper);
+                *phi = NEAREST_TO_ZERO.copysign(*phi).max(lower.values[offset]).min(upper.values[offset]);
             }
         }
     });

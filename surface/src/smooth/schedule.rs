@@ -344,19 +344,18 @@ const TIME_TOLERANCE: f64 = 1e-6;
 
 /// The free voxels of an implicit step.
 fn free_region(topology: &Topology, phi: &Field, pins_peaks: bool) -> FreeVoxels {
-    match pins_peaks {
-        true => FreeVoxels::excluding(topology, phi, FREE_WIDTH, &pinned_peaks(topology, phi)),
-        false => FreeVoxels::new(topology, phi, FREE_WIDTH),
+    if pins_peaks {
+        FreeVoxels::excluding(topology, phi, FREE_WIDTH, &pinned_peaks(topology, phi))
+    } else {
+        FreeVoxels::new(topology, phi, FREE_WIDTH)
     }
 }
 
 fn sweeps_after(config: &SmoothConfig) -> Sweeps {
-    match config.integrator.is_implicit() && !config.pin_isolated_spheres {
-        true => Sweeps {
-            second_order_within: IMPLICIT_SECOND_ORDER_WITHIN,
-            ..Sweeps::accurate(REDISTANCE_SWEEPS)
-        },
-        false => Sweeps::accurate(REDISTANCE_SWEEPS),
+    if config.integrator.is_implicit() && !config.pin_isolated_spheres {
+        Sweeps { second_order_within: IMPLICIT_SECOND_ORDER_WITHIN, ..Sweeps::accurate(REDISTANCE_SWEEPS) }
+    } else {
+        Sweeps::accurate(REDISTANCE_SWEEPS)
     }
 }
 

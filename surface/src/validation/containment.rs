@@ -25,6 +25,7 @@ use crate::level_set::NarrowBand;
 use crate::obstacle::ROUNDING_MAX;
 use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Unread};
+use crate::rasterize::RasterParams;
 use crate::simd::{Kernel, Lanes, dispatch};
 use crate::space::Lattice;
 
@@ -90,10 +91,8 @@ impl Kernel for LeafParticles<'_> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> Undecided {
-        let [known, with_unstored] = match self.part.cells.is_leaking(self.origin) {
-            true => [LeafMask::EMPTY; 2],
-            false => self.inside_cells(),
-        };
+        let [known, with_unstored] =
+            if self.part.cells.is_leaking(self.origin) { [LeafMask::EMPTY; 2] } else { self.inside_cells() };
         let exempt = self.part.exempt;
         let mut unsettled = Undecided { origin: self.origin, particles: Vec::new(), exempt_count: 0 };
         let CheckedRegion { bins, radii, .. } = self.part;
@@ -282,10 +281,8 @@ fn crossing(corners: &[DVec3; 3], axis: usize, point: DVec3) -> Option<(f64, i32
             continue;
         }
         // Use the same ends in the same order for both triangles of the edge.
-        let (below, above) = match is_above[next] {
-            true => (corners[index], corners[next]),
-            false => (corners[next], corners[index]),
-        };
+        let (below, above) =
+            if is_above[next] { (corners[index], corners[next]) } else { (corners[next], corners[index]) };
         let part = (point[u] - below[u]) / (above[u] - below[u]);
         let cut = [v, axis].map(|along| below[along] + part * (above[along] - below[along]));
         *(if is_above[next] { &mut up } else { &mut down }) = Some(cut);
@@ -399,13 +396,14 @@ fn moved_particles(
 /// Those of the source.
 pub fn possibly_outside(
     source: &AnySource<'_>,
-    lattice: &Lattice,
-    (topology, upper): (&Topology, &Field),
-    (offset, has_obstacles): (f32, bool),
+    scene: &RasterParams,
+    topology: &Topology,
+    upper: &Field,
 ) -> Result<Vec<Vec<MovedParticle>>, Unread> {
     if !source.is_smoothed() {
         return Ok(Vec::new());
     }
+    let (offset, has_obstacles) = (scene.radii.offset, !scene.obstacles.is_empty());
     let least = offset.min(0.0) - if has_obstacles { ROUNDING_MAX } else { 0.0 };
     let is_doubtful = |particle: &MovedParticle| match particle.corner_values(topology, upper) {
         // φ is at most `upper`. Rounding is monotonic, so the interpolated φ is at most the interpolated
@@ -415,22 +413,23 @@ pub fn possibly_outside(
         None => particle.first_stored(topology, upper).is_some(),
     };
     let of_batch = |batch| {
-        let mut doubtful: Vec<_> = moved_particles(source, batch, lattice)?.filter(is_doubtful).collect();
+        let mut doubtful: Vec<_> =
+            moved_particles(source, batch, &scene.lattice)?.filter(is_doubtful).collect();
         doubtful.shrink_to_fit();
         Ok(doubtful)
     };
     (0..source.batch_count()).into_par_iter().halved().map(of_batch).collect()
 }
 
-/// How many of these input positions are outside a surface with this offset in voxels, and how far.
+/// How many of these input positions are outside the surface of a scene, and how far.
 pub fn count_inputs_outside(
     batches: &[Vec<MovedParticle>],
     band: &NarrowBand,
-    (lattice, offset): (&Lattice, f32),
+    scene: &RasterParams,
     exempt: &dyn ExclusionMask,
 ) -> ParticlesOutside {
     let count = |sum: OutsideCount, particle: &MovedParticle| {
-        sum.merge(particle.count_outside((band, offset), exempt))
+        sum.merge(particle.count_outside(band, scene.radii.offset, exempt))
     };
     batches
         .par_iter()
@@ -438,7 +437,7 @@ pub fn count_inputs_outside(
         .flatten()
         .fold(OutsideCount::default, count)
         .reduce(OutsideCount::default, OutsideCount::merge)
-        .in_world(lattice)
+        .in_world(&scene.lattice)
 }
 
 /// The same for all moved particles of a source.
@@ -448,18 +447,18 @@ pub fn count_inputs_outside(
 pub fn count_inputs_outside_of_source(
     source: &AnySource<'_>,
     band: &NarrowBand,
-    (lattice, offset): (&Lattice, f32),
+    scene: &RasterParams,
     exempt: &dyn ExclusionMask,
 ) -> Result<ParticlesOutside, Unread> {
     let of_batch = |batch| {
-        let particles = moved_particles(source, batch, lattice)?;
+        let particles = moved_particles(source, batch, &scene.lattice)?;
         Ok(particles.fold(OutsideCount::default(), |sum, particle| {
-            sum.merge(particle.count_outside((band, offset), exempt))
+            sum.merge(particle.count_outside(band, scene.radii.offset, exempt))
         }))
     };
     let batches = (0..source.batch_count()).into_par_iter().halved().map(of_batch);
     let sum = batches.try_reduce(OutsideCount::default, |one, other| Ok(one.merge(other)))?;
-    Ok(sum.in_world(lattice))
+    Ok(sum.in_world(&scene.lattice))
 }
 
 /// Number of positions outside, and the distance of the farthest one from the surface, in voxels.
@@ -480,7 +479,7 @@ impl OutsideCount {
 }
 
 impl MovedParticle {
-    fn count_outside(&self, (band, offset): (&NarrowBand, f32), exempt: &dyn ExclusionMask) -> OutsideCount {
+    fn count_outside(&self, band: &NarrowBand, offset: f32, exempt: &dyn ExclusionMask) -> OutsideCount {
         let phi = match self.corner_values(&band.topology, &band.phi) {
             Some(corners) => self.interpolated(corners),
             None => match self.first_stored(&band.topology, &band.phi) {

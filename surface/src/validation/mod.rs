@@ -416,10 +416,8 @@ mod tests {
         let positions: Vec<[f64; 3]> =
             indices.map(position).filter(|&position| length(position) < 64.0).collect();
         // Particles in the upper quarter of every leaf are small, if they are deep inside.
-        let scale = |position: &[f64; 3]| match position[2].rem_euclid(8.0) > 6.0 && length(*position) < 52.0
-        {
-            true => 0.3,
-            false => 1.0,
+        let scale = |position: &[f64; 3]| {
+            if position[2].rem_euclid(8.0) > 6.0 && length(*position) < 52.0 { 0.3 } else { 1.0 }
         };
         let shapes = Shapes::Scaled(positions.iter().map(scale).collect());
         let cloud = ParticleCloud { shapes, ..ParticleCloud::from(OwnedPositions::F64(positions)) };
