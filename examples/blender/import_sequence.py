@@ -154,12 +154,10 @@ def read_glb(path, up):
     def column(index):
         accessor = document["accessors"][index]
         view = document["bufferViews"][accessor["bufferView"]]
-        kind = np.dtype({5120: "i1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}[accessor["componentType"]])
+        kind = np.dtype({5123: "<u2", 5125: "<u4", 5126: "<f4"}[accessor["componentType"]])
         width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}[accessor["type"]]
-        stride = view.get("byteStride", width * kind.itemsize)
         start = 20 + json_bytes + 8 + view["byteOffset"]
-        numbers = np.ndarray((accessor["count"], width), kind, data, start, (stride, kind.itemsize))
-        return numbers / np.float32(np.iinfo(kind).max) if accessor.get("normalized") else numbers
+        return np.ndarray((accessor["count"], width), kind, data, start)
 
     primitive = document["meshes"][0]["primitives"][0]
     columns = {name: column(index) for name, index in primitive["attributes"].items()}

@@ -77,9 +77,12 @@ fn main() -> Outcome<()> {
     if let Some(name) = names.iter().find(|name| !known.contains(&&***name)) {
         return Err(format!("unknown experiment {name}; expected one of: {}", known.join(", ")).into());
     }
-    let is_selected = |experiment: &Experiment| match names.is_empty() {
-        true => is_long || !experiment.is_long,
-        false => names.iter().any(|name| name == experiment.name),
+    let is_selected = |experiment: &Experiment| {
+        if names.is_empty() {
+            is_long || !experiment.is_long
+        } else {
+            names.iter().any(|name| name == experiment.name)
+        }
     };
     let selected: Vec<Experiment> = EXPERIMENTS.into_iter().filter(is_selected).collect();
     // Check for splashsurf before the first experiment, because experiments take minutes.

@@ -127,10 +127,7 @@ impl Plot {
             .build_cartesian_2d(x, y)?;
         // Logarithms are plotted, but the axis labels show the original values.
         let axis_label = |axis: usize| {
-            move |value: &f64| match self.is_log[axis] {
-                true => number(10f64.powf(*value)),
-                false => number(*value),
-            }
+            move |value: &f64| if self.is_log[axis] { number(10f64.powf(*value)) } else { number(*value) }
         };
         chart
             .configure_mesh()

@@ -3,7 +3,7 @@
 use std::io::{Read, Seek, SeekFrom};
 
 use crate::error::{Error, Position, Result};
-use crate::scalar::Scalar;
+use crate::number::Scalar;
 
 /// The byte order of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -22,13 +22,11 @@ use ::exr::prelude::Compression;
 use half::f16;
 
 use crate::bytes::{self, Endian};
+use crate::data::{PictureView, PixelSamples};
 use crate::error::{Error, Position, Result};
-use crate::excerpt::excerpt;
-use crate::mesh_options::WriteOption;
-use crate::picture::{PictureView, PixelSamples};
 use crate::provenance::{GENERATOR, comments, from_comments};
-use crate::row::Integrity;
-use crate::row::{Content, FormatRow, OutputRow};
+use crate::row::{Content, FormatRow, Integrity, OutputRow, WriteOption};
+use crate::text::excerpt;
 
 const FORMAT: &str = "OpenEXR";
 
@@ -227,12 +225,13 @@ pub(crate) static ROW: OutputRow = OutputRow {
 
 #[cfg(test)]
 mod tests {
+    use ::exr::prelude::{ReadChannels, ReadLayers, read};
+
     use super::*;
     use crate::OutputFormat;
+    use crate::data::{PictureCamera, PictureLayer};
     use crate::integrity::is_complete;
-    use crate::picture::{PictureCamera, PictureLayer};
     use crate::read_provenance;
-    use ::exr::prelude::{ReadChannels, ReadLayers, read};
 
     const WIDTH: usize = 37;
     const HEIGHT: usize = 21;

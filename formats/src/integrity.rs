@@ -43,9 +43,8 @@ const TAIL_BYTES: u64 = 256;
 pub fn is_complete(format: OutputFormat, file: &mut (impl Read + Seek)) -> Result<bool> {
     let file_bytes = file.seek(SeekFrom::End(0))?;
     // An offset in a damaged file may be beyond its end, and even beyond what the system can seek to.
-    let mut read = |start: u64, length: u64| match start < file_bytes {
-        true => piece(file, start, length),
-        false => Ok(Vec::new()),
+    let mut read = |start: u64, length: u64| {
+        if start < file_bytes { piece(file, start, length) } else { Ok(Vec::new()) }
     };
     match format.row().integrity {
         Integrity::Tail(ends_as_written) => {
@@ -82,10 +81,9 @@ pub fn completeness(file: &mut (impl Read + Seek), file_name: &str) -> Result<Co
     }
     match found {
         HeadCheck::Known(completeness) => Ok(completeness),
-        HeadCheck::NeedsLastByte => Ok(match ends_with_whitespace(file)? {
-            true => Completeness::NeedsReading,
-            false => Completeness::Unknown,
-        }),
+        HeadCheck::NeedsLastByte => {
+            Ok(if ends_with_whitespace(file)? { Completeness::NeedsReading } else { Completeness::Unknown })
+        }
         // No reader accepts a header that exceeds the largest head.
         HeadCheck::NeedsMoreHead => Ok(Completeness::Unknown),
     }
@@ -103,10 +101,14 @@ fn check_head(head: &[u8], file_bytes: u64, file_name: &str) -> HeadCheck {
     let unknown = HeadCheck::Known(Completeness::Unknown);
     let ProbedKind::Format(format) = kind else { return unknown };
     let Some(particles) = &format.row().particles else { return unknown };
-    (particles.completeness)(head, file_bytes).unwrap_or_else(|error| match error.is_truncated() {
-        true if (head.len() as u64) < file_bytes => HeadCheck::NeedsMoreHead,
-        true => HeadCheck::Known(Completeness::Incomplete { expected: file_bytes + 1, found: file_bytes }),
-        false => unknown,
+    (particles.completeness)(head, file_bytes).unwrap_or_else(|error| {
+        if !error.is_truncated() {
+            unknown
+        } else if (head.len() as u64) < file_bytes {
+            HeadCheck::NeedsMoreHead
+        } else {
+            HeadCheck::Known(Completeness::Incomplete { expected: file_bytes + 1, found: file_bytes })
+        }
     })
 }
 

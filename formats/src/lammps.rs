@@ -25,10 +25,10 @@ use std::ops::Range;
 use crate::csv;
 use crate::data::{FilePositions, ParticleFrame};
 use crate::error::{Error, Position, Result};
-use crate::excerpt::{excerpt, excerpts};
 use crate::limits::Limits;
 use crate::row::{FormatRow, ParticleInput};
-use crate::step_finders::steps_of_dump;
+use crate::steps::steps_of_dump;
+use crate::text::{excerpt, excerpts};
 
 /// The format's name in errors.
 pub(crate) const FORMAT: &str = "LAMMPS dump";
@@ -98,10 +98,7 @@ pub fn steps(bytes: &[u8], limits: &Limits) -> Result<Vec<TimeStep>> {
         limits.check_step(FORMAT, steps.len())?;
         steps.push(step(&mut lines, limits)?);
     }
-    match steps.is_empty() {
-        true => Err(lines.truncated("expected ITEM: TIMESTEP")),
-        false => Ok(steps),
-    }
+    if steps.is_empty() { Err(lines.truncated("expected ITEM: TIMESTEP")) } else { Ok(steps) }
 }
 
 /// Reads one step of the dump in which it was found.

@@ -12,7 +12,6 @@ pub mod abc;
 pub mod batches;
 pub mod bgeo;
 mod blosc;
-mod blosclz;
 pub mod bytes;
 pub mod columns;
 pub mod compression;
@@ -20,36 +19,23 @@ pub mod csv;
 pub mod data;
 mod digest;
 pub mod error;
-mod excerpt;
 pub mod exr;
-mod first_column;
-mod frame_numbers;
 pub mod gltf;
-mod gzip;
 pub mod houdini;
 pub mod integrity;
 pub mod lammps;
-mod le_bytes;
 pub mod limits;
 pub mod mesh;
-mod mesh_options;
 mod named_arrays;
 mod neighbor;
 pub mod npy;
 mod number;
 pub mod obj;
-pub mod obstacle;
-mod particle_columns;
-pub mod picture;
 pub mod ply;
 pub mod png;
 pub mod probe;
 pub mod provenance;
-mod quads;
-mod records;
 mod row;
-pub mod scalar;
-mod step_finders;
 pub mod steps;
 pub mod stl;
 mod table;
@@ -64,28 +50,26 @@ pub mod xyz;
 pub mod xyz_ext;
 mod zstd;
 
-pub use batches::{ParticleBatch, ParticleBatches};
+pub use batches::{ParticleBatch, ParticleBatches, ReadAt};
 pub use compression::Codec;
 pub use data::{
-    AttributeRole, BandGrid, FileAttribute, FilePositions, LeafValues, LevelSetView, MeshData, MeshView,
-    ParticleFrame, Provenance, Values, VertexAttribute, VertexValues,
+    AttributeRole, BandGrid, ColorPicture, FileAttribute, FilePositions, LeafValues, LevelSetView, MeshData,
+    MeshView, ParticleFrame, PictureCamera, PictureLayer, PictureView, PixelSamples, Provenance, Values,
+    VertexAttribute, VertexValues,
 };
 pub use error::{Error, Position, Result};
-pub use excerpt::{Escaped, escaped, is_unsafe};
 pub use integrity::{completeness, is_complete};
 pub use limits::Limits;
-pub use mesh::{looks_like_mesh, read_mesh};
-pub use mesh_options::{MeshOptions, UpAxis, WriteOption};
+pub use mesh::{ObstacleData, check_obstacle, looks_like_mesh, read_mesh, read_obstacle};
 pub use neighbor::{Neighbor, neighbor};
-pub use obstacle::{ObstacleData, check_obstacle, read_obstacle};
-pub use picture::{ColorPicture, PictureCamera, PictureLayer, PictureView, PixelSamples};
+pub use number::Scalar;
 pub use probe::{Probe, ProbedKind, looks_like_particles, probe};
-pub use records::ReadAt;
 pub use row::{
-    BatchEncoder, Completeness, Content, MeshEncoder, MeshWriter, ParticleWriter, PictureWriter,
-    PositionRounding, RoundPositions, StreamWriter,
+    BatchEncoder, Completeness, Content, MeshEncoder, MeshOptions, MeshWriter, ParticleWriter, PictureWriter,
+    StreamWriter, UpAxis, WriteOption,
 };
 pub use table::{Format, OutputFormat, listed, read_provenance};
+pub use text::{Escaped, escaped, is_unsafe};
 
 /// Reads a frame of particles from a file in any supported format, compressed or not.
 ///

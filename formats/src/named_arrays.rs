@@ -14,9 +14,8 @@
 
 use crate::columns::{Group, group_columns, position_rank, radius_scale, roles_of, with_role};
 use crate::data::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values};
-use crate::excerpt::excerpt;
-use crate::number::{self, interleaved};
-use crate::scalar::Scalar;
+use crate::number::{self, Scalar, interleaved};
+use crate::text::excerpt;
 
 /// One or more values per particle, particle by particle.
 #[derive(Clone, Debug, PartialEq)]

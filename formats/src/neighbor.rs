@@ -1,10 +1,10 @@
 //! Recognises files that lie beside the frames of a simulation in formats of particles, but are none.
 
+use crate::batches::ReadAt;
 use crate::compression::Codec;
 use crate::limits::Limits;
 use crate::ply;
 use crate::probe::{HEAD_BYTES, ProbedKind, probe};
-use crate::records::ReadAt;
 use crate::table::Format;
 use crate::vtk;
 

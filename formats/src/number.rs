@@ -4,8 +4,11 @@
 //! which keep their type, and 16-bit floats, which become 32-bit ones. Unsigned 64-bit integers become 64-bit
 //! floats if one of them exceeds the signed range.
 
+use std::io::Write;
+
 use crate::bytes::Endian;
 use crate::data::{FilePositions, Values};
+use crate::error::Result;
 
 /// A number type as stored in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,9 +75,10 @@ impl NumberType {
 fn unsigned(records: &StridedNumbers) -> Values {
     let is_signed = |value: &i64| *value >= 0;
     let signed = records.map(i64::from_le_bytes);
-    match signed.iter().all(is_signed) {
-        true => Values::I64(signed),
-        false => Values::F64(records.map(|bytes| u64::from_le_bytes(bytes) as f64)),
+    if signed.iter().all(is_signed) {
+        Values::I64(signed)
+    } else {
+        Values::F64(records.map(|bytes| u64::from_le_bytes(bytes) as f64))
     }
 }
 
@@ -141,10 +145,7 @@ pub(crate) fn divided<T>([x, y, z, w]: [T; 4]) -> [T; 3]
 where
     T: Copy + PartialEq + From<u8> + std::ops::Div<Output = T>,
 {
-    match w == T::from(0) || w == T::from(1) {
-        true => [x, y, z],
-        false => [x / w, y / w, z / w],
-    }
+    if w == T::from(0) || w == T::from(1) { [x, y, z] } else { [x / w, y / w, z / w] }
 }
 
 /// The given range of each particle's `arity` components.
@@ -220,6 +221,81 @@ pub(crate) fn append(values: &mut Values, more: Values) -> bool {
         _ => return false,
     }
     true
+}
+
+// The number types that files store, before they become one of `crate::Values`.
+
+/// A number type as a file stores it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Scalar {
+    /// Signed byte.
+    I8,
+    /// Unsigned byte.
+    U8,
+    /// Signed 16 bits.
+    I16,
+    /// Unsigned 16 bits.
+    U16,
+    /// Signed 32 bits.
+    I32,
+    /// Unsigned 32 bits.
+    U32,
+    /// IEEE single precision.
+    F32,
+    /// IEEE double precision.
+    F64,
+}
+
+impl Scalar {
+    /// Bytes per number.
+    pub const fn size(self) -> usize {
+        match self {
+            Scalar::I8 | Scalar::U8 => 1,
+            Scalar::I16 | Scalar::U16 => 2,
+            Scalar::I32 | Scalar::U32 | Scalar::F32 => 4,
+            Scalar::F64 => 8,
+        }
+    }
+}
+
+// Writes numbers as little-endian bytes, in chunks that fit into the cache.
+
+/// Numbers converted per chunk.
+const PIECE: usize = 4096;
+
+/// Writes floats.
+pub(crate) fn write_f32s(numbers: &[f32], out: &mut impl Write) -> Result<()> {
+    write_pieces(numbers, f32::to_le_bytes, out)
+}
+
+/// Writes indices.
+pub(crate) fn write_u32s(numbers: &[u32], out: &mut impl Write) -> Result<()> {
+    write_pieces(numbers, u32::to_le_bytes, out)
+}
+
+/// Writes indices that must fit into 16 bits.
+pub(crate) fn write_u16s(numbers: &[u32], out: &mut impl Write) -> Result<()> {
+    let narrow = |number: u32| {
+        let [low, high, _, _] = number.to_le_bytes();
+        [low, high]
+    };
+    write_pieces(numbers, narrow, out)
+}
+
+/// Converts each number with `to_bytes` and writes the results.
+pub(crate) fn write_pieces<T: Copy, const N: usize>(
+    numbers: &[T],
+    to_bytes: impl Fn(T) -> [u8; N],
+    out: &mut impl Write,
+) -> Result<()> {
+    let mut bytes = [[0; N]; PIECE];
+    for piece in numbers.chunks(PIECE) {
+        for (bytes, &number) in bytes.iter_mut().zip(piece) {
+            *bytes = to_bytes(number);
+        }
+        out.write_all(bytes[..piece.len()].as_flattened())?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -12,12 +12,10 @@ use ::png::{
 };
 
 use crate::bytes::{Cursor, Endian};
+use crate::data::{ColorPicture, PictureView};
 use crate::error::{Error, Position, Result};
-use crate::mesh_options::WriteOption;
-use crate::picture::{ColorPicture, PictureView};
 use crate::provenance::{GENERATOR, escape, from_entries, prefixed};
-use crate::row::Integrity;
-use crate::row::{Content, FormatRow, OutputRow};
+use crate::row::{Content, FormatRow, Integrity, OutputRow, WriteOption};
 
 const FORMAT: &str = "PNG";
 

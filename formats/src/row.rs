@@ -1,14 +1,15 @@
 //! The types of the rows of the table of formats. A row describes a format and contains its functions.
 
 use std::io::Write;
+use std::sync::Arc;
 
-use crate::data::{MeshData, MeshView, ParticleFrame, Provenance, VertexAttribute};
+use serde::{Deserialize, Serialize};
+
+use crate::batches::{ReadAt, Records};
+use crate::data::{MeshData, MeshView, ParticleFrame, PictureView, Provenance, VertexAttribute};
 use crate::error::Result;
 use crate::limits::Limits;
-use crate::mesh_options::{MeshOptions, WriteOption};
-use crate::picture::PictureView;
-use crate::records::{ReadAt, Records};
-use crate::step_finders::FindSteps;
+use crate::steps::FindSteps;
 
 /// A format that files are read in or recognised as.
 pub(crate) struct FormatRow {
@@ -133,8 +134,9 @@ pub struct MeshWriter {
     pub encoder: MeshEncoder,
     /// Notes on vertex attributes that its files cannot represent exactly.
     pub attribute_notes: fn(&[VertexAttribute]) -> Vec<String>,
-    /// How its files round positions with these options; `None` if they do not.
-    pub rounding: fn(&MeshOptions) -> Option<&'static PositionRounding>,
+    /// Whether its files have world positions in 32 bits, and no origin. A mesh far from the origin must be
+    /// rounded to such positions before, so that all files of a frame have the same ones.
+    pub has_world_positions: bool,
 }
 
 /// How a mesh is encoded.
@@ -152,27 +154,10 @@ pub enum MeshEncoder {
     },
 }
 
-/// Rounds positions relative to an origin, in world units, to the values that a reader of the file gets.
-pub type RoundPositions = fn(&[[f32; 3]], [f64; 3]) -> Vec<[f32; 3]>;
-
-/// How a format rounds the positions of a mesh. The functions take positions relative to an origin, in world
-/// units.
-#[derive(Debug)]
-pub struct PositionRounding {
-    /// The positions that a reader gets, relative to the same origin.
-    pub positions: RoundPositions,
-    /// The largest rounding error along an axis.
-    pub error: fn(&[[f32; 3]], [f64; 3]) -> f64,
-    /// What the certificate of a rounded file names as its subject.
-    pub certificate_subject: &'static str,
-    /// Which files are rounded, and why. Completes the warning "vertices are moved by up to 0.1 voxels in …".
-    pub reason: &'static str,
-}
-
 impl MeshWriter {
-    /// A writer that keeps all attributes under their names and does not round positions.
+    /// A writer that keeps all attributes under their names, and the origin of the mesh.
     pub(crate) const fn new(encoder: MeshEncoder) -> MeshWriter {
-        MeshWriter { encoder, attribute_notes: |_| Vec::new(), rounding: |_| None }
+        MeshWriter { encoder, attribute_notes: |_| Vec::new(), has_world_positions: false }
     }
 
     /// Writes a mesh.
@@ -258,3 +243,118 @@ pub(crate) fn at_least(expected: u64, found: u64, then: Completeness) -> Complet
 
 /// Reads an external file by its relative path, one of those that [`crate::gltf::external_files`] returns.
 pub type ReadExternal<'a> = dyn Fn(&str) -> std::io::Result<Vec<u8>> + 'a;
+
+// Options of the writers.
+
+/// The axis of the particles that points up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum UpAxis {
+    /// As in glTF.
+    #[default]
+    Y,
+    /// As in Blender and many simulators. In glTF, the node rotates the mesh by −90° about X.
+    Z,
+}
+
+impl UpAxis {
+    /// Both axes.
+    pub const ALL: [UpAxis; 2] = [UpAxis::Y, UpAxis::Z];
+
+    /// The value's name on the command line and in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            UpAxis::Y => "y",
+            UpAxis::Z => "z",
+        }
+    }
+}
+
+/// How to write a mesh. Each format ignores options that it does not support.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeshOptions {
+    /// The object name, shown by other programs.
+    pub name: String,
+    /// Which axis of the mesh points up.
+    pub up: UpAxis,
+    /// The length of a world unit in metres, positive and finite.
+    pub meters_per_unit: f64,
+    /// For each triangle, whether it and the next one form a quad, which is then written as one face. Empty:
+    /// all faces are triangles.
+    pub quads: Arc<[bool]>,
+    /// Whether to write the arrays of text USD, except uniform ones, a second time as time samples, because a
+    /// stage plays only time samples. Binary USD always has time samples: they need no second copy there,
+    /// because a time sample and the default value refer to one array.
+    pub time_samples: bool,
+}
+
+impl Default for MeshOptions {
+    fn default() -> MeshOptions {
+        MeshOptions {
+            name: "surface".into(),
+            up: UpAxis::Y,
+            meters_per_unit: 1.0,
+            quads: Arc::default(),
+            time_samples: false,
+        }
+    }
+}
+
+/// An option that affects the files of some formats.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WriteOption {
+    /// Quads instead of pairs of triangles.
+    Quads,
+    /// The up axis.
+    Up,
+    /// The length of a world unit.
+    MetersPerUnit,
+    /// 16-bit values.
+    Half,
+    /// The compression of values.
+    Compression,
+    /// The size of a picture.
+    Size,
+    /// The camera of a picture.
+    Camera,
+    /// Arrays as time samples, which a stage that plays text USD needs. Not a setting: the caller decides.
+    TimeSamples,
+}
+
+impl WriteOption {
+    /// All options that are settings, in the order in which they are printed.
+    pub const ALL: [WriteOption; 7] = [
+        WriteOption::Quads,
+        WriteOption::Up,
+        WriteOption::MetersPerUnit,
+        WriteOption::Half,
+        WriteOption::Compression,
+        WriteOption::Size,
+        WriteOption::Camera,
+    ];
+
+    /// Its name in the provenance of a file. It has no prefix such as `vdb_`, because the format is known
+    /// there.
+    pub fn name(self) -> &'static str {
+        match self {
+            WriteOption::Quads => "quads",
+            WriteOption::Up => "up",
+            WriteOption::MetersPerUnit => "meters_per_unit",
+            WriteOption::Half => "half",
+            WriteOption::Compression => "compression",
+            WriteOption::Size => "size",
+            WriteOption::Camera => "camera",
+            WriteOption::TimeSamples => "time_samples",
+        }
+    }
+
+    /// Its key in a settings file; with `-` for `_`, its name on the command line.
+    pub fn key(self) -> &'static str {
+        match self {
+            WriteOption::Half => "vdb_half",
+            WriteOption::Compression => "vdb_compression",
+            WriteOption::Size => "preview_size",
+            other => other.name(),
+        }
+    }
+}

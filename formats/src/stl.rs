@@ -17,7 +17,7 @@ use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::provenance::GENERATOR;
 use crate::row::Integrity;
-use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, PositionRounding};
+use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow};
 
 const FORMAT: &str = "STL";
 
@@ -87,33 +87,6 @@ fn normal_of(corners: [[f32; 3]; 3]) -> [f32; 3] {
     let normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
     let length = normal.iter().map(|x| x * x).sum::<f64>().sqrt();
     if length > 0.0 { normal.map(|x| (x / length) as f32) } else { [0.0; 3] }
-}
-
-/// The positions that a reader of the file gets, relative to the mesh's origin.
-#[expect(clippy::cast_possible_truncation, reason = "the difference fits into 32 bits")]
-pub fn rounded_positions(positions: &[[f32; 3]], origin: [f64; 3]) -> Vec<[f32; 3]> {
-    if origin == [0.0; 3] {
-        return positions.to_vec();
-    }
-    let read = |position: &[f32; 3]| -> [f32; 3] {
-        let world = at(origin, *position);
-        std::array::from_fn(|axis| (f64::from(world[axis]) - origin[axis]) as f32)
-    };
-    positions.iter().map(read).collect()
-}
-
-/// The largest error along an axis from rounding a mesh's positions to 32 bits; 0 if they are exact.
-pub fn rounding(positions: &[[f32; 3]], origin: [f64; 3]) -> f64 {
-    let corner = |position: &[f32; 3]| -> f64 {
-        let moved = (0..3).map(|axis| {
-            let exact = origin[axis] + f64::from(position[axis]);
-            #[expect(clippy::cast_possible_truncation, reason = "the rounding error is measured")]
-            let rounded = exact as f32;
-            (exact - f64::from(rounded)).abs()
-        });
-        moved.fold(0.0, f64::max)
-    };
-    if origin == [0.0; 3] { 0.0 } else { positions.iter().map(corner).fold(0.0, f64::max) }
 }
 
 /// The one-letter abbreviation of a provenance name, because the title is short. Values whose names have no
@@ -243,7 +216,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
             [] => Vec::new(),
             _ => vec!["vertex attributes are missing in the .stl, which stores triangles only".to_owned()],
         },
-        rounding: |_| Some(&ROUNDING),
+        has_world_positions: true,
         ..MeshWriter::new(MeshEncoder::Stream(|mesh, _, provenance, mut out| {
             write(mesh, provenance, &mut out)
         }))
@@ -253,13 +226,6 @@ pub(crate) static ROW: OutputRow = OutputRow {
     options: &[],
     read_provenance,
     integrity: Integrity::Length(|head, _| Ok(bytes_declared(head))),
-};
-
-static ROUNDING: PositionRounding = PositionRounding {
-    positions: rounded_positions,
-    error: rounding,
-    certificate_subject: "mesh, at its 32-bit world positions",
-    reason: "the .stl, which has 32-bit numbers: the mesh is far from the origin",
 };
 
 #[cfg(test)]

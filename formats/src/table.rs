@@ -18,9 +18,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Result};
-use crate::mesh_options::{MeshOptions, WriteOption};
 use crate::provenance::HEAD_BYTES_MAX;
-use crate::row::{Content, FormatRow, MeshWriter, OutputRow, ParticleWriter};
+use crate::row::{Content, FormatRow, MeshOptions, MeshWriter, OutputRow, ParticleWriter, WriteOption};
 
 /// Generates the two format enums from the rows.
 macro_rules! formats {
@@ -184,6 +183,11 @@ impl OutputFormat {
     /// The particle writer, if the format has one.
     pub fn particles(self) -> Option<&'static ParticleWriter> {
         self.row().write_particles.as_ref()
+    }
+
+    /// Whether files of this format have world positions in 32 bits: see [`MeshWriter::has_world_positions`].
+    pub fn has_world_positions(self) -> bool {
+        self.mesh().is_some_and(|writer| writer.has_world_positions)
     }
 
     /// Whether files of this format contain a mesh.

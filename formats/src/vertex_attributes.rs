@@ -22,9 +22,13 @@
 //! Writers store colours exactly as the particles have them, without a transfer curve. glTF defines colours
 //! as linear. The colours of simulations are linear as well, so they look right.
 
+use std::borrow::Cow;
 use std::collections::HashSet;
+use std::ops::Range;
 
-use crate::data::{AttributeRole, VertexAttribute, VertexValues};
+use crate::columns::radius_scale;
+use crate::data::{AttributeRole, FileAttribute, ParticleFrame, Values, VertexAttribute, VertexValues};
+use crate::error::{Error, Position, Result};
 
 /// Attributes that formats treat specially.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -101,6 +105,108 @@ impl UsedNames {
         self.0.extend(names.iter().map(|name| name.to_ascii_lowercase()));
         names
     }
+}
+
+// Prepares particle attributes for writing, so that a reader gets back the same values.
+//
+// Readers halve the values of an attribute with the name of a diameter, and keep its name. Writers therefore
+// double these values: otherwise the next reader would halve them a second time. All other attributes are
+// written with their values and type unchanged.
+
+/// Fails if an attribute does not have `arity` values for each particle.
+pub(crate) fn check(frame: &ParticleFrame, format: &'static str) -> Result<()> {
+    let count = frame.positions.len();
+    for FileAttribute { name, arity, values, .. } in &frame.attributes {
+        let found = crate::number::length(values);
+        if *arity == 0 || count.checked_mul(*arity) != Some(found) {
+            let what =
+                format!("attribute {name} has {found} values for {count} particles with {arity} values each");
+            return Err(Error::invalid(format, Position::File, what));
+        }
+    }
+    Ok(())
+}
+
+/// The values of an attribute to write: doubled if its name is that of a diameter.
+pub(crate) fn written(attribute: &FileAttribute) -> Cow<'_, Values> {
+    let is_diameter = attribute.role == Some(AttributeRole::Radius) && radius_scale(&attribute.name) != 1.0;
+    if !is_diameter {
+        return Cow::Borrowed(&attribute.values);
+    }
+    let mut doubled = attribute.clone();
+    doubled.scale(1.0 / radius_scale(&attribute.name));
+    Cow::Owned(doubled.values)
+}
+
+// Merges pairs of triangles into quads, for formats with polygons.
+//
+//    d ─── c
+//    │ ╲   │     (a b d) (b c d)  ──▶  a b c d, counter-clockwise like the triangles
+//    │   ╲ │
+//    a ─── b
+
+/// A face of a mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Face {
+    Triangle([u32; 3]),
+    Quad([u32; 4]),
+}
+
+impl Face {
+    /// Its vertices, counter-clockwise seen from outside.
+    pub(crate) fn corners(&self) -> &[u32] {
+        match self {
+            Face::Triangle(corners) => corners,
+            Face::Quad(corners) => corners,
+        }
+    }
+}
+
+/// The faces whose first triangle is in `range`. `quads` says for each triangle whether it and the next one
+/// form a quad; if `quads` is empty, there are no quads. A quad takes the place of its first triangle in the
+/// order.
+pub(crate) fn faces<'a>(
+    triangles: &'a [[u32; 3]],
+    quads: &'a [bool],
+    range: Range<usize>,
+) -> impl Iterator<Item = Face> + 'a {
+    let is_quad = |index: usize| quads.get(index).copied().unwrap_or(false);
+    range.filter(move |&index| index == 0 || !is_quad(index - 1)).map(move |index| {
+        let quad = if is_quad(index) { quad_of(triangles[index], triangles[index + 1]) } else { None };
+        quad.map_or(Face::Triangle(triangles[index]), Face::Quad)
+    })
+}
+
+/// The number of quads among the faces.
+pub(crate) fn quad_count(quads: &[bool]) -> usize {
+    quads.iter().filter(|&&is_quad| is_quad).count()
+}
+
+/// Fails if two triangles marked as a quad share no edge, or a triangle belongs to two quads.
+pub(crate) fn check_quads(format: &'static str, triangles: &[[u32; 3]], quads: &[bool]) -> Result<()> {
+    let invalid = |what: String| Err(Error::invalid(format, Position::File, what));
+    if !quads.is_empty() && quads.len() != triangles.len() {
+        return invalid(format!("there are {} quad flags for {} triangles", quads.len(), triangles.len()));
+    }
+    let is_none = |&index: &usize| {
+        quads[index]
+            && (quads.get(index + 1) != Some(&false)
+                || quad_of(triangles[index], triangles[index + 1]).is_none())
+    };
+    match (0..quads.len()).find(is_none) {
+        Some(index) => invalid(format!("triangle {index} and the next one do not form a quad")),
+        None => Ok(()),
+    }
+}
+
+/// The quad formed by two triangles, counter-clockwise like them; `None` unless they share an edge that they
+/// traverse in opposite directions.
+fn quad_of(one: [u32; 3], other: [u32; 3]) -> Option<[u32; 4]> {
+    let turns = |[a, b, c]: [u32; 3]| [[a, b, c], [b, c, a], [c, a, b]];
+    turns(one).into_iter().find_map(|[a, b, c]| {
+        let [.., d] = turns(other).into_iter().find(|[from, to, _]| [*from, *to] == [b, a])?;
+        Some([a, d, b, c])
+    })
 }
 
 #[cfg(test)]

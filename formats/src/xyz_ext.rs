@@ -21,7 +21,7 @@ use crate::data::ParticleFrame;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::row::{FormatRow, ParticleInput};
-use crate::step_finders::{LineHeads, steps_of_atoms};
+use crate::steps::{LineHeads, steps_of_atoms};
 use crate::text::{Lines, parse_number};
 
 /// The format's name in errors.
@@ -48,9 +48,10 @@ pub(crate) fn looks_like_atoms(text: &[u8], name: &str) -> bool {
     let Some(row) = lines.clone().next() else { return false };
     let mut words = words(row);
     let is_element = words.next().is_some_and(|word| word[0].is_ascii_alphabetic());
-    match is_element {
-        true => words.filter_map(parse_number::<f64>).take(3).count() == 3,
-        false => !csv::names_position(comment) && have_atomic_numbers(comment, lines, text, count),
+    if is_element {
+        words.filter_map(parse_number::<f64>).take(3).count() == 3
+    } else {
+        !csv::names_position(comment) && have_atomic_numbers(comment, lines, text, count)
     }
 }
 

@@ -59,9 +59,10 @@ pub(crate) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
         } else {
             let position = Position::Offset(at as u64);
             let what = "the compressed data is followed by other bytes";
-            return Err(match MAGIC.starts_with(rest) || (rest.len() < 4 && rest[0] >> 4 == 5) {
-                true => Error::truncated(FORMAT, position, what),
-                false => Error::invalid(FORMAT, position, what),
+            return Err(if MAGIC.starts_with(rest) || (rest.len() < 4 && rest[0] >> 4 == 5) {
+                Error::truncated(FORMAT, position, what)
+            } else {
+                Error::invalid(FORMAT, position, what)
             });
         }
     }
@@ -128,9 +129,10 @@ fn check_sum(decoder: &FrameDecoder, consumed: usize) -> Result<()> {
 
 fn damage(source: &std::io::Error, consumed: usize) -> Error {
     let position = Position::Offset(consumed as u64);
-    match is_end(source) {
-        true => Error::truncated(FORMAT, position, "the compressed data ends too early"),
-        false => Error::invalid(FORMAT, position, format!("the compressed data is damaged: {source}")),
+    if is_end(source) {
+        Error::truncated(FORMAT, position, "the compressed data ends too early")
+    } else {
+        Error::invalid(FORMAT, position, format!("the compressed data is damaged: {source}"))
     }
 }
 

@@ -11,7 +11,7 @@ mod delimited; // text tables
 mod fixtures; // small valid files, built byte by byte
 mod houdini; // Houdini geometry
 mod lammps; // LAMMPS dumps
-mod mesh_formats; // .vtp, .stl and quantized .glb
+mod mesh_formats; // .vtp, .stl and USD
 mod mesh_read; // meshes written by other programs
 mod mesh_write; // .glb, .gltf, .obj and .ply
 mod npy; // NumPy arrays

@@ -35,9 +35,10 @@ fn positions_of_all_types_and_orders_are_read() {
     ];
     for (case, bytes, is_wide) in table {
         let frame = read(&bytes);
-        let expected = match is_wide {
-            false => FilePositions::F32(TWO.to_vec()),
-            true => FilePositions::F64(TWO.map(|position| position.map(f64::from)).to_vec()),
+        let expected = if is_wide {
+            FilePositions::F64(TWO.map(|position| position.map(f64::from)).to_vec())
+        } else {
+            FilePositions::F32(TWO.to_vec())
         };
         assert_eq!(frame, ParticleFrame { positions: expected, ..ParticleFrame::default() }, "{case}");
     }

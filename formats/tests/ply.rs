@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
+use meniscus_formats::Scalar;
 use meniscus_formats::ply::{Encoding, PropertyType, read, read_header, read_mesh};
-use meniscus_formats::scalar::Scalar;
 use meniscus_formats::{AttributeRole, Error, FilePositions, Limits, ParticleFrame, Values};
 
 fn read_text(text: &str) -> ParticleFrame {

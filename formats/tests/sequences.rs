@@ -15,7 +15,6 @@ struct Frame {
     code: i64,
     sides: u32,
     origin: [f64; 3],
-    quantize: bool,
 }
 
 const FAR: [f64; 3] = [1e6, -2e6, 0.25];
@@ -27,13 +26,8 @@ const MOVED: [f64; 3] = [1e6 + 64.5, -2e6 - 32.0, 0.25];
 const MOVED_ROUNDING: f64 = 1e-5;
 
 fn frames() -> Vec<Frame> {
-    let frame = |code, sides, origin, quantize| Frame { code, sides, origin, quantize };
-    vec![
-        frame(5, 3, FAR, false),
-        frame(6, 5, MOVED, true),
-        frame(9, 0, MOVED, false),
-        frame(10, 70_000, MOVED, false),
-    ]
+    let frame = |code, sides, origin| Frame { code, sides, origin };
+    vec![frame(5, 3, FAR), frame(6, 5, MOVED), frame(9, 0, MOVED), frame(10, 70_000, MOVED)]
 }
 
 type Triangles = Vec<[u32; 3]>;
@@ -73,7 +67,7 @@ impl Frame {
             origin: self.origin,
             attributes,
         };
-        let options = MeshOptions { up, quantize: self.quantize, ..MeshOptions::default() };
+        let options = MeshOptions { up, ..MeshOptions::default() };
         let mut bytes = Vec::new();
         gltf::write_glb(&mesh, &options, &[("input".into(), format!("{}", self.code))], &mut bytes)
             .expect("written");
@@ -169,16 +163,14 @@ fn glb_sequence_contains_the_data_of_every_frame() {
                 (channel.target().node().index(), times, scales.map(|[x, ..]| x).collect())
             })
             .collect();
-        let scale = 2.0;
         let expected = [
             (0, vec![0.0, 0.06], vec![1.0, 0.0]),
-            (1, vec![0.0, 0.06, 0.18], vec![0.0, scale, 0.0]),
+            (1, vec![0.0, 0.06, 0.18], vec![0.0, 1.0, 0.0]),
             (2, vec![0.0, 0.22, 0.26], vec![0.0, 1.0, 1.0]),
         ];
         assert_eq!(keys, expected);
         let at_rest: Vec<f32> = nodes.iter().map(|node| node.transform().decomposed().2[0]).collect();
         assert_eq!(at_rest, [1.0, 0.0, 0.0]);
-        assert_eq!(shot.extensions_required().collect::<Vec<_>>(), ["KHR_mesh_quantization"]);
     }
 }
 
@@ -272,16 +264,13 @@ fn usda_sequence_has_a_sample_per_frame() {
             let found = numbers(points[index].1);
             // While frames are missing (here 7 and 8), the last value is held until the next frame.
             assert_eq!(at(&extents, &BEFORE_9.to_string()), at(&extents, "6"));
-            // The tolerance is the rounding of a quantized frame, whose coordinates are in a cube from (−1,
-            // −1, 0) with an edge length of 2. The other frames must be unchanged.
-            let tolerance = if frame.quantize { 2.0 / 65535.0 / 2.0 * 1.001 + 1e-6 } else { 0.0 };
             assert_eq!(found.len(), 3 * positions.len());
             for (found, expected) in found.as_chunks::<3>().0.iter().zip(&positions) {
                 for axis in 0..3 {
                     let (found, expected) =
                         (found[axis] + origin[axis], f64::from(expected[axis]) + frame.origin[axis]);
                     assert!(
-                        (found - expected).abs() <= tolerance + 1e-7 + 1e-9 * frame.origin[axis].abs(),
+                        (found - expected).abs() <= 1e-7 + 1e-9 * frame.origin[axis].abs(),
                         "{found} {expected}"
                     );
                 }
@@ -318,10 +307,9 @@ fn usdc_sequence_has_a_sample_per_frame() {
             let usdc::UsdcFrame { mesh, attributes } = layer.frame(index).expect("our own file");
             assert_eq!(mesh.triangles, triangles);
             assert_eq!(mesh.positions.len(), positions.len());
-            let rounding = if frame.quantize { 1e-4 } else { MOVED_ROUNDING };
             for (found, position) in mesh.positions.iter().zip(&positions) {
                 let is_near = |axis: usize| {
-                    (found[axis] - frame.origin[axis] - f64::from(position[axis])).abs() <= rounding
+                    (found[axis] - frame.origin[axis] - f64::from(position[axis])).abs() <= MOVED_ROUNDING
                 };
                 assert!((0..3).all(is_near), "{found:?} is not {position:?}");
             }

@@ -21,7 +21,6 @@ class _OptionRow(TypedDict):
 class _WriteOptions(TypedDict):
     up: str
     meters_per_unit: float
-    quantize: bool
     vdb_half: bool
     vdb_compression: str
     size: tuple[int, int]
@@ -56,7 +55,6 @@ def reconstruct(
     attributes: list[_Attribute],
     obstacles: list[Obstacle],
     formats: list[str],
-    quantize: bool,
     memory: int,
     scratch: str | PathLike[str] | None,
     threads: int | None,

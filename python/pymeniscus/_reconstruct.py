@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Attributes = Mapping[str, Any] | Iterable[str] | str | None
 
 #: Keywords of `reconstruct` that are not options.
-_KEYWORDS = ("radii", "velocity", "attributes", "obstacles", "formats", "quantize", "threads", "memory", "scratch",
+_KEYWORDS = ("radii", "velocity", "attributes", "obstacles", "formats", "threads", "memory", "scratch",
              "progress")  # fmt: skip
 
 #: A function that is called with the name of the phase and the fraction of the phase that is done.
@@ -41,7 +41,6 @@ def reconstruct(
     attributes: Attributes = None,
     obstacles: ObstacleLike | Iterable[ObstacleLike] | None = None,
     formats: Iterable[str] = (),
-    quantize: bool = False,
     threads: int | None = None,
     memory: int | str | None = None,
     scratch: str | os.PathLike[str] | None = None,
@@ -75,11 +74,8 @@ def reconstruct(
         Bodies that the surface does not enter.
     formats : iterable of str, optional
         Extensions of the files that you will write with `Surface.write`. They have two effects. For ``"vdb"``
-        and ``"exr"``, attributes are also computed at voxels. For ``"stl"`` and a quantized ``"glb"``, the
-        mesh is also checked with the rounded positions of these formats; those of ``"stl"`` are rounded only
-        far from the origin.
-    quantize : bool, optional
-        Whether the .glb of `formats` will be quantized.
+        and ``"exr"``, attributes are also computed at voxels. For ``"stl"``, a mesh far from the origin gets
+        positions that are rounded to 32 bits in world coordinates.
     threads : int, optional
         Number of threads, 1 to 1024; one for each core by default. Concurrent calls use separate threads.
         `Surface.write` and `LevelSet.sample` use all cores, whatever this number is.
@@ -139,7 +135,7 @@ def reconstruct(
     limits = bytes_of(memory), _folder_of(scratch)
     bodies = Bodies(limits[0]).natives(obstacles)
     _warn_of_ignored(given, options, bodies)
-    return _run(given, given.pairs(options), bodies, formats, quantize, limits, threads, progress)
+    return _run(given, given.pairs(options), bodies, formats, limits, threads, progress)
 
 
 class Sequence:
@@ -223,15 +219,14 @@ class Sequence:
         where: Any = None,
         obstacles: ObstacleLike | Iterable[ObstacleLike] | None = None,
         formats: Iterable[str] = (),
-        quantize: bool = False,
-        threads: int | None = None,
+            threads: int | None = None,
         progress: Progress | None = None,
     ) -> Surface:
         """The surface of the next frame.
 
         Parameters
         ----------
-        points, radii, velocity, attributes, obstacles, formats, quantize, threads, progress
+        points, radii, velocity, attributes, obstacles, formats, threads, progress
             As for the function `reconstruct`. The options are those of the sequence.
         where : array_like of bool, shape (N,), optional
             The particles that form the surface. A condition on attributes is an option of the sequence.
@@ -253,7 +248,7 @@ class Sequence:
             self._has_frame = True
             _warn_of_ignored(given, self._options, bodies)
         pairs = given.pairs(self._settings_on(given))
-        return _run(given, pairs, bodies, formats, quantize, self._limits, threads, progress)
+        return _run(given, pairs, bodies, formats, self._limits, threads, progress)
 
 
 class _Given:
@@ -350,7 +345,6 @@ def _run(
     pairs: list[tuple[str, str]],
     obstacles: list[_native.Obstacle],
     formats: Iterable[str],
-    quantize: bool,
     limits: tuple[int, str | None],
     threads: int | None,
     progress: Progress | None,
@@ -365,7 +359,6 @@ def _run(
         given.attributes,
         obstacles,
         extensions_of(formats),
-        bool(quantize),
         *limits,
         thread_count(threads),
         progress,

@@ -286,7 +286,6 @@ class Surface:
         source: str | os.PathLike[str] | Particles | None = None,
         up: str = "y",
         meters_per_unit: float = 1.0,
-        quantize: bool = False,
         vdb_half: bool = False,
         vdb_compression: str = "blosc",
         size: tuple[int, int] = (1280, 720),
@@ -296,9 +295,9 @@ class Surface:
         existing file.
 
         The file has the same bytes as that of ``meniscus convert`` with the same options and the same
-        `source`. Pass a quantized ``glb`` also to `reconstruct`, in the arguments `formats` and `quantize`: it
-        has other positions than the surface, which must be checked there. So has an ``stl`` if `origin` is not
-        zero. Pass ``vdb`` and ``exr`` to `formats` if they are to have attributes.
+        `source`. If `origin` is not zero, pass ``stl`` also to the argument `formats` of `reconstruct`: such a
+        file has rounded positions, which must be checked there. Pass ``vdb`` and ``exr`` to `formats` if they
+        are to have attributes.
 
         Parameters
         ----------
@@ -314,8 +313,6 @@ class Surface:
             The up axis of the particles, for glTF, USD and pictures.
         meters_per_unit : float
             Length of a world unit in metres, 1e-9 to 1e9, for USD.
-        quantize : bool
-            Whether .glb files store positions as 16-bit integers.
         vdb_half : bool
             Whether .vdb files store values in 16 bits.
         vdb_compression : {"none", "active", "blosc"}
@@ -351,7 +348,7 @@ class Surface:
         extension = extension.lstrip(".").lower()
         if not extension:
             raise ValueError(f"{path} has no extension: give format=")
-        options = _write_options(up, meters_per_unit, quantize, vdb_half, vdb_compression, size, camera)
+        options = _write_options(up, meters_per_unit, vdb_half, vdb_compression, size, camera)
         for warning in self._native.write(path, extension, options, self._source_of(source)):
             warnings.warn(warning, stacklevel=2)
 
@@ -591,7 +588,6 @@ def _add_to_blender(mesh: Any, name: str, values: NDArray[Any]) -> str | None:
 def _write_options(
     up: str,
     meters_per_unit: float,
-    quantize: bool,
     vdb_half: bool,
     vdb_compression: str,
     size: tuple[int, int],
@@ -609,7 +605,6 @@ def _write_options(
     return {
         "up": up.lower(),
         "meters_per_unit": float(meters_per_unit),
-        "quantize": bool(quantize),
         "vdb_half": bool(vdb_half),
         "vdb_compression": vdb_compression,
         "size": (width, height),

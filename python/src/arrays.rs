@@ -188,9 +188,10 @@ impl AttributeSlice<'_> {
 
     fn with(&self, values: Values) -> FileAttribute {
         let (name, arity, role) = (self.name.to_owned(), self.arity, self.role);
-        match self.is_role_given {
-            true => FileAttribute { name, arity, role, values },
-            false => with_role(name, arity, role, values),
+        if self.is_role_given {
+            FileAttribute { name, arity, role, values }
+        } else {
+            with_role(name, arity, role, values)
         }
     }
 }

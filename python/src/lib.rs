@@ -11,6 +11,8 @@
 //!   meniscus::surface, meniscus_formats, meniscus::pipeline, meniscus::cli
 //! ```
 
+#![warn(clippy::match_bool)]
+
 mod arrays;
 mod audited;
 mod compute;

@@ -6,9 +6,10 @@ use std::sync::Arc;
 use meniscus::cli::status_of;
 use meniscus::pipeline::{
     self, Cause, EmbeddedSurface, FrameError, InMemoryObstacle, OutputFormat, OutputOptions, PictureOptions,
-    ScratchFile, default_memory_bytes, in_memory_attributes, in_memory_parts, obstacle_warnings,
+    ScratchFile, default_memory_bytes, in_memory_attributes, obstacle_warnings, requested_parts,
 };
-use meniscus::surface::reconstruction::{FrameSurface, PositionFormat};
+use meniscus::surface::RequestedParts;
+use meniscus::surface::reconstruction::FrameSurface;
 use meniscus::surface::{Options, Positions, Settings, Storage};
 use meniscus_formats::{FilePositions, UpAxis, Values, vdb};
 use numpy::ndarray::Array2;
@@ -90,7 +91,6 @@ fn format_of(extension: &str) -> Result<OutputFormat, WriteError> {
 pub(crate) struct WriteOptions {
     up: String,
     meters_per_unit: f64,
-    quantize: bool,
     vdb_half: bool,
     vdb_compression: String,
     size: [usize; 2],
@@ -127,7 +127,6 @@ impl WriteOptions {
         Ok(OutputOptions {
             up,
             meters_per_unit: self.meters_per_unit,
-            quantize: self.quantize,
             vdb_half: self.vdb_half,
             vdb_compression,
             picture: PictureOptions { size: self.size, camera },
@@ -159,11 +158,10 @@ impl Embedded<'_> {
         let format = format_of(format)?;
         let mut outputs = options.outputs(format)?;
         let name = format.extension();
-        if !self.inner().is_checked(&prepared.parts.0, format, &outputs) {
-            let quantize = if outputs.quantize { ", quantize=True" } else { "" };
+        if !self.inner().is_checked(format) {
             return Err(WriteError::Choice(format!(
-                "the surface was not checked with the positions of a .{name}, which are rounded differently: \
-                 pass formats=[\"{name}\"]{quantize} to reconstruct"
+                "the surface was not checked with the positions of a .{name}, which are rounded: \
+                 pass formats=[\"{name}\"] to reconstruct"
             )));
         }
         if format.is_picture() {
@@ -179,7 +177,7 @@ impl Embedded<'_> {
         self.inner().write(path, format, &outputs, source)?;
         let has_voxels = !format.is_mesh() && format.has_attributes();
         let has_attributes = !self.surface.attributes.vertices.is_empty();
-        if has_voxels && has_attributes && prepared.parts.1.is_none() {
+        if has_voxels && has_attributes && prepared.0.band_half_width_voxels.is_none() {
             return Ok(vec![format!(
                 "the .{name} has no attributes: pass formats=[\"{name}\"] to reconstruct"
             )]);
@@ -210,20 +208,16 @@ impl Embedded<'_> {
 }
 
 /// The files that a surface is prepared for.
-pub(crate) struct Prepared {
-    /// See [`in_memory_parts`].
-    pub(crate) parts: (Vec<PositionFormat>, Option<f32>),
-}
+pub(crate) struct Prepared(pub(crate) RequestedParts);
 
 impl Prepared {
     /// # Errors
     /// `ValueError` for an unknown extension.
-    pub(crate) fn new(formats: &[String], quantize: bool) -> PyResult<Prepared> {
+    pub(crate) fn new(formats: &[String]) -> PyResult<Prepared> {
         let formats: Result<Vec<OutputFormat>, WriteError> =
             formats.iter().map(|format| format_of(format)).collect();
         let formats = formats.map_err(|error| error.raised(Path::new("")))?;
-        let outputs = OutputOptions { quantize, ..OutputOptions::new("", &formats) };
-        Ok(Prepared { parts: in_memory_parts(&outputs) })
+        Ok(Prepared(requested_parts(&formats)))
     }
 }
 

@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use meniscus::pipeline::requested_parts;
 use meniscus::surface::{Reconstructor, Settings};
 use pyo3::prelude::*;
 
@@ -28,7 +27,6 @@ pub(crate) fn reconstruct(
     attributes: Vec<Given<'_>>,
     obstacles: Vec<Py<Obstacle>>,
     formats: Vec<String>,
-    quantize: bool,
     memory: u64,
     scratch: Option<PathBuf>,
     threads: Option<usize>,
@@ -39,7 +37,7 @@ pub(crate) fn reconstruct(
     let (positions, attributes) = (Positions::new(points)?, Attributes::new(attributes)?);
     let (positions, attributes) = (positions.as_slice()?, attributes.as_slices()?);
     check_finite(&positions)?;
-    let prepared = Prepared::new(&formats, quantize)?;
+    let prepared = Prepared::new(&formats)?;
     let obstacles: Vec<&Obstacle> = obstacles.iter().map(Py::get).collect();
     let folder = scratch.clone().unwrap_or_default();
     let made = run_with_progress(py, threads, progress.as_ref(), |token, advance| {
@@ -55,9 +53,8 @@ pub(crate) fn reconstruct(
         reconstructor.on_progress(move |progress| {
             let _ = advance.send(progress);
         });
-        let requested = requested_parts(&prepared.parts);
         // The positions are borrowed, so the clone copies nothing.
-        let made = reconstructor.reconstruct_parts(positions.clone(), &attributes, requested);
+        let made = reconstructor.reconstruct_parts(positions.clone(), &attributes, prepared.0);
         let (surface, settings) = made.map_err(Failure::Method)?;
         warnings.extend(Obstacle::warnings(&obstacles, &positions, &settings));
         if surface.report.particle_count == 0 {

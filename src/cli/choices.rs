@@ -102,8 +102,7 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
     let is_of_stage = |name: &&str| formats.stage.is_some() && of_stage.contains(name);
     let given = method.given().into_iter().chain(formats.given()).filter(|name| !is_of_stage(name));
     let idle = given.filter_map(|name| {
-        // --quantize without effect is an error, which `FormatArgs::outputs` reports.
-        let changed = formats_changed_by(name).filter(|_| name != WriteOption::Quantize.key())?;
+        let changed = formats_changed_by(name)?;
         let is_idle = !written.iter().any(|format| changed.contains(format));
         is_idle.then(|| format!("{} is ignored: it affects {} only", option_name(name), kinds(&changed)))
     });

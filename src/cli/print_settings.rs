@@ -144,7 +144,6 @@ fn absolute_text(path: &Path) -> Result<String> {
 fn format_keys(outputs: &OutputOptions) -> Vec<String> {
     let is_printed = |option: &WriteOption| match option {
         WriteOption::Quads => false,
-        WriteOption::Quantize => outputs.quantize,
         _ => outputs.has_option(*option),
     };
     let mut keys = Vec::new();
@@ -154,8 +153,7 @@ fn format_keys(outputs: &OutputOptions) -> Vec<String> {
             keys.extend(preview.map(|format| format!("preview = {}", quoted(format.extension()))));
         }
         let value = outputs.value(option);
-        let is_plain =
-            matches!(option, WriteOption::MetersPerUnit | WriteOption::Quantize | WriteOption::Half);
+        let is_plain = matches!(option, WriteOption::MetersPerUnit | WriteOption::Half);
         keys.push(format!("{} = {}", option.key(), if is_plain { value } else { quoted(&value) }));
     }
     keys

@@ -3,7 +3,6 @@
 //! The files have the same bytes as those of `meniscus convert` if the options, the particles and the source
 //! file of the particles are the same.
 
-use std::borrow::Cow;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,10 +10,11 @@ use std::sync::Arc;
 use glam::DVec3;
 use meniscus_formats::{Content, FileAttribute, OutputFormat};
 
+use crate::surface::mesh::PositionRounding;
 use crate::surface::obstacle::Obstacle;
 use crate::surface::options::{MethodOptions, OptionName, Settings};
 use crate::surface::particles::{Attribute, Positions};
-use crate::surface::reconstruction::{FrameSurface, PositionFormat};
+use crate::surface::reconstruction::FrameSurface;
 use crate::surface::space::Lattice;
 use crate::surface::{RequestedParts, checkpoint};
 
@@ -30,12 +30,11 @@ use super::input::source::FrameFile;
 use super::output::writing::{
     VDB_HALF_WIDTH_VOXELS, encode_level_set, mesh_view, output_warnings, surface_warnings, vertex_attributes,
 };
-use super::records::frame_warnings::left_out;
+use super::records::frame_warnings::{coarse_positions, left_out};
 use super::records::provenance::provenance;
 use super::records::record::measured_json;
 use super::target::outputs::OutputOptions;
 use super::target::picture::{PictureScene, encode_picture, up_of, velocities};
-use super::target::stored::{rounding, stored};
 use super::target::viewpoint::Viewpoint;
 use super::warning::Warning;
 
@@ -95,23 +94,9 @@ impl EmbeddedSurface<'_> {
         })
     }
 
-    /// Whether the mesh was checked with the positions that a file in this format stores. `checked` are the
-    /// number formats of positions in which it was checked: two of them can have the same positions.
-    pub fn is_checked(
-        &self,
-        checked: &[PositionFormat],
-        format: OutputFormat,
-        outputs: &OutputOptions,
-    ) -> bool {
-        let mesh = &self.surface.mesh;
-        let positions = |stored: &PositionFormat| match stored {
-            PositionFormat::Exact => Cow::Borrowed(&mesh.positions[..]),
-            PositionFormat::Rounded(rounding) => Cow::Owned(mesh.rounded(*rounding)),
-        };
-        let wanted = rounding(format, outputs)
-            .map_or(PositionFormat::Exact, |rounding| PositionFormat::Rounded(rounding.positions));
-        let wanted = positions(&wanted);
-        !format.is_mesh() || checked.iter().any(|checked| positions(checked) == wanted)
+    /// Whether the mesh has positions that a file in this format can store.
+    pub fn is_checked(&self, format: OutputFormat) -> bool {
+        !format.has_world_positions() || self.surface.mesh.is_rounded(PositionRounding::World)
     }
 
     /// Renders a picture with the size and the camera of `outputs`, and encodes it.
@@ -162,13 +147,14 @@ impl EmbeddedSurface<'_> {
     pub fn warnings(&self) -> Vec<String> {
         let outputs = OutputOptions::new("", &[]);
         let about_surface = surface_warnings(self.surface, &outputs, self.settings);
-        let warnings = about_surface.into_iter().chain(left_out(&self.surface.report));
+        let report = &self.surface.report;
+        let warnings = about_surface.into_iter().chain(left_out(report)).chain(coarse_positions(report));
         warnings.map(|warning| warning.to_string()).collect()
     }
 
     /// The warnings about what a file in this format cannot store exactly, one sentence each.
     pub fn output_warnings(&self, outputs: &OutputOptions) -> Vec<String> {
-        let warnings = output_warnings(self.surface, outputs, self.settings.voxel_size);
+        let warnings = output_warnings(self.surface, outputs);
         warnings.iter().map(ToString::to_string).collect()
     }
 }
@@ -187,19 +173,14 @@ impl<W: Write> Write for Interruptible<'_, W> {
     }
 }
 
-/// The parts that a reconstruction has to prepare for these outputs: the number formats of positions in which
-/// the mesh is checked, and the half width of the band with attributes, in voxels.
-pub fn in_memory_parts(outputs: &OutputOptions) -> (Vec<PositionFormat>, Option<f32>) {
+/// The parts that a reconstruction has to prepare for files in these formats.
+pub fn requested_parts(formats: &[OutputFormat]) -> RequestedParts {
     let has_voxels = |format: &OutputFormat| !format.is_mesh() && format.has_attributes();
-    (stored(outputs), outputs.formats.iter().any(has_voxels).then_some(VDB_HALF_WIDTH_VOXELS))
-}
-
-/// Converts the result of [`in_memory_parts`] to the argument of
-/// [`Reconstructor::reconstruct_parts`](crate::surface::Reconstructor::reconstruct_parts).
-pub fn requested_parts(
-    (stored, band_half_width_voxels): &(Vec<PositionFormat>, Option<f32>),
-) -> RequestedParts<'_> {
-    RequestedParts { stored, band_half_width_voxels: *band_half_width_voxels, allows_empty: true }
+    RequestedParts {
+        rounding: OutputOptions::new("", formats).position_rounding(),
+        band_half_width_voxels: formats.iter().any(has_voxels).then_some(VDB_HALF_WIDTH_VOXELS),
+        allows_empty: true,
+    }
 }
 
 /// The attributes that these options need, with warnings. `headers` are attributes without their values, and

@@ -18,7 +18,6 @@ use crate::pipeline::input::level_set_file::level_set_limits;
 use crate::pipeline::input::obstacles::FrameObstacles;
 use crate::pipeline::output::writing::VDB_HALF_WIDTH_VOXELS;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions};
-use crate::pipeline::target::stored::stored;
 
 /// The three stages of the method. Tests replace them by stages that are quick or fail.
 ///
@@ -206,14 +205,14 @@ impl Method for LevelSetMethod {
         let started = Instant::now();
         let (mut surface, particles) = match smoothed {
             StagedSurface::InMemory(smoothed, particles) => {
-                (reconstruction::contour(smoothed, settings, &stored(outputs)), particles)
+                (reconstruction::contour(smoothed, settings, outputs.position_rounding()), particles)
             }
             StagedSurface::Tiled(frame) => {
-                let (surface, particles) = tiled::contour(*frame, settings, &stored(outputs))?;
+                let (surface, particles) = tiled::contour(*frame, settings, outputs.position_rounding())?;
                 particles.given().check_unchanged()?;
                 (surface, Some(particles))
             }
-            StagedSurface::OfLevelSet(band) => (band.contour(settings, &stored(outputs)), None),
+            StagedSurface::OfLevelSet(band) => (band.contour(settings, outputs.position_rounding()), None),
         };
         surface.report.seconds.contour = started.elapsed().as_secs_f64();
         // Particles on disk have no selected attributes.

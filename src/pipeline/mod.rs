@@ -82,8 +82,7 @@ pub use files::shown::{STANDARD_INPUT, show_as, shown};
 pub use files::stamp::{FileStamp, now_ms};
 pub use files::sweep::{remove_left_behind, sweep_temporaries, sweep_temporaries_of};
 pub use in_memory::{
-    EmbeddedSurface, InMemoryObstacle, in_memory_attributes, in_memory_parts, obstacle_warnings,
-    requested_parts,
+    EmbeddedSurface, InMemoryObstacle, in_memory_attributes, obstacle_warnings, requested_parts,
 };
 pub use input::attributes::AttributeRequest;
 pub use input::bounds::{EMPTY_BOUNDS, bounds_of_particles, sequence_bounds};

@@ -62,8 +62,6 @@ pub enum Warning {
     RoundedParticles { step: f64, spacing: f64 },
     /// All particles have the same coordinate along this axis.
     Planar { axis: char, at: f64 },
-    /// A format moves vertices by up to `voxels` voxels; `storage` describes how it stores positions.
-    RoundedPositions { voxels: f64, storage: &'static str },
     /// An attribute that a .vdb cannot hold.
     UnsupportedInVdb { name: String },
     /// Radii too small for the grid. `radius_min` is r_min of the smallest one, in world units.
@@ -155,7 +153,6 @@ impl ReportedWarnings {
             Warning::MissingAttribute { name, .. }
             | Warning::UnsupportedInVdb { name }
             | Warning::SeveralKinds { attribute: name, .. } => (None, name.clone()),
-            Warning::RoundedPositions { storage, .. } => (None, (*storage).to_owned()),
             Warning::Obstacle { path, finding } => {
                 (Some(std::mem::discriminant(finding)), path.to_string_lossy().into_owned())
             }
@@ -332,9 +329,6 @@ impl Warning {
     /// Warnings about files, and about a single frame.
     fn fmt_frame(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
-            Warning::RoundedPositions { voxels, storage } => {
-                write!(f, "vertices are moved by up to {voxels:.3} voxels in {storage}")
-            }
             Warning::RoundedParticles { step, spacing } => {
                 let [step, spacing] = [step, spacing].map(significant);
                 write!(
@@ -378,7 +372,8 @@ impl Warning {
             Warning::NotConverged => f.write_str("the implicit solver did not converge to its tolerance"),
             Warning::CoarsePositions { voxels } => write!(
                 f,
-                "parts of this frame lie so far apart that the 32-bit positions of some vertices are off by up to {} voxels",
+                "parts of this frame lie so far apart, or from the origin, that the 32-bit positions of some vertices \
+                 are off by up to {} voxels",
                 significant(voxels)
             ),
             Warning::ParticlesOutside { count, particle_count, is_offset, is_smoothed } => {

@@ -75,10 +75,8 @@ struct Split {
 
 impl Split {
     fn next(self, len: usize, was_taken: bool) -> Option<Split> {
-        let splits = match was_taken {
-            true => rayon::current_num_threads().max(self.splits / 2),
-            false => self.splits / 2,
-        };
+        let splits =
+            if was_taken { rayon::current_num_threads().max(self.splits / 2) } else { self.splits / 2 };
         (len / 2 >= self.len_min && (was_taken || self.splits > 0)).then_some(Split { splits, ..self })
     }
 }

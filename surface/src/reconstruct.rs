@@ -11,15 +11,15 @@ use crate::cancel::{CancelToken, CancellableParticles, CancellableStorage};
 use crate::error::Error;
 use crate::interrupt;
 use crate::level_set::NarrowBand;
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, PositionRounding};
 use crate::obstacle::{Obstacle, Obstacles};
 use crate::options::{Anisotropy, Length, SequenceSpacing, Settings};
 use crate::parallel::Loops as _;
 use crate::particles::{Attribute, OwnedPositions, Positions, Shapes, find_attribute};
 use crate::reconstruction::tiled::{self, TiledError};
 use crate::reconstruction::{
-    self, FIELD_STORE_FILES, MemoryPlan, MemoryPlanError, PlanInputs, PositionFormat, PrecisionLimit,
-    ShapedSource, Storage, Targets, VoxelTooSmall,
+    self, FIELD_STORE_FILES, MemoryPlan, MemoryPlanError, PlanInputs, PrecisionLimit, ShapedSource, Storage,
+    Targets, VoxelTooSmall,
 };
 use crate::report::{Phase, ShapeStats};
 use crate::spacing::{estimate_spacing, median, rounded};
@@ -145,9 +145,9 @@ pub struct Reconstructor<'a> {
 /// What [`Reconstructor::reconstruct_parts`] prepares for files.
 #[doc(hidden)]
 #[derive(Clone, Copy, Debug)]
-pub struct RequestedParts<'a> {
-    /// The formats of positions in the files: the mesh is checked in each of them.
-    pub stored: &'a [PositionFormat],
+pub struct RequestedParts {
+    /// How positions are rounded.
+    pub rounding: PositionRounding,
     /// Attributes are also interpolated at voxels where |φ| is less than this, in voxels. `None`: only at
     /// vertices.
     pub band_half_width_voxels: Option<f32>,
@@ -237,7 +237,7 @@ impl<'a> Reconstructor<'a> {
         attributes: &[Attribute],
     ) -> Result<Surface, Error> {
         let parts = RequestedParts {
-            stored: &[PositionFormat::Exact],
+            rounding: PositionRounding::Local,
             band_half_width_voxels: None,
             allows_empty: false,
         };
@@ -255,7 +255,7 @@ impl<'a> Reconstructor<'a> {
         &mut self,
         positions: impl Into<Positions<'p>>,
         attributes: &[Attribute],
-        wanted: RequestedParts<'_>,
+        wanted: RequestedParts,
     ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
         let positions = positions.into();
         // An interruption leaves the settings unchanged or `None`; all other state belongs to the frame.
@@ -267,7 +267,7 @@ impl<'a> Reconstructor<'a> {
         &mut self,
         positions: Positions<'_>,
         attributes: &[Attribute],
-        RequestedParts { stored, band_half_width_voxels, allows_empty }: RequestedParts<'_>,
+        RequestedParts { rounding, band_half_width_voxels, allows_empty }: RequestedParts,
     ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
         self.begin(Phase::Prepare)?;
         let chosen = chosen(&self.options, &positions, attributes)?;
@@ -294,8 +294,8 @@ impl<'a> Reconstructor<'a> {
         let (shaped, shape_stats) = reconstruction::shape_by_neighbors(given, shape_stats, &settings)?;
         let work = ShapedFrame { settings: &settings, shaped, shape_stats, allows_empty };
         let (mut surface, shaped) = match plan.tile_leaves {
-            None => self.reconstruct_in_memory(work, stored)?,
-            Some(tile_leaves) => self.reconstruct_tiled(work, tile_leaves, stored)?,
+            None => self.reconstruct_in_memory(work, rounding)?,
+            Some(tile_leaves) => self.reconstruct_tiled(work, tile_leaves, rounding)?,
         };
         if settings.attributes.is_some() {
             self.begin(Phase::Interpolate)?;
@@ -400,7 +400,7 @@ impl<'a> Reconstructor<'a> {
     fn reconstruct_in_memory<'p>(
         &mut self,
         work: ShapedFrame<'_, 'p>,
-        stored: &[PositionFormat],
+        rounding: PositionRounding,
     ) -> Result<(reconstruction::FrameSurface, PreparedSource<'p>), Error> {
         let ShapedFrame { settings, shaped, shape_stats, allows_empty } = work;
         let mut rasterized =
@@ -414,7 +414,7 @@ impl<'a> Reconstructor<'a> {
         });
         let smoothed = flow_result(smoothed)?;
         self.begin(Phase::Contour)?;
-        let surface = reconstruction::contour_while(smoothed, settings, stored, &|| token.flow());
+        let surface = reconstruction::contour_while(smoothed, settings, rounding, &|| token.flow());
         Ok((flow_result(surface)?, shaped))
     }
 
@@ -423,7 +423,7 @@ impl<'a> Reconstructor<'a> {
         &mut self,
         work: ShapedFrame<'_, 'p>,
         tile_leaves: i32,
-        stored: &[PositionFormat],
+        rounding: PositionRounding,
     ) -> Result<(reconstruction::FrameSurface, PreparedSource<'p>), Error> {
         let ShapedFrame { settings, shaped, shape_stats, allows_empty } = work;
         let mut storages: Vec<Box<dyn Storage>> = Vec::new();
@@ -443,7 +443,7 @@ impl<'a> Reconstructor<'a> {
             tiled::smooth(frame, settings, &mut |fraction| self.report_progress(Phase::Smooth, fraction));
         let frame = frame.map_err(storage_error)?;
         self.begin(Phase::Contour)?;
-        tiled::contour(frame, settings, stored).map_err(tiled_error)
+        tiled::contour(frame, settings, rounding).map_err(tiled_error)
     }
 }
 

@@ -28,7 +28,7 @@ DESCRIBED = {"described": 30, "described-still": 12.5}
 
 def main():
     check = Check("Alembic: the library opens frames and shots")
-    for label in ("moving", "moving-quantized"):
+    for label in ("moving", "moving-quads"):
         folder = OUT / label
         for path in sorted(folder.glob("moving.*.abc")):
             check.line(f"{label}/{path.name}", *attempted(frame, path))
@@ -127,18 +127,16 @@ def vectors(array):
 TURNED = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
-def faults_of(sample, ply, is_exact):
+def faults_of(sample, ply):
     """Compares the arrays with those of a frame's .ply."""
     positions, triangles = read_ply(ply)
     vertices = read_vertices(ply)
     columns = lambda names: np.stack([vertices[name] for name in names.split()], axis=1)
     off = lambda found, expected: abs(found - expected).max(initial=0) if len(found) == len(expected) else np.inf
     faults = []
-    # Shots are made from quantized .glb files, which have rounded positions and normals.
-    step, turn = (0, 0) if is_exact else (2e-5 * np.ptp(positions, axis=0).max(), 0.02)
-    if off(sample["positions"] + sample["matrix"][3, :3] @ TURNED.T, positions) > step:
+    if off(sample["positions"] + sample["matrix"][3, :3] @ TURNED.T, positions) > 0:
         faults.append("its positions are others")
-    if off(sample["normals"], columns("nx ny nz")) > turn:
+    if off(sample["normals"], columns("nx ny nz")) > 0:
         faults.append("its normals are others")
     if "vx" not in vertices.dtype.names or not len(positions):
         if sample["velocities"] is not None:
@@ -148,7 +146,7 @@ def faults_of(sample, ply, is_exact):
     if (sample["matrix"][:3, :3] != TURNED).any():
         faults.append(f"its axes are {sample['matrix'][:3, :3].tolist()}")
     local = sample["positions"].astype(float)
-    if len(local) and off(sample["bounds"], np.array([local.min(axis=0), local.max(axis=0)])) > step:
+    if len(local) and off(sample["bounds"], np.array([local.min(axis=0), local.max(axis=0)])) > 0:
         faults.append(f"its bounds are {sample['bounds'].tolist()}")
     fans = [[face[0], *pair] for face in sample["faces"] for pair in zip(face[1:], face[2:])]
     if not same_triangles(sample["faces"], fans, triangles):
@@ -166,13 +164,13 @@ def same_triangles(faces, fans, triangles):
 def frame(path):
     archive = Archive(path)
     sample = archive.sample(0)
-    faults = faults_of(sample, path.with_suffix(".ply"), is_exact=True)
+    faults = faults_of(sample, path.with_suffix(".ply"))
     if archive.times() != [0.0]:
         faults.append(f"its times are {archive.times()}")
     if not archive.program.startswith("meniscus "):
         faults.append(f"it was made by {archive.program}")
     has_quads = any(len(face) == 4 for face in sample["faces"])
-    if has_quads != ("quantized" in str(path)):
+    if has_quads != ("quads" in str(path)):
         faults.append(f"has quads: {has_quads}")
     return f"{len(sample['positions'])} vertices, {len(sample['faces'])} faces", faults
 
@@ -191,7 +189,7 @@ def shot(path):
         sample = archive.sample(index)
         counts.append(len(sample["positions"]))
         ply = path.with_name(f"moving.{frame:03}.ply")
-        faults += [f"sample at {time}: {fault}" for fault in faults_of(sample, ply, "quantized" not in str(path))]
+        faults += [f"sample at {time}: {fault}" for fault in faults_of(sample, ply)]
     return f"{' '.join(map(str, counts))} vertices", faults
 
 
@@ -253,7 +251,7 @@ def described(path):
     """A frame with attributes. Those of frame 2 have no values, and thus no type in its .csv."""
     archive = Archive(path)
     sample, vertices = archive.sample(0), read_vertices(path.with_suffix(".ply"))
-    faults = faults_of(sample, path.with_suffix(".ply"), is_exact=True)
+    faults = faults_of(sample, path.with_suffix(".ply"))
     if len(vertices):
         faults += of_attributes(archive, 0, vertices, in_shot=False)
         if archive.string_table("kind") != list(STRINGS):
@@ -274,7 +272,7 @@ def described_shot(path, fps):
         ply = path.with_name(f"{path.parent.name}.{index + 1:03}.ply")
         sample, vertices = archive.sample(index), read_vertices(ply)
         counts.append(len(vertices))
-        found = faults_of(sample, ply, is_exact=True) + of_attributes(archive, index, vertices, in_shot=True)
+        found = faults_of(sample, ply) + of_attributes(archive, index, vertices, in_shot=True)
         faults += [f"frame {index + 1}: {fault}" for fault in found]
     if counts[1] != 0 or not counts[0] or not counts[2]:
         faults.append(f"its frames have {counts} vertices; the second one should be empty")

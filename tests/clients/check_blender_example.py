@@ -5,7 +5,7 @@ grows, and in a saved .blend that is opened again.
                   the panel lists missing frames; the material stays
     grown         a new frame is shown and extends the scene; a rewritten frame is shown, too
     attributes    scalars and vectors in one .glb, and colours
-    chosen        a folder, a file, a pattern; the error lists several sequences; steps; Z up; quantized
+    chosen        a folder, a file, a pattern; the error lists several sequences; steps; Z up
     command line  frames per second; the saved scene plays in a Blender that has only the .blend
     rendered      example_glb.png, example_vdb.png: one frame, with the same picture from both formats
                   example_glb_0003.png and so on: an animation from each format, each frame with its surface
@@ -54,7 +54,7 @@ def main():
         ("dam.####.vdb", lambda: frames("vdb"), "frame 11 is missing", "dam.13.vdb was written again"),
         ("attributes", attributes),
         ("choices", choices, "with a step of 2", "splash.7.glb: incomplete .glb; splash is unchanged"),
-        ("Z up, quantized", turned),
+        ("Z up", turned),
         ("command line", command_line),
         ("pictures", pictures),
         ("animation of .glb", lambda: animation("glb")),
@@ -280,7 +280,7 @@ def turned():
     """Checks Z up: with `--up z` the .glb records the axis, and the script sets it for a .vdb. Both must be
     at the positions of the particles."""
     out = FOLDER / "turned"
-    options = ["--format", "glb", "--up", "z", "--quantize", "--voxel-size", repr(voxel_size())]
+    options = ["--format", "glb", "--up", "z", "--voxel-size", repr(voxel_size())]
     status, said, _ = convert([OWN / "dam.0005.bgeo"], out, *options)
     faults = [said] if status else []
     scene = empty_scene()

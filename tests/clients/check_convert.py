@@ -159,7 +159,7 @@ def moving(check):
         points = [(0.1 * x, 0.1 * y, 0.1 * z) for x in range(4 + 2 * frame) for y in range(5) for z in range(4)]
         rows = ["x,y,z,vx,vy,vz", *(f"{x!r},{y!r},{z!r},{x!r},2,0" for x, y, z in points)]
         (folder / f"moving.{frame:03}.csv").write_text("\n".join(rows) + "\n")
-    for label, more in (("moving", []), ("moving-quantized", ["--quantize", "--quads"])):
+    for label, more in (("moving", []), ("moving-quads", ["--quads"])):
         out = OUT / label
         names = ("shot.glb", "shot.usda", "shot.usdc", "shot.abc")
         shots = [word for name in names for word in (f"--sequence-{name[5:]}", out / name)]

@@ -1,6 +1,6 @@
 """Checks that Blender imports meshes in the formats of other programs, and plays whole sequences in one file.
 
-    frame         the quantized .glb, the .stl, the .usda and the .abc of one frame: number of vertices or
+    frame         the .glb, the .stl, the .usda and the .abc of one frame: number of vertices or
                   triangles, bounds and volume
     shot.glb      one object for each frame; only the object of the current frame has a scale other than 0
     shot.usda     one object, whose mesh is that of the current frame
@@ -31,7 +31,7 @@ FPS = 24
 def main():
     check = Check(f"shots: Blender {bpy.app.version_string} imports, and plays")
     to_log(WORK / "blender_shots.log")
-    for label in ("moving", "moving-quantized"):
+    for label in ("moving", "moving-quads"):
         folder = OUT / label
         last = sorted(folder.glob("moving.*.ply"))[-1]
         for kind in ("glb", "stl", "usda", "abc"):
@@ -104,7 +104,6 @@ def faults_of(objects, ply):
     size = np.ptp(expected, axis=0).max()
     for bound in ("min", "max"):
         off = abs(getattr(points, bound)(axis=0) - getattr(expected, bound)(axis=0)).max() if len(points) else np.inf
-        # The rounding of a quantized mesh, half a step, is smaller than this.
         if off > 2e-5 * size:
             faults.append(f"its {bound} is off by {off / size:.2g} of its size")
     if abs(volume / report["volume"] - 1) > 1e-3:
@@ -118,7 +117,7 @@ def frame(path, ply):
     if len(objects) != 1:
         faults.append(f"{len(objects)} objects")
     mesh = objects[0].data
-    if path.suffix in (".usda", ".abc") and "quantized" in str(path) and len(mesh.polygons) == len(mesh.loops) // 3:
+    if path.suffix in (".usda", ".abc") and "quads" in str(path) and len(mesh.polygons) == len(mesh.loops) // 3:
         faults.append("it has no quads")
     return f"{len(mesh.vertices)} vertices, {len(mesh.polygons)} faces", faults
 

@@ -20,7 +20,7 @@ from project import OUT, Check, frame_of
 
 def main():
     check = Check(f"vtk: VTK {vtk.vtkVersion.GetVTKVersion()} and OpenUSD {'.'.join(map(str, Usd.GetVersion()))} read")
-    for label in ("moving", "moving-quantized"):
+    for label in ("moving", "moving-quads"):
         for ply in sorted((OUT / label).glob("moving.*.ply")):
             frame, (points, triangles) = frame_of(ply), read_ply(ply)
             for examine, suffix in ((vtp, ".vtp"), (stl, ".stl"), (usda, ".usda"), (usdc, ".usdc")):
@@ -49,7 +49,7 @@ def vtp(path, frame, points, triangles):
     corners = vtk_to_numpy(mesh.GetPolys().GetConnectivityArray())
     quads = 3 * len(triangles) - len(corners)
     polys = mesh.GetNumberOfPolys()
-    if polys != len(triangles) - quads // 2 or ("quantized" in str(path)) != (quads > 0):
+    if polys != len(triangles) - quads // 2 or ("quads" in str(path)) != (quads > 0):
         faults.append(f"{polys} polygons, {quads // 2} of them quads, of {len(triangles)} triangles")
     normals = vtk_to_numpy(data.GetNormals())
     if abs(np.linalg.norm(normals, axis=1) - 1).max() > 1e-5:
@@ -179,10 +179,10 @@ def mesh_under_root(stage):
     return UsdGeom.Mesh(root.GetChild("surface"))
 
 
-def mesh_faults(mesh, time, points, triangles, rounding=0.0):
+def mesh_faults(mesh, time, points, triangles):
     faults = []
     found = np.array(mesh.GetPointsAttr().Get(time))
-    if found.shape != points.shape or abs(found - points).max() > rounding:
+    if found.shape != points.shape or (found != points).any():
         faults.append("its points are not those of the .ply")
     ok, why = UsdGeom.Mesh.ValidateTopology(
         mesh.GetFaceVertexIndicesAttr().Get(time), mesh.GetFaceVertexCountsAttr().Get(time), len(found)
@@ -218,10 +218,8 @@ def shot(folder, name):
     for code, path in zip(codes, frames):
         points, triangles = read_ply(path)
         local = np.array(mesh.ComputeLocalToWorldTransform(code)) if shift else np.eye(4)
-        # Quantized frames round coordinates to a fraction of their size.
-        rounding = 2e-5 * np.ptp(points, axis=0).max() if "quantized" in folder.name else 0.0
         moved = points - local[3, :3].astype(points.dtype) if shift else points
-        faults += [f"frame {code}: {fault}" for fault in mesh_faults(mesh, code, moved, triangles, rounding)]
+        faults += [f"frame {code}: {fault}" for fault in mesh_faults(mesh, code, moved, triangles)]
     return f"{len(codes)} frames, {codes}", faults
 
 

@@ -6,30 +6,32 @@ use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
 use glam::{DVec3, Vec3};
-use meniscus::surface::mesh::Mesh;
+use meniscus::surface::mesh::{Mesh, PositionRounding};
 use meniscus::surface::obstacle::Obstacles;
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::OwnedPositions;
-use meniscus::surface::reconstruction::{
-    FrameSurface, PositionFormat, contour, rasterize, reconstruct_frame, smooth,
-};
+use meniscus::surface::reconstruction::{FrameSurface, contour, rasterize, reconstruct_frame, smooth};
 use meniscus::surface::report::ShapeStats;
 use serde_json::Value;
 use tempfile::tempdir;
 
 use crate::program::scene::{block, meniscus, write_ply};
 
-fn skinned(positions: &[[f64; 3]], settings: &Settings, stored: &[PositionFormat]) -> FrameSurface {
+fn skinned(positions: &[[f64; 3]], settings: &Settings, rounding: PositionRounding) -> FrameSurface {
     let particles = OwnedPositions::F64(positions.to_vec());
     let rasterized = rasterize(&particles, settings, ShapeStats::default(), Obstacles::default());
     let Ok(rasterized) = rasterized;
-    contour(smooth(rasterized, settings), settings, stored)
+    contour(smooth(rasterized, settings), settings, rounding)
+}
+
+fn world(mesh: &Mesh, position: Vec3) -> DVec3 {
+    mesh.origin + position.as_dvec3()
 }
 
 /// The winding number of a mesh around a point: the sum of the solid angles of its triangles.
-fn winding(mesh: &Mesh, positions: &[Vec3], point: DVec3) -> f64 {
+fn winding(mesh: &Mesh, point: DVec3) -> f64 {
     let solid_angle = |triangle: &[u32; 3]| {
-        let [a, b, c] = triangle.map(|vertex| mesh.origin + positions[vertex as usize].as_dvec3() - point);
+        let [a, b, c] = triangle.map(|vertex| world(mesh, mesh.positions[vertex as usize]) - point);
         let [la, lb, lc] = [a, b, c].map(DVec3::length);
         let below = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
         2.0 * a.dot(b.cross(c)).atan2(below)
@@ -44,18 +46,17 @@ fn random(seed: u64) -> f64 {
     ((mixed ^ mixed >> 29) >> 11) as f64 / (1u64 << 53) as f64
 }
 
-fn cloud(seed: u64, count: u64, width: f64) -> Vec<[f64; 3]> {
-    (0..count).map(|index| [0, 1, 2].map(|axis| width * random(3000 * seed + 3 * index + axis))).collect()
+/// `from` is the lower corner along each axis.
+fn cloud(seed: u64, count: u64, width: f64, from: f64) -> Vec<[f64; 3]> {
+    let position = |index| [0, 1, 2].map(|axis| from + width * random(3000 * seed + 3 * index + axis));
+    (0..count).map(position).collect()
 }
 
-fn quarters(positions: &[[f32; 3]], _: [f64; 3]) -> Vec<[f32; 3]> {
-    positions.iter().map(|position| position.map(|x| (x * 4.0).round() / 4.0)).collect()
-}
+/// From here on, adjacent 32-bit numbers differ by a quarter.
+const QUARTERS: f64 = (1 << 21) as f64;
 
-/// Rounds positions to eighths: as coarse as 32-bit positions are at a distance where particles are left out.
-fn eighths(positions: &[[f32; 3]], _: [f64; 3]) -> Vec<[f32; 3]> {
-    positions.iter().map(|position| position.map(|x| (x * 8.0).round() / 8.0)).collect()
-}
+/// From here on, adjacent 32-bit numbers differ by an eighth.
+const EIGHTHS: f64 = (1 << 20) as f64;
 
 /// With radii this small, some particles are outside both the mesh and the zero set of φ, and some are
 /// outside only one of them.
@@ -69,17 +70,15 @@ fn every_particle_outside_the_written_mesh_is_counted() {
             ..MethodOptions::default()
         };
         let settings = Settings::paper(1.0, &choices).expect("sound");
-        for (seed, stored) in
-            [(1, PositionFormat::Exact), (2, PositionFormat::Rounded(quarters)), (3, PositionFormat::Exact)]
-        {
-            let positions = cloud(seed, 300, 16.0);
-            let surface = skinned(&positions, &settings, &[stored]);
-            let written = match stored {
-                PositionFormat::Exact => surface.mesh.positions.clone(),
-                PositionFormat::Rounded(rounding) => surface.mesh.rounded(rounding),
-            };
-            let is_outside =
-                |position: &&[f64; 3]| winding(&surface.mesh, &written, DVec3::from(**position)) < 0.5;
+        for (seed, from, rounding) in [
+            (1, 0.0, PositionRounding::Local),
+            (2, QUARTERS, PositionRounding::World),
+            (3, 0.0, PositionRounding::Local),
+        ] {
+            let positions = cloud(seed, 300, 16.0, from);
+            let surface = skinned(&positions, &settings, rounding);
+            assert!(surface.mesh.is_rounded(rounding));
+            let is_outside = |position: &&[f64; 3]| winding(&surface.mesh, DVec3::from(**position)) < 0.5;
             let outside_count = positions.iter().filter(is_outside).count();
             let certificate = &surface.report.certificate;
             // Some drops are so small that they have no volume when rounded to quarters.
@@ -87,7 +86,7 @@ fn every_particle_outside_the_written_mesh_is_counted() {
             assert_eq!((measures.boundary_edge_count, measures.non_manifold_edge_count), (0, 0));
             assert_eq!(
                 certificate.particles_outside.count, outside_count,
-                "decimated by {decimate}, r_min {radius_min}, {stored:?}"
+                "decimated by {decimate}, r_min {radius_min}, {rounding:?}"
             );
             outside_in_all += outside_count;
         }
@@ -100,8 +99,8 @@ fn rounded_mesh_is_closed_and_within_its_bounds() {
     let settings = Settings::paper(1.0, &MethodOptions::default()).expect("sound");
     let mut removed_count = 0;
     for seed in 0..4 {
-        let positions = cloud(40 + seed, 400, 24.0);
-        let surface = skinned(&positions, &settings, &[PositionFormat::Rounded(eighths)]);
+        let positions = cloud(40 + seed, 400, 24.0, EIGHTHS);
+        let surface = skinned(&positions, &settings, PositionRounding::World);
         let certificate = &surface.report.certificate;
         let measures = &surface.report.mesh;
         assert_eq!((measures.boundary_edge_count, measures.non_manifold_edge_count), (0, 0), "{measures:?}");
@@ -109,10 +108,10 @@ fn rounded_mesh_is_closed_and_within_its_bounds() {
         assert_eq!(measures.degenerate_triangle_count, 0, "seed {seed}: {measures:?}");
         assert!(certificate.holds(), "seed {seed}: {certificate:?} {measures:?}");
         // The figures about vertices describe the vertices in the file.
-        let written = surface.mesh.rounded(eighths);
+        let written = &surface.mesh.positions;
         let nearest = |vertex: &Vec3| {
-            let distances =
-                positions.iter().map(|particle| DVec3::from(*particle).distance(vertex.as_dvec3()));
+            let vertex = world(&surface.mesh, *vertex);
+            let distances = positions.iter().map(|particle| DVec3::from(*particle).distance(vertex));
             distances.fold(f64::INFINITY, f64::min)
         };
         let distances: Vec<f64> = written.iter().map(nearest).collect();

@@ -116,7 +116,6 @@ impl Bench {
             formats: vec![OutputFormat::Glb, OutputFormat::Vdb, OutputFormat::Obj, OutputFormat::Ply],
             up: gltf::UpAxis::Y,
             meters_per_unit: 1.0,
-            quantize: false,
             vdb_half: false,
             vdb_compression: vdb::Compression::Blosc,
             picture: PictureOptions::default(),
@@ -342,8 +341,6 @@ fn done_frames_are_kept_and_all_others_are_converted() {
     bench.change_outputs(|outputs| outputs.vdb_half = true);
     assert_eq!(run(&bench), "cccc");
     bench.change_outputs(|outputs| outputs.up = gltf::UpAxis::Z);
-    assert_eq!(run(&bench), "cccc");
-    bench.change_outputs(|outputs| outputs.quantize = true);
     assert_eq!(run(&bench), "cccc");
     // Settings have changed.
     let choices = MethodOptions { laplacian_steps: Some(14), ..MethodOptions::default() };

@@ -55,7 +55,7 @@ fn outputs_for_other_programs_record_the_generator() {
     fs::write(path.join("rock.obj"), tetrahedron.replace("0.3", "0.2")).expect("written");
     assert!(!meniscus(path, &all).out.contains("done already"));
     let with = |option: &'static str| [&all[..], &[option]].concat();
-    for option in ["--radius-ratio=1.5", "--quantize", "--up=z"] {
+    for option in ["--radius-ratio=1.5", "--up=z"] {
         let result = meniscus(path, &with(option));
         assert!(
             result.status == 0 && !result.out.contains("done already"),
@@ -82,59 +82,6 @@ fn outputs_for_other_programs_record_the_generator() {
             assert_eq!(info[0]["mesh"]["boundary_edges"], 0, "{info}");
         }
     }
-}
-
-#[test]
-fn quantizing_changes_only_glb() {
-    let folder = frames(1);
-    let path = folder.path();
-    let words = ["--quantize", ".glb", "--format"];
-    refused(path, &["convert", "in", "--out", "o", "--format", "ply,vdb", "--quantize"], &words);
-    refused(path, &["watch", "in", "--out", "o", "--format", "ply", "--quantize", "--once"], &words);
-    fs::write(
-        path.join("w.toml"),
-        "[[watch]]\ninput = \"in\"\noutput = \"o\"\nformats = [\"ply\"]\nquantize = true\n",
-    )
-    .expect("written");
-    let words = ["w.toml:4: `quantize` requires .glb output", "add glb to `formats`"];
-    refused(path, &["watch", "--config", "w.toml", "--once"], &words);
-    assert!(!path.join("o").exists());
-
-    succeeded(&meniscus(path, &EVERY_MESH));
-    let quantized = [&EVERY_MESH[..], &["--quantize"]].concat();
-    let quantized: Vec<&str> =
-        quantized.into_iter().map(|word| if word == "out" { "small" } else { word }).collect();
-    succeeded(&meniscus(path, &quantized));
-    let [plain, small] = ["out", "small"].map(|folder| path.join(folder));
-    // All files of a frame have the same mesh, without the triangles that 16-bit positions would flatten:
-    // each file records this.
-    for name in ["dam.1.abc", "dam.1.usda", "dam.1.usdc", "dam.1.vtp"] {
-        let is_recorded = |folder: &Path| {
-            let bytes = fs::read(folder.join(name)).expect("readable");
-            bytes.windows(b"quantize".len()).any(|window| window == b"quantize")
-        };
-        assert!(!is_recorded(&plain) && is_recorded(&small), "{name}");
-    }
-    assert_eq!(document(&plain.join("dam.1.glb"))["extensionsRequired"], Value::Null);
-    let document = document(&small.join("dam.1.glb"));
-    assert_eq!(document["extensionsRequired"][0], "KHR_mesh_quantization");
-    assert_eq!(document["asset"]["extras"]["meniscus"]["quantize"], "true");
-}
-
-#[test]
-fn quantizing_a_wide_frame_causes_a_warning() {
-    let folder = tempdir().expect("a folder");
-    let path = folder.path();
-    let mut particles = block(3, 0.0);
-    particles.extend(block(3, 500.0));
-    write_ply(&path.join("wide.ply"), &particles);
-    let arguments =
-        ["convert", "wide.ply", "--out", "o", "--voxel-size", "0.05", "--format", "glb", "--quantize"];
-    let result = meniscus(path, &arguments);
-    // Half a step of the quantization, 500 / 65535 / 2, is 0.076 voxels of 0.05.
-    assert!(result.err.contains("moved by up to 0.076 voxels in the quantized .glb"), "{}", result.err);
-    write_ply(&path.join("wide.ply"), &block(3, 0.0));
-    assert_eq!(meniscus(path, &arguments).err, "");
 }
 
 const SHOTS: [&str; 10] = [
@@ -273,7 +220,7 @@ fn sequence_file_shows_each_frame_at_its_time() {
     // before it stays visible.
     write_ply(&path.join("in/dam.2.ply"), &[]);
     fs::write(path.join("in/dam.3.ply"), "ply\nformat ascii 1.0\n").expect("written");
-    let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb", "--quantize"];
+    let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb"];
     let result = meniscus(path, &[&convert[..], &SHOTS].concat());
     assert_eq!(result.status, 1, "{}{}", result.out, result.err);
     assert!(result.out.contains("shot.glb: a sequence file of 3 frames"), "{}", result.out);
@@ -283,7 +230,6 @@ fn sequence_file_shows_each_frame_at_its_time() {
     let names: Vec<&str> =
         shot["nodes"].as_array().expect("nodes").iter().filter_map(|node| node["name"].as_str()).collect();
     assert_eq!(names, ["dam.1", "dam.4"]);
-    assert_eq!(shot["extensionsRequired"][0], "KHR_mesh_quantization");
     assert_eq!(shot["scenes"][0]["nodes"], serde_json::json!([0, 1]));
     let at_rest = |node: usize| shot["nodes"][node]["scale"][0].as_f64().expect("a number");
     assert!(at_rest(0) > 0.5 && at_rest(1) == 0.0, "{}", shot["nodes"]);

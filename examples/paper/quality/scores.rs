@@ -83,9 +83,10 @@ fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Ou
         let surface = MeshDistance::new(&made.mesh.positions, &made.mesh.triangles);
         frames.push(FlickerFrame::new(particles, surface, set.spacing));
     }
-    let carrier = match frames.iter().all(|frame| frame.has(Carrier::Ids)) {
-        true => Carrier::Ids,
-        false => Carrier::Velocities { seconds },
+    let carrier = if frames.iter().all(|frame| frame.has(Carrier::Ids)) {
+        Carrier::Ids
+    } else {
+        Carrier::Velocities { seconds }
     };
     let points = frames.windows(3).flat_map(|three| match three {
         [before, middle, after] => flicker([before, middle, after], carrier, set.spacing, POINTS).points,
@@ -230,16 +231,15 @@ fn outer_part(mesh: &Mesh) -> Mesh {
         let [a, b, c] = triangle.map(|vertex| mesh.positions[vertex as usize].as_dvec3());
         *volume_of.entry(root(&mut parent, triangle[0] as usize)).or_default() += a.dot(b.cross(c)) / 6.0;
     }
-    let triangles = match volume_of.values().all(|volume| *volume > 0.0) {
-        true => mesh.triangles.clone(),
-        false => {
-            let roots: Vec<usize> = (0..parent.len()).map(|vertex| root(&mut parent, vertex)).collect();
-            mesh.triangles
-                .iter()
-                .filter(|triangle| volume_of[&roots[triangle[0] as usize]] > 0.0)
-                .copied()
-                .collect()
-        }
+    let triangles = if volume_of.values().all(|volume| *volume > 0.0) {
+        mesh.triangles.clone()
+    } else {
+        let roots: Vec<usize> = (0..parent.len()).map(|vertex| root(&mut parent, vertex)).collect();
+        mesh.triangles
+            .iter()
+            .filter(|triangle| volume_of[&roots[triangle[0] as usize]] > 0.0)
+            .copied()
+            .collect()
     };
     Mesh { triangles, ..mesh.clone() }
 }

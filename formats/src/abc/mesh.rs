@@ -11,12 +11,10 @@
 
 use std::io::Write;
 
+use super::document::{AbcObject, AbcProperty, Ogawa, Pod, Sample};
 use crate::error::Result;
-use crate::le_bytes::{write_f32s, write_pieces};
-use crate::mesh_options::UpAxis;
-
-use super::document::{AbcObject, AbcProperty, Pod};
-use super::ogawa::{Ogawa, Sample};
+use crate::number::{write_f32s, write_pieces};
+use crate::row::UpAxis;
 
 /// The names of the objects. They are the same in all files, because programs that play a file per frame look
 /// for the same object in each.

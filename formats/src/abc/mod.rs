@@ -9,24 +9,39 @@
 //! container, HDF5, is not supported. The number of vertices and faces of a mesh may change from sample to
 //! sample. Programs compute the motion blur of such a mesh from its velocities, in units per second.
 
-use crate::mesh_options::WriteOption;
-use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
-
-mod container;
 mod document;
-mod frame;
 mod mesh;
-mod ogawa;
 mod read;
-mod sequence;
-mod write;
 
-pub use frame::{is_archive, read_attributes, to_glb};
+use std::borrow::Cow;
+use std::io::{self, Read, Seek, Write};
+
 pub use read::{read_mesh, read_sample, read_sequence_info, read_times};
-pub use sequence::write_sequence;
-pub use write::{attribute_notes, write};
 
-use read::{bytes_declared, read_provenance};
+use crate::columns::role_of;
+use crate::data::{
+    AttributeRole, FileAttribute, MeshView, Provenance, Values, VertexAttribute, VertexValues,
+};
+use crate::error::{Error, Position, Result};
+use crate::gltf::{
+    COLOR, NORMAL, POSITION, SequenceFrame, SequencePlacement, SharedAttribute, VELOCITY, loss_notes,
+    shared_attributes, write_glb,
+};
+use crate::limits::Limits;
+use crate::number::write_pieces;
+use crate::row::{
+    Content, FormatRow, Integrity, MeshEncoder, MeshOptions, MeshWriter, OutputRow, UpAxis, WriteOption,
+};
+use crate::steps::{check_numbers, held_times};
+use crate::vertex_attributes::{
+    Purpose, UsedNames, check_quads, faces, plain_name, purposes, quad_count, string_index,
+};
+use document::{AbcObject, AbcProperty, DATA, MAGIC, Ogawa, Pod, Reference, Sample, Times, write_archive};
+use mesh::{
+    FrameSamples, Matrix, MeshSamples, ParamType, bounds, bounds_sample, names, real_sample, to_world,
+    triangle_samples,
+};
+use read::{MeshArchive, bytes_declared, read_provenance};
 
 /// The format's name in errors.
 const FORMAT: &str = "Alembic";
@@ -34,7 +49,7 @@ const FORMAT: &str = "Alembic";
 /// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow {
-        signatures: &[&ogawa::MAGIC],
+        signatures: &[&document::MAGIC],
         read_mesh: Some(|bytes, limits, _| read_mesh(bytes, limits)),
         ..FormatRow::new(FORMAT, &["abc"])
     },
@@ -46,3 +61,570 @@ pub(crate) static ROW: OutputRow = OutputRow {
     read_provenance,
     integrity: Integrity::Length(|head, _| bytes_declared(head)),
 };
+
+// Writes the mesh of one frame. Each vertex attribute becomes a property, which has the attribute's name
+// except for velocities:
+//
+//   velocity   .velocities, units per second        colour     rgb or rgba
+//   floats     as many numbers per vertex           integers   32 bits, or 64 if a value needs them
+//   strings    the distinct strings, and indices
+
+/// Writes a mesh as an archive with one sample.
+///
+/// # Errors
+///
+/// [`Error::Io`] if `out` fails; [`Error::TooLarge`] for more than 2³¹ vertices; [`Error::Invalid`] if the
+/// mesh is inconsistent or not finite, or if two triangles marked as a quad do not form one.
+pub fn write(
+    mesh: &MeshView,
+    options: &MeshOptions,
+    provenance: &Provenance,
+    out: &mut dyn Write,
+) -> Result<()> {
+    mesh.check(FORMAT)?;
+    check_quads(FORMAT, mesh.triangles, &options.quads)?;
+    check_vertex_count(mesh.positions.len() as u64)?;
+    let names = names_of(mesh.attributes);
+    write_archive(provenance, &Times::Static, |ogawa| object(mesh, options, &names, ogawa), out)
+}
+
+/// Fails if indices do not fit into 31 bits.
+fn check_vertex_count(count: u64) -> Result<()> {
+    if count <= 1 << 31 {
+        return Ok(());
+    }
+    let what =
+        format!("the mesh has {count} vertices; the limit is 2³¹: write .ply, or use a larger voxel size");
+    Err(Error::too_large(FORMAT, what))
+}
+
+/// The names of the attributes; empty for velocities, which have a property of their own.
+fn names_of(attributes: &[VertexAttribute]) -> Vec<String> {
+    let mut used = UsedNames::new(&[]);
+    let name = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
+        Purpose::Velocity => String::new(),
+        Purpose::Acceleration | Purpose::Color(_) | Purpose::Other => {
+            used.take(&plain_name(attribute.name), |stem| vec![stem.to_owned()]).concat()
+        }
+    };
+    attributes.iter().zip(purposes(attributes)).map(name).collect()
+}
+
+/// Notes on vertex attributes that a file does not hold exactly.
+pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
+    let mut notes = Vec::new();
+    for (attribute, name) in attributes.iter().zip(names_of(attributes)) {
+        if !name.is_empty() && name != attribute.name {
+            notes.push(format!("{} is named {name} in the .abc", attribute.name));
+        }
+        if let VertexValues::Strings { table, .. } = attribute.values
+            && table.iter().any(|text| text.contains('\0'))
+        {
+            notes.push(format!("{}: the .abc stores null characters as spaces", attribute.name));
+        }
+    }
+    notes
+}
+
+fn object(mesh: &MeshView, options: &MeshOptions, names: &[String], ogawa: &mut Ogawa) -> Result<AbcObject> {
+    let vertices = mesh.positions.len() as u64;
+    let faces = match quad_count(&options.quads) {
+        0 => triangle_samples(mesh.triangles, mesh.triangles.len() as u64, ogawa)?,
+        quad_count => polygon_samples(mesh.triangles, &options.quads, quad_count, ogawa)?,
+    };
+    let mut frame = FrameSamples {
+        bounds: bounds_sample(bounds(mesh.positions), ogawa)?,
+        positions: real_sample(mesh.positions.as_flattened(), (vertices, 3), ogawa)?,
+        faces,
+        normals: real_sample(mesh.normals.as_flattened(), (vertices, 3), ogawa)?,
+        velocities: None,
+    };
+    let mut params = Vec::new();
+    for ((attribute, purpose), name) in mesh.attributes.iter().zip(purposes(mesh.attributes)).zip(names) {
+        match (purpose, attribute.values) {
+            (Purpose::Velocity, VertexValues::Numbers(values)) => {
+                frame.velocities = Some(real_sample(values, (vertices, 3), ogawa)?);
+            }
+            (Purpose::Color(values), _) => {
+                params.push(reals(name, ParamType::color(attribute.arity), values, ogawa)?);
+            }
+            (_, VertexValues::Numbers(values)) => {
+                params.push(reals(name, ParamType::numbers(attribute.arity), values, ogawa)?);
+            }
+            (_, VertexValues::Integers(values)) => {
+                params.push(integers(name, attribute.arity, values, ogawa)?);
+            }
+            (_, VertexValues::Strings { table, indices }) => {
+                params.push(strings(name, attribute.arity, (table, indices), ogawa)?);
+            }
+        }
+    }
+    let mut samples = MeshSamples::at(to_world(options.up, mesh.origin));
+    samples.push(frame);
+    samples.object(params, ogawa)
+}
+
+fn reals(name: &str, kind: ParamType, values: &[f32], ogawa: &mut Ogawa) -> Result<AbcProperty> {
+    let extent = usize::from(kind.extent);
+    let sample = real_sample(values, ((values.len() / extent) as u64, extent as u64), ogawa)?;
+    Ok(kind.property(name, vec![sample]))
+}
+
+fn integers(name: &str, arity: usize, values: &[i64], ogawa: &mut Ogawa) -> Result<AbcProperty> {
+    let count = values.len() as u64;
+    if values.iter().any(|&value| i32::try_from(value).is_err()) {
+        let sample = ogawa
+            .sample(count, 8 * count, &mut |mut out| write_pieces(values, i64::to_le_bytes, &mut out))?;
+        return Ok(ParamType::many(Pod::I64, arity).property(name, vec![sample]));
+    }
+    let narrow = |value: i64| {
+        let [a, b, c, d, ..] = value.to_le_bytes();
+        [a, b, c, d]
+    };
+    let sample = ogawa.sample(count, 4 * count, &mut |mut out| write_pieces(values, narrow, &mut out))?;
+    Ok(ParamType::many(Pod::I32, arity).property(name, vec![sample]))
+}
+
+/// The distinct strings, with an empty one at the end for missing strings, and the index of each value.
+fn strings(
+    name: &str,
+    arity: usize,
+    (table, indices): (&[String], &[i32]),
+    ogawa: &mut Ogawa,
+) -> Result<AbcProperty> {
+    let kind = ParamType::many(Pod::String, arity);
+    // A null character ends a string, so null characters inside a string become spaces.
+    let mut text: Vec<u8> = Vec::new();
+    for string in table.iter().map(String::as_str).chain([""]) {
+        text.extend(string.replace('\0', " ").as_bytes());
+        text.push(0);
+    }
+    let string_count = table.len() as u64 + 1;
+    let mut values = ogawa.small_sample(string_count, &text)?;
+    values.dimensions = ogawa.data(&string_count.to_le_bytes())?;
+    let index_of = |index: i32| {
+        let index = u32::try_from(string_index(index, table)).unwrap_or(u32::MAX);
+        (if index == u32::MAX { last_index(table) } else { index }).to_le_bytes()
+    };
+    let count = indices.len() as u64;
+    let indices = ogawa.sample(count, 4 * count, &mut |mut out| write_pieces(indices, index_of, &mut out))?;
+    let parts = vec![
+        kind.property(".vals", vec![values]),
+        AbcProperty::array(".indices", "", (Pod::U32, 1), vec![indices]),
+    ];
+    Ok(AbcProperty::compound(name, &kind.metadata(), parts))
+}
+
+/// The index of the empty string after the table.
+#[expect(clippy::cast_possible_truncation, reason = "indices have 31 bits")]
+fn last_index(table: &[String]) -> u32 {
+    table.len() as u32
+}
+
+/// Number of triangles encoded at a time.
+const PIECE: usize = 4096;
+
+/// Writes the vertex indices of triangles and quads, in Alembic's order, and the number of corners of each
+/// face.
+fn polygon_samples(
+    triangles: &[[u32; 3]],
+    quads: &[bool],
+    quad_count: usize,
+    ogawa: &mut Ogawa,
+) -> Result<[Sample; 2]> {
+    let (triangle_count, quad_count) = (triangles.len() as u64, quad_count as u64);
+    // A quad has four corners instead of the six of its two triangles.
+    let (face_count, corner_count) = (triangle_count - quad_count, 3 * triangle_count - 2 * quad_count);
+    let emit = |out: &mut dyn Write, put: &dyn Fn(&[u32], &mut Vec<u8>)| {
+        let mut bytes = Vec::new();
+        for start in (0..triangles.len()).step_by(PIECE) {
+            bytes.clear();
+            for face in faces(triangles, quads, start..(start + PIECE).min(triangles.len())) {
+                put(face.corners(), &mut bytes);
+            }
+            out.write_all(&bytes)?;
+        }
+        Ok(())
+    };
+    let corners = ogawa.sample(corner_count, 4 * corner_count, &mut |out| {
+        emit(out, &|corners, bytes| {
+            bytes.extend(corners.iter().rev().flat_map(|corner| corner.to_le_bytes()))
+        })
+    })?;
+    let counts = ogawa.sample(face_count, 4 * face_count, &mut |out| {
+        emit(out, &|corners, bytes| bytes.extend(if corners.len() == 4 { 4i32 } else { 3 }.to_le_bytes()))
+    })?;
+    Ok([corners, counts])
+}
+
+// Writes a sequence as one mesh with one or two samples per frame.
+//
+//   frames    5    6      9    10        6 is shown until 9
+//   samples   5    6   8.99    9    10   8.99 refers to the data of 6
+//
+// At a time between two samples, programs show the mesh of the earlier or of the nearer one, or blend the
+// two if they have the same number of vertices. Where frames are missing or have the same number of
+// vertices, the second sample, just before the next frame, prevents this. Frame n is at n / fps seconds.
+//
+// The writer reads each array of a frame from the frame's file, a `.glb` of this crate, just before writing
+// the array. So only one array of one frame is in memory at a time.
+
+/// Writes a sequence of frames, whose numbers must increase. `open` opens the file of a frame, by its index.
+/// Returns notes on attributes that are renamed, or omitted because the frames differ in them.
+///
+/// # Errors
+///
+/// [`Error::Io`] if a file cannot be read or `out` fails; [`Error::Invalid`] if a document is damaged, a file
+/// changed, numbers do not increase, or there are no frames; [`Error::Unsupported`] for numbers beyond 2⁵³;
+/// [`Error::TooLarge`] for a frame with more than 2³¹ vertices.
+pub fn write_sequence<R: Read + Seek>(
+    frames: &[SequenceFrame],
+    fps: f64,
+    provenance: &Provenance,
+    open: impl Fn(usize) -> io::Result<R>,
+    out: &mut impl Write,
+) -> Result<Vec<String>> {
+    let (attributes, notes) = sequence_attributes(frames)?;
+    let sequence = AbcSequence { frames, placement: SequencePlacement::of(frames, FORMAT)?, attributes };
+    let times = Times::Frames { times: sequence.times()?, fps };
+    write_archive(provenance, &times, |ogawa| sequence.object(&open, ogawa), out)?;
+    Ok(notes)
+}
+
+/// A vertex attribute to write.
+struct AbcAttribute {
+    /// Its name in the frames' `.glb` files.
+    semantic: String,
+    name: String,
+    kind: ParamType,
+}
+
+struct AbcSequence<'a> {
+    frames: &'a [SequenceFrame],
+    placement: SequencePlacement,
+    /// All attributes to write, including the velocities.
+    attributes: Vec<AbcAttribute>,
+}
+
+impl AbcSequence<'_> {
+    /// The times of the samples, in frames.
+    fn times(&self) -> Result<Vec<f64>> {
+        if self.frames.is_empty() {
+            return Err(Error::invalid(FORMAT, Position::File, "the sequence has no frames"));
+        }
+        check_numbers(FORMAT, self.frames.iter().map(|frame| (frame.name.as_str(), frame.code)))?;
+        for frame in self.frames {
+            check_vertex_count(frame.file.vertex_count() as u64)?;
+        }
+        Ok((0..self.frames.len()).flat_map(|index| self.times_of(index)).collect())
+    }
+
+    /// The times of the samples of a frame, in frames.
+    fn times_of(&self, index: usize) -> impl Iterator<Item = f64> {
+        let frame = &self.frames[index];
+        let needs_hold = |next: &&SequenceFrame| {
+            next.code - frame.code > 1 || next.file.vertex_count() == frame.file.vertex_count()
+        };
+        held_times(frame.code, self.frames.get(index + 1).filter(needs_hold).map(|next| next.code))
+    }
+
+    fn object<R: Read + Seek>(
+        &self,
+        open: &impl Fn(usize) -> io::Result<R>,
+        ogawa: &mut Ogawa,
+    ) -> Result<AbcObject> {
+        let SequencePlacement { up, origin } = self.placement;
+        let mut samples = MeshSamples::at(to_world(up, origin));
+        let mut params: Vec<Vec<Sample>> = vec![Vec::new(); self.attributes.len()];
+        for index in 0..self.frames.len() {
+            let (frame, values) = self.frame(index, open, ogawa)?;
+            for _ in self.times_of(index) {
+                samples.push(frame);
+                params.iter_mut().zip(&values).for_each(|(samples, sample)| samples.push(*sample));
+            }
+        }
+        let others = self.attributes.iter().zip(params).filter(|(attribute, _)| !attribute.is_velocity());
+        let params: Vec<AbcProperty> =
+            others.map(|(attribute, samples)| attribute.kind.property(&attribute.name, samples)).collect();
+        samples.object(params, ogawa)
+    }
+
+    /// Writes the arrays of a frame. Returns the samples of the mesh, and those of the attributes.
+    fn frame<R: Read + Seek>(
+        &self,
+        index: usize,
+        open: &impl Fn(usize) -> io::Result<R>,
+        ogawa: &mut Ogawa,
+    ) -> Result<(FrameSamples, Vec<Sample>)> {
+        let file = &self.frames[index].file;
+        let transform = self.placement.transform(file)?;
+        let (vertices, triangles) = (file.vertex_count() as u64, file.triangle_count()? as u64);
+        let mut values = Vec::new();
+        let mut reals = |semantic: &str, extent: u64, per_vertex: u64, ogawa: &mut Ogawa| {
+            if !ogawa.is_measuring() {
+                file.read_attribute(semantic, &transform, &mut open(index)?, &mut values)?;
+            }
+            real_sample(&values, (vertices * per_vertex, extent), ogawa)
+        };
+        let positions = reals(POSITION, 3, 1, ogawa)?;
+        let mut corners = Vec::new();
+        if !ogawa.is_measuring() {
+            file.read_triangles(&mut open(index)?, &mut corners)?;
+        }
+        let faces = triangle_samples(&corners, triangles, ogawa)?;
+        drop(corners);
+        let bounds = file.transformed_bounds(&transform)?.map(|corner| corner.map(f64::from));
+        let mut frame = FrameSamples {
+            bounds: bounds_sample(bounds, ogawa)?,
+            positions,
+            faces,
+            normals: reals(NORMAL, 3, 1, ogawa)?,
+            velocities: None,
+        };
+        let mut samples = Vec::new();
+        for attribute in &self.attributes {
+            let ParamType { extent, elements, .. } = attribute.kind;
+            let sample = reals(&attribute.semantic, extent.into(), elements as u64, ogawa)?;
+            if attribute.is_velocity() {
+                frame.velocities = Some(sample);
+            }
+            samples.push(sample);
+        }
+        Ok((frame, samples))
+    }
+}
+
+impl AbcAttribute {
+    fn is_velocity(&self) -> bool {
+        self.semantic == VELOCITY && self.kind == ParamType::numbers(3)
+    }
+}
+
+/// The attributes that all frames with a mesh have, and notes on the others.
+fn sequence_attributes(frames: &[SequenceFrame]) -> Result<(Vec<AbcAttribute>, Vec<String>)> {
+    let (shared, mut notes) = shared_attributes(frames)?;
+    let (mut found, mut used) = (Vec::new(), UsedNames::new(&[]));
+    for SharedAttribute { semantic, name, arity } in shared {
+        let wanted = plain_name(&name);
+        let kind = match (semantic.as_str(), arity) {
+            (COLOR, 3 | 4) => ParamType::color(arity),
+            _ => ParamType::numbers(arity),
+        };
+        let mut attribute = AbcAttribute { semantic, name: String::new(), kind };
+        if !attribute.is_velocity() {
+            attribute.name = used.take(&wanted, |stem| vec![stem.to_owned()]).concat();
+            if attribute.name != wanted {
+                notes.push(format!("{} is named {} in the sequence", attribute.semantic, attribute.name));
+            }
+        }
+        found.push(attribute);
+    }
+    Ok((found, notes))
+}
+
+// Converts an archive with one frame to a `.glb` of the same mesh: sequences are assembled from `.glb`
+// files.
+
+/// Whether a file that starts with these bytes is an archive.
+pub fn is_archive(head: &[u8]) -> bool {
+    head.starts_with(&MAGIC)
+}
+
+/// An attribute of the vertices.
+struct FrameAttribute {
+    name: String,
+    role: Option<AttributeRole>,
+    values: FrameValues,
+}
+
+enum FrameValues {
+    Numbers(Vec<f32>),
+    Integers(Vec<i64>),
+    Strings { table: Vec<String>, indices: Vec<i32> },
+}
+
+impl FrameValues {
+    fn len(&self) -> usize {
+        match self {
+            FrameValues::Numbers(values) => values.len(),
+            FrameValues::Integers(values) => values.len(),
+            FrameValues::Strings { indices, .. } => indices.len(),
+        }
+    }
+
+    /// A lower bound of the size of the values in the file, in bytes.
+    fn byte_count(&self) -> usize {
+        match self {
+            FrameValues::Strings { table, .. } => {
+                4 * self.len() + table.iter().map(|text| text.len() + 1).sum::<usize>()
+            }
+            _ => 4 * self.len(),
+        }
+    }
+
+    fn view(&self) -> VertexValues<'_> {
+        match self {
+            FrameValues::Numbers(values) => VertexValues::Numbers(values),
+            FrameValues::Integers(values) => VertexValues::Integers(values),
+            FrameValues::Strings { table, indices } => VertexValues::Strings { table, indices },
+        }
+    }
+}
+
+/// Converts an archive with one frame to a `.glb`. Also returns notes on attributes that a `.glb` does not
+/// hold exactly. Frees owned bytes before it makes the `.glb`, so that the two are not in memory at once.
+///
+/// # Errors
+///
+/// Those of [`read_mesh`] and of [`write_glb`].
+pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
+    let bytes = bytes.into();
+    let byte_count = bytes.len();
+    let archive = MeshArchive::open(&bytes)?;
+    archive.check_single_frame()?;
+    let [positions, normals] = archive.vertices(0, limits)?;
+    let triangles = archive.triangles(0, positions.len())?;
+    let (up, origin) = placement(&archive.matrix(0)?)?;
+    let attributes = frame_attributes(&archive, limits)?;
+    let provenance = archive.provenance;
+    drop(bytes);
+    let count = positions.len().max(1);
+    let views: Vec<VertexAttribute> = attributes
+        .iter()
+        .map(|FrameAttribute { name, role, values }| {
+            // The writer refuses lengths that do not match.
+            let arity = values.len().div_ceil(count).max(1);
+            VertexAttribute { name, role: *role, arity, values: values.view() }
+        })
+        .collect();
+    let mesh = MeshView {
+        positions: &positions,
+        normals: &normals,
+        triangles: &triangles,
+        origin,
+        attributes: if positions.is_empty() { &[] } else { &views },
+    };
+    // It has about as many bytes. A vector that grows would need up to twice as many.
+    let mut glb = Vec::with_capacity(byte_count);
+    write_glb(&mesh, &MeshOptions { up, ..MeshOptions::default() }, &provenance, &mut glb)?;
+    Ok((glb, loss_notes(mesh.attributes)))
+}
+
+/// Reads the vertex attributes of an archive with one frame, except normals, under their own names.
+///
+/// # Errors
+///
+/// Those of [`read_mesh`].
+pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribute>> {
+    let archive = MeshArchive::open(bytes)?;
+    archive.check_single_frame()?;
+    let vertices = archive.vertices(0, limits)?[0].len();
+    let attribute = |FrameAttribute { name, role, values }: FrameAttribute| {
+        let arity = values.len().div_ceil(vertices.max(1)).max(1);
+        if values.len() != vertices * arity {
+            let what = format!("{name} has {} values for {vertices} vertices", values.len());
+            return Err(Error::invalid(FORMAT, Position::File, what));
+        }
+        let values = match values {
+            FrameValues::Numbers(values) => Values::F32(values),
+            FrameValues::Integers(values) => Values::I64(values),
+            FrameValues::Strings { table, indices } => Values::Strings { table, indices },
+        };
+        Ok(FileAttribute { name, arity, role, values })
+    };
+    frame_attributes(&archive, limits)?.into_iter().map(attribute).collect()
+}
+
+const NOT_OURS: &str =
+    "this .abc was not written by meniscus, or was changed: use the .abc files of the frames";
+
+/// The up axis and the origin from which [`to_world`] computes this transform.
+fn placement(matrix: &Matrix) -> Result<(UpAxis, [f64; 3])> {
+    let [x, y, z, _] = matrix[3];
+    for (up, origin) in [(UpAxis::Y, [x, y, z]), (UpAxis::Z, [x, 0.0 - z, y])] {
+        if to_world(up, origin) == *matrix {
+            return Ok((up, origin));
+        }
+    }
+    Err(Error::invalid(FORMAT, Position::File, NOT_OURS))
+}
+
+fn frame_attributes(archive: &MeshArchive, limits: &Limits) -> Result<Vec<FrameAttribute>> {
+    let mut attributes = Vec::new();
+    if archive.has(names::VELOCITIES) {
+        let values = archive.array::<4>(names::VELOCITIES, (Pod::F32, 3), 0)?;
+        attributes.push(FrameAttribute {
+            name: read::VELOCITY.to_owned(),
+            role: Some(AttributeRole::Velocity),
+            values: FrameValues::Numbers(values.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()),
+        });
+    }
+    let mut byte_count = 0;
+    for (header, reference) in &archive.params()? {
+        let values = match header.pod() {
+            None => frame_strings(archive, *reference, limits)?,
+            Some(pod) => numbers(archive, &header.name, pod, *reference)?,
+        };
+        byte_count += values.byte_count();
+        if byte_count > archive.container.bytes.len() {
+            return Err(Error::invalid(FORMAT, Position::Offset(*reference), NOT_OURS));
+        }
+        let is_color = header.metadata.contains(";interpretation=rgb");
+        let role = match header.check_type((Pod::F32, 3)) {
+            _ if is_color => Some(AttributeRole::Color),
+            // The archive does not record this role, but the name has it.
+            Ok(()) => role_of(&header.name, 3).filter(|role| *role == AttributeRole::Acceleration),
+            Err(_) => None,
+        };
+        attributes.push(FrameAttribute { name: header.name.clone(), role, values });
+    }
+    Ok(attributes)
+}
+
+fn numbers(archive: &MeshArchive, name: &str, pod: u32, reference: Reference) -> Result<FrameValues> {
+    let samples = archive.container.group(reference, name)?;
+    let sample = samples.first().copied().unwrap_or(DATA);
+    let (bytes, at) = archive.container.sample(sample, name)?;
+    let (words, wide) = (bytes.as_chunks::<4>().0.iter(), bytes.as_chunks::<8>().0.iter());
+    match pod {
+        pod if pod == Pod::F32 as u32 => {
+            Ok(FrameValues::Numbers(words.map(|bytes| f32::from_le_bytes(*bytes)).collect()))
+        }
+        pod if pod == Pod::I32 as u32 => {
+            Ok(FrameValues::Integers(words.map(|bytes| i32::from_le_bytes(*bytes).into()).collect()))
+        }
+        pod if pod == Pod::I64 as u32 => {
+            Ok(FrameValues::Integers(wide.map(|bytes| i64::from_le_bytes(*bytes)).collect()))
+        }
+        _ => Err(Error::invalid(FORMAT, Position::Offset(at), NOT_OURS)),
+    }
+}
+
+/// The table of strings, and the index of each value. The last string of the file marks missing values: it is
+/// removed, and its index becomes −1.
+fn frame_strings(archive: &MeshArchive, compound: Reference, limits: &Limits) -> Result<FrameValues> {
+    let properties = archive.container.properties(compound)?;
+    let bytes = |name: &str| -> Result<&[u8]> {
+        let found = properties.iter().find(|(header, _)| header.name == name);
+        let (_, reference) = found.ok_or_else(|| {
+            Error::invalid(FORMAT, Position::Offset(compound), format!("an attribute has no {name}"))
+        })?;
+        let samples = archive.container.group(*reference, name)?;
+        let sample = samples.first().copied().unwrap_or(DATA);
+        Ok(archive.container.sample(sample, name)?.0)
+    };
+    let text = bytes(".vals")?;
+    // A string takes more memory than in the file, where an empty one is a single byte.
+    let count = text.iter().filter(|byte| **byte == 0).count() + 1;
+    let needed = (count * size_of::<String>()).saturating_add(text.len());
+    limits.check_decompressed(FORMAT, needed as u64, archive.container.bytes.len() as u64)?;
+    let text = String::from_utf8_lossy(text);
+    let mut table: Vec<String> = text.split_terminator('\0').map(str::to_owned).collect();
+    table.pop();
+    let index = |bytes: &[u8; 4]| {
+        let index = u32::from_le_bytes(*bytes);
+        i32::try_from(index).ok().filter(|index| (*index as usize) < table.len()).unwrap_or(-1)
+    };
+    let indices = bytes(".indices")?.as_chunks::<4>().0.iter().map(index).collect();
+    Ok(FrameValues::Strings { table, indices })
+}

@@ -22,22 +22,20 @@
 //!
 //! The layout was derived from files of the named programs and from partio's own reader.
 
-mod header;
-mod read;
 mod text;
-mod write;
 
-pub use header::{AttributeHeader, AttributeKind, BgeoHeader, header};
-pub use read::read;
+use std::io::Write;
+use std::sync::Arc;
+
 pub use text::read_text;
-pub use write::write;
 
-use header::header_within;
-use read::records;
-
-use crate::error::Result;
-use crate::row::{Completeness, HeadCheck, at_least, exactly};
-use crate::row::{FormatRow, ParticleInput};
+use crate::batches::Records;
+use crate::bytes::{Cursor, Endian};
+use crate::columns::{roles_of, with_role};
+use crate::row::{Completeness, FormatRow, HeadCheck, ParticleInput, at_least, exactly};
+use crate::{
+    AttributeRole, Error, FileAttribute, FilePositions, Limits, ParticleFrame, Position, Result, Values,
+};
 
 /// The format's name in errors.
 const FORMAT: &str = "classic BGEO";
@@ -69,7 +67,7 @@ pub(crate) static BINARY: FormatRow = FormatRow {
         find_records: Some(|head, file_bytes, file, limits| {
             let header = header_within(head, limits)?;
             let rest = match file_bytes.checked_sub(header.expected_bytes) {
-                Some(0) => crate::records::read(file, header.points_end()..file_bytes),
+                Some(0) => crate::batches::read(file, header.points_end()..file_bytes),
                 _ => Ok(Vec::new()),
             };
             Ok(rest.and_then(|rest| records(&header, file_bytes, &rest).map(Some)))
@@ -95,4 +93,567 @@ fn completeness(head: &[u8], file_bytes: u64) -> Result<HeadCheck> {
         _ if header.expected_bytes_is_exact => exactly(header.expected_bytes, file_bytes),
         _ => at_least(header.expected_bytes, file_bytes, Completeness::NeedsReading),
     }))
+}
+
+// The header of classic BGEO: counts and the dictionary of point attributes, up to the first point.
+
+/// Everything before the first point.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BgeoHeader {
+    /// Number of points, each of which is read as a particle.
+    pub point_count: usize,
+    /// Number of primitives, which are not read. A particle system is a primitive.
+    pub primitive_count: usize,
+    /// The point attributes in file order.
+    pub attributes: Vec<AttributeHeader>,
+    /// Offset of the first point, in bytes from the start of the file.
+    pub points_offset: usize,
+    /// Bytes from one point to the next.
+    pub record_bytes: usize,
+    /// The minimum size in bytes of a complete, uncompressed file.
+    pub expected_bytes: u64,
+    /// Whether a complete file has exactly `expected_bytes`: true if only points follow the header.
+    pub expected_bytes_is_exact: bool,
+}
+
+impl BgeoHeader {
+    /// Offset of the end of the points in a complete file, in bytes.
+    pub(crate) fn points_end(&self) -> u64 {
+        self.points_offset as u64 + self.points_bytes()
+    }
+
+    /// Size of all points, in bytes.
+    fn points_bytes(&self) -> u64 {
+        self.point_count as u64 * self.record_bytes as u64 // 31 bits × 30 bits cannot overflow
+    }
+}
+
+/// A point attribute.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AttributeHeader {
+    /// The name in the file.
+    pub name: String,
+    /// Number of values per point.
+    pub arity: usize,
+    /// The type of the values.
+    pub kind: AttributeKind,
+}
+
+/// The type of an attribute; every value takes four bytes.
+#[derive(Clone, Debug, PartialEq)]
+pub enum AttributeKind {
+    /// 32-bit floats.
+    Float,
+    /// 32-bit integers.
+    Int,
+    /// 32-bit floats that rotate with the object, such as a velocity.
+    Vector,
+    /// Indices into these strings.
+    Strings(Vec<String>),
+}
+
+/// Reads the header. The points themselves may be missing.
+///
+/// # Errors
+///
+/// [`Error::Unsupported`] for another version or an unsupported attribute type, [`Error::Truncated`] if the
+/// header ends too early, [`Error::Invalid`] if it is inconsistent.
+pub fn header(bytes: &[u8]) -> Result<BgeoHeader> {
+    header_within(bytes, &Limits::default())
+}
+
+/// [`header`], with limits.
+pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<BgeoHeader> {
+    let mut cursor = Cursor::new(FORMAT, Endian::Big, bytes, 0);
+    if cursor.take(MAGIC.len(), "the signature")? != MAGIC {
+        return Err(Error::invalid(FORMAT, Position::Offset(0), "expected the signature BgeoV"));
+    }
+    let version = i32::from_le_bytes(cursor.array("the version")?);
+    if version != VERSION {
+        return Err(Error::unsupported(
+            FORMAT,
+            format!("the file has version {version}; only version 5 is supported"),
+        ));
+    }
+    let point_count = count(&mut cursor, "points")?;
+    let primitive_count = count(&mut cursor, "primitives")?;
+    let point_group_count = count(&mut cursor, "point groups")?;
+    let primitive_group_count = count(&mut cursor, "primitive groups")?;
+    let attribute_count = count(&mut cursor, "point attributes")?;
+    let vertex_attribute_count = count(&mut cursor, "vertex attributes")?;
+    let primitive_attribute_count = count(&mut cursor, "primitive attributes")?;
+    let detail_attribute_count = count(&mut cursor, "detail attributes")?;
+    if point_count as u64 > limits.particle_count {
+        let what =
+            format!("the file has {point_count} points, more than the limit of {}", limits.particle_count);
+        return Err(Error::too_large(FORMAT, what));
+    }
+    let attributes = dictionary(&mut cursor, attribute_count, limits)?;
+
+    let words: usize = POSITION_WORDS + attributes.iter().map(|attribute| attribute.arity).sum::<usize>();
+    let record_bytes = 4 * words;
+    let points_bytes = point_count as u64 * record_bytes as u64; // 31 bits × 30 bits cannot overflow
+    let counts_after = [
+        primitive_count,
+        point_group_count,
+        primitive_group_count,
+        vertex_attribute_count,
+        primitive_attribute_count,
+        detail_attribute_count,
+    ];
+    Ok(BgeoHeader {
+        point_count,
+        primitive_count,
+        attributes,
+        points_offset: cursor.at(),
+        record_bytes,
+        expected_bytes: cursor.at() as u64 + points_bytes + TRAILER.len() as u64,
+        expected_bytes_is_exact: counts_after == [0; 6],
+    })
+}
+
+fn dictionary(cursor: &mut Cursor, count: usize, limits: &Limits) -> Result<Vec<AttributeHeader>> {
+    const ENTRY_BYTES_MIN: usize = 8; // length of an empty name, size, type
+    if count > limits.attribute_count {
+        let what = format!(
+            "the file has {count} point attributes, more than the limit of {}",
+            limits.attribute_count
+        );
+        return Err(Error::too_large(FORMAT, what));
+    }
+    require(cursor, count * ENTRY_BYTES_MIN, "the point attribute dictionary")?;
+    (0..count).map(|_| dictionary_entry(cursor)).collect()
+}
+
+fn dictionary_entry(cursor: &mut Cursor) -> Result<AttributeHeader> {
+    let name = string(cursor, "an attribute name")?;
+    let arity = usize::from(u16::from_le_bytes(cursor.array("the size of an attribute")?));
+    let type_offset = cursor.at() as u64;
+    let kind = match i32::from_le_bytes(cursor.array("the type of an attribute")?) {
+        0 => AttributeKind::Float,
+        1 => AttributeKind::Int,
+        5 => AttributeKind::Vector,
+        4 => AttributeKind::Strings(string_table(cursor)?),
+        kind @ (2 | 3) => {
+            let word = if kind == 2 { "fixed-length string" } else { "mixed" };
+            let what = format!(
+                "the point attribute {name:?} has the unsupported type {word}: \
+                 remove it before exporting"
+            );
+            return Err(Error::unsupported(FORMAT, what));
+        }
+        kind => {
+            let what = format!(
+                "expected the type of the point attribute {name:?} to be 0 (float), 1 (int), \
+                 4 (strings) or 5 (vector), found {kind}"
+            );
+            return Err(Error::invalid(FORMAT, Position::Offset(type_offset), what));
+        }
+    };
+    if !matches!(kind, AttributeKind::Strings(_)) {
+        cursor.take(4 * arity, "the defaults of an attribute")?;
+    }
+    Ok(AttributeHeader { name, arity, kind })
+}
+
+fn string_table(cursor: &mut Cursor) -> Result<Vec<String>> {
+    const STRING_BYTES_MIN: usize = 2; // its length
+    let count = count(cursor, "strings")?;
+    require(cursor, count.saturating_mul(STRING_BYTES_MIN), "the strings of an attribute")?;
+    (0..count).map(|_| string(cursor, "a string")).collect()
+}
+
+/// Fails unless at least `byte_count` bytes remain.
+fn require(cursor: &Cursor, byte_count: usize, what: &str) -> Result<()> {
+    if byte_count <= cursor.remaining() {
+        return Ok(());
+    }
+    Err(cursor.truncated(format!(
+        "expected at least {byte_count} bytes of {what}, but {} remain",
+        cursor.remaining()
+    )))
+}
+
+/// Reads a count of `items`, which must not be negative.
+fn count(cursor: &mut Cursor, items: &str) -> Result<usize> {
+    let offset = cursor.at() as u64;
+    let count = i32::from_le_bytes(cursor.array(items)?);
+    usize::try_from(count).map_err(|_| {
+        let what = format!("expected the number of {items} to be at least 0, found {count}");
+        Error::invalid(FORMAT, Position::Offset(offset), what)
+    })
+}
+
+/// Reads a string: a 16-bit length, or 0xffff and a 32-bit length, then the bytes.
+fn string(cursor: &mut Cursor, what: &str) -> Result<String> {
+    let length = match u16::from_le_bytes(cursor.array(what)?) {
+        0xffff => count(cursor, "characters")?,
+        short => usize::from(short),
+    };
+    Ok(String::from_utf8_lossy(cursor.take(length, what)?).into_owned())
+}
+
+// Gathers point records into one vector per attribute.
+//
+// Records have a fixed length, so each attribute is gathered with its own stride. This is done for a block
+// of records at a time, while the block is in the first-level cache.
+
+/// Bytes per block of records, from which all attributes are gathered. A block fits into the first-level
+/// cache, so that only the first attribute waits for memory.
+const BLOCK_BYTES: usize = 16 << 10;
+
+/// Reads the points of an uncompressed classic BGEO file.
+///
+/// Divides positions by their weight w unless it is 0. Ignores everything after the points.
+///
+/// # Errors
+///
+/// Those of [`self`], [`Error::TooLarge`] beyond `limits`, and [`Error::Truncated`] if points are
+/// missing.
+pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    let header = header_within(bytes, limits)?;
+    let points_bytes = checked_points_bytes(&header, bytes.len() as u64)?;
+    let (records, rest) = bytes[header.points_offset..].split_at(points_bytes);
+    Ok(frame_of_records(header, records, rest))
+}
+
+/// The points in these records, which may be a part of those of the file.
+fn frame_of_records(header: BgeoHeader, records: &[u8], rest: &[u8]) -> ParticleFrame {
+    let mut notes = notes(&header, rest);
+    let (positions, mut columns) = gather(records, &header);
+    for (column, attribute) in columns.iter_mut().zip(&header.attributes) {
+        clear_strings_outside(column, attribute, &mut notes);
+    }
+    let attributes = attributes(header.attributes, columns);
+    ParticleFrame { positions: FilePositions::F32(positions), attributes, notes }
+}
+
+/// Locates the points of a file of `file_bytes`, so that they can be read in batches. `rest` is the data
+/// after the points; the caller may pass an empty slice unless this data is exactly as long as the trailer.
+///
+/// # Errors
+///
+/// Those of [`read`] that do not concern the header.
+fn records(header: &BgeoHeader, file_bytes: u64, rest: &[u8]) -> Result<Records> {
+    checked_points_bytes(header, file_bytes)?;
+    let (of_batch, rest) = (header.clone(), rest.to_vec());
+    Ok(Records {
+        format: FORMAT,
+        offset: header.points_offset as u64,
+        stride: header.record_bytes,
+        count: header.point_count,
+        gather: Arc::new(|records, stride, _, positions| gather_batch(records, stride, positions)),
+        notes: notes(header, &rest),
+        frame: Arc::new(move |records| Ok(frame_of_records(of_batch.clone(), records, &rest))),
+        velocity: velocity_name(header),
+    })
+}
+
+fn velocity_name(header: &BgeoHeader) -> Option<String> {
+    let named: Vec<(&str, usize)> =
+        header.attributes.iter().map(|attribute| (attribute.name.as_str(), attribute.arity)).collect();
+    let index = roles_of(&named).iter().position(|role| *role == Some(AttributeRole::Velocity))?;
+    Some(header.attributes[index].name.clone())
+}
+
+/// Size of all points in bytes, after checking that the file has them.
+fn checked_points_bytes(header: &BgeoHeader, file_bytes: u64) -> Result<usize> {
+    let remaining = file_bytes.saturating_sub(header.points_offset as u64);
+    let points_bytes = header.points_bytes();
+    usize::try_from(points_bytes).ok().filter(|_| points_bytes <= remaining).ok_or_else(|| {
+        let what = format!(
+            "expected {} points of {} bytes each, {points_bytes} bytes in all, but {remaining} remain",
+            header.point_count, header.record_bytes,
+        );
+        Error::truncated(FORMAT, Position::Offset(header.points_offset as u64), what)
+    })
+}
+
+fn notes(header: &BgeoHeader, rest: &[u8]) -> Vec<String> {
+    let mut notes = Vec::new();
+    if header.expected_bytes_is_exact && rest != TRAILER {
+        notes.push("the end of the file is invalid, but all points are complete".into());
+    }
+    for attribute in header.attributes.iter().filter(|attribute| attribute.arity == 0) {
+        notes.push(format!("skipped the point attribute {:?}: it has no values", attribute.name));
+    }
+    notes
+}
+
+/// An attribute under construction: 32-bit words, already in native byte order.
+enum WordColumn {
+    Reals(Vec<f32>),
+    Integers(Vec<i32>),
+}
+
+fn gather(records: &[u8], header: &BgeoHeader) -> (Vec<[f32; 3]>, Vec<WordColumn>) {
+    let stride = header.record_bytes;
+    let count = records.len() / stride;
+    let mut positions = Vec::with_capacity(count);
+    let mut columns: Vec<WordColumn> = header
+        .attributes
+        .iter()
+        .map(|attribute| match attribute.kind {
+            AttributeKind::Float | AttributeKind::Vector => {
+                WordColumn::Reals(Vec::with_capacity(count * attribute.arity))
+            }
+            AttributeKind::Int | AttributeKind::Strings(_) => {
+                WordColumn::Integers(Vec::with_capacity(count * attribute.arity))
+            }
+        })
+        .collect();
+
+    let records_per_block = (BLOCK_BYTES / stride).max(1);
+    for block in records.chunks(records_per_block * stride) {
+        gather_positions(block, stride, &mut positions);
+        let mut offset = 4 * POSITION_WORDS;
+        for (column, attribute) in columns.iter_mut().zip(&header.attributes) {
+            match column {
+                WordColumn::Reals(values) => {
+                    gather_words(block, stride, offset, attribute.arity, f32::from_be_bytes, values);
+                }
+                WordColumn::Integers(values) => {
+                    gather_words(block, stride, offset, attribute.arity, i32::from_be_bytes, values);
+                }
+            }
+            offset += 4 * attribute.arity;
+        }
+    }
+    (positions, columns)
+}
+
+/// Reads the positions of a batch of records.
+fn gather_batch(records: &[u8], stride: usize, positions: &mut FilePositions) {
+    let mut gathered = match std::mem::take(positions) {
+        FilePositions::F32(gathered) => gathered,
+        FilePositions::F64(_) => Vec::new(),
+    };
+    gathered.clear();
+    gather_positions(records, stride, &mut gathered);
+    *positions = FilePositions::F32(gathered);
+}
+
+fn gather_positions(block: &[u8], stride: usize, positions: &mut Vec<[f32; 3]>) {
+    positions.extend(block.chunks_exact(stride).map(|record| {
+        let [x, y, z, w] = words::<4, f32>(record, f32::from_be_bytes);
+        if w == 0.0 || w == 1.0 { [x, y, z] } else { [x / w, y / w, z / w] }
+    }));
+}
+
+/// Appends the `arity` words at `offset` of each record.
+fn gather_words<T: Copy + Default>(
+    block: &[u8],
+    stride: usize,
+    offset: usize,
+    arity: usize,
+    decode: impl Fn([u8; 4]) -> T + Copy,
+    values: &mut Vec<T>,
+) {
+    let records = block.chunks_exact(stride).map(|record| &record[offset..]);
+    match arity {
+        1 => values.extend(records.map(|record| words::<1, T>(record, decode)[0])),
+        2 => values.extend(records.flat_map(|record| words::<2, T>(record, decode))),
+        3 => values.extend(records.flat_map(|record| words::<3, T>(record, decode))),
+        4 => values.extend(records.flat_map(|record| words::<4, T>(record, decode))),
+        _ => {
+            for record in records {
+                let (quads, _) = record[..4 * arity].as_chunks::<4>();
+                values.extend(quads.iter().map(|&quad| decode(quad)));
+            }
+        }
+    }
+}
+
+/// The first `N` words of a record.
+#[inline(always)]
+fn words<const N: usize, T: Copy + Default>(record: &[u8], decode: impl Fn([u8; 4]) -> T) -> [T; N] {
+    let (quads, _) = record[..4 * N].as_chunks::<4>();
+    std::array::from_fn(|index| decode(quads[index]))
+}
+
+/// Replaces string indices outside the table by −1, and adds a note if there are any other than −1 itself,
+/// the usual mark for "no string".
+fn clear_strings_outside(column: &mut WordColumn, attribute: &AttributeHeader, notes: &mut Vec<String>) {
+    let (WordColumn::Integers(indices), AttributeKind::Strings(table)) = (column, &attribute.kind) else {
+        return;
+    };
+    let mut outside_count = 0usize;
+    for index in indices {
+        if usize::try_from(*index).map_or(true, |index| table.len() <= index) {
+            outside_count += usize::from(*index != -1);
+            *index = -1;
+        }
+    }
+    if outside_count != 0 {
+        let (name, count) = (&attribute.name, table.len());
+        notes.push(format!(
+            "the point attribute {name:?} has {count} strings; {outside_count} indices are outside this range and are ignored"
+        ));
+    }
+}
+
+fn attributes(headers: Vec<AttributeHeader>, columns: Vec<WordColumn>) -> Vec<FileAttribute> {
+    let named: Vec<(&str, usize)> =
+        headers.iter().map(|header| (header.name.as_str(), header.arity)).collect();
+    let roles = roles_of(&named);
+    let mut attributes = Vec::with_capacity(headers.len());
+    for ((header, column), role) in headers.into_iter().zip(columns).zip(roles) {
+        if header.arity == 0 {
+            continue;
+        }
+        let values = match (header.kind, column) {
+            (AttributeKind::Strings(table), WordColumn::Integers(indices)) => {
+                Values::Strings { table, indices }
+            }
+            (_, WordColumn::Integers(values)) => Values::I32(values),
+            (_, WordColumn::Reals(values)) => Values::F32(values),
+        };
+        attributes.push(with_role(header.name, header.arity, role, values));
+    }
+    attributes
+}
+
+// Writes particles as a classic BGEO file, uncompressed and without primitives.
+
+/// Writes `frame`. The format has only 32-bit types: 64-bit floats become 32-bit floats, and bytes and 64-bit
+/// integers become 32-bit integers.
+///
+/// Houdini reads `.bgeo` as its newer format; the extension `.bhclassic` selects the right reader.
+///
+/// # Errors
+///
+/// [`Error::Io`] from `out`; [`Error::Invalid`] for an attribute without `arity` values per particle;
+/// [`Error::TooLarge`] for data beyond the format's limits, such as an integer beyond 32 bits.
+pub fn write(frame: &ParticleFrame, out: &mut impl Write) -> Result<()> {
+    let point_count = frame.positions.len();
+    for attribute in &frame.attributes {
+        check(attribute, point_count)?;
+    }
+    out.write_all(MAGIC)?;
+    out.write_all(&VERSION.to_be_bytes())?;
+    let counts = [point_count, 0, 0, 0, frame.attributes.len(), 0, 0, 0];
+    for count in counts {
+        out.write_all(&count_i32(count, "points or attributes")?.to_be_bytes())?;
+    }
+    for attribute in &frame.attributes {
+        write_dictionary_entry(attribute, out)?;
+    }
+    let mut record = Vec::new();
+    for point in 0..point_count {
+        record.clear();
+        encode_position(&frame.positions, point, &mut record);
+        for attribute in &frame.attributes {
+            encode_values(attribute, point, &mut record);
+        }
+        out.write_all(&record)?;
+    }
+    out.write_all(&TRAILER)?;
+    Ok(())
+}
+
+/// Fails if the attribute has the wrong number of values, or the format cannot store them.
+fn check(attribute: &FileAttribute, point_count: usize) -> Result<()> {
+    let (name, arity) = (&attribute.name, attribute.arity);
+    let value_count = match &attribute.values {
+        Values::F32(values) => values.len(),
+        Values::F64(values) => values.len(),
+        Values::U8(values) => values.len(),
+        Values::I32(values) => values.len(),
+        Values::I64(values) => values.len(),
+        Values::Strings { indices, .. } => indices.len(),
+    };
+    if value_count != point_count.saturating_mul(arity) {
+        let what = format!(
+            "the attribute {name:?} has {value_count} values, expected {arity} for each of {point_count} points"
+        );
+        return Err(Error::invalid(FORMAT, Position::File, what));
+    }
+    if u16::try_from(arity).is_err() {
+        let what =
+            format!("the attribute {name:?} has {arity} values per point; the format's limit is 65535");
+        return Err(Error::too_large(FORMAT, what));
+    }
+    if let Values::I64(values) = &attribute.values
+        && let Some(value) = values.iter().find(|&&value| i32::try_from(value).is_err())
+    {
+        let what =
+            format!("the attribute {name:?} has the value {value}, which exceeds the format's 32 bits");
+        return Err(Error::too_large(FORMAT, what));
+    }
+    Ok(())
+}
+
+fn write_dictionary_entry(attribute: &FileAttribute, out: &mut impl Write) -> Result<()> {
+    let turns_with_object = matches!(
+        attribute.role,
+        Some(AttributeRole::Velocity | AttributeRole::Acceleration | AttributeRole::Normal)
+    );
+    let kind: i32 = match attribute.values {
+        Values::F32(_) | Values::F64(_) if turns_with_object => 5,
+        Values::F32(_) | Values::F64(_) => 0,
+        Values::U8(_) | Values::I32(_) | Values::I64(_) => 1,
+        Values::Strings { .. } => 4,
+    };
+    write_string(&attribute.name, out)?;
+    let size = u16::try_from(attribute.arity).unwrap_or(u16::MAX); // checked before
+    out.write_all(&size.to_be_bytes())?;
+    out.write_all(&kind.to_be_bytes())?;
+    if let Values::Strings { table, .. } = &attribute.values {
+        out.write_all(&count_i32(table.len(), "strings")?.to_be_bytes())?;
+        for string in table {
+            write_string(string, out)?;
+        }
+    } else {
+        out.write_all(&vec![0; 4 * attribute.arity])?; // defaults
+    }
+    Ok(())
+}
+
+fn write_string(string: &str, out: &mut impl Write) -> Result<()> {
+    match i16::try_from(string.len()) {
+        Ok(length) => out.write_all(&length.to_be_bytes())?,
+        Err(_) => {
+            out.write_all(&[0xff; 2])?;
+            out.write_all(&count_i32(string.len(), "characters")?.to_be_bytes())?;
+        }
+    }
+    out.write_all(string.as_bytes())?;
+    Ok(())
+}
+
+fn count_i32(count: usize, items: &str) -> Result<i32> {
+    i32::try_from(count).map_err(|_| {
+        Error::too_large(FORMAT, format!("the frame has {count} {items}; the format's limit is {}", i32::MAX))
+    })
+}
+
+fn encode_position(positions: &FilePositions, point: usize, record: &mut Vec<u8>) {
+    let [x, y, z] = match positions {
+        FilePositions::F32(positions) => positions[point],
+        FilePositions::F64(positions) => positions[point].map(narrow),
+    };
+    for coordinate in [x, y, z, 1.0] {
+        record.extend(coordinate.to_be_bytes());
+    }
+}
+
+fn encode_values(attribute: &FileAttribute, point: usize, record: &mut Vec<u8>) {
+    let range = point * attribute.arity..(point + 1) * attribute.arity;
+    match &attribute.values {
+        Values::F32(values) => record.extend(values[range].iter().flat_map(|value| value.to_be_bytes())),
+        Values::F64(values) => {
+            record.extend(values[range].iter().flat_map(|&value| narrow(value).to_be_bytes()));
+        }
+        Values::U8(values) => {
+            record.extend(values[range].iter().flat_map(|&value| i32::from(value).to_be_bytes()));
+        }
+        Values::I32(values) | Values::Strings { indices: values, .. } => {
+            record.extend(values[range].iter().flat_map(|value| value.to_be_bytes()));
+        }
+        Values::I64(values) => {
+            // All values were checked to fit.
+            let narrow = |&value: &i64| i32::try_from(value).unwrap_or(i32::MAX).to_be_bytes();
+            record.extend(values[range].iter().flat_map(narrow));
+        }
+    }
 }

@@ -12,10 +12,9 @@
 //!   ..                                        primitives and everything else: not read
 //! ```
 
-use crate::excerpt::excerpt;
 use crate::named_arrays::{NamedArray, frame_of};
 use crate::number::divided;
-use crate::text::line_number;
+use crate::text::{excerpt, line_number};
 use crate::{Error, FilePositions, Limits, ParticleFrame, Position, Result, Values};
 
 /// The format's name in errors.
@@ -198,9 +197,10 @@ impl<'a> WordReader<'a> {
         let blanks = rest.iter().take_while(|byte| is_between(byte)).count();
         let rest = &rest[blanks..];
         let is_quoted = rest.first() == Some(&b'"');
-        let end = match is_quoted {
-            true => rest[1..].iter().position(|&byte| byte == b'"').map(|length| length + 2),
-            false => rest.iter().position(is_between),
+        let end = if is_quoted {
+            rest[1..].iter().position(|&byte| byte == b'"').map(|length| length + 2)
+        } else {
+            rest.iter().position(is_between)
         };
         let length = end.unwrap_or(rest.len());
         self.at += blanks + length;
@@ -213,9 +213,12 @@ impl<'a> WordReader<'a> {
     fn number<T: std::str::FromStr>(&mut self, what: &str) -> Result<T> {
         let word = self.next(what)?;
         let number = std::str::from_utf8(word).ok().and_then(|word| word.parse().ok());
-        number.ok_or_else(|| match self.at == self.bytes.len() {
-            true => self.truncated(format!("the file ends within {what}")),
-            false => self.expected(what, word),
+        number.ok_or_else(|| {
+            if self.at == self.bytes.len() {
+                self.truncated(format!("the file ends within {what}"))
+            } else {
+                self.expected(what, word)
+            }
         })
     }
 

@@ -3,14 +3,13 @@
 use std::borrow::Cow;
 
 use super::FORMAT;
-use super::cell::{
+use super::rows::{
     CellValue, DELIMITERS, Delimiter, cells, has_cells, has_decimal_comma, parse_cell, quoted_excerpt,
     unquoted,
 };
-use crate::columns::{self, Columns};
-use crate::excerpt::excerpts;
-use crate::first_column::FirstColumn;
-use crate::scalar::Scalar;
+use crate::columns::{self, Columns, FirstColumn};
+use crate::number::Scalar;
+use crate::text::excerpts;
 use crate::{Error, Limits, Position, Result};
 
 /// The layout of the rows.
@@ -230,9 +229,10 @@ impl<'a> TableHead<'a> {
             Some(text) => {
                 let what = format!("{expected}, found {}", quoted_excerpt(text.text));
                 let position = Position::Line(text.number);
-                match bytes.ends_with(b"\n") || bytes.ends_with(b"\r") {
-                    true => Error::invalid(FORMAT, position, what),
-                    false => Error::truncated(FORMAT, position, what), // the line may be truncated
+                if bytes.ends_with(b"\n") || bytes.ends_with(b"\r") {
+                    Error::invalid(FORMAT, position, what)
+                } else {
+                    Error::truncated(FORMAT, position, what) // the line may be truncated
                 }
             }
             None => Error::truncated(FORMAT, Position::File, format!("{expected}, found only comments")),

@@ -27,19 +27,23 @@
 //! Not supported: several tables in one file, several frames in one table, quoted line breaks. For LAMMPS
 //! dumps see [`crate::lammps`].
 
-mod cell;
-mod column;
-mod frame;
 mod layout;
-mod parts;
 mod rows;
+
+use std::borrow::Cow;
+use std::ops::Range;
+
+use rayon::prelude::*;
 
 pub(crate) use layout::{looks_like_particles, names_position};
 
-use std::borrow::Cow;
-
+use crate::columns::{self, Group};
 use crate::row::{FormatRow, ParticleInput};
-use crate::{Error, Limits, ParticleFrame, Position, Result};
+use crate::{
+    AttributeRole, Error, FileAttribute, FilePositions, Limits, ParticleFrame, Position, Result, Values,
+};
+use layout::TableLayout;
+use rows::{Column, ColumnValues, Table, quoted_excerpt};
 
 /// The format's name in errors.
 const FORMAT: &str = "delimited text";
@@ -60,9 +64,9 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     refuse_binary(&text)?;
     let text = layout::with_decimal_points(text);
     let layout = layout::layout(&text, limits)?;
-    let table = parts::read_rows(&text, &layout, limits)?;
-    frame::check_times(&layout, &table)?;
-    frame::frame(layout, table)
+    let table = read_table_rows(&text, &layout, limits)?;
+    check_times(&layout, &table)?;
+    frame(layout, table)
 }
 
 /// Text in UTF-16 with a byte-order mark, as UTF-8. Other bytes are unchanged.
@@ -114,20 +118,20 @@ pub(crate) fn read_rows(bytes: &[u8], rows: CountedRows, limits: &Limits) -> Res
         return Ok(None);
     }
     let layout = layout::TableLayout {
-        delimiter: cell::Delimiter::Blanks,
+        delimiter: rows::Delimiter::Blanks,
         names,
         position,
         rows_offset: offset,
         rows_line: line,
         notes: Vec::new(),
     };
-    let table = parts::read_rows(bytes, &layout, limits)?;
+    let table = read_table_rows(bytes, &layout, limits)?;
     let found = table.row_count as u64 + table.dropped_row_count;
     if found != count {
         let what = format!("expected {count} rows, found {found}: blank lines and comments are not rows");
         return Err(Error::invalid(FORMAT, Position::Line(line), what));
     }
-    frame::frame(layout, table).map(Some)
+    frame(layout, table).map(Some)
 }
 
 /// Detects binary data by its first bytes. Without this check, the error would be that of an invalid number.
@@ -153,3 +157,343 @@ pub(crate) static ROW: FormatRow = FormatRow {
     particles: Some(ParticleInput::new(read)),
     ..FormatRow::new(FORMAT, &["csv", "tsv", "txt", "dat", "asc", "xyz", "pts"])
 };
+
+// Reads large tables in parts, in parallel.
+//
+//   x,y,z,id\n │ 0.1,0.2,0.3,1\n ..  │ ..  │ ..  │ ..      parts end at line ends
+//              └ each read as a separate table by any free thread, then joined in order
+//
+// The meaning of a cell depends on the cells above it: `-0` may be an integer or a float, and `7` a number
+// or text. So a part that was read separately is used only if it contains no error and the cells above do
+// not change the result. Otherwise the part is read again, as a continuation of the rows already joined.
+// Thus the table, and any error with its line, are the same as those of a sequential reader.
+
+/// Size of a part: large enough to make the cost of starting one negligible, small enough to share the work.
+const PART_BYTES: usize = 1 << 20;
+
+/// Parts per thread held in memory at a time.
+const PARTS_PER_THREAD: usize = 4;
+
+/// Reads all rows in the caller's thread pool.
+fn read_table_rows(bytes: &[u8], layout: &TableLayout, limits: &Limits) -> Result<Table> {
+    read_rows_in_parts(bytes, layout, limits, PART_BYTES)
+}
+
+fn read_rows_in_parts(
+    bytes: &[u8],
+    layout: &TableLayout,
+    limits: &Limits,
+    part_bytes: usize,
+) -> Result<Table> {
+    let mut table = Table::with_capacity_for(&bytes[layout.rows_offset..], layout.names.len());
+    let thread_count = rayon::current_num_threads();
+    if thread_count == 1 || bytes.len() < 2 * part_bytes {
+        table.read_more(bytes, layout.rows_offset, layout, limits)?;
+        return Ok(table);
+    }
+    let parts = parts(bytes, layout.rows_offset, part_bytes);
+    for parts in parts.chunks(PARTS_PER_THREAD * thread_count) {
+        let read_alone = |part: &Range<usize>| {
+            let mut alone = Table::with_capacity_for(&bytes[part.clone()], layout.names.len());
+            alone.read_more(&bytes[..part.end], part.start, layout, limits).is_ok().then_some(alone)
+        };
+        let tables: Vec<Option<Table>> = parts.par_iter().map(read_alone).collect();
+        for (part, alone) in parts.iter().zip(tables) {
+            match alone {
+                Some(alone) if can_append(&table, &alone, limits) => append(&mut table, alone),
+                _ => table.read_more(&bytes[..part.end], part.start, layout, limits)?,
+            }
+        }
+    }
+    Ok(table)
+}
+
+/// Splits the bytes from `start` on at line ends. A part extends to the end of its last line, so it can be
+/// longer than `part_bytes`.
+fn parts(bytes: &[u8], start: usize, part_bytes: usize) -> Vec<Range<usize>> {
+    let mut parts = Vec::new();
+    let mut at = start;
+    while at < bytes.len() {
+        let rest = bytes.get(at + part_bytes..).unwrap_or_default();
+        // Parts end only at an LF, because an LF may follow a CR.
+        let end = rest
+            .iter()
+            .position(|&byte| byte == b'\n')
+            .map_or(bytes.len(), |length| at + part_bytes + length + 1);
+        parts.push(at..end);
+        at = end;
+    }
+    parts
+}
+
+fn can_append(table: &Table, next: &Table, limits: &Limits) -> bool {
+    let row_count = table.row_count as u64 + next.row_count as u64;
+    row_count <= limits.particle_count
+        && table.columns.iter().zip(&next.columns).all(|(column, next)| column.can_append(next))
+}
+
+fn append(table: &mut Table, next: Table) {
+    table.columns.iter_mut().zip(next.columns).for_each(|(column, next)| Column::append(column, next));
+    table.row_count += next.row_count;
+    table.dropped_row_count += next.dropped_row_count;
+    table.line_count += next.line_count;
+}
+
+// Turns columns into the position and attributes.
+
+/// Refuses a table of several frames, with a column of their times: ids that repeat, or times in ascending
+/// order, show that they are not the times of particles.
+fn check_times(layout: &TableLayout, table: &Table) -> Result<()> {
+    let is_time = |name: &String| TIMES.contains(&&*without_unit(name).to_ascii_lowercase());
+    let Some(index) = layout.names.iter().position(is_time) else { return Ok(()) };
+    let Some(times) = table.columns[index].numbers() else { return Ok(()) };
+    let groups = layout::group(&layout.names, |index| table.columns[index].is_text()).groups;
+    let id = groups.iter().find(|group| group.role == Some(AttributeRole::Id));
+    let is_several = match id.and_then(|id| table.columns[id.columns[0]].numbers()) {
+        Some(mut ids) => {
+            ids.sort_unstable_by(f64::total_cmp);
+            ids.windows(2).any(|pair| pair[0] == pair[1])
+        }
+        None => times.is_sorted(),
+    };
+    let mut known = times.iter().filter(|time| !time.is_nan());
+    let first = known.next();
+    let other = known.find(|&time| Some(time) != first).filter(|_| is_several);
+    let (Some(first), Some(other)) = (first, other) else { return Ok(()) };
+    let what = format!(
+        "the column {} has several values, such as {first} and {other}, so the table has several frames: \
+         save each as a file of its own",
+        quoted_excerpt(layout.names[index].as_bytes())
+    );
+    Err(Error::unsupported(FORMAT, what))
+}
+
+/// Names of a column with the time of a frame, in lower case.
+const TIMES: [&str; 6] = ["time", "timestep", "time_step", "time step", "step", "frame"];
+
+/// Groups the columns by their names.
+///
+/// # Errors
+/// If there are rows, and none has a finite position.
+fn frame(layout: TableLayout, mut table: Table) -> Result<ParticleFrame> {
+    let mut notes = layout.notes;
+    if table.dropped_row_count != 0 {
+        let (dropped, all) = (table.dropped_row_count, table.dropped_row_count + table.row_count as u64);
+        if table.row_count == 0 {
+            let what = format!("none of the {all} rows has a finite position");
+            return Err(Error::invalid(FORMAT, Position::File, what));
+        }
+        notes.push(format!("skipped {dropped} of {all} rows without a finite position"));
+    }
+    let [x, ..] = layout.position;
+    if let Some(unit) = columns::unit_of(&layout.names[x]).filter(|&unit| unit != "m") {
+        notes.push(format!("positions are in {unit:?} and are not converted"));
+    }
+
+    let is_text = |index: usize| table.columns[index].is_text();
+    let groups = layout::group(&layout.names, is_text).groups;
+    let positions = positions(&mut table.columns, layout.position, table.row_count);
+    let mut attributes = Vec::with_capacity(groups.len());
+    for group in groups {
+        if group.scale != 1.0 && !table.columns[group.columns[0]].is_text() {
+            let name = without_unit(&group.name);
+            notes.push(format!("`{name}` looks like a diameter: the radius is half of it"));
+        }
+        if table.columns[group.columns[0]].is_text() {
+            take_texts(&group, &layout.names, &mut table.columns, &mut attributes);
+        } else {
+            let values = numbers(&group, &mut table.columns, table.row_count);
+            let name = without_unit(&group.name);
+            attributes.push(FileAttribute { name, arity: group.arity(), role: group.role, values });
+        }
+    }
+    for (name, column) in layout.names.iter().zip(&table.columns) {
+        notes.extend(column.has_rounded_integer.then(|| {
+            format!("integers of {name:?} are rounded: some exceed 64 bits, so all become 64-bit floats")
+        }));
+    }
+    Ok(ParticleFrame { positions, attributes, notes })
+}
+
+fn positions(columns: &mut [Column], position: [usize; 3], row_count: usize) -> FilePositions {
+    let [x, y, z] = position.map(|index| take_reals(&mut columns[index]));
+    FilePositions::F64((0..row_count).map(|row| [x[row], y[row], z[row]]).collect())
+}
+
+/// Makes a separate attribute of each text column, because each column has its own table of strings.
+fn take_texts(group: &Group, names: &[String], columns: &mut [Column], attributes: &mut Vec<FileAttribute>) {
+    for &index in &group.columns {
+        let empty = ColumnValues::Reals(Vec::new());
+        if let ColumnValues::Texts(texts) = std::mem::replace(&mut columns[index].values, empty) {
+            let values = Values::Strings { table: texts.table, indices: texts.indices };
+            // Strings can identify a phase, but they cannot be a velocity or another quantity.
+            let role = group.role.filter(|&role| role == AttributeRole::Kind);
+            attributes.push(FileAttribute { name: without_unit(&names[index]), arity: 1, role, values });
+        }
+    }
+}
+
+/// The values of a group, row by row: 64-bit floats, or integers in the narrowest type that fits all.
+fn numbers(group: &Group, columns: &mut [Column], row_count: usize) -> Values {
+    if let Some(range) = integer_range(group, columns) {
+        let all = |low: i64, high: i64| range.is_none_or(|(min, max)| low <= min && max <= high);
+        // A colour with only the values 0 and 1 probably has floats that were printed without decimals.
+        let are_reals = match group.role {
+            Some(
+                AttributeRole::Velocity
+                | AttributeRole::Acceleration
+                | AttributeRole::Normal
+                | AttributeRole::Radius
+                | AttributeRole::Density
+                | AttributeRole::Mass,
+            ) => true,
+            Some(AttributeRole::Color) => all(0, 1),
+            Some(AttributeRole::Id | AttributeRole::Kind) | None => false,
+        };
+        if !are_reals {
+            let integers = interleaved(group, row_count, |index| take_integers(&mut columns[index]));
+            return if group.role == Some(AttributeRole::Color) && all(0, u8::MAX.into()) {
+                Values::U8(integers.into_iter().filter_map(|value| u8::try_from(value).ok()).collect())
+            } else if all(i32::MIN.into(), i32::MAX.into()) {
+                Values::I32(integers.into_iter().filter_map(|value| i32::try_from(value).ok()).collect())
+            } else {
+                Values::I64(integers)
+            };
+        }
+    }
+    let mut reals = interleaved(group, row_count, |index| take_reals(&mut columns[index]));
+    if group.scale != 1.0 {
+        reals.iter_mut().for_each(|value| *value *= group.scale);
+    }
+    Values::F64(reals)
+}
+
+/// The smallest and largest value of a group, if all its columns are integers. The inner option is `None` if
+/// the group has no values.
+fn integer_range(group: &Group, columns: &[Column]) -> Option<Option<(i64, i64)>> {
+    let mut range: Option<(i64, i64)> = None;
+    for &index in &group.columns {
+        let ColumnValues::Integers(integers) = &columns[index].values else { return None };
+        for &value in integers {
+            let (min, max) = range.unwrap_or((value, value));
+            range = Some((min.min(value), max.max(value)));
+        }
+    }
+    Some(range)
+}
+
+/// Interleaves the columns of a group.
+fn interleaved<T: Copy>(group: &Group, row_count: usize, mut take: impl FnMut(usize) -> Vec<T>) -> Vec<T> {
+    if let [single] = group.columns[..] {
+        return take(single);
+    }
+    let columns: Vec<Vec<T>> = group.columns.iter().map(|&index| take(index)).collect();
+    let mut values = Vec::with_capacity(row_count * columns.len());
+    for row in 0..row_count {
+        values.extend(columns.iter().map(|column| column[row]));
+    }
+    values
+}
+
+fn take_reals(column: &mut Column) -> Vec<f64> {
+    column.reals().map(std::mem::take).unwrap_or_default()
+}
+
+fn take_integers(column: &mut Column) -> Vec<i64> {
+    match &mut column.values {
+        ColumnValues::Integers(integers) => std::mem::take(integers),
+        _ => Vec::new(),
+    }
+}
+
+/// The name of an attribute: that of the column, without quotes and unit.
+fn without_unit(name: &str) -> String {
+    let name = columns::unquoted(name);
+    match columns::unit_of(name) {
+        Some(_) => {
+            let end = name.rfind(['[', '(']).unwrap_or(name.len());
+            name[..end].trim_end().into()
+        }
+        None => name.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+
+    use super::layout;
+    use super::*;
+
+    /// The result of reading a text in parts of `part_bytes` bytes, formatted as text.
+    fn outcome(text: &[u8], limits: &Limits, part_bytes: usize) -> std::result::Result<String, String> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
+        let read = || {
+            let layout = layout::layout(text, limits)?;
+            let table = read_rows_in_parts(text, &layout, limits, part_bytes)?;
+            frame(layout, table)
+        };
+        // Debug output distinguishes -0 from 0 and has all digits.
+        pool.install(read)
+            .map(|frame| format!("{frame:?}"))
+            .map_err(|error: crate::Error| format!("{error:?}"))
+    }
+
+    /// Lines that affect how other lines are read, inserted among lines that do not.
+    const CHANGES: [&str; 22] = [
+        "1,2,3,4,5,a",
+        "0.5,2,3,4,5,a",
+        "-0,2,3,-0,5,b",
+        "+1,2,3,+4,5,b",
+        "1,2,3,16777217,5,a",
+        "1,2,3,100000000000000001,5,a",
+        "1,2,3,1e3,5,a",
+        "1,2,3,,5,a",
+        "1,2,3,,5,",
+        "nan,2,3,4.25,5,c",
+        "nan,2,3,,5,7",
+        "1,2,3,4,5,7",
+        "1,2,3,4,5,\"7\"",
+        "1,2,3,\"7\",5,a",
+        "1,2,3,word,5,a",
+        "1,2,3,4",
+        "1,2,3,4,5,6,7,8",
+        "1,2,word,4,5,a",
+        "1,2,0.123456789,4,5,a",
+        "# a comment",
+        "",
+        "  \t ",
+    ];
+
+    #[test]
+    fn parts_give_the_same_result_as_one_pass() {
+        let mut error_count = 0;
+        for (first, second) in (0..22).flat_map(|first| (0..22).map(move |second| (first, second))) {
+            for (usual, line_end) in [("1,2,3,4,5,a", "\n"), ("0.5,2,3,4.5,5,", "\r\n")] {
+                let mut lines = vec![usual; 40];
+                lines[9] = CHANGES[first];
+                lines[25] = CHANGES[second];
+                let text = format!("x,y,z,u,v,kind{line_end}{}", lines.join(line_end));
+                let expected = outcome(text.as_bytes(), &Limits::default(), usize::MAX / 2);
+                for part_bytes in [1, 30, 100, 220] {
+                    let found = outcome(text.as_bytes(), &Limits::default(), part_bytes);
+                    assert_eq!(found, expected, "{text} in parts of {part_bytes} bytes");
+                }
+                error_count += usize::from(expected.is_err());
+            }
+        }
+        assert!((200..700).contains(&error_count), "{error_count} of 968 are wrong");
+    }
+
+    #[test]
+    fn parts_respect_limits_and_invalid_utf8_like_one_pass() {
+        let header = b"x,y,z,kind\n".as_slice();
+        let rows = [b"1,2,3,\xff\n".as_slice(), b"1,2,3,\xfe\n", b"1,2,3,w\n"].concat().repeat(20);
+        let text = [header, &rows].concat();
+        for particle_count in [5, 59, 60] {
+            let limits = Limits { particle_count, ..Limits::default() };
+            let expected = outcome(&text, &limits, usize::MAX / 2);
+            assert_eq!(expected.is_ok(), particle_count == 60);
+            assert_eq!(outcome(&text, &limits, 50), expected);
+        }
+    }
+}

@@ -5,10 +5,12 @@ use std::io::{ErrorKind, Read, Seek, SeekFrom};
 
 use serde_json::{Map, Value};
 
-use super::buffer::invalid;
+use super::read::invalid;
+use super::sequence::SequenceFrame;
+use super::write::usual_name;
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, component};
 use crate::error::{Error, Position, Result};
-use crate::mesh_options::UpAxis;
+use crate::row::UpAxis;
 
 /// A frame of a sequence.
 #[derive(Clone, Debug)]
@@ -39,7 +41,17 @@ pub(crate) struct VertexColumn {
     pub(crate) count: usize,
     /// Offset from the start of the file.
     start: u64,
-    stride_bytes: usize,
+}
+
+impl VertexColumn {
+    /// The bytes of all numbers of a vertex; `None` for a type that is not written.
+    fn element_bytes(&self) -> Option<usize> {
+        match self.component {
+            component::U16 => Some(2 * self.arity),
+            component::U32 | component::F32 => Some(4 * self.arity),
+            _ => None,
+        }
+    }
 }
 
 /// The placement of a frame in the world.
@@ -48,8 +60,6 @@ pub(crate) struct FramePlacement {
     pub(crate) up: UpAxis,
     /// The point that positions are relative to, in the axes of the particles.
     pub(crate) origin: [f64; 3],
-    /// The scale of the node: the edge length of the cube of quantized positions, otherwise 1.
-    pub(crate) scale: f64,
 }
 
 impl GlbFrame {
@@ -196,22 +206,17 @@ impl GlbFrame {
         let arity = 1 + TYPES.iter().position(|name| *name == kind).ok_or_else(missing)?;
         let component =
             accessor["componentType"].as_u64().and_then(|code| u32::try_from(code).ok()).unwrap_or_default();
-        let number_bytes = match component {
-            component::I8 => 1,
-            component::U16 => 2,
-            component::U32 | component::F32 => 4,
-            _ => return Err(missing()),
-        };
-        let stride_bytes = number(&view["byteStride"]).unwrap_or(arity * number_bytes);
         let (count, offset) = (number(&accessor["count"]), view["byteOffset"].as_u64().unwrap_or_default());
         let count = count.ok_or_else(missing)?;
-        let (length, needed) = (view["byteLength"].as_u64(), (count as u64).checked_mul(stride_bytes as u64));
+        let column = VertexColumn { component, arity, count, start: self.bin_at + offset };
+        let element_bytes = column.element_bytes().ok_or_else(missing)? as u64;
+        let (length, needed) = (view["byteLength"].as_u64(), (count as u64).checked_mul(element_bytes));
         let (length, needed) = length.zip(needed).ok_or_else(missing)?;
         let is_inside = offset.checked_add(length).is_some_and(|end| end <= self.bin_bytes);
-        if !is_inside || needed > length || stride_bytes < arity * number_bytes {
+        if !is_inside || needed > length {
             return Err(invalid(format!("the accessor {index} exceeds the data")));
         }
-        Ok(VertexColumn { component, arity, count, start: self.bin_at + offset, stride_bytes })
+        Ok(column)
     }
 
     /// The placement of the frame.
@@ -229,73 +234,45 @@ impl GlbFrame {
             }
         };
         let translation = vector("translation").unwrap_or_else(|| vec![0.0; 3]);
-        let scale = vector("scale").unwrap_or_else(|| vec![1.0; 3]);
-        let (&[x, y, z], &[scale, ..]) = (&*translation, &*scale) else {
-            return Err(invalid(
-                "expected the `translation` and the `scale` of the node to have three numbers each",
-            ));
+        let &[x, y, z] = &*translation else {
+            return Err(invalid("expected the `translation` of the node to have three numbers"));
         };
         let origin = match up {
             UpAxis::Y => [x, y, z],
             UpAxis::Z => [x, 0.0 - z, y],
         };
-        Ok(FramePlacement { up, origin, scale })
+        Ok(FramePlacement { up, origin })
     }
 
-    /// The smallest and largest position, with integers scaled to 0 to 1; zeros for a frame without a mesh.
+    /// The smallest and largest position; zeros for a frame without a mesh.
     pub(super) fn bounds(&self) -> Result<[[f64; 3]; 2]> {
-        let Some(column) = self.column(POSITION)? else { return Ok([[0.0; 3]; 2]) };
-        let greatest = if column.component == component::F32 { 1.0 } else { f64::from(u16::MAX) };
+        if self.column(POSITION)?.is_none() {
+            return Ok([[0.0; 3]; 2]);
+        }
         let index = self.attributes()?[POSITION].as_u64().and_then(|index| usize::try_from(index).ok());
         let accessor = &self.document["accessors"][index.unwrap_or_default()];
         let corner = |name: &str| -> Option<[f64; 3]> {
             let numbers: Option<Vec<f64>> = accessor[name].as_array()?.iter().map(Value::as_f64).collect();
-            Some(<[f64; 3]>::try_from(numbers?).ok()?.map(|number| number / greatest))
+            <[f64; 3]>::try_from(numbers?).ok()
         };
         let corners = corner("min").zip(corner("max"));
         corners.map(|(min, max)| [min, max]).ok_or_else(|| invalid("the positions have no bounds"))
     }
 
-    /// Reads vertex data, which replace the `values`. Converts normalized integers to −1 ..= 1 and multiplies
-    /// them by `scale`.
-    pub(super) fn read_column(
+    /// Reads vertex data, which replace the `values`.
+    fn read_column(
         &self,
         column: &VertexColumn,
-        scale: f64,
         file: &mut (impl Read + Seek),
         values: &mut Vec<f32>,
     ) -> Result<()> {
-        let greatest = match column.component {
-            component::I8 => f64::from(i8::MAX),
-            component::U16 => f64::from(u16::MAX),
-            component::F32 => 1.0,
-            _ => return Err(invalid("the vertices have 32-bit integers, which are not supported")),
-        };
-        #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
-        let real = |part: f64| (part / greatest * scale) as f32;
-        let float = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes);
+        if column.component != component::F32 {
+            return Err(invalid(NOT_OURS));
+        }
         values.clear();
         values.reserve_exact(column.count * column.arity);
         read_pieces(column, file, |bytes| {
-            let records = bytes.chunks_exact(column.stride_bytes);
-            match column.component {
-                component::F32 if column.stride_bytes == 4 * column.arity => {
-                    values.extend(bytes.as_chunks().0.iter().map(float));
-                }
-                component::F32 => {
-                    let floats = records.flat_map(|record| record[..4 * column.arity].as_chunks().0);
-                    values.extend(floats.map(float));
-                }
-                component::I8 => {
-                    let bytes = records.flat_map(|record| &record[..column.arity]);
-                    let part = |byte: &u8| f64::from(i8::from_le_bytes([*byte])).max(-greatest);
-                    values.extend(bytes.map(|byte| real(part(byte))));
-                }
-                _ => {
-                    let pairs = records.flat_map(|record| record[..2 * column.arity].as_chunks::<2>().0);
-                    values.extend(pairs.map(|bytes| real(f64::from(u16::from_le_bytes(*bytes)))));
-                }
-            }
+            values.extend(bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)));
         })
     }
 
@@ -311,9 +288,9 @@ impl GlbFrame {
             return Ok(());
         }
         let column = self.indices()?;
-        let is_narrow = match (column.component, column.stride_bytes) {
-            (component::U16, 2) => true,
-            (component::U32, 4) => false,
+        let is_narrow = match (column.component, column.arity) {
+            (component::U16, 1) => true,
+            (component::U32, 1) => false,
             _ => return Err(invalid("the indices have an unexpected type")),
         };
         triangles.reserve_exact(column.count / 3);
@@ -344,11 +321,12 @@ fn read_pieces(
     file: &mut (impl Read + Seek),
     mut take: impl FnMut(&[u8]),
 ) -> Result<()> {
+    let element_bytes = column.element_bytes().ok_or_else(|| invalid(NOT_OURS))?;
     file.seek(SeekFrom::Start(column.start))?;
     let mut bytes = Vec::new();
     for first in (0..column.count).step_by(PIECE) {
         let count = PIECE.min(column.count - first);
-        bytes.resize(count * column.stride_bytes, 0); // at most the size of the file
+        bytes.resize(count * element_bytes, 0); // at most the size of the file
         match file.read_exact(&mut bytes) {
             Err(error) if error.kind() == ErrorKind::UnexpectedEof => {
                 let what = "the file became shorter while it was being read";
@@ -373,3 +351,142 @@ const NOT_OURS: &str =
 
 /// The names of vectors with one to four components.
 const TYPES: [&str; 4] = ["SCALAR", "VEC2", "VEC3", "VEC4"];
+
+// The placement of the frames of a sequence, relative to one origin.
+
+/// The placement of all frames of a sequence.
+///
+/// Frames far from the world's origin have origins of their own, which jump from one frame to the next.
+/// Programs interpolate transforms, and compute motion blur from them. So a sequence has one origin, that of
+/// its first frame with a mesh, and the positions of all frames are relative to it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct SequencePlacement {
+    pub(crate) up: UpAxis,
+    pub(crate) origin: [f64; 3],
+}
+
+/// How the positions in the file of a frame become positions of a sequence.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PositionTransform {
+    shift: [f64; 3],
+}
+
+impl SequencePlacement {
+    /// The placement of these frames.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Invalid`] if a document is damaged, or if frames differ in their up axis.
+    pub(crate) fn of(frames: &[SequenceFrame], format: &'static str) -> Result<SequencePlacement> {
+        let mut placement = None;
+        for frame in frames.iter().filter(|frame| frame.file.has_mesh()) {
+            let FramePlacement { up, origin } = frame.file.placement()?;
+            let first = placement.get_or_insert(SequencePlacement { up, origin });
+            if up != first.up {
+                let what = "some frames have Y up and others Z up: convert all frames with the same --up";
+                return Err(Error::invalid(format, Position::File, what));
+            }
+        }
+        Ok(placement.unwrap_or_default())
+    }
+
+    /// The transform of the positions of a frame.
+    pub(crate) fn transform(&self, frame: &GlbFrame) -> Result<PositionTransform> {
+        if !frame.has_mesh() {
+            return Ok(PositionTransform { shift: [0.0; 3] });
+        }
+        let origin = frame.placement()?.origin;
+        Ok(PositionTransform { shift: std::array::from_fn(|axis| origin[axis] - self.origin[axis]) })
+    }
+}
+
+impl PositionTransform {
+    #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
+    fn shifted(&self, axis: usize, coordinate: f32) -> f32 {
+        (f64::from(coordinate) + self.shift[axis]) as f32
+    }
+}
+
+impl GlbFrame {
+    /// Reads a vertex attribute, whose numbers replace the `values`. Returns how many each vertex has; `None`
+    /// if the vertices do not have the attribute. Positions are transformed.
+    pub(crate) fn read_attribute(
+        &self,
+        semantic: &str,
+        positions: &PositionTransform,
+        file: &mut (impl Read + Seek),
+        values: &mut Vec<f32>,
+    ) -> Result<Option<usize>> {
+        values.clear();
+        let Some(column) = self.column(semantic)? else { return Ok(None) };
+        self.read_column(&column, file, values)?;
+        if semantic == POSITION {
+            for position in values.as_chunks_mut::<3>().0 {
+                *position = std::array::from_fn(|axis| positions.shifted(axis, position[axis]));
+            }
+        }
+        Ok(Some(column.arity))
+    }
+
+    /// The smallest and the largest transformed position; zeros for a frame without a mesh.
+    pub(crate) fn transformed_bounds(&self, positions: &PositionTransform) -> Result<[[f32; 3]; 2]> {
+        #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
+        let corner =
+            |corner: [f64; 3]| std::array::from_fn(|axis| positions.shifted(axis, corner[axis] as f32));
+        Ok(self.bounds()?.map(corner))
+    }
+}
+
+// The vertex attributes that a sequence can have: those of all its frames.
+
+/// A vertex attribute that all frames with a mesh have.
+pub(crate) struct SharedAttribute {
+    /// Its name in the frames' `.glb` files.
+    pub(crate) semantic: String,
+    /// Its name in the first frame with a name of its own. A format may have a property for it instead.
+    pub(crate) name: String,
+    /// Number of values per vertex.
+    pub(crate) arity: usize,
+}
+
+/// The attributes that all frames with a mesh have, in the order of their names in the `.glb` files, and
+/// notes on the others. Positions and normals are not among them: every mesh has these.
+///
+/// # Errors
+///
+/// [`Error::Invalid`](crate::Error::Invalid) if a document is damaged.
+pub(crate) fn shared_attributes(frames: &[SequenceFrame]) -> Result<(Vec<SharedAttribute>, Vec<String>)> {
+    let files: Vec<&GlbFrame> =
+        frames.iter().map(|frame| &frame.file).filter(|file| file.has_mesh()).collect();
+    let mut semantics: Vec<&String> = Vec::new();
+    for file in &files {
+        semantics.extend(file.attributes()?.keys());
+    }
+    semantics.sort();
+    semantics.dedup();
+    let (mut shared, mut notes) = (Vec::new(), Vec::new());
+    for semantic in semantics.into_iter().filter(|semantic| ![NORMAL, POSITION].contains(&semantic.as_str()))
+    {
+        match arity(&files, semantic)? {
+            Ok(arity) => {
+                let own_name = files.iter().find_map(|file| file.own_name(semantic));
+                let name = own_name.map_or_else(|| usual_name(semantic), str::to_owned);
+                shared.push(SharedAttribute { semantic: semantic.clone(), name, arity });
+            }
+            Err(why) => notes.push(format!("{semantic} is missing in the sequence: {why}")),
+        }
+    }
+    Ok((shared, notes))
+}
+
+/// The number of values per vertex of an attribute, or why a sequence cannot have it.
+fn arity(files: &[&GlbFrame], semantic: &str) -> Result<std::result::Result<usize, &'static str>> {
+    if files.iter().any(|file| file.has_string_indices(semantic)) {
+        return Ok(Err("its values are strings, and each frame has its own table"));
+    }
+    let columns: Vec<Option<VertexColumn>> =
+        files.iter().map(|file| file.column(semantic)).collect::<Result<_>>()?;
+    let mut arities = columns.iter().map(|column| column.map(|column| column.arity));
+    let first = arities.next().flatten().filter(|first| arities.all(|arity| arity == Some(*first)));
+    Ok(first.ok_or("not all frames have it with the same number of values per vertex"))
+}

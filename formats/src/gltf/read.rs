@@ -6,23 +6,23 @@
 //!
 //! Materials, skins, morphs and animations are ignored. Quantized meshes are supported.
 
+use std::collections::BTreeMap;
 use std::rc::Rc;
 
+use ::gltf::accessor::{DataType, Dimensions, Item, Iter, sparse};
+use ::gltf::buffer::{Buffer, Source, View};
 use ::gltf::json::{self, validation};
 use ::gltf::mesh::Mode;
-use ::gltf::{Document, Primitive, Semantic, buffer::Source};
+use ::gltf::{Accessor, Document, Primitive, Semantic};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde::Deserialize;
 
-use super::FORMAT;
-use super::ReadExternal;
-use super::buffer::{Buffers, invalid};
-use super::chunks::{chunks, invalid_json, parse};
-use super::external::{ExternalReader, is_data};
+use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION};
 use crate::data::MeshData;
-use crate::error::{Error, Result};
+use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
+use crate::row::ReadExternal;
 
 /// Reads all triangles of the default scene (or of the first scene, or of all meshes if there is no scene) as
 /// one mesh in world space. Keeps normals if every primitive has them.
@@ -332,5 +332,325 @@ fn triangles(indices: &[u32], mode: Mode) -> Vec<[u32; 3]> {
             .collect(),
         Mode::TriangleFan => indices.windows(2).skip(1).map(|pair| [indices[0], pair[0], pair[1]]).collect(),
         _ => indices.as_chunks::<3>().0.to_vec(),
+    }
+}
+
+// Reads typed numbers from the buffers of a glTF document, with all bounds checked.
+//
+// The crate gltf iterates over the elements, including sparse ones, but trusts what the document declares.
+// This module therefore first compares every declaration with the available bytes.
+
+/// The bytes of the document's buffers. Several buffers can share a file.
+pub(super) struct Buffers {
+    pub(super) bytes: Vec<Rc<Vec<u8>>>,
+}
+
+impl Buffers {
+    /// The elements of an accessor of vectors; converts normalized integers to −1 ..= 1.
+    pub(super) fn vectors(&self, accessor: &Accessor, semantic: &Semantic) -> Result<Vec<[f64; 3]>> {
+        if accessor.dimensions() != Dimensions::Vec3 {
+            return Err(invalid(format!(
+                "{semantic:?} has the type {:?}; expected Vec3",
+                accessor.dimensions()
+            )));
+        }
+        let scale = match accessor.data_type() {
+            // `normalized` has no meaning for floats, but some exporters set it.
+            DataType::F32 => None,
+            _ if !accessor.normalized() => None,
+            DataType::I8 => Some(f64::from(i8::MAX)),
+            DataType::U8 => Some(f64::from(u8::MAX)),
+            DataType::I16 => Some(f64::from(i16::MAX)),
+            DataType::U16 => Some(f64::from(u16::MAX)),
+            DataType::U32 => Some(f64::from(u32::MAX)),
+        };
+        match accessor.data_type() {
+            DataType::I8 => self.reals::<i8>(accessor, scale),
+            DataType::U8 => self.reals::<u8>(accessor, scale),
+            DataType::I16 => self.reals::<i16>(accessor, scale),
+            DataType::U16 => self.reals::<u16>(accessor, scale),
+            DataType::U32 => self.reals::<u32>(accessor, scale),
+            DataType::F32 => self.reals::<f32>(accessor, scale),
+        }
+    }
+
+    /// The elements of an accessor of indices.
+    pub(super) fn indices(&self, accessor: &Accessor) -> Result<Vec<u32>> {
+        match (accessor.dimensions(), accessor.data_type()) {
+            (Dimensions::Scalar, DataType::U8) => {
+                Ok(self.elements::<u8>(accessor)?.into_iter().map(u32::from).collect())
+            }
+            (Dimensions::Scalar, DataType::U16) => {
+                Ok(self.elements::<u16>(accessor)?.into_iter().map(u32::from).collect())
+            }
+            (Dimensions::Scalar, DataType::U32) => self.elements::<u32>(accessor),
+            (dimensions, data) => {
+                Err(invalid(format!("the indices have the invalid type {dimensions:?} of {data:?}")))
+            }
+        }
+    }
+
+    /// The stored numbers of an accessor, element by element. Matrices are not supported.
+    pub(super) fn components<T: Item + Copy>(&self, accessor: &Accessor) -> Result<Vec<T>> {
+        Ok(match accessor.dimensions() {
+            Dimensions::Scalar => self.elements::<T>(accessor)?,
+            Dimensions::Vec2 => self.elements::<[T; 2]>(accessor)?.into_flattened(),
+            Dimensions::Vec3 => self.elements::<[T; 3]>(accessor)?.into_flattened(),
+            Dimensions::Vec4 => self.elements::<[T; 4]>(accessor)?.into_flattened(),
+            dimensions => {
+                return Err(invalid(format!("a vertex attribute has the unsupported type {dimensions:?}")));
+            }
+        })
+    }
+
+    fn reals<T: Item + Copy + Into<f64>>(
+        &self,
+        accessor: &Accessor,
+        scale: Option<f64>,
+    ) -> Result<Vec<[f64; 3]>> {
+        let real = |component: T| match scale {
+            Some(greatest) => (component.into() / greatest).max(-1.0),
+            None => component.into(),
+        };
+        Ok(self.elements::<[T; 3]>(accessor)?.into_iter().map(|element| element.map(real)).collect())
+    }
+
+    /// The stored elements.
+    fn elements<T: Item>(&self, accessor: &Accessor) -> Result<Vec<T>> {
+        if accessor.count() == 0 {
+            return Ok(Vec::new());
+        }
+        self.check(accessor)?;
+        let bytes = |buffer: Buffer| self.bytes.get(buffer.index()).map(|bytes| bytes.as_slice());
+        let elements = Iter::new(accessor.clone(), bytes).ok_or_else(|| beyond(accessor.count()))?;
+        Ok(elements.take(accessor.count()).collect())
+    }
+
+    /// Checks that the buffers contain all data of an accessor.
+    fn check(&self, accessor: &Accessor) -> Result<()> {
+        let (count, size) = (accessor.count(), accessor.size());
+        if let Some(view) = accessor.view() {
+            self.part(&view, accessor.offset(), count, size)?;
+        }
+        match accessor.sparse() {
+            Some(sparse) => self.check_sparse(&sparse, count, size),
+            None if accessor.view().is_none() => {
+                Err(Error::unsupported(FORMAT, "an accessor without a buffer view is not supported"))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Checks that the data of sparse elements exists, and that their indices are in bounds and ascend
+    /// without repetition, as the iterator of the crate requires.
+    fn check_sparse(&self, sparse: &sparse::Sparse, count: usize, size: usize) -> Result<()> {
+        let sparse_count = sparse.count();
+        if sparse_count == 0 || sparse_count > count {
+            return Err(invalid(format!(
+                "an accessor has {sparse_count} sparse elements, but only {count} elements"
+            )));
+        }
+        let (indices, values) = (sparse.indices(), sparse.values());
+        self.part(&values.view(), values.offset(), sparse_count, size)?;
+        let width = indices.index_type().size();
+        let (bytes, stride) = self.part(&indices.view(), indices.offset(), sparse_count, width)?;
+        let mut last = None;
+        for start in (0..sparse_count).map(|index| index * stride) {
+            let index =
+                bytes[start..start + width].iter().rfold(0, |index, byte| index << 8 | usize::from(*byte));
+            if index >= count || last.is_some_and(|last| index <= last) {
+                return Err(invalid(format!("the sparse element {index} of {count} is out of order")));
+            }
+            last = Some(index);
+        }
+        Ok(())
+    }
+
+    /// The bytes from the first element on, and the stride, after checking that all elements exist.
+    fn part(&self, view: &View, offset: usize, count: usize, size: usize) -> Result<(&[u8], usize)> {
+        let buffer = self.bytes.get(view.buffer().index());
+        let end = view.offset().checked_add(view.length());
+        let bytes = buffer.zip(end).and_then(|(buffer, end)| buffer.get(view.offset()..end));
+        let bytes = bytes.and_then(|bytes| bytes.get(offset..));
+        let stride = view.stride().unwrap_or(size);
+        let needed = (count - 1)
+            .checked_mul(stride)
+            .and_then(|before| before.checked_add(size))
+            .filter(|_| size <= stride);
+        match (bytes, needed) {
+            (Some(bytes), Some(needed)) if needed <= bytes.len() => Ok((bytes, stride)),
+            _ => Err(beyond(count)),
+        }
+    }
+}
+
+fn beyond(count: usize) -> Error {
+    invalid(format!("an accessor of {count} elements exceeds its buffer"))
+}
+
+pub(super) fn invalid(what: impl Into<String>) -> Error {
+    Error::invalid(FORMAT, Position::File, what)
+}
+
+// Buffers in external files next to the document.
+//
+//   scene.gltf    "uri":"parts/a%20b.bin", "byteLength":96   ──▶   parts/a b.bin, its first 96 bytes
+//   parts/
+//     a b.bin
+//
+// Paths in a document are not trusted: they must lie in the document's folder or below it.
+
+/// An external file with buffers of a document.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ExternalFile {
+    /// Its path relative to the document's folder: names separated by `/`, without `..`.
+    pub path: String,
+    /// Number of bytes to read from its start.
+    pub byte_count: u64,
+}
+
+/// The external files of a document, each once, in the order of their first use.
+///
+/// # Errors
+/// [`Error::Invalid`] if the file is not glTF; [`Error::Unsupported`] for a buffer outside the document's
+/// folder.
+pub fn external_files(bytes: &[u8]) -> Result<Vec<ExternalFile>> {
+    #[derive(Deserialize)]
+    struct Document {
+        #[serde(default)]
+        buffers: Vec<Buffer>,
+    }
+    #[derive(Deserialize)]
+    struct Buffer {
+        uri: Option<String>,
+        #[serde(rename = "byteLength")]
+        byte_count: u64,
+    }
+    let document: Document = parse(chunks(bytes)?.0)?;
+    let mut files: Vec<ExternalFile> = Vec::new();
+    let mut index_of: BTreeMap<String, usize> = BTreeMap::new();
+    for Buffer { uri, byte_count } in document.buffers {
+        let Some(uri) = uri.filter(|uri| !is_data(uri)) else { continue };
+        let path = path_of(&uri)?;
+        let index = *index_of.entry(path.clone()).or_insert(files.len());
+        match files.get_mut(index) {
+            Some(file) => file.byte_count = file.byte_count.max(byte_count),
+            None => files.push(ExternalFile { path, byte_count }),
+        }
+    }
+    Ok(files)
+}
+
+/// Whether a URI contains the data itself.
+fn is_data(uri: &str) -> bool {
+    uri.starts_with("data:")
+}
+
+/// Reads external files, each only once even if it has several buffers.
+struct ExternalReader<'a> {
+    read_external: Option<&'a ReadExternal<'a>>,
+    read: BTreeMap<String, Rc<Vec<u8>>>,
+    /// Total size in bytes of the files read so far.
+    size_bytes: u64,
+}
+
+impl<'a> ExternalReader<'a> {
+    pub(super) fn new(read_external: Option<&'a ReadExternal<'a>>) -> ExternalReader<'a> {
+        ExternalReader { read_external, read: BTreeMap::new(), size_bytes: 0 }
+    }
+
+    /// The content of the file at a URI.
+    pub(super) fn bytes(&mut self, uri: &str) -> Result<Rc<Vec<u8>>> {
+        let Some(read_external) = self.read_external else {
+            let what = "a buffer is in a separate file: export as .glb, or embed the buffer";
+            return Err(Error::unsupported(FORMAT, what));
+        };
+        let path = path_of(uri)?;
+        if let Some(bytes) = self.read.get(&path) {
+            return Ok(Rc::clone(bytes));
+        }
+        let read = read_external(&path);
+        let bytes = read.map_err(|error| {
+            std::io::Error::new(error.kind(), format!("cannot read the buffer {path}: {error}"))
+        })?;
+        let bytes = Rc::new(bytes);
+        self.size_bytes = self.size_bytes.saturating_add(bytes.len() as u64);
+        self.read.insert(path, Rc::clone(&bytes));
+        Ok(bytes)
+    }
+}
+
+/// Converts a URI to a relative path.
+fn path_of(uri: &str) -> Result<String> {
+    let path = percent_decoded(uri).ok_or_else(|| invalid(format!("the URI {uri} is invalid")))?;
+    // Some exporters write paths with the separators of their system.
+    let is_absolute = path.starts_with(['/', '\\']);
+    let names: Vec<&str> = path.split(['/', '\\']).filter(|name| !name.is_empty() && *name != ".").collect();
+    if is_absolute || path.contains([':', '\0']) || names.contains(&"..") || names.is_empty() {
+        let what = format!("the buffer {uri} is outside the folder of the file");
+        return Err(Error::unsupported(FORMAT, what));
+    }
+    Ok(names.join("/"))
+}
+
+/// Decodes the percent escapes of a URI.
+fn percent_decoded(uri: &str) -> Option<String> {
+    let mut parts = uri.split('%');
+    let mut bytes = parts.next()?.as_bytes().to_vec();
+    for part in parts {
+        let (code, rest) = part.split_at_checked(2)?;
+        bytes.push(u8::from_str_radix(code, 16).ok()?);
+        bytes.extend_from_slice(rest.as_bytes());
+    }
+    String::from_utf8(bytes).ok()
+}
+
+// Splits a GLB file into its chunks, and parses JSON into types.
+
+/// Parses JSON.
+pub(super) fn parse<'a, T: Deserialize<'a>>(json: &'a [u8]) -> Result<T> {
+    serde_json::from_slice(json).map_err(|error| invalid_json(&error))
+}
+
+fn invalid_json(error: &serde_json::Error) -> Error {
+    Error::invalid(FORMAT, Position::Line(error.line() as u64), error.to_string())
+}
+
+/// The JSON chunk and, if present, the binary chunk. A file without the GLB signature is JSON as a whole.
+pub(super) fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>)> {
+    let error = |offset: u64, what: &str| Err(Error::invalid(FORMAT, Position::Offset(offset), what));
+    if !bytes.starts_with(&GLB_MAGIC) {
+        return Ok((bytes, None));
+    }
+    let Some((header, _)) = bytes.split_first_chunk::<12>() else {
+        return error(0, "the GLB header is truncated");
+    };
+    let number = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
+    if number(4) != GLB_VERSION {
+        return Err(Error::unsupported(
+            FORMAT,
+            format!("the GLB version is {}; only 2 is supported", number(4)),
+        ));
+    }
+    let Some(bytes) = bytes.get(..number(8) as usize) else {
+        return error(8, "the file is shorter than its GLB header declares");
+    };
+    let (mut json, mut bin, mut at) = (None, None, 12);
+    while let Some(([a, b, c, d, kind @ ..], rest)) = bytes.get(at..).and_then(|b| b.split_first_chunk::<8>())
+    {
+        let length = u32::from_le_bytes([*a, *b, *c, *d]) as usize;
+        let Some(chunk) = rest.get(..length) else {
+            return error(at as u64, "a GLB chunk extends beyond the end of the file");
+        };
+        match *kind {
+            CHUNK_JSON if json.is_none() => json = Some(chunk),
+            CHUNK_BIN if bin.is_none() => bin = Some(chunk),
+            _ => {} // readers must skip unknown chunks
+        }
+        at += 8 + length;
+    }
+    match json {
+        Some(json) => Ok((json, bin)),
+        None => error(12, "the GLB file has no JSON chunk"),
     }
 }

@@ -27,12 +27,10 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 
 use serde_json::{Map, Value, json};
 
-use super::buffer::invalid;
-use super::chunks::{chunks, parse};
 use super::frame_file::GlbFrame;
-use super::read_provenance::read_provenance;
+use super::read::{chunks, invalid, parse};
 use super::write::{glb_bytes, write_chunk_head};
-use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
+use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component, read_provenance};
 use crate::data::Provenance;
 use crate::error::{Error, Result};
 use crate::provenance::GENERATOR;
@@ -152,12 +150,12 @@ fn too_large(frame_count: usize, bin_bytes: u64) -> Error {
     let gibibytes = bin_bytes as f64 / f64::from(1 << 30);
     let what = format!(
         "{frame_count} frames take {gibibytes:.1} GiB, and the format's limit is 4 GiB: use fewer frames, write them \
-         with --quantize, --decimate or a larger voxel size, or write a .usda"
+         with --decimate or a larger voxel size, or write a .usda"
     );
     Error::too_large(FORMAT, what)
 }
 
-/// A key of a node's scale: time in seconds, and the factor.
+/// A key of a node's scale: time in seconds, and the factor, 0 or 1.
 type ScaleKey = (f32, f32);
 
 /// Size of a key in the file: a time, and a scale along three axes.
@@ -185,12 +183,10 @@ fn keys(frames: &[SequenceFrame], fps: f64) -> Result<Vec<Vec<ScaleKey>>> {
             all.push(Vec::new());
             continue;
         }
-        #[expect(clippy::cast_possible_truncation, reason = "scales are written in 32 bits")]
-        let scale = frame.file.placement()?.scale as f32;
         let hidden = (index > 0).then_some((0.0, 0.0));
         // The last frame is shown for the length of one frame.
-        let last = if next.is_some() { (end, 0.0) } else { (end, scale) };
-        all.push(hidden.into_iter().chain([(start, scale), last]).collect());
+        let last = if next.is_some() { (end, 0.0) } else { (end, 1.0) };
+        all.push(hidden.into_iter().chain([(start, 1.0), last]).collect());
     }
     Ok(all)
 }
@@ -209,7 +205,6 @@ fn write_keys(keys: &[Vec<ScaleKey>], out: &mut impl Write) -> Result<()> {
 /// The document under construction.
 #[derive(Default)]
 struct SequenceDocument {
-    extensions: Vec<Value>,
     nodes: Vec<Value>,
     meshes: Vec<Value>,
     accessors: Vec<Value>,
@@ -257,11 +252,6 @@ impl SequenceDocument {
     fn add_frame(&mut self, frame: &SequenceFrame, keys: &[ScaleKey], data_at: u64) -> Result<()> {
         let document = &frame.file.document;
         let list = |name: &str| document[name].as_array().cloned().unwrap_or_default();
-        for extension in list("extensionsRequired") {
-            if !self.extensions.contains(&extension) {
-                self.extensions.push(extension);
-            }
-        }
         let Some(&(_, rest)) = keys.first() else { return Ok(()) };
         let (first_view, first_accessor) = (self.buffer_views.len(), self.accessors.len());
         for mut view in list("bufferViews") {
@@ -308,8 +298,6 @@ impl SequenceDocument {
         }
         document.insert("scenes".into(), json!([scene]));
         let lists = [
-            ("extensionsUsed", self.extensions.clone()),
-            ("extensionsRequired", self.extensions),
             ("nodes", self.nodes),
             ("meshes", self.meshes),
             ("accessors", self.accessors),

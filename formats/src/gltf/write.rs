@@ -1,7 +1,7 @@
 //! Writes a triangle mesh as glTF.
 //!
-//! Vertices are written unchanged, unless they are quantized. The node stores the placement: its translation
-//! is the mesh's origin in 64 bits, and its rotation turns Z up into glTF's Y up.
+//! Vertices are written unchanged. The node stores the placement: its translation is the mesh's origin in
+//! 64 bits, and its rotation turns Z up into glTF's Y up.
 
 use std::io::Write;
 
@@ -10,14 +10,14 @@ use base64::write::EncoderWriter;
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
-use super::quantized::{Cube, EXTENSION, write_normals};
-use super::vertex_data::{GltfAttribute, stored_attributes};
+use super::frame_file::{ACCELERATION, COLOR, VELOCITY};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
-use crate::data::{MeshView, Provenance};
+use crate::data::{MeshView, Provenance, VertexAttribute, VertexValues};
 use crate::error::{Error, Position, Result};
-use crate::le_bytes::{write_f32s, write_u16s, write_u32s};
-use crate::mesh_options::{MeshOptions, UpAxis};
+use crate::number::{write_f32s, write_pieces, write_u16s, write_u32s};
 use crate::provenance::GENERATOR;
+use crate::row::{MeshOptions, UpAxis};
+use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, string_index};
 
 /// Writes a `.glb` file. A mesh without triangles becomes an empty scene.
 ///
@@ -32,7 +32,7 @@ pub fn write_glb(
     out: &mut impl Write,
 ) -> Result<()> {
     mesh.check(FORMAT)?;
-    let layout = BufferLayout::of(mesh, options.quantize);
+    let layout = BufferLayout::of(mesh);
     let mut json = to_json(&Document::new(mesh, &layout, options, provenance, None))?;
     json.resize(json.len().next_multiple_of(4), b' ');
     let bin_bytes = layout.byte_count().next_multiple_of(4);
@@ -68,7 +68,7 @@ pub fn write_gltf(
 ) -> Result<()> {
     const URI: &str = "data:application/octet-stream;base64,";
     mesh.check(FORMAT)?;
-    let layout = BufferLayout::of(mesh, options.quantize);
+    let layout = BufferLayout::of(mesh);
     if u32::try_from(layout.byte_count()).is_err() {
         return Err(too_large(mesh));
     }
@@ -123,82 +123,43 @@ fn to_json(document: &Document) -> Result<Vec<u8>> {
 /// The parts of the buffer: positions, normals, attributes, indices.
 struct BufferLayout<'a> {
     vertex_count: usize,
-    /// The bounding cube, if positions and normals are quantized.
-    cube: Option<Cube>,
     attributes: Vec<GltfAttribute<'a>>,
     index_bytes: u64,
     index_component: u32,
 }
 
-/// The layout of data with one element per vertex.
-#[derive(Clone, Copy)]
-struct ColumnLayout {
-    arity: usize,
-    component: u32,
-    /// Bytes from one vertex to the next.
-    stride_bytes: u64,
-}
-
-impl ColumnLayout {
-    fn reals(arity: usize) -> ColumnLayout {
-        ColumnLayout { arity, component: component::F32, stride_bytes: 4 * arity as u64 }
-    }
-
-    /// Whether the values are integers that represent −1 ..= 1, or 0 ..= 1 if unsigned.
-    fn is_normalized(self) -> bool {
-        self.component != component::F32
-    }
-}
-
-const QUANTIZED_POSITIONS: ColumnLayout =
-    ColumnLayout { arity: 3, component: component::U16, stride_bytes: 8 };
-const QUANTIZED_NORMALS: ColumnLayout = ColumnLayout { arity: 3, component: component::I8, stride_bytes: 4 };
-
 impl<'a> BufferLayout<'a> {
-    fn of(mesh: &MeshView<'a>, quantize: bool) -> BufferLayout<'a> {
+    fn of(mesh: &MeshView<'a>) -> BufferLayout<'a> {
         if mesh.triangles.is_empty() {
             let (attributes, index_component) = (Vec::new(), component::U16);
-            return BufferLayout { vertex_count: 0, cube: None, attributes, index_bytes: 0, index_component };
+            return BufferLayout { vertex_count: 0, attributes, index_bytes: 0, index_component };
         }
         // The index 65535 itself is forbidden, so 16-bit indices allow at most 65535 vertices.
         let narrow = mesh.positions.len() <= usize::from(u16::MAX);
         BufferLayout {
             vertex_count: mesh.positions.len(),
-            cube: quantize.then(|| Cube::around(mesh.positions)),
             attributes: stored_attributes(mesh),
             index_bytes: 3 * mesh.triangles.len() as u64 * if narrow { 2 } else { 4 },
             index_component: if narrow { component::U16 } else { component::U32 },
         }
     }
 
-    /// The columns with vertex data, in order.
-    fn columns(&self) -> impl Iterator<Item = ColumnLayout> {
-        let first = match self.cube {
-            Some(_) => [QUANTIZED_POSITIONS, QUANTIZED_NORMALS],
-            None => [ColumnLayout::reals(3); 2],
-        };
-        first.into_iter().chain(self.attributes.iter().map(|attribute| ColumnLayout::reals(attribute.arity)))
+    /// The number of values per vertex of positions, normals and attributes, in order.
+    fn arities(&self) -> impl Iterator<Item = usize> {
+        [3, 3].into_iter().chain(self.attributes.iter().map(|attribute| attribute.arity))
     }
 
-    fn column_bytes(&self, column: ColumnLayout) -> u64 {
-        column.stride_bytes * self.vertex_count as u64
+    fn column_bytes(&self, arity: usize) -> u64 {
+        4 * (arity * self.vertex_count) as u64
     }
 
     fn byte_count(&self) -> u64 {
-        self.columns().map(|column| self.column_bytes(column)).sum::<u64>() + self.index_bytes
+        self.arities().map(|arity| self.column_bytes(arity)).sum::<u64>() + self.index_bytes
     }
 
     fn write_buffer(&self, mesh: &MeshView, out: &mut impl Write) -> Result<()> {
-        match &self.cube {
-            Some(cube) => {
-                cube.write_positions(mesh.positions, out)?;
-                write_normals(mesh.normals, out)?;
-            }
-            None => {
-                write_f32s(mesh.positions.as_flattened(), out)?;
-                write_f32s(mesh.normals.as_flattened(), out)?;
-            }
-        }
+        write_f32s(mesh.positions.as_flattened(), out)?;
+        write_f32s(mesh.normals.as_flattened(), out)?;
         for attribute in &self.attributes {
             attribute.write(out)?;
         }
@@ -217,10 +178,6 @@ impl<'a> BufferLayout<'a> {
 #[serde(rename_all = "camelCase")]
 struct Document<'a> {
     asset: Asset<'a>,
-    #[serde(skip_serializing_if = "<[&str]>::is_empty")]
-    extensions_used: &'static [&'static str],
-    #[serde(skip_serializing_if = "<[&str]>::is_empty")]
-    extensions_required: &'static [&'static str],
     scene: usize,
     scenes: [GltfScene<'a>; 1],
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -258,8 +215,6 @@ struct WrittenNode<'a> {
     translation: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     rotation: Option<[f64; 4]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    scale: Option<[f64; 3]>,
 }
 
 #[derive(Serialize)]
@@ -282,27 +237,12 @@ struct GltfPrimitive<'a> {
 struct Accessor {
     buffer_view: usize,
     component_type: u32,
-    #[serde(skip_serializing_if = "is_false")]
-    normalized: bool,
     count: usize,
     r#type: &'static str,
     #[serde(skip_serializing_if = "Option::is_none")]
-    min: Option<Corner>,
+    min: Option<[f32; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    max: Option<Corner>,
-}
-
-/// The minimum or maximum of an accessor, as stored.
-#[derive(Serialize)]
-#[serde(untagged)]
-enum Corner {
-    Reals([f32; 3]),
-    Integers([u16; 3]),
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde requires this signature")]
-fn is_false(flag: &bool) -> bool {
-    !flag
+    max: Option<[f32; 3]>,
 }
 
 #[derive(Serialize)]
@@ -311,8 +251,6 @@ struct BufferView {
     buffer: usize,
     byte_offset: u64,
     byte_length: u64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    byte_stride: Option<u64>,
     target: u32,
 }
 
@@ -375,11 +313,8 @@ impl<'a> Document<'a> {
     ) -> Document<'a> {
         let name = options.name.as_str();
         let extras = (!provenance.is_empty()).then(|| Extras { meniscus: provenance_entries(provenance) });
-        let extensions: &[&str] = if layout.cube.is_some() { &[EXTENSION] } else { &[] };
         let mut document = Document {
             asset: Asset { version: "2.0", generator: GENERATOR, extras },
-            extensions_used: extensions,
-            extensions_required: extensions,
             scene: 0,
             scenes: [GltfScene { name, nodes: Vec::new() }],
             nodes: Vec::new(),
@@ -407,7 +342,7 @@ impl<'a> Document<'a> {
             !extras.meniscus.is_empty() || !extras.strings.is_empty() || !extras.names.is_empty();
         let extras = has_extras.then_some(extras);
         document.scenes[0].nodes.push(0);
-        document.nodes.push(node(name, mesh.origin, options.up, layout.cube.as_ref()));
+        document.nodes.push(node(name, mesh.origin, options.up));
         document.meshes.push(GltfMesh { name, primitives: [primitive], extras });
         document.accessors = accessors(mesh, layout);
         document.buffer_views = layout.views();
@@ -416,18 +351,18 @@ impl<'a> Document<'a> {
     }
 }
 
-/// The node that places the mesh: it scales quantized positions, adds the mesh's origin, and turns Z up into
-/// Y up. glTF rotates before it translates, so the translation is the rotated origin.
-fn node<'a>(name: &'a str, origin: [f64; 3], up: UpAxis, cube: Option<&Cube>) -> WrittenNode<'a> {
+/// The node that places the mesh: it adds the mesh's origin, and turns Z up into Y up. glTF rotates before it
+/// translates, so the translation is the rotated origin.
+fn node(name: &str, origin: [f64; 3], up: UpAxis) -> WrittenNode<'_> {
     const HALF_SQRT: f64 = std::f64::consts::FRAC_1_SQRT_2;
-    let low = cube.map_or([0.0; 3], |cube| cube.low);
-    let corner @ [x, y, z] = std::array::from_fn(|axis| origin[axis] + f64::from(low[axis]));
+    // -0.0 becomes 0.0.
+    let [x, y, z] = origin.map(|coordinate| coordinate + 0.0);
     let (translation, rotation) = match up {
-        UpAxis::Y => (corner, None),
+        UpAxis::Y => ([x, y, z], None),
         UpAxis::Z => ([x, z, 0.0 - y], Some([-HALF_SQRT, 0.0, 0.0, HALF_SQRT])),
     };
-    let translation = (corner != [0.0; 3]).then_some(translation);
-    WrittenNode { name, mesh: 0, translation, rotation, scale: cube.map(|cube| [f64::from(cube.size); 3]) }
+    let translation = (origin != [0.0; 3]).then_some(translation);
+    WrittenNode { name, mesh: 0, translation, rotation }
 }
 
 fn accessors(mesh: &MeshView, layout: &BufferLayout) -> Vec<Accessor> {
@@ -438,25 +373,19 @@ fn accessors(mesh: &MeshView, layout: &BufferLayout) -> Vec<Accessor> {
             max[axis] = max[axis].max(position[axis]);
         }
     }
-    let of_vertices = |(buffer_view, column): (usize, ColumnLayout)| Accessor {
+    let vertices = |(buffer_view, arity): (usize, usize)| Accessor {
         buffer_view,
-        component_type: column.component,
-        normalized: column.is_normalized(),
+        component_type: component::F32,
         count: mesh.positions.len(),
-        r#type: TYPE_OF_ARITY[column.arity - 1],
+        r#type: TYPE_OF_ARITY[arity - 1],
         min: None,
         max: None,
     };
-    let mut accessors: Vec<Accessor> = layout.columns().enumerate().map(of_vertices).collect();
-    let [min, max] = match &layout.cube {
-        Some(cube) => cube.bounds([min, max]).map(Corner::Integers),
-        None => [min, max].map(Corner::Reals),
-    };
+    let mut accessors: Vec<Accessor> = layout.arities().enumerate().map(vertices).collect();
     (accessors[0].min, accessors[0].max) = (Some(min), Some(max));
     accessors.push(Accessor {
         buffer_view: accessors.len(),
         component_type: layout.index_component,
-        normalized: false,
         count: 3 * mesh.triangles.len(),
         r#type: TYPE_OF_ARITY[0],
         min: None,
@@ -468,18 +397,14 @@ fn accessors(mesh: &MeshView, layout: &BufferLayout) -> Vec<Accessor> {
 impl BufferLayout<'_> {
     fn views(&self) -> Vec<BufferView> {
         let mut end = 0;
-        let mut view = |byte_length, byte_stride, target| {
+        let mut view = |byte_length, target| {
             let byte_offset = end;
             end += byte_length;
-            BufferView { buffer: 0, byte_offset, byte_length, byte_stride, target }
+            BufferView { buffer: 0, byte_offset, byte_length, target }
         };
-        let of_vertices = |column: ColumnLayout| {
-            // Floats are tightly packed; quantized values have padding.
-            let stride = column.is_normalized().then_some(column.stride_bytes);
-            view(self.column_bytes(column), stride, TARGET_VERTICES)
-        };
-        let mut views: Vec<BufferView> = self.columns().map(of_vertices).collect();
-        views.push(view(self.index_bytes, None, TARGET_INDICES));
+        let mut views: Vec<BufferView> =
+            self.arities().map(|arity| view(self.column_bytes(arity), TARGET_VERTICES)).collect();
+        views.push(view(self.index_bytes, TARGET_INDICES));
         views
     }
 }
@@ -490,6 +415,143 @@ const TYPE_OF_ARITY: [&str; 4] = ["SCALAR", "VEC2", "VEC3", "VEC4"];
 const MODE_TRIANGLES: u32 = 4;
 const TARGET_VERTICES: u32 = 34962;
 const TARGET_INDICES: u32 = 34963;
+
+// How glTF stores vertex attributes.
+//
+//   colour     COLOR_0      three or four floats, linear according to the specification
+//   velocity   _VELOCITY    three floats, in the axes of the positions
+//   acceleration  _ACCELERATION, likewise
+//   others     _NAME        one to four floats; integers of up to 24 bits are exact
+//   strings    _NAME        an index into the list `extras.strings._NAME` of the mesh; −1 for none
+//
+// Where the plain name of an attribute differs from the [usual one](usual_name), it is in `extras.names` of
+// the mesh, so that sequences have the names that the files of single frames have.
+//
+// All values are 32-bit floats, because the format requires elements of a multiple of four bytes and has no
+// 32-bit integers for vertices. Floats are stored exactly. An attribute with integers that would be rounded
+// is omitted with a note: a wrong identity is worse than a missing one.
+
+/// Integers up to this magnitude are exact as 32-bit floats.
+const EXACT_INTEGER_MAX: u64 = 1 << 24;
+/// Number of components of the widest vector.
+const ARITY_MAX: usize = 4;
+
+/// An attribute that can be stored.
+struct GltfAttribute<'a> {
+    /// Its glTF name.
+    pub(super) semantic: String,
+    /// Its [plain name](plain_name), if it differs from the [usual one](usual_name). Velocities have none:
+    /// formats have a property for them.
+    pub(super) own_name: Option<String>,
+    /// Number of values per vertex, one to four.
+    pub(super) arity: usize,
+    values: VertexValues<'a>,
+}
+
+/// Notes on vertex attributes that a glTF file cannot store exactly.
+pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
+    let mut notes = Vec::new();
+    let placed = assign_names(attributes, &mut notes);
+    let mut arities =
+        placed.iter().filter(|placed| placed.semantic.starts_with('_')).map(|placed| placed.arity);
+    let first = arities.next();
+    if arities.any(|arity| Some(arity) != first) {
+        notes.push(
+            "the glTF file has both vector and scalar attributes, on which Blender's importer fails before 5.1: select \
+             only vector or only scalar attributes, or use .ply"
+                .into(),
+        );
+    }
+    notes
+}
+
+/// Those of [`attribute_notes`] that are about values or names that change, for a `.glb` that only a sequence
+/// file is made from.
+pub(crate) fn loss_notes(attributes: &[VertexAttribute]) -> Vec<String> {
+    let mut notes = Vec::new();
+    assign_names(attributes, &mut notes);
+    notes
+}
+
+/// The attributes of a mesh that can be stored, in order.
+fn stored_attributes<'a>(mesh: &MeshView<'a>) -> Vec<GltfAttribute<'a>> {
+    assign_names(mesh.attributes, &mut Vec::new())
+}
+
+fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<GltfAttribute<'a>> {
+    let mut used = UsedNames::new(&[]);
+    let mut placed = Vec::new();
+    for (attribute, purpose) in attributes.iter().zip(purposes(attributes)) {
+        let VertexAttribute { name, arity, values, .. } = *attribute;
+        if let Some(why) = obstacle(attribute) {
+            notes.push(format!("{name} is missing in the glTF file: {why}"));
+            continue;
+        }
+        let (stem, usual) = match purpose {
+            Purpose::Color(_) => (COLOR.into(), COLOR.into()),
+            Purpose::Velocity => (VELOCITY.into(), VELOCITY.into()),
+            Purpose::Acceleration => (ACCELERATION.into(), ACCELERATION.into()),
+            Purpose::Other => (format!("_{}", plain_name(name)), format!("_{name}")),
+        };
+        let semantic = used.take(&stem, |stem| vec![stem.to_ascii_uppercase()]).concat();
+        if semantic != usual.to_ascii_uppercase() {
+            notes.push(format!("{name} is named {semantic} in the glTF file"));
+        }
+        let own_name = Some(plain_name(name));
+        let own_name = own_name.filter(|own| purpose != Purpose::Velocity && *own != usual_name(&semantic));
+        placed.push(GltfAttribute { semantic, own_name, arity, values });
+    }
+    placed
+}
+
+/// The usual names of colours and accelerations.
+pub(crate) const COLOR_NAME: &str = "Cd";
+pub(crate) const ACCELERATION_NAME: &str = "acceleration";
+
+/// The name of most attributes with this glTF name: glTF names start with an underscore and are in upper
+/// case.
+pub(super) fn usual_name(semantic: &str) -> String {
+    match semantic {
+        COLOR => COLOR_NAME.to_owned(),
+        ACCELERATION => ACCELERATION_NAME.to_owned(),
+        _ => semantic.strip_prefix('_').unwrap_or(semantic).to_ascii_lowercase(),
+    }
+}
+
+/// Why an attribute cannot be stored; `None` if it can.
+fn obstacle(attribute: &VertexAttribute) -> Option<String> {
+    if attribute.arity > ARITY_MAX {
+        return Some(format!("it has {} values per vertex; the limit is {ARITY_MAX}", attribute.arity));
+    }
+    let VertexValues::Integers(values) = attribute.values else { return None };
+    let beyond = values.iter().filter(|value| value.unsigned_abs() > EXACT_INTEGER_MAX).count();
+    (beyond != 0).then(|| {
+        format!(
+            "{beyond} of its values are beyond ±{EXACT_INTEGER_MAX}, where 32-bit floats are not exact; use .ply"
+        )
+    })
+}
+
+impl<'a> GltfAttribute<'a> {
+    /// The strings that its values are indices into.
+    pub(super) fn table(&self) -> Option<&'a [String]> {
+        match self.values {
+            VertexValues::Strings { table, .. } => Some(table),
+            VertexValues::Numbers(_) | VertexValues::Integers(_) => None,
+        }
+    }
+
+    pub(super) fn write(&self, out: &mut impl Write) -> Result<()> {
+        match self.values {
+            VertexValues::Numbers(values) => write_f32s(values, out),
+            VertexValues::Integers(values) => write_pieces(values, |value| (value as f32).to_le_bytes(), out),
+            VertexValues::Strings { table, indices } => {
+                let to_bytes = |index| (string_index(index, table) as f32).to_le_bytes();
+                write_pieces(indices, to_bytes, out)
+            }
+        }
+    }
+}
 
 #[cfg(test)]
 mod tests {

@@ -12,16 +12,14 @@
 //! The packing divides the components of a point into parts: x y z and w. A page stores one part of all its
 //! points, then the next part. The flags of a part say for each page whether the part is constant there.
 
+use super::FORMAT;
+use super::tokens::{JsonToken, TokenWalk};
 use crate::bytes::Endian;
 use crate::data::Values;
 use crate::error::{Error, Result};
-use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::number::{self, NumberType, interleaved};
-
-use super::FORMAT;
-use super::token::JsonToken;
-use super::tokens::TokenWalk;
+use crate::text::excerpt;
 
 /// The storage type of numbers, which determines their type in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,12 +113,10 @@ pub(super) fn tuples(walk: &mut TokenWalk, key: &str, count: usize, limits: &Lim
     })?;
     let values = values.unwrap_or_else(|| storage.empty());
     let found = number::length(&values);
-    match count.checked_mul(size) == Some(found) {
-        true => Ok(Tuples { size, values }),
-        false => {
-            Err(walk
-                .invalid(format!("{key}: expected {size} values for each of {count} points, found {found}")))
-        }
+    if count.checked_mul(size) == Some(found) {
+        Ok(Tuples { size, values })
+    } else {
+        Err(walk.invalid(format!("{key}: expected {size} values for each of {count} points, found {found}")))
     }
 }
 
@@ -262,9 +258,10 @@ fn widths(walk: &TokenWalk, packing: Values, size: usize) -> Result<Vec<usize>> 
     let sum = widths.iter().try_fold(0usize, |sum, &width| sum.checked_add(width));
     // A part of zero width would cost time for each page without holding data.
     let is_wide = size == 0 || widths.iter().all(|&width| width != 0);
-    match sum == Some(size) && widths.len() == packing.len() && is_wide {
-        true => Ok(widths),
-        false => Err(walk.invalid(format!("the packing {packing:?} does not match {size} values"))),
+    if sum == Some(size) && widths.len() == packing.len() && is_wide {
+        Ok(widths)
+    } else {
+        Err(walk.invalid(format!("the packing {packing:?} does not match {size} values")))
     }
 }
 

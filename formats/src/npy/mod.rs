@@ -15,24 +15,22 @@
 //! in all formats: `pos` or `x`, `y`, `z` for the position, `vel`, `radius` and so on. Arrays without a value
 //! per particle, such as a time step saved along with the rest, are skipped with a note.
 
-mod archive;
 mod header;
-mod literal;
 
-use crate::columns::{group_columns, position_rank};
-use crate::data::{ParticleFrame, Values};
-use crate::error::{Error, Position, Result};
-use crate::excerpt::{excerpt, excerpts};
-use crate::first_column::{self, FirstColumn};
-use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, frame_of, widened};
-use crate::number::{self, NumberType, components, interleaved};
-use crate::row::{Completeness, HeadCheck, exactly};
-use crate::row::{FormatRow, ParticleInput};
-use crate::scalar::Scalar;
-use crate::step_finders::{FoundStep, LineHeads};
+use std::borrow::Cow;
+use std::io::Read;
 use std::sync::Arc;
 
+use crate::bytes::{Cursor, Endian};
+use crate::columns::{self, FirstColumn, group_columns, position_rank};
+use crate::data::{ParticleFrame, Values};
+use crate::error::{Error, Position, Result};
+use crate::limits::Limits;
+use crate::named_arrays::{NamedArray, frame_of, widened};
+use crate::number::{self, NumberType, Scalar, components, interleaved};
+use crate::row::{Completeness, FormatRow, HeadCheck, ParticleInput, exactly};
+use crate::steps::{FoundStep, LineHeads};
+use crate::text::{excerpt, excerpts};
 use header::{ArrayHeader, COLUMNS_MAX, ElementLayout, StructField};
 
 /// The format's name in errors.
@@ -52,24 +50,24 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let data = header.data(bytes)?;
     if header.frame_count().is_some() {
         let found = header.shown();
-        let what = match header.is_fortran {
-            false => format!("{found} has several frames: read each frame separately"),
-            true => format!(
+        let what = if header.is_fortran {
+            format!(
                 "{found} has several frames, and in Fortran order they cannot be read separately: save \
                  numpy.ascontiguousarray(array)"
-            ),
+            )
+        } else {
+            format!("{found} has several frames: read each frame separately")
         };
         return Err(Error::unsupported(FORMAT, what));
     }
     let (arrays, mut notes) = arrays_of(&header, data, limits)?;
     let is_structured = matches!(header.layout, ElementLayout::Fields { .. });
-    let mut frame = match is_structured {
-        true => frame_of(None, arrays).ok_or_else(|| no_position(&header))?,
-        false => {
-            let is_list = |array: &NamedArray| array.arity >= 3 && header.shape.len() >= 2;
-            let array = arrays.into_iter().find(is_list);
-            unnamed_frame(array.ok_or_else(|| no_position(&header))?)?
-        }
+    let mut frame = if is_structured {
+        frame_of(None, arrays).ok_or_else(|| no_position(&header))?
+    } else {
+        let is_list = |array: &NamedArray| array.arity >= 3 && header.shape.len() >= 2;
+        let array = arrays.into_iter().find(is_list);
+        unnamed_frame(array.ok_or_else(|| no_position(&header))?)?
     };
     frame.notes.append(&mut notes);
     Ok(frame)
@@ -139,8 +137,8 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut arrays = Vec::new();
     let mut notes = Vec::new();
     let (mut pickled, mut last_unfit) = (Vec::new(), None);
-    let mut totals = archive::ArchiveTotals::default();
-    for member in archive::members(bytes, limits)? {
+    let mut totals = ArchiveTotals::default();
+    for member in members(bytes, limits)? {
         let Some(name) = member.name.strip_suffix(".npy") else { continue };
         let content = member.content(bytes, limits, &mut totals)?;
         let within = |error| within_member(error, name);
@@ -177,18 +175,15 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
             last_unfit = unfit;
         }
         notes.extend(more);
-        arrays.extend(parts.into_iter().map(|array| match array.name.is_empty() {
-            true => NamedArray { name: name.into(), ..array },
-            false => array,
+        arrays.extend(parts.into_iter().map(|array| {
+            if array.name.is_empty() { NamedArray { name: name.into(), ..array } } else { array }
         }));
     }
     if let ([] | [_], Some(error)) = (&arrays[..], last_unfit) {
         return Err(error);
     }
-    let mut frame = frame_of_archive(arrays, &mut notes).map_err(|error| match pickled.is_empty() {
-        true => error,
-        false => of_pickled(&pickled),
-    })?;
+    let mut frame = frame_of_archive(arrays, &mut notes)
+        .map_err(|error| if pickled.is_empty() { error } else { of_pickled(&pickled) })?;
     frame.notes.append(&mut notes);
     Ok(frame)
 }
@@ -196,14 +191,14 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 /// The error of an archive without positions, in which these arrays are not numeric.
 fn of_pickled(names: &[String]) -> Error {
     let is_pysph = ["particles", "solver_data"].iter().all(|name| names.iter().any(|found| found == name));
-    let what = match is_pysph {
-        true => "this is output of PySPH, with pickled Python objects: convert it with `pysph dump_vtk`"
-            .to_owned(),
-        false => format!(
+    let what = if is_pysph {
+        "this is output of PySPH, with pickled Python objects: convert it with `pysph dump_vtk`".to_owned()
+    } else {
+        format!(
             "no array has positions, and these arrays are not numeric, or pickled Python objects: {}; save the \
              positions as an array `pos` of numbers",
             excerpts(names)
-        ),
+        )
     };
     Error::unsupported(ARCHIVE, what)
 }
@@ -238,14 +233,12 @@ fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<
                 );
                 return Err(Error::too_large(FORMAT, what));
             }
-            let values = match header.is_fortran && columns > 1 {
-                false => number.decode(data, *endian),
-                true => {
-                    let column = |part| number.decode(part, *endian);
-                    let parts: Vec<_> =
-                        data.chunks_exact((data.len() / columns).max(1)).map(column).collect();
-                    interleaved(&parts.iter().collect::<Vec<_>>()).unwrap_or_else(|| column(&[]))
-                }
+            let values = if header.is_fortran && columns > 1 {
+                let column = |part| number.decode(part, *endian);
+                let parts: Vec<_> = data.chunks_exact((data.len() / columns).max(1)).map(column).collect();
+                interleaved(&parts.iter().collect::<Vec<_>>()).unwrap_or_else(|| column(&[]))
+            } else {
+                number.decode(data, *endian)
             };
             Ok((vec![NamedArray { name: String::new(), arity: columns, values }], notes))
         }
@@ -311,7 +304,7 @@ fn unnamed_frame(array: NamedArray) -> Result<ParticleFrame> {
 
 /// The first four numbers of the first rows; NaN in a column that does not exist.
 fn first_numbers(values: &Values, arity: usize) -> Vec<[f64; 4]> {
-    let row_count = (number::length(values) / arity.max(1)).min(first_column::ROWS_MAX);
+    let row_count = (number::length(values) / arity.max(1)).min(columns::ROWS_MAX);
     let Some(Values::F64(numbers)) = widened(&number::slice(values, 0..row_count * arity)) else {
         return Vec::new();
     };
@@ -380,19 +373,16 @@ fn no_position(header: &ArrayHeader) -> Error {
         }
         _ => Vec::new(),
     };
-    let what = match names.is_empty() {
-        true => {
-            format!(
-                "expected positions as an array of shape (N, 3) or with more columns, found {}",
-                header.shown()
-            )
-        }
-        false => {
-            format!(
-                "expected a field `pos` with three numbers, or fields x, y and z; found: {}",
-                names.join(", ")
-            )
-        }
+    let what = if names.is_empty() {
+        format!(
+            "expected positions as an array of shape (N, 3) or with more columns, found {}",
+            header.shown()
+        )
+    } else {
+        format!(
+            "expected a field `pos` with three numbers, or fields x, y and z; found: {}",
+            names.join(", ")
+        )
     };
     Error::invalid(FORMAT, Position::File, what)
 }
@@ -429,3 +419,221 @@ pub(crate) static ARCHIVE_ROW: FormatRow = FormatRow {
     particles: Some(ParticleInput::needs_reading(read_archive)),
     ..FormatRow::new(ARCHIVE, &["npz"])
 };
+
+// The members of a `.npz` file, a ZIP archive with stored or deflated members.
+//
+//   local header, name, bytes   ×  members
+//   central directory: sizes, checksum and offset of each member
+//   (ZIP64: the following record, with 64-bit values)
+//   end of the central directory: the directory's offset
+//
+// The reader finds members by the central directory only. Members of a hostile archive can overlap, so the
+// size of the archive limits the total size of all members, compressed and decompressed.
+
+const END: &[u8; 4] = b"PK\x05\x06";
+const END_BYTES: usize = 22;
+const END_64_LOCATOR: &[u8; 4] = b"PK\x06\x07";
+const END_64_LOCATOR_BYTES: usize = 20;
+const END_64: &[u8; 4] = b"PK\x06\x06";
+const ENTRY: &[u8; 4] = b"PK\x01\x02";
+const ENTRY_BYTES: u64 = 46;
+const LOCAL: &[u8; 4] = b"PK\x03\x04";
+/// The longest comment after the end of the central directory.
+const COMMENT_BYTES_MAX: usize = u16::MAX as usize;
+
+const STORED: u16 = 0;
+const DEFLATED: u16 = 8;
+
+/// A file in the archive.
+struct ArchiveMember {
+    name: String,
+    method: u16,
+    checksum: u32,
+    packed_bytes: u64,
+    bytes: u64,
+    local_offset: u64,
+}
+
+/// Total sizes of the members read so far.
+#[derive(Default)]
+struct ArchiveTotals {
+    packed_bytes: u64,
+    bytes: u64,
+}
+
+/// The members, as listed by the central directory.
+fn members(bytes: &[u8], limits: &Limits) -> Result<Vec<ArchiveMember>> {
+    let (count, offset) = directory(bytes)?;
+    if count > limits.attribute_count as u64 {
+        let what = format!("the file has {count} arrays, more than the limit of {}", limits.attribute_count);
+        return Err(Error::too_large(ARCHIVE, what));
+    }
+    let start = usize::try_from(offset).unwrap_or(usize::MAX).min(bytes.len());
+    let mut cursor = Cursor::new(ARCHIVE, Endian::Little, bytes, start);
+    if (cursor.remaining() as u64) < count * ENTRY_BYTES {
+        return Err(cursor.invalid(format!("expected {count} entries in the central directory")));
+    }
+    (0..count).map(|_| member(&mut cursor)).collect::<Result<_>>().map_err(as_invalid)
+}
+
+/// The number of members, and the offset of the central directory.
+fn directory(bytes: &[u8]) -> Result<(u64, u64)> {
+    let at = end_of_directory(bytes)?;
+    let mut end = Cursor::new(ARCHIVE, Endian::Little, bytes, at + 10);
+    let count = u64::from(u16::from_le_bytes(end.array("the number of members")?));
+    end.take(4, "the size of the central directory")?;
+    let offset = u64::from(u32::from_le_bytes(end.array("the offset of the central directory")?));
+    let locator = at.checked_sub(END_64_LOCATOR_BYTES).filter(|&at| bytes[at..].starts_with(END_64_LOCATOR));
+    let Some(locator) = locator else { return Ok((count, offset)) };
+    let mut locator = Cursor::new(ARCHIVE, Endian::Little, bytes, locator + 8);
+    let at = u64::from_le_bytes(locator.array("the offset of the end")?);
+    let at = usize::try_from(at).unwrap_or(usize::MAX).min(bytes.len());
+    let mut end = Cursor::new(ARCHIVE, Endian::Little, bytes, at);
+    if end.take(4, "the end of the central directory").map_err(as_invalid)? != END_64 {
+        return Err(end.invalid("expected the end of the central directory"));
+    }
+    end.take(28, "the end of the central directory").map_err(as_invalid)?;
+    let count = u64::from_le_bytes(end.array("the number of members").map_err(as_invalid)?);
+    end.take(8, "the size of the central directory").map_err(as_invalid)?;
+    Ok((count, u64::from_le_bytes(end.array("the offset of the central directory").map_err(as_invalid)?)))
+}
+
+/// The offset of the end record of the central directory. Only a comment can follow that record.
+fn end_of_directory(bytes: &[u8]) -> Result<usize> {
+    let tail_start = bytes.len().saturating_sub(END_BYTES + COMMENT_BYTES_MAX);
+    let end_of = |at: usize| {
+        let comment = bytes.get(at + 20..at + END_BYTES)?;
+        Some(at + END_BYTES + usize::from(u16::from_le_bytes([comment[0], comment[1]])))
+    };
+    // The comment may contain the signature, too. The right record is the one whose comment ends with the
+    // file.
+    let candidates = (tail_start..bytes.len()).rev().filter(|&at| bytes[at..].starts_with(END));
+    let exact = candidates.clone().find(|&at| end_of(at) == Some(bytes.len()));
+    let found =
+        exact.or_else(|| candidates.clone().find(|&at| end_of(at).is_some_and(|end| end <= bytes.len())));
+    found.ok_or_else(|| {
+        let what = "the archive ends before its central directory does";
+        Error::truncated(ARCHIVE, Position::Offset(bytes.len() as u64), what)
+    })
+}
+
+/// Turns `Truncated` into `Invalid`: the archive's end is present, so nothing more will be appended.
+fn as_invalid(error: Error) -> Error {
+    match error {
+        Error::Truncated { format, position, what } => Error::Invalid { format, position, what },
+        other => other,
+    }
+}
+
+fn member(cursor: &mut Cursor) -> Result<ArchiveMember> {
+    if cursor.take(4, "an entry of the central directory")? != ENTRY {
+        return Err(cursor.invalid("expected an entry of the central directory"));
+    }
+    cursor.take(4, "the versions")?;
+    let flags = u16::from_le_bytes(cursor.array("the flags")?);
+    let method = u16::from_le_bytes(cursor.array("the method")?);
+    cursor.take(4, "the time")?;
+    let checksum = u32::from_le_bytes(cursor.array("the checksum")?);
+    let packed_bytes = u32::from_le_bytes(cursor.array("the compressed size")?);
+    let bytes = u32::from_le_bytes(cursor.array("the size")?);
+    let [name, extra, comment] = [
+        u16::from_le_bytes(cursor.array("the length of the name")?),
+        u16::from_le_bytes(cursor.array("the length of the extra field")?),
+        u16::from_le_bytes(cursor.array("the length of the comment")?),
+    ];
+    cursor.take(8, "the attributes")?;
+    let local_offset = u32::from_le_bytes(cursor.array("the offset")?);
+    let name = String::from_utf8_lossy(cursor.take(name.into(), "the name")?).into_owned();
+    let extra = cursor.take(extra.into(), "the extra field")?;
+    cursor.take(comment.into(), "the comment")?;
+    if flags & 1 != 0 {
+        return Err(Error::unsupported(ARCHIVE, format!("`{}` is encrypted", excerpt(&name))));
+    }
+    let [bytes, packed_bytes, local_offset] = widened_sizes([bytes, packed_bytes, local_offset], extra);
+    Ok(ArchiveMember { name, method, checksum, packed_bytes, bytes, local_offset })
+}
+
+/// Replaces numbers that do not fit into 32 bits: the entry has `u32::MAX` instead, and the ZIP64 field of
+/// `extra` has the 64-bit values, in the order of `numbers`.
+fn widened_sizes(numbers: [u32; 3], mut extra: &[u8]) -> [u64; 3] {
+    let mut wide: &[u8] = &[];
+    while let [a, b, c, d, rest @ ..] = extra {
+        let length = usize::from(u16::from_le_bytes([*c, *d])).min(rest.len());
+        let (field, next) = rest.split_at(length);
+        if u16::from_le_bytes([*a, *b]) == 1 {
+            wide = field;
+        }
+        extra = next;
+    }
+    numbers.map(|number| match (number, wide.split_first_chunk::<8>()) {
+        (u32::MAX, Some((number, rest))) => {
+            wide = rest;
+            u64::from_le_bytes(*number)
+        }
+        _ => number.into(),
+    })
+}
+
+impl ArchiveMember {
+    /// The member's content, decompressed and verified. Adds its sizes to `totals`, and checks them.
+    fn content<'a>(
+        &self,
+        archive: &'a [u8],
+        limits: &Limits,
+        totals: &mut ArchiveTotals,
+    ) -> Result<Cow<'a, [u8]>> {
+        let packed = self.packed(archive).map_err(as_invalid)?;
+        totals.packed_bytes = totals.packed_bytes.saturating_add(self.packed_bytes);
+        totals.bytes = totals.bytes.saturating_add(self.bytes);
+        if totals.packed_bytes > archive.len() as u64 {
+            return Err(Error::invalid(
+                ARCHIVE,
+                Position::File,
+                "the members have more bytes in total than the archive",
+            ));
+        }
+        limits.check_decompressed(ARCHIVE, totals.bytes, totals.packed_bytes)?;
+        let content = match self.method {
+            STORED => Cow::Borrowed(packed),
+            DEFLATED => Cow::Owned(self.inflated(packed)?),
+            other => {
+                let what = format!(
+                    "`{}` uses compression method {other}, which is not supported: save it stored or deflated",
+                    excerpt(&self.name)
+                );
+                return Err(Error::unsupported(ARCHIVE, what));
+            }
+        };
+        let mut checksum = flate2::Crc::new();
+        checksum.update(&content);
+        if content.len() as u64 != self.bytes || checksum.sum() != self.checksum {
+            return Err(self.damaged());
+        }
+        Ok(content)
+    }
+
+    fn packed<'a>(&self, archive: &'a [u8]) -> Result<&'a [u8]> {
+        let offset = usize::try_from(self.local_offset).unwrap_or(usize::MAX);
+        let mut cursor = Cursor::new(ARCHIVE, Endian::Little, archive, offset);
+        if cursor.take(4, "the header of a member")? != LOCAL {
+            return Err(cursor.invalid(format!("expected the header of `{}`", excerpt(&self.name))));
+        }
+        cursor.take(22, "the header of a member")?;
+        let name = u16::from_le_bytes(cursor.array("the length of the name")?);
+        let extra = u16::from_le_bytes(cursor.array("the length of the extra field")?);
+        cursor.take(usize::from(name) + usize::from(extra), "the name of a member")?;
+        cursor.take(usize::try_from(self.packed_bytes).unwrap_or(usize::MAX), "a member")
+    }
+
+    fn inflated(&self, packed: &[u8]) -> Result<Vec<u8>> {
+        let mut content = Vec::new();
+        let mut decoder = flate2::bufread::DeflateDecoder::new(packed).take(self.bytes.saturating_add(1));
+        decoder.read_to_end(&mut content).map_err(|_| self.damaged())?;
+        Ok(content)
+    }
+
+    fn damaged(&self) -> Error {
+        let what = format!("the member `{}` is damaged", excerpt(&self.name));
+        Error::invalid(ARCHIVE, Position::Offset(self.local_offset), what)
+    }
+}

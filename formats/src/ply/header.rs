@@ -4,15 +4,13 @@
 //! in text mode and then appends the body writes CR LF. The body starts exactly one line end after
 //! `end_header`, of the same kind as that of the first line.
 
+use super::FORMAT;
 use crate::bytes::Endian;
 use crate::columns::{Columns, group_columns};
 use crate::error::{Error, Position, Result};
-use crate::excerpt::excerpt;
 use crate::limits::Limits;
-use crate::scalar::Scalar;
-use crate::text::Lines;
-
-use super::FORMAT;
+use crate::number::Scalar;
+use crate::text::{Lines, excerpt};
 
 /// The encoding of the records after the header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -17,33 +17,33 @@
 //! This work is based on:
 //! Greg Turk. The PLY polygon file format. 1994
 
-use crate::error::Result;
-use crate::limits::Limits;
-use crate::provenance::from_comments;
-use crate::row::{Completeness, HeadCheck, Integrity, at_least, exactly};
-use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, ParticleInput, ParticleWriter};
-
 mod ascii;
-mod batches;
-mod binary;
-mod body_lines;
 mod header;
-mod mesh;
-mod read;
 mod rows;
-mod target;
-mod vertex_data;
 pub mod write;
-mod write_particles;
+
+use std::sync::Arc;
 
 pub use header::{Element, Encoding, PlyHeader, Property, PropertyType, read_header};
-pub use mesh::{holds_mesh, read_mesh, read_mesh_and_vertices};
-pub use read::read;
-pub use vertex_data::attribute_notes;
-pub use write_particles::{particle_notes, write_particles};
+pub use write::{attribute_notes, particle_notes, write_particles};
 
-use batches::records;
-use mesh::mesh_bytes_declared;
+use crate::batches::Records;
+use crate::bytes::Endian;
+use crate::columns::{Columns, Group};
+use crate::data::{AttributeRole, FileAttribute, FilePositions, MeshData, ParticleFrame, Values};
+use crate::error::{Error, Position, Result};
+use crate::limits::Limits;
+use crate::number::Scalar;
+use crate::provenance::from_comments;
+use crate::row::{
+    Completeness, Content, FormatRow, HeadCheck, Integrity, MeshEncoder, MeshWriter, OutputRow,
+    ParticleInput, ParticleWriter, at_least, exactly,
+};
+use crate::text::{excerpt, excerpts};
+use rows::{
+    RecordReader, Slots, Target, check_limit, checked_binary_count, checked_count, gather_part, rows_of,
+    scalar_offsets,
+};
 
 /// The format's name in errors.
 const FORMAT: &str = "PLY";
@@ -94,4 +94,392 @@ fn completeness(head: &[u8], file_bytes: u64) -> Result<HeadCheck> {
         }
         _ => exactly(declared, file_bytes),
     }))
+}
+
+// Reads a PLY file as a frame of particles.
+
+/// Reads the vertices of a PLY file as particles, with all their scalar properties.
+///
+/// # Errors
+/// `Truncated` if the file ends too early; `Invalid` if it is malformed or has no positions; `TooLarge`
+/// beyond the limits.
+pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    let header = read_header(bytes, limits)?;
+    let mut frame = read_vertices(bytes, &header, limits)?;
+    frame.notes.extend(note_on_faces(&header));
+    Ok(frame)
+}
+
+/// Reads the vertices of the file with this header.
+fn read_vertices(bytes: &[u8], header: &PlyHeader, limits: &Limits) -> Result<ParticleFrame> {
+    let VertexElement { element, columns, position } = vertices(header)?;
+    let rows = rows_of(bytes, header, element)?;
+    let count = checked_count(&rows, element)?;
+    check_limit(count, limits)?;
+
+    let mut frame = empty_frame(element, &columns, position, count);
+    let targets = targets(element, &columns, position, &mut frame);
+    let (offsets, stride) = rows::scalar_offsets(element);
+    match rows {
+        RecordReader::Ascii(lines) => ascii::read(lines, element, count, targets)?,
+        RecordReader::Binary(cursor) if element.has_list() => {
+            let endian = cursor.endian();
+            let records = rows::without_lists(&mut RecordReader::Binary(cursor), element, count)?;
+            rows::gather(&records, stride, &offsets, endian, targets);
+        }
+        RecordReader::Binary(mut cursor) => {
+            let records = cursor.take(count * stride, &element.name)?;
+            rows::gather(records, stride, &offsets, cursor.endian(), targets);
+        }
+    }
+    scale_groups(&mut frame, &columns);
+    frame.notes = notes(element, &columns);
+    Ok(frame)
+}
+
+/// The particles in binary records without lists, read on the current thread.
+fn frame_of_records(header: &PlyHeader, records: &[u8], endian: Endian) -> Result<ParticleFrame> {
+    let VertexElement { element, columns, position } = vertices(header)?;
+    let (offsets, stride) = rows::scalar_offsets(element);
+    let mut frame = empty_frame(element, &columns, position, records.len() / stride);
+    let mut targets = targets(element, &columns, position, &mut frame);
+    rows::gather_part(records, stride, &offsets, endian, &mut targets);
+    scale_groups(&mut frame, &columns);
+    Ok(frame)
+}
+
+fn scale_groups(frame: &mut ParticleFrame, columns: &Columns) {
+    for (attribute, group) in frame.attributes.iter_mut().zip(&columns.groups) {
+        attribute.scale(group.scale);
+    }
+}
+
+/// The element with the particles.
+struct VertexElement<'a> {
+    element: &'a Element,
+    columns: Columns,
+    /// The properties of the position.
+    position: [usize; 3],
+}
+
+/// Finds the particles in the header.
+fn vertices(header: &PlyHeader) -> Result<VertexElement<'_>> {
+    let element = header.vertex_element().ok_or_else(|| {
+        Error::invalid(FORMAT, Position::File, "no element is named `vertex` or has properties x, y and z")
+    })?;
+    let columns = element.columns();
+    let position = columns.position.ok_or_else(|| no_position(element))?;
+    Ok(VertexElement { element, columns, position })
+}
+
+fn no_position(element: &Element) -> Error {
+    let names = excerpts(element.properties.iter().map(|property| &property.name));
+    let what = format!(
+        "element `{}` has no properties x, y and z (or px, pos_x and the like); found: {names}",
+        excerpt(&element.name),
+    );
+    Error::invalid(FORMAT, Position::File, what)
+}
+
+/// A frame with space for all values. The caller has compared `count` with the remaining bytes.
+fn empty_frame(element: &Element, columns: &Columns, position: [usize; 3], count: usize) -> ParticleFrame {
+    let positions = if fits_f32(position.map(|column| scalar_of(element, column))) {
+        FilePositions::F32(vec![[0.0; 3]; count])
+    } else {
+        FilePositions::F64(vec![[0.0; 3]; count])
+    };
+    let attributes = columns.groups.iter().map(|group| FileAttribute {
+        name: group.name.clone(),
+        arity: group.arity(),
+        role: group.role,
+        values: empty_values(scalar_of(element, group.columns[0]), count * group.arity()),
+    });
+    ParticleFrame { positions, attributes: attributes.collect(), notes: Vec::new() }
+}
+
+/// Whether 32-bit floats can hold all values of these types.
+fn fits_f32(scalars: [Scalar; 3]) -> bool {
+    use Scalar::{F32, I8, I16, U8, U16};
+    scalars.iter().all(|scalar| matches!(scalar, F32 | I8 | U8 | I16 | U16))
+}
+
+fn empty_values(scalar: Scalar, length: usize) -> Values {
+    match scalar {
+        Scalar::U8 => Values::U8(vec![0; length]),
+        Scalar::I8 | Scalar::I16 | Scalar::U16 | Scalar::I32 => Values::I32(vec![0; length]),
+        Scalar::U32 => Values::I64(vec![0; length]),
+        Scalar::F32 => Values::F32(vec![0.0; length]),
+        Scalar::F64 => Values::F64(vec![0.0; length]),
+    }
+}
+
+/// The type of a property that is not a list.
+fn scalar_of(element: &Element, property: usize) -> Scalar {
+    match element.properties[property].kind {
+        PropertyType::Scalar(scalar) => scalar,
+        PropertyType::List { item, .. } => item,
+    }
+}
+
+/// The position and attributes of the frame as targets into which values are read.
+fn targets<'a>(
+    element: &Element,
+    columns: &Columns,
+    position: [usize; 3],
+    frame: &'a mut ParticleFrame,
+) -> Vec<Target<'a>> {
+    let typed = |properties: &[usize]| {
+        properties.iter().map(|&property| (property, scalar_of(element, property))).collect()
+    };
+    let mut targets = Vec::with_capacity(1 + columns.groups.len());
+    let slots = match &mut frame.positions {
+        FilePositions::F32(positions) => Slots::F32(positions.as_flattened_mut()),
+        FilePositions::F64(positions) => Slots::F64(positions.as_flattened_mut()),
+    };
+    targets.push(Target { columns: typed(&position), slots });
+    for (group, attribute) in columns.groups.iter().zip(&mut frame.attributes) {
+        let slots = match &mut attribute.values {
+            Values::F32(values) => Slots::F32(values),
+            Values::F64(values) => Slots::F64(values),
+            Values::U8(values) => Slots::U8(values),
+            Values::I32(values) => Slots::I32(values),
+            Values::I64(values) => Slots::I64(values),
+            Values::Strings { .. } => continue, // PLY has no strings
+        };
+        targets.push(Target { columns: typed(&group.columns), slots });
+    }
+    targets
+}
+
+/// A note if the file is a mesh that is read as particles.
+fn note_on_faces(header: &PlyHeader) -> Option<String> {
+    let mut faces = header.elements.iter().filter(|element| element.name.eq_ignore_ascii_case("face"));
+    let faces = faces.next().filter(|faces| faces.count > 0)?;
+    Some(format!("the file also has {} faces, which are ignored: only the vertices are read", faces.count))
+}
+
+/// Notes on how the vertices are read.
+fn notes(element: &Element, columns: &Columns) -> Vec<String> {
+    let mut notes = Vec::new();
+    if !element.name.eq_ignore_ascii_case("vertex") {
+        notes.push(format!(
+            "no element is named `vertex`: the particles are read from `{}`",
+            excerpt(&element.name)
+        ));
+    }
+    let halved = |group: &&Group| group.scale != 1.0;
+    for group in columns.groups.iter().filter(halved) {
+        notes.push(format!("`{}` looks like a diameter: the radius is half of it", excerpt(&group.name)));
+    }
+    for property in &element.properties {
+        if matches!(property.kind, PropertyType::List { .. }) {
+            notes.push(format!("skipped the list `{}` of each vertex", excerpt(&property.name)));
+        }
+    }
+    notes
+}
+
+// Reads the vertices and faces of a PLY file as a mesh.
+
+/// Whether a PLY file is a mesh, by its header. Some programs declare zero faces for point clouds, so a file
+/// with zero faces is a mesh only if it has zero vertices, too.
+///
+/// # Errors
+/// Those of [`read_header`].
+pub fn holds_mesh(bytes: &[u8], limits: &Limits) -> Result<bool> {
+    let header = read_header(bytes, limits)?;
+    let is_empty = |name: &str| {
+        header.elements.iter().any(|element| element.name.eq_ignore_ascii_case(name) && element.count == 0)
+    };
+    Ok(header.has_faces() || is_empty("face") && is_empty("vertex"))
+}
+
+/// Reads vertices, normals and faces. Polygons with more than three corners become triangle fans.
+///
+/// # Errors
+/// Those of [`self`]; `Unsupported` for triangle strips.
+pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
+    Ok(read_mesh_and_vertices(bytes, limits)?.0)
+}
+
+/// Reads the mesh, and its vertices with all scalar properties as a frame.
+///
+/// # Errors
+/// Those of [`read_mesh`].
+pub fn read_mesh_and_vertices(bytes: &[u8], limits: &Limits) -> Result<(MeshData, ParticleFrame)> {
+    let header = read_header(bytes, limits)?;
+    let frame = read_vertices(bytes, &header, limits)?;
+    let positions = match &frame.positions {
+        FilePositions::F32(positions) => positions.iter().map(|position| position.map(f64::from)).collect(),
+        FilePositions::F64(positions) => positions.clone(),
+    };
+    let mut mesh = MeshData { positions, ..MeshData::default() };
+    if let Some(normal) =
+        frame.attributes.iter().find(|attribute| attribute.role == Some(AttributeRole::Normal))
+    {
+        mesh.normals = normals(&normal.values);
+    }
+
+    let named = |name: &str| header.elements.iter().find(|element| element.name.eq_ignore_ascii_case(name));
+    if named("tristrips").is_some_and(|strips| strips.count > 0) {
+        return Err(Error::unsupported(
+            FORMAT,
+            "triangle strips are not supported: save the mesh with faces",
+        ));
+    }
+    if let Some(faces) = named("face") {
+        let rows = rows_of(bytes, &header, faces)?;
+        mesh.triangles = triangles(rows, faces, mesh.positions.len())?;
+    }
+    Ok((mesh, frame))
+}
+
+/// The size of a binary file with the header in `head`, if all of its lists are triangles, as in every file
+/// that [`write::write_mesh`] writes; `None` for text, or beyond 2⁶⁴.
+pub(crate) fn mesh_bytes_declared(head: &[u8], limits: &Limits) -> Result<Option<u64>> {
+    let header = read_header(head, limits)?;
+    let mut size = Some(header.body_offset as u64);
+    for element in &header.elements {
+        let items = element.properties.iter().map(|property| match property.kind {
+            PropertyType::Scalar(_) => 0,
+            PropertyType::List { item, .. } => 3 * item.size(),
+        });
+        let record = (element.record_size_min() + items.sum::<usize>()) as u64;
+        let table = element.count.checked_mul(record);
+        size = size.zip(table).and_then(|(size, table)| size.checked_add(table));
+    }
+    // If the body is empty, a truncated file may lack the header's line end.
+    let is_ended = head.get(..header.body_offset).is_some_and(|header| header.ends_with(b"\n"));
+    Ok(size.filter(|_| is_ended && header.encoding.endian().is_some()))
+}
+
+fn normals(values: &Values) -> Vec<[f32; 3]> {
+    match values {
+        Values::F32(values) => values.as_chunks().0.to_vec(),
+        #[expect(clippy::cast_possible_truncation, reason = "directions need no more than 24 bits")]
+        Values::F64(values) => values.as_chunks().0.iter().map(|n| n.map(|x: f64| x as f32)).collect(),
+        _ => Vec::new(),
+    }
+}
+
+fn triangles(mut rows: RecordReader<'_>, faces: &Element, vertex_count: usize) -> Result<Vec<[u32; 3]>> {
+    let count = checked_count(&rows, faces)?;
+    let is_list = |property: &&Property| matches!(property.kind, PropertyType::List { .. });
+    let is_named =
+        |property: &&Property| ["vertex_indices", "vertex_index"].contains(&property.name.as_str());
+    let mut lists = faces.properties.iter().filter(is_list);
+    let Some(corners) = lists.clone().find(is_named).or_else(|| lists.next()) else {
+        return Ok(Vec::new());
+    };
+    let mut triangles = Vec::new();
+    rows.begin(faces);
+    for _ in 0..count {
+        rows.start()?;
+        for property in &faces.properties {
+            match property.kind {
+                PropertyType::List { count, item } if std::ptr::eq(property, corners) => {
+                    let length = rows.list_length(count, property)?;
+                    fan(&mut rows, item, length, vertex_count, &mut triangles)?;
+                }
+                _ => rows.skip(property)?,
+            }
+        }
+        rows.finish()?;
+    }
+    Ok(triangles)
+}
+
+/// Reads a polygon and cuts it into triangles that share its first corner.
+fn fan(
+    rows: &mut RecordReader<'_>,
+    item: Scalar,
+    length: usize,
+    vertex_count: usize,
+    triangles: &mut Vec<[u32; 3]>,
+) -> Result<()> {
+    let (mut first, mut last) = (0, 0);
+    for corner in 0..length {
+        let index = rows.integer(item, "vertex_indices")?;
+        let index =
+            u32::try_from(index).ok().filter(|&index| (index as usize) < vertex_count).ok_or_else(|| {
+                rows.invalid(format!(
+                    "a face has vertex index {index}, but the file has {vertex_count} vertices"
+                ))
+            })?;
+        match corner {
+            0 => first = index,
+            1 => {}
+            _ => triangles.push([first, last, index]),
+        }
+        last = index;
+    }
+    Ok(())
+}
+
+// Locates the vertices of a binary PLY file, so that they can be read in batches.
+
+/// Locates the vertices in a file of `file_bytes` bytes. `None` if their offsets cannot be computed: in an
+/// ASCII file, or if the vertices or an earlier element have lists.
+///
+/// # Errors
+/// Those of [`self`], after the header.
+fn records(header: &PlyHeader, file_bytes: u64, limits: &Limits) -> Result<Option<Records>> {
+    let VertexElement { element, columns, position } = vertices(header)?;
+    let Some(endian) = header.encoding.endian() else { return Ok(None) };
+    let earlier = || header.elements.iter().take_while(|earlier| !std::ptr::eq(*earlier, element));
+    if element.has_list() || earlier().any(Element::has_list) {
+        return Ok(None);
+    }
+    let mut at = header.body_offset as u64;
+    for element in earlier() {
+        let count = checked_binary_count(element, at, file_bytes - at)?;
+        at += (count * element.record_size_min()) as u64;
+    }
+    let count = checked_binary_count(element, at, file_bytes - at)?;
+    check_limit(count, limits)?;
+    let (offsets, stride) = scalar_offsets(element);
+    let scalars = position.map(|property| scalar_of(element, property));
+    let mut notes = notes(element, &columns);
+    notes.extend(note_on_faces(header));
+    let velocity = columns.groups.iter().find(|group| group.role == Some(AttributeRole::Velocity));
+    let velocity = velocity.map(|group| group.name.clone());
+    let columns = PositionColumns { offsets: position.map(|property| offsets[property]), scalars };
+    let gather =
+        Arc::new(move |records: &[u8], stride: usize, count: usize, positions: &mut FilePositions| {
+            columns.gather(records, stride, endian, count, positions);
+        });
+    let header = header.clone();
+    let frame = Arc::new(move |records: &[u8]| frame_of_records(&header, records, endian));
+    Ok(Some(Records { format: FORMAT, offset: at, stride, count, gather, frame, notes, velocity }))
+}
+
+/// The location of a position in a record: offsets in bytes, and types.
+struct PositionColumns {
+    offsets: [usize; 3],
+    scalars: [Scalar; 3],
+}
+
+impl PositionColumns {
+    /// Replaces `positions` with the positions of `count` records.
+    fn gather(
+        &self,
+        records: &[u8],
+        stride: usize,
+        endian: Endian,
+        count: usize,
+        positions: &mut FilePositions,
+    ) {
+        match (fits_f32(self.scalars), &mut *positions) {
+            (true, FilePositions::F32(positions)) => positions.resize(count, [0.0; 3]),
+            (true, FilePositions::F64(_)) => *positions = FilePositions::F32(vec![[0.0; 3]; count]),
+            (false, FilePositions::F64(positions)) => positions.resize(count, [0.0; 3]),
+            (false, FilePositions::F32(_)) => *positions = FilePositions::F64(vec![[0.0; 3]; count]),
+        }
+        let slots = match positions {
+            FilePositions::F32(positions) => Slots::F32(positions.as_flattened_mut()),
+            FilePositions::F64(positions) => Slots::F64(positions.as_flattened_mut()),
+        };
+        let columns = self.scalars.into_iter().enumerate().collect();
+        gather_part(records, stride, &self.offsets, endian, &mut [Target { columns, slots }]);
+    }
 }

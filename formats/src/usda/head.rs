@@ -2,7 +2,7 @@
 
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
-use crate::mesh_options::UpAxis;
+use crate::row::UpAxis;
 use crate::usd::{FORMAT, LayerInfo, ROOT, SampledProperty};
 
 /// The beginning of the last line of a file.
@@ -120,9 +120,10 @@ fn entries<'a>(text: &'a str, name: &str) -> impl Iterator<Item = &'a str> {
 
 fn string_entry(line: &str) -> Option<(String, String)> {
     let line = line.strip_prefix("string ")?;
-    let (key, rest) = match line.starts_with('"') {
-        true => unquoted(line)?,
-        false => line.split_once(' ').map(|(key, _)| (key.to_owned(), &line[key.len()..]))?,
+    let (key, rest) = if line.starts_with('"') {
+        unquoted(line)?
+    } else {
+        line.split_once(' ').map(|(key, _)| (key.to_owned(), &line[key.len()..]))?
     };
     let (value, rest) = unquoted(rest.strip_prefix(" = ")?)?;
     rest.is_empty().then_some((key, value))

@@ -24,25 +24,30 @@
 //!
 //! This crate does not read meshes from `.usda`: it reads only the heads of the files that it wrote.
 
-use crate::mesh_options::WriteOption;
-use crate::row::Integrity;
-use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow};
-use crate::usd::renamed;
-
-mod arrays;
 mod head;
-mod numbers;
-mod sequence;
 mod stage;
-mod write;
+
+use std::io::{self, Read, Seek, Write};
+use std::ops::Range;
+
+use rayon::prelude::*;
 
 pub use crate::usd::{LayerInfo, SampledProperty};
 pub use head::{read_layer_info, read_sampled_properties, read_times};
-pub use sequence::{read_attribute_names, write_sequence};
 pub use stage::{ClipFile, StageClips, UsdStage, stage_text};
 
-use head::{ends_as_written, read_provenance};
-use write::{batch_count, encode_batch};
+use crate::data::{MeshView, Provenance};
+use crate::error::Result;
+use crate::gltf::SequenceFrame;
+use crate::row::{
+    Content, FormatRow, Integrity, MeshEncoder, MeshOptions, MeshWriter, OutputRow, WriteOption,
+};
+use crate::usd::{
+    Elements, FORMAT, MeshProperty, PRIM, PropertyValue, SAMPLE_CODE, SequenceAttribute, TRANSLATE,
+    UsdSequence, attribute_of, properties, renamed,
+};
+use crate::vertex_attributes::{check_quads, faces, plain_name, quad_count, string_index};
+use head::{LAST_LINE, ends_as_written, head, quoted, read_provenance, times};
 
 /// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
@@ -58,3 +63,432 @@ pub(crate) static ROW: OutputRow = OutputRow {
     read_provenance,
     integrity: Integrity::Tail(ends_as_written),
 };
+
+// Writes the mesh of one frame.
+//
+//   batch 0: head │ batch 1: points .. │ batch 2: points .. normals .. │ .. last line
+//                            └───┴ one task each
+//
+// As in other text formats, each batch can be encoded independently, so the writer need not hold the whole
+// text. A 64-bit translation stores the mesh's origin, and the layer stores the up axis; vertices are
+// written unchanged.
+
+/// Number of tasks whose text is held at a time.
+const TASKS_AT_ONCE: usize = 64;
+
+/// The number of batches for a layer with one mesh.
+fn batch_count(mesh: &MeshView, options: &MeshOptions) -> usize {
+    1 + tasks(&sections(mesh, options)).len().div_ceil(TASKS_AT_ONCE)
+}
+
+/// Encodes a batch.
+///
+/// # Errors
+///
+/// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite, or if two
+/// triangles marked as a quad do not form one.
+fn encode_batch(
+    mesh: &MeshView,
+    options: &MeshOptions,
+    provenance: &Provenance,
+    index: usize,
+) -> Result<Vec<Vec<u8>>> {
+    let vertices = mesh.positions.len() as u64;
+    let faces = (mesh.triangles.len() - quad_count(&options.quads).min(mesh.triangles.len())) as u64;
+    let Some(index) = index.checked_sub(1) else {
+        mesh.check(FORMAT)?;
+        check_quads(FORMAT, mesh.triangles, &options.quads)?;
+        let info = LayerInfo { vertices, faces, frames: None };
+        let name = plain_name(&options.name);
+        let sampled = sampled_properties(mesh, options);
+        let head = head(provenance, (Some(&info), &sampled), (options.up, options.meters_per_unit), "");
+        return Ok(vec![format!("{head}    def Mesh \"{name}\"\n    {{\n").into_bytes()]);
+    };
+    let sections = sections(mesh, options);
+    let tasks = tasks(&sections);
+    let first = index.saturating_mul(TASKS_AT_ONCE).min(tasks.len());
+    let end = (first + TASKS_AT_ONCE).min(tasks.len());
+    let mut texts: Vec<Vec<u8>> = tasks[first..end].par_iter().map(|task| task.text(&sections)).collect();
+    if end == tasks.len() {
+        texts.push(format!("    }}\n}}\n\n{LAST_LINE}{vertices} vertices, {faces} faces\n").into_bytes());
+    }
+    Ok(texts)
+}
+
+/// The properties that are also written as time samples.
+fn sampled_properties(mesh: &MeshView, options: &MeshOptions) -> Vec<SampledProperty> {
+    if !options.time_samples {
+        return Vec::new();
+    }
+    let varying =
+        properties(mesh, &options.quads, true).into_iter().filter(|property| !property.is_uniform());
+    varying.map(|MeshProperty { kind, name, .. }| SampledProperty { kind, name }).collect()
+}
+
+/// The text of a property.
+struct PropertyText<'a> {
+    open: String,
+    elements: Option<Elements<'a>>,
+    close: String,
+}
+
+impl<'a> PropertyText<'a> {
+    /// The declaration of a property, with its default.
+    fn of(property: &MeshProperty<'a>) -> PropertyText<'a> {
+        let MeshProperty { kind, name, is_per_vertex, element_size, .. } = property;
+        let uniform = if property.is_uniform() { "uniform " } else { "" };
+        let about = about(*is_per_vertex, *element_size);
+        PropertyText::between(format!("        {uniform}{kind} {name} = "), property, format!("{about}\n"))
+    }
+
+    /// The same value as a time sample.
+    fn sample_of(property: &MeshProperty<'a>) -> PropertyText<'a> {
+        let MeshProperty { kind, name, .. } = property;
+        let open = format!("        {kind} {name}.timeSamples = {{\n            {SAMPLE_CODE}: ");
+        PropertyText::between(open, property, ",\n        }\n".to_owned())
+    }
+
+    /// The value of a property between two texts.
+    fn between(before: String, property: &MeshProperty<'a>, after: String) -> PropertyText<'a> {
+        let value = match &property.value {
+            PropertyValue::Array(elements) => {
+                let (open, close) = (before + "[", "]".to_owned() + &after);
+                return PropertyText { open, elements: Some(*elements), close };
+            }
+            PropertyValue::Extent([low, high]) => format!("[{}, {}]", triple(*low), triple(*high)),
+            PropertyValue::Double3(values) => triple(*values),
+            PropertyValue::Token(word) => format!("\"{word}\""),
+            PropertyValue::TokenList(word) => format!("[\"{word}\"]"),
+            PropertyValue::Strings(table) => {
+                let distinct: Vec<String> =
+                    table.iter().map(|text| quoted(text)).chain([quoted("")]).collect();
+                format!("[{}]", distinct.join(", "))
+            }
+        };
+        PropertyText { open: before + &value + &after, elements: None, close: String::new() }
+    }
+}
+
+/// The metadata of a property in parentheses, preceded by a space; empty if it has none.
+fn about(is_per_vertex: bool, element_size: usize) -> String {
+    if !is_per_vertex {
+        return String::new();
+    }
+    let size = match element_size {
+        1 => String::new(),
+        size => format!("            elementSize = {size}\n"),
+    };
+    format!(" (\n{size}            interpolation = \"vertex\"\n        )")
+}
+
+fn sections<'a>(mesh: &MeshView<'a>, options: &'a MeshOptions) -> Vec<PropertyText<'a>> {
+    let mut sections = Vec::new();
+    for property in &properties(mesh, &options.quads, options.time_samples) {
+        sections.push(PropertyText::of(property));
+        if options.time_samples && !property.is_uniform() {
+            sections.push(PropertyText::sample_of(property));
+        }
+    }
+    sections
+}
+
+/// A range of elements of a section.
+struct TextTask {
+    section: usize,
+    run: usize,
+    is_last: bool,
+}
+
+impl TextTask {
+    fn text(&self, sections: &[PropertyText]) -> Vec<u8> {
+        let PropertyText { open, elements, close } = &sections[self.section];
+        let mut text = if self.run == 0 { open.clone().into_bytes() } else { Vec::new() };
+        if let Some(elements) = elements {
+            text.append(&mut elements.text_of(self.run));
+        }
+        if self.is_last {
+            text.extend_from_slice(close.as_bytes());
+        }
+        text
+    }
+}
+
+fn tasks(sections: &[PropertyText]) -> Vec<TextTask> {
+    let runs_of = |(section, PropertyText { elements, .. }): (usize, &PropertyText)| {
+        let count = elements.map_or(1, |elements| elements.task_count().max(1));
+        (0..count).map(move |run| TextTask { section, run, is_last: run + 1 == count })
+    };
+    sections.iter().enumerate().flat_map(runs_of).collect()
+}
+
+// Writes a sequence as one mesh whose attributes have a sample per frame.
+//
+//   point3f[] points.timeSamples = {
+//       1001: [(0.5, 1, 2), ..],
+//       1002: [..],
+//   }
+//
+// The samples of an attribute are contiguous, so the writer visits all frames once per attribute. From the
+// files of the frames, which are `.glb` files of this crate, it reads only the required data. At any time,
+// only one attribute of one frame and its text are in memory.
+//
+// USD allows samples with different numbers of vertices, and holds such a sample until the next. If the next
+// frame has the same number of vertices, the sample is repeated just before it, so that USD does not blend
+// them.
+
+/// Writes a sequence of frames, whose numbers become the time codes and must increase. `open` opens the file
+/// of the frame with the given index. Returns notes on attributes that are omitted because the frames differ
+/// in them.
+///
+/// # Errors
+///
+/// [`Error::Io`](crate::Error::Io) if a file cannot be read or `out` fails;
+/// [`Error::Invalid`](crate::Error::Invalid) if a document is damaged, numbers do not increase, or frames
+/// differ in their up axis; [`Error::Unsupported`](crate::Error::Unsupported) for numbers beyond 2⁵³.
+pub fn write_sequence<R: Read + Seek>(
+    frames: &[SequenceFrame],
+    (fps, meters_per_unit): (f64, f64),
+    provenance: &Provenance,
+    open: impl Fn(usize) -> io::Result<R>,
+    out: &mut impl Write,
+) -> Result<Vec<String>> {
+    let shot = UsdSequence::of(frames)?;
+    let info = shot.layer_info()?;
+    let (attributes, notes) = shot.attributes()?;
+    let head = head(
+        provenance,
+        (Some(&info), &[]),
+        (shot.placement.up, meters_per_unit),
+        &times(shot.code_range(), fps),
+    );
+    write!(out, "{head}    def Mesh \"{PRIM}\"\n    {{\n")?;
+
+    write_lines(&shot, "float3[] extent", out, |index| {
+        let [low, high] = shot.extent(index)?;
+        Ok(format!("[{}, {}]", triple(low), triple(high)))
+    })?;
+    write_samples(&shot, "int[] faceVertexCounts", out, |index| {
+        let triangles = vec![[0; 3]; frames[index].file.triangle_count()?];
+        Ok(Elements::FaceCounts { triangles: &triangles, quads: &[] }.texts())
+    })?;
+    let mut triangles = Vec::new();
+    write_samples(&shot, "int[] faceVertexIndices", out, |index| {
+        frames[index].file.read_triangles(&mut open(index)?, &mut triangles)?;
+        Ok(Elements::FaceCorners { triangles: &triangles, quads: &[] }.texts())
+    })?;
+    out.write_all(b"        uniform token orientation = \"rightHanded\"\n")?;
+    let mut values = Vec::new();
+    for attribute in &attributes {
+        let SequenceAttribute { semantic, kind, name, first, arity, is_per_vertex } = attribute;
+        if *is_per_vertex {
+            writeln!(out, "        {kind} {name}{}", about(true, 1))?;
+        }
+        write_samples(&shot, &format!("{kind} {name}"), out, |index| {
+            let (frame, transform) = (&frames[index].file, shot.transform(index)?);
+            let found = frame.read_attribute(semantic, &transform, &mut open(index)?, &mut values)?;
+            let Some(stride) = found else { return Ok(Vec::new()) };
+            Ok(Elements::Reals { values: &values, stride, first: *first, arity: *arity }.texts())
+        })?;
+    }
+    out.write_all(b"        uniform token subdivisionScheme = \"none\"\n")?;
+    if let Some(origin) = shot.origin() {
+        writeln!(out, "        double3 {TRANSLATE} = {}", triple(origin))?;
+        writeln!(out, "        uniform token[] xformOpOrder = [\"{TRANSLATE}\"]")?;
+    }
+    let (count, vertices, faces) = (frames.len(), info.vertices, info.faces);
+    write!(out, "    }}\n}}\n\n{LAST_LINE}{count} frames, {vertices} vertices, {faces} faces\n")?;
+    Ok(notes)
+}
+
+/// The end of the line before the samples of a property.
+const SAMPLES: &str = ".timeSamples = {";
+
+/// The names of the vertex attributes of a sequence of this crate, except normals.
+pub fn read_attribute_names(bytes: &[u8]) -> Vec<String> {
+    let name = |line: &[u8]| {
+        let property = line.strip_suffix(SAMPLES.as_bytes())?;
+        let (_, name) = std::str::from_utf8(property).ok()?.rsplit_once(' ')?;
+        Some(attribute_of(name)?.to_owned())
+    };
+    bytes.split(|&byte| byte == b'\n').filter_map(name).collect()
+}
+
+/// Writes an array with samples of each frame, formatted by `texts`; they are empty for a frame without a
+/// mesh.
+fn write_samples(
+    shot: &UsdSequence,
+    name: &str,
+    out: &mut impl Write,
+    mut texts: impl FnMut(usize) -> Result<Vec<Vec<u8>>>,
+) -> Result<()> {
+    writeln!(out, "        {name}{SAMPLES}")?;
+    for (index, frame) in shot.frames.iter().enumerate() {
+        let texts = if frame.file.has_mesh() { texts(index)? } else { Vec::new() };
+        for code in shot.vertex_codes(index) {
+            write!(out, "            {code}: [")?;
+            texts.iter().try_for_each(|text| out.write_all(text))?;
+            out.write_all(b"],\n")?;
+        }
+    }
+    out.write_all(b"        }\n")?;
+    Ok(())
+}
+
+/// Writes a property that has the same size in all frames, with a line for each sample.
+fn write_lines(
+    shot: &UsdSequence,
+    name: &str,
+    out: &mut impl Write,
+    line: impl Fn(usize) -> Result<String>,
+) -> Result<()> {
+    writeln!(out, "        {name}{SAMPLES}")?;
+    for index in 0..shot.frames.len() {
+        let line = line(index)?;
+        for code in shot.held_codes(index) {
+            writeln!(out, "            {code}: {line},")?;
+        }
+    }
+    out.write_all(b"        }\n")?;
+    Ok(())
+}
+
+// Formats arrays as text in chunks: `(0.5, 1, 2), (0.25, 1, 2), ..`.
+
+/// Number of elements formatted per task.
+const ELEMENTS_PER_TASK: usize = 1 << 13;
+
+impl Elements<'_> {
+    /// The number of elements; for faces, the number of triangles.
+    fn count(&self) -> usize {
+        match self {
+            Elements::Reals { values, stride, .. } => values.len() / stride,
+            Elements::Integers { values, arity, .. } => values.len() / arity,
+            Elements::Strings { indices, .. } => indices.len(),
+            Elements::FaceCounts { triangles, .. } | Elements::FaceCorners { triangles, .. } => {
+                triangles.len()
+            }
+        }
+    }
+
+    /// The number of tasks for all elements.
+    fn task_count(&self) -> usize {
+        self.count().div_ceil(ELEMENTS_PER_TASK)
+    }
+
+    /// The text of all elements, in pieces.
+    fn texts(&self) -> Vec<Vec<u8>> {
+        (0..self.task_count()).into_par_iter().map(|task| self.text_of(task)).collect()
+    }
+
+    /// The text of one task.
+    fn text_of(&self, task: usize) -> Vec<u8> {
+        const ELEMENT_BYTES: usize = 40; // few are longer
+        let start = (task * ELEMENTS_PER_TASK).min(self.count());
+        let range = start..(start + ELEMENTS_PER_TASK).min(self.count());
+        let mut numbers = NumberWriter::with_capacity(range.len() * ELEMENT_BYTES);
+        self.append(range, &mut numbers);
+        // A separator precedes each element, except the first one of the array.
+        match task {
+            0 => numbers.text.split_off(SEPARATOR_BYTES.min(numbers.text.len())),
+            _ => numbers.text,
+        }
+    }
+
+    fn append(&self, range: Range<usize>, numbers: &mut NumberWriter) {
+        match *self {
+            Elements::Reals { values, stride, first, arity } => {
+                for element in values[range.start * stride..range.end * stride].chunks_exact(stride) {
+                    numbers.separate();
+                    numbers.tuple(&element[first..first + arity], NumberWriter::real);
+                }
+            }
+            Elements::Integers { values, arity, .. } => {
+                for element in values[range.start * arity..range.end * arity].chunks_exact(arity) {
+                    numbers.separate();
+                    numbers.tuple(element, NumberWriter::integer);
+                }
+            }
+            Elements::Strings { table, indices } => {
+                for &index in &indices[range] {
+                    numbers.separate();
+                    let index = usize::try_from(string_index(index, table)).unwrap_or(table.len());
+                    numbers.integer(index);
+                }
+            }
+            Elements::FaceCounts { triangles, quads } => {
+                for face in faces(triangles, quads, range) {
+                    numbers.separate();
+                    numbers.integer(face.corners().len());
+                }
+            }
+            Elements::FaceCorners { triangles, quads } => {
+                for &corner in
+                    faces(triangles, quads, range).collect::<Vec<_>>().iter().flat_map(|face| face.corners())
+                {
+                    numbers.separate();
+                    numbers.integer(corner);
+                }
+            }
+        }
+    }
+}
+
+/// Length in bytes of the text that [`NumberWriter::separate`] writes.
+const SEPARATOR_BYTES: usize = 2;
+
+// Formats numbers as array values.
+
+/// Text under construction, with a buffer for formatting numbers.
+struct NumberWriter {
+    text: Vec<u8>,
+    real: zmij::Buffer,
+    integer: itoa::Buffer,
+}
+
+impl NumberWriter {
+    /// An empty text with capacity for `byte_count` bytes.
+    fn with_capacity(byte_count: usize) -> NumberWriter {
+        NumberWriter {
+            text: Vec::with_capacity(byte_count),
+            real: zmij::Buffer::new(),
+            integer: itoa::Buffer::new(),
+        }
+    }
+
+    /// Appends the shortest decimals that parse back to the same number.
+    fn real<T: zmij::Float>(&mut self, number: T) {
+        let digits = self.real.format_finite(number);
+        self.text.extend_from_slice(digits.strip_suffix(".0").unwrap_or(digits).as_bytes());
+    }
+
+    fn integer(&mut self, number: impl itoa::Integer) {
+        self.text.extend_from_slice(self.integer.format(number).as_bytes());
+    }
+
+    /// Appends one number, or several in parentheses.
+    fn tuple<T: Copy>(&mut self, values: &[T], mut number: impl FnMut(&mut NumberWriter, T)) {
+        if let [value] = values {
+            return number(self, *value);
+        }
+        self.text.push(b'(');
+        for (index, value) in values.iter().enumerate() {
+            if index > 0 {
+                self.separate();
+            }
+            number(self, *value);
+        }
+        self.text.push(b')');
+    }
+
+    /// Appends the separator of values.
+    fn separate(&mut self) {
+        self.text.extend_from_slice(b", ");
+    }
+}
+
+/// Formats three numbers as a tuple.
+fn triple<T: zmij::Float + Copy>(values: [T; 3]) -> String {
+    let mut numbers = NumberWriter::with_capacity(48);
+    numbers.tuple(&values, NumberWriter::real);
+    String::from_utf8(numbers.text).unwrap_or_default() // digits and signs
+}

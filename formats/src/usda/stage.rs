@@ -35,8 +35,9 @@ use std::collections::HashSet;
 
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
-use crate::frame_numbers::{check_numbers, held_times};
-use crate::mesh_options::UpAxis;
+use crate::row::UpAxis;
+use crate::steps::{check_numbers, held_times};
+
 use crate::usd::{FORMAT, PRIM, ROOT, SAMPLE_CODE, SampledProperty, TRANSLATE, identifier};
 use crate::vertex_attributes::UsedNames;
 
@@ -124,9 +125,10 @@ fn check(files: &[ClipFile]) -> Result<()> {
 }
 
 fn check_path(path: &str) -> Result<()> {
-    match path.contains(char::is_control) {
-        true => Err(invalid(format!("{path:?} has control characters, which USD does not allow"))),
-        false => Ok(()),
+    if path.contains(char::is_control) {
+        Err(invalid(format!("{path:?} has control characters, which USD does not allow")))
+    } else {
+        Ok(())
     }
 }
 
@@ -138,10 +140,7 @@ fn manifest(sequences: &[StageClips]) -> String {
             lines += &format!("        {kind} {name}\n");
         }
     }
-    match names.is_empty() {
-        true => String::new(),
-        false => format!("    over \"{PRIM}\"\n    {{\n{lines}    }}\n\n"),
-    }
+    if names.is_empty() { String::new() } else { format!("    over \"{PRIM}\"\n    {{\n{lines}    }}\n\n") }
 }
 
 /// The prim of a sequence in the stage with this path.
@@ -233,16 +232,13 @@ fn volume(path: &str, files: &[ClipFile], has_velocity: bool, is_hidden: bool) -
 
 /// A path between its delimiters.
 fn asset(path: &str) -> String {
-    match path.contains('@') {
-        false => format!("@{path}@"),
-        true => format!("@@@{}@@@", path.replace("@@@", "\\@@@")),
-    }
+    if path.contains('@') { format!("@@@{}@@@", path.replace("@@@", "\\@@@")) } else { format!("@{path}@") }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame_numbers::NUMBER_MAX;
+    use crate::steps::NUMBER_MAX;
 
     fn files(codes: &[i64], extension: &str) -> Vec<ClipFile> {
         let file = |&code: &i64| ClipFile { code, path: format!("./out/dam.{code}.{extension}") };

@@ -24,37 +24,38 @@
 //! The file of a frame has each value twice, as the default and as a time sample, which refer to one array.
 //! [Stages](crate::usda::UsdStage) see only time samples; programs that know no times find the default.
 
-use crate::data::{VertexAttribute, VertexValues};
-use crate::mesh_options::WriteOption;
-use crate::row::Integrity;
-use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow};
-use crate::usd::renamed;
-
 mod array;
-mod contents;
-mod floats;
-mod frame;
-mod integers;
-mod layer;
-mod lz4;
 mod read;
-mod read_array;
-mod read_samples;
-mod read_tables;
 mod sequence;
 mod tables;
-mod value;
-mod write;
+
+use std::borrow::Cow;
+use std::io::Write;
+
+use rayon::prelude::*;
 
 pub use crate::usd::{LayerInfo, SampledProperty};
-pub use frame::{is_layer, to_glb};
-pub use read::{UsdcFrame, UsdcLayer};
-pub use read_samples::{read_layer_info, read_sampled_properties};
+pub use read::{UsdcFrame, UsdcLayer, read_layer_info, read_sampled_properties};
 pub use sequence::write_sequence;
 
-use contents::{MAGIC, claimed_bytes};
-use layer::read_provenance;
-use read::read_mesh;
+use crate::data::{
+    AttributeRole, FileAttribute, MeshView, Provenance, Values, VertexAttribute, VertexValues,
+};
+use crate::error::Result;
+use crate::gltf::{ACCELERATION_NAME, COLOR_NAME, loss_notes, write_glb};
+use crate::limits::Limits;
+use crate::provenance::{comments, from_comments};
+use crate::row::{
+    Content, FormatRow, Integrity, MeshEncoder, MeshOptions, MeshWriter, OutputRow, UpAxis, WriteOption,
+};
+use crate::usd::{FORMAT, MeshProperty, PropertyValue, ROOT, SAMPLE_CODE, properties, renamed};
+use crate::vertex_attributes::{check_quads, plain_name, quad_count};
+use array::{ALIGNMENT, CrateArray};
+use read::{PlacedFrame, read_mesh};
+use tables::{
+    BOOTSTRAP_BYTES, MAGIC, SpecType, Tables, ValueRep, ValueType, append_count, bootstrap, check_magic,
+    claimed_bytes,
+};
 
 /// Notes on vertex attributes that a file does not hold exactly.
 pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
@@ -80,7 +81,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     content: Content::Mesh(MeshWriter {
         attribute_notes,
         ..MeshWriter::new(MeshEncoder::Stream(|mesh, options, provenance, mut out| {
-            write::write(mesh, options, provenance, &mut out)
+            write(mesh, options, provenance, &mut out)
         }))
     }),
     write_particles: None,
@@ -89,3 +90,432 @@ pub(crate) static ROW: OutputRow = OutputRow {
     read_provenance,
     integrity: Integrity::Length(claimed_bytes),
 };
+
+// Writes the mesh of one frame.
+//
+// The file starts with the offset of its last part, the table of contents. So the sizes of all arrays must
+// be known, and all integers compressed, before the first byte is written. The compressed integers take
+// little memory compared with the vectors, which are written directly from the mesh.
+
+/// Writes a mesh.
+///
+/// # Errors
+///
+/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if the mesh is inconsistent or not finite,
+/// or if two triangles marked as a quad do not form one; [`crate::Error::TooLarge`] beyond 2³¹ vertices.
+fn write(
+    mesh: &MeshView,
+    options: &MeshOptions,
+    provenance: &Provenance,
+    out: &mut impl Write,
+) -> Result<()> {
+    mesh.check(FORMAT)?;
+    check_quads(FORMAT, mesh.triangles, &options.quads)?;
+    let found = properties(mesh, &options.quads, true);
+    let arrays: Vec<Option<CrateArray>> = found.par_iter().map(array_of).collect::<Result<_>>()?;
+
+    let mut at = head(provenance, 0).len() as u64;
+    let mut spans = Vec::new();
+    for array in &arrays {
+        let padding = padding(at);
+        at += padding.len() as u64;
+        spans.push((padding, at));
+        at += array.as_ref().map_or(0, CrateArray::byte_count);
+    }
+    let mut end = LayerEnd::at(at);
+    let mut specs = Vec::new();
+    for ((property, array), (_, offset)) in found.iter().zip(&arrays).zip(&spans) {
+        let value = match array {
+            Some(array) => array.rep(*offset),
+            None => value_of(property, &mut end)?,
+        };
+        specs.push(spec(property, value));
+    }
+    let layer = LayerHead {
+        provenance,
+        info: LayerInfo {
+            vertices: mesh.positions.len() as u64,
+            faces: (mesh.triangles.len() - quad_count(&options.quads)) as u64,
+            frames: None,
+        },
+        up: options.up,
+        meters_per_unit: options.meters_per_unit,
+        times: None,
+        prim: &plain_name(&options.name),
+    };
+    let (end, contents_at) = end.finish(&layer, &specs)?;
+    out.write_all(&head(provenance, contents_at))?;
+    for (array, (padding, _)) in arrays.iter().zip(spans) {
+        out.write_all(padding)?;
+        array.iter().try_for_each(|array| array.write(out))?;
+    }
+    Ok(out.write_all(&end)?)
+}
+
+/// The array of a property, if it has one that is written before the tables.
+fn array_of<'a>(property: &MeshProperty<'a>) -> Result<Option<CrateArray<'a>>> {
+    match property.value {
+        PropertyValue::Array(elements) => CrateArray::of(elements).map(Some),
+        _ => Ok(None),
+    }
+}
+
+/// The value of a property that refers to tokens, or has only a few numbers.
+fn value_of(property: &MeshProperty, end: &mut LayerEnd) -> Result<ValueRep> {
+    match &property.value {
+        PropertyValue::Array(elements) => end.array(&CrateArray::of(*elements)?),
+        PropertyValue::Extent(corners) => end.array(&CrateArray::of_vectors(corners.as_flattened())),
+        PropertyValue::Double3(values) => Ok(end.double3(*values)),
+        PropertyValue::Token(word) => Ok(end.tables.token_value(word)),
+        PropertyValue::TokenList(word) => {
+            let words = [end.tables.token(word)];
+            end.array(&CrateArray::of_indices(ValueType::Token, &words))
+        }
+        PropertyValue::Strings(table) => {
+            let texts = table.iter().map(String::as_str).chain([""]);
+            let indices: Vec<u32> = texts.map(|text| end.tables.string(text)).collect();
+            end.array(&CrateArray::of_indices(ValueType::String, &indices))
+        }
+    }
+}
+
+fn spec(property: &MeshProperty, value: ValueRep) -> PropertySpec {
+    PropertySpec {
+        kind: property.kind.clone(),
+        name: property.name.clone(),
+        value: if property.is_uniform() { SpecValue::Always(value) } else { SpecValue::Frame(value) },
+        is_uniform: property.is_uniform(),
+        is_per_vertex: property.is_per_vertex,
+        element_size: property.element_size,
+    }
+}
+
+// Converts a file with one frame to a `.glb` of the same mesh: sequences are assembled from `.glb` files.
+
+/// Whether a file that starts with these bytes is binary USD.
+pub fn is_layer(head: &[u8]) -> bool {
+    head.starts_with(MAGIC)
+}
+
+/// Converts a file with one frame to a `.glb`. Also returns notes on attributes that a `.glb` does not
+/// hold exactly. Frees owned bytes before it makes the `.glb`, so that the two are not in memory at once.
+///
+/// # Errors
+///
+/// Those of [`UsdcLayer::read`], [`UsdcLayer::frame`] and [`write_glb`]; [`crate::Error::Unsupported`] for a
+/// sequence.
+pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
+    let bytes = bytes.into();
+    let byte_count = bytes.len();
+    let layer = UsdcLayer::read(&bytes, limits)?;
+    layer.check_single_frame()?;
+    let PlacedFrame { points, normals, triangles, origin, mut attributes } = layer.placed_frame(0)?;
+    let options = MeshOptions { up: layer.up()?, ..MeshOptions::default() };
+    let provenance = read_provenance(&bytes)?;
+    drop(bytes);
+    merge_opacity(&mut attributes);
+    attributes.iter_mut().for_each(convert_values);
+    let views: Vec<VertexAttribute> = attributes.iter().filter_map(view).collect();
+    let mesh = MeshView {
+        positions: points.as_chunks().0,
+        normals: normals.as_chunks().0,
+        triangles: &triangles,
+        origin,
+        attributes: if points.is_empty() { &[] } else { &views },
+    };
+    // It has about as many bytes. A vector that grows would need up to twice as many.
+    let mut glb = Vec::with_capacity(byte_count);
+    write_glb(&mesh, &options, &provenance, &mut glb)?;
+    Ok((glb, loss_notes(mesh.attributes)))
+}
+
+/// Makes the opacity the fourth value of the colour, as it was before it was written.
+fn merge_opacity(attributes: &mut Vec<FileAttribute>) {
+    let position = |name: &str, arity: usize| {
+        attributes.iter().position(|attribute| attribute.name == name && attribute.arity == arity)
+    };
+    let Some((color, opacity)) = position("displayColor", 3).zip(position("displayOpacity", 1)) else {
+        return;
+    };
+    let (Values::F32(colors), Values::F32(opacities)) =
+        (&attributes[color].values, &attributes[opacity].values)
+    else {
+        return;
+    };
+    let pairs = colors.as_chunks::<3>().0.iter().zip(opacities);
+    let values = pairs.flat_map(|(&[red, green, blue], &opacity)| [red, green, blue, opacity]).collect();
+    attributes[color].arity = 4;
+    attributes[color].values = Values::F32(values);
+    attributes.remove(opacity);
+}
+
+/// Converts the values to a type of [`VertexValues`].
+fn convert_values(attribute: &mut FileAttribute) {
+    match &mut attribute.values {
+        Values::I32(values) => {
+            attribute.values = Values::I64(values.iter().map(|&value| value.into()).collect());
+        }
+        // The last string marks missing values. Without it, their index is outside the table.
+        Values::Strings { table, .. } => drop(table.pop()),
+        Values::F32(_) | Values::F64(_) | Values::U8(_) | Values::I64(_) => {}
+    }
+}
+
+/// The attribute under its former name; `None` for types that no property of this crate has. Those of
+/// colours and accelerations are not in the file, so they get the usual ones.
+fn view(attribute: &FileAttribute) -> Option<VertexAttribute<'_>> {
+    let FileAttribute { name, arity, role, values } = attribute;
+    // USD writes an underscore before the digit of a name such as `2nd`.
+    let without_underscore =
+        name.strip_prefix('_').filter(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
+    let name = match role {
+        Some(AttributeRole::Color) => COLOR_NAME,
+        Some(AttributeRole::Acceleration) => ACCELERATION_NAME,
+        _ => without_underscore.unwrap_or(name),
+    };
+    let values = match values {
+        Values::F32(values) => VertexValues::Numbers(values),
+        Values::I64(values) => VertexValues::Integers(values),
+        Values::Strings { table, indices } => VertexValues::Strings { table, indices },
+        Values::F64(_) | Values::U8(_) | Values::I32(_) => return None,
+    };
+    Some(VertexAttribute { name, role: *role, arity: *arity, values })
+}
+
+// The parts that the writers of one frame and of a sequence share: the beginning of a file, and the prims
+// that refer to its arrays.
+
+/// The offset of the comment with the provenance.
+const COMMENT_AT: usize = BOOTSTRAP_BYTES;
+
+/// The start of each of its lines.
+const COMMENT: &str = "# ";
+
+/// The bytes before the first array.
+fn head(provenance: &Provenance, contents_at: u64) -> Vec<u8> {
+    let mut bytes = bootstrap(contents_at).to_vec();
+    bytes.extend_from_slice(comments(provenance, COMMENT).as_bytes());
+    bytes.extend_from_slice(b"end_header\n");
+    bytes
+}
+
+/// The provenance in the first bytes of a file.
+fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
+    check_magic(head)?;
+    Ok(from_comments(head.get(COMMENT_AT..).unwrap_or_default(), COMMENT))
+}
+
+/// The zeros that are inserted before an array.
+#[expect(clippy::cast_possible_truncation, reason = "fewer than the alignment")]
+fn padding(at: u64) -> &'static [u8] {
+    &[0; ALIGNMENT as usize][..(at.next_multiple_of(ALIGNMENT) - at) as usize]
+}
+
+/// The metadata of the layer.
+struct LayerHead<'a> {
+    provenance: &'a Provenance,
+    info: LayerInfo,
+    up: UpAxis,
+    meters_per_unit: f64,
+    /// The first and last time code, and the time codes per second; `None` for one frame.
+    times: Option<([i64; 2], f64)>,
+    /// The name of the mesh.
+    prim: &'a str,
+}
+
+/// A property of the mesh.
+struct PropertySpec {
+    kind: String,
+    name: String,
+    value: SpecValue,
+    is_uniform: bool,
+    is_per_vertex: bool,
+    element_size: usize,
+}
+
+/// Where the value of a property is.
+enum SpecValue {
+    Always(ValueRep),
+    /// The value of a frame: the default, and a sample for stages, which see nothing but samples. Both refer
+    /// to the same array.
+    Frame(ValueRep),
+    /// For each sample, its time code and its value.
+    Samples(Vec<(f64, ValueRep)>),
+}
+
+/// The end of a file under construction: values, and the tables that refer to them.
+struct LayerEnd {
+    base: u64,
+    values: Vec<u8>,
+    tables: Tables,
+}
+
+impl LayerEnd {
+    /// Starts at this offset of the file.
+    fn at(base: u64) -> LayerEnd {
+        let mut tables = Tables::default();
+        tables.token(ROOT); // no property may be named by token 0: see `Tables::append_paths`
+        LayerEnd { base, values: Vec::new(), tables }
+    }
+
+    fn offset(&self) -> u64 {
+        self.base + self.values.len() as u64
+    }
+
+    /// The representation of a number, which is inlined if a 32-bit float holds it exactly.
+    #[expect(clippy::cast_possible_truncation, reason = "compared with the value afterwards")]
+    fn double(&mut self, value: f64) -> ValueRep {
+        if f64::from(value as f32) == value {
+            return ValueRep::inlined(ValueType::Double, (value as f32).to_bits());
+        }
+        let rep = ValueRep::at(ValueType::Double, self.offset());
+        self.values.extend_from_slice(&value.to_le_bytes());
+        rep
+    }
+
+    fn int64(&mut self, value: u64) -> ValueRep {
+        if let Ok(value) = i32::try_from(value) {
+            return ValueRep::inlined(ValueType::Int64, value.cast_unsigned());
+        }
+        let rep = ValueRep::at(ValueType::Int64, self.offset());
+        self.values.extend_from_slice(&value.to_le_bytes());
+        rep
+    }
+
+    fn double3(&mut self, value: [f64; 3]) -> ValueRep {
+        let rep = ValueRep::at(ValueType::Vec3d, self.offset());
+        value.iter().for_each(|part| self.values.extend_from_slice(&part.to_le_bytes()));
+        rep
+    }
+
+    /// An array, written among the values.
+    fn array(&mut self, array: &CrateArray) -> Result<ValueRep> {
+        self.values.extend_from_slice(padding(self.offset()));
+        let rep = array.rep(self.offset());
+        array.write(&mut self.values)?;
+        Ok(rep)
+    }
+
+    /// A list of the names of children.
+    fn names<'a>(&mut self, names: impl ExactSizeIterator<Item = &'a str>) -> ValueRep {
+        let rep = ValueRep::at(ValueType::TokenVector, self.offset());
+        append_count(names.len(), &mut self.values);
+        for name in names {
+            let token = self.tables.token(name);
+            self.values.extend_from_slice(&token.to_le_bytes());
+        }
+        rep
+    }
+
+    fn dictionary(&mut self, entries: &[(&str, ValueRep)]) -> ValueRep {
+        let rep = ValueRep::at(ValueType::Dictionary, self.offset());
+        append_count(entries.len(), &mut self.values);
+        for (key, value) in entries {
+            let key = self.tables.string(key);
+            self.values.extend_from_slice(&key.to_le_bytes());
+            self.append_here(*value);
+        }
+        rep
+    }
+
+    /// Appends an offset and the value that it leads to. The offset is relative to its own position: it is 8,
+    /// because nothing is in between. OpenUSD stores nested values in between.
+    fn append_here(&mut self, value: ValueRep) {
+        self.values.extend_from_slice(&8_i64.to_le_bytes());
+        self.values.extend_from_slice(&value.0.to_le_bytes());
+    }
+
+    fn samples(&mut self, samples: &[(f64, ValueRep)]) -> ValueRep {
+        let times = ValueRep::at(ValueType::DoubleVector, self.offset());
+        append_count(samples.len(), &mut self.values);
+        samples.iter().for_each(|(time, _)| self.values.extend_from_slice(&time.to_le_bytes()));
+        let rep = ValueRep::at(ValueType::TimeSamples, self.offset());
+        self.append_here(times);
+        self.values.extend_from_slice(&8_i64.to_le_bytes());
+        append_count(samples.len(), &mut self.values);
+        samples.iter().for_each(|(_, value)| self.values.extend_from_slice(&value.0.to_le_bytes()));
+        rep
+    }
+
+    fn custom_data(&mut self, head: &LayerHead) -> ValueRep {
+        let mut provenance = Vec::new();
+        for (key, value) in head.provenance {
+            let value = ValueRep::inlined(ValueType::String, self.tables.string(value));
+            provenance.push((key.as_str(), value));
+        }
+        let provenance = self.dictionary(&provenance);
+        let LayerInfo { vertices, faces, frames } = head.info;
+        let mut counts = vec![("faces", self.int64(faces)), ("vertices", self.int64(vertices))];
+        counts.extend(frames.map(|frames| ("frames", self.int64(frames))));
+        let counts = self.dictionary(&counts);
+        self.dictionary(&[("meniscus", provenance), ("meniscus_mesh", counts)])
+    }
+
+    /// Adds the prims and properties; returns the bytes, and the offset of the table of contents.
+    ///
+    /// # Errors
+    ///
+    /// [`crate::Error::TooLarge`] if the tables exceed the format's limits.
+    fn finish(mut self, head: &LayerHead, properties: &[PropertySpec]) -> Result<(Vec<u8>, u64)> {
+        let up = match head.up {
+            UpAxis::Y => "Y",
+            UpAxis::Z => "Z",
+        };
+        let mut fields = vec![
+            ("customLayerData", self.custom_data(head)),
+            ("defaultPrim", self.tables.token_value(ROOT)),
+            ("metersPerUnit", self.double(head.meters_per_unit)),
+            ("primChildren", self.names([ROOT].into_iter())),
+            ("upAxis", self.tables.token_value(up)),
+        ];
+        if let Some(([first, last], fps)) = head.times {
+            fields.extend([
+                ("startTimeCode", self.double(first as f64)),
+                ("endTimeCode", self.double(last as f64)),
+                ("framesPerSecond", self.double(fps)),
+                ("timeCodesPerSecond", self.double(fps)),
+            ]);
+        }
+        self.tables.add_spec("", SpecType::PseudoRoot, &fields);
+        let specifier = ValueRep::inlined(ValueType::Specifier, 0); // def
+        let (kind, children) = (self.tables.token_value("Xform"), self.names([head.prim].into_iter()));
+        let fields = [("specifier", specifier), ("typeName", kind), ("primChildren", children)];
+        self.tables.add_spec(ROOT, SpecType::Prim, &fields);
+        let kind = self.tables.token_value("Mesh");
+        let names = self.names(properties.iter().map(|property| property.name.as_str()));
+        let fields = [("specifier", specifier), ("typeName", kind), ("properties", names)];
+        self.tables.add_spec(head.prim, SpecType::Prim, &fields);
+        for property in properties {
+            self.add_property(property)?;
+        }
+        let LayerEnd { base, mut values, tables } = self;
+        let contents_at = tables.append(base, &mut values)?;
+        Ok((values, contents_at))
+    }
+
+    fn add_property(&mut self, property: &PropertySpec) -> Result<()> {
+        let PropertySpec { kind, name, value, is_uniform, is_per_vertex, element_size } = property;
+        let mut fields = vec![
+            ("typeName", self.tables.token_value(kind)),
+            ("custom", ValueRep::inlined(ValueType::Bool, 0)),
+            ("variability", ValueRep::inlined(ValueType::Variability, u32::from(*is_uniform))),
+        ];
+        match value {
+            SpecValue::Always(value) => fields.push(("default", *value)),
+            SpecValue::Frame(value) => {
+                let sample = self.samples(&[(SAMPLE_CODE as f64, *value)]);
+                fields.extend([("default", *value), ("timeSamples", sample)]);
+            }
+            SpecValue::Samples(samples) => fields.push(("timeSamples", self.samples(samples))),
+        }
+        if *is_per_vertex {
+            fields.push(("interpolation", self.tables.token_value("vertex")));
+        }
+        if *element_size != 1 {
+            let size = array::index(*element_size)?.cast_unsigned();
+            fields.push(("elementSize", ValueRep::inlined(ValueType::Int, size)));
+        }
+        self.tables.add_spec(name, SpecType::Attribute, &fields);
+        Ok(())
+    }
+}

@@ -1,16 +1,21 @@
 //! Reads the meshes of a file that this crate wrote.
 
+use std::cell::Cell;
+use std::io::{Read, Seek, SeekFrom};
+
+use super::array::{AS_INTEGERS, AS_TABLE, COMPRESSED_MIN, Integer, decode, decompress, encoded_bytes_max};
+use super::tables::{
+    BOOTSTRAP_BYTES, LayerTables, NOT_OURS, Spec, SpecType, TABLE_BYTES, ValueRep, ValueType,
+    check_contents_at, contents_at, no_gap, read_contents, value_here,
+};
+use crate::bytes::{Cursor, Endian, piece};
 use crate::data::{AttributeRole, FileAttribute, MeshData, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::mesh_options::UpAxis;
-use crate::usd::{ACCELERATIONS, FORMAT, INDICES, LayerInfo, TRANSLATE, VELOCITIES, attribute_of};
-
-use super::contents::NOT_OURS;
-use super::read_array::{Source, count, unexpected};
-use super::read_tables::{LayerTables, Spec, no_gap, value_here};
-use super::tables::SpecType;
-use super::value::{ValueRep, ValueType};
+use crate::row::UpAxis;
+use crate::usd::{
+    ACCELERATIONS, FORMAT, INDICES, LayerInfo, SampledProperty, TRANSLATE, VELOCITIES, attribute_of,
+};
 
 /// A file with the mesh of one frame, or with a sample for each frame of a sequence.
 pub struct UsdcLayer<'a> {
@@ -69,7 +74,7 @@ impl<'a> UsdcLayer<'a> {
     }
 
     /// The layer with these tables. The source needs no arrays, except to read frames.
-    pub(super) fn of_parts(source: Source<'a>, tables: LayerTables) -> Result<UsdcLayer<'a>> {
+    fn of_parts(source: Source<'a>, tables: LayerTables) -> Result<UsdcLayer<'a>> {
         let info = layer_info(&source, &tables)?;
         if tables.word(tables.specs[2].field("typeName"), "the prim's type")? != "Mesh" {
             return Err(Error::unsupported(
@@ -324,9 +329,10 @@ fn values_of(source: &Source, spec: &Spec) -> Result<PropertyValues> {
         (f64::from_le_bytes(*time), ValueRep(u64::from_le_bytes(*value)))
     };
     let samples: Vec<(f64, ValueRep)> = times.iter().zip(values).map(value).collect();
-    match samples.is_sorted_by(|(a, _), (b, _)| a < b) {
-        true => Ok(PropertyValues::Samples(samples)),
-        false => Err(at.invalid(format!("the times of {name} do not increase"))),
+    if samples.is_sorted_by(|(a, _), (b, _)| a < b) {
+        Ok(PropertyValues::Samples(samples))
+    } else {
+        Err(at.invalid(format!("the times of {name} do not increase")))
     }
 }
 
@@ -363,4 +369,254 @@ fn fans(counts: &[i32], corners: &[i32], vertex_count: usize) -> Result<Vec<[u32
 
 fn invalid(what: String) -> Error {
     Error::invalid(FORMAT, Position::File, what)
+}
+
+// Reads the ends of a file without its arrays: which properties have time samples, which a stage declares,
+// and the summary of a sequence.
+
+/// The maximum size of the tables. They are a few kilobytes, and more only if an attribute has very many
+/// different strings.
+const TABLES_BYTES_MAX: u64 = 64 << 20;
+
+/// Reads the properties with time samples from a file of this crate. Reads only its two ends: the bootstrap,
+/// and the tables.
+///
+/// # Errors
+///
+/// [`Error::Io`] if the file cannot be read; [`Error::Truncated`] if it is truncated; [`Error::Unsupported`]
+/// if another program wrote or changed it; [`Error::Invalid`] if it is damaged; [`Error::TooLarge`] if it
+/// exceeds the limits.
+pub fn read_sampled_properties(
+    file: &mut (impl Read + Seek),
+    limits: &Limits,
+) -> Result<Vec<SampledProperty>> {
+    let (_, tables) = read_tables(file, limits)?;
+    let mut found = Vec::new();
+    for spec in &tables.specs {
+        if spec.kind == SpecType::Attribute as i32 && spec.field("timeSamples").is_some() {
+            let kind = tables.word(spec.field("typeName"), &spec.name)?;
+            found.extend(SampledProperty::checked(kind, &spec.name));
+        }
+    }
+    Ok(found)
+}
+
+/// The offset of the tables of a file, and the tables.
+fn read_tables(file: &mut (impl Read + Seek), limits: &Limits) -> Result<(u64, LayerTables)> {
+    let head = piece(file, 0, BOOTSTRAP_BYTES as u64)?;
+    let at = contents_at(&head)?;
+    let file_bytes = file.seek(SeekFrom::End(0))?;
+    check_contents_at(at, file_bytes)?;
+    let sections = read_contents(&piece(file, at, TABLE_BYTES as u64)?, at)?;
+    let start = sections.iter().map(|(start, _)| *start).min().unwrap_or(at);
+    // The sections lie before the table of contents.
+    let tables_bytes = at.saturating_sub(start);
+    if tables_bytes > TABLES_BYTES_MAX {
+        let what = format!("its tables have {tables_bytes} bytes, more than the limit of {TABLES_BYTES_MAX}");
+        return Err(Error::too_large(FORMAT, what));
+    }
+    let bytes = piece(file, start, tables_bytes)?;
+    let source = Source::of_end(&bytes, start, limits);
+    Ok((start, LayerTables::in_sections(&source, &sections)?))
+}
+
+/// Reads the summary of a file of this crate, and the names of its vertex attributes, except normals. Reads
+/// only its two ends.
+///
+/// # Errors
+///
+/// As [`read_sampled_properties`].
+pub fn read_layer_info(file: &mut (impl Read + Seek), limits: &Limits) -> Result<(LayerInfo, Vec<String>)> {
+    let (end, tables) = read_tables(file, limits)?;
+    let data = tables.specs[0].field("customLayerData");
+    // The values of the properties follow this one, except arrays. What it refers to is just before it.
+    let start = data.and_then(|data| data.offset(ValueType::Dictionary)).unwrap_or(end).min(end);
+    let start = start.saturating_sub(NESTED_BYTES_MAX);
+    if end - start > TABLES_BYTES_MAX {
+        let what =
+            format!("its values have {} bytes, more than the limit of {TABLES_BYTES_MAX}", end - start);
+        return Err(Error::too_large(FORMAT, what));
+    }
+    let bytes = piece(file, start, end - start)?;
+    let layer = UsdcLayer::of_parts(Source::of_end(&bytes, start, limits), tables)?;
+    let names = layer.attribute_names().map(str::to_owned).collect();
+    Ok((layer.info(), names))
+}
+
+/// The maximum size of provenance.
+const NESTED_BYTES_MAX: u64 = 64 << 10;
+
+// Reads arrays, and limits the memory that they need.
+
+/// The bytes of a file or of its end, and the number of bytes that were read since
+/// [`Source::start_anew`]. Several values can refer to the same bytes, so all that is read counts towards the
+/// limit of decompressed bytes.
+pub(super) struct Source<'a> {
+    pub(super) bytes: &'a [u8],
+    /// The offset of the bytes in the file.
+    base: u64,
+    limits: Limits,
+    unpacked: Cell<u64>,
+}
+
+impl<'a> Source<'a> {
+    pub(super) fn new(bytes: &'a [u8], limits: &Limits) -> Source<'a> {
+        Source::of_end(bytes, 0, limits)
+    }
+
+    /// The bytes of a file from the offset `base` on.
+    fn of_end(bytes: &'a [u8], base: u64, limits: &Limits) -> Source<'a> {
+        Source { bytes, base, limits: *limits, unpacked: Cell::new(0) }
+    }
+
+    /// Sets the count of decompressed bytes to 0.
+    fn start_anew(&self) {
+        self.unpacked.set(0);
+    }
+
+    /// A cursor at an offset of the file.
+    pub(super) fn at(&self, offset: u64) -> Result<Cursor<'a>> {
+        let start = offset.checked_sub(self.base).and_then(|start| usize::try_from(start).ok());
+        let start = start.filter(|&start| start <= self.bytes.len()).ok_or_else(|| {
+            let end = self.base + self.bytes.len() as u64;
+            let what = format!(
+                "a value would be at {offset}, but it can only be from {} to the end at {end}",
+                self.base
+            );
+            Error::invalid(FORMAT, Position::Offset(offset), what)
+        })?;
+        Ok(Cursor::new(FORMAT, Endian::Little, self.bytes, start))
+    }
+
+    /// Counts bytes that are about to be allocated; fails if the sum exceeds the limit.
+    pub(super) fn claim(&self, count: usize, bytes_each: usize) -> Result<()> {
+        let bytes = (count as u64).saturating_mul(bytes_each as u64);
+        self.unpacked.set(self.unpacked.get().saturating_add(bytes));
+        self.limits.check_decompressed(FORMAT, self.unpacked.get(), self.bytes.len() as u64)
+    }
+
+    /// Reads a size and as many compressed bytes, and decompresses them to at most `bytes_max` bytes.
+    pub(super) fn lz4(&self, cursor: &mut Cursor, bytes_max: usize, what: &str) -> Result<Vec<u8>> {
+        let size = count(cursor, what)?;
+        let at = cursor.clone();
+        let packed = cursor.take(size, what)?;
+        self.claim(bytes_max, 1)?;
+        let mut out = vec![0; bytes_max];
+        let length = decompress(packed, &mut out)
+            .ok_or_else(|| at.invalid(format!("the compressed {what} are damaged")))?;
+        out.truncate(length);
+        Ok(out)
+    }
+
+    /// Reads a size and `count` compressed integers.
+    pub(super) fn integers<T: Integer>(
+        &self,
+        cursor: &mut Cursor,
+        count: usize,
+        what: &str,
+    ) -> Result<Vec<T>> {
+        let at = cursor.clone();
+        let bytes_max = encoded_bytes_max::<T>(count)
+            .ok_or_else(|| at.invalid(format!("{count} {what} are more than a file can hold")))?;
+        self.claim(count, T::CODE_BYTES[2])?;
+        let encoded = self.lz4(cursor, bytes_max, what)?;
+        decode(&encoded, count).ok_or_else(|| at.invalid(format!("expected {count} compressed {what}")))
+    }
+
+    /// The start of an array of this type, and whether it is compressed; `None` if it is empty.
+    fn array(&self, rep: ValueRep, kind: ValueType, what: &str) -> Result<Option<(Cursor<'a>, bool)>> {
+        match rep.array_offset(kind) {
+            Some((0, _)) => Ok(None),
+            Some((offset, is_compressed)) => Ok(Some((self.at(offset)?, is_compressed))),
+            None => Err(unexpected(what)),
+        }
+    }
+
+    /// The numbers of an array of integers, or of vectors of `arity` integers.
+    fn read_integers<T: Integer>(
+        &self,
+        rep: ValueRep,
+        (kind, arity): (ValueType, usize),
+        what: &str,
+    ) -> Result<Vec<T>> {
+        let Some((mut cursor, is_compressed)) = self.array(rep, kind, what)? else { return Ok(Vec::new()) };
+        let count = count(&mut cursor, what)?;
+        if is_compressed && arity == 1 && count >= COMPRESSED_MIN {
+            return self.integers(&mut cursor, count, what);
+        }
+        let width = T::CODE_BYTES[2];
+        let bytes = self.elements(&mut cursor, count, arity * width, what)?;
+        let widened = |bytes: &[u8]| {
+            let mut all = [0; 8];
+            all[..width].copy_from_slice(bytes);
+            T::lowest(i64::from_le_bytes(all))
+        };
+        Ok(bytes.chunks_exact(width).map(widened).collect())
+    }
+
+    /// The numbers of an array of vectors of `arity` floats.
+    fn read_floats(&self, rep: ValueRep, arity: usize, what: &str) -> Result<Vec<f32>> {
+        let kind = match arity {
+            1 => ValueType::Float,
+            2 => ValueType::Vec2f,
+            3 => ValueType::Vec3f,
+            _ => ValueType::Vec4f,
+        };
+        let Some((mut cursor, is_compressed)) = self.array(rep, kind, what)? else { return Ok(Vec::new()) };
+        let count = count(&mut cursor, what)?;
+        if !is_compressed || arity != 1 || count < COMPRESSED_MIN {
+            return Ok(floats(self.elements(&mut cursor, count, 4 * arity, what)?));
+        }
+        let at = cursor.clone();
+        match cursor.array::<1>(what)? {
+            [AS_INTEGERS] => {
+                let integers: Vec<i32> = self.integers(&mut cursor, count, what)?;
+                Ok(integers.into_iter().map(|value| value as f32).collect())
+            }
+            [AS_TABLE] => {
+                let length = u32::from_le_bytes(cursor.array(what)?) as usize;
+                let table = floats(self.elements(&mut cursor, length, 4, what)?);
+                let indices: Vec<i32> = self.integers(&mut cursor, count, what)?;
+                let value = |index: i32| table.get(usize::try_from(index).ok()?).copied();
+                let values: Option<Vec<f32>> = indices.into_iter().map(value).collect();
+                values.ok_or_else(|| at.invalid(format!("an index of {what} is beyond the end of its table")))
+            }
+            [code] => Err(at.invalid(format!("unknown compression {code} of {what}"))),
+        }
+    }
+
+    /// The bytes of `count` elements.
+    fn elements(
+        &self,
+        cursor: &mut Cursor<'a>,
+        count: usize,
+        bytes_each: usize,
+        what: &str,
+    ) -> Result<&'a [u8]> {
+        let bytes = cursor.take(count.saturating_mul(bytes_each), what)?;
+        self.claim(bytes.len(), 1)?;
+        Ok(bytes)
+    }
+
+    /// The indices of an array of tokens or strings.
+    fn read_indices(&self, rep: ValueRep, kind: ValueType, what: &str) -> Result<Vec<u32>> {
+        let indices: Vec<i32> = self.read_integers(rep, (kind, 1), what)?;
+        Ok(indices.into_iter().map(i32::cast_unsigned).collect())
+    }
+}
+
+/// Reads a 64-bit count.
+pub(super) fn count(cursor: &mut Cursor, what: &str) -> Result<usize> {
+    let at = cursor.clone();
+    let count = u64::from_le_bytes(cursor.array(what)?);
+    usize::try_from(count).map_err(|_| at.invalid(format!("{count} {what} are more than a file can hold")))
+}
+
+fn floats(bytes: &[u8]) -> Vec<f32> {
+    bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
+}
+
+/// The error for a value that is missing or has another type.
+pub(super) fn unexpected(what: &str) -> Error {
+    Error::invalid(FORMAT, Position::File, format!("the value of {what} is missing, or has another type"))
 }

@@ -17,16 +17,14 @@ use std::mem;
 
 use rayon::prelude::*;
 
+use super::array::{CrateArray, IntegerBuffers};
+use super::tables::{CONTENTS_AT, ValueRep, ValueType};
+use super::{LayerEnd, LayerHead, PropertySpec, SpecValue, head, padding};
 use crate::data::Provenance;
 use crate::digest::{Hasher, SampleKey};
 use crate::error::Result;
 use crate::gltf::{GlbFrame, PositionTransform, SequenceFrame};
 use crate::usd::{PRIM, SequenceAttribute, TRANSLATE, UsdSequence};
-
-use super::array::{CrateArray, IntegerBuffers};
-use super::contents::CONTENTS_AT;
-use super::layer::{LayerEnd, LayerHead, PropertySpec, SpecValue, head, padding};
-use super::value::{ValueRep, ValueType};
 
 /// Writes a sequence of frames, whose numbers become the time codes and must increase. `open` opens the file
 /// of a frame, by its index; position 0 of `out` is the start of the file. Returns notes on attributes that

@@ -21,35 +21,23 @@
 //! This work is based on:
 //! the file format of OpenVDB 10, <https://www.openvdb.org>
 
-use serde::{Deserialize, Serialize};
-
-use crate::mesh_options::WriteOption;
-use crate::provenance::from_strings;
-use crate::row::Integrity;
-use crate::row::{Content, FormatRow, OutputRow};
-
-mod band_grids;
-mod cursor;
-mod encode_leaves;
-mod layout;
-mod metadata;
 mod read;
 mod read_tree;
-mod sign_flood;
-mod transform;
 mod tree;
-mod uuid;
 mod write;
 
-pub use metadata::MetaValue;
+use serde::{Deserialize, Serialize};
+
 pub use read::{
     GridInfo, LevelSetOutline, grids, has_velocity, level_set_outline, read_level_set, read_vectors,
 };
 pub use read_tree::{ConstantTile, GridData, LevelSetData, VectorGridData};
-pub use transform::Transform;
 pub use write::{EncodedVdb, WriteOptions, encode, grid_notes, write};
 
-use read::{first_grid_metadata, last_grid_end};
+use crate::error::{Error, Result};
+use crate::provenance::from_strings;
+use crate::row::{Content, FormatRow, Integrity, OutputRow, WriteOption};
+use read::{VdbCursor, first_grid_metadata, last_grid_end};
 
 /// The format's name in errors.
 const FORMAT: &str = "OpenVDB";
@@ -102,3 +90,226 @@ pub(crate) static ROW: OutputRow = OutputRow {
 
 /// Longer than any descriptor of a grid that this crate writes.
 const DESCRIPTOR_BYTES_MAX: u64 = 64 << 10;
+
+// Where the voxels of a grid are in the world.
+
+/// An affine map: voxel (i, j, k) is centred on `translation + i·axes[0] + j·axes[1] + k·axes[2]`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Transform {
+    /// Steps from a voxel to the next along each index, world units.
+    pub axes: [[f64; 3]; 3],
+    /// World position of voxel (0, 0, 0).
+    pub translation: [f64; 3],
+}
+
+impl Transform {
+    /// The lengths of the steps along each index, world units.
+    pub fn voxel_size(&self) -> [f64; 3] {
+        self.axes.map(|[x, y, z]| (x * x + y * y + z * z).sqrt())
+    }
+}
+
+// Typed metadata entries of a file or a grid.
+
+/// A value of OpenVDB metadata.
+#[derive(Clone, Debug, PartialEq)]
+pub enum MetaValue {
+    /// `string`.
+    String(String),
+    /// `bool`.
+    Bool(bool),
+    /// `int32` and `int64`.
+    Integer(i64),
+    /// `float` and `double`.
+    Real(f64),
+    /// `vec3i`.
+    Vec3i([i32; 3]),
+    /// `vec3s` and `vec3d`.
+    Vec3d([f64; 3]),
+    /// Any other type: its name and its size in bytes.
+    Other(String, usize),
+}
+
+/// Metadata to write, in order.
+#[derive(Default)]
+struct MetaWriter {
+    count: u32,
+    entries: Vec<u8>,
+}
+
+impl MetaWriter {
+    fn push(&mut self, name: &str, type_name: &str, value: &[u8]) {
+        self.count += 1;
+        push_string(&mut self.entries, name.as_bytes());
+        push_string(&mut self.entries, type_name.as_bytes());
+        push_string(&mut self.entries, value);
+    }
+
+    fn string(&mut self, name: &str, value: &str) {
+        self.push(name, "string", value.as_bytes());
+    }
+
+    fn int64(&mut self, name: &str, value: i64) {
+        self.push(name, "int64", &value.to_le_bytes());
+    }
+
+    fn vec3i(&mut self, name: &str, value: [i32; 3]) {
+        self.push(name, "vec3i", &value.map(i32::to_le_bytes).concat());
+    }
+
+    fn append_to(&self, out: &mut Vec<u8>) {
+        out.extend_from_slice(&self.count.to_le_bytes());
+        out.extend_from_slice(&self.entries);
+    }
+}
+
+/// Appends a u32 length and the bytes.
+fn push_string(out: &mut Vec<u8>, bytes: &[u8]) {
+    // The writer only stores names and provenance; an overlong string is truncated to keep the file readable.
+    let length = u32::try_from(bytes.len()).unwrap_or(u32::MAX);
+    out.extend_from_slice(&length.to_le_bytes());
+    out.extend_from_slice(&bytes[..length as usize]);
+}
+
+/// Reads the entries of a file or a grid.
+fn read_metadata(cursor: &mut VdbCursor) -> Result<Vec<(String, MetaValue)>> {
+    const ENTRY_BYTES_MIN: usize = 12;
+    const ENTRY_COUNT_MAX: usize = 1 << 16; // real files have a few dozen
+    let count = cursor.u32("the number of metadata entries")? as usize;
+    if count > cursor.remaining() / ENTRY_BYTES_MIN {
+        return Err(cursor.error(format!(
+            "the file declares {count} metadata entries of at least {ENTRY_BYTES_MIN} bytes each, \
+             but only {} bytes follow",
+            cursor.remaining()
+        )));
+    }
+    if count > ENTRY_COUNT_MAX {
+        return Err(Error::too_large(
+            FORMAT,
+            format!("the file has {count} metadata entries, more than the limit of {ENTRY_COUNT_MAX}"),
+        ));
+    }
+    let mut entries = Vec::with_capacity(count);
+    for _ in 0..count {
+        let name = cursor.string("the name of a metadata entry")?;
+        let type_name = cursor.string("the type of a metadata entry")?;
+        let byte_count = cursor.u32("the size of a metadata entry")? as usize;
+        let bytes = cursor.take(byte_count, "the value of a metadata entry")?;
+        if !type_name.starts_with("__") {
+            entries.push((name, read_value(&type_name, bytes)));
+        }
+    }
+    Ok(entries)
+}
+
+fn read_value(type_name: &str, bytes: &[u8]) -> MetaValue {
+    let mut cursor = VdbCursor::new(bytes);
+    let value = match (type_name, bytes.len()) {
+        ("string", _) => Ok(MetaValue::String(String::from_utf8_lossy(bytes).into_owned())),
+        ("bool", 1) => Ok(MetaValue::Bool(bytes[0] != 0)),
+        ("int32", 4) => cursor.i32("").map(|value| MetaValue::Integer(value.into())),
+        ("int64", 8) => cursor.i64("").map(MetaValue::Integer),
+        ("float", 4) => cursor.f32("").map(|value| MetaValue::Real(value.into())),
+        ("double", 8) => cursor.f64("").map(MetaValue::Real),
+        ("vec3i", 12) => cursor.coord("").map(MetaValue::Vec3i),
+        ("vec3s", 12) => read_vector(|| cursor.f32("").map(f64::from)),
+        ("vec3d", 24) => read_vector(|| cursor.f64("")),
+        _ => Ok(MetaValue::Other(type_name.into(), bytes.len())),
+    };
+    value.unwrap_or_else(|_| MetaValue::Other(type_name.into(), bytes.len()))
+}
+
+fn read_vector(mut next: impl FnMut() -> Result<f64>) -> Result<MetaValue> {
+    Ok(MetaValue::Vec3d([next()?, next()?, next()?]))
+}
+
+// Constants and helpers of the file format, shared by writer and reader.
+
+/// The first eight bytes of a file.
+const MAGIC: [u8; 8] = *b"\x20BDV\0\0\0\0";
+/// The file version that the writer uses: all versions of OpenVDB since 4 read it without warnings.
+const VERSION_WRITTEN: u32 = 224;
+/// The file versions that the reader supports.
+const VERSIONS_READ: std::ops::RangeInclusive<u32> = 222..=225;
+/// The version of the OpenVDB library, major and minor, that the writer records in the header: it writes the
+/// layout of OpenVDB 10.0.
+const LIBRARY_VERSION: [u32; 2] = [10, 0];
+const UUID_BYTES: usize = 36;
+
+const TYPE_FLOAT: &str = "Tree_float_5_4_3";
+const TYPE_VEC3S: &str = "Tree_vec3s_5_4_3";
+/// The name of a grid of velocities, by which programs find it.
+const VELOCITY: &str = "velocity";
+const HALF_SUFFIX: &str = "_HalfFloat";
+const META_HALF: &str = "is_saved_as_half_float";
+
+/// Bits of the compression word of a grid.
+const COMPRESS_ZIP: u32 = 1;
+const COMPRESS_ACTIVE_MASK: u32 = 2;
+const COMPRESS_BLOSC: u32 = 4;
+
+/// The first byte of a block of values: it encodes the values of inactive slots.
+mod inactive {
+    /// All are + background, or there are no inactive slots.
+    pub(super) const PLUS_BACKGROUND: u8 = 0;
+    /// All are − background.
+    pub(super) const MINUS_BACKGROUND: u8 = 1;
+    /// All have the value that follows.
+    pub(super) const ONE_VALUE: u8 = 2;
+    /// A mask follows: on for + background, off for − background.
+    pub(super) const MASK_OF_BACKGROUNDS: u8 = 3;
+    /// A value and a mask follow: on for + background, off for the value.
+    pub(super) const MASK_AND_ONE_VALUE: u8 = 4;
+    /// Two values and a mask follow: on for the second, off for the first.
+    pub(super) const MASK_AND_TWO_VALUES: u8 = 5;
+    /// The value of every slot is stored.
+    pub(super) const ALL_VALUES: u8 = 6;
+}
+
+/// Log2 of the number of slots along an edge: of a leaf (LEAF), a lower internal node (NODE4) and an upper
+/// internal node (NODE5).
+const LEAF_LOG2: u32 = 3;
+const NODE4_LOG2: u32 = 4;
+const NODE5_LOG2: u32 = 5;
+
+/// Log2 of the number of voxels along an edge: of a lower and of an upper internal node.
+const NODE4_VOXELS_LOG2: u32 = LEAF_LOG2 + NODE4_LOG2;
+const NODE5_VOXELS_LOG2: u32 = NODE4_VOXELS_LOG2 + NODE5_LOG2;
+
+/// The index of a child's slot in its parent, with z varying fastest. `coord` is the child's position in the
+/// world, in units of its edge length; the parent has 2^`log2` slots along an edge.
+fn slot_of(coord: [i32; 3], log2: u32) -> usize {
+    let mask = (1 << log2) - 1;
+    let [x, y, z] = coord.map(|c| (c & mask) as usize);
+    x << (2 * log2) | y << log2 | z
+}
+
+/// The position of the child in a slot, from the minimum corner of the parent, in units of the child's edge
+/// length.
+fn slot_coord(slot: usize, log2: u32) -> [i32; 3] {
+    let mask = (1 << log2) - 1;
+    #[expect(clippy::cast_possible_truncation, reason = "masked to five bits at most")]
+    let coord = [slot >> (2 * log2), slot >> log2, slot].map(|c| (c & mask) as i32);
+    coord
+}
+
+/// The slots that are on in a mask, in order.
+fn ones(mask: &[u64]) -> impl Iterator<Item = usize> + '_ {
+    mask.iter().enumerate().flat_map(|(index, &word)| {
+        std::iter::successors((word != 0).then_some(word), |&rest| {
+            let rest = rest & (rest - 1);
+            (rest != 0).then_some(rest)
+        })
+        .map(move |rest| index * 64 + rest.trailing_zeros() as usize)
+    })
+}
+
+/// The number of slots that are on.
+fn count_ones(mask: &[u64]) -> usize {
+    mask.iter().map(|word| word.count_ones() as usize).sum()
+}
+
+/// Whether a slot is on.
+fn is_on(mask: &[u64], slot: usize) -> bool {
+    mask[slot >> 6] >> (slot & 63) & 1 == 1
+}

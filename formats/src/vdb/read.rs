@@ -5,21 +5,18 @@
 
 use std::io::{Read, Seek, SeekFrom};
 
-use super::cursor::VdbCursor;
-use super::layout::{
-    HALF_SUFFIX, MAGIC, META_HALF, TYPE_FLOAT, TYPE_VEC3S, UUID_BYTES, VELOCITY, VERSIONS_READ,
-};
-use super::metadata::{MetaValue, read_metadata};
 use super::read_tree::{
     GridData, LevelSetData, TreeBudget, TreeSize, ValueStorage, VectorGridData, VoxelValue, count_tree,
     outline_of_tree, pass_tree, read_tree,
 };
-use super::transform::Transform;
-use super::{DESCRIPTOR_BYTES_MAX, FORMAT};
+use super::{
+    DESCRIPTOR_BYTES_MAX, FORMAT, HALF_SUFFIX, MAGIC, META_HALF, MetaValue, TYPE_FLOAT, TYPE_VEC3S,
+    Transform, UUID_BYTES, VELOCITY, VERSIONS_READ, read_metadata,
+};
 use crate::error::{Error, Position, Result};
-use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::provenance::HEAD_BYTES_MAX;
+use crate::text::excerpt;
 
 /// A grid of a file.
 #[derive(Clone, Debug)]
@@ -312,9 +309,10 @@ fn grid_cursor<'a>(
     let within = usize::try_from(end).ok().and_then(|end| bytes.get(..end));
     let Some(within) = within.filter(|_| after.position() as u64 <= grid_start && grid_start <= end) else {
         let length = bytes.len();
-        let what = match end > length as u64 {
-            true => format!("the file is truncated: a grid ends at byte {end}, but the file at {length}"),
-            false => format!("a grid has the invalid range from byte {grid_start} to byte {end} of {length}"),
+        let what = if end > length as u64 {
+            format!("the file is truncated: a grid ends at byte {end}, but the file at {length}")
+        } else {
+            format!("a grid has the invalid range from byte {grid_start} to byte {end} of {length}")
         };
         return Err(after.error(what));
     };
@@ -474,5 +472,104 @@ fn skip_tree(cursor: &mut VdbCursor, entry: &GridEntry, limits: &Limits) -> Resu
             );
             Err(Error::unsupported(FORMAT, what))
         }
+    }
+}
+
+// A cursor over little-endian bytes whose errors name the position.
+
+/// A read position in a file. Reading past the end is an error that names what was being read.
+#[derive(Clone, Copy)]
+pub(super) struct VdbCursor<'a> {
+    bytes: &'a [u8],
+    position: usize,
+}
+
+impl<'a> VdbCursor<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> VdbCursor<'a> {
+        VdbCursor { bytes, position: 0 }
+    }
+
+    pub(super) fn position(&self) -> usize {
+        self.position
+    }
+
+    pub(super) fn remaining(&self) -> usize {
+        self.bytes.len() - self.position
+    }
+
+    /// Moves to an absolute position.
+    fn seek(&mut self, position: u64, what: &str) -> Result<()> {
+        match usize::try_from(position) {
+            Ok(position) if position <= self.bytes.len() => {
+                self.position = position;
+                Ok(())
+            }
+            _ => Err(self.error(format!(
+                "{what} is at byte {position}, beyond the end of the file at {}",
+                self.bytes.len()
+            ))),
+        }
+    }
+
+    pub(super) fn take(&mut self, count: usize, what: &str) -> Result<&'a [u8]> {
+        if count > self.remaining() {
+            return Err(
+                self.error(format!("{what} needs {count} bytes, but only {} remain", self.remaining()))
+            );
+        }
+        let taken = &self.bytes[self.position..self.position + count];
+        self.position += count;
+        Ok(taken)
+    }
+
+    pub(super) fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N]> {
+        let mut array = [0; N];
+        array.copy_from_slice(self.take(N, what)?);
+        Ok(array)
+    }
+
+    pub(super) fn u8(&mut self, what: &str) -> Result<u8> {
+        Ok(self.array::<1>(what)?[0])
+    }
+
+    pub(super) fn u32(&mut self, what: &str) -> Result<u32> {
+        Ok(u32::from_le_bytes(self.array(what)?))
+    }
+
+    pub(super) fn i32(&mut self, what: &str) -> Result<i32> {
+        Ok(i32::from_le_bytes(self.array(what)?))
+    }
+
+    pub(super) fn i64(&mut self, what: &str) -> Result<i64> {
+        Ok(i64::from_le_bytes(self.array(what)?))
+    }
+
+    pub(super) fn f32(&mut self, what: &str) -> Result<f32> {
+        Ok(f32::from_le_bytes(self.array(what)?))
+    }
+
+    pub(super) fn f64(&mut self, what: &str) -> Result<f64> {
+        Ok(f64::from_le_bytes(self.array(what)?))
+    }
+
+    pub(super) fn coord(&mut self, what: &str) -> Result<[i32; 3]> {
+        Ok([self.i32(what)?, self.i32(what)?, self.i32(what)?])
+    }
+
+    /// Reads a u32 length and that number of bytes; replaces invalid UTF-8, because names are only displayed.
+    pub(super) fn string(&mut self, what: &str) -> Result<String> {
+        let length = self.u32(what)? as usize;
+        Ok(String::from_utf8_lossy(self.take(length, what)?).into_owned())
+    }
+
+    /// Reads a bit mask in 64-bit words, least significant bit first.
+    pub(super) fn mask(&mut self, word_count: usize, what: &str) -> Result<Vec<u64>> {
+        let bytes = self.take(word_count * 8, what)?;
+        Ok(bytes.as_chunks::<8>().0.iter().map(|&word| u64::from_le_bytes(word)).collect())
+    }
+
+    /// An error at the current position.
+    pub(super) fn error(&self, what: impl Into<String>) -> Error {
+        Error::invalid(FORMAT, Position::Offset(self.position as u64), what)
     }
 }

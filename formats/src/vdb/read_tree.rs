@@ -3,16 +3,15 @@
 //! The topology comes first: the root's background, tiles and children, depth first down to the masks of the
 //! leaves. Then come the values of the leaves in the same order. A block of values may omit those of inactive
 //! voxels, which are + or − background, or one or two values that the block states. The reader restores them.
+
 use half::f16;
 
-use super::FORMAT;
-use super::cursor::VdbCursor;
-use super::layout::{
-    COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, COMPRESS_ZIP, LEAF_LOG2, NODE4_LOG2, NODE4_VOXELS_LOG2, NODE5_LOG2,
-    NODE5_VOXELS_LOG2, count_ones, inactive, is_on, ones, slot_coord,
+use super::read::VdbCursor;
+use super::{
+    COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, COMPRESS_ZIP, FORMAT, LEAF_LOG2, MetaValue, NODE4_LOG2,
+    NODE4_VOXELS_LOG2, NODE5_LOG2, NODE5_VOXELS_LOG2, Transform, count_ones, inactive, is_on, ones,
+    slot_coord, slot_of,
 };
-use super::metadata::MetaValue;
-use super::transform::Transform;
 use crate::blosc::{BloscError, decode_frame, inflate_into};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
@@ -58,7 +57,7 @@ impl GridData<f32> {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct TreeSize {
     pub(super) leaf_count: usize,
-    pub(super) tile_count: usize,
+    tile_count: usize,
 }
 
 impl TreeSize {
@@ -464,4 +463,114 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
 fn child_origin(origin: [i32; 3], slot: usize, log2: u32, child_log2: u32) -> [i32; 3] {
     let local = slot_coord(slot, log2);
     std::array::from_fn(|axis| origin[axis].wrapping_add(local[axis] << child_log2))
+}
+
+// Determines which of the empty regions are inside.
+//
+// A narrow band stores leaves only near the surface. The regions between them are entirely outside or
+// inside, and a file must record which, in as few tiles as possible.
+//
+//   one row of leaves along z          . . [+-] = = = [-+] . . [+-][-+] . .
+//                                           │   inside  │
+//                                    its last face   its first face
+//                                    is negative     is negative
+//
+// A gap between two leaves of a row is inside if both faces next to it are. A surface cannot cross a gap
+// without leaves there, so for a closed surface the two faces agree. For a surface with holes, a gap where
+// they disagree stays outside, so the error stays within one row instead of flooding the world.
+//
+// The same rule applies at all levels of the tree. An inside gap that crosses a face of a parent counts as
+// one vote that this face is inside; then the parents are the cells of the next level. No level visits
+// voxels or cells that are not stored, so the time depends on the number of leaves and not on the volume.
+
+/// A stored part of the grid: a leaf, or a node that contains some.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct FloodCell {
+    /// Position, in cells of this level.
+    pub(super) coord: [i32; 3],
+    /// Whether the region just before it along z is inside.
+    pub(super) low_inside: bool,
+    /// Whether the region just after it along z is inside.
+    pub(super) high_inside: bool,
+}
+
+/// An inside gap in a row along z: between two cells, excluding both.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct InsideGap {
+    pub(super) xy: [i32; 2],
+    pub(super) after: i32,
+    pub(super) before: i32,
+}
+
+/// A node of the next level, with the slots that lie in inside gaps.
+#[derive(Clone, Debug)]
+pub(super) struct Parent {
+    /// Position, in nodes of this level.
+    pub(super) coord: [i32; 3],
+    /// One bit per slot without a cell: whether it is inside.
+    pub(super) inside: Vec<u64>,
+    low_votes: u32,
+    high_votes: u32,
+}
+
+impl Parent {
+    /// The node as a cell of the next level: a face is inside if most rows through it are.
+    pub(super) fn as_cell(&self, log2: u32) -> FloodCell {
+        let rows = 1 << (2 * log2);
+        FloodCell {
+            coord: self.coord,
+            low_inside: 2 * self.low_votes > rows,
+            high_inside: 2 * self.high_votes > rows,
+        }
+    }
+
+    /// Marks a slot as inside.
+    pub(super) fn insert(&mut self, slot: usize) {
+        self.inside[slot >> 6] |= 1 << (slot & 63);
+    }
+
+    /// Marks a run of slots along z. It lies in a single word, because rows have 16 or 32 slots.
+    fn insert_row(&mut self, first_slot: usize, count: i32) {
+        self.inside[first_slot >> 6] |= ((1 << count) - 1) << (first_slot & 63);
+    }
+}
+
+/// The parents of `cells`, with the slots in inside gaps. The cells must be sorted by x, then y, then z; the
+/// parents have the same order.
+pub(super) fn parents(cells: &[FloodCell], log2: u32) -> Vec<Parent> {
+    let edge = 1 << log2;
+    let mut coords: Vec<[i32; 3]> = cells.iter().map(|cell| cell.coord.map(|c| c >> log2)).collect();
+    coords.sort_unstable();
+    coords.dedup();
+    let words = (1 << (3 * log2)) / 64;
+    let mut parents: Vec<Parent> = coords
+        .into_iter()
+        .map(|coord| Parent { coord, inside: vec![0; words], low_votes: 0, high_votes: 0 })
+        .collect();
+    for InsideGap { xy: [x, y], after, before } in inside_gaps(cells) {
+        let index_at = |parents: &[Parent], z: i32| {
+            let coord = [x >> log2, y >> log2, z >> log2];
+            parents.partition_point(|parent| parent.coord < coord)
+        };
+        let (first, last) = (index_at(&parents, after), index_at(&parents, before));
+        for (index, parent) in parents.iter_mut().enumerate().take(last + 1).skip(first) {
+            let start = parent.coord[2] << log2;
+            let (low, high) = (index > first, index < last);
+            let from = if low { 0 } else { after - start + 1 };
+            let to = if high { edge } else { before - start };
+            parent.insert_row(slot_of([x, y, start + from], log2), to - from);
+            parent.low_votes += u32::from(low);
+            parent.high_votes += u32::from(high);
+        }
+    }
+    parents
+}
+
+/// The inside gaps between cells, which must be sorted by x, then y, then z.
+pub(super) fn inside_gaps(cells: &[FloodCell]) -> impl Iterator<Item = InsideGap> + '_ {
+    cells.windows(2).filter_map(|pair| {
+        let ([ax, ay, az], [bx, by, bz]) = (pair[0].coord, pair[1].coord);
+        let inside = ax == bx && ay == by && bz - az > 1 && pair[0].high_inside && pair[1].low_inside;
+        inside.then_some(InsideGap { xy: [ax, ay], after: az, before: bz })
+    })
 }

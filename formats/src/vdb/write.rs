@@ -25,16 +25,16 @@ use std::io::Write;
 use half::f16;
 use rayon::prelude::*;
 
-use super::band_grids::encode_grid;
-use super::encode_leaves::{EncodedBatch, LeafEncoding, Packed, encode_leaves, to_world};
-use super::layout::{
-    COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, HALF_SUFFIX, LIBRARY_VERSION, MAGIC, META_HALF, NODE4_VOXELS_LOG2,
-    NODE5_VOXELS_LOG2, TYPE_FLOAT, TYPE_VEC3S, VELOCITY, VERSION_WRITTEN, count_ones,
+use super::tree::{
+    EncodedBatch, GridTree, LEAVES_PER_BATCH, LeafEncoding, Packed, TreeLeaf, append_chunk, count_u32,
+    encode_leaves, push_values, to_world,
 };
-use super::metadata::{MetaWriter, push_string};
-use super::tree::{GridTree, TreeLeaf, count_u32};
-use super::uuid::{self, Digest, digest};
-use super::{Compression, FORMAT};
+use super::{
+    COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, Compression, FORMAT, HALF_SUFFIX, LIBRARY_VERSION, MAGIC,
+    META_HALF, MetaWriter, NODE4_VOXELS_LOG2, NODE5_VOXELS_LOG2, TYPE_FLOAT, TYPE_VEC3S, VELOCITY,
+    VERSION_WRITTEN, count_ones, inactive, ones, push_string,
+};
+use crate::blosc::Encoder;
 use crate::data::{AttributeRole, BandGrid, LevelSetView, Provenance};
 use crate::error::{Error, Position, Result};
 use crate::provenance::{GENERATOR, prefixed};
@@ -387,10 +387,142 @@ fn header(digests: &[Digest], grid_count: usize) -> Vec<u8> {
         head.extend_from_slice(&number.to_le_bytes());
     }
     head.push(1); // grids have offsets
-    head.extend_from_slice(uuid::format(digest(&bytes)).as_bytes());
+    head.extend_from_slice(format(digest(&bytes)).as_bytes());
     head.extend_from_slice(&0u32.to_le_bytes()); // no file metadata
     head.extend_from_slice(&count_u32(grid_count).to_le_bytes());
     head
+}
+
+// Additional grids with the same active voxels as the level set.
+//
+//   leaf of the level set   − − − + + + +      active: |φ| < half width
+//   leaf of the grid        ∙ v v v v v ∙      the same voxels; 0 elsewhere, including outside all leaves
+
+/// Encodes the stored leaves, given in tree order with their indices in the level set. Also returns the
+/// largest absolute value.
+fn encode_grid(
+    grid: &BandGrid,
+    (order, leaves): (&[u32], &[TreeLeaf]),
+    encoding: LeafEncoding,
+) -> Result<(Vec<Packed>, f32)> {
+    let BandGrid { name, arity, .. } = grid;
+    let invalid = |what: String| Err(Error::invalid(FORMAT, Position::File, what));
+    if *arity != 1 && *arity != 3 {
+        return invalid(format!("attribute {name} has {arity} values per voxel; a grid must have 1 or 3"));
+    }
+    let in_tree = order.par_chunks(LEAVES_PER_BATCH).zip(leaves.par_chunks(LEAVES_PER_BATCH));
+    let batches: Vec<(Packed, f32)> = in_tree
+        .map_init(
+            || (BandLeafEncoder::new(encoding), Vec::new()),
+            |(encoder, bytes), (order, leaves)| {
+                bytes.clear();
+                encoder.greatest = 0.0;
+                for (&index, leaf) in order.iter().zip(leaves).filter(|(_, leaf)| leaf.summary.is_stored()) {
+                    grid.values.fill(index as usize, &mut encoder.values);
+                    encoder.append(&leaf.summary.active, bytes);
+                }
+                (Packed::new(bytes), encoder.greatest)
+            },
+        )
+        .collect();
+    let greatest = batches.iter().fold(0.0f32, |greatest, (_, other)| greatest.max(*other));
+    if greatest == f32::INFINITY {
+        return invalid(format!("attribute {name} has a value that is not finite"));
+    }
+    Ok((batches.into_iter().map(|(packed, _)| packed).collect(), greatest))
+}
+
+/// Encodes leaves one at a time, reusing its buffers.
+struct BandLeafEncoder {
+    encoding: LeafEncoding,
+    /// The values of all voxels of a leaf.
+    values: Vec<f32>,
+    active: Vec<f32>,
+    chunk: Vec<u8>,
+    blosc: Encoder,
+    /// The largest absolute value so far; infinite if a value was not finite.
+    greatest: f32,
+}
+
+impl BandLeafEncoder {
+    fn new(encoding: LeafEncoding) -> BandLeafEncoder {
+        let values = vec![0.0; 512 * encoding.arity];
+        let blosc = Encoder::new();
+        BandLeafEncoder { encoding, values, active: Vec::new(), chunk: Vec::new(), blosc, greatest: 0.0 }
+    }
+
+    /// Appends the buffer of the leaf whose values have been filled in.
+    fn append(&mut self, active: &[u64; 8], out: &mut Vec<u8>) {
+        for word in active {
+            out.extend_from_slice(&word.to_le_bytes());
+        }
+        let arity = self.encoding.arity;
+        self.active.clear();
+        for voxel in ones(active) {
+            self.active.extend_from_slice(&self.values[voxel * arity..(voxel + 1) * arity]);
+        }
+        for value in &self.active {
+            let size = if value.is_finite() { value.abs() } else { f32::INFINITY };
+            self.greatest = self.greatest.max(size);
+        }
+        if self.encoding.compression == Compression::None {
+            out.push(inactive::ALL_VALUES);
+            self.values.fill(0.0);
+            for (voxel, value) in ones(active).zip(self.active.chunks(arity)) {
+                self.values[voxel * arity..(voxel + 1) * arity].copy_from_slice(value);
+            }
+            push_values(&self.values, self.encoding.half, out);
+            return;
+        }
+        out.push(inactive::PLUS_BACKGROUND);
+        self.chunk.clear();
+        push_values(&self.active, self.encoding.half, &mut self.chunk);
+        append_chunk(&self.chunk, self.encoding, &mut self.blosc, out);
+    }
+}
+
+// Derives the UUID of a file from its content.
+//
+// OpenVDB gives every file a random UUID. Ours is computed from the bytes, so that equal inputs produce
+// equal files. Two files with the same content have the same UUID: the UUID identifies the content.
+
+/// A digest of bytes. To combine digests, compute the digest of their bytes.
+pub(super) type Digest = [u64; 2];
+
+/// A 128-bit digest with two multiplicative lanes, eight bytes per step. Not collision-resistant against
+/// attackers.
+pub(super) fn digest(bytes: &[u8]) -> Digest {
+    let (words, rest) = bytes.as_chunks::<8>();
+    let mut last = [0; 8];
+    last[..rest.len()].copy_from_slice(rest);
+    let mut lanes: Digest = [0x243f_6a88_85a3_08d3, 0x1319_8a2e_0370_7344]; // the fractional bits of pi
+    let tail = [u64::from_le_bytes(last), bytes.len() as u64];
+    for word in words.iter().map(|&word| u64::from_le_bytes(word)).chain(tail) {
+        lanes[0] = (lanes[0] ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(29);
+        lanes[1] = (lanes[1] ^ word.rotate_left(32)).wrapping_mul(0xc2b2_ae3d_27d4_eb4f).rotate_left(31);
+    }
+    [scramble(lanes[0] ^ lanes[1].rotate_left(17)), scramble(lanes[1] ^ lanes[0].rotate_left(41))]
+}
+
+/// Mixes the bits: every bit of the result depends on every bit of the argument.
+fn scramble(mut word: u64) -> u64 {
+    word = (word ^ word >> 32).wrapping_mul(0xd6e8_feb8_6659_fd93);
+    word = (word ^ word >> 32).wrapping_mul(0xd6e8_feb8_6659_fd93);
+    word ^ word >> 32
+}
+
+/// Formats the digest as a UUID of version 8 (RFC 9562: custom), 36 characters.
+pub(super) fn format(digest: Digest) -> String {
+    let high = digest[0] & !0xf000 | 0x8000;
+    let low = digest[1] & !(3 << 62) | 2 << 62;
+    format!(
+        "{:08x}-{:04x}-{:04x}-{:04x}-{:012x}",
+        high >> 32,
+        high >> 16 & 0xffff,
+        high & 0xffff,
+        low >> 48,
+        low & 0xffff_ffff_ffff
+    )
 }
 
 #[cfg(test)]
@@ -412,5 +544,26 @@ mod tests {
         write(&view, &WriteOptions::default(), &[], &mut bytes).expect("writing to memory");
         let data = crate::vdb::read_level_set(&bytes, None, &crate::Limits::default()).expect("reading");
         assert_eq!(data.origins, [[least; 3], [most; 3]]);
+    }
+
+    #[test]
+    fn changing_any_bit_changes_the_digest() {
+        let bytes: Vec<u8> = (0..77).collect();
+        let reference = digest(&bytes);
+        for bit in 0..bytes.len() * 8 {
+            let mut changed = bytes.clone();
+            changed[bit / 8] ^= 1 << (bit % 8);
+            let changed = digest(&changed);
+            assert!(changed[0] != reference[0] && changed[1] != reference[1]);
+        }
+        assert_ne!(digest(&[0; 3]), digest(&[0; 4]));
+    }
+
+    #[test]
+    fn digest_is_formatted_as_a_version_8_uuid() {
+        let uuid = format(digest(b"meniscus"));
+        assert_eq!(uuid.len(), 36);
+        assert_eq!(uuid.split('-').map(str::len).collect::<Vec<_>>(), [8, 4, 4, 4, 12]);
+        assert_eq!(&uuid[14..15], "8");
     }
 }

@@ -19,18 +19,18 @@
 //!
 //! The format has no end mark: a file is complete if no data is missing.
 
+use super::blocks::decimals;
+use super::{
+    LEGACY, POLYGON, POLYGONS_NOTE, Points, TRIANGLE_STRIP, VtkPiece, add_cells, checked_count, integers,
+    is_face, joined, positions_of,
+};
 use crate::bytes::Endian;
 use crate::data::{FilePositions, MeshData, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
-use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::named_arrays::NamedArray;
 use crate::number::NumberType;
-
-use super::LEGACY;
-use super::cells::{POLYGON, Points, TRIANGLE_STRIP, add_cells, integers, is_face};
-use super::pieces::{POLYGONS_NOTE, VtkPiece, checked_count, joined, positions_of};
-use super::xml_arrays::decimals;
+use crate::text::excerpt;
 
 /// The longest line of text.
 const LINE_BYTES_MAX: usize = 64 << 10;
@@ -318,9 +318,10 @@ impl<'a> File<'a> {
         count: u64,
         found: &LegacyData,
     ) -> Result<Vec<i64>> {
-        match found.keeps_cells {
-            true => self.cell_integers(line, number, count),
-            false => self.pass(line, number, count).map(|()| Vec::new()),
+        if found.keeps_cells {
+            self.cell_integers(line, number, count)
+        } else {
+            self.pass(line, number, count).map(|()| Vec::new())
         }
     }
 
@@ -463,11 +464,10 @@ impl<'a> File<'a> {
         })?;
         let found = crate::number::length(&values);
         self.at += end;
-        match found == count {
-            true => Ok(values),
-            false => {
-                Err(self.truncated(format!("expected {count} numbers of {}, found {found}", line.word(0))))
-            }
+        if found == count {
+            Ok(values)
+        } else {
+            Err(self.truncated(format!("expected {count} numbers of {}, found {found}", line.word(0))))
         }
     }
 
@@ -482,11 +482,10 @@ impl<'a> File<'a> {
         let found = words.by_ref().take(count).count();
         let end = words.at;
         self.at += end;
-        match found == count {
-            true => Ok(()),
-            false => {
-                Err(self.truncated(format!("expected {count} numbers of {}, found {found}", line.word(0))))
-            }
+        if found == count {
+            Ok(())
+        } else {
+            Err(self.truncated(format!("expected {count} numbers of {}, found {found}", line.word(0))))
         }
     }
 

@@ -17,21 +17,19 @@
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 
+use super::blocks::{Appended, ArrayEncoding, ArrayForm, ArrayTotals, BlockCompression, DataArray};
+use super::{
+    POLYGON, POLYGONS_NOTE, Points, TRIANGLE_STRIP, VtkPiece, XML, add_cells, checked_count, integers,
+    is_face, joined, positions_of,
+};
 use crate::bytes::Endian;
-use crate::data::{FilePositions, ParticleFrame, Values};
+use crate::data::{FilePositions, MeshData, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
-use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::named_arrays::NamedArray;
 use crate::neighbor::Neighbor;
 use crate::number::NumberType;
-
-use super::XML;
-use super::blocks::{ArrayEncoding, ArrayTotals, BlockCompression};
-use super::cells::is_face;
-use super::pieces::{POLYGONS_NOTE, VtkPiece, checked_count, joined, positions_of};
-use super::xml_arrays::{Appended, ArrayForm, DataArray};
-use super::xml_polys::integers_of;
+use crate::text::excerpt;
 
 /// Reads the points of all pieces.
 ///
@@ -62,10 +60,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 }
 
 /// The pieces of a file, the decoder of their arrays, and notes.
-pub(super) fn open<'a>(
-    bytes: &'a [u8],
-    limits: &'a Limits,
-) -> Result<(Decoder<'a>, Vec<Described<'a>>, Vec<String>)> {
+fn open<'a>(bytes: &'a [u8], limits: &'a Limits) -> Result<(Decoder<'a>, Vec<Described<'a>>, Vec<String>)> {
     if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
         let position = Position::Offset(bytes.len() as u64);
         return Err(Error::truncated(XML, position, "the file ends without </VTKFile>"));
@@ -115,7 +110,7 @@ struct XmlDocument<'a> {
 
 /// A piece whose data is not decoded yet.
 #[derive(Default)]
-pub(super) struct Described<'a> {
+struct Described<'a> {
     pub(super) point_count: usize,
     pub(super) points: Option<DataArray<'a>>,
     arrays: Vec<DataArray<'a>>,
@@ -129,7 +124,7 @@ pub(super) struct Described<'a> {
 
 /// The cells of a piece, and the arrays that describe them.
 #[derive(Default)]
-pub(super) struct CellArrays<'a> {
+struct CellArrays<'a> {
     pub(super) count: usize,
     pub(super) arrays: Vec<DataArray<'a>>,
 }
@@ -205,13 +200,14 @@ fn document<'a>(text: &'a str, limits: &Limits) -> Result<XmlDocument<'a>> {
         }
     }
     let document = document.ok_or_else(|| malformed(0, "expected <VTKFile>"))?;
-    match document.pieces.is_empty() {
-        true => Err(Error::invalid(XML, Position::File, "the file has no <Piece>")),
-        false => Ok(document),
+    if document.pieces.is_empty() {
+        Err(Error::invalid(XML, Position::File, "the file has no <Piece>"))
+    } else {
+        Ok(document)
     }
 }
 
-pub(super) fn malformed(at: u64, what: &str) -> Error {
+fn malformed(at: u64, what: &str) -> Error {
     Error::invalid(XML, Position::Offset(at), what)
 }
 
@@ -251,10 +247,11 @@ pub(crate) fn neighbor(head: &[u8]) -> Option<Neighbor> {
             "Piece" => {
                 let count = |name: &str| attribute(&tag, name, 0).ok()??.trim().parse::<u64>().ok();
                 let cells = count("NumberOfCells");
-                let has_faces = match has_types {
+                let has_faces = if has_types {
                     // The types come after the points. Particles have no cells, one for each, or one for all.
-                    true => cells > Some(1) && cells != count("NumberOfPoints"),
-                    false => ["NumberOfPolys", "NumberOfStrips"].iter().any(|name| count(name) > Some(0)),
+                    cells > Some(1) && cells != count("NumberOfPoints")
+                } else {
+                    ["NumberOfPolys", "NumberOfStrips"].iter().any(|name| count(name) > Some(0))
                 };
                 return has_faces.then_some(Neighbor::Mesh);
             }
@@ -445,7 +442,7 @@ fn attribute(tag: &BytesStart, name: &str, at: u64) -> Result<Option<String>> {
 }
 
 /// Decodes described arrays.
-pub(super) struct Decoder<'a> {
+struct Decoder<'a> {
     encoding: ArrayEncoding,
     appended: Option<Appended<'a>>,
     totals: ArrayTotals,
@@ -477,7 +474,7 @@ fn piece(described: &Described, decoder: &mut Decoder, notes: &mut Vec<String>) 
 }
 
 /// The positions of the points of a piece.
-pub(super) fn points_of(described: &Described, decoder: &mut Decoder) -> Result<FilePositions> {
+fn points_of(described: &Described, decoder: &mut Decoder) -> Result<FilePositions> {
     let no_points = || Error::invalid(XML, Position::File, "a piece has no array of points");
     let points = described.points.as_ref().ok_or_else(no_points)?;
     let number = points
@@ -488,4 +485,81 @@ pub(super) fn points_of(described: &Described, decoder: &mut Decoder) -> Result<
         return Err(malformed(points.offset, &what));
     }
     positions_of(XML, decoder.values(points, number, described.point_count)?)
+}
+
+// Reads the polygons of a `.vtp`, and the flat cells of a `.vtu`, as a mesh.
+
+/// Whether the first piece of a VTK XML file has polygons, by the beginning of the file.
+pub fn holds_polys(bytes: &[u8]) -> bool {
+    const PIECE_BYTES: usize = 1 << 20; // the description of the first piece is in here
+    let head = String::from_utf8_lossy(&bytes[..bytes.len().min(PIECE_BYTES)]);
+    let count = head
+        .split("NumberOfPolys=")
+        .nth(1)
+        .and_then(|rest| rest.get(1..)?.split(['"', '\'']).next()?.parse().ok());
+    count.is_some_and(|count: u64| count > 0)
+}
+
+/// Reads the points and the polygons of all pieces, without normals. Polygons with more than three corners
+/// become triangle fans. A file without polygons gives a mesh without triangles.
+///
+/// # Errors
+///
+/// Those of [`super::read_xml`]; [`Error::Invalid`] for polygons with missing points, [`Error::Unsupported`]
+/// for volumetric cells.
+pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
+    let (mut decoder, pieces, _) = open(bytes, limits)?;
+    let mut mesh = MeshData::default();
+    for piece in &pieces {
+        let points = Points { first: mesh.positions.len() as u64, count: piece.point_count as u64 };
+        if piece.point_count > 0 {
+            match points_of(piece, &mut decoder)? {
+                FilePositions::F32(positions) => {
+                    mesh.positions.extend(positions.iter().map(|position| position.map(f64::from)));
+                }
+                FilePositions::F64(positions) => mesh.positions.extend(positions),
+            }
+        }
+        checked_count(XML, mesh.positions.len() as u64, limits)?;
+        for (cells, kind) in
+            [(&piece.polys, Some(POLYGON)), (&piece.strips, Some(TRIANGLE_STRIP)), (&piece.cells, None)]
+        {
+            if cells.count > 0 {
+                add(cells, kind, points, &mut decoder, &mut mesh.triangles)?;
+            }
+        }
+    }
+    Ok(mesh)
+}
+
+/// Adds cells. All of them have the type `kind`; if it is `None`, the array `types` has the type of each.
+fn add(
+    cells: &CellArrays,
+    kind: Option<i64>,
+    points: Points,
+    decoder: &mut Decoder,
+    triangles: &mut Vec<[u32; 3]>,
+) -> Result<()> {
+    let ends = integers_of(cells, "offsets", cells.count, decoder)?;
+    let corner_count = ends.last().copied().unwrap_or_default();
+    let count = usize::try_from(corner_count).map_err(|_| {
+        Error::invalid(XML, Position::File, format!("the cells have {corner_count} corners, too many"))
+    })?;
+    let corners = integers_of(cells, "connectivity", count, decoder)?;
+    let types = match kind {
+        Some(_) => Vec::new(),
+        None => integers_of(cells, "types", cells.count, decoder)?,
+    };
+    let type_of = |index: usize| kind.unwrap_or_else(|| types.get(index).copied().unwrap_or(0));
+    add_cells(XML, (&ends, &corners), type_of, points, triangles)
+}
+
+/// The `count` numbers of an array that describes cells.
+fn integers_of(cells: &CellArrays, name: &str, count: usize, decoder: &mut Decoder) -> Result<Vec<i64>> {
+    let found = cells.arrays.iter().find(|array| array.name.eq_ignore_ascii_case(name) && array.arity == 1);
+    let array = found
+        .ok_or_else(|| Error::invalid(XML, Position::File, format!("the cells have no `{name}` array")))?;
+    let no_integers = || malformed(array.offset, &format!("the values of `{name}` are not integers"));
+    let values = decoder.values(array, array.number.ok_or_else(no_integers)?, count)?;
+    integers(values).ok_or_else(no_integers)
 }

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use anyhow::{Result, bail};
 use clap::Args;
 use clap::builder::TypedValueParser;
-use meniscus_formats::{UpAxis, WriteOption, vdb};
+use meniscus_formats::{UpAxis, vdb};
 
 use super::merge::option_set;
 use super::sequence::FPS;
@@ -35,16 +35,6 @@ option_set! {
         /// [default: 1]
         #[arg(long, help_heading = FORMATS, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
         pub(in crate::cli) meters_per_unit: Option<f64>,
-
-        /// Quantize .glb to 16-bit integers: files are 25 to 33 % smaller, and positions are rounded to
-        /// 1/65535 of the longest side of the mesh's bounding box
-        ///
-        /// Uses the extension KHR_mesh_quantization, which Blender and browsers support. Other formats keep
-        /// their positions, and attributes of vertices are not quantized. Triangles that have no area in 16
-        /// bits are removed from the meshes of all formats. A warning appears if a frame is so wide that
-        /// quantization moves a vertex by more than 0.02 voxels.
-        #[arg(long, help_heading = FORMATS)]
-        pub(in crate::cli) quantize: bool,
 
         /// Store 16-bit floats (half) in .vdb: smaller files, with about three significant digits
         #[arg(long, help_heading = FORMATS)]
@@ -139,8 +129,7 @@ impl FormatArgs {
     /// The output options, with `folder` as their folder.
     ///
     /// # Errors
-    /// If --quantize is given without .glb among the formats: the user expects small files and would not get
-    /// them. If --stage has nothing to play.
+    /// If --stage has nothing to play.
     pub(in crate::cli) fn outputs(&self, folder: PathBuf) -> Result<OutputOptions> {
         let default = OutputOptions::new(folder, &self.written());
         let mut picture = default.picture;
@@ -149,16 +138,12 @@ impl FormatArgs {
         let outputs = OutputOptions {
             up: self.up.unwrap_or(default.up),
             meters_per_unit: self.meters_per_unit.unwrap_or(default.meters_per_unit),
-            quantize: self.quantize,
             vdb_half: self.vdb_half,
             vdb_compression: self.vdb_compression.unwrap_or(default.vdb_compression),
             picture,
             stage: self.stage.clone().map(|path| StageOptions { path, fps: self.fps.unwrap_or(FPS) }),
             ..default
         };
-        if self.quantize && !outputs.has_option(WriteOption::Quantize) {
-            bail!("--quantize requires .glb output: leave it out, or add glb to --format");
-        }
         check_stage(&outputs)?;
         Ok(outputs)
     }

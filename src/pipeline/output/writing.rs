@@ -30,7 +30,6 @@ use crate::pipeline::records::provenance::provenance;
 use crate::pipeline::scheduler::Scheduler;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, output_path};
 use crate::pipeline::target::picture::{PictureOptions, PictureScene, encode_picture, up_of, velocities};
-use crate::pipeline::target::stored::rounding;
 use crate::pipeline::warning::Warning;
 
 /// Half the width of the band in a .vdb, in voxels: the width that programs expect of a level set.
@@ -245,41 +244,11 @@ pub(crate) fn surface_warnings(
     settings: &Settings,
 ) -> Vec<Warning> {
     let about_surface = diagnose(&surface.mesh, &surface.report, settings);
-    about_surface.into_iter().chain(output_warnings(surface, outputs, settings.voxel_size)).collect()
+    about_surface.into_iter().chain(output_warnings(surface, outputs)).collect()
 }
-
-/// Warnings about what the files cannot store exactly.
-pub(crate) fn output_warnings(
-    surface: &FrameSurface,
-    outputs: &OutputOptions,
-    voxel_size: f64,
-) -> Vec<Warning> {
-    let warnings = attribute_warnings(surface, outputs).into_iter();
-    warnings.chain(position_warnings(surface, outputs, voxel_size)).collect()
-}
-
-/// Warnings about files that round positions too much.
-fn position_warnings(surface: &FrameSurface, outputs: &OutputOptions, voxel_size: f64) -> Vec<Warning> {
-    let mesh = mesh_view(&surface.mesh, &[]);
-    let warning = |format: OutputFormat| {
-        let rounding = rounding(format, outputs).filter(|_| !mesh.triangles.is_empty())?;
-        let voxels = (rounding.error)(mesh.positions, mesh.origin) / voxel_size;
-        let storage = rounding.reason;
-        (voxels > REPORTED_FROM_VOXELS).then_some(Warning::RoundedPositions { voxels, storage })
-    };
-    written(outputs).filter_map(warning).collect()
-}
-
-/// The output formats, in the order of the format table.
-fn written(outputs: &OutputOptions) -> impl Iterator<Item = OutputFormat> {
-    OutputFormat::ALL.into_iter().filter(|format| outputs.formats.contains(format))
-}
-
-/// If the rounding of a format moves a vertex by more than this, in voxels, there is a warning.
-const REPORTED_FROM_VOXELS: f64 = 0.02;
 
 /// Warnings about attributes that the files cannot hold exactly.
-fn attribute_warnings(surface: &FrameSurface, outputs: &OutputOptions) -> Vec<Warning> {
+pub(crate) fn output_warnings(surface: &FrameSurface, outputs: &OutputOptions) -> Vec<Warning> {
     let vertices = vertex_attributes(&surface.attributes.vertices);
     let mut warnings: Vec<Warning> = Vec::new();
     for mesh in written(outputs).filter_map(OutputFormat::mesh) {
@@ -300,4 +269,9 @@ fn attribute_warnings(surface: &FrameSurface, outputs: &OutputOptions) -> Vec<Wa
         warnings.extend(of_grids.into_iter().map(Warning::Sentence));
     }
     warnings
+}
+
+/// The output formats, in the order of the format table.
+fn written(outputs: &OutputOptions) -> impl Iterator<Item = OutputFormat> {
+    OutputFormat::ALL.into_iter().filter(|format| outputs.formats.contains(format))
 }

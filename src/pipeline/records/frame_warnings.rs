@@ -24,9 +24,7 @@ impl FrameReport {
         if reconstruction.cfl_exceeded_count > 0 {
             warnings.push(Warning::CflExceeded { step_count: reconstruction.cfl_exceeded_count });
         }
-        if reconstruction.certificate.position_rounding > ROUNDING_REPORTED_FROM {
-            warnings.push(Warning::CoarsePositions { voxels: reconstruction.certificate.position_rounding });
-        }
+        warnings.extend(coarse_positions(reconstruction));
         warnings.extend(outside(reconstruction));
         warnings.extend(broken_guarantees(reconstruction));
         warnings
@@ -58,6 +56,12 @@ const OUTSIDE_REPORTED_FROM: f64 = 0.02;
 
 /// There is a warning if the rounding error of positions is greater than this, in voxels.
 const ROUNDING_REPORTED_FROM: f64 = 1.0 / 256.0;
+
+/// A warning about positions with a large rounding error.
+pub(crate) fn coarse_positions(report: &ReconstructionReport) -> Option<Warning> {
+    let voxels = report.certificate.position_rounding;
+    (voxels > ROUNDING_REPORTED_FROM).then_some(Warning::CoarsePositions { voxels })
+}
 
 /// A warning about particles that the surface leaves out, if there are any.
 pub(crate) fn left_out(report: &ReconstructionReport) -> Option<Warning> {

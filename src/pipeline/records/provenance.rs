@@ -227,18 +227,12 @@ pub fn settings_fingerprint(settings: &Settings, options: &OutputOptions) -> Str
 /// The options of an output in `format`.
 fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Pairs {
     let is_recorded = |option: &WriteOption| match option {
-        WriteOption::Quads | WriteOption::Quantize => false,
+        WriteOption::Quads => false,
         WriteOption::MetersPerUnit | WriteOption::TimeSamples => !options.is_default(*option),
         _ => true,
     };
     let of_format = format.options().iter().copied().filter(is_recorded);
-    let mut pairs: Pairs = of_format.map(|option| (option.name(), options.value(option))).collect();
-    // If one of the formats is quantized, the meshes of all formats lack the triangles that have no area in
-    // 16 bits.
-    if format.is_mesh() && options.quantize && options.has_option(WriteOption::Quantize) {
-        pairs.push((WriteOption::Quantize.name(), options.value(WriteOption::Quantize)));
-    }
-    pairs
+    of_format.map(|option| (option.name(), options.value(option))).collect()
 }
 
 /// The options of a picture.

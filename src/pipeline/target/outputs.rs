@@ -10,6 +10,7 @@ pub use meniscus_formats::OutputFormat;
 use meniscus_formats::{MeshOptions, UpAxis, WriteOption, vdb};
 
 use crate::render::Up;
+use crate::surface::mesh::PositionRounding;
 
 use super::picture::{PictureOptions, up_of};
 use crate::pipeline::files::names::name_of_text;
@@ -32,8 +33,6 @@ pub struct OutputOptions {
     pub up: UpAxis,
     /// The length of a world unit in metres, within [`METERS_PER_UNIT`]: 1e-9 to 1e9. USD records it.
     pub meters_per_unit: f64,
-    /// Whether .glb files store positions and normals as small integers (KHR_mesh_quantization).
-    pub quantize: bool,
     /// Whether .vdb files have 16-bit values.
     pub vdb_half: bool,
     /// The compression of values in .vdb.
@@ -54,15 +53,14 @@ pub struct StageOptions {
 }
 
 impl OutputOptions {
-    /// These formats in this folder, with the defaults of `meniscus convert`: y is up, values are neither
-    /// quantized nor rounded to 16 bits, and .vdb uses Blosc.
+    /// These formats in this folder, with the defaults of `meniscus convert`: y is up, values are not
+    /// rounded to 16 bits, and .vdb uses Blosc.
     pub fn new(folder: impl Into<PathBuf>, formats: &[OutputFormat]) -> OutputOptions {
         OutputOptions {
             folder: folder.into(),
             formats: formats.to_vec(),
             up: UpAxis::Y,
             meters_per_unit: 1.0,
-            quantize: false,
             vdb_half: false,
             vdb_compression: vdb::Compression::Blosc,
             picture: PictureOptions::default(),
@@ -97,7 +95,6 @@ impl OutputOptions {
             WriteOption::Quads => true.to_string(),
             WriteOption::Up => self.up.name().to_owned(),
             WriteOption::MetersPerUnit => self.meters_per_unit.to_string(),
-            WriteOption::Quantize => self.quantize.to_string(),
             WriteOption::Half => self.vdb_half.to_string(),
             WriteOption::Compression => self.vdb_compression.name().to_owned(),
             WriteOption::Size => {
@@ -114,11 +111,20 @@ impl OutputOptions {
         self.value(option) == OutputOptions::new("", &[]).value(option)
     }
 
+    /// How positions are rounded: to world positions, if a file has these.
+    pub(crate) fn position_rounding(&self) -> PositionRounding {
+        if self.formats.iter().any(|format| format.has_world_positions()) {
+            PositionRounding::World
+        } else {
+            PositionRounding::Local
+        }
+    }
+
     /// The options for writing meshes. `quads` marks the triangles that form a quad with the next triangle.
     pub(crate) fn mesh(&self, quads: Arc<[bool]>) -> MeshOptions {
-        let OutputOptions { up, meters_per_unit, quantize, .. } = *self;
+        let OutputOptions { up, meters_per_unit, .. } = *self;
         let time_samples = self.has_time_samples();
-        MeshOptions { up, meters_per_unit, quantize, quads, time_samples, ..MeshOptions::default() }
+        MeshOptions { up, meters_per_unit, quads, time_samples, ..MeshOptions::default() }
     }
 
     /// The format of the meshes that a stage plays: .usdc if it is among the outputs, because it needs no

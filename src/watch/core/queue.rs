@@ -98,7 +98,6 @@ mod tests {
             formats: Vec::new(),
             up: gltf::UpAxis::Y,
             meters_per_unit: 1.0,
-            quantize: false,
             vdb_half: false,
             vdb_compression: vdb::Compression::None,
             picture: crate::pipeline::PictureOptions::default(),

@@ -15,36 +15,31 @@
 //! The back side of the surface is orange. It is visible only if φ has a wrong sign, if triangles are
 //! clockwise seen from outside, or if the surface has a hole.
 
+#![warn(clippy::match_bool)]
+
 mod camera;
-mod light;
 mod mesh;
-mod plot;
 mod sheet;
-mod shrink;
 mod sky;
-mod splats;
 mod surface;
 mod tile;
-mod walk;
 
 use glam::DVec3;
 use meniscus_surface::checkpoint;
-use rayon::prelude::*;
-
-pub use camera::{Camera, CameraPlacement, Up};
-pub use mesh::TriangleMesh;
-pub use plot::{Line, Plot};
-pub use sheet::{Cell, CellGroup, CellPicture, Sheet, side_by_side, stacked};
-
-use light::Lighting;
 use meniscus_surface::grid::Field;
 use meniscus_surface::level_set::NarrowBand;
 use meniscus_surface::particles::OwnedPositions;
 use meniscus_surface::space::Lattice;
+use rayon::prelude::*;
+
+pub use camera::{Camera, CameraPlacement, Up};
+pub use mesh::TriangleMesh;
+pub use sheet::{Cell, CellGroup, CellPicture, Line, Plot, Sheet, side_by_side, stacked};
+
 use mesh::RayMesh;
 use sky::Sky;
 use surface::RaySurface;
-use tile::{FinishedTile, PixelTile, RayTarget, TILE_EDGE, Tracer};
+use tile::{FinishedTile, Lighting, PixelTile, RayTarget, TILE_EDGE, Tracer};
 
 /// The view: camera, picture size and ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -121,7 +116,7 @@ fn trace<S: RayTarget>((surface, voxel_size): (&S, f64), sky: &Sky, view: &View,
 
 /// Renders particles as balls of this radius, world units, with the same lighting.
 pub fn render_particles(particles: &OwnedPositions, radius: f64, view: &View) -> Picture {
-    splats::render(particles, radius, view)
+    tile::render(particles, radius, view)
 }
 
 /// A coloured point on a surface.
@@ -137,7 +132,7 @@ pub struct Mark {
 
 /// Renders marks as balls of this radius, world units, in front of the background.
 pub fn render_marks(marks: &[Mark], radius: f64, view: &View) -> Picture {
-    splats::render_marks(marks, radius, view)
+    tile::render_marks(marks, radius, view)
 }
 
 /// Assembles a picture from its tiles.

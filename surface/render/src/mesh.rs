@@ -7,10 +7,10 @@
 //! Two triangles compute the side of their common edge from the same products, so no ray passes between them.
 
 use glam::{DVec3, Vec3};
-
-use super::tile::RayTarget;
-use super::walk::Ray;
 use meniscus_surface::space::{box_of, joined};
+
+use crate::surface::Ray;
+use crate::tile::RayTarget;
 
 /// A triangle mesh to render.
 #[derive(Clone, Copy, Debug)]

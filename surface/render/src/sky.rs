@@ -12,13 +12,13 @@
 //! Cyril Crassin and others. Interactive indirect illumination using voxel cone tracing. 2011
 
 use glam::{DVec3, I64Vec3, IVec3, Vec3};
-use rayon::prelude::*;
-
-use super::mesh::RayMesh;
-use super::walk::Ray;
 use meniscus_surface::grid::{LEAF_EDGE, negative_masks};
 use meniscus_surface::level_set::NarrowBand;
 use meniscus_surface::space::box_of;
+use rayon::prelude::*;
+
+use crate::mesh::RayMesh;
+use crate::surface::Ray;
 
 /// The occlusion pyramid.
 pub(super) struct Sky {
@@ -259,9 +259,11 @@ const COLUMN_RAYS: usize = 16;
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use meniscus_surface::grid::{Field, Topology, voxel_in_leaf};
     use std::sync::Arc;
+
+    use meniscus_surface::grid::{Field, Topology, voxel_in_leaf};
+
+    use super::*;
 
     /// The level set of a ball of this radius, in voxels, around the origin.
     fn ball(radius: f32) -> NarrowBand {

@@ -2,10 +2,12 @@
 //! are compared with, or whose light is interpolated.
 
 use glam::{DVec2, DVec3, Vec3};
+use meniscus_surface::particles::OwnedPositions;
+use rayon::prelude::*;
 
-use super::light::{Light, Lighting};
-use super::walk::Ray;
-use super::{FAR, Layers, PictureData, View};
+use crate::sky::Sky;
+use crate::surface::Ray;
+use crate::{Camera, FAR, Layers, Mark, Picture, PictureData, View};
 
 /// Edge of a tile, pixels.
 pub(super) const TILE_EDGE: usize = 64;
@@ -369,3 +371,305 @@ const OFFSETS: [DVec2; 8] = [
     DVec2::new(0.8125, 0.0625),
     DVec2::new(0.9375, 0.5625),
 ];
+
+// Lighting: a bright sky, a sun over the viewer's left shoulder, and ground that reflects some of the light.
+
+/// The light of a scene.
+pub(super) struct Lighting<'a> {
+    sky: &'a Sky,
+    up: Vec3,
+    /// The direction to the sun.
+    sun: Vec3,
+}
+
+/// The light that arrives at a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Light {
+    /// The light from the hemisphere around the normal, with occlusion, by colour channel.
+    ambient: Vec3,
+    /// The visible fraction of the sun.
+    sun: f32,
+}
+
+impl Light {
+    const NONE: Light = Light { ambient: Vec3::ZERO, sun: 0.0 };
+
+    fn plus(self, other: Light, weight: f32) -> Light {
+        Light { ambient: self.ambient + weight * other.ambient, sun: self.sun + weight * other.sun }
+    }
+
+    pub(super) fn times(self, factor: f32) -> Light {
+        Light { ambient: self.ambient * factor, sun: self.sun * factor }
+    }
+}
+
+/// The colour of front faces. All colours here are linear.
+const WATER: Vec3 = Vec3::new(0.105, 0.34, 0.66);
+/// The colour of back faces.
+const INSIDE: Vec3 = Vec3::new(0.85, 0.25, 0.03);
+const SUN: Vec3 = Vec3::new(1.12, 1.05, 0.95);
+const ZENITH: Vec3 = Vec3::new(0.70, 0.78, 0.90);
+const HORIZON: Vec3 = Vec3::new(0.74, 0.76, 0.79);
+const FROM_BELOW: Vec3 = Vec3::new(0.36, 0.35, 0.34);
+const BACKGROUND: Vec3 = Vec3::new(0.80, 0.82, 0.845);
+/// Tangents of half the opening angles of a cone of ambient light (30°) and of the sun's cone (5°). The sun's
+/// width blurs shadows with distance.
+const AMBIENT_TANGENT: f32 = 0.577;
+const SUN_TANGENT: f32 = 0.09;
+/// Cosine and sine of the angle between the middle cone and the five cones around it.
+const TILT: (f32, f32) = (0.5, 0.866);
+const MIDDLE_WEIGHT: f32 = 0.25;
+
+impl<'a> Lighting<'a> {
+    pub(super) fn new(sky: &'a Sky, view: &View) -> Lighting<'a> {
+        let up = view.up.direction();
+        let backward = (-view.camera.forward).reject_from(up).normalize_or(-view.camera.up);
+        let right = view.camera.right.reject_from(up).normalize_or(view.camera.right);
+        let sun = up * 0.78 - right * 0.5 + backward * 0.42;
+        Lighting { sky, up: up.as_vec3(), sun: sun.normalize().as_vec3() }
+    }
+
+    /// The light that arrives at a point on a surface with this normal. The position is in voxels.
+    pub(super) fn incoming(&self, point: DVec3, normal: Vec3) -> Light {
+        let (tangent, bitangent) = normal.any_orthonormal_pair();
+        let mut ambient = MIDDLE_WEIGHT * self.light_from(point, normal);
+        for cone in 0..5 {
+            let angle = cone as f32 * (std::f32::consts::TAU / 5.0);
+            let around = tangent * angle.cos() + bitangent * angle.sin();
+            let direction = normal * TILT.0 + around * TILT.1;
+            ambient += (1.0 - MIDDLE_WEIGHT) / 5.0 * self.light_from(point, direction);
+        }
+        let faces_sun = normal.dot(self.sun) > 0.0;
+        let sun = if faces_sun { self.sky.transmittance(point, self.sun, SUN_TANGENT) } else { 0.0 };
+        Light { ambient, sun }
+    }
+
+    /// The light from a direction, with occlusion.
+    fn light_from(&self, point: DVec3, direction: Vec3) -> Vec3 {
+        self.radiance(direction) * self.sky.transmittance(point, direction, AMBIENT_TANGENT)
+    }
+
+    /// The light from a direction, without occlusion.
+    fn radiance(&self, direction: Vec3) -> Vec3 {
+        let height = direction.dot(self.up);
+        if height > 0.0 {
+            HORIZON.lerp(ZENITH, height)
+        } else {
+            HORIZON.lerp(FROM_BELOW, (-2.0 * height).min(1.0))
+        }
+    }
+
+    /// The colour of the surface; `toward` points to the viewer.
+    fn water(&self, light: Light, normal: Vec3, toward: Vec3, is_front: bool) -> Vec3 {
+        let albedo = if is_front { WATER } else { INSIDE };
+        let facing = normal.dot(self.sun).max(0.0) * light.sun;
+        let half = (self.sun + toward).normalize_or(normal);
+        let glint = normal.dot(half).max(0.0).powi(90) * light.sun;
+        let edge = (1.0 - normal.dot(toward).clamp(0.0, 1.0)).powi(5);
+        let mirrored = self.radiance(2.0 * normal.dot(toward) * normal - toward);
+        // The reflection of the sky is occluded as much as the ambient light.
+        let open = (light.ambient.y / HORIZON.y).min(1.0);
+        albedo * (light.ambient + SUN * facing) + (0.02 + 0.5 * edge) * open * mirrored + 0.55 * glint * SUN
+    }
+
+    /// The colour of a matte surface with this albedo.
+    fn matte(&self, albedo: Vec3, light: Light, normal: Vec3) -> Vec3 {
+        let facing = normal.dot(self.sun).max(0.0) * light.sun;
+        albedo * (light.ambient + SUN * facing)
+    }
+
+    /// The colour of the ground: the background, darkened by shadows.
+    pub(super) fn ground(&self, light: Light) -> Vec3 {
+        let facing = self.up.dot(self.sun);
+        let open = self.unoccluded_on_ground() + SUN * facing;
+        BACKGROUND * ((light.ambient + SUN * facing * light.sun) / open)
+    }
+
+    fn unoccluded_on_ground(&self) -> Vec3 {
+        let tilted = self.radiance(self.up * TILT.0 + self.up.any_orthonormal_vector() * TILT.1);
+        MIDDLE_WEIGHT * self.radiance(self.up) + (1.0 - MIDDLE_WEIGHT) * tilted
+    }
+
+    /// The background colour.
+    pub(super) fn background(&self) -> Vec3 {
+        BACKGROUND
+    }
+
+    /// The unoccluded light on a surface with this normal.
+    fn unoccluded(&self, normal: Vec3) -> Light {
+        let height = 0.5 + 0.5 * normal.dot(self.up);
+        Light { ambient: FROM_BELOW.lerp(ZENITH, height), sun: 1.0 }
+    }
+}
+
+// Renders particles as balls, and marks on a surface as coloured balls.
+
+/// Number of rays along the edge of a pixel.
+const SAMPLES: usize = 2;
+
+/// The result of a ray: the distance, and the normal of the ball.
+#[derive(Clone, Copy)]
+struct Splat {
+    depth: f32,
+    normal: Vec3,
+    /// Index of the ball.
+    index: u32,
+}
+
+/// A ball, projected to the picture. x and y count rays from the upper left corner of the picture.
+#[derive(Clone, Copy)]
+struct Disc {
+    x: f64,
+    y: f64,
+    /// Its radius, as a number of rays.
+    edge: f64,
+    /// Its depth, world units.
+    depth: f64,
+    index: u32,
+}
+
+/// Number of rows of rays per task.
+const BAND_ROWS: usize = 64;
+
+/// Renders balls of this radius, world units.
+pub(super) fn render(particles: &OwnedPositions, radius: f64, view: &View) -> Picture {
+    let splats = draw(particles.len(), |index| particles.position(index), radius, view);
+    shade(&splats, view, |lighting, Splat { normal, .. }, toward| {
+        lighting.water(lighting.unoccluded(normal), normal, toward, true)
+    })
+}
+
+/// Renders marks as balls of this radius, world units, each shaded with the normal of the surface that it
+/// lies on.
+pub(super) fn render_marks(marks: &[Mark], radius: f64, view: &View) -> Picture {
+    let splats = draw(marks.len(), |index| marks[index].position, radius, view);
+    shade(&splats, view, |lighting, Splat { index, .. }, toward| {
+        let Mark { normal, color, .. } = marks[index as usize];
+        let normal = normal.as_vec3();
+        // A sheet that is seen from behind is shaded like one seen from the front.
+        let normal = if normal.dot(toward) < 0.0 { -normal } else { normal };
+        lighting.matte(Vec3::from(color), lighting.unoccluded(normal), normal)
+    })
+}
+
+/// Traces all rays of a picture of balls, and returns their results row by row.
+fn draw(count: usize, position: impl Fn(usize) -> DVec3 + Sync, radius: f64, view: &View) -> Vec<Splat> {
+    let [columns, rows] = view.size.map(|size| size * SAMPLES);
+    let count = u32::try_from(count).unwrap_or(u32::MAX);
+    let discs: Vec<Disc> = (0..count)
+        .into_par_iter()
+        .filter_map(|index| disc(index, position(index as usize), radius, view))
+        .collect();
+    let nothing = Splat { depth: f32::INFINITY, normal: Vec3::ZERO, index: 0 };
+    let mut splats = vec![nothing; columns * rows];
+    splats.par_chunks_mut(BAND_ROWS * columns.max(1)).enumerate().for_each(|(band, splats)| {
+        let mut band = RowBand { first_row: band * BAND_ROWS, columns, splats };
+        discs.iter().for_each(|disc| band.draw(disc, radius, &view.camera));
+    });
+    splats
+}
+
+/// The projection of a ball; `None` if it is behind the camera.
+fn disc(index: u32, center: DVec3, radius: f64, view: &View) -> Option<Disc> {
+    let camera = &view.camera;
+    let [columns, rows] = view.size.map(|size| (size * SAMPLES) as f64);
+    let to = center - camera.eye;
+    let depth = to.dot(camera.forward);
+    if depth.is_nan() || depth <= radius {
+        return None;
+    }
+    let scale = rows / (2.0 * camera.tan_half_view * depth);
+    let x = columns / 2.0 + to.dot(camera.right) * scale;
+    let y = rows / 2.0 - to.dot(camera.up) * scale;
+    Some(Disc { x, y, edge: (radius * scale).max(0.5), depth, index })
+}
+
+/// Some rows of rays.
+struct RowBand<'a> {
+    first_row: usize,
+    columns: usize,
+    splats: &'a mut [Splat],
+}
+
+impl RowBand<'_> {
+    fn draw(&mut self, disc: &Disc, radius: f64, camera: &Camera) {
+        let &Disc { x, y, edge, depth, index } = disc;
+        let span = |along: f64, count: usize| {
+            let first = (along - edge).floor().clamp(0.0, count as f64) as usize;
+            first..(along + edge).ceil().clamp(0.0, count as f64) as usize
+        };
+        let y = y - self.first_row as f64;
+        for row in span(y, self.splats.len() / self.columns) {
+            for column in span(x, self.columns) {
+                let offset = [(column as f64 + 0.5 - x) / edge, (row as f64 + 0.5 - y) / edge];
+                let toward = 1.0 - offset[0] * offset[0] - offset[1] * offset[1];
+                if toward < 0.0 {
+                    continue;
+                }
+                let toward = toward.sqrt();
+                let splat = &mut self.splats[row * self.columns + column];
+                let here = (depth - toward * radius) as f32;
+                if here < splat.depth {
+                    let normal = camera.right * offset[0] - camera.up * offset[1] - camera.forward * toward;
+                    *splat = Splat { depth: here, normal: normal.as_vec3(), index };
+                }
+            }
+        }
+    }
+}
+
+/// Averages the rays of each pixel. `color_of` returns the colour of a ball, as seen from the camera.
+fn shade(splats: &[Splat], view: &View, color_of: impl Fn(&Lighting, Splat, Vec3) -> Vec3 + Sync) -> Picture {
+    let [width, height] = view.size;
+    let sky = Sky::empty();
+    let lighting = Lighting::new(&sky, view);
+    let toward = -view.camera.forward.as_vec3();
+    let weight = 1.0 / (SAMPLES * SAMPLES) as f32;
+    let pixel = |pixel: usize| {
+        let (x, y) = (pixel % width * SAMPLES, pixel / width * SAMPLES);
+        let (mut color, mut coverage) = (Vec3::ZERO, 0.0);
+        for sample in 0..SAMPLES * SAMPLES {
+            let index = (y + sample / SAMPLES) * width * SAMPLES + x + sample % SAMPLES;
+            let splat = splats[index];
+            if splat.depth.is_finite() {
+                color += weight * color_of(&lighting, splat, toward);
+                coverage += weight;
+            } else {
+                color += weight * lighting.background();
+            }
+        }
+        (color.to_array(), coverage)
+    };
+    let (color, coverage) = (0..width * height).into_par_iter().map(pixel).unzip();
+    Picture { size: view.size, color, coverage, data: None }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{CameraPlacement, Up};
+
+    #[test]
+    fn marks_show_their_colors_and_occlude_those_behind() {
+        let placement =
+            CameraPlacement { azimuth_degrees: 0.0, elevation_degrees: 0.0, ..CameraPlacement::AUTO };
+        let camera = placement.around([DVec3::NEG_ONE, DVec3::ONE], 2.0);
+        let view = View { size: [80, 40], camera, up: Up::Y, ground: None };
+        let mark = |x: f64, z: f64, color: [f32; 3]| Mark {
+            position: DVec3::new(x, 0.0, z),
+            normal: DVec3::Z,
+            color,
+        };
+        let [red, green, blue] = [[0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.5]];
+        let marks = [mark(-0.8, 0.5, red), mark(0.8, 0.5, green), mark(0.8, -0.5, blue)];
+        let picture = render_marks(&marks, 0.3, &view);
+        let lit = |color: [f32; 3]| color.map(|part| part > 0.1);
+        let at = |x: usize| lit(picture.color[20 * 80 + x]);
+        // The box spans 0.88 of half the height: 0.8 is just under 14 pixels from the middle.
+        assert_eq!([at(27), at(53)], [[true, false, false], [false, true, false]]);
+        assert_eq!(picture.coverage[20 * 80 + 40], 0.0);
+        // Marks that are seen from behind are shaded like marks seen from the front.
+        let flipped = marks.map(|mark| Mark { normal: -mark.normal, ..mark });
+        assert_eq!(render_marks(&flipped, 0.3, &view), picture);
+    }
+}

@@ -5,11 +5,18 @@
 //! means are computed from this list.
 
 use glam::{DVec3, IVec3, Vec3};
+use rayon::prelude::*;
+use rustc_hash::FxHashSet;
 
-use super::NO_PARTICLE;
-use super::source::{NumericAttribute, TransferSource};
+use super::{CHUNK, NO_PARTICLE, NumericAttribute, TransferSource};
+use crate::grid::{Leaf, NO_LEAF, Topology, offset_in_leaf};
+use crate::interrupt::checkpoint;
+use crate::level_set::NarrowBand;
 use crate::neighbors::{NeighborPackets, Particle8};
+use crate::parallel::Loops as _;
+use crate::particles::Positions;
 use crate::simd::{Kernel, Lanes, dispatch};
+use crate::space::Lattice;
 
 /// The interpolated values at some points.
 pub(super) struct Interpolated {
@@ -235,5 +242,329 @@ fn mean_of_sound(
         if total > 0.0 {
             *out = (sum / total).min(greatest).max(least);
         }
+    }
+}
+
+// The nodes of the band at which means are computed: every second voxel along each axis.
+//
+//   ● ∙ ● ∙ ● ∙ ● ∙ ┊ ●      ● node. A leaf has 4 nodes along each axis. A voxel between two nodes gets the
+//   ∙ ∙ ∙ ∙ ∙ ∙ ∙ ∙ ┊        mean of both, so a leaf also needs the first nodes of the next leaves.
+//   ● ∙ ● ∙ ● ∙ ● ∙ ┊ ●
+
+/// Nodes along an edge of a leaf.
+pub(super) const NODE_EDGE: usize = 4;
+
+/// For each leaf, a mask of its nodes that any voxel of the band needs: bit `x·16 + y·4 + z`.
+pub(super) fn needed_nodes(band: &NarrowBand, half_width_voxels: f32) -> Vec<u64> {
+    let leaves = &band.phi.leaves;
+    let active: Vec<[u8; 64]> =
+        leaves.par_iter().halved().map(|leaf| dispatch(ActiveRows { leaf, half_width_voxels })).collect();
+    (0..leaves.len()).into_par_iter().halved().map(|leaf| needed_of(&band.topology, &active, leaf)).collect()
+}
+
+/// Kernel: for each row of a leaf, a mask of the voxels in the band.
+struct ActiveRows<'a> {
+    leaf: &'a Leaf,
+    half_width_voxels: f32,
+}
+
+impl Kernel for ActiveRows<'_> {
+    type Output = [u8; 64];
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> [u8; 64] {
+        let mut rows = [0; 64];
+        for (row, bits) in rows.iter_mut().enumerate() {
+            *bits = V::bits(V::load(self.leaf.row(row)).abs().lt(V::splat(self.half_width_voxels)));
+        }
+        rows
+    }
+}
+
+/// A mask of the needed nodes of a leaf: the nodes with a voxel of the band among the 27 voxels around them.
+/// These voxels may be in a previous leaf.
+fn needed_of(topology: &Topology, active: &[[u8; 64]], leaf: usize) -> u64 {
+    let around = topology.neighborhood(leaf);
+    let row = |x: i32, y: i32, leaf_z: i32| {
+        let step = IVec3::new(i32::from(x >= 0), i32::from(y >= 0), 1 + leaf_z);
+        match around[(9 * step.x + 3 * step.y + step.z) as usize] {
+            NO_LEAF => 0,
+            leaf => active[leaf as usize][((x & 7) << 3 | y & 7) as usize],
+        }
+    };
+    let mut columns = [[0u8; 9]; 9];
+    for (x, columns) in (-1..).zip(&mut columns) {
+        for (y, column) in (-1..).zip(columns) {
+            let here = row(x, y, 0);
+            *column = (here | here << 1 | here >> 1 | row(x, y, -1) >> 7) & 0b0101_0101;
+        }
+    }
+    let mut needed = 0;
+    for x in 0..NODE_EDGE {
+        for y in 0..NODE_EDGE {
+            let near = columns[2 * x..2 * x + 3].iter().flat_map(|columns| &columns[2 * y..2 * y + 3]);
+            let bits = near.fold(0, |any, column| any | column);
+            for z in 0..NODE_EDGE {
+                needed |= u64::from(bits >> (2 * z) & 1) << (16 * x + 4 * y + z);
+            }
+        }
+    }
+    needed
+}
+
+/// World positions of the needed nodes, leaf by leaf. For a node outside the fluid, the nearest point on the
+/// surface.
+pub(super) fn node_points(band: &NarrowBand, lattice: &Lattice, needed: &[u64]) -> Vec<DVec3> {
+    let points = needed.par_iter().enumerate().halved().flat_map_iter(|(leaf, &nodes)| {
+        let around = if nodes == 0 { [NO_LEAF; 27] } else { band.topology.neighborhood(leaf) };
+        (0..64).filter(move |node| nodes >> node & 1 == 1).map(move |node: i32| {
+            let voxel = IVec3::new(node >> 4, node >> 2 & 3, node & 3) * 2;
+            let offset_from_surface = offset_from_surface(band, &around, leaf, voxel);
+            ((band.topology.origins()[leaf] + voxel).as_dvec3() - offset_from_surface.as_dvec3())
+                * lattice.voxel_size
+        })
+    });
+    points.collect()
+}
+
+/// The vector from the nearest point on the surface to an outside voxel; zero for an inside voxel.
+fn offset_from_surface(band: &NarrowBand, around: &[u32; 27], leaf: usize, voxel: IVec3) -> Vec3 {
+    let leaves = &band.phi.leaves;
+    let phi = leaves[leaf].values[offset_in_leaf(voxel)];
+    if phi <= 0.0 {
+        return Vec3::ZERO;
+    }
+    // The one-sided difference toward the neighbor that is nearer to the surface. Between two surfaces, this
+    // picks one of them.
+    let slope = |axis: usize| {
+        let mut before = voxel;
+        before[axis] -= 1;
+        let mut after = voxel;
+        after[axis] += 1;
+        // A node is never the last voxel of a leaf, so the voxel after it is in the same leaf.
+        let after = phi - leaves[leaf].values[offset_in_leaf(after)];
+        let other = if before[axis] < 0 { around[CENTER - WEIGHTS[axis]] } else { leaf as u32 };
+        before[axis] &= 7;
+        let before = match other {
+            NO_LEAF => 0.0,
+            other => phi - leaves[other as usize].values[offset_in_leaf(before)],
+        };
+        if before > 0.0 && before >= after { before } else { -after.max(0.0) }
+    };
+    let slope = Vec3::new(slope(0), slope(1), slope(2));
+    if slope == Vec3::ZERO { Vec3::ZERO } else { slope.normalize() * phi }
+}
+
+/// Slot of a leaf in its own neighborhood, and the strides of the slots along each axis.
+const CENTER: usize = 13;
+const WEIGHTS: [usize; 3] = [9, 3, 1];
+
+// Finds the particles near the points that need values. Most particles lie deep inside and are not near any
+// point.
+//
+//   ┌───────┬───────┐     The edge of the cells is 2R. The ball of radius R around a point overlaps only the
+//   │     ╭─┼─╮     │     eight cells around the cell corner nearest to the point. These cells are marked.
+//   ├─────┼─●─┼─────┤     A particle outside of all marked cells is not near any point.
+//   │     ╰─┼─╯     │
+//   └───────┴───────┘
+
+/// Indices of the particles within `radius_world` of any of the points, in order. Includes some particles
+/// that are farther away.
+pub(super) fn near_particles(
+    particles: &Positions<'_>,
+    radius_world: f64,
+    (count, point_of): (usize, &(impl Fn(usize) -> DVec3 + Sync)),
+) -> Vec<u32> {
+    let cells = Lattice { voxel_size: 2.0 * radius_world };
+    let marked = marked_cells(&cells, count, point_of);
+    let is_near = |index: &u32| {
+        let cell = cells.index_from_world(particles.position(*index as usize));
+        cell.is_some_and(|cell| marked.contains(&cell.floor().as_ivec3()))
+    };
+    // 32-bit indices suffice: sources with more particles are read in batches from a file, and have no
+    // attributes.
+    let end = u32::try_from(particles.len()).unwrap_or(super::NO_PARTICLE);
+    (0..end).into_par_iter().halved().filter(is_near).collect()
+}
+
+fn marked_cells(
+    cells: &Lattice,
+    count: usize,
+    point_of: &(impl Fn(usize) -> DVec3 + Sync),
+) -> FxHashSet<IVec3> {
+    let chunks: Vec<FxHashSet<IVec3>> = (0..count.div_ceil(CHUNK))
+        .into_par_iter()
+        .halved()
+        .map(|chunk| {
+            let points = (chunk * CHUNK..count.min((chunk + 1) * CHUNK)).map(point_of);
+            let corners = points.filter_map(|point| Some(cells.index_from_world(point)?.round().as_ivec3()));
+            corners.collect()
+        })
+        .collect();
+    let corners: FxHashSet<IVec3> = chunks.into_iter().flatten().collect();
+    let around =
+        |corner: IVec3| (0..8).map(move |bits| corner - IVec3::new(bits & 1, bits >> 1 & 1, bits >> 2 & 1));
+    corners.into_iter().flat_map(around).collect()
+}
+
+// Finds the nearest particle that reaches a point, with a tree of bounding boxes.
+//
+//   ┌─────────┬──────┐     Particles are split in half across the longest side of their bounding box,
+//   │∙ ∙    ∙ │    ∙ │     recursively, until a box contains few particles.
+//   │  ∙   ∙  ├──────┤
+//   │     ∙   │ ∙  ∙ │
+//   └─────────┴──────┘
+//
+// A search visits the nearer box first. It skips a box that is farther away than the nearest particle so
+// far, or that is so far away that none of its particles reaches the point. So it visits a small part of the
+// particles, however far away they are. A grid with a fixed cell size cannot do that: its cells are too
+// large for dense clusters or too small for isolated particles.
+//
+// Invariant: the result is the minimum of (distance², index) over the particles that reach the point,
+// computed in 64 bits, whatever the boxes are. So particles that do not reach the point have no influence.
+
+/// A particle as seen by the tree.
+#[derive(Clone, Copy)]
+pub(super) struct TreeParticle {
+    /// Must be finite.
+    pub(super) position: DVec3,
+    /// The particle reaches points nearer than this.
+    pub(super) limit_world: f64,
+}
+
+/// A tree of particles.
+pub(super) struct Tree {
+    /// Indices of the particles; those of a box are contiguous.
+    particles: Vec<u32>,
+    /// The boxes in preorder: a box is followed by all boxes in its first half, then all boxes in its second
+    /// half.
+    boxes: Vec<NodeBounds>,
+}
+
+/// Bounds over the particles of a box.
+#[derive(Clone, Copy)]
+struct NodeBounds {
+    min: DVec3,
+    max: DVec3,
+    /// The maximum of `limit_world` over the particles of the box.
+    limit_world: f64,
+    /// The minimum index of a particle in the box.
+    first: u32,
+}
+
+/// Maximum number of particles of a box that is not split.
+const LEAF_MAX: usize = 16;
+
+impl Tree {
+    /// Builds the tree of these particles.
+    pub(super) fn new(mut particles: Vec<u32>, particle_at: &(impl Fn(u32) -> TreeParticle + Sync)) -> Tree {
+        let mut leaf_count = usize::from(!particles.is_empty());
+        while leaf_count * LEAF_MAX < particles.len() {
+            leaf_count *= 2;
+        }
+        let mut boxes = vec![NodeBounds::EMPTY; (2 * leaf_count).saturating_sub(1)];
+        halve(&mut boxes, &mut particles, particle_at);
+        Tree { particles, boxes }
+    }
+
+    /// The nearest particle that reaches a point; on ties, the one with the lowest index. [`NO_PARTICLE`] if
+    /// no particle reaches the point.
+    pub(super) fn nearest(&self, point: DVec3, particle_at: impl FnMut(u32) -> TreeParticle) -> u32 {
+        let mut search = NearestSearch { point, particle_at, nearest: (f64::INFINITY, NO_PARTICLE) };
+        if point.is_finite() {
+            search.descend(&self.boxes, &self.particles);
+        }
+        search.nearest.1
+    }
+}
+
+fn halve(
+    boxes: &mut [NodeBounds],
+    particles: &mut [u32],
+    particle_at: &(impl Fn(u32) -> TreeParticle + Sync),
+) {
+    checkpoint();
+    let Some((bounds, rest)) = boxes.split_first_mut() else { return };
+    *bounds = NodeBounds::of(particles, particle_at);
+    if rest.is_empty() {
+        return;
+    }
+    let axis = (bounds.max - bounds.min).max_position();
+    let along = |particle: &u32| particle_at(*particle).position[axis];
+    let middle = particles.len() / 2;
+    particles.select_nth_unstable_by(middle, |one, other| along(one).total_cmp(&along(other)));
+    let (one, other) = particles.split_at_mut(middle);
+    let (boxes_of_one, boxes_of_other) = rest.split_at_mut(rest.len() / 2);
+    rayon::join(|| halve(boxes_of_one, one, particle_at), || halve(boxes_of_other, other, particle_at));
+}
+
+impl NodeBounds {
+    const EMPTY: NodeBounds = NodeBounds {
+        min: DVec3::INFINITY,
+        max: DVec3::NEG_INFINITY,
+        limit_world: f64::NEG_INFINITY,
+        first: NO_PARTICLE,
+    };
+
+    fn of(particles: &[u32], particle_at: &impl Fn(u32) -> TreeParticle) -> NodeBounds {
+        particles.iter().fold(NodeBounds::EMPTY, |bounds, &particle| {
+            let TreeParticle { position, limit_world } = particle_at(particle);
+            NodeBounds {
+                min: bounds.min.min(position),
+                max: bounds.max.max(position),
+                limit_world: bounds.limit_world.max(limit_world),
+                first: bounds.first.min(particle),
+            }
+        })
+    }
+
+    /// A lower bound of (distance², index) for the particles of the box. Rounding is monotone, so no particle
+    /// is below this bound by even a bit.
+    fn least(&self, point: DVec3) -> (f64, u32) {
+        let outside = (self.min - point).max(point - self.max).max(DVec3::ZERO);
+        (outside.length_squared(), self.first)
+    }
+}
+
+/// The search for one point.
+struct NearestSearch<F> {
+    point: DVec3,
+    particle_at: F,
+    /// The squared distance and the index of the nearest particle so far.
+    nearest: (f64, u32),
+}
+
+impl<F: FnMut(u32) -> TreeParticle> NearestSearch<F> {
+    /// Searches the box `boxes[0]`. The boxes of its halves follow it, arranged by [`halve`].
+    fn descend(&mut self, boxes: &[NodeBounds], particles: &[u32]) {
+        let Some((bounds, rest)) = boxes.split_first() else { return };
+        if !self.is_nearer(bounds.least(self.point), bounds.limit_world) {
+            return;
+        }
+        if rest.is_empty() {
+            particles.iter().for_each(|&particle| self.visit(particle));
+            return;
+        }
+        let (one, other) = particles.split_at(particles.len() / 2);
+        let (boxes_of_one, boxes_of_other) = rest.split_at(rest.len() / 2);
+        let mut halves = [(boxes_of_one, one), (boxes_of_other, other)];
+        if boxes_of_other[0].least(self.point) < boxes_of_one[0].least(self.point) {
+            halves.reverse();
+        }
+        for (boxes, particles) in halves {
+            self.descend(boxes, particles);
+        }
+    }
+
+    fn visit(&mut self, particle: u32) {
+        let TreeParticle { position, limit_world } = (self.particle_at)(particle);
+        let found = ((position - self.point).length_squared(), particle);
+        if self.is_nearer(found, limit_world) {
+            self.nearest = found;
+        }
+    }
+
+    fn is_nearer(&self, found: (f64, u32), limit_world: f64) -> bool {
+        found.0 < limit_world * limit_world && found < self.nearest
     }
 }

@@ -29,26 +29,26 @@
 //! Changes farther away, and the number of threads, leave the values bit-identical, however large the other
 //! particles are.
 
-mod band;
 mod interpolate;
-mod isolated;
-mod near_particles;
-mod nodes;
-mod source;
-mod tree;
 
-use glam::DVec3;
+use std::sync::Arc;
+
+use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
+use crate::grid::{LEAF_VOXELS, NO_LEAF, Topology};
 use crate::interrupt::checkpoint;
+use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
+use crate::neighbors::Neighbors;
 use crate::parallel::Loops as _;
-use crate::particles::{Attribute, AttributeValues, Positions, Shapes};
-
-pub use band::{BandAttribute, interpolate_to_band};
-
-use interpolate::{Interpolated, Scratch, interpolate};
-use source::TransferSource;
+use crate::particles::{Attribute, AttributeValues, OwnedPositions, Positions, Role, Shapes, scale_numbers};
+use crate::simd::{Kernel, Lanes, dispatch};
+use crate::space::Lattice;
+use interpolate::{
+    Interpolated, NODE_EDGE, Scratch, Tree, TreeParticle, interpolate, near_particles, needed_nodes,
+    node_points,
+};
 
 /// How far particle values reach, in world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -169,13 +169,381 @@ fn interpolate_at(
         })
         .collect();
     let mut interpolated = Interpolated::joined(source, &chunks);
-    let mut counts = isolated::assign_nearest(source, &mut interpolated, point_of);
+    let mut counts = assign_nearest(source, &mut interpolated, point_of);
     counts.point_count = count;
     counts.ignored_value_count = source.ignored_value_count;
     (interpolated, counts)
 }
 
+// The particles near the points that need values, sorted and packed.
+//
+//   particle    v v v  r g b  a  ○ | …        the values of all numeric attributes of a particle, padded (○)
+//               └─ 8 values, a row ─┘         to rows of eight: a row is multiplied by its weight at once
+//
+// Attributes with values that are not finite are not in the rows: their means have to skip the particles
+// with such values.
+
+/// The particles that values are interpolated from.
+struct TransferSource<'a> {
+    particles: Positions<'a>,
+    attributes: Vec<&'a Attribute>,
+    support: Support<'a>,
+    /// The particles near the points, in cells of size R.
+    neighbors: Neighbors,
+    /// The indices of the near particles among all particles, in order.
+    indices: Vec<u32>,
+    /// `row_count` rows per near particle.
+    rows: Vec<[f32; 8]>,
+    row_count: usize,
+    /// The numeric attributes, in order.
+    numbers: Vec<NumericAttribute<'a>>,
+    ignored_value_count: usize,
+}
+
+/// A numeric attribute.
+struct NumericAttribute<'a> {
+    values: &'a [f32],
+    arity: usize,
+    /// First column of its values in the rows; `None` if some values are not finite.
+    column: Option<usize>,
+}
+
+impl<'a> TransferSource<'a> {
+    /// Collects the particles near these points.
+    fn new(
+        particles: Positions<'a>,
+        attributes: Vec<&'a Attribute>,
+        support: Support<'a>,
+        points: (usize, &(impl Fn(usize) -> DVec3 + Sync)),
+    ) -> TransferSource<'a> {
+        for attribute in &attributes {
+            let (found, arity) = (attribute.values.len(), attribute.arity);
+            assert!(0 < arity && found == particles.len() * arity, "{found} values of {}", attribute.name);
+        }
+        let indices = near_particles(&particles, support.radius_world, points);
+        let neighbors = Neighbors::new(&subset(&particles, &indices), support.radius_world);
+        let mut numbers: Vec<NumericAttribute> =
+            attributes.iter().filter_map(|attribute| numbers_of(attribute)).collect();
+        let mut ignored_value_count = 0;
+        let mut width = 0;
+        for numbers in &mut numbers {
+            let broken_count = broken_count(numbers, &indices);
+            ignored_value_count += broken_count;
+            if broken_count == 0 {
+                numbers.column = Some(width);
+                width += numbers.arity;
+            }
+        }
+        let row_count = width.div_ceil(8);
+        let rows = rows_of(&numbers, &indices, row_count);
+        TransferSource {
+            particles,
+            attributes,
+            support,
+            neighbors,
+            indices,
+            rows,
+            row_count,
+            numbers,
+            ignored_value_count,
+        }
+    }
+
+    /// Converts an index among the near particles to the index among all particles.
+    fn original(&self, index: u32) -> u32 {
+        self.indices.get(index as usize).copied().unwrap_or(NO_PARTICLE)
+    }
+}
+
+fn subset(particles: &Positions<'_>, indices: &[u32]) -> OwnedPositions {
+    match particles {
+        Positions::F32(positions) => {
+            OwnedPositions::F32(indices.par_iter().halved().map(|&index| positions[index as usize]).collect())
+        }
+        Positions::F64(positions) => {
+            OwnedPositions::F64(indices.par_iter().halved().map(|&index| positions[index as usize]).collect())
+        }
+    }
+}
+
+fn numbers_of(attribute: &Attribute) -> Option<NumericAttribute<'_>> {
+    match &attribute.values {
+        AttributeValues::Numbers(values) => {
+            Some(NumericAttribute { values, arity: attribute.arity, column: None })
+        }
+        AttributeValues::Integers(_) | AttributeValues::Strings { .. } => None,
+    }
+}
+
+impl NumericAttribute<'_> {
+    /// The values of a particle, given its index among all particles.
+    #[inline(always)]
+    fn of(&self, particle: u32) -> &[f32] {
+        let first = particle as usize * self.arity;
+        &self.values[first..first + self.arity]
+    }
+}
+
+fn broken_count(numbers: &NumericAttribute, indices: &[u32]) -> usize {
+    let broken = |&index: &u32| numbers.of(index).iter().filter(|value| !value.is_finite()).count();
+    indices.par_iter().halved().map(broken).sum()
+}
+
+fn rows_of(numbers: &[NumericAttribute], indices: &[u32], row_count: usize) -> Vec<[f32; 8]> {
+    let mut rows = vec![[0.0; 8]; indices.len() * row_count];
+    if row_count != 0 {
+        rows.par_chunks_mut(row_count).zip(indices).halved().for_each(|(rows, &index)| {
+            let row = rows.as_flattened_mut();
+            for numbers in numbers {
+                if let Some(column) = numbers.column {
+                    row[column..column + numbers.arity].copy_from_slice(numbers.of(index));
+                }
+            }
+        });
+    }
+    rows
+}
+
+// Attributes at the voxels of the band, computed on demand.
+
+/// An attribute at the voxels of a band.
+#[derive(Clone, Debug)]
+pub struct BandAttribute {
+    /// Its name in the particle file.
+    pub name: String,
+    /// Its semantic.
+    pub role: Role,
+    /// Number of components per voxel.
+    pub arity: usize,
+    nodes: Arc<Nodes>,
+    /// `arity` values per node, node by node.
+    values: Vec<f32>,
+}
+
+/// The nodes of a band that have values: every second voxel along each axis.
+#[derive(Debug)]
+struct Nodes {
+    topology: Arc<Topology>,
+    /// For each leaf, a mask of its nodes that have values.
+    needed: Vec<u64>,
+    /// For each leaf, the number of nodes with values in all previous leaves.
+    starts: Vec<usize>,
+}
+
+/// Transfers the numeric attributes of the particles to voxels with |φ| below the half width.
+///
+/// Panics if an attribute does not have `arity` values per particle, or if `support` has too few
+/// shapes for them.
+pub fn interpolate_to_band<'a>(
+    particles: impl Into<Positions<'a>>,
+    attributes: &[&'a Attribute],
+    (band, lattice): (&NarrowBand, &Lattice),
+    half_width_voxels: f32,
+    support: Support<'a>,
+) -> (Vec<BandAttribute>, TransferCounts) {
+    let is_numbers = |attribute: &&&'a Attribute| matches!(attribute.values, AttributeValues::Numbers(_));
+    let attributes: Vec<&'a Attribute> = attributes.iter().filter(is_numbers).copied().collect();
+    let needed = needed_nodes(band, half_width_voxels);
+    let points = node_points(band, lattice, &needed);
+    let point_of = |point: usize| points[point];
+    // Unlike vertices, nodes may be about the half width away from the surface.
+    let margin_world = support.margin_world + f64::from(half_width_voxels) * lattice.voxel_size;
+    let support = Support { margin_world, ..support };
+    let source = TransferSource::new(particles.into(), attributes, support, (points.len(), &point_of));
+    let (interpolated, counts) = interpolate_at(&source, points.len(), &point_of);
+    let mut end = 0;
+    let starts = needed.iter().map(|nodes| {
+        let start = end;
+        end += nodes.count_ones() as usize;
+        start
+    });
+    let starts = starts.collect();
+    let nodes = Arc::new(Nodes { topology: Arc::clone(&band.topology), needed, starts });
+    let found = source.attributes.iter().zip(interpolated.numbers).map(|(attribute, values)| BandAttribute {
+        name: attribute.name.clone(),
+        role: attribute.role,
+        arity: attribute.arity,
+        nodes: Arc::clone(&nodes),
+        values,
+    });
+    (found.collect(), counts)
+}
+
+impl BandAttribute {
+    /// Memory used, in bytes.
+    pub fn size_bytes(&self) -> usize {
+        size_of_val(&*self.values)
+    }
+
+    /// Multiplies all values by a factor.
+    pub(crate) fn scale(&mut self, factor: f64) {
+        scale_numbers(&mut self.values, factor);
+    }
+
+    /// The values of all voxels of a leaf, `arity` each. Values of voxels outside the band are meaningless.
+    ///
+    /// Panics if the leaf does not exist, or `out` is too short for 512 voxels.
+    pub fn fill(&self, leaf: usize, out: &mut [f32]) {
+        let around = self.nodes.topology.neighborhood(leaf);
+        for component in 0..self.arity {
+            let nodes = self.nodes_around(leaf, &around, component);
+            let voxels = dispatch(Between { nodes: &nodes });
+            let voxels = voxels.as_flattened().as_flattened();
+            for (out, &value) in out[..LEAF_VOXELS * self.arity].chunks_exact_mut(self.arity).zip(voxels) {
+                out[component] = value;
+            }
+        }
+    }
+
+    /// The values of a leaf's nodes, and of the nodes in the next leaves that its voxels need.
+    fn nodes_around(&self, leaf: usize, around: &[u32; 27], component: usize) -> NodeValues {
+        let mut nodes = [[[0.0; NODE_EDGE + 1]; NODE_EDGE + 1]; NODE_EDGE + 1];
+        for (x, plane) in (0..).zip(&mut nodes) {
+            for (y, row) in (0..).zip(plane) {
+                for (z, value) in (0..).zip(row) {
+                    let node = IVec3::new(x, y, z);
+                    // If the band ends with this leaf, the leaf's last nodes replace those of the next leaf.
+                    let found = self.value_at(around, node, component).or_else(|| {
+                        let last = node.min(IVec3::splat(NODE_EDGE as i32 - 1));
+                        self.value_of(leaf, last, component)
+                    });
+                    *value = found.unwrap_or(0.0);
+                }
+            }
+        }
+        nodes
+    }
+
+    /// The value of a node in a leaf or in the next one.
+    fn value_at(&self, around: &[u32; 27], node: IVec3, component: usize) -> Option<f32> {
+        let step: IVec3 = node >> 2;
+        match around[(9 * (step.x + 1) + 3 * (step.y + 1) + step.z + 1) as usize] {
+            NO_LEAF => None,
+            leaf => self.value_of(leaf as usize, node & 3, component),
+        }
+    }
+
+    fn value_of(&self, leaf: usize, node: IVec3, component: usize) -> Option<f32> {
+        let Nodes { needed, starts, .. } = &*self.nodes;
+        let bit = node.x << 4 | node.y << 2 | node.z;
+        if needed[leaf] >> bit & 1 == 0 {
+            return None;
+        }
+        let before = (needed[leaf] & ((1 << bit) - 1)).count_ones() as usize;
+        Some(self.values[(starts[leaf] + before) * self.arity + component])
+    }
+}
+
+type NodeValues = [[[f32; NODE_EDGE + 1]; NODE_EDGE + 1]; NODE_EDGE + 1];
+
+/// Kernel: interpolates voxels between nodes along z, then y, then x.
+struct Between<'a> {
+    nodes: &'a NodeValues,
+}
+
+impl Kernel for Between<'_> {
+    type Output = [[[f32; 8]; 8]; 8];
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> Self::Output {
+        let mut rows = [[[0.0; 8]; NODE_EDGE + 1]; NODE_EDGE + 1];
+        for (rows, nodes) in rows.iter_mut().zip(self.nodes) {
+            for (row, nodes) in rows.iter_mut().zip(nodes) {
+                for z in 0..NODE_EDGE {
+                    row[2 * z] = nodes[z];
+                    row[2 * z + 1] = 0.5 * nodes[z] + 0.5 * nodes[z + 1];
+                }
+            }
+        }
+        let mut planes = [[[0.0; 8]; 8]; NODE_EDGE + 1];
+        for (plane, rows) in planes.iter_mut().zip(&rows) {
+            for y in 0..NODE_EDGE {
+                plane[2 * y] = rows[y];
+                plane[2 * y + 1] = between::<V>(&rows[y], &rows[y + 1]);
+            }
+        }
+        let mut voxels = [[[0.0; 8]; 8]; 8];
+        for x in 0..NODE_EDGE {
+            voxels[2 * x] = planes[x];
+            for y in 0..8 {
+                voxels[2 * x + 1][y] = between::<V>(&planes[x][y], &planes[x + 1][y]);
+            }
+        }
+        voxels
+    }
+}
+
+/// The mean of two rows. Adds halves of the values, because their sum might overflow.
+#[inline(always)]
+fn between<V: Lanes>(one: &[f32; 8], other: &[f32; 8]) -> [f32; 8] {
+    let half = V::splat(0.5);
+    let mut mean = [0.0; 8];
+    V::load(one).mul(half).add(V::load(other).mul(half)).store(&mut mean);
+    mean
+}
+
+// Assigns values to isolated points, which have no particle within the radius: the values of the nearest
+// particle that reaches the point.
+//
+// Isolated points occur around large particles. Usually they are few; with per-particle radii, they may be
+// the whole surface. Only particles that reach farther than the radius can reach an isolated point, so only
+// these particles are sorted into a [tree](super::tree). The search for a point then visits a small part of
+// them, however far they reach.
+
+/// Assigns the values of the nearest particle to isolated points. Returns the number of points that got
+/// values, and the number of points that no particle reaches.
+fn assign_nearest(
+    source: &TransferSource,
+    interpolated: &mut Interpolated,
+    point_of: &(impl Fn(usize) -> DVec3 + Sync),
+) -> TransferCounts {
+    let is_isolated = |point: &usize| interpolated.nearest[*point] == NO_PARTICLE;
+    let isolated: Vec<usize> = (0..interpolated.nearest.len()).filter(is_isolated).collect();
+    let mut counts = TransferCounts { empty_count: isolated.len(), ..TransferCounts::default() };
+    if isolated.is_empty() {
+        return counts;
+    }
+    let particle_at = |particle: u32| TreeParticle {
+        position: source.particles.position(particle as usize),
+        limit_world: source.support.limit_world(particle),
+    };
+    let tree = Tree::new(reaching(source, &particle_at), &particle_at);
+    let nearest = |&point: &usize| {
+        checkpoint();
+        tree.nearest(point_of(point), particle_at)
+    };
+    let nearest: Vec<u32> = isolated.par_iter().halved().map(nearest).collect();
+    for (point, particle) in isolated.into_iter().zip(nearest) {
+        if particle == NO_PARTICLE {
+            continue;
+        }
+        counts.empty_count -= 1;
+        counts.isolated_count += 1;
+        interpolated.nearest[point] = particle;
+        for (numbers, out) in source.numbers.iter().zip(&mut interpolated.numbers) {
+            let out = &mut out[point * numbers.arity..(point + 1) * numbers.arity];
+            for (out, &value) in out.iter_mut().zip(numbers.of(particle)) {
+                if value.is_finite() {
+                    *out = value;
+                }
+            }
+        }
+    }
+    counts
+}
+
+/// The particles that reach farther than the radius.
+fn reaching(source: &TransferSource, particle_at: &(impl Fn(u32) -> TreeParticle + Sync)) -> Vec<u32> {
+    let end = u32::try_from(source.particles.len()).unwrap_or(NO_PARTICLE);
+    let is_reaching = |&particle: &u32| {
+        let TreeParticle { position, limit_world } = particle_at(particle);
+        source.support.radius_world < limit_world && position.is_finite()
+    };
+    (0..end).into_par_iter().halved().filter(is_reaching).collect()
+}
+
 #[cfg(test)]
 mod tests;
+
 #[cfg(test)]
 mod tests_of_sizes;

@@ -5,7 +5,7 @@ use std::cell::Cell;
 
 use glam::{DVec3, Vec3};
 
-use super::tree::{Tree, TreeParticle};
+use super::interpolate::{Tree, TreeParticle};
 use super::*;
 use crate::particles::{OwnedPositions, Role};
 

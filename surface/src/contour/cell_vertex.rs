@@ -35,10 +35,9 @@
 
 use glam::{IVec3, Mat3, Vec3};
 
-use super::MeshFrame;
-use super::cell_cycles::{corner_bit, edge_corners};
+use super::dual_contouring::{corner_bit, edge_corners};
 use super::neighborhood::{BLOCK_STEP, PhiBlock};
-use super::normals::unit_or_zero;
+use super::{MeshFrame, unit_or_zero};
 
 /// Minimum distance of a vertex from the walls of its cell, in voxels. It ensures that every triangle has a
 /// positive area, also after rounding. A larger margin dents the surface where it barely cuts a corner off a

@@ -46,17 +46,16 @@
 //! Gregory M. Nielson. Dual Marching Cubes. 2004
 //! Scott Schaefer, Tao Ju, Joe Warren. Manifold Dual Contouring. 2007
 
+use std::sync::LazyLock;
+
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::cell_cycles::cell_cycles;
 use super::cell_vertex::{CellSamples, VertexBatch, Vertices};
 use super::neighborhood::{LeafNeighborhood, PhiBlock, SignRows};
-use super::normals::unit_or_zero;
 use super::quads::Quads;
-use super::ring::{Ring, joined_segments, segment_key};
-use super::{MeshFrame, split};
-use crate::grid::{LeafMask, negative_masks, voxel_in_leaf};
+use super::{MeshFrame, split, unit_or_zero};
+use crate::grid::{LeafMask, negative_masks, offset_in_leaf, voxel_in_leaf};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::parallel::Loops as _;
@@ -107,7 +106,7 @@ pub(super) struct LeafPatch {
     /// For each row of cells, its first vertex relative to the patch; the last entry is the end. The vertices
     /// on faces follow, and then those on edges.
     pub(super) row_starts: [u16; 65],
-    pub(super) on_faces_count: u16,
+    on_faces_count: u16,
     pub(super) on_edges_count: u16,
     pub(super) triangle_count: u16,
 }
@@ -378,5 +377,240 @@ impl Kernel for PatchTriangles<'_> {
             self.quads.write(patch, triangles);
             rest = after;
         }
+    }
+}
+
+// Determines how the surface cuts a cell, from the signs of the cell's corners alone.
+//
+// On each face of a cell, the surface is drawn as segments between the midpoints of crossed edges: one
+// segment around each run of consecutive inside corners along the boundary of the face.
+//
+//    ○─────○     ●──┼──○     ●──┼──○     ●──┼──○      ● inside   ○ outside
+//    │     │     │  │  │     │   ╲ │     ┼─╯   │      ┼ crossed edge
+//    ┼─╮   │     │  │  │     │    ╲┼     │   ╭─┼
+//    ●──┼──○     ●──┼──○     ●─────●     ○──┼──●      the last face is ambiguous: its inside corners are
+//                                                     separated
+//
+// The rule depends only on the four signs of the face, so both cells of a face draw the same segments. A
+// crossed edge lies on two faces of its cell, and on each of them one segment ends at the edge. Hence the
+// segments of a crossed cell form one to four simple closed *cycles*, each around one sheet of the surface.
+//
+// Numbering: corner `4x + 2y + z` is at x, y and z. Edge `4a + 2b + c` is along axis a, at b and c on the
+// two axes that follow a in the order x, y, z, x, y. Face `2a + side` is normal to axis a.
+
+/// Value of an edge without a cycle.
+const NO_CYCLE: u8 = u8::MAX;
+
+/// The cycles of a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct CellCycles {
+    /// Number of cycles, 0 to 4.
+    pub(super) count: usize,
+    /// For each cycle, a mask of the edges it passes through.
+    pub(super) edges: [u16; 4],
+    /// For each edge, the index of its cycle, or [`NO_CYCLE`] if the edge is not crossed.
+    pub(super) of_edge: [u8; 12],
+    /// A mask of the ambiguous faces whose two segments belong to the same cycle.
+    joined_faces: u8,
+}
+
+/// The cycles of a cell whose inside corners are the set bits of `signs`.
+#[inline(always)]
+pub(super) fn cell_cycles(signs: u8) -> &'static CellCycles {
+    static TABLE: LazyLock<[CellCycles; 256]> =
+        LazyLock::new(|| std::array::from_fn(|signs| trace_cycles(signs as u8)));
+    &TABLE[usize::from(signs)]
+}
+
+/// The bit of an axis in a corner number.
+pub(super) const fn corner_bit(axis: usize) -> usize {
+    4 >> axis
+}
+
+/// The first and last corner of an edge.
+pub(super) const fn edge_corners(edge: usize) -> (usize, usize) {
+    let (axis, b, c) = (edge / 4, edge / 2 % 2, edge % 2);
+    let start = b * corner_bit((axis + 1) % 3) + c * corner_bit((axis + 2) % 3);
+    (start, start + corner_bit(axis))
+}
+
+fn trace_cycles(signs: u8) -> CellCycles {
+    let segments: Vec<(usize, [usize; 2])> = (0..6)
+        .flat_map(|face| segments_on(face, signs).into_iter().map(move |segment| (face, segment)))
+        .collect();
+    let mut cycles = CellCycles { count: 0, edges: [0; 4], of_edge: [NO_CYCLE; 12], joined_faces: 0 };
+    for first_edge in 0..12 {
+        let is_crossed = segments.iter().any(|(_, ends)| ends.contains(&first_edge));
+        if !is_crossed || cycles.of_edge[first_edge] != NO_CYCLE {
+            continue;
+        }
+        let mut edges: u16 = 1 << first_edge;
+        // A cycle has at most 12 edges, so 12 rounds reach all of it.
+        for _ in 0..12 {
+            for (_, [one, other]) in &segments {
+                if edges & (1 << one | 1 << other) != 0 {
+                    edges |= 1 << one | 1 << other;
+                }
+            }
+        }
+        for edge in (0..12).filter(|edge| edges >> edge & 1 == 1) {
+            cycles.of_edge[edge] = cycles.count as u8;
+        }
+        cycles.edges[cycles.count] = edges;
+        cycles.count += 1;
+    }
+    for pair in segments.windows(2) {
+        let [(face, one), (other_face, other)] = [pair[0], pair[1]];
+        if face == other_face && cycles.of_edge[one[0]] == cycles.of_edge[other[0]] {
+            cycles.joined_faces |= 1 << face;
+        }
+    }
+    cycles
+}
+
+/// The segments on a face: for each run of inside corners along its boundary, the crossed edges where the run
+/// begins and ends.
+fn segments_on(face: usize, signs: u8) -> Vec<[usize; 2]> {
+    let (axis, side) = (face / 2, face % 2);
+    let (b, c) = (corner_bit((axis + 1) % 3), corner_bit((axis + 2) % 3));
+    let face_corners = [0, b, b | c, c].map(|corner| corner + side * corner_bit(axis));
+    let is_inside = |k: usize| signs >> face_corners[k % 4] & 1 == 1;
+    let edge_after = |k: usize| edge_between(face_corners[k % 4], face_corners[(k + 1) % 4]);
+    (0..4)
+        .filter(|&k| is_inside(k) && !is_inside(k + 3))
+        .map(|first| {
+            let last = (first..first + 4).find(|&k| !is_inside(k + 1)).unwrap_or(first);
+            [edge_after(first + 3), edge_after(last)]
+        })
+        .collect()
+}
+
+fn edge_between(one: usize, other: usize) -> usize {
+    let ends = (one.min(other), one.max(other));
+    (0..12).find(|&edge| edge_corners(edge) == ends).expect("adjacent corners of a face share an edge")
+}
+
+// The cells around an edge, and the faces between these cells that need an additional vertex per segment.
+// (Segments and cycles are defined in `cell_cycles.rs`.)
+//
+//      ●──┼──○          An ambiguous face whose two segments belong to one cycle in both of its cells is
+//      │   · ┼          *joined*: the dual mesh would have two edges between the same two vertices, so
+//      ┼ ·   │          each of its segments gets an additional vertex in its middle (·).
+//      ○──┼──●
+//
+// Only thin sheets and noise have such faces. All functions here depend on signs alone.
+
+/// The segments on the joined faces of a leaf, in the order of [`segment_key`]. Each is given by the cell
+/// after the face, the axis normal to the face, and the inside corner that the segment cuts off. The corner
+/// has coordinates on the two axes that follow the normal.
+fn joined_segments(rows: &SignRows) -> impl Iterator<Item = (IVec3, usize, [usize; 2])> + '_ {
+    let cells: Vec<usize> = rows.crossed_cells().iter().collect();
+    let cells = cells.into_iter().map(voxel_in_leaf).filter(|&cell| cycles_at(rows, cell).joined_faces != 0);
+    let faces = cells.flat_map(|cell| (0..3).map(move |axis| (cell, axis)));
+    let joined = faces.filter(|&(cell, axis)| is_joined(rows, cell, axis));
+    joined.flat_map(|(cell, axis)| {
+        inside_corners(rows.cell_signs(cell), axis).map(move |corner| (cell, axis, corner))
+    })
+}
+
+fn cycles_at(rows: &SignRows, cell: IVec3) -> &'static CellCycles {
+    cell_cycles(rows.cell_signs(cell))
+}
+
+/// True if both segments of the face between `cell` and the cell before it along `axis` belong to one cycle
+/// in both cells.
+fn is_joined(rows: &SignRows, cell: IVec3, axis: usize) -> bool {
+    let is_joined_at =
+        |cell: IVec3, side: usize| cycles_at(rows, cell).joined_faces >> (2 * axis + side) & 1 == 1;
+    is_joined_at(cell, 0) && is_joined_at(cell - IVec3::AXES[axis], 1)
+}
+
+/// The inside corners of a cell on its near face along `axis`, as coordinates on the two following axes.
+fn inside_corners(signs: u8, axis: usize) -> impl Iterator<Item = [usize; 2]> {
+    let (b, c) = (corner_bit((axis + 1) % 3), corner_bit((axis + 2) % 3));
+    [[0, 0], [0, 1], [1, 0], [1, 1]].into_iter().filter(move |[i, j]| signs >> (i * b + j * c) & 1 == 1)
+}
+
+/// Key of a segment of an ambiguous face within its leaf: the face's first voxel and normal, and the inside
+/// corner that the segment cuts off. (The two inside corners differ on both axes, so one coordinate
+/// suffices.)
+pub(super) fn segment_key(first_voxel: IVec3, normal_axis: usize, corner: [usize; 2]) -> u16 {
+    (offset_in_leaf(first_voxel) * 8 + normal_axis * 2 + corner[0]) as u16
+}
+
+/// The four cells around a crossed edge, counter-clockwise as seen from its end.
+///
+/// ```text
+///        c             a: the edge's axis, toward the reader
+///    1   │   0         b, c: the axes after it
+///   ─────┼───── b      side k: the face between cell k and cell k + 1
+///    2   │   3
+/// ```
+pub(super) struct Ring {
+    pub(super) axis: usize,
+    pub(super) cells: [IVec3; 4],
+    /// Bit k: side k is joined, see [`is_joined`].
+    pub(super) joined_sides: u8,
+}
+
+/// The edge's position in each cell of a ring, as `2b + c`.
+pub(super) const RING_CELLS: [usize; 4] = [0, 2, 3, 1];
+
+/// For each side of a ring: the step from the ring's axis to the axis normal to the side (1 for b, 2 for c),
+/// and the cell on its far side, which has the same first voxel as the face.
+pub(super) const RING_SIDES: [(usize, usize); 4] = [(1, 0), (2, 1), (1, 3), (2, 0)];
+
+impl Ring {
+    pub(super) fn new(rows: &SignRows, start: IVec3, axis: usize) -> Ring {
+        let (b, c) = (IVec3::AXES[(axis + 1) % 3], IVec3::AXES[(axis + 2) % 3]);
+        let cells = [start, start - b, start - b - c, start - c];
+        let around: [&CellCycles; 4] = std::array::from_fn(|k| cycles_at(rows, cells[k]));
+        let mut joined_sides = 0;
+        if around.iter().any(|cycles| cycles.joined_faces != 0) {
+            for (side, (turn, far)) in RING_SIDES.into_iter().enumerate() {
+                let normal_axis = (axis + turn) % 3;
+                let near = if far == side { (side + 1) % 4 } else { side };
+                let is_joined = around[far].joined_faces >> (2 * normal_axis)
+                    & around[near].joined_faces >> (2 * normal_axis + 1)
+                    & 1;
+                joined_sides |= is_joined << side;
+            }
+        }
+        Ring { axis, cells, joined_sides }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn crossed_edges_are_in_exactly_one_cycle() {
+        for signs in 0..=255u8 {
+            let cycles = cell_cycles(signs);
+            for edge in 0..12 {
+                let (start, end) = edge_corners(edge);
+                let is_crossed = (signs >> start ^ signs >> end) & 1 == 1;
+                assert_eq!(is_crossed, cycles.of_edge[edge] != NO_CYCLE, "{signs:#010b} edge {edge}");
+            }
+            let all = cycles.edges.iter().fold(0, |all, edges| {
+                assert_eq!(all & edges, 0);
+                all | edges
+            });
+            let lengths = cycles.edges[..cycles.count].iter().map(|edges| edges.count_ones());
+            assert!(lengths.clone().all(|length| length >= 3), "{signs:#010b}");
+            assert_eq!(lengths.sum::<u32>(), u32::from(all).count_ones());
+        }
+    }
+
+    #[test]
+    fn ambiguous_faces_separate_the_inside_corners() {
+        // Four inside corners, no two of them adjacent.
+        assert_eq!(cell_cycles(0b0110_1001).count, 4);
+        // Two diagonally opposite inside corners of a face are separated. In the complement, the other six
+        // corners are inside, and one sheet surrounds both outside corners.
+        assert_eq!(cell_cycles(0b0000_1001).count, 2);
+        assert_eq!(cell_cycles(0b1111_0110).count, 1);
+        assert_eq!(cell_cycles(0b1111_0110).joined_faces.count_ones(), 1);
     }
 }

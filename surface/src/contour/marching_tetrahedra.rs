@@ -31,8 +31,7 @@ use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::neighborhood::{BLOCK_STEP, LeafNeighborhood, PhiBlock, SignRows};
-use super::normals::unit_or_zero;
-use super::{MeshFrame, split};
+use super::{MeshFrame, split, unit_or_zero};
 use crate::grid::{LEAF_VOXELS, LeafMask, ROW_COUNT, negative_masks, offset_in_leaf, voxel_in_leaf};
 use crate::interrupt::checkpoint;
 use crate::level_set::NarrowBand;

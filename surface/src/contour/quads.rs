@@ -11,10 +11,8 @@
 
 use glam::{DVec3, IVec3, Vec3};
 
-use super::cell_cycles::cell_cycles;
-use super::dual_contouring::{LeafPatch, MeshLayout};
+use super::dual_contouring::{LeafPatch, MeshLayout, RING_CELLS, RING_SIDES, Ring, cell_cycles, segment_key};
 use super::neighborhood::SignRows;
-use super::ring::{RING_CELLS, RING_SIDES, Ring, segment_key};
 use crate::grid::{offset_in_leaf, voxel_in_leaf};
 
 /// Input for the triangles.

@@ -16,13 +16,7 @@
 //! Invariants: the same frames give the same bits on any number of threads; scaling positions and spacing by
 //! a power of two changes no value.
 
-mod carry;
-mod sampling;
-mod summary;
-#[cfg(test)]
-mod tests;
-
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
@@ -30,12 +24,6 @@ use crate::neighbors::Neighbors;
 use crate::obstacle::MeshDistance;
 use crate::parallel::Loops as _;
 use crate::particles::OwnedPositions;
-
-pub use carry::CARRY_REACH;
-pub use summary::Distribution;
-
-use carry::carry;
-use sampling::samples;
 
 /// Upper limit of the distances from a surface, in spacings; larger ones are clamped.
 pub const REACH: f64 = 2.0;
@@ -102,7 +90,7 @@ impl FlickerFrame {
         let count = particles.positions.len();
         particles.ids = particles.ids.filter(|ids| ids.len() == count);
         particles.velocities = particles.velocities.filter(|velocities| velocities.len() == count);
-        let near = Neighbors::new(&particles.positions, carry::SEARCH_RADIUS * spacing);
+        let near = Neighbors::new(&particles.positions, SEARCH_RADIUS * spacing);
         let index_of = index_of(particles.ids.as_deref().unwrap_or_default());
         FlickerFrame { particles, near, index_of, surface }
     }
@@ -173,3 +161,193 @@ pub fn flicker(
     }
     found
 }
+
+// Carries points along with the particles.
+//
+//     ∙   ∙   ∙
+//      ∙  ●──────▶ ○      the mean displacement of the particles around the point, weighted by (1 − r²/R²)³:
+//     ∙   ∙   ∙           r is a particle's distance, R the distance of the nearest one plus one spacing
+//
+// With ids, the displacement of a particle is known. With velocities, it is the time step times the mean of
+// the velocities at both ends (the trapezoidal rule), which is exact for a constant acceleration. The
+// velocity at the far end is evaluated twice: at a predicted position and at the corrected one. With the
+// velocity at the start only, a drop in free fall would flicker by g dt².
+
+/// A point is carried if a particle is closer than this, in spacings. With strong smoothing, surfaces are
+/// this far from their particles.
+pub const CARRY_REACH: f64 = 3.0;
+
+/// Particles are weighted up to this distance beyond the nearest one, in spacings.
+const BEYOND_NEAREST: f64 = 1.0;
+
+/// Search radius for the weighted particles, in spacings. It is also the limit for the distance of the
+/// nearest particle from a predicted position, because the prediction may be off by this much.
+const SEARCH_RADIUS: f64 = CARRY_REACH + BEYOND_NEAREST;
+
+/// The position of a point of `from` in the frame `to`, the next one (`direction` 1) or the previous one
+/// (−1). `None` if no particle within reach carries it.
+fn carry(
+    from: &FlickerFrame,
+    to: &FlickerFrame,
+    carrier: Carrier,
+    direction: f64,
+    point: DVec3,
+    spacing: f64,
+) -> Option<DVec3> {
+    let limit = CARRY_REACH * spacing;
+    let displacement = match carrier {
+        Carrier::Ids => {
+            let ids = from.particles.ids.as_deref()?;
+            let displacement = |index: usize| {
+                let id = ids.get(index)?;
+                // Ids that several particles share are not in the table.
+                let (other, own) = (*to.index_of.get(id)?, *from.index_of.get(id)?);
+                let position =
+                    |frame: &FlickerFrame, index: u32| frame.particles.positions.position(index as usize);
+                Some(position(to, other) - position(from, own))
+            };
+            mean(from, point, (limit, spacing), displacement)?.vector
+        }
+        Carrier::Velocities { seconds } => {
+            let step = direction * seconds;
+            // Evaluated at the particles' mean position instead of on the surface, because more particles
+            // surround the mean position.
+            let Mean { vector: here, position } = mean(from, point, (limit, spacing), velocity_in(from))?;
+            let velocity_at = |position: DVec3| {
+                Some(mean(to, position, (SEARCH_RADIUS * spacing, spacing), velocity_in(to))?.vector)
+            };
+            let first = velocity_at(position + step * here)?;
+            let second = velocity_at(position + step * 0.5 * (here + first))?;
+            step * 0.5 * (here + second)
+        }
+    };
+    Some(point + displacement).filter(|position| position.is_finite())
+}
+
+fn velocity_in(frame: &FlickerFrame) -> impl Fn(usize) -> Option<DVec3> {
+    let velocities = frame.particles.velocities.as_deref().unwrap_or_default();
+    |index| velocities.get(index).map(|&velocity| Vec3::from(velocity).as_dvec3())
+}
+
+/// Weighted means over particles.
+struct Mean {
+    /// The mean of a vector of the particles.
+    vector: DVec3,
+    /// Their mean position, world units.
+    position: DVec3,
+}
+
+/// The means over the particles around a point for which `vector_of` returns a value. `None` if the nearest
+/// of these particles is farther than `limit`, in world units.
+fn mean(
+    frame: &FlickerFrame,
+    point: DVec3,
+    (limit, spacing): (f64, f64),
+    vector_of: impl Fn(usize) -> Option<DVec3>,
+) -> Option<Mean> {
+    let near = &frame.near;
+    let (cell, local) = near.locate(point)?;
+    let [x, y, z] = near.locals();
+    let edge = near.edge_world();
+    let mut found: Vec<(f64, DVec3, DVec3)> = Vec::new();
+    for run in near.runs(cell) {
+        let corner = run.step.as_vec3() - local;
+        for slot in run.slots {
+            // In units of the cell edge, which is the search radius of the grid.
+            let apart = (corner + Vec3::new(x[slot], y[slot], z[slot])).as_dvec3();
+            if apart.length_squared() <= 1.0
+                && let Some(vector) = vector_of(near.indices()[slot] as usize).filter(|v| v.is_finite())
+            {
+                found.push((apart.length() * edge, apart * edge, vector));
+            }
+        }
+    }
+    let nearest = found.iter().map(|&(distance, ..)| distance).fold(f64::INFINITY, f64::min);
+    if nearest > limit {
+        return None;
+    }
+    let radius = nearest + BEYOND_NEAREST * spacing;
+    let (mut vectors, mut offsets, mut weights) = (DVec3::ZERO, DVec3::ZERO, 0.0);
+    for (distance, offset, vector) in found {
+        let part = (1.0 - (distance / radius).powi(2)).max(0.0);
+        let weight = part * part * part;
+        vectors += weight * vector;
+        offsets += weight * offset;
+        weights += weight;
+    }
+    Some(Mean { vector: vectors / weights, position: point + offsets / weights })
+}
+
+// Samples points on a surface, evenly by area. The same triangles give the same points.
+//
+//   |  1  |2|    3    |4|  5   |      the areas of the triangles, end to end
+//     ●   ● | ●   ●   ●   ●   ●       N points: one in the middle of each of N equal parts of the area;
+//                                     its position in its triangle is a term of a low-discrepancy sequence
+//
+// Martin Roberts. The unreasonable effectiveness of quasirandom sequences. 2018
+
+/// The fractions that define the sequence: 1/g and 1/g², with g³ = g + 1.
+const STEPS: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_3];
+
+/// `count` points on triangles of positive total area, each with the normal of its triangle. Empty if there
+/// are no triangles.
+fn samples(triangles: &[[DVec3; 3]], count: usize) -> Vec<(DVec3, DVec3)> {
+    let mut ends = Vec::with_capacity(triangles.len());
+    let mut area = 0.0;
+    for [a, b, c] in triangles {
+        area += 0.5 * (*b - a).cross(*c - a).length();
+        ends.push(area);
+    }
+    if triangles.is_empty() {
+        return Vec::new();
+    }
+    let sample = |index: usize| {
+        let along = area * (index as f64 + 0.5) / count as f64;
+        let triangle = ends.partition_point(|&end| end <= along).min(triangles.len() - 1);
+        let [a, b, c] = triangles[triangle];
+        let [mut u, mut v] = STEPS.map(|step| (0.5 + step * index as f64).fract());
+        // Mirror the other half of the parallelogram onto this triangle.
+        if u + v > 1.0 {
+            (u, v) = (1.0 - u, 1.0 - v);
+        }
+        (a + (b - a) * u + (c - a) * v, (b - a).cross(c - a).normalize_or_zero())
+    };
+    (0..count).map(sample).collect()
+}
+
+// Summary statistics.
+
+/// Statistics of the magnitudes of numbers.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Distribution {
+    /// How many numbers were summarized; if 0, all other fields are 0.
+    pub count: usize,
+    /// Root mean square.
+    pub rms: f64,
+    /// Median magnitude.
+    pub median: f64,
+    /// 99th percentile of the magnitudes.
+    pub percentile_99: f64,
+    /// Largest magnitude.
+    pub max: f64,
+}
+
+impl Distribution {
+    /// The summary of these numbers. Their order affects only the rounding of `rms`.
+    pub fn of(values: impl IntoIterator<Item = f64>) -> Distribution {
+        let mut sizes: Vec<f64> = values.into_iter().map(f64::abs).collect();
+        let count = sizes.len();
+        if count == 0 {
+            return Distribution::default();
+        }
+        let rms = (sizes.iter().map(|size| size * size).sum::<f64>() / count as f64).sqrt();
+        let mut of_rank = |part: f64| {
+            let rank = ((part * count as f64).ceil() as usize).clamp(1, count) - 1;
+            *sizes.select_nth_unstable_by(rank, f64::total_cmp).1
+        };
+        Distribution { count, rms, median: of_rank(0.5), percentile_99: of_rank(0.99), max: of_rank(1.0) }
+    }
+}
+
+#[cfg(test)]
+mod tests;

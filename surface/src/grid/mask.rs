@@ -3,8 +3,8 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
-use super::leaf::{Field, Leaf};
 use super::stencil::ROW_COUNT;
+use super::{Field, Leaf};
 use crate::parallel::Loops as _;
 use crate::simd::{Kernel, Lanes, dispatch};
 use crate::space::CoordBox;

@@ -9,8 +9,7 @@
 //! Where a neighboring leaf is not stored, the leaf's own last rows replace the missing rows, which gives a
 //! slope of about zero. The narrow band is wide enough that no result depends on this slope.
 
-use super::leaf::{Leaf, Row};
-use super::topology::{Direction, NO_LEAF};
+use super::{Direction, Leaf, NO_LEAF, Row};
 use crate::simd::Vector;
 
 /// Rows in a leaf; row `x·8 + y` starts at value `row·8`.
@@ -243,10 +242,11 @@ impl Iterator for SetBits {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Field, Topology, voxel_in_leaf};
-    use super::*;
-    use crate::simd::{SimdLevel, WideKernel, dispatch_wide_at};
     use glam::IVec3;
+
+    use super::*;
+    use crate::grid::{Field, Topology, voxel_in_leaf};
+    use crate::simd::{SimdLevel, WideKernel, dispatch_wide_at};
 
     fn quadratic(p: glam::Vec3) -> f32 {
         p.x * p.x + 2.0 * p.y * p.y - p.z * p.z + 3.0 * p.x + p.y * p.z

@@ -146,9 +146,10 @@ pub fn rebuilt(
     phi.leaves.par_iter_mut().zip(&mut fixed).enumerate().halved().for_each(|(leaf, (phi, fixed))| {
         for (offset, value) in phi.values.iter_mut().enumerate() {
             let own = raw.leaves[leaf].values[offset];
-            let known = match lookup.is_known(own) {
-                true => Some(own.abs() * scale),
-                false => distance_from_neighbors(&lookup, &raw, &topology, (leaf, offset), scale),
+            let known = if lookup.is_known(own) {
+                Some(own.abs() * scale)
+            } else {
+                distance_from_neighbors(&lookup, &raw, &topology, (leaf, offset), scale)
             };
             if known.is_some() {
                 fixed.insert(offset);
@@ -187,10 +188,15 @@ fn distance_from_neighbors(
         .flatten()
         .filter(|&value| is_inside(value) != is_inside(own));
     across
-        .map(|value| match lookup.is_known(value) {
-            true => (1.0 - value.abs() * scale).clamp(DISTANCE_MIN, 1.0),
-            false => 0.5,
-        })
+        .map(
+            |value| {
+                if lookup.is_known(value) {
+                    (1.0 - value.abs() * scale).clamp(DISTANCE_MIN, 1.0)
+                } else {
+                    0.5
+                }
+            },
+        )
         .min_by(f32::total_cmp)
 }
 
@@ -207,10 +213,12 @@ fn face_neighbors(raw: &Field, topology: &Topology, leaf: usize, offset: usize) 
         let (axis, is_up) = (face / 2, face % 2 == 1);
         let mut at = voxel;
         at[axis] += if is_up { 1 } else { -1 };
-        let leaf = match (0..LEAF_EDGE).contains(&at[axis]) {
-            true => leaf,
-            false if neighbors[face] == NO_LEAF => return None,
-            false => neighbors[face] as usize,
+        let leaf = if (0..LEAF_EDGE).contains(&at[axis]) {
+            leaf
+        } else if neighbors[face] == NO_LEAF {
+            return None;
+        } else {
+            neighbors[face] as usize
         };
         Some(raw.leaves[leaf].values[offset_in_leaf(at & (LEAF_EDGE - 1))])
     })
@@ -455,9 +463,8 @@ mod tests {
 
     #[test]
     fn one_sided_band_is_completed() {
-        let outside_only = |distance: f32| match distance < 0.0 {
-            true => -BACKGROUND,
-            false => (distance * VOXEL_SIZE as f32).min(BACKGROUND),
+        let outside_only = |distance: f32| {
+            if distance < 0.0 { -BACKGROUND } else { (distance * VOXEL_SIZE as f32).min(BACKGROUND) }
         };
         for sign in [1.0, -1.0] {
             let half = ball(|distance| sign * outside_only(sign * distance));

@@ -12,27 +12,21 @@
 //!   it is collapsed into v                  to u–d: no vertex moves
 //! ```
 //!
-//! Flat triangles result from rounding positions: in 32 bits far from the mesh's origin, or in 16 bits. A
-//! triangle is flat if it has no area at the mesh's own positions or at the rounded positions of a file
-//! ([`RoundedPositions`]).
+//! Flat triangles result from rounding positions to 32 bits far from the mesh's origin, or from that of the
+//! world. A triangle is flat if it has no area.
 //!
 //! Both operations keep the mesh closed and manifold: a vertex is collapsed into a neighbor only if they have
 //! exactly two common neighbors, and an edge is flipped only if its new ends are not yet connected. An
-//! isolated tetrahedron without volume at the rounded positions of a file is removed as a whole. The rest
-//! of the mesh does not change, and no vertex moves. Flat triangles that cannot be removed stay, and
-//! [`Mesh::measure`] counts them.
+//! isolated tetrahedron without volume is removed as a whole. The rest of the mesh does not change, and no
+//! vertex moves. Flat triangles that cannot be removed stay, and [`Mesh::measure`] counts them.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::Mesh;
-use super::triangles::{LANES, TriangleBatch};
+use super::corners::{LANES, TriangleBatch};
 use crate::parallel::Loops as _;
-
-/// The rounding of a file format. The arguments are positions relative to an origin, and the origin. Returns
-/// the positions that a reader gets from the file, relative to the same origin.
-pub type RoundedPositions = fn(&[[f32; 3]], [f64; 3]) -> Vec<[f32; 3]>;
 
 /// Number of triangles per task.
 const CHUNK: usize = 4096;
@@ -52,27 +46,21 @@ const SMALL_MESH_TRIANGLES: usize = 10_000;
 const NEEDLE: f64 = 0.1;
 
 impl Mesh {
-    /// Removes triangles without area at the mesh's own positions or at those rounded by files. Returns the
-    /// number of removed triangles. Leaves a mesh unchanged if a large part of it is flat.
+    /// Removes triangles without area. Returns the number of removed triangles. Leaves a mesh unchanged if a
+    /// large part of it is flat.
     ///
     /// Panics if a triangle refers to a vertex that does not exist.
-    pub fn remove_flat_triangles(&mut self, roundings: &[RoundedPositions]) -> usize {
+    pub fn remove_flat_triangles(&mut self) -> usize {
         let before = self.triangles.len();
         // Triangles may flip over only if nothing else helps.
         let mut may_fold = false;
         for _ in 0..ROUNDS_MAX {
-            let rounded: Vec<Vec<Vec3>> = roundings.iter().map(|rounding| self.rounded(*rounding)).collect();
-            let views: Vec<&[Vec3]> =
-                [&*self.positions].into_iter().chain(rounded.iter().map(Vec::as_slice)).collect();
-            let mut flat: Vec<u32> =
-                views.iter().flat_map(|view| flat_triangles(view, &self.triangles)).collect();
-            flat.sort_unstable();
-            flat.dedup();
+            let flat = flat_triangles(&self.positions, &self.triangles);
             let flat_max = SMALL_MESH_TRIANGLES.max((FLAT_PART_MAX * self.triangles.len() as f64) as usize);
             if flat.is_empty() || flat.len() > flat_max {
                 break;
             }
-            let mut removal = FlatRemoval::new(views, &self.triangles, &flat, may_fold);
+            let mut removal = FlatRemoval::new(&self.positions, &self.triangles, &flat, may_fold);
             let changed = flat.iter().filter(|&&triangle| removal.remove_flat(triangle)).count();
             let triangles = removal.triangles;
             if changed == 0 && may_fold {
@@ -84,17 +72,6 @@ impl Mesh {
             self.drop_unused_vertices();
         }
         before - self.triangles.len()
-    }
-
-    /// The mesh's positions as a reader gets them from a file with this rounding, relative to the same
-    /// origin.
-    pub fn rounded(&self, rounding: RoundedPositions) -> Vec<Vec3> {
-        bytemuck::cast_vec(rounding(bytemuck::cast_slice(&self.positions), self.origin.to_array()))
-    }
-
-    /// Number of triangles without area at rounded positions.
-    pub fn flat_count(&self, rounding: RoundedPositions) -> usize {
-        flat_triangles(&self.rounded(rounding), &self.triangles).len()
     }
 }
 
@@ -118,7 +95,7 @@ fn flat_triangles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<u32> {
 
 /// A mesh under modification, with the neighborhoods of its flat triangles.
 struct FlatRemoval<'a> {
-    views: Vec<&'a [Vec3]>,
+    positions: &'a [Vec3],
     triangles: Vec<[u32; 3]>,
     /// For each corner of a flat triangle, and for each neighbor of such a corner, the triangles around it.
     around: FxHashMap<u32, Vec<u32>>,
@@ -126,7 +103,7 @@ struct FlatRemoval<'a> {
 }
 
 impl<'a> FlatRemoval<'a> {
-    fn new(views: Vec<&'a [Vec3]>, triangles: &[[u32; 3]], flat: &[u32], may_fold: bool) -> FlatRemoval<'a> {
+    fn new(positions: &'a [Vec3], triangles: &[[u32; 3]], flat: &[u32], may_fold: bool) -> FlatRemoval<'a> {
         let corners: FxHashSet<u32> = flat.iter().flat_map(|&flat| triangles[flat as usize]).collect();
         let touches = |triangle: &&[u32; 3]| triangle.iter().any(|vertex| corners.contains(vertex));
         let near: Vec<[u32; 3]> = triangles.par_iter().halved().filter(touches).copied().collect();
@@ -143,20 +120,19 @@ impl<'a> FlatRemoval<'a> {
                 }
             }
         }
-        FlatRemoval { views, triangles: triangles.to_vec(), around, may_fold }
+        FlatRemoval { positions, triangles: triangles.to_vec(), around, may_fold }
     }
 
     /// Removes a flat triangle, or turns it into one with an area. Returns true on success.
     fn remove_flat(&mut self, triangle: u32) -> bool {
         let corners = self.triangles[triangle as usize];
-        let flat_view = self.views.iter().position(|view| is_flat(view, corners));
-        let Some(view) = flat_view.map(|index| self.views[index]).filter(|_| corners != REMOVED) else {
+        if !self.is_flat(corners) {
             return false;
-        };
+        }
         // Each edge with its opposite corner, shortest first.
         let mut edges = [0, 1, 2].map(|k| {
             let [from, to] = [corners[k], corners[(k + 1) % 3]];
-            (at(view, from).distance(at(view, to)), k)
+            (self.position(from).distance(self.position(to)), k)
         });
         edges.sort_unstable_by(|one, other| one.0.total_cmp(&other.0).then(one.1.cmp(&other.1)));
         let [shortest, middle, longest] = edges;
@@ -197,9 +173,28 @@ impl<'a> FlatRemoval<'a> {
         is_speck
     }
 
-    /// Number of triangles without area, summed over the positions of all files.
+    /// Number of triangles without area.
     fn flat_count(&self, triangles: impl Iterator<Item = [u32; 3]>) -> usize {
-        triangles.map(|triangle| self.views.iter().filter(|view| is_flat(view, triangle)).count()).sum()
+        triangles.filter(|&triangle| self.is_flat(triangle)).count()
+    }
+
+    fn is_flat(&self, triangle: [u32; 3]) -> bool {
+        triangle != REMOVED && TriangleBatch::new(self.positions, &[triangle]).degenerate()[0] > 0
+    }
+
+    /// True if two triangles face approximately the same side. A triangle without area faces all sides.
+    fn faces_alike(&self, old: [u32; 3], new: [u32; 3]) -> bool {
+        self.is_flat(old) || self.is_flat(new) || self.area_vector(old).dot(self.area_vector(new)) > 0.0
+    }
+
+    /// Twice the area, as a vector along the normal.
+    fn area_vector(&self, [a, b, c]: [u32; 3]) -> DVec3 {
+        let [a, b, c] = [a, b, c].map(|corner| self.position(corner));
+        (b - a).cross(c - a)
+    }
+
+    fn position(&self, vertex: u32) -> DVec3 {
+        self.positions[vertex as usize].as_dvec3()
     }
 
     fn triangles_of(&self, vertex: u32) -> &[u32] {
@@ -252,7 +247,7 @@ impl<'a> FlatRemoval<'a> {
         // Each operation reduces the number of flat triangles, so the loop ends.
         let flat_before = self.flat_count(own.iter().map(|&triangle| self.triangles[triangle as usize]));
         let faces_alike =
-            |triangle: u32| faces_alike(self.views[0], self.triangles[triangle as usize], moved(triangle));
+            |triangle: u32| self.faces_alike(self.triangles[triangle as usize], moved(triangle));
         if self.flat_count(kept().map(moved)) >= flat_before || !(self.may_fold || kept().all(faces_alike)) {
             return false;
         }
@@ -289,7 +284,7 @@ impl<'a> FlatRemoval<'a> {
         let old = self.triangles[beyond as usize];
         let flat_before = self.flat_count([self.triangles[triangle as usize], old].into_iter());
         let is_better = self.flat_count([one, other].into_iter()) < flat_before;
-        let is_alike = || [one, other].iter().all(|&new| faces_alike(self.views[0], old, new));
+        let is_alike = || [one, other].iter().all(|&new| self.faces_alike(old, new));
         if !is_manifold || !is_better || !(self.may_fold || is_alike()) {
             return false;
         }
@@ -311,24 +306,6 @@ impl<'a> FlatRemoval<'a> {
 
 fn moved_corners(corners: [u32; 3], from: u32, to: u32) -> [u32; 3] {
     corners.map(|corner| if corner == from { to } else { corner })
-}
-
-fn at(view: &[Vec3], vertex: u32) -> DVec3 {
-    view[vertex as usize].as_dvec3()
-}
-
-/// Twice the area, as a vector along the normal.
-fn area_vector(view: &[Vec3], [a, b, c]: [u32; 3]) -> DVec3 {
-    (at(view, b) - at(view, a)).cross(at(view, c) - at(view, a))
-}
-
-fn is_flat(view: &[Vec3], triangle: [u32; 3]) -> bool {
-    triangle != REMOVED && TriangleBatch::new(view, &[triangle]).degenerate()[0] > 0
-}
-
-/// True if two triangles face approximately the same side. A triangle without area faces all sides.
-fn faces_alike(view: &[Vec3], old: [u32; 3], new: [u32; 3]) -> bool {
-    is_flat(view, old) || is_flat(view, new) || area_vector(view, old).dot(area_vector(view, new)) > 0.0
 }
 
 #[cfg(test)]
@@ -384,7 +361,7 @@ mod tests {
                 (capped.positions[q as usize] + capped.positions[r as usize]) / 2.0;
             for mut mesh in [merged, capped] {
                 assert!(mesh.measure().degenerate_triangle_count > 0);
-                let fewer = mesh.remove_flat_triangles(&[]);
+                let fewer = mesh.remove_flat_triangles();
                 let measures = mesh.measure();
                 assert!(measures.is_closed_manifold(), "{a} {b}: {measures:?}");
                 assert_eq!((measures.euler_characteristic, measures.component_count), (2, 1));
@@ -395,27 +372,28 @@ mod tests {
         }
     }
 
+    /// Rounds all coordinates to multiples of a step.
+    fn coarse(mut mesh: Mesh, step: f32) -> Mesh {
+        for position in &mut mesh.positions {
+            *position = (*position / step).round() * step;
+        }
+        mesh
+    }
+
     #[test]
     fn triangles_flattened_by_rounding_are_removed() {
-        let coarse: RoundedPositions =
-            |positions, _| positions.iter().map(|p| p.map(|x| (x / 1.5).round() * 1.5)).collect();
-        let mut mesh = cube(8);
-        assert!(mesh.flat_count(coarse) > 0);
-        mesh.remove_flat_triangles(&[coarse]);
+        let mut mesh = coarse(cube(8), 1.5);
+        assert!(mesh.remove_flat_triangles() > 0);
         let measures = mesh.measure();
         assert!(measures.is_closed_manifold() && measures.euler_characteristic == 2, "{measures:?}");
-        assert_eq!(mesh.flat_count(coarse), 0);
     }
 
     #[test]
     fn mesh_that_rounding_mostly_flattens_is_unchanged() {
-        let coarse: RoundedPositions =
-            |positions, _| positions.iter().map(|p| p.map(|x| (x / 20.0).round() * 20.0)).collect();
-        let mut mesh = cube(40);
+        let mut mesh = coarse(cube(40), 20.0);
         let before = mesh.clone();
-        assert_eq!(mesh.remove_flat_triangles(&[coarse]), 0);
+        assert_eq!(mesh.remove_flat_triangles(), 0);
         assert_eq!(mesh, before);
-        assert!(mesh.flat_count(coarse) > mesh.triangles.len() / 2);
     }
 
     #[test]
@@ -423,15 +401,11 @@ mod tests {
         let mut mesh = cube(3);
         let whole = mesh.clone();
         let first = mesh.positions.len() as u32;
-        let corners = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]];
-        mesh.positions.extend(corners.map(|corner| Vec3::from(corner) + 1.5));
+        mesh.positions.extend([Vec3::splat(1.5); 4]);
         mesh.normals.extend([Vec3::X; 4]);
         let speck = [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]];
         mesh.triangles.extend(speck.map(|triangle| triangle.map(|corner| first + corner)));
-        assert!(mesh.measure().is_closed_manifold());
-        mesh.remove_flat_triangles(&[|positions, _| {
-            positions.iter().map(|p| p.map(|x| (x / 0.5).round() * 0.5)).collect()
-        }]);
+        mesh.remove_flat_triangles();
         assert_eq!(mesh, whole);
     }
 
@@ -439,7 +413,7 @@ mod tests {
     fn mesh_without_flat_triangles_is_unchanged() {
         let mut mesh = cube(4);
         let before = mesh.clone();
-        assert_eq!(mesh.remove_flat_triangles(&[]), 0);
+        assert_eq!(mesh.remove_flat_triangles(), 0);
         assert_eq!(mesh, before);
     }
 }

@@ -15,7 +15,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3, IVec3};
 use rustc_hash::FxHashMap;
 
-use super::leaf::ObstacleLeaf;
+use super::ObstacleLeaf;
 use crate::grid::{LEAF_EDGE, LEAF_VOXELS, Leaf, offset_in_leaf, voxel_in_leaf};
 use crate::level_set::{
     NarrowBand, RebuildReason, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max,

@@ -9,42 +9,32 @@
 //! Each leaf is computed independently, relative to its own centre, and in 64 bits where precision matters.
 //! So every caller gets the same values: a frame, a tile, or the next frame, for which the leaf is cached.
 
-mod boundary;
 mod contact;
-mod count_inside;
-mod depth;
 mod grid_sdf;
-mod inside_test;
-mod leaf;
-mod leaf_cache;
-mod mesh_distance;
 mod mesh_sdf;
-mod sheet;
 mod surface;
-#[cfg(test)]
-mod tests;
 mod tree;
-mod triangle8;
-mod winding;
 
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::{DVec3, IVec3};
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 
 pub use contact::{
-    ContactStats, ROUNDING_MAX, cut_off_at_obstacles, edge_clearance, edge_rounding, fill_gaps_at_obstacles,
+    ContactStats, DepthStats, ROUNDING_MAX, cut_off_at_obstacles, edge_clearance, edge_rounding,
+    fill_gaps_at_obstacles,
 };
-pub use depth::DepthStats;
 pub use grid_sdf::{GridSdf, SourceLevelSet};
-pub use leaf::ObstacleLeaf;
-pub use mesh_distance::MeshDistance;
-pub use mesh_sdf::MeshSdf;
+pub use mesh_sdf::{MeshDistance, MeshSdf};
 pub use surface::MeshFindings;
 
+use crate::grid::{LEAF_EDGE, Leaf, offset_in_leaf};
+use crate::parallel::Loops as _;
+use crate::particles::{AnySource, Positions, Unread};
 use crate::space::Lattice;
 use crate::words::{rounded_down, significant};
-use leaf_cache::LeafCache;
 
 /// The geometry of an obstacle.
 pub enum ObstacleSdf {
@@ -216,3 +206,210 @@ impl Obstacles {
         self.members.iter().any(|obstacle| obstacle.touches(origin, lattice, margin_voxels))
     }
 }
+
+// The signed distances of one leaf to an obstacle.
+
+/// φ_o of a leaf: signed distances to obstacles in voxels, negative inside an obstacle.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ObstacleLeaf {
+    /// All voxels are outside, farther from obstacles than the half width.
+    Outside,
+    /// All voxels are inside, farther from the surface than the half width.
+    Inside,
+    /// Some voxels are closer; values are clamped to ± the half width.
+    Near(Arc<Leaf>),
+}
+
+impl ObstacleLeaf {
+    /// The leaf with these values, which are within ± `half_width`.
+    fn of_values(leaf: Arc<Leaf>, half_width: f32) -> ObstacleLeaf {
+        if leaf.values.iter().all(|&value| value >= half_width) {
+            ObstacleLeaf::Outside
+        } else if leaf.values.iter().all(|&value| value <= -half_width) {
+            ObstacleLeaf::Inside
+        } else {
+            ObstacleLeaf::Near(leaf)
+        }
+    }
+
+    /// Adds `by` to the distances and clamps them to ± `half_width`. Distances up to `half_width` + |`by`|
+    /// must be known.
+    pub fn shifted(self, by: f32, half_width: f32) -> ObstacleLeaf {
+        match self {
+            ObstacleLeaf::Near(mut leaf) if by != 0.0 => {
+                for value in &mut Arc::make_mut(&mut leaf).values {
+                    *value = (*value + by).clamp(-half_width, half_width);
+                }
+                ObstacleLeaf::of_values(leaf, half_width)
+            }
+            unchanged => unchanged,
+        }
+    }
+
+    /// The union of two obstacles.
+    fn union(self, other: ObstacleLeaf) -> ObstacleLeaf {
+        match (self, other) {
+            (ObstacleLeaf::Outside, other) => other,
+            (one, ObstacleLeaf::Outside) => one,
+            (ObstacleLeaf::Inside, _) | (_, ObstacleLeaf::Inside) => ObstacleLeaf::Inside,
+            (ObstacleLeaf::Near(mut one), ObstacleLeaf::Near(other)) => {
+                for (one, other) in Arc::make_mut(&mut one).values.iter_mut().zip(&other.values) {
+                    *one = one.min(*other);
+                }
+                ObstacleLeaf::Near(one)
+            }
+        }
+    }
+
+    /// The memory of the leaf, in bytes.
+    fn size_bytes(&self) -> usize {
+        size_of::<ObstacleLeaf>() + if matches!(self, ObstacleLeaf::Near(_)) { size_of::<Leaf>() } else { 0 }
+    }
+}
+
+// A cache of leaves: a frame requests the same leaf in more than one stage, and if an obstacle is static the
+// next frame requests it again.
+//
+// A cached leaf equals the recomputed one, so the cache does not change results. A shard is cleared when it
+// would exceed its memory limit.
+
+/// The cache, in shards with one lock each.
+struct LeafCache {
+    shards: [Mutex<CacheShard>; SHARDS],
+    /// Memory limit of a shard, in bytes.
+    shard_bytes_max: usize,
+}
+
+#[derive(Default)]
+struct CacheShard {
+    leaves: FxHashMap<CacheKey, ObstacleLeaf>,
+    size_bytes: usize,
+}
+
+/// Origin of the leaf, and voxel size and half width as bits.
+type CacheKey = (IVec3, u64, u32);
+
+/// Number of shards: with more threads than this, some may wait for each other.
+const SHARDS: usize = 16;
+
+/// Estimated memory of a map entry besides the leaf, with spare capacity.
+const ENTRY_BYTES: usize = 64;
+
+impl LeafCache {
+    fn new(shard_bytes_max: usize) -> LeafCache {
+        LeafCache {
+            shards: std::array::from_fn(|_| Mutex::default()),
+            shard_bytes_max: shard_bytes_max / SHARDS,
+        }
+    }
+
+    /// Returns the cached leaf, or computes and caches it.
+    fn get(
+        &self,
+        origin: IVec3,
+        lattice: &Lattice,
+        half_width: f32,
+        compute: impl FnOnce() -> ObstacleLeaf,
+    ) -> ObstacleLeaf {
+        let key = (origin, lattice.voxel_size.to_bits(), half_width.to_bits());
+        let hash = (origin.x >> 3) ^ (origin.y >> 4) ^ (origin.z >> 5) ^ (origin.z >> 3);
+        let shard = &self.shards[hash.rem_euclid(SHARDS as i32) as usize];
+        if let Some(leaf) = shard.lock().unwrap_or_else(PoisonError::into_inner).leaves.get(&key) {
+            return leaf.clone();
+        }
+        let leaf = compute();
+        let size = leaf.size_bytes() + ENTRY_BYTES;
+        if size <= self.shard_bytes_max {
+            let mut shard = shard.lock().unwrap_or_else(PoisonError::into_inner);
+            if shard.size_bytes + size > self.shard_bytes_max {
+                *shard = CacheShard::default();
+            }
+            // Another thread may have inserted the leaf first.
+            if shard.leaves.insert(key, leaf.clone()).is_none() {
+                shard.size_bytes += size;
+            }
+        }
+        leaf
+    }
+
+    /// The memory of the cache, in bytes.
+    fn size_bytes(&self) -> usize {
+        let size =
+            |shard: &Mutex<CacheShard>| shard.lock().unwrap_or_else(PoisonError::into_inner).size_bytes;
+        self.shards.iter().map(size).sum()
+    }
+    /// Upper limit of the memory of the cache, in bytes.
+    fn size_bytes_max(&self) -> usize {
+        self.shard_bytes_max.saturating_mul(SHARDS)
+    }
+}
+
+// Counts particles inside obstacles, where a simulation should have none.
+
+impl Obstacles {
+    /// Counts the particles that are inside an obstacle.
+    ///
+    /// # Errors
+    /// Those of the source.
+    pub fn count_inside(
+        &self,
+        source: &AnySource<'_>,
+        lattice: &Lattice,
+        half_width: f32,
+    ) -> Result<usize, Unread> {
+        let of_batch = |batch: usize| {
+            let mut known = LastLeaf { obstacles: self, lattice, half_width, last: None };
+            Ok(match source.batch(batch)? {
+                Positions::F32(positions) => positions
+                    .iter()
+                    .filter(|position| known.is_inside(glam::Vec3::from(**position).as_dvec3()))
+                    .count(),
+                Positions::F64(positions) => {
+                    positions.iter().filter(|position| known.is_inside(DVec3::from(**position))).count()
+                }
+            })
+        };
+        (0..source.batch_count())
+            .into_par_iter()
+            .halved()
+            .map(of_batch)
+            .try_reduce(|| 0, |one, other| Ok(one + other))
+    }
+}
+
+/// The voxel nearest to a particle is at most √3/2 voxels away. If that voxel is farther from the surface
+/// than this, in voxels, the particle is on the voxel's side.
+const NEAR: f32 = 0.9;
+
+/// The leaf of the previous particle: the next particle is often in the same leaf.
+struct LastLeaf<'a> {
+    obstacles: &'a Obstacles,
+    lattice: &'a Lattice,
+    half_width: f32,
+    last: Option<(IVec3, ObstacleLeaf)>,
+}
+
+impl LastLeaf<'_> {
+    fn is_inside(&mut self, position: DVec3) -> bool {
+        let Some(index) = self.lattice.index_from_world(position) else { return false };
+        let voxel = index.round().as_ivec3();
+        let local = voxel & IVec3::splat(LEAF_EDGE - 1);
+        let origin = voxel - local;
+        let LastLeaf { obstacles, lattice, half_width, last } = self;
+        if last.as_ref().is_none_or(|(known, _)| *known != origin) {
+            *last = Some((origin, obstacles.leaf(origin, lattice, *half_width)));
+        }
+        match last {
+            Some((_, ObstacleLeaf::Inside)) => true,
+            Some((_, ObstacleLeaf::Near(leaf))) => match leaf.values[offset_in_leaf(local)] {
+                distance if distance > NEAR => false,
+                distance if distance < -NEAR => true,
+                _ => obstacles.depth(position, lattice, *half_width).is_some(),
+            },
+            _ => false,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -26,13 +26,14 @@
 //!    ──────────────────      the sheet, moved and turned
 //! ```
 
+use std::collections::BTreeMap;
+use std::f64::consts::PI;
+
 use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
-use super::boundary::BoundaryEdges;
-use super::sheet::{close_sheets, find_sheets};
+use super::mesh_sdf::{WINDING_ERROR, winding};
 use super::tree::TriangleTree;
-use super::winding::{WINDING_ERROR, winding};
 
 /// Problems of the mesh of an obstacle: triangles that were left out or flipped, and holes. The winding
 /// number closes an obstacle with open edges; an obstacle that [encloses nothing](Self::encloses_nothing)
@@ -119,11 +120,11 @@ fn farthest_corner(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> DVec3 {
 
 /// The connected parts of a mesh.
 #[derive(Clone, Copy)]
-pub(super) struct Parts<'a> {
+struct Parts<'a> {
     /// The part of each triangle.
-    pub(super) of_face: &'a [u32],
+    of_face: &'a [u32],
     /// Whether each part is a sheet.
-    pub(super) is_sheet: &'a [bool],
+    is_sheet: &'a [bool],
 }
 
 /// The triangles with an area and finite corners, in their original orientation.
@@ -219,7 +220,7 @@ fn distinct_faces(
 }
 
 /// The triangles at each edge.
-pub(super) struct EdgeTriangles {
+struct EdgeTriangles {
     /// The edge's ends, the lower index first; a triangle at the edge; whether the triangle traverses the
     /// edge from the lower to the higher index.
     uses: Vec<([u32; 2], u32, bool)>,
@@ -306,7 +307,7 @@ fn flip(faces: &mut [[u32; 3]], flipped: &[bool]) {
 
 /// If a mesh has more parts than this, no single part is flipped or is a sheet: the mesh is rubble, or its
 /// triangles share no vertices.
-pub(super) const PARTS_MAX: usize = 4096;
+const PARTS_MAX: usize = 4096;
 
 /// Number of corners of a part to test; the part is a cavity if all of them are inside other parts.
 const CORNERS_TESTED: usize = 64;
@@ -390,10 +391,285 @@ pub(super) fn area_vector([a, b, c]: &[DVec3; 3]) -> DVec3 {
     0.5 * (b - a).cross(c - a)
 }
 
-pub(super) fn is_flat(corners: &[DVec3; 3]) -> bool {
+fn is_flat(corners: &[DVec3; 3]) -> bool {
     let [a, b, c] = *corners;
     let longest = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
     let has_area = 2.0 * area_vector(corners).length() > FLAT * longest;
     // A NaN counts as flat.
     !has_area
+}
+
+// Open sheets, such as a plane as a floor: finds them, and closes them behind their normals.
+//
+// A part of a mesh is a sheet if it is open, all its triangles face one way, and neither it nor the mesh
+// around it encloses anything on its sides. So a dome is no sheet, because the winding number shows what it
+// encloses, and neither is a side of a box whose sides share no vertices.
+
+/// Approximate number of triangles of a part that are tested, at least one.
+const TRIANGLES_TESTED: usize = 64;
+
+/// The same for all parts.
+const TRIANGLES_TESTED_IN_ALL: usize = 4096;
+
+/// Points of a triangle that are tested: their weights at its corners.
+const TESTED: [[f64; 3]; 4] = [[1.0 / 3.0; 3], [0.8, 0.1, 0.1], [0.1, 0.8, 0.1], [0.1, 0.1, 0.8]];
+
+/// Distance of the tested points from the triangle, in units of the square root of its area.
+const APART: f64 = 1e-3;
+
+/// A point with a larger winding number is enclosed. It is 0.5 beside a plane, up to 0.6 in the valleys and
+/// under the hills of a terrain, at least 0.75 in half a ball or half a pipe, and 1 in a body.
+const ENCLOSED: f64 = 0.65;
+
+/// For each part, whether it is a sheet. `parts` is the part of each triangle.
+fn find_sheets(points: &[DVec3], faces: &[[u32; 3]], parts: &[u32]) -> Vec<bool> {
+    let part_count = parts.iter().max().map_or(0, |&last| last as usize + 1);
+    if part_count > PARTS_MAX {
+        return vec![false; part_count];
+    }
+    let triangles =
+        || faces.iter().map(|face| corners(points, *face)).zip(parts.iter().map(|&part| part as usize));
+    let solid_triangles = || triangles().filter(|(triangle, _)| !is_flat(triangle));
+    let mut normals = vec![DVec3::ZERO; part_count];
+    solid_triangles().for_each(|(triangle, part)| normals[part] += area_vector(&triangle));
+    // A closed part faces all ways.
+    let mut is_sheet: Vec<bool> = normals.iter().map(|normal| *normal != DVec3::ZERO).collect();
+    for (triangle, part) in solid_triangles() {
+        is_sheet[part] &= area_vector(&triangle).dot(normals[part]) > 0.0;
+    }
+    if !is_sheet.contains(&true) {
+        return is_sheet;
+    }
+    let tree = TriangleTree::new(solid_triangles().map(|(triangle, _)| triangle).collect());
+    let mut of_sheets: Vec<Vec<[DVec3; 3]>> = vec![Vec::new(); part_count];
+    for (triangle, part) in solid_triangles().filter(|&(_, part)| is_sheet[part]) {
+        of_sheets[part].push(triangle);
+    }
+    let sheet_count = is_sheet.iter().filter(|&&is_sheet| is_sheet).count();
+    let tested = (TRIANGLES_TESTED_IN_ALL / sheet_count).clamp(1, TRIANGLES_TESTED);
+    is_sheet
+        .iter()
+        .zip(of_sheets)
+        .map(|(&is_sheet, triangles)| is_sheet && !is_wall(&tree, &triangles, tested))
+        .collect()
+}
+
+/// Whether something is enclosed on one side of most of about `tested` of these triangles, however they are
+/// oriented.
+fn is_wall(tree: &TriangleTree, triangles: &[[DVec3; 3]], tested: usize) -> bool {
+    let (mut enclosed_count, mut tested_count) = (0, 0);
+    for triangle in triangles.iter().step_by(triangles.len().div_ceil(tested).max(1)) {
+        let area = area_vector(triangle);
+        let apart = area.normalize_or_zero() * (APART * area.length().sqrt());
+        let [a, b, c] = *triangle;
+        for [of_a, of_b, of_c] in TESTED {
+            let point = a * of_a + b * of_b + c * of_c;
+            let enclosed = |point: DVec3| winding(tree, point).abs() > ENCLOSED;
+            enclosed_count += usize::from(enclosed(point - apart) || enclosed(point + apart));
+            tested_count += 1;
+        }
+    }
+    2 * enclosed_count > tested_count
+}
+
+/// Closes each sheet: adds its boundary edges, swept against its mean normal, and the sheet at the end of the
+/// sweep.
+fn close_sheets(points: &mut Vec<DVec3>, faces: &mut Vec<[u32; 3]>, parts: Parts) {
+    let mut sheets: BTreeMap<u32, Vec<[u32; 3]>> = BTreeMap::new();
+    for (face, &part) in faces.iter().zip(parts.of_face).filter(|&(_, &part)| parts.is_sheet[part as usize]) {
+        sheets.entry(part).or_default().push(*face);
+    }
+    for sheet in sheets.into_values() {
+        let corner = |index: &u32| points[*index as usize];
+        let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for point in sheet.iter().flatten().map(corner) {
+            (min, max) = (min.min(point), max.max(point));
+        }
+        let normal: DVec3 = sheet.iter().map(|face| area_vector(&corners(points, *face))).sum();
+        let sweep = -normal.normalize_or_zero() * (max - min).length();
+        let mut moved: FxHashMap<u32, u32> = FxHashMap::default();
+        for &index in sheet.iter().flatten() {
+            moved.entry(index).or_insert_with(|| {
+                let point = points[index as usize] + sweep;
+                points.push(point);
+                points.len() as u32 - 1
+            });
+        }
+        faces.extend(sheet.iter().map(|[a, b, c]| [moved[a], moved[c], moved[b]]));
+        for [a, b] in EdgeTriangles::new(&sheet).boundary() {
+            faces.extend([[b, a, moved[&a]], [b, moved[&a], moved[&b]]]);
+        }
+    }
+}
+
+// A bounding-box tree of the boundary edges of a surface. It bounds how fast the winding number w can change
+// near a point:
+//
+//   |∇w| ≤ 1/4π · Σ length / distance²        over the boundary edges
+//
+// If a box is far away for its size, all its edges are counted with the distance of the box, which is at
+// most the distance of the edges. So even a mesh whose triangles share no edges takes little longer than a
+// mesh with a hole.
+
+/// The boundary edges of a surface.
+pub(super) struct BoundaryEdges {
+    nodes: Vec<EdgeNode>,
+    edges: Vec<[DVec3; 2]>,
+}
+
+/// A range of edges.
+struct EdgeNode {
+    /// The bounding box of the edges.
+    min: DVec3,
+    max: DVec3,
+    /// The sum of the edges' lengths.
+    length: f64,
+    /// The first edge, and the number of edges.
+    first: u32,
+    count: u32,
+    /// Index of the second child; the first child is the next node. 0 for a leaf.
+    second: u32,
+}
+
+/// Maximum number of edges in a leaf.
+const LEAF_EDGES: usize = 8;
+
+/// A box is far away if its distance exceeds this many times its diagonal. The distance of an edge is then
+/// underestimated by at most a quarter.
+const FAR: f64 = 3.0;
+
+impl BoundaryEdges {
+    pub(super) fn new(edges: Vec<[DVec3; 2]>) -> BoundaryEdges {
+        let mut order: Vec<(DVec3, u32)> =
+            edges.iter().zip(0..).map(|([from, to], index)| (0.5 * (from + to), index)).collect();
+        let mut nodes = Vec::with_capacity(4 * edges.len().div_ceil(LEAF_EDGES));
+        if !order.is_empty() {
+            split(&mut order, 0, &edges, &mut nodes);
+        }
+        let edges = order.iter().map(|&(_, index)| edges[index as usize]).collect();
+        BoundaryEdges { nodes, edges }
+    }
+
+    /// The number of edges.
+    pub(super) fn len(&self) -> usize {
+        self.edges.len()
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.edges.is_empty()
+    }
+
+    /// The memory of the tree, in bytes.
+    pub(super) fn size_bytes(&self) -> usize {
+        size_of_val(&*self.nodes) + size_of_val(&*self.edges)
+    }
+
+    /// Upper bound of |∇w| within `radius` of a point, between triangles. (Across a triangle, w jumps.)
+    pub(super) fn slope_bound(&self, center: DVec3, radius: f64) -> f64 {
+        let mut sum = 0.0;
+        let mut pending: Vec<u32> = self.nodes.first().map(|_| 0).into_iter().collect();
+        while let Some(index) = pending.pop() {
+            let node = &self.nodes[index as usize];
+            let distance = node.distance(center) - radius;
+            if distance > FAR * (node.max - node.min).length() {
+                sum += node.length / (distance * distance);
+            } else if node.second != 0 {
+                // The nearer child is pushed last, so it is visited first and may end the search.
+                let both = [index + 1, node.second];
+                let [one, other] = both.map(|node| self.nodes[node as usize].distance(center));
+                pending.extend(if one < other { [both[1], both[0]] } else { both });
+            } else {
+                let edges = &self.edges[node.first as usize..][..node.count as usize];
+                sum += edges.iter().map(|edge| edge_slope(edge, center, radius)).sum::<f64>();
+                if sum == f64::INFINITY {
+                    break;
+                }
+            }
+        }
+        sum / (4.0 * PI)
+    }
+}
+
+impl EdgeNode {
+    /// The distance from a point to the box.
+    fn distance(&self, point: DVec3) -> f64 {
+        (self.min - point).max(point - self.max).max(DVec3::ZERO).length()
+    }
+}
+
+/// The contribution of one edge to the sum.
+fn edge_slope(&[from, to]: &[DVec3; 2], center: DVec3, radius: f64) -> f64 {
+    let along = to - from;
+    let t = ((center - from).dot(along) / along.length_squared()).clamp(0.0, 1.0);
+    let distance = (from + along * t - center).length() - radius;
+    if distance <= 0.0 { f64::INFINITY } else { along.length() / (distance * distance) }
+}
+
+/// Builds the node of a range of edges, given by their midpoints and indices, and the nodes below it.
+fn split(order: &mut [(DVec3, u32)], first: u32, edges: &[[DVec3; 2]], nodes: &mut Vec<EdgeNode>) {
+    let index = nodes.len();
+    let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for &(_, edge) in &*order {
+        let [from, to] = edges[edge as usize];
+        (min, max) = (min.min(from).min(to), max.max(from).max(to));
+    }
+    nodes.push(EdgeNode { min, max, length: 0.0, first, count: order.len() as u32, second: 0 });
+    if order.len() <= LEAF_EDGES {
+        order.sort_unstable_by_key(|&(_, edge)| edge);
+        let lengths =
+            order.iter().map(|&(_, edge)| edges[edge as usize][0].distance(edges[edge as usize][1]));
+        nodes[index].length = lengths.sum();
+        return;
+    }
+    let axis = (max - min).max_position();
+    let half = order.len() / 2;
+    order.select_nth_unstable_by(half, |one, other| {
+        one.0[axis].total_cmp(&other.0[axis]).then(one.1.cmp(&other.1))
+    });
+    let (one, other) = order.split_at_mut(half);
+    split(one, first, edges, nodes);
+    let second = nodes.len();
+    split(other, first + half as u32, edges, nodes);
+    nodes[index].second = second as u32;
+    nodes[index].length = nodes[index + 1].length + nodes[second].length;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The bound is at least the sum over all edges, and not much more.
+    #[test]
+    fn slope_bound_is_tight_against_the_sum_over_all_edges() {
+        let random = |seed: usize| (seed as f64 * 12.9898).sin().mul_add(43758.5453, 0.0).rem_euclid(1.0);
+        let random_point = |seed: usize| DVec3::new(random(seed), random(seed + 1), random(seed + 2));
+        for count in [0, 1, 8, 9, 100, 5000] {
+            let edge = |index: usize| {
+                let from = 10.0 * random_point(9 * index);
+                [from, from + 0.2 * (random_point(9 * index + 3) - 0.5)]
+            };
+            let edges: Vec<[DVec3; 2]> = (0..count).map(edge).collect();
+            let boundary = BoundaryEdges::new(edges.clone());
+            assert_eq!(boundary.len(), count);
+            for query in 0..60 {
+                let center = 60.0 * (random_point(7 * query + 5) - 0.5);
+                let radius = random(query + 100);
+                let all: f64 =
+                    edges.iter().map(|edge| edge_slope(edge, center, radius)).sum::<f64>() / (4.0 * PI);
+                let bound = boundary.slope_bound(center, radius);
+                let slack = (4.0f64 / 3.0).powi(2) + 1e-9;
+                let is_tight = all * (1.0 - 1e-9) <= bound && (bound <= all * slack || all == f64::INFINITY);
+                assert!(is_tight, "{count} edges at {center}: {bound} for {all}");
+            }
+        }
+    }
+
+    /// A box that is far away counts as one edge, so only few of many edges are visited.
+    #[test]
+    fn distant_box_counts_as_one_edge() {
+        let edges =
+            (0..1000).map(|x| [DVec3::new(f64::from(x), 0.0, 0.0), DVec3::new(f64::from(x), 1.0, 0.0)]);
+        let boundary = BoundaryEdges::new(edges.collect());
+        assert_eq!(boundary.slope_bound(DVec3::new(0.0, 0.0, 4000.0), 0.0), 1000.0 / 16e6 / (4.0 * PI));
+    }
 }

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use glam::{DVec3, IVec3, Vec3};
 
+use super::mesh_sdf::{winding, winding_gradient};
 use super::tree::TriangleTree;
-use super::winding::{winding, winding_gradient};
 use super::{GridSdf, MeshFindings, MeshSdf, Obstacle, ObstacleLeaf, ObstacleSdf, Obstacles, SourceLevelSet};
 use crate::grid::{LEAF_VOXELS, voxel_in_leaf};
 use crate::space::Lattice;
@@ -219,7 +219,7 @@ fn winding_numbers_match_the_sum_over_all_triangles() {
         let (gradient, slope) = (winding_gradient(&tree, point), DVec3::from(slopes));
         assert!((gradient - slope).length() < 0.03 + 0.1 * slope.length(), "{point} {slope}");
     }
-    assert!(worst < super::winding::WINDING_ERROR, "{worst}");
+    assert!(worst < super::mesh_sdf::WINDING_ERROR, "{worst}");
 }
 
 /// Defects of the mesh do not matter: flipped parts, duplicate parts, seams.

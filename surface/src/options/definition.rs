@@ -12,17 +12,14 @@
 use std::fmt::{Display, LowerExp};
 use std::ops::RangeInclusive;
 
+use super::fields::{self, OptionGroup, OptionInfo, OptionValue, ValueKind, method_options};
+use super::presets::{Preset, Recipe};
+use super::resolution::Pairs;
+use super::values::{AnisotropyKind, AttributeSelection, ClipBox, Length, LengthUnit};
+use super::{OptionName, PerParticleRadius, SettingsError, SpacingOptions, positive};
 use crate::contour::Contouring;
 use crate::particles::ParticleFilter;
 use crate::smooth::Integrator;
-
-use super::checks::positive;
-use super::fields::{self, OptionGroup, OptionInfo, OptionValue, ValueKind, method_options};
-use super::length::{Length, LengthUnit};
-use super::pairs::Pairs;
-use super::presets::{Preset, Recipe};
-use super::values::{AnisotropyKind, AttributeSelection, ClipBox};
-use super::{OptionName, PerParticleRadius, SettingsError, SpacingOptions};
 
 /// Upper limit of `drop_islands`. A larger piece is not an island to drop. It may also be so thick that its
 /// deep leaves are not stored, and its particles cannot be counted.

@@ -3,11 +3,8 @@
 //! [`MethodOptions`] holds what the user set; [`Settings`] holds every value. A sequence has one `Settings`
 //! for all its frames: an estimate per frame would make it flicker.
 
-mod checks;
 mod definition;
 mod fields;
-mod length;
-mod pairs;
 mod presets;
 mod resolution;
 mod values;
@@ -15,25 +12,24 @@ mod values;
 use std::fmt;
 
 pub use crate::contour::Contouring;
-use crate::particles::{Attribute, ParticleFilter, find_attribute};
-use crate::smooth::EIGENVALUE_MAX;
 pub use crate::smooth::Integrator;
-use crate::spacing::median;
-use crate::words::significant;
-use checks::{named, require};
 pub use definition::MethodOptions;
 pub use fields::{
     OptionGroup, OptionInfo, OptionName, OptionValue, ValueKind, ValueSyntax, expected, ranged,
 };
-pub use length::{Length, LengthUnit};
-pub use pairs::Pairs;
 pub use presets::{Preset, SequenceSpacing};
+pub use resolution::Pairs;
+pub use values::{AnisotropyKind, AttributeSelection, ClipBox, Length, LengthUnit};
+
+use crate::particles::{Attribute, ParticleFilter, find_attribute};
+use crate::smooth::EIGENVALUE_MAX;
+use crate::spacing::median;
+use crate::words::significant;
 use presets::{Scale, Unit};
 use resolution::{
     anisotropy, cavities, check_offset, checked_box, default_step_size, default_steps, initial_radius,
     is_explicit, laplacian_steps, neighbor_radius, offset, radii,
 };
-pub use values::{AnisotropyKind, AttributeSelection, ClipBox};
 
 /// All settings of a sequence, checked.
 #[derive(Clone, Debug, PartialEq)]
@@ -260,10 +256,8 @@ impl Settings {
         let integrator = options.integrator.unwrap_or_default();
         let voxels = scale.voxels(recipe.unit);
         let explicit = is_explicit(integrator);
-        let neighbor_radius = match options.uses_neighbors() {
-            true => neighbor_radius(options, radius_min, &scale)?,
-            false => 0.0,
-        };
+        let neighbor_radius =
+            if options.uses_neighbors() { neighbor_radius(options, radius_min, &scale)? } else { 0.0 };
         let settings = Settings {
             spacing,
             voxel_size: h,
@@ -476,6 +470,45 @@ impl Settings {
             Integrator::Fast | Integrator::Implicit | Integrator::Explicit => (false, steps),
         }
     }
+}
+
+// Checks of numbers and lengths, and how errors name them.
+
+/// The value, if it is positive and finite.
+fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
+    require(value.is_finite() && value > 0.0, || {
+        format!("the {name} is {value}; it must be a positive number")
+    })?;
+    Ok(value)
+}
+
+/// As [`positive`], for a length that was given as `given`, or has its default value.
+fn positive_length(name: &str, given: Option<Length>, value: f64) -> Result<f64, SettingsError> {
+    require(value.is_finite() && value > 0.0, || {
+        format!("the {}; it must be a positive number", stated(name, given, value))
+    })?;
+    Ok(value)
+}
+
+/// The name of a length and its value in world units, such as `offset 5h is 0.1`.
+fn stated(name: &str, given: Option<Length>, value: f64) -> String {
+    match given.and_then(Length::world) {
+        Some(typed) => format!("{name} is {typed}"),
+        None => format!("{} is {}", named(name, given), significant(value)),
+    }
+}
+
+/// The name of a length, followed by the length as typed if it has a unit.
+fn named(name: &str, given: Option<Length>) -> String {
+    match given.filter(|length| length.unit != LengthUnit::World) {
+        Some(length) => format!("{name} {length}"),
+        None => name.to_owned(),
+    }
+}
+
+/// An error with this message unless the condition holds.
+fn require(holds: bool, what: impl FnOnce() -> String) -> Result<(), SettingsError> {
+    if holds { Ok(()) } else { Err(SettingsError::of_value(what())) }
 }
 
 #[cfg(test)]

@@ -3,11 +3,9 @@
 //! The lengths of most presets are in particle spacings d: a finer grid then shows the same surface in more
 //! detail. Those of the paper's presets are in voxels h, as in the paper.
 
-use crate::words::{rounded_to_digits, word_enum};
-
-use super::length::{Length, LengthUnit};
-use super::values::AnisotropyKind;
+use super::values::{AnisotropyKind, Length, LengthUnit};
 use super::{MethodOptions, SettingsError, SettingsFault, require};
+use crate::words::{rounded_to_digits, word_enum};
 
 word_enum! {
     /// A set of defaults.
@@ -223,10 +221,10 @@ impl Scale {
     ) -> Result<Scale, SettingsError> {
         let recipe = options.recipe();
         let in_world_units = options.voxel_size.and_then(Length::world);
-        in_world_units.map_or(Ok(0.0), |h| super::checks::positive("voxel size", h))?;
+        in_world_units.map_or(Ok(0.0), |h| super::positive("voxel size", h))?;
         let spacing = options.spacing.or(measured.map(|measured| measured.spacing));
         let spacing = match (spacing, in_world_units) {
-            (Some(spacing), _) => super::checks::positive("particle spacing", spacing)?,
+            (Some(spacing), _) => super::positive("particle spacing", spacing)?,
             (None, Some(h)) => rounded_to_digits(h / recipe.voxel_size),
             (None, None) => return Err(SettingsFault::UnknownSpacing.into()),
         };
@@ -240,11 +238,7 @@ impl Scale {
                         "the voxel size is {length}; give it in world units or particle spacings, such as 0.4d"
                     )
                 })?;
-                super::checks::positive_length(
-                    "voxel size",
-                    options.voxel_size,
-                    length.resolve(spacing, f64::NAN),
-                )?
+                super::positive_length("voxel size", options.voxel_size, length.resolve(spacing, f64::NAN))?
             }
             None => median.map_or(usual, for_radii),
         };

@@ -31,7 +31,7 @@ use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::bin::ParticleBins;
-use super::sphere::OUT_OF_REACH;
+use super::distances::OUT_OF_REACH;
 use super::{EXACT_MARGIN, Radii};
 use crate::grid::{
     Field, LEAF_EDGE, LEAVES_PER_TASK, Leaf, LeafMask, ROW_COUNT, SetBits, Topology, leaf_steps_within,

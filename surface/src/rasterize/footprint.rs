@@ -21,9 +21,8 @@ use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
 use super::RasterParams;
-use super::batch::LeafBatch;
-use super::leaf_map::{ConcurrentLeafMap, LeafMap};
-use super::spread::spread;
+use super::bin::LeafBatch;
+use super::occupancy::{ConcurrentLeafMap, LeafMap, spread};
 use crate::grid::{LEAF_EDGE, Topology};
 use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Unread};
@@ -181,9 +180,10 @@ pub fn footprint(
     let occupied = OccupiedLeaves::new(&leaf_map.freeze(), &cells);
     let origins = occupied.topology.origins();
     let near_count_max = leaf_count_max.saturating_sub(origins.len());
-    let mut surface = match origins.len() <= leaf_count_max {
-        true => near.leaves(origins, &occupied.leaves, near_count_max),
-        false => FxHashSet::default(),
+    let mut surface = if origins.len() <= leaf_count_max {
+        near.leaves(origins, &occupied.leaves, near_count_max)
+    } else {
+        FxHashSet::default()
     };
     let spread_voxels = spread(
         || origins.iter().zip(&occupied.leaves).map(|(&origin, leaf)| (origin, leaf.count)),

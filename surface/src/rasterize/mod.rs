@@ -24,24 +24,12 @@
 //! A frame that is still too large is rasterized window by window; the results equal those of the whole
 //! frame.
 
-mod batch;
 mod bin;
-mod cover;
 mod culling;
 mod distances;
 mod ellipsoid;
 mod footprint;
-mod leaf_map;
 mod occupancy;
-mod outliers;
-mod region;
-mod signed_distance;
-mod sphere;
-mod spread;
-#[cfg(test)]
-mod tests;
-#[cfg(test)]
-mod tests_of_shapes;
 mod vicinity;
 
 use std::sync::Arc;
@@ -62,9 +50,8 @@ use crate::particles::{AnySource, ParticleSource, Unread, erased};
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::{CoordBox, Lattice};
 use culling::{Culling, leaves_of_boxes};
-use distances::{DistanceSolver, SphereDistances, SphereUnion};
-use region::Regions;
-use signed_distance::signed_distance;
+use distances::{DistanceSolver, SphereDistances, SphereUnion, signed_distance};
+use occupancy::middle;
 
 /// The radii of the three unions of spheres, in voxels: `min` ≤ `init` ≤ `max`. The semi-axes of anisotropic
 /// particles are given as multiples of these radii.
@@ -387,15 +374,16 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     // need no such limit: the surface moves far inward only where it is sharply convex, as around small
     // balls, and there S_min is near. `inner_from` does not include the extra width for the offset.
     let inner_from = if bins.shapes.is_uniform() { f32::INFINITY } else { radii.result_half_width() - 2.0 };
-    finish(&mut band, &mut bounds, (inner_from, POSITIVE_MARGIN + radii.outward()));
-    let contact = match scene.obstacles.is_empty() {
-        true => ContactStats::default(),
-        false => fill_gaps_at_obstacles(
+    finish(&mut band, &mut bounds, inner_from, POSITIVE_MARGIN + radii.outward());
+    let contact = if scene.obstacles.is_empty() {
+        ContactStats::default()
+    } else {
+        fill_gaps_at_obstacles(
             |origin| scene.obstacle_before_offset(origin),
             scene.void_threshold,
             &mut band,
             &mut bounds,
-        ),
+        )
     };
     RasterFields { bins, band, bounds, contact }
 }
@@ -453,7 +441,7 @@ fn sweep_count(half_width: f32) -> u32 {
 /// Clamps all values to ± half width, ensures `lower` ≤ `upper` at every voxel (independent sweeps do not
 /// guarantee it), and clamps φ between them. Where φ_0 is above `inner_from`, φ stays at or above
 /// `inner_value`.
-fn finish(band: &mut NarrowBand, bounds: &mut Bounds, (inner_from, inner_value): (f32, f32)) {
+fn finish(band: &mut NarrowBand, bounds: &mut Bounds, inner_from: f32, inner_value: f32) {
     let half_width = band.half_width;
     let bounds = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
     band.phi.leaves.par_iter_mut().zip(bounds).halved().for_each(|(phi, (lower, upper))| {
@@ -493,5 +481,165 @@ impl Kernel for ClampLeaf<'_> {
             new_lower.store(lower);
             new_phi.store(phi);
         }
+    }
+}
+
+// Computes how much around a window is needed to make its results identical to those of the whole frame.
+//
+//   own        the window's leaves: φ_0, the bounds, which leaves are stored
+//   banded     φ_0, which leaves are stored; the bounds are swept on these    ⎫ each: 2 voxels per sweep,
+//   swept      distances; φ_0 is swept on these                               ⎭ plus 1 for their start
+//   crossed    surface crossings: leaves within the margin of one are stored    the band's margin
+//   measured   distances: where a crossing is depends on neighbors              1 voxel
+//   populated  particles                                                        reach of distances
+//
+// Read bottom-up, the lines are the steps of rasterization. Read top-down, each line depends on the next
+// one, whose region is wider by the amount on the right of that next line. Leaves count as a whole, since a
+// leaf is stored if any of its voxels is. A smaller region cannot be proved sufficient: a sweep reads values
+// two voxels away along an axis, and each sweep reads those of the previous one. Sweeps start from the
+// voxels whose distance is known, and whether it is known depends on the face neighbours: hence the 1.
+
+/// Larger than the grid's index range, and small enough that adding margins does not overflow.
+const EVERYWHERE: CoordBox = CoordBox { min: IVec3::splat(-3 << 29), max: IVec3::splat(3 << 29) };
+
+/// The boxes of leaves that a window's results depend on, each inside the next.
+#[derive(Clone, Copy, Debug)]
+struct Regions {
+    own: CoordBox,
+    banded: CoordBox,
+    swept: CoordBox,
+    crossed: CoordBox,
+    measured: CoordBox,
+    populated: CoordBox,
+}
+
+impl Regions {
+    /// The regions for the leaves that a window touches. `longest` bounds the semi-axes of all particles, in
+    /// units of the radii.
+    fn new(window: CoordBox, radii: Radii, longest: f32) -> Regions {
+        let swept_voxels = 2 * sweep_count(radii.half_width()) as i32 + 1;
+        let window = CoordBox { min: window.min.max(EVERYWHERE.min), max: window.max.min(EVERYWHERE.max) };
+        let own = leaves_around(window, 0);
+        let banded = leaves_around(own, swept_voxels);
+        let swept = leaves_around(banded, swept_voxels);
+        let crossed = leaves_around(swept, radii.band_margin());
+        let measured = leaves_around(crossed, 1);
+        // Rounding can put a particle on the upper boundary of its cell, so the index of its voxel may be too
+        // small by one.
+        let populated = leaves_around(measured, radii.exact_reach(longest).ceil() as i32 + 1);
+        Regions { own, banded, swept, crossed, measured, populated }
+    }
+}
+
+/// The box of the leaves within `margin` voxels of a box.
+fn leaves_around(voxels: CoordBox, margin: i32) -> CoordBox {
+    let (expanded, edge) = (voxels.expanded(margin), IVec3::splat(LEAF_EDGE));
+    CoordBox {
+        min: expanded.min.div_euclid(edge) * LEAF_EDGE,
+        max: expanded.max.div_euclid(edge) * LEAF_EDGE + (LEAF_EDGE - 1),
+    }
+}
+
+/// True if two boxes share a voxel.
+fn meet(one: &CoordBox, other: &CoordBox) -> bool {
+    one.min.cmple(other.max).all() && other.min.cmple(one.max).all()
+}
+
+// Finds outliers: particles so far away that 32-bit positions cannot represent a surface around them.
+//
+//   ┌──┬──┬──┐                                              ┌──┐
+//   │ 9│50│30│  ◀────────── more than 2²⁰ voxels ─────────▶  │ 1│     dropped: few, and far from all others
+//   └──┴──┴──┘                                              └──┘
+//
+// At that distance from the mesh's origin, 32-bit positions are off by 1/16 voxel or more. For the same
+// reason, the spread of a frame has the same limit (`reconstruction::SPREAD_MAX_VOXELS`). If more than a few
+// particles are that far away, the frame really is that wide and all particles are kept. The result depends
+// only on the number of particles in each leaf.
+
+/// Leaves farther than this from the median of the particles along an axis, in voxels, are too far away.
+const FARTHEST_VOXELS: i32 = 1 << 20;
+
+/// Up to 8 particles or 1 % of all count as few, and always fewer than half.
+const FEW: usize = 8;
+const FEW_ONE_IN: usize = 100;
+
+/// Origins of the leaves whose particles are dropped, sorted. `leaves` yields leaf origins with their
+/// particle counts.
+fn outlier_leaves<L: Iterator<Item = (IVec3, usize)>>(leaves: impl Fn() -> L) -> Vec<IVec3> {
+    let bounds = leaves().map(|(origin, _)| (origin, origin));
+    let bounds = bounds.reduce(|(low, high), (one, other)| (low.min(one), high.max(other)));
+    // The difference of two indices of the grid fits into 32 bits.
+    let is_wide = bounds.is_some_and(|(low, high)| (high - low).max_element() > FARTHEST_VOXELS);
+    if !is_wide {
+        return Vec::new();
+    }
+    let along = |axis: usize| middle(leaves().map(|(origin, count)| (origin[axis], count)));
+    let center = IVec3::new(along(0), along(1), along(2));
+    let is_far = |(origin, _): &(IVec3, usize)| (*origin - center).abs().max_element() > FARTHEST_VOXELS;
+    let far: Vec<(IVec3, usize)> = leaves().filter(is_far).collect();
+    let far_count: usize = far.iter().map(|(_, count)| count).sum();
+    let all_count: usize = leaves().map(|(_, count)| count).sum();
+    if far_count > FEW.max(all_count / FEW_ONE_IN) || 2 * far_count >= all_count {
+        return Vec::new();
+    }
+    let mut far: Vec<IVec3> = far.into_iter().map(|(origin, _)| origin).collect();
+    far.sort_unstable_by_key(|origin| origin.to_array());
+    far
+}
+
+#[cfg(test)]
+mod tests;
+
+#[cfg(test)]
+mod tests_of_shapes;
+
+#[cfg(test)]
+mod tests_of_regions {
+    use super::*;
+
+    #[test]
+    fn one_leaf_window_needs_these_rings_of_leaves() {
+        let radii = Radii::uniform(1.732, 2.598, 3.464);
+        let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::splat(7) }, radii, 1.0);
+        // 23 voxels for the sweeps are three leaves; then follow 7 voxels, 1 voxel and 7 voxels.
+        let rings = [0, 3, 6, 7, 8, 9];
+        let found = [
+            regions.own,
+            regions.banded,
+            regions.swept,
+            regions.crossed,
+            regions.measured,
+            regions.populated,
+        ];
+        for (found, ring) in found.into_iter().zip(rings) {
+            assert_eq!((found.min, found.max), (IVec3::splat(-8 * ring), IVec3::splat(8 * ring + 7)));
+            assert!(found.contains(found.min) && !found.contains(found.min - IVec3::new(0, 8, 0)));
+        }
+        assert!(meet(&regions.own, &CoordBox { min: IVec3::splat(7), max: IVec3::splat(9) }));
+        assert!(!meet(&regions.own, &CoordBox { min: IVec3::new(0, 0, 8), max: IVec3::splat(9) }));
+    }
+
+    #[test]
+    fn everywhere_contains_the_index_range() {
+        let radii = Radii::uniform(32.0, 48.0, 64.0);
+        let own = Regions::new(CoordBox::ALL, radii, 1.0).own;
+        let farthest = IVec3::splat(crate::space::INDEX_LIMIT + 1000);
+        assert!(own.contains(farthest) && own.contains(-farthest));
+    }
+
+    #[test]
+    fn only_a_few_particles_far_from_the_rest_are_outliers() {
+        let outliers_of = |leaves: &[(i32, usize)]| -> Vec<i32> {
+            let found = outlier_leaves(|| leaves.iter().map(|&(x, count)| (IVec3::new(8, x, 0), count)));
+            found.into_iter().map(|origin| origin.y).collect()
+        };
+        let far = 2 * FARTHEST_VOXELS;
+        assert_eq!(outliers_of(&[]), [0; 0]);
+        assert_eq!(outliers_of(&[(0, 9), (far, 1), (8, 3)]), [far]);
+        assert_eq!(outliers_of(&[(0, 900), (far, 8), (-far, 1)]), [-far, far]);
+        assert_eq!(outliers_of(&[(0, 800), (far, 8), (-far, 1)]), [0; 0], "more than a few");
+        assert_eq!(outliers_of(&[(0, 1), (far, 1)]), [0; 0], "half of the particles");
+        assert_eq!(outliers_of(&[(0, 600), (far, 400)]), [0; 0], "two large clusters");
+        assert_eq!(outliers_of(&[(0, 900), (FARTHEST_VOXELS, 1)]), [0; 0], "at the limit");
     }
 }

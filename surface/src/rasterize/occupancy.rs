@@ -12,12 +12,15 @@
 //! particles are stored there. Whole voxels instead of octants would not be precise enough: at the usual
 //! particle spacing of two voxels they identify only 40 % of the inside leaves that octants identify.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 
-use super::batch::LeafBatch;
-use super::leaf_map::{ConcurrentLeafMap, LeafMap};
-use super::outliers::outlier_leaves;
+use super::bin::LeafBatch;
+use super::outlier_leaves;
 use crate::grid::{LEAF_EDGE, Topology};
 use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Unread};
@@ -198,11 +201,132 @@ impl Occupancy {
     }
 }
 
+// A map from leaf origins to values that many threads fill concurrently.
+//
+// Particles of one leaf can be in any batch, and in a shuffled file every batch has particles of every leaf.
+// So threads update the leaf's entry directly. The entries are in many shards with a lock each, so threads
+// seldom wait for each other. Updates arrive in any order, so the result must not depend on the order.
+
+/// A sharded map from leaf origins to values, writable by many threads.
+pub(super) struct ConcurrentLeafMap<T> {
+    shards: Vec<Mutex<Shard<T>>>,
+    leaf_count: AtomicUsize,
+}
+
+/// The values lie in one large memory block per shard, not in millions of small ones, so that freeing it
+/// returns the memory to the system.
+struct Shard<T> {
+    /// Index in `values` of each leaf.
+    slots: FxHashMap<IVec3, u32>,
+    values: Vec<T>,
+}
+
+/// Number of shards. Adjacent leaves are in different shards.
+const SHARD_COUNT: usize = 64;
+
+impl<T> ConcurrentLeafMap<T> {
+    pub(super) fn new() -> ConcurrentLeafMap<T> {
+        let shard = || Mutex::new(Shard { slots: FxHashMap::default(), values: Vec::new() });
+        ConcurrentLeafMap {
+            shards: (0..SHARD_COUNT).map(|_| shard()).collect(),
+            leaf_count: AtomicUsize::new(0),
+        }
+    }
+
+    /// Number of leaves so far.
+    pub(super) fn leaf_count(&self) -> usize {
+        self.leaf_count.load(Ordering::Relaxed)
+    }
+
+    /// Updates the value of a leaf with `add`; creates it with `first` if it does not exist.
+    pub(super) fn add(&self, origin: IVec3, first: impl FnOnce() -> T, add: impl FnOnce(&mut T)) {
+        // Each update is applied under the lock, so a shard is consistent even if its lock is poisoned.
+        let mut shard = self.shards[shard_of(origin)].lock().unwrap_or_else(PoisonError::into_inner);
+        let Shard { slots, values } = &mut *shard;
+        let slot = *slots.entry(origin).or_insert_with(|| {
+            values.push(first());
+            self.leaf_count.fetch_add(1, Ordering::Relaxed);
+            values.len() as u32 - 1
+        });
+        add(&mut values[slot as usize]);
+    }
+
+    /// Turns the map into its read-only form.
+    pub(super) fn freeze(self) -> LeafMap<T> {
+        let open = |shard: Mutex<_>| shard.into_inner().unwrap_or_else(PoisonError::into_inner);
+        LeafMap(self.shards.into_iter().map(open).collect())
+    }
+}
+
+/// A map from leaf origins to values, without locks.
+pub(super) struct LeafMap<T>(Vec<Shard<T>>);
+
+impl<T> LeafMap<T> {
+    /// The value of the leaf with this origin.
+    pub(super) fn get(&self, origin: IVec3) -> Option<&T> {
+        let Shard { slots, values } = &self.0[shard_of(origin)];
+        slots.get(&origin).map(|&slot| &values[slot as usize])
+    }
+
+    /// Removes a leaf's key and returns its value.
+    pub(super) fn remove(&mut self, origin: IVec3) -> Option<&T> {
+        let Shard { slots, values } = &mut self.0[shard_of(origin)];
+        slots.remove(&origin).map(|slot| &values[slot as usize])
+    }
+
+    /// All leaves and their values, unordered.
+    pub(super) fn iter(&self) -> impl Iterator<Item = (&IVec3, &T)> {
+        self.0.iter().flat_map(|Shard { slots, values }| {
+            slots.iter().map(|(origin, &slot)| (origin, &values[slot as usize]))
+        })
+    }
+}
+
+fn shard_of(origin: IVec3) -> usize {
+    let [x, y, z] = (origin / LEAF_EDGE).to_array().map(|along| (along & 3) as usize);
+    x * 16 + y * 4 + z
+}
+
+// Measures how widely a frame's particles are spread, from the leaves that contain them.
+//
+//   ┌──┬──┬──┐                                   ┌──┐
+//   │ 9│50│30│                                   │ 1│      half of the particles are within one or two leaves
+//   └──┴──┴──┘                                   └──┘      of their median, however far away the last one is
+
+/// Median distance of the particles from their median position, in voxels, where the distance is the
+/// maximum over the axes. `leaves` yields leaf origins with their particle counts. Returns 0, without
+/// sorting, for a frame at most `unseen_voxels` wide; most frames are that narrow.
+pub(super) fn spread<L: Iterator<Item = (IVec3, usize)>>(leaves: impl Fn() -> L, unseen_voxels: i32) -> u32 {
+    let bounds = leaves().map(|(origin, _)| (origin, origin));
+    let Some((low, high)) = bounds.reduce(|(low, high), (one, _)| (low.min(one), high.max(one))) else {
+        return 0;
+    };
+    // The difference of two indices of the grid fits into 32 bits.
+    if (high - low).max_element() <= unseen_voxels {
+        return 0;
+    }
+    let along = |axis: usize| middle(leaves().map(|(origin, count)| (origin[axis], count)));
+    let center = IVec3::new(along(0), along(1), along(2));
+    middle(leaves().map(|(origin, count)| ((origin - center).abs().max_element(), count))).unsigned_abs()
+}
+
+/// Weighted median: half of the total count is at or below this value.
+pub(super) fn middle(values: impl Iterator<Item = (i32, usize)>) -> i32 {
+    let mut values: Vec<(i32, usize)> = values.collect();
+    values.sort_unstable();
+    let half = values.iter().map(|&(_, count)| count).sum::<usize>().div_ceil(2);
+    let mut passed = 0;
+    let reaches_half = |&(value, count): &(i32, usize)| {
+        passed += count;
+        (passed >= half).then_some(value)
+    };
+    values.iter().find_map(reaches_half).unwrap_or(0)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::particles::erased;
-    use crate::particles::{OwnedPositions, Positions};
+    use crate::particles::{OwnedPositions, Positions, erased};
 
     #[test]
     fn octants_contain_the_particles() {
@@ -250,5 +374,19 @@ mod tests {
     fn source_error_is_returned() {
         let result = erased(&Broken, |source| Occupancy::new(source, &Lattice { voxel_size: 1.0 }));
         assert_eq!(result.err(), Some("the end is missing"));
+    }
+
+    const FAR: i32 = (1 << 30) - 8;
+
+    #[test]
+    fn spread_is_the_median_distance_from_the_median() {
+        let spread_of = |leaves: &[(i32, usize)]| {
+            spread(|| leaves.iter().map(|&(x, count)| (IVec3::new(x, 8, -x), count)), 1000)
+        };
+        assert_eq!(spread_of(&[]), 0);
+        assert_eq!(spread_of(&[(0, 1), (1000, 1)]), 0, "two particles");
+        assert_eq!(spread_of(&[(0, 9), (8, 50), (16, 30), (FAR, 1)]), 0, "one stray particle");
+        assert_eq!(spread_of(&[(0, 40), (8, 50), (-FAR, 30), (FAR, 40)]), 8);
+        assert_eq!(spread_of(&[(-80_000, 3), (-40_000, 3), (0, 1), (40_000, 3), (80_000, 3)]), 40_000);
     }
 }

@@ -126,10 +126,12 @@ pub(super) fn swept(topology: &Topology, half_width: f32, value_at: impl Fn(IVec
     for (leaf, &origin) in topology.origins().iter().enumerate() {
         for offset in 0..512 {
             let (value, is_known) = value_at(origin + voxel_in_leaf(offset));
-            distance.leaves[leaf].values[offset] = match value < 0.0 {
-                _ if is_known => value,
-                true => -UNREACHED,
-                false => UNREACHED,
+            distance.leaves[leaf].values[offset] = if is_known {
+                value
+            } else if value < 0.0 {
+                -UNREACHED
+            } else {
+                UNREACHED
             };
             if is_known {
                 known[leaf].insert(offset);

@@ -16,12 +16,10 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
-use super::batch::LeafCoords;
-use super::bin::cell_of;
-use super::cover::{Cover, OctantBall};
-use super::culling::{Uncovered, leaves_of_boxes};
+use super::bin::{LeafCoords, cell_of};
+use super::culling::{Cover, OctantBall, Uncovered, leaves_of_boxes};
+use super::meet;
 use super::occupancy::{Occupancy, Octants};
-use super::region::meet;
 use crate::grid::{LEAF_EDGE, LEAF_VOXELS, LeafMask, NO_LEAF};
 use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Positions, Shapes, Unread};

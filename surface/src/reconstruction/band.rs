@@ -15,19 +15,19 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
 use super::plan::{FIELD_BYTES, mesh_bytes, smoothing_fields};
-use super::postprocess::{PositionFormat, StoredMesh};
 use super::{FrameSurface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, lattice, postprocess, smooth_config};
 use crate::contour;
 use crate::grid::{Field, negative_masks};
 use crate::level_set::{
     Bounds, NarrowBand, WIDENED_MAX, offset_surface, widened, widened_leaf_count, widened_leaf_count_max,
 };
+use crate::mesh::{Mesh, PositionRounding};
 use crate::obstacle::Obstacles;
 use crate::options::Settings;
 use crate::parallel::Loops as _;
 use crate::report::ReconstructionReport;
 use crate::smooth;
-use crate::validation::{CheckedRegion, certificate};
+use crate::validation::Checks;
 
 /// Limit of the maximum deviation, in voxels: the stored band around the surface is not wider.
 pub const DEVIATION_MAX_VOXELS: f32 = 3.0;
@@ -41,17 +41,17 @@ const MARGIN: f32 = 5.0;
 /// Computes the surface of a level set, whose values are in units of the settings' voxel size. With a maximum
 /// deviation above 0, it is the smoothest surface that stays within that distance, in voxels, of the given
 /// one; the settings' offset is applied afterwards. Settings for particles have no effect. Voxel (0, 0, 0) is
-/// at `translation`, in world units. The mesh is validated as stored in each of the formats in `stored`.
+/// at `translation`, in world units.
 pub fn smooth_level_set(
     band: NarrowBand,
     translation: DVec3,
     max_deviation_voxels: f32,
     settings: &Settings,
-    stored: &[PositionFormat],
+    rounding: PositionRounding,
 ) -> FrameSurface {
     bound_level_set(band, translation, max_deviation_voxels, settings)
         .smooth(settings, &mut |_| {})
-        .contour(settings, stored)
+        .contour(settings, rounding)
 }
 
 /// A level set between two stages of [`smooth_level_set`], with the bounds that its surface must keep.
@@ -109,10 +109,10 @@ impl BoundedBand {
         self
     }
 
-    /// Third stage: the mesh and its validation, for each storage format.
-    pub fn contour(self, settings: &Settings, stored: &[PositionFormat]) -> FrameSurface {
+    /// Third stage: the mesh with rounded positions, and its validation.
+    pub fn contour(self, settings: &Settings, rounding: PositionRounding) -> FrameSurface {
         let BoundedBand { mut band, bounds, translation, mut report, .. } = self;
-        let bound_violation_count = bounds.violation_count(&band.phi);
+        report.certificate.bound_violation_count = bounds.violation_count(&band.phi);
         drop(bounds);
         let offset = offset_voxels(settings);
         if offset != 0.0 {
@@ -122,14 +122,11 @@ impl BoundedBand {
         let lattice = lattice(settings);
         let mut mesh = contour::contour(&band, &lattice, settings.contouring);
         report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
-        // Files may store world positions, so rounding depends on where the mesh is.
+        // Rounding to world positions depends on where the mesh is.
         mesh.origin += translation;
         // A level set has no particles to check.
-        let no_part = |_: &StoredMesh, _: &mut dyn FnMut(&CheckedRegion)| Ok::<(), Infallible>(());
-        let Ok(checks) = postprocess::finalize(&mut mesh, (settings, stored), &mut report, no_part);
-        let counts = (bound_violation_count, 0);
-        report.certificate =
-            certificate(checks, counts, (None, settings.offset), &mesh, &report.mesh, &lattice);
+        let validate = |_: &Mesh, _: f32| Ok::<Checks, Infallible>(Checks::EMPTY);
+        let Ok(()) = postprocess::finalize(&mut mesh, settings, None, rounding, &mut report, validate);
         FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report }
     }
 }
@@ -142,9 +139,10 @@ fn offset_voxels(settings: &Settings) -> f32 {
 /// for two reasons: values in the file need not be distances that far out, and the band left after the offset
 /// must not be narrower than without one.
 fn working_half_width(given_half_width: f32, max_deviation: f32, offset: f32) -> Option<f32> {
-    let without_offset = match max_deviation > 0.0 {
-        true => Some(MARGIN + max_deviation.ceil()),
-        false => (given_half_width < HALF_WIDTH_MIN).then_some(HALF_WIDTH_MIN),
+    let without_offset = if max_deviation > 0.0 {
+        Some(MARGIN + max_deviation.ceil())
+    } else {
+        (given_half_width < HALF_WIDTH_MIN).then_some(HALF_WIDTH_MIN)
     };
     if offset == 0.0 {
         return without_offset;
@@ -158,7 +156,7 @@ pub fn smooth_level_set_bytes(band: &NarrowBand, max_deviation_voxels: f32, sett
     let half_width = working_half_width(band.half_width, max_deviation_voxels, offset_voxels(settings));
     let wide = half_width.map(|_| widened_leaf_count(band));
     let crossed = crossed_edge_count(band) as f64;
-    working_bytes((band.topology.len(), wide), crossed, max_deviation_voxels, settings)
+    working_bytes(band.topology.len(), wide, crossed, max_deviation_voxels, settings)
 }
 
 /// Upper estimate of [`smooth_level_set_bytes`] for a band with leaves at these origins, whose values are
@@ -172,7 +170,7 @@ pub fn smooth_level_set_bytes_max(
     let working = working_half_width(half_width, max_deviation_voxels, offset_voxels(settings));
     let wide = working.map(|_| widened_leaf_count_max(origins.iter().copied()));
     let crossed = CROSSED_EDGES_PER_LEAF * origins.len() as f64;
-    working_bytes((origins.len(), wide), crossed, max_deviation_voxels, settings)
+    working_bytes(origins.len(), wide, crossed, max_deviation_voxels, settings)
 }
 
 /// Edges of the grid in a leaf that the surface crosses, at most, as the mean of a band: those of a plane
@@ -182,7 +180,8 @@ const CROSSED_EDGES_PER_LEAF: f64 = 128.0;
 /// The memory for a band with `given` leaves, which is widened to `wide` leaves unless that is `None`, in
 /// bytes.
 fn working_bytes(
-    (given, wide): (usize, Option<usize>),
+    given: usize,
+    wide: Option<usize>,
     crossed_edge_count: f64,
     max_deviation_voxels: f32,
     settings: &Settings,
@@ -197,10 +196,8 @@ fn working_bytes(
         None => (given, 0.0),
     };
     let mesh = mesh_bytes(settings) * crossed_edge_count;
-    let smoothing = match max_deviation_voxels > 0.0 {
-        true => FIELD_BYTES * smoothing_fields(settings) * leaves,
-        false => 0.0,
-    };
+    let smoothing =
+        if max_deviation_voxels > 0.0 { FIELD_BYTES * smoothing_fields(settings) * leaves } else { 0.0 };
     let contouring = FIELD_BYTES * 4.0 * leaves + mesh;
     let topologies = TOPOLOGY_LEAF_BYTES as f64 * (given + leaves);
     (widening.max(smoothing).max(contouring) + topologies) as u64
@@ -236,8 +233,6 @@ fn moved(phi: &Field, by: f32) -> Field {
 
 #[cfg(test)]
 mod tests {
-    use glam::Vec3;
-
     use super::*;
     use crate::grid::{LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
     use crate::options::MethodOptions;
@@ -272,18 +267,11 @@ mod tests {
 
     #[test]
     fn distant_mesh_is_validated_at_rounded_world_positions() {
-        let world_positions = PositionFormat::Rounded(|positions, origin| {
-            let origin = DVec3::from(origin);
-            let read = |position: &[f32; 3]| {
-                let world = (origin + Vec3::from(*position).as_dvec3()).as_vec3();
-                (world.as_dvec3() - origin).as_vec3().to_array()
-            };
-            positions.iter().map(read).collect()
-        });
         let band = ball();
         let settings = Settings::paper(0.01, &MethodOptions::default()).expect("sound");
         let flat_count = |translation: DVec3| {
-            let surface = smooth_level_set(band.clone(), translation, 0.0, &settings, &[world_positions]);
+            let surface =
+                smooth_level_set(band.clone(), translation, 0.0, &settings, PositionRounding::World);
             surface.report.flat_triangles_removed + surface.report.mesh.degenerate_triangle_count
         };
         assert_eq!(flat_count(DVec3::ZERO), 0);

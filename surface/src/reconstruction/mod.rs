@@ -5,49 +5,50 @@
 //! rayon pool. `plan` estimates the memory of a frame, and `tiled` has the same three stages for frames
 //! larger than memory.
 
-mod attributes;
 mod band;
 mod changes;
-mod field_store;
 mod plan;
 mod postprocess;
-mod precision;
 mod shape;
 pub mod tiled;
 mod tiles;
 
+use std::borrow::Cow;
 use std::convert::Infallible;
 use std::ops::ControlFlow;
 
-pub(crate) use attributes::transfer_attributes_from;
-pub use attributes::{SurfaceAttributes, Targets, transfer_attributes};
 pub use band::{
     BoundedBand, DEVIATION_MAX_VOXELS, bound_level_set, smooth_level_set, smooth_level_set_bytes,
     smooth_level_set_bytes_max,
 };
-pub use field_store::{FIELD_STORE_FILES, Storage};
 pub(crate) use plan::plan_in_core;
-pub use plan::{MemoryPlan, MemoryPlanError, PlanInputs, TooLarge, plan_memory};
-pub use postprocess::PositionFormat;
-pub use precision::{PrecisionLimit, SPREAD_MAX_VOXELS, VoxelTooSmall};
+pub use plan::{
+    MemoryPlan, MemoryPlanError, PlanInputs, PrecisionLimit, SPREAD_MAX_VOXELS, TooLarge, VoxelTooSmall,
+    plan_memory,
+};
 pub(crate) use shape::shapes_by_attributes;
 pub use shape::{ShapedSource, shape_by_attributes, shape_by_neighbors, shape_particles};
+pub use tiles::{FIELD_STORE_FILES, Storage};
 
+use crate::attributes::{BandAttribute, Support, interpolate_to_band, interpolate_to_vertices};
 use crate::contour;
 use crate::grid::Leaf;
 use crate::level_set::{Bounds, NarrowBand, offset_reach_voxels};
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, PositionRounding};
 use crate::obstacle::{ContactStats, Obstacles};
 use crate::options::Settings;
-use crate::particles::{AnySource, OwnedPositions, ParticleCloud, ParticleSource, Unread, erased};
+use crate::particles::{
+    AnySource, Attribute, AttributeValues, OwnedPositions, ParticleCloud, ParticleSource, Positions, Role,
+    Shapes, Unread, erased,
+};
 use crate::rasterize::{self, ParticleBins, Radii, RasterParams};
-use crate::report::{Phase, ReconstructionReport, ShapeStats};
+use crate::report::{Phase, ReconstructionReport, ShapeStats, TransferReport};
 use crate::smooth;
 use crate::space::{CoordBox, Lattice};
 use crate::validation::{
-    CheckedRegion, MeshCells, MovedParticle, certificate, count_inputs_outside, possibly_outside,
+    CheckedRegion, MeshCells, MovedParticle, check, count_inputs_outside, possibly_outside,
 };
-use postprocess::{Edits, StoredMesh, SurfaceExclusions};
+use postprocess::{Edits, SurfaceExclusions};
 
 /// The surface of one frame.
 #[derive(Clone, Debug)]
@@ -149,7 +150,7 @@ pub fn reconstruct_frame_observed(
     entered(Phase::Smooth);
     let smoothed = smooth(rasterized, settings);
     entered(Phase::Contour);
-    contour(smoothed, settings, &[PositionFormat::Exact])
+    contour(smoothed, settings, PositionRounding::Local)
 }
 
 /// Reconstructs the surface of one frame of particles with attributes and obstacles, and transfers the
@@ -157,7 +158,7 @@ pub fn reconstruct_frame_observed(
 pub fn reconstruct_cloud(cloud: ParticleCloud, settings: &Settings, obstacles: &Obstacles) -> FrameSurface {
     let (shaped, shape_stats) = shape_particles(cloud, settings);
     let Ok(rasterized) = rasterize(&shaped, settings, shape_stats, obstacles.clone());
-    let mut surface = contour(smooth(rasterized, settings), settings, &[PositionFormat::Exact]);
+    let mut surface = contour(smooth(rasterized, settings), settings, PositionRounding::Local);
     transfer_attributes(
         &mut surface,
         &shaped.into_moved(),
@@ -189,13 +190,10 @@ fn rasterize_any(
     let scene = raster_params(settings, &obstacles);
     let rasterize::RasterFields { bins, band, bounds, contact } = rasterize::rasterize_any(source, &scene)?;
     let contact = ContactStats { particle_count: inside_obstacles(source, &scene)?, ..contact };
-    let possibly_outside = match source.is_smoothed() {
-        true => {
-            let (upper, later) =
-                ((&*band.topology, &bounds.upper), (scene.radii.offset, !obstacles.is_empty()));
-            Some(possibly_outside(source, &scene.lattice, upper, later)?)
-        }
-        false => None,
+    let possibly_outside = if source.is_smoothed() {
+        Some(possibly_outside(source, &scene, &band.topology, &bounds.upper)?)
+    } else {
+        None
     };
     let report = ReconstructionReport {
         particle_count: bins.particle_count,
@@ -255,10 +253,10 @@ fn report_smoothing(report: &mut ReconstructionReport, smoothed: smooth::SmoothR
     report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
 }
 
-/// Third stage: the mesh, its measures, and the certificate, which validates the mesh as each file stores it.
-pub fn contour(smoothed: SmoothedFrame, settings: &Settings, stored: &[PositionFormat]) -> FrameSurface {
+/// Third stage: the mesh with rounded positions, its measures, and the certificate.
+pub fn contour(smoothed: SmoothedFrame, settings: &Settings, rounding: PositionRounding) -> FrameSurface {
     let ControlFlow::Continue(surface) =
-        contour_while::<Infallible>(smoothed, settings, stored, &|| ControlFlow::Continue(()));
+        contour_while::<Infallible>(smoothed, settings, rounding, &|| ControlFlow::Continue(()));
     surface
 }
 
@@ -266,44 +264,44 @@ pub fn contour(smoothed: SmoothedFrame, settings: &Settings, stored: &[PositionF
 pub(crate) fn contour_while<B>(
     smoothed: SmoothedFrame,
     settings: &Settings,
-    stored: &[PositionFormat],
+    rounding: PositionRounding,
     go_on: &dyn Fn() -> ControlFlow<B>,
 ) -> ControlFlow<B, FrameSurface> {
     let SmoothedFrame { bins, mut band, bounds, obstacles, possibly_outside, mut report } = smoothed;
     let scene = raster_params(settings, &obstacles);
     let RasterParams { lattice, radii, .. } = scene;
-    let bound_violation_count = bounds.violation_count(&band.phi);
+    report.certificate.bound_violation_count = bounds.violation_count(&band.phi);
     drop(bounds);
     postprocess::offset_and_cut(&mut band, &scene);
-    let edits = match postprocess::has_edits(settings) {
-        true => postprocess::edit(&mut band, bins.leaves(), (&scene, settings), &mut report.edits),
-        false => Edits::default(),
+    let edits = if postprocess::has_edits(settings) {
+        postprocess::edit(&mut band, bins.leaves(), &scene, settings, &mut report.edits)
+    } else {
+        Edits::default()
     };
     go_on()?;
-    let mut mesh = postprocess::mesh(&band, &edits, (&scene, settings), &mut report.depth);
+    let mut mesh = postprocess::mesh(&band, &edits, &scene, settings, &mut report.depth);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
-    let (exempt, owned) = (&SurfaceExclusions { scene: &scene, edits: &edits }, CoordBox::ALL);
-    let how = (settings, stored);
-    let settled = postprocess::finalize(&mut mesh, how, &mut report, |checked, check| {
-        if let ControlFlow::Break(broken) = go_on() {
-            return Err(broken);
-        }
-        let StoredMesh { mesh, rounding } = *checked;
-        let (bins, band, lattice) = (&bins, &band, &lattice);
-        let cells = &MeshCells::new(mesh, band, lattice);
-        check(&CheckedRegion { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
-        Ok(())
-    });
-    let checks = match settled {
-        Ok(checks) => checks,
-        Err(broken) => return ControlFlow::Break(broken),
+    let exempt = &SurfaceExclusions { scene: &scene, edits: &edits };
+    let validate = |mesh: &Mesh, rounding_voxels: f32| match go_on() {
+        ControlFlow::Break(reason) => Err(reason),
+        ControlFlow::Continue(()) => Ok(check(&CheckedRegion {
+            bins: &bins,
+            radii,
+            band: &band,
+            mesh,
+            cells: &MeshCells::new(mesh, &band, &lattice),
+            rounding_voxels,
+            lattice: &lattice,
+            owned: CoordBox::ALL,
+            exempt,
+        })),
     };
-    let counts = (bound_violation_count, report.dropped_count);
-    report.certificate =
-        certificate(checks, counts, (Some(&radii), settings.offset), &mesh, &report.mesh, &lattice);
-    report.certificate.input_positions_outside = possibly_outside.map(|possibly_outside| {
-        count_inputs_outside(&possibly_outside, &band, (&lattice, radii.offset), exempt)
-    });
+    let validated = postprocess::finalize(&mut mesh, settings, Some(&radii), rounding, &mut report, validate);
+    if let Err(reason) = validated {
+        return ControlFlow::Break(reason);
+    }
+    report.certificate.input_positions_outside = possibly_outside
+        .map(|possibly_outside| count_inputs_outside(&possibly_outside, &band, &scene, exempt));
     ControlFlow::Continue(FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report })
 }
 
@@ -324,9 +322,10 @@ fn raster_params<'a>(settings: &Settings, obstacles: &'a Obstacles) -> RasterPar
 
 /// Number of particles inside obstacles.
 fn inside_obstacles(source: &AnySource<'_>, scene: &RasterParams) -> Result<usize, Unread> {
-    match scene.obstacles.is_empty() {
-        true => Ok(0),
-        false => scene.obstacles.count_inside(source, &scene.lattice, scene.obstacle_half_width()),
+    if scene.obstacles.is_empty() {
+        Ok(0)
+    } else {
+        scene.obstacles.count_inside(source, &scene.lattice, scene.obstacle_half_width())
     }
 }
 
@@ -335,17 +334,18 @@ fn radii(settings: &Settings) -> Radii {
     let voxels = |world: f64| (world / settings.voxel_size) as f32;
     let [min, init, max] = [settings.radius_min, settings.radius_init, settings.radius_max].map(voxels);
     let offset = voxels(settings.offset);
-    match settings.has_per_particle_shapes() {
-        false => Radii { offset, ..Radii::uniform(min, init, max) },
+    if settings.has_per_particle_shapes() {
         // The semi-axes of an ellipsoid are recovered from its matrix, which may round them slightly down.
-        true => Radii {
+        Radii {
             min,
             init,
             max,
             min_scale: 0.9999 * shape::min_scale(settings),
             band_scale: shape::band_scale(settings),
             offset,
-        },
+        }
+    } else {
+        Radii { offset, ..Radii::uniform(min, init, max) }
     }
 }
 
@@ -383,3 +383,182 @@ fn can_spheres_shrink(settings: &Settings) -> bool {
 
 /// Memory per leaf of a topology: its origin, its neighbors, and its entry in the map.
 const TOPOLOGY_LEAF_BYTES: usize = 80;
+
+// Transfers particle attributes to the surface.
+
+/// Attributes of a surface.
+#[derive(Clone, Debug, Default)]
+pub struct SurfaceAttributes {
+    /// Attributes of the mesh's vertices.
+    pub vertices: Vec<Attribute>,
+    /// Attributes at the voxels of the band, limited to those a grid can store: a scalar or a 3-vector.
+    pub band: Vec<BandAttribute>,
+}
+
+impl SurfaceAttributes {
+    /// Converts velocities and accelerations to the scale of the settings.
+    fn scale_velocities(&mut self, velocity_scale: f64) {
+        let factor = |role: Role| Some(role.scale(velocity_scale)).filter(|factor| *factor != 1.0);
+        for Attribute { role, values, .. } in &mut self.vertices {
+            if let Some(factor) = factor(*role) {
+                values.scale(factor);
+            }
+        }
+        for attribute in &mut self.band {
+            if let Some(factor) = factor(attribute.role) {
+                attribute.scale(factor);
+            }
+        }
+    }
+
+    /// Memory that the attributes use, in bytes.
+    pub fn size_bytes(&self) -> usize {
+        let vertices: usize = self.vertices.iter().map(|attribute| attribute.values.size_bytes()).sum();
+        vertices + self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
+    }
+
+    /// Upper limit of the additional memory while grids are compressed, in bytes.
+    pub fn packing_bytes(&self) -> usize {
+        VOXELS_PER_POINT * self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
+    }
+}
+
+/// Where attributes are transferred to.
+#[derive(Clone, Copy, Debug)]
+pub struct Targets {
+    /// To the vertices of the mesh.
+    pub vertices: bool,
+    /// To voxels with |φ| below this, in voxels.
+    pub band_half_width_voxels: Option<f32>,
+}
+
+/// Transfers the attributes selected in the settings from the particles to the surface.
+pub fn transfer_attributes(
+    surface: &mut FrameSurface,
+    cloud: &ParticleCloud,
+    settings: &Settings,
+    targets: Targets,
+) {
+    let particles = (Positions::from(&cloud.positions), &cloud.shapes, &*cloud.attributes);
+    transfer_attributes_from(particles, surface, settings, targets);
+}
+
+/// Like [`transfer_attributes`], for particles that may be borrowed: positions, shapes and attributes.
+pub(crate) fn transfer_attributes_from(
+    (positions, shapes, attributes): (Positions<'_>, &Shapes, &[Attribute]),
+    surface: &mut FrameSurface,
+    settings: &Settings,
+    targets: Targets,
+) {
+    let Some(selection) = &settings.attributes else { return };
+    let selected: Vec<&Attribute> =
+        attributes.iter().filter(|attribute| selection.selects(attribute)).collect();
+    let support = support(settings, shapes);
+    let mut report = TransferReport {
+        attributes: selected.iter().map(|attribute| attribute.name.clone()).collect(),
+        ..TransferReport::default()
+    };
+    if targets.vertices {
+        let (vertices, counts) =
+            interpolate_to_vertices(positions.borrowed(), &selected, &surface.mesh, support);
+        (surface.attributes.vertices, report.vertices) = (vertices, counts);
+    }
+    if let Some(half_width_voxels) = targets.band_half_width_voxels {
+        let grids: Vec<Cow<Attribute>> = selected.iter().copied().filter_map(of_grid).collect();
+        let grids: Vec<&Attribute> = grids.iter().map(Cow::as_ref).collect();
+        let band = (&surface.band, &lattice(settings));
+        let (found, counts) = interpolate_to_band(positions, &grids, band, half_width_voxels, support);
+        (surface.attributes.band, report.band) = (found, counts);
+    }
+    surface.attributes.scale_velocities(settings.velocity_scale);
+    surface.report.transfer = Some(report);
+}
+
+/// Upper estimate of the number of voxels in the band per sample point.
+const VOXELS_PER_POINT: usize = 6;
+
+/// How far the attributes of a particle reach; see [`crate::attributes`].
+fn support<'a>(settings: &Settings, shapes: &'a Shapes) -> Support<'a> {
+    let Settings { radius_init, radius_max, offset, voxel_size, .. } = *settings;
+    Support {
+        radius_world: RADII * radius_init,
+        radius_max_world: radius_max,
+        margin_world: MARGIN_VOXELS * voxel_size + offset.max(0.0),
+        shapes,
+    }
+}
+
+/// Radius of the weighted mean, in units of r_init.
+const RADII: f64 = 2.0;
+
+/// Vertices are rarely farther than this outside the union of the r_max spheres, in voxels.
+const MARGIN_VOXELS: f64 = 2.0;
+
+/// The part of an attribute that a grid can store, if any: a color loses its alpha channel.
+fn of_grid(attribute: &Attribute) -> Option<Cow<'_, Attribute>> {
+    let AttributeValues::Numbers(values) = &attribute.values else { return None };
+    match (attribute.arity, attribute.role) {
+        (1 | 3, _) => Some(Cow::Borrowed(attribute)),
+        (4, Role::Color) => {
+            let opaque = values.chunks_exact(4).flat_map(|color| &color[..3]).copied().collect();
+            let (name, role) = (attribute.name.clone(), attribute.role);
+            Some(Cow::Owned(Attribute { name, role, arity: 3, values: AttributeValues::Numbers(opaque) }))
+        }
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::obstacle::Obstacles;
+    use crate::options::{AttributeSelection, MethodOptions};
+    use crate::particles::OwnedPositions;
+
+    /// Isolated particles at these positions along x, with their scale.
+    fn drops(drops: &[(f64, f32)]) -> ParticleCloud {
+        let attribute = |name: &str, values| Attribute {
+            name: name.to_owned(),
+            role: Role::Other,
+            arity: 1,
+            values: AttributeValues::Numbers(values),
+        };
+        let points = drops.iter().map(|(x, _)| [*x, 0.0, 0.0]).collect();
+        let attributes = vec![
+            attribute("pscale", drops.iter().map(|(_, radius)| *radius).collect()),
+            attribute("x", drops.iter().map(|(x, _)| *x as f32).collect()),
+        ];
+        ParticleCloud { attributes, ..ParticleCloud::from(OwnedPositions::F64(points)) }
+    }
+
+    #[test]
+    fn large_drops_keep_their_values_next_to_larger_ones() {
+        let choices = MethodOptions {
+            radius_attribute: Some("pscale".into()),
+            attributes: Some(AttributeSelection::All),
+            ..MethodOptions::default()
+        };
+        let settings = Settings::paper(0.1, &choices).expect("sound");
+        let mut surface =
+            reconstruct_cloud(drops(&[(0.0, 1.5), (9.0, 2.0)]), &settings, &Obstacles::default());
+        let counts = surface.report.transfer.clone().expect("transferred").vertices;
+        assert!(
+            counts.isolated_count == surface.mesh.positions.len() && counts.empty_count == 0,
+            "{counts:?}"
+        );
+        let AttributeValues::Numbers(found) = &surface.attributes.vertices[1].values else { panic!("reals") };
+        for (position, x) in surface.mesh.positions.iter().zip(found) {
+            let own = if f64::from(position.x) + surface.mesh.origin.x < 4.0 { 0.0 } else { 9.0 };
+            assert_eq!(*x, own, "at {position}");
+        }
+        let reference = surface.attributes.vertices.clone();
+        let (more, _) =
+            super::shape_particles(drops(&[(900.0, 4.0), (0.0, 1.5), (-50.0, 3.0), (9.0, 2.0)]), &settings);
+        let more = more.into_moved();
+        let targets = Targets { vertices: true, band_half_width_voxels: None };
+        transfer_attributes(&mut surface, &more, &settings, targets);
+        for (one, other) in surface.attributes.vertices.iter().zip(&reference) {
+            assert_eq!(one.values, other.values);
+        }
+    }
+}

@@ -6,31 +6,28 @@
 //!      └─obstacles──▶ mesh ──decimate──▶ mesh ──▶ validate
 //! ```
 //!
-//! Validation checks the mesh as it will be written: after decimation, and with positions rounded as in each
-//! file format. If a vertex violates its bounds, it is moved back; if a triangle has no area, it is removed.
-//! The mesh is then checked again.
+//! Validation checks the mesh as it will be written: after decimation, and with rounded positions. If a vertex
+//! violates its bounds, it is moved back; if a triangle has no area, it is removed. The mesh is then checked
+//! again.
 //!
 //! The bounds of smoothing are checked before φ is edited here.
 //!
 //! All removals are counted and excluded from validation: particles in dropped islands, and spheres that a
 //! box or an obstacle cuts.
 
-use std::collections::BTreeMap;
-
 use glam::{DVec3, IVec3, Vec3};
-use rayon::prelude::*;
 
-use super::{RasterParams, lattice};
+use super::RasterParams;
 use crate::contour;
 use crate::edits::{self, DroppedIslands};
 use crate::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
 use crate::level_set::{NarrowBand, offset_surface};
-use crate::mesh::{Mesh, RoundedPositions, decimate};
+use crate::mesh::{Mesh, PositionRounding, decimate};
 use crate::obstacle::{ObstacleLeaf, cut_off_at_obstacles, edge_clearance, edge_rounding};
 use crate::options::Settings;
-use crate::parallel::Loops as _;
+use crate::rasterize::Radii;
 use crate::report::{DepthStats, EditReport, ReconstructionReport};
-use crate::validation::{self, CheckedRegion, ExclusionMask, ParticleChecks};
+use crate::validation::{Certificate, Checks, ExclusionMask, certificate};
 
 /// What edits removed from the level set.
 #[derive(Default)]
@@ -60,7 +57,8 @@ pub(super) fn offset_and_cut(band: &mut NarrowBand, scene: &RasterParams) {
 pub(super) fn edit<P: AsRef<[Vec3]>>(
     band: &mut NarrowBand,
     particles: impl IntoIterator<Item = (IVec3, P)>,
-    (scene, settings): (&RasterParams, &Settings),
+    scene: &RasterParams,
+    settings: &Settings,
     report: &mut EditReport,
 ) -> Edits {
     let mut edits = Edits::default();
@@ -95,7 +93,8 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
 pub(super) fn mesh(
     band: &NarrowBand,
     edits: &Edits,
-    (scene, settings): (&RasterParams, &Settings),
+    scene: &RasterParams,
+    settings: &Settings,
     depth: &mut DepthStats,
 ) -> Mesh {
     let mut mesh = contour::contour(band, &scene.lattice, settings.contouring);
@@ -108,112 +107,59 @@ pub(super) fn mesh(
     mesh
 }
 
-/// How a file stores the positions of a mesh.
-#[derive(Clone, Copy, Debug)]
-pub enum PositionFormat {
-    /// Unchanged: 32 bits, relative to the mesh's origin.
-    Exact,
-    /// With this rounding.
-    Rounded(RoundedPositions),
-}
-
-/// If a file moves vertices by more than this, in voxels, the mesh is not adapted to its rounding, unless all
-/// files do.
-const FINE_VOXELS_MAX: f64 = 0.125;
-
 /// Maximum number of rounds that move vertices back into their bounds. Vertices that are still outside after
 /// these rounds are reported as violations.
 const CLAMP_ROUNDS_MAX: usize = 3;
 
-/// Replaces the mesh by the one that is written, and validates it part by part, as each file stores it.
+/// Replaces the mesh by the one that is written, validates it with `validate`, and writes the certificate into
+/// the report. The second argument of `validate` is the largest distance by which rounding moved a vertex, in
+/// voxels. `radii` are those of the particles, and `None` for surfaces of level sets.
 ///
 /// # Errors
-/// Returns the errors of `each_part`.
+/// Returns the errors of `validate`.
 pub(super) fn finalize<E>(
     mesh: &mut Mesh,
-    (settings, stored): (&Settings, &[PositionFormat]),
+    settings: &Settings,
+    radii: Option<&Radii>,
+    rounding: PositionRounding,
     report: &mut ReconstructionReport,
-    mut each_part: impl FnMut(&StoredMesh, &mut dyn FnMut(&CheckedRegion)) -> Result<(), E>,
-) -> Result<ParticleChecks, E> {
-    let lattice = lattice(settings);
+    mut validate: impl FnMut(&Mesh, f32) -> Result<Checks, E>,
+) -> Result<(), E> {
+    let voxel_size = settings.voxel_size;
     if settings.decimate > 0.0 {
-        let decimated = decimate(mesh, settings.decimate * lattice.voxel_size);
+        let decimated = decimate(mesh, settings.decimate * voxel_size);
         report.edits.removed_triangle_count = decimated.removed_triangle_count;
-        report.edits.decimation_error_voxels = decimated.error_world_max / lattice.voxel_size;
+        report.edits.decimation_error_voxels = decimated.error_world_max / voxel_size;
     }
-    let rounding = |stored: &PositionFormat| match stored {
-        PositionFormat::Exact => None,
-        PositionFormat::Rounded(rounding) => Some(*rounding),
-    };
-    let moved_voxels = |mesh: &Mesh, rounded: &[Vec3]| {
-        let moved = rounded.par_iter().zip(&mesh.positions).halved().map(|(one, other)| one.distance(*other));
-        f64::from(moved.reduce(|| 0.0, f32::max)) / lattice.voxel_size
-    };
-    // A file that rounds coarsely must not spoil the mesh of the others: it only fails validation.
-    let is_fine = |stored: &PositionFormat| {
-        rounding(stored).is_none_or(|rounding| moved_voxels(mesh, &mesh.rounded(rounding)) <= FINE_VOXELS_MAX)
-    };
-    let are_fine: Vec<bool> = stored.iter().map(is_fine).collect();
-    let adapts = |index: usize| are_fine[index] || !are_fine.contains(&true);
-    let adapted = stored.iter().enumerate().filter(|(index, _)| adapts(*index));
-    let roundings: Vec<RoundedPositions> = adapted.filter_map(|(_, stored)| rounding(stored)).collect();
-    report.flat_triangles_removed = mesh.remove_flat_triangles(&roundings);
-    let has_unrounded = stored.iter().any(|stored| rounding(stored).is_none());
-    let mut checks = ParticleChecks::EMPTY;
-    for returns in 0..=CLAMP_ROUNDS_MAX {
-        checks = ParticleChecks::EMPTY;
-        let mut corrections: BTreeMap<usize, Vec3> = BTreeMap::new();
-        for (index, stored) in stored.iter().enumerate() {
-            let mut of_file = ParticleChecks::EMPTY;
-            let mut rounded = rounding(stored).map(|rounding| mesh.rounded(rounding));
-            // If rounding changes nothing, the check of the unrounded mesh suffices.
-            if has_unrounded && rounded.as_ref().is_some_and(|rounded| *rounded == mesh.positions) {
-                continue;
-            }
-            let moved_voxels = rounded.as_ref().map_or(0.0, |rounded| moved_voxels(mesh, rounded));
-            if let Some(rounded) = &mut rounded {
-                std::mem::swap(rounded, &mut mesh.positions);
-            }
-            let checked = StoredMesh { mesh, rounding: moved_voxels as f32 };
-            let parts = each_part(&checked, &mut |part| {
-                let (of_part, found) = validation::check(part);
-                of_file = of_file.merge(of_part);
-                let found = found.into_iter().filter(|_| adapts(index));
-                corrections.extend(found.map(|violation| (violation.vertex, violation.position)));
-            });
-            if let Some(rounded) = &mut rounded {
-                std::mem::swap(rounded, &mut mesh.positions);
-            }
-            parts?;
-            checks = checks.worst_of(of_file);
-        }
-        if corrections.is_empty() || returns == CLAMP_ROUNDS_MAX {
+    let moved_voxels = (mesh.round(rounding) / voxel_size) as f32;
+    report.flat_triangles_removed = mesh.remove_flat_triangles();
+    let mut checks = validate(mesh, moved_voxels)?;
+    for _ in 0..CLAMP_ROUNDS_MAX {
+        if checks.violations.is_empty() {
             break;
         }
-        report.vertices_clamped += corrections.len();
-        for (vertex, position) in corrections {
-            mesh.positions[vertex] = position;
-            mesh.normals[vertex] = Vec3::ZERO;
+        report.vertices_clamped += checks.violations.len();
+        for violation in &checks.violations {
+            mesh.positions[violation.vertex] = violation.position;
+            mesh.normals[violation.vertex] = Vec3::ZERO;
         }
+        mesh.round(rounding);
         contour::fill_zero_normals(mesh);
-        report.flat_triangles_removed += mesh.remove_flat_triangles(&roundings);
+        report.flat_triangles_removed += mesh.remove_flat_triangles();
+        checks = validate(mesh, moved_voxels)?;
     }
     report.mesh = mesh.measure();
-    for rounding in stored.iter().filter_map(rounding) {
-        let flat_count = &mut report.mesh.degenerate_triangle_count;
-        *flat_count = mesh.flat_count(rounding).max(*flat_count);
-    }
+    report.certificate = Certificate {
+        bound_violation_count: report.certificate.bound_violation_count,
+        particles_left_out: report.dropped_count,
+        offset: settings.offset,
+        position_rounding: mesh.rounding_error(rounding) / voxel_size,
+        ..certificate(&checks.particles, radii, &report.mesh, voxel_size)
+    };
     if settings.smooth_normals > 0 {
         mesh.smooth_normals(settings.smooth_normals);
     }
-    Ok(checks)
-}
-
-/// A mesh as a file stores it.
-pub(super) struct StoredMesh<'a> {
-    pub(super) mesh: &'a Mesh,
-    /// Maximum distance by which the file's rounding moves vertices, in voxels.
-    pub(super) rounding: f32,
+    Ok(())
 }
 
 /// What validation skips.

@@ -177,11 +177,12 @@ impl Depth {
     fn new(settings: &Settings, given_have_shapes: bool) -> Depth {
         let voxels = |world: f64| world / settings.voxel_size;
         let ball = if settings.has_per_particle_shapes() { resolved_radius(settings).max(1.0) } else { 1.0 };
-        let cover_scale = match given_have_shapes {
+        let cover_scale = if given_have_shapes {
             // The semi-axes of an ellipsoid are recovered from its matrix, which may round them slightly
             // down.
-            true => 0.9999 * resolved_radius(settings),
-            false => ball,
+            0.9999 * resolved_radius(settings)
+        } else {
+            ball
         };
         Depth {
             cover_voxels: voxels(settings.radius_init) as f32 * cover_scale,
@@ -402,13 +403,14 @@ const SCALE_MARGIN: f32 = 3.0;
 
 #[cfg(test)]
 mod tests {
-    use super::super::changes::{moved_double, rounded};
     use super::*;
     use crate::anisotropy::from_neighbors;
+    use crate::mesh::PositionRounding;
     use crate::obstacle::Obstacles;
     use crate::options::{AnisotropyKind, MethodOptions};
     use crate::particles::Ellipsoid;
-    use crate::reconstruction::{FrameSurface, PositionFormat, contour, rasterize, smooth};
+    use crate::reconstruction::changes::{moved_double, rounded};
+    use crate::reconstruction::{FrameSurface, contour, rasterize, smooth};
 
     /// A source with batches of a given size, as from a file.
     struct Batches<'a> {
@@ -528,7 +530,7 @@ mod tests {
         let Ok(rasterized) = rasterize(source, settings, shape_stats, Obstacles::default()) else {
             panic!("in memory")
         };
-        contour(smooth(rasterized, settings), settings, &[PositionFormat::Exact])
+        contour(smooth(rasterized, settings), settings, PositionRounding::Local)
     }
 
     /// The particles within a ball, so that the surface has normals in all directions.

@@ -8,21 +8,21 @@ use std::sync::Arc;
 
 use glam::IVec3;
 
-use super::field_store::{FieldStore, Storage};
-use super::postprocess::{self, Edits, PositionFormat, StoredMesh, SurfaceExclusions};
-use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
+use super::postprocess::{self, Edits, SurfaceExclusions};
+use super::tiles::{self, FieldStore, HALO_LEAVES, Storage, Tiling, tile_voxels, tiles_around};
 use super::{
     FrameSurface, SurfaceAttributes, inside_obstacles, raster_params, report_smoothing, smooth_config,
 };
 use crate::contour;
 use crate::grid::LEAF_EDGE;
 use crate::level_set::{Bounds, NarrowBand};
+use crate::mesh::{Mesh, PositionRounding};
 use crate::obstacle::{ContactStats, Obstacles};
 use crate::options::Settings;
 use crate::particles::{AnySource, ParticleSource, Unread, erased};
 use crate::rasterize::{self, Occupancy, RasterParams};
 use crate::report::{ReconstructionReport, ShapeStats};
-use crate::validation::{CheckedRegion, MeshCells, certificate, count_inputs_outside_of_source};
+use crate::validation::{CheckedRegion, Checks, MeshCells, check, count_inputs_outside_of_source};
 
 /// Error of a tiled frame.
 #[derive(Debug)]
@@ -186,10 +186,10 @@ fn smooth_fields(
 pub fn contour<S: ParticleSource>(
     frame: TiledFrame<S>,
     settings: &Settings,
-    stored: &[PositionFormat],
+    rounding: PositionRounding,
 ) -> Result<(FrameSurface, S), TiledError<S::Error>> {
     let TiledFrame { source, fields } = frame;
-    let surface = with_any(&source, |source| contour_any(source, fields, settings, stored))?;
+    let surface = with_any(&source, |source| contour_any(source, fields, settings, rounding))?;
     Ok((surface, source))
 }
 
@@ -197,13 +197,13 @@ fn contour_any(
     source: &AnySource<'_>,
     fields: TiledFields,
     settings: &Settings,
-    stored: &[PositionFormat],
+    rounding: PositionRounding,
 ) -> Result<FrameSurface, TiledError<Unread>> {
     let TiledFields { obstacles, occupancy, tiles, tile_leaves, store, tiling, half_width, mut report } =
         fields;
     let scene = raster_params(settings, &obstacles);
     let RasterParams { lattice, radii, .. } = scene;
-    let bound_violation_count = bound_violations(&store, &tiling)?;
+    report.certificate.bound_violation_count = bound_violations(&store, &tiling)?;
     let phi = store.read(0, &tiling.all_slots())?;
     drop(store);
     let mut band = NarrowBand { topology: Arc::new(tiling.topology), phi, half_width };
@@ -221,29 +221,27 @@ fn contour_any(
             let own = bins.leaves().filter(|(origin, _)| owned.contains(*origin));
             particles.extend(own.map(|(origin, locals)| (origin, locals.to_vec())));
         }
-        edits = postprocess::edit(&mut band, particles, (&scene, settings), &mut report.edits);
+        edits = postprocess::edit(&mut band, particles, &scene, settings, &mut report.edits);
     }
-    let mut mesh = postprocess::mesh(&band, &edits, (&scene, settings), &mut report.depth);
+    let mut mesh = postprocess::mesh(&band, &edits, &scene, settings, &mut report.depth);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     let exempt = &SurfaceExclusions { scene: &scene, edits: &edits };
-    let how = (settings, stored);
-    let checks = postprocess::finalize(&mut mesh, how, &mut report, |checked, check| {
-        let StoredMesh { mesh, rounding } = *checked;
+    let validate = |mesh: &Mesh, rounding_voxels: f32| {
         let cells = &MeshCells::new(mesh, &band, &lattice);
+        let mut checks = Checks::EMPTY;
         for &tile in &tiles {
             let (owned, bins) = tile_particles(tile)?;
             let (bins, band, lattice) = (&bins, &band, &lattice);
-            check(&CheckedRegion { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
+            let region =
+                CheckedRegion { bins, radii, band, mesh, cells, rounding_voxels, lattice, owned, exempt };
+            checks = checks.merge(check(&region));
         }
-        Ok::<(), TiledError<Unread>>(())
-    })?;
-    let counts = (bound_violation_count, report.dropped_count);
-    report.certificate =
-        certificate(checks, counts, (Some(&radii), settings.offset), &mesh, &report.mesh, &lattice);
+        Ok::<Checks, TiledError<Unread>>(checks)
+    };
+    postprocess::finalize(&mut mesh, settings, Some(&radii), rounding, &mut report, validate)?;
     if source.is_smoothed() {
-        let how = (&lattice, radii.offset);
         let outside =
-            count_inputs_outside_of_source(source, &band, how, exempt).map_err(TiledError::Source)?;
+            count_inputs_outside_of_source(source, &band, &scene, exempt).map_err(TiledError::Source)?;
         report.certificate.input_positions_outside = Some(outside);
     }
     Ok(FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report })
@@ -271,12 +269,13 @@ const RUN_LEAVES: usize = 4096;
 mod tests {
     use std::sync::Mutex;
 
-    use super::super::{FIELD_STORE_FILES, reconstruct_frame};
+    use glam::DVec3;
+
     use super::*;
     use crate::obstacle::{MeshSdf, Obstacle, ObstacleSdf};
     use crate::options::{AnisotropyKind, ClipBox, Integrator, MethodOptions};
     use crate::particles::{Attribute, AttributeValues, OwnedPositions, ParticleCloud, Role};
-    use glam::DVec3;
+    use crate::reconstruction::{FIELD_STORE_FILES, reconstruct_frame};
 
     /// A storage in memory.
     #[derive(Default)]
@@ -341,7 +340,7 @@ mod tests {
 
     fn finished(frame: TiledFrame<OwnedPositions>, settings: &Settings) -> FrameSurface {
         let smoothed = smooth(frame, settings, &mut |_| {}).expect("in memory");
-        contour(smoothed, settings, &[PositionFormat::Exact]).expect("in memory").0
+        contour(smoothed, settings, PositionRounding::Local).expect("in memory").0
     }
 
     /// A few tiles only, fast enough for every test run.
@@ -525,10 +524,10 @@ mod tests {
         let (shaped, shape_stats) = super::super::shape_particles(cloud, settings);
         let Ok(whole) = super::super::rasterize(&shaped, settings, shape_stats, obstacles.clone());
         let whole =
-            super::super::contour(super::super::smooth(whole, settings), settings, &[PositionFormat::Exact]);
+            super::super::contour(super::super::smooth(whole, settings), settings, PositionRounding::Local);
         let frame = rasterize(shaped, settings, shape_stats, obstacles.clone(), 4, storages());
         let smoothed = smooth(frame.expect("in memory"), settings, &mut |_| {}).expect("in memory");
-        let (tiled, _) = contour(smoothed, settings, &[PositionFormat::Exact]).expect("in memory");
+        let (tiled, _) = contour(smoothed, settings, PositionRounding::Local).expect("in memory");
         assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
         assert!(tiled.band.phi == whole.band.phi, "{settings:?}");
         assert!(tiled.mesh == whole.mesh);

@@ -10,13 +10,12 @@
 
 use rayon::prelude::*;
 
-use super::biharmonic::{EIGENVALUE_MAX, inner_laplacian};
-use super::free_voxels::FreeVoxels;
+use super::FreeVoxels;
 use super::schedule::Workspace;
-use crate::grid::{Leaf, LeafMask, Neighborhood, slabs_in};
+use crate::grid::{Field, LEAVES_PER_TASK, Leaf, LeafMask, Neighborhood, Topology, slabs_in, vectors_in};
 use crate::level_set::{Bounds, NarrowBand};
 use crate::parallel::Loops as _;
-use crate::simd::{self, Kernel, Lanes};
+use crate::simd::{self, Kernel, Lanes, Vector, WideKernel};
 
 /// Takes one step of `step_size` h⁴. Returns the maximum change of a value in the `own` leaves, before
 /// clamping, in voxels.
@@ -127,6 +126,112 @@ impl Kernel for Advance<'_> {
         let mut greatest = [0.0; 8];
         moved_max.store(&mut greatest);
         greatest.into_iter().fold(0.0, f32::max)
+    }
+}
+
+// Laplacian smoothing: φ ← φ + Δt ∇²φ |∇φ|, clamped to the bounds (paper, §3.1 and Alg. 1).
+//
+// A few steps smooth the union of spheres before the biharmonic steps. Alone, this flow shrinks everything
+// it smooths (paper, Fig. 5).
+
+/// Voxels with |φ| up to this are changed (Alg. 1, line 6).
+const BAND_WIDTH: f32 = 4.0;
+
+/// Takes `step_count` steps of `step_size` h². `next` is a scratch field as large as φ.
+pub(super) fn smooth_laplacian(
+    band: &mut NarrowBand,
+    bounds: &Bounds,
+    next: &mut Field,
+    step_count: u32,
+    step_size: f32,
+) {
+    let topology = band.topology.clone();
+    for _ in 0..step_count {
+        next.leaves.par_iter_mut().enumerate().with_max_len(LEAVES_PER_TASK).halved().for_each(
+            |(leaf, next)| {
+                let around = Neighborhood::new(&band.phi.leaves, topology.neighbors(), leaf);
+                let bounds = [&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]];
+                simd::dispatch_wide(LaplacianStep { around: &around, bounds, step_size, next });
+            },
+        );
+        std::mem::swap(&mut band.phi, next);
+    }
+}
+
+/// Kernel: a step of one leaf.
+struct LaplacianStep<'a> {
+    around: &'a Neighborhood<'a>,
+    bounds: [&'a Leaf; 2],
+    step_size: f32,
+    next: &'a mut Leaf,
+}
+
+impl WideKernel for LaplacianStep<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Vector>(self) {
+        let [lower, upper] = self.bounds;
+        let step_size = V::splat(self.step_size);
+        for (x, ys) in vectors_in::<V>(u64::MAX) {
+            let slab = self.around.slab(x);
+            let next = self.next.slab_mut(x);
+            for y in ys {
+                let phi = slab.row::<V>(y);
+                let is_near = V::not(V::splat(BAND_WIDTH).lt(phi.abs()));
+                if !V::any(is_near) {
+                    phi.store_at(next, y);
+                    continue;
+                }
+                let change = step_size.mul(slab.laplacian(y)).mul(slab.gradient_norm(y));
+                let (lower, upper) = (V::load_at(lower.slab(x), y), V::load_at(upper.slab(x), y));
+                let bounded = phi.add(change).max(lower).min(upper);
+                V::select(is_near, bounded, phi).store_at(next, y);
+            }
+        }
+    }
+}
+
+// The biharmonic operator ∇⁴φ = ∇²(∇²φ), computed by applying central differences twice (paper, Eq. 4).
+//
+// Its eigenvalues on the lattice lie in [0, 144] in units of 1/h⁴, because those of the 7-point Laplacian
+// lie in [−12, 0].
+
+/// The largest eigenvalue of the discrete biharmonic, in units of 1/h⁴.
+pub const EIGENVALUE_MAX: f32 = 144.0;
+
+/// First application: the Laplacian of `values` in the rows where it is needed, in voxel units.
+pub(super) fn inner_laplacian(topology: &Topology, band: &FreeVoxels, values: &Field, laplacian: &mut Field) {
+    let neighbors = topology.neighbors();
+    laplacian.leaves.par_iter_mut().zip(&band.laplacian_rows).enumerate().halved().for_each(
+        |(leaf, (laplacian, &rows))| {
+            if rows == 0 {
+                return;
+            }
+            let around = Neighborhood::new(&values.leaves, neighbors, leaf);
+            simd::dispatch_wide(Laplacian { around: &around, rows, laplacian });
+        },
+    );
+}
+
+/// Kernel: the Laplacian of selected rows of a leaf; bit `x·8 + y` selects a row.
+pub(super) struct Laplacian<'a> {
+    pub(super) around: &'a Neighborhood<'a>,
+    pub(super) rows: u64,
+    pub(super) laplacian: &'a mut Leaf,
+}
+
+impl WideKernel for Laplacian<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Vector>(self) {
+        for (x, ys) in vectors_in::<V>(self.rows) {
+            let slab = self.around.slab(x);
+            for y in ys {
+                slab.laplacian::<V>(y).store_at(self.laplacian.slab_mut(x), y);
+            }
+        }
     }
 }
 

@@ -9,30 +9,25 @@
 //! sequence temporally coherent. The clamp comes last, so that the bounds (Eq. 6) hold at every voxel of the
 //! result; the redistancing before it could violate them.
 
-mod biharmonic;
-mod cache_block;
-mod conjugate_gradient;
 mod explicit;
-mod free_voxels;
 mod heavy_ball;
 mod implicit;
-mod laplacian;
 mod peaks;
 mod schedule;
-mod thickness;
-
-pub use biharmonic::EIGENVALUE_MAX;
-pub use implicit::Convergence;
-pub use schedule::{FieldSet, SmoothContext, SmoothOp, SmoothStats, Workspace, schedule};
 
 use std::convert::Infallible;
 use std::ops::ControlFlow;
 
 use rayon::prelude::*;
 
-use crate::grid::Field;
+pub use explicit::EIGENVALUE_MAX;
+pub use implicit::Convergence;
+pub use schedule::{FieldSet, SmoothContext, SmoothOp, SmoothStats, Workspace, schedule};
+
+use crate::grid::{Direction, Field, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::level_set::{Bounds, NEAREST_TO_ZERO, NarrowBand};
 use crate::parallel::Loops as _;
+use crate::simd::{self, Kernel, Lanes};
 use crate::words::word_enum;
 
 word_enum! {
@@ -132,11 +127,11 @@ pub fn smooth_while<B>(
 
 /// Moves values away from zero, unless the bounds require values that small.
 fn keep_off_zero(phi: &mut Field, bounds: &Bounds) {
-    let bounds = bounds.lower.leaves.par_iter().zip(&bounds.upper.leaves);
-    phi.leaves.par_iter_mut().zip(bounds).halved().for_each(|(phi, (lower, upper))| {
-        for ((phi, lower), upper) in phi.values.iter_mut().zip(&lower.values).zip(&upper.values) {
+    phi.leaves.par_iter_mut().enumerate().halved().for_each(|(leaf, phi)| {
+        let (lower, upper) = (&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]);
+        for (offset, phi) in phi.values.iter_mut().enumerate() {
             if phi.abs() < NEAREST_TO_ZERO {
-                *phi = NEAREST_TO_ZERO.copysign(*phi).max(*lower).min(*upper);
+                *phi = NEAREST_TO_ZERO.copysign(*phi).max(lower.values[offset]).min(upper.values[offset]);
             }
         }
     });
@@ -170,6 +165,216 @@ pub fn smooth_laplacian_only(band: &mut NarrowBand, bounds: &Bounds, steps: u32)
                 SmoothContext { config: &config, band, bounds, workspace: &mut workspace, own: None }
                     .apply(op);
             }
+        }
+    }
+}
+
+// Selects the voxels that a step may change, and the rows it must visit.
+//
+//      |φ| ≤ 3   free: the unknowns of a step
+//      + 1       their face neighbors: the inner Laplacian is also needed here
+//      + 1       the next neighbors: read, but held fixed
+//
+// The free voxels are selected from φ at the start of a step (paper, §3.5) and do not change during the
+// step.
+
+/// The free voxels of a step, and the rows where the inner Laplacian is needed.
+struct FreeVoxels {
+    /// Free voxels, by leaf.
+    free: Vec<LeafMask>,
+    /// Rows with a free voxel, by leaf: bit `x·8 + y`.
+    free_rows: Vec<u64>,
+    /// Rows with a free voxel or a face neighbor of one, by leaf: bit `x·8 + y`.
+    laplacian_rows: Vec<u64>,
+}
+
+impl FreeVoxels {
+    /// The free voxels are those with |φ| ≤ `width` voxels.
+    fn new(topology: &Topology, phi: &Field, width: f32) -> FreeVoxels {
+        FreeVoxels::of(topology, near(phi, width))
+    }
+
+    /// Like [`new`](Self::new), without the voxels that are pinned.
+    fn excluding(topology: &Topology, phi: &Field, width: f32, held: &[LeafMask]) -> FreeVoxels {
+        let mut free = near(phi, width);
+        free.par_iter_mut().zip(held).halved().for_each(|(free, held)| free.remove_all(held));
+        FreeVoxels::of(topology, free)
+    }
+
+    /// Uses exactly these free voxels.
+    fn of(topology: &Topology, free: Vec<LeafMask>) -> FreeVoxels {
+        let neighbors = topology.neighbors();
+        let laplacian_rows = (0..free.len())
+            .into_par_iter()
+            .halved()
+            .map(|leaf| dilated_rows(&free, &neighbors[leaf], leaf))
+            .collect();
+        let free_rows = free.par_iter().halved().map(LeafMask::occupied_rows).collect();
+        FreeVoxels { free, free_rows, laplacian_rows }
+    }
+
+    /// Updates `free_rows` after voxels were removed from `free`. `laplacian_rows` need not change: extra
+    /// rows cost only time.
+    fn recount_free_rows(&mut self) {
+        self.free_rows = self.free.par_iter().halved().map(LeafMask::occupied_rows).collect();
+    }
+
+    /// Number of free voxels in all leaves, or in those that are `own`.
+    fn free_count(&self, own: Option<&[bool]>) -> u64 {
+        let counted =
+            self.free.par_iter().enumerate().halved().filter(|(leaf, _)| own.is_none_or(|own| own[*leaf]));
+        counted.map(|(_, mask)| u64::from(mask.count())).sum()
+    }
+}
+
+/// The voxels with |φ| ≤ `width`.
+fn near(phi: &Field, width: f32) -> Vec<LeafMask> {
+    phi.leaves.par_iter().halved().map(|leaf| simd::dispatch(NearZero { leaf, width })).collect()
+}
+
+/// The voxels of a leaf with |φ| ≤ `width`.
+struct NearZero<'a> {
+    leaf: &'a Leaf,
+    width: f32,
+}
+
+impl Kernel for NearZero<'_> {
+    type Output = LeafMask;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> LeafMask {
+        let mut mask = LeafMask::EMPTY;
+        for row in 0..ROW_COUNT {
+            let is_beyond = V::splat(self.width).lt(V::load(self.leaf.row(row)).abs());
+            mask.set_row(row, !V::bits(is_beyond));
+        }
+        mask
+    }
+}
+
+/// The rows of a leaf that contain a free voxel or a face neighbor of one.
+fn dilated_rows(free: &[LeafMask], neighbors: &[u32; 6], leaf: usize) -> u64 {
+    let face = |direction: Direction| {
+        let neighbor = neighbors[direction as usize];
+        if neighbor == NO_LEAF { LeafMask::EMPTY } else { free[neighbor as usize] }
+    };
+    let own = free[leaf].occupied_rows();
+    // Row (x, y) is bit x·8 + y: a step in x shifts by 8, a step in y by 1 within each byte.
+    let along_x = own << 8 | own >> 8;
+    let along_y = (own << 1 & !0x0101_0101_0101_0101) | (own >> 1 & !0x8080_8080_8080_8080);
+    let from_x = face(Direction::XMinus).occupied_rows() >> 56 | face(Direction::XPlus).occupied_rows() << 56;
+    let from_y = (face(Direction::YMinus).occupied_rows() >> 7 & 0x0101_0101_0101_0101)
+        | (face(Direction::YPlus).occupied_rows() << 7 & 0x8080_8080_8080_8080);
+    let from_z = face(Direction::ZMinus).rows_with(0x80) | face(Direction::ZPlus).rows_with(0x01);
+    own | along_x | along_y | from_x | from_y | from_z
+}
+
+// Finds where the free region is so thick that a step converges slowly.
+//
+// The free voxels of a step are a layer along the surface, about six voxels thick, between fixed values.
+// Modes that fit into this layer have a wavelength of about its thickness, and therefore an eigenvalue of at
+// least 1 + (4.73/6.5)⁴·Δt, like a plate clamped on both sides. Only where surfaces come close, as in spray
+// and thin sheets, do their layers merge into a thicker region, which has slow modes.
+//
+//   fixed ──────────      ────────╮  ╭────────
+//   free  ▒▒▒▒▒▒▒▒▒▒      ▒▒▒▒▒▒▒▒╰▒▒╯▒▒▒▒▒▒▒▒
+//         ~~surface~      ~surface~▒▒~surface~       the middle is more than four voxels from any fixed
+//   free  ▒▒▒▒▒▒▒▒▒▒      ▒▒▒▒▒▒▒▒╭▒▒╮▒▒▒▒▒▒▒▒       voxel: a deep voxel
+//   fixed ──────────      ────────╯  ╰────────
+//
+// Deep voxels remain after four erosions, alternating between a cross and a cube, which together approximate
+// a ball. Voxels around deep ones count as thick. The test is per voxel and does not depend on leaf
+// boundaries.
+
+/// Voxels within this distance of a deep one, per axis, count as thick. Deep voxels are more than four from
+/// fixed ones.
+const AROUND_DEEP: usize = 6;
+
+/// Maximum distance of the voxels that affect whether a voxel is thick.
+const THICKNESS_REACH: u32 = AROUND_DEEP as u32 + 4;
+
+/// The free voxels that are thick.
+fn thick(topology: &Topology, free: &[LeafMask]) -> Vec<LeafMask> {
+    let mut left = free.to_vec();
+    for axes in [&[0, 1, 2][..], &[0], &[1], &[2], &[0, 1, 2], &[0], &[1], &[2]] {
+        left = with_neighbors(topology, &left, axes, 1, LeafMask::and);
+    }
+    if left.par_iter().halved().all(LeafMask::is_empty) {
+        return left;
+    }
+    for axis in 0..3 {
+        left = with_neighbors(topology, &left, &[axis], AROUND_DEEP, LeafMask::or);
+    }
+    left.par_iter().zip(free).halved().map(|(near_deep, free)| near_deep.and(free)).collect()
+}
+
+/// Joins each mask with copies of itself shifted along these axes, in both directions and by up to `steps`.
+fn with_neighbors(
+    topology: &Topology,
+    masks: &[LeafMask],
+    axes: &[usize],
+    steps: usize,
+    join: impl Fn(&LeafMask, &LeafMask) -> LeafMask + Sync,
+) -> Vec<LeafMask> {
+    let joined = |(leaf, mask): (usize, &LeafMask)| {
+        let beyond = |face: usize| match topology.neighbors()[leaf][face] {
+            NO_LEAF => LeafMask::EMPTY,
+            neighbor => masks[neighbor as usize],
+        };
+        let mut all = *mask;
+        for &axis in axes {
+            let (before, after) = (beyond(2 * axis), beyond(2 * axis + 1));
+            for steps in 1..=steps {
+                let [one, other] = mask.shifted(axis, steps, &before, &after);
+                all = join(&join(&all, &one), &other);
+            }
+        }
+        all
+    };
+    masks.par_iter().enumerate().halved().map(joined).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::IVec3;
+
+    use super::*;
+
+    #[test]
+    fn laplacian_rows_include_face_neighbors_of_free_voxels() {
+        let corner = IVec3::new(7, 0, 7);
+        let topology =
+            Topology::new(vec![IVec3::ZERO, IVec3::new(8, 0, 0), IVec3::new(0, -8, 0), IVec3::new(0, 0, 8)]);
+        let mut phi = Field::splat(topology.len(), 6.0);
+        phi.leaves[topology.find(IVec3::ZERO).unwrap()].values[crate::grid::offset_in_leaf(corner)] = 1.0;
+        let band = FreeVoxels::new(&topology, &phi, 3.0);
+        assert_eq!(band.free_count(None), 1);
+        let rows = |x: i32, y: i32, z: i32| band.laplacian_rows[topology.find(IVec3::new(x, y, z)).unwrap()];
+        assert_eq!(rows(0, 0, 0), 1 << 56 | 1 << 57 | 1 << 48);
+        assert_eq!(rows(8, 0, 0), 1 << 0);
+        assert_eq!(rows(0, -8, 0), 1 << 63);
+        assert_eq!(rows(0, 0, 8), 1 << 56);
+    }
+
+    /// Number of thick voxels in a block of 4³ leaves whose free voxels are those that satisfy `is_free`.
+    fn thick_count(is_free: impl Fn(IVec3) -> bool) -> usize {
+        let origins = (0..64).map(|leaf| IVec3::new(leaf >> 4, leaf >> 2 & 3, leaf & 3) * 8).collect();
+        let topology = Topology::new(origins);
+        let free: Vec<LeafMask> = topology
+            .origins()
+            .iter()
+            .map(|&origin| LeafMask::from_fn(|offset| is_free(origin + crate::grid::voxel_in_leaf(offset))))
+            .collect();
+        thick(&topology, &free).iter().map(|mask| mask.count() as usize).sum()
+    }
+
+    #[test]
+    fn single_layer_is_thin_and_double_layer_is_thick() {
+        for normal in [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0], [1.0, -2.0, 3.0]] {
+            let normal = glam::Vec3::from(normal).normalize();
+            let depth = |voxel: IVec3| normal.dot(voxel.as_vec3() - 15.6).abs();
+            assert_eq!(thick_count(|voxel| depth(voxel) <= 3.0), 0, "{normal}");
+            assert!(thick_count(|voxel| depth(voxel) <= 6.0) > 0, "{normal}");
         }
     }
 }

@@ -33,8 +33,7 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
-use super::free_voxels::near;
-use super::thickness::with_neighbors;
+use super::{near, with_neighbors};
 use crate::grid::{Field, LeafMask, Neighborhood, Topology, offset_in_leaf, voxel_in_leaf};
 use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes};

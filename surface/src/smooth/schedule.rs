@@ -11,12 +11,10 @@
 //! Tiles exchange halos between operations. So each operation is implemented once and does not depend on
 //! tiles.
 
-use super::free_voxels::FreeVoxels;
 use super::heavy_ball::{HeavyBall, StepParams};
-use super::implicit::Convergence;
+use super::implicit::{self, Convergence};
 use super::peaks::{PEAK_REACH, pinned_peaks};
-use super::thickness::THICKNESS_REACH;
-use super::{Integrator, SmoothConfig, SmoothReport, explicit, implicit, keep_off_zero, laplacian};
+use super::{FreeVoxels, Integrator, SmoothConfig, SmoothReport, THICKNESS_REACH, explicit, keep_off_zero};
 use crate::grid::{Field, Topology};
 use crate::level_set::{Bounds, NarrowBand, Sweeps, extend_distances, redistance_in};
 
@@ -247,7 +245,7 @@ impl SmoothContext<'_> {
         let SmoothContext { config, band, bounds, workspace, own } = self;
         match op {
             SmoothOp::Laplacian { steps } => {
-                laplacian::smooth_laplacian(band, bounds, &mut workspace.second, steps, LAPLACIAN_STEP_SIZE);
+                explicit::smooth_laplacian(band, bounds, &mut workspace.second, steps, LAPLACIAN_STEP_SIZE);
                 SmoothStats::default()
             }
             SmoothOp::Restore => self.redistance(Sweeps::accurate(REDISTANCE_SWEEPS)),
@@ -346,19 +344,18 @@ const TIME_TOLERANCE: f64 = 1e-6;
 
 /// The free voxels of an implicit step.
 fn free_region(topology: &Topology, phi: &Field, pins_peaks: bool) -> FreeVoxels {
-    match pins_peaks {
-        true => FreeVoxels::excluding(topology, phi, FREE_WIDTH, &pinned_peaks(topology, phi)),
-        false => FreeVoxels::new(topology, phi, FREE_WIDTH),
+    if pins_peaks {
+        FreeVoxels::excluding(topology, phi, FREE_WIDTH, &pinned_peaks(topology, phi))
+    } else {
+        FreeVoxels::new(topology, phi, FREE_WIDTH)
     }
 }
 
 fn sweeps_after(config: &SmoothConfig) -> Sweeps {
-    match config.integrator.is_implicit() && !config.pin_isolated_spheres {
-        true => Sweeps {
-            second_order_within: IMPLICIT_SECOND_ORDER_WITHIN,
-            ..Sweeps::accurate(REDISTANCE_SWEEPS)
-        },
-        false => Sweeps::accurate(REDISTANCE_SWEEPS),
+    if config.integrator.is_implicit() && !config.pin_isolated_spheres {
+        Sweeps { second_order_within: IMPLICIT_SECOND_ORDER_WITHIN, ..Sweeps::accurate(REDISTANCE_SWEEPS) }
+    } else {
+        Sweeps::accurate(REDISTANCE_SWEEPS)
     }
 }
 

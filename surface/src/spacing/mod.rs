@@ -18,23 +18,17 @@
 //! Invariants: the result does not depend on the order of the particles; repeated positions count as one
 //! particle; multiplying all positions by a power of two multiplies the result exactly.
 
-mod bounded;
-mod cell;
-mod local;
-mod sample;
 mod tree;
 
-use glam::DVec3;
+use std::collections::BTreeSet;
+
+use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use crate::parallel::Loops as _;
-use crate::particles::Positions;
+use crate::particles::{AnySource, OwnedPositions, Positions, Unread};
 use crate::words::significant;
-
-pub use bounded::SourceSample;
-use local::Local;
-use sample::sample;
-use tree::KdNode;
+use tree::{KdNode, Section, Volume};
 
 /// Sample size. The median spacing of a sample of this size is within about one percent of the median of all,
 /// whatever their number.
@@ -253,5 +247,308 @@ fn finite_positions(positions: &Positions<'_>) -> Vec<DVec3> {
         .collect()
 }
 
+// Selects the particles to measure: those with the smallest hashes.
+
+/// Up to `count` distinct points: those with the smallest hashes. The order of the points does not matter,
+/// and neither does their position in the world, as long as differences are exact.
+fn sample(points: &[DVec3], count: usize) -> Vec<DVec3> {
+    let Some(anchor) = componentwise_median(points) else { return Vec::new() };
+    let extent = points.iter().fold(DVec3::ZERO, |extent, &point| extent.max((point - anchor).abs()));
+    let unit = extent.max_element();
+    let mut least: BTreeSet<(u64, [u64; 3])> = BTreeSet::new();
+    for &point in points {
+        let entry = (hash_without_scale(point - anchor, unit), point.to_array().map(f64::to_bits));
+        if least.len() < count {
+            least.insert(entry);
+        } else if least.last().is_some_and(|&greatest| entry < greatest) && least.insert(entry) {
+            least.pop_last();
+        }
+    }
+    least.into_iter().map(|(_, bits)| DVec3::from(bits.map(f64::from_bits))).collect()
+}
+
+/// A position in the middle of the points. Unlike a corner of their box, it does not follow an outlier:
+/// relative to an outlier, all other points would have nearly the same offset.
+fn componentwise_median(points: &[DVec3]) -> Option<DVec3> {
+    let mut values = Vec::with_capacity(points.len());
+    let mut median = DVec3::ZERO;
+    for axis in 0..3 {
+        values.clear();
+        values.extend(points.iter().map(|point| point[axis]));
+        let middle = values.len() / 2;
+        if values.is_empty() {
+            return None;
+        }
+        median[axis] = *values.select_nth_unstable_by(middle, f64::total_cmp).1;
+    }
+    Some(median)
+}
+
+/// A hash of an offset. Exponents are taken relative to that of `unit`, so scaling all points by a power of
+/// two does not change the hash.
+fn hash_without_scale(offset: DVec3, unit: f64) -> u64 {
+    const EXPONENT: u64 = 0x7ff0_0000_0000_0000;
+    let unit = unit.to_bits() & EXPONENT;
+    offset.to_array().into_iter().fold(0, |hash, along| {
+        let relative = if along == 0.0 { 0 } else { along.to_bits().wrapping_sub(unit) };
+        mix(hash ^ relative)
+    })
+}
+
+/// The finalizer of SplitMix64: every bit of the result depends on every bit of `value`.
+fn mix(value: u64) -> u64 {
+    let value = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let value = (value ^ value >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let value = (value ^ value >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    value ^ value >> 31
+}
+
+// The spacing of more particles than fit into memory: reads them twice, batch by batch.
+//
+//   all particles ──▶ every n-th ──▶ boxes around some of these ──▶ all particles in the boxes ──▶ estimate
+//
+// The particles of a sample are farther apart than those of the source, by a factor that depends on whether
+// they are in a body, a sheet or a filament. So the estimate uses all particles of the source that are in
+// boxes around some particles of the sample.
+
+/// A sample of this size is as good as all particles. At most twice as many are kept.
+const SAMPLE_MAX: usize = 1 << 20;
+
+/// Upper limit of the number of boxes.
+const BOX_COUNT: usize = 32;
+
+/// Half an edge of a box in a body has at least this many spacings: most particles in the box then have all
+/// their neighbours in it.
+const HALF_EDGE_SPACINGS: f64 = 8.0;
+
+/// Every n-th particle of a source, in its order.
+#[derive(Debug)]
+pub struct SourceSample {
+    /// The finite particles of the sample.
+    pub(crate) particles: OwnedPositions,
+    /// n: one of this many particles is in the sample.
+    every: usize,
+}
+
+impl SourceSample {
+    /// Samples a source of `particle_count` particles; takes all of them if they are few.
+    ///
+    /// # Errors
+    /// Those of the source.
+    pub fn of(source: &AnySource<'_>, particle_count: usize) -> Result<SourceSample, Unread> {
+        let every = particle_count.div_ceil(SAMPLE_MAX).max(1);
+        let mut passed = 0;
+        let particles = collect_wanted(source, |_| {
+            passed += 1;
+            (passed - 1) % every == 0
+        })?;
+        Ok(SourceSample { particles, every })
+    }
+
+    /// Estimates the spacing of all particles of the source that this is a sample of. `None` as in
+    /// [`estimate_spacing`].
+    ///
+    /// # Errors
+    /// Those of the source.
+    pub fn estimate(&self, source: &AnySource<'_>) -> Result<Option<SpacingEstimate>, Unread> {
+        let Some(of_sample) = estimate_spacing(&self.particles) else { return Ok(None) };
+        if self.every == 1 {
+            return Ok(Some(of_sample));
+        }
+        let as_in_a_body = of_sample.spacing / (self.every as f64).cbrt();
+        let boxes = self.boxes((2.0 * of_sample.spacing).max(HALF_EDGE_SPACINGS * as_in_a_body));
+        let in_a_box = |position: DVec3| {
+            boxes
+                .iter()
+                .any(|[least, greatest]| position.cmpge(*least).all() && position.cmple(*greatest).all())
+        };
+        Ok(estimate_spacing(&collect_wanted(source, in_a_box)?))
+    }
+
+    /// Cubes around some of the particles.
+    fn boxes(&self, half_edge: f64) -> Vec<[DVec3; 2]> {
+        let count = self.particles.len();
+        let centers = (0..count).step_by(count.div_ceil(BOX_COUNT).max(1));
+        let center = |index| self.particles.position(index);
+        centers.map(center).map(|center| [center - half_edge, center + half_edge]).collect()
+    }
+}
+
+/// The finite particles that `is_wanted` selects.
+fn collect_wanted(
+    source: &AnySource<'_>,
+    mut is_wanted: impl FnMut(DVec3) -> bool,
+) -> Result<OwnedPositions, Unread> {
+    let mut found: Vec<[f64; 3]> = Vec::new();
+    for batch in 0..source.batch_count() {
+        let mut take = |position: [f64; 3]| {
+            let point = DVec3::from(position);
+            if is_wanted(point) && point.is_finite() && found.len() < 2 * SAMPLE_MAX {
+                found.push(position);
+            }
+        };
+        match source.batch(batch)? {
+            Positions::F32(positions) => {
+                positions.iter().for_each(|&[x, y, z]| take([x, y, z].map(f64::from)))
+            }
+            Positions::F64(positions) => positions.iter().for_each(|&position| take(position)),
+        }
+    }
+    Ok(OwnedPositions::F64(found))
+}
+
+// The particle spacing around one particle.
+//
+//    .   .   .   .         in a body: the cube root of the volume of the particle's Voronoi cell, which is
+//      ┌───┐               exact for lattices and, in the mean, for random particles
+//    . │ ● │ .   .
+//      └───┘               in a sheet or at a surface, where the cell is open: the square root of the area
+//    .   .   .   .         of the cell's section by the plane of the near particles
+//
+//    ●───●───●             in a filament or among few particles, if the section is open, too: the mean
+//                          length of the edges to the neighbours with no particle in between
+//
+// Particles of a fluid under pressure have smaller cells than at rest, at nearly the same distances. In a
+// body, the estimate is therefore a weighted mean: the edges have a weight of a quarter.
+
+/// If a corner of a cell is farther away than this many spacings, the particle is at a surface or in spray,
+/// and the cell does not measure the spacing. In a cubic lattice, corners are at 0.87 spacings.
+const BODY_RADIUS_MAX: f64 = 1.25;
+
+/// The same limit for a section. In a square lattice, corners are at 0.71 spacings.
+const SHEET_RADIUS_MAX: f64 = 1.2;
+
+/// The weight of edges in a body.
+const BODY_EDGE_WEIGHT: f64 = 0.25;
+
+/// The β of the lune-based β-skeleton that defines the edges. For any β above 1 it has the edges of a square
+/// or cubic lattice, without diagonals. The mean edge of random particles is 1 spacing for a β of 1.24, that
+/// of a disturbed lattice for 1.7: this value is in between.
+const BETA: f64 = 1.35;
+
+/// Edges longer than this many times the second shortest are gaps. (In a filament, the two shortest edges
+/// lead to the two adjacent particles.)
+const GAP: f64 = 2.5;
+
+/// Neighbours this many times farther than the nearest are left out, to keep precision.
+const FAR: f64 = 1e6;
+
+/// The particle spacing around one particle, by the structure around it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Local {
+    /// Neighbours surround the particle.
+    Body(f64),
+    /// Neighbours surround the particle in a plane.
+    Sheet(f64),
+    /// Neighbours do not surround the particle.
+    Open(f64),
+}
+
+impl Local {
+    /// Measures a particle among its neighbours, given as offsets, the nearest first. `None` if it has no
+    /// neighbours, or if distances do not fit into an `f64`.
+    fn among(neighbors: &[DVec3]) -> Option<Local> {
+        let nearest = neighbors.first()?.length();
+        let near_count = neighbors.partition_point(|neighbor| neighbor.length() <= FAR * nearest);
+        let neighbors = &neighbors[..near_count];
+        let far = neighbors.last()?.length();
+
+        let mut edges = edges(neighbors);
+        // In a coiled filament, particles of the next turn are not neighbours.
+        let farthest = GAP * edges.get(1).map_or(f64::INFINITY, |second| second.length());
+        edges.retain(|edge| edge.length() <= farthest);
+        let edge = edges.iter().map(|edge| edge.length()).sum::<f64>() / edges.len() as f64;
+        let is_closed = |radius: f64, spacing: f64, max: f64| radius <= far && radius <= max * spacing;
+
+        let Volume { volume, radius } = Volume::among(neighbors);
+        let by_volume = volume.cbrt();
+        let local = if is_closed(radius, by_volume, BODY_RADIUS_MAX) {
+            Local::Body(by_volume + BODY_EDGE_WEIGHT * (edge - by_volume))
+        } else {
+            let section = normal(&edges).map(|normal| Section::among(neighbors, normal));
+            let section = section.map(|Section { area, radius }| (area.sqrt(), radius));
+            match section {
+                Some((by_area, radius)) if is_closed(radius, by_area, SHEET_RADIUS_MAX) => {
+                    Local::Sheet(by_area)
+                }
+                _ => Local::Open(edge),
+            }
+        };
+        (local.spacing().is_finite() && local.spacing() > 0.0).then_some(local)
+    }
+
+    /// The spacing, world units.
+    fn spacing(self) -> f64 {
+        match self {
+            Local::Body(spacing) | Local::Sheet(spacing) | Local::Open(spacing) => spacing,
+        }
+    }
+}
+
+/// The neighbours, sorted by distance, with no other particle in the lune in between: no other particle is
+/// closer than β/2 edge lengths to both centres of the lune.
+///
+/// Particles in the lune are closer than the neighbour at the end of the edge, so only those are tested.
+fn edges(neighbors: &[DVec3]) -> Vec<DVec3> {
+    let is_edge = |&(index, &end): &(usize, &DVec3)| {
+        let radius_squared = (0.5 * BETA).powi(2) * end.length_squared();
+        let centers = [0.5 * BETA * end, (1.0 - 0.5 * BETA) * end];
+        let is_between =
+            |other: &DVec3| centers.iter().all(|&center| other.distance_squared(center) < radius_squared);
+        !neighbors[..index].iter().any(is_between)
+    };
+    neighbors.iter().enumerate().filter(is_edge).map(|(_, &end)| end).collect()
+}
+
+/// The direction along which the edges extend least; `None` if all edges are on one line.
+///
+/// It is the eigenvector of the smallest eigenvalue of Σ u·uᵀ over the edge directions u. The adjugate has
+/// the same eigenvector for its largest eigenvalue, which dominates its powers.
+fn normal(edges: &[DVec3]) -> Option<DVec3> {
+    let moments = edges.iter().map(|edge| edge.normalize_or_zero());
+    let moments = moments.fold(DMat3::ZERO, |sum, along| sum + outer(along));
+    let [a, b, c] = [moments.x_axis, moments.y_axis, moments.z_axis];
+    let mut power = DMat3::from_cols(b.cross(c), c.cross(a), a.cross(b));
+    let trace = |matrix: &DMat3| matrix.x_axis.x + matrix.y_axis.y + matrix.z_axis.z;
+    if trace(&power) <= 1e-9 * trace(&moments).powi(2) {
+        return None;
+    }
+    for _ in 0..6 {
+        power *= 1.0 / trace(&power);
+        power *= power;
+    }
+    let diagonal = DVec3::new(power.x_axis.x, power.y_axis.y, power.z_axis.z);
+    power.col(diagonal.max_position()).try_normalize()
+}
+
+fn outer(along: DVec3) -> DMat3 {
+    DMat3::from_cols(along.x * along, along.y * along, along.z * along)
+}
+
 #[cfg(test)]
 mod tests;
+
+#[cfg(test)]
+mod tests_of_samples {
+    use super::*;
+    use crate::particles::erased;
+
+    #[test]
+    fn bounded_estimate_matches_the_spacing_of_all_particles() {
+        let lattice = |counts: [usize; 3], spacing: f64| {
+            let [x, y, z] = counts;
+            let at =
+                |index: usize| [index % x, index / x % y, index / x / y].map(|step| step as f64 * spacing);
+            OwnedPositions::F64((0..x * y * z).map(at).collect())
+        };
+        // A body and a sheet; every second or third particle of each is sampled.
+        for counts in [[130, 130, 130], [1700, 1700, 1]] {
+            let particles = lattice(counts, 0.25);
+            let Ok(sample) = erased(&particles, |source| SourceSample::of(source, particles.len()));
+            assert!(sample.every > 1 && sample.particles.len() <= SAMPLE_MAX);
+            let Ok(estimate) = erased(&particles, |source| sample.estimate(source));
+            let found = estimate.expect("enough").spacing;
+            assert!((found / 0.25 - 1.0).abs() < 0.03, "{counts:?}: {found}");
+        }
+    }
+}

@@ -1,4 +1,4 @@
-use super::sample::mix;
+use super::mix;
 use super::*;
 use crate::particles::OwnedPositions;
 

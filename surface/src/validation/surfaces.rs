@@ -75,7 +75,7 @@ impl<'a> ShapedParticles<'a> {
                 let is_inside = V::both(is_reached, to_min.lt(V::splat(from_min)));
                 for lane in SetBits(V::bits(is_inside) & !sides.inside_min_bits) {
                     let apart = points.point(lane) - step - *particle;
-                    if is_nearer(&self.bins.shapes, index, apart, (min, from_min)) {
+                    if is_nearer(&self.bins.shapes, index, apart, min, from_min) {
                         sides.inside_min_bits |= 1 << lane;
                     }
                 }
@@ -97,7 +97,7 @@ pub(super) struct Sides {
 /// too large, most of all near the centre of a flat one. Within half a voxel of the surface, where vertices
 /// are without an offset, the first-order depth is the stricter limit, and vertices can be moved to keep it.
 #[cold]
-fn is_nearer(shapes: &Shapes, index: usize, apart: Vec3, (radius, distance): (f32, f32)) -> bool {
+fn is_nearer(shapes: &Shapes, index: usize, apart: Vec3, radius: f32, distance: f32) -> bool {
     let Shapes::Ellipsoids(ellipsoids) = shapes else { return true };
     let (ellipsoid, radius, apart) = (&ellipsoids[index], f64::from(radius), apart.as_dvec3());
     match distance {
@@ -287,7 +287,7 @@ mod tests {
             // The first-order depth is never smaller, and much larger beside the centre.
             let [first_order, _] = distances(&shapes, 0, x.as_vec3(), [radius; 2]);
             assert!(f64::from(-first_order) >= found - 1e-4, "{x}: {first_order} {found}");
-            let is_nearer = |distance: f64| is_nearer(&shapes, 0, x.as_vec3(), (radius, distance as f32));
+            let is_nearer = |distance: f64| is_nearer(&shapes, 0, x.as_vec3(), radius, distance as f32);
             assert!(is_nearer(-0.99 * nearest) && !is_nearer(-1.01 * nearest - 2e-3), "{x}");
         }
     }

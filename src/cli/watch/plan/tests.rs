@@ -199,7 +199,6 @@ fn invalid_options_are_refused() {
 fn errors_name_the_line_and_the_key() {
     for (entry, words) in [
         ("stage = \"s.usda\"", &["`stage` plays", "add usdc to `formats`"][..]),
-        ("quantize = true\nformats = [\"obj\"]", &["`quantize` requires .glb output", "to `formats`"]),
         ("clip = \"1,1,1,0,0,0\"", &["`clip`: ", "the box"]),
         ("pattern = \"a[\"", &["`pattern`: ", "not a valid pattern"]),
         ("radius_ratio = 0.5\npreset = \"granular\"", &["`radius_ratio`: ", "radius ratio is 0.5"]),

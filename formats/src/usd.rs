@@ -1,16 +1,65 @@
-//! The properties of the mesh of one frame. Its vertex attributes become these properties:
+//! The content of a mesh and of a sequence in USD: the properties that both the text writer and the binary
+//! writer encode.
 //!
 //! ```text
-//!   velocity   velocities, for motion blur     colour     primvars:displayColor, displayOpacity
-//!   acceleration  accelerations, which renderers use together with the velocities
-//!   floats     primvars:NAME, as vectors if a vertex has two to four values
-//!   integers   the same with the type int; if a value needs 64 bits, scalars of the type int64 instead of
-//!              vectors, of which elementSize says how many belong to a vertex
-//!   strings    primvars:NAME, the distinct strings, and primvars:NAME:indices
+//!   def Xform "root"
+//!       def Mesh "surface"
+//!           extent, faceVertexCounts, faceVertexIndices, normals, orientation, points,
+//!           velocities, accelerations, primvars:NAME .., subdivisionScheme, xformOp:translate
 //! ```
 
 use crate::data::{MeshView, VertexAttribute, VertexValues};
+use crate::error::Result;
+use crate::gltf::{
+    ACCELERATION, COLOR, NORMAL, POSITION, PositionTransform, SequenceFrame, SequencePlacement,
+    SharedAttribute, VELOCITY, shared_attributes,
+};
+use crate::steps::{check_numbers, held_times};
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
+
+/// The name of the vertex attribute in a property; `None` for other properties.
+pub(crate) fn attribute_of(property: &str) -> Option<&str> {
+    match property.strip_prefix("primvars:") {
+        Some(name) => Some(name).filter(|name| !name.ends_with(INDICES)),
+        None => Some(property).filter(|name| [VELOCITIES, ACCELERATIONS].contains(name)),
+    }
+}
+
+/// A property of a mesh that has time samples. A [stage](crate::usda::UsdStage) declares these properties.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SampledProperty {
+    /// Its type in USD, such as `point3f[]`.
+    pub kind: String,
+    /// Its name, such as `points` or `primvars:id`.
+    pub name: String,
+}
+
+impl SampledProperty {
+    /// A property from a file; `None` if the texts are not a type and a name. The file may be damaged, and
+    /// stages repeat the texts.
+    pub(crate) fn checked(kind: &str, name: &str) -> Option<SampledProperty> {
+        let has_only = |text: &str, others: &str| {
+            !text.is_empty() && text.chars().all(|c| c.is_ascii_alphanumeric() || others.contains(c))
+        };
+        let is_valid = has_only(kind, "[]") && has_only(name, "_:");
+        is_valid.then(|| SampledProperty { kind: kind.to_owned(), name: name.to_owned() })
+    }
+}
+
+/// The suffix in the name of the property that has the indices of an indexed primvar.
+pub(crate) const INDICES: &str = ":indices";
+
+/// The format's name in errors.
+pub(crate) const FORMAT: &str = "USD";
+
+// The properties of the mesh of one frame. Its vertex attributes become these properties:
+//
+//   velocity   velocities, for motion blur     colour     primvars:displayColor, displayOpacity
+//   acceleration  accelerations, which renderers use together with the velocities
+//   floats     primvars:NAME, as vectors if a vertex has two to four values
+//   integers   the same with the type int; if a value needs 64 bits, scalars of the type int64 instead of
+//              vectors, of which elementSize says how many belong to a vertex
+//   strings    primvars:NAME, the distinct strings, and primvars:NAME:indices
 
 /// Properties for motion blur, sampled at the times of the points.
 pub(crate) const VELOCITIES: &str = "velocities";
@@ -166,7 +215,7 @@ enum UsdProperty {
 }
 
 /// Names of primvars that have a meaning for renderers, so other attributes cannot have them.
-pub(super) const RESERVED: [&str; 3] = ["displayColor", "displayOpacity", "normals"];
+const RESERVED: [&str; 3] = ["displayColor", "displayOpacity", "normals"];
 
 /// The number of components of the widest vector type.
 const TUPLE_MAX: usize = 4;
@@ -247,7 +296,7 @@ fn of_attribute<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) -> 
     }
 }
 
-pub(super) fn vector(kind: &str, width: usize) -> String {
+fn vector(kind: &str, width: usize) -> String {
     if width == 1 { kind.to_owned() } else { format!("{kind}{width}") }
 }
 
@@ -256,4 +305,124 @@ fn primvar<'a>(kind: &str, name: &str, elements: Elements<'a>, element_size: usi
     let primvar =
         MeshProperty::array(&format!("{kind}[]"), &format!("primvars:{name}"), elements).per_vertex();
     MeshProperty { element_size, ..primvar }
+}
+
+// The frames of a sequence, and the attributes that all of them have.
+
+/// The name of the mesh.
+pub(crate) const PRIM: &str = "surface";
+
+/// The frames of a sequence.
+pub(crate) struct UsdSequence<'a> {
+    pub(crate) frames: &'a [SequenceFrame],
+    pub(crate) placement: SequencePlacement,
+}
+
+/// A vertex attribute to write.
+pub(crate) struct SequenceAttribute {
+    /// Its name in the frames' `.glb` files.
+    pub(crate) semantic: String,
+    /// Its type and name in USD.
+    pub(crate) kind: String,
+    pub(crate) name: String,
+    /// The components to write: the index of the first, and their number.
+    pub(crate) first: usize,
+    pub(crate) arity: usize,
+    /// Whether its interpolation is `vertex`.
+    pub(crate) is_per_vertex: bool,
+}
+
+impl SequenceAttribute {
+    fn new(semantic: &str, (kind, name): (&str, &str), first: usize, arity: usize) -> SequenceAttribute {
+        let is_per_vertex = !matches!(name, "points" | VELOCITIES | ACCELERATIONS);
+        let [semantic, kind, name] = [semantic, kind, name].map(str::to_owned);
+        SequenceAttribute { semantic, kind, name, first, arity, is_per_vertex }
+    }
+}
+
+impl<'a> UsdSequence<'a> {
+    /// Checks the frames, whose numbers must increase.
+    pub(crate) fn of(frames: &'a [SequenceFrame]) -> Result<UsdSequence<'a>> {
+        check_numbers(FORMAT, frames.iter().map(|frame| (frame.name.as_str(), frame.code)))?;
+        Ok(UsdSequence { frames, placement: SequencePlacement::of(frames, FORMAT)? })
+    }
+
+    /// The first and the last time code, or zeros without frames.
+    pub(crate) fn code_range(&self) -> [i64; 2] {
+        [self.frames.first(), self.frames.last()].map(|frame| frame.map_or(0, |frame| frame.code))
+    }
+
+    /// The summary of all frames.
+    pub(crate) fn layer_info(&self) -> Result<LayerInfo> {
+        let mut info = LayerInfo { frames: Some(self.frames.len() as u64), ..LayerInfo::default() };
+        for frame in self.frames {
+            info.vertices += frame.file.vertex_count() as u64;
+            info.faces += frame.file.triangle_count()? as u64;
+        }
+        Ok(info)
+    }
+
+    /// The attributes that all frames with a mesh have, and notes on the others.
+    pub(crate) fn attributes(&self) -> Result<(Vec<SequenceAttribute>, Vec<String>)> {
+        let mut found = vec![
+            SequenceAttribute::new(NORMAL, ("normal3f[]", "normals"), 0, 3),
+            SequenceAttribute::new(POSITION, ("point3f[]", "points"), 0, 3),
+        ];
+        let (shared, mut notes) = shared_attributes(self.frames)?;
+        let mut used = UsedNames::new(&RESERVED);
+        for SharedAttribute { semantic, name, arity } in shared {
+            let attribute = |about, first, arity| SequenceAttribute::new(&semantic, about, first, arity);
+            match (semantic.as_str(), arity) {
+                (VELOCITY, 3) => found.push(attribute(("vector3f[]", VELOCITIES), 0, 3)),
+                (ACCELERATION, 3) => found.push(attribute(("vector3f[]", ACCELERATIONS), 0, 3)),
+                (COLOR, 3 | 4) => {
+                    found.push(attribute(("color3f[]", "primvars:displayColor"), 0, 3));
+                    let opacity = attribute(("float[]", "primvars:displayOpacity"), 3, 1);
+                    found.extend((arity == 4).then_some(opacity));
+                }
+                _ => {
+                    let kind = format!("{}[]", vector("float", arity));
+                    let wanted = identifier(&name);
+                    let plain = used.take(&wanted, |stem| vec![stem.to_owned()]).concat();
+                    if plain != wanted {
+                        notes.push(format!("{semantic} is named primvars:{plain} in the sequence"));
+                    }
+                    found.push(attribute((&kind, &format!("primvars:{plain}")), 0, arity));
+                }
+            }
+        }
+        Ok((found, notes))
+    }
+
+    /// The transform of the positions of a frame.
+    pub(crate) fn transform(&self, index: usize) -> Result<PositionTransform> {
+        self.placement.transform(&self.frames[index].file)
+    }
+
+    /// The minimum and maximum corner of a frame, relative to the sequence's origin. Without a mesh, the
+    /// empty range of OpenUSD, so that no box contains the origin. OpenUSD warns of an empty array.
+    pub(crate) fn extent(&self, index: usize) -> Result<[[f32; 3]; 2]> {
+        if !self.frames[index].file.has_mesh() {
+            return Ok([[f32::MAX; 3], [f32::MIN; 3]]);
+        }
+        self.frames[index].file.transformed_bounds(&self.transform(index)?)
+    }
+
+    /// The origin of the sequence, unless it is zero.
+    pub(crate) fn origin(&self) -> Option<[f64; 3]> {
+        Some(self.placement.origin).filter(|origin| *origin != [0.0; 3])
+    }
+
+    /// The [time codes](held_times) at which a frame needs a sample of a value that has the same size in all
+    /// frames, such as its extent.
+    pub(crate) fn held_codes(&self, index: usize) -> impl Iterator<Item = f64> {
+        held_times(self.frames[index].code, self.frames.get(index + 1).map(|next| next.code))
+    }
+
+    /// The [time codes](held_times) at which a frame needs samples of the values of its vertices.
+    pub(crate) fn vertex_codes(&self, index: usize) -> impl Iterator<Item = f64> {
+        let frame = &self.frames[index];
+        let is_as_large = |next: &&SequenceFrame| next.file.vertex_count() == frame.file.vertex_count();
+        held_times(frame.code, self.frames.get(index + 1).filter(is_as_large).map(|next| next.code))
+    }
 }
