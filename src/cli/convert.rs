@@ -9,8 +9,8 @@ use anyhow::{Context, Result, bail};
 use meniscus_formats::listed;
 
 use crate::pipeline::{
-    Frame, FrameFile, FrameRecords, Job, OnError, OutputFormat, OutputOptions, Sequence, SequenceRecord,
-    StageFrame, StageSequence, output_sequence,
+    Frame, FrameFile, FrameRecords, Job, OnError, OutputFormat, OutputOptions, STATE_FOLDER, Sequence,
+    SequenceRecord, StageFrame, StageSequence, output_sequence,
 };
 
 use super::CommandOutcome;
@@ -85,10 +85,25 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     let conversion = Conversion::new(selection, job, &args.method, outputs)?;
     // Only a folder of results has records.
     let records = matches!(destination, Destination::Folder)
-        .then(|| FrameRecords::open(&conversion.outputs.folder))
-        .transpose()
-        .with_context(|| format!("{}: cannot read the records", conversion.outputs.folder.display()))?;
+        .then(|| open_records(&conversion.outputs.folder, console))
+        .transpose()?;
     destination.send(convert_all(args, conversion, records.map(Arc::new), start, console)?)
+}
+
+/// The records of finished frames in the folder of the results.
+///
+/// # Errors
+/// If records cannot be read or written there.
+fn open_records(folder: &Path, console: &Console) -> Result<FrameRecords> {
+    let opened = FrameRecords::open(folder).and_then(|records| records.prepare().map(|()| records));
+    let records = opened.with_context(|| {
+        let records = folder.join(STATE_FOLDER);
+        format!("{}: finished frames are recorded in this folder: make it writable", records.display())
+    })?;
+    for problem in records.problems() {
+        console.warning(format_args!("{problem}: frames that are recorded there are converted again"));
+    }
+    Ok(records)
 }
 
 /// The options allowed with `--particles-only`.
@@ -241,8 +256,9 @@ fn shard_of(
 
 /// The shard of this task of a job array.
 fn slurm_shard() -> Result<FrameShard> {
-    let [task, min, max, step] =
-        ["SLURM_ARRAY_TASK_ID", "SLURM_ARRAY_TASK_MIN", "SLURM_ARRAY_TASK_MAX", "SLURM_ARRAY_TASK_STEP"];
+    let [task, min, max, step, count] =
+        ["ID", "MIN", "MAX", "STEP", "COUNT"].map(|name| format!("SLURM_ARRAY_TASK_{name}"));
+    let [task, min, max, step, count] = [&task, &min, &max, &step, &count].map(String::as_str);
     let number = |name: &str| -> Result<usize> {
         let value = std::env::var_os(name).with_context(|| {
             format!(
@@ -257,7 +273,13 @@ fn slurm_shard() -> Result<FrameShard> {
     if step == 0 || !(min..=max).contains(&id) || !(id - min).is_multiple_of(step) {
         bail!("--shard slurm: task {id} is not in the array {min}-{max}:{step}");
     }
-    Ok(FrameShard { index: (id - min) / step, count: (max - min) / step + 1 })
+    let task_count = ((max - min) / step).checked_add(1).context("--shard slurm: the array is too large")?;
+    if std::env::var_os(count).is_some() && number(count)? != task_count {
+        bail!(
+            "--shard slurm: the array {min}-{max}:{step} has gaps, so some shards would never run: submit the whole array; finished frames are skipped"
+        );
+    }
+    Ok(FrameShard { index: (id - min) / step, count: task_count })
 }
 
 impl FrameShard {

@@ -1,6 +1,6 @@
 //! `meniscus verify`: checks the results in a folder against their records.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::io;
 use std::path::{Path, PathBuf, absolute};
 use std::sync::Arc;
@@ -12,8 +12,8 @@ use serde::Serialize;
 
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::{
-    DoneRecord, FrameFile, FrameRecords, OutputComparison, ResultState, STATE_FOLDER, SettingValues, Wanted,
-    canonical_entry, file_of, hash_of_input,
+    DoneRecord, FrameFile, FrameRecords, OutputComparison, ResultState, STATE_FOLDER, Wanted,
+    canonical_entry, file_of, hash_of_input, sequences,
 };
 
 use super::CommandOutcome;
@@ -73,7 +73,7 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     if !args.input.is_empty() {
         let found = find_inputs(&args.input)?;
         found.report(console);
-        add_inputs(&mut frames, &found.files)?;
+        add_inputs(&mut frames, found.files)?;
     }
     if frames.is_empty() {
         bail!(
@@ -82,7 +82,10 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
         );
     }
     refuse_to_replace(args.report.as_deref(), folder, &frames)?;
-    let wanted = current_settings(&records, frames.values().filter_map(|frame| frame.record.as_ref()));
+    for problem in records.problems() {
+        console.warning(format_args!("{problem}: the frames that are recorded there count as missing"));
+    }
+    let wanted = current_settings(&frames);
     let frames: Vec<(PathBuf, KnownFrame)> = frames.into_iter().collect();
     let verified: Vec<VerifiedFrame> = thread_pool(args.threads)?.install(|| {
         frames.into_par_iter().map(|(name, frame)| verify_frame(&records, name, frame, &wanted)).collect()
@@ -120,42 +123,43 @@ fn recorded_frames(records: &FrameRecords) -> BTreeMap<PathBuf, KnownFrame> {
 
 /// Adds the frames of these inputs. The paths of inputs replace those in the records, because inputs may have
 /// been moved.
-fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: &[FrameFile]) -> Result<()> {
-    for file in files {
+fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: Vec<FrameFile>) -> Result<()> {
+    let mut name_of: HashMap<PathBuf, PathBuf> =
+        frames.iter().map(|(name, frame)| (frame.input.clone(), name.clone())).collect();
+    let mut given = HashSet::new();
+    for file in sequences(files).into_iter().flat_map(|sequence| sequence.frames) {
         let input = absolute(&file.path).with_context(|| file.path.display().to_string())?;
-        let known = frames
-            .entry(file.stem().into())
-            .or_insert_with(|| KnownFrame { input: PathBuf::new(), record: None });
-        known.input = input;
+        let name = name_of.remove(&input).unwrap_or_else(|| file.stem().into());
+        // Of several inputs with the same outputs, the first one is converted.
+        if given.insert(name.clone()) {
+            frames.entry(name).or_insert_with(|| KnownFrame { input: PathBuf::new(), record: None }).input =
+                input;
+        }
     }
     Ok(())
 }
 
-/// The settings of each sequence: those of its latest record.
-fn current_settings<'a>(
-    records: &FrameRecords,
-    done: impl Iterator<Item = &'a Arc<DoneRecord>>,
-) -> BTreeMap<(PathBuf, String), SettingValues> {
-    let mut latest: BTreeMap<(PathBuf, String), &Arc<DoneRecord>> = BTreeMap::new();
-    for record in done {
-        let known = latest.entry(sequence_of(record)).or_insert(record);
-        if record.at_ms > known.at_ms {
-            *known = record;
-        }
+/// The id of the settings of each frame's sequence: those of its latest record. Machines' clocks may differ, so
+/// of two records at almost the same time either may count.
+fn current_settings(frames: &BTreeMap<PathBuf, KnownFrame>) -> HashMap<PathBuf, String> {
+    let recorded: HashMap<&Path, &DoneRecord> =
+        frames.values().filter_map(|frame| Some((&*frame.input, frame.record.as_deref()?))).collect();
+    let inputs = frames.values().map(|frame| FrameFile::new(frame.input.clone())).collect();
+    let mut settings = HashMap::new();
+    for sequence in sequences(inputs) {
+        let records = sequence.frames.iter().filter_map(|file| recorded.get(&*file.path));
+        let Some(latest) = records.max_by_key(|record| record.at_ms) else { continue };
+        let ids = sequence.frames.iter().map(|file| (file.path.clone(), latest.settings.clone()));
+        settings.extend(ids);
     }
-    let settings = |record: &DoneRecord| records.settings(&record.settings).unwrap_or_default();
-    latest.into_iter().map(|(sequence, record)| (sequence, settings(record))).collect()
-}
-
-fn sequence_of(record: &DoneRecord) -> (PathBuf, String) {
-    FrameFile::new(record.input.clone()).sequence()
+    settings
 }
 
 fn verify_frame(
     records: &FrameRecords,
     name: PathBuf,
-    KnownFrame { input, record }: KnownFrame,
-    settings: &BTreeMap<(PathBuf, String), SettingValues>,
+    KnownFrame { input, .. }: KnownFrame,
+    settings: &HashMap<PathBuf, String>,
 ) -> VerifiedFrame {
     let input_hash = match hash_of_input(&input) {
         Ok(hash) => Ok(Some(hash)),
@@ -164,14 +168,15 @@ fn verify_frame(
             Err(format!("{}: {error}; the results cannot be compared with their input", input.display()))
         }
     };
-    let none = SettingValues::new();
-    let settings = record.as_ref().and_then(|record| settings.get(&sequence_of(record))).unwrap_or(&none);
+    let settings_id = settings.get(&input).map_or("", String::as_str);
+    let settings = records.settings(settings_id);
     let wanted = Wanted {
         name: &name,
         outputs: None,
         input_hash: input_hash.clone().ok().flatten(),
         obstacles: None,
-        settings,
+        settings_id,
+        settings: settings.as_ref(),
         cameras: Vec::new(),
     };
     let (state, _) = records.state(&wanted, OutputComparison::Bytes);

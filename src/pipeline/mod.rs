@@ -68,6 +68,7 @@ mod warning;
 pub use error::{Cause, FrameError, ObstacleError, Stage};
 pub use files::atomic_write::{replace_own, stop_writing, write_atomically};
 pub use files::frame_number::{is_number, natural_order};
+pub use files::host::host_name;
 pub use files::input_file::InputFile;
 pub(crate) use files::names::text_of_name;
 pub use files::number_pattern::{NumberPattern, files_in, is_absent, is_link_loop, may_be_file};

@@ -286,6 +286,24 @@ fn slurm_task_id_selects_the_shard() {
     }
 }
 
+/// The shards of the missing tasks would never be converted.
+#[test]
+fn job_array_with_gaps_is_refused() {
+    let folder = prepared(2);
+    let run = |[id, min, max, count]: [&str; 4]| {
+        let mut command = command(folder.path(), &["convert", "in", "--out", "out", "--shard", "slurm"]);
+        let values = [("ID", id), ("MIN", min), ("MAX", max), ("COUNT", count)];
+        command.envs(values.map(|(name, value)| (format!("SLURM_ARRAY_TASK_{name}"), value)));
+        let output = command.output().expect("the command starts");
+        (output.status.code(), String::from_utf8(output.stderr).expect("text"))
+    };
+    let (status, message) = run(["2", "1", "7", "3"]);
+    assert!(status == Some(2) && message.contains("the array 1-7:1 has gaps"), "{message}");
+    let (status, message) = run(["0", "0", "18446744073709551615", "1"]);
+    assert!(status == Some(2) && message.contains("the array is too large"), "{message}");
+    assert_eq!(run(["2", "1", "2", "2"]), (Some(0), String::new()));
+}
+
 /// A state, the damage to the results of a frame that causes it, and the expected message.
 type Case = (&'static str, fn(&Path), &'static str);
 

@@ -6,6 +6,7 @@
 //!   stamp         detects that a file was written again  input_file   a file that may change during a read
 //!   path_identity  whether two paths are the same file   json         values that JSON cannot represent
 //!   temporary     a file that is not complete yet        staged_file  complete, without its final name
+//!   host          the name of this machine
 //!   checked_line  lines of JSON with a checksum          atomic_write  writes files atomically
 //!   sweep         cleans up after killed processes       out_folder   checks the output folder before a run
 //! ```
@@ -13,6 +14,7 @@
 pub(super) mod atomic_write;
 pub(crate) mod checked_line;
 pub(super) mod frame_number;
+pub(super) mod host;
 pub(super) mod input_file;
 pub(crate) mod json;
 pub(super) mod names;

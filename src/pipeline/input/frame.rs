@@ -134,8 +134,12 @@ impl Frame {
 
     /// The name of the frame in its records: the path of its outputs in the folder, without extension.
     fn recorded_name(&self, records: &FrameRecords) -> PathBuf {
-        let folder = &self.outputs.folder;
-        folder.strip_prefix(records.folder()).unwrap_or(folder).join(&self.stem)
+        let (folder, root) = (&self.outputs.folder, records.folder());
+        let within = folder.strip_prefix(root).map(Path::to_owned).ok().or_else(|| {
+            let [folder, root] = [folder.canonicalize().ok()?, root.canonicalize().ok()?];
+            folder.strip_prefix(root).map(Path::to_owned).ok()
+        });
+        within.unwrap_or_default().join(&self.stem)
     }
 
     /// The recorded state of the frame's outputs, if it has records and its input has this hash.
@@ -146,12 +150,14 @@ impl Frame {
     ) -> Option<(ResultState, Option<Arc<DoneRecord>>)> {
         let records = self.records.as_ref()?;
         let name = |path: PathBuf| path.file_name().unwrap_or_default().into();
+        let settings = recorded_settings(self);
         let wanted = Wanted {
             name: &self.recorded_name(records),
             outputs: Some(self.output_paths().into_iter().map(name).collect()),
             input_hash: Some(input_hash),
             obstacles: Some(obstacles),
-            settings: &recorded_settings(self),
+            settings_id: &settings_id(&settings),
+            settings: Some(&settings),
             cameras: valid_cameras(self),
         };
         Some(records.state(&wanted, OutputComparison::Stamps))

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   OUT/dam.0012.glb, OUT/dam.0012.vdb
-//!   OUT/.meniscus/frames-9f3c02d1a47be658        one file for each process that writes at the same time
+//!   OUT/.meniscus/frames-51e07b3a-9f3c02d1a47be658     one file for each process that writes at the same time
 //!     41d07e5522a98c3f {"settings":{"id":"7d1c…","values":{"voxel_size":"0.02", … }}}
 //!     8f3a09c1d2e4b576 {"done":{"name":"dam.0012","input_hash":"…","settings":"7d1c…","outputs":[ … ], … }}
 //!     c2609b1ea0f347d8 {"failed":{"name":"dam.0013","reason":" … "}}
@@ -25,36 +25,49 @@
 //! **Losing a record only costs time**: its frame is converted again. So a line is one write without a sync, a
 //! torn or damaged line is skipped, and nothing is recorded before all outputs of a frame have their names.
 //!
-//! A process appends to a file of its own, beside which it holds a lock (`frames-….lock`): a file that an
-//! earlier process has left, or a new one. So there are as many files as processes that ever wrote at the same
-//! time, and no process waits for another one, also on network file systems.
+//! A process appends to a file of its own, beside which it holds a lock (`frames-….lock`): one that an earlier
+//! process of this machine has left, or a new one. So there are as many files as processes that ever wrote at the
+//! same time, and no process waits for another one, also on network file systems. Locks do not always reach other
+//! machines, so the name of a file contains a hash of the machine's name.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Seek, SeekFrom, Write};
-use std::path::{Path, PathBuf};
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
+use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::pipeline::files::checked_line::{push_line, record_of_line};
+use crate::pipeline::files::host::host_name;
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::json::{hex, path};
-use crate::pipeline::files::open::{open_own, require_own_folder};
+use crate::pipeline::files::open::{open_itself, open_own, require_own_folder};
 use crate::pipeline::files::stamp::{FileStamp, now_ms};
-use crate::pipeline::files::temporary::{
-    create_locked, is_still_at, lock_abandoned, random_number, remove_if_exists,
-};
+use crate::pipeline::files::temporary::{create_locked, is_still_at, random_number, remove_if_exists};
 
 /// The folder for this program's own files, in the folder of outputs.
 pub const STATE_FOLDER: &str = ".meniscus";
 
-/// The start of the name of a file of records; 16 hexadecimal digits follow.
+/// The start of the name of a file of records; 8 hexadecimal digits for the machine and 16 others follow.
 const FILE_PREFIX: &str = "frames-";
 
 /// The extension of the lock of a file of records.
 const LOCK_EXTENSION: &str = "lock";
+
+/// A longer line is not a record.
+const LINE_BYTES_MAX: u64 = 1 << 20;
+
+/// A larger file is not continued.
+const CONTINUED_BYTES_MAX: u64 = 1 << 30;
+
+/// How often the files are listed, if some disappear meanwhile.
+const LISTINGS_MAX: usize = 3;
+
+/// Other records are read again after this many times as long as reading them took.
+const PAUSE_PER_READ: u32 = 10;
 
 /// A file with fewer lines is not compacted.
 const COMPACTED_LINES_MIN: usize = 1000;
@@ -149,8 +162,10 @@ pub struct Wanted<'a> {
     pub input_hash: Option<u128>,
     /// The names and hashes of its obstacle files; `None` if they are not known.
     pub obstacles: Option<&'a str>,
-    /// Its settings.
-    pub settings: &'a SettingValues,
+    /// The id of its settings.
+    pub settings_id: &'a str,
+    /// Its settings, to tell how recorded ones differ; `None` if they are not known.
+    pub settings: Option<&'a SettingValues>,
     /// The cameras that its pictures may have; empty if it has none, or they are not known.
     pub cameras: Vec<String>,
 }
@@ -188,6 +203,10 @@ struct KnownRecords {
     settings: HashMap<String, SettingValues>,
     /// The number of bytes that were read of each file, complete lines only.
     read_bytes: HashMap<PathBuf, u64>,
+    /// Files that cannot be read, and why.
+    unreadable: BTreeMap<PathBuf, String>,
+    /// When the files were read last, and how long that took.
+    last_read: Option<(Instant, Duration)>,
     /// The file that this process appends to.
     own: Option<OwnFile>,
 }
@@ -209,8 +228,23 @@ impl FrameRecords {
     /// When the system refuses; `InvalidInput` if a link has replaced the folder of the records.
     pub fn open(folder: &Path) -> io::Result<FrameRecords> {
         let records = FrameRecords { folder: folder.to_owned(), content: Mutex::default() };
-        records.content().refresh(&records.state_folder())?;
+        records.content().read_news(&records.state_folder())?;
         Ok(records)
+    }
+
+    /// Why files of records cannot be read, if there are such files: their frames are converted again.
+    pub fn problems(&self) -> Vec<String> {
+        let known = self.content();
+        known.unreadable.iter().map(|(path, why)| format!("{}: {why}", path.display())).collect()
+    }
+
+    /// Opens the file that this process will append to, so that a folder that takes no records is found before
+    /// frames are converted.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn prepare(&self) -> io::Result<()> {
+        self.content().open_own(&self.state_folder())
     }
 
     /// The folder of the outputs.
@@ -307,13 +341,11 @@ impl FrameRecords {
 
     /// The first way in which a record is not what is wanted.
     fn difference(&self, record: &DoneRecord, wanted: &Wanted<'_>) -> Option<String> {
-        if record.settings != settings_id(wanted.settings) {
+        if record.settings != wanted.settings_id {
             let content = self.content();
             let recorded = content.settings.get(&record.settings);
-            let unknown = || "made with other settings".to_owned();
-            return Some(
-                recorded.and_then(|was| changed_setting(was, wanted.settings)).unwrap_or_else(unknown),
-            );
+            let changed = recorded.zip(wanted.settings).and_then(|(was, now)| changed_setting(was, now));
+            return Some(changed.unwrap_or_else(|| "made with other settings".to_owned()));
         }
         if wanted.input_hash.is_some_and(|hash| hash != record.input_hash) {
             return Some("the input has changed since it was made".to_owned());
@@ -444,6 +476,8 @@ impl KnownRecords {
             RecordLine::Settings { id, values } => {
                 self.settings.insert(id, values);
             }
+            // Such a record is not one of this program.
+            RecordLine::Done(record) if !record.is_plain() => {}
             RecordLine::Done(record) => {
                 let records = self.done.entry(record.name.clone()).or_default();
                 records.retain(|other| !other.is_replaced_by(&record));
@@ -456,48 +490,87 @@ impl KnownRecords {
         }
     }
 
-    /// Reads what was added to the files since the last call. Returns whether anything was.
+    /// Reads what was added to the files since the last call, but not too often. Returns whether anything was.
     fn refresh(&mut self, folder: &Path) -> io::Result<bool> {
+        let is_recent = |(at, took): (Instant, Duration)| at.elapsed() < took * PAUSE_PER_READ;
+        if self.last_read.is_some_and(is_recent) { Ok(false) } else { self.read_news(folder) }
+    }
+
+    /// Reads what was added to the files since the last call. Returns whether anything was.
+    fn read_news(&mut self, folder: &Path) -> io::Result<bool> {
+        let start = Instant::now();
         let mut has_news = false;
-        for path in record_files(folder)? {
-            let from = self.read_bytes.get(&path).copied().unwrap_or(0);
-            let bytes = match read_from(&path, from) {
-                // Another process has compacted or removed it.
-                Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
-                bytes => bytes?,
-            };
-            let Some(end) = bytes.iter().rposition(|byte| *byte == b'\n') else { continue };
-            for line in bytes[..end].split(|byte| *byte == b'\n') {
-                // A torn or damaged line is skipped: its frame is converted again.
-                if let Some(line) = record_of_line(line).and_then(|json| serde_json::from_slice(json).ok()) {
-                    self.take(line);
-                    has_news = true;
+        // If a file has disappeared, another process has moved its lines to a new one.
+        for _ in 0..LISTINGS_MAX {
+            let mut is_any_gone = false;
+            for path in record_files(folder)? {
+                let from = self.read_bytes.get(&path).copied().unwrap_or(0);
+                match self.read_lines(&path, from) {
+                    Ok(end) => {
+                        has_news |= end > from;
+                        self.unreadable.remove(&path);
+                        self.read_bytes.insert(path, end);
+                    }
+                    Err(error) if error.kind() == io::ErrorKind::NotFound => is_any_gone = true,
+                    Err(error) => drop(self.unreadable.insert(path, error.to_string())),
                 }
             }
-            self.read_bytes.insert(path, from + end as u64 + 1);
+            if !is_any_gone {
+                break;
+            }
         }
+        self.last_read = Some((Instant::now(), start.elapsed()));
         Ok(has_news)
+    }
+
+    /// Takes the records in the complete lines of a file from an offset. Returns where the last one ends.
+    fn read_lines(&mut self, path: &Path, from: u64) -> io::Result<u64> {
+        let mut file = open_own(path, OpenOptions::new().read(true))?;
+        let size = file.metadata()?.len();
+        // A file that is shorter than before was replaced: all of it is read.
+        let from = if size < from { 0 } else { from };
+        file.seek(SeekFrom::Start(from))?;
+        let (mut reader, mut end, mut line) = (BufReader::new(file), from, Vec::new());
+        loop {
+            line.clear();
+            let count = reader.by_ref().take(LINE_BYTES_MAX).read_until(b'\n', &mut line)? as u64;
+            // The writer has not finished the last line.
+            if count == 0 || count < LINE_BYTES_MAX && line.last() != Some(&b'\n') {
+                return Ok(end);
+            }
+            end += count;
+            // A torn, damaged or foreign line is skipped: its frame is converted again.
+            let record = line.strip_suffix(b"\n").and_then(record_of_line);
+            if let Some(record) = record.and_then(|json| serde_json::from_slice(json).ok()) {
+                self.take(record);
+            }
+        }
+    }
+
+    /// Opens the file that this process appends to, unless it is open and in place.
+    fn open_own(&mut self, folder: &Path) -> io::Result<()> {
+        // Users remove folders of outputs to start over.
+        if self.own.as_ref().is_some_and(|own| is_still_at(&own.path, &own.file)) {
+            return Ok(());
+        }
+        self.own = Some(OwnFile::open(folder)?);
+        // Its lines so far are read: those that are appended are known.
+        self.read_news(folder).map(drop)
     }
 
     /// Appends a line, and the settings that it refers to, if the file does not have them.
     fn append(&mut self, folder: &Path, line: &RecordLine) -> io::Result<()> {
-        let mut own = match self.own.take() {
-            // Users remove folders of outputs to start over.
-            Some(own) if is_still_at(&own.path, &own.file) => own,
-            _ => OwnFile::open(folder)?,
-        };
-        let mut bytes = Vec::new();
-        if let RecordLine::Done(record) = line
-            && !own.settings.contains(&record.settings)
-            && let Some(values) = self.settings.get(&record.settings)
+        self.open_own(folder)?;
+        if let Some(own) = &mut self.own
+            && let Ok(end) = own.append(line, &self.settings)
         {
-            let (id, values) = (record.settings.clone(), values.clone());
-            push_line(&mut bytes, &RecordLine::Settings { id: id.clone(), values })?;
-            own.settings.insert(id);
+            self.read_bytes.insert(own.path.clone(), end);
+            return Ok(());
         }
-        push_line(&mut bytes, line)?;
-        // If this fails, the file is reopened for the next record, which then begins a new line.
-        own.file.write_all(&bytes)?;
+        // Perhaps only this file cannot be written. A new one begins at a line.
+        self.own = None;
+        let mut own = OwnFile::create(folder, HashSet::new())?;
+        own.append(line, &self.settings)?;
         self.own = Some(own);
         Ok(())
     }
@@ -510,30 +583,57 @@ impl DoneRecord {
             && self.settings == other.settings
             && self.obstacles == other.obstacles
             && self.camera == other.camera
+            && self.outputs.iter().map(|file| file.hash).eq(other.outputs.iter().map(|file| file.hash))
+    }
+
+    /// Whether all its names stay within the folder of the outputs.
+    fn is_plain(&self) -> bool {
+        let is_plain = |path: &Path| path.components().all(|part| matches!(part, Component::Normal(_)));
+        let is_name = |file: &OutputFile| is_plain(&file.name) && file.name.components().count() == 1;
+        is_plain(&self.name) && !self.outputs.is_empty() && self.outputs.iter().all(is_name)
     }
 }
 
 impl OwnFile {
     /// Opens a file that no process writes to, or creates one.
     fn open(folder: &Path) -> io::Result<OwnFile> {
-        fs::create_dir_all(folder)?;
-        require_own_folder(&folder.join(FILE_PREFIX))?;
+        match fs::create_dir(folder) {
+            Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
+            _ => require_own_folder(&folder.join(FILE_PREFIX))?,
+        }
         for path in record_files(folder)? {
-            match lock_abandoned(&path.with_extension(LOCK_EXTENSION)) {
-                Ok(Some(lock)) => return OwnFile::adopt(path, lock),
-                Ok(None) => {}
-                // It belongs to another user.
-                Err(error) if error.kind() == io::ErrorKind::PermissionDenied => {}
-                Err(error) => return Err(error),
+            // A file that cannot be continued belongs to another user, or is none of this program.
+            if is_of_this_machine(&path)
+                && let Ok(Some(lock)) = lock_unused(&path.with_extension(LOCK_EXTENSION))
+                && let Ok(own) = OwnFile::adopt(path, lock)
+            {
+                return Ok(own);
             }
         }
         OwnFile::create(folder, HashSet::new())
     }
 
+    /// Appends a line, and the settings that it refers to, if the file does not have them. Returns the size of the
+    /// file.
+    fn append(&mut self, line: &RecordLine, known: &HashMap<String, SettingValues>) -> io::Result<u64> {
+        let mut bytes = Vec::new();
+        if let RecordLine::Done(record) = line
+            && !self.settings.contains(&record.settings)
+            && let Some(values) = known.get(&record.settings)
+        {
+            let (id, values) = (record.settings.clone(), values.clone());
+            push_line(&mut bytes, &RecordLine::Settings { id: id.clone(), values })?;
+            self.settings.insert(id);
+        }
+        push_line(&mut bytes, line)?;
+        self.file.write_all(&bytes)?;
+        Ok(self.file.metadata()?.len())
+    }
+
     /// Creates a file that has these settings.
     fn create(folder: &Path, settings: HashSet<String>) -> io::Result<OwnFile> {
         loop {
-            let path = folder.join(format!("{FILE_PREFIX}{:016x}", random_number()));
+            let path = folder.join(format!("{}{:016x}", machine_prefix(), random_number()));
             let lock_path = path.with_extension(LOCK_EXTENSION);
             if let Some(lock) = create_locked(&lock_path)? {
                 let created = open_own(&path, OpenOptions::new().append(true).create_new(true));
@@ -546,6 +646,9 @@ impl OwnFile {
     /// Continues a file of an earlier process. Compacts it if most of its lines are superseded.
     fn adopt(path: PathBuf, lock: File) -> io::Result<OwnFile> {
         let mut file = open_own(&path, OpenOptions::new().read(true).append(true))?;
+        if file.metadata()?.len() > CONTINUED_BYTES_MAX {
+            return Err(io::ErrorKind::FileTooLarge.into());
+        }
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes)?;
         let mut settings = HashSet::new();
@@ -559,10 +662,11 @@ impl OwnFile {
                     settings.insert(id.clone());
                     format!("settings {id}")
                 }
-                RecordLine::Done(done) => format!(
-                    "done {:?} {:x} {} {} {:?}",
-                    done.name, done.input_hash, done.settings, done.obstacles, done.camera
-                ),
+                RecordLine::Done(done) => {
+                    let hashes: Vec<u128> = done.outputs.iter().map(|file| file.hash).collect();
+                    let DoneRecord { name, input_hash, obstacles, settings, camera, .. } = &*done;
+                    format!("done {name:?} {input_hash:x} {settings} {obstacles} {camera:?} {hashes:x?}")
+                }
                 RecordLine::Failed(failure) => format!("failed {:?}", failure.name),
             };
             last.insert(key, line);
@@ -584,11 +688,18 @@ impl OwnFile {
         settings: HashSet<String>,
     ) -> io::Result<OwnFile> {
         let mut own = OwnFile::create(old.parent().unwrap_or(Path::new("")), settings)?;
-        own.file.write_all(&lines.collect::<Vec<_>>().concat())?;
-        own.file.sync_data()?;
-        remove_if_exists(old)?;
-        remove_if_exists(&old.with_extension(LOCK_EXTENSION))?;
-        Ok(own)
+        let moved = own
+            .file
+            .write_all(&lines.collect::<Vec<_>>().concat())
+            .and_then(|()| own.file.sync_data())
+            .and_then(|()| remove_if_exists(old));
+        // Otherwise each start would leave another copy.
+        let gone = if moved.is_ok() { old } else { &*own.path };
+        let _ = remove_if_exists(&gone.with_extension(LOCK_EXTENSION));
+        if moved.is_err() {
+            let _ = remove_if_exists(gone);
+        }
+        moved.map(|()| own)
     }
 }
 
@@ -609,15 +720,20 @@ fn record_files(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// The bytes of a file from an offset.
-fn read_from(path: &Path, offset: u64) -> io::Result<Vec<u8>> {
-    let mut file = open_own(path, OpenOptions::new().read(true))?;
-    let mut bytes = Vec::new();
-    if file.metadata()?.len() > offset {
-        file.seek(SeekFrom::Start(offset))?;
-        file.read_to_end(&mut bytes)?;
-    }
-    Ok(bytes)
+/// The start of the names of this machine's files.
+fn machine_prefix() -> String {
+    let hash = twox_hash::XxHash3_64::oneshot(host_name().as_bytes());
+    format!("{FILE_PREFIX}{:08x}-", hash as u32)
+}
+
+fn is_of_this_machine(path: &Path) -> bool {
+    path.file_name().unwrap_or_default().to_string_lossy().starts_with(&machine_prefix())
+}
+
+/// Locks a file that no process has locked; `None` if one has, or if the file system has no locks.
+fn lock_unused(path: &Path) -> io::Result<Option<File>> {
+    let file = open_itself(path, OpenOptions::new().read(true).write(true))?;
+    Ok((file.try_lock().is_ok() && is_still_at(path, &file)).then_some(file))
 }
 
 /// Identifies settings: a hash of their names and values.
@@ -671,20 +787,25 @@ mod tests {
         records.record_done(record, &settings).expect("recorded");
     }
 
-    fn wanted<'a>(name: &'a str, settings: &'a SettingValues, input_hash: u128) -> Wanted<'a> {
+    fn wanted<'a>(
+        name: &'a str,
+        (id, settings): &'a (String, SettingValues),
+        input_hash: u128,
+    ) -> Wanted<'a> {
         let name = Path::new(name);
         Wanted {
             name,
+            settings_id: id,
             outputs: Some(vec![name.with_added_extension("glb")]),
             input_hash: Some(input_hash),
             obstacles: Some(""),
-            settings,
+            settings: Some(settings),
             cameras: Vec::new(),
         }
     }
 
     fn state(records: &FrameRecords, name: &str, voxel_size: &str, input_hash: u128) -> ResultState {
-        let settings = values(voxel_size);
+        let settings = (settings_id(&values(voxel_size)), values(voxel_size));
         records.state(&wanted(name, &settings, input_hash), OutputComparison::Stamps).0
     }
 
@@ -806,6 +927,58 @@ mod tests {
         assert_eq!(fs::read_to_string(file).expect("text").lines().count(), 4);
         for name in ["a", "b", "c"] {
             assert_eq!(state(&records, name, "0.1", 7), ResultState::Done, "{name}");
+        }
+    }
+
+    /// A file of another machine, whose locks may not reach this one, and one that cannot be read.
+    #[test]
+    fn foreign_files_are_left_alone() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let records = FrameRecords::open(folder.path()).expect("opened");
+        convert(&records, "a", "mesh", "0.1");
+        drop(records);
+        let state_folder = folder.path().join(STATE_FOLDER);
+        let own = record_files(&state_folder).expect("read").remove(0);
+        let foreign = state_folder.join("frames-00000000-0000000000000000");
+        for extension in ["", LOCK_EXTENSION] {
+            fs::rename(own.with_extension(extension), foreign.with_extension(extension)).expect("renamed");
+        }
+        let size = fs::metadata(&foreign).expect("there").len();
+        let odd = state_folder.join("frames-00000000-0000000000000001");
+        fs::create_dir(&odd).expect("made");
+        fs::create_dir(own.with_extension(LOCK_EXTENSION)).expect("made");
+        fs::write(&own, "").expect("written");
+        let records = FrameRecords::open(folder.path()).expect("opened");
+        assert!(records.problems()[0].starts_with(&odd.display().to_string()), "{:?}", records.problems());
+        assert_eq!(state(&records, "a", "0.1", 7), ResultState::Done);
+        convert(&records, "b", "mesh", "0.1");
+        assert_eq!(state(&records, "b", "0.1", 7), ResultState::Done);
+        assert_eq!(fs::metadata(&foreign).expect("there").len(), size);
+        assert_eq!(fs::metadata(&own).expect("there").len(), 0);
+    }
+
+    #[test]
+    fn record_that_leads_out_of_the_folder_is_ignored() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let records = FrameRecords::open(folder.path()).expect("opened");
+        convert(&records, "a", "mesh", "0.1");
+        let sound = records.latest()[Path::new("a")].clone();
+        drop(records);
+        let file = |name: &str| OutputFile { name: name.into(), ..sound.outputs[0].clone() };
+        for (name, outputs) in [
+            ("../b", sound.outputs.clone()),
+            ("/b", sound.outputs.clone()),
+            ("b", vec![]),
+            ("b", vec![file("../a.glb")]),
+            ("b", vec![file("/etc/passwd")]),
+            ("b", vec![file("x/a.glb")]),
+        ] {
+            let records = FrameRecords::open(folder.path()).expect("opened");
+            let hostile = DoneRecord { name: name.into(), outputs, ..(*sound).clone() };
+            records.record_done(hostile, &values("0.1")).expect("written");
+            for records in [records, FrameRecords::open(folder.path()).expect("opened")] {
+                assert_eq!(records.latest().len(), 1, "{name}");
+            }
         }
     }
 

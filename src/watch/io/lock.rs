@@ -17,6 +17,7 @@ use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+pub use crate::pipeline::host_name;
 use crate::pipeline::{FileStamp, has_other_names, open_own};
 
 use crate::watch::journal::STATE_FOLDER;
@@ -138,18 +139,6 @@ impl OutputLock {
             },
         }
     }
-}
-
-/// The host name of this machine.
-#[cfg(unix)]
-pub fn host_name() -> String {
-    rustix::system::uname().nodename().to_string_lossy().into_owned()
-}
-
-/// The host name of this machine.
-#[cfg(not(unix))]
-pub fn host_name() -> String {
-    std::env::var("COMPUTERNAME").unwrap_or_else(|_| "an unnamed machine".to_owned())
 }
 
 fn lock_path(out_folder: &Path) -> PathBuf {

@@ -1,0 +1,13 @@
+//! The name of this machine.
+
+/// The host name of this machine.
+#[cfg(unix)]
+pub fn host_name() -> String {
+    rustix::system::uname().nodename().to_string_lossy().into_owned()
+}
+
+/// The host name of this machine.
+#[cfg(not(unix))]
+pub fn host_name() -> String {
+    std::env::var("COMPUTERNAME").unwrap_or_else(|_| "an unnamed machine".to_owned())
+}
