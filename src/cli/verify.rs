@@ -237,7 +237,9 @@ fn counts_of(frames: &[VerifiedFrame]) -> BTreeMap<&'static str, usize> {
 }
 
 fn write_report(path: &Path, folder: &Path, frames: &[VerifiedFrame]) -> Result<()> {
-    let mut summary = counts_of(frames);
+    let states = ["done", "missing", "damaged", "stale", "violations"];
+    let mut summary: BTreeMap<&'static str, usize> = states.map(|state| (state, 0)).into();
+    summary.extend(counts_of(frames));
     summary.insert("frames", frames.len());
     summary.insert("inputs_missing", frames.iter().filter(|frame| !frame.input_exists).count());
     let report = VerifyReport {

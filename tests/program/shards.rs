@@ -359,6 +359,8 @@ fn verify_reports_every_kind_of_damage() {
         let report: Value =
             serde_json::from_slice(&fs::read(folder.join("v.json")).expect("there")).expect("JSON");
         assert_eq!(report["frames"][0]["state"], state);
+        let summary = &report["summary"];
+        assert!(summary[state] != 0 && summary["violations"] == 0, "{summary}");
         // The shards repair it.
         for number in ["1/2", "2/2"] {
             succeeded(&shard(folder, number));
