@@ -248,7 +248,7 @@ fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
         [_, "status" | "why", ..] => &[],
         // The folder of `plan --out` is for the outputs of the shards.
         [_, "plan", ..] => &["-o"],
-        _ => &["--out", "-o", "--report", "--sequence-glb", "--sequence-usdc", "--sequence-abc"],
+        _ => &["--out", "-o", "--report", "--sequence"],
     };
     words.windows(2).filter(|pair| options.contains(&pair[0])).map(|pair| pair[1]).collect()
 }
