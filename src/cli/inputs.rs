@@ -122,7 +122,7 @@ fn search(inputs: &[PathBuf], may_be_empty: bool) -> Result<MatchedInputs> {
             Ok(metadata) if metadata.is_dir() => found.add_folder(input, may_be_empty)?,
             Ok(_) => found.files.push(FrameFile::new(input.clone())),
             // A link that cannot be followed: reading it later reports the error.
-            Err(_) if input.symlink_metadata().is_ok() => found.files.push(FrameFile::new(input.clone())),
+            Err(_) if input.is_symlink() => found.files.push(FrameFile::new(input.clone())),
             Err(_) if step_of(input).is_some_and(|(file, _)| file.is_file()) => {
                 size_bytes(input).map_err(|error| anyhow!("{}: {error}", shown(input)))?;
                 found.files.push(FrameFile::new(input.clone()));
@@ -378,8 +378,8 @@ impl<'p> Glob<'p> {
         let (base, rest) = pattern.split_at(literal.rfind('/').map_or(0, |slash| slash + 1));
         let names: Vec<&str> = rest.split('/').filter(|name| !["", "."].contains(name)).collect();
         let parse = |part: &str| Pattern::new(part).with_context(|| pattern.to_owned());
-        let parts = names.iter().map(|name| parse(name)).collect::<Result<_>>()?;
-        Ok(Glob { whole: parse(&format!("{base}{}", names.join("/")))?, base, parts })
+        let whole = parse(&format!("{base}{}", names.join("/")))?;
+        Ok(Glob { whole, base, parts: names.iter().map(|name| parse(name)).collect::<Result<_>>()? })
     }
 
     /// Whether `**` matches folders at any depth.

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 
 use crate::pipeline::OutputOptions;
 
-use super::args::{ConvertArgs, Shard, ShardChoice};
+use super::args::{ConvertArgs, FrameShard, ShardChoice};
 use super::console::Console;
 use super::destination::Destination;
 use super::select::{InputSelection, selected_files};
@@ -20,7 +20,7 @@ pub(super) fn shard_of(
     args: &ConvertArgs,
     destination: &Destination,
     outputs: &OutputOptions,
-) -> Result<Option<Shard>> {
+) -> Result<Option<FrameShard>> {
     let Some(choice) = args.shard else { return Ok(None) };
     if !matches!(destination, Destination::Folder) {
         bail!("--shard writes into a folder that all shards share: name a folder with --out");
@@ -43,7 +43,7 @@ pub(super) fn shard_of(
 }
 
 /// The shard of this task of a job array.
-fn slurm_shard() -> Result<Shard> {
+fn slurm_shard() -> Result<FrameShard> {
     let [task, min, max, step] =
         ["SLURM_ARRAY_TASK_ID", "SLURM_ARRAY_TASK_MIN", "SLURM_ARRAY_TASK_MAX", "SLURM_ARRAY_TASK_STEP"];
     let number = |name: &str| -> Result<usize> {
@@ -60,10 +60,10 @@ fn slurm_shard() -> Result<Shard> {
     if step == 0 || !(min..=max).contains(&id) || !(id - min).is_multiple_of(step) {
         bail!("--shard slurm: task {id} is not in the array {min}-{max}:{step}");
     }
-    Ok(Shard { index: (id - min) / step, count: (max - min) / step + 1 })
+    Ok(FrameShard { index: (id - min) / step, count: (max - min) / step + 1 })
 }
 
-impl Shard {
+impl FrameShard {
     /// Leaves only the frames of this shard in a selection. The settings of each sequence still follow from all
     /// its frames.
     ///
@@ -112,7 +112,7 @@ mod tests {
         for frame_count in [0, 1, 2, 7, 8, 9, 240, 1001] {
             for count in [1, 2, 3, 8, 16, 300] {
                 let shards: Vec<_> =
-                    (0..count).map(|index| Shard { index, count }.frames(frame_count)).collect();
+                    (0..count).map(|index| FrameShard { index, count }.frames(frame_count)).collect();
                 let dealt: Vec<usize> = shards.iter().cloned().flatten().collect();
                 assert_eq!(dealt, (0..frame_count).collect::<Vec<_>>());
                 let sizes = || shards.iter().map(ExactSizeIterator::len);

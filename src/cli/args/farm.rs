@@ -30,14 +30,14 @@ pub(in crate::cli) struct VerifyArgs {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::cli) enum ShardChoice {
     /// One of several consecutive parts of nearly equal size.
-    Part(Shard),
+    Part(FrameShard),
     /// The part that Slurm's environment variables name.
     Slurm,
 }
 
 /// A shard: the part `index`, from 0, of `count` parts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::cli) struct Shard {
+pub(in crate::cli) struct FrameShard {
     pub(in crate::cli) index: usize,
     pub(in crate::cli) count: usize,
 }
@@ -50,7 +50,7 @@ pub(in crate::cli) fn parse_shard(text: &str) -> Result<ShardChoice, String> {
     let number = |digits: &str| digits.bytes().all(|byte| byte.is_ascii_digit()).then(|| digits.parse().ok());
     let parts = text.split_once('/').and_then(|(number_text, count)| {
         let (number, count): (usize, usize) = (number(number_text)??, number(count)??);
-        (1..=count).contains(&number).then(|| Shard { index: number - 1, count })
+        (1..=count).contains(&number).then(|| FrameShard { index: number - 1, count })
     });
     expected(text, parts.map(ShardChoice::Part), "K/N, with K from 1 to N, such as 3/60; or slurm")
 }

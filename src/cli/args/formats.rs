@@ -73,8 +73,7 @@ option_set! {
         ///
         /// FILE must end in .usda. It is replaced while frames arrive: it plays the frames that are complete,
         /// and holds the previous one where a frame is missing. Its paths are relative to its folder, so move
-        /// it together with the results. Each sequence is a prim. With `meniscus plan`, FILE must be in
-        /// the folder of the results; every shard updates it.
+        /// it together with the results. Each sequence is a prim. Every shard updates it.
         #[arg(long, help_heading = SEQUENCE_FILE, value_name = "FILE")]
         pub(in crate::cli) stage: Option<PathBuf>,
 

@@ -30,7 +30,7 @@ use super::quantities::one_of;
 
 use farm::parse_shard;
 
-pub(super) use farm::{Shard, ShardChoice, VerifyArgs};
+pub(super) use farm::{FrameShard, ShardChoice, VerifyArgs};
 pub(super) use flicker::FlickerArgs;
 pub(super) use formats::FormatArgs;
 use formats::SEQUENCE_FILE;
