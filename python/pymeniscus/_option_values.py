@@ -17,7 +17,7 @@ class OptionValues(TypedDict, total=False):
 
     Attributes
     ----------
-    preset : Literal["fluid", "noisy", "splash", "granular", "preview", "paper", "water", "faithful", "smooth"]
+    preset : Literal["fluid", "noisy", "splash", "granular", "preview", "paper"]
         A set of defaults for a kind of particles; other options override it [default: fluid]
     spacing : float
         Distance d between neighbouring particles, in world units, positive [default: measured]
@@ -83,7 +83,7 @@ class OptionValues(TypedDict, total=False):
         Relative tolerance of the conjugate gradients, 1e-12 to 0.5, for `integrator` implicit only [default: 0.0001]
     """
 
-    preset: Literal["fluid", "noisy", "splash", "granular", "preview", "paper", "water", "faithful", "smooth"] | None
+    preset: Literal["fluid", "noisy", "splash", "granular", "preview", "paper"] | None
     spacing: float | None
     voxel_size: float | str | None
     radius_min: float | str | None

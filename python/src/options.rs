@@ -79,22 +79,18 @@ pub(crate) fn effective_pairs(
     resolved.to_pairs().into_iter().filter(|(name, _)| is_kept(name)).collect()
 }
 
-/// Warnings about deprecated presets and about options that have no effect; empty for invalid options.
+/// Warnings about options that have no effect; empty for invalid options.
 #[pyfunction]
 pub(crate) fn option_warnings(pairs: Pairs, has_obstacles: bool) -> PyResult<Vec<String>> {
     let options = parse(&pairs)?;
     if Settings::check(&options).is_err() {
         return Ok(Vec::new());
     }
-    let successor = options.preset.and_then(|preset| Some((preset, preset.successor()?)));
-    let deprecated = successor
-        .map(|(preset, other)| format!("the preset `{preset}` is deprecated: use preset=\"{other}\""));
-    let ignored = options.ineffective(has_obstacles).into_iter();
-    let ignored = ignored.map(|(name, needed)| {
+    let ignored = options.ineffective(has_obstacles).into_iter().map(|(name, needed)| {
         let needed = listed(needed.iter().copied().map(keyword).collect(), "and");
         format!("`{name}` is ignored: it is for {needed} only")
     });
-    Ok(deprecated.into_iter().chain(ignored).collect())
+    Ok(ignored.collect())
 }
 
 /// The attributes that the surface gets: all, or those with these names; `None` if neither is given.

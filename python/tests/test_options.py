@@ -91,7 +91,6 @@ def test_settings_give_the_same_surface_without_warnings(block, options):
             {"neighbor_radius": "3d", "anisotropy": "none", "position_smoothing": 0},
             "it is for `anisotropy=\"neighbors\"` and `position_smoothing` only",
         ),
-        ({"preset": "water"}, "the preset `water` is deprecated"),
     ],
 )
 def test_options_without_effect_are_warned_about(block, options, text):

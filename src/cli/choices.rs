@@ -8,7 +8,7 @@ use meniscus_formats::compression::read_head;
 use meniscus_formats::{WriteOption, check_obstacle, listed};
 
 use crate::pipeline::{ObstacleFiles, OutputFormat, open_regular};
-use crate::surface::options::{Integrator, MethodOptions, OptionGroup, Preset, Settings};
+use crate::surface::options::{MethodOptions, OptionGroup, Settings};
 
 use super::args::{FormatArgs, MethodArgs, OptionSet};
 use super::console::Console;
@@ -69,29 +69,9 @@ pub(super) fn refuse_other_kinds(obstacles: &ObstacleFiles) -> Result<()> {
 /// More bytes than are needed to recognise a mesh.
 const HEAD_BYTES: u64 = 64 << 10;
 
-/// The options that have the same defaults as a deprecated preset. With explicit integrators, those of
-/// `smooth` depend on the voxel size.
-fn equivalent(preset: Preset, options: &MethodOptions) -> Option<&'static str> {
-    let is_explicit = matches!(options.integrator, Some(Integrator::Explicit | Integrator::Adaptive));
-    match preset {
-        Preset::Smooth if is_explicit => None,
-        Preset::Water => Some("--preset paper --fill-cavities 200"),
-        Preset::Smooth => Some("--preset paper --radius-ratio 3 --steps 10 --fill-cavities 200"),
-        Preset::Faithful => Some("--preset paper --radius-ratio 1.25"),
-        _ => None,
-    }
-}
-
 /// Warnings about given options that have no effect, one sentence each.
 pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[OutputFormat]) -> Vec<String> {
     let options = method.to_options();
-    let successor = options.preset.and_then(|preset| Some((preset, preset.successor()?)));
-    let deprecated = successor.map(|(preset, successor)| match equivalent(preset, &options) {
-        Some(options) => format!(
-            "the preset `{preset}` is deprecated: use --preset {successor}, or {options} for the same defaults"
-        ),
-        None => format!("the preset `{preset}` is deprecated: use --preset {successor}"),
-    });
     let ignored = options.ineffective(!method.obstacle.is_empty()).into_iter();
     let ignored = ignored.map(|(name, needed)| {
         let needed = listed(needed.iter().map(|option| option.flag()).collect(), "and");
@@ -106,7 +86,7 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
         let is_idle = !written.iter().any(|format| changed.contains(format));
         is_idle.then(|| format!("{} is ignored: it affects {} only", option_name(name), kinds(&changed)))
     });
-    deprecated.into_iter().chain(ignored).chain(idle).collect()
+    ignored.chain(idle).collect()
 }
 
 /// The formats whose files an option affects; `None` for an option that affects the surface, and thus all

@@ -53,15 +53,16 @@ impl Destination {
         let out = args.out.clone().unwrap_or_default();
         let (destination, folder, format) = if is_stdout(&out) {
             let format = only_format(args)?;
-            match args.print_settings {
+            if args.print_settings {
                 // Nothing is converted, and the settings are printed on the standard output.
-                true => (Destination::Folder, out, Some(format)),
-                false => Destination::stdout(&out, format, console)?,
+                (Destination::Folder, out, Some(format))
+            } else {
+                Destination::stdout(&out, format, console)?
             }
         } else if let Some(extension) = file_extension(&out) {
             Destination::file(out, &extension, args.formats.format.as_deref())?
         } else {
-            refuse_foreign_extension(&out)?;
+            refuse_other_extension(&out)?;
             (Destination::Folder, out, args.particles_only.then_some(OutputFormat::Ply))
         };
         if args.skip_done && !matches!(destination, Destination::Folder) {
@@ -179,56 +180,28 @@ pub(super) fn refuse_file_name(out: &Path) -> Result<()> {
             out.display(),
             out.with_extension("").display()
         ),
-        None => refuse_foreign_extension(out),
+        None => refuse_other_extension(out),
     }
 }
 
-/// Refuses the name of a file in a format that is not written, or in one that is misspelt. It would become a
-/// folder, which the user hardly expects. Folders may have other names with dots, such as `run.v2`.
+/// Refuses the name of a file in another format, or with a misspelt extension. It would become a folder, which
+/// the user hardly expects. A name of a folder may end in a dot and a number or a version, such as `run.v2`.
 ///
 /// # Errors
-/// If the path has such an extension and is not a folder. The message says what to write instead.
-fn refuse_foreign_extension(out: &Path) -> Result<()> {
-    let Some(given) = out.extension().and_then(|extension| extension.to_str()) else { return Ok(()) };
-    let extension = given.to_ascii_lowercase();
-    let written = || OutputFormat::ALL.into_iter().filter(|format| !format.is_picture());
-    let meant = written().find(|format| is_misspelt(&extension, format.extension()));
-    let is_foreign = FOREIGN_EXTENSIONS.contains(&&*extension);
-    if is_existing_or_named_folder(out) || !(is_foreign || meant.is_some()) {
+/// If the path ends in a dot and letters, and is not a folder. The message says what to write instead.
+fn refuse_other_extension(out: &Path) -> Result<()> {
+    let Some(extension) = out.extension().and_then(|extension| extension.to_str()) else { return Ok(()) };
+    if is_existing_or_named_folder(out) || !extension.bytes().all(|byte| byte.is_ascii_alphabetic()) {
         return Ok(());
     }
     let name = out.display();
-    let instead = match meant.filter(|_| !is_foreign) {
-        Some(format) => format!("write {}", out.with_extension(format.extension()).display()),
-        None => format!("use {}", listed(written().map(|format| format!(".{format}")).collect(), "or")),
-    };
+    let written = OutputFormat::ALL.into_iter().filter(|format| !format.is_picture());
+    let written = listed(written.map(|format| format!(".{format}")).collect(), "or");
     bail!(
-        "{name}: .{given} is not an output format: {instead}; for a folder of this name, write {name}/ or create it first"
+        "{name}: .{extension} is not an output format: use {written}; for a folder of this name, write {name}/ \
+         or create it first"
     )
 }
-
-/// Whether an extension is that of a format with one letter missing or added, or two letters exchanged. With
-/// other letters, digits or a plural s, it may be part of a folder's name.
-fn is_misspelt(extension: &str, format: &str) -> bool {
-    let letters = |text: &str| {
-        let mut letters: Vec<char> = text.chars().collect();
-        letters.sort_unstable();
-        letters
-    };
-    let is_near = strsim::osa_distance(extension, format) == 1;
-    let has_same_letters = extension.len() != format.len() || letters(extension) == letters(format);
-    let is_plural = extension.strip_suffix('s') == Some(format);
-    let is_word = extension.len() > 2 && extension.bytes().all(|byte| byte.is_ascii_lowercase());
-    is_near && has_same_letters && is_word && !is_plural
-}
-
-/// Extensions of files that other programs write: meshes, volumes, scenes and particles. Extensions that this
-/// program writes are accepted before.
-const FOREIGN_EXTENSIONS: [&str; 31] = [
-    "3dm", "3ds", "3mf", "bgeo", "blend", "c4d", "csv", "dae", "dxf", "fbx", "geo", "gz", "h5", "hdf5",
-    "hip", "iges", "json", "lwo", "mdd", "npy", "npz", "nvdb", "pc2", "usd", "usdz", "vtk", "vtu", "wrl",
-    "x3d", "xyz", "zst",
-];
 
 fn is_stdout(out: &Path) -> bool {
     ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"].iter().any(|name| out == Path::new(name))

@@ -14,18 +14,18 @@
 //! An argument that names an existing path means that path, so special characters in names do no harm.
 
 use std::collections::{BTreeMap, HashSet};
-use std::ffi::OsString;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 use glob::{MatchOptions, Pattern};
 use meniscus_formats::{Error, Neighbor};
+use walkdir::{DirEntry, WalkDir};
 
 use crate::pipeline::{
     FrameFile, NumberPattern, SniffedContent, canonical_entry, content, files_in, frames_in, is_absent,
-    is_level_set, is_link_loop, is_mesh, is_number, is_sequence_file, may_be_file, promises_particles, shown,
-    size_bytes, step_of,
+    is_level_set, is_mesh, is_number, is_sequence_file, may_be_file, promises_particles, shown, size_bytes,
+    step_of,
 };
 
 use super::console::Console;
@@ -324,46 +324,34 @@ impl MatchedInputs {
         Ok(paths)
     }
 
-    /// The paths that match a glob, sorted. `**` matches nested folders. Below `**`, each folder is listed
-    /// only once, because links may form cycles. Links are followed last, so a folder is listed under its own
-    /// name and not that of a link. Folders that cannot be listed are recorded as unreadable.
+    /// The paths that match a glob, sorted by name in each folder. `**` matches nested folders, without those
+    /// that a cycle of links repeats. Folders that cannot be listed are recorded as unreadable.
+    ///
+    /// The walker of the crate `glob` does not end if a folder has two links to its parents, and panics at
+    /// names that are not UTF-8.
     fn matching(&mut self, pattern: &str) -> Result<Vec<PathBuf>> {
         let pattern = if cfg!(windows) { pattern.replace('\\', "/") } else { pattern.to_owned() };
         let glob = Glob::new(&pattern)?;
-        let (mut pending, mut linked) = (vec![(glob.base.clone(), 0)], Vec::new());
-        let (mut found, mut seen) = (Vec::new(), HashSet::new());
-        found.extend(glob.matches(&glob.base).then(|| glob.base.clone()));
-        while let Some((folder, depth)) = pending.pop().or_else(|| linked.pop()) {
-            let shown = if folder.as_os_str().is_empty() { Path::new(".") } else { &folder };
-            let entries = match glob.is_deep(depth) {
-                false => glob.entries(shown, depth),
-                true => shown.canonicalize().and_then(|true_name| match seen.insert(true_name) {
-                    true => glob.entries(shown, depth),
-                    false => Ok(Vec::new()),
-                }),
+        let base = if glob.base.is_empty() { "." } else { glob.base };
+        let depth_max = if glob.is_deep() { usize::MAX } else { glob.parts.len() };
+        let walk =
+            WalkDir::new(base).min_depth(1).max_depth(depth_max).follow_links(true).sort_by_file_name();
+        let mut found = Vec::new();
+        for entry in walk.into_iter().filter_entry(|entry| glob.leads_to(entry)) {
+            let path = match &entry {
+                Ok(entry) => entry.path(),
+                Err(error) => error.path().unwrap_or(Path::new(base)),
             };
-            let entries = entries.unwrap_or_else(|error| {
-                self.note_unreadable(shown, &error);
-                Vec::new()
-            });
-            for (name, is_link) in entries {
-                let path = folder.join(name);
-                found.extend(glob.takes(&path, depth).then(|| path.clone()));
-                if !glob.is_deep(depth) && depth + 1 >= glob.parts.len() {
-                    continue;
-                }
-                match path.metadata() {
-                    Ok(metadata) if !metadata.is_dir() => {}
-                    Ok(_) if is_link => linked.push((path, depth + 1)),
-                    Ok(_) => pending.push((path, depth + 1)),
-                    // The path matches, so it is treated as a file: reading it later reports the error.
-                    Err(_) if glob.takes(&path, depth) => {}
-                    Err(error) if leads_nowhere(&error) => {}
-                    Err(error) => self.note_unreadable(&path, &error),
-                }
+            let path = if glob.base.is_empty() { path.strip_prefix(".").unwrap_or(path) } else { path };
+            // A link that cannot be followed is treated as a file: reading it later reports the error.
+            if entry.is_ok() || path.is_symlink() {
+                found.extend(glob.matches(path).then(|| path.to_owned()));
+            } else if let Err(error) = &entry
+                && let Some(error) = error.io_error()
+            {
+                self.note_unreadable(path, error);
             }
         }
-        found.sort();
         Ok(found)
     }
 
@@ -379,56 +367,40 @@ impl MatchedInputs {
 struct Glob<'p> {
     whole: Pattern,
     /// The folder where the search starts: the part before the first wildcard.
-    base: PathBuf,
+    base: &'p str,
     /// The patterns for the names below `base`, one per level.
-    parts: Vec<(&'p str, Pattern)>,
-    with_hidden: bool,
+    parts: Vec<Pattern>,
 }
 
 impl<'p> Glob<'p> {
     fn new(pattern: &'p str) -> Result<Glob<'p>> {
         let literal = &pattern[..pattern.find(WILDCARDS).unwrap_or(pattern.len())];
         let (base, rest) = pattern.split_at(literal.rfind('/').map_or(0, |slash| slash + 1));
+        let names: Vec<&str> = rest.split('/').filter(|name| !["", "."].contains(name)).collect();
         let parse = |part: &str| Pattern::new(part).with_context(|| pattern.to_owned());
-        let parts = rest.split('/').filter(|part| !part.is_empty());
-        Ok(Glob {
-            whole: parse(pattern)?,
-            base: base.into(),
-            parts: parts.map(|part| Ok((part, parse(part)?))).collect::<Result<_>>()?,
-            with_hidden: rest.starts_with('.') || rest.contains("/."),
-        })
+        let whole = parse(&format!("{base}{}", names.join("/")))?;
+        Ok(Glob { whole, base, parts: names.iter().map(|name| parse(name)).collect::<Result<_>>()? })
     }
 
-    /// Whether `**` matches folders at this depth below the base, or at a smaller depth.
-    fn is_deep(&self, depth: usize) -> bool {
-        self.parts.iter().take(depth + 1).any(|(part, _)| *part == "**")
+    /// Whether `**` matches folders at any depth.
+    fn is_deep(&self) -> bool {
+        self.parts.iter().any(|part| part.as_str() == "**")
     }
 
     fn matches(&self, path: &Path) -> bool {
         self.whole.matches_with(&path.to_string_lossy(), GLOB_OPTIONS)
     }
 
-    /// Whether an entry in a folder at this depth matches the whole pattern.
-    fn takes(&self, path: &Path, depth: usize) -> bool {
-        if self.is_deep(depth) { self.matches(path) } else { depth + 1 == self.parts.len() }
-    }
-
-    /// The names to examine in a folder at this depth, and whether they are links.
-    fn entries(&self, folder: &Path, depth: usize) -> io::Result<Vec<(OsString, bool)>> {
-        if self.is_deep(depth) {
-            return entries_of(folder, self.with_hidden);
+    /// Whether an entry can match, or be a folder on the way to paths that match.
+    fn leads_to(&self, entry: &DirEntry) -> bool {
+        let name = entry.file_name().to_string_lossy();
+        let parts = &self.parts[..entry.depth().min(self.parts.len())];
+        if parts.iter().any(|part| part.as_str() == "**") {
+            let asks_for_hidden = self.parts.iter().any(|part| part.as_str().starts_with('.'));
+            return asks_for_hidden || !name.starts_with('.');
         }
-        let Some((part, pattern)) = self.parts.get(depth) else { return Ok(Vec::new()) };
-        if !part.contains(WILDCARDS) {
-            return match folder.join(part).symlink_metadata() {
-                Ok(metadata) => Ok(vec![(part.into(), metadata.is_symlink())]),
-                Err(error) if leads_nowhere(&error) => Ok(Vec::new()),
-                Err(error) => Err(error),
-            };
-        }
-        let mut entries = entries_of(folder, true)?;
-        entries.retain(|(name, _)| pattern.matches_with(&name.to_string_lossy(), GLOB_OPTIONS));
-        Ok(entries)
+        // The folder where the search starts has no part.
+        parts.last().is_none_or(|part| part.matches_with(&name, GLOB_OPTIONS))
     }
 }
 
@@ -448,24 +420,6 @@ fn is_pattern(path: &Path) -> bool {
     NumberPattern::find(name).is_some() || path.to_string_lossy().contains(WILDCARDS)
 }
 
-/// Whether an error means that the path is not a folder: it is missing, or a link that is dangling or cyclic.
-fn leads_nowhere(error: &io::Error) -> bool {
-    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) || is_link_loop(error)
-}
-
-/// The names in a folder, and whether they are links.
-fn entries_of(folder: &Path, with_hidden: bool) -> io::Result<Vec<(OsString, bool)>> {
-    let mut entries = Vec::new();
-    for entry in folder.read_dir()? {
-        let entry = entry?;
-        let name = entry.file_name();
-        if with_hidden || !name.as_encoded_bytes().starts_with(b".") {
-            entries.push((name, entry.file_type()?.is_symlink()));
-        }
-    }
-    Ok(entries)
-}
-
 /// What a file in a folder is. A name that promises a frame is sufficient for a file that cannot be read:
 /// reading the frame reports the error. Level sets are only taken by name.
 ///
@@ -476,10 +430,11 @@ fn content_in_folder(path: &Path) -> io::Result<SniffedContent> {
         return Ok(SniffedContent::NotParticles);
     }
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    content(path).or_else(|error| match promises_particles(&name) {
-        true => Ok(SniffedContent::Particles),
-        false => Err(error),
-    })
+    content(path).or_else(
+        |error| {
+            if promises_particles(&name) { Ok(SniffedContent::Particles) } else { Err(error) }
+        },
+    )
 }
 
 /// The sub-folders of a folder whose names are numbers, such as those of times.

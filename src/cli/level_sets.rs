@@ -83,7 +83,6 @@ pub(super) fn refuse_options(method: &MethodArgs, reason: Use) -> Result<()> {
 /// which show the level set unchanged.
 fn group_of(name: &str, reason: Use) -> Option<OptionGroup> {
     match name {
-        "particle_radius" => Some(OptionGroup::General),
         "obstacle" => Some(OptionGroup::Obstacles),
         "offset" => (reason == Use::Picture).then_some(OptionGroup::Solver),
         _ => MethodOptions::info(name).map(|info| info.group),

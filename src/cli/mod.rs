@@ -10,7 +10,6 @@ mod choices;
 mod clock;
 mod config_file;
 mod console;
-mod conversion;
 mod convert;
 mod destination;
 mod flicker;
@@ -32,11 +31,11 @@ mod resolve;
 mod run;
 mod select;
 mod sequence;
+mod shard;
 mod sheets;
 mod stage;
 mod standard_input;
 mod status;
-mod suggest;
 mod varied_option;
 mod verify;
 mod watch;
@@ -127,7 +126,7 @@ pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8
     let typed = match Cli::try_parse_from(&arguments) {
         Ok(typed) => typed,
         Err(help_or_error) => {
-            let help_or_error = suggest::with_suggestion(printable(help_or_error, &arguments), &arguments);
+            let help_or_error = printable(help_or_error, &arguments);
             // A closed output is not an error, and other write errors cannot be reported anywhere.
             let _ = help_or_error.print();
             return u8::try_from(help_or_error.exit_code()).unwrap_or(2);

@@ -49,7 +49,7 @@ pub(super) fn print_settings_of_any(
         console.print_line("# the particle spacing is derived from the voxel size, because no INPUT was given to measure it on:");
     }
     let settings = Settings::resolve(&options, needs_spacing.then(|| SequenceSpacing::from(1.0)))?;
-    console.print_lines(keys(&settings, method, outputs, (Job::Surface, !needs_spacing))?);
+    console.print_lines(keys(&settings, method, outputs, Job::Surface, !needs_spacing)?);
     Ok(())
 }
 
@@ -60,7 +60,8 @@ pub(super) fn print_settings_of_any(
 pub(super) fn print_settings(
     sequences: &[SelectedSequence],
     job: Job,
-    (method, outputs): (&MethodArgs, &OutputOptions),
+    method: &MethodArgs,
+    outputs: &OutputOptions,
     pool: &ThreadPool,
     console: &mut Console,
 ) -> Result<()> {
@@ -74,7 +75,7 @@ pub(super) fn print_settings(
             }
         };
         console.print_line(format_args!("# {}", sequence.name));
-        console.print_lines(keys(&settings, method, outputs, (job, true))?);
+        console.print_lines(keys(&settings, method, outputs, job, true)?);
     }
     Ok(())
 }
@@ -84,7 +85,8 @@ fn keys(
     settings: &Settings,
     method: &MethodArgs,
     outputs: &OutputOptions,
-    (job, has_spacing): (Job, bool),
+    job: Job,
+    has_spacing: bool,
 ) -> Result<Vec<String>> {
     let options = method.to_options();
     let obstacles = obstacle_paths(method)?;

@@ -191,9 +191,10 @@ impl<'a> RequestedPictures<'a> {
     ) -> Result<(Vec<u8>, bool)> {
         let options =
             PictureOptions { camera: CameraChoice::from(*viewpoint), ..self.session.outputs.picture };
-        let picture = match self.args.particles {
-            true => source.picture_beside_particles(viewpoint, options.size),
-            false => source.picture(viewpoint, options.size, self.format.has_attributes()),
+        let picture = if self.args.particles {
+            source.picture_beside_particles(viewpoint, options.size)
+        } else {
+            source.picture(viewpoint, options.size, self.format.has_attributes())
         };
         let provenance = source.provenance(&file.path, &options);
         // Two pictures side by side have no common projection matrix.

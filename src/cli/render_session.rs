@@ -151,14 +151,12 @@ impl<'a> RenderSession<'a> {
         size: [usize; 2],
     ) -> Result<Viewpoint> {
         let PictureOptions { camera, .. } = self.outputs.picture;
-        let bounds = match camera.needs_bounds() {
-            true => {
-                let paths: Vec<&Path> = sequence.frames.iter().map(|file| &*file.path).collect();
-                let filter = settings.and_then(|settings| settings.filter.as_ref());
-                sequence_bounds(&paths, settings.map_or(0.0, Settings::resting_height), filter)?
-            }
-            false => None,
-        };
+        let mut bounds = None;
+        if camera.needs_bounds() {
+            let paths: Vec<&Path> = sequence.frames.iter().map(|file| &*file.path).collect();
+            let filter = settings.and_then(|settings| settings.filter.as_ref());
+            bounds = sequence_bounds(&paths, settings.map_or(0.0, Settings::resting_height), filter)?;
+        }
         let aspect = size[0] as f64 / size[1] as f64;
         Ok(camera.viewpoint(bounds.unwrap_or(EMPTY_BOUNDS), aspect, up_of(self.outputs.up)))
     }
@@ -254,7 +252,8 @@ impl RenderSource {
             RenderSource::Reconstructed(reconstructed) => picture_of_reconstruction(
                 &reconstructed.made,
                 &reconstructed.settings,
-                (viewpoint, size),
+                viewpoint,
+                size,
                 has_data,
             ),
         }
@@ -295,7 +294,8 @@ pub(super) fn catch_panic<T>(file: &Path, work: impl FnOnce() -> Result<T>) -> R
 pub(super) fn picture_of_reconstruction(
     made: &Reconstruction,
     settings: &Settings,
-    (viewpoint, size): (&Viewpoint, [usize; 2]),
+    viewpoint: &Viewpoint,
+    size: [usize; 2],
     has_data: bool,
 ) -> Picture {
     let velocity = if has_data { velocities(&made.surface) } else { None };

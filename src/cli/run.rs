@@ -2,14 +2,15 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Result;
 use rayon::ThreadPool;
 
 use crate::pipeline::{
-    self, Frame, FrameReport, Job, LevelSetMethod, OnError, Outcome, OutputFormat, PipelineOptions,
-    ReportedWarnings, RunRecord, Scope, SequenceRecord, SequenceSource, output_path, shown,
+    self, Frame, FrameFile, FrameReport, Job, LevelSetMethod, OnError, Outcome, OutputFormat,
+    PipelineOptions, ReportedWarnings, RunRecord, Scope, SequenceRecord, SequenceSource, output_path, shown,
 };
 
 use super::CommandOutcome;
@@ -26,59 +27,24 @@ struct BatchItem {
     input: PathBuf,
     /// The index of the frame's sequence in the record.
     sequence_index: usize,
-    state: ItemState,
-}
-
-/// What to do with a frame.
-enum ItemState {
-    Convert(Frame),
-    /// Report a failure: its sequence has no settings, for this reason.
-    Impossible(String),
-}
-
-/// How a batch is converted and recorded.
-pub(super) struct RunOptions {
-    start: Instant,
-    on_error: OnError,
-    /// Whether frames that fail validation count as successful.
-    allow_violations: bool,
-    report: Option<PathBuf>,
-    /// Skip frames that are done.
-    skip_done: bool,
-    /// Memory limit for all frames in flight together.
-    memory_bytes: u64,
-    /// The threads for all computations.
-    pub(super) pool: ThreadPool,
-}
-
-impl RunOptions {
-    /// The run options of a command that started at `start`. A shard skips frames that are done.
-    ///
-    /// # Errors
-    /// If the memory limit is too small, or threads cannot be started.
-    pub(super) fn new(args: &ConvertArgs, start: Instant) -> Result<RunOptions> {
-        Ok(RunOptions {
-            start,
-            on_error: args.on_error.unwrap_or(OnError::Continue),
-            allow_violations: args.allow_violations,
-            report: args.report.clone(),
-            skip_done: args.skip_done || args.shard.is_some(),
-            memory_bytes: memory_bytes(args.run.memory)?,
-            pool: thread_pool(args.run.threads)?,
-        })
-    }
+    /// The frame to convert, or why its sequence has no settings.
+    frame: Result<Frame, String>,
 }
 
 /// The frames to convert, and their outcomes.
 pub(super) struct Batch<'a> {
-    pub(super) options: &'a RunOptions,
+    args: &'a ConvertArgs,
+    start: Instant,
+    on_error: OnError,
+    /// Memory limit for all frames in flight together.
+    memory_bytes: u64,
+    /// The threads for all computations.
+    pub(super) pool: Arc<ThreadPool>,
     /// In the order of the inputs.
     items: Vec<BatchItem>,
     sequence_names: Vec<String>,
     record: RunRecord,
     outcomes: Outcomes,
-    /// The USD stage of `--stage`, which plays the frames, if one is written.
-    pub(super) stage: Option<StageWriter>,
 }
 
 /// The outcomes of frames.
@@ -105,58 +71,69 @@ struct Outcomes {
 }
 
 impl<'a> Batch<'a> {
-    /// An empty batch.
-    pub(super) fn new(options: &'a RunOptions) -> Batch<'a> {
-        Batch {
-            options,
+    /// An empty batch of a command that started at `start`.
+    ///
+    /// # Errors
+    /// If the memory limit is too small, or threads cannot be started.
+    pub(super) fn new(args: &'a ConvertArgs, start: Instant) -> Result<Batch<'a>> {
+        let pool = Arc::new(thread_pool(args.run.threads)?);
+        Ok(Batch {
+            args,
+            start,
+            on_error: args.on_error.unwrap_or(OnError::Continue),
+            memory_bytes: memory_bytes(args.run.memory)?,
             items: Vec::new(),
             sequence_names: Vec::new(),
-            record: RunRecord::new(options.pool.current_num_threads()),
+            record: RunRecord::new(pool.current_num_threads()),
             outcomes: Outcomes::default(),
-            stage: None,
-        }
+            pool,
+        })
     }
 
-    /// Adds a sequence, and returns its index for its frames.
-    pub(super) fn add_sequence(&mut self, name: &str, record: SequenceRecord) -> usize {
+    /// Adds the selected frames of a sequence.
+    pub(super) fn add(&mut self, name: &str, record: SequenceRecord, frames: impl Iterator<Item = Frame>) {
+        let sequence_index = self.add_sequence(name, record);
+        let item = |frame: Frame| BatchItem { input: frame.input.clone(), sequence_index, frame: Ok(frame) };
+        self.items.extend(frames.map(item));
+    }
+
+    /// Adds the selected frames of a sequence that has no settings, for this reason.
+    pub(super) fn add_impossible(&mut self, name: &str, selected: &[FrameFile], why: &str) {
+        let sequence_index = self.add_sequence(name, SequenceRecord::without_settings(name, why));
+        let item = |file: &FrameFile| BatchItem {
+            input: file.path.clone(),
+            sequence_index,
+            frame: Err(why.to_owned()),
+        };
+        self.items.extend(selected.iter().map(item));
+    }
+
+    fn add_sequence(&mut self, name: &str, record: SequenceRecord) -> usize {
         self.sequence_names.push(name.to_owned());
         self.record.add_sequence(record)
     }
 
-    /// Adds a frame of a sequence, or the reason why it cannot be converted.
-    pub(super) fn add_frame(&mut self, input: &Path, sequence_index: usize, frame: Result<Frame, String>) {
-        let state = frame.map_or_else(ItemState::Impossible, ItemState::Convert);
-        self.items.push(BatchItem { input: input.to_owned(), sequence_index, state });
-    }
-
-    /// Converts all added frames.
-    pub(super) fn convert(&mut self, console: &mut Console) {
-        let &RunOptions { on_error, skip_done, memory_bytes, ref pool, .. } = self.options;
+    /// Converts all added frames. Updates the stage after each of them.
+    pub(super) fn convert(&mut self, mut stage: Option<&mut StageWriter>, console: &mut Console) {
         let items = std::mem::take(&mut self.items);
-        let begin_count = match on_error {
-            OnError::Continue => items.len(),
-            // With --on-error stop, the frames after the first one that is known to fail are not started.
-            OnError::Stop => {
-                let is_impossible = |item: &BatchItem| matches!(item.state, ItemState::Impossible(_));
-                items.iter().position(is_impossible).unwrap_or(items.len())
-            }
-        };
+        let first_impossible = items.iter().position(|item| item.frame.is_err());
+        // With --on-error stop, the frames after the first one that is known to fail are not started.
+        let begin_count = first_impossible.filter(|_| self.on_error == OnError::Stop).unwrap_or(items.len());
         let (item_indices, frames): (Vec<usize>, Vec<Frame>) = items[..begin_count]
             .iter()
             .enumerate()
-            .filter_map(|(item_index, item)| match &item.state {
-                ItemState::Convert(frame) => Some((item_index, frame.clone())),
-                ItemState::Impossible(_) => None,
-            })
+            .filter_map(|(item_index, item)| Some((item_index, item.frame.clone().ok()?)))
             .unzip();
+        let pool = Arc::clone(&self.pool);
         let has_bar = console.show_bar(frames.len());
         let progress = ProgressDisplay::new(frames.len(), pool.current_num_threads(), console.bar());
         let options = PipelineOptions {
-            on_error,
-            skip_done,
-            memory_bytes,
+            on_error: self.on_error,
+            // A shard is repeated until its frames are done.
+            skip_done: self.args.skip_done || self.args.shard.is_some(),
+            memory_bytes: self.memory_bytes,
             observer: Some(&progress),
-            ..PipelineOptions::new(pool)
+            ..PipelineOptions::new(&pool)
         };
         pipeline::run(&LevelSetMethod, &frames, &options, |index, outcome| {
             // The record and the console follow the order of the inputs.
@@ -164,7 +141,7 @@ impl<'a> Batch<'a> {
             progress.finished(&frames[index], report);
             self.note_without_outcome(&items[self.outcomes.noted_count..item_indices[index]], console);
             self.note(&frames[index], items[item_indices[index]].sequence_index, &outcome, has_bar, console);
-            if let Some(stage) = &mut self.stage {
+            if let Some(stage) = &mut stage {
                 stage.update();
             }
         });
@@ -175,10 +152,10 @@ impl<'a> Batch<'a> {
     /// Records the frames that did not enter the pipeline.
     fn note_without_outcome(&mut self, items: &[BatchItem], console: &Console) {
         let mut printed = None;
-        for BatchItem { input, sequence_index, state } in items {
-            let is_stopped = self.options.on_error == OnError::Stop && !self.outcomes.failures.is_empty();
-            match state {
-                ItemState::Impossible(why) if !is_stopped => {
+        for BatchItem { input, sequence_index, frame } in items {
+            let is_stopped = self.on_error == OnError::Stop && !self.outcomes.failures.is_empty();
+            match frame {
+                Err(why) if !is_stopped => {
                     // The reason is the same for all frames of a sequence.
                     if printed.replace(*sequence_index) != Some(*sequence_index) {
                         let name = &self.sequence_names[*sequence_index];
@@ -189,7 +166,7 @@ impl<'a> Batch<'a> {
                     self.record.add_failed(input, *sequence_index, why);
                     self.fail(format!("{}: {why}", shown(input)));
                 }
-                ItemState::Convert(_) | ItemState::Impossible(_) => {
+                Ok(_) | Err(_) => {
                     self.record.add_not_started(input, *sequence_index);
                     self.outcomes.not_started_count += 1;
                 }
@@ -301,8 +278,8 @@ impl<'a> Batch<'a> {
 
     /// Prints the summary, writes the report, and returns the exit status.
     pub(super) fn finish(self, console: &mut Console) -> CommandOutcome {
-        let RunOptions { start, allow_violations, report, .. } = self.options;
-        let seconds = start.elapsed().as_secs_f64();
+        let ConvertArgs { allow_violations, report, .. } = self.args;
+        let seconds = self.start.elapsed().as_secs_f64();
         let failed_count = self.outcomes.failures.len();
         let mut summary =
             format!("{}: {} done", pluralize(self.outcomes.noted_count, "frame"), self.outcomes.done_count);
@@ -346,9 +323,10 @@ impl<'a> Batch<'a> {
             let details =
                 report.as_ref().map_or(String::new(), |report| format!(" (see {})", report.display()));
             let what = failed_validation(self.outcomes.broken_count, self.outcomes.noted_count, &details);
-            match allow_violations {
-                true => console.warning(what),
-                false => console.error(format_args!("{what}; --allow-violations accepts them")),
+            if *allow_violations {
+                console.warning(what);
+            } else {
+                console.error(format_args!("{what}; --allow-violations accepts them"));
             }
         }
         CommandOutcome::of(self.outcomes.done_count, failed_count, has_violations)

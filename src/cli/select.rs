@@ -99,10 +99,10 @@ pub(super) fn selected_of(
         (!selected.is_empty()).then_some(SelectedSequence { sequence, selected })
     };
     let selected: Vec<_> = sequences.into_iter().filter_map(select).collect();
-    match selected.is_empty() {
-        true => bail!("--frames selects none of the {frame_count} frames"),
-        false => Ok(selected),
+    if selected.is_empty() {
+        bail!("--frames selects none of the {frame_count} frames");
     }
+    Ok(selected)
 }
 
 /// Refuses a selection of numbers for sequences whose names have times.

@@ -1,5 +1,4 @@
-//! Combines the frames of a sequence into one file: `meniscus sequence`, and `meniscus convert` with
-//! `--sequence-glb`, `--sequence-usda`, `--sequence-usdc` or `--sequence-abc`.
+//! Combines the frames of a sequence into one file: `meniscus sequence`, and `meniscus convert --sequence`.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +10,7 @@ use crate::pipeline::{
 };
 
 use super::CommandOutcome;
-use super::args::{FPS, SequenceArgs, SequenceFileArgs};
+use super::args::{ConvertArgs, FPS, SequenceArgs};
 use super::console::Console;
 use super::frame_selection::held_gaps;
 use super::inputs::{find_inputs, with_files_of_folders};
@@ -24,12 +23,7 @@ use super::wording::{counted_are, pluralize};
 /// # Errors
 /// If no sequence file can be made.
 pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<CommandOutcome> {
-    let format = SequenceFormat::of(&args.output).with_context(|| {
-        format!(
-            "{}: the name of a sequence file must end in .glb, .usda, .usdc or .abc",
-            args.output.display()
-        )
-    })?;
+    let format = format_of(&args.output)?;
     check_output_path("the sequence file", &args.output)?;
     // Of a folder with several formats, the files of the first one in this list are used.
     let formats: &[&[&str]] = &[&["glb"], &["abc"], &["usdc"]];
@@ -48,6 +42,14 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
     warn_gaps(&args.output, &sources, console);
     report_sequence(&args.output, &shot, console);
     Ok(if shot.left_out.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
+}
+
+/// # Errors
+/// If the name does not end like that of a sequence file.
+fn format_of(path: &Path) -> Result<SequenceFormat> {
+    SequenceFormat::of(path).with_context(|| {
+        format!("{}: the name of a sequence file must end in .glb, .usda, .usdc or .abc", path.display())
+    })
 }
 
 /// These files without `output`: a pattern may match the old sequence file, which the new one replaces.
@@ -122,47 +124,38 @@ impl SequenceOutputs {
     /// # Errors
     /// If the files cannot be made with these options.
     pub(super) fn new(
-        (args, fps): (&SequenceFileArgs, Option<f64>),
+        args: &ConvertArgs,
         outputs: &OutputOptions,
         sequence_count: usize,
-        are_picked: bool,
     ) -> Result<SequenceOutputs> {
-        let SequenceFileArgs { sequence_glb, sequence_usda, sequence_usdc, sequence_abc } = args;
-        let typed = [
-            ("--sequence-glb", sequence_glb, SequenceFormat::Glb),
-            ("--sequence-usda", sequence_usda, SequenceFormat::Usda),
-            ("--sequence-usdc", sequence_usdc, SequenceFormat::Usdc),
-            ("--sequence-abc", sequence_abc, SequenceFormat::Abc),
-        ];
         let mut files = Vec::new();
-        for (option, path, format) in typed {
-            let Some(path) = path else { continue };
-            if SequenceFormat::of(path) != Some(format) {
-                let extension = option.trim_start_matches("--sequence-");
-                bail!("{option} {}: the name of this file must end in .{extension}", path.display());
-            }
+        for path in &args.sequence {
+            files.push((path.clone(), format_of(path)?));
             check_sequence_path(path)?;
             if !outputs.formats.contains(&OutputFormat::Glb) {
                 bail!(
-                    "{option}: a sequence file is made from the .glb files of its frames: add glb to --format"
+                    "--sequence: a sequence file is made from the .glb files of its frames: add glb to --format"
                 );
             }
             if sequence_count > 1 {
                 bail!(
-                    "{option}: a sequence file holds one sequence, but the inputs form \
+                    "--sequence: a sequence file holds one sequence, but the inputs form \
                      {sequence_count} sequences: convert each of them with its own command"
                 );
             }
-            files.push((path.clone(), format));
         }
-        if files.is_empty() && outputs.stage.is_none() && fps.is_some() {
-            bail!(
-                "--fps is for a sequence file or a stage: give --sequence-glb, --sequence-usda, --sequence-usdc, \
-                 --sequence-abc or --stage as well"
-            );
+        let fps = args.formats.fps;
+        if files.is_empty() && outputs.stage.is_none() && fps.is_some() && !args.print_settings {
+            bail!("--fps is for a sequence file or a stage: give --sequence or --stage as well");
         }
         let options = SequenceOptions { fps: fps.unwrap_or(FPS), meters_per_unit: outputs.meters_per_unit };
-        Ok(SequenceOutputs { files, options, are_picked })
+        Ok(SequenceOutputs { files, options, are_picked: args.frames.is_some() })
+    }
+
+    /// Whether a sequence file is written whose metres per unit count.
+    pub(super) fn has_usd(args: &ConvertArgs) -> bool {
+        let mut formats = args.sequence.iter().map(|path| SequenceFormat::of(path));
+        formats.any(|format| matches!(format, Some(SequenceFormat::Usda | SequenceFormat::Usdc)))
     }
 
     /// The files.
@@ -174,7 +167,8 @@ impl SequenceOutputs {
     /// an existing sequence file is not replaced.
     pub(super) fn write(
         &self,
-        (frames, frame_count): (&[SequenceSource], usize),
+        frames: &[SequenceSource],
+        frame_count: usize,
         verdict: CommandOutcome,
         console: &mut Console,
     ) -> CommandOutcome {

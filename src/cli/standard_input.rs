@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use tempfile::TempDir;
 
-use crate::pipeline::{STANDARD_INPUT, has_particle_extension, show_as};
+use crate::pipeline::{STANDARD_INPUT, show_as};
 
 use super::args::ConvertArgs;
 use super::destination::private_folder;
@@ -29,22 +29,13 @@ impl StandardInput {
     /// # Errors
     /// If it cannot be read or is larger than the memory limit, or if there are other inputs.
     pub(super) fn take(args: &ConvertArgs) -> Result<Option<StandardInput>> {
-        let Some(pipe) = args.inputs.iter().find(|input| is_pipe(input)) else {
-            if args.input_format.is_some() {
-                bail!("--input-format is for the standard input, and no INPUT is `-`: leave it out");
-            }
-            return Ok(None);
-        };
+        let Some(pipe) = args.inputs.iter().find(|input| is_pipe(input)) else { return Ok(None) };
         let name = if is_stdin(pipe) { STANDARD_INPUT.to_owned() } else { pipe.display().to_string() };
         if args.inputs.len() > 1 {
             bail!("{name} is one frame, so it must be the only INPUT");
         }
-        let file_name = match &args.input_format {
-            None => "stdin".to_owned(),
-            Some(format) => format!("stdin.{}", extension_of(format)?),
-        };
         let folder = private_folder()?;
-        let path = folder.path().join(file_name);
+        let path = folder.path().join("stdin");
         let limit_bytes = memory_bytes(args.run.memory)?;
         let mut file = File::create_new(&path).with_context(|| path.display().to_string())?;
         let pipe = open(pipe).with_context(|| name.clone())?;
@@ -82,16 +73,4 @@ fn is_pipe(input: &Path) -> bool {
     let is_descriptor =
         || ["/dev/fd", "/proc/self/fd"].iter().any(|folder| input.parent() == Some(Path::new(folder)));
     is_stdin(input) || is_descriptor() && input.metadata().is_ok_and(|metadata| !metadata.is_file())
-}
-
-/// Checks the value of --input-format, an extension with or without its dot, and returns it without the dot.
-fn extension_of(format: &str) -> Result<&str> {
-    let extension = format.strip_prefix('.').unwrap_or(format);
-    let is_plain = extension.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'.');
-    if !is_plain || !(has_particle_extension(&format!("stdin.{extension}")) || extension == "vdb") {
-        bail!(
-            "--input-format {format}: expected the extension of a particle file, such as ply, bgeo, vtk, npy, csv or ply.gz, or vdb"
-        );
-    }
-    Ok(extension)
 }

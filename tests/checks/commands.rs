@@ -246,7 +246,7 @@ fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
     }
     let options: &[&str] = match words[..] {
         [_, "status" | "why", ..] => &[],
-        _ => &["--out", "-o", "--report", "--sequence-glb", "--sequence-usdc", "--sequence-abc"],
+        _ => &["--out", "-o", "--report", "--sequence"],
     };
     words.windows(2).filter(|pair| options.contains(&pair[0])).map(|pair| pair[1]).collect()
 }

@@ -199,10 +199,10 @@ def labels(panel):
 
 
 def presets():
-    """Those that the panel offers are those of the method that are not deprecated."""
+    """Those that the panel offers are those of the method."""
     words = next(info.choices for info in pymeniscus.option_table() if info.name == "preset")
     offered = conversion.PRESETS
-    faults = [f"{name} is missing" for name in words if name not in (*offered, "water", "faithful", "smooth")]
+    faults = [f"{name} is missing" for name in words if name not in offered]
     return " ".join(offered), faults + [f"{name} is none" for name in offered if name not in words]
 
 

@@ -162,7 +162,7 @@ def moving(check):
     for label, more in (("moving", []), ("moving-quads", ["--quads"])):
         out = OUT / label
         names = ("shot.glb", "shot.usda", "shot.usdc", "shot.abc")
-        shots = [word for name in names for word in (f"--sequence-{name[5:]}", out / name)]
+        shots = [word for name in names for word in ("--sequence", out / name)]
         options = ["--voxel-size", "0.05", "--attributes", "velocity", "--up", "z", *shots, *more]
         out.mkdir(parents=True, exist_ok=True)
         reads(check, label, folder, options, ["glb", "obj", "ply", "vtp", "stl", "usda", "usdc", "abc"])
@@ -183,7 +183,7 @@ def gliding(check):
         (folder / f"gliding.{frame:03}.csv").write_text("\n".join(rows) + "\n")
     out = OUT / "gliding"
     out.mkdir(parents=True, exist_ok=True)
-    shots = ["--sequence-usdc", out / "shot.usdc", "--sequence-abc", out / "shot.abc", "--stage", out / "stage.usda"]
+    shots = ["--sequence", out / "shot.usdc", "--sequence", out / "shot.abc", "--stage", out / "stage.usda"]
     options = ["--voxel-size", str(glide.VOXEL_SIZE), "--attributes", "velocity", "--up", "z", "--fps", str(glide.FPS)]
     reads(check, "gliding", folder, [*options, *shots], ["glb", "ply", "usdc"])
 
@@ -206,7 +206,7 @@ def described(check):
         out = OUT / label
         out.mkdir(parents=True, exist_ok=True)
         options = ["--voxel-size", "0.05", "--attributes", "all", "--up", "z", "--fps", str(fps)]
-        reads(check, label, folder, [*options, "--sequence-abc", out / "shot.abc"], ["glb", "ply", "abc"])
+        reads(check, label, folder, [*options, "--sequence", out / "shot.abc"], ["glb", "ply", "abc"])
 
 
 # Numbers of the frames; frame 3 is missing.

@@ -110,7 +110,7 @@ fn unreadable_subfolder_fails_the_run() {
     fs::create_dir(scene.path("in/closed")).expect("made");
     forbid(&scene, "in/closed");
     // A closed folder in a path without a wildcard is also an error with a reason.
-    for (input, status) in [("in/**/dam.*.ply", 1), ("in/*/../dam.*.ply", 2), ("in/closed/dam.#.ply", 2)] {
+    for (input, status) in [("in/**/dam.*.ply", 1), ("in/closed/dam.#.ply", 2)] {
         let arguments = ["convert", input, "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
         let Some(result) = run_without_privileges(&scene, &arguments) else { return };
         assert_eq!(result.status, Some(status), "{input}: {}", result.err);

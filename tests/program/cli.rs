@@ -53,10 +53,10 @@ fn contradictory_arguments_are_refused() {
         (&["dam.1.ply", "--smooth-normals", "5"], &["5: no such file", "--smooth-normals=5"]),
         (&["dam.1.ply", "--attributes", "all,age"], &["`all,age`", "or only names"]),
         (
-            &["dam.1.ply", "--print-settings", "--format", "abc", "--sequence-glb", "x.glb"],
-            &["--sequence-glb: a sequence file is made from the .glb files", "add glb to --format"],
+            &["dam.1.ply", "--print-settings", "--format", "abc", "--sequence", "x.glb"],
+            &["--sequence: a sequence file is made from the .glb files", "add glb to --format"],
         ),
-        (&["--print-settings", "--sequence-glb", "x.abc"], &["must end in .glb"]),
+        (&["--print-settings", "--sequence", "x.mov"], &["must end in .glb"]),
         (&["nothing"], &["nothing: the folder is empty"]),
         (
             &["level_sets"],
@@ -117,10 +117,7 @@ fn unwritable_folder_for_a_report_or_sequence_file_is_refused() {
     for (what, command) in [
         ("the report", &["convert", "dam.#.ply", "--out", "o", "--report", "/proc/r.json"][..]),
         ("the report", &["verify", "out", "--report", "/proc/r.json"]),
-        ("the sequence file", &["convert", "dam.#.ply", "--out", "o", "--sequence-glb", "/proc/s.glb"]),
-        ("the sequence file", &["convert", "dam.#.ply", "--out", "o", "--sequence-usda", "/proc/s.usda"]),
-        ("the sequence file", &["convert", "dam.#.ply", "--out", "o", "--sequence-usdc", "/proc/s.usdc"]),
-        ("the sequence file", &["convert", "dam.#.ply", "--out", "o", "--sequence-abc", "/proc/s.abc"]),
+        ("the sequence file", &["convert", "dam.#.ply", "--out", "o", "--sequence", "/proc/s.glb"]),
         ("the sequence file", &["sequence", "dam.#.glb", "-o", "/proc/x.glb"]),
     ] {
         let result = meniscus(path, command);
@@ -158,7 +155,6 @@ fn folder_without_write_permission_is_refused() {
     }
 }
 
-/// Two presets with the same radii differ by their smoothing time.
 #[test]
 fn presets_differ_in_their_settings() {
     let folder = folder();
@@ -167,8 +163,8 @@ fn presets_differ_in_their_settings() {
         let out = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "o", "--preset", preset]).out;
         out.lines().find(|line| line.contains("voxel size")).expect("the settings").to_owned()
     };
-    let [granular, faithful] = ["granular", "faithful"].map(settings_line);
-    assert!(granular.ends_with(", 1 step") && faithful.ends_with(", 5 steps"), "{granular} {faithful}");
+    let [granular, paper] = ["granular", "paper"].map(settings_line);
+    assert!(granular.ends_with(", 1 step") && paper.ends_with(", 5 steps"), "{granular} {paper}");
 }
 
 #[test]

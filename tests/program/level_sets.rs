@@ -220,13 +220,8 @@ fn level_sets_have_reports_previews_and_sequence_files() {
     let folder = sequence();
     let folder = folder.path();
     let more = ["--preview=png", "--preview-size=64x64", "--memory=1GiB", "--report=r.json"];
-    let shots = [
-        "--sequence-glb=s.glb",
-        "--sequence-usda=s.usda",
-        "--sequence-usdc=s.usdc",
-        "--sequence-abc=s.abc",
-        "--skip-done",
-    ];
+    let shots =
+        ["--sequence=s.glb", "--sequence=s.usda", "--sequence=s.usdc", "--sequence=s.abc", "--skip-done"];
     let arguments = [&["convert", "in/f.#.vdb"], &MADE[..], &more, &shots].concat();
     let result = meniscus(folder, &arguments);
     succeeded(&result);

@@ -85,7 +85,7 @@ fn times_in_names_are_one_sequence_in_the_order_of_their_values() {
         let inputs: Vec<String> = names.iter().map(|time| pattern.replace("{}", time)).collect();
         let folder = folder_with(&inputs.iter().map(String::as_str).collect::<Vec<_>>());
         let path = folder.path();
-        let arguments = ["--format", "glb,usdc", "--stage", "out/shot.usda", "--sequence-usda", "all.usda"];
+        let arguments = ["--format", "glb,usdc", "--stage", "out/shot.usda", "--sequence", "all.usda"];
         let result = meniscus(path, &[&["convert", "in", "--out", "out"], &arguments[..]].concat());
         assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
         assert!(
@@ -167,7 +167,7 @@ fn negative_frame_numbers_precede_the_others() {
     let folder = folder_with(&["dam.-003.ply", "dam.-002.ply", "dam.-001.ply", "dam.000.ply", "dam.001.ply"]);
     let path = folder.path();
     let arguments = ["--out", "out", "--format", "glb,usdc", "--stage", "out/shot.usda"];
-    let shots = ["--sequence-glb", "shot.glb", "--sequence-usda", "shot.usda"];
+    let shots = ["--sequence", "shot.glb", "--sequence", "shot.usda"];
     let result = meniscus(path, &[&["convert", "in"], &arguments[..], &shots].concat());
     assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
     assert!(result.out.contains("dam.{}.ply: 5 frames, spacing "), "{}", result.out);
@@ -326,7 +326,6 @@ fn file_name_that_cannot_be_written_is_refused_with_a_remedy() {
         (&["convert", "dam.1.ply", "-o", "-", "--format", "ply,obj"], &["one format"]),
         (&["convert", "dam.1.ply", "-o", "-", "--skip-done"], &["--skip-done", "name a folder"]),
         (&["convert", "dam.1.ply", "-o", "x.obj", "--skip-done"], &["--skip-done", "name a folder"]),
-        (&["convert", "dam.1.ply", "-o", "o", "--input-format", "ply"], &["--input-format"]),
         (&["convert", "dam.1.ply", "-o", "-", "--shard", "1/1"], &["name a folder"]),
         (&["watch", ".", "--once", "--out", "x.glb"], &["x.glb", "folder"]),
         (&["convert", "dam.1.ply", "-o", "X.PLY"], &["X.PLY", "use X.ply"]),
@@ -337,9 +336,7 @@ fn file_name_that_cannot_be_written_is_refused_with_a_remedy() {
             &["x.fbx: .fbx is not an output format: use .glb,", "for a folder of this name, write x.fbx/"],
         ),
         (&["convert", "dam.1.ply", "-o", "new/x.USD"], &["new/x.USD: .USD is not", "write new/x.USD/"]),
-        (&["convert", "dam.1.ply", "-o", "x.gbl"], &["x.gbl: .gbl is not", "write x.glb", "write x.gbl/"]),
-        (&["convert", "dam.1.ply", "-o", "x.glft"], &["write x.gltf"]),
-        (&["convert", "dam.1.ply", "-o", "x.us.objj"], &["write x.us.obj"]),
+        (&["convert", "dam.1.ply", "-o", "x.gbl"], &["x.gbl: .gbl is not", "write x.gbl/"]),
         (&["convert", "dam.#.ply", "--out", "x.dae"], &["x.dae: .dae is not an output format"]),
         (&["watch", ".", "--once", "--out", "x.bgeo"], &["x.bgeo: .bgeo is not an output format"]),
     ] {
@@ -353,9 +350,7 @@ fn file_name_that_cannot_be_written_is_refused_with_a_remedy() {
     // A folder may have any name.
     fs::create_dir(path.join("old.obj")).expect("made");
     fs::create_dir(path.join("old.fbx")).expect("made");
-    for out in
-        ["old.obj", "new.obj/", "old.fbx", "new.fbx/", "run.v2", "cache.0001", "all.objs", "a.old", "b.max"]
-    {
+    for out in ["old.obj", "new.obj/", "old.fbx", "new.fbx/", "run.v2", "cache.0001"] {
         let result = convert(path, &["dam.#.ply", "--format", "obj", "--out", out]);
         assert_eq!(result.status, 0, "{}", result.err);
         assert_eq!(names_in(&path.join(out)), ["dam.1.obj", "dam.2.obj"]);
@@ -368,18 +363,16 @@ fn standard_input_and_output_carry_one_frame() {
     let path = folder.path();
     let bytes = fs::read(path.join("in/dam.7.ply")).expect("there");
     let voxels = QUICK;
-    for (input, output, format) in [
-        (&["-", "--input-format", "ply"][..], &["-o", "-"][..], "glb"),
-        (&["-"], &["--out", "-", "--format", "obj"], "obj"),
-    ] {
+    for (input, output, format) in
+        [(&["-"][..], &["-o", "-"][..], "glb"), (&["-"], &["--out", "-", "--format", "obj"], "obj")]
+    {
         let (status, out, err) = pipe(path, &[input, output, &voxels].concat(), &bytes);
         assert_eq!(status, 0, "{err}");
         assert!(err.contains("1 frame: 1 done"), "{err}");
         // The output is the same as for files with these names.
         let same = tempdir().expect("a folder");
-        let name = if input.len() > 1 { "stdin.ply" } else { "stdin" };
-        fs::write(same.path().join(name), &bytes).expect("written");
-        let result = convert(same.path(), &[name, "--format", format, "-o", &format!("x.{format}")]);
+        fs::write(same.path().join("stdin"), &bytes).expect("written");
+        let result = convert(same.path(), &["stdin", "--format", format, "-o", &format!("x.{format}")]);
         assert_eq!(result.status, 0, "{}", result.err);
         assert!(out == fs::read(same.path().join(format!("x.{format}"))).expect("there"), "{format}");
     }
@@ -394,7 +387,6 @@ fn standard_input_and_output_carry_one_frame() {
     for (arguments, input, words) in [
         (&["-", "-o", "-"][..], &b""[..], "standard input is empty"),
         (&["-", "in", "-o", "x"], b"0 0 0", "only INPUT"),
-        (&["-", "-o", "-", "--input-format", "doc"], b"0 0 0", "--input-format doc"),
         (&["-", "-o", "-", "--memory", "1MiB"], &[b'x'; (1 << 20) + 1], "--memory"),
     ] {
         let (status, out, err) = pipe(path, arguments, input);
@@ -409,8 +401,7 @@ fn errors_and_reports_of_a_pipe_name_the_standard_input() {
     let folder = folder_with(&["dam.7.ply"]);
     let path = folder.path();
     let bytes = fs::read(path.join("in/dam.7.ply")).expect("there");
-    let arguments =
-        ["-", "--input-format", "ply", "-o", "x.obj", "--voxel-size", "0.1", "--report", "r.json"];
+    let arguments = ["-", "-o", "x.obj", "--voxel-size", "0.1", "--report", "r.json"];
     for (input, status) in [(&bytes[..bytes.len() - 5], 2), (&bytes, 0)] {
         let (found, out, err) = pipe(path, &arguments, input);
         assert_eq!(found, status, "{err}");

@@ -85,13 +85,13 @@ fn outputs_for_other_programs_record_the_generator() {
 }
 
 const SHOTS: [&str; 10] = [
-    "--sequence-glb",
+    "--sequence",
     "shot.glb",
-    "--sequence-usda",
+    "--sequence",
     "shot.usda",
-    "--sequence-usdc",
+    "--sequence",
     "shot.usdc",
-    "--sequence-abc",
+    "--sequence",
     "shot.abc",
     "--fps",
     "25",
@@ -135,10 +135,7 @@ fn sequence_file_is_the_same_from_every_command() {
     // A command that selects some frames does not warn about the others.
     for frames in ["1,4", "1-4x2"] {
         let frames = ["--frames", frames];
-        succeeded(&meniscus(
-            path,
-            &[&CONVERT_TO_FRAMES[..], &["--sequence-glb", "some.glb"], &frames].concat(),
-        ));
+        succeeded(&meniscus(path, &[&CONVERT_TO_FRAMES[..], &["--sequence", "some.glb"], &frames].concat()));
     }
     // A restart with nothing to convert still writes the sequence file.
     fs::remove_file(path.join("shot.glb")).expect("removed");
@@ -375,14 +372,14 @@ fn invalid_sequence_files_are_refused_before_conversion() {
     let folder = frames(2);
     let path = folder.path();
     let convert = |more: &[&'static str]| [&["convert", "in", "--out", "o"][..], more].concat();
-    refused(path, &convert(&["--format", "ply", "--sequence-glb", "s.glb"]), &["--sequence-glb", "add glb"]);
-    refused(path, &convert(&["--sequence-usda", "s.glb"]), &["--sequence-usda s.glb", "must end in .usda"]);
-    refused(path, &convert(&["--sequence-abc", "s.usd"]), &["--sequence-abc s.usd", "must end in .abc"]);
-    refused(path, &convert(&["--sequence-glb", "s.mov"]), &["--sequence-glb s.mov", "must end in .glb"]);
-    refused(path, &convert(&["--sequence-glb", "no/s.glb"]), &["does not exist"]);
+    refused(path, &convert(&["--format", "ply", "--sequence", "s.glb"]), &["--sequence", "add glb"]);
+    for name in ["s.usd", "s.mov", "s"] {
+        refused(path, &convert(&["--sequence", name]), &[name, "must end in .glb, .usda, .usdc or .abc"]);
+    }
+    refused(path, &convert(&["--sequence", "no/s.glb"]), &["does not exist"]);
     refused(
         path,
-        &convert(&["--sequence-glb", "o/dam.1.glb"]),
+        &convert(&["--sequence", "o/dam.1.glb"]),
         &[
             "the sequence file and the result",
             "would both become",
@@ -390,10 +387,10 @@ fn invalid_sequence_files_are_refused_before_conversion() {
         ],
     );
     refused(path, &convert(&["--fps", "25"]), &["--fps"]);
-    refused(path, &convert(&["--sequence-glb", "s.glb", "--fps", "0"]), &["--fps"]);
+    refused(path, &convert(&["--sequence", "s.glb", "--fps", "0"]), &["--fps"]);
     write_ply(&path.join("in/other.1.ply"), &block(3, 0.0));
     write_ply(&path.join("in/other.2.ply"), &block(3, 0.0));
-    refused(path, &convert(&["--sequence-glb", "s.glb"]), &["one sequence"]);
+    refused(path, &convert(&["--sequence", "s.glb"]), &["one sequence"]);
     assert!(!path.join("o").exists() && !path.join("s.glb").exists());
     refused(path, &["sequence", "in", "-o", "s.glb"], &["no .glb, .abc or .usdc"]);
     refused(
@@ -490,8 +487,7 @@ fn sequence_file_replaces_only_an_earlier_one() {
     fs::write(path.join("mine.usda"), "text").expect("written");
     for output in ["dam.0001.glb", "mine.usda"] {
         let before = fs::read(path.join(output)).expect("readable");
-        let option = if output == "mine.usda" { "--sequence-usda" } else { "--sequence-glb" };
-        let convert = ["convert", "in", "--out", "again", "--voxel-size", "0.05", option, output];
+        let convert = ["convert", "in", "--out", "again", "--voxel-size", "0.05", "--sequence", output];
         for arguments in [&["sequence", "out", "-o", output][..], &convert] {
             refused(path, arguments, &[output, "exists, and is not a sequence file of meniscus"]);
         }

@@ -248,7 +248,7 @@ fn invalid_shards_are_refused() {
     }
     for (more, why) in [
         (&["--out=a.glb", "--shard=1/1"][..], "name a folder with --out"),
-        (&["--out=out", "--shard=1/1", "--sequence-glb=s.glb"], "meniscus sequence"),
+        (&["--out=out", "--shard=1/1", "--sequence=s.glb"], "meniscus sequence"),
     ] {
         let result = meniscus(folder.path(), &[&["convert", "in/dam.1.ply"], more].concat());
         assert!(result.status == 2 && result.err.contains(why), "{}", result.err);

@@ -4,7 +4,9 @@
 //! link to itself (ELOOP), a link through a file (ENOTDIR), a link to a name that is too long (ENAMETOOLONG),
 //! and a link to a missing file (ENOENT).
 
+use std::ffi::OsStr;
 use std::fs;
+use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::symlink;
 use std::path::Path;
 
@@ -136,11 +138,11 @@ fn globs_match_as_documented() {
             .expect("renamed");
     }
     symlink("b", path.join("c")).expect("linked");
+    fs::write(path.join("a/x").join(OsStr::from_bytes(b"\xff")), "").expect("written");
     for (pattern, expected) in [
         ("*/x/*.ply", &["ax.1.obj", "bx.1.obj"][..]),
         ("[ab]/?/*.1.ply", &["ax.1.obj", "bx.1.obj"]),
         ("c/*/*.ply", &["bx.1.obj"]),
-        ("*/y/../x/*.ply", &["bx.1.obj"]),
         (".*/x/*.ply", &[".hx.1.obj"]),
         ("b/**/*.ply", &["bx.1.obj", "byx.1.obj"]),
         ("./**/*.ply", &["ax.1.obj", "bx.1.obj", "byx.1.obj"]),

@@ -61,7 +61,7 @@ fn numbers_have_the_documented_ranges() {
     let try_out = |option: &str, value: &str| {
         let typed = format!("{option}={value}");
         let others = match option {
-            "--voxel-size" | "--spacing" | "--particle-radius" => &[][..],
+            "--voxel-size" | "--spacing" => &[][..],
             "--thin-radius" | "--lone-radius" => &["--voxel-size=1"],
             "--velocity-gain" => &["--preset=paper", "--voxel-size=1", "--anisotropy=velocity"],
             "--radius-scale" => &["--preset=paper", "--voxel-size=1", "--radius-attribute=pscale"],

@@ -49,7 +49,7 @@ pub enum Compression {
     /// All values of each leaf, uncompressed.
     None,
     /// Only the values of active voxels.
-    #[serde(rename = "active", alias = "active_mask")]
+    #[serde(rename = "active")]
     ActiveMask,
     /// Only the values of active voxels, in Blosc frames with LZ4: OpenVDB's default.
     #[default]

@@ -312,7 +312,6 @@ def link(scene: bpy.types.Scene, stage: Path) -> str:
 
 # Blender interface
 
-#: Outdated names, which the command still takes, are not offered.
 PRESETS = ("fluid", "noisy", "splash", "granular", "preview", "paper")
 
 

@@ -9,16 +9,12 @@ use clap::Args;
 
 use super::merge::option_set;
 use super::method_options::MethodOptionArgs;
-use crate::surface::options::{Length, MethodOptions, OptionGroup};
+use crate::surface::options::{MethodOptions, OptionGroup};
 
 option_set! {
     /// The reconstruction options, and those that exist only on the command line.
     #[derive(Clone, Debug, Default, PartialEq, Args)]
     pub(in crate::cli) struct MethodArgs {
-        /// Particle radius of the simulation, positive; sets --spacing to twice this value
-        #[arg(long, value_name = "R", allow_negative_numbers = true, conflicts_with = "spacing", value_parser = Length::parse_world)]
-        pub(in crate::cli) particle_radius: Option<f64>,
-
         #[command(flatten)]
         pub(in crate::cli) options: MethodOptionArgs,
 
@@ -33,10 +29,8 @@ option_set! {
 }
 
 impl MethodArgs {
-    /// The reconstruction options. If only `--particle-radius` is given, `spacing` is twice its value.
+    /// The reconstruction options.
     pub(in crate::cli) fn to_options(&self) -> MethodOptions {
-        let MethodOptionArgs(options) = &self.options;
-        let spacing = options.spacing.or(self.particle_radius.map(|radius| 2.0 * radius));
-        MethodOptions { spacing, ..options.clone() }
+        self.options.0.clone()
     }
 }

@@ -40,7 +40,7 @@ pub(super) use method::MethodArgs;
 pub(super) use method_options::MethodOptionArgs;
 pub(super) use query::StatusArgs;
 pub(super) use render::{PictureArgs, RenderArgs, RunArgs};
-pub(super) use sequence::{FPS, SequenceArgs, SequenceFileArgs};
+pub(super) use sequence::{FPS, SequenceArgs};
 pub(super) use sheets::{ContactSheetArgs, TuneArgs};
 pub(super) use watch::{DaemonArgs, FrameArgs, LogChoice, WatchArgs};
 
@@ -91,14 +91,9 @@ option_set! {
         /// format is detected from the content, except for raw XYZ, which has no signature. Level sets in
         /// .vdb are converted to meshes. Frames are in natural order (9 before 10); files whose names differ
         /// only in the frame number form one sequence, and share their settings. `-` reads one file from the
-        /// standard input.
+        /// standard input, in any format but raw XYZ.
         #[arg(required_unless_present = "print_settings", value_name = "INPUT")]
         pub(super) inputs: Vec<PathBuf>,
-
-        /// Format of the standard input, by its usual extension, such as ply or bgeo.gz [default: found by
-        /// content]
-        #[arg(long, value_name = "EXTENSION")]
-        pub(super) input_format: Option<String>,
 
         /// Folder for the results; for a single frame also a file such as dam.glb, or - for the standard
         /// output
@@ -132,10 +127,7 @@ option_set! {
         /// By default a level set is converted to a mesh unchanged. With a value above 0 it is first replaced
         /// by the smoothest surface within that distance. The voxel size is that of the file. Options for
         /// particles are refused.
-        #[arg(
-            long, alias = "band-slack", value_name = "VOXELS", allow_negative_numbers = true,
-            value_parser = deviation()
-        )]
+        #[arg(long, value_name = "VOXELS", allow_negative_numbers = true, value_parser = deviation())]
         pub(super) max_deviation: Option<f64>,
 
         /// Write the particles unchanged, as ply or vtp, without a surface
@@ -179,8 +171,10 @@ option_set! {
         #[arg(long, help_heading = "Run")]
         pub(super) print_settings: bool,
 
-        #[command(flatten, next_help_heading = SEQUENCE_FILE)]
-        pub(super) shot: SequenceFileArgs,
+        /// After the conversion, combine the frames into one animated .glb, .usda, .usdc or .abc, as
+        /// `meniscus sequence` does; may be repeated; requires a single sequence, and glb in --format
+        #[arg(long, value_name = "FILE", help_heading = SEQUENCE_FILE)]
+        pub(super) sequence: Vec<PathBuf>,
     }
 }
 
@@ -209,8 +203,8 @@ fn deviation() -> impl TypedValueParser<Value = f64> {
 
 const CHOOSING: &str = "\
 Choosing the spacing, the voxel size and the radii:
-  The particle spacing d is the only number you may need: --spacing, or --particle-radius, which is
-  half of it. Without either, d is measured on the first, middle and last frame of the sequence,
+  The particle spacing d, twice the particle radius of the simulation, is the only number you may
+  need: --spacing. Without it, d is measured on the first, middle and last frame of the sequence,
   printed, and the same for every frame.
 
   A LENGTH is a number in world units, the particles' unit of length; or in particle spacings, such as

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::merge::option_set;
 use crate::cli::quantities::parse_fps;
 use crate::pipeline::METERS_PER_UNIT;
 use crate::surface::options::ranged;
@@ -28,40 +27,6 @@ pub(in crate::cli) struct SequenceArgs {
     /// Length of a world unit in metres, 1e-9 to 1e9, for USD [default: 1]
     #[arg(long, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
     pub(in crate::cli) meters_per_unit: Option<f64>,
-}
-
-option_set! {
-    /// The same options for commands that convert the frames.
-    #[derive(Clone, Debug, Default, PartialEq, Args)]
-    pub(in crate::cli) struct SequenceFileArgs {
-        /// After the conversion, combine the frames into one animated .glb, as `meniscus sequence` does;
-        /// requires a single sequence, and glb in --format
-        #[arg(long, value_name = "FILE")]
-        pub(in crate::cli) sequence_glb: Option<PathBuf>,
-
-        /// After the conversion, combine the .glb files of the frames into one .usda with time samples;
-        /// requires a single sequence, and glb in --format
-        #[arg(long, value_name = "FILE")]
-        pub(in crate::cli) sequence_usda: Option<PathBuf>,
-
-        /// After the conversion, combine the .glb files of the frames into one .usdc with time samples;
-        /// requires a single sequence, and glb in --format
-        #[arg(long, value_name = "FILE")]
-        pub(in crate::cli) sequence_usdc: Option<PathBuf>,
-
-        /// After the conversion, combine the .glb files of the frames into one .abc with time samples;
-        /// requires a single sequence, and glb in --format
-        #[arg(long, value_name = "FILE")]
-        pub(in crate::cli) sequence_abc: Option<PathBuf>,
-    }
-}
-
-impl SequenceFileArgs {
-    /// Whether a sequence file is requested.
-    pub(in crate::cli) fn is_any(&self) -> bool {
-        let SequenceFileArgs { sequence_glb, sequence_usda, sequence_usdc, sequence_abc } = self;
-        [sequence_glb, sequence_usda, sequence_usdc, sequence_abc].iter().any(|path| path.is_some())
-    }
 }
 
 /// The default frames per second.

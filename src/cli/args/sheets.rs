@@ -64,8 +64,7 @@ pub(in crate::cli) struct TuneArgs {
     /// [default: position-smoothing=0,0.5,0.7,0.9 and radius-min=0.85d,1d,1.15d,1.45d]
     ///
     /// Given once, the values fill the sheet; given twice, the first option differs from row to row, and the
-    /// second from column to column. Values are written as on the command line, and separated by commas, or
-    /// by semicolons if they contain commas.
+    /// second from column to column. Values are written as on the command line, and separated by commas.
     #[arg(long, value_name = "OPTION=VALUES")]
     pub(in crate::cli) vary: Vec<VariedOption>,
 

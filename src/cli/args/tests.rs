@@ -150,7 +150,6 @@ fn lengths_have_units_on_the_command_line() {
         (["--voxel-size", "2h"], "0.4d"),
         (["--radius-min", "5x"], "such as 0.6d"),
         (["--spacing", "1d"], "world units"),
-        (["--particle-radius", "1h"], "world units"),
         (["--decimate", "0.1h"], "from 0 to 1"),
     ] {
         let error = parsed(&words).expect_err("no such unit");

@@ -10,7 +10,7 @@ use std::time::Duration;
 use clap::{Args, ValueEnum};
 
 use super::formats::FormatArgs;
-use super::merge::{OptionSet, option_set};
+use super::merge::option_set;
 use super::method::MethodArgs;
 use super::render::RunArgs;
 use crate::cli::quantities::{parse_bytes, parse_duration, parse_listen, parse_poll};
@@ -137,18 +137,6 @@ pub(in crate::cli) enum LogChoice {
     Text,
     /// One JSON object per line
     Json,
-}
-
-impl FrameArgs {
-    /// These options, and those of a file where `self` has none. If `self` determines the spacing (by
-    /// `--spacing` or `--particle-radius`), both of these options in the file are ignored.
-    pub(in crate::cli) fn over_file(&self, file: &FrameArgs) -> FrameArgs {
-        let mut file = file.clone();
-        if self.method.to_options().spacing.is_some() {
-            (file.method.particle_radius, file.method.options.0.spacing) = (None, None);
-        }
-        self.clone().over(file)
-    }
 }
 
 const WATCHING: &str = "\

@@ -12,14 +12,11 @@ use std::time::Duration;
 
 use anyhow::{Result, anyhow};
 use clap::error::{ContextKind, ContextValue};
-use clap::{Arg, ArgAction, Args, CommandFactory as _};
+use clap::{Arg, ArgAction, Args, Command};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::key_lines::BlockKeys;
-use super::option_keys::{command, has_former_key, is_list, key_of};
-use super::{current_key, keys_of};
-use crate::cli::args::Cli;
+use crate::cli::args::OptionSet;
 use crate::cli::wording::option_name;
 use crate::surface::options::{MethodOptions, ValueKind};
 use crate::watch::Poll;
@@ -42,68 +39,54 @@ impl ConfigSource<'_> {
     }
 }
 
-/// A table whose keys are all known.
+/// The options that a block sets.
+#[derive(Clone, Debug)]
+pub(in crate::cli) struct ConfigBlock<O> {
+    pub(in crate::cli) options: O,
+    /// The line where the block starts, from 1.
+    pub(in crate::cli) line: usize,
+    /// The file, the line and the name of the block, for messages: `meniscus.toml:3: [[watch]]`.
+    pub(in crate::cli) place: String,
+}
+
+/// A table of the file.
 pub(super) struct ConfigTable<'a> {
     source: &'a ConfigSource<'a>,
     table: &'a DeTable<'a>,
     /// The offset of the block in the file, in bytes.
-    pub(super) start: usize,
-    /// The keys that have their former names: their offsets in the file, and a message.
-    deprecated: Vec<(usize, String)>,
+    start: usize,
+    /// The block in messages, such as `[daemon]`.
+    name: String,
 }
 
 /// A value and its offset in the file.
 type ConfigValue<'a> = &'a Spanned<DeValue<'a>>;
 
 impl<'a> ConfigTable<'a> {
-    /// The block called `name`, which starts at `start`.
-    ///
-    /// # Errors
-    /// If a key is unknown, or is given under its current and under its former name. The message names the
-    /// first such key; for an unknown one, also the most similar known one.
-    pub(super) fn new(
+    /// The whole file, with blocks of these names only.
+    pub(super) fn root(
         source: &'a ConfigSource<'a>,
-        name: &str,
         table: &'a DeTable<'a>,
-        start: usize,
+        blocks: &[&str],
     ) -> Result<ConfigTable<'a>> {
-        let known = keys_of(name);
-        let unknown = table.keys().filter(|key| known.iter().all(|known| known != key.get_ref()));
-        let mut deprecated = Vec::new();
-        let mut faults = Vec::new();
-        for key in unknown {
-            let (offset, key) = (key.span().start, key.get_ref());
-            match current_key(name, key) {
-                None => faults.push((offset, unknown_key(key, name))),
-                Some(current) if table.contains_key(&*current) => {
-                    faults.push((offset, format!("`{key}` is the former name of `{current}`: remove it")));
-                }
-                Some(current) => deprecated.push((offset, format!("`{key}` is deprecated: use `{current}`"))),
-            }
+        if let Some(key) = table.keys().find(|key| !blocks.contains(&&**key.get_ref())) {
+            let what =
+                format!("unknown key `{}` outside all blocks: expected [daemon] or [[watch]]", key.get_ref());
+            return Err(source.error(key.span().start, what));
         }
-        match faults.into_iter().min_by_key(|(offset, _)| *offset) {
-            Some((offset, fault)) => Err(source.error(offset, fault)),
-            None => Ok(ConfigTable { source, table, start, deprecated }),
-        }
+        Ok(ConfigTable { source, table, start: 0, name: String::new() })
     }
 
-    /// A warning for each key that has its former name.
-    pub(super) fn warnings(&self) -> impl Iterator<Item = String> {
-        self.deprecated.iter().map(|(offset, what)| self.source.error(*offset, what).to_string())
-    }
-
-    /// An error about the block as a whole.
-    pub(super) fn error(&self, what: impl Display) -> anyhow::Error {
-        self.source.error(self.start, what)
+    fn child(&self, name: String, value: ConfigValue<'a>) -> Option<ConfigTable<'a>> {
+        let (source, start) = (self.source, value.span().start);
+        value.get_ref().as_table().map(|table| ConfigTable { source, table, start, name })
     }
 
     /// The only block of this name.
     pub(super) fn block(&self, name: &str) -> Result<Option<ConfigTable<'a>>> {
         let Some(value) = self.table.get(name) else { return Ok(None) };
-        match value.get_ref().as_table() {
-            Some(table) => ConfigTable::new(self.source, name, table, value.span().start).map(Some),
-            None => Err(self.wrong(name, &format!("one block, [{name}]"), value)),
-        }
+        let block = self.child(format!("[{name}]"), value);
+        block.map(Some).ok_or_else(|| self.wrong(name, &format!("one block, [{name}]"), value))
     }
 
     /// All blocks of this name.
@@ -115,39 +98,36 @@ impl<'a> ConfigTable<'a> {
             return Err(self.source.error(value.span().start, what));
         }
         let array = value.get_ref().as_array().ok_or_else(|| self.wrong(name, &wanted, value))?;
-        let block = |item: ConfigValue<'a>| match item.get_ref().as_table() {
-            Some(table) => ConfigTable::new(self.source, name, table, item.span().start),
-            None => Err(self.wrong(name, &wanted, item)),
-        };
-        array.iter().map(block).collect()
+        let block = |item| self.child(format!("[[{name}]]"), item);
+        array.iter().map(|item| block(item).ok_or_else(|| self.wrong(name, &wanted, item))).collect()
     }
 
-    /// The options that each key of the block sets.
+    /// The options that the keys of the block set.
     ///
     /// # Errors
-    /// If a value is invalid. The message is about the first invalid value in the file, and states the valid
-    /// ones.
-    pub(super) fn keys<O: Args>(&self) -> Result<BlockKeys<O>> {
+    /// If a key is unknown or a value is invalid. The message is about the first such key in the file, and
+    /// states the valid values.
+    pub(super) fn options<O: Args + OptionSet + Default>(&self) -> Result<ConfigBlock<O>> {
         let command = command::<O>();
-        let parsed = |words: &[OsString]| {
-            let matches = command.clone().try_get_matches_from(words);
-            matches.and_then(|matches| O::from_arg_matches(&matches))
-        };
         let mut entries: Vec<_> = self.table.iter().collect();
         entries.sort_by_key(|(key, _)| key.span().start);
-        let mut keys = BlockKeys::new(self.source.path, self.source.line(self.start));
+        let mut options = O::default();
         for (key, value) in entries {
-            let key = key.get_ref();
-            let is_meant = |option: &&Arg| key_of(option) == *key || has_former_key(option, key);
-            let Some(option) = command.get_arguments().find(is_meant) else { continue };
-            // Each key is parsed alone: the parser rejects two options that set the same quantity, such as
-            // --spacing and --particle-radius, but a file may have both keys.
-            let set = parsed(&self.words(key, option, value)?).map_err(|error| {
+            let (start, key) = (key.span().start, key.get_ref());
+            let Some(option) = command.get_arguments().find(|option| key_of(option) == *key) else {
+                return Err(self.source.error(start, unknown_key(key, &self.name, &command)));
+            };
+            let words = self.words(key, option, value)?;
+            // Each key is parsed alone: the parser would report conflicts as those of options.
+            let matches = command.clone().try_get_matches_from(words);
+            let set = matches.and_then(|matches| O::from_arg_matches(&matches)).map_err(|error| {
                 self.source.error(value.span().start, format_args!("`{key}`: {}", reason(&error, option)))
             })?;
-            keys.add(&key_of(option), self.source.line(value.span().start), set);
+            options = options.over(set);
         }
-        Ok(keys)
+        let (path, line) = (self.source.path, self.source.line(self.start));
+        let place = format!("{}:{line}: {}", path.display(), self.name);
+        Ok(ConfigBlock { options, line, place })
     }
 
     /// The command-line arguments that set an option to a value.
@@ -166,10 +146,10 @@ impl<'a> ConfigTable<'a> {
                 let what = format_args!("`{key}` is empty: expected {list}");
                 return Err(self.source.error(value.span().start, what));
             }
-            let text = |item| self.text(key, option, item, ("contains", &wanted));
+            let text = |item| self.text(key, option, item, "contains", &wanted);
             return array.iter().map(|item| text(item).map(word)).collect();
         }
-        let text = self.text(key, option, value, ("is", &wanted))?;
+        let text = self.text(key, option, value, "is", &wanted)?;
         Ok(match option.get_action() {
             ArgAction::SetTrue if text == "true" => vec![name.into()],
             ArgAction::SetTrue => Vec::new(),
@@ -183,7 +163,8 @@ impl<'a> ConfigTable<'a> {
         key: &str,
         option: &Arg,
         value: ConfigValue<'a>,
-        (verb, wanted): (&str, &str),
+        verb: &str,
+        wanted: &str,
     ) -> Result<OsString> {
         if let (true, DeValue::Array(items)) = (takes_commas(option), value.get_ref()) {
             if items.is_empty() {
@@ -308,50 +289,35 @@ fn reason(error: &clap::Error, option: &Arg) -> String {
     }
 }
 
-/// The message for a key that is unknown in this block.
-fn unknown_key(key: &str, block: &str) -> String {
-    let known = keys_of(block);
-    let location = |name| match name {
-        "watch" => "a [[watch]] block",
-        "daemon" => "the [daemon] block",
-        _ => "the file, outside all blocks",
+/// The message for a key that is unknown in a block, whose keys are these options.
+fn unknown_key(key: &str, block: &str, command: &Command) -> String {
+    let option = format!("--{}", key.to_lowercase().replace('_', "-"));
+    let is_meant =
+        |name: &str| command.get_arguments().find(|option| option_name(option.get_id().as_str()) == name);
+    let similar = match command.clone().try_get_matches_from([&option]) {
+        Err(error) => match error.get(ContextKind::SuggestedArg) {
+            Some(ContextValue::String(similar)) => is_meant(similar),
+            _ => None,
+        },
+        Ok(_) => None,
     };
-    let has_key = |other: &&str| keys_of(other).iter().any(|known| known == key);
-    if let Some(other) = ["watch", "daemon"].into_iter().find(has_key) {
-        return format!("`{key}` does not belong in {}, but in {}", location(block), location(other));
-    }
-    let location = location(block);
-    if let Some(nearest) = nearest(key, &known) {
-        return format!("unknown key `{key}` in {location}; did you mean `{nearest}`?");
-    }
-    let convert = Cli::command().find_subcommand("convert").cloned().unwrap_or_default();
-    let is_meant = |option: &&Arg| option.get_id() == key || has_former_key(option, key);
-    match convert.get_arguments().find(is_meant) {
-        Some(option) if option.get_id() == "max_deviation" => format!(
-            "unknown key `{key}` in {location}: the daemon does not smooth level sets; `meniscus convert \
-             --max-deviation` does"
-        ),
-        Some(option) => format!(
-            "unknown key `{key}` in {location}: {} is an option of `meniscus convert`, and not of the daemon",
-            option_name(option.get_id().as_str())
-        ),
-        None if known.len() <= LISTED_MAX => {
-            format!("unknown key `{key}` in {location}; it knows {}", known.join(", "))
-        }
-        None => format!("unknown key `{key}` in {location}: examples/meniscus.toml has every key, explained"),
+    match is_meant(&option).or(similar) {
+        Some(meant) => format!("unknown key `{key}` in {block}; did you mean `{}`?", key_of(meant)),
+        None => format!("unknown key `{key}` in {block}: examples/meniscus.toml has every key, explained"),
     }
 }
 
-/// Maximum number of known keys in a message: more would hide the cause.
-const LISTED_MAX: usize = 20;
-
-/// The most similar known key, if one is similar enough.
-fn nearest<'k>(key: &str, known: &'k [String]) -> Option<&'k str> {
-    let key = key.to_lowercase().replace('-', "_");
-    let likeness = |known: &str| strsim::jaro_winkler(&key, known);
-    let nearest = known.iter().max_by(|a, b| likeness(a).total_cmp(&likeness(b)))?;
-    (likeness(nearest) >= LIKENESS_MIN).then_some(nearest)
+/// A command line with these options only.
+pub(super) fn command<O: Args>() -> Command {
+    O::augment_args(Command::new("file").no_binary_name(true).disable_help_flag(true))
 }
 
-/// The minimum similarity of a suggestion, from 0 to 1 (equal): a less similar one would confuse.
-const LIKENESS_MIN: f64 = 0.75;
+/// The key of an option: its name, or the plural if it takes a list.
+pub(super) fn key_of(option: &Arg) -> String {
+    let plural = if is_list(option) { "s" } else { "" };
+    format!("{}{plural}", option.get_id())
+}
+
+fn is_list(option: &Arg) -> bool {
+    matches!(option.get_action(), ArgAction::Append)
+}

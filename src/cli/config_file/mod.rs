@@ -11,8 +11,6 @@
 //! waste a night of computation.
 
 mod block;
-mod key_lines;
-mod option_keys;
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -24,10 +22,9 @@ use toml::de::DeTable;
 use super::args::{DaemonArgs, FrameArgs, option_set};
 use crate::pipeline::read_regular_text;
 
-pub(super) use key_lines::BlockKeys;
+pub(super) use block::ConfigBlock;
 
 use block::{ConfigSource, ConfigTable};
-use option_keys::{keys, renamed};
 
 /// The content of a file.
 #[derive(Clone, Debug)]
@@ -35,19 +32,8 @@ pub(super) struct ConfigFile {
     /// Its path.
     pub(super) path: PathBuf,
     /// In the order of the file.
-    pub(super) watches: Vec<WatchBlock>,
-    pub(super) daemon: BlockKeys<DaemonArgs>,
-    /// Warnings about keys with former names.
-    pub(super) warnings: Vec<String>,
-}
-
-/// A `[[watch]]` block.
-#[derive(Clone, Debug)]
-pub(super) struct WatchBlock {
-    pub(super) keys: BlockKeys<WatchKeys>,
-    pub(super) input: PathBuf,
-    pub(super) output: Option<PathBuf>,
-    pub(super) frames: FrameArgs,
+    pub(super) watches: Vec<ConfigBlock<WatchKeys>>,
+    pub(super) daemon: Option<ConfigBlock<DaemonArgs>>,
 }
 
 /// Reads the file at `path`.
@@ -76,21 +62,10 @@ fn parse(source: &ConfigSource<'_>) -> Result<ConfigFile> {
         }
         source.error(span.start, message)
     })?;
-    let root = ConfigTable::new(source, "", root.get_ref(), 0)?;
-    let blocks = root.blocks("watch")?;
-    let watches: Result<Vec<WatchBlock>> = blocks.iter().map(watch_block).collect();
-    let daemon_block = root.block("daemon")?;
-    let no_block = || Ok(BlockKeys::new(source.path, 1));
-    let daemon = daemon_block.as_ref().map_or_else(no_block, ConfigTable::keys);
-    let warnings = blocks.iter().chain(&daemon_block).flat_map(ConfigTable::warnings).collect();
-    Ok(ConfigFile { path: source.path.to_owned(), watches: watches?, daemon: daemon?, warnings })
-}
-
-fn watch_block(block: &ConfigTable<'_>) -> Result<WatchBlock> {
-    let keys: BlockKeys<WatchKeys> = block.keys()?;
-    let WatchKeys { input, output, frames } = keys.options();
-    let input = input.ok_or_else(|| block.error("this [[watch]] block names no input"))?;
-    Ok(WatchBlock { keys, input, output, frames })
+    let root = ConfigTable::root(source, root.get_ref(), &["watch", "daemon"])?;
+    let watches = root.blocks("watch")?.iter().map(ConfigTable::options).collect::<Result<Vec<_>>>()?;
+    let daemon = root.block("daemon")?.map(|block| block.options()).transpose()?;
+    Ok(ConfigFile { path: source.path.to_owned(), watches, daemon })
 }
 
 option_set! {
@@ -98,31 +73,13 @@ option_set! {
     #[derive(Clone, Debug, Default, Args)]
     pub(super) struct WatchKeys {
         #[arg(long)]
-        input: Option<PathBuf>,
+        pub(super) input: Option<PathBuf>,
 
         #[arg(long)]
-        output: Option<PathBuf>,
+        pub(super) output: Option<PathBuf>,
 
         #[command(flatten)]
         pub(super) frames: FrameArgs,
-    }
-}
-
-/// The keys that a block may have. An empty name means the top level of the file.
-fn keys_of(block: &str) -> Vec<String> {
-    match block {
-        "watch" => keys::<WatchKeys>(),
-        "daemon" => keys::<DaemonArgs>(),
-        _ => ["watch", "daemon"].map(str::to_owned).to_vec(),
-    }
-}
-
-/// The current name of a key of a block that was renamed.
-fn current_key(block: &str, former: &str) -> Option<String> {
-    match block {
-        "watch" => renamed::<WatchKeys>(former),
-        "daemon" => renamed::<DaemonArgs>(former),
-        _ => None,
     }
 }
 

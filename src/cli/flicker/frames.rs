@@ -172,10 +172,7 @@ impl NumbersOfTimes {
     }
 
     fn number(&self, file: &FrameFile) -> Option<i64> {
-        match file.has_time() {
-            true => self.numbers.get(&file.value()?.to_bits()).copied(),
-            false => file.number(),
-        }
+        if file.has_time() { self.numbers.get(&file.value()?.to_bits()).copied() } else { file.number() }
     }
 
     /// The frames of a sequence by their numbers.

@@ -82,7 +82,7 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
              after it"
         );
     };
-    report(&frames, &totals, &summary, (spacing, carrier), console);
+    report(&frames, &totals, &summary, spacing, carrier, console);
     if let Some(path) = &args.csv {
         write_file(path, |out| tables::write_frames(&totals.frames, out))?;
     }
@@ -243,7 +243,8 @@ fn report(
     frames: &FlickerFrames,
     totals: &FlickerTotals,
     summary: &Distribution,
-    (spacing, carrier): (f64, Carrier),
+    spacing: f64,
+    carrier: Carrier,
     console: &mut Console,
 ) {
     let count = pluralize(totals.frames.iter().filter(|frame| frame.summary.count > 0).count(), "frame");

@@ -192,7 +192,7 @@ impl FileInfo {
         }
         match kind {
             ProbedKind::Format(format)
-                if codec.is_none() && self.fill_surface(format, &bytes, (&name, &limits))? => {}
+                if codec.is_none() && self.fill_surface(format, &bytes, &name, &limits)? => {}
             _ => {
                 let frame = read_particles(&bytes, &name, &limits)?;
                 self.notes.clone_from(&frame.notes);
@@ -235,12 +235,7 @@ impl FileInfo {
 
     /// Describes a surface: grids, a mesh, a layer or a sequence of meshes. Returns false for files that are
     /// read as particles.
-    fn fill_surface(
-        &mut self,
-        format: Format,
-        bytes: &[u8],
-        (name, limits): (&str, &Limits),
-    ) -> Result<bool> {
+    fn fill_surface(&mut self, format: Format, bytes: &[u8], name: &str, limits: &Limits) -> Result<bool> {
         match format {
             Format::Vdb => {
                 self.grids = Some(vdb::grids(bytes, limits)?.into_iter().map(GridRecord::from).collect());

@@ -34,8 +34,7 @@ pub(in crate::cli) fn contact_sheet(
     let selected_strips = select_frames(strips, args)?;
     let cell_count = selected_strips.iter().map(|strip| strip.frames.len()).sum();
     refuse_large(cell_count, args.size, memory_bytes(args.pictures.run.memory)?)?;
-    let (file, session) =
-        SheetFile::prepare(&args.output, &args.pictures, (args.size, &files), None, console)?;
+    let (file, session) = SheetFile::prepare(&args.output, &args.pictures, args.size, &files, None, console)?;
     let contact = Contact { args, session };
     console.show_bar(cell_count);
     let pool = thread_pool(args.pictures.run.threads)?;
@@ -132,9 +131,11 @@ impl SequenceRows {
     /// The number of frames, the kind of files that they are made from, and the voxel size if it is known.
     fn what(&self) -> String {
         let SelectedStrip { strip, selected_count, frames } = &self.selected_strip;
-        let frames = match frames.len() == *selected_count {
-            true => pluralize(frames.len(), "frame"),
-            false => format!("{} of {}", frames.len(), pluralize(*selected_count, "frame")),
+        let selected = pluralize(*selected_count, "frame");
+        let frames = if frames.len() == *selected_count {
+            selected
+        } else {
+            format!("{} of {selected}", frames.len())
         };
         let kind = strip.kind.name();
         let voxels = self.settings.as_ref().map(|settings| significant(settings.voxel_size));

@@ -43,7 +43,8 @@ impl SheetFile {
     fn prepare<'a>(
         output: &Path,
         args: &'a PictureArgs,
-        (size, inputs): (PictureSize, &[PathBuf]),
+        size: PictureSize,
+        inputs: &[PathBuf],
         written: Option<&[OutputFormat]>,
         console: &Console,
     ) -> Result<(SheetFile, RenderSession<'a>)> {

@@ -63,9 +63,9 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
     // The middle one of the selected frames.
     let frame = &selected[selected.len() / 2];
     let (file, session) =
-        SheetFile::prepare(&args.output, &args.pictures, (args.size, &paths), Some(&CONVERTED), console)?;
+        SheetFile::prepare(&args.output, &args.pictures, args.size, &paths, Some(&CONVERTED), console)?;
     let pool = thread_pool(args.pictures.run.threads)?;
-    let tuning = pool.install(|| Tuning::new(args, session, (sequence, frame), &grid, console))?;
+    let tuning = pool.install(|| Tuning::new(args, session, sequence, frame, &grid, console))?;
     if sequence.frames.len() > 1 {
         let frame_count = pluralize(sequence.frames.len(), "frame");
         let (frame, name) = (frame.name(), &sequence.name);
@@ -151,9 +151,10 @@ impl Grid {
         }
     }
 
-    /// A cell and its values, as text.
-    fn label(&self, cell: &TunedCell, settings: &Settings) -> String {
-        let labels = self.axes.iter().zip(&cell.values).map(|(axis, value)| axis.label(value, settings));
+    /// The values of a cell, as text.
+    fn label(&self, cell: &TunedCell) -> String {
+        let labels =
+            self.axes.iter().zip(&cell.values).map(|(axis, value)| format!("{} {value}", axis.flag()));
         labels.collect::<Vec<_>>().join(", ")
     }
 }
@@ -205,7 +206,8 @@ impl<'a> Tuning<'a> {
     fn new(
         args: &'a TuneArgs,
         session: RenderSession<'a>,
-        (sequence, file): (&Sequence, &FrameFile),
+        sequence: &Sequence,
+        file: &FrameFile,
         grid: &Grid,
         console: &Console,
     ) -> Result<Tuning<'a>> {
@@ -226,12 +228,11 @@ impl<'a> Tuning<'a> {
         let viewpoint =
             |bounds| picture.camera.viewpoint(bounds, picture.aspect(), up_of(session.outputs.up));
         let whole = viewpoint(bounds);
-        let viewpoint = match picture.camera == CameraChoice::default() {
-            // If the user chose no camera, a close-up shows best how the settings differ.
-            true => close_up(frame.particles(), without.spacing, whole.eye - whole.target)
-                .map_or(whole, |part| Viewpoint { ground: whole.ground, ..viewpoint(part) }),
-            false => whole,
-        };
+        // If the user chose no camera, a close-up shows best how the settings differ.
+        let part = (picture.camera == CameraChoice::default())
+            .then(|| close_up(frame.particles(), without.spacing, whole.eye - whole.target))
+            .flatten();
+        let viewpoint = part.map_or(whole, |part| Viewpoint { ground: whole.ground, ..viewpoint(part) });
         Ok(Tuning { args, session, frame, file: file.clone(), without, settings, viewpoint })
     }
 
@@ -241,8 +242,7 @@ impl<'a> Tuning<'a> {
         let mut cells = Vec::new();
         for (index, (cell, settings)) in grid.cells.iter().zip(&self.settings).enumerate() {
             let number = index + 1;
-            let values = grid.label(cell, settings.as_ref().unwrap_or(&self.without));
-            let label = self.label(number, &values, settings);
+            let label = self.label(number, &grid.label(cell), settings);
             let mut lines = vec![label.clone()];
             let rendered = match settings {
                 Ok(settings) => catch_panic(self.frame.path(), || self.rendered(settings))
@@ -280,15 +280,14 @@ impl<'a> Tuning<'a> {
 
     fn rendered(&self, settings: &Settings) -> Result<(Reconstruction, Picture)> {
         let requests = [settings, &self.without].map(AttributeRequest::for_settings);
-        let made = match requests[0] == requests[1] {
-            true => self.session.reconstruct(&self.frame, settings)?,
-            false => {
-                let frame = LoadedFrame::read((&self.file.path, self.file.number()), settings)?;
-                self.session.reconstruct(&frame, settings)?
-            }
+        let made = if requests[0] == requests[1] {
+            self.session.reconstruct(&self.frame, settings)?
+        } else {
+            let frame = LoadedFrame::read((&self.file.path, self.file.number()), settings)?;
+            self.session.reconstruct(&frame, settings)?
         };
-        let seen = (&self.viewpoint, self.session.outputs.picture.size);
-        let picture = picture_of_reconstruction(&made, settings, seen, false);
+        let size = self.session.outputs.picture.size;
+        let picture = picture_of_reconstruction(&made, settings, &self.viewpoint, size, false);
         Ok((made, picture))
     }
 

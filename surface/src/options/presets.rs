@@ -24,12 +24,6 @@ word_enum! {
         Preview = "preview",
         /// The parameters of Bhattacharya, Gao and Bargteil (2015): lengths follow the voxel size
         Paper = "paper",
-        /// Deprecated: paper, with small cavities filled
-        Water = "water",
-        /// Deprecated: paper, closer to the particles
-        Faithful = "faithful",
-        /// Deprecated: paper, with a larger radius ratio and more steps
-        Smooth = "smooth",
     }
 }
 
@@ -128,15 +122,6 @@ const FLUID: Recipe = Recipe {
 };
 
 impl Preset {
-    /// The replacement of a deprecated preset.
-    pub fn successor(self) -> Option<Preset> {
-        match self {
-            Preset::Water | Preset::Smooth => Some(Preset::Fluid),
-            Preset::Faithful => Some(Preset::Granular),
-            _ => None,
-        }
-    }
-
     /// Whether its lengths and times follow the voxel size, so that it needs no particle spacing.
     pub fn follows_voxel_size(self) -> bool {
         self.recipe().unit == Unit::VoxelSize
@@ -191,12 +176,6 @@ impl Preset {
                 ..FLUID
             },
             Preset::Paper => PAPER,
-            Preset::Water => Recipe { fill_cavities: 200.0, ..PAPER },
-            Preset::Faithful => Recipe { radius_ratio: 1.25, ..PAPER },
-            Preset::Smooth => {
-                let (steps, explicit_time) = (2 * PAPER.steps, 2.0 * PAPER.explicit_time);
-                Recipe { radius_ratio: 3.0, steps, explicit_time, fill_cavities: 200.0, ..PAPER }
-            }
         }
     }
 }

@@ -12,11 +12,11 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Context, Result, bail};
 
 use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OptionSet, WatchArgs};
 use crate::cli::choices::{ignored, refuse_misplaced_rounds, refuse_other_kinds};
-use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
+use crate::cli::config_file::{ConfigBlock, ConfigFile, WatchKeys, read_config_file};
 use crate::cli::destination::refuse_file_name;
 use crate::cli::level_sets::{Use, refuse_options};
 use crate::cli::machine::{memory_bytes, thread_count};
@@ -46,7 +46,7 @@ pub(in crate::cli) struct WatchPlan {
 /// and the key.
 pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
     let file = args.config.as_deref().map(read_config_file).transpose()?;
-    let mut warnings = file.as_ref().map(|file| file.warnings.clone()).unwrap_or_default();
+    let mut warnings = Vec::new();
     let blocks = file.as_ref().filter(|_| args.inputs.is_empty());
     let watches = match blocks {
         Some(file) => watches_of_file(args, file, &mut warnings)?,
@@ -62,16 +62,14 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
     // A command-line option causes the same warning in every block: log it once.
     let mut seen = HashSet::new();
     warnings.retain(|warning: &String| seen.insert(warning.clone()));
-    let resolved = |daemon: &DaemonArgs| {
+    let resolved = |daemon: &DaemonArgs| -> Result<WatchPlan> {
         let daemon = args.daemon.clone().over(daemon.clone());
         let config = config(watches.clone(), args.once, &daemon)?;
         let listen = listen(&daemon)?;
         Ok(WatchPlan { config, log: daemon.log.unwrap_or(LogChoice::Text), listen, warnings: Vec::new() })
     };
-    let plan = match &file {
-        Some(ConfigFile { daemon, .. }) => {
-            resolved(&daemon.options()).map_err(|error| daemon.locate(error, &[], resolved))?
-        }
+    let plan = match file.as_ref().and_then(|file| file.daemon.as_ref()) {
+        Some(block) => resolved(&block.options).with_context(|| block.place.clone())?,
         None => resolved(&DaemonArgs::default())?,
     };
     Ok(WatchPlan { warnings, ..plan })
@@ -98,37 +96,34 @@ fn watches_of_file(args: &WatchArgs, file: &ConfigFile, warnings: &mut Vec<Strin
     let Some(first) = file.watches.first() else {
         bail!("{path}: no folder to watch: add a [[watch]] block, or give DIR and --out");
     };
-    let has_other_output = |block: &&WatchBlock| block.output != first.output;
+    let has_other_output = |block: &&ConfigBlock<WatchKeys>| block.options.output != first.options.output;
     if args.out.is_some()
         && let Some(other) = file.watches.iter().find(has_other_output)
     {
         bail!(
             "{path}: the [[watch]] blocks at lines {} and {} have different outputs, but --out names only one: \
              leave it out, or give DIR as well",
-            first.keys.line(),
-            other.keys.line()
+            first.line,
+            other.line
         );
     }
-    file.watches.iter().map(|block| watch_of_block(args, block, warnings)).collect()
+    let watch = |block: &ConfigBlock<WatchKeys>| {
+        watch_of_block(args, &block.options, warnings).with_context(|| block.place.clone())
+    };
+    file.watches.iter().map(watch).collect()
 }
 
-fn watch_of_block(args: &WatchArgs, block: &WatchBlock, warnings: &mut Vec<String>) -> Result<Watch> {
-    let (input, keys) = (&block.input, &block.keys);
-    let output = args.out.as_ref().or(block.output.as_ref()).ok_or_else(|| {
-        anyhow!("{}: this [[watch]] block names no output: add one, or give --out", keys.place("output"))
-    })?;
-    check_input(input, args.once).with_context(|| keys.place("input"))?;
-    check_output(output).with_context(|| keys.place("output"))?;
-    let checked = |frames: &FrameArgs, warnings: &mut Vec<String>| {
-        let all = args.frames.over_file(frames);
-        if frames.formats.fps.is_some() {
-            all.formats.refuse_idle_fps()?;
-        }
-        watch(input, output, &all, warnings)
-    };
-    let located =
-        |error| keys.locate(error, &["input", "output"], |keys| checked(&keys.frames, &mut Vec::new()));
-    checked(&block.frames, warnings).map_err(located)
+fn watch_of_block(args: &WatchArgs, keys: &WatchKeys, warnings: &mut Vec<String>) -> Result<Watch> {
+    let input = keys.input.as_ref().context("this block names no input: add one")?;
+    let output = args.out.as_ref().or(keys.output.as_ref());
+    let output = output.context("this block names no output: add one, or give --out")?;
+    check_input(input, args.once)?;
+    check_output(output)?;
+    let frames = args.frames.clone().over(keys.frames.clone());
+    if keys.frames.formats.fps.is_some() {
+        frames.formats.refuse_idle_fps()?;
+    }
+    watch(input, output, &frames, warnings)
 }
 
 fn check_input(input: &Path, once: bool) -> Result<()> {
@@ -199,7 +194,7 @@ fn check_sentinel(name: &str) -> Result<()> {
 
 /// Refuses two watches of the same files for the same outputs. `blocks` are those of the watches, unless
 /// they are from the command line.
-fn refuse_twins(watches: &[Watch], blocks: &[WatchBlock]) -> Result<()> {
+fn refuse_twins(watches: &[Watch], blocks: &[ConfigBlock<WatchKeys>]) -> Result<()> {
     for (index, watch) in watches.iter().enumerate() {
         let is_twin = |other: &&Watch| {
             same_folder(&other.input, &watch.input)
@@ -212,8 +207,8 @@ fn refuse_twins(watches: &[Watch], blocks: &[WatchBlock]) -> Result<()> {
             (Some(first), Some(block)) => bail!(
                 "{}: {input} is watched twice for the same output, also by the block at line {}: remove one \
                  of the two",
-                block.keys.place(""),
-                first.keys.line()
+                block.place,
+                first.line
             ),
             _ => bail!("{input}: watched twice for the same output"),
         }
@@ -222,7 +217,7 @@ fn refuse_twins(watches: &[Watch], blocks: &[WatchBlock]) -> Result<()> {
 }
 
 /// Refuses a stage for folders whose frames cannot be in the same one.
-fn refuse_shared_stage(watches: &[Watch], blocks: &[WatchBlock]) -> Result<()> {
+fn refuse_shared_stage(watches: &[Watch], blocks: &[ConfigBlock<WatchKeys>]) -> Result<()> {
     for (index, watch) in watches.iter().enumerate() {
         let Some(stage) = &watch.outputs.stage else { continue };
         let is_unlike = |other: &&Watch| {
@@ -233,7 +228,7 @@ fn refuse_shared_stage(watches: &[Watch], blocks: &[WatchBlock]) -> Result<()> {
             b.stage.as_ref().is_some_and(|other| other.path == stage.path) && !is_same
         };
         if watches[..index].iter().any(|other| is_unlike(&other)) {
-            let place = blocks.get(index).map(|block| block.keys.place("stage") + ": ").unwrap_or_default();
+            let place = blocks.get(index).map(|block| format!("{}: ", block.place)).unwrap_or_default();
             bail!(
                 "{place}{}: several watched folders have this stage, but different outputs, formats, axes, units or \
                  frame rates: give each a stage of its own",
