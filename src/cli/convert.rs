@@ -125,13 +125,10 @@ fn refuse_options_for_surfaces(args: &ConvertArgs) -> Result<()> {
 /// The records of finished frames in the folder of the results.
 ///
 /// # Errors
-/// If records cannot be read or written there.
+/// If records cannot be read there.
 fn open_records(folder: &Path, console: &Console) -> Result<FrameRecords> {
-    let opened = FrameRecords::open(folder).and_then(|records| records.prepare().map(|()| records));
-    let records = opened.with_context(|| {
-        let records = folder.join(STATE_FOLDER);
-        format!("{}: finished frames are recorded in this folder: make it writable", records.display())
-    })?;
+    let records = FrameRecords::open(folder)
+        .with_context(|| format!("{}: cannot read the records", folder.join(STATE_FOLDER).display()))?;
     for problem in records.problems() {
         console.warning(format_args!("{problem}: frames that are recorded there are converted again"));
     }
@@ -206,6 +203,12 @@ impl ConvertJob {
     fn convert(&self, mut batch: Batch, folder: OutFolder, console: &mut Console) -> Result<CommandOutcome> {
         for selected in &self.sequences {
             self.add(&mut batch, selected, console)?;
+        }
+        if let Some(records) = &self.records {
+            records.prepare().with_context(|| {
+                let folder = records.folder().join(STATE_FOLDER);
+                format!("{}: finished frames are recorded in this folder: make it writable", folder.display())
+            })?;
         }
         folder.keep();
         let mut stage = StageWriter::new(&self.outputs, || {

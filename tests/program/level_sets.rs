@@ -114,7 +114,7 @@ fn options_that_need_particles_are_refused_by_name() {
     let folder = folder.path();
     for (options, words) in [
         (&["--voxel-size=0.1"][..], "error: --voxel-size cannot be given"),
-        (&["--drop-islands=2", "--preset=water"], "error: --preset cannot be given"),
+        (&["--drop-islands=2", "--preset=fluid"], "error: --preset cannot be given"),
         (&["--drop-islands=2", "--radius-min=0.1"], "error: --radius-min, --drop-islands cannot be given"),
         (&["--attributes=all"], "error: --attributes cannot be given"),
         (&["--obstacle=block.ply"], "error: --obstacle cannot be given"),
@@ -245,18 +245,6 @@ fn level_sets_have_reports_previews_and_sequence_files() {
     let again = meniscus(folder, &arguments);
     assert_eq!(again.out.matches("done already").count(), 2, "{}", again.out);
 }
-
-#[test]
-fn former_name_of_max_deviation_is_accepted() {
-    let folder = sequence();
-    let folder = folder.path();
-    let bytes = |option: &str| {
-        succeeded(&convert(folder, &["--format=obj", option]));
-        fs::read(folder.join("out/block.obj")).expect("there")
-    };
-    assert!(bytes("--max-deviation=0.5") == bytes("--band-slack=0.5"));
-}
-
 #[test]
 fn shards_of_level_sets_give_the_results_of_convert() {
     for options in [&["--format=glb,stl", "--max-deviation=0.5", "--steps=3"][..], &["--format=glb"]] {

@@ -833,7 +833,8 @@ mod tests {
         assert_eq!(state(&records, "a", "0.1", 8), ResultState::Stale(changed.to_owned()));
         touch(&path);
         assert_eq!(state(&records, "a", "0.1", 7), ResultState::Done, "the same bytes under another time");
-        let (_, record) = records.state(&wanted("a", &(settings_id(&values("0.1")), values("0.1")), 7), OutputComparison::Stamps);
+        let (_, record) = records
+            .state(&wanted("a", &(settings_id(&values("0.1")), values("0.1")), 7), OutputComparison::Stamps);
         let stamp = InputFile::open(&path).expect("opened").stamp();
         assert_eq!(record.expect("a record").outputs[0].stamp, stamp, "the record has the current stamp");
         fs::write(&path, "mEsh").expect("written");
