@@ -69,6 +69,9 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     }
     let records = FrameRecords::open(folder)
         .with_context(|| format!("{}: cannot read the records", folder.join(STATE_FOLDER).display()))?;
+    for problem in records.problems() {
+        console.warning(format_args!("{problem}: the frames that are recorded there count as missing"));
+    }
     let mut frames = recorded_frames(&records);
     if !args.input.is_empty() {
         let found = find_inputs(&args.input)?;
@@ -82,9 +85,6 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
         );
     }
     refuse_to_replace(args.report.as_deref(), folder, &frames)?;
-    for problem in records.problems() {
-        console.warning(format_args!("{problem}: the frames that are recorded there count as missing"));
-    }
     let wanted = current_settings(&frames);
     let frames: Vec<(PathBuf, KnownFrame)> = frames.into_iter().collect();
     let verified: Vec<VerifiedFrame> = thread_pool(args.threads)?.install(|| {
