@@ -34,7 +34,7 @@ pub fn may_have_steps(kind: ProbedKind) -> bool {
 ///
 /// # Errors
 ///
-/// [`Error::Io`](crate::Error::Io) if reading fails, [`Error::TooLarge`](crate::Error::TooLarge) beyond
+/// [`Error::Io`] if reading fails, [`Error::TooLarge`] beyond
 /// `limits`.
 pub fn find_steps(kind: ProbedKind, source: impl BufRead, limits: &Limits) -> Result<Vec<FoundStep>> {
     let mut steps = Vec::new();
