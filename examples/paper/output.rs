@@ -25,9 +25,12 @@ impl Files {
 
     /// Writes a table, below a comment with the command and the machine. Each row has a cell for each column.
     pub(crate) fn table(&self, part: &str, columns: &[&str], rows: &[Vec<String>]) -> Outcome<()> {
-        let quoted = |cell: &str| match cell.contains([',', '"']) {
-            true => format!("\"{}\"", cell.replace('"', "\"\"")),
-            false => cell.to_owned(),
+        let quoted = |cell: &str| {
+            if cell.contains([',', '"']) {
+                format!("\"{}\"", cell.replace('"', "\"\""))
+            } else {
+                cell.to_owned()
+            }
         };
         let head: Vec<String> = columns.iter().map(|column| quoted(column)).collect();
         let rows = rows.iter().map(|row| row.iter().map(|cell| quoted(cell)).collect());

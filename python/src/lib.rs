@@ -11,8 +11,6 @@
 //!   meniscus::surface, meniscus_formats, meniscus::pipeline, meniscus::cli
 //! ```
 
-#![warn(clippy::match_bool)]
-
 mod arrays;
 mod audited;
 mod compute;

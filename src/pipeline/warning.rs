@@ -362,11 +362,12 @@ impl Warning {
                 write!(f, "{particles} inside obstacles: the surface does not follow them there")?;
                 // If the mesh of a container is only its inner side, the whole inside of the container is
                 // solid.
-                match are_most {
-                    true => f.write_str(
+                if are_most {
+                    f.write_str(
                         "; if the obstacle is a container, give its walls a thickness: otherwise all of it is solid",
-                    ),
-                    false => Ok(()),
+                    )
+                } else {
+                    Ok(())
                 }
             }
             Warning::NotConverged => f.write_str("the implicit solver did not converge to its tolerance"),

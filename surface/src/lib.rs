@@ -37,8 +37,6 @@
 //!
 //! The crate opens no files, reads no clock, starts no threads, and computes in the caller's rayon pool.
 
-#![warn(clippy::match_bool)]
-
 /// The vector types in this crate's API.
 pub use glam;
 

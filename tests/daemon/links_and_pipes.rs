@@ -91,9 +91,10 @@ fn journal_that_becomes_a_link_or_a_pipe_is_replaced_under_a_running_daemon() {
     let daemon = scene.watch(&[&QUICK[..], &FORMATS].concat());
     for (number, is_pipe) in [(2, false), (3, true)] {
         scene.remove("out/.meniscus/journal");
-        match is_pipe {
-            true => make_pipe(&scene, "out/.meniscus/journal"),
-            false => symlink(scene.path("precious"), scene.path("out/.meniscus/journal")).expect("a link"),
+        if is_pipe {
+            make_pipe(&scene, "out/.meniscus/journal")
+        } else {
+            symlink(scene.path("precious"), scene.path("out/.meniscus/journal")).expect("a link")
         }
         scene.put_moving([number]);
         daemon.await_converted(&format!("dam.{number}.ply"));

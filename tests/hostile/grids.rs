@@ -36,9 +36,10 @@ fn tiles(node_count: i32, value: impl Fn([usize; 3]) -> f32) -> Vec<u8> {
 /// Converts a level set, or particles around it, with this memory limit.
 fn convert(scene: &Scene, is_obstacle: bool, memory: &str) -> crate::hostile::scene::RunResult {
     let common = ["convert", "--out", "out", "--format", "obj", "--memory", memory];
-    let inputs: &[&str] = match is_obstacle {
-        true => &["in/dam.1.ply", "--voxel-size", "0.1", "--obstacle", "grid.vdb"],
-        false => &["grid.vdb"],
+    let inputs: &[&str] = if is_obstacle {
+        &["in/dam.1.ply", "--voxel-size", "0.1", "--obstacle", "grid.vdb"]
+    } else {
+        &["grid.vdb"]
     };
     scene.run(&[&common[..], inputs].concat())
 }

@@ -345,9 +345,10 @@ fn ball(value: impl Fn(f32) -> f32) -> Vec<u8> {
             let square = |axis: usize| (cell[axis] * 8 + local[axis] as i32 - 64).pow(2);
             value(((square(0) + square(1) + square(2)) as f32).sqrt() - 30.0)
         }));
-        match values.iter().all(|value| *value == values[0]) {
-            true => Cell::Tile(values[0]),
-            false => Cell::Leaf(values),
+        if values.iter().all(|value| *value == values[0]) {
+            Cell::Tile(values[0])
+        } else {
+            Cell::Leaf(values)
         }
     })
 }
@@ -437,9 +438,12 @@ fn level_set_beyond_the_memory_fails_and_says_how_much_would_do() {
     let folder = folder.path();
     fs::create_dir(folder.join("in")).expect("made");
     // Every eighth leaf has a voxel inside, so that every part of the cube is near a surface.
-    let bytes = raw_level_set(0.1, 0.3, |cell| match cell.iter().all(|at| at % 2 == 1) {
-        true => Cell::Leaf(Box::new(std::array::from_fn(|offset| if offset == 292 { -0.05 } else { 0.05 }))),
-        false => Cell::Tile(0.3),
+    let bytes = raw_level_set(0.1, 0.3, |cell| {
+        if cell.iter().all(|at| at % 2 == 1) {
+            Cell::Leaf(Box::new(std::array::from_fn(|offset| if offset == 292 { -0.05 } else { 0.05 })))
+        } else {
+            Cell::Tile(0.3)
+        }
     });
     fs::write(folder.join("in/block.vdb"), bytes).expect("written");
     // The first limit is too small for reading the file, the second for smoothing. Either error has the

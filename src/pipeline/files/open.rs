@@ -149,10 +149,7 @@ pub(crate) fn require_regular(metadata: &Metadata) -> io::Result<()> {
     if metadata.is_file() {
         return Ok(());
     }
-    let kind = match metadata.is_dir() {
-        true => io::ErrorKind::IsADirectory,
-        false => io::ErrorKind::InvalidInput,
-    };
+    let kind = if metadata.is_dir() { io::ErrorKind::IsADirectory } else { io::ErrorKind::InvalidInput };
     Err(io::Error::new(kind, format!("not a regular file: {}", name_of_kind(metadata.file_type()))))
 }
 

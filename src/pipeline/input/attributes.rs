@@ -174,9 +174,12 @@ impl AttributeRequest {
         // If a file has both `v` and `velocity`, `--attributes v` means the one with exactly that name.
         let has_own = |name: &String| all.iter().any(|attribute| attribute.name.eq_ignore_ascii_case(name));
         let is_named = |attribute: &Attribute| {
-            named.iter().any(|name| match has_own(name) {
-                true => attribute.name.eq_ignore_ascii_case(name),
-                false => attribute.matches(name),
+            named.iter().any(|name| {
+                if has_own(name) {
+                    attribute.name.eq_ignore_ascii_case(name)
+                } else {
+                    attribute.matches(name)
+                }
             })
         };
         let is_all = self.selected == Some(AttributeSelection::All);

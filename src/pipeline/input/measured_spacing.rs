@@ -247,9 +247,10 @@ fn large_file(path: &Path) -> Result<Option<FileParticles>, FrameError> {
         return Ok(None);
     }
     let file = InputFile::open(path).map_err(|error| failed(error.into()))?;
-    match file.is_regular() && file.stamp().size >= SAMPLED_FROM_BYTES {
-        true => FileParticles::open(path, file).map_err(failed),
-        false => Ok(None),
+    if file.is_regular() && file.stamp().size >= SAMPLED_FROM_BYTES {
+        FileParticles::open(path, file).map_err(failed)
+    } else {
+        Ok(None)
     }
 }
 

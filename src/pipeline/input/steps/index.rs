@@ -110,9 +110,10 @@ impl StepIndex {
 
     /// The number of leading steps that are unchanged since the file had this stamp.
     pub(super) fn unchanged_since(&self, stamp: &FileStamp) -> usize {
-        match *stamp == self.stamp {
-            true => self.steps.len(),
-            false => self.before.iter().rfind(|(before, _)| before == stamp).map_or(0, |(_, count)| *count),
+        if *stamp == self.stamp {
+            self.steps.len()
+        } else {
+            self.before.iter().rfind(|(before, _)| before == stamp).map_or(0, |(_, count)| *count)
         }
     }
 
