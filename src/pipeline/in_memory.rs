@@ -148,7 +148,10 @@ impl EmbeddedSurface<'_> {
         let outputs = OutputOptions::new("", &[]);
         let about_surface = surface_warnings(self.surface, &outputs, self.settings);
         let report = &self.surface.report;
-        let warnings = about_surface.into_iter().chain(left_out(report)).chain(coarse_positions(report));
+        let mut formats = OutputFormat::ALL.into_iter().filter(|format| format.has_world_positions());
+        let format = formats.find(|&format| self.is_checked(format));
+        let warnings =
+            about_surface.into_iter().chain(left_out(report)).chain(coarse_positions(report, format));
         warnings.map(|warning| warning.to_string()).collect()
     }
 

@@ -8,7 +8,7 @@ use meniscus_formats::{AttributeRole, FileAttribute, Values};
 use crate::surface::options::{Anisotropy, AttributeSelection, OptionName, Settings, SpacingOptions};
 use crate::surface::particles::{Attribute, AttributeValues, ParticleFilter, Role, find_attribute};
 
-use crate::pipeline::warning::Warning;
+use crate::pipeline::warning::{InputWarning, Warning};
 
 /// The attributes that a frame needs from its file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -169,8 +169,8 @@ impl AttributeRequest {
         };
         let missing = named.iter().filter(|name| !exists(name));
         let missing =
-            missing.map(|name| Warning::MissingAttribute { name: name.clone(), available: available() });
-        let missing: Vec<Warning> = missing.collect();
+            missing.map(|name| InputWarning::MissingAttribute { name: name.clone(), available: available() });
+        let missing: Vec<Warning> = missing.map(Warning::Input).collect();
         // If a file has both `v` and `velocity`, `--attributes v` means the one with exactly that name.
         let has_own = |name: &String| all.iter().any(|attribute| attribute.name.eq_ignore_ascii_case(name));
         let is_named = |attribute: &Attribute| {

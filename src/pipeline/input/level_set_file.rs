@@ -18,7 +18,7 @@ use super::reading::read_file;
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::target::outputs::OutputOptions;
 use crate::pipeline::target::picture::PictureScene;
-use crate::pipeline::warning::Warning;
+use crate::pipeline::warning::{InputWarning, Warning};
 
 /// A level set that was read from a file.
 #[derive(Clone, Debug)]
@@ -65,13 +65,13 @@ impl LevelSetFile {
         let rebuilding_bytes = memory_bytes.saturating_sub(bytes.len() as u64 + data.memory_bytes());
         let (band, lattice, origin, rebuilt) = level_set(data, rebuilding_leaf_count_max(rebuilding_bytes))
             .map_err(|what| fail(Error::unsupported("OpenVDB", what)))?;
-        let warnings = rebuilt.into_iter().map(Warning::Rebuilt).collect();
+        let warnings = rebuilt.into_iter().map(InputWarning::Rebuilt).map(Warning::Input).collect();
         let mut file = LevelSetFile { band, lattice, origin, velocity: None, name, class, hash, warnings };
         if wants_velocity {
             let vectors = vdb::read_vectors(bytes, &VELOCITY_NAMES, &limits).map_err(fail)?;
             match vectors.map(|vectors| velocities(&vectors, &transform, &file.band)) {
                 Some(Ok(velocity)) => file.velocity = Some(velocity),
-                Some(Err(why)) => file.warnings.push(Warning::VelocitiesNotShown(why)),
+                Some(Err(why)) => file.warnings.push(Warning::Input(InputWarning::VelocitiesNotShown(why))),
                 None => {}
             }
         }
@@ -162,7 +162,7 @@ pub fn is_level_set(path: &Path) -> bool {
 pub(crate) fn other_grids(bytes: &[u8]) -> Option<Warning> {
     let grids = vdb::grids(bytes, &Limits::default()).unwrap_or_default();
     let count = grids.len().saturating_sub(1);
-    (count > 0).then_some(Warning::OtherGrids { count })
+    (count > 0).then_some(Warning::Input(InputWarning::OtherGrids { count }))
 }
 
 /// The usual names of velocity grids.

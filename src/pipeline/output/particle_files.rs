@@ -5,7 +5,7 @@ use std::io::Write;
 use meniscus_formats::{Error, FilePositions, ParticleFrame};
 
 use crate::pipeline::target::outputs::OutputFormat;
-use crate::pipeline::warning::Warning;
+use crate::pipeline::warning::{InputWarning, Warning};
 
 /// Writes particles.
 ///
@@ -30,7 +30,8 @@ pub(crate) fn particle_warnings(particles: &ParticleFrame, formats: &[OutputForm
     };
     let particle_count = particles.positions.len();
     let count = not_finite_count(&particles.positions);
-    let of_positions = (count > 0).then_some(Warning::PositionsNotFinite { count, particle_count });
+    let of_positions =
+        (count > 0).then_some(Warning::Input(InputWarning::PositionsNotFinite { count, particle_count }));
     let of_file = particles.notes.iter().cloned().map(Warning::Sentence);
     let of_formats = formats.iter().flat_map(of_format).map(Warning::Sentence);
     of_file.chain(of_positions).chain(of_formats).collect()

@@ -263,7 +263,10 @@ pub(crate) fn output_warnings(surface: &FrameSurface, outputs: &OutputOptions) -
         let band = &surface.attributes.band;
         let names = surface.report.transfer.iter().flat_map(|transfer| &transfer.attributes);
         let left_out = names.filter(|name| band.iter().all(|attribute| attribute.name != **name));
-        warnings.extend(left_out.map(|name| Warning::UnsupportedInVdb { name: name.clone() }));
+        warnings.extend(left_out.map(|name| {
+            let limit = "can store only attributes of one or three floating-point numbers";
+            Warning::Sentence(format!("{name} is not in the .vdb, which {limit}"))
+        }));
         let voxels: Vec<Voxels> = band.iter().map(Voxels).collect();
         let of_grids = vdb::grid_notes(&band_grids(&voxels), &vdb::WriteOptions::default().name);
         warnings.extend(of_grids.into_iter().map(Warning::Sentence));
