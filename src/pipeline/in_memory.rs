@@ -23,7 +23,7 @@ use super::files::atomic_write::write_atomically;
 use super::input::attributes::AttributeRequest;
 use super::input::bounds::EMPTY_BOUNDS;
 use super::input::frame::{Frame, FrameReport, Job};
-use super::input::obstacle_warnings::findings_of;
+use super::input::obstacle_file::findings_of;
 use super::input::obstacles::{ObstacleFiles, ObstacleStamps};
 use super::input::out_of_reach::out_of_reach;
 use super::input::source::FrameFile;

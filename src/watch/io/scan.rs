@@ -15,7 +15,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-use crate::pipeline::{FileStamp, file_of, is_link_loop};
+use crate::pipeline::{FileId, FileStamp, file_of, is_link_loop};
 
 use crate::watch::core::completeness::Seen;
 use crate::watch::core::events::Scan;
@@ -53,7 +53,7 @@ pub(super) fn scan(
     if folder != root && !selection.enters(root, folder) {
         return Ok(walk.scan);
     }
-    let mut around = folders_around(folder, root)?;
+    let mut around = folders_around(folder, root);
     let mut pending = Vec::new();
     walk.enter(folder, &mut around, &mut pending)?;
     while let Some((next, depth)) = pending.pop() {
@@ -68,11 +68,11 @@ pub(super) fn scan(
 }
 
 /// The folders from `root` down to the parent of `folder`.
-fn folders_around(folder: &Path, root: &Path) -> io::Result<Vec<FolderIdentity>> {
+fn folders_around(folder: &Path, root: &Path) -> Vec<FileId> {
     let outward = folder.ancestors().skip(1).take_while(|outer| outer.starts_with(root));
-    let mut around = outward.map(FolderIdentity::of).collect::<io::Result<Vec<_>>>()?;
+    let mut around: Vec<FileId> = outward.map(FileId::of).collect();
     around.reverse();
-    Ok(around)
+    around
 }
 
 /// A scan in progress.
@@ -90,15 +90,15 @@ impl FolderScan<'_> {
     fn enter(
         &mut self,
         folder: &Path,
-        around: &mut Vec<FolderIdentity>,
+        around: &mut Vec<FileId>,
         pending: &mut Vec<(PathBuf, usize)>,
     ) -> io::Result<()> {
-        let identity = FolderIdentity::of(folder)?;
-        if around.contains(&identity) || self.edges.excludes(folder)? {
+        let id = FileId::of(folder);
+        if around.contains(&id) || self.edges.excludes(folder)? {
             return Ok(());
         }
         let entries = fs::read_dir(folder)?;
-        around.push(identity);
+        around.push(id);
         self.scan.folders.push(folder.to_owned());
         for entry in entries {
             let entry = entry?;
@@ -171,29 +171,6 @@ impl ScanLimits {
             folder.starts_with(excluded) && !(in_root && self.root.starts_with(excluded))
         };
         Ok(self.excluded.iter().any(excludes))
-    }
-}
-
-/// The identity of a folder, independent of the path that leads to it.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct FolderIdentity {
-    #[cfg(unix)]
-    device_and_inode: (u64, u64),
-    #[cfg(not(unix))]
-    path: PathBuf,
-}
-
-impl FolderIdentity {
-    #[cfg(unix)]
-    pub(crate) fn of(folder: &Path) -> io::Result<FolderIdentity> {
-        use std::os::unix::fs::MetadataExt;
-        let metadata = fs::metadata(folder)?;
-        Ok(FolderIdentity { device_and_inode: (metadata.dev(), metadata.ino()) })
-    }
-
-    #[cfg(not(unix))]
-    pub(crate) fn of(folder: &Path) -> io::Result<FolderIdentity> {
-        Ok(FolderIdentity { path: folder.canonicalize()? })
     }
 }
 
