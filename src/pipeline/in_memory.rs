@@ -82,12 +82,7 @@ impl EmbeddedSurface<'_> {
                     )
                 }
                 Content::LevelSet => {
-                    let options = meniscus_formats::vdb::WriteOptions {
-                        half: outputs.vdb_half,
-                        compression: outputs.vdb_compression,
-                        ..meniscus_formats::vdb::WriteOptions::default()
-                    };
-                    encode_level_set(surface, settings, &options, &provenance)?.write(out)
+                    encode_level_set(surface, settings, &outputs.vdb(), &provenance)?.write(out)
                 }
                 Content::Picture(_) => Ok(out.write_all(&self.picture(format, outputs, &provenance)?)?),
             }

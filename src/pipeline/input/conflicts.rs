@@ -17,10 +17,10 @@ pub enum Conflict {
     Replaces {
         /// The output.
         output: PathBuf,
+        /// What it would do: `would replace the input`.
+        fault: &'static str,
         /// The path or the pattern of the other file, as given.
         file: PathBuf,
-        /// The kind of that file: `input` or `obstacle`.
-        kind: &'static str,
     },
     /// Two files that the run writes have the same path.
     SameOutput {
@@ -50,9 +50,9 @@ pub enum Conflict {
 impl fmt::Display for Conflict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Conflict::Replaces { output, file, kind } => write!(
+            Conflict::Replaces { output, fault, file } => write!(
                 f,
-                "the output {} would replace the {kind} {}: choose another folder or format",
+                "the output {} {fault} {}: choose another folder or format",
                 output.display(),
                 file.display()
             ),
@@ -102,7 +102,8 @@ pub fn check_outputs(
         files.into_iter().map(|input| (FileId::of(input), input)).collect();
     let refuse_loss = |output: &Path| match input_of.get(&FileId::of(output)) {
         Some(&input) => {
-            Err(Conflict::Replaces { output: output.to_owned(), file: input.to_owned(), kind: "input" })
+            let fault = "would replace the input";
+            Err(Conflict::Replaces { output: output.to_owned(), fault, file: input.to_owned() })
         }
         None => obstacles.refuse_output(output),
     };
@@ -142,6 +143,7 @@ impl ObstacleFiles {
     /// The obstacle.
     pub fn refuse_output(&self, output: &Path) -> Result<(), Conflict> {
         let Some(obstacle) = self.replaced_by(output) else { return Ok(()) };
-        Err(Conflict::Replaces { output: output.to_owned(), file: obstacle.to_owned(), kind: "obstacle" })
+        let fault = "would replace the obstacle";
+        Err(Conflict::Replaces { output: output.to_owned(), fault, file: obstacle.to_owned() })
     }
 }

@@ -88,8 +88,10 @@ pub(crate) fn write_surface<'env>(
     let provenance = provenance(frame, made_from, format);
     let writer = match format.content() {
         Content::LevelSet => {
-            let (surface, frame) = (Arc::clone(surface), frame.clone());
-            return scheduler.run(number, move || encode_levels(&surface, &frame, &provenance))?.write(out);
+            let (surface, settings) = (Arc::clone(surface), Arc::clone(&frame.settings));
+            let options = frame.outputs.vdb();
+            let encode = move || encode_level_set(&surface, &settings, &options, &provenance);
+            return scheduler.run(number, encode)?.write(out);
         }
         Content::Picture(_) => {
             return write_picture(surface, (number, frame), format, provenance, scheduler, out);
@@ -137,19 +139,6 @@ fn write_picture<'env>(
         encode_picture(&picture, Some(&viewpoint), format, &provenance)
     };
     Ok(out.write_all(&scheduler.run(number, encode)?)?)
-}
-
-fn encode_levels(
-    surface: &FrameSurface,
-    frame: &Frame,
-    provenance: &Provenance,
-) -> meniscus_formats::Result<vdb::EncodedVdb> {
-    let options = vdb::WriteOptions {
-        half: frame.outputs.vdb_half,
-        compression: frame.outputs.vdb_compression,
-        ..vdb::WriteOptions::default()
-    };
-    encode_level_set(surface, &frame.settings, &options, provenance)
 }
 
 /// Encodes the level set of a surface as a .vdb, with the attributes that are known in its band. To write the

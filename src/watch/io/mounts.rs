@@ -16,8 +16,16 @@ use crate::pipeline::device_and_inode;
 ///
 /// # Errors
 /// When the path does not exist, or the system refuses.
+#[cfg(target_os = "linux")]
 pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
-    system::network_file_system(path)
+    // The magic number has 32 bits, in an integer whose width and sign depend on the machine.
+    let magic = rustix::fs::statfs(path)?.f_type as u32;
+    Ok(NETWORK_FILE_SYSTEMS.iter().find(|entry| entry.0 == magic).map(|entry| entry.1))
+}
+
+#[cfg(not(target_os = "linux"))]
+pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
+    path.metadata().map(|_| None)
 }
 
 /// The bytes that this user may still write to the file system at `path`.
@@ -25,8 +33,15 @@ pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str
 /// # Errors
 /// When the path does not exist, or the system refuses; [`io::ErrorKind::Unsupported`] on systems other than
 /// Unix.
+#[cfg(unix)]
 pub(crate) fn free_bytes(path: &Path) -> io::Result<u64> {
-    system::free_bytes(path)
+    let statistics = rustix::fs::statvfs(path)?;
+    Ok(statistics.f_bavail.saturating_mul(statistics.f_frsize))
+}
+
+#[cfg(not(unix))]
+pub(crate) fn free_bytes(_path: &Path) -> io::Result<u64> {
+    Err(io::ErrorKind::Unsupported.into())
 }
 
 /// The device of the file system at `path`, links followed: if a folder is empty and on another device than
@@ -36,43 +51,6 @@ pub(crate) fn free_bytes(path: &Path) -> io::Result<u64> {
 /// When the path does not exist, or the system refuses.
 pub(crate) fn device(path: &Path) -> io::Result<Option<u64>> {
     Ok(device_and_inode(&path.metadata()?).map(|(device, _)| device))
-}
-
-#[cfg(unix)]
-mod system {
-    use std::io;
-    use std::path::Path;
-
-    pub(crate) fn free_bytes(path: &Path) -> io::Result<u64> {
-        let statistics = rustix::fs::statvfs(path)?;
-        Ok(statistics.f_bavail.saturating_mul(statistics.f_frsize))
-    }
-
-    #[cfg(target_os = "linux")]
-    pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
-        // The magic number has 32 bits, in an integer whose width and sign depend on the machine.
-        let magic = rustix::fs::statfs(path)?.f_type as u32;
-        Ok(super::NETWORK_FILE_SYSTEMS.iter().find(|entry| entry.0 == magic).map(|entry| entry.1))
-    }
-
-    #[cfg(not(target_os = "linux"))]
-    pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
-        path.metadata().map(|_| None)
-    }
-}
-
-#[cfg(not(unix))]
-mod system {
-    use std::io;
-    use std::path::Path;
-
-    pub(crate) fn free_bytes(_path: &Path) -> io::Result<u64> {
-        Err(io::ErrorKind::Unsupported.into())
-    }
-
-    pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
-        path.metadata().map(|_| None)
-    }
 }
 
 /// The magic numbers in `statfs` of file systems whose changes may go unreported, with their common names.

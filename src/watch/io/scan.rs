@@ -13,7 +13,7 @@
 use std::fs::{self, DirEntry, Metadata};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use crate::pipeline::{FileId, FileStamp, file_of, is_link_loop};
 
@@ -176,24 +176,16 @@ impl ScanLimits {
 
 /// The state of a file; `None` if the path is not a regular file.
 fn seen(metadata: &Metadata, trust_clock: bool) -> Option<Seen> {
-    let age = || SystemTime::now().duration_since(last_change(metadata)?).ok();
-    metadata.is_file().then(|| Seen { stamp: FileStamp::of(metadata), age: trust_clock.then(age).flatten() })
-}
-
-/// When the file or its metadata last changed. Modification times can be set to any value, but setting them
-/// changes the status change time.
-#[cfg(unix)]
-fn last_change(metadata: &Metadata) -> Option<SystemTime> {
-    use std::os::unix::fs::MetadataExt;
-    let seconds = Duration::from_secs(u64::try_from(metadata.ctime()).ok()?);
-    let nanoseconds = Duration::from_nanos(u64::try_from(metadata.ctime_nsec()).ok()?);
-    let changed = SystemTime::UNIX_EPOCH.checked_add(seconds)?.checked_add(nanoseconds)?;
-    Some(changed.max(metadata.modified().ok()?))
-}
-
-#[cfg(not(unix))]
-fn last_change(metadata: &Metadata) -> Option<SystemTime> {
-    metadata.modified().ok()
+    if !metadata.is_file() {
+        return None;
+    }
+    let stamp = FileStamp::of(metadata);
+    // Modification times can be set to any value, but setting them changes the status change time.
+    let changed_ns = stamp.modified_ns.max(stamp.changed_ns.unwrap_or(i64::MIN));
+    let age = u64::try_from(changed_ns).ok().filter(|_| trust_clock).and_then(|changed_ns| {
+        SystemTime::now().duration_since(UNIX_EPOCH + Duration::from_nanos(changed_ns)).ok()
+    });
+    Some(Seen { stamp, age })
 }
 
 /// Whether the path no longer exists, for example because one of its folders is now a file.
