@@ -23,7 +23,7 @@ use meniscus_formats::{Error, Neighbor};
 use walkdir::{DirEntry, WalkDir};
 
 use crate::pipeline::{
-    FrameFile, NumberPattern, SniffedContent, canonical_entry, content, files_in, frames_in, is_absent,
+    FrameFile, NumberPattern, SniffedContent, canonical_path, content, files_in, frames_in, is_absent,
     is_level_set, is_mesh, is_number, is_sequence_file, may_be_file, promises_particles, shown, size_bytes,
     step_of,
 };
@@ -141,7 +141,7 @@ fn search(inputs: &[PathBuf], may_be_empty: bool) -> Result<MatchedInputs> {
         }
     }
     let mut seen = HashSet::new();
-    found.files.retain(|file| seen.insert(canonical_entry(&file.path)));
+    found.files.retain(|file| seen.insert(canonical_path(&file.path)));
     Ok(found)
 }
 
@@ -165,8 +165,8 @@ fn frames_of(file: FrameFile) -> Result<Vec<FrameFile>, Error> {
 impl MatchedInputs {
     /// Merges the files of another search, without duplicates.
     pub(super) fn add(&mut self, found: MatchedInputs) {
-        let mut seen: HashSet<PathBuf> = self.files.iter().map(|file| canonical_entry(&file.path)).collect();
-        self.files.extend(found.files.into_iter().filter(|file| seen.insert(canonical_entry(&file.path))));
+        let mut seen: HashSet<PathBuf> = self.files.iter().map(|file| canonical_path(&file.path)).collect();
+        self.files.extend(found.files.into_iter().filter(|file| seen.insert(canonical_path(&file.path))));
         for (what, (first, count)) in found.skipped {
             self.skip(what, first, count);
         }

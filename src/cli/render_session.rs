@@ -12,10 +12,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Error, Result, bail};
 
 use crate::pipeline::{
-    EMPTY_BOUNDS, FrameError, FrameFile, LevelSetFile, LoadedFrame, MeasuredSpacing, MeshFile, ObstacleFiles,
-    OutputFormat, OutputOptions, PictureOptions, PictureScene, Reconstruction, Sequence, Stage, Viewpoint,
-    Warning, files_in, is_level_set, is_mesh, is_sequence_file, picture_provenance, sequence_bounds, up_of,
-    velocities,
+    EMPTY_BOUNDS, FrameError, FrameFile, InputWarning, LevelSetFile, LoadedFrame, MeasuredSpacing, MeshFile,
+    ObstacleFiles, OutputFormat, OutputOptions, PictureOptions, PictureScene, Reconstruction, Sequence,
+    Stage, Viewpoint, Warning, files_in, is_level_set, is_mesh, is_sequence_file, picture_provenance,
+    sequence_bounds, up_of, velocities,
 };
 use crate::render::{Picture, render_particles, side_by_side};
 use crate::surface::grid::{LeafMask, negative_masks};
@@ -219,8 +219,7 @@ impl<'a> RenderSession<'a> {
             RenderSource::Reconstructed(reconstructed) => &reconstructed.made.warnings,
         };
         let is_requested = self.method.options.0.attributes.is_some();
-        let is_velocity =
-            |warning: &Warning| matches!(warning, Warning::MissingAttribute { name, .. } if name == VELOCITY);
+        let is_velocity = |warning: &Warning| matches!(warning, Warning::Input(InputWarning::MissingAttribute { name, .. }) if name == VELOCITY);
         for warning in warnings.iter().filter(|warning| is_requested || !is_velocity(warning)) {
             console.warning(format_args!("{}: {}", file.path.display(), with_remedy(warning)));
         }

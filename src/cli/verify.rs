@@ -12,8 +12,8 @@ use serde::Serialize;
 
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::{
-    DoneRecord, FrameFile, FrameRecords, OutputComparison, ResultState, STATE_FOLDER, Wanted,
-    canonical_entry, file_of, hash_of_input, sequences,
+    DoneRecord, FrameFile, FrameRecords, OutputComparison, ResultState, STATE_FOLDER, Wanted, canonical_path,
+    file_of, hash_of_input, sequences,
 };
 
 use super::CommandOutcome;
@@ -195,14 +195,14 @@ fn refuse_to_replace(
     frames: &BTreeMap<PathBuf, KnownFrame>,
 ) -> Result<()> {
     let Some(report) = report else { return Ok(()) };
-    let entry = canonical_entry(report);
+    let entry = canonical_path(report);
     let is_result = |record: &DoneRecord| {
         let within = folder.join(&record.name);
-        record.outputs.iter().any(|file| canonical_entry(&within.with_file_name(&file.name)) == entry)
+        record.outputs.iter().any(|file| canonical_path(&within.with_file_name(&file.name)) == entry)
     };
     let is_named = |frame: &KnownFrame| {
         frame.record.as_ref().is_some_and(|record| is_result(record))
-            || canonical_entry(file_of(&frame.input)) == entry
+            || canonical_path(file_of(&frame.input)) == entry
     };
     if frames.values().any(is_named) {
         bail!("{}: the report would replace an input or a result", report.display());

@@ -137,25 +137,22 @@ fn panic_message(payload: &(dyn Any + Send)) -> String {
 impl fmt::Display for FrameError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let FrameError { path, during, cause } = self;
-        let path = shown(path);
+        write!(f, "{}: ", shown(path))?;
         match cause {
-            Cause::File(source) if *during == Stage::Read => write!(f, "{}: {source}", path),
-            Cause::File(source) => write!(f, "{}: cannot {during}: {source}", path),
-            Cause::Changed => write!(f, "{}: changed while it was read", path),
-            Cause::Obstacle(error) => write!(f, "{}: {error}", path),
-            Cause::Missing(what) => write!(f, "{}: {what}", path),
-            Cause::Settings(error) => write!(f, "{}: {error}", path),
-            Cause::TooLarge(too_large) => write!(f, "{}: {too_large}", path),
-            Cause::VoxelTooSmall(too_small) => write!(f, "{}: {too_small}", path),
-            Cause::Scratch(source) => {
-                write!(
-                    f,
-                    "{}: cannot write temporary files beside the results (the frame does not fit into memory): {source}",
-                    path
-                )
-            }
+            Cause::File(source) if *during == Stage::Read => source.fmt(f),
+            Cause::File(source) => write!(f, "cannot {during}: {source}"),
+            Cause::Changed => f.write_str("changed while it was read"),
+            Cause::Obstacle(error) => error.fmt(f),
+            Cause::Missing(what) => f.write_str(what),
+            Cause::Settings(error) => error.fmt(f),
+            Cause::TooLarge(too_large) => too_large.fmt(f),
+            Cause::VoxelTooSmall(too_small) => too_small.fmt(f),
+            Cause::Scratch(source) => write!(
+                f,
+                "cannot write temporary files beside the results (the frame does not fit into memory): {source}"
+            ),
             Cause::Panic(what) => {
-                write!(f, "{}: internal error in the {during} stage: {what}; please report it", path)
+                write!(f, "internal error in the {during} stage: {what}; please report it")
             }
         }
     }

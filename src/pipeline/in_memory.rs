@@ -23,7 +23,7 @@ use super::files::atomic_write::write_atomically;
 use super::input::attributes::AttributeRequest;
 use super::input::bounds::EMPTY_BOUNDS;
 use super::input::frame::{Frame, FrameReport, Job};
-use super::input::obstacle_warnings::findings_of;
+use super::input::obstacle_file::findings_of;
 use super::input::obstacles::{ObstacleFiles, ObstacleStamps};
 use super::input::out_of_reach::out_of_reach;
 use super::input::source::FrameFile;
@@ -82,12 +82,7 @@ impl EmbeddedSurface<'_> {
                     )
                 }
                 Content::LevelSet => {
-                    let options = meniscus_formats::vdb::WriteOptions {
-                        half: outputs.vdb_half,
-                        compression: outputs.vdb_compression,
-                        ..meniscus_formats::vdb::WriteOptions::default()
-                    };
-                    encode_level_set(surface, settings, &options, &provenance)?.write(out)
+                    encode_level_set(surface, settings, &outputs.vdb(), &provenance)?.write(out)
                 }
                 Content::Picture(_) => Ok(out.write_all(&self.picture(format, outputs, &provenance)?)?),
             }
@@ -148,7 +143,10 @@ impl EmbeddedSurface<'_> {
         let outputs = OutputOptions::new("", &[]);
         let about_surface = surface_warnings(self.surface, &outputs, self.settings);
         let report = &self.surface.report;
-        let warnings = about_surface.into_iter().chain(left_out(report)).chain(coarse_positions(report));
+        let mut formats = OutputFormat::ALL.into_iter().filter(|format| format.has_world_positions());
+        let format = formats.find(|&format| self.is_checked(format));
+        let warnings =
+            about_surface.into_iter().chain(left_out(report)).chain(coarse_positions(report, format));
         warnings.map(|warning| warning.to_string()).collect()
     }
 

@@ -69,6 +69,8 @@ pub use error::{Cause, FrameError, ObstacleError, Stage};
 pub use files::atomic_write::{replace_own, stop_writing, write_atomically};
 pub use files::frame_number::{is_number, natural_order};
 pub use files::host::host_name;
+pub use files::identity::{FileId, are_same_file, canonical_path};
+pub(crate) use files::identity::{device_and_inode, is_still_at};
 pub use files::input_file::InputFile;
 pub(crate) use files::names::text_of_name;
 pub use files::number_pattern::{NumberPattern, files_in, is_absent, is_link_loop, may_be_file};
@@ -78,7 +80,6 @@ pub use files::open::{
 pub use files::out_folder::{
     OutFolderError, check_out_folder, is_disk_full, make_out_folder, refuse_file_for_folder,
 };
-pub use files::path_identity::{are_same_file, canonical_entry};
 pub use files::shown::{STANDARD_INPUT, show_as, shown};
 pub use files::stamp::{FileStamp, now_ms};
 pub use files::sweep::{remove_left_behind, sweep_temporaries, sweep_temporaries_of};
@@ -142,4 +143,6 @@ pub use target::outputs::{
 };
 pub use target::picture::{PictureOptions, PictureScene, encode_picture, up_of, velocities};
 pub use target::viewpoint::{CameraChoice, Viewpoint};
-pub use warning::{ObstacleFinding, ReportedWarnings, Scope, Warning};
+pub use warning::{
+    FrameWarning, InputWarning, ObstacleFinding, ReportedWarnings, Scope, SurfaceWarning, Violation, Warning,
+};

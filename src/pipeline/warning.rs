@@ -2,12 +2,15 @@
 //!
 //! A warning states a fact. The remedy depends on the caller: the command line adds the options that help.
 
+#![expect(missing_docs, reason = "fields are what their names and the sentence say")]
+
 use std::collections::HashSet;
 use std::fmt;
-use std::mem::Discriminant;
+use std::mem::{Discriminant, discriminant};
 use std::path::PathBuf;
 
 use glam::DVec3;
+use meniscus_formats::OutputFormat;
 
 use crate::surface::level_set::RebuildReason;
 use crate::surface::mesh::MeshMeasures;
@@ -16,11 +19,26 @@ use crate::surface::words::{pluralize, significant};
 
 /// A warning about a converted frame. Its `Display` form is a sentence.
 #[derive(Clone, Debug, PartialEq)]
-#[non_exhaustive]
-#[expect(missing_docs, reason = "fields are what their names and the sentence say")]
 pub enum Warning {
     /// A sentence from a reader or writer of a format, or about the settings.
     Sentence(String),
+    /// A likely mistake in the input, or in the choice of its particles.
+    Input(InputWarning),
+    /// A likely mistake in an obstacle.
+    Obstacle { path: PathBuf, finding: ObstacleFinding },
+    /// The frame was reconstructed in tiles; in one piece it would need `whole_bytes` of memory.
+    Tiled { whole_bytes: u64 },
+    /// Settings that do not suit the particles.
+    Surface(SurfaceWarning),
+    /// A fact about this frame, which says nothing about the others of its sequence.
+    Frame(FrameWarning),
+    /// The result failed validation.
+    Violation(Violation),
+}
+
+/// A likely mistake in the input, or in the choice of its particles.
+#[derive(Clone, Debug, PartialEq)]
+pub enum InputWarning {
     /// An attribute selected for the surface is missing.
     MissingAttribute { name: String, available: Vec<String> },
     /// The particles are of several kinds, such as fluid and walls, according to an attribute with these
@@ -36,16 +54,31 @@ pub enum Warning {
     VelocitiesNotShown(String),
     /// Positions that are infinite or NaN were copied to the output.
     PositionsNotFinite { count: usize, particle_count: usize },
-    /// The frame was reconstructed in tiles; in one piece it would need `whole_bytes` of memory.
-    Tiled { whole_bytes: u64 },
-    /// A likely mistake in an obstacle.
-    Obstacle { path: PathBuf, finding: ObstacleFinding },
+    /// 32-bit positions far from the origin that were rounded to this step. Lengths are in world units.
+    RoundedParticles { step: f64, spacing: f64 },
+    /// All particles have the same coordinate along this axis.
+    Planar { axis: char, at: f64 },
+    /// Radii too small for the grid. `radius_min` is r_min of the smallest one, in world units.
+    SmallRadii { count: usize, radius_min: f64 },
+    /// Radii that are not positive numbers.
+    InvalidRadii { count: usize },
+    /// Radii too large for the grid.
+    LargeRadii { count: usize },
+    /// Particles without a finite velocity, which could not be stretched along it.
+    NotStretched { count: usize },
+    /// Attribute values that are not finite, and were ignored.
+    ValuesNotFinite { count: usize },
+}
+
+/// Settings that do not suit the particles.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SurfaceWarning {
     /// The surface is completely outside the clip box.
     ClippedAway,
     /// Every piece of the surface had too few particles and was dropped.
     IslandsDropped,
     /// All of the surface is inside obstacles.
-    SurfaceInsideObstacles,
+    InsideObstacles,
     /// The particles are so small that no voxel is inside any of their spheres. Lengths are in world units.
     BetweenVoxels { voxel_size: f64, radius_min: f64, radius_max: f64 },
     /// An inward offset moved all of the surface away. A length in world units.
@@ -58,26 +91,15 @@ pub enum Warning {
     Fragmented { particle_count: usize, piece_count: usize, voxel_size: f64 },
     /// All particles are within `width_voxels` voxels: the voxels are too large.
     Blob { particle_count: usize, width_voxels: f64, voxel_size: f64 },
-    /// 32-bit positions far from the origin that were rounded to this step. Lengths are in world units.
-    RoundedParticles { step: f64, spacing: f64 },
-    /// All particles have the same coordinate along this axis.
-    Planar { axis: char, at: f64 },
-    /// An attribute that a .vdb cannot hold.
-    UnsupportedInVdb { name: String },
-    /// Radii too small for the grid. `radius_min` is r_min of the smallest one, in world units.
-    SmallRadii { count: usize, radius_min: f64 },
-    /// Radii that are not positive numbers.
-    InvalidRadii { count: usize },
-    /// Radii too large for the grid.
-    LargeRadii { count: usize },
-    /// Particles without a finite velocity, which could not be stretched along it.
-    NotStretched { count: usize },
-    /// Attribute values that are not finite, and were ignored.
-    ValuesNotFinite { count: usize },
     /// Vertices without a particle in range of the attribute transfer.
     VerticesWithoutAttributes { count: usize },
     /// Voxels of a .vdb without a particle in range of the attribute transfer.
     VoxelsWithoutAttributes { count: usize },
+}
+
+/// A fact about one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FrameWarning {
     /// Particles that the surface ignores, and the approximate position of one of them.
     ParticlesIgnored { count: usize, near: Option<DVec3> },
     /// Particles in obstacles.
@@ -86,26 +108,30 @@ pub enum Warning {
     NotConverged,
     /// Explicit steps that exceed the CFL bound.
     CflExceeded { step_count: usize },
-    /// The frame is so wide that 32-bit positions are coarse.
-    CoarsePositions { voxels: f64 },
+    /// The 32-bit positions of the mesh are coarse: the frame is wide, or far from the origin, and all its
+    /// files have the world positions that `format` stores.
+    CoarsePositions { voxels: f64, format: Option<OutputFormat> },
     /// Particles outside the surface, which an offset or smoothed positions allow.
     ParticlesOutside { count: usize, particle_count: usize, is_offset: bool, is_smoothed: bool },
-    /// Failed validation: φ leaves its bounds.
+}
+
+/// A check that the result of a frame failed.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Violation {
+    /// φ leaves its bounds.
     OutOfBounds { voxel_count: usize },
-    /// Failed validation: vertices nearer to a particle than r_min, by more than half a voxel.
+    /// Vertices nearer to a particle than r_min, by more than half a voxel.
     VerticesTooNear { count: usize, nearest_voxels: f64 },
-    /// Failed validation: vertices farther from all particles than r_max, by more than half a voxel.
+    /// Vertices farther from all particles than r_max, by more than half a voxel.
     VerticesTooFar { count: usize, farthest_voxels: f64 },
-    /// Failed validation: particles that the surface does not enclose.
+    /// Particles that the surface does not enclose.
     NotEnclosed { count: usize },
-    /// Failed validation: the mesh is not closed and manifold; its measures count the faults.
+    /// The mesh is not closed and manifold; its measures count the faults.
     NotClosed(Box<MeshMeasures>),
 }
 
 /// A likely mistake in an obstacle, or in its position.
 #[derive(Clone, Debug, PartialEq)]
-#[non_exhaustive]
-#[expect(missing_docs, reason = "fields are what their names and the sentence say")]
 pub enum ObstacleFinding {
     /// Open sheets in its mesh, such as planes, which were closed behind their normals.
     Sheets { count: usize },
@@ -137,160 +163,162 @@ pub enum Scope {
     Sequence,
 }
 
-/// The warnings of a sequence that were reported already.
-#[derive(Clone, Debug, Default)]
-pub struct ReportedWarnings(HashSet<(Discriminant<Warning>, Option<Discriminant<ObstacleFinding>>, String)>);
-
-impl ReportedWarnings {
-    /// Whether no similar warning was reported before. Warnings of the same variant are similar, whatever
-    /// their numbers; warnings with a name are similar only if the name is the same.
-    pub fn is_new(&mut self, warning: &Warning) -> bool {
-        let (finding, subject) = match warning {
-            // Sentences of formats and settings have no variants, so they are compared without digits.
-            Warning::Sentence(text) => {
-                (None, text.chars().filter(|c| !(c.is_ascii_digit() || ".-".contains(*c))).collect())
-            }
-            Warning::MissingAttribute { name, .. }
-            | Warning::UnsupportedInVdb { name }
-            | Warning::SeveralKinds { attribute: name, .. } => (None, name.clone()),
-            Warning::Obstacle { path, finding } => {
-                (Some(std::mem::discriminant(finding)), path.to_string_lossy().into_owned())
-            }
-            _ => (None, String::new()),
-        };
-        self.0.insert((std::mem::discriminant(warning), finding, subject))
-    }
-}
-
 impl Warning {
     /// The frames that the warning applies to.
     pub fn scope(&self) -> Scope {
         match self {
-            Warning::ParticlesIgnored { .. }
-            | Warning::ParticlesInObstacles { .. }
-            | Warning::NotConverged
-            | Warning::CflExceeded { .. }
-            | Warning::CoarsePositions { .. }
-            | Warning::ParticlesOutside { .. } => Scope::Frame,
-            _ if self.breaks_guarantee() => Scope::Frame,
-            _ => Scope::Sequence,
+            Warning::Frame(_) | Warning::Violation(_) => Scope::Frame,
+            Warning::Sentence(_)
+            | Warning::Input(_)
+            | Warning::Obstacle { .. }
+            | Warning::Tiled { .. }
+            | Warning::Surface(_) => Scope::Sequence,
         }
-    }
-
-    /// Whether the result failed validation.
-    pub fn breaks_guarantee(&self) -> bool {
-        matches!(
-            self,
-            Warning::OutOfBounds { .. }
-                | Warning::VerticesTooNear { .. }
-                | Warning::VerticesTooFar { .. }
-                | Warning::NotEnclosed { .. }
-                | Warning::NotClosed(_)
-        )
     }
 
     /// Whether the frame has a fault that does not depend on the settings: ignored particles, or failed
     /// validation.
     pub fn is_flaw(&self) -> bool {
-        matches!(self, Warning::ParticlesIgnored { .. }) || self.breaks_guarantee()
+        matches!(self, Warning::Violation(_) | Warning::Frame(FrameWarning::ParticlesIgnored { .. }))
+    }
+}
+
+/// The warnings of a sequence that were reported already: their variants, and the names in them.
+#[derive(Clone, Debug, Default)]
+pub struct ReportedWarnings(HashSet<(Variant, String)>);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Variant {
+    Sentence,
+    Input(Discriminant<InputWarning>),
+    Obstacle(Discriminant<ObstacleFinding>),
+    Tiled,
+    Surface(Discriminant<SurfaceWarning>),
+    Frame(Discriminant<FrameWarning>),
+    Violation(Discriminant<Violation>),
+}
+
+impl ReportedWarnings {
+    /// Whether no similar warning was reported before. Warnings of the same variant are similar, whatever
+    /// their numbers; warnings with a name are similar only if the name is the same.
+    pub fn is_new(&mut self, warning: &Warning) -> bool {
+        let mut name = String::new();
+        let variant = match warning {
+            Warning::Sentence(text) => {
+                // Such sentences have no variants, so they are compared without digits.
+                name.extend(text.chars().filter(|c| !c.is_ascii_digit() && !".-".contains(*c)));
+                Variant::Sentence
+            }
+            Warning::Input(input) => {
+                if let InputWarning::MissingAttribute { name: attribute, .. }
+                | InputWarning::SeveralKinds { attribute, .. } = input
+                {
+                    name.clone_from(attribute);
+                }
+                Variant::Input(discriminant(input))
+            }
+            Warning::Obstacle { path, finding } => {
+                name += &path.to_string_lossy();
+                Variant::Obstacle(discriminant(finding))
+            }
+            Warning::Tiled { .. } => Variant::Tiled,
+            Warning::Surface(surface) => Variant::Surface(discriminant(surface)),
+            Warning::Frame(frame) => Variant::Frame(discriminant(frame)),
+            Warning::Violation(violation) => Variant::Violation(discriminant(violation)),
+        };
+        self.0.insert((variant, name))
     }
 }
 
 impl fmt::Display for Warning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.breaks_guarantee() {
-            f.write_str("failed validation: ")?;
-        }
-        if let Some((count, noun, what)) = self.counted() {
-            return write!(f, "{} {what}", pluralize(count, noun));
-        }
         match self {
             Warning::Sentence(text) => f.write_str(text),
-            Warning::MissingAttribute { name, available } => {
-                write!(f, "the particles have no attribute `{name}` for the surface; available: ")?;
-                f.write_str(&if available.is_empty() { "none".to_owned() } else { available.join(", ") })
+            Warning::Input(warning) => warning.fmt(f),
+            Warning::Obstacle { path, finding } => write!(f, "obstacle {}: {finding}", path.display()),
+            Warning::Tiled { whole_bytes } => {
+                let mebibytes = whole_bytes.div_ceil(1 << 20);
+                write!(f, "processed in tiles, which takes longer: without tiles it needs {mebibytes} MiB")
             }
-            Warning::SeveralKinds { attribute, values } => write!(
+            Warning::Surface(warning) => warning.fmt(f),
+            Warning::Frame(warning) => warning.fmt(f),
+            Warning::Violation(violation) => write!(f, "failed validation: {violation}"),
+        }
+    }
+}
+
+impl fmt::Display for InputWarning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let particles = |count: &usize| pluralize(*count, "particle");
+        match self {
+            InputWarning::MissingAttribute { name, available } => {
+                let available = if available.is_empty() { "none".to_owned() } else { available.join(", ") };
+                write!(f, "the particles have no attribute `{name}` for the surface; available: {available}")
+            }
+            InputWarning::SeveralKinds { attribute, values } => write!(
                 f,
                 "the attribute `{attribute}` has {} values ({}), and particles with any of them become one surface",
                 values.len(),
                 values.join(", ")
             ),
-            Warning::NoneChosen { condition, particle_count } => {
-                let particles = pluralize(*particle_count, "particle");
+            InputWarning::NoneChosen { condition, particle_count } => {
+                let particles = particles(particle_count);
                 write!(f, "none of the {particles} meets the condition \"{condition}\": the frame is empty")
             }
-            Warning::OtherGrids { count: 1 } => f.write_str("1 more grid in the file is ignored"),
-            Warning::OtherGrids { count } => write!(f, "{count} more grids in the file are ignored"),
-            Warning::Rebuilt(reason) => reason.fmt(f),
-            Warning::VelocitiesNotShown(why) => write!(f, "velocities are ignored: {why}"),
-            Warning::PositionsNotFinite { count, particle_count } => {
+            InputWarning::OtherGrids { count: 1 } => f.write_str("1 more grid in the file is ignored"),
+            InputWarning::OtherGrids { count } => write!(f, "{count} more grids in the file are ignored"),
+            InputWarning::Rebuilt(reason) => reason.fmt(f),
+            InputWarning::VelocitiesNotShown(why) => write!(f, "velocities are ignored: {why}"),
+            InputWarning::PositionsNotFinite { count, particle_count } => {
                 write!(f, "{count} of {particle_count} positions are not finite")
             }
-            Warning::Tiled { whole_bytes } => {
-                let mebibytes = whole_bytes.div_ceil(1 << 20);
-                write!(f, "processed in tiles, which takes longer: without tiles it needs {mebibytes} MiB")
+            InputWarning::RoundedParticles { step, spacing } => {
+                let [step, spacing] = [*step, *spacing].map(significant);
+                write!(
+                    f,
+                    "positions are rounded to steps of {step}, as 32-bit numbers so far from the origin are, and the \
+                     particle spacing is {spacing}: {ROUNDING_REMEDY}"
+                )
             }
-            Warning::Obstacle { path, finding } => write!(f, "obstacle {}: {finding}", path.display()),
-            _ => self.fmt_surface(f),
+            InputWarning::Planar { axis, at } => write!(
+                f,
+                "all particles have {axis} = {}: the surface of such a two-dimensional frame is a layer of one particle",
+                significant(*at)
+            ),
+            InputWarning::SmallRadii { count, .. } => {
+                write!(f, "{} too small for the grid: r_min was set to √3·h", particles(count))
+            }
+            InputWarning::InvalidRadii { count } => write!(
+                f,
+                "{} without a radius that is a positive number: the smallest radius is used",
+                particles(count)
+            ),
+            InputWarning::LargeRadii { count } => {
+                write!(f, "{} too large for the grid: the largest possible radius is used", particles(count))
+            }
+            InputWarning::NotStretched { count } => {
+                write!(f, "{} not stretched: no finite velocity", particles(count))
+            }
+            InputWarning::ValuesNotFinite { count } => {
+                write!(f, "{} of particle attributes ignored: infinite or NaN", pluralize(*count, "value"))
+            }
         }
     }
 }
 
-impl Warning {
-    /// The count, the noun and the rest of the sentence, for warnings that begin with a count.
-    fn counted(&self) -> Option<(usize, &'static str, &'static str)> {
-        Some(match *self {
-            Warning::SmallRadii { count, .. } => {
-                (count, "particle", "too small for the grid: r_min was set to √3·h")
-            }
-            Warning::InvalidRadii { count } => {
-                (count, "particle", "without a radius that is a positive number: the smallest radius is used")
-            }
-            Warning::LargeRadii { count } => {
-                (count, "particle", "too large for the grid: the largest possible radius is used")
-            }
-            Warning::NotStretched { count } => (count, "particle", "not stretched: no finite velocity"),
-            Warning::ValuesNotFinite { count } => {
-                (count, "value", "of particle attributes ignored: infinite or NaN")
-            }
-            Warning::VerticesWithoutAttributes { count } => {
-                (count, "vertex", "without a particle in range: attributes are 0 or missing")
-            }
-            Warning::VoxelsWithoutAttributes { count } => {
-                (count, "sampled voxel", "of the .vdb without a particle in range: attributes are 0 there")
-            }
-            Warning::CflExceeded { step_count } => {
-                (step_count, "explicit step", "exceeded the CFL limit of one voxel per step")
-            }
-            Warning::NotEnclosed { count } => (count, "particle", "outside the surface"),
-            _ => return None,
-        })
-    }
-
-    /// False for a warning whose sentence begins with a count of 0.
-    pub(crate) fn is_about_any(&self) -> bool {
-        self.counted().is_none_or(|(count, ..)| count > 0)
-    }
-
-    /// Warnings about the surface as a whole.
-    fn fmt_surface(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+impl fmt::Display for SurfaceWarning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Warning::ClippedAway => {
+            SurfaceWarning::ClippedAway => {
                 f.write_str("the clip box contains no part of the surface: the mesh is empty")
             }
-            Warning::IslandsDropped => f.write_str(
+            SurfaceWarning::IslandsDropped => f.write_str(
                 "every piece of the surface was dropped because all have too few particles: the mesh is empty",
             ),
-            Warning::SurfaceInsideObstacles => {
+            SurfaceWarning::InsideObstacles => {
                 f.write_str("all of the surface is inside obstacles: the mesh is empty")
             }
-            Warning::OffsetAway { offset } => write!(
-                f,
-                "the offset {} removed the whole surface: the mesh is empty",
-                significant(*offset)
-            ),
-            Warning::BetweenVoxels { voxel_size, radius_min, radius_max } => {
+            SurfaceWarning::BetweenVoxels { voxel_size, radius_min, radius_max } => {
                 let [least, most] = [radius_min / voxel_size, radius_max / voxel_size].map(significant);
                 write!(
                     f,
@@ -298,56 +326,50 @@ impl Warning {
                      only an r_min of at least √3 voxels encloses every particle"
                 )
             }
-            Warning::Spray { particle_count, piece_count, voxel_size } => write!(
+            SurfaceWarning::OffsetAway { offset } => {
+                write!(f, "the offset {} removed the whole surface: the mesh is empty", significant(*offset))
+            }
+            SurfaceWarning::Spray { particle_count, piece_count, voxel_size } => write!(
                 f,
                 "{particle_count} particles became {piece_count} pieces, most of one particle each: unless they really are spray, \
                  the voxel size {} is too small for the particle spacing",
                 significant(*voxel_size)
             ),
-            Warning::Holes { particle_count, hole_count, voxel_size } => write!(
+            SurfaceWarning::Holes { particle_count, hole_count, voxel_size } => write!(
                 f,
                 "the surface of {particle_count} particles has {}: unless the fluid really has them, the voxel size {} \
                  or the radii are too small for the particle spacing",
                 pluralize(*hole_count, "hole"),
                 significant(*voxel_size)
             ),
-            Warning::Fragmented { particle_count, piece_count, voxel_size } => write!(
+            SurfaceWarning::Fragmented { particle_count, piece_count, voxel_size } => write!(
                 f,
                 "{particle_count} particles became {piece_count} pieces, none with half of the volume: unless they really are spray, \
                  the voxel size {} or the radii are too small for the particle spacing",
                 significant(*voxel_size)
             ),
-            Warning::Blob { particle_count, width_voxels, voxel_size } => write!(
+            SurfaceWarning::Blob { particle_count, width_voxels, voxel_size } => write!(
                 f,
                 "all of the {particle_count} particles are within {width_voxels} voxels: the voxel size {} is too large for them",
                 significant(*voxel_size)
             ),
-            _ => self.fmt_frame(f),
+            SurfaceWarning::VerticesWithoutAttributes { count } => {
+                let vertices = pluralize(*count, "vertex");
+                write!(f, "{vertices} without a particle in range: attributes are 0 or missing")
+            }
+            SurfaceWarning::VoxelsWithoutAttributes { count } => {
+                let voxels = pluralize(*count, "sampled voxel");
+                write!(f, "{voxels} of the .vdb without a particle in range: attributes are 0 there")
+            }
         }
     }
+}
 
-    /// Warnings about files, and about a single frame.
-    fn fmt_frame(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Warning::RoundedParticles { step, spacing } => {
-                let [step, spacing] = [step, spacing].map(significant);
-                write!(
-                    f,
-                    "positions are rounded to steps of {step}, as 32-bit numbers so far from the origin are, and the \
-                     particle spacing is {spacing}: {ROUNDING_REMEDY}"
-                )
-            }
-            Warning::Planar { axis, at } => write!(
-                f,
-                "all particles have {axis} = {}: the surface of such a two-dimensional frame is a layer of one particle",
-                significant(at)
-            ),
-            Warning::UnsupportedInVdb { ref name } => write!(
-                f,
-                "{name} is not in the .vdb, which can store only attributes of one or three floating-point numbers"
-            ),
-            Warning::ParticlesIgnored { count, near } => {
-                let particles = pluralize(count, "particle");
+impl fmt::Display for FrameWarning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            FrameWarning::ParticlesIgnored { count, near } => {
+                let particles = pluralize(*count, "particle");
                 write!(
                     f,
                     "{particles} left out: not finite, or too far from the origin or from the other particles"
@@ -357,68 +379,83 @@ impl Warning {
                     write!(f, "; one is near ({x}, {y}, {z})")
                 })
             }
-            Warning::ParticlesInObstacles { count, are_most } => {
-                let particles = pluralize(count, "particle");
-                write!(f, "{particles} inside obstacles: the surface does not follow them there")?;
+            FrameWarning::ParticlesInObstacles { count, are_most } => {
+                let particles = pluralize(*count, "particle");
                 // If the mesh of a container is only its inner side, the whole inside of the container is
                 // solid.
-                if are_most {
-                    f.write_str(
-                        "; if the obstacle is a container, give its walls a thickness: otherwise all of it is solid",
-                    )
+                let hint = if *are_most {
+                    "; if the obstacle is a container, give its walls a thickness: otherwise all of it is solid"
                 } else {
-                    Ok(())
-                }
+                    ""
+                };
+                write!(f, "{particles} inside obstacles: the surface does not follow them there{hint}")
             }
-            Warning::NotConverged => f.write_str("the implicit solver did not converge to its tolerance"),
-            Warning::CoarsePositions { voxels } => write!(
-                f,
-                "parts of this frame lie so far apart, or from the origin, that the 32-bit positions of some vertices \
-                 are off by up to {} voxels",
-                significant(voxels)
-            ),
-            Warning::ParticlesOutside { count, particle_count, is_offset, is_smoothed } => {
-                let verb = if count == 1 { "is" } else { "are" };
+            FrameWarning::NotConverged => {
+                f.write_str("the implicit solver did not converge to its tolerance")
+            }
+            FrameWarning::CflExceeded { step_count } => {
+                let steps = pluralize(*step_count, "explicit step");
+                write!(f, "{steps} exceeded the CFL limit of one voxel per step")
+            }
+            FrameWarning::CoarsePositions { voxels, format } => {
+                match format {
+                    Some(format) => {
+                        write!(f, "a .{format} has world positions, so in all files of this frame")?
+                    }
+                    None => f.write_str("parts of this frame lie so far apart that")?,
+                }
+                let voxels = significant(*voxels);
+                write!(f, " the 32-bit positions of some vertices are off by up to {voxels} voxels")
+            }
+            FrameWarning::ParticlesOutside { count, particle_count, is_offset, is_smoothed } => {
+                let verb = if *count == 1 { "is" } else { "are" };
                 let cause = match (is_offset, is_smoothed) {
                     (true, true) => "an offset moved it inward, and positions were smoothed",
                     (true, false) => "an offset moved it inward",
                     (false, _) => "positions were smoothed",
                 };
-                let particles = pluralize(particle_count, "particle");
+                let particles = pluralize(*particle_count, "particle");
                 write!(f, "{count} of {particles} {verb} outside the surface: {cause}")
             }
-            Warning::OutOfBounds { voxel_count } => {
-                write!(
-                    f,
-                    "the level set is outside its bounds (distances to the r_min and r_max spheres) at {}",
-                    pluralize(voxel_count, "voxel")
-                )
-            }
-            Warning::VerticesTooNear { count, nearest_voxels } => write!(
+        }
+    }
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Violation::OutOfBounds { voxel_count } => write!(
+                f,
+                "the level set is outside its bounds (distances to the r_min and r_max spheres) at {}",
+                pluralize(*voxel_count, "voxel")
+            ),
+            Violation::VerticesTooNear { count, nearest_voxels } => write!(
                 f,
                 "{} of the mesh too near to a particle (nearer than r_min by more than half a voxel); the smallest distance is {} voxels",
-                pluralize(count, "vertex"),
-                significant(nearest_voxels)
+                pluralize(*count, "vertex"),
+                significant(*nearest_voxels)
             ),
-            Warning::VerticesTooFar { count, farthest_voxels } => write!(
+            Violation::VerticesTooFar { count, farthest_voxels } => write!(
                 f,
                 "{} of the mesh too far from all particles (farther than r_max by more than half a voxel); the largest distance is {} voxels",
-                pluralize(count, "vertex"),
-                significant(farthest_voxels)
+                pluralize(*count, "vertex"),
+                significant(*farthest_voxels)
             ),
-            Warning::NotClosed(ref mesh) => {
-                let faults = [
+            Violation::NotEnclosed { count } => {
+                write!(f, "{} outside the surface", pluralize(*count, "particle"))
+            }
+            Violation::NotClosed(mesh) => {
+                let mut faults = vec![
                     (mesh.boundary_edge_count, "boundary edge"),
                     (mesh.non_manifold_edge_count, "non-manifold edge"),
                     (mesh.non_manifold_vertex_count, "non-manifold vertex"),
                     (mesh.degenerate_triangle_count, "triangle without area"),
                 ];
-                let faults = faults.into_iter().filter(|(count, _)| *count > 0);
-                let faults: Vec<String> = faults.map(|(count, what)| pluralize(count, what)).collect();
+                faults.retain(|(count, _)| *count > 0);
+                let faults: Vec<String> =
+                    faults.iter().map(|(count, noun)| pluralize(*count, noun)).collect();
                 write!(f, "the mesh is not closed and manifold: {}", faults.join(", "))
             }
-            // All other variants are formatted above.
-            _ => Ok(()),
         }
     }
 }
@@ -495,13 +532,15 @@ mod tests {
         let mut reported = ReportedWarnings::default();
         let sentence = |text: &str| Warning::Sentence(text.to_owned());
         let about = |path: &str, finding| Warning::Obstacle { path: path.into(), finding };
+        let missing =
+            |name: &str| InputWarning::MissingAttribute { name: name.to_owned(), available: vec![] };
         for (warning, is_new) in [
-            (Warning::SmallRadii { count: 1, radius_min: 0.1 }, true),
-            (Warning::SmallRadii { count: 2, radius_min: 0.2 }, false),
-            (Warning::InvalidRadii { count: 1 }, true),
-            (Warning::UnsupportedInVdb { name: "id".to_owned() }, true),
-            (Warning::UnsupportedInVdb { name: "age".to_owned() }, true),
-            (Warning::UnsupportedInVdb { name: "id".to_owned() }, false),
+            (Warning::Input(InputWarning::SmallRadii { count: 1, radius_min: 0.1 }), true),
+            (Warning::Input(InputWarning::SmallRadii { count: 2, radius_min: 0.2 }), false),
+            (Warning::Input(InputWarning::InvalidRadii { count: 1 }), true),
+            (Warning::Input(missing("v1")), true),
+            (Warning::Input(missing("v2")), true),
+            (Warning::Input(missing("v1")), false),
             (sentence("3 columns are not read"), true),
             (sentence("14 columns are not read"), false),
             (sentence("3 rows are not read"), true),

@@ -29,5 +29,5 @@ pub use api::{EndReason, FailedFrame, Notice, WatchSummary};
 pub use config::{Order, Poll, Watch, WatchConfig, names_level_sets};
 pub use event_loop::{STOP_DEADLINE, run};
 pub use io::error::DaemonError;
-pub use io::{canonical_path, lock, selection};
+pub use io::{lock, selection};
 pub use reason::Reason;

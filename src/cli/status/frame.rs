@@ -2,14 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 
 use crate::cli::CommandOutcome;
 use crate::cli::clock::ago;
 use crate::cli::console::Console;
 use crate::cli::wording::{pluralize, significant};
-use crate::pipeline::{file_of, natural_order, step_of};
-use crate::watch::canonical_path::canonical_path;
+use crate::pipeline::{canonical_path, file_of, natural_order, step_of};
 use crate::watch::journal::{JournalState, JournaledFrame, JournaledStatus, now_ms};
 
 use super::{FrameStatus, Holder, read_journal};
@@ -24,7 +23,7 @@ pub(super) fn print(
     as_json: bool,
     console: &mut Console,
 ) -> Result<CommandOutcome> {
-    let path = known_path(frame).with_context(|| format!("`{}` is not a valid path", frame.display()))?;
+    let path = known_path(frame);
     let (mut is_found, mut has_failed) = (false, false);
     for folder in folders {
         let state = read_journal(folder)?;
@@ -56,20 +55,18 @@ pub(super) fn print(
 }
 
 /// The path by which the daemon identifies a frame.
-fn known_path(frame: &Path) -> std::io::Result<PathBuf> {
-    let file = canonical_path(file_of(frame))?;
-    Ok(match (step_of(frame), frame.file_name()) {
+fn known_path(frame: &Path) -> PathBuf {
+    let file = canonical_path(file_of(frame));
+    match (step_of(frame), frame.file_name()) {
         (Some(_), Some(step)) => file.join(step),
         _ => file,
-    })
+    }
 }
 
 /// The record of a frame. The watched folder may be a link: then the recorded path is another one.
 fn recorded<'a>(state: &'a JournalState, path: &Path) -> Option<(&'a Path, &'a JournaledFrame)> {
-    let is_meant = |input: &Path| {
-        input == path
-            || input.file_name() == path.file_name() && known_path(input).is_ok_and(|known| known == path)
-    };
+    let is_meant =
+        |input: &Path| input == path || input.file_name() == path.file_name() && known_path(input) == path;
     let exact = state.frames.get_key_value(path);
     let found = exact.or_else(|| state.frames.iter().find(|(input, _)| is_meant(input)));
     found.map(|(input, record)| (&**input, &**record))

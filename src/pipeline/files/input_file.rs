@@ -18,7 +18,7 @@ use super::stamp::FileStamp;
 /// # Errors
 /// When the system reports an error.
 pub(crate) fn read_unchanged(path: &Path) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
-    read_between_stamps(path, |file| {
+    read_between_stamps(path, u64::MAX, |file| {
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes)?;
         Ok(bytes)
@@ -33,23 +33,15 @@ pub(crate) fn read_unchanged(path: &Path) -> io::Result<Option<(Vec<u8>, FileSta
 /// may have no end.
 pub(crate) fn read_start_unchanged(path: &Path, most: u64) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
     require_regular(&path.metadata()?)?;
-    read_start_between_stamps(path, most, |file| {
+    read_between_stamps(path, most, |file| {
         let mut bytes = Vec::new();
         file.take(most).read_to_end(&mut bytes)?;
         Ok(bytes)
     })
 }
 
-/// Calls `read` between two checks of the file's stamp.
+/// Calls `read`, which reads at most `most` bytes, between two checks of the file's stamp.
 fn read_between_stamps(
-    path: &Path,
-    read: impl FnOnce(&mut &File) -> io::Result<Vec<u8>>,
-) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
-    read_start_between_stamps(path, u64::MAX, read)
-}
-
-/// Like [`read_between_stamps`], with a limit on the number of bytes.
-fn read_start_between_stamps(
     path: &Path,
     most: u64,
     read: impl FnOnce(&mut &File) -> io::Result<Vec<u8>>,
@@ -220,7 +212,7 @@ mod tests {
 
     /// Reads the file while `meddle` changes it halfway.
     fn read_while(path: &Path, meddle: impl FnOnce()) -> Option<Vec<u8>> {
-        let read = read_between_stamps(path, |file| {
+        let read = read_between_stamps(path, u64::MAX, |file| {
             let mut bytes = vec![0; 2];
             file.read_exact(&mut bytes)?;
             meddle();

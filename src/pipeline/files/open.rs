@@ -14,6 +14,8 @@ use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{self, Read};
 use std::path::Path;
 
+use super::identity::is_still_at;
+
 /// Opens a regular file for reading. Follows links. Opens a pipe only if this process has it open already:
 /// shells write `<(zcat dam.ply.gz)` as `/dev/fd/63`.
 ///
@@ -90,8 +92,7 @@ pub fn open_own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     let file = open_itself(path, options)?;
     // Detects a folder that was replaced by a link during the open, before anything is written.
     require_own_folder(path)?;
-    let [at_path, opened] = [path.symlink_metadata()?, file.metadata()?];
-    if !is_same_file(&at_path, &opened) {
+    if !is_still_at(path, &file) {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, "replaced while it was opened"));
     }
     Ok(file)
@@ -197,17 +198,6 @@ fn without_links(options: &mut OpenOptions) -> &mut OpenOptions {
 #[cfg(not(unix))]
 fn without_links(options: &mut OpenOptions) -> &mut OpenOptions {
     options
-}
-
-#[cfg(unix)]
-fn is_same_file(a: &Metadata, b: &Metadata) -> bool {
-    use std::os::unix::fs::MetadataExt;
-    (a.dev(), a.ino()) == (b.dev(), b.ino())
-}
-
-#[cfg(not(unix))]
-fn is_same_file(_a: &Metadata, _b: &Metadata) -> bool {
-    true
 }
 
 #[cfg(all(test, target_os = "linux"))]

@@ -7,6 +7,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
+use super::identity::device_and_inode;
+
 /// Size, times and inode of a file: two files with equal stamps are treated as the same, unchanged file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct FileStamp {
@@ -22,8 +24,7 @@ pub struct FileStamp {
     /// The status change time (ctime) in nanoseconds since 1970. A program can set back the modification
     /// time, but not the status change time, which therefore reveals a rewritten file with its old
     /// modification time. `chmod`, new hard links and restored backups change this time, too. So if only this
-    /// time differs, the contents have to be compared. `None` on systems without ctime, and in journals of
-    /// older versions.
+    /// time differs, the contents have to be compared. `None` on systems without ctime.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub changed_ns: Option<i64>,
 }
@@ -44,7 +45,7 @@ impl FileStamp {
         FileStamp {
             size: metadata.len(),
             modified_ns: modified.unwrap_or(0),
-            inode: inode(metadata),
+            inode: device_and_inode(metadata).map_or(0, |(_, inode)| inode),
             changed_ns: status_change(metadata),
         }
     }
@@ -87,16 +88,6 @@ fn status_change(metadata: &Metadata) -> Option<i64> {
 #[cfg(not(unix))]
 fn status_change(_metadata: &Metadata) -> Option<i64> {
     None
-}
-
-#[cfg(unix)]
-fn inode(metadata: &Metadata) -> u64 {
-    std::os::unix::fs::MetadataExt::ino(metadata)
-}
-
-#[cfg(not(unix))]
-fn inode(_metadata: &Metadata) -> u64 {
-    0
 }
 
 #[cfg(test)]

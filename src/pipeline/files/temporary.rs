@@ -24,8 +24,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
+use super::identity::is_still_at;
 use super::open::open_itself;
-use super::stamp::FileStamp;
 
 /// A temporary file. Dropping it, also in a panic, removes the file unless it was renamed.
 pub(crate) struct Temporary {
@@ -139,12 +139,6 @@ pub(crate) fn create_locked(path: &Path) -> io::Result<Option<File>> {
         Err(TryLockError::Error(_)) => {}
     }
     Ok(is_still_at(path, &file).then_some(file))
-}
-
-/// Whether the name still leads to this file.
-pub(crate) fn is_still_at(path: &Path, file: &File) -> bool {
-    let stamps = FileStamp::of_path(path).and_then(|at_path| Ok((at_path, FileStamp::of(&file.metadata()?))));
-    stamps.is_ok_and(|(at_path, ours)| at_path.inode == ours.inode)
 }
 
 /// Locks a file that a process has abandoned. Returns `None` if the file is still in use, or no longer

@@ -8,7 +8,7 @@ use meniscus_formats::{AttributeRole, FileAttribute, Values};
 use crate::surface::options::{Anisotropy, AttributeSelection, OptionName, Settings, SpacingOptions};
 use crate::surface::particles::{Attribute, AttributeValues, ParticleFilter, Role, find_attribute};
 
-use crate::pipeline::warning::Warning;
+use crate::pipeline::warning::{InputWarning, Warning};
 
 /// The attributes that a frame needs from its file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -67,13 +67,11 @@ impl RequiredAttribute {
     /// spelling.
     fn why_useless(&self, attribute: &Attribute, spelled: fn(OptionName) -> String) -> Option<String> {
         let numbers = attribute.values.numbers().unwrap_or_default();
-        let is_useful = |number: &f32| number.is_finite() && *number > 0.0;
-        let is_useless = self.is_length && !numbers.is_empty() && !numbers.iter().any(is_useful);
-        let option = spelled(self.option);
-        let name = &attribute.name;
-        is_useless.then(|| {
-            format!("the particles' attribute `{name}` has no positive value, but {option} needs radii")
-        })
+        if !self.is_length || numbers.is_empty() || numbers.iter().any(|n| n.is_finite() && *n > 0.0) {
+            return None;
+        }
+        let (name, option) = (&attribute.name, spelled(self.option));
+        Some(format!("the particles' attribute `{name}` has no positive value, but {option} needs radii"))
     }
 }
 
@@ -83,9 +81,8 @@ impl AttributeRequest {
         let (filter, per_particle_radius) = (settings.filter.clone(), settings.per_particle_radius.clone());
         let mut request = AttributeRequest::for_spacing(&SpacingOptions { filter, per_particle_radius });
         if matches!(settings.anisotropy, Anisotropy::Velocity { .. }) {
-            let name = "velocity".to_owned();
             request.needed.push(RequiredAttribute {
-                name,
+                name: "velocity".to_owned(),
                 arity: 3,
                 option: OptionName::with_value("anisotropy", "velocity"),
                 is_length: false,
@@ -150,8 +147,6 @@ impl AttributeRequest {
             return Ok((Vec::new(), Vec::new()));
         }
         let all: Vec<Attribute> = headers.into_iter().map(attribute).collect();
-        let available = || all.iter().map(|attribute| attribute.name.clone()).collect::<Vec<_>>();
-        let exists = |name: &str| all.iter().any(|attribute| attribute.matches(name));
         let for_filter = match &self.filter {
             Some(filter) => filter
                 .needed(&all)
@@ -167,10 +162,12 @@ impl AttributeRequest {
             Some(AttributeSelection::Named(names)) => names,
             _ => &[],
         };
-        let missing = named.iter().filter(|name| !exists(name));
-        let missing =
-            missing.map(|name| Warning::MissingAttribute { name: name.clone(), available: available() });
-        let missing: Vec<Warning> = missing.collect();
+        let mut warnings = Vec::new();
+        for name in named.iter().filter(|name| !all.iter().any(|attribute| attribute.matches(name))) {
+            let available = all.iter().map(|attribute| attribute.name.clone()).collect();
+            let warning = InputWarning::MissingAttribute { name: name.clone(), available };
+            warnings.push(Warning::Input(warning));
+        }
         // If a file has both `v` and `velocity`, `--attributes v` means the one with exactly that name.
         let has_own = |name: &String| all.iter().any(|attribute| attribute.name.eq_ignore_ascii_case(name));
         let is_named = |attribute: &Attribute| {
@@ -195,19 +192,18 @@ impl AttributeRequest {
                 return Err(why);
             }
         }
-        Ok((kept, missing))
+        Ok((kept, warnings))
     }
 
     /// Whether to transfer the particles' velocities to the surface; `name` is their name in the file.
     pub(crate) fn has_velocity(&self, name: &str) -> bool {
-        let is_velocity = |selected: &String| {
-            let is = |other: &str| selected.eq_ignore_ascii_case(other);
-            is(name) || aliases(AttributeRole::Velocity).iter().any(|alias| is(alias))
-        };
         match &self.selected {
             None => false,
             Some(AttributeSelection::All) => true,
-            Some(AttributeSelection::Named(names)) => names.iter().any(is_velocity),
+            Some(AttributeSelection::Named(selected)) => selected.iter().any(|selected| {
+                let mut names = aliases(AttributeRole::Velocity).iter().copied().chain([name]);
+                names.any(|name| selected.eq_ignore_ascii_case(name))
+            }),
         }
     }
 

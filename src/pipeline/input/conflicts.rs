@@ -7,32 +7,29 @@ use std::path::{Path, PathBuf};
 
 use super::obstacles::ObstacleFiles;
 use super::steps::file_of;
-use crate::pipeline::files::path_identity::{Identity, canonical_entry, identities};
+use crate::pipeline::files::identity::{FileId, canonical_path};
 use crate::pipeline::target::outputs::{OutputOptions, output_path};
 
 /// Why a run cannot begin.
 #[derive(Debug)]
 pub enum Conflict {
-    /// An output would replace an input.
-    ReplacesInput {
+    /// An output would replace an input or an obstacle, or would later be read as one.
+    Replaces {
         /// The output.
         output: PathBuf,
-        /// The input.
-        input: PathBuf,
+        /// What it would do: `would replace the input`.
+        fault: &'static str,
+        /// The path or the pattern of the other file, as given.
+        file: PathBuf,
     },
-    /// An output would replace an obstacle, or would later be read as one.
-    ReplacesObstacle {
-        /// The output.
-        output: PathBuf,
-        /// The obstacle's path or pattern, as given.
-        obstacle: PathBuf,
-    },
-    /// Two inputs have outputs with the same name.
+    /// Two files that the run writes have the same path.
     SameOutput {
-        /// The output.
+        /// Their path.
         output: PathBuf,
-        /// The two inputs.
-        makers: [PathBuf; 2],
+        /// What they are made from, or what they are.
+        makers: [String; 2],
+        /// What to do.
+        remedy: String,
     },
     /// An output would replace particles, or a mesh or a level set of another program.
     ReplacesData {
@@ -48,75 +45,38 @@ pub enum Conflict {
         /// The reason.
         source: io::Error,
     },
-    /// Another written file, such as the report, has the name of an output.
-    ReplacesOutput {
-        /// The output.
-        output: PathBuf,
-        /// The input of that output.
-        input: PathBuf,
-        /// The other file.
-        what: &'static str,
-    },
-    /// Two written files that are no outputs of frames have the same name.
-    SameFile {
-        /// Their name.
-        output: PathBuf,
-        /// The two files.
-        files: [&'static str; 2],
-    },
 }
 
 impl fmt::Display for Conflict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Conflict::ReplacesInput { output, input } => write!(
+            Conflict::Replaces { output, fault, file } => write!(
                 f,
-                "the output {} would replace the input {}: choose another folder",
+                "the output {} {fault} {}: choose another folder or format",
                 output.display(),
-                input.display()
+                file.display()
             ),
-            Conflict::ReplacesObstacle { output, obstacle } => write!(
-                f,
-                "the output {} would replace the obstacle {}: choose another folder or format",
-                output.display(),
-                obstacle.display()
-            ),
-            Conflict::SameOutput { output, makers: [first, second] } => write!(
-                f,
-                "{} and {} would both become {}: convert them one by one, into different folders",
-                first.display(),
-                second.display(),
-                output.display()
-            ),
+            Conflict::SameOutput { output, makers: [first, second], remedy } => {
+                write!(f, "{first} and {second} would both become {}: {remedy}", output.display())
+            }
             Conflict::ReplacesData { output, other_count } => {
                 let output = output.display();
-                write!(f, "the output {output} would replace a file that is not a surface of meniscus")?;
-                match other_count {
-                    0 => write!(f, ": move that file away, or choose another folder or format"),
-                    1 => write!(
-                        f,
-                        ", and so would another: move these files away, or choose another folder or format"
-                    ),
-                    _ => write!(
-                        f,
-                        ", and so would {other_count} others: move these files away, or choose another folder or format"
-                    ),
-                }
+                let (others, files) = match other_count {
+                    0 => (String::new(), "that file"),
+                    1 => (", and so would another".to_owned(), "these files"),
+                    _ => (format!(", and so would {other_count} others"), "these files"),
+                };
+                write!(
+                    f,
+                    "the output {output} would replace a file that is not a surface of meniscus{others}: move {files} \
+                     away, or choose another folder or format"
+                )
             }
             Conflict::Unreadable { output, source } => write!(
                 f,
                 "cannot check whether the output {} would replace particles: {source}: make it readable, or move it away",
                 output.display()
             ),
-            Conflict::ReplacesOutput { output, input, what } => write!(
-                f,
-                "{what} and the result of {} would both become {}: choose another name for {what}",
-                input.display(),
-                output.display()
-            ),
-            Conflict::SameFile { output, files: [first, second] } => {
-                write!(f, "{first} and {second} would both become {}: choose two names", output.display())
-            }
         }
     }
 }
@@ -136,37 +96,41 @@ pub fn check_outputs(
     options: &OutputOptions,
     written: &[(&'static str, &Path)],
 ) -> Result<(), Conflict> {
-    let mut input_of: HashMap<Identity, &Path> = HashMap::new();
     let mut files: Vec<&Path> = inputs.iter().map(|input| file_of(input)).collect();
     files.dedup(); // the steps of one file are adjacent
-    for input in files {
-        input_of.extend(identities(input).into_iter().map(|identity| (identity, input)));
-    }
-    let outputs = planned.iter().flat_map(|(input, stem)| {
-        options.formats.iter().map(move |&format| (output_path(&options.folder, stem, format), &**input))
-    });
-    let refuse_loss = |output: &Path| {
-        if let Some(input) = identities(output).iter().find_map(|identity| input_of.get(identity)) {
-            return Err(Conflict::ReplacesInput { output: output.to_owned(), input: (*input).to_owned() });
+    let input_of: HashMap<FileId, &Path> =
+        files.into_iter().map(|input| (FileId::of(input), input)).collect();
+    let refuse_loss = |output: &Path| match input_of.get(&FileId::of(output)) {
+        Some(&input) => {
+            let fault = "would replace the input";
+            Err(Conflict::Replaces { output: output.to_owned(), fault, file: input.to_owned() })
         }
-        obstacles.refuse_output(output)
+        None => obstacles.refuse_output(output),
     };
     let mut maker_of: HashMap<PathBuf, &Path> = HashMap::new();
-    for (output, maker) in outputs {
-        refuse_loss(&output)?;
-        if let Some(other) = maker_of.insert(canonical_entry(&output), maker) {
-            return Err(Conflict::SameOutput { output, makers: [other.to_owned(), maker.to_owned()] });
+    for (input, stem) in planned {
+        for &format in &options.formats {
+            let output = output_path(&options.folder, stem, format);
+            refuse_loss(&output)?;
+            if let Some(other) = maker_of.insert(canonical_path(&output), input) {
+                let makers = [other, input].map(|input| input.display().to_string());
+                let remedy = "convert them one by one, into different folders".to_owned();
+                return Err(Conflict::SameOutput { output, makers, remedy });
+            }
         }
     }
     let mut other_of: HashMap<PathBuf, &'static str> = HashMap::new();
     for &(what, path) in written {
         refuse_loss(path)?;
-        let (output, entry) = (path.to_owned(), canonical_entry(path));
-        if let Some(&input) = maker_of.get(&entry) {
-            return Err(Conflict::ReplacesOutput { output, input: input.to_owned(), what });
+        let (output, entry) = (path.to_owned(), canonical_path(path));
+        if let Some(input) = maker_of.get(&entry) {
+            let makers = [what.to_owned(), format!("the result of {}", input.display())];
+            let remedy = format!("choose another name for {what}");
+            return Err(Conflict::SameOutput { output, makers, remedy });
         }
         if let Some(other) = other_of.insert(entry, what) {
-            return Err(Conflict::SameFile { output, files: [other, what] });
+            let makers = [other, what].map(str::to_owned);
+            return Err(Conflict::SameOutput { output, makers, remedy: "choose two names".to_owned() });
         }
     }
     Ok(())
@@ -178,10 +142,8 @@ impl ObstacleFiles {
     /// # Errors
     /// The obstacle.
     pub fn refuse_output(&self, output: &Path) -> Result<(), Conflict> {
-        let conflict = |obstacle: &Path| Conflict::ReplacesObstacle {
-            output: output.to_owned(),
-            obstacle: obstacle.to_owned(),
-        };
-        self.replaced_by(output).map_or(Ok(()), |obstacle| Err(conflict(obstacle)))
+        let Some(obstacle) = self.replaced_by(output) else { return Ok(()) };
+        let fault = "would replace the obstacle";
+        Err(Conflict::Replaces { output: output.to_owned(), fault, file: obstacle.to_owned() })
     }
 }

@@ -6,7 +6,7 @@ use meniscus_formats::{AttributeRole, FileAttribute, ParticleFrame};
 use crate::surface::particles::{Attribute, ParticleFilter};
 
 use super::attributes::{attribute, header};
-use crate::pipeline::warning::Warning;
+use crate::pipeline::warning::{InputWarning, Warning};
 
 /// Keeps the particles of a frame that meet the condition. Returns a warning if none of them does.
 ///
@@ -37,7 +37,8 @@ pub(super) fn none_chosen(
     chosen_count: usize,
 ) -> Option<Warning> {
     let is_none = chosen_count == 0 && particle_count > 0;
-    is_none.then(|| Warning::NoneChosen { condition: filter.to_string(), particle_count })
+    let condition = filter.to_string();
+    is_none.then_some(Warning::Input(InputWarning::NoneChosen { condition, particle_count }))
 }
 
 /// A warning if the attributes of these parts of a frame show that its particles are of several kinds, such
@@ -57,7 +58,8 @@ pub(super) fn several_kinds<'a>(parts: impl Iterator<Item = &'a [FileAttribute]>
         values.sort_by_key(|value| (value.parse::<i64>().ok(), value.clone()));
         values.dedup();
         let attribute = first[index].name.clone();
-        (2..=KIND_COUNT_MAX).contains(&values.len()).then_some(Warning::SeveralKinds { attribute, values })
+        let is_kind_count = (2..=KIND_COUNT_MAX).contains(&values.len());
+        is_kind_count.then_some(Warning::Input(InputWarning::SeveralKinds { attribute, values }))
     })
 }
 
@@ -113,8 +115,8 @@ mod tests {
         assert_eq!(keep_chosen(&mut kept, Some(&condition("phase == 1"))), Ok(None));
         assert_eq!(kept.positions, FilePositions::F32(vec![[1.0; 3], [2.0; 3]]));
         let none = keep_chosen(&mut given.clone(), Some(&condition("phase == 7")));
-        let expected = Warning::NoneChosen { condition: "phase == 7".to_owned(), particle_count: 4 };
-        assert_eq!(none, Ok(Some(expected)));
+        let expected = InputWarning::NoneChosen { condition: "phase == 7".to_owned(), particle_count: 4 };
+        assert_eq!(none, Ok(Some(Warning::Input(expected))));
         let missing = keep_chosen(&mut given.clone(), Some(&condition("mk == 7")));
         assert_eq!(
             missing.expect_err("missing"),

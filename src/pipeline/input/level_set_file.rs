@@ -8,9 +8,9 @@ use meniscus_formats::vdb::{self, LevelSetData, Transform, VectorGridData};
 use meniscus_formats::{Error, Format, Limits, Position, Probe, ProbedKind, probe};
 use twox_hash::XxHash3_128;
 
-use crate::surface::grid::{Field, LEAF_EDGE, Leaf, Topology};
+use crate::surface::grid::{Field, LEAF_EDGE, LEAF_VOXELS, Leaf, Topology};
 use crate::surface::level_set::{
-    NarrowBand, RebuildReason, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt,
+    NarrowBand, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt,
 };
 use crate::surface::space::{INDEX_LIMIT, Lattice};
 
@@ -18,7 +18,7 @@ use super::reading::read_file;
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::target::outputs::OutputOptions;
 use crate::pipeline::target::picture::PictureScene;
-use crate::pipeline::warning::Warning;
+use crate::pipeline::warning::{InputWarning, Warning};
 
 /// A level set that was read from a file.
 #[derive(Clone, Debug)]
@@ -61,17 +61,15 @@ impl LevelSetFile {
         refuse_other_format(bytes).map_err(fail)?;
         let limits = level_set_limits(memory_bytes);
         let data = vdb::read_level_set(bytes, None, &limits).map_err(fail)?;
-        let (transform, name, class) = (data.transform, data.name.clone(), data.class.clone());
+        let transform = data.transform;
         let rebuilding_bytes = memory_bytes.saturating_sub(bytes.len() as u64 + data.memory_bytes());
-        let (band, lattice, origin, rebuilt) = level_set(data, rebuilding_leaf_count_max(rebuilding_bytes))
+        let mut file = level_set(data, hash, rebuilding_leaf_count_max(rebuilding_bytes))
             .map_err(|what| fail(Error::unsupported("OpenVDB", what)))?;
-        let warnings = rebuilt.into_iter().map(Warning::Rebuilt).collect();
-        let mut file = LevelSetFile { band, lattice, origin, velocity: None, name, class, hash, warnings };
         if wants_velocity {
             let vectors = vdb::read_vectors(bytes, &VELOCITY_NAMES, &limits).map_err(fail)?;
             match vectors.map(|vectors| velocities(&vectors, &transform, &file.band)) {
                 Some(Ok(velocity)) => file.velocity = Some(velocity),
-                Some(Err(why)) => file.warnings.push(Warning::VelocitiesNotShown(why)),
+                Some(Err(why)) => file.warnings.push(Warning::Input(InputWarning::VelocitiesNotShown(why))),
                 None => {}
             }
         }
@@ -162,7 +160,7 @@ pub fn is_level_set(path: &Path) -> bool {
 pub(crate) fn other_grids(bytes: &[u8]) -> Option<Warning> {
     let grids = vdb::grids(bytes, &Limits::default()).unwrap_or_default();
     let count = grids.len().saturating_sub(1);
-    (count > 0).then_some(Warning::OtherGrids { count })
+    (count > 0).then_some(Warning::Input(InputWarning::OtherGrids { count }))
 }
 
 /// The usual names of velocity grids.
@@ -173,10 +171,8 @@ pub(crate) fn level_set_limits(memory_bytes: u64) -> Limits {
     Limits { level_set_bytes: memory_bytes, ..Limits::default() }
 }
 
-/// A level set in voxels, its lattice and origin, and the reason if it was rebuilt.
-type InVoxels = (NarrowBand, Lattice, DVec3, Option<RebuildReason>);
-
-fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxels, String> {
+/// The level set in the data of a file with this hash, without velocities.
+fn level_set(data: LevelSetData, hash: u128, rebuilt_leaf_count_max: usize) -> Result<LevelSetFile, String> {
     let LevelSetData { name, class, transform, background, origins, leaves, tiles, .. } = data;
     if class == "fog volume" {
         return Err(format!("the grid \"{name}\" is a fog volume and not a level set"));
@@ -196,15 +192,16 @@ fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxe
     if !leaves.iter().flatten().all(|value| value.is_finite()) {
         return Err(format!("the grid \"{name}\" has values that are not finite"));
     }
-    let origin = DVec3::from(transform.translation);
     let tiles: Vec<_> =
         tiles.into_iter().map(|tile| (IVec3::from(tile.origin), tile.size, tile.value)).collect();
     let stored =
         StoredLevelSet { origins: &leaf_origins, leaves: &leaves, tiles: &tiles, background, voxel_size };
-    match rebuilt(&stored, rebuilt_leaf_count_max) {
-        Ok(None) => {}
+    let mut warnings = Vec::new();
+    let band = match rebuilt(&stored, rebuilt_leaf_count_max) {
+        Ok(None) => stored_band(leaf_origins, leaves, voxel_size, half_width),
         Ok(Some((band, reason))) => {
-            return Ok((band, Lattice { voxel_size }, origin, Some(reason)));
+            warnings.push(Warning::Input(InputWarning::Rebuilt(reason)));
+            band
         }
         Err(TooManyLeaves) => {
             return Err(format!(
@@ -212,7 +209,18 @@ fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxe
                  {rebuilt_leaf_count_max} blocks of 8³ voxels: raise --memory, or save it as a narrow-band level set"
             ));
         }
-    }
+    };
+    let (lattice, origin) = (Lattice { voxel_size }, DVec3::from(transform.translation));
+    Ok(LevelSetFile { band, lattice, origin, velocity: None, name, class, hash, warnings })
+}
+
+/// The band of a file's leaves, with values in voxels.
+fn stored_band(
+    leaf_origins: Vec<IVec3>,
+    leaves: Vec<[f32; LEAF_VOXELS]>,
+    voxel_size: f64,
+    half_width: f32,
+) -> NarrowBand {
     let topology = Topology::new(leaf_origins.clone());
     let mut phi = Field::splat(topology.len(), half_width);
     let scale = (1.0 / voxel_size) as f32;
@@ -222,8 +230,7 @@ fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxe
             phi.leaves[index] = Leaf { values };
         }
     }
-    let band = NarrowBand { topology: topology.into(), phi, half_width };
-    Ok((band, Lattice { voxel_size }, origin, None))
+    NarrowBand { topology: topology.into(), phi, half_width }
 }
 
 /// Whether a leaf can have this origin: it is a multiple of 8 within the range of indices.

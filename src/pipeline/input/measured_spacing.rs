@@ -67,7 +67,7 @@ impl From<&MeasuredSpacing> for options::SequenceSpacing {
 }
 
 /// Why the spacing could not be measured.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct NoSpacing {
     /// The number of readable frames with too few particles.
     pub sparse_count: usize,
@@ -134,14 +134,8 @@ pub fn measure_spacing<'a>(
     options: &SpacingOptions,
 ) -> Result<MeasuredSpacing, NoSpacing> {
     let files: Vec<&Path> = files.into_iter().collect();
-    let mut none = NoSpacing {
-        sparse_count: 0,
-        empty_count: 0,
-        unreadable_count: 0,
-        missing_count: 0,
-        unreadable: None,
-        condition: options.filter.as_ref().map(ToString::to_string),
-    };
+    let condition = options.filter.as_ref().map(ToString::to_string);
+    let mut none = NoSpacing { condition, ..NoSpacing::default() };
     let note = |_: &Path, attempt: Attempt| match attempt {
         Attempt::Measured => {}
         Attempt::TooFewParticles { count } => {
@@ -154,8 +148,7 @@ pub fn measure_spacing<'a>(
             none.unreadable.get_or_insert_with(|| Box::new(error));
         }
     };
-    let measured = measure_sequence(&files, options, note);
-    measured.ok_or(none)
+    measure_sequence(&files, options, note).ok_or(none)
 }
 
 /// The result of measuring a frame.
@@ -215,29 +208,40 @@ struct FrameSpacing {
 
 /// Counts the particles of a frame, and measures them; `None` if they are too few.
 fn measured(path: &Path, options: &SpacingOptions) -> Result<(usize, Option<FrameSpacing>), FrameError> {
-    let measure = || {
+    let measured = FrameError::catch(path, Stage::Read, || {
         if options.per_particle_radius.is_none()
-            && let Some(particles) = large_file(path)?
+            && let Some(file) = large_file(path)?
         {
-            let failed = |cause| FrameError { path: path.to_owned(), during: Stage::Read, cause };
-            let particles = particles.chosen_by(options.filter.as_ref()).map_err(failed)?;
-            let particles = FrameInput::OnDisk(Box::new(particles));
-            let estimate =
-                erased(&particles, |source| SourceSample::of(source, particles.len())?.estimate(source));
-            let estimate = estimate.map_err(failed)?;
-            let of_estimate = |estimate| FrameSpacing {
+            return measured_sample(path, file, options).map_err(|cause| FrameError {
                 path: path.to_owned(),
-                estimate,
-                contradicting_radius: None,
-                radius_median: None,
-            };
-            return Ok((particles.len(), estimate.map(of_estimate)));
+                during: Stage::Read,
+                cause,
+            });
         }
         let bytes = read_file(path)?;
         let read = parse_particles(path, &bytes, &AttributeRequest::for_spacing(options).and_radius())?;
         Ok((read.cloud.positions.len(), measured_of(path, &read, options)))
-    };
-    FrameError::catch(path, Stage::Read, measure).flatten()
+    });
+    measured.flatten()
+}
+
+/// Counts the particles in a large file, and measures a sample of their positions.
+fn measured_sample(
+    path: &Path,
+    file: FileParticles,
+    options: &SpacingOptions,
+) -> Result<(usize, Option<FrameSpacing>), Cause> {
+    let particles = FrameInput::OnDisk(Box::new(file.chosen_by(options.filter.as_ref())?));
+    let count = particles.len();
+    let estimate = erased(&particles, |source| SourceSample::of(source, count)?.estimate(source))?;
+    let path = path.to_owned();
+    let frame = estimate.map(|estimate| FrameSpacing {
+        path,
+        estimate,
+        contradicting_radius: None,
+        radius_median: None,
+    });
+    Ok((count, frame))
 }
 
 /// Opens the particles of a file that is too large to read whole, if its format can be read in parts.

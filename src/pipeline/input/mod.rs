@@ -8,8 +8,8 @@
 //!   filter      chooses particles by their attributes
 //!   level_set_file  level sets from .vdb                 mesh_file    meshes of any supported format
 //!   measured_spacing  the spacing of a sequence          conflicts    outputs that would replace inputs
-//!   obstacles   the obstacles of a frame
-//!   obstacle_warnings, out_of_reach   likely mistakes in obstacles
+//!   obstacles   the obstacles of a frame                 obstacle_file  reads and parses one of them
+//!   out_of_reach  obstacles too far away to have an effect
 //!   position_doubts  positions that cannot make the expected surface
 //! ```
 
@@ -22,7 +22,7 @@ pub(super) mod frame_input;
 pub(super) mod level_set_file;
 pub(super) mod measured_spacing;
 pub(super) mod mesh_file;
-pub(super) mod obstacle_warnings;
+pub(super) mod obstacle_file;
 pub(super) mod obstacles;
 pub(super) mod out_of_reach;
 pub(super) mod position_doubts;

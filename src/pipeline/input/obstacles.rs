@@ -1,4 +1,4 @@
-//! Obstacle files: finds those of a frame, hashes them and loads them.
+//! The obstacles of a sequence: finds those of each frame, and loads them.
 //!
 //! ```text
 //!   floor.obj          an obstacle of every frame; read once, and again after a change
@@ -6,9 +6,6 @@
 //! ```
 //!
 //! The files of a frame are found and hashed first. They are parsed only if the frame is not done already.
-//!
-//! The buffers of a `.gltf` may be separate files. They belong to the obstacle: their bytes are hashed with
-//! it, and a change of one of them reloads it.
 
 use std::collections::{HashMap, HashSet};
 use std::fmt;
@@ -16,31 +13,27 @@ use std::io;
 use std::path::{Path, PathBuf, absolute};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use glam::{DVec3, IVec3};
-use meniscus_formats::vdb::LevelSetData;
-use meniscus_formats::{ObstacleData, gltf, read_obstacle};
-use twox_hash::XxHash3_128;
-use twox_hash::xxhash3_128::Hasher;
-
-use crate::surface::obstacle::{GridSdf, MeshSdf, Obstacle, ObstacleSdf, Obstacles, SourceLevelSet};
+use crate::surface::obstacle::{Obstacle, Obstacles};
 use crate::surface::options::Settings;
 
-use super::level_set_file::level_set_limits;
-use super::obstacle_warnings::findings_of;
+use super::obstacle_file::{
+    ObstacleBytes, ObstacleSource, buffers_of, failed, findings_of, folder_of, loading_factor,
+    may_have_buffers, name_of, open_edges, parse, read, require_volume,
+};
 use crate::pipeline::error::ObstacleError;
-use crate::pipeline::files::input_file::{read_start_unchanged, read_unchanged};
+use crate::pipeline::files::identity::{are_same_file, canonical_path};
+use crate::pipeline::files::input_file::read_unchanged;
 use crate::pipeline::files::number_pattern::{NumberPattern, may_be_file};
 use crate::pipeline::files::open::require_regular;
-use crate::pipeline::files::path_identity::{are_same_file, canonical_entry};
 use crate::pipeline::files::stamp::FileStamp;
-use crate::pipeline::warning::{ObstacleFinding, Warning};
+use crate::pipeline::warning::Warning;
 
 /// The obstacles of a sequence.
 #[derive(Debug, Default)]
 pub struct ObstacleFiles {
     paths: Vec<PathBuf>,
-    /// The loaded obstacles that do not move, by the index of their path.
-    loaded: Mutex<Vec<Option<LoadedObstacle>>>,
+    /// The loaded obstacles that do not move, by their paths.
+    loaded: Mutex<HashMap<PathBuf, LoadedObstacle>>,
     /// The buffer files of each `.gltf`, and the stamp of the `.gltf` that named them.
     buffers: Mutex<HashMap<PathBuf, (FileStamp, Vec<PathBuf>)>>,
 }
@@ -54,43 +47,31 @@ pub struct ObstacleStamps {
     pub all_exist: bool,
 }
 
-/// An obstacle that was loaded.
 #[derive(Clone)]
 struct LoadedObstacle {
-    /// All files that it was read from, with their stamps at that time.
-    files: Vec<(PathBuf, FileStamp)>,
-    hash: u128,
+    source: ObstacleSource,
     obstacle: Arc<Obstacle>,
 }
 
 impl fmt::Debug for LoadedObstacle {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("LoadedObstacle").field("hash", &self.hash).finish_non_exhaustive()
+        f.debug_struct("LoadedObstacle").field("hash", &self.source.hash).finish_non_exhaustive()
     }
 }
 
 /// The obstacles of a frame, found and hashed.
 #[derive(Default)]
-pub(crate) struct FoundObstacles {
-    found: Vec<FoundObstacle>,
-}
+pub(crate) struct FoundObstacles(Vec<FoundObstacle>);
 
-/// An obstacle of a frame, found and hashed.
 struct FoundObstacle {
-    path: PathBuf,
-    /// The file and its buffer files, with their stamps.
-    files: Vec<(PathBuf, FileStamp)>,
-    hash: u128,
-    content: ObstacleShape,
-    /// The index of the obstacle's path; `None` if the obstacle moves.
-    still: Option<usize>,
+    source: ObstacleSource,
+    content: ObstacleContent,
 }
 
-/// The contents of an obstacle file: bytes, or the obstacle that was loaded from them earlier.
-enum ObstacleShape {
-    /// The bytes of the file, and those of each of its buffer files.
-    Bytes(Vec<u8>, HashMap<String, Vec<u8>>),
-    Obstacle(Arc<Obstacle>),
+/// What was read from an obstacle file now, or loaded from it earlier.
+enum ObstacleContent {
+    Bytes(ObstacleBytes),
+    Loaded(Arc<Obstacle>),
 }
 
 /// The obstacles of a frame, ready for the reconstruction.
@@ -111,6 +92,9 @@ pub struct FrameObstacles {
     pub(crate) all_bytes: u64,
 }
 
+/// The cached leaves of obstacles may take this fraction of the memory for a frame.
+const OBSTACLE_SHARE: u64 = 16;
+
 impl ObstacleFiles {
     /// Obstacles at these paths. If a path does not exist and its name has a placeholder for a number, as in
     /// `body.####.obj`, each frame has the file with its own number.
@@ -118,8 +102,7 @@ impl ObstacleFiles {
         // Duplicate paths are loaded, and warned about, once.
         let mut seen = HashSet::new();
         paths.retain(|path| seen.insert(absolute(path).unwrap_or_else(|_| path.clone())));
-        let known = Mutex::new(vec![None; paths.len()]);
-        ObstacleFiles { paths, loaded: known, buffers: Mutex::default() }
+        ObstacleFiles { paths, ..ObstacleFiles::default() }
     }
 
     /// Whether there are no obstacles.
@@ -127,10 +110,15 @@ impl ObstacleFiles {
         self.paths.is_empty()
     }
 
+    /// Whether no obstacle moves, so that all frames share the same ones.
+    pub fn are_static(&self) -> bool {
+        self.paths.iter().all(|path| moving_pattern(path).is_none())
+    }
+
     /// The paths that no frame can read, and why: no such file exists, or it is a folder or a device, and the
     /// name has no placeholder.
     pub fn unreadable(&self) -> impl Iterator<Item = (&Path, io::Error)> {
-        self.paths.iter().filter(|path| pattern_of(path).is_none()).filter_map(|path| {
+        self.paths.iter().filter(|path| moving_pattern(path).is_none()).filter_map(|path| {
             let error = path.metadata().and_then(|metadata| require_regular(&metadata)).err()?;
             Some((path.as_path(), error))
         })
@@ -139,98 +127,64 @@ impl ObstacleFiles {
     /// The obstacle that an output would replace, or that the output would be mistaken for: for a moving
     /// obstacle, any file that matches its pattern.
     pub(crate) fn replaced_by(&self, output: &Path) -> Option<&Path> {
+        let entry = canonical_path(output);
+        let name = entry.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         let is_member = |path: &Path, pattern: NumberPattern| {
-            let (entry, of_pattern) = (canonical_entry(output), canonical_entry(path));
-            let name = entry.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-            entry.parent() == of_pattern.parent() && pattern.span_in(name).is_some()
+            pattern.span_in(name).is_some() && canonical_path(path).parent() == entry.parent()
         };
-        let is_in_the_way = |path: &&PathBuf| {
+        let is_replaced = |path: &&PathBuf| {
             are_same_file(path, output)
-                || !may_be_file(path) && pattern_of(path).is_some_and(|pattern| is_member(path, pattern))
-                || self.external_files(path).iter().any(|external| are_same_file(external, output))
+                || moving_pattern(path).is_some_and(|pattern| is_member(path, pattern))
+                || self.buffer_files(path).iter().any(|buffer| are_same_file(buffer, output))
         };
-        self.paths.iter().find(is_in_the_way).map(PathBuf::as_path)
-    }
-
-    /// Whether no obstacle moves, so that all frames share the same ones.
-    pub fn are_static(&self) -> bool {
-        self.paths.iter().all(|path| may_be_file(path) || pattern_of(path).is_none())
+        self.paths.iter().find(is_replaced).map(PathBuf::as_path)
     }
 
     /// The current state of a frame's obstacle files.
     pub fn stamps(&self, number: Option<i64>) -> ObstacleStamps {
         let mut stamps = ObstacleStamps { text: String::new(), all_exist: true };
-        let mut add = |path: &Path, stamp: Option<FileStamp>| {
-            stamps.all_exist &= stamp.is_some();
-            stamps.text += &match stamp {
-                Some(stamp) => format!("{}: {}\n", path.display(), text_of(&stamp)),
-                None => format!("{}: none\n", path.display()),
-            };
-        };
         for path in &self.paths {
-            let at = file_of(path, number).ok();
-            add(path, at.as_deref().and_then(stamp_of));
-            let external = at.map(|at| self.external_files(&at)).unwrap_or_default();
-            external.iter().for_each(|path| add(path, stamp_of(path)));
+            let Ok(file) = file_of(path, number) else {
+                stamps.add(path, None);
+                continue;
+            };
+            stamps.add(path, FileStamp::of_path(&file).ok());
+            for buffer in self.buffer_files(&file) {
+                stamps.add(&buffer, FileStamp::of_path(&buffer).ok());
+            }
         }
         stamps
     }
 
-    /// The buffer files of an obstacle; empty if the obstacle cannot be read at present.
-    fn external_files(&self, path: &Path) -> Vec<PathBuf> {
-        if !is_gltf_text(path) {
-            return Vec::new();
-        }
-        let lock = || self.buffers.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((stamp, files)) = lock().get(path)
-            && stamp_of(path) == Some(*stamp)
-        {
-            return files.clone();
-        }
-        let Ok(Some((bytes, stamp))) = read_unchanged(path) else { return Vec::new() };
-        let files = gltf::external_files(&bytes).unwrap_or_default();
-        let files: Vec<PathBuf> = files.iter().map(|file| folder_of(path).join(&file.path)).collect();
-        lock().insert(path.to_owned(), (stamp, files.clone()));
-        files
-    }
-
     /// The memory that loading a frame's obstacles may take, without those that are loaded already, in bytes.
     pub(crate) fn loading_bytes(&self, number: Option<i64>) -> u64 {
-        let size = |path: &Path| path.metadata().map_or(0, |metadata| metadata.len());
-        let of_one = |(index, path): (usize, &PathBuf)| {
-            if self.loaded_of(index).is_some_and(|known| known.is_as_it_was()) {
-                return 0;
+        let mut loading_bytes: u64 = 0;
+        for file in self.paths.iter().filter_map(|path| file_of(path, number).ok()) {
+            if self.unchanged(&file).is_none() {
+                let files = self.buffer_files(&file).into_iter().chain([file.clone()]);
+                let sizes = files.map(|file| file.metadata().map_or(0, |metadata| metadata.len()));
+                let bytes = sizes.fold(0, u64::saturating_add).saturating_mul(loading_factor(&file));
+                loading_bytes = loading_bytes.saturating_add(bytes);
             }
-            let Ok(at) = file_of(path, number) else { return 0 };
-            let external = self.external_files(&at);
-            let bytes = external.iter().map(|path| size(path)).fold(size(&at), u64::saturating_add);
-            bytes.saturating_mul(loading_factor(&at))
-        };
-        self.paths.iter().enumerate().map(of_one).fold(0, u64::saturating_add)
-    }
-
-    /// Whether all obstacles of the frame with this number exist.
-    pub fn exist(&self, number: Option<i64>) -> bool {
-        self.stamps(number).all_exist
+        }
+        loading_bytes
     }
 
     /// Finds and hashes the obstacles of a frame.
     pub(crate) fn find(&self, number: Option<i64>) -> Result<FoundObstacles, ObstacleError> {
-        let found = self.paths.iter().enumerate().map(|(index, path)| {
-            let at = file_of(path, number)?;
-            let still = (at == *path).then_some(index);
-            match still.and_then(|index| self.loaded_of(index)) {
-                Some(known) if known.is_as_it_was() => Ok(FoundObstacle {
-                    path: at,
-                    files: known.files,
-                    hash: known.hash,
-                    content: ObstacleShape::Obstacle(known.obstacle),
-                    still,
-                }),
-                _ => read(at, still),
-            }
+        let found = self.paths.iter().map(|path| {
+            let file = file_of(path, number)?;
+            Ok(match self.unchanged(&file) {
+                Some(LoadedObstacle { source, obstacle }) => {
+                    FoundObstacle { source, content: ObstacleContent::Loaded(obstacle) }
+                }
+                None => {
+                    let (source, bytes) = read(file)?;
+                    FoundObstacle { source, content: ObstacleContent::Bytes(bytes) }
+                }
+            })
         });
-        Ok(FoundObstacles { found: found.collect::<Result<_, _>>()? })
+        Ok(FoundObstacles(found.collect::<Result<_, _>>()?))
     }
 
     /// Loads the obstacles. Reading a level set, together with the obstacles before it, may take
@@ -241,103 +195,111 @@ impl ObstacleFiles {
         settings: &Settings,
         memory_bytes: u64,
     ) -> Result<FrameObstacles, ObstacleError> {
+        let cache_bytes_max = memory_bytes / OBSTACLE_SHARE / found.0.len().max(1) as u64;
+        let cache_bytes_max = usize::try_from(cache_bytes_max).unwrap_or(usize::MAX);
         let mut all = FrameObstacles { recorded: found.recorded(), ..FrameObstacles::default() };
-        let kept_bytes_max = memory_bytes / OBSTACLE_SHARE / found.found.len().max(1) as u64;
-        for file in found.found {
-            all.paths.push(file.path.clone());
-            let (data, file_bytes) = match file.content {
-                ObstacleShape::Obstacle(obstacle) => {
-                    all.all_bytes += obstacle.size_bytes_max() as u64;
-                    all.open_edge_count += open_edges(obstacle.sdf());
-                    all.obstacles.members.push(obstacle);
-                    continue;
-                }
-                ObstacleShape::Bytes(bytes, external) => {
-                    let left_bytes = memory_bytes.saturating_sub(all.all_bytes);
-                    (parse(&file.path, &bytes, external, left_bytes)?, bytes.len() as u64)
-                }
-            };
-            let shape = shape_of(data, memory_bytes.saturating_sub(file_bytes + all.all_bytes))
-                .map_err(|what| failed(&file.path, meniscus_formats::Error::unsupported("OpenVDB", what)))?;
-            let findings = findings_of(&shape, settings);
-            let is_fatal = |finding: &&ObstacleFinding| {
-                matches!(finding, ObstacleFinding::Open { encloses_nothing: true, .. })
-            };
-            if let Some(finding) = findings.iter().find(is_fatal) {
-                return Err(failed(
-                    &file.path,
-                    meniscus_formats::Error::unsupported("", finding.to_string()),
-                ));
-            }
-            let about = |finding| Warning::Obstacle { path: file.path.clone(), finding };
-            all.warnings.extend(findings.into_iter().map(about));
-            all.open_edge_count += open_edges(&shape);
-            let obstacle =
-                Arc::new(Obstacle::new(shape, usize::try_from(kept_bytes_max).unwrap_or(usize::MAX)));
-            let bytes = obstacle.size_bytes_max() as u64;
-            all.all_bytes += bytes;
-            match file.still {
-                Some(index) => {
-                    let known = LoadedObstacle {
-                        files: file.files,
-                        hash: file.hash,
-                        obstacle: Arc::clone(&obstacle),
-                    };
-                    if let Some(slot) =
-                        self.loaded.lock().unwrap_or_else(PoisonError::into_inner).get_mut(index)
-                    {
-                        *slot = Some(known);
+        for FoundObstacle { source, content } in found.0 {
+            let path = source.path.clone();
+            let obstacle = match content {
+                ObstacleContent::Loaded(obstacle) => obstacle,
+                ObstacleContent::Bytes(bytes) => {
+                    let shape = parse(&path, bytes, memory_bytes.saturating_sub(all.all_bytes))?;
+                    let findings = findings_of(&shape, settings);
+                    require_volume(&path, &findings)?;
+                    let about = |finding| Warning::Obstacle { path: path.clone(), finding };
+                    all.warnings.extend(findings.into_iter().map(about));
+                    let obstacle = Arc::new(Obstacle::new(shape, cache_bytes_max));
+                    if self.paths.contains(&path) {
+                        let loaded = LoadedObstacle { source, obstacle: Arc::clone(&obstacle) };
+                        lock(&self.loaded).insert(path.clone(), loaded);
+                    } else {
+                        all.own_bytes += obstacle.size_bytes_max() as u64;
                     }
+                    obstacle
                 }
-                None => all.own_bytes += bytes,
-            }
+            };
+            all.paths.push(path);
+            all.all_bytes += obstacle.size_bytes_max() as u64;
+            all.open_edge_count += open_edges(obstacle.sdf());
             all.obstacles.members.push(obstacle);
         }
         Ok(all)
     }
 
-    fn loaded_of(&self, index: usize) -> Option<LoadedObstacle> {
-        self.loaded.lock().unwrap_or_else(PoisonError::into_inner).get(index).cloned().flatten()
+    /// The obstacle that was loaded from a file, if the file has not changed since.
+    fn unchanged(&self, file: &Path) -> Option<LoadedObstacle> {
+        let loaded = lock(&self.loaded).get(file).cloned();
+        loaded.filter(|loaded| loaded.source.is_unchanged())
+    }
+
+    /// The buffer files of an obstacle; empty if the obstacle cannot be read at present.
+    fn buffer_files(&self, path: &Path) -> Vec<PathBuf> {
+        if !may_have_buffers(path) {
+            return Vec::new();
+        }
+        if let Some((stamp, files)) = lock(&self.buffers).get(path)
+            && FileStamp::of_path(path).is_ok_and(|now| now == *stamp)
+        {
+            return files.clone();
+        }
+        let Ok(Some((bytes, stamp))) = read_unchanged(path) else { return Vec::new() };
+        let buffers = buffers_of(path, &bytes).unwrap_or_default();
+        let files: Vec<PathBuf> = buffers.iter().map(|(buffer, _)| folder_of(path).join(buffer)).collect();
+        lock(&self.buffers).insert(path.to_owned(), (stamp, files.clone()));
+        files
     }
 }
 
-impl LoadedObstacle {
-    /// Whether none of its files has changed since it was loaded.
-    fn is_as_it_was(&self) -> bool {
-        self.files.iter().all(|(path, stamp)| stamp_of(path) == Some(*stamp))
+impl ObstacleStamps {
+    /// Adds a file. Its status change time is left out: `chmod` and new hard links change no content, and must
+    /// not cause every frame to be converted again.
+    fn add(&mut self, path: &Path, stamp: Option<FileStamp>) {
+        self.all_exist &= stamp.is_some();
+        self.text += &match stamp {
+            Some(FileStamp { size, modified_ns, inode, .. }) => {
+                format!("{}: {size} {modified_ns} {inode}\n", path.display())
+            }
+            None => format!("{}: none\n", path.display()),
+        };
     }
 }
 
 impl FoundObstacles {
     /// The text that records contain: independent of the folder that the files are in.
     pub(crate) fn recorded(&self) -> String {
-        let one = |file: &FoundObstacle| format!("{} xxh3-128:{:032x}", name_of(&file.path), file.hash);
-        self.found.iter().map(one).collect::<Vec<_>>().join(", ")
+        let texts = self.0.iter().map(|FoundObstacle { source, .. }| {
+            format!("{} xxh3-128:{:032x}", name_of(&source.path), source.hash)
+        });
+        texts.collect::<Vec<_>>().join(", ")
     }
 }
 
-/// The pattern in a path's name.
-fn pattern_of(path: &Path) -> Option<NumberPattern<'_>> {
-    NumberPattern::find(path.file_name()?.to_str()?)
+/// Each update of the map is complete before the lock is released, so the map is consistent even if the
+/// lock is poisoned.
+fn lock<T>(map: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    map.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The pattern in the name of a moving obstacle; `None` for the path of a file.
+fn moving_pattern(path: &Path) -> Option<NumberPattern<'_>> {
+    if may_be_file(path) { None } else { NumberPattern::find(path.file_name()?.to_str()?) }
 }
 
 /// The obstacle file for the frame with this number: `path` itself, or the file of its pattern.
 fn file_of(path: &Path, number: Option<i64>) -> Result<PathBuf, ObstacleError> {
     let missing =
-        |path: &Path, what: String| Err(failed(path, io::Error::new(io::ErrorKind::NotFound, what).into()));
-    if may_be_file(path) {
-        return Ok(path.to_owned());
-    }
-    let Some(pattern) = pattern_of(path) else {
+        |path: &Path, message: String| Err(failed(path, io::Error::new(io::ErrorKind::NotFound, message)));
+    let Some(pattern) = moving_pattern(path) else {
         return match path.metadata().map(|metadata| require_regular(&metadata)) {
-            Ok(Err(error)) => Err(failed(path, error.into())),
+            Ok(Err(error)) => Err(failed(path, error)),
+            _ if may_be_file(path) => Ok(path.to_owned()),
             _ => missing(path, "no such file".into()),
         };
     };
     let Some(number) = number else {
         return missing(path, "the frame has no number, so no file of this pattern belongs to it".into());
     };
-    match pattern.file_of(folder_of(path), number).map_err(|error| failed(path, error.into()))? {
+    match pattern.file_of(folder_of(path), number).map_err(|error| failed(path, error))? {
         Some(file) => Ok(file),
         None => {
             let expected = folder_of(path).join(pattern.name_of(number));
@@ -346,144 +308,9 @@ fn file_of(path: &Path, number: Option<i64>) -> Result<PathBuf, ObstacleError> {
     }
 }
 
-fn stamp_of(path: &Path) -> Option<FileStamp> {
-    FileStamp::of_path(path).ok()
-}
-
-/// A stamp as part of the fingerprint of a frame's settings. Journals store it, so this text must not change.
-/// It leaves out the status change time: `chmod` and new hard links change no content, and must not cause
-/// every frame to be converted again.
-fn text_of(stamp: &FileStamp) -> String {
-    let FileStamp { size, modified_ns, inode, changed_ns: _ } = stamp;
-    format!("FileStamp {{ size: {size}, modified_ns: {modified_ns}, inode: {inode} }}")
-}
-
-fn folder_of(path: &Path) -> &Path {
-    path.parent().unwrap_or(Path::new(""))
-}
-
-fn read(path: PathBuf, still: Option<usize>) -> Result<FoundObstacle, ObstacleError> {
-    let unchanged = read_unchanged(&path).map_err(|error| failed(&path, error.into()))?;
-    let (bytes, stamp) = unchanged.ok_or_else(|| changed(&path))?;
-    let mut hash = XxHash3_128::oneshot(&bytes);
-    let mut files = vec![(path.clone(), stamp)];
-    let mut contents = HashMap::new();
-    if is_gltf_text(&path) {
-        let mut hasher: Option<Hasher> = None;
-        for gltf::ExternalFile { path: relative, byte_count } in
-            gltf::external_files(&bytes).map_err(|error| failed(&path, error))?
-        {
-            let at = folder_of(&path).join(&relative);
-            let unchanged = read_start_unchanged(&at, byte_count).map_err(|error| {
-                let what = format!("its buffer {relative}: {error}");
-                failed(&path, io::Error::new(error.kind(), what).into())
-            })?;
-            let (bytes, stamp) = unchanged.ok_or_else(|| changed(&at))?;
-            hasher.get_or_insert_with(Hasher::new).write(&bytes);
-            files.push((at, stamp));
-            contents.insert(relative, bytes);
-        }
-        hash ^= hasher.map_or(0, |hasher| hasher.finish_128());
-    }
-    Ok(FoundObstacle { path, files, hash, content: ObstacleShape::Bytes(bytes, contents), still })
-}
-
-/// Whether the buffers may be separate files: only a `.gltf` has those.
-fn is_gltf_text(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gltf"))
-}
-
-/// Parses the bytes of a file, with those of its buffer files.
-fn parse(
-    path: &Path,
-    bytes: &[u8],
-    external: HashMap<String, Vec<u8>>,
-    memory_bytes: u64,
-) -> Result<ObstacleData, ObstacleError> {
-    let external = Mutex::new(external);
-    // Each file is requested once.
-    let take = |relative: &str| {
-        let bytes = external.lock().unwrap_or_else(PoisonError::into_inner).remove(relative);
-        bytes.ok_or_else(|| {
-            let what = "it refers to another file for its data, which only a .gltf may do: save it as .glb with all data inside";
-            io::Error::new(io::ErrorKind::Unsupported, what)
-        })
-    };
-    read_obstacle(bytes, &name_of(path), &level_set_limits(memory_bytes), &take)
-        .map_err(|error| failed(path, error))
-}
-
-/// The obstacle in the data; `memory_bytes` limits a level set, including all memory for rebuilding it.
-fn shape_of(data: ObstacleData, memory_bytes: u64) -> Result<ObstacleSdf, String> {
-    Ok(match data {
-        ObstacleData::Mesh(mesh) => ObstacleSdf::Mesh(MeshSdf::new(&mesh.positions, &mesh.triangles)),
-        ObstacleData::LevelSet(data) => {
-            let name = data.name.clone();
-            let rebuilding_bytes = memory_bytes.saturating_sub(data.memory_bytes());
-            ObstacleSdf::Grid(
-                GridSdf::new(source_of(*data), rebuilding_bytes)
-                    .map(Box::new)
-                    .map_err(|what| format!("the grid \"{name}\" {what}"))?,
-            )
-        }
-    })
-}
-
-fn source_of(data: LevelSetData) -> SourceLevelSet {
-    SourceLevelSet {
-        origins: data.origins.into_iter().map(IVec3::from).collect(),
-        leaves: data.leaves,
-        tiles: data.tiles.into_iter().map(|tile| (IVec3::from(tile.origin), tile.size, tile.value)).collect(),
-        background: data.background,
-        axes: data.transform.axes.map(DVec3::from),
-        translation: DVec3::from(data.transform.translation),
-    }
-}
-
-/// The cached leaves of obstacles may take this fraction of the memory for a frame.
-const OBSTACLE_SHARE: u64 = 16;
-
-/// The memory for loading an obstacle, as a multiple of the file size: about 320 bytes for a triangle.
-/// Measured with two million triangles, and with a level set of 15 million values.
-fn loading_factor(path: &Path) -> u64 {
-    let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-    match &*extension {
-        "vdb" => 5,
-        "obj" => 9,
-        // The unpacked size of compressed files is unknown in advance.
-        "gz" | "vtp" | "vtu" => 45,
-        _ => 18,
-    }
-}
-
-fn open_edges(shape: &ObstacleSdf) -> usize {
-    match shape {
-        ObstacleSdf::Mesh(solid) => solid.findings().open_edge_count,
-        ObstacleSdf::Grid(_) => 0,
-    }
-}
-
-fn name_of(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-fn failed(path: &Path, error: meniscus_formats::Error) -> ObstacleError {
-    ObstacleError { path: path.to_owned(), source: Some(error) }
-}
-
-fn changed(path: &Path) -> ObstacleError {
-    ObstacleError { path: path.to_owned(), source: None }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn fingerprint_text_of_stamp_is_that_of_older_versions() {
-        let stamp = FileStamp { size: 1, modified_ns: -2, inode: 3, changed_ns: Some(4) };
-        assert_eq!(text_of(&stamp), "FileStamp { size: 1, modified_ns: -2, inode: 3 }");
-    }
     use std::fs;
 
     /// A document with one triangle, whose buffer is a separate file.
@@ -507,7 +334,7 @@ mod tests {
             Settings::paper(0.1, &crate::surface::options::MethodOptions::default()).expect("settings");
         let files = ObstacleFiles::new(vec![path.clone()]);
         let find = || files.find(None).expect("both files");
-        let is_known = |found: &FoundObstacles| matches!(found.found[0].content, ObstacleShape::Obstacle(_));
+        let is_known = |found: &FoundObstacles| matches!(found.0[0].content, ObstacleContent::Loaded(_));
         let first = find();
         let (recorded, stamps) = (first.recorded(), files.stamps(None));
         let loaded = files.load(first, &settings, 1 << 24).expect("a triangle");

@@ -11,7 +11,7 @@ use crate::surface::spacing::{ROUNDING_SHARE_MAX, rounding_step};
 
 use super::frame_input::FrameInput;
 use crate::pipeline::error::Cause;
-use crate::pipeline::warning::Warning;
+use crate::pipeline::warning::{InputWarning, Warning};
 
 /// Warnings about the positions. Reads the first batch, and all of them if it is in a plane.
 ///
@@ -25,7 +25,7 @@ pub(crate) fn position_doubts(particles: &FrameInput, settings: &Settings) -> Re
     let first = particles.batch(0)?;
     let step = rounding_step(first.clone());
     if step > ROUNDING_SHARE_MAX * settings.spacing {
-        warnings.push(Warning::RoundedParticles { step, spacing: settings.spacing });
+        warnings.push(Warning::Input(InputWarning::RoundedParticles { step, spacing: settings.spacing }));
     }
     let of_first = box_of_batch(&first);
     if of_first.is_none_or(|bounds| flat_axis(bounds).is_some()) {
@@ -34,8 +34,9 @@ pub(crate) fn position_doubts(particles: &FrameInput, settings: &Settings) -> Re
             return Err(Cause::File(Error::invalid("", Position::File, what)));
         };
         let axis = flat_axis(bounds).filter(|_| particles.len() >= PLANAR_FROM);
-        warnings
-            .extend(axis.map(|axis| Warning::Planar { axis: ['x', 'y', 'z'][axis], at: bounds[0][axis] }));
+        let planar =
+            axis.map(|axis| InputWarning::Planar { axis: ['x', 'y', 'z'][axis], at: bounds[0][axis] });
+        warnings.extend(planar.map(Warning::Input));
     }
     Ok(warnings)
 }

@@ -1,6 +1,6 @@
 //! Reads files, and parses particles.
 
-use std::io::{self, Read};
+use std::io;
 use std::iter;
 use std::path::Path;
 
@@ -18,7 +18,7 @@ use super::filter::{keep_chosen, several_kinds};
 use super::steps::{IndexPolicy, by_lines_of_file, file_of, read_step, step_of};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
-use crate::pipeline::files::open::open_regular;
+use crate::pipeline::files::open::{open_regular, read_regular};
 use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::warning::Warning;
 
@@ -42,9 +42,9 @@ pub fn read_file(path: &Path) -> Result<Vec<u8>, FrameError> {
     match step_of(path) {
         None => {
             refuse_large_foreign(path).map_err(fail)?;
-            read_unchecked(path).map_err(|error| fail(error.into()))
+            read_regular(path).map_err(|error| fail(error.into()))
         }
-        Some(step) => match read_step(step, IndexPolicy::OnRead).map_err(fail)? {
+        Some((file, step)) => match read_step(file, step, IndexPolicy::OnRead).map_err(fail)? {
             Some((bytes, _)) => Ok(bytes),
             None => Err(FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Changed }),
         },
@@ -65,7 +65,7 @@ pub(crate) fn read_frame_unchanged(
             refuse_large_foreign(path)?;
             Ok(read_unchanged(path)?)
         }
-        Some(step) => read_step(step, index_policy),
+        Some((file, step)) => read_step(file, step, index_policy),
     }
 }
 
@@ -84,13 +84,6 @@ const LARGE_BYTES: u64 = 1 << 20;
 
 /// More bytes than any format needs to be recognized.
 const LARGE_HEAD_BYTES: u64 = 1 << 16;
-
-/// The bytes of a file, which may change during the read.
-fn read_unchecked(path: &Path) -> io::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    open_regular(path)?.read_to_end(&mut bytes)?;
-    Ok(bytes)
-}
 
 /// Parses particles from the bytes of the frame at `path`, with all attributes.
 ///
@@ -143,7 +136,7 @@ pub fn particles(positions: FilePositions) -> OwnedPositions {
 /// When it cannot be read, is not a regular file, has no such step, or changes during the read.
 pub fn hash_of_input(path: &Path) -> Result<u128, Error> {
     let changed = || io::Error::other("the file changed while it was read");
-    let Some(step) = step_of(path) else {
+    let Some((file, step)) = step_of(path) else {
         let file = InputFile::open(path)?;
         if !file.is_regular() {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file").into());
@@ -151,6 +144,6 @@ pub fn hash_of_input(path: &Path) -> Result<u128, Error> {
         let hash = file.hash()?;
         return if file.is_unchanged()? { Ok(hash) } else { Err(changed().into()) };
     };
-    let (bytes, _) = read_step(step, IndexPolicy::OnRead)?.ok_or_else(changed)?;
+    let (bytes, _) = read_step(file, step, IndexPolicy::OnRead)?.ok_or_else(changed)?;
     Ok(XxHash3_128::oneshot(&bytes))
 }

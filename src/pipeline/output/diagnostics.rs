@@ -15,15 +15,16 @@ use crate::surface::mesh::Mesh;
 use crate::surface::options::Settings;
 use crate::surface::report::ReconstructionReport;
 
-use crate::pipeline::warning::Warning;
+use crate::pipeline::warning::{SurfaceWarning, Warning};
 
 /// A warning about a surface that is empty, fragmented, full of holes, or a single blob.
 pub(crate) fn diagnose(mesh: &Mesh, report: &ReconstructionReport, settings: &Settings) -> Option<Warning> {
-    why_empty(report, settings).or_else(|| misfit(mesh, report, settings.voxel_size))
+    let warning = why_empty(report, settings).or_else(|| misfit(mesh, report, settings.voxel_size));
+    warning.map(Warning::Surface)
 }
 
 /// Why the surface of a frame with particles is empty.
-fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<Warning> {
+fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<SurfaceWarning> {
     let ReconstructionReport { edits, contact, .. } = report;
     if report.particle_count == 0 || report.mesh.vertex_count > 0 {
         return None;
@@ -32,25 +33,25 @@ fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<Warni
     // something is the cause, because a surface was left before it. So the steps are checked in reverse
     // order.
     Some(if edits.clipped_voxel_count > 0 {
-        Warning::ClippedAway
+        SurfaceWarning::ClippedAway
     } else if edits.island_count > 0 {
-        Warning::IslandsDropped
+        SurfaceWarning::IslandsDropped
     } else if contact.particle_count > 0 || contact.displaced_voxel_count > 0 {
-        Warning::SurfaceInsideObstacles
+        SurfaceWarning::InsideObstacles
     } else {
         // A ball with a radius of √3 voxels or more always has voxels inside, so the balls of this frame are
         // smaller, or an offset moved their surface inward.
         let Settings { voxel_size, radius_min, radius_max, offset, .. } = *settings;
         if offset < 0.0 && radius_min >= 3f64.sqrt() * voxel_size {
-            return Some(Warning::OffsetAway { offset });
+            return Some(SurfaceWarning::OffsetAway { offset });
         }
-        Warning::BetweenVoxels { voxel_size, radius_min, radius_max }
+        SurfaceWarning::BetweenVoxels { voxel_size, radius_min, radius_max }
     })
 }
 
 /// Detects voxels that do not fit the particles: most particles are isolated drops, the surface has too many
 /// holes or pieces, or all of it is one blob.
-fn misfit(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<Warning> {
+fn misfit(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<SurfaceWarning> {
     let ReconstructionReport { edits, contact, .. } = report;
     let particle_count = report.particle_count;
     let is_unedited = edits.clipped_voxel_count == 0
@@ -62,11 +63,11 @@ fn misfit(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option
     }
     let piece_count = report.mesh.component_count;
     if 2 * piece_count > particle_count {
-        return Some(Warning::Spray { particle_count, piece_count, voxel_size });
+        return Some(SurfaceWarning::Spray { particle_count, piece_count, voxel_size });
     }
     fragmented(mesh, report, voxel_size).or_else(|| {
         let width_voxels = BLOB_VOXELS;
-        is_blob(mesh, report, voxel_size).then_some(Warning::Blob {
+        is_blob(mesh, report, voxel_size).then_some(SurfaceWarning::Blob {
             particle_count,
             width_voxels,
             voxel_size,
@@ -75,7 +76,7 @@ fn misfit(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option
 }
 
 /// The warning about a surface whose spheres seem not to overlap: it has too many holes or pieces.
-fn fragmented(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<Warning> {
+fn fragmented(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<SurfaceWarning> {
     let (particle_count, measures) = (report.particle_count, &report.mesh);
     let few_pieces = particle_count / HOLED_ONE_IN;
     let few_holes = few_pieces.max(FEW_HOLES);
@@ -91,13 +92,13 @@ fn fragmented(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Op
     let hollow_count = volumes.iter().filter(|volume| **volume < 0.0).count();
     let hole_count = hollow_count + handle_count;
     if hole_count > few_holes {
-        return Some(Warning::Holes { particle_count, hole_count, voxel_size });
+        return Some(SurfaceWarning::Holes { particle_count, hole_count, voxel_size });
     }
     let filled = || volumes.iter().copied().filter(|volume| *volume > 0.0);
     let piece_count = filled().count();
     let is_torn = piece_count > particle_count / PIECES_ONE_IN
         && 2.0 * filled().fold(0.0, f64::max) < filled().sum::<f64>();
-    is_torn.then_some(Warning::Fragmented { particle_count, piece_count, voxel_size })
+    is_torn.then_some(SurfaceWarning::Fragmented { particle_count, piece_count, voxel_size })
 }
 
 /// Whether all particles are in one blob that is hardly larger than the ball of a single particle.

@@ -5,7 +5,7 @@ use std::io::Write;
 use meniscus_formats::{Error, FilePositions, ParticleFrame};
 
 use crate::pipeline::target::outputs::OutputFormat;
-use crate::pipeline::warning::Warning;
+use crate::pipeline::warning::{InputWarning, Warning};
 
 /// Writes particles.
 ///
@@ -25,24 +25,18 @@ pub(crate) fn write_particles(
 
 /// Warnings about the file, and about its conversion to these formats.
 pub(crate) fn particle_warnings(particles: &ParticleFrame, formats: &[OutputFormat]) -> Vec<Warning> {
-    let of_format = |format: &OutputFormat| {
-        format.particles().map(|writer| (writer.notes)(particles)).unwrap_or_default()
+    let mut warnings: Vec<Warning> = particles.notes.iter().cloned().map(Warning::Sentence).collect();
+    let is_finite = |index: &usize| match &particles.positions {
+        FilePositions::F32(positions) => positions[*index].iter().all(|x| x.is_finite()),
+        FilePositions::F64(positions) => positions[*index].iter().all(|x| x.is_finite()),
     };
     let particle_count = particles.positions.len();
-    let count = not_finite_count(&particles.positions);
-    let of_positions = (count > 0).then_some(Warning::PositionsNotFinite { count, particle_count });
-    let of_file = particles.notes.iter().cloned().map(Warning::Sentence);
-    let of_formats = formats.iter().flat_map(of_format).map(Warning::Sentence);
-    of_file.chain(of_positions).chain(of_formats).collect()
-}
-
-fn not_finite_count(positions: &FilePositions) -> usize {
-    match positions {
-        FilePositions::F32(positions) => {
-            positions.iter().filter(|p| !p.iter().all(|x| x.is_finite())).count()
-        }
-        FilePositions::F64(positions) => {
-            positions.iter().filter(|p| !p.iter().all(|x| x.is_finite())).count()
-        }
+    let count = particle_count - (0..particle_count).filter(is_finite).count();
+    if count > 0 {
+        warnings.push(Warning::Input(InputWarning::PositionsNotFinite { count, particle_count }));
     }
+    for writer in formats.iter().filter_map(|format| format.particles()) {
+        warnings.extend((writer.notes)(particles).into_iter().map(Warning::Sentence));
+    }
+    warnings
 }

@@ -88,8 +88,10 @@ pub(crate) fn write_surface<'env>(
     let provenance = provenance(frame, made_from, format);
     let writer = match format.content() {
         Content::LevelSet => {
-            let (surface, frame) = (Arc::clone(surface), frame.clone());
-            return scheduler.run(number, move || encode_levels(&surface, &frame, &provenance))?.write(out);
+            let (surface, settings) = (Arc::clone(surface), Arc::clone(&frame.settings));
+            let options = frame.outputs.vdb();
+            let encode = move || encode_level_set(&surface, &settings, &options, &provenance);
+            return scheduler.run(number, encode)?.write(out);
         }
         Content::Picture(_) => {
             return write_picture(surface, (number, frame), format, provenance, scheduler, out);
@@ -137,19 +139,6 @@ fn write_picture<'env>(
         encode_picture(&picture, Some(&viewpoint), format, &provenance)
     };
     Ok(out.write_all(&scheduler.run(number, encode)?)?)
-}
-
-fn encode_levels(
-    surface: &FrameSurface,
-    frame: &Frame,
-    provenance: &Provenance,
-) -> meniscus_formats::Result<vdb::EncodedVdb> {
-    let options = vdb::WriteOptions {
-        half: frame.outputs.vdb_half,
-        compression: frame.outputs.vdb_compression,
-        ..vdb::WriteOptions::default()
-    };
-    encode_level_set(surface, &frame.settings, &options, provenance)
 }
 
 /// Encodes the level set of a surface as a .vdb, with the attributes that are known in its band. To write the
@@ -263,7 +252,10 @@ pub(crate) fn output_warnings(surface: &FrameSurface, outputs: &OutputOptions) -
         let band = &surface.attributes.band;
         let names = surface.report.transfer.iter().flat_map(|transfer| &transfer.attributes);
         let left_out = names.filter(|name| band.iter().all(|attribute| attribute.name != **name));
-        warnings.extend(left_out.map(|name| Warning::UnsupportedInVdb { name: name.clone() }));
+        warnings.extend(left_out.map(|name| {
+            let limit = "can store only attributes of one or three floating-point numbers";
+            Warning::Sentence(format!("{name} is not in the .vdb, which {limit}"))
+        }));
         let voxels: Vec<Voxels> = band.iter().map(Voxels).collect();
         let of_grids = vdb::grid_notes(&band_grids(&voxels), &vdb::WriteOptions::default().name);
         warnings.extend(of_grids.into_iter().map(Warning::Sentence));

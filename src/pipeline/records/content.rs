@@ -13,7 +13,7 @@ use crate::pipeline::input::conflicts::Conflict;
 use crate::pipeline::input::frame::Job;
 use crate::pipeline::input::level_set_file::is_level_set;
 use crate::pipeline::input::source::promises_particles;
-use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, output_path};
+use crate::pipeline::target::outputs::{OutputOptions, output_path};
 
 /// The kind of a file, by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,28 +72,24 @@ pub fn check_existing(
     options: &OutputOptions,
     job: Job,
 ) -> Result<(), Conflict> {
-    let may_hold_data = |format: &&OutputFormat| {
-        format.particles().is_some() || matches!(format.content(), Content::LevelSet)
-    };
-    let formats: Vec<OutputFormat> = options.formats.iter().filter(may_hold_data).copied().collect();
-    let conflict = |(_, stem): &(PathBuf, String)| {
-        formats.iter().find_map(|&format| {
+    let mut replaced = Vec::new();
+    for (_, stem) in planned {
+        for &format in &options.formats {
+            if format.particles().is_none() && !matches!(format.content(), Content::LevelSet) {
+                continue;
+            }
             let output = output_path(&options.folder, stem, format);
             match is_irreplaceable(&output, job) {
-                Ok(false) => None,
-                Ok(true) => Some(Conflict::ReplacesData { output, other_count: 0 }),
-                Err(source) => Some(Conflict::Unreadable { output, source }),
+                Ok(false) => {}
+                Ok(true) => replaced.push(output),
+                Err(source) => return Err(Conflict::Unreadable { output, source }),
             }
-        })
-    };
-    let mut conflicts: Vec<Conflict> = planned.iter().filter_map(conflict).collect();
-    let count = conflicts.len();
-    match conflicts.drain(..).next() {
-        None => Ok(()),
-        Some(Conflict::ReplacesData { output, .. }) => {
-            Err(Conflict::ReplacesData { output, other_count: count - 1 })
         }
-        Some(other) => Err(other),
+    }
+    let other_count = replaced.len().saturating_sub(1);
+    match replaced.into_iter().next() {
+        Some(output) => Err(Conflict::ReplacesData { output, other_count }),
+        None => Ok(()),
     }
 }
 

@@ -42,11 +42,12 @@ use serde_json::Value;
 
 use crate::pipeline::files::checked_line::{push_line, record_of_line};
 use crate::pipeline::files::host::host_name;
+use crate::pipeline::files::identity::is_still_at;
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::json::{hex, path};
 use crate::pipeline::files::open::{open_itself, open_own, require_own_folder};
 use crate::pipeline::files::stamp::{FileStamp, now_ms};
-use crate::pipeline::files::temporary::{create_locked, is_still_at, random_number, remove_if_exists};
+use crate::pipeline::files::temporary::{create_locked, random_number, remove_if_exists};
 
 /// The folder for this program's own files, in the folder of outputs.
 pub const STATE_FOLDER: &str = ".meniscus";

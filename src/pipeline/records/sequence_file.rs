@@ -29,8 +29,8 @@ use meniscus_formats::{Limits, OutputFormat, abc, read_provenance, usda, usdc};
 
 use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use crate::pipeline::files::atomic_write::write_atomically;
+use crate::pipeline::files::identity::are_same_file;
 use crate::pipeline::files::open::open_regular;
-use crate::pipeline::files::path_identity::are_same_file;
 use crate::pipeline::files::staged_file::sync_while;
 use crate::pipeline::files::stamp::FileStamp;
 use crate::surface::words::pluralize;
@@ -51,13 +51,17 @@ pub enum SequenceFormat {
 impl SequenceFormat {
     /// The format for the extension of a path.
     pub fn of(path: &Path) -> Option<SequenceFormat> {
-        let extension = path.extension()?.to_string_lossy().to_ascii_lowercase();
-        match extension.as_str() {
-            "glb" => Some(SequenceFormat::Glb),
-            "usda" => Some(SequenceFormat::Usda),
-            "usdc" => Some(SequenceFormat::Usdc),
-            "abc" => Some(SequenceFormat::Abc),
-            _ => None,
+        let extension = path.extension()?;
+        let formats = [SequenceFormat::Glb, SequenceFormat::Usda, SequenceFormat::Usdc, SequenceFormat::Abc];
+        formats.into_iter().find(|format| extension.eq_ignore_ascii_case(format.output().extension()))
+    }
+
+    fn output(self) -> OutputFormat {
+        match self {
+            SequenceFormat::Glb => OutputFormat::Glb,
+            SequenceFormat::Usda => OutputFormat::Usda,
+            SequenceFormat::Usdc => OutputFormat::Usdc,
+            SequenceFormat::Abc => OutputFormat::Abc,
         }
     }
 }
@@ -325,12 +329,7 @@ fn no_frame(left_out: &[(PathBuf, String)], shot: &Path) -> SequenceError {
 
 /// Whether a file is a sequence file of this program, according to its provenance.
 pub fn is_sequence_file(path: &Path) -> bool {
-    let format = match SequenceFormat::of(path) {
-        Some(SequenceFormat::Usda) => OutputFormat::Usda,
-        Some(SequenceFormat::Usdc) => OutputFormat::Usdc,
-        Some(SequenceFormat::Abc) => OutputFormat::Abc,
-        Some(SequenceFormat::Glb) | None => OutputFormat::Glb,
-    };
+    let format = SequenceFormat::of(path).map_or(OutputFormat::Glb, SequenceFormat::output);
     let recorded =
         open_regular(path).ok().and_then(|file| read_provenance(format, file.take(HEAD_BYTES)).ok());
     recorded.is_some_and(|pairs| pairs.iter().any(|(name, _)| name == SEQUENCE_FRAMES))

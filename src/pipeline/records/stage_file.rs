@@ -110,12 +110,12 @@ pub fn write_stage(
     outputs: &OutputOptions,
     sequences: &[StageSequence],
 ) -> Result<Option<StageReport>, SequenceError> {
-    let Some(StageOptions { path, fps }) = &outputs.stage else { return Ok(None) };
-    let (path, fps) = (path.as_path(), *fps);
+    let Some(options) = &outputs.stage else { return Ok(None) };
+    let path = options.path.as_path();
     let fail = |what: String| SequenceError { path: path.to_owned(), what };
     // Another shard may write at the same time: the file is compared again after it was written.
     for _ in 0..ROUNDS_MAX {
-        let Some((stage, report)) = stage_of(outputs, (path, fps), sequences).map_err(fail)? else {
+        let Some((stage, report)) = stage_of(outputs, options, sequences).map_err(fail)? else {
             return Ok(None);
         };
         if report.frame_count == 0 {
@@ -128,7 +128,7 @@ pub fn write_stage(
         write_atomically(path, |out| Ok(out.write_all(text.as_bytes())?))
             .map_err(|error| fail(error.to_string()))?;
     }
-    Ok(stage_of(outputs, (path, fps), sequences).map_err(fail)?.map(|(_, report)| report))
+    Ok(stage_of(outputs, options, sequences).map_err(fail)?.map(|(_, report)| report))
 }
 
 /// How many times to write the stage. If files still change then, the next frame updates it.
@@ -196,20 +196,18 @@ fn read_stage(path: &Path) -> io::Result<Result<Vec<u8>, String>> {
 /// The stage of the files that exist, which may have to leave out all of them; `None` without any.
 fn stage_of(
     outputs: &OutputOptions,
-    (path, fps): (&Path, f64),
+    options: &StageOptions,
     sequences: &[StageSequence],
 ) -> Result<Option<(UsdStage, StageReport)>, String> {
-    let mut assets = AssetPaths::new(path)?;
+    let mut assets = AssetPaths::new(&options.path)?;
     let format = outputs.stage_mesh_format().unwrap_or(OutputFormat::Usdc);
     let (mut found, mut report) = (Vec::new(), StageReport::default());
     for (name, frames) in merged(sequences) {
         let (frames, beyond): (Vec<_>, Vec<_>) = frames.into_iter().partition(|frame| frame.has_time_code());
-        report.left_out.extend(
-            beyond
-                .into_iter()
-                .filter_map(|frame| frame.files().next())
-                .map(|file| left_out(file, &format!("frame numbers in USD are at most {TIME_CODE_MAX}"))),
-        );
+        for file in beyond.into_iter().filter_map(|frame| frame.files().next()) {
+            let why = format!("frame numbers in USD are at most {TIME_CODE_MAX}");
+            report.left_out.push(left_out(file, &why));
+        }
         let numbers: Vec<Option<i64>> = frames.iter().map(|frame| frame.number).collect();
         let codes = increasing(&numbers);
         let mut meshes =
@@ -234,7 +232,8 @@ fn stage_of(
         });
     }
     let OutputOptions { up, meters_per_unit, .. } = *outputs;
-    let stage = UsdStage { path: assets.of_stage()?, up, meters_per_unit, fps, sequences: found };
+    let stage =
+        UsdStage { path: assets.of_stage()?, up, meters_per_unit, fps: options.fps, sequences: found };
     Ok((report.frame_count + report.left_out.len() > 0).then_some((stage, report)))
 }
 

@@ -127,6 +127,12 @@ impl OutputOptions {
         MeshOptions { up, meters_per_unit, quads, time_samples, ..MeshOptions::default() }
     }
 
+    /// The options for writing level sets.
+    pub(crate) fn vdb(&self) -> vdb::WriteOptions {
+        let (half, compression) = (self.vdb_half, self.vdb_compression);
+        vdb::WriteOptions { half, compression, ..vdb::WriteOptions::default() }
+    }
+
     /// The format of the meshes that a stage plays: .usdc if it is among the outputs, because it needs no
     /// copy of the arrays.
     pub fn stage_mesh_format(&self) -> Option<OutputFormat> {

@@ -29,7 +29,7 @@ use crossbeam::channel::{Receiver, Sender, bounded};
 use notify::event::{AccessKind, AccessMode, CreateKind, EventKind, ModifyKind, RemoveKind, RenameMode};
 use notify::{ErrorKind, Event, RecommendedWatcher, RecursiveMode, Watcher as _};
 
-use crate::pipeline::FileStamp;
+use crate::pipeline::FileId;
 use crate::watch::core::completeness::FileHint;
 
 /// A change that may have happened.
@@ -73,8 +73,8 @@ pub(crate) struct Watcher {
     folders: WatchedFolders,
 }
 
-/// The watched folders by their paths, and the inode of each; 0 if the system has none.
-type WatchedFolders = Arc<Mutex<HashMap<PathBuf, u64>>>;
+/// The watched folders, by the paths that lead to them.
+type WatchedFolders = Arc<Mutex<HashMap<PathBuf, FileId>>>;
 
 /// The capacity of the queue of events.
 const CAPACITY: usize = 4096;
@@ -109,13 +109,13 @@ impl Watcher {
         if !metadata.is_dir() {
             return Err(WatchError::Missing);
         }
-        let inode = FileStamp::of(&metadata).inode;
+        let id = FileId::of(folder);
         // The folder that had this path may still exist elsewhere, and its events would carry its old path.
-        if lock(&self.folders).get(folder).is_some_and(|known| *known != inode) {
+        if lock(&self.folders).get(folder).is_some_and(|known| *known != id) {
             self.unwatch(folder);
         }
         self.notify.watch(folder, RecursiveMode::NonRecursive).map_err(watch_error)?;
-        lock(&self.folders).insert(folder.to_owned(), inode);
+        lock(&self.folders).insert(folder.to_owned(), id);
         Ok(())
     }
 
@@ -129,7 +129,7 @@ impl Watcher {
 
 /// Each update of the map is complete before the lock is released, so the map is consistent even if the
 /// lock is poisoned.
-fn lock(folders: &WatchedFolders) -> MutexGuard<'_, HashMap<PathBuf, u64>> {
+fn lock(folders: &WatchedFolders) -> MutexGuard<'_, HashMap<PathBuf, FileId>> {
     folders.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

@@ -12,13 +12,13 @@
 //! behind after the daemon is killed, or let a second daemon in.
 
 use std::fmt;
-use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 pub use crate::pipeline::host_name;
-use crate::pipeline::{FileStamp, has_other_names, open_own};
+use crate::pipeline::{has_other_names, is_still_at, open_own};
 
 use crate::watch::journal::STATE_FOLDER;
 
@@ -111,11 +111,7 @@ impl OutputLock {
     /// Whether the locked file is still that of this folder: it may have been removed, or be hidden by a
     /// mount.
     pub fn is_in_place(&self, out_folder: &Path) -> bool {
-        let stamp = |metadata: io::Result<Metadata>| metadata.map(|metadata| FileStamp::of(&metadata).inode);
-        match (stamp(self.file.metadata()), stamp(lock_path(out_folder).symlink_metadata())) {
-            (Ok(held), Ok(at_path)) => held == at_path,
-            _ => false,
-        }
+        is_still_at(&lock_path(out_folder), &self.file)
     }
 
     /// A description of the process that holds the lock of a folder of outputs; `None` if it is free.

@@ -5,10 +5,9 @@
 //!   output_dir   a folder of outputs: journal, lock, free space   pipeline     converts frames
 //!   worker       the thread of either, and its stall detection
 //!   stages       the stages of a folder of outputs
-//!   inspect, writers, scan, selection, fs_events, mounts, lock, canonical_path   what the workers call
+//!   inspect, writers, scan, selection, fs_events, mounts, lock   what the workers call
 //! ```
 
-pub mod canonical_path;
 pub(crate) mod error;
 mod fs_events;
 mod inspect;

@@ -7,6 +7,8 @@
 use std::io;
 use std::path::Path;
 
+use crate::pipeline::device_and_inode;
+
 /// The name of the file system at `path`, if changes to it may go unreported: a network file system, one
 /// shared with the host of a virtual machine, or one provided by a program.
 ///
@@ -14,8 +16,16 @@ use std::path::Path;
 ///
 /// # Errors
 /// When the path does not exist, or the system refuses.
+#[cfg(target_os = "linux")]
 pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
-    system::network_file_system(path)
+    // The magic number has 32 bits, in an integer whose width and sign depend on the machine.
+    let magic = rustix::fs::statfs(path)?.f_type as u32;
+    Ok(NETWORK_FILE_SYSTEMS.iter().find(|entry| entry.0 == magic).map(|entry| entry.1))
+}
+
+#[cfg(not(target_os = "linux"))]
+pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
+    path.metadata().map(|_| None)
 }
 
 /// The bytes that this user may still write to the file system at `path`.
@@ -23,74 +33,24 @@ pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str
 /// # Errors
 /// When the path does not exist, or the system refuses; [`io::ErrorKind::Unsupported`] on systems other than
 /// Unix.
-pub(crate) fn free_bytes(path: &Path) -> io::Result<u64> {
-    system::free_bytes(path)
-}
-
-/// Identifies the file system of a folder: if a folder is empty and on another file system than before, it
-/// was unmounted, not emptied.
-///
-/// On systems other than Unix, all identities are equal.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct RootIdentity {
-    device: u64,
-}
-
-impl RootIdentity {
-    /// The identity of the folder at `path`, links followed.
-    ///
-    /// # Errors
-    /// When the path does not exist, or the system refuses.
-    pub(crate) fn of(path: &Path) -> io::Result<RootIdentity> {
-        Ok(RootIdentity { device: system::device(&path.metadata()?) })
-    }
-}
-
 #[cfg(unix)]
-mod system {
-    use std::fs::Metadata;
-    use std::io;
-    use std::path::Path;
-
-    pub(crate) fn free_bytes(path: &Path) -> io::Result<u64> {
-        let statistics = rustix::fs::statvfs(path)?;
-        Ok(statistics.f_bavail.saturating_mul(statistics.f_frsize))
-    }
-
-    pub(crate) fn device(metadata: &Metadata) -> u64 {
-        std::os::unix::fs::MetadataExt::dev(metadata)
-    }
-
-    #[cfg(target_os = "linux")]
-    pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
-        // The magic number has 32 bits, in an integer whose width and sign depend on the machine.
-        let magic = rustix::fs::statfs(path)?.f_type as u32;
-        Ok(super::NETWORK_FILE_SYSTEMS.iter().find(|entry| entry.0 == magic).map(|entry| entry.1))
-    }
-
-    #[cfg(not(target_os = "linux"))]
-    pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
-        path.metadata().map(|_| None)
-    }
+pub(crate) fn free_bytes(path: &Path) -> io::Result<u64> {
+    let statistics = rustix::fs::statvfs(path)?;
+    Ok(statistics.f_bavail.saturating_mul(statistics.f_frsize))
 }
 
 #[cfg(not(unix))]
-mod system {
-    use std::fs::Metadata;
-    use std::io;
-    use std::path::Path;
+pub(crate) fn free_bytes(_path: &Path) -> io::Result<u64> {
+    Err(io::ErrorKind::Unsupported.into())
+}
 
-    pub(crate) fn free_bytes(_path: &Path) -> io::Result<u64> {
-        Err(io::ErrorKind::Unsupported.into())
-    }
-
-    pub(crate) fn device(_metadata: &Metadata) -> u64 {
-        0
-    }
-
-    pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
-        path.metadata().map(|_| None)
-    }
+/// The device of the file system at `path`, links followed: if a folder is empty and on another device than
+/// before, it was unmounted, not emptied. `None` on systems other than Unix.
+///
+/// # Errors
+/// When the path does not exist, or the system refuses.
+pub(crate) fn device(path: &Path) -> io::Result<Option<u64>> {
+    Ok(device_and_inode(&path.metadata()?).map(|(device, _)| device))
 }
 
 /// The magic numbers in `statfs` of file systems whose changes may go unreported, with their common names.
@@ -129,7 +89,7 @@ mod tests {
         let gone = folder.path().join("gone");
         let not_found = |error: io::Error| error.kind() == io::ErrorKind::NotFound;
         assert!(network_file_system(&gone).is_err_and(not_found));
-        assert!(RootIdentity::of(&gone).is_err_and(not_found));
+        assert!(device(&gone).is_err_and(not_found));
         assert!(free_bytes(&gone).is_err());
     }
 
@@ -146,8 +106,8 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn mounted_file_system_has_another_identity() {
-        let of = |path: &Path| RootIdentity::of(path).expect("a folder");
+    fn mounted_file_system_is_another_device() {
+        let of = |path: &Path| device(path).expect("a folder");
         let folder = tempfile::tempdir().expect("a folder");
         let inner = folder.path().join("inner");
         std::fs::create_dir(&inner).expect("made");

@@ -16,7 +16,7 @@ use crate::watch::journal::{FILE_NAME as JOURNAL_FILE_NAME, Journal};
 
 use super::error::DaemonError;
 use super::lock::{FILE_NAME as LOCK_FILE_NAME, OutputLock};
-use super::mounts::{RootIdentity, free_bytes};
+use super::mounts::{device, free_bytes};
 use super::stages::FolderStages;
 use super::worker::Work;
 
@@ -47,8 +47,8 @@ pub(crate) struct OutputGuard {
 #[derive(Debug)]
 struct LockedFolder {
     lock: OutputLock,
-    /// The file system that held the folder when it was opened.
-    identity: RootIdentity,
+    /// The device of the folder when it was opened.
+    device: Option<u64>,
 }
 
 /// How often a folder of outputs is checked.
@@ -84,7 +84,7 @@ impl OutputDir {
         let lock = OutputLock::take(&folder).map_err(DaemonError::Locked)?;
         let state_folder = folder.join(STATE_FOLDER);
         let failed = |source| DaemonError::Folder { folder: folder.clone(), source };
-        let identity = RootIdentity::of(&folder).map_err(failed)?;
+        let device = device(&folder).map_err(failed)?;
         let journal = Journal::open(&state_folder)
             .map_err(|source| DaemonError::Folder { folder: state_folder.join(JOURNAL_FILE_NAME), source })?;
         match sweep(&folder) + sweep_one(&state_folder) {
@@ -96,7 +96,7 @@ impl OutputDir {
         }
         let records = FrameRecords::open(&folder)
             .map_err(|source| DaemonError::Folder { folder: folder.join(STATE_FOLDER), source })?;
-        let locked = Mutex::new(LockedFolder { lock, identity });
+        let locked = Mutex::new(LockedFolder { lock, device });
         let stages = FolderStages::new(&folder, config);
         Ok(OutputDir {
             index,
@@ -228,7 +228,7 @@ impl OutputGuard {
         if locked.lock.is_in_place(&self.folder) {
             return Presence::Present;
         }
-        let nearest = self.folder.ancestors().find_map(|folder| RootIdentity::of(folder).ok());
+        let nearest = self.folder.ancestors().find_map(|folder| device(folder).ok());
         // `convert --skip-done` also creates a folder with this name, but only the daemon creates the two
         // files in it.
         let state = self.folder.join(STATE_FOLDER);
@@ -237,13 +237,13 @@ impl OutputGuard {
         // of the outputs was unmounted. Its files come back when it is mounted again, so the daemon waits. If
         // the file system is the same, the folder was removed and its files are lost, so it is created again.
         // If the daemon's files exist, the folder has come back, and is only locked again.
-        if nearest != Some(locked.identity) && !is_back {
+        if nearest != Some(locked.device) && !is_back {
             return Presence::Missing;
         }
         // If this fails, the daemon waits for the folder, and logs once why no frame starts.
         let Ok(lock) = OutputLock::take(&self.folder) else { return Presence::Missing };
-        let identity = RootIdentity::of(&self.folder).unwrap_or(locked.identity);
-        *locked = LockedFolder { lock, identity };
+        let device = device(&self.folder).unwrap_or(locked.device);
+        *locked = LockedFolder { lock, device };
         Presence::Recreated
     }
 

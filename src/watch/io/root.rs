@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel::Receiver;
 
-use crate::pipeline::ObstacleFiles;
+use crate::pipeline::{FileId, ObstacleFiles};
 use crate::watch::config::{Poll, StabilityTimeouts, Watch, WatchConfig};
 use crate::watch::core::completeness::{FileHint, may_be_sentinel};
 use crate::watch::core::events::{Event, FoundObstacleStamps, RootRequest, Scan};
@@ -24,7 +24,7 @@ use crate::watch::core::frames::FrameId;
 use super::fs_events::{FsEvent, WatchError, Watcher};
 use super::mounts::network_file_system;
 use super::output_dir::OutputGuard;
-use super::scan::{FolderIdentity, file_state, scan};
+use super::scan::{file_state, scan};
 use super::selection::FileFilter;
 use super::worker::{Heartbeat, Work};
 
@@ -61,7 +61,7 @@ pub(super) struct Root {
     had_frames: bool,
     /// The identity of the folder at the last scan: its path may be a link that now leads elsewhere, or
     /// another disk may be mounted there.
-    identity: Option<FolderIdentity>,
+    identity: Option<FileId>,
     heartbeat: Heartbeat,
 }
 
@@ -208,7 +208,7 @@ impl Root {
     /// # Errors
     /// The reason why the folder is unavailable.
     fn scan(&mut self) -> Result<Scan, String> {
-        let identity = FolderIdentity::of(&self.path).ok();
+        let identity = Some(FileId::of(&self.path));
         if self.identity != identity {
             // Events of the earlier folder say nothing about the current one, and an unmounted folder sends
             // no events.
@@ -379,7 +379,7 @@ impl Work for Root {
         let mut is_due = self.next_scan <= now;
         if !self.once && self.compared_at + COMPARE_EVERY <= now {
             self.compared_at = now;
-            is_due |= FolderIdentity::of(&self.path).ok() != self.identity;
+            is_due |= self.identity != Some(FileId::of(&self.path));
         }
         if is_due {
             self.scan_and_report(report);

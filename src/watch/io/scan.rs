@@ -13,9 +13,9 @@
 use std::fs::{self, DirEntry, Metadata};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use crate::pipeline::{FileStamp, file_of, is_link_loop};
+use crate::pipeline::{FileId, FileStamp, file_of, is_link_loop};
 
 use crate::watch::core::completeness::Seen;
 use crate::watch::core::events::Scan;
@@ -53,7 +53,7 @@ pub(super) fn scan(
     if folder != root && !selection.enters(root, folder) {
         return Ok(walk.scan);
     }
-    let mut around = folders_around(folder, root)?;
+    let mut around = folders_around(folder, root);
     let mut pending = Vec::new();
     walk.enter(folder, &mut around, &mut pending)?;
     while let Some((next, depth)) = pending.pop() {
@@ -68,11 +68,11 @@ pub(super) fn scan(
 }
 
 /// The folders from `root` down to the parent of `folder`.
-fn folders_around(folder: &Path, root: &Path) -> io::Result<Vec<FolderIdentity>> {
+fn folders_around(folder: &Path, root: &Path) -> Vec<FileId> {
     let outward = folder.ancestors().skip(1).take_while(|outer| outer.starts_with(root));
-    let mut around = outward.map(FolderIdentity::of).collect::<io::Result<Vec<_>>>()?;
+    let mut around: Vec<FileId> = outward.map(FileId::of).collect();
     around.reverse();
-    Ok(around)
+    around
 }
 
 /// A scan in progress.
@@ -90,15 +90,15 @@ impl FolderScan<'_> {
     fn enter(
         &mut self,
         folder: &Path,
-        around: &mut Vec<FolderIdentity>,
+        around: &mut Vec<FileId>,
         pending: &mut Vec<(PathBuf, usize)>,
     ) -> io::Result<()> {
-        let identity = FolderIdentity::of(folder)?;
-        if around.contains(&identity) || self.edges.excludes(folder)? {
+        let id = FileId::of(folder);
+        if around.contains(&id) || self.edges.excludes(folder)? {
             return Ok(());
         }
         let entries = fs::read_dir(folder)?;
-        around.push(identity);
+        around.push(id);
         self.scan.folders.push(folder.to_owned());
         for entry in entries {
             let entry = entry?;
@@ -174,49 +174,18 @@ impl ScanLimits {
     }
 }
 
-/// The identity of a folder, independent of the path that leads to it.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct FolderIdentity {
-    #[cfg(unix)]
-    device_and_inode: (u64, u64),
-    #[cfg(not(unix))]
-    path: PathBuf,
-}
-
-impl FolderIdentity {
-    #[cfg(unix)]
-    pub(crate) fn of(folder: &Path) -> io::Result<FolderIdentity> {
-        use std::os::unix::fs::MetadataExt;
-        let metadata = fs::metadata(folder)?;
-        Ok(FolderIdentity { device_and_inode: (metadata.dev(), metadata.ino()) })
-    }
-
-    #[cfg(not(unix))]
-    pub(crate) fn of(folder: &Path) -> io::Result<FolderIdentity> {
-        Ok(FolderIdentity { path: folder.canonicalize()? })
-    }
-}
-
 /// The state of a file; `None` if the path is not a regular file.
 fn seen(metadata: &Metadata, trust_clock: bool) -> Option<Seen> {
-    let age = || SystemTime::now().duration_since(last_change(metadata)?).ok();
-    metadata.is_file().then(|| Seen { stamp: FileStamp::of(metadata), age: trust_clock.then(age).flatten() })
-}
-
-/// When the file or its metadata last changed. Modification times can be set to any value, but setting them
-/// changes the status change time.
-#[cfg(unix)]
-fn last_change(metadata: &Metadata) -> Option<SystemTime> {
-    use std::os::unix::fs::MetadataExt;
-    let seconds = Duration::from_secs(u64::try_from(metadata.ctime()).ok()?);
-    let nanoseconds = Duration::from_nanos(u64::try_from(metadata.ctime_nsec()).ok()?);
-    let changed = SystemTime::UNIX_EPOCH.checked_add(seconds)?.checked_add(nanoseconds)?;
-    Some(changed.max(metadata.modified().ok()?))
-}
-
-#[cfg(not(unix))]
-fn last_change(metadata: &Metadata) -> Option<SystemTime> {
-    metadata.modified().ok()
+    if !metadata.is_file() {
+        return None;
+    }
+    let stamp = FileStamp::of(metadata);
+    // Modification times can be set to any value, but setting them changes the status change time.
+    let changed_ns = stamp.modified_ns.max(stamp.changed_ns.unwrap_or(i64::MIN));
+    let age = u64::try_from(changed_ns).ok().filter(|_| trust_clock).and_then(|changed_ns| {
+        SystemTime::now().duration_since(UNIX_EPOCH + Duration::from_nanos(changed_ns)).ok()
+    });
+    Some(Seen { stamp, age })
 }
 
 /// Whether the path no longer exists, for example because one of its folders is now a file.

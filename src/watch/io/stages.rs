@@ -10,13 +10,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::pipeline::{
-    FrameFile, OutputOptions, Sequence, StageFrame, StageSequence, next_stage_update, output_sequence,
-    sequences, sweep_temporaries_of, write_stage,
+    FrameFile, OutputOptions, Sequence, StageFrame, StageSequence, are_same_file, canonical_path,
+    next_stage_update, output_sequence, sequences, sweep_temporaries_of, write_stage,
 };
 use crate::watch::config::WatchConfig;
 use crate::watch::journal::{Entry, JournaledFrame, JournaledStatus};
 
-use super::canonical_path::canonical_path;
 use super::selection::FileFilter;
 
 /// How soon a stage that cannot be written is tried again.
@@ -54,7 +53,7 @@ impl FolderStages {
     pub(super) fn new(folder: &Path, config: &WatchConfig) -> FolderStages {
         let mut stages: Vec<WatchedStage> = Vec::new();
         for watch in &config.watches {
-            let is_here = watch.outputs.folder.canonicalize().is_ok_and(|of_watch| of_watch == folder);
+            let is_here = are_same_file(&watch.outputs.folder, folder);
             let Some(stage) = watch.outputs.stage.as_ref().filter(|_| is_here) else { continue };
             // Left by a killed daemon, if the stage is outside of the folder of outputs.
             if let Err(error) = sweep_temporaries_of(&stage.path) {
@@ -65,7 +64,7 @@ impl FolderStages {
             let Ok(filter) = FileFilter::new(watch.pattern.as_deref(), watch.recursive, Vec::new()) else {
                 continue;
             };
-            let input = canonical_path(&watch.input).unwrap_or_else(|_| watch.input.clone());
+            let input = canonical_path(&watch.input);
             let block = StagedWatch { input, filter, outputs: watch.outputs.clone() };
             match stages.iter_mut().find(|known| known.blocks[0].outputs.stage.as_ref() == Some(stage)) {
                 Some(known) => known.blocks.push(block),

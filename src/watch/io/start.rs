@@ -6,14 +6,13 @@ use std::time::Instant;
 
 use crossbeam::channel::Sender;
 
-use crate::pipeline::ObstacleFiles;
+use crate::pipeline::{ObstacleFiles, canonical_path};
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, Now, OutputRequest, RootRequest, SlowRequest, Worker};
 use crate::watch::core::state::Core;
 use crate::watch::journal::{DaemonRecord, DaemonState, now_ms};
 use crate::watch::status_store::StatusStore;
 
-use super::canonical_path::canonical_path;
 use super::error::DaemonError;
 use super::lock::host_name;
 use super::output_dir::{OutputGuard, open_outputs};
@@ -58,7 +57,7 @@ pub(crate) fn start(
     let obstacles: Vec<Arc<ObstacleFiles>> = obstacles.map(Arc::new).collect();
     let mut paths = Vec::new();
     for watch in &config.watches {
-        let path = canonical_path(&watch.input).unwrap_or_else(|_| watch.input.clone());
+        let path = canonical_path(&watch.input);
         let selection = FileFilter::new(watch.pattern.as_deref(), watch.recursive, folders.clone());
         paths.push((path, selection.map_err(DaemonError::Pattern)?));
     }

@@ -22,9 +22,10 @@ use crate::cli::level_sets::{Use, refuse_options};
 use crate::cli::machine::{memory_bytes, thread_count};
 use crate::cli::select::check_output_path;
 use crate::http::{AccessToken, Listen};
-use crate::pipeline::{ObstacleFiles, read_regular_text, refuse_file_for_folder};
+use crate::pipeline::{
+    ObstacleFiles, are_same_file, canonical_path, read_regular_text, refuse_file_for_folder,
+};
 use crate::surface::options::Settings;
-use crate::watch::canonical_path::canonical_path;
 use crate::watch::selection::FileFilter;
 use crate::watch::{Order, Poll, Watch, WatchConfig, names_level_sets};
 
@@ -197,8 +198,8 @@ fn check_sentinel(name: &str) -> Result<()> {
 fn refuse_twins(watches: &[Watch], blocks: &[ConfigBlock<WatchKeys>]) -> Result<()> {
     for (index, watch) in watches.iter().enumerate() {
         let is_twin = |other: &&Watch| {
-            same_folder(&other.input, &watch.input)
-                && same_folder(&other.outputs.folder, &watch.outputs.folder)
+            are_same_file(&other.input, &watch.input)
+                && are_same_file(&other.outputs.folder, &watch.outputs.folder)
                 && other.pattern == watch.pattern
         };
         let Some(twin) = watches[..index].iter().position(|other| is_twin(&other)) else { continue };
@@ -222,7 +223,7 @@ fn refuse_shared_stage(watches: &[Watch], blocks: &[ConfigBlock<WatchKeys>]) -> 
         let Some(stage) = &watch.outputs.stage else { continue };
         let is_unlike = |other: &&Watch| {
             let [a, b] = [&watch.outputs, &other.outputs];
-            let is_same = same_folder(&a.folder, &b.folder)
+            let is_same = are_same_file(&a.folder, &b.folder)
                 && (a.up, a.meters_per_unit, &a.stage) == (b.up, b.meters_per_unit, &b.stage)
                 && a.stage_mesh_format() == b.stage_mesh_format();
             b.stage.as_ref().is_some_and(|other| other.path == stage.path) && !is_same
@@ -237,11 +238,6 @@ fn refuse_shared_stage(watches: &[Watch], blocks: &[ConfigBlock<WatchKeys>]) -> 
         }
     }
     Ok(())
-}
-
-fn same_folder(a: &Path, b: &Path) -> bool {
-    let real = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
-    a == b || real(a) == real(b)
 }
 
 fn config(watches: Vec<Watch>, once: bool, daemon: &DaemonArgs) -> Result<WatchConfig> {
@@ -288,7 +284,10 @@ fn token_in(path: &Path) -> Result<AccessToken> {
 
 /// An absolute path: the journal must identify frames by the same paths wherever the daemon is started.
 fn absolute(path: &Path) -> Result<PathBuf> {
-    canonical_path(path).with_context(|| format!("`{}` is not a valid path", path.display()))
+    if path.as_os_str().is_empty() {
+        bail!("a path is empty: give a file or folder");
+    }
+    Ok(canonical_path(path))
 }
 
 const SETTLE: Duration = Duration::from_millis(500);

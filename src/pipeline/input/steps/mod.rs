@@ -190,15 +190,12 @@ impl IndexPolicy {
 
 /// The memory for reading a frame, in bytes; 0 if the frame cannot be read.
 pub(crate) fn reading_bytes(frame: &Path, by: IndexPolicy) -> u64 {
-    let of_step = |(file, step): (&Path, &str)| {
-        let contents = by.index(file).ok()??;
-        let range = &contents.step(step).ok()?.range;
-        Some(contents.unpacking_bytes.unwrap_or(range.end - range.start))
+    let Some((file, step)) = step_of(frame) else {
+        return frame.metadata().map_or(0, |metadata| metadata.len());
     };
-    match step_of(frame) {
-        Some(step) => of_step(step).unwrap_or(0),
-        None => frame.metadata().map_or(0, |metadata| metadata.len()),
-    }
+    let Ok(Some(contents)) = by.index(file) else { return 0 };
+    let Ok(FoundStep { range, .. }) = contents.step(step) else { return 0 };
+    contents.unpacking_bytes.unwrap_or(range.end - range.start)
 }
 
 /// The bytes of a step, and the stamp of its file; `None` if the file was written, replaced or removed
@@ -206,10 +203,7 @@ pub(crate) fn reading_bytes(frame: &Path, by: IndexPolicy) -> u64 {
 ///
 /// # Errors
 /// When the system reports an error, the file has no such step, or the step cannot be decompressed.
-pub(crate) fn read_step(
-    (file, step): (&Path, &str),
-    by: IndexPolicy,
-) -> Result<Option<(Vec<u8>, FileStamp)>> {
+pub(crate) fn read_step(file: &Path, step: &str, by: IndexPolicy) -> Result<Option<(Vec<u8>, FileStamp)>> {
     let Some(contents) = by.index(file)? else { return Ok(None) };
     let FoundStep { head, range, .. } = contents.step(step)?.clone();
     let input = InputFile::open(file)?;
@@ -317,14 +311,16 @@ mod tests {
             let expected = ["1000", "unnumbered", "1000.2", "-5", "1000.3"];
             assert_eq!(names, expected.map(|step| format!("{name}/step={step}")));
             for (frame, text) in frames.iter().zip(&steps) {
-                let read = read_step(step_of(frame).expect("a step"), BY).expect("read").expect("unchanged");
+                let (path, name) = step_of(frame).expect("a step");
+                let read = read_step(path, name, BY).expect("read").expect("unchanged");
                 assert_eq!(read, (text.as_bytes().to_vec(), FileStamp::of_path(&file).expect("there")));
                 assert_eq!(size_bytes(frame).expect("there"), text.len() as u64);
                 assert!(reading_bytes(frame, BY) >= text.len() as u64);
             }
             // The index describes the old state of the file.
             write(&[step("1", 1.0), step("2000", 2.0)]);
-            let gone = read_step(step_of(&frames[0]).expect("a step"), BY).expect_err("gone");
+            let (path, name) = step_of(&frames[0]).expect("a step");
+            let gone = read_step(path, name, BY).expect_err("gone");
             assert!(matches!(&gone, Error::Io(error) if error.kind() == io::ErrorKind::NotFound));
             assert!(gone.to_string().contains("no step 1000"), "{gone}");
             write(&steps[..1]);
@@ -341,7 +337,8 @@ mod tests {
         let file = folder.path().join("d.dump");
         fs::write(&file, step("1", 1.0) + &step("2", 1.0)).expect("written");
         let frame = file.join("step=1");
-        let read = |by| read_step(step_of(&frame).expect("a step"), by).expect("read");
+        let (path, name) = step_of(&frame).expect("a step");
+        let read = |by| read_step(path, name, by).expect("read");
         assert!(read(IndexPolicy::External).is_some(), "no thread has indexed it again");
         fs::write(&file, step("1", 1.0) + &step("2", 1.0) + &step("3", 1.0)).expect("written");
         assert!(read(IndexPolicy::External).is_none());

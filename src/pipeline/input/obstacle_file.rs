@@ -1,0 +1,222 @@
+//! An obstacle file: reads and hashes it, turns it into a solid, and finds likely mistakes in it.
+//!
+//! The buffers of a `.gltf` may be separate files. They belong to the obstacle: their bytes are hashed with
+//! it, and a change of one of them reloads it.
+
+use std::collections::HashMap;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use glam::{DVec3, IVec3};
+use meniscus_formats::vdb::LevelSetData;
+use meniscus_formats::{Error, ObstacleData, gltf, read_obstacle};
+use twox_hash::XxHash3_128;
+use twox_hash::xxhash3_128::Hasher;
+
+use crate::surface::obstacle::{GridSdf, MeshFindings, MeshSdf, ObstacleSdf, SourceLevelSet};
+use crate::surface::options::Settings;
+
+use super::level_set_file::level_set_limits;
+use crate::pipeline::error::ObstacleError;
+use crate::pipeline::files::input_file::{read_start_unchanged, read_unchanged};
+use crate::pipeline::files::stamp::FileStamp;
+use crate::pipeline::warning::ObstacleFinding;
+
+/// Identifies the content of an obstacle file.
+#[derive(Clone)]
+pub(super) struct ObstacleSource {
+    pub(super) path: PathBuf,
+    /// The file and its buffer files, with their stamps when they were read.
+    files: Vec<(PathBuf, FileStamp)>,
+    pub(super) hash: u128,
+}
+
+impl ObstacleSource {
+    /// Whether none of its files has changed since it was read.
+    pub(super) fn is_unchanged(&self) -> bool {
+        self.files.iter().all(|(path, stamp)| FileStamp::of_path(path).is_ok_and(|now| now == *stamp))
+    }
+}
+
+/// The bytes of an obstacle file, and those of each of its buffer files.
+pub(super) struct ObstacleBytes {
+    file: Vec<u8>,
+    buffers: HashMap<String, Vec<u8>>,
+}
+
+/// Reads an obstacle file and its buffers.
+///
+/// # Errors
+/// When a file cannot be read, or is written meanwhile.
+pub(super) fn read(path: PathBuf) -> Result<(ObstacleSource, ObstacleBytes), ObstacleError> {
+    let unchanged = read_unchanged(&path).map_err(|error| failed(&path, error))?;
+    let (file, stamp) = unchanged.ok_or_else(|| changed(&path))?;
+    let mut files = vec![(path.clone(), stamp)];
+    let mut buffers = HashMap::new();
+    let mut buffer_hasher: Option<Hasher> = None;
+    for (relative, byte_count) in buffers_of(&path, &file).map_err(|error| failed(&path, error))? {
+        let buffer = folder_of(&path).join(&relative);
+        let unchanged = read_start_unchanged(&buffer, byte_count).map_err(|error| {
+            let message = format!("its buffer {relative}: {error}");
+            failed(&path, io::Error::new(error.kind(), message))
+        })?;
+        let (bytes, stamp) = unchanged.ok_or_else(|| changed(&buffer))?;
+        buffer_hasher.get_or_insert_with(Hasher::new).write(&bytes);
+        files.push((buffer, stamp));
+        buffers.insert(relative, bytes);
+    }
+    let hash = XxHash3_128::oneshot(&file) ^ buffer_hasher.map_or(0, |hasher| hasher.finish_128());
+    Ok((ObstacleSource { path, files, hash }, ObstacleBytes { file, buffers }))
+}
+
+/// The paths of an obstacle's buffer files, relative to its folder, and how many bytes of each are used.
+///
+/// # Errors
+/// When the file is not a valid `.gltf`, or a buffer is outside of its folder.
+pub(super) fn buffers_of(path: &Path, bytes: &[u8]) -> meniscus_formats::Result<Vec<(String, u64)>> {
+    if !may_have_buffers(path) {
+        return Ok(Vec::new());
+    }
+    let buffers = gltf::external_files(bytes)?;
+    Ok(buffers.into_iter().map(|gltf::ExternalFile { path, byte_count }| (path, byte_count)).collect())
+}
+
+/// Whether the buffers may be separate files: only a `.gltf` has those.
+pub(super) fn may_have_buffers(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gltf"))
+}
+
+/// Parses an obstacle. `memory_bytes` limits a level set, including all memory for rebuilding it.
+///
+/// # Errors
+/// When the bytes are no valid obstacle, or need more memory.
+pub(super) fn parse(
+    path: &Path,
+    bytes: ObstacleBytes,
+    memory_bytes: u64,
+) -> Result<ObstacleSdf, ObstacleError> {
+    let buffers = Mutex::new(bytes.buffers);
+    // Each file is requested once.
+    let take = |relative: &str| {
+        let bytes = buffers.lock().unwrap_or_else(PoisonError::into_inner).remove(relative);
+        bytes.ok_or_else(|| {
+            let message = "it refers to another file for its data, which only a .gltf may do: save it as .glb with all data inside";
+            io::Error::new(io::ErrorKind::Unsupported, message)
+        })
+    };
+    let data = read_obstacle(&bytes.file, &name_of(path), &level_set_limits(memory_bytes), &take)
+        .map_err(|error| failed(path, error))?;
+    match data {
+        ObstacleData::Mesh(mesh) => Ok(ObstacleSdf::Mesh(MeshSdf::new(&mesh.positions, &mesh.triangles))),
+        ObstacleData::LevelSet(data) => {
+            let name = data.name.clone();
+            let used_bytes = (bytes.file.len() as u64).saturating_add(data.memory_bytes());
+            let sdf = GridSdf::new(source_of(*data), memory_bytes.saturating_sub(used_bytes));
+            sdf.map(|sdf| ObstacleSdf::Grid(Box::new(sdf))).map_err(|message| {
+                failed(path, Error::unsupported("OpenVDB", format!("the grid \"{name}\" {message}")))
+            })
+        }
+    }
+}
+
+fn source_of(data: LevelSetData) -> SourceLevelSet {
+    SourceLevelSet {
+        origins: data.origins.into_iter().map(IVec3::from).collect(),
+        leaves: data.leaves,
+        tiles: data.tiles.into_iter().map(|tile| (IVec3::from(tile.origin), tile.size, tile.value)).collect(),
+        background: data.background,
+        axes: data.transform.axes.map(DVec3::from),
+        translation: DVec3::from(data.transform.translation),
+    }
+}
+
+/// The likely mistakes in an obstacle.
+pub(crate) fn findings_of(shape: &ObstacleSdf, settings: &Settings) -> Vec<ObstacleFinding> {
+    match shape {
+        ObstacleSdf::Mesh(solid) => {
+            let MeshFindings {
+                open_edge_count,
+                encloses_nothing,
+                flipped_count,
+                unchecked_part_count,
+                invalid_count,
+                triangle_count,
+                sheet_count,
+                ..
+            } = *solid.findings();
+            let findings = [
+                (sheet_count > 0).then_some(ObstacleFinding::Sheets { count: sheet_count }),
+                (open_edge_count > 0)
+                    .then_some(ObstacleFinding::Open { edge_count: open_edge_count, encloses_nothing }),
+                (flipped_count > 0).then_some(ObstacleFinding::Flipped { triangle_count: flipped_count }),
+                (unchecked_part_count > 0)
+                    .then_some(ObstacleFinding::PossiblyInverted { part_count: unchecked_part_count }),
+                (invalid_count > 0)
+                    .then_some(ObstacleFinding::InvalidTriangles { triangle_count: invalid_count }),
+                (triangle_count == 0).then_some(ObstacleFinding::Flat),
+            ];
+            findings.into_iter().flatten().collect()
+        }
+        ObstacleSdf::Grid(sampled) => {
+            let known_voxels = (sampled.band_width() - sampled.voxel_size()) / settings.voxel_size;
+            let rebuilt = sampled.rebuild_reason().map(ObstacleFinding::Rebuilt);
+            let narrow = (known_voxels < KNOWN_MIN).then_some(ObstacleFinding::NarrowBand { known_voxels });
+            rebuilt.into_iter().chain(narrow).collect()
+        }
+    }
+}
+
+/// Minimum band width of a level set, less one of its own voxels, in units of the frame's voxel size h. A
+/// narrower band hardly shows where the surface of the obstacle is.
+const KNOWN_MIN: f64 = 1.0;
+
+/// Refuses an obstacle whose mesh encloses no volume.
+///
+/// # Errors
+/// The finding.
+pub(super) fn require_volume(path: &Path, findings: &[ObstacleFinding]) -> Result<(), ObstacleError> {
+    let is_fatal =
+        |finding: &&ObstacleFinding| matches!(finding, ObstacleFinding::Open { encloses_nothing: true, .. });
+    match findings.iter().find(is_fatal) {
+        Some(finding) => Err(failed(path, Error::unsupported("", finding.to_string()))),
+        None => Ok(()),
+    }
+}
+
+/// The memory for loading an obstacle, as a multiple of the file size: about 320 bytes for a triangle.
+/// Measured with two million triangles, and with a level set of 15 million values.
+pub(super) fn loading_factor(path: &Path) -> u64 {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    match &*extension {
+        "vdb" => 5,
+        "obj" => 9,
+        // The unpacked size of compressed files is unknown in advance.
+        "gz" | "vtp" | "vtu" => 45,
+        _ => 18,
+    }
+}
+
+/// The number of boundary edges of an obstacle's mesh.
+pub(super) fn open_edges(shape: &ObstacleSdf) -> usize {
+    match shape {
+        ObstacleSdf::Mesh(solid) => solid.findings().open_edge_count,
+        ObstacleSdf::Grid(_) => 0,
+    }
+}
+
+pub(super) fn folder_of(path: &Path) -> &Path {
+    path.parent().unwrap_or(Path::new(""))
+}
+
+pub(super) fn name_of(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+pub(super) fn failed(path: &Path, error: impl Into<Error>) -> ObstacleError {
+    ObstacleError { path: path.to_owned(), source: Some(error.into()) }
+}
+
+fn changed(path: &Path) -> ObstacleError {
+    ObstacleError { path: path.to_owned(), source: None }
+}
