@@ -89,10 +89,11 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
     ignored.chain(idle).collect()
 }
 
-/// The formats whose files an option affects; `None` for an option that affects the surface, and thus all
-/// formats.
+/// The formats whose files an option affects, by its name as an option or in records; `None` for an option
+/// that affects the surface, and thus all formats.
 pub(super) fn formats_changed_by(name: &str) -> Option<Vec<OutputFormat>> {
-    let write_option = WriteOption::ALL.into_iter().find(|option| option.key() == name);
+    let write_option =
+        WriteOption::ALL.into_iter().find(|option| [option.key(), option.name()].contains(&name));
     let is_of_mesh = MethodOptions::info(name).is_some_and(|info| info.group == OptionGroup::Mesh);
     let is_changed = |format: &OutputFormat| match write_option {
         Some(option) => format.has_option(option),

@@ -155,7 +155,7 @@ fn format_keys(outputs: &OutputOptions) -> Vec<String> {
             keys.extend(preview.map(|format| format!("preview = {}", quoted(format.extension()))));
         }
         let value = outputs.value(option);
-        let is_plain = matches!(option, WriteOption::MetersPerUnit | WriteOption::Half);
+        let is_plain = option == WriteOption::MetersPerUnit;
         keys.push(format!("{} = {}", option.key(), if is_plain { value } else { quoted(&value) }));
     }
     keys

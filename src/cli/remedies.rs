@@ -21,7 +21,7 @@ fn remedy(warning: &Warning) -> Option<String> {
         Warning::SeveralKinds { attribute, .. } => {
             format!("choose some with --where, such as --where '{attribute} == VALUE'")
         }
-        Warning::NotConverged => "choose a smaller --step-size or a larger --cg-tolerance".to_owned(),
+        Warning::NotConverged => "choose a smaller --step-size".to_owned(),
         Warning::CflExceeded { .. } => "choose a smaller --step-size".to_owned(),
         Warning::SmallRadii { radius_min, .. } => {
             format!("--voxel-size {} or less resolves all of them", rounded_down(radius_min / 3f64.sqrt()))

@@ -83,8 +83,8 @@ impl EmbeddedSurface<'_> {
                 }
                 Content::LevelSet => {
                     let options = meniscus_formats::vdb::WriteOptions {
-                        half: outputs.vdb_half,
-                        compression: outputs.vdb_compression,
+                        half: outputs.vdb.half,
+                        compression: outputs.vdb.compression,
                         ..meniscus_formats::vdb::WriteOptions::default()
                     };
                     encode_level_set(surface, settings, &options, &provenance)?.write(out)

@@ -36,13 +36,10 @@ option_set! {
         #[arg(long, help_heading = FORMATS, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
         pub(in crate::cli) meters_per_unit: Option<f64>,
 
-        /// Store 16-bit floats (half) in .vdb: smaller files, with about three significant digits
-        #[arg(long, help_heading = FORMATS)]
-        pub(in crate::cli) vdb_half: bool,
-
-        /// Compression of values in .vdb [default: blosc]
-        #[arg(long, help_heading = FORMATS, value_name = "HOW", ignore_case = true, value_parser = compression())]
-        pub(in crate::cli) vdb_compression: Option<vdb::Compression>,
+        /// How .vdb stores values: half for 16 bits, with about three significant digits; and the compression
+        /// none, active (active values only) or blosc, as in half,blosc [default: blosc]
+        #[arg(long, help_heading = FORMATS, value_name = "LIST")]
+        pub(in crate::cli) vdb: Option<vdb::ValueEncoding>,
 
         /// Also write a picture of each frame, with one camera for the whole sequence [default: none]
         #[arg(long, help_heading = FORMATS, value_name = "FORMAT", ignore_case = true, value_parser = picture_format())]
@@ -104,15 +101,6 @@ pub(super) fn up_axis() -> impl TypedValueParser<Value = UpAxis> {
     one_of(UpAxis::ALL.map(|axis| (axis, axis.name(), help(axis))))
 }
 
-fn compression() -> impl TypedValueParser<Value = vdb::Compression> {
-    let help = |compression| match compression {
-        vdb::Compression::None => "All values as they are",
-        vdb::Compression::ActiveMask => "Active values only",
-        vdb::Compression::Blosc => "Active values only, compressed: OpenVDB's default",
-    };
-    one_of(vdb::Compression::ALL.map(|compression| (compression, compression.name(), help(compression))))
-}
-
 impl FormatArgs {
     /// The formats to write, without duplicates: .glb and .vdb by default, and the requested image format.
     pub(in crate::cli) fn written(&self) -> Vec<OutputFormat> {
@@ -138,8 +126,7 @@ impl FormatArgs {
         let outputs = OutputOptions {
             up: self.up.unwrap_or(default.up),
             meters_per_unit: self.meters_per_unit.unwrap_or(default.meters_per_unit),
-            vdb_half: self.vdb_half,
-            vdb_compression: self.vdb_compression.unwrap_or(default.vdb_compression),
+            vdb: self.vdb.unwrap_or(default.vdb),
             picture,
             stage: self.stage.clone().map(|path| StageOptions { path, fps: self.fps.unwrap_or(FPS) }),
             ..default

@@ -57,17 +57,14 @@ option_set! {
     /// Which files are frames, and how they are converted: the keys of a `[[watch]]` block.
     #[derive(Clone, Debug, Default, PartialEq, Args)]
     pub(in crate::cli) struct FrameArgs {
-        /// Convert only files whose names match this pattern, such as 'dam.*.bgeo'. With --recursive, a
-        /// pattern that contains / is compared with the path within DIR, such as '*/fluid*.ply'
+        /// Convert only files whose names match this pattern, such as 'dam.*.bgeo', or whose paths within DIR
+        /// match it, if it contains a /: '*/fluid*.ply', '**/dam.*.bgeo'
         ///
-        /// By default all files with an extension of a particle format, and text files that hold particles.
-        /// Hidden files and results of meniscus are never taken.
+        /// By default all files with an extension of a particle format, and text files that hold particles,
+        /// in DIR itself; '**' takes those in its sub-folders as well. Hidden files and results of meniscus
+        /// are never taken.
         #[arg(long, value_name = "GLOB")]
         pub(in crate::cli) pattern: Option<String>,
-
-        /// Watch sub-folders as well
-        #[arg(long)]
-        pub(in crate::cli) recursive: bool,
 
         /// Name of the sentinel: a frame is complete when a file of this name, such as {name}.ok, is beside
         /// it

@@ -27,7 +27,7 @@ pub(super) fn reasons(watches: &[Watch]) -> String {
 fn reason(watch: &Watch) -> Option<String> {
     let level_sets = level_sets_in(&watch.input);
     let Some(pattern) = &watch.pattern else { return level_sets_left_alone(level_sets.len()) };
-    let filter = FileFilter::new(Some(pattern), watch.recursive, Vec::new()).ok()?;
+    let filter = FileFilter::new(Some(pattern), Vec::new()).ok()?;
     let is_taken = |file: &FrameFile| filter.takes(&watch.input, &file.path);
     if names_level_sets(Some(pattern)) {
         // Level sets of other programs would be frames.
@@ -46,7 +46,7 @@ fn reason(watch: &Watch) -> Option<String> {
         }
     }
     // Files in sub-folders are not counted here.
-    let files = if watch.recursive { Vec::new() } else { files_in(&watch.input).unwrap_or_default() };
+    let files = if pattern.contains('/') { Vec::new() } else { files_in(&watch.input).unwrap_or_default() };
     if files.is_empty() || files.iter().any(|path| filter.takes(&watch.input, path)) {
         return None;
     }
@@ -69,7 +69,7 @@ fn unwatched_folders(watch: &Watch) -> Option<String> {
     let folders = entries.map(|entry| entry.path()).filter(|path| path.is_dir() && !is_hidden(path));
     let count = folders.filter(|path| *path != watch.outputs.folder).count();
     let folders = pluralize(count, "sub-folder");
-    (count > 0 && !watch.recursive).then(|| format!("it has {folders}, which only --recursive watches"))
+    (count > 0).then(|| format!("it has {folders}, which are not watched: give --pattern '**'"))
 }
 
 fn level_sets_left_alone(count: usize) -> Option<String> {

@@ -145,8 +145,8 @@ fn encode_levels(
     provenance: &Provenance,
 ) -> meniscus_formats::Result<vdb::EncodedVdb> {
     let options = vdb::WriteOptions {
-        half: frame.outputs.vdb_half,
-        compression: frame.outputs.vdb_compression,
+        half: frame.outputs.vdb.half,
+        compression: frame.outputs.vdb.compression,
         ..vdb::WriteOptions::default()
     };
     encode_level_set(surface, &frame.settings, &options, provenance)

@@ -230,13 +230,6 @@ method_options! {
             /// adaptive: 50]
             #[value(named("N"))]
             redistance_every: u32 in 1..=STEPS_MAX,
-
-            /// Relative tolerance of the conjugate gradients, 1e-12 to 0.5, for --integrator implicit only
-            /// [default: 0.0001]
-            #[value(named("E"))]
-            cg_tolerance: f64 in 1e-12..=0.5
-                => [OptionName::with_value("integrator", "implicit")],
-                |options, _| options.integrator == Some(Integrator::Implicit),
         }
     }
 }
@@ -385,7 +378,6 @@ mod tests {
             steps: Some(u32::MAX),
             step_size: Some(1e-300),
             redistance_every: Some(7),
-            cg_tolerance: Some(1e-4_f64.next_down()),
             ..every()
         }
     }

@@ -166,7 +166,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         }
     }
     warnings.extend(ignored(&frames.method, &frames.formats, &outputs.formats));
-    FileFilter::new(frames.pattern.as_deref(), frames.recursive, Vec::new())?;
+    FileFilter::new(frames.pattern.as_deref(), Vec::new())?;
     if let Some(sentinel) = &frames.sentinel {
         check_sentinel(sentinel)?;
     }
@@ -175,7 +175,6 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     Ok(Watch {
         input: absolute(input)?,
         pattern: frames.pattern.clone(),
-        recursive: frames.recursive,
         sentinel: frames.sentinel.clone(),
         outputs,
         choices,
