@@ -17,15 +17,14 @@ use crate::pipeline::{
 use crate::surface::options::Settings;
 
 use super::args::RenderArgs;
-use super::choices::refuse_misplaced_rounds;
 use super::console::Console;
-use super::level_sets::{Use, refuse_options};
+use super::destination::{OutFolder, write_file};
+use super::inputs::{SelectedSequence, selected_files, selected_of};
 use super::machine::thread_pool;
-use super::out_folder::{OutFolder, write_file};
 use super::render_session::{
     RenderSession, RenderSource, catch_panic, find_render_sources, named_picture, surface_name,
 };
-use super::select::{SelectedSequence, selected_files, selected_of};
+use super::settings::{Use, refuse_misplaced_rounds, refuse_options};
 use super::wording::{pluralize, with_causes};
 use super::{CommandOutcome, DoneCounts};
 

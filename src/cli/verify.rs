@@ -18,12 +18,11 @@ use crate::pipeline::{
 
 use super::CommandOutcome;
 use super::args::VerifyArgs;
-use super::choices::formats_changed_by;
 use super::console::Console;
-use super::inputs::find_inputs;
+use super::destination::write_file;
+use super::inputs::{check_output_path, find_inputs};
 use super::machine::thread_pool;
-use super::out_folder::write_file;
-use super::select::check_output_path;
+use super::settings::formats_changed_by;
 use super::wording::pluralize;
 
 /// A frame, and the state of its results.

@@ -1,5 +1,5 @@
-use super::block::{command, key_of};
 use super::*;
+use super::{command, key_of};
 use crate::cli::args::{FormatArgs, LogChoice, RunArgs};
 use crate::pipeline::OutputFormat;
 use crate::surface::options::{Contouring, MethodOptions, ValueKind};

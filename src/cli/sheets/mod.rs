@@ -5,9 +5,7 @@
 //!   tune      a frame under many settings      command  the command for each
 //! ```
 
-mod command;
 mod contact;
-mod sources;
 mod tune;
 
 use std::path::{Path, PathBuf};
@@ -22,13 +20,13 @@ use crate::render::Sheet;
 
 use super::args::PictureArgs;
 use super::console::Console;
-use super::out_folder::{OutFolder, write_file};
+use super::destination::{OutFolder, write_file};
 use super::quantities::PictureSize;
 use super::render_session::{RenderSession, named_picture};
 use super::wording::with_causes;
 
 pub(super) use contact::contact_sheet;
-pub(super) use tune::tune;
+pub(super) use tune::{VariedOption, tune};
 
 /// The output file of a sheet.
 struct SheetFile {

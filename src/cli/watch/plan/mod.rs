@@ -15,12 +15,11 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 
 use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OptionSet, WatchArgs};
-use crate::cli::choices::{ignored, refuse_misplaced_rounds, refuse_other_kinds};
 use crate::cli::config_file::{ConfigBlock, ConfigFile, WatchKeys, read_config_file};
 use crate::cli::destination::refuse_file_name;
-use crate::cli::level_sets::{Use, refuse_options};
+use crate::cli::inputs::check_output_path;
 use crate::cli::machine::{memory_bytes, thread_count};
-use crate::cli::select::check_output_path;
+use crate::cli::settings::{Use, ignored, refuse_misplaced_rounds, refuse_options, refuse_other_kinds};
 use crate::http::{AccessToken, Listen};
 use crate::pipeline::{ObstacleFiles, read_regular_text, refuse_file_for_folder};
 use crate::surface::options::Settings;
