@@ -1,4 +1,4 @@
-//! Prints results on the standard output, and errors and the progress bar on the standard error.
+//! Prints results on the standard output, and errors and the progress of a run on the standard error.
 //!
 //! If the reader closes the standard output early, as `head` does, that is not an error: the command
 //! continues without printing.

@@ -1,4 +1,4 @@
-//! Selects the frames of each sequence from the inputs.
+//! Finds the files that the INPUT arguments name, and selects the frames of each sequence.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::io;
@@ -20,7 +20,6 @@ use super::args::MethodArgs;
 use super::console::Console;
 use super::destination::folder_of;
 use super::frame_selection::FrameSelection;
-use super::settings::refuse_misplaced_rounds;
 use super::wording::{counted_are, pluralize};
 
 /// The frames to convert.
@@ -52,7 +51,6 @@ pub(super) fn select_frames(
     method: &MethodArgs,
     console: &mut Console,
 ) -> Result<InputSelection> {
-    refuse_misplaced_rounds(method, inputs)?;
     let found = find_inputs(inputs)?;
     found.report(console);
     for (what, (first, count)) in &found.skipped {

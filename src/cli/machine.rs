@@ -1,4 +1,4 @@
-//! The resources that a command may use: threads and memory.
+//! The threads, the memory and the temporary files of the process.
 
 use std::fs;
 use std::path::PathBuf;

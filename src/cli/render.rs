@@ -24,7 +24,7 @@ use super::machine::thread_pool;
 use super::render_session::{
     RenderSession, RenderSource, catch_panic, find_render_sources, named_picture, surface_name,
 };
-use super::settings::{Use, refuse_misplaced_rounds, refuse_options};
+use super::settings::{Use, refuse_options};
 use super::wording::{pluralize, with_causes};
 use super::{CommandOutcome, DoneCounts};
 
@@ -34,7 +34,6 @@ use super::{CommandOutcome, DoneCounts};
 /// If rendering cannot start, for example because an option is invalid. A failed frame is not an error here:
 /// it is reported and counted.
 pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<CommandOutcome> {
-    refuse_misplaced_rounds(&args.pictures.method, &args.inputs)?;
     let found = find_render_sources(&args.inputs)?;
     found.report(console);
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();

@@ -1,8 +1,9 @@
-//! Determines the settings that all frames of a sequence share, independent of which frames are converted.
+//! From options to settings: those that all frames of a sequence share, whichever of them are converted; options
+//! that have no effect or do not apply; and `--print-settings`.
 
 use std::fmt;
 use std::io;
-use std::path::{Path, PathBuf, absolute};
+use std::path::{Path, absolute};
 
 use anyhow::{Context, Result, anyhow, bail};
 use meniscus_formats::compression::read_head;
@@ -260,24 +261,6 @@ fn kinds(formats: &[OutputFormat]) -> String {
             listed(names.chain(pictures).collect(), "and")
         }
     }
-}
-
-/// Refuses a number that was meant as the value of --smooth-normals, which must follow a =, and was parsed as
-/// an input.
-///
-/// # Errors
-/// If there is such a number. The message states the correct spelling.
-pub(super) fn refuse_misplaced_rounds(args: &MethodArgs, inputs: &[PathBuf]) -> Result<()> {
-    let is_misplaced = |input: &&PathBuf| {
-        input.to_str().is_some_and(|text| text.parse::<u32>().is_ok()) && input.symlink_metadata().is_err()
-    };
-    if args.options.0.smooth_normals.is_some()
-        && let Some(input) = inputs.iter().find(is_misplaced)
-    {
-        let number = input.display();
-        bail!("{number}: no such file or folder; for {number} rounds, write --smooth-normals={number}");
-    }
-    Ok(())
 }
 
 // .vdb level sets as inputs: contoured unchanged, or smoothed within --max-deviation.

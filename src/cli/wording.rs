@@ -1,4 +1,4 @@
-//! Formats numbers, options and errors as text.
+//! Formats numbers, times, options, warnings and errors as text.
 
 use std::fmt;
 use std::time::Duration;

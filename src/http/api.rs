@@ -1,4 +1,4 @@
-//! The JSON API: frames, settings and the state of the daemon; and whether it is healthy.
+//! The API: frames, settings, status and health as JSON, a stream of changes, and metrics.
 
 use std::fmt::{Display, Write as _};
 use std::num::NonZero;

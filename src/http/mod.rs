@@ -3,10 +3,8 @@
 //!
 //! ```text
 //!   clients ──▶ this file: connections, checks, routes
-//!                 ├──▶ api       frames, settings, status as JSON; health
-//!                 ├──▶ events    stream of changes
-//!                 ├──▶ files     outputs, by their names in the status store, and the page
-//!                 └──▶ metrics   for Prometheus
+//!                 ├──▶ api       frames, settings, status as JSON; health; stream of changes; metrics
+//!                 └──▶ files     outputs, by their names in the status store, and the page
 //! ```
 //!
 //! One thread serves all clients, and at most two more threads read files for it, so the conversion of frames

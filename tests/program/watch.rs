@@ -37,7 +37,6 @@ fn contradictory_arguments_are_refused_before_any_output() {
         (&["--memory", "lots"], &["--memory", "not a size"]),
         (&["--order", "random"], &["--order", "natural, latest"]),
         (&["--pattern", "["], &["not a valid pattern"]),
-        (&["--smooth-normals", "5"], &["5: no such", "--smooth-normals=5"]),
     ] {
         assert_refused(path, &[&["in", "--out", "out"], arguments].concat(), words);
     }

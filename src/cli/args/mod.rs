@@ -1,4 +1,7 @@
-//! The parsed command line. Only the command-line layer uses these types.
+//! The parsed command line, command by command. Only the command-line layer uses these types.
+//!
+//! The structs that a configuration file shares have no defaults here: a default on the command line would look
+//! like a given option, and override the file; a default in the file would override the preset.
 //!
 //! Options for numbers accept a leading minus sign, so that the range check reports `-1` as out of range, and
 //! clap does not report it as an unknown option.
@@ -225,9 +228,6 @@ Exit status:
   130  interrupted: existing results are complete, and --skip-done continues from there";
 
 // The output options, shared by all commands that convert and by the configuration file.
-//
-// No option has a default here: a default on the command line would look like a given option, and override
-// the file.
 
 option_set! {
     #[derive(Clone, Debug, Default, PartialEq, Args)]
@@ -379,9 +379,6 @@ fn check_stage(outputs: &OutputOptions) -> Result<()> {
 }
 
 // The reconstruction options, shared by all commands that convert and by the configuration file.
-//
-// No option has a default here: a default would look like a given option. On the command line it would
-// override the file, and in the file it would override the preset.
 
 option_set! {
     /// The reconstruction options, and those that exist only on the command line.
@@ -409,8 +406,7 @@ impl MethodArgs {
 
 // The options of the daemon.
 //
-// All options but the folders are also keys of `meniscus.toml`, with underscores in their names. None has a
-// default here: a default on the command line would look like a given option, and override the file.
+// All options but the folders are also keys of `meniscus.toml`, with underscores in their names.
 
 #[derive(Clone, Debug, Default, Args)]
 #[command(after_long_help = WATCHING)]
@@ -911,7 +907,7 @@ Exit status:
   1    some frames could not be read, and are left out; each is named, with the reason
   2    no sequence file was written";
 
-// The options of farms: converting and verifying shards.
+// The options of `verify`, and the shards of `convert`.
 
 #[derive(Debug, Args)]
 #[command(after_long_help = VERIFY_STATUSES)]
@@ -976,7 +972,7 @@ Exit status:
   1    some frames are not done
   2    no frame is done, or the command is invalid";
 
-// The options of the commands that query a daemon's state.
+// The options of `status`.
 
 #[derive(Debug, Args)]
 #[command(after_long_help = STATUS_JSON)]

@@ -16,7 +16,6 @@ use std::ffi::OsString;
 use std::fmt::Display;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use anyhow::{Error, Result, anyhow};
 use clap::error::{ContextKind, ContextValue};
@@ -24,12 +23,9 @@ use clap::{Arg, ArgAction, Args, Command};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use crate::pipeline::read_regular_text;
-use crate::surface::options::{MethodOptions, ValueKind};
-use crate::watch::Poll;
-
 use super::args::{DaemonArgs, FrameArgs, OptionSet, option_set};
 use super::wording::option_name;
+use crate::pipeline::read_regular_text;
 
 /// The content of a file.
 #[derive(Clone, Debug)]
@@ -58,21 +54,6 @@ pub(super) fn check(text: &str) -> Result<()> {
     parse(&ConfigSource { path: Path::new("meniscus.toml"), text }).map(drop)
 }
 
-fn parse(source: &ConfigSource<'_>) -> Result<ConfigFile> {
-    let root = DeTable::parse(source.text).map_err(|error| {
-        let span = error.span().unwrap_or_default();
-        let mut message = error.message().replace('\n', ", ");
-        if let ("duplicate key", Some(key)) = (&*message, source.text.get(span.clone())) {
-            message = format!("duplicate key `{key}`: remove one");
-        }
-        source.error(span.start, message)
-    })?;
-    let root = ConfigTable::root(source, root.get_ref(), &["watch", "daemon"])?;
-    let watches = root.blocks("watch")?.iter().map(ConfigTable::options).collect::<Result<Vec<_>>>()?;
-    let daemon = root.block("daemon")?.map(|block| block.options()).transpose()?;
-    Ok(ConfigFile { path: source.path.to_owned(), watches, daemon })
-}
-
 option_set! {
     /// The keys of a `[[watch]]` block.
     #[derive(Clone, Debug, Default, Args)]
@@ -88,27 +69,10 @@ option_set! {
     }
 }
 
-// Reads a table of a TOML file key by key.
-//
-// The options of the command line define the keys: a key is the name of an option with underscores, and the
-// option's own parser checks the value. Every error names the file, the line and the valid values.
-
-/// The path and the text of a configuration file.
+/// The path and the text of a file.
 struct ConfigSource<'a> {
     path: &'a Path,
     text: &'a str,
-}
-
-impl ConfigSource<'_> {
-    /// The line number, from 1, of the byte at `offset`.
-    fn line(&self, offset: usize) -> usize {
-        let before = &self.text.as_bytes()[..offset.min(self.text.len())];
-        1 + before.iter().filter(|&&byte| byte == b'\n').count()
-    }
-
-    fn error(&self, offset: usize, what: impl Display) -> anyhow::Error {
-        anyhow!("{}:{}: {what}", self.path.display(), self.line(offset))
-    }
 }
 
 /// The options that a block sets.
@@ -121,243 +85,137 @@ pub(super) struct ConfigBlock<O> {
     pub(super) place: String,
 }
 
-/// A table of the file.
-struct ConfigTable<'a> {
-    source: &'a ConfigSource<'a>,
-    table: &'a DeTable<'a>,
-    /// The offset of the block in the file, in bytes.
-    start: usize,
-    /// The block in messages, such as `[daemon]`.
-    name: String,
+/// A value and its offset in the file.
+type ConfigValue<'a> = Spanned<DeValue<'a>>;
+
+fn parse(source: &ConfigSource<'_>) -> Result<ConfigFile> {
+    let root = DeTable::parse(source.text).map_err(|error| {
+        let span = error.span().unwrap_or_default();
+        let mut message = error.message().replace('\n', ", ");
+        if let ("duplicate key", Some(key)) = (&*message, source.text.get(span.clone())) {
+            message = format!("duplicate key `{key}`: remove one");
+        }
+        source.error(span.start, message)
+    })?;
+    let mut file = ConfigFile { path: source.path.to_owned(), watches: Vec::new(), daemon: None };
+    for (key, value) in root.get_ref() {
+        let start = value.span().start;
+        match (&**key.get_ref(), value.get_ref()) {
+            ("daemon", DeValue::Table(table)) => {
+                file.daemon = Some(source.options("[daemon]", start, table)?);
+            }
+            ("daemon", _) => return Err(source.error(start, "write one block, [daemon]")),
+            ("watch", DeValue::Array(blocks)) => {
+                for block in blocks {
+                    let start = block.span().start;
+                    let DeValue::Table(table) = block.get_ref() else {
+                        return Err(source.error(start, "`watch` must contain blocks, [[watch]]"));
+                    };
+                    file.watches.push(source.options("[[watch]]", start, table)?);
+                }
+            }
+            ("watch", _) => return Err(source.error(start, "write [[watch]], not [watch]")),
+            (name, _) => {
+                let what = format!("unknown key `{name}` outside all blocks: expected [daemon] or [[watch]]");
+                return Err(source.error(key.span().start, what));
+            }
+        }
+    }
+    Ok(file)
 }
 
-/// A value and its offset in the file.
-type ConfigValue<'a> = &'a Spanned<DeValue<'a>>;
-
-impl<'a> ConfigTable<'a> {
-    /// The whole file, with blocks of these names only.
-    fn root(
-        source: &'a ConfigSource<'a>,
-        table: &'a DeTable<'a>,
-        blocks: &[&str],
-    ) -> Result<ConfigTable<'a>> {
-        if let Some(key) = table.keys().find(|key| !blocks.contains(&&**key.get_ref())) {
-            let what =
-                format!("unknown key `{}` outside all blocks: expected [daemon] or [[watch]]", key.get_ref());
-            return Err(source.error(key.span().start, what));
-        }
-        Ok(ConfigTable { source, table, start: 0, name: String::new() })
+impl ConfigSource<'_> {
+    /// The line number, from 1, of the byte at `offset`.
+    fn line(&self, offset: usize) -> usize {
+        let before = &self.text.as_bytes()[..offset.min(self.text.len())];
+        1 + before.iter().filter(|&&byte| byte == b'\n').count()
     }
 
-    fn child(&self, name: String, value: ConfigValue<'a>) -> Option<ConfigTable<'a>> {
-        let (source, start) = (self.source, value.span().start);
-        value.get_ref().as_table().map(|table| ConfigTable { source, table, start, name })
+    fn error(&self, offset: usize, what: impl Display) -> Error {
+        anyhow!("{}:{}: {what}", self.path.display(), self.line(offset))
     }
 
-    /// The only block of this name.
-    fn block(&self, name: &str) -> Result<Option<ConfigTable<'a>>> {
-        let Some(value) = self.table.get(name) else { return Ok(None) };
-        let block = self.child(format!("[{name}]"), value);
-        block.map(Some).ok_or_else(|| self.wrong(name, &format!("one block, [{name}]"), value))
-    }
-
-    /// All blocks of this name.
-    fn blocks(&self, name: &str) -> Result<Vec<ConfigTable<'a>>> {
-        let wanted = format!("any number of blocks, [[{name}]]");
-        let Some(value) = self.table.get(name) else { return Ok(Vec::new()) };
-        if value.get_ref().is_table() {
-            let what = format_args!("`{name}` is one block: write [[{name}]], not [{name}]");
-            return Err(self.source.error(value.span().start, what));
-        }
-        let array = value.get_ref().as_array().ok_or_else(|| self.wrong(name, &wanted, value))?;
-        let block = |item| self.child(format!("[[{name}]]"), item);
-        array.iter().map(|item| block(item).ok_or_else(|| self.wrong(name, &wanted, item))).collect()
-    }
-
-    /// The options that the keys of the block set.
+    /// The options that the keys of the block at `offset` set.
     ///
     /// # Errors
-    /// If a key is unknown or a value is invalid. The message is about the first such key in the file, and
-    /// states the valid values.
-    fn options<O: Args + OptionSet + Default>(&self) -> Result<ConfigBlock<O>> {
+    /// If a key is unknown or a value is invalid. The message is about the first such key in the file.
+    fn options<O: Args + OptionSet + Default>(
+        &self,
+        block: &str,
+        offset: usize,
+        table: &DeTable<'_>,
+    ) -> Result<ConfigBlock<O>> {
         let command = command::<O>();
-        let mut entries: Vec<_> = self.table.iter().collect();
+        let mut entries: Vec<_> = table.iter().collect();
         entries.sort_by_key(|(key, _)| key.span().start);
         let mut options = O::default();
         for (key, value) in entries {
-            let (start, key) = (key.span().start, key.get_ref());
-            let Some(option) = command.get_arguments().find(|option| key_of(option) == *key) else {
-                return Err(self.source.error(start, unknown_key(key, &self.name, &command)));
+            let Some(option) = command.get_arguments().find(|option| key_of(option) == *key.get_ref()) else {
+                return Err(self.error(key.span().start, unknown_key(key.get_ref(), block, &command)));
             };
-            let words = self.words(key, option, value)?;
+            let invalid =
+                |why: String| self.error(value.span().start, format_args!("`{}`{why}", key.get_ref()));
+            let words = self.words(option, value).map_err(|why| invalid(format!(" {why}")))?;
             // Each key is parsed alone: the parser would report conflicts as those of options.
             let matches = command.clone().try_get_matches_from(words);
-            let set = matches.and_then(|matches| O::from_arg_matches(&matches)).map_err(|error| {
-                self.source.error(value.span().start, format_args!("`{key}`: {}", reason(&error, option)))
-            })?;
-            options = options.over(set);
+            let set = matches.and_then(|matches| O::from_arg_matches(&matches));
+            options = options.over(set.map_err(|error| invalid(format!(": {}", reason(&error))))?);
         }
-        let (path, line) = (self.source.path, self.source.line(self.start));
-        let place = format!("{}:{line}: {}", path.display(), self.name);
-        Ok(ConfigBlock { options, line, place })
+        let line = self.line(offset);
+        Ok(ConfigBlock { options, line, place: format!("{}:{line}: {block}", self.path.display()) })
     }
 
-    /// The command-line arguments that set an option to a value.
-    fn words(&self, key: &str, option: &Arg, value: ConfigValue<'a>) -> Result<Vec<OsString>> {
-        let name = option_name(option.get_id().as_str());
-        let word = |text: OsString| {
-            let mut word = OsString::from(format!("{name}="));
-            word.push(text);
-            word
+    /// The command-line arguments that set an option to a value. A list sets an option that may be repeated
+    /// several times, and is a text with commas for other options.
+    fn words(&self, option: &Arg, value: &ConfigValue<'_>) -> Result<Vec<OsString>, String> {
+        let is_path = option.get_value_parser().type_id() == TypeId::of::<PathBuf>();
+        let mut texts = match value.get_ref() {
+            DeValue::Array(items) if items.is_empty() && !is_path => return Err("is empty".to_owned()),
+            DeValue::Array(items) => items.iter().map(text).collect::<Result<Vec<_>, _>>()?,
+            _ => vec![text(value)?],
         };
-        let wanted = wanted(option);
-        if is_list(option) {
-            let list = format!("a list in brackets, in which each item is {wanted}");
-            let array = value.get_ref().as_array().ok_or_else(|| self.wrong(key, &list, value))?;
-            if array.is_empty() && !is_path(option) {
-                let what = format_args!("`{key}` is empty: expected {list}");
-                return Err(self.source.error(value.span().start, what));
+        if !is_list(option) {
+            texts = vec![texts.join(",")];
+        }
+        let words = texts.into_iter().map(|text| {
+            let mut word = OsString::from(format!("{}=", option_name(option.get_id().as_str())));
+            if is_path && text.is_empty() {
+                return Err("is empty: expected a path".to_owned());
             }
-            let text = |item| self.text(key, option, item, "contains", &wanted);
-            return array.iter().map(|item| text(item).map(word)).collect();
-        }
-        let text = self.text(key, option, value, "is", &wanted)?;
-        Ok(match option.get_action() {
-            ArgAction::SetTrue if text == "true" => vec![name.into()],
-            ArgAction::SetTrue => Vec::new(),
-            _ => vec![word(text)],
-        })
-    }
-
-    /// A value in command-line syntax. `verb` says what the key does with it: is, contains.
-    fn text(
-        &self,
-        key: &str,
-        option: &Arg,
-        value: ConfigValue<'a>,
-        verb: &str,
-        wanted: &str,
-    ) -> Result<OsString> {
-        if let (true, DeValue::Array(items)) = (takes_commas(option), value.get_ref()) {
-            if items.is_empty() {
-                let what = format_args!("`{key}` is empty: expected {wanted}");
-                return Err(self.source.error(value.span().start, what));
+            if is_path {
+                // Relative paths are relative to the file's folder.
+                word.push(self.path.parent().unwrap_or(Path::new("")).join(text));
+            } else {
+                word.push(text);
             }
-            let text = |item: ConfigValue<'a>| match item.get_ref() {
-                DeValue::String(text) => Ok(text.to_string()),
-                value => number_text(value)
-                    .ok_or_else(|| self.unexpected(key, "contains", "numbers, or text in quotes", item)),
-            };
-            return Ok(items.iter().map(text).collect::<Result<Vec<_>>>()?.join(",").into());
-        }
-        let kind = kind_of(option);
-        let is_switch = kind == Some(ValueKind::Switch);
-        let is_length = kind == Some(ValueKind::Length);
-        let is_number = is_length || matches!(kind, Some(ValueKind::Number | ValueKind::Count));
-        let text = match value.get_ref() {
-            DeValue::Boolean(switch) if is_switch => Some(switch.to_string()),
-            value @ DeValue::Float(_) if is_number => number_text(value),
-            value @ DeValue::Integer(_) if is_number || is::<u64>(option) => number_text(value),
-            DeValue::String(text) if is_length || !is_number && !is_switch => Some(text.to_string()),
-            _ => None,
-        };
-        let text = text.ok_or_else(|| self.unexpected(key, verb, wanted, value))?;
-        if !is_path(option) {
-            return Ok(text.into());
-        }
-        if text.is_empty() {
-            let what = format_args!("`{key}` is empty: expected a path");
-            return Err(self.source.error(value.span().start, what));
-        }
-        // Relative paths are relative to the file's folder.
-        Ok(self.source.path.parent().unwrap_or(Path::new("")).join(text).into_os_string())
-    }
-
-    fn wrong(&self, key: &str, wanted: &str, value: ConfigValue<'_>) -> anyhow::Error {
-        self.unexpected(key, "is", wanted, value)
-    }
-
-    fn unexpected(&self, key: &str, verb: &str, wanted: &str, value: ConfigValue<'_>) -> anyhow::Error {
-        let found = match value.get_ref() {
-            DeValue::Integer(integer) => integer.to_string(),
-            DeValue::Float(float) => float.to_string(),
-            DeValue::Boolean(boolean) => boolean.to_string(),
-            DeValue::String(_) => "text".to_owned(),
-            DeValue::Array(_) => "a list".to_owned(),
-            DeValue::Table(_) => "one block".to_owned(),
-            DeValue::Datetime(_) => "a date".to_owned(),
-        };
-        self.source.error(value.span().start, format_args!("`{key}` {verb} {found}: expected {wanted}"))
+            Ok(word)
+        });
+        words.collect()
     }
 }
 
-/// A number as the command line takes it; `None` for other values.
-fn number_text(value: &DeValue<'_>) -> Option<String> {
-    match value {
-        DeValue::Float(number) => Some(number.as_str().to_owned()),
-        DeValue::Integer(number) => {
-            i128::from_str_radix(number.as_str(), number.radix()).ok().map(|number| number.to_string())
-        }
-        _ => None,
+/// A value in command-line syntax.
+fn text(value: &ConfigValue<'_>) -> Result<String, String> {
+    match value.get_ref() {
+        DeValue::String(text) => Ok(text.to_string()),
+        DeValue::Boolean(switch) => Ok(switch.to_string()),
+        DeValue::Float(number) => Ok(number.as_str().to_owned()),
+        DeValue::Integer(number) => i128::from_str_radix(number.as_str(), number.radix())
+            .map(|number| number.to_string())
+            .map_err(|_| format!("contains {number}, which is too large")),
+        DeValue::Array(_) => Err("contains a list in a list".to_owned()),
+        DeValue::Table(_) => Err("is a block: expected a value".to_owned()),
+        DeValue::Datetime(_) => Err("is a date: write text in quotes".to_owned()),
     }
-}
-
-/// Whether the text of an option may be a list with commas, for which the file may have a list.
-fn takes_commas(option: &Arg) -> bool {
-    let names = option.get_value_names().unwrap_or_default();
-    !is_list(option) && names.iter().any(|name| ["BOX", "LIST", "SPEC"].contains(&name.as_str()))
-}
-
-fn is_path(option: &Arg) -> bool {
-    is::<PathBuf>(option)
-}
-
-/// Whether the values of an option have this type.
-fn is<T: 'static>(option: &Arg) -> bool {
-    option.get_value_parser().type_id() == TypeId::of::<T>()
-}
-
-/// The kind of the values of an option: that of the method's options by their description, and that of
-/// others by their type; `None` for paths, durations and sizes.
-fn kind_of(option: &Arg) -> Option<ValueKind> {
-    if let Some(info) = MethodOptions::info(option.get_id().as_str()) {
-        return Some(info.kind);
-    }
-    match () {
-        () if is::<bool>(option) => Some(ValueKind::Switch),
-        () if is::<f64>(option) => Some(ValueKind::Number),
-        () if is::<u32>(option) || is::<u16>(option) => Some(ValueKind::Count),
-        () => None,
-    }
-}
-
-/// The kind of value that an option needs in the file, as text for messages.
-fn wanted(option: &Arg) -> String {
-    let words = option.get_possible_values();
-    let words: Vec<String> = words.iter().map(|word| format!("\"{}\"", word.get_name())).collect();
-    let wanted = match kind_of(option) {
-        Some(ValueKind::Switch) => "true or false",
-        _ if !words.is_empty() => return format!("one of {}", words.join(", ")),
-        Some(ValueKind::Length) => "a number in world units, or text in quotes with a unit, such as \"0.6d\"",
-        Some(ValueKind::Number) => "a number",
-        Some(ValueKind::Count) => "a whole number",
-        _ if is::<u64>(option) => "bytes, or text in quotes, with a unit, such as \"8GiB\"",
-        _ if is::<Duration>(option) || is::<Poll>(option) => "text in quotes, with a unit, such as \"2s\"",
-        _ if is_path(option) => "a path in quotes",
-        _ if takes_commas(option) => "text in quotes, or a list in brackets",
-        _ => "text in quotes",
-    };
-    wanted.to_owned()
 }
 
 /// Why an option does not accept a value: the message of its parser, or the list of accepted words.
-fn reason(error: &clap::Error, option: &Arg) -> String {
-    match (error.source(), error.get(ContextKind::InvalidValue)) {
-        (Some(source), _) => source.to_string(),
-        (None, Some(ContextValue::String(word))) => {
-            format!("`{word}` is not known: expected {}", wanted(option))
+fn reason(error: &clap::Error) -> String {
+    match (error.source(), error.get(ContextKind::InvalidValue), error.get(ContextKind::ValidValue)) {
+        (None, Some(ContextValue::String(word)), Some(ContextValue::Strings(known))) => {
+            format!("`{word}` is unknown: expected one of {}", known.join(", "))
         }
-        (None, _) => error.to_string(),
+        (source, ..) => source.map_or_else(|| error.to_string(), ToString::to_string),
     }
 }
 

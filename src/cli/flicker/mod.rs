@@ -1,11 +1,10 @@
 //! `meniscus flicker`: scores how much a sequence of surfaces from any program flickers.
 //!
 //! ```text
-//!   frames    matches meshes with particles, and finds the frames that have both neighbours
-//!   reading   reads a frame from its two files
-//!   tally     collects the scores of all frames, and the worst frames and points
-//!   tables    writes the scores and the worst points as CSV
-//!   picture   plots the scores over the frames, and shows the worst frames
+//!   meshes ────┐ matched by number     three consecutive frames ──▶ scores of the middle one
+//!   particles ─┘ or time: find()                                      │
+//!                                                                     ▼
+//!                                                  scores.rs: totals, tables, a picture
 //! ```
 
 mod scores;

@@ -1,4 +1,4 @@
-//! Collects the scores of all frames, and the worst frames and points.
+//! The scores of all frames: collects them, and writes them as CSV and as a picture.
 
 use std::io::{self, Write};
 

@@ -1,4 +1,4 @@
-//! The contents of a frame of particles for `meniscus info`.
+//! What `meniscus info` says about particles, meshes, grids and sequence files.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;

@@ -1,6 +1,6 @@
 //! `meniscus info`: prints the contents of files.
 //!
-//! The structs here and in the submodules define the JSON; the text shows the same values.
+//! The structs here and in `contents` define the JSON; the text shows the same values.
 
 mod contents;
 

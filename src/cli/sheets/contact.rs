@@ -12,7 +12,6 @@ use crate::cli::frame_selection::FrameSelection;
 use crate::cli::inputs::{MatchedInputs, find_with_others, refuse_times};
 use crate::cli::machine::{memory_bytes, thread_pool};
 use crate::cli::render_session::{RenderSession, RenderSource, catch_panic, surfaces_in};
-use crate::cli::settings::refuse_misplaced_rounds;
 use crate::cli::wording::{counted_are, pluralize, significant, with_causes};
 use crate::cli::{CommandOutcome, DoneCounts};
 use crate::pipeline::{
@@ -32,7 +31,6 @@ pub(in crate::cli) fn contact_sheet(
     args: &ContactSheetArgs,
     console: &mut Console,
 ) -> Result<CommandOutcome> {
-    refuse_misplaced_rounds(&args.pictures.method, &args.inputs)?;
     let Sources { strips, files, found } = find_sources(&args.inputs, kinds(&args.pictures))?;
     found.report(console);
     let selected_strips = select_frames(strips, args)?;

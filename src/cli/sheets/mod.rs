@@ -1,8 +1,8 @@
 //! `meniscus contact-sheet` and `meniscus tune`: many pictures on one sheet.
 //!
 //! ```text
-//!   contact   an overview of a sequence        sources  which file represents a frame
-//!   tune      a frame under many settings      command  the command for each
+//!   contact   an overview of a sequence
+//!   tune      a frame under many settings, with the command for each
 //! ```
 
 mod contact;

@@ -23,7 +23,7 @@ use crate::cli::machine::{memory_bytes, thread_pool};
 use crate::cli::render_session::{
     RenderSession, catch_panic, picture_of_reconstruction, spacing_of, surface_name,
 };
-use crate::cli::settings::{refuse_misplaced_rounds, warn_of_siblings};
+use crate::cli::settings::warn_of_siblings;
 use crate::cli::wording::{option_name, pluralize, with_causes, with_remedy};
 use crate::cli::{CommandOutcome, DoneCounts};
 use crate::pipeline::{
@@ -40,7 +40,6 @@ use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 /// # Errors
 /// If no cell can be attempted. A cell that fails is reported and counted.
 pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<CommandOutcome> {
-    refuse_misplaced_rounds(&args.pictures.method, &args.inputs)?;
     let grid = Grid::new(args)?;
     let found = find_inputs(&args.inputs)?;
     found.report(console);
@@ -434,8 +433,8 @@ impl CommandLine {
         for (name, value) in options.to_pairs() {
             match name {
                 "quads" if value == "true" => line.add("--quads"),
-                // The values of these options are optional, so they must follow a =.
-                "quads" | "smooth_normals" => line.add(&format!("{}={value}", option_name(name))),
+                // The value of this option is optional, so it must follow a =.
+                "quads" => line.add(&format!("{}={value}", option_name(name))),
                 _ => line.add_option(name, &value),
             }
         }
@@ -567,7 +566,7 @@ mod tests {
                 ..MethodOptions::default()
             },
         );
-        let options = "--radius-ratio 1.5 --clip=-1,0,0,1,1,1 --smooth-normals=3 --up z";
+        let options = "--radius-ratio 1.5 --clip=-1,0,0,1,1,1 --smooth-normals 3 --up z";
         assert_eq!(line.text(), format!("meniscus convert '{long}' ./-x.ply --out 'my meshes' {options}"));
         let short = format!("meniscus convert '.../dam.####.bgeo' ./-x.ply --out 'my meshes' {options}");
         assert_eq!(line.short_text(), short);

@@ -9,6 +9,7 @@
 
 mod log;
 mod plan;
+#[cfg(target_os = "linux")]
 mod service;
 mod signals;
 
@@ -34,6 +35,7 @@ use super::render_session::level_sets_in;
 use super::wording::{FRAMES_IN_VIEW, failed_validation, pluralize};
 use plan::WatchPlan;
 pub(super) use plan::make_plan;
+#[cfg(target_os = "linux")]
 use service::Service;
 use signals::Shutdown;
 
@@ -66,6 +68,19 @@ pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
             Ok(CommandOutcome::NothingDone)
         }
     }
+}
+
+/// The service manager of other systems, which needs no notifications.
+#[cfg(not(target_os = "linux"))]
+struct Service;
+
+#[cfg(not(target_os = "linux"))]
+impl Service {
+    fn new() -> Service {
+        Service
+    }
+
+    fn notify(&mut self, _notice: &Notice) {}
 }
 
 /// Serves the status store by HTTP.

@@ -196,9 +196,8 @@ method_options! {
             #[value(named("VOXELS"))]
             decimate: f64 in 0.0..=DECIMATE_MAX,
 
-            /// Average normals with their neighbours this many times, 0 to 1000; --smooth-normals without a
-            /// value means 10 [default: 0]
-            #[value(named("N").or_omitted("10"))]
+            /// Average normals with their neighbours this many times, 0 to 1000 [default: 0]
+            #[value(named("N"))]
             smooth_normals: u32 in 0..=ROUNDS_MAX,
 
             /// Write the quads of dual contouring to .obj, .vtp, .usda, .usdc and .abc; --quads=false

@@ -19,7 +19,7 @@ use crate::cli::config_file::{ConfigBlock, ConfigFile, WatchKeys, read_config_fi
 use crate::cli::destination::refuse_file_name;
 use crate::cli::inputs::check_output_path;
 use crate::cli::machine::{memory_bytes, thread_count};
-use crate::cli::settings::{Use, ignored, refuse_misplaced_rounds, refuse_options, refuse_other_kinds};
+use crate::cli::settings::{Use, ignored, refuse_options, refuse_other_kinds};
 use crate::http::{AccessToken, Listen};
 use crate::pipeline::{ObstacleFiles, read_regular_text, refuse_file_for_folder};
 use crate::surface::options::Settings;
@@ -75,7 +75,6 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
 }
 
 fn typed_watches(args: &WatchArgs, warnings: &mut Vec<String>) -> Result<Vec<Watch>> {
-    refuse_misplaced_rounds(&args.frames.method, &args.inputs)?;
     let Some(output) = &args.out else {
         bail!("DIR replaces the [[watch]] blocks of the file, so it needs --out as well");
     };
