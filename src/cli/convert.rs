@@ -6,7 +6,7 @@
 //! ```
 
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -98,9 +98,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         .transpose()?;
     let job = ConvertJob {
         sequence_files: SequenceOutputs::new(args, &outputs, selection.sequences.len())?,
-        sequences: selection.sequences,
-        unselected: selection.unselected,
-        found: selection.found,
+        selection,
         job,
         options: args.method.to_options(),
         obstacles,
@@ -156,20 +154,16 @@ const PARTICLES_ONLY: &str = "--particles-only makes no surfaces, so options for
 /// Refuses formats that cannot store particles.
 fn refuse_surface_formats(outputs: &OutputOptions) -> Result<()> {
     if outputs.formats.iter().any(|format| format.particles().is_none()) {
-        let all = OutputFormat::ALL.into_iter().filter(|format| format.particles().is_some());
-        let all = listed(all.map(|format| format.to_string()).collect(), "and");
-        bail!("--particles-only writes {all}: the other formats store surfaces");
+        let written = OutputFormat::ALL.into_iter().filter(|format| format.particles().is_some());
+        let names = listed(written.map(|format| format.to_string()).collect(), "and");
+        bail!("--particles-only writes {names}: the other formats store surfaces");
     }
     Ok(())
 }
 
 /// What is converted to what, and how: the arguments, resolved against the files that exist.
 struct ConvertJob {
-    sequences: Vec<SelectedSequence>,
-    /// The sequences without any selected frame, which a stage plays nevertheless.
-    unselected: Vec<Sequence>,
-    /// Every file that the inputs name, selected or not.
-    found: Vec<PathBuf>,
+    selection: InputSelection,
     job: Job,
     options: MethodOptions,
     obstacles: Arc<ObstacleFiles>,
@@ -192,15 +186,15 @@ impl ConvertJob {
         for (what, path) in &others {
             check_output_path(what, path)?;
         }
-        let files = selected_files(&self.sequences);
+        let files = selected_files(&self.selection.sequences);
         let planned: Vec<_> = files.map(|file| (file.path.clone(), file.stem())).collect();
-        check_outputs(&planned, &self.found, &self.obstacles, &self.outputs, &others)?;
+        check_outputs(&planned, &self.selection.found, &self.obstacles, &self.outputs, &others)?;
         Ok(check_existing(&planned, &self.outputs, self.job)?)
     }
 
     /// Converts the frames, and combines them into sequence files.
     fn convert(&self, mut batch: Batch, folder: OutFolder, console: &mut Console) -> Result<CommandOutcome> {
-        for selected in &self.sequences {
+        for selected in &self.selection.sequences {
             self.add(&mut batch, selected, console)?;
         }
         if let Some(records) = &self.records {
@@ -211,7 +205,8 @@ impl ConvertJob {
         }
         folder.keep();
         let mut stage = StageWriter::new(&self.outputs, || {
-            let all = self.sequences.iter().map(|selected| &selected.sequence).chain(&self.unselected);
+            let InputSelection { sequences, unselected, .. } = &self.selection;
+            let all = sequences.iter().map(|selected| &selected.sequence).chain(unselected);
             all.map(|sequence| stage_sequence(sequence, &self.outputs)).collect()
         });
         batch.convert(stage.as_mut(), console);

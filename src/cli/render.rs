@@ -42,11 +42,10 @@ pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<Command
     let outputs = &shots.session.outputs;
     shots.session.warn_of_ignored(&outputs.formats, console);
     let folder = OutFolder::make(&outputs.folder)?;
-    let planned = selected_files(&sequences).flat_map(|file| {
-        let stems = shots.stems(file).into_iter();
-        stems.map(|stem| (file.path.clone(), stem))
-    });
-    let planned: Vec<(PathBuf, String)> = planned.collect();
+    let mut planned: Vec<(PathBuf, String)> = Vec::new();
+    for file in selected_files(&sequences) {
+        planned.extend(shots.stems(file).into_iter().map(|stem| (file.path.clone(), stem)));
+    }
     check_outputs(&planned, &paths, &shots.session.obstacles, outputs, &[])?;
     folder.keep();
     let pool = thread_pool(args.pictures.run.threads)?;
@@ -79,7 +78,7 @@ impl<'a> RequestedPictures<'a> {
                 bail!("give -o FILE for one picture, or --out DIR for the pictures of several frames")
             }
         };
-        let session = RenderSession::new(&args.pictures, (folder, format, args.size))?;
+        let session = RenderSession::new(&args.pictures, folder, format, args.size)?;
         let shots = RequestedPictures { args, session, format, stem };
         shots.check(sequences)?;
         Ok(shots)

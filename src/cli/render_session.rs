@@ -83,7 +83,9 @@ impl<'a> RenderSession<'a> {
     /// If an option is invalid.
     pub(super) fn new(
         args: &'a PictureArgs,
-        (folder, format, size): (PathBuf, OutputFormat, PictureSize),
+        folder: PathBuf,
+        format: OutputFormat,
+        size: PictureSize,
     ) -> Result<RenderSession<'a>> {
         let PictureArgs { camera, camera_from, up, run, method } = args;
         let camera = match camera_from {

@@ -218,21 +218,21 @@ const HEAD_BYTES: u64 = 64 << 10;
 /// Warnings about given options that have no effect, one sentence each.
 pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[OutputFormat]) -> Vec<String> {
     let options = method.to_options();
-    let ignored = options.ineffective(!method.obstacle.is_empty()).into_iter();
-    let ignored = ignored.map(|(name, needed)| {
+    let mut warnings = Vec::new();
+    for (name, needed) in options.ineffective(!method.obstacle.is_empty()) {
         let needed = listed(needed.iter().map(|option| option.flag()).collect(), "and");
-        format!("{} is ignored: it is for {needed} only", option_name(name))
-    });
+        warnings.push(format!("{} is ignored: it is for {needed} only", option_name(name)));
+    }
     // A stage records the axis and the unit.
     let of_stage = [WriteOption::Up, WriteOption::MetersPerUnit].map(WriteOption::key);
-    let is_of_stage = |name: &&str| formats.stage.is_some() && of_stage.contains(name);
-    let given = method.given().into_iter().chain(formats.given()).filter(|name| !is_of_stage(name));
-    let idle = given.filter_map(|name| {
-        let changed = formats_changed_by(name)?;
-        let is_idle = !written.iter().any(|format| changed.contains(format));
-        is_idle.then(|| format!("{} is ignored: it affects {} only", option_name(name), kinds(&changed)))
-    });
-    ignored.chain(idle).collect()
+    for name in method.given().into_iter().chain(formats.given()) {
+        let Some(changed) = formats_changed_by(name) else { continue };
+        let is_in_stage = formats.stage.is_some() && of_stage.contains(&name);
+        if !is_in_stage && !written.iter().any(|format| changed.contains(format)) {
+            warnings.push(format!("{} is ignored: it affects {} only", option_name(name), kinds(&changed)));
+        }
+    }
+    warnings
 }
 
 /// The formats whose files an option affects, by its name as an option or in records; `None` for an option
@@ -420,10 +420,9 @@ fn keys(
     let options = method.to_options();
     let obstacles = obstacle_paths(method)?;
     let formats = outputs.formats.iter().filter(|format| !format.is_picture());
-    let formats = formats.map(|format| format.extension().to_owned());
-    let mut keys = vec![format!("formats = {}", list(formats.collect()))];
+    let mut keys = vec![list("formats", formats.map(|format| format.extension().to_owned()).collect())];
     if let Job::LevelSet { max_deviation_voxels, .. } = job {
-        keys.push(format!("pattern = {}", quoted("*.vdb")));
+        keys.push(entry("pattern", "*.vdb"));
         if max_deviation_voxels > 0.0 {
             keys.push(format!(
                 "# a configuration file has no key for --max-deviation {max_deviation_voxels}: the daemon does not smooth level sets"
@@ -432,10 +431,10 @@ fn keys(
     }
     if !has_spacing {
         // With the preset, lengths follow the spacing that the daemon will measure.
-        keys.push(format!("preset = {}", quoted(&options.preset.unwrap_or_default().to_string())));
+        keys.push(entry("preset", &options.preset.unwrap_or_default().to_string()));
     }
     if !obstacles.is_empty() {
-        keys.push(format!("obstacles = {}", list(obstacles.clone())));
+        keys.push(list("obstacles", obstacles.clone()));
     }
     let given = options.to_pairs();
     for (name, value) in settings.to_options().to_pairs() {
@@ -445,17 +444,15 @@ fn keys(
         let given = given.iter().find(|(given, _)| *given == name && is_length && !has_spacing);
         keys.push(match given {
             // Lengths in spacings or voxels fit any spacing.
-            Some((_, given)) => format!("{name} = {}", quoted(given)),
+            Some((_, given)) => entry(name, given),
             // Other lengths without a spacing, and options that are not keys, are only shown as comments.
             None if !is_key || is_length && !has_spacing => format!("#{name} = {value}"),
-            None if kind == Some(ValueKind::Text) => format!("{name} = {}", quoted(&value)),
-            None => format!("{name} = {value}"),
+            None => entry(name, &value),
         });
     }
     keys.extend(format_keys(outputs));
     if let Some(StageOptions { path, fps }) = &outputs.stage {
-        keys.push(format!("stage = {}", quoted(&absolute_text(path)?)));
-        keys.push(format!("fps = {fps}"));
+        keys.extend([entry("stage", &absolute_text(path)?), entry("fps", &fps.to_string())]);
     }
     Ok(keys)
 }
@@ -473,19 +470,16 @@ fn absolute_text(path: &Path) -> Result<String> {
 
 /// The output options for the written formats.
 fn format_keys(outputs: &OutputOptions) -> Vec<String> {
-    let is_printed = |option: &WriteOption| match option {
-        WriteOption::Quads => false,
-        _ => outputs.has_option(*option),
-    };
     let mut keys = Vec::new();
-    for option in WriteOption::ALL.into_iter().filter(is_printed) {
+    for option in WriteOption::ALL {
+        if option == WriteOption::Quads || !outputs.has_option(option) {
+            continue;
+        }
         if option == WriteOption::Size {
             let preview = outputs.formats.iter().find(|format| format.is_picture());
-            keys.extend(preview.map(|format| format!("preview = {}", quoted(format.extension()))));
+            keys.extend(preview.map(|format| entry("preview", format.extension())));
         }
-        let value = outputs.value(option);
-        let is_plain = option == WriteOption::MetersPerUnit;
-        keys.push(format!("{} = {}", option.key(), if is_plain { value } else { quoted(&value) }));
+        keys.push(entry(option.key(), &outputs.value(option)));
     }
     keys
 }
@@ -507,10 +501,14 @@ fn use_of(name: &str, job: Job, outputs: &OutputOptions, has_obstacles: bool) ->
     (changes_files && changes_surface).then_some(is_key)
 }
 
-fn quoted(text: &str) -> String {
-    Value::String(text.to_owned()).to_string()
+/// A line of the file: numbers and switches as they are, anything else in quotes.
+fn entry(key: &str, value: &str) -> String {
+    if value.parse::<f64>().is_ok() || value.parse::<bool>().is_ok() {
+        return format!("{key} = {value}");
+    }
+    format!("{key} = {}", Value::String(value.to_owned()))
 }
 
-fn list(texts: Vec<String>) -> String {
-    Value::Array(texts.into_iter().map(Value::String).collect()).to_string()
+fn list(key: &str, texts: Vec<String>) -> String {
+    format!("{key} = {}", Value::Array(texts.into_iter().map(Value::String).collect()))
 }

@@ -147,8 +147,8 @@ fn unreadable_subfolder_fails_the_run() {
     let Some(result) = run_without_privileges(&scene, &shard) else { return };
     assert_eq!(result.status, Some(2), "{}", result.err);
     assert!(result.err.contains("closed: Permission denied"), "{}", result.err);
-    let watched = ["watch", "in", "--pattern", "**", "--once", "--out", "out3", "--voxel-size", "0.1"];
-    let watched = [&watched[..], &["--format", "obj", "--settle", "50ms", "--pattern", "dam.?.ply"]].concat();
+    let watched = ["watch", "in", "--pattern", "**/dam.?.ply", "--once", "--out", "out3"];
+    let watched = [&watched[..], &["--voxel-size", "0.1", "--format", "obj", "--settle", "50ms"]].concat();
     let Some(result) = run_without_privileges(&scene, &watched) else { return };
     assert_eq!(result.status, Some(1), "{}", result.err);
     assert!(result.err.contains("in/closed") && scene.path("out3/dam.2.obj").is_file(), "{}", result.err);

@@ -340,7 +340,7 @@ fn lengths_in_files_have_units() {
         ("radius_min = \"5x\"", "meniscus.toml:5: `radius_min`: `5x` is not a length"),
         ("voxel_size = \"2h\"", "meniscus.toml:5: `voxel_size`: `2h` is not a voxel size"),
         ("spacing_ = 1", "meniscus.toml:5: unknown key `spacing_`"),
-        ("decimate = \"0.1h\"", "meniscus.toml:5: `decimate` is text: expected a number"),
+        ("decimate = \"0.1h\"", "meniscus.toml:5: `decimate`: `0.1h` is not a number from 0 to 1"),
     ] {
         let result = watched("wrong", keys);
         assert!(result.status == 2 && result.err.contains(why), "{}", result.err);

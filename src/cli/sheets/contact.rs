@@ -140,8 +140,10 @@ impl SequenceRows {
             format!("{} of {selected}", frames.len())
         };
         let kind = strip.kind.name();
-        let voxels = self.settings.as_ref().map(|settings| significant(settings.voxel_size));
-        let voxels = voxels.map_or(String::new(), |voxel_size| format!(", voxel size {voxel_size}"));
+        let voxels = self
+            .settings
+            .as_ref()
+            .map_or(String::new(), |settings| format!(", voxel size {}", significant(settings.voxel_size)));
         format!("{frames}, from {kind}{voxels}")
     }
 
@@ -178,8 +180,9 @@ impl Contact<'_> {
         }
         let cells = selected_strip.frames.iter().map(|file| {
             let rendered = match &prepared {
-                Ok(prepared) => catch_panic(&file.path, || {
-                    self.picture(file, selected_strip.strip.kind, prepared, console)
+                Ok((settings, viewpoint)) => catch_panic(&file.path, || {
+                    let kind = selected_strip.strip.kind;
+                    self.picture(file, kind, settings.as_ref(), viewpoint.as_ref(), console)
                 }),
                 Err(error) => Err(anyhow::anyhow!(with_causes(error))),
             };
@@ -211,14 +214,15 @@ impl Contact<'_> {
         &self,
         file: &FrameFile,
         kind: SourceKind,
-        (settings, viewpoint): &(Option<Settings>, Option<Viewpoint>),
+        settings: Option<&Settings>,
+        viewpoint: Option<&Viewpoint>,
         console: &Console,
     ) -> Result<(Picture, Option<usize>)> {
         let size = self.session.outputs.picture.size;
-        let Some(viewpoint) = viewpoint.as_ref().filter(|_| kind != SourceKind::Pictures) else {
+        let Some(viewpoint) = viewpoint.filter(|_| kind != SourceKind::Pictures) else {
             return Ok((read_picture(&file.path)?.scaled_to_fit(size), None));
         };
-        let source = self.session.source(file, settings.as_ref(), console)?;
+        let source = self.session.source(file, settings, console)?;
         let particle_count = match &source {
             RenderSource::LevelSet(_) | RenderSource::Mesh(_) => None,
             RenderSource::Reconstructed(reconstructed) => Some(reconstructed.frame.particles().len()),
@@ -234,9 +238,11 @@ impl Contact<'_> {
         };
         let (singles, sequences): (Vec<SequenceRows>, Vec<SequenceRows>) =
             parts.into_iter().partition(SequenceRows::is_single);
-        let counts = [(sequences.len(), "sequence"), (singles.len(), "file")];
-        let counts = counts.into_iter().filter(|(count, _)| *count > 0);
-        let counts: Vec<String> = counts.map(|(count, noun)| pluralize(count, noun)).collect();
+        let counts: Vec<String> = [(sequences.len(), "sequence"), (singles.len(), "file")]
+            .into_iter()
+            .filter(|(count, _)| *count > 0)
+            .map(|(count, noun)| pluralize(count, noun))
+            .collect();
         let mut blocks: Vec<CellGroup> =
             sequences.into_iter().map(|part| block(part.title(), part.cells)).collect();
         let of_singles = match &singles[..] {

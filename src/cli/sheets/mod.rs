@@ -47,7 +47,7 @@ impl SheetFile {
         console: &Console,
     ) -> Result<(SheetFile, RenderSession<'a>)> {
         let (folder, stem, _) = named_picture(output, &["png"])?;
-        let session = RenderSession::new(args, (folder.clone(), OutputFormat::Png, size))?;
+        let session = RenderSession::new(args, folder.clone(), OutputFormat::Png, size)?;
         session.warn_of_ignored(written.unwrap_or(&session.outputs.formats), console);
         let out_folder = OutFolder::make(&folder)?;
         let planned = [(inputs.first().cloned().unwrap_or_default(), stem.clone())];

@@ -86,8 +86,8 @@ impl Service {
 /// Serves the status store by HTTP.
 fn open_http_server(listen: Option<&Listen>, store: Option<&Arc<StatusStore>>) -> Result<Option<HttpServer>> {
     let (Some(listen), Some(store)) = (listen, store) else { return Ok(None) };
-    let server = HttpServer::open(listen, Arc::clone(store));
-    let server = server.with_context(|| format!("cannot listen on {}", listen.address))?;
+    let server = HttpServer::open(listen, Arc::clone(store))
+        .with_context(|| format!("cannot listen on {}", listen.address))?;
     info!(address = %format_args!("http://{}/", server.address()), "serving the status page");
     Ok(Some(server))
 }
@@ -202,8 +202,9 @@ fn unwatched_folders(watch: &Watch) -> Option<String> {
     let is_hidden = |path: &Path| name_of(path).starts_with('.');
     let folders = entries.map(|entry| entry.path()).filter(|path| path.is_dir() && !is_hidden(path));
     let count = folders.filter(|path| *path != watch.outputs.folder).count();
-    let folders = pluralize(count, "sub-folder");
-    (count > 0).then(|| format!("it has {folders}, which are not watched: give --pattern '**'"))
+    (count > 0).then(|| {
+        format!("it has {}, which are not watched: give --pattern '**'", pluralize(count, "sub-folder"))
+    })
 }
 
 fn level_sets_left_alone(count: usize) -> Option<String> {

@@ -113,8 +113,11 @@ fn watches_of_file(args: &WatchArgs, file: &ConfigFile, warnings: &mut Vec<Strin
 
 fn watch_of_block(args: &WatchArgs, keys: &WatchKeys, warnings: &mut Vec<String>) -> Result<Watch> {
     let input = keys.input.as_ref().context("this block names no input: add one")?;
-    let output = args.out.as_ref().or(keys.output.as_ref());
-    let output = output.context("this block names no output: add one, or give --out")?;
+    let output = args
+        .out
+        .as_ref()
+        .or(keys.output.as_ref())
+        .context("this block names no output: add one, or give --out")?;
     check_input(input, args.once)?;
     check_output(output)?;
     let frames = args.frames.clone().over(keys.frames.clone());
