@@ -298,7 +298,6 @@ fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
         steps: 1,
         step_size: 20.0,
         redistance_every: 1,
-        cg_tolerance: 0.0,
         pin_isolated_spheres: false,
         distances_voxels: 0.0,
     };

@@ -97,7 +97,6 @@ fn watch(cache: &Path, surfaces: &Path) -> Watch {
     Watch {
         input: cache.to_owned(),
         pattern: None,
-        recursive: false,
         sentinel: None,
         outputs: OutputOptions::new(surfaces, &[OutputFormat::Glb, OutputFormat::Vdb]),
         choices: MethodOptions::default(),

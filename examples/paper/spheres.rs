@@ -115,7 +115,6 @@ fn explicit(steps: u32) -> SmoothConfig {
         steps,
         step_size: 0.01,
         redistance_every: 50,
-        cg_tolerance: 0.0,
         pin_isolated_spheres: false,
         distances_voxels: 0.0,
     }

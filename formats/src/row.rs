@@ -309,10 +309,8 @@ pub enum WriteOption {
     Up,
     /// The length of a world unit.
     MetersPerUnit,
-    /// 16-bit values.
-    Half,
-    /// The compression of values.
-    Compression,
+    /// The bits and the compression of the values of a level set.
+    Values,
     /// The size of a picture.
     Size,
     /// The camera of a picture.
@@ -323,12 +321,11 @@ pub enum WriteOption {
 
 impl WriteOption {
     /// All options that are settings, in the order in which they are printed.
-    pub const ALL: [WriteOption; 7] = [
+    pub const ALL: [WriteOption; 6] = [
         WriteOption::Quads,
         WriteOption::Up,
         WriteOption::MetersPerUnit,
-        WriteOption::Half,
-        WriteOption::Compression,
+        WriteOption::Values,
         WriteOption::Size,
         WriteOption::Camera,
     ];
@@ -340,8 +337,7 @@ impl WriteOption {
             WriteOption::Quads => "quads",
             WriteOption::Up => "up",
             WriteOption::MetersPerUnit => "meters_per_unit",
-            WriteOption::Half => "half",
-            WriteOption::Compression => "compression",
+            WriteOption::Values => "values",
             WriteOption::Size => "size",
             WriteOption::Camera => "camera",
             WriteOption::TimeSamples => "time_samples",
@@ -351,8 +347,7 @@ impl WriteOption {
     /// Its key in a settings file; with `-` for `_`, its name on the command line.
     pub fn key(self) -> &'static str {
         match self {
-            WriteOption::Half => "vdb_half",
-            WriteOption::Compression => "vdb_compression",
+            WriteOption::Values => "vdb",
             WriteOption::Size => "preview_size",
             other => other.name(),
         }

@@ -21,8 +21,7 @@ class _OptionRow(TypedDict):
 class _WriteOptions(TypedDict):
     up: str
     meters_per_unit: float
-    vdb_half: bool
-    vdb_compression: str
+    vdb: str
     size: tuple[int, int]
     camera: str
 

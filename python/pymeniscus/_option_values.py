@@ -79,8 +79,6 @@ class OptionValues(TypedDict, total=False):
         Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.25 (d/h)⁴; explicit, adaptive: 0.01]
     redistance_every : int
         Recompute distances after this many biharmonic steps, 1 to 1000000 [default: 1; explicit, adaptive: 50]
-    cg_tolerance : float
-        Relative tolerance of the conjugate gradients, 1e-12 to 0.5, for `integrator` implicit only [default: 0.0001]
     """
 
     preset: Literal["fluid", "noisy", "splash", "granular", "preview", "paper"] | None
@@ -114,4 +112,3 @@ class OptionValues(TypedDict, total=False):
     steps: int | None
     step_size: float | None
     redistance_every: int | None
-    cg_tolerance: float | None

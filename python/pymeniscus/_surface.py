@@ -286,8 +286,7 @@ class Surface:
         source: str | os.PathLike[str] | Particles | None = None,
         up: str = "y",
         meters_per_unit: float = 1.0,
-        vdb_half: bool = False,
-        vdb_compression: str = "blosc",
+        vdb: str = "blosc",
         size: tuple[int, int] = (1280, 720),
         camera: str = "auto",
     ) -> None:
@@ -313,10 +312,9 @@ class Surface:
             The up axis of the particles, for glTF, USD and pictures.
         meters_per_unit : float
             Length of a world unit in metres, 1e-9 to 1e9, for USD.
-        vdb_half : bool
-            Whether .vdb files store values in 16 bits.
-        vdb_compression : {"none", "active", "blosc"}
-            Compression of the values in .vdb files.
+        vdb : str
+            How .vdb files store values: the compression ``none``, ``active`` or ``blosc``, and ``half`` for 16
+            bits, separated by commas, such as ``half,blosc``.
         size : tuple of int
             Width and height of a picture in pixels, 16 to 8192.
         camera : str
@@ -348,7 +346,7 @@ class Surface:
         extension = extension.lstrip(".").lower()
         if not extension:
             raise ValueError(f"{path} has no extension: give format=")
-        options = _write_options(up, meters_per_unit, vdb_half, vdb_compression, size, camera)
+        options = _write_options(up, meters_per_unit, vdb, size, camera)
         for warning in self._native.write(path, extension, options, self._source_of(source)):
             warnings.warn(warning, stacklevel=2)
 
@@ -588,12 +586,11 @@ def _add_to_blender(mesh: Any, name: str, values: NDArray[Any]) -> str | None:
 def _write_options(
     up: str,
     meters_per_unit: float,
-    vdb_half: bool,
-    vdb_compression: str,
+    vdb: str,
     size: tuple[int, int],
     camera: str,
 ) -> _native._WriteOptions:
-    for name, value in (("up", up), ("vdb_compression", vdb_compression), ("camera", camera)):
+    for name, value in (("up", up), ("vdb", vdb), ("camera", camera)):
         if not isinstance(value, str):
             raise TypeError(f"{name} must be text, not {type(value).__name__}")
     try:
@@ -605,8 +602,7 @@ def _write_options(
     return {
         "up": up.lower(),
         "meters_per_unit": float(meters_per_unit),
-        "vdb_half": bool(vdb_half),
-        "vdb_compression": vdb_compression,
+        "vdb": vdb,
         "size": (width, height),
         "camera": camera,
     }

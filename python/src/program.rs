@@ -11,7 +11,7 @@ use meniscus::pipeline::{
 use meniscus::surface::RequestedParts;
 use meniscus::surface::reconstruction::FrameSurface;
 use meniscus::surface::{Options, Positions, Settings, Storage};
-use meniscus_formats::{FilePositions, UpAxis, Values, vdb};
+use meniscus_formats::{FilePositions, UpAxis, Values};
 use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyReadonlyArray2};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -91,8 +91,7 @@ fn format_of(extension: &str) -> Result<OutputFormat, WriteError> {
 pub(crate) struct WriteOptions {
     up: String,
     meters_per_unit: f64,
-    vdb_half: bool,
-    vdb_compression: String,
+    vdb: String,
     size: [usize; 2],
     camera: String,
 }
@@ -109,13 +108,9 @@ impl WriteOptions {
                 self.meters_per_unit
             ));
         }
-        let mut compressions = vdb::Compression::ALL.into_iter();
-        let Some(vdb_compression) = compressions.find(|known| known.name() == self.vdb_compression) else {
-            let known = vdb::Compression::ALL.map(vdb::Compression::name).join(", ");
-            return choice(format!(
-                "vdb_compression is `{}`; it must be one of {known}",
-                self.vdb_compression
-            ));
+        let vdb = match self.vdb.parse() {
+            Ok(vdb) => vdb,
+            Err(why) => return choice(format!("vdb: {why}")),
         };
         if self.size.iter().any(|edge| !(16..=8192).contains(edge)) {
             return choice(format!("size is {:?}; both must be from 16 to 8192", self.size));
@@ -127,8 +122,7 @@ impl WriteOptions {
         Ok(OutputOptions {
             up,
             meters_per_unit: self.meters_per_unit,
-            vdb_half: self.vdb_half,
-            vdb_compression,
+            vdb,
             picture: PictureOptions { size: self.size, camera },
             ..OutputOptions::new("", &[format])
         })

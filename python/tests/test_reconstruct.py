@@ -259,7 +259,7 @@ def test_every_option_changes_something_or_is_refused(block):
                "voxel_size": "0.5d", "clip": (0, 0, 0, 0.5, 0.5, 0.5), "radius_attribute": "r", "max_stretch": 3.0,
                "thin_radius": "0.5d", "lone_radius": "0.8d", "neighbor_radius": "3d", "offset": "0.1h",
                "step_size": 1.0, "fill_cavities": 4.0, "where": "r > 0"}  # fmt: skip
-    needs = {"radius_attribute": {}, "radius_scale": {"radius_attribute": "r"}, "cg_tolerance": {"integrator": "implicit"},
+    needs = {"radius_attribute": {}, "radius_scale": {"radius_attribute": "r"},
              "velocity_gain": {"anisotropy": "velocity"}}  # fmt: skip
     attributes = {"r": np.full(1000, 0.07, np.float32)}
     velocity = np.ones((1000, 3), np.float32)

@@ -64,7 +64,7 @@ def test_condition_on_attributes(block, tmp_path):
 
 @pytest.mark.parametrize(
     ("extension", "options"),
-    [("glb", {"up": "z"}), ("usda", {"up": "z", "meters_per_unit": 0.01}), ("vdb", {"vdb_half": True})],
+    [("glb", {"up": "z"}), ("usda", {"up": "z", "meters_per_unit": 0.01}), ("vdb", {"vdb": "half"})],
 )
 def test_options_of_files(frame, tmp_path, extension, options):
     report = pm.convert(frame, tmp_path / "command", format=extension, **options)

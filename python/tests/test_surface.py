@@ -149,8 +149,8 @@ def test_write_options_have_an_effect(block, surface, tmp_path):
 
     assert bytes_of("glb") != bytes_of("glb", up="z")
     assert bytes_of("usda") != bytes_of("usda", meters_per_unit=0.01)
-    assert len(bytes_of("vdb", vdb_half=True)) < len(bytes_of("vdb"))
-    assert len(bytes_of("vdb", vdb_compression="none")) > len(bytes_of("vdb"))
+    assert len(bytes_of("vdb", vdb="half")) < len(bytes_of("vdb"))
+    assert len(bytes_of("vdb", vdb="none")) > len(bytes_of("vdb"))
     assert bytes_of("png", size=(64, 36)) != bytes_of("png", size=(64, 36), camera="azimuth=90")
 
 
@@ -161,7 +161,7 @@ def test_write_options_have_an_effect(block, surface, tmp_path):
         ("surface.docx", {}, ValueError, "unknown format `docx`"),
         ("surface.glb", {"up": "x"}, ValueError, "up is `x`"),
         ("surface.usda", {"meters_per_unit": 0}, ValueError, "meters_per_unit is 0"),
-        ("surface.vdb", {"vdb_compression": "lzma"}, ValueError, "vdb_compression"),
+        ("surface.vdb", {"vdb": "lzma"}, ValueError, "vdb: `lzma` is unknown"),
         ("surface.png", {"size": (1, 1)}, ValueError, "size is 1 × 1; both must be from 16 to 8192"),
         ("surface.png", {"size": (-1, 64)}, ValueError, "from 16 to 8192"),
         ("surface.png", {"size": "64x64"}, TypeError, "size must be two integers"),

@@ -5,7 +5,8 @@
 //!   as given        resolved       frames and their outcomes
 //! ```
 
-use std::path::{Path, PathBuf};
+use std::ops::Range;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -20,22 +21,20 @@ use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::simd::level_warning;
 
 use super::CommandOutcome;
-use super::args::{ConvertArgs, FormatArgs, OptionSet};
-use super::choices::{obstacle_files, warn_of_ignored};
+use super::args::{ConvertArgs, FormatArgs, FrameShard, OptionSet, ShardChoice};
 use super::console::Console;
-use super::destination::Destination;
-use super::level_sets::surface_job;
+use super::destination::{Destination, OutFolder, StandardInput};
+use super::inputs::{
+    InputSelection, SelectedSequence, check_output_path, refuse_level_sets, select_frames, selected_files,
+};
 use super::machine::thread_pool;
-use super::out_folder::OutFolder;
-use super::print_settings::{print_settings, print_settings_of_any};
-use super::resolve::{measured_spacing, outputs_of, report_settings, settings_of, warn_of, warn_of_siblings};
-use super::run::Batch;
-use super::select::{SelectedSequence, check_output_path, refuse_level_sets, select_frames, selected_files};
+use super::run::{Batch, StageWriter};
 use super::sequence::SequenceOutputs;
-use super::shard::shard_of;
-use super::stage::StageWriter;
-use super::standard_input::StandardInput;
-use super::wording::option_names;
+use super::settings::{
+    measured_spacing, obstacle_files, outputs_of, print_settings, print_settings_of_any, report_settings,
+    settings_of, surface_job, warn_of, warn_of_ignored, warn_of_siblings,
+};
+use super::wording::{option_names, pluralize};
 
 /// Converts the selected frames.
 ///
@@ -99,9 +98,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         .transpose()?;
     let job = ConvertJob {
         sequence_files: SequenceOutputs::new(args, &outputs, selection.sequences.len())?,
-        sequences: selection.sequences,
-        unselected: selection.unselected,
-        found: selection.found,
+        selection,
         job,
         options: args.method.to_options(),
         obstacles,
@@ -157,20 +154,16 @@ const PARTICLES_ONLY: &str = "--particles-only makes no surfaces, so options for
 /// Refuses formats that cannot store particles.
 fn refuse_surface_formats(outputs: &OutputOptions) -> Result<()> {
     if outputs.formats.iter().any(|format| format.particles().is_none()) {
-        let all = OutputFormat::ALL.into_iter().filter(|format| format.particles().is_some());
-        let all = listed(all.map(|format| format.to_string()).collect(), "and");
-        bail!("--particles-only writes {all}: the other formats store surfaces");
+        let written = OutputFormat::ALL.into_iter().filter(|format| format.particles().is_some());
+        let names = listed(written.map(|format| format.to_string()).collect(), "and");
+        bail!("--particles-only writes {names}: the other formats store surfaces");
     }
     Ok(())
 }
 
 /// What is converted to what, and how: the arguments, resolved against the files that exist.
 struct ConvertJob {
-    sequences: Vec<SelectedSequence>,
-    /// The sequences without any selected frame, which a stage plays nevertheless.
-    unselected: Vec<Sequence>,
-    /// Every file that the inputs name, selected or not.
-    found: Vec<PathBuf>,
+    selection: InputSelection,
     job: Job,
     options: MethodOptions,
     obstacles: Arc<ObstacleFiles>,
@@ -193,15 +186,15 @@ impl ConvertJob {
         for (what, path) in &others {
             check_output_path(what, path)?;
         }
-        let files = selected_files(&self.sequences);
+        let files = selected_files(&self.selection.sequences);
         let planned: Vec<_> = files.map(|file| (file.path.clone(), file.stem())).collect();
-        check_outputs(&planned, &self.found, &self.obstacles, &self.outputs, &others)?;
+        check_outputs(&planned, &self.selection.found, &self.obstacles, &self.outputs, &others)?;
         Ok(check_existing(&planned, &self.outputs, self.job)?)
     }
 
     /// Converts the frames, and combines them into sequence files.
     fn convert(&self, mut batch: Batch, folder: OutFolder, console: &mut Console) -> Result<CommandOutcome> {
-        for selected in &self.sequences {
+        for selected in &self.selection.sequences {
             self.add(&mut batch, selected, console)?;
         }
         if let Some(records) = &self.records {
@@ -212,7 +205,8 @@ impl ConvertJob {
         }
         folder.keep();
         let mut stage = StageWriter::new(&self.outputs, || {
-            let all = self.sequences.iter().map(|selected| &selected.sequence).chain(&self.unselected);
+            let InputSelection { sequences, unselected, .. } = &self.selection;
+            let all = sequences.iter().map(|selected| &selected.sequence).chain(unselected);
             all.map(|sequence| stage_sequence(sequence, &self.outputs)).collect()
         });
         batch.convert(stage.as_mut(), console);
@@ -282,4 +276,124 @@ fn stage_sequence(sequence: &Sequence, outputs: &OutputOptions) -> StageSequence
     let frame = |file: &FrameFile| StageFrame::new(outputs, &file.stem(), file.number());
     let name = sequence.frames.first().map_or(String::new(), |file| output_sequence(&file.sequence().1));
     StageSequence { name, frames: sequence.frames.iter().map(frame).collect() }
+}
+
+// `convert --shard`: a part of the frames, so that several machines can share the work.
+
+/// The shard of `--shard`, if it is given.
+///
+/// # Errors
+/// If the environment does not name one, or the shard does not suit the other options.
+fn shard_of(
+    args: &ConvertArgs,
+    destination: &Destination,
+    outputs: &OutputOptions,
+) -> Result<Option<FrameShard>> {
+    let Some(choice) = args.shard else { return Ok(None) };
+    if !matches!(destination, Destination::Folder) {
+        bail!("--shard writes into a folder that all shards share: name a folder with --out");
+    }
+    if !outputs.folder.is_dir() {
+        bail!(
+            "{}: the folder of the results does not exist: is it mounted? Create it before the shards start",
+            outputs.folder.display()
+        );
+    }
+    if !args.sequence.is_empty() {
+        bail!(
+            "--shard converts a part of the frames: make sequence files afterwards, with `meniscus sequence`"
+        );
+    }
+    match choice {
+        ShardChoice::Part(shard) => Ok(Some(shard)),
+        ShardChoice::Slurm => slurm_shard().map(Some),
+    }
+}
+
+/// The shard of this task of a job array.
+fn slurm_shard() -> Result<FrameShard> {
+    let [task, min, max, step, count] =
+        ["ID", "MIN", "MAX", "STEP", "COUNT"].map(|name| format!("SLURM_ARRAY_TASK_{name}"));
+    let [task, min, max, step, count] = [&task, &min, &max, &step, &count].map(String::as_str);
+    let number = |name: &str| -> Result<usize> {
+        let value = std::env::var_os(name).with_context(|| {
+            format!(
+                "--shard slurm: {name} is not set: Slurm sets it in the tasks of a job array (sbatch --array)"
+            )
+        })?;
+        let value = value.to_string_lossy();
+        value.parse().with_context(|| format!("--shard slurm: {name} is `{value}`, which is not a number"))
+    };
+    let (id, min, max) = (number(task)?, number(min)?, number(max)?);
+    let step = if std::env::var_os(step).is_some() { number(step)? } else { 1 };
+    if step == 0 || !(min..=max).contains(&id) || !(id - min).is_multiple_of(step) {
+        bail!("--shard slurm: task {id} is not in the array {min}-{max}:{step}");
+    }
+    let task_count = ((max - min) / step).checked_add(1).context("--shard slurm: the array is too large")?;
+    if std::env::var_os(count).is_some() && number(count)? != task_count {
+        bail!(
+            "--shard slurm: the array {min}-{max}:{step} has gaps, so some shards would never run: submit the \
+             whole array; finished frames are skipped"
+        );
+    }
+    Ok(FrameShard { index: (id - min) / step, count: task_count })
+}
+
+impl FrameShard {
+    /// Leaves only the frames of this shard in a selection. The settings of each sequence still follow from all
+    /// its frames.
+    ///
+    /// # Errors
+    /// If not all frames can be found: then the shards would not cover them.
+    fn keep_only(self, selection: &mut InputSelection, console: &mut Console) -> Result<()> {
+        if !selection.is_complete {
+            bail!("nothing is converted, because shards need all frames: make the paths above readable");
+        }
+        let frame_count = selected_files(&selection.sequences).count();
+        let frames = self.frames(frame_count);
+        let (number, count) = (self.index + 1, self.count);
+        let kept = pluralize(frames.len(), "frame");
+        console.print_line(format_args!("shard {number}/{count}: {kept} of {frame_count}"));
+        let mut first = 0;
+        for selected in &mut selection.sequences {
+            let all = std::mem::take(&mut selected.selected);
+            let numbers = first..first + all.len();
+            first = numbers.end;
+            let numbered = numbers.zip(all).filter(|(number, _)| frames.contains(number));
+            selected.selected = numbered.map(|(_, file)| file).collect();
+        }
+        let (kept, others): (Vec<_>, Vec<_>) = std::mem::take(&mut selection.sequences)
+            .into_iter()
+            .partition(|selected| !selected.selected.is_empty());
+        selection.sequences = kept;
+        selection.unselected.extend(others.into_iter().map(|selected| selected.sequence));
+        Ok(())
+    }
+
+    /// The numbers of the frames of this shard, of `frame_count` frames. The sizes of shards differ by one at
+    /// most. If there are more shards than frames, some have none.
+    fn frames(self, frame_count: usize) -> Range<usize> {
+        let (each, more) = (frame_count / self.count, frame_count % self.count);
+        let first_of = |index: usize| index * each + index.min(more);
+        first_of(self.index)..first_of(self.index + 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_divided_into_even_shards() {
+        for frame_count in [0, 1, 2, 7, 8, 9, 240, 1001] {
+            for count in [1, 2, 3, 8, 16, 300] {
+                let shards: Vec<_> =
+                    (0..count).map(|index| FrameShard { index, count }.frames(frame_count)).collect();
+                let dealt: Vec<usize> = shards.iter().cloned().flatten().collect();
+                assert_eq!(dealt, (0..frame_count).collect::<Vec<_>>());
+                let sizes = || shards.iter().map(ExactSizeIterator::len);
+                assert!(sizes().max().unwrap_or(0) - sizes().min().unwrap_or(0) <= 1, "{shards:?}");
+            }
+        }
+    }
 }

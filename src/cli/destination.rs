@@ -10,22 +10,24 @@
 //! standard output is written to a temporary folder first, so that an error never leaves half a mesh in the
 //! pipe.
 
-use std::fs::File;
-use std::io::{self, IsTerminal, Write};
+use std::fs::{self, File};
+use std::io::{self, IsTerminal, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use meniscus_formats::listed;
 use tempfile::TempDir;
 
-use crate::pipeline::OutputFormat;
+use crate::pipeline::{
+    OutFolderError, OutputFormat, STANDARD_INPUT, make_out_folder, show_as, sweep_temporaries,
+    write_atomically,
+};
 
 use super::CommandOutcome;
 use super::args::{ConvertArgs, FormatArgs};
 use super::console::Console;
-use super::interrupt::remove_when_interrupted;
-use super::out_folder::folder_of;
-use super::select::InputSelection;
+use super::inputs::InputSelection;
+use super::machine::{memory_bytes, remove_when_interrupted};
 use super::wording::pluralize;
 
 /// Where the results are written.
@@ -157,7 +159,7 @@ impl Destination {
 ///
 /// # Errors
 /// If it cannot be created.
-pub(super) fn private_folder() -> Result<TempDir> {
+fn private_folder() -> Result<TempDir> {
     let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
     remove_when_interrupted(folder.path().to_owned());
     Ok(folder)
@@ -235,3 +237,126 @@ fn only_format(args: &ConvertArgs) -> Result<OutputFormat> {
 }
 
 const STDOUT_STEM: &str = "stdout";
+
+// The output folder, created if missing.
+
+/// The folder that contains a file.
+pub(super) fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Writes a file that appears under its name only when it is complete.
+///
+/// # Errors
+/// If it cannot be written.
+pub(super) fn write_file(path: &Path, content: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<()> {
+    write_atomically(path, |out| Ok(content(out)?))
+        .with_context(|| format!("{}: cannot write", path.display()))
+}
+
+/// An existing, writable folder. If [`keep`](OutFolder::keep) is not called, the folders that were created
+/// for it are removed again when it is dropped, as far as they are empty.
+#[derive(Debug)]
+pub(super) struct OutFolder {
+    /// The created folders, the innermost first.
+    made: Vec<PathBuf>,
+}
+
+impl OutFolder {
+    /// Creates a folder and its parents, and removes the temporary files of killed processes in it.
+    ///
+    /// # Errors
+    /// If it cannot be created, or is not writable.
+    pub(super) fn make(folder: &Path) -> Result<OutFolder, OutFolderError> {
+        // An empty path is the current folder.
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+        let missing = folder
+            .ancestors()
+            .take_while(|part| !part.as_os_str().is_empty() && part.symlink_metadata().is_err())
+            // A path that ends in `..` is another name of a folder further up.
+            .filter(|part| part.file_name().is_some());
+        let made = OutFolder { made: missing.map(Path::to_owned).collect() };
+        make_out_folder(folder)?;
+        // If the folder cannot be listed, the temporary files of killed processes stay.
+        let _ = sweep_temporaries(folder);
+        Ok(made)
+    }
+
+    /// Keeps the folder, because results will be written.
+    pub(super) fn keep(mut self) {
+        self.made.clear();
+    }
+}
+
+impl Drop for OutFolder {
+    fn drop(&mut self) {
+        for folder in &self.made {
+            // Removing fails if the folder is no longer empty, and then it stays.
+            let _ = fs::remove_dir(folder);
+        }
+    }
+}
+
+// `convert -`: reads one file from the standard input, or from another pipe that a shell names, as with
+// `<(zcat dam.ply.gz)`.
+//
+// The pipeline reads files, some of them twice, and a pipe can be read only once. So the pipe is first
+// copied to a temporary file.
+
+/// The temporary copy, removed on drop.
+pub(super) struct StandardInput {
+    pub(super) path: PathBuf,
+    _folder: TempDir,
+}
+
+impl StandardInput {
+    /// Copies the pipe among the inputs, if there is one.
+    ///
+    /// # Errors
+    /// If it cannot be read or is larger than the memory limit, or if there are other inputs.
+    pub(super) fn take(args: &ConvertArgs) -> Result<Option<StandardInput>> {
+        let Some(pipe) = args.inputs.iter().find(|input| is_pipe(input)) else { return Ok(None) };
+        let name = if is_stdin(pipe) { STANDARD_INPUT.to_owned() } else { pipe.display().to_string() };
+        if args.inputs.len() > 1 {
+            bail!("{name} is one frame, so it must be the only INPUT");
+        }
+        let folder = private_folder()?;
+        let path = folder.path().join("stdin");
+        let limit_bytes = memory_bytes(args.run.memory)?;
+        let mut file = File::create_new(&path).with_context(|| path.display().to_string())?;
+        let pipe = open(pipe).with_context(|| name.clone())?;
+        let bytes = io::copy(&mut pipe.take(limit_bytes.saturating_add(1)), &mut file)
+            .with_context(|| name.clone())?;
+        match bytes {
+            0 => bail!("{name} is empty"),
+            bytes if bytes > limit_bytes => bail!(
+                "{name} is larger than the {limit_bytes} bytes that --memory allows: give more, or convert a file"
+            ),
+            _ => {}
+        }
+        show_as(&path, &name);
+        Ok(Some(StandardInput { path, _folder: folder }))
+    }
+}
+
+fn open(pipe: &Path) -> io::Result<Box<dyn Read>> {
+    if !is_stdin(pipe) {
+        return Ok(Box::new(File::open(pipe)?));
+    }
+    let stdin = io::stdin();
+    if stdin.is_terminal() {
+        return Err(io::Error::other("it is a terminal: redirect a file or a program into it"));
+    }
+    Ok(Box::new(stdin.lock()))
+}
+
+fn is_stdin(input: &Path) -> bool {
+    ["-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0"].iter().any(|name| input == Path::new(name))
+}
+
+/// Whether an input is an open pipe. Named pipes are excluded: opening one may block forever.
+fn is_pipe(input: &Path) -> bool {
+    let is_descriptor =
+        || ["/dev/fd", "/proc/self/fd"].iter().any(|folder| input.parent() == Some(Path::new(folder)));
+    is_stdin(input) || is_descriptor() && input.metadata().is_ok_and(|metadata| !metadata.is_file())
+}

@@ -24,7 +24,7 @@ use clap_mangen::roff::{Roff, roman};
 use super::CommandOutcome;
 use super::args::{Cli, CompletionsArgs, ManArgs};
 use super::console::Console;
-use super::out_folder::{OutFolder, write_file};
+use super::destination::{OutFolder, write_file};
 
 /// The name of the command, and the first part of the pages' names.
 const PROGRAM: &str = "meniscus";

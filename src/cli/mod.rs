@@ -3,11 +3,7 @@
 //!
 //! The layers below use [`crate::surface::options::Settings`] and frames, and never see command-line flags.
 
-mod allocator;
 mod args;
-mod camera_file;
-mod choices;
-mod clock;
 mod config_file;
 mod console;
 mod convert;
@@ -16,27 +12,16 @@ mod flicker;
 mod frame_selection;
 mod info;
 mod inputs;
-mod interrupt;
-mod level_sets;
 mod machine;
 mod manual;
-mod out_folder;
-mod print_settings;
-mod progress;
 mod quantities;
-mod remedies;
 mod render;
 mod render_session;
-mod resolve;
 mod run;
-mod select;
 mod sequence;
-mod shard;
+mod settings;
 mod sheets;
-mod stage;
-mod standard_input;
 mod status;
-mod varied_option;
 mod verify;
 mod watch;
 mod wording;
@@ -47,7 +32,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use meniscus_formats::escaped;
 
-pub use allocator::give_memory_back;
+pub use machine::give_memory_back;
 pub use quantities::parse_bytes;
 
 use args::{Cli, Command};
@@ -136,7 +121,7 @@ pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8
     let mut console = Console::new();
     // The daemon handles signals itself, to finish the frames in flight.
     if !matches!(typed.command, Command::Watch(_)) {
-        interrupt::clean_up_when_interrupted();
+        machine::clean_up_when_interrupted();
     }
     let verdict = match typed.command {
         Command::Convert(args) => convert::convert(&args, &mut console),

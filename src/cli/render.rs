@@ -17,15 +17,14 @@ use crate::pipeline::{
 use crate::surface::options::Settings;
 
 use super::args::RenderArgs;
-use super::choices::refuse_misplaced_rounds;
 use super::console::Console;
-use super::level_sets::{Use, refuse_options};
+use super::destination::{OutFolder, write_file};
+use super::inputs::{SelectedSequence, selected_files, selected_of};
 use super::machine::thread_pool;
-use super::out_folder::{OutFolder, write_file};
 use super::render_session::{
     RenderSession, RenderSource, catch_panic, find_render_sources, named_picture, surface_name,
 };
-use super::select::{SelectedSequence, selected_files, selected_of};
+use super::settings::{Use, refuse_options};
 use super::wording::{pluralize, with_causes};
 use super::{CommandOutcome, DoneCounts};
 
@@ -35,7 +34,6 @@ use super::{CommandOutcome, DoneCounts};
 /// If rendering cannot start, for example because an option is invalid. A failed frame is not an error here:
 /// it is reported and counted.
 pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<CommandOutcome> {
-    refuse_misplaced_rounds(&args.pictures.method, &args.inputs)?;
     let found = find_render_sources(&args.inputs)?;
     found.report(console);
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
@@ -44,11 +42,10 @@ pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<Command
     let outputs = &shots.session.outputs;
     shots.session.warn_of_ignored(&outputs.formats, console);
     let folder = OutFolder::make(&outputs.folder)?;
-    let planned = selected_files(&sequences).flat_map(|file| {
-        let stems = shots.stems(file).into_iter();
-        stems.map(|stem| (file.path.clone(), stem))
-    });
-    let planned: Vec<(PathBuf, String)> = planned.collect();
+    let mut planned: Vec<(PathBuf, String)> = Vec::new();
+    for file in selected_files(&sequences) {
+        planned.extend(shots.stems(file).into_iter().map(|stem| (file.path.clone(), stem)));
+    }
     check_outputs(&planned, &paths, &shots.session.obstacles, outputs, &[])?;
     folder.keep();
     let pool = thread_pool(args.pictures.run.threads)?;
@@ -81,7 +78,7 @@ impl<'a> RequestedPictures<'a> {
                 bail!("give -o FILE for one picture, or --out DIR for the pictures of several frames")
             }
         };
-        let session = RenderSession::new(&args.pictures, (folder, format, args.size))?;
+        let session = RenderSession::new(&args.pictures, folder, format, args.size)?;
         let shots = RequestedPictures { args, session, format, stem };
         shots.check(sequences)?;
         Ok(shots)

@@ -10,12 +10,15 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Error, Result, bail};
+use glam::DVec3;
+use meniscus_formats::gltf::{CameraData, read_camera};
+use meniscus_formats::{UpAxis, read_provenance};
 
 use crate::pipeline::{
-    EMPTY_BOUNDS, FrameError, FrameFile, InputWarning, LevelSetFile, LoadedFrame, MeasuredSpacing, MeshFile,
-    ObstacleFiles, OutputFormat, OutputOptions, PictureOptions, PictureScene, Reconstruction, Sequence,
-    Stage, Viewpoint, Warning, files_in, is_level_set, is_mesh, is_sequence_file, picture_provenance,
-    sequence_bounds, up_of, velocities,
+    CAMERA, CameraChoice, EMPTY_BOUNDS, FrameError, FrameFile, InputWarning, LevelSetFile, LoadedFrame,
+    MeasuredSpacing, MeshFile, ObstacleFiles, OutputFormat, OutputOptions, PictureOptions, PictureScene,
+    Reconstruction, Sequence, Stage, Viewpoint, Warning, files_in, is_level_set, is_mesh, is_sequence_file,
+    open_regular, picture_provenance, read_regular, sequence_bounds, up_of, velocities,
 };
 use crate::render::{Picture, render_particles, side_by_side};
 use crate::surface::grid::{LeafMask, negative_masks};
@@ -23,16 +26,13 @@ use crate::surface::options::{AttributeSelection, MethodOptions, Settings};
 use crate::surface::space::Lattice;
 
 use super::args::{FormatArgs, MethodArgs, MethodOptionArgs, PictureArgs};
-use super::camera_file::camera_of_file;
-use super::choices::{ignored, obstacle_files};
 use super::console::Console;
+use super::destination::folder_of;
 use super::inputs::{MatchedInputs, find_with_others};
 use super::machine::memory_bytes;
-use super::out_folder::folder_of;
 use super::quantities::PictureSize;
-use super::remedies::with_remedy;
-use super::resolve::{measured_spacing, settings_of, warn_of};
-use super::wording::pluralize;
+use super::settings::{ignored, measured_spacing, obstacle_files, settings_of, warn_of};
+use super::wording::{pluralize, with_remedy};
 
 /// Settings and resources shared by all pictures of a command.
 pub(super) struct RenderSession<'a> {
@@ -83,7 +83,9 @@ impl<'a> RenderSession<'a> {
     /// If an option is invalid.
     pub(super) fn new(
         args: &'a PictureArgs,
-        (folder, format, size): (PathBuf, OutputFormat, PictureSize),
+        folder: PathBuf,
+        format: OutputFormat,
+        size: PictureSize,
     ) -> Result<RenderSession<'a>> {
         let PictureArgs { camera, camera_from, up, run, method } = args;
         let camera = match camera_from {
@@ -375,3 +377,51 @@ const VELOCITY: &str = "velocity";
 /// The radius of the balls that represent particles, in units of r_min: with the default settings they nearly
 /// touch.
 const BALL_RADIUS: f64 = 0.5;
+
+// Reads the camera of a scene, or of a picture that meniscus made.
+
+/// Reads the camera. `up` is the axis of the particles that the scene's y axis corresponds to.
+///
+/// # Errors
+/// If the file has no camera.
+fn camera_of_file(path: &Path, up: Option<UpAxis>) -> Result<CameraChoice> {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let camera = match &*extension {
+        "glb" | "gltf" => camera_of_scene(path, up.unwrap_or_default()),
+        "exr" => camera_of_picture(path, OutputFormat::Exr),
+        "png" => camera_of_picture(path, OutputFormat::Png),
+        _ => bail!(
+            "{}: expected a .glb or .gltf with a camera, or a .exr or .png that meniscus wrote",
+            path.display()
+        ),
+    };
+    camera.with_context(|| path.display().to_string())
+}
+
+fn camera_of_picture(path: &Path, format: OutputFormat) -> Result<CameraChoice> {
+    let pairs = read_provenance(format, open_regular(path)?)?;
+    let Some((_, text)) = pairs.iter().find(|(name, _)| name == CAMERA) else {
+        bail!("this picture does not record its camera: expected a picture that meniscus made");
+    };
+    text.parse().map_err(anyhow::Error::msg)
+}
+
+fn camera_of_scene(path: &Path, up: UpAxis) -> Result<CameraChoice> {
+    let CameraData { eye, forward, up: top, view_radians } = read_camera(&read_regular(path)?)?;
+    let rotated = |[x, y, z]: [f64; 3]| match up {
+        UpAxis::Y => DVec3::new(x, y, z),
+        UpAxis::Z => DVec3::new(x, -z, y),
+    };
+    let (eye, forward, top) = (rotated(eye), rotated(forward).normalize_or_zero(), rotated(top));
+    let target = eye + forward;
+    let text = |v: DVec3| format!("{}:{}:{}", v.x, v.y, v.z);
+    let degrees = view_radians.to_degrees();
+    let spec = format!(
+        "eye={},target={},top={},view={degrees},up={}",
+        text(eye),
+        text(target),
+        text(top),
+        up.name()
+    );
+    spec.parse().map_err(anyhow::Error::msg)
+}

@@ -13,9 +13,8 @@ use super::CommandOutcome;
 use super::args::{ConvertArgs, FPS, SequenceArgs};
 use super::console::Console;
 use super::frame_selection::held_gaps;
-use super::inputs::{find_inputs, with_files_of_folders};
+use super::inputs::{check_output_path, find_inputs, only_sequence, with_files_of_folders};
 use super::machine::thread_pool;
-use super::select::{check_output_path, only_sequence};
 use super::wording::{counted_are, pluralize};
 
 /// Combines the frames that the arguments name.

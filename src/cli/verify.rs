@@ -12,17 +12,17 @@ use serde::Serialize;
 
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::{
-    DoneRecord, FrameFile, FrameRecords, OutputComparison, ResultState, STATE_FOLDER, Wanted, canonical_path,
-    file_of, hash_of_input, sequences,
+    DoneRecord, FrameFile, FrameRecords, OutputComparison, OutputFormat, ResultState, STATE_FOLDER,
+    SettingValues, Wanted, canonical_path, file_of, hash_of_input, sequences,
 };
 
 use super::CommandOutcome;
 use super::args::VerifyArgs;
 use super::console::Console;
-use super::inputs::find_inputs;
+use super::destination::write_file;
+use super::inputs::{check_output_path, find_inputs};
 use super::machine::thread_pool;
-use super::out_folder::write_file;
-use super::select::check_output_path;
+use super::settings::formats_changed_by;
 use super::wording::pluralize;
 
 /// A frame, and the state of its results.
@@ -85,7 +85,7 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
         );
     }
     refuse_to_replace(args.report.as_deref(), folder, &frames)?;
-    let wanted = current_settings(&frames);
+    let wanted = current_settings(&records, &frames);
     let frames: Vec<(PathBuf, KnownFrame)> = frames.into_iter().collect();
     let verified: Vec<VerifiedFrame> = thread_pool(args.threads)?.install(|| {
         frames.into_par_iter().map(|(name, frame)| verify_frame(&records, name, frame, &wanted)).collect()
@@ -139,20 +139,45 @@ fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: Vec<FrameFile>)
     Ok(())
 }
 
-/// The id of the settings of each frame's sequence: those of its latest record. Machines' clocks may differ, so
-/// of two records at almost the same time either may count.
-fn current_settings(frames: &BTreeMap<PathBuf, KnownFrame>) -> HashMap<PathBuf, String> {
+/// The id of the settings that each frame should have: those of the latest record of its sequence, or its own if
+/// they differ only in the formats. Machines' clocks may differ, so of two records at almost the same time either
+/// may count.
+fn current_settings(
+    records: &FrameRecords,
+    frames: &BTreeMap<PathBuf, KnownFrame>,
+) -> HashMap<PathBuf, String> {
     let recorded: HashMap<&Path, &DoneRecord> =
         frames.values().filter_map(|frame| Some((&*frame.input, frame.record.as_deref()?))).collect();
     let inputs = frames.values().map(|frame| FrameFile::new(frame.input.clone())).collect();
     let mut settings = HashMap::new();
     for sequence in sequences(inputs) {
-        let records = sequence.frames.iter().filter_map(|file| recorded.get(&*file.path));
-        let Some(latest) = records.max_by_key(|record| record.at_ms) else { continue };
-        let ids = sequence.frames.iter().map(|file| (file.path.clone(), latest.settings.clone()));
-        settings.extend(ids);
+        let all = sequence.frames.iter().filter_map(|file| recorded.get(&*file.path));
+        let Some(latest) = all.max_by_key(|record| record.at_ms) else { continue };
+        for FrameFile { path, .. } in sequence.frames {
+            let own = recorded.get(&*path).filter(|own| are_alike(records, &own.settings, &latest.settings));
+            settings.insert(path, own.unwrap_or(latest).settings.clone());
+        }
     }
     settings
+}
+
+/// Whether the settings with these ids differ at most in the formats: in their list, and in settings without
+/// effect on the formats of the one that lacks them.
+fn are_alike(records: &FrameRecords, one: &str, other: &str) -> bool {
+    let (Some(a), Some(b)) = (records.settings(one), records.settings(other)) else { return one == other };
+    let is_needed = |name: &str, values: &SettingValues| {
+        let mut formats = values
+            .get("formats")
+            .map_or("", String::as_str)
+            .split(',')
+            .filter_map(OutputFormat::from_extension);
+        formats_changed_by(name).is_none_or(|changed| formats.any(|format| changed.contains(&format)))
+    };
+    a.keys().chain(b.keys()).filter(|name| *name != "formats").all(|name| match (a.get(name), b.get(name)) {
+        (Some(a), Some(b)) => a == b,
+        (Some(_), None) => !is_needed(name, &b),
+        _ => !is_needed(name, &a),
+    })
 }
 
 fn verify_frame(

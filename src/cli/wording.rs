@@ -1,6 +1,9 @@
-//! Formats numbers, options and errors as text.
+//! Formats numbers, times, options, warnings and errors as text.
 
-use crate::pipeline::{FrameReport, Job};
+use std::fmt;
+use std::time::Duration;
+
+use crate::pipeline::{FrameReport, FrameWarning, InputWarning, Job, SurfaceWarning, Warning};
 pub(in crate::cli) use crate::surface::words::{pluralize, rounded_down, shortest, significant};
 
 /// Lines that were printed more than this many frames ago have probably scrolled out of view.
@@ -59,6 +62,67 @@ pub(super) fn counted_are(count: u64) -> String {
     if count == 1 { "1 frame is".into() } else { format!("{count} frames are") }
 }
 
+// Suggests options that correct the cause of a warning.
+
+/// A warning, followed by the options that correct its cause.
+pub(super) fn with_remedy(warning: &Warning) -> impl fmt::Display {
+    match remedy(warning) {
+        Some(remedy) => format!("{warning}; {remedy}"),
+        None => warning.to_string(),
+    }
+}
+
+fn remedy(warning: &Warning) -> Option<String> {
+    let of_spacing = "check --spacing and --voxel-size, or leave them out: then the spacing is measured";
+    Some(match warning {
+        Warning::Tiled { .. } => "raise the limit with --memory".to_owned(),
+        Warning::Input(InputWarning::SeveralKinds { attribute, .. }) => {
+            format!("choose some with --where, such as --where '{attribute} == VALUE'")
+        }
+        Warning::Frame(FrameWarning::NotConverged | FrameWarning::CflExceeded { .. }) => {
+            "choose a smaller --step-size".to_owned()
+        }
+        Warning::Input(InputWarning::SmallRadii { radius_min, .. }) => {
+            format!("--voxel-size {} or less resolves all of them", rounded_down(radius_min / 3f64.sqrt()))
+        }
+        Warning::Frame(FrameWarning::CoarsePositions { format: Some(format), .. }) => {
+            format!("leave {format} out of --format")
+        }
+        Warning::Surface(SurfaceWarning::OffsetAway { .. }) => {
+            "use an --offset nearer to 0, or larger radii (--radius-min, --lone-radius)".to_owned()
+        }
+        Warning::Surface(SurfaceWarning::BetweenVoxels { voxel_size, .. }) => {
+            format!("use --radius-min {} or more", significant(3f64.sqrt() * voxel_size))
+        }
+        Warning::Surface(SurfaceWarning::Spray { .. } | SurfaceWarning::Blob { .. }) => of_spacing.to_owned(),
+        Warning::Surface(SurfaceWarning::Holes { .. } | SurfaceWarning::Fragmented { .. }) => {
+            "check --spacing and --voxel-size, or leave them out; with --preset paper also give --radius-min 0.87d"
+                .to_owned()
+        }
+        _ => return None,
+    })
+}
+
+/// How to transfer the particles' velocities to the outputs.
+pub(super) fn velocity_hint(name: &str) -> String {
+    format!(
+        "frames have the attribute \"{name}\" (velocity); --attributes {name} adds it to the outputs for motion blur"
+    )
+}
+
+// Formats times.
+
+/// The time since a moment, in the two largest non-zero units.
+pub(super) fn ago(at_ms: u64, now_ms: u64) -> String {
+    let seconds = now_ms.saturating_sub(at_ms) / 1000;
+    if seconds == 0 {
+        return "just now".to_owned();
+    }
+    let text = humantime::format_duration(Duration::from_secs(seconds)).to_string();
+    let units: Vec<&str> = text.split(' ').take(2).collect();
+    format!("{} ago", units.join(" "))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -73,5 +137,16 @@ mod tests {
             with_causes(&anyhow::Error::from(bare()).context("in all")),
             "in all: PLY: of another kind"
         );
+    }
+
+    #[test]
+    fn times_have_at_most_two_units() {
+        for (seconds, expected) in
+            [(0, "just now"), (59, "59s ago"), (3600, "1h ago"), (3725, "1h 2m ago"), (90_061, "1day 1h ago")]
+        {
+            assert_eq!(ago(1000, 1000 + seconds * 1000 + 999), expected);
+        }
+        // A clock that was set back.
+        assert_eq!(ago(5000, 1000), "just now");
     }
 }

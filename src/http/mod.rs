@@ -3,10 +3,8 @@
 //!
 //! ```text
 //!   clients ──▶ this file: connections, checks, routes
-//!                 ├──▶ api       frames, settings, status as JSON; health
-//!                 ├──▶ events    stream of changes
-//!                 ├──▶ files     outputs, by their names in the status store, and the page
-//!                 └──▶ metrics   for Prometheus
+//!                 ├──▶ api       frames, settings, status as JSON; health; stream of changes; metrics
+//!                 └──▶ files     outputs, by their names in the status store, and the page
 //! ```
 //!
 //! One thread serves all clients, and at most two more threads read files for it, so the conversion of frames
@@ -14,14 +12,13 @@
 //! builds no path from a request: it looks names up in the status store, and serves nothing else.
 //! `docs/status-page.md` describes the interface for users.
 
-mod access;
 mod api;
-mod events;
 mod files;
-mod metrics;
 
+use std::fmt;
+use std::hint::black_box;
 use std::io;
-use std::net::{SocketAddr, TcpListener};
+use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
@@ -29,8 +26,9 @@ use std::time::Duration;
 use axum::Router;
 use axum::body::HttpBody;
 use axum::extract::{Query, Request, State};
-use axum::http::header::{self, HeaderName, HeaderValue};
-use axum::http::{Method, StatusCode};
+use axum::http::header::{self, AUTHORIZATION, COOKIE, HOST, HeaderName, HeaderValue};
+use axum::http::uri::Authority;
+use axum::http::{HeaderMap, Method, StatusCode};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Redirect, Response};
 use axum::routing::get;
@@ -45,8 +43,6 @@ use tokio::time::{sleep, timeout};
 use tokio_io_timeout::TimeoutStream;
 
 use crate::watch::status_store::StatusStore;
-
-pub use access::AccessToken;
 
 /// The address to listen on, and the token.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -230,9 +226,9 @@ fn routes(state: ServerState) -> Router {
         .route("/api/frames/{*name}", get(api::frame))
         .route("/api/settings", get(api::settings))
         .route("/api/status", get(api::status))
-        .route("/events", get(events::follow))
+        .route("/events", get(api::follow))
         .route("/files/{*name}", get(files::output))
-        .route("/metrics", get(metrics::metrics))
+        .route("/metrics", get(api::metrics))
         .fallback(files::asset)
         .layer(middleware::from_fn_with_state(Arc::clone(&state), require_token))
         // These need no token: they reveal only whether the daemon runs.
@@ -244,7 +240,7 @@ fn routes(state: ServerState) -> Router {
 
 /// Refuses requests that no reader of the status sends, and adds the security headers to every response.
 async fn check(request: Request, next: Next) -> Response {
-    let mut response = if !access::is_for_this_machine(&request) {
+    let mut response = if !is_for_this_machine(&request) {
         let what = "unknown host name: open this page by the IP address of this machine, or as localhost";
         refusal(StatusCode::MISDIRECTED_REQUEST, what)
     } else if !matches!(*request.method(), Method::GET | Method::HEAD) {
@@ -305,12 +301,86 @@ fn not_found() -> Response {
     (StatusCode::NOT_FOUND, "not found\n").into_response()
 }
 
+// Access control: the host name of a request, and the token.
+//
+// A page on any web site can make a browser send requests to this machine, and can even let its own domain
+// name resolve to this address (DNS rebinding). But the browser then sends that domain name in the `Host`
+// header. So the header must contain an address, or `localhost`. A server that listens on more than the
+// loopback address also requires a token.
+
+/// The secret that clients must send. Its `Debug` output does not contain it.
+#[derive(Clone, PartialEq, Eq)]
+pub struct AccessToken(String);
+
+impl AccessToken {
+    /// Creates a token from 16 to 256 ASCII letters, digits, and `-`, `_`, `.`, `~`; `None` if the text has
+    /// another length or other characters.
+    pub fn new(text: &str) -> Option<AccessToken> {
+        let is_right = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte);
+        let is_valid = (16..=256).contains(&text.len()) && text.bytes().all(is_right);
+        is_valid.then(|| AccessToken(text.to_owned()))
+    }
+
+    /// Compares in constant time, so that timing does not reveal how much of a guess is right.
+    fn is(&self, given: &str) -> bool {
+        let pairs = self.0.bytes().zip(given.bytes());
+        let difference = pairs.fold(self.0.len() ^ given.len(), |all, (a, b)| all | usize::from(a ^ b));
+        black_box(difference) == 0
+    }
+
+    /// Whether a request to the server at this port carries the token: as `Authorization: Bearer`, or in the
+    /// cookie.
+    fn is_in(&self, headers: &HeaderMap, port: u16) -> bool {
+        let bearer =
+            headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok()?.strip_prefix("Bearer "));
+        let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
+        let name = cookie_name(port);
+        let mut given = cookies
+            .flat_map(|cookies| cookies.split(';'))
+            .filter_map(|cookie| cookie.trim().strip_prefix(&name)?.strip_prefix('='));
+        bearer.is_some_and(|bearer| self.is(bearer)) || given.any(|given| self.is(given))
+    }
+
+    /// The cookie that makes a browser send the token to the server at this port.
+    fn cookie(&self, port: u16) -> String {
+        format!("{}={}; Path=/; HttpOnly; SameSite=Strict", cookie_name(port), self.0)
+    }
+}
+
+/// Browsers share cookies between all ports of a host: without the port in the name, two daemons would
+/// overwrite each other's cookie.
+fn cookie_name(port: u16) -> String {
+    format!("meniscus_token_{port}")
+}
+
+impl fmt::Debug for AccessToken {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("AccessToken")
+    }
+}
+
+/// Whether a request names this machine by an address or as `localhost`, with or without a port. Any port and
+/// any address are accepted: a tunnel has others than this machine, and no web site can choose them.
+fn is_for_this_machine(request: &Request) -> bool {
+    let mut hosts = request.headers().get_all(HOST).iter();
+    let (Some(host), None) = (hosts.next(), hosts.next()) else { return false };
+    let host = host.to_str().ok().and_then(|host| host.parse().ok());
+    host.is_some_and(|host| is_no_domain(&host)) && request.uri().authority().is_none_or(is_no_domain)
+}
+
+fn is_no_domain(authority: &Authority) -> bool {
+    let host = authority.host();
+    let address = host.trim_start_matches('[').trim_end_matches(']');
+    host.eq_ignore_ascii_case("localhost") || address.parse::<IpAddr>().is_ok()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-
     use std::io::{Read, Write};
     use std::net::TcpStream;
+
+    use axum::body::Body;
 
     /// A server for one connection at a time.
     #[test]
@@ -341,5 +411,54 @@ mod tests {
             next.read_to_string(&mut answer).expect("an answer");
             assert!(answer.starts_with("HTTP/1.1 200"), "a client that {what} blocks the next one: {answer}");
         }
+    }
+
+    #[test]
+    fn only_addresses_and_localhost_are_accepted_as_host() {
+        let is_accepted = |uri: &str, hosts: &[&str]| {
+            let request = hosts.iter().fold(Request::get(uri), |request, host| request.header(HOST, *host));
+            is_for_this_machine(&request.body(Body::empty()).expect("a request"))
+        };
+        for host in ["localhost", "LOCALHOST:7700", "127.0.0.1:1", "[::1]:7700", "192.168.1.7:7700"] {
+            assert!(is_accepted("/", &[host]), "{host}");
+        }
+        for host in
+            ["evil.example", "localhost.evil.example", "127.0.0.1.nip.io", "localhost@evil.example", ""]
+        {
+            assert!(!is_accepted("/", &[host]), "{host}");
+        }
+        assert!(!is_accepted("/", &[]));
+        assert!(!is_accepted("/", &["localhost", "localhost"]));
+        assert!(!is_accepted("http://evil.example/", &["localhost"]));
+    }
+
+    #[test]
+    fn only_the_whole_token_is_accepted() {
+        let token = AccessToken::new("0123456789abcdef").expect("a token");
+        assert!(token.is("0123456789abcdef"));
+        for wrong in ["", "0123456789abcde", "0123456789abcdeg", "0123456789abcdef0"] {
+            assert!(!token.is(wrong), "{wrong}");
+        }
+        for text in ["short", "0123456789abcde;", "0123456789abcde f", &"x".repeat(257)] {
+            assert_eq!(AccessToken::new(text), None, "{text}");
+        }
+        assert_eq!(format!("{token:?}"), "AccessToken");
+    }
+
+    #[test]
+    fn token_is_read_from_the_bearer_header_and_the_cookie() {
+        let token = AccessToken::new("0123456789abcdef").expect("a token");
+        let is_in = |name, value: &'static str| {
+            let value = value.parse().expect("a value");
+            token.is_in(&HeaderMap::from_iter([(name, value)]), 7700)
+        };
+        assert!(is_in(AUTHORIZATION, "Bearer 0123456789abcdef"));
+        assert!(is_in(COOKIE, "a=b; meniscus_token_7700=0123456789abcdef"));
+        assert!(is_in(COOKIE, "meniscus_token_7701=x; meniscus_token_7700=0123456789abcdef"));
+        assert!(!is_in(AUTHORIZATION, "0123456789abcdef"));
+        assert!(!is_in(COOKIE, "xmeniscus_token_7700=0123456789abcdef"));
+        assert!(!is_in(COOKIE, "meniscus_token_7701=0123456789abcdef"), "that is for another port");
+        assert!(!token.is_in(&HeaderMap::new(), 7700));
+        assert!(token.cookie(7700).starts_with("meniscus_token_7700=0123456789abcdef; "));
     }
 }

@@ -34,10 +34,9 @@ pub struct WatchConfig {
 pub struct Watch {
     /// The folder. It may not exist yet.
     pub input: PathBuf,
-    /// A glob for the path of a frame within the folder; any particle file by default.
+    /// A glob for the names of frames, or for their paths within the folder (see
+    /// [`FileFilter::new`](super::selection::FileFilter::new)); any particle file by default.
     pub pattern: Option<String>,
-    /// Whether to watch sub-folders, too.
-    pub recursive: bool,
     /// The name of the file that marks a frame as complete; `{name}` and `{stem}` are replaced by those of
     /// the frame. If it is given, each frame waits for its sentinel. Otherwise `{stem}.done` proves
     /// completeness if it exists, but is not required.

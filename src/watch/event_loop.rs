@@ -329,7 +329,6 @@ mod tests {
         Watch {
             input: folder.join(name),
             pattern: None,
-            recursive: false,
             sentinel: None,
             outputs: OutputOptions::new(folder.join("out").join(name), &[OutputFormat::Obj]),
             choices: MethodOptions { spacing: Some(1.0), ..MethodOptions::default() },

@@ -32,7 +32,6 @@ pub(crate) fn default_config(integrator: Integrator) -> SmoothConfig {
         steps,
         step_size,
         redistance_every,
-        cg_tolerance: 1e-4,
         pin_isolated_spheres: false,
         distances_voxels: 0.0,
     }

@@ -73,7 +73,6 @@ fn thin_plate_smoothing_restores_a_noisy_sphere() {
             steps,
             step_size,
             redistance_every,
-            cg_tolerance: 1e-4,
             pin_isolated_spheres: false,
             distances_voxels: 0.0,
         };

@@ -126,7 +126,7 @@ def awkward(check):
         for up in ("y", "z"):
             options = ["--voxel-size", "0.05", "--up", up]
             reads(check, f"awkward/{name}-up-{up}", folder / f"{name}.csv", options, [*FORMATS, "gltf"])
-    options = ["--voxel-size", "0.05", "--contour", "tetrahedra", "--vdb-half"]
+    options = ["--voxel-size", "0.05", "--contour", "tetrahedra", "--vdb", "half"]
     reads(check, "awkward/block-tetrahedra-half", folder / "block.csv", options)
 
 
@@ -135,7 +135,7 @@ def flowing(check):
     flow.write_particles(WORK / "awkward" / "flowing.ply")
     for label, attributes, options in (
         ("flowing", "all", []),
-        ("flowing-half", "all", ["--vdb-half"]),
+        ("flowing-half", "all", ["--vdb", "half"]),
         # Only vectors: Blender 4.5 sometimes fails on a .glb that also has single numbers.
         ("flowing-vectors", "velocity,Cd", []),
     ):

@@ -47,7 +47,7 @@ async function main() {
   console.log(`page: the status page in ${browser.version}`);
   const running = [];
   try {
-    const watching = await Watching.start(PROGRAM, path.join(WORK, "live"), ["--recursive", "--format", "glb,vdb", "--preview", "png"]);
+    const watching = await Watching.start(PROGRAM, path.join(WORK, "live"), ["--pattern", "**", "--format", "glb,vdb", "--preview", "png"]);
     running.push(watching);
     const { page, faults } = await openPage(browser, watching.address);
     const darkroom = await Darkroom.make(browser);

@@ -92,7 +92,7 @@ fn outputs(scene: &Scene, folder: &str) -> Vec<String> {
 }
 
 fn watch_recursively(scene: &Scene) -> Watching {
-    scene.watch(&[&CHEAP[..], &["--recursive"]].concat())
+    scene.watch(&[&CHEAP[..], &["--pattern", "**"]].concat())
 }
 
 /// Fills a folder before the daemon can watch it. The test repeats this, because it depends on a race.
@@ -170,9 +170,9 @@ fn folder_removed_and_created_again_is_watched() {
     daemon.finish();
 }
 
-/// Without `--recursive`, the daemon does not search sub-folders.
+/// Without `--pattern '**'`, the daemon does not search sub-folders.
 #[test]
-fn subfolders_are_ignored_without_recursive() {
+fn subfolders_are_ignored_without_a_pattern() {
     let scene = Scene::new();
     let daemon = scene.watch(&CHEAP);
     scene.write("in/sub/dam.1.ply", ply(&few(1)));

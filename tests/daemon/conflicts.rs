@@ -10,7 +10,8 @@ fn outputs_in_a_subfolder_of_the_watched_folder_are_not_inputs() {
     let scene = Scene::new();
     scene.write("in/sub/dam.1.ply", ply(&moving(1)));
     scene.put_moving([2]);
-    let arguments = ["watch", "in", "--out", "in/out", "--recursive", "--format", "ply,obj", "--log", "json"];
+    let arguments =
+        ["watch", "in", "--out", "in/out", "--pattern", "**", "--format", "ply,obj", "--log", "json"];
     for _ in 0..2 {
         let result = scene.run(&[&arguments[..], &QUICK, &["--once"]].concat());
         assert_eq!(result.status, Some(0), "{}", result.err);

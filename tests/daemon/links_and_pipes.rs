@@ -116,7 +116,7 @@ fn output_subfolder_that_is_a_link_is_not_written_through() {
     scene.write("in/shot/dam.1.ply", ply(&moving(1)));
     scene.write("in/shot/deep/dam.1.ply", ply(&moving(1)));
     scene.write("in/other/dam.1.ply", ply(&moving(1)));
-    let once = scene.once(&[&QUICK[..], &FORMATS, &["--recursive"]].concat());
+    let once = scene.once(&[&QUICK[..], &FORMATS, &["--pattern", "**"]].concat());
     once.assert_status(1);
     let failures = once.log.iter().filter(|line| line.level == "ERROR");
     let is_report = |line: &&Line| line.message.contains("out/shot is a symbolic link");

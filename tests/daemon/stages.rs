@@ -186,7 +186,7 @@ fn steps_have_their_own_numbers_and_the_prim_that_convert_gives_them() {
 #[test]
 fn prims_of_sub_folders_keep_their_names_when_others_arrive() {
     let scene = Scene::new();
-    let options = [&["--settle", "10ms", "--recursive"], &FORMATS[..]].concat();
+    let options = [&["--settle", "10ms", "--pattern", "**"], &FORMATS[..]].concat();
     let clip = |folder: &str| format!("asset[] assetPaths = [@./out/{folder}/dam.1.usdc@]");
     // The clips of the prim with this name.
     let clips_of = |name: &str| {

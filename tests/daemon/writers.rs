@@ -81,10 +81,10 @@ fn folder_cycles_end() {
     symlink("..", scene.path("in/a/up")).expect("linked");
     symlink("b", scene.path("in/b")).expect("linked");
     symlink(scene.path("out"), scene.path("in/results")).expect("linked");
-    let once = scene.once(&[&["--recursive", "--settle", "10ms"], &FORMATS[..]].concat());
+    let once = scene.once(&[&["--pattern", "**", "--settle", "10ms"], &FORMATS[..]].concat());
     once.assert_status(0);
     assert_eq!(once.converted(), ["dam.1.ply"]);
-    let daemon = watch(&scene, &["--recursive"]);
+    let daemon = watch(&scene, &["--pattern", "**"]);
     scene.put("in/a/dam.2.ply", ply(&moving(2)));
     daemon.await_converted("dam.2.ply");
     symlink("../..", scene.path("in/a/again")).expect("linked");

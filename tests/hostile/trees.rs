@@ -40,8 +40,19 @@ fn link_cycles_do_not_stop_conversion() {
 fn link_cycles_do_not_stop_the_daemon() {
     let scene = Scene::new();
     add_loops(&scene);
-    let arguments =
-        ["watch", "in", "--recursive", "--once", "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
+    let arguments = [
+        "watch",
+        "in",
+        "--pattern",
+        "**",
+        "--once",
+        "--out",
+        "out",
+        "--voxel-size",
+        "0.1",
+        "--format",
+        "obj",
+    ];
     let result = scene.run(&[&arguments[..], &["--settle", "50ms"]].concat());
     assert!(matches!(result.status, Some(0 | 1)), "{}", result.err);
     scene.assert_good_frames_are_there();
@@ -95,8 +106,19 @@ fn unreadable_frame_does_not_stop_others() {
     let Some(result) = run_without_privileges(&scene, &globbed) else { return };
     assert_eq!(result.status, Some(1), "{}", result.err);
     assert!(scene.path("out2/dam.2.obj").is_file(), "{}", result.err);
-    let watched =
-        ["watch", "in", "--recursive", "--once", "--out", "out3", "--voxel-size", "0.1", "--format", "obj"];
+    let watched = [
+        "watch",
+        "in",
+        "--pattern",
+        "**",
+        "--once",
+        "--out",
+        "out3",
+        "--voxel-size",
+        "0.1",
+        "--format",
+        "obj",
+    ];
     let watched = [&watched[..], &["--settle", "50ms"]].concat();
     let Some(result) = run_without_privileges(&scene, &watched) else { return };
     assert_eq!(result.status, Some(1), "{}", result.err);
@@ -125,8 +147,8 @@ fn unreadable_subfolder_fails_the_run() {
     let Some(result) = run_without_privileges(&scene, &shard) else { return };
     assert_eq!(result.status, Some(2), "{}", result.err);
     assert!(result.err.contains("closed: Permission denied"), "{}", result.err);
-    let watched = ["watch", "in", "--recursive", "--once", "--out", "out3", "--voxel-size", "0.1"];
-    let watched = [&watched[..], &["--format", "obj", "--settle", "50ms", "--pattern", "dam.?.ply"]].concat();
+    let watched = ["watch", "in", "--pattern", "**/dam.?.ply", "--once", "--out", "out3"];
+    let watched = [&watched[..], &["--voxel-size", "0.1", "--format", "obj", "--settle", "50ms"]].concat();
     let Some(result) = run_without_privileges(&scene, &watched) else { return };
     assert_eq!(result.status, Some(1), "{}", result.err);
     assert!(result.err.contains("in/closed") && scene.path("out3/dam.2.obj").is_file(), "{}", result.err);

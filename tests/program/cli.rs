@@ -39,7 +39,6 @@ fn contradictory_arguments_are_refused() {
         (&["dam.1.ply", "--radius-init", "-0.001"], &["radius"]),
         (&["dam.1.ply", "--radius-ratio", "-2"], &["ratio", "at least 1"]),
         (&["dam.1.ply", "--step-size", "-1"], &["--step-size", "1e-6 to 10000"]),
-        (&["dam.1.ply", "--integrator", "implicit", "--cg-tolerance", "-1"], &["tolerance"]),
         (&["dam.1.ply", "--steps", "-1"], &["invalid value '-1' for '--steps"]),
         (&["dam.1.ply", "--frames", "1-2x"], &["`1-2x` is not a selection of frames"]),
         (&["dam.1.ply", "--voxel-size=-1"], &["voxel size", "positive"]),
@@ -50,7 +49,6 @@ fn contradictory_arguments_are_refused() {
         (&["dam.1.ply", "--clip", "0,0,0,1,inf,1"], &["not finite", "x0,y0,z0,x1,y1,z1"]),
         (&["dam.1.ply", "--clip", "0,2,0,1,1,1"], &["y0 = 2 must be below y1 = 1"]),
         (&["dam.1.ply", "--clip", "0,0,0,1,1"], &["0,0,0,1,1", "six numbers x0,y0,z0,x1,y1,z1"]),
-        (&["dam.1.ply", "--smooth-normals", "5"], &["5: no such file", "--smooth-normals=5"]),
         (&["dam.1.ply", "--attributes", "all,age"], &["`all,age`", "or only names"]),
         (
             &["dam.1.ply", "--print-settings", "--format", "abc", "--sequence", "x.glb"],
@@ -301,17 +299,12 @@ fn numbers_are_short_at_any_scale() {
 fn ignored_options_cause_a_warning() {
     let folder = folder();
     write_sequence(folder.path(), 1, 1);
-    for integrator in ["fast", "explicit", "implicit"] {
-        let arguments = ["convert", "dam.1.ply", "--integrator", integrator, "--steps", "1"];
-        let rest = ["--cg-tolerance", "0.1", "--out", "o"];
-        let result = meniscus(folder.path(), &[&arguments[..], &rest].concat());
+    for anisotropy in ["none", "neighbors", "velocity"] {
+        let arguments = ["convert", "dam.1.ply", "--anisotropy", anisotropy, "--velocity-gain", "0.5"];
+        let result = meniscus(folder.path(), &[&arguments[..], &["--print-settings"]].concat());
         assert_eq!(result.status, 0, "{}", result.err);
-        assert_eq!(
-            result.err.contains("--cg-tolerance is ignored"),
-            integrator != "implicit",
-            "{}",
-            result.err
-        );
+        let is_warned = result.err.contains("--velocity-gain is ignored");
+        assert_eq!(is_warned, anisotropy != "velocity", "{}", result.err);
     }
 }
 
@@ -355,10 +348,10 @@ fn options_of_formats_that_are_not_written_cause_a_warning() {
     let folder = folder();
     write_sequence(folder.path(), 1, 1);
     let mesh = ["--contour", "--decimate", "--smooth-normals", "--quads", "--up"];
-    let vdb = ["--vdb-half", "--vdb-compression"];
+    let vdb = ["--vdb"];
     for (format, idle) in [
         ("vdb", &mesh[..]),
-        ("obj", &["--up", "--vdb-half", "--vdb-compression"]),
+        ("obj", &["--up", "--vdb"]),
         ("obj,gltf", &vdb),
         ("ply,vdb", &["--quads", "--up"]),
         ("glb,vdb", &["--quads"]),
@@ -367,8 +360,9 @@ fn options_of_formats_that_are_not_written_cause_a_warning() {
             let value = match *option {
                 "--contour" => "=dual",
                 "--decimate" => "=0.1",
+                "--smooth-normals" => "=5",
                 "--up" => "=z",
-                "--vdb-compression" => "=none",
+                "--vdb" => "=half,none",
                 _ => "",
             };
             let typed = format!("{option}{value}");

@@ -202,8 +202,8 @@ fn skip_done_converts_nothing_again() {
     converted(path, &arguments);
     let contoured = [&arguments[..], &["--contour", "tetrahedra"]].concat();
     assert_eq!(convert(path, &contoured).out.matches("done already").count(), 2);
-    let tolerance = [&arguments[..], &["--cg-tolerance", "0.1"]].concat();
-    assert_eq!(convert(path, &tolerance).out.matches("done already").count(), 2);
+    let unused = [&arguments[..], &["--void-threshold", "2"]].concat();
+    assert_eq!(convert(path, &unused).out.matches("done already").count(), 2);
 }
 
 #[test]

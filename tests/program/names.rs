@@ -147,7 +147,7 @@ fn folders_of_times_are_one_sequence() {
     }
     // The daemon mirrors folders.
     let watch =
-        ["watch", "case", "--recursive", "--once", "--out", "w", "--settle", "10ms", "--format", "usdc"];
+        ["watch", "case", "--pattern", "**", "--once", "--out", "w", "--settle", "10ms", "--format", "usdc"];
     let result = meniscus(path, &[&watch[..], &["--stage", "w/shot.usda"]].concat());
     assert_eq!(result.status, 0, "{}", result.err);
     assert_eq!(played(&path.join("w/shot.usda")), sorted.map(|time| format!("./{time}/p.usdc")));

@@ -507,9 +507,9 @@ fn command_clips_at_obstacles_and_reports_them() {
     assert!(obstacle_report["deepest_vertex_voxels"].as_f64().expect("a depth") < 0.25, "{obstacle_report}");
     assert_eq!(obstacle_report["open_edges"], 0);
     assert!(frame["certificate"]["holds"].as_bool().expect("a certificate"));
-    assert_eq!(run(&["--report", "r.json", "--up", "z", "--vdb-half"]).status, 0);
+    assert_eq!(run(&["--report", "r.json", "--up", "z", "--vdb", "half"]).status, 0);
     let more = &report(&path.join("r.json"))["settings"][0]["more"];
-    let expected = serde_json::json!({"void_threshold": "1", "up": "z", "vdb_half": "true"});
+    let expected = serde_json::json!({"void_threshold": "1", "up": "z", "vdb": "half,blosc"});
     assert_eq!(*more, expected);
     assert_eq!(run(&[]).status, 0);
 

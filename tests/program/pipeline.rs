@@ -116,8 +116,7 @@ impl Bench {
             formats: vec![OutputFormat::Glb, OutputFormat::Vdb, OutputFormat::Obj, OutputFormat::Ply],
             up: gltf::UpAxis::Y,
             meters_per_unit: 1.0,
-            vdb_half: false,
-            vdb_compression: vdb::Compression::Blosc,
+            vdb: vdb::ValueEncoding::default(),
             picture: PictureOptions::default(),
             stage: None,
         });
@@ -338,7 +337,7 @@ fn done_frames_are_kept_and_all_others_are_converted() {
     assert_eq!(run(&bench), "cdcc");
     assert_eq!(run(&bench), "dddd");
     // An option of one format has changed.
-    bench.change_outputs(|outputs| outputs.vdb_half = true);
+    bench.change_outputs(|outputs| outputs.vdb.half = true);
     assert_eq!(run(&bench), "cccc");
     bench.change_outputs(|outputs| outputs.up = gltf::UpAxis::Z);
     assert_eq!(run(&bench), "cccc");

@@ -369,6 +369,33 @@ fn verify_reports_every_kind_of_damage() {
     }
 }
 
+/// A frame may have been converted to other formats than the others, but not to another surface.
+#[test]
+fn verify_accepts_several_formats_of_the_same_settings() {
+    let folder = prepared(3);
+    let folder = folder.path();
+    let convert = |options: &[&str]| {
+        succeeded(&meniscus(folder, &[&["convert", "in", "--out=out", "--frames=2"], options].concat()));
+    };
+    succeeded(&shard(folder, "1/1"));
+    for format in ["obj", "vdb", "glb,ply"] {
+        convert(&["--format", format]);
+        succeeded(&verify(folder));
+    }
+    for (options, difference) in [
+        (&["--format=obj", "--decimate=0.1"][..], "made without decimate; the current setting is 0.1"),
+        (&["--format=vdb", "--vdb=half"], "made with values blosc; the current setting is half,blosc"),
+        (&["--format=ply", "--steps=3"], "the current setting is 3"),
+    ] {
+        convert(options);
+        let result = verify(folder);
+        assert!(result.status == 1 && result.err.contains(difference), "{}", result.err);
+        // Options of the mesh have no effect on a level set.
+        convert(&["--format=obj"]);
+        succeeded(&verify(folder));
+    }
+}
+
 #[test]
 fn results_are_verified_in_another_folder() {
     let folder = prepared(2);

@@ -17,7 +17,7 @@ fn watched_folder_count(daemon: &Daemon) -> usize {
 fn frames_are_found_without_events() {
     let folder = tempdir().expect("a folder");
     fs::create_dir_all(folder.path().join("in/sub")).expect("made");
-    let arguments = ["in", "--out", "out", "--recursive", "--settle", "50ms"];
+    let arguments = ["in", "--out", "out", "--pattern", "**", "--settle", "50ms"];
     for (poll, watched, first) in [(None, 2, 1), (Some("200ms"), 0, 3)] {
         let poll = poll.map_or(vec![], |interval| vec!["--poll", interval]);
         let mut daemon = Daemon::start_ready(folder.path(), &[&arguments[..], &poll].concat());

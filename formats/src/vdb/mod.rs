@@ -26,7 +26,8 @@ mod read_tree;
 mod tree;
 mod write;
 
-use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
 
 pub use read::{
     GridInfo, LevelSetOutline, grids, has_velocity, level_set_outline, read_level_set, read_vectors,
@@ -43,13 +44,11 @@ use read::{VdbCursor, first_grid_metadata, last_grid_end};
 const FORMAT: &str = "OpenVDB";
 
 /// The compression of values.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Compression {
     /// All values of each leaf, uncompressed.
     None,
     /// Only the values of active voxels.
-    #[serde(rename = "active")]
     ActiveMask,
     /// Only the values of active voxels, in Blosc frames with LZ4: OpenVDB's default.
     #[default]
@@ -70,6 +69,45 @@ impl Compression {
     }
 }
 
+/// How values are stored; as text a list of words, such as `half,none`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ValueEncoding {
+    /// 16-bit floats, with about three significant digits, in place of 32-bit ones.
+    pub half: bool,
+    /// Their compression.
+    pub compression: Compression,
+}
+
+impl fmt::Display for ValueEncoding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}{}", if self.half { "half," } else { "" }, self.compression.name())
+    }
+}
+
+impl FromStr for ValueEncoding {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<ValueEncoding, String> {
+        let (mut half, mut compression) = (false, None);
+        for word in text.split(',').map(str::trim) {
+            let named = Compression::ALL.into_iter().find(|known| known.name().eq_ignore_ascii_case(word));
+            match named {
+                Some(_) if compression.is_some() => {
+                    return Err(format!("`{text}` names two compressions"));
+                }
+                Some(_) => compression = named,
+                None if word.eq_ignore_ascii_case("half") => half = true,
+                None => {
+                    return Err(format!(
+                        "`{word}` is unknown: expected half, none, active or blosc, such as half,blosc"
+                    ));
+                }
+            }
+        }
+        Ok(ValueEncoding { half, compression: compression.unwrap_or_default() })
+    }
+}
+
 /// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow { signatures: &[b" BDV\0\0\0\0"], ..FormatRow::new(FORMAT, &["vdb"]) },
@@ -77,7 +115,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     content: Content::LevelSet,
     write_particles: None,
     has_attributes: true,
-    options: &[WriteOption::Half, WriteOption::Compression],
+    options: &[WriteOption::Values],
     read_provenance: |head| {
         let string = |(key, value)| match value {
             MetaValue::String(value) => Some((key, value)),

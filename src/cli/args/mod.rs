@@ -1,48 +1,36 @@
-//! The parsed command line. Only the command-line layer uses these types.
+//! The parsed command line, command by command. Only the command-line layer uses these types.
+//!
+//! The structs that a configuration file shares have no defaults here: a default on the command line would look
+//! like a given option, and override the file; a default in the file would override the preset.
 //!
 //! Options for numbers accept a leading minus sign, so that the range check reports `-1` as out of range, and
 //! clap does not report it as an unknown option.
 
-mod farm;
-mod flicker;
-mod formats;
-mod manual;
-mod merge;
-mod method;
-mod method_options;
-mod query;
-mod render;
-mod sequence;
-mod sheets;
-mod watch;
+mod option_set;
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::time::Duration;
 
+use anyhow::{Result, bail};
 use clap::builder::TypedValueParser;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap_complete::Shell;
+use meniscus_formats::{UpAxis, vdb};
 
-use crate::pipeline::OnError;
-use crate::surface::options::ranged;
+use crate::pipeline::{CameraChoice, METERS_PER_UNIT, OnError, OutputFormat, OutputOptions, StageOptions};
+use crate::surface::options::{MethodOptions, OptionGroup, expected, ranged};
+use crate::surface::particles::ParticleFilter;
 use crate::surface::reconstruction::DEVIATION_MAX_VOXELS;
+use crate::watch::{Order, Poll};
 
 use super::frame_selection::FrameSelection;
-use super::quantities::one_of;
-
-use farm::parse_shard;
-
-pub(super) use farm::{FrameShard, ShardChoice, VerifyArgs};
-pub(super) use flicker::FlickerArgs;
-pub(super) use formats::FormatArgs;
-use formats::SEQUENCE_FILE;
-pub(super) use manual::{CompletionsArgs, ManArgs};
-pub(super) use merge::{OptionSet, option_set};
-pub(super) use method::MethodArgs;
-pub(super) use method_options::MethodOptionArgs;
-pub(super) use query::StatusArgs;
-pub(super) use render::{PictureArgs, RenderArgs, RunArgs};
-pub(super) use sequence::{FPS, SequenceArgs};
-pub(super) use sheets::{ContactSheetArgs, TuneArgs};
-pub(super) use watch::{DaemonArgs, FrameArgs, LogChoice, WatchArgs};
+use super::quantities::{
+    PictureSize, one_of, parse_bytes, parse_duration, parse_fps, parse_listen, parse_picture_size,
+    parse_poll, parse_positive,
+};
+use super::sheets::VariedOption;
+pub(super) use option_set::{MethodOptionArgs, OptionSet, option_set};
 
 /// Convert particles into smooth meshes and level sets.
 #[derive(Debug, Parser)]
@@ -238,6 +226,832 @@ Exit status:
        the others are complete
   2    the command is invalid, or no frame was converted
   130  interrupted: existing results are complete, and --skip-done continues from there";
+
+// The output options, shared by all commands that convert and by the configuration file.
+
+option_set! {
+    #[derive(Clone, Debug, Default, PartialEq, Args)]
+    pub(super) struct FormatArgs {
+        /// Formats to write, separated by commas [default: glb,vdb]
+        #[arg(
+            long, value_name = "LIST", value_delimiter = ',', ignore_case = true, value_parser = surface_format(),
+            help_heading = OptionGroup::General.heading()
+        )]
+        pub(super) format: Option<Vec<OutputFormat>>,
+
+        /// Axis of the particles that points up; with z, .glb and .abc are rotated, because they have Y up,
+        /// and USD records the axis [default: y]
+        #[arg(long, help_heading = FORMATS, value_name = "AXIS", ignore_case = true, value_parser = up_axis())]
+        pub(super) up: Option<UpAxis>,
+
+        /// Length of a world unit in metres, 1e-9 to 1e9, for USD: 0.01 if particles are in centimetres
+        /// [default: 1]
+        #[arg(long, help_heading = FORMATS, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
+        pub(super) meters_per_unit: Option<f64>,
+
+        /// How .vdb stores values: half for 16 bits, with about three significant digits; and the compression
+        /// none, active (active values only) or blosc, as in half,blosc [default: blosc]
+        #[arg(long, help_heading = FORMATS, value_name = "LIST")]
+        pub(super) vdb: Option<vdb::ValueEncoding>,
+
+        /// Also write a picture of each frame, with one camera for the whole sequence [default: none]
+        #[arg(long, help_heading = FORMATS, value_name = "FORMAT", ignore_case = true, value_parser = picture_format())]
+        pub(super) preview: Option<OutputFormat>,
+
+        /// Width and height of pictures, in pixels, each 16 to 8192 [default: 1280x720]
+        #[arg(long, help_heading = FORMATS, value_name = "SIZE", value_parser = parse_picture_size)]
+        pub(super) preview_size: Option<PictureSize>,
+
+        /// Camera of the pictures: auto, or a list such as azimuth=32,elevation=22,view=30,zoom=1,up=z or
+        /// eye=1:2:3,target=0:0:0,view=40,up=y. Angles are in degrees; `view` is the vertical field of view,
+        /// and `zoom=1` fits the surface into the picture [default: auto]
+        #[arg(long, help_heading = FORMATS, value_name = "SPEC")]
+        pub(super) camera: Option<CameraChoice>,
+
+        /// Write a small USD stage that plays the .usdc or .usda files of the frames, and their .vdb files;
+        /// requires usdc or usda in --format, or vdb without any mesh format
+        ///
+        /// FILE must end in .usda. It is replaced while frames arrive: it plays the frames that are complete,
+        /// and holds the previous one where a frame is missing. Its paths are relative to its folder, so move
+        /// it together with the results. Each sequence is a prim. Every shard updates it.
+        #[arg(long, help_heading = SEQUENCE_FILE, value_name = "FILE")]
+        pub(super) stage: Option<PathBuf>,
+
+        /// Frame rate of the sequence file or the stage, per second, more than 0 and at most 1000; use that
+        /// of your scene [default: 24]
+        #[arg(long, help_heading = SEQUENCE_FILE, value_name = "N", value_parser = parse_fps)]
+        pub(super) fps: Option<f64>,
+    }
+}
+
+/// The help heading of all options except `--format`.
+const FORMATS: &str = "Formats";
+
+/// The heading of the options for all frames together.
+pub(super) const SEQUENCE_FILE: &str = "Sequence file";
+
+/// A surface format.
+fn surface_format() -> impl TypedValueParser<Value = OutputFormat> {
+    format_if(|format| !format.is_picture())
+}
+
+/// An image format.
+fn picture_format() -> impl TypedValueParser<Value = OutputFormat> {
+    format_if(OutputFormat::is_picture)
+}
+
+fn format_if(is_one: fn(OutputFormat) -> bool) -> impl TypedValueParser<Value = OutputFormat> {
+    let formats = OutputFormat::ALL.into_iter().filter(move |format| is_one(*format));
+    one_of(formats.map(|format| (format, format.extension(), format.help())))
+}
+
+/// An up axis.
+fn up_axis() -> impl TypedValueParser<Value = UpAxis> {
+    let help = |axis| match axis {
+        UpAxis::Y => "As glTF has it",
+        UpAxis::Z => "As Blender and many simulators have it",
+    };
+    one_of(UpAxis::ALL.map(|axis| (axis, axis.name(), help(axis))))
+}
+
+impl FormatArgs {
+    /// The formats to write, without duplicates: .glb and .vdb by default, and the requested image format.
+    pub(super) fn written(&self) -> Vec<OutputFormat> {
+        let formats = self.format.as_deref().unwrap_or(&[OutputFormat::Glb, OutputFormat::Vdb]);
+        let mut written = Vec::new();
+        for format in formats.iter().copied().chain(self.preview) {
+            if !written.contains(&format) {
+                written.push(format);
+            }
+        }
+        written
+    }
+
+    /// The output options, with `folder` as their folder.
+    ///
+    /// # Errors
+    /// If --stage has nothing to play.
+    pub(super) fn outputs(&self, folder: PathBuf) -> Result<OutputOptions> {
+        let default = OutputOptions::new(folder, &self.written());
+        let mut picture = default.picture;
+        picture.size = self.preview_size.map_or(picture.size, |size| size.map(usize::from));
+        picture.camera = self.camera.unwrap_or(picture.camera);
+        let outputs = OutputOptions {
+            up: self.up.unwrap_or(default.up),
+            meters_per_unit: self.meters_per_unit.unwrap_or(default.meters_per_unit),
+            vdb: self.vdb.unwrap_or(default.vdb),
+            picture,
+            stage: self.stage.clone().map(|path| StageOptions { path, fps: self.fps.unwrap_or(FPS) }),
+            ..default
+        };
+        check_stage(&outputs)?;
+        Ok(outputs)
+    }
+
+    /// Refuses a frame rate without a stage: for commands that write no sequence files.
+    ///
+    /// # Errors
+    /// What to give as well.
+    pub(super) fn refuse_idle_fps(&self) -> Result<()> {
+        if self.fps.is_some() && self.stage.is_none() {
+            bail!("--fps is for a stage: give --stage as well");
+        }
+        Ok(())
+    }
+}
+
+/// Refuses a stage with another extension, and one that plays no files.
+fn check_stage(outputs: &OutputOptions) -> Result<()> {
+    let Some(StageOptions { path, .. }) = &outputs.stage else { return Ok(()) };
+    if path.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("usda")) {
+        bail!("--stage {}: the name of this file must end in .usda", path.display());
+    }
+    // A user who writes meshes, as by default, expects them in the stage.
+    let has_meshes = outputs.formats.iter().any(|format| format.is_mesh());
+    let is_of_volumes = outputs.formats.contains(&OutputFormat::Vdb) && !has_meshes;
+    if outputs.stage_mesh_format().is_none() && !is_of_volumes {
+        bail!(
+            "--stage plays the .usdc or .usda files of the frames, and there are none: add usdc to --format, or give \
+             --format vdb for a stage of volumes"
+        );
+    }
+    Ok(())
+}
+
+// The reconstruction options, shared by all commands that convert and by the configuration file.
+
+option_set! {
+    /// The reconstruction options, and those that exist only on the command line.
+    #[derive(Clone, Debug, Default, PartialEq, Args)]
+    pub(super) struct MethodArgs {
+        #[command(flatten)]
+        pub(super) options: MethodOptionArgs,
+
+        /// Obstacles that the surface must not enter: .obj, .glb, .gltf, .ply, .stl, .vtk, .vtp, .vtu, .usdc,
+        /// .abc, or a .vdb level set; may be repeated
+        ///
+        /// A file applies to all frames. With a numbered pattern such as body.####.obj, each frame uses the
+        /// file with its own number.
+        #[arg(long, value_name = "FILE", help_heading = OptionGroup::Obstacles.heading())]
+        pub(super) obstacle: Vec<PathBuf>,
+    }
+}
+
+impl MethodArgs {
+    /// The reconstruction options.
+    pub(super) fn to_options(&self) -> MethodOptions {
+        self.options.0.clone()
+    }
+}
+
+// The options of the daemon.
+//
+// All options but the folders are also keys of `meniscus.toml`, with underscores in their names.
+
+#[derive(Clone, Debug, Default, Args)]
+#[command(after_long_help = WATCHING)]
+pub(super) struct WatchArgs {
+    /// Folders to watch; they replace the [[watch]] blocks of a --config
+    ///
+    /// A folder need not exist yet. If one disappears, the daemon waits for it.
+    #[arg(value_name = "DIR", required_unless_present = "config")]
+    pub(super) inputs: Vec<PathBuf>,
+
+    /// Folder for the results; created if missing
+    ///
+    /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on, sub/dam.0012.bgeo becomes DIR/sub/dam.0012.glb. The
+    /// journal of converted frames is in DIR/.meniscus.
+    #[arg(long, value_name = "DIR", required_unless_present = "config")]
+    pub(super) out: Option<PathBuf>,
+
+    /// Read folders and settings from this file; options given here override it
+    ///
+    /// examples/meniscus.toml in the sources has every key, explained.
+    #[arg(long, value_name = "FILE")]
+    pub(super) config: Option<PathBuf>,
+
+    /// Convert the existing frames, and exit
+    #[arg(long)]
+    pub(super) once: bool,
+
+    /// With --once: exit with status 0 even if some results fail validation
+    #[arg(long, requires = "once")]
+    pub(super) allow_violations: bool,
+
+    #[command(flatten)]
+    pub(super) frames: FrameArgs,
+
+    #[command(flatten, next_help_heading = "Daemon")]
+    pub(super) daemon: DaemonArgs,
+}
+
+option_set! {
+    /// Which files are frames, and how they are converted: the keys of a `[[watch]]` block.
+    #[derive(Clone, Debug, Default, PartialEq, Args)]
+    pub(super) struct FrameArgs {
+        /// Convert only files whose names match this pattern, such as 'dam.*.bgeo', or whose paths within DIR
+        /// match it, if it contains a /: '*/fluid*.ply', '**/dam.*.bgeo'
+        ///
+        /// By default all files with an extension of a particle format, and text files that hold particles,
+        /// in DIR itself; '**' takes those in its sub-folders as well. Hidden files and results of meniscus
+        /// are never taken.
+        #[arg(long, value_name = "GLOB")]
+        pub(super) pattern: Option<String>,
+
+        /// Name of the sentinel: a frame is complete when a file of this name, such as {name}.ok, is beside
+        /// it
+        ///
+        /// {name} is the frame's name, {stem} the name without its extension. Frames then wait for their
+        /// sentinels. Without this option, {stem}.done counts as a sentinel if it exists.
+        #[arg(long, value_name = "NAME")]
+        pub(super) sentinel: Option<String>,
+
+        #[command(flatten)]
+        pub(super) formats: FormatArgs,
+
+        #[command(flatten)]
+        pub(super) method: MethodArgs,
+    }
+}
+
+option_set! {
+    /// Settings of the daemon itself: the keys of the `[daemon]` block.
+    #[derive(Clone, Debug, Default, PartialEq, Args)]
+    pub(super) struct DaemonArgs {
+        /// Which of several waiting frames to convert next [default: natural]
+        #[arg(long, value_name = "WHICH", ignore_case = true)]
+        pub(super) order: Option<Order>,
+
+        #[command(flatten)]
+        pub(super) run: RunArgs,
+
+        /// Start no frame while the disk of the results has less free space than this [default: 1GiB]
+        #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+        pub(super) disk_floor: Option<u64>,
+
+        /// How long a file must be unchanged before it is read [default: 500ms]
+        ///
+        /// If its format cannot show whether it is complete: four times as long. If its format shows that it
+        /// is incomplete: at least 30s, with --once four times as long; then it is read, and its frame fails
+        /// with a message about the missing part.
+        #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+        pub(super) settle: Option<Duration>,
+
+        /// Find changes by scanning the folders at this interval; auto does so only where the operating
+        /// system sends no file-system events, as on network file systems [default: auto]
+        #[arg(long, value_name = "TIME", value_parser = parse_poll)]
+        pub(super) poll: Option<Poll>,
+
+        /// Format of the log on the standard error [default: text]
+        #[arg(long, value_name = "HOW", ignore_case = true)]
+        pub(super) log: Option<LogChoice>,
+
+        /// Serve a status page and an HTTP API at this address, such as 127.0.0.1:7700
+        ///
+        /// Off by default, and read-only. An address that other machines can reach requires a token. With
+        /// port 0 the system chooses a free port, which the log states.
+        #[arg(long, value_name = "ADDRESS", value_parser = parse_listen)]
+        pub(super) listen: Option<SocketAddr>,
+
+        /// Require clients to send the token in the first line of this file: 16 to 256 characters, letters,
+        /// digits or - _ . ~
+        #[arg(long, value_name = "FILE")]
+        pub(super) token_file: Option<PathBuf>,
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum LogChoice {
+    /// Lines of text: short ones on a terminal, and elsewhere with all fields
+    Text,
+    /// One JSON object per line
+    Json,
+}
+
+const WATCHING: &str = "\
+When a frame is read:
+  A file is read as soon as one of these is true:
+    it was renamed into place
+    its sentinel exists
+    its format shows that it is complete, and it has not changed for --settle
+    its format cannot show whether it is complete, and it has not changed for 4 times --settle
+  A file that is written again later is converted again. Inputs are never moved, changed or removed.
+
+  A journal records the finished frames, so a restarted daemon resumes where it left off.
+  `meniscus status --out DIR` prints them, and `meniscus status FRAME --out DIR` what is recorded of
+  one frame.
+
+Signals:
+  SIGTERM, SIGINT  finish the frames in flight within 30s, and exit; a second one exits at once.
+                   Neither leaves partial files
+
+Exit status:
+  0    with --once: every frame is converted. Without: the daemon stopped on request
+  1    with --once: some frames failed, were not converted (for example because their sentinel is
+       missing), or failed validation; or the stage or the journal could not be written. Each is
+       named, with the reason
+  2    the command is invalid; with --once also: no frame was converted
+  130  stopped at once by a second SIGINT; 143 by a second SIGTERM";
+
+// The options of `meniscus render`.
+
+#[derive(Debug, Args)]
+#[command(after_long_help = CAMERAS)]
+pub(super) struct RenderArgs {
+    /// Level sets in .vdb, meshes, or any input of convert: files, folders, globs, numbered patterns
+    ///
+    /// Particles are first converted to a surface with the options below, as convert does it.
+    #[arg(required = true, value_name = "INPUT")]
+    pub(super) inputs: Vec<PathBuf>,
+
+    /// The picture of one frame: a name that ends with .png or .exr
+    #[arg(short, long, value_name = "FILE", conflicts_with_all = ["out", "format"], required_unless_present = "out")]
+    pub(super) output: Option<PathBuf>,
+
+    /// Folder for the pictures of any number of frames; created if missing
+    ///
+    /// dam.0012.bgeo becomes DIR/dam.0012.png.
+    #[arg(long, value_name = "DIR")]
+    pub(super) out: Option<PathBuf>,
+
+    /// The format of the pictures in --out [default: png]
+    #[arg(long, value_name = "FORMAT", value_parser = picture_format())]
+    pub(super) format: Option<OutputFormat>,
+
+    /// Only frames with these numbers, such as 1-240x2 (every other frame) or 1-10,20,30-40x5
+    #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
+    pub(super) frames: Option<FrameSelection>,
+
+    /// Width and height, pixels, each 16 to 8192
+    #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "1280x720")]
+    pub(super) size: PictureSize,
+
+    /// Number of pictures of each frame, 2 to 1000, in a full turn around it: frame.000.png and so on
+    #[arg(long, value_name = "N", value_parser = ranged::<u16>(2..=1000))]
+    pub(super) turntable: Option<u16>,
+
+    /// Show the particles on the left, the surface on the right
+    #[arg(long)]
+    pub(super) particles: bool,
+
+    #[command(flatten)]
+    pub(super) pictures: PictureArgs,
+}
+
+/// The camera and settings of pictures, shared by every command that renders some.
+#[derive(Clone, Debug, Args)]
+pub(super) struct PictureArgs {
+    /// Where pictures are taken from: auto, or a list of key=value, such as azimuth=32,zoom=2, which
+    /// `meniscus render --help` explains [default: auto]
+    #[arg(long, value_name = "SPEC", conflicts_with = "camera_from")]
+    pub(super) camera: Option<CameraChoice>,
+
+    /// Use the camera of this file: a .glb or .gltf with a camera, or a picture that meniscus wrote
+    #[arg(long, value_name = "FILE")]
+    pub(super) camera_from: Option<PathBuf>,
+
+    /// Axis of the world that points up, unless --camera sets it; a camera of a .glb or .gltf is rotated to
+    /// it [default: y]
+    #[arg(long, value_name = "AXIS", ignore_case = true, value_parser = up_axis())]
+    pub(super) up: Option<UpAxis>,
+
+    #[command(flatten)]
+    pub(super) method: MethodArgs,
+
+    #[command(flatten, next_help_heading = "Run")]
+    pub(super) run: RunArgs,
+}
+
+option_set! {
+    /// The resources that a command may use.
+    #[derive(Clone, Debug, Default, PartialEq, Args)]
+    pub(super) struct RunArgs {
+        /// Number of threads, 1 to 1024 [default: all cores]. Results do not depend on it
+        #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
+        pub(super) threads: Option<u16>,
+
+        /// Memory limit for all frames and pictures in flight together, such as 8GiB [default: half of the
+        /// available memory]
+        ///
+        /// A frame that needs more is converted in tiles, which are stored in temporary files beside the
+        /// results; the result is the same. If even that does not fit, the frame fails with an error that
+        /// says how much memory it needs at least.
+        #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+        pub(super) memory: Option<u64>,
+    }
+}
+
+const CAMERAS: &str = "\
+Cameras:
+  By default a fixed camera shows the whole sequence, according to the bounds of its first, middle
+  and last frame. Keys are separated by commas:
+    azimuth, elevation  degrees from the front to the right, and above the horizon [default: 32 and 22]
+    zoom                1 fits the bounds, 2 shows them twice as large [default: 1]
+    view                vertical angle of view, in degrees [default: 30]
+    up                  axis of the world that points up, y or z [default: that of --up]
+    ground              height of the ground, or none [default: the lowest point of the bounds]
+  or, instead of the first three:
+    eye, target         position of the camera, and the point that it looks at, such as 1:2:3
+    top                 direction that points up in the picture, such as 0:1:0 [default: that of up]
+
+Layers of a multi-part .exr, one part each:
+  beauty     R G B A      linear, 16 bits; A is 1, because the ground is in the picture
+  coverage   Y            the part of the pixel that the surface covers, 16 bits
+  depth      Z            along the camera's axis, world units; 1e10 where no surface is visible
+  normals    N.X N.Y N.Z  outward, in world space, 16 bits
+  position   P.X P.Y P.Z  world units
+  velocity   V.X V.Y V.Z  world units per second, if the particles have it
+  curvature  Y            mean curvature, per world unit; positive where the fluid bulges
+
+Exit status:
+  0    every picture was written
+  1    some frames failed; each is named, with the reason
+  2    the command is invalid, or no picture was written";
+
+// The options of picture sheets.
+
+#[derive(Debug, Args)]
+#[command(after_long_help = CONTACT_SHEETS)]
+pub(super) struct ContactSheetArgs {
+    /// A folder of pictures, level sets in .vdb, meshes or particles; or files, globs, numbered patterns of
+    /// them
+    ///
+    /// If a frame exists in several forms, the cheapest is shown. Particles are converted to a surface for
+    /// the sheet with the options below, as convert does it; if one of these is given, only particles are
+    /// used.
+    #[arg(required = true, value_name = "INPUT")]
+    pub(super) inputs: Vec<PathBuf>,
+
+    /// The sheet: a name that ends with .png
+    #[arg(short, long, value_name = "FILE")]
+    pub(super) output: PathBuf,
+
+    /// Only frames with these numbers, such as 1-240x2 (every other frame) or 1-10,20,30-40x5
+    #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
+    pub(super) frames: Option<FrameSelection>,
+
+    /// Maximum number of cells for each sequence, 2 to 1000; if a sequence has more frames, evenly spaced
+    /// ones are shown, including the first and the last
+    #[arg(long, value_name = "N", value_parser = ranged::<u16>(2..=1000), default_value_t = 60)]
+    pub(super) count: u16,
+
+    /// Cells per row, 1 to 1000 [default: about as many as there are rows]
+    #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1000))]
+    pub(super) columns: Option<u16>,
+
+    /// Width and height of a cell, pixels, each 16 to 8192
+    #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "240x180")]
+    pub(super) size: PictureSize,
+
+    #[command(flatten)]
+    pub(super) pictures: PictureArgs,
+}
+
+#[derive(Debug, Args)]
+#[command(after_long_help = TUNING)]
+pub(super) struct TuneArgs {
+    /// Particles, as convert takes them: a file, or a folder, glob or numbered pattern with one sequence
+    ///
+    /// Of a sequence, the middle frame is shown, unless --frames selects another.
+    #[arg(required = true, value_name = "INPUT")]
+    pub(super) inputs: Vec<PathBuf>,
+
+    /// The sheet: a name that ends with .png
+    #[arg(short, long, value_name = "FILE")]
+    pub(super) output: PathBuf,
+
+    /// An option of convert for surfaces, with the values to show, such as preset=fluid,noisy,splash
+    /// [default: position-smoothing=0,0.5,0.7,0.9 and radius-min=0.85d,1d,1.15d,1.45d]
+    ///
+    /// Given once, the values fill the sheet; given twice, the first option differs from row to row, and the
+    /// second from column to column. Values are written as on the command line, and separated by commas.
+    #[arg(long, value_name = "OPTION=VALUES")]
+    pub(super) vary: Vec<VariedOption>,
+
+    /// Show the frame with this number; of several, such as 100-200, the middle one is shown
+    #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
+    pub(super) frames: Option<FrameSelection>,
+
+    /// Width and height of a cell, pixels, each 16 to 8192
+    #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "480x360")]
+    pub(super) size: PictureSize,
+
+    /// The value of --out in the printed commands, the folder for their results; tune does not create it
+    #[arg(long, value_name = "DIR", default_value = "surfaces")]
+    pub(super) out: PathBuf,
+
+    #[command(flatten)]
+    pub(super) pictures: PictureArgs,
+}
+
+const TUNING: &str = "\
+What is shown:
+  A close-up of the part of the frame with the most surface, 16 particle spacings wide; with --camera
+  zoom=1 the whole frame. --camera and --camera-from select any other view.
+
+  All other options apply to every cell; without --vary, an option that is given is not varied. For
+  each cell, the command that converts INPUT with its settings is on the sheet, and is printed with
+  the time that the cell took.
+
+Exit status:
+  0    every cell has its picture
+  1    some settings were refused or failed: their cells have the reasons, and the others are shown
+  2    the command is invalid, or no cell has a picture: no sheet was written";
+
+const CONTACT_SHEETS: &str = "\
+What is shown:
+  Each sequence has its own part of the sheet and one camera; files outside sequences share a part.
+  Existing pictures are cheapest, then level sets, meshes and particles. Pictures are used only if they
+  show all existing frames with one camera, and none of --camera, --camera-from and --up is given. The
+  title says which kind was used.
+
+Exit status:
+  0    every frame is on the sheet
+  1    some frames failed: their cells have the reasons, and the others are shown
+  2    the command is invalid, or no frame could be shown: no sheet was written";
+
+// The options of `flicker`.
+
+#[derive(Debug, Args)]
+#[command(after_long_help = DEFINITION)]
+pub(super) struct FlickerArgs {
+    /// The surfaces, from any program: meshes in .glb, .gltf, .obj, .ply, .stl, .vtk, .vtp, .vtu, .usdc or
+    /// .abc
+    ///
+    /// A folder, files, globs, or a numbered pattern such as dam.####.glb, of one sequence. Of a folder with
+    /// meshes in several formats, those in .glb are used, or else in the next of .gltf, .obj, .ply, .vtp,
+    /// .usdc, .abc, .stl and .vtk.
+    #[arg(required = true, value_name = "MESHES")]
+    pub(super) meshes: Vec<PathBuf>,
+
+    /// The particles of the same frames: a folder, a file, a glob, or a numbered pattern such as
+    /// cache/dam.####.bgeo
+    #[arg(long, required = true, value_name = "PARTICLES")]
+    pub(super) particles: Vec<PathBuf>,
+
+    /// Frames of particles per second; needed if the particles have velocities but no ids
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        value_parser = parse_fps,
+        conflicts_with = "dt"
+    )]
+    pub(super) fps: Option<f64>,
+
+    /// Time between consecutive frames of particles, in the unit of time of the velocities, instead of --fps
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = parse_positive)]
+    pub(super) dt: Option<f64>,
+
+    /// Distance between particles, the unit of the scores, in world units [default: measured as by convert]
+    #[arg(long, value_name = "D", allow_negative_numbers = true, value_parser = parse_positive)]
+    pub(super) spacing: Option<f64>,
+
+    /// Use only the particles that meet this condition, as given to convert
+    #[arg(long = "where", value_name = "CONDITION")]
+    pub(super) filter: Option<ParticleFilter>,
+
+    /// Points on the surface of each frame
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 20_000,
+        allow_negative_numbers = true,
+        value_parser = ranged::<u32>(100..=1_000_000)
+    )]
+    pub(super) samples: u32,
+
+    /// Score only frames with these numbers, such as 1-240 or 1-10,20; their neighbours are read as well
+    #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
+    pub(super) frames: Option<FrameSelection>,
+
+    /// Write the scores of each frame to this file
+    #[arg(long, value_name = "FILE")]
+    pub(super) csv: Option<PathBuf>,
+
+    /// Write the 1000 points that flicker most to this file: frame, position, flicker
+    #[arg(long, value_name = "FILE")]
+    pub(super) points: Option<PathBuf>,
+
+    /// Plot the score of each frame, and show where the worst frames flicker: a name that ends with .png
+    #[arg(long, value_name = "FILE")]
+    pub(super) picture: Option<PathBuf>,
+
+    /// Number of threads, 1 to 1024 [default: all cores]; does not affect results
+    #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
+    pub(super) threads: Option<u16>,
+}
+
+const DEFINITION: &str = "\
+What is scored:
+  Points on the surface of a frame, evenly by area, are advected to the frames before and after it with the
+  particles around them, which are followed by their ids if all frames have them, else by their velocities.
+  A point's flicker is the second difference of its signed distances to the three surfaces, in particle
+  spacings. The score is the root of its mean square: 0 for a surface that moves as its particles do.
+
+  A distance of more than 2 spacings counts as 2. Points with no particle within 3 spacings are
+  counted and left out. A frame is scored if the frames before and after it have a mesh and particles.
+
+Exit status:
+  0    every frame between two others is scored
+  1    some frames could not be read, so they and their neighbours are not scored
+  2    the command is invalid, or no frame is scored";
+
+// The options of a sequence file: one animated file with all frames of a sequence.
+
+#[derive(Debug, Args)]
+#[command(after_long_help = PLAYING)]
+pub(super) struct SequenceArgs {
+    /// The .glb, .abc or .usdc files of the frames, as convert wrote them: files, a folder, globs, or
+    /// numbered patterns such as dam.####.glb
+    #[arg(required = true, value_name = "INPUT")]
+    pub(super) inputs: Vec<PathBuf>,
+
+    /// The sequence file to write: a .glb with an animation, or a .usda, .usdc or .abc with time samples
+    #[arg(short, long, value_name = "FILE")]
+    pub(super) output: PathBuf,
+
+    /// Frame rate of the sequence file, per second, more than 0 and at most 1000; use that of your scene
+    #[arg(long, value_name = "N", default_value_t = FPS, value_parser = parse_fps)]
+    pub(super) fps: f64,
+
+    /// Length of a world unit in metres, 1e-9 to 1e9, for USD [default: 1]
+    #[arg(long, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
+    pub(super) meters_per_unit: Option<f64>,
+}
+
+/// The default frames per second.
+pub(super) const FPS: f64 = 24.0;
+
+const PLAYING: &str = "\
+The number of a frame determines when it is shown; if a frame is missing, the previous frame is held. In USD the numbers
+are the time codes, and in an .abc frame n is at n / --fps seconds. In a .glb the differences between the numbers are divided
+by their greatest common divisor: frames 0, 100 and 300 play at frames 0, 1 and 3. If some names have no number, or the
+numbers do not increase, frames are counted from 1.
+
+The file may replace an older sequence file, and no other file.
+
+Frame n of a scene shows frame n of the .glb if the scene has the same frames per second as --fps: in Blender set the frame
+rate (24 by default) before importing. At a lower rate the scene skips frames.
+
+A .glb has a node for each frame, and shows one after the other by animating their scales in steps; it must stay below
+4 GiB. USD and .abc have no such limit: each is one mesh with time samples. Do not blend between the samples: vertices
+with the same index in two frames are different points of the surface.
+
+All frames are read as .glb; those in .abc or .usdc are converted in memory, which takes two to four times the size of the
+file. So a frame must stay below 4 GiB as .glb, and the sequence file has what a .glb has: integers are floats, without those
+beyond 2^24, and there are no quads and no strings.
+
+Exit status:
+  0    all frames are in the sequence file
+  1    some frames could not be read, and are left out; each is named, with the reason
+  2    no sequence file was written";
+
+// The options of `verify`, and the shards of `convert`.
+
+#[derive(Debug, Args)]
+#[command(after_long_help = VERIFY_STATUSES)]
+pub(super) struct VerifyArgs {
+    /// Folder with the results
+    #[arg(value_name = "DIR")]
+    pub(super) folder: PathBuf,
+
+    /// Files, folders, globs, or numbered patterns, as for convert: also report their frames without results
+    #[arg(long, value_name = "INPUT", num_args = 1..)]
+    pub(super) input: Vec<PathBuf>,
+
+    /// Write the state of each frame to this file, as JSON
+    #[arg(long, value_name = "FILE")]
+    pub(super) report: Option<PathBuf>,
+
+    /// Number of reading threads, 1 to 1024 [default: all cores]
+    #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
+    pub(super) threads: Option<u16>,
+}
+
+/// Which part of the frames to convert.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ShardChoice {
+    /// One of several consecutive parts of nearly equal size.
+    Part(FrameShard),
+    /// The part that Slurm's environment variables name.
+    Slurm,
+}
+
+/// A shard: the part `index`, from 0, of `count` parts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct FrameShard {
+    pub(super) index: usize,
+    pub(super) count: usize,
+}
+
+/// Parses a shard such as `3/60`, or `slurm`.
+pub(super) fn parse_shard(text: &str) -> Result<ShardChoice, String> {
+    if text == "slurm" {
+        return Ok(ShardChoice::Slurm);
+    }
+    let number = |digits: &str| digits.bytes().all(|byte| byte.is_ascii_digit()).then(|| digits.parse().ok());
+    let parts = text.split_once('/').and_then(|(number_text, count)| {
+        let (number, count): (usize, usize) = (number(number_text)??, number(count)??);
+        (1..=count).contains(&number).then(|| FrameShard { index: number - 1, count })
+    });
+    expected(text, parts.map(ShardChoice::Part), "K/N, with K from 1 to N, such as 3/60; or slurm")
+}
+
+const VERIFY_STATUSES: &str = "\
+State of a frame:
+  done        the results have the bytes that were written, were made from the current input with the settings of the
+              other frames of the sequence, possibly in other formats, and passed validation
+  missing     a result does not exist, or there is no record of the frame
+  damaged     a result was changed or replaced after it was written
+  stale       made from another version of the input, with other settings or by another version of meniscus
+  violations  as done, but a check of the surface failed: converting again would give the same result
+
+Exit status:
+  0    every frame is done
+  1    some frames are not done
+  2    no frame is done, or the command is invalid";
+
+// The options of `status`.
+
+#[derive(Debug, Args)]
+#[command(after_long_help = STATUS_JSON)]
+pub(super) struct StatusArgs {
+    /// Print what is recorded of this frame only: its state, the reason, its outputs
+    #[arg(value_name = "FRAME")]
+    pub(super) frame: Option<PathBuf>,
+
+    /// The daemon's folder for the results
+    #[arg(long, value_name = "DIR", required_unless_present = "config")]
+    pub(super) out: Option<PathBuf>,
+
+    /// The daemon's configuration file: show all its folders for results
+    #[arg(long, value_name = "FILE", conflicts_with = "out")]
+    pub(super) config: Option<PathBuf>,
+
+    /// Write JSON
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+const STATUS_JSON: &str = "\
+Exit status:
+  0    no frame has failed; with FRAME: it has not failed
+  1    some frames have failed; with --config also: no daemon has ever used some of the folders
+  2    no daemon has ever used the folder; with FRAME: nothing is recorded of it
+
+JSON: an object with the following; with --config a list of such objects; with FRAME a frame
+  output           the folder
+  daemon           null if none is known, or an object with
+                     running         true or false; null if the file system has no locks
+                     held_by         the process that holds the folder now
+                     state           running, paused, starting, stopped, killed
+                     paused_because  the reason, if it is paused
+                     pid, host, started_ms, at_ms
+                                     of the last daemon; at_ms: when it entered this state
+  counts           the numbers of frames that are done, queued, retrying, waiting, failed
+  failed, retrying, waiting, last_done, flawed
+                   frames, each with input, state, outputs, attempts, settings and at_ms, and if they
+                   are known reason, particles, seconds and flaws. waiting: files that are not yet
+                   complete; last_done: the newest first, five at most; flawed: those converted without
+                   some particles, or that failed validation. state: waiting, queued, done, retrying,
+                   failed, refused (because of other files), given_up (after all retries), ignored (not a
+                   frame). settings: equal for frames that were converted with the same settings
+  damaged_lines    unreadable lines of the journal; they cost repeated work and nothing else
+Times that end in _ms are milliseconds since 1970.";
+
+// The options of `meniscus completions` and `meniscus man`.
+
+#[derive(Debug, Args)]
+#[command(after_long_help = WHERE_COMPLETIONS_GO)]
+pub(super) struct CompletionsArgs {
+    /// The shell
+    #[arg(value_name = "SHELL")]
+    pub(super) shell: Shell,
+}
+
+#[derive(Debug, Args)]
+#[command(after_long_help = WHERE_PAGES_GO)]
+pub(super) struct ManArgs {
+    /// Folder for the pages; created if missing
+    ///
+    /// meniscus.1, meniscus-convert.1 and so on; pages of these names are replaced.
+    #[arg(long, value_name = "DIR")]
+    pub(super) out: PathBuf,
+}
+
+const WHERE_COMPLETIONS_GO: &str = "\
+Where it goes, for one user:
+  bash  meniscus completions bash > ~/.local/share/bash-completion/completions/meniscus
+  zsh   meniscus completions zsh > ~/.zfunc/_meniscus
+        and in ~/.zshrc, before compinit: fpath+=~/.zfunc
+  fish  meniscus completions fish > ~/.config/fish/completions/meniscus.fish
+The Debian package has these three in place.";
+
+const WHERE_PAGES_GO: &str = "\
+Where they go, for one user:
+  meniscus man --out ~/.local/share/man/man1
+The Debian package has them in place.";
 
 #[cfg(test)]
 mod tests;

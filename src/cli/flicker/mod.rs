@@ -1,38 +1,39 @@
 //! `meniscus flicker`: scores how much a sequence of surfaces from any program flickers.
 //!
 //! ```text
-//!   frames    matches meshes with particles, and finds the frames that have both neighbours
-//!   reading   reads a frame from its two files
-//!   tally     collects the scores of all frames, and the worst frames and points
-//!   tables    writes the scores and the worst points as CSV
-//!   picture   plots the scores over the frames, and shows the worst frames
+//!   meshes ────┐ matched by number     three consecutive frames ──▶ scores of the middle one
+//!   particles ─┘ or time: find()                                      │
+//!                                                                     ▼
+//!                                                  scores.rs: totals, tables, a picture
 //! ```
 
-mod frames;
-mod picture;
-mod reading;
-mod tables;
-mod totals;
+mod scores;
 
-use std::collections::BTreeMap;
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
+use meniscus_formats::{AttributeRole, FileAttribute, Format, Limits, ParticleFrame, Values, read_particles};
 
-use crate::pipeline::{are_same_file, shown};
-use crate::surface::flicker::{CARRY_REACH, Carrier, Distribution, FlickerFrame, flicker};
+use crate::pipeline::{
+    FrameFile, MeshFile, Sequence, are_same_file, common_step, file_of, keep_chosen, measure_spacing,
+    particles, read_file, shown,
+};
+use crate::surface::flicker::{CARRY_REACH, Carrier, Distribution, FlickerFrame, MovingParticles, flicker};
+use crate::surface::obstacle::MeshDistance;
+use crate::surface::options::SpacingOptions;
+use crate::surface::particles::ParticleFilter;
 
 use super::CommandOutcome;
 use super::args::FlickerArgs;
 use super::console::Console;
+use super::destination::write_file;
+use super::frame_selection::FrameSelection;
+use super::inputs::{check_output_path, find_inputs, only_sequence, refuse_times, with_files_of_folders};
 use super::machine::thread_pool;
-use super::out_folder::write_file;
 use super::render_session::{catch_panic, named_picture};
-use super::select::check_output_path;
 use super::wording::{pluralize, significant, with_causes};
-
-use frames::FlickerFrames;
-use totals::{FlickerTotals, ScoredFrame};
+use scores::{FlickerTotals, ScoredFrame};
 
 /// If more than this share of the points has no particle in range, the mesh and the particles probably do not
 /// belong together.
@@ -43,14 +44,13 @@ const UNTRACKED_SHARE_MAX: f64 = 0.5;
 /// # Errors
 /// If no frame can be scored.
 pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<CommandOutcome> {
-    let frames = frames::find(args, console)?;
+    let frames = find(args, console)?;
     refuse_outputs(args, &frames)?;
     let pool = thread_pool(args.threads)?;
     let spacing = match args.spacing {
         Some(spacing) => spacing,
         None => {
-            let (spacing, warnings) =
-                pool.install(|| reading::estimated_spacing(&frames, args.filter.as_ref()))?;
+            let (spacing, warnings) = pool.install(|| estimated_spacing(&frames, args.filter.as_ref()))?;
             warnings.iter().for_each(|warning| console.warning(warning));
             spacing
         }
@@ -84,13 +84,13 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
     };
     report(&frames, &totals, &summary, spacing, carrier, console);
     if let Some(path) = &args.csv {
-        write_file(path, |out| tables::write_frames(&totals.frames, out))?;
+        write_file(path, |out| scores::write_frames(&totals.frames, out))?;
     }
     if let Some(path) = &args.points {
-        write_file(path, |out| tables::write_points(&totals.worst_points, out))?;
+        write_file(path, |out| scores::write_points(&totals.worst_points, out))?;
     }
     if let Some(path) = &args.picture {
-        let bytes = pool.install(|| picture::encoded(&frames, &totals, &summary))?;
+        let bytes = pool.install(|| scores::encoded(&frames, &totals, &summary))?;
         write_file(path, |out| out.write_all(&bytes))?;
     }
     Ok(if failed_count > 0 { CommandOutcome::SomeFailed } else { CommandOutcome::Done })
@@ -151,7 +151,7 @@ impl Scoring<'_> {
     fn read(&mut self, number: i64, console: &mut Console) -> Result<Option<FlickerFrame>> {
         let Some(files) = self.frames.files.get(&number) else { return Ok(None) };
         let (spacing, filter) = (self.spacing, self.args.filter.as_ref());
-        let frame = match catch_panic(&files.mesh, || reading::read_frame(files, spacing, filter)) {
+        let frame = match catch_panic(&files.mesh, || read_frame(files, spacing, filter)) {
             Ok(frame) => frame,
             Err(error) => {
                 self.failed_count += 1;
@@ -284,4 +284,290 @@ fn refuse_outputs(args: &FlickerArgs, frames: &FlickerFrames) -> Result<()> {
         paths.push(path);
     }
     Ok(())
+}
+
+// Matches meshes with particles, and finds the frames that have both neighbours.
+//
+// ```text
+//   meshes      1     3     5  6              7
+//   particles   1  2  3  4  5     6  7        the frames with both: 1, 3, 5, 6, 7
+//                                             step: the greatest common divisor of their differences, 1
+//                                             frame 6 is scored, because 5 and 7 are in the list
+// ```
+//
+// Names with times are matched by their times, and counted in steps of the median difference.
+
+/// The files of a frame.
+#[derive(Clone, Debug)]
+struct FrameFiles {
+    mesh: PathBuf,
+    particles: PathBuf,
+    /// The name of the frame.
+    name: String,
+}
+
+/// The frames of a sequence.
+#[derive(Debug)]
+struct FlickerFrames {
+    /// The name of the sequence of meshes.
+    name: String,
+    /// The frames that have both files, by number.
+    files: BTreeMap<i64, FrameFiles>,
+    /// All particle files in the order of their sequence, with or without meshes.
+    particles: Vec<PathBuf>,
+    /// The greatest common divisor of the differences between the numbers of `files`.
+    step: i64,
+    /// The greatest common divisor of the differences between the numbers of all particle files, with or
+    /// without meshes.
+    particle_step: u64,
+    /// The selected frames that have both neighbours.
+    scored: Vec<i64>,
+}
+
+impl FlickerFrames {
+    fn name_of(&self, number: i64) -> String {
+        self.files.get(&number).map_or_else(|| number.to_string(), |files| files.name.clone())
+    }
+
+    /// The number of particle frames per step.
+    fn particle_steps(&self) -> f64 {
+        self.step as f64 / self.particle_step as f64
+    }
+}
+
+/// Maximum number of frames listed in a message.
+const NUMBERS_NAMED: usize = 8;
+
+/// Finds the frames that the arguments name.
+///
+/// # Errors
+/// If no three consecutive frames exist.
+fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerFrames> {
+    let formats: Vec<&[&str]> =
+        Format::ALL.iter().filter(|format| format.has_mesh()).map(|format| format.extensions()).collect();
+    let meshes = with_files_of_folders(&args.meshes, &formats, "meshes")?;
+    let mut meshes = one_sequence(&meshes, "meshes", console)?;
+    let particles = one_sequence(&args.particles, "particles", console)?;
+    refuse_times(args.frames.as_ref(), [&meshes, &particles])?;
+    let name = meshes.name.clone();
+    let particle_paths = particles.frames.iter().map(|file| file.path.clone()).collect();
+    let numbers = NumbersOfTimes::of(&particles);
+    let mesh_count = meshes.frames.len();
+    meshes.frames.retain(|file| !file.has_time() || numbers.number(file).is_some());
+    if meshes.frames.len() < mesh_count {
+        let unmatched = pluralize(mesh_count - meshes.frames.len(), "mesh file");
+        console.warning(format_args!("{name}: no particles have the time of {unmatched}: not used"));
+    }
+    let (meshes, mut particles) = (numbers.sort(meshes)?, numbers.sort(particles)?);
+    let particle_numbers: Vec<i64> = particles.keys().copied().collect();
+    let (mut files, mut alone) = (BTreeMap::new(), Vec::new());
+    for (number, mesh) in meshes {
+        match particles.remove(&number) {
+            Some(particles) => {
+                let name = mesh.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+                files.insert(number, FrameFiles { mesh: mesh.path, particles: particles.path, name });
+            }
+            None => alone.push(number),
+        }
+    }
+    if !alone.is_empty() {
+        console.warning(format_args!("{name}: no particles for {}: not used", listed(&alone)));
+    }
+    let numbers: Vec<i64> = files.keys().copied().collect();
+    if numbers.len() < 3 {
+        bail!(
+            "{name}: {} both a mesh and particles, matched by their frame numbers, and three frames are needed",
+            if numbers.len() == 1 {
+                "1 frame has".to_owned()
+            } else {
+                format!("{} frames have", numbers.len())
+            }
+        );
+    }
+    let step = i64::try_from(common_step(&numbers)).unwrap_or(i64::MAX);
+    let has_both = |number: &i64| {
+        let neighbors = number.checked_sub(step).zip(number.checked_add(step));
+        neighbors.is_some_and(|(before, after)| files.contains_key(&before) && files.contains_key(&after))
+    };
+    let inner = &numbers[1..numbers.len() - 1];
+    let (scored, skipped): (Vec<i64>, Vec<i64>) = inner.iter().copied().partition(has_both);
+    if scored.is_empty() {
+        bail!(
+            "{name}: no three frames follow each other: {} both a mesh and particles",
+            listed_with(&numbers, ["has", "have"])
+        );
+    }
+    if !skipped.is_empty() {
+        console.warning(format_args!(
+            "{name}: {} not scored: the mesh or the particles of a neighbour are missing",
+            listed_with(&skipped, ["is", "are"])
+        ));
+    }
+    let is_selected = |number: &i64| {
+        args.frames.as_ref().is_none_or(|selection: &FrameSelection| selection.contains(*number))
+    };
+    let scored: Vec<i64> = scored.into_iter().filter(is_selected).collect();
+    if scored.is_empty() {
+        bail!("--frames selects none of the frames that have both neighbours");
+    }
+    let particle_step = common_step(&particle_numbers);
+    Ok(FlickerFrames { name, files, particles: particle_paths, step, particle_step, scored })
+}
+
+fn one_sequence(inputs: &[PathBuf], what: &str, console: &mut Console) -> Result<Sequence> {
+    let found = find_inputs(inputs)?;
+    found.report(console);
+    only_sequence(found.files, &format!("the {what} must be of one sequence"))
+}
+
+/// The numbers that stand for the times in names of particles; empty if the names have frame numbers.
+struct NumbersOfTimes {
+    /// By the bits of the time.
+    numbers: HashMap<u64, i64>,
+}
+
+impl NumbersOfTimes {
+    /// Times that are a median difference apart, or less, have consecutive numbers. Longer differences, where
+    /// frames are missing, are rounded to such steps.
+    fn of(particles: &Sequence) -> NumbersOfTimes {
+        let with_times = particles.frames.iter().filter(|file| file.has_time());
+        let times: Vec<f64> = with_times.filter_map(FrameFile::value).collect();
+        let mut differences: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        differences.sort_by(f64::total_cmp);
+        let median = differences.get(differences.len() / 2).copied().unwrap_or(1.0);
+        let mut number = 1;
+        let mut numbers: HashMap<u64, i64> =
+            times.first().map(|time| (time.to_bits(), 1)).into_iter().collect();
+        for pair in times.windows(2) {
+            number += ((pair[1] - pair[0]) / median).round().clamp(1.0, STEPS_MAX) as i64;
+            numbers.insert(pair[1].to_bits(), number);
+        }
+        NumbersOfTimes { numbers }
+    }
+
+    fn number(&self, file: &FrameFile) -> Option<i64> {
+        if file.has_time() { self.numbers.get(&file.value()?.to_bits()).copied() } else { file.number() }
+    }
+
+    /// The frames of a sequence by their numbers.
+    fn sort(&self, sequence: Sequence) -> Result<BTreeMap<i64, FrameFile>> {
+        let mut files: BTreeMap<i64, FrameFile> = BTreeMap::new();
+        for file in sequence.frames {
+            let Some(number) = self.number(&file) else {
+                bail!("{}: the name has no frame number to match meshes and particles by", shown(&file.path));
+            };
+            if let Some(other) = files.get(&number) {
+                bail!(
+                    "{} and {} are both frame {number}: subframes cannot be scored",
+                    shown(&other.path),
+                    shown(&file.path)
+                );
+            }
+            files.insert(number, file);
+        }
+        Ok(files)
+    }
+}
+
+/// The most steps between two times.
+const STEPS_MAX: f64 = 1e6;
+
+fn listed(numbers: &[i64]) -> String {
+    let distinct: BTreeSet<i64> = numbers.iter().copied().collect();
+    let mut names: Vec<String> = distinct.iter().take(NUMBERS_NAMED).map(i64::to_string).collect();
+    if distinct.len() > NUMBERS_NAMED {
+        names.push(format!("and {} more", distinct.len() - NUMBERS_NAMED));
+    }
+    format!("{} {}", if distinct.len() == 1 { "frame" } else { "frames" }, names.join(", "))
+}
+
+/// The numbers of frames as text, followed by `one` if there is one frame, or else by `several`.
+fn listed_with(numbers: &[i64], [one, several]: [&str; 2]) -> String {
+    format!("{} {}", listed(numbers), if numbers.len() == 1 { one } else { several })
+}
+
+// Reads a frame from its two files.
+
+/// Reads the mesh of a frame, and the particles that meet the condition.
+fn read_frame(files: &FrameFiles, spacing: f64, filter: Option<&ParticleFilter>) -> Result<FlickerFrame> {
+    let mesh = MeshFile::read(&files.mesh)?.data;
+    let surface = MeshDistance::new(&mesh.positions, &mesh.triangles);
+    Ok(FlickerFrame::new(read_moving(&files.particles, filter)?, surface, spacing))
+}
+
+/// Measures the particle spacing as `convert` does, on all frames of the particles, and returns warnings
+/// about it.
+fn estimated_spacing(frames: &FlickerFrames, filter: Option<&ParticleFilter>) -> Result<(f64, Vec<String>)> {
+    let options = SpacingOptions { filter: filter.cloned(), ..SpacingOptions::default() };
+    let measured = measure_spacing(frames.particles.iter().map(|path| &**path), &options)?;
+    Ok((measured.spacing, measured.warnings))
+}
+
+fn read_moving(path: &Path, filter: Option<&ParticleFilter>) -> Result<MovingParticles> {
+    let bytes = read_file(path)?;
+    let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
+    let mut frame =
+        read_particles(&bytes, &name, &Limits::default()).with_context(|| shown(path).to_string())?;
+    keep_chosen(&mut frame, filter).map_err(|why| anyhow!("{}: {why}", shown(path)))?;
+    let ParticleFrame { positions, attributes, .. } = frame;
+    let of_role = |role: AttributeRole, arity: usize| {
+        attributes.iter().find(move |attribute| attribute.role == Some(role) && attribute.arity == arity)
+    };
+    let ids = of_role(AttributeRole::Id, 1).and_then(integers);
+    let velocities = of_role(AttributeRole::Velocity, 3).and_then(vectors);
+    Ok(MovingParticles { positions: particles(positions), ids, velocities })
+}
+
+/// The values of an attribute as integers. Floats are converted if all of them are integers up to ±2⁵³.
+fn integers(attribute: &FileAttribute) -> Option<Vec<i64>> {
+    const EXACT: f64 = 9_007_199_254_740_992.0; // 2⁵³
+    let whole = |value: f64| (value.fract() == 0.0 && value.abs() <= EXACT).then_some(value as i64);
+    match &attribute.values {
+        Values::U8(values) => Some(values.iter().map(|&value| value.into()).collect()),
+        Values::I32(values) => Some(values.iter().map(|&value| value.into()).collect()),
+        Values::I64(values) => Some(values.clone()),
+        Values::F32(values) => values.iter().map(|&value| whole(value.into())).collect(),
+        Values::F64(values) => values.iter().map(|&value| whole(value)).collect(),
+        Values::Strings { .. } => None,
+    }
+}
+
+fn vectors(attribute: &FileAttribute) -> Option<Vec<[f32; 3]>> {
+    let numbers: Vec<f32> = match &attribute.values {
+        Values::F32(values) => values.clone(),
+        Values::F64(values) => values.iter().map(|&value| value as f32).collect(),
+        Values::U8(values) => values.iter().map(|&value| value.into()).collect(),
+        Values::I32(values) => values.iter().map(|&value| value as f32).collect(),
+        Values::I64(values) => values.iter().map(|&value| value as f32).collect(),
+        Values::Strings { .. } => return None,
+    };
+    Some(numbers.as_chunks::<3>().0.to_vec())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::sequences;
+
+    #[test]
+    fn times_are_counted_in_steps() {
+        let names = ["p_0.9667.ply", "p_1.0000.ply", "p_1.0333.ply", "p_1.1000.ply"];
+        let [particles] = &sequences(names.map(|name| FrameFile::new(name.into())).to_vec())[..] else {
+            panic!("one sequence")
+        };
+        let numbers = NumbersOfTimes::of(particles);
+        let found: Vec<Option<i64>> = particles.frames.iter().map(|file| numbers.number(file)).collect();
+        assert_eq!(found, [Some(1), Some(2), Some(3), Some(5)]);
+        // The mesh of a time need not have the same decimals.
+        assert_eq!(numbers.number(&FrameFile::new("mesh_1.00.obj".into())), Some(2));
+        assert_eq!(numbers.number(&FrameFile::new("mesh_7.5.obj".into())), None);
+        assert_eq!(numbers.number(&FrameFile::new("mesh.7.obj".into())), Some(7));
+    }
+
+    #[test]
+    fn long_lists_are_shortened() {
+        assert_eq!(listed(&[7]), "frame 7");
+        assert_eq!(listed_with(&[7, 9], ["is", "are"]), "frames 7, 9 are");
+        assert_eq!(listed(&(1..=10).collect::<Vec<_>>()), "frames 1, 2, 3, 4, 5, 6, 7, 8, and 2 more");
+    }
 }

@@ -1,11 +1,8 @@
 //! `meniscus info`: prints the contents of files.
 //!
-//! The structs here and in the submodules define the JSON; the text shows the same values.
+//! The structs here and in `contents` define the JSON; the text shows the same values.
 
-mod mesh;
-mod particles;
-mod sequence;
-mod volume;
+mod contents;
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -36,10 +33,7 @@ use super::inputs::find_inputs;
 use super::wording::{shortest, with_causes};
 use super::{CommandOutcome, DoneCounts};
 
-use mesh::MeshInfo;
-use particles::ParticlesInfo;
-use sequence::SequenceFileRecord;
-use volume::GridRecord;
+use contents::{GridRecord, MeshInfo, ParticlesInfo, SequenceFileRecord};
 
 /// One file.
 #[derive(Debug, Default, Serialize)]

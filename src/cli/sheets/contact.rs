@@ -1,23 +1,26 @@
 //! `meniscus contact-sheet`: an overview of a sequence on one picture.
 
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Result, bail};
 
 use crate::cli::args::{ContactSheetArgs, MethodArgs, PictureArgs};
-use crate::cli::choices::refuse_misplaced_rounds;
 use crate::cli::console::Console;
 use crate::cli::frame_selection::FrameSelection;
+use crate::cli::inputs::{MatchedInputs, find_with_others, refuse_times};
 use crate::cli::machine::{memory_bytes, thread_pool};
-use crate::cli::render_session::{RenderSession, RenderSource, catch_panic};
-use crate::cli::select::refuse_times;
-use crate::cli::wording::{pluralize, significant, with_causes};
+use crate::cli::render_session::{RenderSession, RenderSource, catch_panic, surfaces_in};
+use crate::cli::wording::{counted_are, pluralize, significant, with_causes};
 use crate::cli::{CommandOutcome, DoneCounts};
-use crate::pipeline::{FrameFile, PictureOptions, SheetPart, Viewpoint, read_picture};
+use crate::pipeline::{
+    FrameFile, PictureOptions, Sequence, SheetPart, Viewpoint, camera_of_picture, files_in, is_level_set,
+    is_mesh, natural_order, read_picture, sequences,
+};
 use crate::render::{Cell, CellGroup, CellPicture, Picture, Sheet};
 use crate::surface::options::Settings;
 
-use super::sources::{SourceKind, Sources, Strip, find_sources, stem_of};
 use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 
 /// Puts the selected frames on a sheet.
@@ -28,7 +31,6 @@ pub(in crate::cli) fn contact_sheet(
     args: &ContactSheetArgs,
     console: &mut Console,
 ) -> Result<CommandOutcome> {
-    refuse_misplaced_rounds(&args.pictures.method, &args.inputs)?;
     let Sources { strips, files, found } = find_sources(&args.inputs, kinds(&args.pictures))?;
     found.report(console);
     let selected_strips = select_frames(strips, args)?;
@@ -138,8 +140,10 @@ impl SequenceRows {
             format!("{} of {selected}", frames.len())
         };
         let kind = strip.kind.name();
-        let voxels = self.settings.as_ref().map(|settings| significant(settings.voxel_size));
-        let voxels = voxels.map_or(String::new(), |voxel_size| format!(", voxel size {voxel_size}"));
+        let voxels = self
+            .settings
+            .as_ref()
+            .map_or(String::new(), |settings| format!(", voxel size {}", significant(settings.voxel_size)));
         format!("{frames}, from {kind}{voxels}")
     }
 
@@ -176,8 +180,9 @@ impl Contact<'_> {
         }
         let cells = selected_strip.frames.iter().map(|file| {
             let rendered = match &prepared {
-                Ok(prepared) => catch_panic(&file.path, || {
-                    self.picture(file, selected_strip.strip.kind, prepared, console)
+                Ok((settings, viewpoint)) => catch_panic(&file.path, || {
+                    let kind = selected_strip.strip.kind;
+                    self.picture(file, kind, settings.as_ref(), viewpoint.as_ref(), console)
                 }),
                 Err(error) => Err(anyhow::anyhow!(with_causes(error))),
             };
@@ -209,14 +214,15 @@ impl Contact<'_> {
         &self,
         file: &FrameFile,
         kind: SourceKind,
-        (settings, viewpoint): &(Option<Settings>, Option<Viewpoint>),
+        settings: Option<&Settings>,
+        viewpoint: Option<&Viewpoint>,
         console: &Console,
     ) -> Result<(Picture, Option<usize>)> {
         let size = self.session.outputs.picture.size;
-        let Some(viewpoint) = viewpoint.as_ref().filter(|_| kind != SourceKind::Pictures) else {
+        let Some(viewpoint) = viewpoint.filter(|_| kind != SourceKind::Pictures) else {
             return Ok((read_picture(&file.path)?.scaled_to_fit(size), None));
         };
-        let source = self.session.source(file, settings.as_ref(), console)?;
+        let source = self.session.source(file, settings, console)?;
         let particle_count = match &source {
             RenderSource::LevelSet(_) | RenderSource::Mesh(_) => None,
             RenderSource::Reconstructed(reconstructed) => Some(reconstructed.frame.particles().len()),
@@ -232,9 +238,11 @@ impl Contact<'_> {
         };
         let (singles, sequences): (Vec<SequenceRows>, Vec<SequenceRows>) =
             parts.into_iter().partition(SequenceRows::is_single);
-        let counts = [(sequences.len(), "sequence"), (singles.len(), "file")];
-        let counts = counts.into_iter().filter(|(count, _)| *count > 0);
-        let counts: Vec<String> = counts.map(|(count, noun)| pluralize(count, noun)).collect();
+        let counts: Vec<String> = [(sequences.len(), "sequence"), (singles.len(), "file")]
+            .into_iter()
+            .filter(|(count, _)| *count > 0)
+            .map(|(count, noun)| pluralize(count, noun))
+            .collect();
         let mut blocks: Vec<CellGroup> =
             sequences.into_iter().map(|part| block(part.title(), part.cells)).collect();
         let of_singles = match &singles[..] {
@@ -267,6 +275,172 @@ fn cell(file: &FrameFile, kind: SourceKind, rendered: Result<(Picture, Option<us
     Cell { content, lines }
 }
 
+// Chooses which file represents each frame on a contact sheet.
+//
+// ```text
+//   dam.0001.png   dam.0001.vdb   dam.0001.bgeo     the same frame: a picture is cheapest, then a level set,
+//   dam.0002.png   dam.0002.vdb   dam.0002.bgeo     a mesh, and particles, which must be converted
+//                  dam.0003.vdb   dam.0003.bgeo
+//                       ▲
+//                       one kind for the whole sequence: the one with the most frames, then the cheapest
+// ```
+//
+// All cells of a sequence share one camera. Existing pictures with different cameras are used only if the
+// sequence has no other files.
+
+/// The kinds of files of a frame, the cheapest first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum SourceKind {
+    Pictures,
+    LevelSets,
+    Meshes,
+    Particles,
+}
+
+impl SourceKind {
+    fn of(path: &Path) -> SourceKind {
+        if is_level_set(path) {
+            SourceKind::LevelSets
+        } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
+            SourceKind::Pictures
+        } else if is_mesh(path) {
+            SourceKind::Meshes
+        } else {
+            SourceKind::Particles
+        }
+    }
+
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            SourceKind::Pictures => "pictures",
+            SourceKind::LevelSets => "level sets",
+            SourceKind::Meshes => "meshes",
+            SourceKind::Particles => "particles",
+        }
+    }
+}
+
+/// A sequence, and the kind of its files.
+#[derive(Clone, Debug)]
+struct Strip {
+    /// The common part of the frames' names, such as `dam`.
+    pub(super) name: String,
+    pub(super) kind: SourceKind,
+    pub(super) sequence: Sequence,
+}
+
+/// The result of the search.
+#[derive(Debug, Default)]
+struct Sources {
+    /// In natural order.
+    strips: Vec<Strip>,
+    /// Every file that was found, used or not.
+    pub(super) files: Vec<PathBuf>,
+    /// The rest of the search: unreadable paths, and warnings.
+    pub(super) found: MatchedInputs,
+}
+
+/// Finds the frames of these kinds that the inputs name.
+///
+/// # Errors
+/// If an input names no frame.
+fn find_sources(inputs: &[PathBuf], kinds: &[SourceKind]) -> Result<Sources> {
+    let add = |found: &mut MatchedInputs, files, _: &Path| {
+        found.add(MatchedInputs { files, ..MatchedInputs::default() })
+    };
+    let mut found = find_with_others(inputs, surfaces_and_pictures_in, add)?;
+    let files: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
+    let kind_of = |file: FrameFile| (SourceKind::of(&file.path), file);
+    let all_files: Vec<(SourceKind, FrameFile)> =
+        std::mem::take(&mut found.files).into_iter().map(kind_of).collect();
+    let mut strips_of: HashMap<(PathBuf, String), Vec<Strip>> = HashMap::new();
+    for kind in kinds {
+        let of_kind = all_files.iter().filter(|(of_file, _)| of_file == kind);
+        for sequence in sequences(of_kind.map(|(_, file)| file.clone()).collect()) {
+            let (folder, name) = sequence.frames[0].sequence();
+            let (base, name) = (without_extension(&name, *kind), &*sequence.name);
+            let name = if sequence.frames.len() > 1 { common_name(&base) } else { name.to_owned() };
+            let strip = Strip { name, kind: *kind, sequence };
+            strips_of.entry((folder, base)).or_default().push(strip);
+        }
+    }
+    let mut strips: Vec<Strip> = Vec::new();
+    for same in strips_of.into_values() {
+        let stems = |strip: &Strip| -> HashSet<String> {
+            let frames = strip.sequence.frames.iter();
+            frames.map(|file| stem_of(file, strip.kind)).collect()
+        };
+        let all: HashSet<String> = same.iter().flat_map(&stems).collect();
+        let Some(strip) = cheapest(same) else { continue };
+        let left_out = all.len() - stems(&strip).len();
+        if left_out > 0 {
+            found.warnings.push(format!(
+                "{}: {} not available as {}, and left out",
+                strip.name,
+                counted_are(left_out as u64),
+                strip.kind.name()
+            ));
+        }
+        strips.push(strip);
+    }
+    found.warnings.sort();
+    let first = |strip: &Strip| strip.sequence.frames[0].path.to_string_lossy().into_owned();
+    strips.sort_by(|a, b| natural_order(&first(a), &first(b)));
+    if strips.is_empty() {
+        let names: Vec<&str> = kinds.iter().map(|kind| kind.name()).collect();
+        bail!("there are no {} among the {} frames found", names.join(" or "), files.len());
+    }
+    Ok(Sources { strips, files, found })
+}
+
+/// The level sets and meshes in a folder, and the pictures that meniscus rendered; empty if the path is not a
+/// folder.
+fn surfaces_and_pictures_in(folder: &Path) -> Result<Vec<FrameFile>> {
+    let mut others = surfaces_in(folder);
+    if folder.is_dir() {
+        let is_picture = |path: &PathBuf| camera_of_picture(path).is_some();
+        others.extend(files_in(folder)?.into_iter().filter(is_picture).map(FrameFile::new));
+    }
+    Ok(others)
+}
+
+/// The sequence with the most frames; of several such sequences, the cheapest.
+fn cheapest(strips: Vec<Strip>) -> Option<Strip> {
+    let is_only_one = strips.len() == 1;
+    let of_use = strips.into_iter().filter(|strip| is_only_one || has_one_camera(strip));
+    of_use.min_by_key(|strip| (usize::MAX - strip.sequence.frames.len(), strip.kind))
+}
+
+/// Whether all pictures of this strip share a camera. Pictures that are still to be rendered always do.
+fn has_one_camera(strip: &Strip) -> bool {
+    if strip.kind != SourceKind::Pictures {
+        return true;
+    }
+    let mut cameras = strip.sequence.frames.iter().map(|file| camera_of_picture(&file.path));
+    let first = cameras.next().flatten();
+    first.is_some() && cameras.all(|camera| camera == first)
+}
+
+/// The name of a frame, without the extensions of its kind.
+fn stem_of(file: &FrameFile, kind: SourceKind) -> String {
+    if kind == SourceKind::Particles { file.stem() } else { without_extension(&file.name(), kind) }
+}
+
+/// The name of a file, without the extensions of its kind.
+fn without_extension(name: &str, kind: SourceKind) -> String {
+    match kind {
+        SourceKind::Pictures => name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_owned(),
+        _ => FrameFile::new(name.into()).stem(),
+    }
+}
+
+/// The name without the placeholder of the frame number: `dam` for `dam.{}`.
+fn common_name(base: &str) -> String {
+    let name = base.replace("{}", "");
+    let name = name.trim_matches(['.', '_', '-']);
+    if name.is_empty() { base.to_owned() } else { name.to_owned() }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -284,5 +458,49 @@ mod tests {
             let (least, greatest) = (steps.iter().min(), steps.iter().max());
             assert!(greatest.zip(least).is_some_and(|(g, l)| *l > 0 && g - l <= 1), "{count} {most}");
         }
+    }
+
+    #[test]
+    fn extensions_of_the_kind_are_removed() {
+        for (name, kind, expected) in [
+            ("dam.0001.png", SourceKind::Pictures, "dam.0001"),
+            ("dam.0001.vdb", SourceKind::LevelSets, "dam.0001"),
+            ("dam.0001.bgeo.gz", SourceKind::Particles, "dam.0001"),
+            ("dam.{}.ply", SourceKind::Particles, "dam.{}"),
+            ("dam.{}.glb", SourceKind::Meshes, "dam.{}"),
+        ] {
+            assert_eq!(without_extension(name, kind), expected);
+        }
+        for (base, expected) in [("dam.{}", "dam"), ("{}", "{}"), ("shot_{}_fluid", "shot__fluid")] {
+            assert_eq!(common_name(base), expected);
+        }
+    }
+
+    #[test]
+    fn kind_with_most_frames_is_chosen_then_the_cheapest() {
+        let strip = |kind, count: usize| {
+            let frames = (0..count).map(|n| FrameFile::new(format!("there/dam.{n}.vdb").into())).collect();
+            Strip { name: "dam".into(), kind, sequence: Sequence { name: "dam.{}".into(), frames } }
+        };
+        let chosen = |strips: &[(SourceKind, usize)]| {
+            let strips = strips.iter().map(|&(kind, count)| strip(kind, count)).collect();
+            cheapest(strips).map(|strip| strip.kind)
+        };
+        assert_eq!(
+            chosen(&[(SourceKind::Meshes, 3), (SourceKind::LevelSets, 3), (SourceKind::Particles, 3)]),
+            Some(SourceKind::LevelSets)
+        );
+        assert_eq!(chosen(&[(SourceKind::Meshes, 3), (SourceKind::Particles, 3)]), Some(SourceKind::Meshes));
+        assert_eq!(
+            chosen(&[(SourceKind::LevelSets, 2), (SourceKind::Particles, 3)]),
+            Some(SourceKind::Particles)
+        );
+        // These pictures do not record their camera.
+        assert_eq!(
+            chosen(&[(SourceKind::Pictures, 3), (SourceKind::Particles, 3)]),
+            Some(SourceKind::Particles)
+        );
+        assert_eq!(chosen(&[(SourceKind::Pictures, 3)]), Some(SourceKind::Pictures));
+        assert_eq!(chosen(&[]), None);
     }
 }

@@ -1,13 +1,11 @@
 //! `meniscus contact-sheet` and `meniscus tune`: many pictures on one sheet.
 //!
 //! ```text
-//!   contact   an overview of a sequence        sources  which file represents a frame
-//!   tune      a frame under many settings      command  the command for each
+//!   contact   an overview of a sequence
+//!   tune      a frame under many settings, with the command for each
 //! ```
 
-mod command;
 mod contact;
-mod sources;
 mod tune;
 
 use std::path::{Path, PathBuf};
@@ -22,13 +20,13 @@ use crate::render::Sheet;
 
 use super::args::PictureArgs;
 use super::console::Console;
-use super::out_folder::{OutFolder, write_file};
+use super::destination::{OutFolder, write_file};
 use super::quantities::PictureSize;
 use super::render_session::{RenderSession, named_picture};
 use super::wording::with_causes;
 
 pub(super) use contact::contact_sheet;
-pub(super) use tune::tune;
+pub(super) use tune::{VariedOption, tune};
 
 /// The output file of a sheet.
 struct SheetFile {
@@ -49,7 +47,7 @@ impl SheetFile {
         console: &Console,
     ) -> Result<(SheetFile, RenderSession<'a>)> {
         let (folder, stem, _) = named_picture(output, &["png"])?;
-        let session = RenderSession::new(args, (folder.clone(), OutputFormat::Png, size))?;
+        let session = RenderSession::new(args, folder.clone(), OutputFormat::Png, size)?;
         session.warn_of_ignored(written.unwrap_or(&session.outputs.formats), console);
         let out_folder = OutFolder::make(&folder)?;
         let planned = [(inputs.first().cloned().unwrap_or_default(), stem.clone())];

@@ -10,33 +10,29 @@
 //! A cell is a set of command options with some values replaced. Its settings and its printed command line
 //! come from the same options, so they cannot differ.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use anyhow::{Context, Result, anyhow, bail};
-use meniscus_formats::listed;
+use meniscus_formats::{UpAxis, listed};
 
 use crate::cli::args::{MethodArgs, OptionSet, TuneArgs};
-use crate::cli::choices::refuse_misplaced_rounds;
 use crate::cli::console::Console;
-use crate::cli::inputs::find_inputs;
+use crate::cli::inputs::{SelectedSequence, find_inputs, only_sequence, selected_of};
 use crate::cli::machine::{memory_bytes, thread_pool};
-use crate::cli::remedies::with_remedy;
 use crate::cli::render_session::{
     RenderSession, catch_panic, picture_of_reconstruction, spacing_of, surface_name,
 };
-use crate::cli::resolve::warn_of_siblings;
-use crate::cli::select::{SelectedSequence, only_sequence, selected_of};
-use crate::cli::varied_option::{DEFAULT, VariedOption};
-use crate::cli::wording::{option_name, pluralize, with_causes};
+use crate::cli::settings::warn_of_siblings;
+use crate::cli::wording::{option_name, pluralize, with_causes, with_remedy};
 use crate::cli::{CommandOutcome, DoneCounts};
 use crate::pipeline::{
     AttributeRequest, CameraChoice, EMPTY_BOUNDS, FrameFile, LoadedFrame, OutputFormat, Reconstruction,
     ReportedWarnings, Sequence, SheetPart, Viewpoint, Warning, bounds_of_particles, close_up, up_of,
 };
 use crate::render::{Cell, CellGroup, CellPicture, Picture, Sheet};
-use crate::surface::options::{MethodOptions, SequenceSpacing, Settings, SpacingOptions};
+use crate::surface::options::{MethodOptions, OptionInfo, SequenceSpacing, Settings, SpacingOptions};
 
-use super::command::CommandLine;
 use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 
 /// Shows one frame under the requested settings.
@@ -44,7 +40,6 @@ use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 /// # Errors
 /// If no cell can be attempted. A cell that fails is reported and counted.
 pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<CommandOutcome> {
-    refuse_misplaced_rounds(&args.pictures.method, &args.inputs)?;
     let grid = Grid::new(args)?;
     let found = find_inputs(&args.inputs)?;
     found.report(console);
@@ -358,4 +353,222 @@ impl MeasuredSpacings<'_> {
 fn seconds(made: &Reconstruction) -> f64 {
     let seconds = &made.surface.report.seconds;
     seconds.rasterize + seconds.smooth + seconds.contour
+}
+
+// An option that `meniscus tune` varies, with the values to show: `--vary preset=fluid,noisy,splash`.
+
+/// An option and its values.
+#[derive(Clone, Debug)]
+pub(in crate::cli) struct VariedOption {
+    info: &'static OptionInfo<MethodOptions>,
+    /// At least one. The option accepts them.
+    pub(super) values: Vec<String>,
+}
+
+/// What `tune` varies by itself.
+const DEFAULT: [&str; 2] = ["position-smoothing=0,0.5,0.7,0.9", "radius-min=0.85d,1d,1.15d,1.45d"];
+
+impl VariedOption {
+    /// The name of the option's field.
+    pub(super) fn name(&self) -> &'static str {
+        self.info.name
+    }
+
+    /// The option without the hyphens at its beginning.
+    pub(super) fn flag(&self) -> String {
+        flag(self.info)
+    }
+
+    /// Sets the option to one of the values.
+    fn put(&self, value: &str, options: &mut MethodOptions) {
+        let is_set = options.set(self.info.name, value);
+        debug_assert!(is_set.is_ok(), "{} accepted {value} before", self.info.name);
+    }
+}
+
+fn flag(info: &OptionInfo<MethodOptions>) -> String {
+    option_name(info.name).trim_start_matches('-').to_owned()
+}
+
+impl FromStr for VariedOption {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<VariedOption, String> {
+        let Some((name, values)) = text.split_once('=') else {
+            return Err("expected an option and its values, such as radius-ratio=1.5,2,3".to_owned());
+        };
+        let info = MethodOptions::ALL.iter().find(|info| flag(info) == name);
+        let info = info.ok_or_else(|| format!("there is no option --{name} to vary"))?;
+        let values: Vec<String> = values.split(',').map(|value| value.trim().to_owned()).collect();
+        for value in &values {
+            info.check(value).map_err(|why| format!("{name}: {why}"))?;
+        }
+        Ok(VariedOption { info, values })
+    }
+}
+
+// The command line for a cell of a sheet of `meniscus tune`: it converts all frames of INPUT with the cell's
+// options.
+
+/// The words of a command, each quoted for the shell.
+struct CommandLine {
+    words: Vec<String>,
+    /// The same words with abbreviated paths.
+    short_words: Vec<String>,
+}
+
+impl CommandLine {
+    /// The command that converts the inputs of `tune` with these options. The output folder, the obstacles
+    /// and the up axis are those given to `tune`.
+    pub(super) fn convert(
+        TuneArgs { inputs, out, pictures, .. }: &TuneArgs,
+        options: &MethodOptions,
+    ) -> CommandLine {
+        let mut line = CommandLine { words: Vec::new(), short_words: Vec::new() };
+        line.add("meniscus");
+        line.add("convert");
+        inputs.iter().for_each(|input| line.add_path(input));
+        line.add("--out");
+        line.add_path(out);
+        for (name, value) in options.to_pairs() {
+            match name {
+                "quads" if value == "true" => line.add("--quads"),
+                // The value of this option is optional, so it must follow a =.
+                "quads" => line.add(&format!("{}={value}", option_name(name))),
+                _ => line.add_option(name, &value),
+            }
+        }
+        for obstacle in &pictures.method.obstacle {
+            line.add("--obstacle");
+            line.add_path(obstacle);
+        }
+        if pictures.up == Some(UpAxis::Z) {
+            line.add_option("up", "z");
+        }
+        line
+    }
+
+    /// The whole command.
+    pub(super) fn text(&self) -> String {
+        self.words.join(" ")
+    }
+
+    /// The command with abbreviated paths.
+    fn short_text(&self) -> String {
+        self.short_words.join(" ")
+    }
+
+    fn add(&mut self, word: &str) {
+        self.words.push(quoted(word));
+        self.short_words.push(quoted(word));
+    }
+
+    fn add_option(&mut self, name: &str, value: &str) {
+        let option = option_name(name);
+        // A value that begins with a hyphen must follow a =.
+        if value.starts_with('-') {
+            return self.add(&format!("{option}={value}"));
+        }
+        self.add(&option);
+        self.add(value);
+    }
+
+    fn add_path(&mut self, path: &Path) {
+        let text = path.to_string_lossy();
+        // A path that begins with a hyphen needs a leading `./`.
+        let text = if text.starts_with('-') { format!("./{text}") } else { text.into_owned() };
+        self.words.push(quoted(&text));
+        self.short_words.push(quoted(&abbreviated(&text, path)));
+    }
+}
+
+/// A path, abbreviated to its last component if it is long.
+fn abbreviated(text: &str, path: &Path) -> String {
+    match path.file_name() {
+        Some(name) if text.chars().count() > PATH_LETTERS => format!(".../{}", name.to_string_lossy()),
+        _ => text.to_owned(),
+    }
+}
+
+/// Paths with more characters are abbreviated on sheets.
+const PATH_LETTERS: usize = 40;
+
+/// Quotes a word for the shell.
+fn quoted(word: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || "-_./,:=+%@".contains(c);
+    if !word.is_empty() && word.chars().all(is_plain) {
+        return word.to_owned();
+    }
+    format!("'{}'", word.replace('\'', r"'\''"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    use crate::cli::args::{Cli, Command};
+
+    #[test]
+    fn option_is_varied_by_its_own_name() {
+        let varied: VariedOption = "radius-min=0.85d, 1d".parse().expect("lengths");
+        let mut options = MethodOptions::default();
+        varied.put(&varied.values[1], &mut options);
+        assert_eq!(options.to_pairs(), [("radius_min", "1d".to_owned())]);
+        for text in DEFAULT {
+            assert_eq!(text.parse::<VariedOption>().map(|varied| varied.values.len()), Ok(4));
+        }
+    }
+
+    #[test]
+    fn errors_name_the_option_and_the_expected_values() {
+        for (text, expected) in [
+            ("", "such as radius-ratio=1.5,2,3"),
+            ("2,3", "such as radius-ratio=1.5,2,3"),
+            ("q=2", "there is no option --q to vary"),
+            ("voxel_size=1", "there is no option --voxel_size to vary"),
+            ("radius-ratio=", "radius-ratio: `` is not a number"),
+            ("steps=1,2.5", "steps: `2.5` is not a whole number"),
+            ("voxel-size=2h", "voxel-size: `2h` is not a voxel size"),
+            ("preset=fluid,sea", "preset: `sea` is unknown: expected one of fluid"),
+            ("clip=0,0,0,1,1,1", "clip: `0` is not a box"),
+        ] {
+            let error = text.parse::<VariedOption>().expect_err(text);
+            assert!(error.contains(expected), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn words_are_quoted_for_the_shell() {
+        for (word, expected) in [
+            ("dam.0012.bgeo", "dam.0012.bgeo"),
+            ("dam.####.bgeo", "'dam.####.bgeo'"),
+            ("a b", "'a b'"),
+            ("it's", r"'it'\''s'"),
+            ("", "''"),
+            ("größe.ply", "größe.ply"),
+        ] {
+            assert_eq!(quoted(word), expected);
+        }
+    }
+
+    #[test]
+    fn long_paths_are_abbreviated_on_sheets_only() {
+        let long = "a/long/way/to/somewhere/that/nobody/knows/dam.####.bgeo";
+        let typed = ["meniscus", "tune", long, "./-x.ply", "-o=s.png", "--out=my meshes", "--up=z"];
+        let Command::Tune(args) = Cli::parse_from(typed).command else { panic!("another command") };
+        let line = CommandLine::convert(
+            &TuneArgs { inputs: vec![long.into(), "-x.ply".into()], ..*args },
+            &MethodOptions {
+                radius_ratio: Some(1.5),
+                smooth_normals: Some(3),
+                clip: "-1,0,0,1,1,1".parse().ok(),
+                ..MethodOptions::default()
+            },
+        );
+        let options = "--radius-ratio 1.5 --clip=-1,0,0,1,1,1 --smooth-normals 3 --up z";
+        assert_eq!(line.text(), format!("meniscus convert '{long}' ./-x.ply --out 'my meshes' {options}"));
+        let short = format!("meniscus convert '.../dam.####.bgeo' ./-x.ply --out 'my meshes' {options}");
+        assert_eq!(line.short_text(), short);
+    }
 }

@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, bail};
 
 use crate::cli::CommandOutcome;
-use crate::cli::clock::ago;
 use crate::cli::console::Console;
-use crate::cli::wording::{pluralize, significant};
+use crate::cli::wording::{ago, pluralize, significant};
 use crate::pipeline::{canonical_path, file_of, natural_order, step_of};
 use crate::watch::journal::{JournalState, JournaledFrame, JournaledStatus, now_ms};
 

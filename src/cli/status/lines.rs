@@ -1,8 +1,7 @@
 //! The status as text.
 
 use super::{DaemonStatus, FrameStatus, StatusCounts, StatusRecord};
-use crate::cli::clock::ago;
-use crate::cli::wording::{pluralize, significant};
+use crate::cli::wording::{ago, pluralize, significant};
 
 /// Maximum number of entries printed per list; `--json` has all.
 const LISTED_MAX: usize = 20;

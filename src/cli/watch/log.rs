@@ -79,8 +79,8 @@ impl ShortLines {
             _ => "debug: ",
         };
         // A long path is shown once.
-        let about = about.filter(|about| !message.contains(&**about));
-        let about = about.map_or(String::new(), |about| about + ": ");
+        let about =
+            about.filter(|about| !message.contains(&**about)).map_or(String::new(), |about| about + ": ");
         self.shortened(&format!("{level}{about}{message}"))
     }
 

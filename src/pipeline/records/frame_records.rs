@@ -745,7 +745,10 @@ pub fn settings_id(values: &SettingValues) -> String {
 
 /// The first setting that differs, in words.
 fn changed_setting(was: &SettingValues, wanted: &SettingValues) -> Option<String> {
-    let name = was.keys().chain(wanted.keys()).find(|name| was.get(*name) != wanted.get(*name))?;
+    let changed = was.keys().chain(wanted.keys()).filter(|name| was.get(*name) != wanted.get(*name));
+    // Other formats may have other settings, so those that both have tell most.
+    let is_shared = |name: &str| was.contains_key(name) && wanted.contains_key(name);
+    let name = changed.min_by_key(|name| (*name == "formats", !is_shared(name), *name))?;
     Some(match (was.get(name), wanted.get(name)) {
         (Some(was), Some(wanted)) if name == "program" => format!("made by {was}; this is {wanted}"),
         (Some(was), Some(wanted)) => format!("made with {name} {was}; the current setting is {wanted}"),

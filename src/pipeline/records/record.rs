@@ -206,7 +206,6 @@ fn settings_of_particles(settings: &Settings, outputs: &OutputOptions, obstacles
         ("steps", json!(settings.steps)),
         ("step_size", json!(settings.step_size)),
         ("redistance_every", json!(settings.redistance_every)),
-        ("cg_tolerance", json!(settings.cg_tolerance)),
         ("contour", json!(settings.contouring.name())),
     ]);
     // `quads` depends on the outputs, and `void_threshold` on the obstacles, so they are added below.

@@ -33,10 +33,8 @@ pub struct OutputOptions {
     pub up: UpAxis,
     /// The length of a world unit in metres, within [`METERS_PER_UNIT`]: 1e-9 to 1e9. USD records it.
     pub meters_per_unit: f64,
-    /// Whether .vdb files have 16-bit values.
-    pub vdb_half: bool,
-    /// The compression of values in .vdb.
-    pub vdb_compression: vdb::Compression,
+    /// How .vdb files store values.
+    pub vdb: vdb::ValueEncoding,
     /// The size and camera of pictures.
     pub picture: PictureOptions,
     /// The stage that plays the files of the frames.
@@ -61,8 +59,7 @@ impl OutputOptions {
             formats: formats.to_vec(),
             up: UpAxis::Y,
             meters_per_unit: 1.0,
-            vdb_half: false,
-            vdb_compression: vdb::Compression::Blosc,
+            vdb: vdb::ValueEncoding::default(),
             picture: PictureOptions::default(),
             stage: None,
         }
@@ -95,8 +92,7 @@ impl OutputOptions {
             WriteOption::Quads => true.to_string(),
             WriteOption::Up => self.up.name().to_owned(),
             WriteOption::MetersPerUnit => self.meters_per_unit.to_string(),
-            WriteOption::Half => self.vdb_half.to_string(),
-            WriteOption::Compression => self.vdb_compression.name().to_owned(),
+            WriteOption::Values => self.vdb.to_string(),
             WriteOption::Size => {
                 let [width, height] = self.picture.size;
                 format!("{width}x{height}")
@@ -129,7 +125,7 @@ impl OutputOptions {
 
     /// The options for writing level sets.
     pub(crate) fn vdb(&self) -> vdb::WriteOptions {
-        let (half, compression) = (self.vdb_half, self.vdb_compression);
+        let vdb::ValueEncoding { half, compression } = self.vdb;
         vdb::WriteOptions { half, compression, ..vdb::WriteOptions::default() }
     }
 

@@ -209,7 +209,6 @@ fn plan_of(config: &WatchConfig) -> Value {
             "input": watch.input.to_string_lossy(),
             "output": watch.outputs.folder.to_string_lossy(),
             "pattern": watch.pattern,
-            "recursive": watch.recursive,
             "sentinel": watch.sentinel,
             "formats": watch.outputs.formats.iter().map(|format| format.extension()).collect::<Vec<_>>(),
             "choices": choices,

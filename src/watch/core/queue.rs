@@ -98,8 +98,7 @@ mod tests {
             formats: Vec::new(),
             up: gltf::UpAxis::Y,
             meters_per_unit: 1.0,
-            vdb_half: false,
-            vdb_compression: vdb::Compression::None,
+            vdb: vdb::ValueEncoding::default(),
             picture: crate::pipeline::PictureOptions::default(),
             stage: None,
         };

@@ -56,7 +56,6 @@ fn config(root_count: usize, choices: &MethodOptions) -> WatchConfig {
     let watch = |root: usize| Watch {
         input: format!("/in{root}").into(),
         pattern: None,
-        recursive: false,
         sentinel: None,
         outputs: OutputOptions::new(format!("/out{root}"), &[OutputFormat::Glb]),
         choices: choices.clone(),

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   root ─┬─ dam.0001.bgeo          taken, if the selection takes its name
-//!         ├─ take2 ─┬─ dam.ply      taken only if the selection is recursive
+//!         ├─ take2 ─┬─ dam.ply      taken only if the selection is deep
 //!         │         └─ up ──▶ root  a folder within itself: not entered
 //!         └─ surfaces               an excluded folder: not entered
 //! ```
@@ -36,7 +36,7 @@ pub(crate) fn file_state(path: &Path, trust_clock: bool) -> io::Result<Option<Se
     }
 }
 
-/// Scans `folder`, which is `root` or lies in it, and its sub-folders if the selection is recursive. The scan
+/// Scans `folder`, which is `root` or lies in it, and its sub-folders if the selection is deep. The scan
 /// of a folder that the selection does not enter is empty. Calls `progress` for every file.
 ///
 /// # Errors
@@ -120,13 +120,13 @@ impl FolderScan<'_> {
     /// Takes a file if it is selected; returns whether the entry is a folder to enter instead.
     fn take(&mut self, entry: &DirEntry, path: &Path) -> io::Result<bool> {
         let kind = entry.file_type()?;
-        let is_recursive = self.selection.is_recursive();
+        let is_deep = self.selection.is_deep();
         if kind.is_dir() {
-            return Ok(is_recursive);
+            return Ok(is_deep);
         }
         let is_selected = path.strip_prefix(self.root).is_ok_and(|within| self.selection.takes_name(within));
         let metadata = match kind.is_symlink() {
-            true if is_selected || is_recursive => match fs::metadata(path) {
+            true if is_selected || is_deep => match fs::metadata(path) {
                 Err(error) if !is_selected && is_link_loop(&error) => return Ok(false),
                 Err(error) if is_selected && is_gone(&error) && path.is_symlink() => {
                     self.scan.dangling.push(path.to_owned());
@@ -140,7 +140,7 @@ impl FolderScan<'_> {
         if let Some(seen) = seen(&metadata, self.trust_clock).filter(|_| is_selected) {
             self.scan.files.push((path.to_owned(), seen));
         }
-        Ok(is_recursive && metadata.is_dir())
+        Ok(is_deep && metadata.is_dir())
     }
 }
 
@@ -216,7 +216,7 @@ mod tests {
     }
 
     fn selection(pattern: Option<&str>, excluded: &[PathBuf]) -> FileFilter {
-        FileFilter::new(pattern, true, excluded.to_vec()).expect("a pattern")
+        FileFilter::new(pattern.or(Some("**")), excluded.to_vec()).expect("a pattern")
     }
 
     /// The paths that a scan finds, relative to its root and sorted; the scan must have no problems.
@@ -249,23 +249,23 @@ mod tests {
         let folder = folder_of(&paths);
         let root = folder.path();
         let excluded = [root.join("out")];
-        for (pattern, recursive, expected) in [
-            (None, true, &["a.1.ply", "b/a.2.ply", "b/c/a.3.ply", "b/x.txt"][..]),
-            (None, false, &["a.1.ply"]),
-            (Some("a.*.ply"), true, &["a.1.ply", "b/a.2.ply", "b/c/a.3.ply"]),
-            (Some("a.*.ply"), false, &["a.1.ply"]),
-            (Some("*/a.*"), true, &["b/a.2.ply"]),
-            (Some("**/a.[13].ply"), true, &["a.1.ply", "b/c/a.3.ply"]),
-            (Some("frame.????"), true, &["frame.0001"]),
+        for (pattern, expected) in [
+            (Some("**"), &["a.1.ply", "b/a.2.ply", "b/c/a.3.ply", "b/x.txt"][..]),
+            (None, &["a.1.ply"]),
+            (Some("**/a.*.ply"), &["a.1.ply", "b/a.2.ply", "b/c/a.3.ply"]),
+            (Some("a.*.ply"), &["a.1.ply"]),
+            (Some("*/a.*"), &["b/a.2.ply"]),
+            (Some("**/a.[13].ply"), &["a.1.ply", "b/c/a.3.ply"]),
+            (Some("frame.????"), &["frame.0001"]),
         ] {
-            let selection = FileFilter::new(pattern, recursive, excluded.to_vec()).expect("a pattern");
+            let selection = FileFilter::new(pattern, excluded.to_vec()).expect("a pattern");
             assert_eq!(found(root, &selection), expected, "{pattern:?}");
             let selected =
                 paths.map(|path| root.join(path)).into_iter().filter(|path| selection.takes(root, path));
             let selected: Vec<PathBuf> = selected.collect();
             assert_eq!(names(root, selected.iter().map(|path| &**path)), expected, "{pattern:?}");
         }
-        let flat = FileFilter::new(None, false, Vec::new()).expect("no pattern");
+        let flat = FileFilter::new(None, Vec::new()).expect("no pattern");
         let scan = scan(root, root, &flat, true, &|| ()).expect("readable");
         assert_eq!(scan.folders, [root]);
     }
@@ -329,7 +329,7 @@ mod tests {
         if fs::create_dir(&sub).and_then(|()| fs::write(&path, b"")).is_err() {
             return;
         }
-        for pattern in [None, Some("*.ply"), Some("*/*.ply")] {
+        for pattern in [None, Some("**/*.ply"), Some("*/*.ply")] {
             let selection = selection(pattern, &[]);
             let scan = scan(folder.path(), folder.path(), &selection, true, &|| ()).expect("readable");
             assert_eq!(scan.files[0].0, path);

@@ -27,7 +27,8 @@ use crate::watch::config::names_level_sets;
 #[derive(Clone, Debug)]
 pub struct FileFilter {
     pattern: Option<Pattern>,
-    recursive: bool,
+    /// Whether sub-folders are scanned.
+    is_deep: bool,
     excluded: Vec<PathBuf>,
 }
 
@@ -46,21 +47,20 @@ impl fmt::Display for PatternError {
 impl std::error::Error for PatternError {}
 
 impl FileFilter {
-    /// Takes the files that `pattern` matches: a glob for the file name if it contains no `/`, otherwise for
-    /// the path within the root. Without a pattern, takes names with an extension of particle files.
+    /// Takes the files that `pattern` matches: a glob for the name of a file in the root, or, if it contains
+    /// a `/`, for the path of a file in the root or its sub-folders. A pattern that ends in `**`, like no
+    /// pattern, takes names with an extension of particle files; without a pattern, only those in the root.
     ///
     /// Hidden files are never taken. Files in one of the `excluded` folders are not taken, unless the root
     /// itself lies in that folder.
     ///
     /// # Errors
-    /// When the pattern is malformed, or contains sub-folders although `recursive` is false.
-    pub fn new(
-        pattern: Option<&str>,
-        recursive: bool,
-        excluded: Vec<PathBuf>,
-    ) -> Result<FileFilter, PatternError> {
-        let pattern = pattern.map(|text| parse_pattern(text, recursive)).transpose()?;
-        Ok(FileFilter { pattern, recursive, excluded })
+    /// When the pattern is malformed.
+    pub fn new(pattern: Option<&str>, excluded: Vec<PathBuf>) -> Result<FileFilter, PatternError> {
+        let pattern = pattern.map(parse_pattern).transpose()?;
+        let is_deep =
+            pattern.as_ref().is_some_and(|pattern| pattern.as_str().contains('/') || takes_any(pattern));
+        Ok(FileFilter { pattern, is_deep, excluded })
     }
 
     /// Whether the name of a file within `root` selects it. Excluded folders are compared by path here; only
@@ -68,7 +68,7 @@ impl FileFilter {
     pub fn takes(&self, root: &Path, path: &Path) -> bool {
         let Ok(within) = path.strip_prefix(root) else { return false };
         let depth = within.components().count();
-        let is_here = depth == 1 || (depth > 1 && self.recursive);
+        let is_here = depth == 1 || (depth > 1 && self.is_deep);
         let excludes = |folder: &PathBuf| path.starts_with(folder) && !root.starts_with(folder);
         is_here && !self.excluded.iter().any(excludes) && !is_hidden_path(within) && self.takes_name(within)
     }
@@ -81,6 +81,10 @@ impl FileFilter {
         }
         match &self.pattern {
             None => has_particle_extension(&name),
+            Some(pattern) if takes_any(pattern) => {
+                has_particle_extension(&name)
+                    && pattern.matches_with(&within.to_string_lossy(), MATCH_OPTIONS)
+            }
             Some(pattern) if !pattern.as_str().contains('/') => pattern.matches_with(&name, MATCH_OPTIONS),
             Some(pattern) => pattern.matches_with(&within.to_string_lossy(), MATCH_OPTIONS),
         }
@@ -88,12 +92,12 @@ impl FileFilter {
 
     /// Whether a folder within the root is entered, by its path alone.
     pub(crate) fn enters(&self, root: &Path, folder: &Path) -> bool {
-        folder.strip_prefix(root).is_ok_and(|within| self.recursive && !is_hidden_path(within))
+        folder.strip_prefix(root).is_ok_and(|within| self.is_deep && !is_hidden_path(within))
     }
 
     /// Whether sub-folders are scanned.
-    pub(crate) fn is_recursive(&self) -> bool {
-        self.recursive
+    pub(crate) fn is_deep(&self) -> bool {
+        self.is_deep
     }
 
     /// Folders whose files are not frames.
@@ -102,15 +106,15 @@ impl FileFilter {
     }
 }
 
-fn parse_pattern(text: &str, recursive: bool) -> Result<Pattern, PatternError> {
-    let pattern = Pattern::new(text).map_err(|error| PatternError {
+fn parse_pattern(text: &str) -> Result<Pattern, PatternError> {
+    Pattern::new(text).map_err(|error| PatternError {
         message: format!("`{text}` is not a valid pattern: {}, at {}", error.msg, error.pos),
-    })?;
-    if text.contains('/') && !recursive {
-        let message = format!("`{text}` reaches into sub-folders, which are only scanned with --recursive");
-        return Err(PatternError { message });
-    }
-    Ok(pattern)
+    })
+}
+
+/// Whether the pattern selects folders and leaves the names of files open: `**`, `shots/**`.
+fn takes_any(pattern: &Pattern) -> bool {
+    pattern.as_str().rsplit('/').next() == Some("**")
 }
 
 /// Whether the name is that of a hidden file.
@@ -134,13 +138,19 @@ mod tests {
         let root = Path::new("/frames");
         for (pattern, path, expected) in [
             (None, "/frames/dam.1.ply", true),
-            (None, "/frames/b/dam.1.BGEO.gz", true),
+            (None, "/frames/b/dam.1.BGEO.gz", false),
+            (Some("**"), "/frames/b/dam.1.BGEO.gz", true),
+            (Some("**"), "/frames/dam.1.ply", true),
+            (Some("**"), "/frames/b/notes.md", false),
+            (Some("**"), "/frames/.cache/dam.1.ply", false),
+            (Some("b/**"), "/frames/b/c/dam.1.ply", true),
+            (Some("b/**"), "/frames/dam.1.ply", false),
             (None, "/frames/notes.md", false),
             (None, "/frames/.dam.1.ply", false),
             (None, "/frames/.cache/dam.1.ply", false),
             (None, "/elsewhere/dam.1.ply", false),
             (None, "/frames", false),
-            (Some("dam.*.ply"), "/frames/b/dam.1.ply", true),
+            (Some("dam.*.ply"), "/frames/b/dam.1.ply", false),
             (Some("dam.*.ply"), "/frames/dam.ply", false),
             (Some("*/dam.*"), "/frames/b/dam.0001", true),
             (Some("*/dam.*"), "/frames/dam.0001", false),
@@ -156,18 +166,16 @@ mod tests {
             (Some("**/*.vdb"), "/frames/b/dam.1.VDB", false),
             (Some("*.vdb"), "/frames/dam.1.ply", false),
         ] {
-            let selection = FileFilter::new(pattern, true, Vec::new()).expect("a pattern");
+            let selection = FileFilter::new(pattern, Vec::new()).expect("a pattern");
             assert_eq!(selection.takes(root, Path::new(path)), expected, "{pattern:?} {path}");
         }
     }
 
     #[test]
-    fn invalid_or_unreachable_pattern_is_refused() {
-        for (pattern, recursive, words) in
-            [("a[", true, "`a[` is not a valid pattern"), ("b/*.ply", false, "sub-folders")]
-        {
-            let error = FileFilter::new(Some(pattern), recursive, Vec::new()).expect_err(pattern).to_string();
-            assert!(error.contains(words), "{error}");
+    fn invalid_pattern_is_refused() {
+        for pattern in ["a[", "a**", "b/**.ply"] {
+            let error = FileFilter::new(Some(pattern), Vec::new()).expect_err(pattern).to_string();
+            assert!(error.starts_with(&format!("`{pattern}` is not a valid pattern")), "{error}");
         }
     }
 }

@@ -61,7 +61,7 @@ impl FolderStages {
                 tracing::warn!("cannot look for half-written files of the stage {path}: {error}");
             }
             // The pattern is valid: the plan has checked it.
-            let Ok(filter) = FileFilter::new(watch.pattern.as_deref(), watch.recursive, Vec::new()) else {
+            let Ok(filter) = FileFilter::new(watch.pattern.as_deref(), Vec::new()) else {
                 continue;
             };
             let input = canonical_path(&watch.input);

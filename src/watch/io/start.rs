@@ -58,7 +58,7 @@ pub(crate) fn start(
     let mut paths = Vec::new();
     for watch in &config.watches {
         let path = canonical_path(&watch.input);
-        let selection = FileFilter::new(watch.pattern.as_deref(), watch.recursive, folders.clone());
+        let selection = FileFilter::new(watch.pattern.as_deref(), folders.clone());
         paths.push((path, selection.map_err(DaemonError::Pattern)?));
     }
     let journals =

@@ -196,9 +196,8 @@ method_options! {
             #[value(named("VOXELS"))]
             decimate: f64 in 0.0..=DECIMATE_MAX,
 
-            /// Average normals with their neighbours this many times, 0 to 1000; --smooth-normals without a
-            /// value means 10 [default: 0]
-            #[value(named("N").or_omitted("10"))]
+            /// Average normals with their neighbours this many times, 0 to 1000 [default: 0]
+            #[value(named("N"))]
             smooth_normals: u32 in 0..=ROUNDS_MAX,
 
             /// Write the quads of dual contouring to .obj, .vtp, .usda, .usdc and .abc; --quads=false
@@ -230,13 +229,6 @@ method_options! {
             /// adaptive: 50]
             #[value(named("N"))]
             redistance_every: u32 in 1..=STEPS_MAX,
-
-            /// Relative tolerance of the conjugate gradients, 1e-12 to 0.5, for --integrator implicit only
-            /// [default: 0.0001]
-            #[value(named("E"))]
-            cg_tolerance: f64 in 1e-12..=0.5
-                => [OptionName::with_value("integrator", "implicit")],
-                |options, _| options.integrator == Some(Integrator::Implicit),
         }
     }
 }
@@ -385,7 +377,6 @@ mod tests {
             steps: Some(u32::MAX),
             step_size: Some(1e-300),
             redistance_every: Some(7),
-            cg_tolerance: Some(1e-4_f64.next_down()),
             ..every()
         }
     }

@@ -89,8 +89,6 @@ pub struct Settings {
     pub step_size: f64,
     /// Number of biharmonic steps between redistancings.
     pub redistance_every: u32,
-    /// Relative tolerance of the conjugate gradients (`Implicit` only).
-    pub cg_tolerance: f64,
     /// The contouring method.
     pub contouring: Contouring,
 }
@@ -285,7 +283,6 @@ impl Settings {
             steps: options.steps.unwrap_or_else(|| default_steps(&recipe, integrator, voxels)),
             step_size: options.step_size.unwrap_or_else(|| default_step_size(&recipe, integrator, voxels)),
             redistance_every: options.redistance_every.unwrap_or(if explicit { 50 } else { 1 }),
-            cg_tolerance: options.cg_tolerance.unwrap_or(1e-4),
             contouring: options.contour.unwrap_or_default(),
         };
         settings.check_together()?;

@@ -321,7 +321,6 @@ impl Settings {
         };
         // Also without attributes: those of a sequence in memory are selected for each frame, later.
         let velocity_scale = Some(self.velocity_scale).filter(|scale| *scale != 1.0);
-        let is_implicit = self.integrator == Integrator::Implicit;
         MethodOptions {
             preset: None,
             spacing: Some(self.spacing),
@@ -355,7 +354,6 @@ impl Settings {
             steps: Some(self.steps),
             step_size: Some(self.step_size),
             redistance_every: Some(self.redistance_every),
-            cg_tolerance: is_implicit.then_some(self.cg_tolerance),
         }
     }
 

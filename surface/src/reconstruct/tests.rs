@@ -372,7 +372,6 @@ impl Hostile {
             steps: Some(count(self)),
             step_size: self.some(4, |from| from.pick(&[0.01, 0.02, 1.0, f64::NAN, -1.0, 1e300])),
             redistance_every: self.some(6, count),
-            cg_tolerance: self.some(6, Hostile::number),
             ..Options::default()
         }
     }

@@ -362,7 +362,6 @@ fn smooth_config(settings: &Settings, obstacles: &Obstacles) -> smooth::SmoothCo
         steps: settings.steps,
         step_size: settings.step_size as f32,
         redistance_every: settings.redistance_every,
-        cg_tolerance: settings.cg_tolerance,
         pin_isolated_spheres: can_spheres_shrink(settings),
         // The offset moves the surface to the level φ = offset, so distances must be accurate up to there.
         distances_voxels: (settings.offset / settings.voxel_size).abs() as f32,

@@ -68,8 +68,6 @@ pub struct SmoothConfig {
     pub step_size: f32,
     /// Number of steps between redistancings. The last step is always followed by one.
     pub redistance_every: u32,
-    /// Relative tolerance of the conjugate gradients (`Implicit` only).
-    pub cg_tolerance: f64,
     /// Pins the radius of isolated spheres in implicit steps, so that they keep the radius left by the
     /// Laplacian steps. Explicit steps keep it without pinning. With pinning, thin filaments of the smallest
     /// particles become slightly thicker and rougher.
@@ -154,7 +152,6 @@ pub fn smooth_laplacian_only(band: &mut NarrowBand, bounds: &Bounds, steps: u32)
         steps: 0,
         step_size: 0.0,
         redistance_every: 1,
-        cg_tolerance: 0.0,
         pin_isolated_spheres: false,
         distances_voxels: 0.0,
     };

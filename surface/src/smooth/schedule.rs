@@ -79,6 +79,9 @@ pub(super) const LAPLACIAN_STEP_SIZE: f32 = 0.1;
 /// Free unknowns of a biharmonic step: |φ| up to this many voxels (paper, §3.5).
 const FREE_WIDTH: f32 = 3.0;
 
+/// Relative tolerance of the conjugate gradients of implicit steps.
+const CG_TOLERANCE: f64 = 1e-4;
+
 impl SmoothOp {
     /// The reach: how many voxels away, per axis, an input value can affect a result. `None` if every value
     /// affects every result.
@@ -269,8 +272,9 @@ impl SmoothContext<'_> {
             SmoothOp::Implicit => {
                 let region = free_region(&band.topology, &band.phi, config.pin_isolated_spheres);
                 let free_count = region.free_count(*own);
-                let (step_size, tolerance) = (config.step_size, config.cg_tolerance);
-                let solved = implicit::step(band, bounds, region, step_size, tolerance, &mut workspace.first);
+                let step_size = config.step_size;
+                let solved =
+                    implicit::step(band, bounds, region, step_size, CG_TOLERANCE, &mut workspace.first);
                 let voxel_update_count = free_count * solved.pass_count() as u64;
                 SmoothStats {
                     free_count,
@@ -414,7 +418,6 @@ mod tests {
             steps,
             step_size,
             redistance_every,
-            cg_tolerance: 1e-4,
             pin_isolated_spheres: false,
             distances_voxels: 0.0,
         }

@@ -15,12 +15,11 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 
 use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OptionSet, WatchArgs};
-use crate::cli::choices::{ignored, refuse_misplaced_rounds, refuse_other_kinds};
 use crate::cli::config_file::{ConfigBlock, ConfigFile, WatchKeys, read_config_file};
 use crate::cli::destination::refuse_file_name;
-use crate::cli::level_sets::{Use, refuse_options};
+use crate::cli::inputs::check_output_path;
 use crate::cli::machine::{memory_bytes, thread_count};
-use crate::cli::select::check_output_path;
+use crate::cli::settings::{Use, ignored, refuse_options, refuse_other_kinds};
 use crate::http::{AccessToken, Listen};
 use crate::pipeline::{
     ObstacleFiles, are_same_file, canonical_path, read_regular_text, refuse_file_for_folder,
@@ -77,7 +76,6 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<WatchPlan> {
 }
 
 fn typed_watches(args: &WatchArgs, warnings: &mut Vec<String>) -> Result<Vec<Watch>> {
-    refuse_misplaced_rounds(&args.frames.method, &args.inputs)?;
     let Some(output) = &args.out else {
         bail!("DIR replaces the [[watch]] blocks of the file, so it needs --out as well");
     };
@@ -116,8 +114,11 @@ fn watches_of_file(args: &WatchArgs, file: &ConfigFile, warnings: &mut Vec<Strin
 
 fn watch_of_block(args: &WatchArgs, keys: &WatchKeys, warnings: &mut Vec<String>) -> Result<Watch> {
     let input = keys.input.as_ref().context("this block names no input: add one")?;
-    let output = args.out.as_ref().or(keys.output.as_ref());
-    let output = output.context("this block names no output: add one, or give --out")?;
+    let output = args
+        .out
+        .as_ref()
+        .or(keys.output.as_ref())
+        .context("this block names no output: add one, or give --out")?;
     check_input(input, args.once)?;
     check_output(output)?;
     let frames = args.frames.clone().over(keys.frames.clone());
@@ -167,7 +168,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         }
     }
     warnings.extend(ignored(&frames.method, &frames.formats, &outputs.formats));
-    FileFilter::new(frames.pattern.as_deref(), frames.recursive, Vec::new())?;
+    FileFilter::new(frames.pattern.as_deref(), Vec::new())?;
     if let Some(sentinel) = &frames.sentinel {
         check_sentinel(sentinel)?;
     }
@@ -176,7 +177,6 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     Ok(Watch {
         input: absolute(input)?,
         pattern: frames.pattern.clone(),
-        recursive: frames.recursive,
         sentinel: frames.sentinel.clone(),
         outputs,
         choices,

@@ -57,7 +57,7 @@ fn defaults_are_filled_in() {
     assert!(watch.input.is_absolute() && watch.input.ends_with("in") && watch.outputs.folder.is_absolute());
     assert_eq!(watch.outputs.formats, [OutputFormat::Glb, OutputFormat::Vdb]);
     assert_eq!(watch.choices, Default::default());
-    assert!(!watch.recursive && watch.pattern.is_none() && watch.sentinel.is_none());
+    assert!(watch.pattern.is_none() && watch.sentinel.is_none());
 }
 
 #[test]
@@ -114,12 +114,12 @@ fn options_override_every_block() {
     assert_eq!(config.watches[0].input, bench.folder.path().join("a"));
     assert_eq!(config.watches[0].choices.steps, Some(7));
 
-    let options = ["--voxel-size", "1", "--order", "natural", "--format", "ply", "--recursive", "--out", "x"];
+    let options =
+        ["--voxel-size", "1", "--order", "natural", "--format", "ply", "--pattern", "**", "--out", "x"];
     let config = bench.plan(&options).expect("a plan").config;
     assert_eq!((config.order, config.settle.as_secs()), (Order::Natural, 3));
-    assert_eq!(config.watches[1].pattern.as_deref(), Some("*.ply"));
     for watch in &config.watches {
-        assert_eq!((watch.choices.voxel_size, watch.recursive), (Some(1.0.into()), true));
+        assert_eq!((watch.choices.voxel_size, watch.pattern.as_deref()), (Some(1.0.into()), Some("**")));
         assert_eq!(watch.outputs.formats, [OutputFormat::Ply]);
         assert!(
             watch.outputs.folder.ends_with("x") && !watch.outputs.folder.starts_with(bench.folder.path())
@@ -171,7 +171,6 @@ fn invalid_options_are_refused() {
         (&["--voxel-size", "-1"][..], &["in: ", "voxel size"][..]),
         (&["--radius-min", "0.1", "--radius-init", "5"], &["r_init is 5"]),
         (&["--pattern", "a[", "--out", "o"], &["`a[` is not a valid pattern"]),
-        (&["--pattern", "a/*"], &["`a/*` reaches into sub-folders"]),
         (&["--sentinel", ""], &["sentinel"]),
         (&["--sentinel", "../{stem}"], &["beside the frame"]),
         (&["--sentinel", "{name}"], &["beside the frame"]),
@@ -232,9 +231,9 @@ fn errors_name_the_line_of_the_block() {
 
 #[test]
 fn warnings_are_not_repeated() {
-    let options = ["a", "b", "--out", "o", "--cg-tolerance", "0.1", "--voxel-size", "1", "--radius-min", "1"];
+    let options = ["a", "b", "--out", "o", "--void-threshold", "2", "--voxel-size", "1", "--radius-min", "1"];
     let options = [&options[..], &["--preset", "paper"]].concat();
     let warnings = plan(&options).expect("a plan").warnings;
     assert_eq!(warnings.len(), 2, "{warnings:?}");
-    assert!(warnings[0].contains("r_min is 1") && warnings[1].contains("--cg-tolerance is ignored"));
+    assert!(warnings[0].contains("r_min is 1") && warnings[1].contains("--void-threshold is ignored"));
 }

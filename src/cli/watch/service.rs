@@ -17,18 +17,18 @@ use tracing::warn;
 use crate::watch::Notice;
 
 /// Sends the notices of the event loop to the service manager.
-pub(in crate::cli::watch) struct Service {
+pub(super) struct Service {
     /// The watchdog timeout, after which systemd kills a silent service.
     watchdog: Option<Duration>,
     last_sign: Option<Instant>,
 }
 
 impl Service {
-    pub(in crate::cli::watch) fn new() -> Service {
+    pub(super) fn new() -> Service {
         Service { watchdog: sd_notify::watchdog_enabled(), last_sign: None }
     }
 
-    pub(in crate::cli::watch) fn notify(&mut self, notice: &Notice) {
+    pub(super) fn notify(&mut self, notice: &Notice) {
         // A line break, for example in a folder's name, would start another message.
         let escaped_status = match notice {
             Notice::Status(status) => Some(Notice::Status(escaped(status).to_string())),
