@@ -27,8 +27,8 @@ pub(in crate::cli) struct StatusArgs {
 const STATUS_JSON: &str = "\
 Exit status:
   0    no frame has failed; with FRAME: it has not failed
-  1    some frames have failed; with --config also: no daemon has ever used some of the folders
-  2    no daemon has ever used the folder; with FRAME: nothing is recorded of it
+  1    some frames have failed; with --config also: nothing is recorded in some of the folders
+  2    nothing is recorded in the folder; with FRAME: nothing is recorded of it
 
 JSON: an object with the following; with --config a list of such objects; with FRAME a frame
   output           the folder
@@ -47,5 +47,4 @@ JSON: an object with the following; with --config a list of such objects; with F
                    some particles, or that failed validation. state: waiting, queued, done, retrying,
                    failed, refused (because of other files), given_up (after all retries), ignored (not a
                    frame). settings: equal for frames that were converted with the same settings
-  damaged_lines    unreadable lines of the journal; they cost repeated work and nothing else
 Times that end in _ms are milliseconds since 1970.";

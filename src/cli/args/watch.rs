@@ -28,7 +28,7 @@ pub(in crate::cli) struct WatchArgs {
     /// Folder for the results; created if missing
     ///
     /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on, sub/dam.0012.bgeo becomes DIR/sub/dam.0012.glb. The
-    /// journal of converted frames is in DIR/.meniscus.
+    /// records of converted frames are in DIR/.meniscus.
     #[arg(long, value_name = "DIR", required_unless_present = "config")]
     pub(in crate::cli) out: Option<PathBuf>,
 
@@ -148,7 +148,8 @@ When a frame is read:
     its format cannot show whether it is complete, and it has not changed for 4 times --settle
   A file that is written again later is converted again. Inputs are never moved, changed or removed.
 
-  A journal records the finished frames, so a restarted daemon resumes where it left off.
+  Records in the folder for the results say which frames are finished, so a restarted daemon resumes
+  where it left off.
   `meniscus status --out DIR` prints them, and `meniscus status FRAME --out DIR` what is recorded of
   one frame.
 
@@ -159,7 +160,7 @@ Signals:
 Exit status:
   0    with --once: every frame is converted. Without: the daemon stopped on request
   1    with --once: some frames failed, were not converted (for example because their sentinel is
-       missing), or failed validation; or the stage or the journal could not be written. Each is
+       missing), or failed validation; or the stage or the records could not be written. Each is
        named, with the reason
   2    the command is invalid; with --once also: no frame was converted
   130  stopped at once by a second SIGINT; 143 by a second SIGTERM";

@@ -350,8 +350,7 @@ fn stamp_of(path: &Path) -> Option<FileStamp> {
     FileStamp::of_path(path).ok()
 }
 
-/// A stamp as part of the fingerprint of a frame's settings. Journals store it, so this text must not change.
-/// It leaves out the status change time: `chmod` and new hard links change no content, and must not cause
+/// A stamp as text. It leaves out the status change time: `chmod` and new hard links change no content, and must not cause
 /// every frame to be converted again.
 fn text_of(stamp: &FileStamp) -> String {
     let FileStamp { size, modified_ns, inode, changed_ns: _ } = stamp;

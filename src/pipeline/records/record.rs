@@ -126,9 +126,8 @@ struct ObstaclesRecord {
 }
 
 /// The checks of a frame and their results.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct CertificateRecord {
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CertificateRecord {
     holds: bool,
     /// How far the surface was moved outward after the check of its bounds, a length; negative if inward.
     offset: f64,
@@ -396,7 +395,7 @@ fn obstacles_record(report: &FrameReport) -> Option<ObstaclesRecord> {
     })
 }
 
-fn certificate_record(report: &ReconstructionReport) -> CertificateRecord {
+pub(crate) fn certificate_record(report: &ReconstructionReport) -> CertificateRecord {
     let certificate = &report.certificate;
     CertificateRecord {
         holds: certificate.holds(),

@@ -286,7 +286,7 @@ fn token_in(path: &Path) -> Result<AccessToken> {
     })
 }
 
-/// An absolute path: the journal must identify frames by the same paths wherever the daemon is started.
+/// An absolute path: records must identify frames by the same paths wherever the daemon is started.
 fn absolute(path: &Path) -> Result<PathBuf> {
     canonical_path(path).with_context(|| format!("`{}` is not a valid path", path.display()))
 }
