@@ -4,7 +4,7 @@
 //!   rename ─▶ event ─▶ event loop ─▶ queue ─▶ read … write ─▶ outputs exist
 //!          └──────────── added ───────────┘└── the log ──┘└─ added ─┘
 //!
-//!   program starts ─▶ journal is read ─▶ 50,000 frames are found done ─▶ /readyz says ready
+//!   program starts ─▶ records are read ─▶ 50,000 frames are found done ─▶ /readyz says ready
 //!                  └───────────────────────── start ────────────────────┘
 //! ```
 //!

@@ -2,7 +2,7 @@
 //! frames through the stages in a plain loop.
 //!
 //! ```text
-//!   daemon   start, scan, journal ─▶ frames in parallel, each on one core if several wait ─▶ end
+//!   daemon   start, scan, records ─▶ frames in parallel, each on one core if several wait ─▶ end
 //!   loop     start ─▶ read, rasterize, smooth, contour, write, one frame after the other ─▶ end
 //! ```
 //!

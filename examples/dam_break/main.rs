@@ -62,7 +62,7 @@ fn simulate_and_watch(cache: &Path, frame_count: usize, surfaces: &Path) -> Resu
     simulated?;
     watched.map_err(|_| "the daemon panicked")??;
     // The simulation may end before the daemon has started all frames. A second run continues from the
-    // journal of the first, and converts the frames that are left.
+    // records of the first, and converts the frames that are left.
     let summary = watch::run(&WatchConfig { once: true, ..config }, None, &requests, &mut |_| ())?;
     print_summary(&summary, end.elapsed())
 }

@@ -117,16 +117,23 @@ pub use output::writing::{encode_level_set, mesh_view, vertex_attributes};
 pub use phase_timer::PhaseTimer;
 pub use reconstruct::{LoadedFrame, Reconstruction};
 pub use records::content::{SniffedContent, check_existing, content};
+pub use records::figures::Figures;
 pub use records::frame_records::{
-    DoneRecord, FailureRecord, FrameRecords, OutputComparison, OutputFile, ResultState, STATE_FOLDER,
-    SettingValues, Wanted, settings_id,
+    FrameRecords, OutputComparison, RecordedFrame, RecordedState, ResultState, STATE_FOLDER, SettingValues,
+    Wanted, settings_id,
 };
 pub use records::picture_file::{camera_of_picture, read_picture};
 pub use records::provenance::{
     CAMERA, GENERATOR_AND_VERSION, SheetPart, are_particles, is_own_output, picture_provenance,
-    settings_fingerprint, sheet_provenance,
+    sheet_provenance,
 };
+pub(crate) use records::provenance::{recorded_settings, valid_cameras};
+pub use records::reason::Reason;
 pub use records::record::{RunRecord, SequenceRecord};
+pub use records::record_line::{
+    ChangedOutput, DaemonRecord, DaemonState, DoneRecord, OutputFile, RecordLine, SequenceCamera,
+    SequenceKey, SharedSettings, UnfinishedRecord, UnfinishedState,
+};
 pub use records::sequence_file::{
     SequenceError, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource, check_sequence_path,
     common_step, is_sequence_file, write_sequence_file,

@@ -28,7 +28,7 @@ pub struct WatchSummary {
     pub failed: Vec<FailedFrame>,
     /// Frames that were seen and are left for the next run.
     pub left_count: usize,
-    /// Whether a journal or a stage could not be written at the end.
+    /// Whether records or a stage could not be written at the end.
     pub has_unwritten: bool,
 }
 

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, Sender, never, select, unbounded};
 
-use crate::pipeline::resident_memory_bytes;
+use crate::pipeline::{DaemonState, resident_memory_bytes};
 
 use super::api::{EndReason, Notice, WatchSummary};
 use super::config::WatchConfig;
@@ -15,7 +15,6 @@ use super::core::state::Core;
 use super::io::error::DaemonError;
 use super::io::pipeline::{PipelineContext, start as start_pipeline};
 use super::io::start::{Workers, now, start};
-use super::journal::DaemonState;
 use super::status_store::StatusStore;
 
 /// Watches and converts until the caller asks it to finish or, with `once`, until all frames are converted.
@@ -23,8 +22,8 @@ use super::status_store::StatusStore;
 /// state to the `store`, if given.
 ///
 /// # Errors
-/// When it cannot start. Failures of single frames are not errors: they are logged, recorded in the journal,
-/// and counted.
+/// When it cannot start. Failures of single frames are not errors: they are logged, recorded, and
+/// counted.
 pub fn run(
     config: &WatchConfig,
     store: Option<&Arc<StatusStore>>,
@@ -49,7 +48,7 @@ struct EventLoop<'a> {
     notices: &'a mut dyn FnMut(Notice),
     last_status: String,
     last_tick: Option<Instant>,
-    /// The number of folders of outputs whose journal and stages are being written for the last time.
+    /// The number of folders of outputs whose records and stages are being written for the last time.
     unsynced_count: usize,
     /// Whether that failed for one of them.
     has_unwritten: bool,
@@ -235,7 +234,7 @@ impl<'a> EventLoop<'a> {
         self.finish(EndReason::Finish)
     }
 
-    /// Records that the daemon has stopped, waits for the journals and stages, and ends the workers.
+    /// Records that the daemon has stopped, waits for the records and stages, and ends the workers.
     fn end(&mut self) -> Result<(), DaemonError> {
         // The last status that the page shows.
         self.core.stop();
@@ -245,7 +244,7 @@ impl<'a> EventLoop<'a> {
         self.sync_outputs()
     }
 
-    /// Waits until all journals and stages are on disk, unless a folder hangs.
+    /// Waits until all records and stages are on disk, unless a folder hangs.
     fn sync_outputs(&mut self) -> Result<(), DaemonError> {
         self.unsynced_count += self.core.sync_outputs();
         self.has_unwritten = false;

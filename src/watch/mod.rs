@@ -5,15 +5,13 @@
 //!   core         decides: state and events in, effects out; no files, clocks or threads
 //!   event_loop   one thread: passes events to the core, carries out its effects, sends heartbeats
 //!   io           threads that may block: one per watched folder and per folder of outputs, and the pipeline
-//!   journal      the records that survive a restart
-//!   reason       why a frame is in its state
 //!   status_store what users see: frames, status, counters
 //! ```
 //!
 //! While a file system hangs, frames wait, also those of other folders; the event loop continues.
 //!
-//! The daemon may be killed at any moment. Its persistent state is an append-only journal. Even the journal
-//! may be lost, because each output records what it was made from. Outputs are renamed into place when they
+//! The daemon may be killed at any moment. What it remembers is in the records of the folder of outputs
+//! (`FrameRecords`), which may be lost: then frames are converted again. Outputs are renamed into place when they
 //! are complete.
 
 mod api;
@@ -21,13 +19,12 @@ mod config;
 mod core;
 mod event_loop;
 mod io;
-pub mod journal;
-mod reason;
 pub mod status_store;
+#[cfg(test)]
+pub(crate) mod test_records;
 
 pub use api::{EndReason, FailedFrame, Notice, WatchSummary};
 pub use config::{Order, Poll, Watch, WatchConfig, names_level_sets};
 pub use event_loop::{STOP_DEADLINE, run};
 pub use io::error::DaemonError;
 pub use io::{lock, selection};
-pub use reason::Reason;

@@ -3,7 +3,7 @@
 SPlisHSPlasH and Taichi write frames with their own writers, under the final names and without pauses, into a
 folder that `meniscus watch` watches. Every frame becomes a .glb and a .vdb, each complete from the moment its
 name appears. After the end of the simulator, the last output appears within the conversion time of its frame
-plus one second. On SIGTERM, the daemon exits with status 0, and leaves only the surfaces and its journal.
+plus one second. On SIGTERM, the daemon exits with status 0, and leaves only the surfaces and its records.
 `meniscus convert` writes the same bytes for the same frames, with the spacing that the daemon measured on the
 first frame.
 """
@@ -83,7 +83,7 @@ def simulated(paths, count, seconds, status):
 
 
 def ended_well(daemon, surfaces, wanted):
-    """Checks that the daemon ends on SIGTERM, and leaves only surfaces and its journal."""
+    """Checks that the daemon ends on SIGTERM, and leaves only surfaces and its records."""
     status, seconds = daemon.end()
     left = {path.name for path in surfaces.glob("*")} - wanted - {STATE_FOLDER}
     faults = [f"left behind: {name}" for name in sorted(left)]

@@ -249,7 +249,7 @@ fn only_outputs_are_served_by_their_names() {
         "%00",
         "dam.1.glb/",
         "beside.glb",
-        ".meniscus/journal",
+        ".meniscus/lock",
         "dam.1.ply",
         "%c0%ae%c0%ae/secret",
         "%",

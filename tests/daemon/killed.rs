@@ -159,6 +159,6 @@ fn frames_done_before_a_kill_are_not_converted_again() {
     let next = scene.once(&FORMATS);
     next.assert_status(0);
     assert_eq!(next.converted(), ["dam.9.ply"]);
-    // The daemon does not even read frames that the journal records as done.
+    // The daemon does not even read frames that are recorded as done.
     assert!(next.found_done().is_empty());
 }

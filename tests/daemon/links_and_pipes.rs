@@ -26,34 +26,57 @@ fn scene_with_state() -> Scene {
     scene
 }
 
+/// The path of the only file of records.
+fn records(scene: &Scene) -> String {
+    let names = names_in(&scene.path("out/.meniscus")).into_iter();
+    let name = names.filter(|name| name.starts_with("frames-")).find(|name| !name.ends_with(".lock"));
+    format!("out/.meniscus/{}", name.expect("a file of records"))
+}
+
 #[test]
-fn lock_or_journal_that_is_a_link_or_a_pipe_is_refused() {
+fn lock_that_is_a_link_or_a_pipe_is_refused() {
     let scene = scene_with_state();
-    for name in ["lock", "journal"] {
-        let path = format!("out/.meniscus/{name}");
-        let kept = scene.bytes(&path);
-        for kind in ["a symbolic link", "a pipe"] {
-            scene.remove(&path);
-            match kind {
-                "a pipe" => make_pipe(&scene, &path),
-                _ => symlink(scene.path("precious"), scene.path(&path)).expect("a link"),
-            }
-            for arguments in [&ONCE[..], &STATUS] {
-                let result = scene.run(arguments);
-                assert_eq!(result.status, Some(2), "{arguments:?}, {name} is {kind}: {}", result.err);
-                let expected = format!("not a regular file: {kind}");
-                assert!(
-                    result.err.contains(&expected) && result.err.contains(".meniscus"),
-                    "{name}: {}",
-                    result.err
-                );
-            }
-            assert_eq!(scene.bytes("precious"), b"precious");
+    let path = "out/.meniscus/lock";
+    let kept = scene.bytes(path);
+    for kind in ["a symbolic link", "a pipe"] {
+        scene.remove(path);
+        match kind {
+            "a pipe" => make_pipe(&scene, path),
+            _ => symlink(scene.path("precious"), scene.path(path)).expect("a link"),
         }
-        scene.remove(&path);
-        scene.write(&path, kept);
+        for arguments in [&ONCE[..], &STATUS] {
+            let result = scene.run(arguments);
+            assert_eq!(result.status, Some(2), "{arguments:?}, it is {kind}: {}", result.err);
+            let expected = format!("not a regular file: {kind}");
+            assert!(result.err.contains(&expected) && result.err.contains(".meniscus"), "{}", result.err);
+        }
+        assert_eq!(scene.bytes("precious"), b"precious");
     }
+    scene.remove(path);
+    scene.write(path, kept);
     scene.once(&QUICK).assert_status(0);
+}
+
+/// What is recorded there is lost, and its frames are converted again.
+#[test]
+fn file_of_records_that_is_a_link_or_a_pipe_is_left_out() {
+    for is_pipe in [false, true] {
+        let scene = scene_with_state();
+        let path = records(&scene);
+        scene.remove(&path);
+        if is_pipe {
+            make_pipe(&scene, &path)
+        } else {
+            symlink(scene.path("precious"), scene.path(&path)).expect("a link")
+        }
+        let status = scene.run(&STATUS);
+        assert!(status.err.contains("not a regular file: "), "{}", status.err);
+        let once = scene.once(&[&QUICK[..], &FORMATS].concat());
+        once.assert_status(0);
+        assert_eq!(once.converted(), ["dam.1.ply"]);
+        assert!(once.log.iter().any(|line| line.message.contains("not a regular file: ")));
+        assert_eq!(scene.bytes("precious"), b"precious");
+    }
 }
 
 #[test]
@@ -62,13 +85,13 @@ fn state_folder_that_is_a_link_is_refused() {
     let [state, away] = ["out/.meniscus", "away"].map(|within| scene.path(within));
     fs::rename(&state, &away).expect("renamed");
     symlink(&away, &state).expect("a link");
-    let before = scene.bytes("away/journal");
+    let before = names_in(&away);
     for arguments in [&ONCE[..], &STATUS] {
         let result = scene.run(arguments);
         assert_eq!(result.status, Some(2), "{}", result.err);
         assert!(result.err.contains(".meniscus is a symbolic link"), "{}", result.err);
     }
-    assert_eq!(scene.bytes("away/journal"), before);
+    assert_eq!(names_in(&away), before);
 }
 
 /// A folder that the user names may be a link: other users cannot predict its name, and so cannot put a link
@@ -86,25 +109,25 @@ fn output_folder_named_by_the_user_may_be_a_link() {
 }
 
 #[test]
-fn journal_that_becomes_a_link_or_a_pipe_is_replaced_under_a_running_daemon() {
-    let scene = scene_with_state();
-    let daemon = scene.watch(&[&QUICK[..], &FORMATS].concat());
-    for (number, is_pipe) in [(2, false), (3, true)] {
-        scene.remove("out/.meniscus/journal");
+fn file_of_records_that_becomes_a_link_or_a_pipe_is_left_alone_by_a_running_daemon() {
+    for is_pipe in [false, true] {
+        let scene = scene_with_state();
+        let daemon = scene.watch(&[&QUICK[..], &FORMATS].concat());
+        let path = records(&scene);
+        scene.remove(&path);
         if is_pipe {
-            make_pipe(&scene, "out/.meniscus/journal")
+            make_pipe(&scene, &path)
         } else {
-            symlink(scene.path("precious"), scene.path("out/.meniscus/journal")).expect("a link")
+            symlink(scene.path("precious"), scene.path(&path)).expect("a link")
         }
-        scene.put_moving([number]);
-        daemon.await_converted(&format!("dam.{number}.ply"));
+        scene.put_moving([2]);
+        daemon.await_converted("dam.2.ply");
+        daemon.finish();
+        assert_eq!(scene.bytes("precious"), b"precious");
+        let again = scene.once(&[&QUICK[..], &FORMATS].concat());
+        again.assert_status(0);
+        assert_eq!(again.converted(), ["dam.1.ply"], "the other one is in a new file");
     }
-    daemon.finish();
-    assert_eq!(scene.bytes("precious"), b"precious");
-    assert!(scene.path("out/.meniscus/journal").symlink_metadata().expect("there").is_file());
-    let again = scene.once(&[&QUICK[..], &FORMATS].concat());
-    again.assert_status(0);
-    assert!(again.converted().is_empty() && again.found_done().is_empty(), "the journal knows all");
 }
 
 #[test]
@@ -137,16 +160,13 @@ fn pipes_do_not_block_verify_and_convert() {
     assert_eq!(first.status, Some(0), "{}", first.err);
     let verify = || scene.run(&["verify", "out"]);
     assert_eq!(verify().status, Some(0));
-    let records = names_in(&scene.path("out/.meniscus")).into_iter().find(|name| !name.ends_with(".lock"));
-    let records = format!(".meniscus/{}", records.expect("a file of records"));
-    for name in [&*records, "dam.1.obj", "dam.2.obj"] {
-        let within = format!("out/{name}");
+    for within in [records(&scene), "out/dam.1.obj".to_owned(), "out/dam.2.obj".to_owned()] {
         let kept = scene.bytes(&within);
         scene.remove(&within);
         make_pipe(&scene, &within);
         let result = verify();
-        assert_ne!(result.status, Some(0), "{name}");
-        assert!(result.err.contains("not a regular file: a pipe"), "{name}: {}", result.err);
+        assert_ne!(result.status, Some(0), "{within}");
+        assert!(result.err.contains("not a regular file: a pipe"), "{within}: {}", result.err);
         scene.remove(&within);
         scene.write(&within, kept);
     }

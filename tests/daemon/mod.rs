@@ -12,7 +12,7 @@ mod invalid_files; // files that are not frames, and unreadable frames
 mod killed; // SIGKILL loses no frame and leaves no incomplete output
 mod links_and_pipes; // links and named pipes instead of files
 mod log; // `status` and the log, for running and stopped daemons
-mod restart; // state survives a restart, also without the journal
+mod restart; // what is recorded survives a restart
 mod rewrites; // frames that change before, during or after conversion
 mod scene; // a watched folder, the daemon beside it, and its log
 mod sentinels; // sentinel files, which mark a frame as complete

@@ -1,7 +1,6 @@
-//! Done, failed and pinned state survives a restart, also without the journal.
+//! What is recorded survives a restart; without records, frames are converted again.
 
 use std::fs;
-use std::os::unix::fs::MetadataExt;
 
 use crate::daemon::scene::{Once, Scene, moving, names_in, ply};
 
@@ -13,12 +12,6 @@ fn once(scene: &Scene) -> Once {
     once
 }
 
-/// The inode numbers of the outputs: a file that was written again has another number.
-fn inodes(scene: &Scene) -> Vec<u64> {
-    let names = names_in(&scene.path("out")).into_iter().filter(|name| !name.starts_with('.'));
-    names.map(|name| scene.path("out").join(name).metadata().expect("there").ino()).collect()
-}
-
 /// A scene of this many frames, all converted.
 fn all_done(frame_count: usize) -> Scene {
     let scene = Scene::new();
@@ -27,19 +20,21 @@ fn all_done(frame_count: usize) -> Scene {
     scene
 }
 
-const JOURNAL: &str = "out/.meniscus/journal";
+/// The path of the only file of records.
+fn records(scene: &Scene) -> String {
+    let names = names_in(&scene.path("out/.meniscus")).into_iter();
+    let files: Vec<String> =
+        names.filter(|name| name.starts_with("frames-") && !name.contains('.')).collect();
+    let [file] = &files[..] else { panic!("{files:?}") };
+    format!("out/.meniscus/{file}")
+}
 
 #[test]
-fn outputs_are_recognized_as_done_without_the_journal() {
-    let scene = all_done(5);
-    let before = inodes(&scene);
-    scene.remove(JOURNAL);
-    let again = once(&scene);
-    assert_eq!((again.converted().len(), again.found_done().len()), (0, 5));
-    assert_eq!(inodes(&scene), before);
-    // Without the records, they are made again.
+fn without_records_frames_are_converted_again() {
+    let scene = all_done(2);
+    assert!(once(&scene).converted().is_empty());
     fs::remove_dir_all(scene.path("out/.meniscus")).expect("removed");
-    assert_eq!(once(&scene).converted().len(), 5);
+    assert_eq!(once(&scene).converted().len(), 2);
 }
 
 /// Such as after a copy to another disk.
@@ -54,29 +49,25 @@ fn outputs_with_other_stamps_are_compared_once() {
     assert!(once(&scene).found_done().is_empty());
 }
 
-/// Any damage to the journal costs at most some work, and never a frame.
+/// Any damage to the records costs at most some work, and never a frame.
 #[test]
-fn damaged_journal_loses_no_frame() {
-    let scene = all_done(5);
-    let before = inodes(&scene);
-    let journal = scene.bytes(JOURNAL);
-    let mut flipped = journal.clone();
-    // Flip a bit in the last third of the journal, where the records are, not in the header line.
+fn damaged_records_lose_no_frame() {
+    let scene = all_done(3);
+    let bytes = scene.bytes(&records(&scene));
+    let mut flipped = bytes.clone();
     let index = flipped.len() * 2 / 3;
     flipped[index] ^= 0x20;
     let damages: [(&str, Vec<u8>); 6] = [
         ("empty", Vec::new()),
-        ("torn", journal[..journal.len() - 10].to_vec()),
-        ("half", journal[..journal.len() / 2].to_vec()),
+        ("torn", bytes[..bytes.len() - 10].to_vec()),
+        ("half", bytes[..bytes.len() / 2].to_vec()),
         ("a bit", flipped),
-        ("zeros behind", [&journal[..], &[0; 512]].concat()),
+        ("zeros behind", [&bytes[..], &[0; 512]].concat()),
         ("nonsense", b"\xff\xfe nonsense\n\n\n".repeat(50)),
     ];
     for (damage, bytes) in damages {
-        scene.write(JOURNAL, bytes);
-        let again = once(&scene);
-        assert!(again.converted().is_empty(), "{damage}: {:?}", again.converted());
-        assert_eq!(inodes(&scene), before, "{damage}");
+        scene.write(&records(&scene), bytes);
+        once(&scene);
         // The daemon has recorded again which frames are done.
         let then = once(&scene);
         assert!(then.converted().is_empty() && then.found_done().is_empty(), "{damage}");
@@ -84,19 +75,20 @@ fn damaged_journal_loses_no_frame() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// If the journal is removed while the daemon runs, the daemon writes it again.
+/// If the records are removed while the daemon runs, it continues in a new file.
 #[test]
-fn journal_removed_while_the_daemon_runs_is_written_again() {
+fn records_removed_while_the_daemon_runs_are_begun_again() {
     let scene = Scene::new();
     scene.put_moving(1..=3);
     let daemon = scene.watch(&[&["--settle", "10ms"], &FORMATS[..]].concat());
     daemon.await_lines(3, "all are converted", |line| line.is_converted());
-    scene.remove(JOURNAL);
+    scene.remove(&records(&scene));
     scene.put_moving([4]);
     daemon.await_converted("dam.4.ply");
     daemon.finish();
     let again = once(&scene);
-    assert!(again.converted().is_empty() && again.found_done().is_empty(), "{:?}", again.found_done());
+    assert_eq!(again.converted(), ["dam.1.ply", "dam.2.ply", "dam.3.ply"]);
+    scene.assert_as_converted(&FORMATS);
 }
 
 /// The daemon accepts outputs of `convert` as done if the settings are the same as its own, and only then.
@@ -109,7 +101,9 @@ fn frames_converted_by_convert_are_done() {
     scene.put("in/dam.3.ply", ply(&moving(4)));
     let next = once(&scene);
     assert_eq!(next.converted(), ["dam.3.ply"]);
+    // The daemon measures the spacing itself, so it reads them.
     assert_eq!(next.found_done(), ["dam.1.ply", "dam.2.ply"]);
+    assert_eq!(once(&scene).found_done(), [""; 0]);
 }
 
 /// A frame of one particle has no spacing. It waits for a frame with more particles, also after restarts.

@@ -60,7 +60,7 @@ fn stage_grows_with_the_frames_and_is_rebuilt_after_a_restart() {
     daemon.assert_no_complaints();
     daemon.kill();
 
-    // The journal has the frames, also one whose input is gone. A file that was removed is not in the stage.
+    // The records have the frames, also one whose input is gone. A file that was removed is not in the stage.
     scene.remove("dam.usda");
     scene.remove("in/dam.1.ply");
     let daemon = scene.watch(&[&["--settle", "10ms"], &FORMATS[..]].concat());
@@ -86,7 +86,7 @@ fn stage_of_a_finished_run_is_that_of_convert() {
     scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat()).assert_status(0);
     await_frames(&scene, &[1, 2, 3]);
     assert_as_converted(&scene);
-    // Without the journal, frames are found done, and the stage is the same.
+    // Without the records, frames are converted again, and the stage is the same.
     fs::remove_dir_all(scene.path("out/.meniscus")).expect("removed");
     scene.remove("dam.usda");
     scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat()).assert_status(0);

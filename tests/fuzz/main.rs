@@ -26,7 +26,7 @@ use targets::{TARGETS, Target};
 /// Number of damaged inputs for a target: fewer for targets that need a connection or a folder per input.
 fn damaged_count(target: &Target) -> usize {
     match target.name {
-        "http" | "journal" | "records" => 100,
+        "http" | "records" => 100,
         _ => 1000,
     }
 }

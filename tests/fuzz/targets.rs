@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   files      particles, meshes, level sets, pictures; checks before reading a file
-//!   ours       the configuration, the journal, records: text that a user or a disk may have damaged
+//!   ours       the configuration and records: text that a user or a disk may have damaged
 //!   http       the HTTP server: bytes from a socket
 //! ```
 //!
@@ -17,7 +17,6 @@ use std::time::Duration;
 
 use meniscus::http::{HttpServer, Listen};
 use meniscus::pipeline::{FrameRecords, STATE_FOLDER};
-use meniscus::watch::journal::Journal;
 use meniscus::watch::status_store::StatusStore;
 use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
@@ -51,7 +50,7 @@ pub(crate) enum Content {
 }
 
 /// All targets.
-pub(crate) const TARGETS: [Target; 35] = [
+pub(crate) const TARGETS: [Target; 34] = [
     plain("ply", |bytes| checked(ply::read(bytes, &limits()))),
     plain("ply_mesh", |bytes| drop(ply::read_mesh_and_vertices(bytes, &limits()))),
     compressed("bgeo", |bytes| checked(bgeo::read(bytes, &limits()))),
@@ -84,7 +83,6 @@ pub(crate) const TARGETS: [Target; 35] = [
     plain("batches", |bytes| named(bytes, batches)),
     plain("integrity", integrity),
     plain("config", config),
-    plain("journal", journal),
     plain("records", records),
     plain("http", http),
 ];
@@ -255,38 +253,29 @@ fn config(bytes: &[u8]) {
     }
 }
 
-/// Checks that opening and rewriting a journal keeps its records. A second pass corrects the checksums first,
+/// Checks that another record keeps those in a file of these bytes. A second pass corrects the checksums first,
 /// because random bytes never have correct checksums.
-fn journal(bytes: &[u8]) {
-    let lines = bytes.split_inclusive(|&byte| byte == b'\n');
-    let with_checksums: Vec<u8> = lines.flat_map(with_checksum).collect();
-    for bytes in [bytes, &with_checksums] {
-        let folder = tempfile::tempdir().expect("a folder");
-        std::fs::write(folder.path().join("journal"), bytes).expect("written");
-        let Ok(before) = Journal::read(folder.path()) else { continue };
-        drop(Journal::open(folder.path()).expect("opened"));
-        let after = Journal::read(folder.path()).expect("read");
-        assert_eq!(before.frames, after.frames);
-        assert_eq!(before.sequences, after.sequences);
-    }
-}
-
-/// Checks that another record keeps those in a file of these bytes. A second pass corrects the checksums first.
 fn records(bytes: &[u8]) {
     let lines = bytes.split_inclusive(|&byte| byte == b'\n');
     let with_checksums: Vec<u8> = lines.flat_map(with_checksum).collect();
     for bytes in [bytes, &with_checksums] {
         let folder = tempfile::tempdir().expect("a folder");
-        let state = folder.path().join(STATE_FOLDER);
-        std::fs::create_dir(&state).expect("made");
-        std::fs::write(state.join("frames-0123456789abcdef"), bytes).expect("written");
-        // As an earlier process leaves it: this one continues the file.
-        std::fs::write(state.join("frames-0123456789abcdef.lock"), "").expect("written");
-        let before = FrameRecords::open(folder.path()).expect("opened");
-        before.record_failure(Path::new("\u{1}"), Path::new("/in"), "why").expect("recorded");
-        let after = FrameRecords::open(folder.path()).expect("opened");
+        let open = || FrameRecords::open(folder.path()).expect("opened");
+        let record = |records: &FrameRecords| {
+            records.record_failure(Path::new("\u{1}"), Path::new("/in"), "why").expect("recorded");
+        };
+        record(&open());
+        // An earlier process has left the file, and the next one continues it.
+        let files = std::fs::read_dir(folder.path().join(STATE_FOLDER)).expect("read");
+        let mut files = files.map(|file| file.expect("an entry").path());
+        let file = files.find(|path| path.extension().is_none()).expect("a file of records");
+        std::fs::write(file, bytes).expect("written");
+        let before = open();
+        record(&before);
+        let after = open();
         assert!(before.latest().keys().eq(after.latest().keys()));
         assert!(before.failures().keys().eq(after.failures().keys()));
+        assert_eq!(before.recorded().sequences, after.recorded().sequences);
     }
 }
 

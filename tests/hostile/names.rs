@@ -74,7 +74,7 @@ fn folders_with_names_that_are_not_unicode_are_watched() {
     let status: Value =
         serde_json::from_str(&status.out).unwrap_or_else(|error| panic!("{error}: {status:?}"));
     assert_eq!(status["counts"]["done"], 2, "{status}");
-    // The journal recognizes them.
+    // The daemon recognizes them.
     let again = scene.run(&[&arguments[..], &folders].concat());
     assert_eq!(again.status, Some(0), "{}", again.err);
     assert!(!again.err.contains("converted 2"), "{}", again.err);

@@ -139,6 +139,7 @@ impl Bench {
                 number: None,
                 obstacles: Arc::default(),
                 framing: None,
+                obstacle_stamp: None,
                 records: Some(Arc::clone(&records)),
             });
         }

@@ -3,9 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use meniscus::pipeline::FileStamp;
-use meniscus::watch::Reason;
-use meniscus::watch::journal::{Journal, JournaledFrame, JournaledStatus, OutputRecord};
+use meniscus::pipeline::FrameRecords;
 use meniscus::watch::lock::OutputLock;
 use tempfile::tempdir;
 
@@ -112,39 +110,33 @@ fn numbers_have_the_documented_ranges() {
     assert!(range_count > 17, "{range_count}");
 }
 
-/// Records in the journal of `out` that a frame is done, with `output`, or failed for a reason.
-fn note(out: &Path, frame: &Path, result: Result<&Path, &str>) {
-    let record = JournaledFrame {
-        stamp: FileStamp::of_path(frame).expect("the frame exists"),
-        settings: "settings".into(),
-        outputs: result.iter().map(|path| OutputRecord::of_size(path.to_path_buf(), 0)).collect(),
-        reason: result.err().map(|reason| Reason::Error(reason.to_owned())),
-        attempt_count: 1,
-        at_ms: 1,
-        particle_count: result.ok().map(|_| 216),
-        ..JournaledFrame::new(if result.is_ok() { JournaledStatus::Done } else { JournaledStatus::Failed })
-    };
-    let mut journal = Journal::open(&out.join(".meniscus")).expect("a journal");
-    journal.note_frame(&frame.canonicalize().expect("a path"), record).expect("noted");
+/// Records that a frame with outputs in `out` failed for this reason.
+fn record_failure(out: &Path, frame: &Path, reason: &str) {
+    let input = frame.canonicalize().expect("a path");
+    let name = Path::new(frame.file_stem().expect("a name"));
+    let records = FrameRecords::open(out).expect("opened");
+    records.record_failure(name, &input, reason).expect("recorded");
 }
 
 #[test]
-fn status_reads_the_journal_and_the_lock() {
+fn status_reads_the_records_and_the_lock() {
     let folder = tempdir().expect("a folder");
     let path = &folder.path().canonicalize().expect("a path");
     let status =
         |more: &[&str]| -> RunResult { meniscus(path, &[&["status", "--out", "out"], more].concat()) };
     let nothing = status(&[]);
     assert_eq!(nothing.status, 2);
-    assert!(nothing.err.contains("out: no daemon has written here"), "{}", nothing.err);
+    assert!(nothing.err.contains("out: nothing is recorded here"), "{}", nothing.err);
     assert!(!path.join("out").exists());
 
     write_sequence(path, 1, 2);
     let out = path.join("out");
-    note(&out, &path.join("dam.1.ply"), Ok(&out.join("dam.1.glb")));
+    // Also what `convert` has done.
+    let converted = meniscus(path, &["convert", "dam.1.ply", "--out", "out", "--format", "obj"]);
+    assert_eq!(converted.status, 0, "{}", converted.err);
     let done = status(&[]);
     assert_eq!((done.status, done.out.lines().nth(1)), (0, Some("1 done, 0 queued, 0 to retry, 0 failed")));
-    note(&out, &path.join("dam.2.ply"), Err("no end"));
+    record_failure(&out, &path.join("dam.2.ply"), "no end");
     let lock = OutputLock::take(&out).expect("the lock");
     let failed = status(&[]);
     assert_eq!(failed.status, 1);
@@ -170,7 +162,7 @@ fn status_of_a_frame_prints_its_record() {
     fs::write(path.join("in/dam.1.ok"), "").expect("written");
     let result = meniscus(path, &watch);
     assert_eq!(result.status, 1, "{}", result.err);
-    note(&out, &path.join("real/dam.3.ply"), Err("no end"));
+    record_failure(&out, &path.join("real/dam.3.ply"), "no end");
     let settings = "settings  ";
     for (frame, status, words) in [
         ("in/dam.1.ply", 0, &["in/dam.1.ply\n", "state     done, ", "out/dam.1.obj", settings][..]),
@@ -217,7 +209,7 @@ fn status_of_a_file_lists_all_its_folders() {
     fs::write(path.join("meniscus.toml"), blocks.concat() + more).expect("written");
     let text = status(&[]);
     assert_eq!((text.status, text.out.matches("0 done, 0 queued").count()), (1, 2), "{}", text.out);
-    assert!(text.err.contains("never: no daemon has written here"), "{}", text.err);
+    assert!(text.err.contains("never: nothing is recorded here"), "{}", text.err);
 }
 
 #[test]
@@ -333,7 +325,7 @@ fn lengths_in_files_have_units() {
     assert_eq!(watched("units", "voxel_size = \"0.5d\"\nradius_min = \"1.1d\"\noffset = \"-1h\"").status, 0);
     assert_eq!(watched("world", "voxel_size = 0.05\nradius_min = 0.11\noffset = -0.05").status, 0);
     assert!(bytes("units") == bytes("world"));
-    // The journal has the lengths as the user wrote them.
+    // The options are the same as those that are recorded.
     let result = watched("units", "voxel_size = \"0.5d\"\nradius_min = \"1.1d\"\noffset = \"-1h\"");
     assert_eq!((result.status, result.err.contains("dam.1.ply: converted")), (0, false), "{}", result.err);
     for (keys, why) in [

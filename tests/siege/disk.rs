@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   in/     frames                                          on the usual disk
-//!   out/    outputs, the journal, and a ballast file        on a small separate disk
+//!   out/    outputs, the records, and a ballast file        on a small separate disk
 //!   wanted/ outputs of the one-shot command for comparison
 //! ```
 
@@ -120,8 +120,8 @@ fn daemon_waits_while_the_disk_is_full() {
 }
 
 #[test]
-fn journal_on_a_full_disk_continues_later() {
-    with_own_mounts("disk::journal_on_a_full_disk_continues_later", || {
+fn records_on_a_full_disk_continue_later() {
+    with_own_mounts("disk::records_on_a_full_disk_continue_later", || {
         let siege = Siege::new(24);
         let [inside, later] = ["in", "later"].map(|name| siege.path().join(name));
         fs::rename(&inside, &later).expect("renamed");
@@ -137,17 +137,17 @@ fn journal_on_a_full_disk_continues_later() {
         daemon.until_converted(first);
         daemon.until("all is written down", |daemon| daemon.has_status("4 done"));
         siege.fill_up();
-        // More frames than fit into the last page of the journal.
+        // More frames than fit into the last page of the records.
         move_in(second);
         daemon.until("it says that it is paused", is_paused);
         daemon.until("all frames wait", |daemon| daemon.has_status("4 done, 20 queued; paused"));
-        // The message appears once, not for each line of the journal.
-        assert_eq!(daemon.count_logged("cannot write the journal"), 1);
+        // The message appears once, not for each line.
+        assert_eq!(daemon.count_logged("cannot write records"), 1);
         assert_eq!(siege.outputs().len(), 2 * first.len());
         siege.free_space();
         daemon.until_converted(second);
         assert_eq!(daemon.converted().len(), siege.frames.len());
-        assert_eq!(daemon.count_logged("the journal is writable again"), 1);
+        assert_eq!(daemon.count_logged("records can be written again"), 1);
         daemon.until("all is written down", |daemon| daemon.has_status("24 done, 0 queued"));
         assert_counts(siege.path(), [24, 0, 0, 0]);
         assert_state(siege.path(), "running");

@@ -147,7 +147,7 @@ fn removed_outputs_are_made_again() {
     land_sequence(&inside, 1, 3, 5);
     let mut daemon = Daemon::start(folder.path(), &ARGUMENTS);
     daemon.until_converted(&frame_names(1, 3));
-    // This removes the journal and the lock, too; the daemon may write there at that moment.
+    // This removes the records and the lock, too; the daemon may write there at that moment.
     while fs::remove_dir_all(&out).is_err_and(|error| error.kind() == ErrorKind::DirectoryNotEmpty) {}
     land_sequence(&inside, 4, 4, 5);
     daemon.until("all are made again", |daemon| {

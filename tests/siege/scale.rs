@@ -1,6 +1,6 @@
 //! Many frames that are already converted: the daemon recognizes them quickly, and then is nearly idle.
 //!
-//! The frames have no particles, so that a real run makes the outputs and the journal of 50 000 frames in a
+//! The frames have no particles, so that a real run makes the outputs and the records of 50 000 frames in a
 //! minute or two. The daemon must not read the files of done frames again. The test prints the time until the
 //! daemon has recognized all frames, but has no limit for this time.
 
@@ -10,7 +10,9 @@ use std::time::{Duration, Instant};
 
 use tempfile::{TempDir, tempdir};
 
-use crate::siege::scene::{Daemon, block_ply, frame_names, is_long, land, memory_bytes, print_line};
+use crate::siege::scene::{
+    Daemon, block_ply, frame_names, is_long, land, memory_bytes, print_line, records_bytes,
+};
 
 fn frame_count() -> usize {
     if is_long() { 50_000 } else { 2_000 }
@@ -47,10 +49,10 @@ fn done_frames_cost_little() {
     let mut daemon = Daemon::start_ready(path, &arguments(&[]));
     let wall_seconds = start.elapsed().as_secs_f64();
     let start_seconds = cpu_seconds(daemon.pid());
-    // The daemon must read only the journal, and no output.
-    let journal_bytes = path.join("out/.meniscus/journal").metadata().expect("a journal").len();
+    // The daemon must read only the records, and no output.
+    let records_bytes = records_bytes(path);
     let start_bytes = bytes_read(daemon.pid());
-    assert!(start_bytes < 2 * journal_bytes + SMALL_FILES_BYTES, "{start_bytes} read of {journal_bytes}");
+    assert!(start_bytes < 2 * records_bytes + SMALL_FILES_BYTES, "{start_bytes} read of {records_bytes}");
     daemon.until("all are known", |daemon| daemon.has_status(&format!("{} done", frame_count())));
     assert_eq!(daemon.converted(), [""; 0]);
 

@@ -286,7 +286,7 @@ pub(crate) fn status(folder: &Path) -> Value {
 }
 
 /// Waits until `read` returns `expected` for the output of `meniscus status`. It may not do so at once,
-/// because the command reads the journal, and the daemon writes the journal a moment after the log.
+/// because the command reads the records, and the daemon writes some of them a moment after the log.
 pub(crate) fn assert_status<T: PartialEq + Debug>(folder: &Path, expected: &T, read: impl Fn(&Value) -> T) {
     let deadline = Instant::now() + Duration::from_secs(10);
     while read(&status(folder)) != *expected && Instant::now() < deadline {
@@ -336,6 +336,12 @@ pub(crate) fn names_in(folder: &Path) -> BTreeSet<String> {
     let entries = fs::read_dir(folder).expect("the folder exists");
     let names = entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned());
     names.filter(|name| name != ".meniscus").collect()
+}
+
+/// The size of the files of records in the folder `out`.
+pub(crate) fn records_bytes(folder: &Path) -> u64 {
+    let files = fs::read_dir(folder.join("out/.meniscus")).into_iter().flatten();
+    files.filter_map(|file| file.ok()?.metadata().ok()).map(|file| file.len()).sum()
 }
 
 /// The names of frames `first..=last` of a sequence.

@@ -420,7 +420,7 @@ pub(super) struct WatchArgs {
     /// Folder for the results; created if missing
     ///
     /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on, sub/dam.0012.bgeo becomes DIR/sub/dam.0012.glb. The
-    /// journal of converted frames is in DIR/.meniscus.
+    /// records of converted frames are in DIR/.meniscus.
     #[arg(long, value_name = "DIR", required_unless_present = "config")]
     pub(super) out: Option<PathBuf>,
 
@@ -537,7 +537,8 @@ When a frame is read:
     its format cannot show whether it is complete, and it has not changed for 4 times --settle
   A file that is written again later is converted again. Inputs are never moved, changed or removed.
 
-  A journal records the finished frames, so a restarted daemon resumes where it left off.
+  Records in the folder for the results say which frames are finished, so a restarted daemon resumes
+  where it left off.
   `meniscus status --out DIR` prints them, and `meniscus status FRAME --out DIR` what is recorded of
   one frame.
 
@@ -548,7 +549,7 @@ Signals:
 Exit status:
   0    with --once: every frame is converted. Without: the daemon stopped on request
   1    with --once: some frames failed, were not converted (for example because their sentinel is
-       missing), or failed validation; or the stage or the journal could not be written. Each is
+       missing), or failed validation; or the stage or the records could not be written. Each is
        named, with the reason
   2    the command is invalid; with --once also: no frame was converted
   130  stopped at once by a second SIGINT; 143 by a second SIGTERM";
@@ -997,8 +998,8 @@ pub(super) struct StatusArgs {
 const STATUS_JSON: &str = "\
 Exit status:
   0    no frame has failed; with FRAME: it has not failed
-  1    some frames have failed; with --config also: no daemon has ever used some of the folders
-  2    no daemon has ever used the folder; with FRAME: nothing is recorded of it
+  1    some frames have failed; with --config also: nothing is recorded in some of the folders
+  2    nothing is recorded in the folder; with FRAME: nothing is recorded of it
 
 JSON: an object with the following; with --config a list of such objects; with FRAME a frame
   output           the folder
@@ -1017,7 +1018,6 @@ JSON: an object with the following; with --config a list of such objects; with F
                    some particles, or that failed validation. state: waiting, queued, done, retrying,
                    failed, refused (because of other files), given_up (after all retries), ignored (not a
                    frame). settings: equal for frames that were converted with the same settings
-  damaged_lines    unreadable lines of the journal; they cost repeated work and nothing else
 Times that end in _ms are milliseconds since 1970.";
 
 // The options of `meniscus completions` and `meniscus man`.

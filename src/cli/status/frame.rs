@@ -7,10 +7,11 @@ use anyhow::{Result, bail};
 use crate::cli::CommandOutcome;
 use crate::cli::console::Console;
 use crate::cli::wording::{ago, pluralize, significant};
-use crate::pipeline::{canonical_path, file_of, natural_order, step_of};
-use crate::watch::journal::{JournalState, JournaledFrame, JournaledStatus, now_ms};
+use crate::pipeline::{
+    RecordedFrame, RecordedState, UnfinishedState, canonical_path, file_of, natural_order, now_ms, step_of,
+};
 
-use super::{FrameStatus, Holder, read_journal};
+use super::{FrameStatus, Holder};
 
 /// Prints the record of a frame in each of these output folders that has one.
 ///
@@ -25,23 +26,24 @@ pub(super) fn print(
     let path = known_path(frame);
     let (mut is_found, mut has_failed) = (false, false);
     for folder in folders {
-        let state = read_journal(folder)?;
+        let state = super::recorded(folder, console)?;
         if let Some((first, last)) = steps_of(&state, &path) {
             bail!("{}: it has several frames: give one of them, from {first} to {last}", frame.display());
         }
         let Some((input, record)) = recorded(&state, &path) else { continue };
         let has_daemon = !matches!(Holder::of(folder)?, Holder::Unlocked);
-        let status = FrameStatus::new(input, record, has_daemon);
+        let absolute = folder.canonicalize().unwrap_or_else(|_| folder.clone());
+        let status = FrameStatus::new(input, record, &absolute, has_daemon);
         if as_json {
             console.print_json(&status)?;
         } else {
             console.print_lines(status.details(now_ms(), file_of(input).exists()));
-            if !has_daemon && is_to_come(record.status) {
+            if !has_daemon && status.is_to_come() {
                 console.print_line(format_args!("no daemon is running for {}: start one", folder.display()));
             }
         }
         is_found = true;
-        has_failed |= is_failure(record.status);
+        has_failed |= status.has_failed();
     }
     if !is_found {
         bail!(
@@ -63,37 +65,38 @@ fn known_path(frame: &Path) -> PathBuf {
 }
 
 /// The record of a frame. The watched folder may be a link: then the recorded path is another one.
-fn recorded<'a>(state: &'a JournalState, path: &Path) -> Option<(&'a Path, &'a JournaledFrame)> {
+fn recorded<'a>(state: &'a RecordedState, path: &Path) -> Option<(&'a Path, &'a RecordedFrame)> {
     let is_meant =
         |input: &Path| input == path || input.file_name() == path.file_name() && known_path(input) == path;
     let exact = state.frames.get_key_value(path);
     let found = exact.or_else(|| state.frames.iter().find(|(input, _)| is_meant(input)));
-    found.map(|(input, record)| (&**input, &**record))
+    found.map(|(input, record)| (&**input, record))
 }
 
 /// The first and the last of the frames in this file, if several are recorded.
-fn steps_of(state: &JournalState, file: &Path) -> Option<(String, String)> {
+fn steps_of(state: &RecordedState, file: &Path) -> Option<(String, String)> {
     let steps = state.frames.keys().filter(|input| input.parent() == Some(file));
     let mut steps: Vec<String> = steps.map(|input| input.display().to_string()).collect();
     steps.sort_by(|a, b| natural_order(a, b));
     Some((steps.first()?.clone(), steps.last()?.clone()))
 }
 
-fn is_failure(status: JournaledStatus) -> bool {
-    matches!(status, JournaledStatus::Failed | JournaledStatus::Refused | JournaledStatus::RetriesExhausted)
-}
-
-/// Whether a daemon will convert, or try to convert, a frame without further changes.
-fn is_to_come(status: JournaledStatus) -> bool {
-    !is_failure(status) && !matches!(status, JournaledStatus::Done | JournaledStatus::Ignored)
-}
-
 impl FrameStatus {
+    fn has_failed(&self) -> bool {
+        self.state.is_some_and(UnfinishedState::is_failure)
+    }
+
+    /// Whether a daemon will convert, or try to convert, the frame without further changes.
+    fn is_to_come(&self) -> bool {
+        self.state.is_some_and(|state| !state.is_failure() && state != UnfinishedState::Ignored)
+    }
+
     /// Everything that is recorded, as lines of text; `now_ms` is in milliseconds since 1970.
     fn details(&self, now_ms: u64, file_exists: bool) -> Vec<String> {
         let mut lines = vec![self.input.clone()];
         let mut line = |name: &str, text: &str| lines.push(format!("  {name:<9} {text}"));
-        line("state", &format!("{}, {}", self.state, ago(self.at_ms, now_ms)));
+        let state = self.state.map_or_else(|| "done".to_owned(), |state| state.to_string());
+        line("state", &format!("{state}, {}", ago(self.at_ms, now_ms)));
         for text in self.reason.as_deref().into_iter().chain(self.retried) {
             line("reason", text);
         }

@@ -30,12 +30,6 @@ impl StatusRecord {
             lines.extend(frames.iter().take(LISTED_MAX).map(|frame| format!("  {}", frame.text(now_ms))));
             lines.extend(more(frames.len()));
         }
-        if self.damaged_lines > 0 {
-            let damaged = pluralize(self.damaged_lines, "damaged line");
-            lines.push(format!(
-                "{damaged} in the journal: the daemon checks or converts the frames concerned again"
-            ));
-        }
         lines
     }
 }
@@ -64,7 +58,7 @@ impl DaemonStatus {
             ("stopped", _) => format!("the daemon has ended{} ({who})", since(self.at_ms)),
             ("killed", _) => format!("the daemon was killed, or its machine went down ({who})"),
             (state, _) if self.running.is_none() => {
-                format!("{state}, according to the journal: the file system has no locks ({who})")
+                format!("{state}, according to the records: the file system has no locks ({who})")
             }
             (state, _) => format!("{state} ({who})"),
         }

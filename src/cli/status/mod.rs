@@ -1,6 +1,6 @@
 //! `meniscus status`: prints which frames a daemon has finished, queued and failed, with reasons.
 //!
-//! It reads the journal, and checks the lock to see whether a daemon is running: the journal of a killed
+//! It reads the records, and checks the lock to see whether a daemon is running: the last record of a killed
 //! daemon still says "running".
 //!
 //! The structs here define the JSON; the text shows the same values.
@@ -10,16 +10,15 @@ mod lines;
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
-use crate::pipeline::{FileStamp, file_of, is_absent, is_missing_step, natural_order};
-use crate::watch::Watch;
-use crate::watch::journal::{
-    DaemonState, Journal, JournalState, JournaledFrame, JournaledStatus, STATE_FOLDER, now_ms,
+use crate::pipeline::{
+    DaemonState, FileStamp, FrameRecords, RecordedFrame, RecordedState, STATE_FOLDER, UnfinishedRecord,
+    UnfinishedState, file_of, is_absent, is_missing_step, natural_order, now_ms,
 };
+use crate::watch::Watch;
 use crate::watch::lock::{LockError, OutputLock};
 
 use super::CommandOutcome;
@@ -45,7 +44,6 @@ struct StatusRecord {
     last_done: Vec<FrameStatus>,
     /// Finished frames with defects, in natural order.
     flawed: Vec<FrameStatus>,
-    damaged_lines: usize,
 }
 
 #[derive(Debug, PartialEq, Serialize)]
@@ -56,7 +54,7 @@ struct DaemonStatus {
     held_by: Option<String>,
     state: &'static str,
     paused_because: Option<String>,
-    /// This field and the following ones are from the journal, and describe the daemon that last wrote it.
+    /// This field and the following ones are recorded, and describe the daemon that wrote last.
     pid: Option<u32>,
     host: Option<String>,
     started_ms: Option<u64>,
@@ -73,10 +71,12 @@ struct StatusCounts {
     failed: usize,
 }
 
-#[derive(Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 struct FrameStatus {
     input: String,
-    state: JournaledStatus,
+    /// `None` if it is done.
+    #[serde(serialize_with = "write_state")]
+    state: Option<UnfinishedState>,
     outputs: Vec<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     reason: Option<String>,
@@ -87,12 +87,19 @@ struct FrameStatus {
     seconds: Option<f64>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     flaws: Vec<String>,
-    /// The fingerprint of its settings.
+    /// The id of its settings.
     settings: String,
     at_ms: u64,
     /// When the daemon tries the failed frame again although its file has not changed.
     #[serde(skip)]
     retried: Option<&'static str>,
+}
+
+fn write_state<S: Serializer>(state: &Option<UnfinishedState>, to: S) -> Result<S::Ok, S::Error> {
+    match state {
+        Some(state) => state.serialize(to),
+        None => to.serialize_str("done"),
+    }
 }
 
 /// A path as text for JSON, which needs Unicode.
@@ -106,7 +113,7 @@ const LAST_DONE_COUNT: usize = 5;
 /// Prints the status of the daemon of a folder, or of all folders of a configuration file; or of one frame.
 ///
 /// # Errors
-/// If no daemon has used the folder, or the journal or the file cannot be read.
+/// If nothing is recorded in the folder, or the records or the file cannot be read.
 pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<CommandOutcome> {
     let folders = match &args.config {
         Some(config) => folders_of(config)?,
@@ -117,7 +124,7 @@ pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<Command
     }
     let mut records = Vec::new();
     for folder in &folders {
-        match status_of(folder) {
+        match status_of(folder, console) {
             Ok(record) => records.push(record),
             Err(error) if folders.len() > 1 => console.error(with_causes(&error)),
             Err(error) => return Err(error),
@@ -152,23 +159,28 @@ fn folders_of(config: &Path) -> Result<Vec<PathBuf>> {
     Ok(folders)
 }
 
-/// The status of the daemon of a folder.
-fn status_of(output: &Path) -> Result<StatusRecord> {
-    let state = read_journal(output)?;
+/// The status of a folder.
+fn status_of(output: &Path, console: &mut Console) -> Result<StatusRecord> {
+    let state = recorded(output, console)?;
     let holder = Holder::of(output)?;
-    if state == JournalState::default() && !matches!(holder, Holder::Daemon(_)) {
-        bail!("{}: no daemon has written here: check --out", output.display());
+    if state == RecordedState::default() && !matches!(holder, Holder::Daemon(_)) {
+        bail!("{}: nothing is recorded here: check --out", output.display());
     }
     Ok(StatusRecord::new(output, &state, holder))
 }
 
-/// Reads the journal of an output folder.
+/// Reads the records of an output folder.
 ///
 /// # Errors
-/// If it cannot be read.
-fn read_journal(output: &Path) -> Result<JournalState> {
+/// If they cannot be read.
+fn recorded(output: &Path, console: &mut Console) -> Result<RecordedState> {
     let folder = output.join(STATE_FOLDER);
-    Journal::read(&folder).with_context(|| format!("cannot read the journal in {}", folder.display()))
+    let records = FrameRecords::open(output)
+        .with_context(|| format!("{}: cannot read the records", folder.display()))?;
+    for problem in records.problems() {
+        console.warning(format_args!("{problem}: what is recorded there is left out"));
+    }
+    Ok(records.recorded())
 }
 
 /// Which process holds the lock of an output folder.
@@ -196,82 +208,85 @@ impl Holder {
 }
 
 impl StatusRecord {
-    fn new(output: &Path, state: &JournalState, holder: Holder) -> StatusRecord {
+    fn new(output: &Path, state: &RecordedState, holder: Holder) -> StatusRecord {
+        let folder = output.canonicalize().unwrap_or_else(|_| output.to_owned());
         let has_daemon = matches!(holder, Holder::Daemon(_));
         let files = Files::new(state, has_daemon);
-        let with_status = |status| {
-            let mut frames: Vec<_> = state
-                .frames
-                .iter()
-                .filter(|(input, frame)| frame.status == status && !files.are_without(input, frame))
-                .collect();
-            frames.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
-            frames
-        };
+        let mut recorded: Vec<(&PathBuf, &RecordedFrame)> =
+            state.frames.iter().filter(|(_, frame)| !files.are_without(frame)).collect();
+        recorded.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
         let daemon = DaemonStatus::new(state, holder);
         let is_running = daemon.as_ref().is_some_and(DaemonStatus::is_running);
-        let statuses = |frames: &[(&Arc<Path>, &Arc<JournaledFrame>)]| {
-            frames.iter().map(|(input, frame)| FrameStatus::new(input, frame, is_running)).collect()
-        };
-        let retrying = with_status(JournaledStatus::Retrying);
-        let waiting = with_status(JournaledStatus::Waiting);
-        let mut failed = with_status(JournaledStatus::Failed);
-        failed.extend(with_status(JournaledStatus::Refused));
-        failed.extend(with_status(JournaledStatus::RetriesExhausted));
-        let mut done = with_status(JournaledStatus::Done);
-        let counts = StatusCounts {
-            done: done.len(),
-            queued: with_status(JournaledStatus::Queued).len(),
-            retrying: retrying.len(),
-            waiting: waiting.len(),
-            failed: failed.len(),
-        };
-        let flawed: Vec<_> = done.iter().copied().filter(|(_, frame)| !frame.flaws.is_empty()).collect();
-        // A stable sort: of equally new frames, the last in natural order comes first.
-        done.reverse();
-        done.sort_by_key(|(_, frame)| std::cmp::Reverse(frame.at_ms));
-        done.truncate(LAST_DONE_COUNT);
-        StatusRecord {
+        let mut status = StatusRecord {
             output: shown(output),
             daemon,
-            counts,
-            failed: statuses(&failed),
-            retrying: statuses(&retrying),
-            waiting: statuses(&waiting),
-            last_done: statuses(&done),
-            flawed: statuses(&flawed),
-            damaged_lines: state.damaged_line_count,
+            counts: StatusCounts::default(),
+            failed: Vec::new(),
+            retrying: Vec::new(),
+            waiting: Vec::new(),
+            last_done: Vec::new(),
+            flawed: Vec::new(),
+        };
+        let [mut refused, mut given_up, mut done] = [const { Vec::new() }; 3];
+        for (input, frame) in recorded {
+            let frame = FrameStatus::new(input, frame, &folder, is_running);
+            match frame.state {
+                None => done.push(frame),
+                Some(UnfinishedState::Waiting) => status.waiting.push(frame),
+                Some(UnfinishedState::Queued) => status.counts.queued += 1,
+                Some(UnfinishedState::Retrying) => status.retrying.push(frame),
+                Some(UnfinishedState::Failed) => status.failed.push(frame),
+                Some(UnfinishedState::Refused) => refused.push(frame),
+                Some(UnfinishedState::GivenUp) => given_up.push(frame),
+                Some(UnfinishedState::Ignored) => {}
+            }
         }
+        status.failed.extend(refused.into_iter().chain(given_up));
+        status.counts = StatusCounts {
+            done: done.len(),
+            queued: status.counts.queued,
+            retrying: status.retrying.len(),
+            waiting: status.waiting.len(),
+            failed: status.failed.len(),
+        };
+        status.flawed = done.iter().filter(|frame| !frame.flaws.is_empty()).cloned().collect();
+        // A stable sort: of equally new frames, the last in natural order comes first.
+        done.reverse();
+        done.sort_by_key(|frame| std::cmp::Reverse(frame.at_ms));
+        done.truncate(LAST_DONE_COUNT);
+        status.last_done = done;
+        status
     }
 }
 
-/// The input files of the journaled frames.
+/// The input files of recorded frames.
 struct Files<'a> {
-    /// The path of each file, and its stamp when the daemon read it, without the status change time (ctime).
+    /// The path of each file, and its stamp when it was read, without the status change time (ctime).
     recorded: HashSet<(&'a Path, FileStamp)>,
     has_daemon: bool,
 }
 
 impl<'a> Files<'a> {
-    fn new(state: &'a JournalState, has_daemon: bool) -> Files<'a> {
-        let recorded = state
-            .frames
-            .iter()
-            .map(|(input, frame)| (file_of(input), frame.stamp.without_status_change()))
-            .collect();
+    fn new(state: &'a RecordedState, has_daemon: bool) -> Files<'a> {
+        let mut recorded = HashSet::new();
+        for (input, RecordedFrame { done, unfinished }) in &state.frames {
+            let stamps =
+                done.iter().map(|done| done.stamp).chain(unfinished.iter().map(|record| record.stamp));
+            recorded.extend(stamps.map(|stamp| (file_of(input), stamp.without_status_change())));
+        }
         Files { recorded, has_daemon }
     }
 
     /// Whether the frame can never be converted: its file was removed from its folder, or rewritten without
     /// the frame's step.
-    fn are_without(&self, input: &Path, frame: &JournaledFrame) -> bool {
-        if frame.status == JournaledStatus::Done {
-            return false;
-        }
-        let file = file_of(input);
+    fn are_without(&self, frame: &RecordedFrame) -> bool {
+        let Some(record) = &frame.unfinished else { return false };
+        let file = file_of(&record.input);
         match FileStamp::of_path(file) {
-            Ok(stamp) if file == input || frame.stamp.still_holds(&stamp) => false,
-            Ok(stamp) => !self.may_be_growing(file, stamp, frame) && is_missing_step(input).unwrap_or(false),
+            Ok(stamp) if file == record.input || record.stamp.still_holds(&stamp) => false,
+            Ok(stamp) => {
+                !self.may_be_growing(file, stamp, record) && is_missing_step(&record.input).unwrap_or(false)
+            }
             // A missing folder may come back with all its files.
             Err(error) => is_absent(file, &error) && file.parent().is_some_and(Path::exists),
         }
@@ -280,15 +295,15 @@ impl<'a> Files<'a> {
     /// Whether a file has grown since a running daemon last read it: a simulation may be appending to it. The
     /// recorded steps are then still in the file, and a check of this would take minutes at each call of
     /// `status`.
-    fn may_be_growing(&self, file: &Path, stamp: FileStamp, frame: &JournaledFrame) -> bool {
+    fn may_be_growing(&self, file: &Path, stamp: FileStamp, record: &UnfinishedRecord) -> bool {
         self.has_daemon
-            && stamp.size > frame.stamp.size
+            && stamp.size > record.stamp.size
             && !self.recorded.contains(&(file, stamp.without_status_change()))
     }
 }
 
 impl DaemonStatus {
-    fn new(state: &JournalState, holder: Holder) -> Option<DaemonStatus> {
+    fn new(state: &RecordedState, holder: Holder) -> Option<DaemonStatus> {
         let record = state.daemon.as_ref();
         let (running, held_by) = match holder {
             Holder::Daemon(by) => (Some(true), Some(by)),
@@ -301,8 +316,8 @@ impl DaemonStatus {
         let (state, paused_because) = match (record.map(|record| &record.state), running) {
             (None | Some(DaemonState::Stopped), Some(true)) => ("starting", None),
             (Some(DaemonState::Stopped) | None, _) => ("stopped", None),
-            // The journal says that a daemon is running or paused, but no process holds the lock: the daemon
-            // was killed before it could record its end.
+            // It is recorded as running or paused, but no process holds the lock: the daemon was killed before it
+            // could record its end.
             (Some(_), Some(false)) => ("killed", None),
             (Some(DaemonState::Running), _) => ("running", None),
             (Some(DaemonState::Paused(why)), _) => ("paused", Some(why.clone())),
@@ -321,26 +336,47 @@ impl DaemonStatus {
 }
 
 impl FrameStatus {
-    fn new(input: &Path, frame: &JournaledFrame, is_running: bool) -> FrameStatus {
-        FrameStatus {
+    /// `folder`: the absolute path of the folder of the outputs.
+    fn new(input: &Path, frame: &RecordedFrame, folder: &Path, is_running: bool) -> FrameStatus {
+        let empty = FrameStatus {
             input: shown(input),
-            outputs: frame.outputs.iter().map(|output| shown(&output.path)).collect(),
-            state: frame.status,
-            reason: frame.reason.as_ref().map(ToString::to_string),
-            attempts: frame.attempt_count,
-            particles: frame.particle_count,
-            seconds: frame.seconds,
-            flaws: frame.flaws.clone(),
-            settings: frame.settings.clone(),
-            at_ms: frame.at_ms,
-            retried: match frame.status {
-                JournaledStatus::Refused if is_running => Some("will be checked again at each scan"),
-                JournaledStatus::Refused => Some("will be checked again when a daemon starts"),
-                JournaledStatus::RetriesExhausted => {
-                    Some("will be retried when the file changes or the daemon restarts")
-                }
-                _ => None,
-            },
+            state: None,
+            outputs: Vec::new(),
+            reason: None,
+            attempts: 0,
+            particles: None,
+            seconds: None,
+            flaws: Vec::new(),
+            settings: String::new(),
+            at_ms: frame.at_ms(),
+            retried: None,
+        };
+        if let Some(record) = &frame.unfinished {
+            return FrameStatus {
+                state: Some(record.state),
+                reason: record.reason.as_ref().map(ToString::to_string),
+                attempts: record.attempts,
+                settings: record.settings.clone(),
+                retried: match record.state {
+                    UnfinishedState::Refused if is_running => Some("will be checked again at each scan"),
+                    UnfinishedState::Refused => Some("will be checked again when a daemon starts"),
+                    UnfinishedState::GivenUp => {
+                        Some("will be retried when the file changes or the daemon restarts")
+                    }
+                    _ => None,
+                },
+                ..empty
+            };
+        }
+        let Some(record) = &frame.done else { return empty };
+        FrameStatus {
+            outputs: record.output_paths(folder).map(|path| shown(&path)).collect(),
+            attempts: 1,
+            particles: record.figures.particles,
+            seconds: Some(record.figures.total_seconds()),
+            flaws: record.flaws.clone(),
+            settings: record.settings.clone(),
+            ..empty
         }
     }
 }

@@ -1,47 +1,45 @@
-use super::*;
-use crate::watch::Reason;
-use crate::watch::journal::{DaemonRecord, OutputRecord};
+use std::sync::Arc;
 
-fn frame(status: JournaledStatus, at_ms: u64) -> JournaledFrame {
-    JournaledFrame { attempt_count: 1, at_ms, ..JournaledFrame::new(status) }
-}
+use super::*;
+use crate::pipeline::{DaemonRecord, DoneRecord, Reason, RecordLine};
+use crate::watch::test_records::{done_record, unfinished_record};
 
 fn daemon(state: DaemonState) -> DaemonRecord {
     DaemonRecord { pid: 12, host: "render-04".into(), started_ms: 1000, state, at_ms: 60_000 }
 }
 
-/// The state of a journal with 30 finished frames, 25 failed frames, and others.
-fn state() -> JournalState {
-    let mut state = JournalState { daemon: Some(daemon(DaemonState::Running)), ..JournalState::default() };
-    let mut add =
-        |name: String, record| state.frames.insert(Path::new("/sim").join(name).into(), Arc::new(record));
+fn done(number: u64) -> DoneRecord {
+    let record = done_record(&PathBuf::from(format!("/sim/dam.{number}.ply")), FileStamp::default());
+    let mut figures = (*record.figures).clone();
+    (figures.particles, figures.seconds.smooth) = (Some(250_000), 2.25);
+    DoneRecord { at_ms: 1000 * number, figures: figures.into(), ..(*record).clone() }
+}
+
+/// The records of 30 finished frames, 25 failed frames, and others.
+fn state() -> RecordedState {
+    let mut state = RecordedState { daemon: Some(daemon(DaemonState::Running)), ..RecordedState::default() };
     for number in 1..=30 {
-        let outputs = vec![OutputRecord::of_size(format!("/out/dam.{number}.glb").into(), 1)];
-        let (particle_count, seconds) = (Some(250_000), Some(2.25));
-        let done = frame(JournaledStatus::Done, 1000 * number);
-        add(format!("dam.{number}.ply"), JournaledFrame { outputs, particle_count, seconds, ..done });
+        state.take(&RecordLine::Done(done(number).into()));
     }
+    let mut add = |name: &str, unfinished, reason, (attempts, at_ms)| {
+        let record = unfinished_record(&Path::new("/sim").join(name), unfinished);
+        let record = UnfinishedRecord { reason, attempts, at_ms, ..record };
+        state.take(&RecordLine::Unfinished(record.into()));
+    };
+    let error = |what: &str| Some(Reason::Error(what.to_owned()));
     for number in 1..=25 {
-        let reason = Some(Reason::Error("PLY, at 12 bytes: no end".to_owned()));
-        add(format!("bad.{number}.ply"), JournaledFrame { reason, ..frame(JournaledStatus::Failed, 5000) });
+        let why = error("PLY, at 12 bytes: no end");
+        add(&format!("bad.{number}.ply"), UnfinishedState::Failed, why, (1, 5000));
     }
-    let reason = Some(Reason::Error("/sim/late.ply: cannot be read: busy".to_owned()));
-    add(
-        "late.ply".into(),
-        JournaledFrame { reason, attempt_count: 3, ..frame(JournaledStatus::Retrying, 9000) },
-    );
-    add("next.ply".into(), frame(JournaledStatus::Queued, 9000));
-    let reason = Some(Reason::Changing);
-    add("new.ply".into(), JournaledFrame { reason, ..frame(JournaledStatus::Waiting, 9000) });
-    let reason = Some(Reason::Error("/sim/cut.ply: PLY, at byte 9: too short".to_owned()));
-    add(
-        "cut.ply".into(),
-        JournaledFrame { reason, attempt_count: 4, ..frame(JournaledStatus::RetriesExhausted, 9000) },
-    );
+    add("late.ply", UnfinishedState::Retrying, error("/sim/late.ply: cannot be read: busy"), (3, 9000));
+    add("next.ply", UnfinishedState::Queued, None, (0, 9000));
+    add("new.ply", UnfinishedState::Waiting, Some(Reason::Changing), (0, 9000));
+    let why = error("/sim/cut.ply: PLY, at byte 9: too short");
+    add("cut.ply", UnfinishedState::GivenUp, why, (4, 9000));
     state
 }
 
-fn record(state: &JournalState, holder: Holder) -> StatusRecord {
+fn record(state: &RecordedState, holder: Holder) -> StatusRecord {
     StatusRecord::new(Path::new("/out"), state, holder)
 }
 
@@ -76,16 +74,12 @@ fn text_has_the_values_of_the_json() {
         "/sim/cut.ply: PLY, at byte 9: too short (4 attempts, will be retried when the file changes or the daemon restarts, 55s ago)"
     );
     let mut flawed = state();
-    let two = flawed.frames.get_mut(Path::new("/sim/dam.2.ply")).expect("a frame");
-    Arc::make_mut(two).flaws = vec!["1 particle left out".into(), "failed validation".into()];
+    let flaws = vec!["1 particle left out".into(), "failed validation".into()];
+    flawed.take(&RecordLine::Done(Arc::new(DoneRecord { flaws, ..done(2) })));
     let text = record(&flawed, Holder::Unlocked).lines(64_000).join("\n");
     let marked = "done, but failed validation or left out particles:\n  /sim/dam.2.ply: 250000 particles, 2.25 s, 1m 2s ago; \
                   1 particle left out; failed validation";
     assert!(text.ends_with(marked), "{text}");
-    let damaged = JournalState { damaged_line_count: 2, ..state() };
-    assert!(
-        record(&damaged, Holder::Unlocked).lines(0).join("\n").contains("2 damaged lines in the journal")
-    );
 }
 
 #[test]
@@ -108,12 +102,12 @@ fn running_state_comes_from_the_lock() {
         (Some(DaemonState::Stopped), by(), Some(true), "starting", "starting (pid 13"),
         (None, by(), Some(true), "starting", "starting (pid 13"),
     ] {
-        let state = JournalState { daemon: state.map(daemon), ..JournalState::default() };
+        let state = RecordedState { daemon: state.map(daemon), ..RecordedState::default() };
         let status = DaemonStatus::new(&state, holder).expect("a daemon");
         assert_eq!((status.running, status.state), (running, word));
         assert!(status.text(65_000).contains(text), "{} does not say {text}", status.text(65_000));
     }
-    assert_eq!(DaemonStatus::new(&JournalState::default(), Holder::Unlocked), None);
+    assert_eq!(DaemonStatus::new(&RecordedState::default(), Holder::Unlocked), None);
 }
 
 #[test]
@@ -122,7 +116,7 @@ fn json_has_the_documented_fields() {
     let record = record(&state, Holder::Daemon("pid 12 on render-04".into()));
     let json = serde_json::to_value(&record).expect("JSON");
     let keys: Vec<&String> = json.as_object().expect("an object").keys().collect();
-    assert_eq!(keys.len(), 9);
+    assert_eq!(keys.len(), 8);
     let help = <crate::cli::args::Cli as clap::CommandFactory>::command()
         .find_subcommand_mut("status")
         .expect("the command")

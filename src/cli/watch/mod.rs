@@ -113,7 +113,7 @@ fn log_summary(once: Option<bool>, watches: &[Watch], summary: &WatchSummary) ->
         warn!("there are no frames to convert{}", reasons(watches));
     }
     let why = match ended {
-        EndReason::Drained if *has_unwritten => "the journal or the stage is incomplete",
+        EndReason::Drained if *has_unwritten => "the stage or the records are incomplete",
         EndReason::Drained if failed.len() + left_count == 0 => "no frames are left to convert",
         EndReason::Drained => "not all frames are converted",
         _ => "stopped on request",

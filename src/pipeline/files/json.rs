@@ -85,22 +85,6 @@ pub(crate) mod hex {
     pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<u128, D::Error> {
         u128::from_str_radix(&String::deserialize(from)?, 16).map_err(D::Error::custom)
     }
-
-    pub(crate) mod option {
-        use super::*;
-
-        pub(crate) fn serialize<S: Serializer>(hash: &Option<u128>, to: S) -> Result<S::Ok, S::Error> {
-            match hash {
-                Some(hash) => super::serialize(hash, to),
-                None => to.serialize_none(),
-            }
-        }
-
-        pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<u128>, D::Error> {
-            let digits = Option::<String>::deserialize(from)?;
-            digits.map(|digits| u128::from_str_radix(&digits, 16)).transpose().map_err(D::Error::custom)
-        }
-    }
 }
 
 pub(crate) mod path {

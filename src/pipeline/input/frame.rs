@@ -15,12 +15,14 @@ use super::obstacles::ObstacleFiles;
 use super::source::FrameFile;
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::stamp::{FileStamp, now_ms};
+use crate::pipeline::records::figures::Figures;
 use crate::pipeline::records::frame_records::{
-    DoneRecord, FrameRecords, OutputComparison, OutputFile, ResultState, Wanted, settings_id,
+    FrameRecords, OutputComparison, ResultState, SettingValues, Wanted, settings_id,
 };
 use crate::pipeline::records::frame_warnings::fault;
 use crate::pipeline::records::provenance::{recorded_settings, valid_cameras};
-use crate::pipeline::records::record::measured_json;
+use crate::pipeline::records::record::certificate;
+use crate::pipeline::records::record_line::{DoneRecord, OutputFile};
 use crate::pipeline::target::framing::Framing;
 use crate::pipeline::target::outputs::{OutputOptions, output_path};
 use crate::pipeline::target::picture::PictureOptions;
@@ -86,6 +88,8 @@ pub struct Frame {
     /// The camera of its sequence, if later frames may still change it; `None` if the camera in `outputs` is
     /// used.
     pub framing: Option<Arc<Framing>>,
+    /// A hash of the stamps of its obstacle files when the daemon queued it, for its record.
+    pub obstacle_stamp: Option<String>,
     /// The records of the folder of its outputs; `None` if they are not recorded.
     pub records: Option<Arc<FrameRecords>>,
 }
@@ -102,6 +106,7 @@ impl Frame {
             number: file.number(),
             obstacles: Arc::default(),
             framing: None,
+            obstacle_stamp: None,
             records: None,
         }
     }
@@ -150,7 +155,7 @@ impl Frame {
     ) -> Option<(ResultState, Option<Arc<DoneRecord>>)> {
         let records = self.records.as_ref()?;
         let name = |path: PathBuf| path.file_name().unwrap_or_default().into();
-        let settings = recorded_settings(self);
+        let settings = self.recorded_settings();
         let wanted = Wanted {
             name: &self.recorded_name(records),
             outputs: Some(self.output_paths().into_iter().map(name).collect()),
@@ -158,31 +163,42 @@ impl Frame {
             obstacles: Some(obstacles),
             settings_id: &settings_id(&settings),
             settings: Some(&settings),
-            cameras: valid_cameras(self),
+            cameras: valid_cameras(&self.outputs, self.framing.as_deref()),
         };
         Some(records.state(&wanted, OutputComparison::Stamps))
     }
 
-    /// Records that the frame was converted from an input with this hash, if it has records.
+    fn recorded_settings(&self) -> SettingValues {
+        recorded_settings(&self.job, &self.settings, &self.outputs, &self.obstacles)
+    }
+
+    /// Records that the frame was converted, if it has records; adds the record to the report.
     ///
     /// # Errors
     /// When the record cannot be written.
-    pub(crate) fn record_done(&self, report: &FrameReport) -> io::Result<()> {
-        let Some(records) = &self.records else { return Ok(()) };
-        let settings = recorded_settings(self);
-        let record = DoneRecord {
+    pub(crate) fn record_done(&self, report: FrameReport) -> io::Result<FrameReport> {
+        let Some(records) = &self.records else { return Ok(report) };
+        let settings = self.recorded_settings();
+        let is_surface = self.job != Job::Particles;
+        let flaws = report.all_warnings().into_iter().filter(Warning::is_flaw);
+        let record = Arc::new(DoneRecord {
             name: self.recorded_name(records),
             input: std::path::absolute(&self.input).unwrap_or_else(|_| self.input.clone()),
+            stamp: report.input.stamp,
             input_hash: report.input.hash,
             obstacles: report.obstacles.clone(),
+            obstacle_stamp: self.obstacle_stamp.clone(),
             settings: settings_id(&settings),
             camera: self.has_pictures().then(|| self.outputs.picture.camera.to_string()),
             outputs: report.files.clone(),
-            violations: (self.job != Job::Particles).then(|| fault(&report.reconstruction)).flatten(),
+            violations: is_surface.then(|| fault(&report.reconstruction)).flatten(),
+            flaws: flaws.map(|warning| warning.to_string()).collect(),
             at_ms: now_ms(),
-            measured: measured_json(report),
-        };
-        records.record_done(record, &settings)
+            figures: Arc::new(Figures::of(&report, self.job)),
+            certificate: is_surface.then(|| certificate(&report.reconstruction)),
+        });
+        records.record_done(Arc::clone(&record), &settings)?;
+        Ok(FrameReport { record: Some(record), ..report })
     }
 
     /// Records that the frame could not be converted, if it has records.
@@ -285,6 +301,8 @@ pub struct FrameReport {
     pub warnings: Vec<Warning>,
     /// The name of the particles' velocities, if the outputs could have velocities but do not.
     pub unused_velocity: Option<String>,
+    /// The record of the frame, if it has records.
+    pub record: Option<Arc<DoneRecord>>,
 }
 
 #[cfg(test)]

@@ -5,10 +5,11 @@
 //!   OUT/.meniscus/frames-51e07b3a-9f3c02d1a47be658     one file for each process that writes at the same time
 //!     41d07e5522a98c3f {"settings":{"id":"7d1c…","values":{"voxel_size":"0.02", … }}}
 //!     8f3a09c1d2e4b576 {"done":{"name":"dam.0012","input_hash":"…","settings":"7d1c…","outputs":[ … ], … }}
-//!     c2609b1ea0f347d8 {"failed":{"name":"dam.0013","reason":" … "}}
+//!     c2609b1ea0f347d8 {"unfinished":{"name":"dam.0013","state":"failed","reason":{"error":" … "}, … }}
+//!     5b0c7711e09d4f2a {"sequence":{"key":{"name":"dam.{}.bgeo", … },"shared":{"measured":{"spacing":"0.02", … }}}}
 //! ```
 //!
-//! `convert`, its shards, `watch` and `verify` read all these files. A record states that an input became
+//! `convert`, its shards, `watch`, `status` and `verify` read all these files. A record states that an input became
 //! outputs with these hashes under these settings, and that stays true, so the order of records and the
 //! clocks of machines do not matter: a frame is done if one of its records has the wanted input and settings,
 //! and its outputs have the recorded bytes.
@@ -22,56 +23,51 @@
 //!   else                                        ─▶ Done
 //! ```
 //!
-//! **Losing a record only costs time**: its frame is converted again. So a line is one write without a sync, a
-//! torn or damaged line is skipped, and nothing is recorded before all outputs of a frame have their names.
+//! **Losing a record only costs time**: its frame is converted again, and its sequence is measured again. So a
+//! line is one write without a sync, a torn or damaged line is skipped, and nothing is recorded as done before all
+//! outputs of a frame have their names.
+//!
+//! The daemon also records why a frame is not done, what all frames of a sequence share, and its own state. Of
+//! such lines the latest one counts. While the disk is full they are kept in memory, and written later.
 //!
 //! A process appends to a file of its own, beside which it holds a lock (`frames-….lock`): one that an earlier
 //! process of this machine has left, or a new one. So there are as many files as processes that ever wrote at the
 //! same time, and no process waits for another one, also on network file systems. Locks do not always reach other
 //! machines, so the name of a file contains a hash of the machine's name.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
-use std::path::{Component, Path, PathBuf};
+use std::collections::{BTreeMap, HashMap};
+use std::fs::OpenOptions;
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
-
-use crate::pipeline::files::checked_line::{push_line, record_of_line};
-use crate::pipeline::files::host::host_name;
-use crate::pipeline::files::identity::is_still_at;
+use super::reason::Reason;
+use super::record_file::{OwnFile, record_files};
+use super::record_line::{
+    DaemonRecord, DoneRecord, OutputFile, RecordLine, SequenceKey, SharedSettings, UnfinishedRecord,
+    UnfinishedState,
+};
+use crate::pipeline::files::checked_line::record_of_line;
 use crate::pipeline::files::input_file::InputFile;
-use crate::pipeline::files::json::{hex, path};
-use crate::pipeline::files::open::{open_itself, open_own, require_own_folder};
+use crate::pipeline::files::open::open_own;
+use crate::pipeline::files::out_folder::is_disk_full;
 use crate::pipeline::files::stamp::{FileStamp, now_ms};
-use crate::pipeline::files::temporary::{create_locked, random_number, remove_if_exists};
 
 /// The folder for this program's own files, in the folder of outputs.
 pub const STATE_FOLDER: &str = ".meniscus";
 
-/// The start of the name of a file of records; 8 hexadecimal digits for the machine and 16 others follow.
-const FILE_PREFIX: &str = "frames-";
-
-/// The extension of the lock of a file of records.
-const LOCK_EXTENSION: &str = "lock";
+/// Of older records of a frame, whose outputs were replaced since, no more than this are kept.
+pub(super) const DONE_PER_FRAME_MAX: usize = 8;
 
 /// A longer line is not a record.
 const LINE_BYTES_MAX: u64 = 1 << 20;
-
-/// A larger file is not continued.
-const CONTINUED_BYTES_MAX: u64 = 1 << 30;
 
 /// How often the files are listed, if some disappear meanwhile.
 const LISTINGS_MAX: usize = 3;
 
 /// Other records are read again after this many times as long as reading them took.
 const PAUSE_PER_READ: u32 = 10;
-
-/// A file with fewer lines is not compacted.
-const COMPACTED_LINES_MIN: usize = 1000;
 
 /// The state of a frame's outputs.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -86,67 +82,6 @@ pub enum ResultState {
     Done,
     /// All outputs are complete and up to date, but these checks failed.
     DoneWithViolations(String),
-}
-
-/// An output of a frame when it was written.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct OutputFile {
-    /// Its name, without folder.
-    #[serde(with = "path")]
-    pub name: PathBuf,
-    /// What the file system said about it.
-    #[serde(flatten)]
-    pub stamp: FileStamp,
-    /// The hash of its bytes.
-    #[serde(with = "hex")]
-    pub hash: u128,
-}
-
-/// A frame that was converted.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct DoneRecord {
-    /// The path of its outputs in the folder, without extension.
-    #[serde(with = "path")]
-    pub name: PathBuf,
-    /// Its input.
-    #[serde(with = "path")]
-    pub input: PathBuf,
-    /// The hash of the input's bytes.
-    #[serde(with = "hex")]
-    pub input_hash: u128,
-    /// The names and hashes of its obstacle files.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub obstacles: String,
-    /// The id of its settings.
-    pub settings: String,
-    /// The camera of its pictures, if it has any.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub camera: Option<String>,
-    /// Its outputs.
-    pub outputs: Vec<OutputFile>,
-    /// The checks that failed, in words.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub violations: Option<String>,
-    /// When it was written, in milliseconds since 1970.
-    pub at_ms: u64,
-    /// Its measurements, as in the report. They are not read back.
-    #[serde(skip_deserializing, skip_serializing_if = "Value::is_null")]
-    pub measured: Value,
-}
-
-/// A frame that could not be converted.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct FailureRecord {
-    /// The path of its outputs in the folder, without extension.
-    #[serde(with = "path")]
-    pub name: PathBuf,
-    /// Its input.
-    #[serde(with = "path")]
-    pub input: PathBuf,
-    /// Why.
-    pub reason: String,
-    /// When, in milliseconds since 1970.
-    pub at_ms: u64,
 }
 
 /// The settings of records, by name.
@@ -180,15 +115,6 @@ pub enum OutputComparison {
     Bytes,
 }
 
-/// One line of a file of records.
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum RecordLine {
-    Settings { id: String, values: SettingValues },
-    Done(Arc<DoneRecord>),
-    Failed(Arc<FailureRecord>),
-}
-
 /// The records of a folder of outputs. Threads of the pipeline share it.
 #[derive(Debug)]
 pub struct FrameRecords {
@@ -200,8 +126,13 @@ pub struct FrameRecords {
 struct KnownRecords {
     /// The records of each frame, the latest one last; one for each input and settings.
     done: HashMap<PathBuf, Vec<Arc<DoneRecord>>>,
-    failed: HashMap<PathBuf, Arc<FailureRecord>>,
+    /// By the names of their outputs; one for each input.
+    unfinished: HashMap<PathBuf, Vec<Arc<UnfinishedRecord>>>,
+    sequences: HashMap<SequenceKey, SharedSettings>,
+    daemon: Option<DaemonRecord>,
     settings: HashMap<String, SettingValues>,
+    /// Lines that are to be written, by their keys.
+    unwritten: HashMap<String, RecordLine>,
     /// The number of bytes that were read of each file, complete lines only.
     read_bytes: HashMap<PathBuf, u64>,
     /// Files that cannot be read, and why.
@@ -212,14 +143,70 @@ struct KnownRecords {
     own: Option<OwnFile>,
 }
 
-#[derive(Debug)]
-struct OwnFile {
-    path: PathBuf,
-    file: File,
-    /// Locked until it is dropped. It is another file, because Windows lets no process read a locked one.
-    _lock: File,
-    /// The settings in the file.
-    settings: HashSet<String>,
+/// The last that is known of all frames, of sequences and of the daemon.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RecordedState {
+    /// The frames, by their inputs.
+    pub frames: HashMap<PathBuf, RecordedFrame>,
+    /// What the frames of each sequence share.
+    pub sequences: HashMap<SequenceKey, SharedSettings>,
+    /// The daemon that recorded its state last.
+    pub daemon: Option<DaemonRecord>,
+}
+
+/// The last that is known of a frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RecordedFrame {
+    /// How it was converted last.
+    pub done: Option<Arc<DoneRecord>>,
+    /// Why it is not done; `None` if nothing was recorded since it was converted.
+    pub unfinished: Option<Arc<UnfinishedRecord>>,
+}
+
+impl RecordedState {
+    /// Adds what the latest line says.
+    pub fn take(&mut self, line: &RecordLine) {
+        match line {
+            RecordLine::Settings { .. } => {}
+            RecordLine::Done(record) => {
+                let frame = RecordedFrame { done: Some(Arc::clone(record)), unfinished: None };
+                self.frames.insert(record.input.clone(), frame);
+            }
+            RecordLine::Unfinished(record) => {
+                self.frames.entry(record.input.clone()).or_default().unfinished = Some(Arc::clone(record));
+            }
+            RecordLine::Sequence { key, shared } => {
+                self.sequences.insert(key.clone(), (**shared).clone());
+            }
+            RecordLine::Daemon(record) => self.daemon = Some(record.clone()),
+        }
+    }
+}
+
+impl RecordedFrame {
+    /// When this was recorded, in milliseconds since 1970.
+    pub fn at_ms(&self) -> u64 {
+        let done = self.done.as_ref().map_or(0, |record| record.at_ms);
+        self.unfinished.as_ref().map_or(done, |record| record.at_ms)
+    }
+
+    /// The hash of the stamps of its obstacles, if it has any.
+    pub fn obstacle_stamp(&self) -> Option<&String> {
+        match (&self.unfinished, &self.done) {
+            (Some(unfinished), _) => unfinished.obstacle_stamp.as_ref(),
+            (None, done) => done.as_ref()?.obstacle_stamp.as_ref(),
+        }
+    }
+
+    /// Its state, if it is not done.
+    pub fn unfinished_state(&self) -> Option<UnfinishedState> {
+        self.unfinished.as_ref().map(|record| record.state)
+    }
+
+    /// The record of a frame that is done.
+    pub fn if_done(&self) -> Option<&Arc<DoneRecord>> {
+        self.done.as_ref().filter(|_| self.unfinished.is_none())
+    }
 }
 
 impl FrameRecords {
@@ -304,8 +291,10 @@ impl FrameRecords {
     }
 
     fn why_missing(&self, name: &Path) -> String {
-        match self.content().failed.get(name) {
-            Some(failure) => format!("it failed: {}", failure.reason),
+        let content = self.content();
+        let mut records = content.unfinished.get(name).into_iter().flatten();
+        match records.find(|record| record.state.is_failure()).and_then(|record| record.reason.as_ref()) {
+            Some(reason) => format!("it failed: {reason}"),
             None => "there is no record of it".to_owned(),
         }
     }
@@ -369,12 +358,12 @@ impl FrameRecords {
     ///
     /// # Errors
     /// When the record cannot be written.
-    pub fn record_done(&self, record: DoneRecord, settings: &SettingValues) -> io::Result<()> {
+    pub fn record_done(&self, record: Arc<DoneRecord>, settings: &SettingValues) -> io::Result<()> {
         let mut content = self.content();
         content.settings.insert(record.settings.clone(), settings.clone());
-        let record = Arc::new(record);
-        content.append(&self.state_folder(), &RecordLine::Done(Arc::clone(&record)))?;
-        content.take(RecordLine::Done(record));
+        let line = RecordLine::Done(record);
+        content.write(&self.state_folder(), Some(&line))?;
+        content.take(line);
         Ok(())
     }
 
@@ -383,27 +372,85 @@ impl FrameRecords {
     /// # Errors
     /// When the record cannot be written.
     pub fn record_failure(&self, name: &Path, input: &Path, reason: &str) -> io::Result<()> {
-        let (name, input) = (name.to_owned(), input.to_owned());
-        let record = Arc::new(FailureRecord { name, input, reason: reason.to_owned(), at_ms: now_ms() });
+        let line = RecordLine::Unfinished(Arc::new(UnfinishedRecord {
+            name: name.to_owned(),
+            input: input.to_owned(),
+            state: UnfinishedState::Failed,
+            reason: Some(Reason::Error(reason.to_owned())),
+            stamp: FileStamp::default(),
+            settings: String::new(),
+            obstacle_stamp: None,
+            attempts: 1,
+            at_ms: now_ms(),
+        }));
+        self.keep(line);
+        self.write_kept()
+    }
+
+    /// Takes a line into memory, until it is written. A record that is known already is not written again.
+    pub fn keep(&self, line: RecordLine) {
         let mut content = self.content();
-        content.append(&self.state_folder(), &RecordLine::Failed(Arc::clone(&record)))?;
-        content.take(RecordLine::Failed(record));
-        Ok(())
+        if let RecordLine::Done(record) = &line
+            && content.done.get(&record.name).is_some_and(|known| known.contains(record))
+        {
+            return;
+        }
+        content.unwritten.insert(line.key(), line.clone());
+        content.take(line);
+    }
+
+    /// Writes the lines that were kept.
+    ///
+    /// # Errors
+    /// When the system refuses. The lines are still kept.
+    pub fn write_kept(&self) -> io::Result<()> {
+        self.content().write(&self.state_folder(), None)
+    }
+
+    /// Writes the lines that were kept, and syncs the file to the disk.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn sync(&self) -> io::Result<()> {
+        self.write_kept()?;
+        self.content().own.as_ref().map_or(Ok(()), OwnFile::sync)
+    }
+
+    /// The last that is known of everything. If several inputs became outputs of the same name, only the last one
+    /// is done.
+    pub fn recorded(&self) -> RecordedState {
+        let content = self.content();
+        let mut frames: HashMap<PathBuf, RecordedFrame> = HashMap::new();
+        for done in content.done.values().filter_map(|records| records.last()) {
+            let frame = frames.entry(done.input.clone()).or_default();
+            if frame.done.as_ref().is_none_or(|known| known.at_ms <= done.at_ms) {
+                frame.done = Some(Arc::clone(done));
+            }
+        }
+        for unfinished in content.unfinished.values().flatten() {
+            let frame = frames.entry(unfinished.input.clone()).or_default();
+            if *frame == RecordedFrame::default() || frame.at_ms() < unfinished.at_ms {
+                frame.unfinished = Some(Arc::clone(unfinished));
+            }
+        }
+        RecordedState { frames, sequences: content.sequences.clone(), daemon: content.daemon.clone() }
     }
 
     /// The latest record of every frame that was converted, by name.
     pub fn latest(&self) -> BTreeMap<PathBuf, Arc<DoneRecord>> {
         let content = self.content();
-        let latest =
-            |records: &Vec<Arc<DoneRecord>>| records.iter().max_by_key(|record| record.at_ms).cloned();
-        content.done.iter().filter_map(|(name, records)| Some((name.clone(), latest(records)?))).collect()
+        let latest = content.done.iter().filter_map(|(name, records)| Some((name, records.last()?)));
+        latest.map(|(name, record)| (name.clone(), Arc::clone(record))).collect()
     }
 
     /// The frames that failed and were never converted, by name.
-    pub fn failures(&self) -> BTreeMap<PathBuf, Arc<FailureRecord>> {
+    pub fn failures(&self) -> BTreeMap<PathBuf, Arc<UnfinishedRecord>> {
         let content = self.content();
-        let only_failed = content.failed.iter().filter(|(name, _)| !content.done.contains_key(*name));
-        only_failed.map(|(name, failure)| (name.clone(), Arc::clone(failure))).collect()
+        let unfinished = content.unfinished.iter().filter(|(name, _)| !content.done.contains_key(*name));
+        let failed = unfinished.filter_map(|(name, records)| {
+            Some((name.clone(), Arc::clone(records.iter().find(|record| record.state.is_failure())?)))
+        });
+        failed.collect()
     }
 
     /// The settings with this id, if they were recorded.
@@ -480,13 +527,37 @@ impl KnownRecords {
             // Such a record is not one of this program.
             RecordLine::Done(record) if !record.is_plain() => {}
             RecordLine::Done(record) => {
+                if let Some(unfinished) = self.unfinished.get_mut(&record.name) {
+                    unfinished.retain(|known| known.input != record.input || known.at_ms > record.at_ms);
+                }
                 let records = self.done.entry(record.name.clone()).or_default();
-                records.retain(|other| !other.is_replaced_by(&record));
+                let is_same = |known: &Arc<DoneRecord>| known.is_replaced_by(&record);
+                if records.iter().any(|known| is_same(known) && known.at_ms > record.at_ms) {
+                    return;
+                }
+                records.retain(|known| !is_same(known));
                 records.push(record);
                 records.sort_by_key(|record| record.at_ms);
+                let count = records.len();
+                records.drain(..count.saturating_sub(DONE_PER_FRAME_MAX));
             }
-            RecordLine::Failed(record) => {
-                self.failed.insert(record.name.clone(), record);
+            RecordLine::Unfinished(record) => {
+                let records = self.unfinished.entry(record.name.clone()).or_default();
+                match records.iter_mut().find(|known| known.input == record.input) {
+                    Some(known) if known.at_ms > record.at_ms => {}
+                    Some(known) => *known = record,
+                    None => records.push(record),
+                }
+            }
+            RecordLine::Sequence { key, shared } => {
+                if self.sequences.get(&key).is_none_or(|known| known.at_ms <= shared.at_ms) {
+                    self.sequences.insert(key, *shared);
+                }
+            }
+            RecordLine::Daemon(record) => {
+                if self.daemon.as_ref().is_none_or(|known| known.at_ms <= record.at_ms) {
+                    self.daemon = Some(record);
+                }
             }
         }
     }
@@ -551,190 +622,42 @@ impl KnownRecords {
     /// Opens the file that this process appends to, unless it is open and in place.
     fn open_own(&mut self, folder: &Path) -> io::Result<()> {
         // Users remove folders of outputs to start over.
-        if self.own.as_ref().is_some_and(|own| is_still_at(&own.path, &own.file)) {
+        if self.own.as_ref().is_some_and(OwnFile::is_usable) {
             return Ok(());
         }
+        // Its lock must be free before it is opened again.
+        self.own = None;
         self.own = Some(OwnFile::open(folder)?);
         // Its lines so far are read: those that are appended are known.
         self.read_news(folder).map(drop)
     }
 
-    /// Appends a line, and the settings that it refers to, if the file does not have them.
-    fn append(&mut self, folder: &Path, line: &RecordLine) -> io::Result<()> {
-        self.open_own(folder)?;
-        if let Some(own) = &mut self.own
-            && let Ok(end) = own.append(line, &self.settings)
-        {
-            self.read_bytes.insert(own.path.clone(), end);
+    /// Writes the lines that were kept, and this one.
+    fn write(&mut self, folder: &Path, line: Option<&RecordLine>) -> io::Result<()> {
+        if line.is_none() && self.unwritten.is_empty() {
             return Ok(());
         }
-        // Perhaps only this file cannot be written. A new one begins at a line.
-        self.own = None;
-        let mut own = OwnFile::create(folder, HashSet::new())?;
-        own.append(line, &self.settings)?;
-        self.own = Some(own);
+        self.open_own(folder)?;
+        if let Err(error) = self.append(line) {
+            // There is no room for another file, either.
+            if is_disk_full(&error) {
+                return Err(error);
+            }
+            // Perhaps only this file cannot be written.
+            self.own = Some(OwnFile::create(folder)?);
+            self.append(line)?;
+        }
+        self.unwritten.clear();
         Ok(())
     }
-}
 
-impl DoneRecord {
-    /// Whether a later record says the same about the same input and settings.
-    fn is_replaced_by(&self, other: &DoneRecord) -> bool {
-        self.input_hash == other.input_hash
-            && self.settings == other.settings
-            && self.obstacles == other.obstacles
-            && self.camera == other.camera
-            && self.outputs.iter().map(|file| file.hash).eq(other.outputs.iter().map(|file| file.hash))
+    fn append(&mut self, line: Option<&RecordLine>) -> io::Result<()> {
+        if let Some(own) = &mut self.own {
+            let end = own.append(self.unwritten.values().chain(line), &self.settings)?;
+            self.read_bytes.insert(own.path.clone(), end);
+        }
+        Ok(())
     }
-
-    /// Whether all its names stay within the folder of the outputs.
-    fn is_plain(&self) -> bool {
-        let is_plain = |path: &Path| path.components().all(|part| matches!(part, Component::Normal(_)));
-        let is_name = |file: &OutputFile| is_plain(&file.name) && file.name.components().count() == 1;
-        is_plain(&self.name) && !self.outputs.is_empty() && self.outputs.iter().all(is_name)
-    }
-}
-
-impl OwnFile {
-    /// Opens a file that no process writes to, or creates one.
-    fn open(folder: &Path) -> io::Result<OwnFile> {
-        match fs::create_dir(folder) {
-            Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
-            _ => require_own_folder(&folder.join(FILE_PREFIX))?,
-        }
-        for path in record_files(folder)? {
-            // A file that cannot be continued belongs to another user, or is none of this program.
-            if is_of_this_machine(&path)
-                && let Ok(Some(lock)) = lock_unused(&path.with_extension(LOCK_EXTENSION))
-                && let Ok(own) = OwnFile::adopt(path, lock)
-            {
-                return Ok(own);
-            }
-        }
-        OwnFile::create(folder, HashSet::new())
-    }
-
-    /// Appends a line, and the settings that it refers to, if the file does not have them. Returns the size of the
-    /// file.
-    fn append(&mut self, line: &RecordLine, known: &HashMap<String, SettingValues>) -> io::Result<u64> {
-        let mut bytes = Vec::new();
-        if let RecordLine::Done(record) = line
-            && !self.settings.contains(&record.settings)
-            && let Some(values) = known.get(&record.settings)
-        {
-            let (id, values) = (record.settings.clone(), values.clone());
-            push_line(&mut bytes, &RecordLine::Settings { id: id.clone(), values })?;
-            self.settings.insert(id);
-        }
-        push_line(&mut bytes, line)?;
-        self.file.write_all(&bytes)?;
-        Ok(self.file.metadata()?.len())
-    }
-
-    /// Creates a file that has these settings.
-    fn create(folder: &Path, settings: HashSet<String>) -> io::Result<OwnFile> {
-        loop {
-            let path = folder.join(format!("{}{:016x}", machine_prefix(), random_number()));
-            let lock_path = path.with_extension(LOCK_EXTENSION);
-            if let Some(lock) = create_locked(&lock_path)? {
-                let created = open_own(&path, OpenOptions::new().append(true).create_new(true));
-                let file = created.inspect_err(|_| drop(remove_if_exists(&lock_path)))?;
-                return Ok(OwnFile { path, file, _lock: lock, settings });
-            }
-        }
-    }
-
-    /// Continues a file of an earlier process. Compacts it if most of its lines are superseded.
-    fn adopt(path: PathBuf, lock: File) -> io::Result<OwnFile> {
-        let mut file = open_own(&path, OpenOptions::new().read(true).append(true))?;
-        if file.metadata()?.len() > CONTINUED_BYTES_MAX {
-            return Err(io::ErrorKind::FileTooLarge.into());
-        }
-        let mut bytes = Vec::new();
-        file.read_to_end(&mut bytes)?;
-        let mut settings = HashSet::new();
-        let (mut lines, mut last): (usize, HashMap<String, &[u8]>) = (0, HashMap::new());
-        for line in bytes.split_inclusive(|byte| *byte == b'\n') {
-            lines += 1;
-            let json = line.strip_suffix(b"\n").and_then(record_of_line);
-            let Some(record) = json.and_then(|json| serde_json::from_slice(json).ok()) else { continue };
-            let key = match record {
-                RecordLine::Settings { id, .. } => {
-                    settings.insert(id.clone());
-                    format!("settings {id}")
-                }
-                RecordLine::Done(done) => {
-                    let hashes: Vec<u128> = done.outputs.iter().map(|file| file.hash).collect();
-                    let DoneRecord { name, input_hash, obstacles, settings, camera, .. } = &*done;
-                    format!("done {name:?} {input_hash:x} {settings} {obstacles} {camera:?} {hashes:x?}")
-                }
-                RecordLine::Failed(failure) => format!("failed {:?}", failure.name),
-            };
-            last.insert(key, line);
-        }
-        if lines >= COMPACTED_LINES_MIN && last.len() * 2 < lines {
-            return OwnFile::compact(&path, last.into_values(), settings);
-        }
-        // Ends a line that was torn, which is then skipped.
-        if bytes.last().is_some_and(|byte| *byte != b'\n') {
-            file.write_all(b"\n")?;
-        }
-        Ok(OwnFile { path, file, _lock: lock, settings })
-    }
-
-    /// Moves these lines to a new file, and removes the old one. Until then, both are read.
-    fn compact<'a>(
-        old: &Path,
-        lines: impl Iterator<Item = &'a [u8]>,
-        settings: HashSet<String>,
-    ) -> io::Result<OwnFile> {
-        let mut own = OwnFile::create(old.parent().unwrap_or(Path::new("")), settings)?;
-        let moved = own
-            .file
-            .write_all(&lines.collect::<Vec<_>>().concat())
-            .and_then(|()| own.file.sync_data())
-            .and_then(|()| remove_if_exists(old));
-        // Otherwise each start would leave another copy.
-        let gone = if moved.is_ok() { old } else { &*own.path };
-        let _ = remove_if_exists(&gone.with_extension(LOCK_EXTENSION));
-        if moved.is_err() {
-            let _ = remove_if_exists(gone);
-        }
-        moved.map(|()| own)
-    }
-}
-
-/// The files of records in a folder, in the order of their names; none if the folder does not exist.
-fn record_files(folder: &Path) -> io::Result<Vec<PathBuf>> {
-    let entries = match fs::read_dir(folder) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
-        entries => entries?,
-    };
-    let mut files = Vec::new();
-    for entry in entries {
-        let path = entry?.path();
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let is_records = name.starts_with(FILE_PREFIX) && path.extension().is_none();
-        files.extend(is_records.then(|| path.clone()));
-    }
-    files.sort();
-    Ok(files)
-}
-
-/// The start of the names of this machine's files.
-fn machine_prefix() -> String {
-    let hash = twox_hash::XxHash3_64::oneshot(host_name().as_bytes());
-    format!("{FILE_PREFIX}{:08x}-", hash as u32)
-}
-
-fn is_of_this_machine(path: &Path) -> bool {
-    path.file_name().unwrap_or_default().to_string_lossy().starts_with(&machine_prefix())
-}
-
-/// Locks a file that no process has locked; `None` if one has, or if the file system has no locks.
-fn lock_unused(path: &Path) -> io::Result<Option<File>> {
-    let file = open_itself(path, OpenOptions::new().read(true).write(true))?;
-    Ok((file.try_lock().is_ok() && is_still_at(path, &file)).then_some(file))
 }
 
 /// Identifies settings: a hash of their names and values.
@@ -759,7 +682,14 @@ fn changed_setting(was: &SettingValues, wanted: &SettingValues) -> Option<String
 
 #[cfg(test)]
 mod tests {
+    use std::fs::{self, File};
+
+    use glam::DVec3;
+
+    use super::super::record_file::{COMPACTED_LINES_MIN, LOCK_EXTENSION};
+    use super::super::record_line::{DaemonState, SequenceCamera};
     use super::*;
+    use crate::pipeline::{Framed, MeasuredSpacing};
 
     fn values(voxel_size: &str) -> SettingValues {
         [("voxel_size", voxel_size), ("formats", "glb")].map(|(n, v)| (n.to_owned(), v.to_owned())).into()
@@ -778,17 +708,21 @@ mod tests {
         let settings = values(voxel_size);
         let record = DoneRecord {
             name: name.into(),
-            input: "/in/a.ply".into(),
+            input: format!("/in/{name}.ply").into(),
+            stamp: FileStamp::default(),
             input_hash: 7,
             obstacles: String::new(),
+            obstacle_stamp: None,
             settings: settings_id(&settings),
             camera: None,
             outputs: vec![output],
             violations: (bytes == "broken").then(|| "1 hole".to_owned()),
+            flaws: Vec::new(),
             at_ms: now_ms(),
-            measured: Value::Null,
+            figures: Arc::default(),
+            certificate: None,
         };
-        records.record_done(record, &settings).expect("recorded");
+        records.record_done(Arc::new(record), &settings).expect("recorded");
     }
 
     fn wanted<'a>(
@@ -916,23 +850,144 @@ mod tests {
         }
     }
 
+    /// At the start of a process, and while it runs.
     #[test]
     fn superseded_lines_are_removed() {
         let folder = tempfile::tempdir().expect("a folder");
+        let lines = || {
+            let files = record_files(&folder.path().join(STATE_FOLDER)).expect("read");
+            let [file] = &files[..] else { panic!("{files:?}") };
+            fs::read_to_string(file).expect("text").lines().count()
+        };
         let records = FrameRecords::open(folder.path()).expect("opened");
+        convert(&records, "b", "mesh", "0.1");
         for _ in 0..COMPACTED_LINES_MIN {
             convert(&records, "a", "mesh", "0.1");
+            records.keep(unfinished("a", UnfinishedState::Queued, now_ms()));
         }
-        convert(&records, "b", "mesh", "0.1");
+        records.write_kept().expect("written");
+        assert!(lines() < COMPACTED_LINES_MIN, "{} lines", lines());
+        for _ in lines()..COMPACTED_LINES_MIN {
+            convert(&records, "a", "mesh", "0.1");
+        }
         drop(records);
         let records = FrameRecords::open(folder.path()).expect("opened");
         convert(&records, "c", "mesh", "0.1");
-        let files = record_files(&folder.path().join(STATE_FOLDER)).expect("read");
-        let [file] = &files[..] else { panic!("{files:?}") };
-        assert_eq!(fs::read_to_string(file).expect("text").lines().count(), 4);
+        assert_eq!(lines(), 4, "the settings and three frames");
         for name in ["a", "b", "c"] {
             assert_eq!(state(&records, name, "0.1", 7), ResultState::Done, "{name}");
         }
+    }
+
+    fn unfinished(name: &str, state: UnfinishedState, at_ms: u64) -> RecordLine {
+        RecordLine::Unfinished(Arc::new(UnfinishedRecord {
+            name: name.into(),
+            input: format!("/in/{name}.ply").into(),
+            state,
+            reason: Some(Reason::Incomplete { expected: u64::MAX, found: 0 }),
+            stamp: FileStamp { size: 1, modified_ns: i64::MIN, inode: u64::MAX, changed_ns: Some(-1) },
+            settings: "7".to_owned(),
+            obstacle_stamp: Some("8".to_owned()),
+            attempts: 2,
+            at_ms,
+        }))
+    }
+
+    fn sequence(name: &str, spacing: f64, at_ms: u64) -> RecordLine {
+        let key = SequenceKey { folder: "/in".into(), name: name.to_owned(), choices: "fast".to_owned() };
+        let measured = MeasuredSpacing {
+            spacing,
+            confidence: 0.1,
+            radius_median: Some(spacing.next_down()),
+            measured_on: "/in/dam.1.ply".into(),
+            measured_count: 0,
+            warnings: Vec::new(),
+        };
+        let framed = Framed {
+            camera: "eye=0.1:2:3,target=0:0:0,view=30,up=y,ground=none".parse().expect("a camera"),
+            around: [DVec3::splat(-spacing), DVec3::new(0.1, 1.0 / 3.0, 1e9)],
+            earlier: vec!["eye=1:2:3,target=0:0:0".parse().expect("a camera")],
+        };
+        let camera = SequenceCamera { requested: "1280x720 auto".to_owned(), framed };
+        let shared = SharedSettings { measured: Some(measured), camera: Some(camera), at_ms };
+        RecordLine::Sequence { key, shared: Box::new(shared) }
+    }
+
+    fn daemon(state: DaemonState, at_ms: u64) -> RecordLine {
+        RecordLine::Daemon(DaemonRecord { pid: 1, host: "a".to_owned(), started_ms: 2, state, at_ms })
+    }
+
+    /// The settings of a sequence come back bit for bit, so that all its frames have the same.
+    #[test]
+    fn latest_lines_count_and_come_back_as_they_were() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let open = || FrameRecords::open(folder.path()).expect("opened");
+        // Two processes at the same time.
+        let [one, other] = [open(), open()];
+        let mut expected = RecordedState::default();
+        let spacings = [0.1, 1.0 / 3.0, 1e-300, f64::MIN_POSITIVE / 3.0, f64::MAX, 2.5e-8_f64.next_up()];
+        for (index, spacing) in spacings.into_iter().enumerate() {
+            let name = format!("dam{index}.{{}}.ply");
+            other.keep(sequence(&name, 2.0, 2));
+            let line = sequence(&name, spacing, 3);
+            expected.take(&line);
+            one.keep(line);
+            other.keep(sequence(&name, 1.0, 1));
+        }
+        let waiting = unfinished("a", UnfinishedState::Waiting, u64::MAX);
+        for line in [waiting, daemon(DaemonState::Paused("the disk is full".to_owned()), 5)] {
+            expected.take(&line);
+            one.keep(line);
+        }
+        other.keep(unfinished("a", UnfinishedState::Failed, 4));
+        other.keep(daemon(DaemonState::Running, 4));
+        for records in [&one, &other] {
+            records.write_kept().expect("written");
+        }
+        assert_eq!(open().recorded(), expected);
+        drop((one, other));
+        assert_eq!(open().recorded(), expected);
+    }
+
+    #[test]
+    fn converted_frame_is_unfinished_only_by_a_later_record() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let records = FrameRecords::open(folder.path()).expect("opened");
+        records.keep(unfinished("a", UnfinishedState::Queued, now_ms()));
+        convert(&records, "a", "mesh", "0.1");
+        let frame = |records: &FrameRecords| records.recorded().frames[Path::new("/in/a.ply")].clone();
+        for records in [&records, &FrameRecords::open(folder.path()).expect("opened")] {
+            assert!(frame(records).if_done().is_some());
+        }
+        records.keep(unfinished("a", UnfinishedState::Queued, frame(&records).at_ms() + 1));
+        records.write_kept().expect("written");
+        for records in [&records, &FrameRecords::open(folder.path()).expect("opened")] {
+            assert!(frame(records).if_done().is_none());
+            assert_eq!(state(records, "a", "0.1", 7), ResultState::Done, "its outputs are still complete");
+        }
+    }
+
+    /// A part of a line was written, and there is no room for the rest.
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn lines_that_cannot_be_written_are_written_later() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let records = FrameRecords::open(folder.path()).expect("opened");
+        convert(&records, "a", "mesh", "0.1");
+        let path = records.content().own.as_mut().expect("open").fill_the_disk();
+        for (name, at_ms) in [("b", 1), ("c", 2), ("b", 3)] {
+            records.keep(unfinished(name, UnfinishedState::Queued, at_ms));
+            assert!(is_disk_full(&records.write_kept().expect_err("full")));
+        }
+        assert_eq!(records.recorded().frames.len(), 3);
+        assert_eq!(FrameRecords::open(folder.path()).expect("opened").recorded().frames.len(), 1);
+        records.content().own.as_mut().expect("open").free_space(path);
+        records.sync().expect("written");
+        let files = record_files(&folder.path().join(STATE_FOLDER)).expect("read");
+        let [file] = &files[..] else { panic!("{files:?}") };
+        let text = fs::read_to_string(file).expect("text");
+        assert_eq!(text.lines().filter(|line| line.contains("unfinished")).count(), 2, "{text}");
+        assert_eq!(FrameRecords::open(folder.path()).expect("opened").recorded(), records.recorded());
     }
 
     /// A file of another machine, whose locks may not reach this one, and one that cannot be read.
@@ -980,7 +1035,7 @@ mod tests {
         ] {
             let records = FrameRecords::open(folder.path()).expect("opened");
             let hostile = DoneRecord { name: name.into(), outputs, ..(*sound).clone() };
-            records.record_done(hostile, &values("0.1")).expect("written");
+            records.record_done(hostile.into(), &values("0.1")).expect("written");
             for records in [records, FrameRecords::open(folder.path()).expect("opened")] {
                 assert_eq!(records.latest().len(), 1, "{name}");
             }

@@ -1,17 +1,24 @@
 //! Records: which frames are done, provenance in outputs, and the report of a run.
 //!
 //! ```text
-//!   frame_records     which frames are done              provenance        written into each output
+//!   frame_records     which frames are done, and why     provenance        written into each output
+//!                     the others are not
+//!   record_file       the file that a process appends to record_line       its lines
+//!   figures           measurements in a record           reason            why a frame is in its state
 //!   record            the report of a run                frame_warnings    warnings from measurements
 //!   sequence_file     all frames in one file             stage_file        plays the files of the frames
 //!   picture_file      reads pictures from .png           content           frames, outputs and other files
 //! ```
 
 pub(super) mod content;
+pub(super) mod figures;
 pub(super) mod frame_records;
 pub(super) mod frame_warnings;
 pub(super) mod picture_file;
 pub(super) mod provenance;
+pub(super) mod reason;
 pub(super) mod record;
+mod record_file;
+pub(super) mod record_line;
 pub(super) mod sequence_file;
 pub(super) mod stage_file;

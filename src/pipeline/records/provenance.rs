@@ -15,8 +15,9 @@ use crate::surface::options::{MethodOptions, OptionGroup, Pairs, Settings};
 use super::frame_records::SettingValues;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::input::frame::{Frame, Job};
+use crate::pipeline::input::obstacles::ObstacleFiles;
 use crate::pipeline::input::steps::frame_name;
-use crate::pipeline::target::framing::Framed;
+use crate::pipeline::target::framing::{Framed, Framing};
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions};
 use crate::pipeline::target::picture::PictureOptions;
 
@@ -43,7 +44,7 @@ pub(crate) fn provenance(
     format: OutputFormat,
 ) -> Vec<(String, String)> {
     let mut pairs = made_from(&frame.input, hash);
-    pairs.extend(job_pairs(frame, format));
+    pairs.extend(job_pairs(&frame.job, &frame.settings, format));
     if frame.job != Job::Particles {
         pairs.extend(obstacle_pairs(&frame.settings, obstacles));
         pairs.extend(option_pairs(&frame.outputs, format));
@@ -52,16 +53,14 @@ pub(crate) fn provenance(
 }
 
 /// The settings that affect the output of a frame in `format`.
-fn job_pairs(frame: &Frame, format: OutputFormat) -> Pairs {
-    match frame.job {
+fn job_pairs(job: &Job, settings: &Settings, format: OutputFormat) -> Pairs {
+    match *job {
         Job::Particles => {
-            let filter = frame.settings.filter.iter().map(|filter| ("where", filter.to_string()));
+            let filter = settings.filter.iter().map(|filter| ("where", filter.to_string()));
             std::iter::once((CONTENTS, PARTICLES.to_owned())).chain(filter).collect()
         }
-        Job::Surface => settings_pairs(&frame.settings, format),
-        Job::LevelSet { max_deviation_voxels, .. } => {
-            level_set_pairs(&frame.settings, max_deviation_voxels, format)
-        }
+        Job::Surface => settings_pairs(settings, format),
+        Job::LevelSet { max_deviation_voxels, .. } => level_set_pairs(settings, max_deviation_voxels, format),
     }
 }
 
@@ -157,32 +156,37 @@ fn owned(pairs: Pairs) -> Vec<(String, String)> {
     pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
-/// The settings that affect the outputs of a frame, for its record: those of all its formats together, and the
+/// The settings that affect the outputs of frames, for their records: those of all formats together, and the
 /// version of this program. Not among them are the camera of pictures, which may follow the frames, and the
 /// voxel size of a level set, which its file has.
-pub(crate) fn recorded_settings(frame: &Frame) -> SettingValues {
-    let mut formats: Vec<&str> = frame.outputs.formats.iter().map(|format| format.extension()).collect();
+pub(crate) fn recorded_settings(
+    job: &Job,
+    settings: &Settings,
+    outputs: &OutputOptions,
+    obstacles: &ObstacleFiles,
+) -> SettingValues {
+    let mut formats: Vec<&str> = outputs.formats.iter().map(|format| format.extension()).collect();
     formats.sort_unstable();
     let mut pairs = vec![("program", GENERATOR_AND_VERSION.to_owned()), ("formats", formats.join(","))];
-    for &format in &frame.outputs.formats {
-        pairs.extend(job_pairs(frame, format));
-        pairs.extend(option_pairs(&frame.outputs, format));
+    for &format in &outputs.formats {
+        pairs.extend(job_pairs(job, settings, format));
+        pairs.extend(option_pairs(outputs, format));
     }
-    if !frame.obstacles.is_empty() {
-        pairs.push(("void_threshold", frame.settings.void_threshold.to_string()));
+    if !obstacles.is_empty() {
+        pairs.push(("void_threshold", settings.void_threshold.to_string()));
     }
-    let is_level_set = matches!(frame.job, Job::LevelSet { .. });
+    let is_level_set = matches!(job, Job::LevelSet { .. });
     let is_recorded = |name: &str| name != CAMERA && !(is_level_set && name == "voxel_size");
     owned(pairs.into_iter().filter(|(name, _)| is_recorded(name)).collect()).into_iter().collect()
 }
 
 /// The cameras that the pictures of a frame may have, the current one first; empty if it has no pictures. A
 /// picture with an earlier camera of its sequence is still valid.
-pub(crate) fn valid_cameras(frame: &Frame) -> Vec<String> {
-    if !frame.has_pictures() {
+pub(crate) fn valid_cameras(outputs: &OutputOptions, framing: Option<&Framing>) -> Vec<String> {
+    if !outputs.has_pictures() {
         return Vec::new();
     }
-    let Some(framing) = &frame.framing else { return vec![frame.outputs.picture.camera.to_string()] };
+    let Some(framing) = framing else { return vec![outputs.picture.camera.to_string()] };
     let Framed { camera, earlier, .. } = framing.framed();
     std::iter::once(camera).chain(earlier).map(|camera| camera.to_string()).collect()
 }
@@ -207,22 +211,6 @@ pub fn are_particles(recorded: &[(String, String)]) -> bool {
 /// The name in provenance whose value [`PARTICLES`] marks an output that contains particles, not a surface.
 const CONTENTS: &str = "contents";
 const PARTICLES: &str = "particles";
-
-/// A hash of everything that outputs depend on except the input: the settings, the formats and their options,
-/// and the version of this program. If the hash is unchanged, outputs of unchanged inputs are up to date.
-pub fn settings_fingerprint(settings: &Settings, options: &OutputOptions) -> String {
-    let mut formats = options.formats.clone();
-    formats.sort_by_key(|format| format.extension());
-    let mut text = format!("meniscus {}", env!("CARGO_PKG_VERSION"));
-    for format in formats {
-        text += &format!("\n{}", format.extension());
-        for (name, value) in settings_pairs(settings, format).into_iter().chain(option_pairs(options, format))
-        {
-            text += &format!(" {name}={value}");
-        }
-    }
-    format!("{:016x}", XxHash3_64::oneshot(text.as_bytes()))
-}
 
 /// The options of an output in `format`.
 fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Pairs {

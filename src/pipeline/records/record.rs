@@ -284,7 +284,7 @@ fn measured(report: &FrameReport) -> Object {
 }
 
 /// The checks of a frame and their results.
-fn certificate(report: &ReconstructionReport) -> Value {
+pub(crate) fn certificate(report: &ReconstructionReport) -> Value {
     let certificate = &report.certificate;
     let is_smoothed = certificate.input_positions_outside.is_some();
     json!({

@@ -124,9 +124,8 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
 
 /// Records a frame whose outputs all have their names.
 fn recorded(frame: &Frame, report: FrameReport) -> Result<FrameReport, FrameError> {
-    let recorded = frame.record_done(&report).map_err(meniscus_formats::Error::from);
-    recorded.map_err(|error| FrameError::file(&frame.outputs.folder, Stage::Write, error))?;
-    Ok(report)
+    let recorded = frame.record_done(report).map_err(meniscus_formats::Error::from);
+    recorded.map_err(|error| FrameError::file(&frame.outputs.folder, Stage::Write, error))
 }
 
 fn converted(written: Result<FrameReport, FrameError>) -> Outcome {

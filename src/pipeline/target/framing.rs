@@ -35,8 +35,8 @@ pub struct Framing {
 pub struct Framed {
     /// The current camera.
     pub camera: CameraChoice,
-    /// The bounds that the camera was placed around, world units; `None` in journals of older versions.
-    pub around: Option<[DVec3; 2]>,
+    /// The bounds that the camera was placed around, world units.
+    pub around: [DVec3; 2],
     /// The cameras before this one: pictures rendered with them are still valid.
     pub earlier: Vec<CameraChoice>,
 }
@@ -48,7 +48,7 @@ impl Framed {
     /// The camera for these bounds, as requested in `outputs`.
     pub fn around(bounds: [DVec3; 2], outputs: &OutputOptions) -> Framed {
         let camera = outputs.with_camera_around(bounds).picture.camera;
-        Framed { camera, around: Some(bounds), earlier: Vec::new() }
+        Framed { camera, around: bounds, earlier: Vec::new() }
     }
 }
 
@@ -74,12 +74,11 @@ impl Framing {
         let Some(bounds) = bounds.filter(|bounds| !self.contains(&framed, *bounds)) else {
             return framed.camera;
         };
-        let union = framed.around.map_or(bounds, |around| joined(around, bounds));
-        let around = framed.around.map_or(union, |before| with_margin(union, before));
+        let around = with_margin(joined(framed.around, bounds), framed.around);
         let camera = self.requested.viewpoint(around, self.aspect, self.up).into();
         let before = std::mem::replace(&mut framed.camera, camera);
         framed.earlier.push(before);
-        framed.around = Some(around);
+        framed.around = around;
         camera
     }
 
@@ -88,11 +87,8 @@ impl Framing {
         if !self.requested.is_orbit() {
             return true;
         }
-        let viewpoint = match framed.around {
-            // A user who zooms in wants only a part in the picture, so the check ignores the zoom.
-            Some(around) => self.requested.not_zoomed_in().viewpoint(around, self.aspect, self.up),
-            None => framed.camera.viewpoint(bounds, self.aspect, self.up),
-        };
+        // A user who zooms in wants only a part in the picture, so the check ignores the zoom.
+        let viewpoint = self.requested.not_zoomed_in().viewpoint(framed.around, self.aspect, self.up);
         viewpoint.contains(bounds, self.aspect)
     }
 
@@ -154,7 +150,6 @@ mod tests {
             let Framed { earlier, around, .. } = framing.framed();
             assert!(earlier.len() < 20, "{choice}: {} refits", earlier.len());
             // Everything that was in view before still is.
-            let around = around.expect("known");
             assert!(around[0].cmple(DVec3::ZERO).all() && around[1].cmpge(DVec3::ONE).all());
         }
     }
@@ -167,16 +162,5 @@ mod tests {
         let fixed = framing("eye=1:2:3,target=0:0:0");
         fixed.camera_for(Some(boxed(-50.0, 50.0)));
         assert!(fixed.framed().earlier.is_empty());
-    }
-
-    #[test]
-    fn camera_of_an_older_journal_is_refitted_around_what_it_crops() {
-        let outputs = OutputOptions::new("out", &[OutputFormat::Png]);
-        let old = Framed { around: None, ..Framed::around(boxed(0.0, 1.0), &outputs) };
-        let framing = Framing::new(&outputs, old.clone());
-        assert_eq!(framing.camera_for(Some(boxed(0.1, 0.9))), old.camera);
-        let camera = framing.camera_for(Some(boxed(-2.0, 3.0)));
-        assert!(camera != old.camera && shows(&framing, camera, boxed(-2.0, 3.0)));
-        assert_eq!(framing.framed().earlier, [old.camera]);
     }
 }

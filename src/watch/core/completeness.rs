@@ -24,9 +24,7 @@ use std::time::{Duration, Instant};
 
 use meniscus_formats::Completeness;
 
-use crate::pipeline::{FileStamp, FrameFile};
-
-use crate::watch::Reason;
+use crate::pipeline::{FileStamp, FrameFile, Reason};
 use crate::watch::config::{STALLED_MIN, StabilityTimeouts, Watch};
 
 /// The default name of a sentinel.

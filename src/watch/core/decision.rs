@@ -1,8 +1,8 @@
-//! Decides whether to convert a frame again, from its record in the journal and its current state on disk.
+//! Decides whether to convert a frame again, from what is recorded of it and its current state on disk.
 //!
 //! ```text
-//!   its record        │ none      queued or     failed,       failed          done
-//!                     │           in progress   may succeed   permanently
+//!   its record        │ none      waiting,      failed,       failed          done
+//!                     │           queued        may succeed   permanently
 //!   ──────────────────┼─────────────────────────────────────────────────────────────────────────
 //!   same stamp and    │ convert   convert       convert       skip            skip, if its outputs
 //!   settings          │                                                       exist
@@ -14,89 +14,94 @@
 
 use std::path::Path;
 
-use crate::pipeline::FileStamp;
-use crate::watch::Reason;
-use crate::watch::journal::{JournaledFrame, JournaledStatus};
+use crate::pipeline::{FileStamp, Reason, RecordedFrame, UnfinishedState};
 
-/// Why a frame is to be converted, from its record, its stamp, the fingerprint of its current settings, and
+/// Why a frame is to be converted, from its record, its stamp, whether it was recorded with these settings, and
 /// the first output that is missing or damaged; `None` if it stays as it is.
 pub(crate) fn reason_to_convert(
-    record: Option<&JournaledFrame>,
+    record: Option<&RecordedFrame>,
     stamp: &FileStamp,
-    settings: &str,
+    has_settings: impl Fn(&RecordedFrame) -> bool,
     missing_output: Option<&Path>,
 ) -> Option<Reason> {
     let Some(record) = record else { return Some(Reason::New) };
-    match record.status {
-        JournaledStatus::Ignored => return Some(Reason::New),
-        JournaledStatus::Waiting if record.outputs.is_empty() => return Some(Reason::New),
-        JournaledStatus::Waiting => return Some(Reason::InputChanged),
-        JournaledStatus::Queued => return Some(Reason::Interrupted),
-        JournaledStatus::Retrying | JournaledStatus::RetriesExhausted => return Some(Reason::Retry),
-        JournaledStatus::Refused => return Some(Reason::ConflictGone),
-        JournaledStatus::Done | JournaledStatus::Failed => {}
-    }
-    if record.stamp.size != stamp.size {
+    let recorded_stamp = match (&record.unfinished, &record.done) {
+        (Some(unfinished), done) => match unfinished.state {
+            UnfinishedState::Ignored => return Some(Reason::New),
+            UnfinishedState::Waiting if done.is_none() => return Some(Reason::New),
+            UnfinishedState::Waiting => return Some(Reason::InputChanged),
+            UnfinishedState::Queued => return Some(Reason::Interrupted),
+            UnfinishedState::Retrying | UnfinishedState::GivenUp => return Some(Reason::Retry),
+            UnfinishedState::Refused => return Some(Reason::ConflictGone),
+            UnfinishedState::Failed => unfinished.stamp,
+        },
+        (None, Some(done)) => done.stamp,
+        (None, None) => return Some(Reason::New),
+    };
+    if recorded_stamp.size != stamp.size {
         return Some(Reason::InputChanged);
     }
-    if record.settings != settings {
+    if !has_settings(record) {
         return Some(Reason::SettingsChanged);
     }
     // A failed frame has no outputs.
-    if let Some(output) = missing_output.filter(|_| record.status == JournaledStatus::Done) {
+    if let Some(output) = missing_output.filter(|_| record.unfinished.is_none()) {
         return Some(Reason::OutputChanged { output: output.to_owned() });
     }
-    (!record.stamp.still_holds(stamp)).then_some(Reason::Touched)
+    (!recorded_stamp.still_holds(stamp)).then_some(Reason::Touched)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use std::sync::Arc;
 
-    const SETTINGS: &str = "unchanged";
+    use super::*;
+    use crate::pipeline::UnfinishedRecord;
+    use crate::watch::test_records::{done_record, unfinished_record};
 
     fn stamp() -> FileStamp {
         FileStamp { size: 100, modified_ns: 5, inode: 9, changed_ns: Some(6) }
     }
 
-    fn record(status: JournaledStatus) -> JournaledFrame {
-        JournaledFrame { stamp: stamp(), settings: SETTINGS.to_owned(), ..JournaledFrame::new(status) }
+    /// The record of a frame in this state; `None` if it is done.
+    fn record(state: Option<UnfinishedState>) -> RecordedFrame {
+        let path = Path::new("/in/a.ply");
+        let unfinished = state
+            .map(|state| Arc::new(UnfinishedRecord { stamp: stamp(), ..unfinished_record(path, state) }));
+        let done = unfinished.is_none().then(|| done_record(path, stamp()));
+        RecordedFrame { done, unfinished }
     }
 
     #[test]
     fn record_and_disk_determine_the_reason() {
-        use JournaledStatus::{Done, Failed, Ignored, Queued, Refused, RetriesExhausted, Retrying, Waiting};
+        use UnfinishedState::{Failed, GivenUp, Ignored, Queued, Refused, Retrying, Waiting};
         let output = Path::new("/out/a.glb");
         let is_missing = Reason::OutputChanged { output: output.to_owned() };
         let touched = FileStamp { modified_ns: 6, ..stamp() };
         let moved = FileStamp { inode: 10, ..stamp() };
         let status_changed = FileStamp { changed_ns: Some(7), ..stamp() };
         let longer = FileStamp { size: 101, ..stamp() };
-        for (status, now, settings, missing, expected) in [
-            (Done, stamp(), SETTINGS, None, None),
-            (Done, touched, SETTINGS, None, Some(Reason::Touched)),
-            (Done, moved, SETTINGS, None, Some(Reason::Touched)),
-            (Done, status_changed, SETTINGS, None, Some(Reason::Touched)),
-            (Done, longer, SETTINGS, None, Some(Reason::InputChanged)),
-            (Done, touched, "others", None, Some(Reason::SettingsChanged)),
-            (Done, touched, SETTINGS, Some(output), Some(is_missing)),
-            (Failed, stamp(), SETTINGS, Some(output), None),
-            (Failed, touched, SETTINGS, None, Some(Reason::Touched)),
-            (Failed, stamp(), "others", None, Some(Reason::SettingsChanged)),
-            (Queued, stamp(), SETTINGS, None, Some(Reason::Interrupted)),
-            (Retrying, stamp(), SETTINGS, None, Some(Reason::Retry)),
-            (RetriesExhausted, stamp(), SETTINGS, None, Some(Reason::Retry)),
-            (Refused, stamp(), SETTINGS, None, Some(Reason::ConflictGone)),
-            (Waiting, stamp(), SETTINGS, None, Some(Reason::New)),
-            (Ignored, stamp(), SETTINGS, None, Some(Reason::New)),
+        for (state, now, has_settings, missing, expected) in [
+            (None, stamp(), true, None, None),
+            (None, touched, true, None, Some(Reason::Touched)),
+            (None, moved, true, None, Some(Reason::Touched)),
+            (None, status_changed, true, None, Some(Reason::Touched)),
+            (None, longer, true, None, Some(Reason::InputChanged)),
+            (None, touched, false, None, Some(Reason::SettingsChanged)),
+            (None, touched, true, Some(output), Some(is_missing)),
+            (Some(Failed), stamp(), true, Some(output), None),
+            (Some(Failed), touched, true, None, Some(Reason::Touched)),
+            (Some(Failed), stamp(), false, None, Some(Reason::SettingsChanged)),
+            (Some(Queued), stamp(), true, None, Some(Reason::Interrupted)),
+            (Some(Retrying), stamp(), true, None, Some(Reason::Retry)),
+            (Some(GivenUp), stamp(), true, None, Some(Reason::Retry)),
+            (Some(Refused), stamp(), true, None, Some(Reason::ConflictGone)),
+            (Some(Waiting), stamp(), true, None, Some(Reason::New)),
+            (Some(Ignored), stamp(), true, None, Some(Reason::New)),
         ] {
-            let reason = reason_to_convert(Some(&record(status)), &now, settings, missing);
-            assert_eq!(reason, expected, "{status:?} {now:?} {settings} {missing:?}");
+            let reason = reason_to_convert(Some(&record(state)), &now, |_| has_settings, missing);
+            assert_eq!(reason, expected, "{state:?} {now:?} {has_settings} {missing:?}");
         }
-        assert_eq!(reason_to_convert(None, &stamp(), SETTINGS, None), Some(Reason::New));
-        // The status change time is unknown.
-        let old = FileStamp { changed_ns: None, ..stamp() };
-        let record = JournaledFrame { stamp: old, ..record(Done) };
-        assert_eq!(reason_to_convert(Some(&record), &stamp(), SETTINGS, None), None);
+        assert_eq!(reason_to_convert(None, &stamp(), |_| true, None), Some(Reason::New));
     }
 }

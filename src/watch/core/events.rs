@@ -1,7 +1,7 @@
 //! The inputs and outputs of the core: events and effects.
 //!
 //! ```text
-//!   workers, pipeline, commands ──Event──▶ Core::handle ──Effect──▶ workers, pipeline, journal, log
+//!   workers, pipeline, commands ──Event──▶ Core::handle ──Effect──▶ workers, pipeline, records, log
 //! ```
 //!
 //! An event about a file may arrive late, twice or never. So each event contains the state of the file at a
@@ -16,10 +16,10 @@ use std::time::Instant;
 
 use meniscus_formats::Neighbor;
 
-use crate::pipeline::{FileFrames, FileStamp, Frame, FrameError, ObstacleStamps, Outcome};
-use crate::surface::options::Settings;
-use crate::watch::Reason;
-use crate::watch::journal::{Entry, JournaledFrame, OutputCheck, OutputRecord};
+use crate::pipeline::{
+    ChangedOutput, FileFrames, FileStamp, Frame, FrameError, ObstacleStamps, Outcome, Reason, RecordLine,
+    RecordedFrame,
+};
 
 use super::completeness::{Candidate, FileHint, Proof, Seen};
 use super::frames::FrameId;
@@ -66,7 +66,7 @@ pub(crate) enum Event {
     PipelineEnded,
     /// The state of a folder of outputs.
     OutputDirChecked(OutputDirState),
-    /// The answer to [`OutputRequest::Sync`]: whether the journal and the stages are on the disk.
+    /// The answer to [`OutputRequest::Sync`]: whether the records and the stages are on the disk.
     OutputSynced(bool),
     /// A worker has not answered for a long time.
     WorkerStalled(Worker),
@@ -129,8 +129,6 @@ pub(crate) enum FoundObstacleStamps {
 #[derive(Debug)]
 pub(crate) struct FrameFinished {
     pub(crate) id: FrameId,
-    /// Its outputs, if they exist.
-    pub(crate) outputs: Vec<OutputRecord>,
     pub(crate) outcome: Outcome,
     /// Free bytes on the disk, if the frame failed because the disk is full.
     pub(crate) free_bytes: Option<u64>,
@@ -145,7 +143,7 @@ pub(crate) struct Inspect {
     /// The stamp of the file at the time of the request.
     pub(crate) stamp: FileStamp,
     pub(crate) extent: InspectionExtent,
-    /// The journal's record of the frame, if the frame is not converted again while this record is valid.
+    /// The record of the frame, if the frame is not converted again while this record is valid.
     pub(crate) recorded: Option<Recorded>,
     /// The file's candidate state, if it may still be written.
     pub(crate) candidate: Option<Candidate>,
@@ -168,10 +166,9 @@ pub(crate) enum InspectionExtent {
 /// A frame that stays as it is while its outputs and obstacles are unchanged.
 #[derive(Debug)]
 pub(crate) struct Recorded {
-    pub(crate) record: Arc<JournaledFrame>,
-    /// The settings of its sequence, if only the frame's obstacles decide whether the recorded settings still
-    /// apply.
-    pub(crate) settings: Option<(Arc<Settings>, Arc<str>)>,
+    pub(crate) record: RecordedFrame,
+    /// Whether the stamps of its obstacles are compared.
+    pub(crate) checks_obstacles: bool,
 }
 
 /// The answer to [`Inspect`].
@@ -211,7 +208,7 @@ pub(crate) struct Complete {
     /// Why it counts as complete; `None` if that was not checked.
     pub(crate) proof: Option<Proof>,
     /// A recorded output that has changed.
-    pub(crate) changed_output: Option<(PathBuf, OutputCheck)>,
+    pub(crate) changed_output: Option<ChangedOutput>,
     pub(crate) contents: FileContents,
     /// Set if the outputs of the frame would replace a file: the reason to refuse the frame.
     pub(crate) conflict: Option<String>,
@@ -268,11 +265,11 @@ pub(crate) struct FoundSteps {
 /// A request to the worker of a folder of outputs.
 #[derive(Debug)]
 pub(crate) enum OutputRequest {
-    /// Add a record to the journal, then write this log line: the log never runs ahead of the journal.
-    Record(Entry, Option<Log>),
+    /// Write a record, then this log line: the log never runs ahead of the records.
+    Record(RecordLine, Option<Log>),
     /// Check the folder now.
     Check,
-    /// Sync the journal to the disk and write the stages, because the daemon is about to exit.
+    /// Sync the records to the disk and write the stages, because the daemon is about to exit.
     Sync,
 }
 

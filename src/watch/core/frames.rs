@@ -17,9 +17,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{FileFrames, FileStamp, FrameFile, ObstacleStamps, output_stem};
-
-use crate::watch::Reason;
+use crate::pipeline::{FileFrames, FileStamp, FrameFile, ObstacleStamps, Reason, output_stem};
 
 use super::completeness::Candidate;
 
@@ -128,9 +126,8 @@ pub(crate) struct FrameState {
     pub(crate) stamp: FileStamp,
     /// Whether the frame has too few particles to measure the spacing of its sequence.
     pub(crate) is_sparse: bool,
-    /// The fingerprint of the settings with which the frame was queued. For a frame with a record that may
-    /// become stale while the daemon runs, it is the recorded fingerprint; otherwise it is empty.
-    pub(crate) settings_fingerprint: String,
+    /// A hash of the stamps of its obstacles when the frame was queued, or that of its record.
+    pub(crate) obstacle_stamp: Option<String>,
     /// Number of consecutive failures that may be temporary.
     pub(crate) attempt_count: u32,
     /// The number of the scan that last saw it.
@@ -241,7 +238,7 @@ impl FrameTable {
             phase: FramePhase::Settling(candidate),
             stamp: *candidate.stamp(),
             is_sparse: false,
-            settings_fingerprint: String::new(),
+            obstacle_stamp: None,
             attempt_count: 0,
             scan_count,
             was_inspected: false,

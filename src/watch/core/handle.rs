@@ -185,7 +185,7 @@ impl Core {
         self.roots.iter().any(|root| root.has_stalled) || self.outputs.iter().any(|output| output.has_stalled)
     }
 
-    /// Requests that all journals be synced to disk, and all stages written; returns the number of folders.
+    /// Requests that all records be synced to disk, and all stages written; returns the number of folders.
     pub(crate) fn sync_outputs(&mut self) -> usize {
         for output in 0..self.outputs.len() {
             self.effects.push(Effect::Output(output, OutputRequest::Sync));
@@ -222,11 +222,11 @@ impl Core {
         }
     }
 
-    /// The number of done frames that failed validation, according to the journal.
+    /// The number of done frames that failed validation.
     fn broken_count(&self) -> usize {
         let is_broken = |(id, frame): &(&FrameId, &FrameState)| {
-            let figures = self.record_of(id).and_then(|record| record.figures.as_ref());
-            frame.phase == FramePhase::Done && figures.is_some_and(|figures| !figures.certificate.holds)
+            let done = self.record_of(id).and_then(|record| record.done.as_ref());
+            frame.phase == FramePhase::Done && done.is_some_and(|record| record.violations.is_some())
         };
         self.frames.iter().filter(is_broken).count()
     }

@@ -6,7 +6,7 @@
 //!        │                            │                │                     └ its sequence has no settings yet: held
 //!        │                            │                ├ it may have several steps: search for these first
 //!        │                            │                └ no particles, or another frame owns its outputs
-//!        │                            └ known from the journal, or incomplete
+//!        │                            └ known from its record, or incomplete
 //!        └ seen before, and unchanged; unless a writer closed it: then it is read again
 //! ```
 
@@ -17,10 +17,11 @@ use std::time::{Duration, Instant};
 
 use meniscus_formats::Neighbor;
 
-use crate::pipeline::{FileStamp, Frame, Job, ObstacleStamps, OutputOptions, output_path, step_in};
+use crate::pipeline::{
+    ChangedOutput, DoneRecord, FileStamp, Frame, Job, ObstacleStamps, OutputOptions, Reason, RecordedFrame,
+    UnfinishedState, output_path, step_in,
+};
 use crate::surface::options::Settings;
-use crate::watch::Reason;
-use crate::watch::journal::{JournaledFrame, JournaledStatus, OutputCheck};
 
 use super::completeness::{Candidate, FileHint, Seen, path_of_sentinel};
 use super::decision::reason_to_convert;
@@ -29,7 +30,7 @@ use super::events::{
     Recorded, RootRequest, Scan,
 };
 use super::frames::{FrameId, FramePhase, FrameState};
-use super::sequences::SequenceSettings;
+use super::sequences::{SequenceSettings, obstacle_stamp};
 use super::state::{Core, Failure, OutputFolder};
 
 /// How soon to inspect again a frame whose outputs are on an unmounted disk.
@@ -47,22 +48,21 @@ impl Core {
             return self.add_frame(id, candidate);
         };
         frame.scan_count = self.scan_count;
-        match &mut frame.phase {
-            FramePhase::Settling(candidate) => {
-                candidate.see(at, seen, hint);
-                frame.stamp = seen.stamp;
-            }
+        if frame.phase == FramePhase::InProgress {
             // The file is inspected when the conversion ends.
-            FramePhase::InProgress => {
-                frame.was_closed |= was_closed;
-                return;
-            }
-            _ if frame.stamp == seen.stamp => return self.on_unchanged(id, was_closed),
-            FramePhase::Steps => {
+            frame.was_closed |= was_closed;
+            return;
+        }
+        if let FramePhase::Settling(candidate) = &mut frame.phase {
+            candidate.see(at, seen, hint);
+            frame.stamp = seen.stamp;
+        } else if frame.stamp == seen.stamp {
+            return self.on_unchanged(id, was_closed);
+        } else {
+            if frame.phase == FramePhase::Steps {
                 self.unqueue_steps(id, seen, at);
-                self.settle(id, candidate);
             }
-            _ => self.settle(id, candidate),
+            self.settle(id, candidate);
         }
         self.inspect_settling(id, InspectionExtent::AllOfJustSeen);
     }
@@ -244,21 +244,21 @@ impl Core {
     /// `is_taken` says whether a file is a frame of a root.
     pub(crate) fn claim_recorded(&mut self, is_taken: impl Fn(usize, &Path) -> bool) {
         let mut owners = Vec::new();
-        for (output, OutputFolder { journal, .. }) in self.outputs.iter().enumerate() {
+        for (output, OutputFolder { recorded, .. }) in self.outputs.iter().enumerate() {
             // Other frames have no outputs yet, or no longer.
-            let is_owner = |record: &JournaledFrame| match record.status {
-                JournaledStatus::Refused | JournaledStatus::Failed | JournaledStatus::Ignored => false,
-                JournaledStatus::Waiting => !record.outputs.is_empty(),
+            let is_owner = |record: &RecordedFrame| match record.unfinished_state() {
+                Some(UnfinishedState::Refused | UnfinishedState::Failed | UnfinishedState::Ignored) => false,
+                Some(UnfinishedState::Waiting) => record.done.is_some(),
                 _ => true,
             };
-            for (input, record) in journal.frames.iter().filter(|(_, record)| is_owner(record)) {
+            for (input, record) in recorded.frames.iter().filter(|(_, record)| is_owner(record)) {
                 let file = step_in(input, true).map(|(file, _)| file);
                 let mut roots = (0..self.roots.len()).filter(|&root| self.output_of[root] == output);
                 let id = roots.find_map(|root| match file {
                     Some(file) if is_taken(root, file) => Some(FrameId::step(root, input)),
                     _ => is_taken(root, input).then(|| FrameId::new(root, input)),
                 });
-                owners.extend(id.map(|id| (record.status == JournaledStatus::Done, record.at_ms, id)));
+                owners.extend(id.map(|id| (record.if_done().is_some(), record.at_ms(), id)));
             }
         }
         // If several frames had the same outputs, the last one that was finished has them.
@@ -315,10 +315,9 @@ impl Core {
         if self.frames.get(id).is_some_and(|frame| frame.was_closed) {
             return self.inspect(id, None, None);
         }
-        let record = self.output(id.root).journal.frames.get(&*id.path);
-        if let Some(record) = record.filter(|_| self.output(id.root).is_mounted).map(Arc::clone) {
-            // Without settings: these are current, and obstacles are inspected separately.
-            self.inspect(id, None, Some(Recorded { record, settings: None }));
+        if let Some(record) = self.record_of(id).filter(|_| self.output(id.root).is_mounted).cloned() {
+            // The settings are current, and obstacles are inspected separately.
+            self.inspect(id, None, Some(Recorded { record, checks_obstacles: false }));
         }
     }
 
@@ -366,24 +365,20 @@ impl Core {
         sequence: usize,
         wanted: &[PathBuf],
     ) -> Option<Recorded> {
-        let record = Arc::clone(self.record_of(id)?);
+        let record = self.record_of(id)?.clone();
         // The record may be of the same file in another root, with outputs in another folder.
-        let is_recorded = |path: &PathBuf| record.outputs.iter().any(|output| output.path == *path);
-        let unrecorded = wanted.iter().find(|path| !is_recorded(path));
-        let sequence = self.sequences.get(sequence);
-        let settings = match &sequence.settings {
-            SequenceSettings::Fixed(settings, fingerprint) if !self.roots[id.root].obstacles.is_empty() => {
-                Some((Arc::clone(settings), Arc::clone(fingerprint)))
-            }
-            _ => None,
-        };
-        let fingerprint = match settings {
-            Some(_) => record.settings.clone(),
-            None => sequence.fingerprint(None),
-        };
-        let unrecorded = unrecorded.map(PathBuf::as_path);
-        let reason = reason_to_convert(Some(&*record), stamp, &fingerprint, unrecorded);
-        reason.is_none().then_some(Recorded { record, settings })
+        let paths: Vec<PathBuf> =
+            record.done.iter().flat_map(|done| self.recorded_outputs(id, done)).collect();
+        let unrecorded = wanted.iter().find(|path| !paths.contains(path)).map(PathBuf::as_path);
+        let has_settings = |record: &RecordedFrame| self.has_settings_of(id, sequence, record);
+        let reason = reason_to_convert(Some(&record), stamp, has_settings, unrecorded);
+        let checks_obstacles = !self.roots[id.root].obstacles.is_empty();
+        reason.is_none().then_some(Recorded { record, checks_obstacles })
+    }
+
+    /// Whether a frame was recorded with the settings of its sequence, apart from its obstacles.
+    fn has_settings_of(&self, id: &FrameId, sequence: usize, record: &RecordedFrame) -> bool {
+        self.sequences.get(sequence).has_settings_of(record, &self.watch(id.root).outputs)
     }
 
     /// Handles the result of an inspection.
@@ -423,42 +418,42 @@ impl Core {
         }
     }
 
-    /// Records why a frame waits. A growing file would fill the journal if each of its sizes were recorded.
+    /// Records why a frame waits, unless it only has another size than before.
     fn note_waiting(&mut self, id: &FrameId, why: &Reason) {
-        let is_recorded = self.record_of(id).is_some_and(|record| {
-            record.status == JournaledStatus::Waiting
+        let unfinished = self.record_of(id).and_then(|record| record.unfinished.as_ref());
+        let is_recorded = unfinished.is_some_and(|record| {
+            record.state == UnfinishedState::Waiting
                 && record.reason.as_ref().is_some_and(|recorded| recorded.is_like(why))
         });
         if !is_recorded {
-            self.record_status(id, JournaledStatus::Waiting, Some(why.clone()), None);
+            self.record_state(id, UnfinishedState::Waiting, Some(why.clone()), None);
         }
     }
 
     /// Records that a file, which was recorded as waiting, is not a frame.
     pub(super) fn note_ignored(&mut self, id: &FrameId, why: Reason) {
-        if self.record_of(id).is_some_and(|record| record.status == JournaledStatus::Waiting) {
-            self.record_status(id, JournaledStatus::Ignored, Some(why), None);
+        let state = self.record_of(id).and_then(RecordedFrame::unfinished_state);
+        if state == Some(UnfinishedState::Waiting) {
+            self.record_state(id, UnfinishedState::Ignored, Some(why), None);
         }
     }
 
     /// Restores the state of a frame from its record.
     fn take_record(&mut self, id: &FrameId) {
-        let Some(record) = self.record_of(id).map(Arc::clone) else { return };
-        let phase = match record.status {
-            // The frame claims its outputs, so that another input cannot take them.
-            JournaledStatus::Done if self.claim_outputs(id, None) => FramePhase::Done,
-            JournaledStatus::Done => return,
-            _ => {
-                let reason = record.reason.as_ref().map(Reason::to_string).unwrap_or_default();
+        let Some(record) = self.record_of(id).cloned() else { return };
+        let phase = match &record.unfinished {
+            Some(failed) => {
+                let reason = failed.reason.as_ref().map(Reason::to_string).unwrap_or_default();
                 self.failed.insert(id.clone(), Failure { reason, logged_at: None, is_refusal: false });
                 FramePhase::Failed
             }
+            // The frame claims its outputs, so that another input cannot take them.
+            None if self.claim_outputs(id, None) => FramePhase::Done,
+            None => return,
         };
-        // Later, the fingerprint shows whether obstacles have changed.
-        if !self.roots[id.root].obstacles.is_empty()
-            && let Some(frame) = self.frames.get_mut(id)
-        {
-            frame.settings_fingerprint.clone_from(&record.settings);
+        // Later, the stamp shows whether obstacles have changed.
+        if let Some(frame) = self.frames.get_mut(id) {
+            frame.obstacle_stamp = record.obstacle_stamp().cloned();
         }
         self.set_phase(id, phase);
     }
@@ -466,7 +461,7 @@ impl Core {
     /// A file is complete.
     fn on_complete(&mut self, id: &FrameId, complete: Complete) {
         let Complete { proof, changed_output, contents, conflict } = complete;
-        let reason = self.reason_to_convert(id, changed_output.as_ref().map(|(output, _)| &**output));
+        let reason = self.reason_to_convert(id, changed_output.as_ref().map(|output| &*output.path));
         if let Some(frame) = self.frames.get_mut(id) {
             (frame.was_closed, frame.reason) = (false, reason);
         }
@@ -480,12 +475,13 @@ impl Core {
         let is_done = self.frames.phase(id) == Some(FramePhase::Done);
         self.log_about(&*id.path, move |frame| match (proof, changed_output) {
             (Some(proof), _) => tracing::debug!(%frame, "ready: {proof}"),
-            (None, Some((output, check))) if is_done => {
-                let what = match check {
-                    OutputCheck::Missing => "is missing: converting the frame again",
-                    _ => "has changed: comparing its content",
+            (None, Some(ChangedOutput { path, is_missing })) if is_done => {
+                let what = if is_missing {
+                    "is missing: converting the frame again"
+                } else {
+                    "has changed: comparing its content"
                 };
-                tracing::info!(%frame, "{} {what}", output.display());
+                tracing::info!(%frame, "{} {what}", path.display());
             }
             _ => {}
         });
@@ -512,12 +508,15 @@ impl Core {
     /// Why a complete frame is to be converted.
     fn reason_to_convert(&self, id: &FrameId, changed_output: Option<&Path>) -> Option<Reason> {
         let (frame, record) = (self.frames.get(id)?, self.record_of(id));
-        let mut settings = self.sequences.get(frame.sequence).fingerprint(frame.obstacles.as_deref());
-        if let Some(record) = record.filter(|_| settings.is_empty()) {
-            settings.clone_from(&record.settings);
-        }
-        let reason =
-            reason_to_convert(record.map(|record| &**record), &frame.stamp, &settings, changed_output);
+        let has_settings = |record: &RecordedFrame| {
+            let is_known = self.sequences.get(frame.sequence).settings_id().is_some();
+            let has_obstacles = frame
+                .obstacles
+                .as_deref()
+                .is_none_or(|stamps| record.obstacle_stamp() == Some(&obstacle_stamp(stamps)));
+            !is_known || has_obstacles && self.has_settings_of(id, frame.sequence, record)
+        };
+        let reason = reason_to_convert(record, &frame.stamp, has_settings, changed_output);
         reason.or_else(|| frame.was_closed.then_some(Reason::Closed))
     }
 
@@ -561,7 +560,8 @@ impl Core {
         let Some(frame) = self.frames.get_mut(id) else { return };
         let modified_ns = frame.stamp.modified_ns;
         let sequence = self.sequences.get(frame.sequence);
-        frame.settings_fingerprint = sequence.fingerprint(frame.obstacles.as_deref());
+        frame.obstacle_stamp = frame.obstacles.as_deref().map(obstacle_stamp);
+        let obstacle_stamp = frame.obstacle_stamp.clone();
         let framing = sequence.framing.clone();
         let reason = frame.reason.clone();
         let file = id.frame_file(self.root_path(id.root));
@@ -574,10 +574,11 @@ impl Core {
             number: file.number(),
             obstacles: Arc::clone(&self.roots[id.root].obstacles),
             framing,
+            obstacle_stamp,
             records: None,
         };
         self.set_phase(id, FramePhase::Queued);
-        self.record_status(id, JournaledStatus::Queued, reason, None);
+        self.record_state(id, UnfinishedState::Queued, reason, None);
         self.queue.push(id, Box::new(frame), modified_ns);
     }
 
@@ -597,7 +598,7 @@ impl Core {
     pub(super) fn on_obstacles_stamped(&mut self, root: usize, stamps: &FoundObstacleStamps) {
         let is_stale = |id: &FrameId, frame: &FrameState| {
             let is_refused = self.failed.get(id).is_some_and(|failure| failure.is_refusal);
-            let was_begun = !frame.settings_fingerprint.is_empty() && !is_refused;
+            let was_begun = frame.obstacle_stamp.is_some() && !is_refused;
             if id.root != root || !has_ended(frame) || !was_begun {
                 return false;
             }
@@ -608,10 +609,9 @@ impl Core {
                 }
             };
             // The removal of an obstacle does not count: the existing result stays.
-            of_frame.filter(|stamps| stamps.all_exist).is_some_and(|stamps| {
-                self.sequences.get(frame.sequence).fingerprint(Some(stamps.as_ref()))
-                    != frame.settings_fingerprint
-            })
+            of_frame
+                .filter(|stamps| stamps.all_exist)
+                .is_some_and(|stamps| frame.obstacle_stamp != Some(obstacle_stamp(stamps)))
         };
         let mut stale = self.frames.ids_of(is_stale);
         stale.sort();
@@ -695,8 +695,13 @@ impl Core {
     }
 
     /// The record of a frame, if it has one.
-    pub(super) fn record_of(&self, id: &FrameId) -> Option<&Arc<JournaledFrame>> {
-        self.output(id.root).journal.frames.get(&*id.path)
+    pub(super) fn record_of(&self, id: &FrameId) -> Option<&RecordedFrame> {
+        self.output(id.root).recorded.frames.get(&*id.path)
+    }
+
+    /// The paths of recorded outputs.
+    pub(super) fn recorded_outputs(&self, id: &FrameId, record: &DoneRecord) -> Vec<PathBuf> {
+        record.output_paths(&self.output(id.root).folder).collect()
     }
 }
 

@@ -5,28 +5,28 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{FrameError, FrameReport, Outcome, ReadInput, Scope, Stage, Warning};
-use crate::watch::Reason;
-use crate::watch::journal::{Entry, JournaledFrame, JournaledStatus, OutputRecord};
-use crate::watch::status_store::Figures;
+use crate::pipeline::{
+    DoneRecord, FrameError, FrameReport, Outcome, ReadInput, Reason, RecordLine, RecordedFrame, Scope, Stage,
+    UnfinishedRecord, UnfinishedState,
+};
 
 use super::completeness::{Candidate, FileHint, Seen};
 use super::events::{FrameFinished, Log};
-use super::frames::{FrameId, FramePhase, FrameState};
+use super::frames::{FrameId, FramePhase, within};
 use super::retry::{RetryAction, backoff, recovery};
 use super::state::{Core, Failure};
 
 impl Core {
     /// The pipeline has finished with a frame.
     pub(super) fn on_finished(&mut self, finished: FrameFinished) {
-        let FrameFinished { id, outputs, outcome, free_bytes } = finished;
+        let FrameFinished { id, outcome, free_bytes } = finished;
         self.finished_count += 1;
         let Some(frame) = self.frames.get_mut(&id) else { return };
         // The same applies if the pipeline was closed before it started the frame.
         frame.phase = FramePhase::Queued;
         match outcome {
-            Outcome::Converted(report) => self.on_converted(&id, &report, outputs),
-            Outcome::AlreadyDone { input, .. } => self.on_already_done(&id, &input, outputs),
+            Outcome::Converted(report) => self.on_converted(&id, &report),
+            Outcome::AlreadyDone { input, record } => self.on_already_done(&id, input, &record),
             Outcome::Changed => {
                 let what = "frame was written while it was read: reading it again";
                 self.log_about(&*id.path, move |frame| tracing::info!(%frame, "{what}"));
@@ -38,53 +38,41 @@ impl Core {
         self.check_again(&id);
     }
 
-    fn on_converted(&mut self, id: &FrameId, report: &FrameReport, outputs: Vec<OutputRecord>) {
+    fn on_converted(&mut self, id: &FrameId, report: &FrameReport) {
+        // The daemon gives records to every frame.
+        let Some(record) = report.record.clone() else { return };
         self.log_notes(id, report);
         if let Some(index) = self.frames.get(id).map(|frame| frame.sequence) {
             self.note_camera(index);
         }
         self.guard.on_success();
-        let (seconds, logged_outputs) = (report.seconds.total(), paths_json(&outputs));
-        let figures = Arc::new(Figures::of(report, self.config.watches[id.root].job()));
+        let (input_bytes, figures) = (record.stamp.size, Arc::clone(&record.figures));
         self.counters.add_converted(
             &figures,
-            report.input.stamp.size,
-            report.files.iter().map(|file| file.stamp.size).sum(),
+            input_bytes,
+            record.outputs.iter().map(|file| file.stamp.size).sum(),
         );
-        let record = JournaledFrame {
-            outputs,
-            hash: Some(report.input.hash),
-            particle_count: figures.particles,
-            seconds: Some(rounded(seconds)),
-            flaws: report.all_warnings().iter().filter(|w| w.is_flaw()).map(Warning::to_string).collect(),
-            figures: Some(Arc::clone(&figures)),
-            stamp: report.input.stamp,
-            ..self.new_record(id, JournaledStatus::Done)
-        };
-        let (path, queue) = (Arc::clone(&id.path), self.queue.len());
-        self.note_done(
-            id,
-            record,
-            Log::new(move || {
-                let seconds = figures.seconds;
-                tracing::info!(
-                    frame = %path.display(),
-                    state = "converted",
-                    outputs = logged_outputs,
-                    particles = figures.particles,
-                    vertices = figures.vertices,
-                    triangles = figures.triangles,
-                    read_s = rounded(seconds.read),
-                    rasterize_s = rounded(seconds.rasterize),
-                    smooth_s = rounded(seconds.smooth),
-                    contour_s = rounded(seconds.contour),
-                    write_s = rounded(seconds.write),
-                    preview_s = rounded(seconds.preview),
-                    queue,
-                    "converted"
-                );
-            }),
-        );
+        let (path, queue, outputs) = (Arc::clone(&id.path), self.queue.len(), self.outputs_json(id, &record));
+        let log = Log::new(move || {
+            let seconds = figures.seconds;
+            tracing::info!(
+                frame = %path.display(),
+                state = "converted",
+                outputs,
+                particles = figures.particles,
+                vertices = figures.vertices,
+                triangles = figures.triangles,
+                read_s = rounded(seconds.read),
+                rasterize_s = rounded(seconds.rasterize),
+                smooth_s = rounded(seconds.smooth),
+                contour_s = rounded(seconds.contour),
+                write_s = rounded(seconds.write),
+                preview_s = rounded(seconds.preview),
+                queue,
+                "converted"
+            );
+        });
+        self.note_done(id, record, log);
     }
 
     /// Logs warnings about a frame. A warning that usually applies to later frames, too, is logged once per
@@ -108,29 +96,36 @@ impl Core {
         });
     }
 
-    fn on_already_done(&mut self, id: &FrameId, input: &ReadInput, outputs: Vec<OutputRecord>) {
-        let record = self.new_record(id, JournaledStatus::Done);
-        // Figures that were measured when these very outputs were written still apply.
-        let known = self.record_of(id).filter(|known| are_the_same(&known.outputs, &outputs));
-        let record = with_measurements(record, known);
-        let logged_outputs = paths_json(&outputs);
-        let record = JournaledFrame { stamp: input.stamp, hash: Some(input.hash), outputs, ..record };
+    fn on_already_done(&mut self, id: &FrameId, input: ReadInput, record: &DoneRecord) {
+        let record = DoneRecord {
+            input: id.path.to_path_buf(),
+            stamp: input.stamp,
+            obstacle_stamp: self.frames.get(id).and_then(|frame| frame.obstacle_stamp.clone()),
+            at_ms: self.now.unix_ms.max(self.record_of(id).map_or(0, RecordedFrame::at_ms)),
+            ..record.clone()
+        };
         self.counters.found_done += 1;
-        let (path, queue) = (Arc::clone(&id.path), self.queue.len());
+        let (path, queue, outputs) = (Arc::clone(&id.path), self.queue.len(), self.outputs_json(id, &record));
         let log = Log::new(move || {
-            let (frame, outputs) = (path.display(), logged_outputs);
+            let frame = path.display();
             tracing::info!(%frame, state = "already_done", outputs, queue, "frame was done already");
         });
-        self.note_done(id, record, log);
+        self.note_done(id, Arc::new(record), log);
     }
 
-    fn note_done(&mut self, id: &FrameId, record: JournaledFrame, log: Log) {
+    fn note_done(&mut self, id: &FrameId, record: Arc<DoneRecord>, log: Log) {
         let Some(frame) = self.frames.get_mut(id) else { return };
         (frame.stamp, frame.attempt_count) = (record.stamp, 0);
         self.failed.remove(id);
         self.set_phase(id, FramePhase::Done);
-        let entry = Entry::Frame { input: Arc::clone(&id.path), record: Arc::new(record) };
-        self.record(self.output_of[id.root], entry, Some(log));
+        self.record(self.output_of[id.root], RecordLine::Done(record), Some(log));
+    }
+
+    /// The paths of a frame's outputs as a JSON array: a field of the log is text or a number.
+    fn outputs_json(&self, id: &FrameId, record: &DoneRecord) -> String {
+        let paths = self.recorded_outputs(id, record);
+        let paths = paths.iter().map(|path| path.to_string_lossy().into_owned());
+        serde_json::Value::from_iter(paths).to_string()
     }
 
     /// A frame failed: the error decides what to do.
@@ -157,7 +152,7 @@ impl Core {
                 });
             }
             RetryAction::Retry => self.fail_for_now(id, reason, now),
-            RetryAction::AwaitRestart => self.fail(id, JournaledStatus::RetriesExhausted, reason),
+            RetryAction::AwaitRestart => self.fail(id, UnfinishedState::GivenUp, reason),
             RetryAction::GiveUp => self.fail_for_good(id, reason),
         }
     }
@@ -167,7 +162,7 @@ impl Core {
         frame.attempt_count += 1;
         let attempt = frame.attempt_count;
         let Some(wait) = backoff(attempt, self.config.once) else {
-            return self.fail(id, JournaledStatus::RetriesExhausted, reason);
+            return self.fail(id, UnfinishedState::GivenUp, reason);
         };
         self.retry_at(id, now + wait, &reason, move |path, why| {
             tracing::warn!(frame = %path.display(), attempt, "{}; retry in {wait:?}", without_path(path, why));
@@ -187,24 +182,24 @@ impl Core {
         let (path, why) = (Arc::clone(&id.path), reason.to_owned());
         let log = Log::new(move || log(&path, &why));
         let reason = Reason::Error(reason.to_owned());
-        self.record_status(id, JournaledStatus::Retrying, Some(reason), Some(log));
+        self.record_state(id, UnfinishedState::Retrying, Some(reason), Some(log));
         self.frames.set_alarm(id, at);
     }
 
     /// Marks a frame as failed until its file changes.
     pub(super) fn fail_for_good(&mut self, id: &FrameId, reason: String) {
-        self.fail(id, JournaledStatus::Failed, reason);
+        self.fail(id, UnfinishedState::Failed, reason);
         self.release_claim(id);
     }
 
     /// Refuses a frame, usually because of other files. They may change while the frame does not, so it is
     /// checked again at each scan, and after a restart.
     pub(super) fn refuse(&mut self, id: &FrameId, reason: String) {
-        self.fail(id, JournaledStatus::Refused, reason);
+        self.fail(id, UnfinishedState::Refused, reason);
     }
 
     /// Marks a frame as failed until its file changes or, depending on its status, until a scan or a restart.
-    fn fail(&mut self, id: &FrameId, status: JournaledStatus, reason: String) {
+    fn fail(&mut self, id: &FrameId, status: UnfinishedState, reason: String) {
         self.set_phase(id, FramePhase::Failed);
         let attempts = self.frames.get(id).map_or(0, |frame| frame.attempt_count);
         let (path, why) = (Arc::clone(&id.path), reason.clone());
@@ -216,7 +211,7 @@ impl Core {
         let log = Log::new(move || {
             let why = without_path(&path, &why);
             match status {
-                JournaledStatus::RetriesExhausted if attempts > 0 => {
+                UnfinishedState::GivenUp if attempts > 0 => {
                     tracing::error!(
                         frame = %path.display(),
                         state = "failed",
@@ -227,8 +222,8 @@ impl Core {
                 _ => tracing::error!(frame = %path.display(), state = "failed", "{why}"),
             }
         });
-        self.record_status(id, status, Some(Reason::Error(reason.clone())), Some(log));
-        let (logged_at, is_refusal) = (Some(self.finished_count), status == JournaledStatus::Refused);
+        self.record_state(id, status, Some(Reason::Error(reason.clone())), Some(log));
+        let (logged_at, is_refusal) = (Some(self.finished_count), status == UnfinishedState::Refused);
         self.failed.insert(id.clone(), Failure { reason, logged_at, is_refusal });
         self.counters.failures += 1;
     }
@@ -269,45 +264,32 @@ impl Core {
         self.failed_frame(id, &FrameError::file(&id.path, Stage::Read, error), None);
     }
 
-    /// Records the status of a frame.
-    pub(super) fn record_status(
+    /// Records why a frame is not done.
+    pub(super) fn record_state(
         &mut self,
         id: &FrameId,
-        status: JournaledStatus,
+        state: UnfinishedState,
         reason: Option<Reason>,
         log: Option<Log>,
     ) {
-        // A frame that is inspected again may turn out to be done: until then its outputs and measurements
-        // are kept.
-        let is_kept =
-            matches!(status, JournaledStatus::Waiting | JournaledStatus::Queued | JournaledStatus::Retrying);
-        let known = self.record_of(id).filter(|_| is_kept);
-        let outputs = known.map_or(Vec::new(), |known| known.outputs.clone());
-        let record = with_measurements(self.new_record(id, status), known);
-        let record = JournaledFrame { reason, outputs, ..record };
-        let entry = Entry::Frame { input: Arc::clone(&id.path), record: Arc::new(record) };
-        self.record(self.output_of[id.root], entry, log);
-        self.mark_changed(id);
-    }
-
-    /// The fingerprint of the settings of a frame. For a frame in progress, the one at the time when it was
-    /// queued, because an obstacle may have changed since.
-    fn settings_fingerprint(&self, frame: &FrameState) -> String {
-        if frame.settings_fingerprint.is_empty() {
-            return self.sequences.get(frame.sequence).fingerprint(frame.obstacles.as_deref());
-        }
-        frame.settings_fingerprint.clone()
-    }
-
-    fn new_record(&self, id: &FrameId, status: JournaledStatus) -> JournaledFrame {
-        let record = JournaledFrame { at_ms: self.now.unix_ms, ..JournaledFrame::new(status) };
-        let Some(frame) = self.frames.get(id) else { return record };
-        JournaledFrame {
+        let Some(frame) = self.frames.get(id) else { return };
+        let claimed = self.claimed_stem(id);
+        let settings = self.sequences.get(frame.sequence).settings_id();
+        // It is later than the record of the last conversion, also if the clock was set back.
+        let done = self.record_of(id).and_then(|record| record.done.as_ref());
+        let record = UnfinishedRecord {
+            name: within(&claimed, &self.output(id.root).folder).unwrap_or(&claimed).to_owned(),
+            input: id.path.to_path_buf(),
+            state,
+            reason,
             stamp: frame.stamp,
-            settings: self.settings_fingerprint(frame),
-            attempt_count: frame.attempt_count,
-            ..record
-        }
+            settings: settings.unwrap_or_default().to_owned(),
+            obstacle_stamp: frame.obstacle_stamp.clone(),
+            attempts: frame.attempt_count,
+            at_ms: self.now.unix_ms.max(done.map_or(0, |done| done.at_ms + 1)),
+        };
+        self.record(self.output_of[id.root], RecordLine::Unfinished(Arc::new(record)), log);
+        self.mark_changed(id);
     }
 }
 
@@ -315,28 +297,6 @@ impl Core {
 fn without_path<'a>(path: &Path, reason: &'a str) -> &'a str {
     let start = format!("{}: ", path.display());
     reason.strip_prefix(&*start).unwrap_or(reason)
-}
-
-/// The paths of these outputs as a JSON array: a field of the log is text or a number.
-fn paths_json(outputs: &[OutputRecord]) -> String {
-    let paths = outputs.iter().map(|output| output.path.to_string_lossy().into_owned());
-    serde_json::Value::from_iter(paths).to_string()
-}
-
-/// Copies the measurements of the known record.
-fn with_measurements(record: JournaledFrame, known: Option<&Arc<JournaledFrame>>) -> JournaledFrame {
-    let Some(known) = known else { return record };
-    let JournaledFrame { particle_count, seconds, flaws, figures, .. } = JournaledFrame::clone(known);
-    JournaledFrame { particle_count, seconds, flaws, figures, ..record }
-}
-
-/// Whether both lists name the same files with the same content.
-fn are_the_same(known: &[OutputRecord], now: &[OutputRecord]) -> bool {
-    let bytes = |outputs: &[OutputRecord]| -> Vec<_> {
-        outputs.iter().map(|output| (output.path.clone(), output.hash)).collect()
-    };
-    let known = bytes(known);
-    known == bytes(now) && known.iter().all(|(_, hash)| hash.is_some())
 }
 
 /// Seconds rounded to the millisecond: more digits are noise in a log.

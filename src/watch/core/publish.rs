@@ -2,13 +2,15 @@
 //!
 //! This module makes no decisions.
 
-use std::path::{Component, Path};
+use std::path::Path;
+use std::sync::Arc;
 
 use serde_json::{Value, json};
 
-use crate::pipeline::{Job, SequenceRecord, text_of_name};
+use crate::pipeline::{
+    DoneRecord, Job, RecordedFrame, SequenceRecord, UnfinishedRecord, UnfinishedState, text_of_name,
+};
 use crate::watch::config::{Order, Poll, Watch, WatchConfig};
-use crate::watch::journal::{JournaledFrame, JournaledStatus};
 use crate::watch::status_store::{
     FrameProgress, FrameSummary, FrameView, LiveStatus, OutputView, StatusStore,
 };
@@ -37,13 +39,14 @@ impl Core {
             return store.remove(&name);
         };
         // The view has no stage, because only the pipeline knows the stage of a frame in progress.
-        let record = self.record_of(id).map(|record| &**record);
-        // A record of an earlier file or failure does not apply.
-        let record = record.filter(|record| is_about(record, frame.phase));
-        let done = record.filter(|_| state == FrameProgress::Done);
+        let record = self.record_of(id);
+        let done = record.and_then(RecordedFrame::if_done).filter(|_| state == FrameProgress::Done);
         let outputs: Vec<OutputView> = done.map_or_else(Vec::new, |record| self.shown_outputs(id, record));
         let failure = self.failed.get(id).map(|failure| failure.reason.clone());
-        let reason = failure.or_else(|| record?.reason.as_ref().map(ToString::to_string));
+        let unfinished = record.and_then(|record| record.unfinished.as_ref());
+        // A record of an earlier file or failure does not apply.
+        let unfinished = unfinished.filter(|record| is_about(record, frame.phase));
+        let reason = failure.or_else(|| unfinished?.reason.as_ref().map(ToString::to_string));
         let has_reason =
             matches!(state, FrameProgress::Waiting | FrameProgress::Retrying | FrameProgress::Failed);
         let named = |ending: &str| outputs.iter().find(|output| output.name.ends_with(ending));
@@ -56,28 +59,25 @@ impl Core {
                 stage: None,
                 reason: reason.filter(|_| has_reason),
                 since_ms: done.map_or(self.now.unix_ms, |done| done.at_ms),
-                particles: done.and_then(|record| record.particle_count),
-                seconds: done.and_then(|record| record.seconds),
+                particles: done.and_then(|record| record.figures.particles),
+                seconds: done.map(|record| record.figures.total_seconds()),
                 surface,
                 picture,
             },
             attempts: frame.attempt_count,
             input_bytes: frame.stamp.size,
             outputs,
-            figures: done.and_then(|record| record.figures.clone()),
+            figures: done.map(|record| Arc::clone(&record.figures)),
             stem: self.claimed_stem(id),
         });
     }
 
-    /// The outputs of a frame. An output outside the folder, which a damaged journal may contain, gets no
-    /// name, so clients cannot read it through the status store.
-    fn shown_outputs(&self, id: &FrameId, record: &JournaledFrame) -> Vec<OutputView> {
+    fn shown_outputs(&self, id: &FrameId, record: &DoneRecord) -> Vec<OutputView> {
         let folder = &self.output(id.root).folder;
-        let inside = record.outputs.iter().filter(|output| is_inside(&output.path, folder));
-        let shown = inside.map(|output| OutputView {
-            name: self.shown_name(id.root, folder, &output.path),
-            size_bytes: output.stamp.size,
-            path: output.path.clone(),
+        let shown = record.output_paths(folder).zip(&record.outputs).map(|(path, file)| OutputView {
+            name: self.shown_name(id.root, folder, &path),
+            size_bytes: file.stamp.size,
+            path,
         });
         shown.collect()
     }
@@ -104,7 +104,7 @@ impl Core {
         let name = self.shown_name(sequence.root, self.root_path(sequence.root), &path);
         let watch = self.watch(sequence.root);
         let made = (&watch.outputs, &*self.roots[sequence.root].obstacles);
-        let remembered = self.output(sequence.root).journal.sequences.get(&sequence.key);
+        let remembered = self.output(sequence.root).recorded.sequences.get(&sequence.key);
         let measured = remembered.filter(|_| watch.needs_spacing());
         let measured = measured.and_then(|record| record.measured.as_ref());
         let record = SequenceRecord::new(&name, &watch.job(), settings, measured, made);
@@ -173,25 +173,18 @@ fn state_of(phase: FramePhase) -> Option<FrameProgress> {
     })
 }
 
-/// Whether a file is in the folder or one of its sub-folders.
-fn is_inside(path: &Path, folder: &Path) -> bool {
-    within(path, folder)
-        .is_some_and(|within| within.components().all(|part| matches!(part, Component::Normal(_))))
-}
-
 /// Whether a record applies to the frame in its current phase.
-fn is_about(record: &JournaledFrame, phase: FramePhase) -> bool {
-    match record.status {
-        JournaledStatus::Waiting => matches!(phase, FramePhase::Settling(_)),
-        JournaledStatus::Done => phase == FramePhase::Done,
-        JournaledStatus::Queued => {
+fn is_about(record: &UnfinishedRecord, phase: FramePhase) -> bool {
+    match record.state {
+        UnfinishedState::Waiting => matches!(phase, FramePhase::Settling(_)),
+        UnfinishedState::Queued => {
             matches!(phase, FramePhase::Queued | FramePhase::InProgress | FramePhase::Held)
         }
-        JournaledStatus::Retrying => matches!(phase, FramePhase::Retrying(_)),
-        JournaledStatus::Failed | JournaledStatus::Refused | JournaledStatus::RetriesExhausted => {
+        UnfinishedState::Retrying => matches!(phase, FramePhase::Retrying(_)),
+        UnfinishedState::Failed | UnfinishedState::Refused | UnfinishedState::GivenUp => {
             phase == FramePhase::Failed
         }
-        JournaledStatus::Ignored => false,
+        UnfinishedState::Ignored => false,
     }
 }
 
@@ -232,20 +225,4 @@ fn plan_of(config: &WatchConfig) -> Value {
         },
         "watches": config.watches.iter().map(watch).collect::<Vec<_>>(),
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_paths_inside_the_folder_are_accepted() {
-        let is_inside = |path: &str| is_inside(Path::new(path), Path::new("/a/out"));
-        for path in ["/a/out/dam.1.glb", "/a/out/sub/dam.1.glb"] {
-            assert!(is_inside(path), "{path}");
-        }
-        for path in ["/a/out2/dam.1.glb", "/a/dam.1.glb", "/a/out/../dam.1.glb", "dam.1.glb", "/etc/passwd"] {
-            assert!(!is_inside(path), "{path}");
-        }
-    }
 }

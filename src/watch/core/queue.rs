@@ -81,10 +81,9 @@ impl PartialOrd for QueueRank {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::{Job, OutputOptions};
+    use crate::pipeline::{FrameFile, OutputOptions};
     use crate::surface::options::{MethodOptions, Settings};
-    use meniscus_formats::{gltf, vdb};
-    use std::path::{Path, PathBuf};
+    use std::path::Path;
     use std::sync::Arc;
 
     fn id(name: &str) -> FrameId {
@@ -93,25 +92,11 @@ mod tests {
 
     fn frame(name: &str) -> Box<Frame> {
         let settings = Settings::paper(0.1, &MethodOptions::default()).expect("settings");
-        let outputs = OutputOptions {
-            folder: PathBuf::new(),
-            formats: Vec::new(),
-            up: gltf::UpAxis::Y,
-            meters_per_unit: 1.0,
-            vdb: vdb::ValueEncoding::default(),
-            picture: crate::pipeline::PictureOptions::default(),
-            stage: None,
-        };
+        let outputs = OutputOptions::new("", &[]);
+        let file = FrameFile::new(name.into());
         Box::new(Frame {
-            input: name.into(),
-            job: Job::default(),
             stem: name.to_owned(),
-            settings: Arc::new(settings),
-            outputs: Arc::new(outputs),
-            number: None,
-            obstacles: Arc::default(),
-            framing: None,
-            records: None,
+            ..Frame::new(&file, &Arc::new(settings), &Arc::new(outputs))
         })
     }
 

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   spacing given ───────────────────────────────────┐
-//!   in the journal, from an earlier run ─────────────┼──▶ fixed: every frame has the same
+//!   recorded, from an earlier run ───────────────────┼──▶ fixed: every frame has the same
 //!   measured on the first, middle and last of the ───┘
 //!   frames that are complete by then
 //! ```
@@ -19,12 +19,12 @@ use std::sync::Arc;
 use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
-    FileStamp, FrameError, FrameFile, Framing, Job, ObstacleStamps, OutputOptions, PictureOptions,
-    ReportedWarnings, are_single_frames, settings_fingerprint,
+    DoneRecord, FileStamp, FrameError, FrameFile, Framing, Job, ObstacleFiles, ObstacleStamps, OutputOptions,
+    PictureOptions, RecordedFrame, ReportedWarnings, SequenceCamera, SequenceKey, SharedSettings,
+    are_single_frames, recorded_settings, settings_id, valid_cameras,
 };
 use crate::surface::options::{self, Settings, SpacingOptions};
 use crate::watch::config::Watch;
-use crate::watch::journal::{JournaledSequence, SequenceCamera, SequenceKey};
 
 use super::frames::FrameId;
 
@@ -49,7 +49,7 @@ struct NameGroup {
 /// Frames whose names differ only in their frame number.
 #[derive(Debug)]
 pub(crate) struct WatchedSequence {
-    /// Its key in the journal.
+    /// Its key in the records.
     pub(crate) key: SequenceKey,
     /// The index of its root.
     pub(crate) root: usize,
@@ -70,13 +70,24 @@ pub(crate) struct WatchedSequence {
 }
 
 impl WatchedSequence {
-    /// The fingerprint of the settings and the obstacles of a frame; empty while the settings are unknown.
-    pub(crate) fn fingerprint(&self, obstacles: Option<&ObstacleStamps>) -> String {
+    /// The id of its settings; `None` while they are unknown.
+    pub(crate) fn settings_id(&self) -> Option<&str> {
         match &self.settings {
-            SequenceSettings::Fixed(settings, fingerprint) => {
-                fingerprint_with(settings, fingerprint, obstacles)
-            }
-            _ => String::new(),
+            SequenceSettings::Fixed(_, id) => Some(id),
+            _ => None,
+        }
+    }
+
+    /// Whether a frame was recorded with the settings of the sequence, apart from its obstacles.
+    pub(crate) fn has_settings_of(&self, record: &RecordedFrame, outputs: &OutputOptions) -> bool {
+        let has_camera = |done: &DoneRecord| {
+            let cameras = valid_cameras(outputs, self.framing.as_deref());
+            cameras.is_empty() || done.camera.as_ref().is_some_and(|camera| cameras.contains(camera))
+        };
+        match (&record.unfinished, &record.done) {
+            (Some(unfinished), _) => self.settings_id() == Some(&unfinished.settings),
+            (None, Some(done)) => self.settings_id() == Some(&done.settings) && has_camera(done),
+            (None, None) => false,
         }
     }
 }
@@ -84,7 +95,7 @@ impl WatchedSequence {
 /// The settings of a sequence, or what is missing for them.
 #[derive(Clone, Debug)]
 pub(crate) enum SequenceSettings {
-    /// The settings of all its frames, and their fingerprint.
+    /// The settings of all its frames, and their id in records.
     Fixed(Arc<Settings>, Arc<str>),
     /// Not measured yet; the options that affect the measurement.
     Unknown(SpacingOptions),
@@ -95,14 +106,14 @@ pub(crate) enum SequenceSettings {
 }
 
 impl Sequences {
-    /// The index of the sequence of a frame with this name. `remembered` returns what the journal knows about
-    /// a sequence that is new.
+    /// The index of the sequence of a frame with this name. `remembered` returns what is recorded of a
+    /// sequence that is new.
     pub(crate) fn index(
         &mut self,
         id: &FrameId,
         file: &FrameFile,
         watch: &Watch,
-        remembered: impl FnOnce(&SequenceKey) -> Option<JournaledSequence>,
+        remembered: impl FnOnce(&SequenceKey) -> Option<SharedSettings>,
     ) -> usize {
         let (folder, name) = file.sequence();
         let location = (id.root, folder, name);
@@ -177,7 +188,7 @@ impl Sequences {
 impl SequenceSettings {
     /// The settings, if nothing must be measured: the particle spacing is given or remembered, and so is the
     /// camera if pictures are requested.
-    pub(crate) fn new(watch: &Watch, remembered: Option<&JournaledSequence>) -> SequenceSettings {
+    pub(crate) fn new(watch: &Watch, remembered: Option<&SharedSettings>) -> SequenceSettings {
         let measured =
             remembered.and_then(|record| record.measured.as_ref()).map(options::SequenceSpacing::from);
         let lacks_camera = watch.outputs.needs_camera() && framing_of(watch, remembered).is_none();
@@ -193,10 +204,9 @@ impl SequenceSettings {
                 if lacks_camera {
                     return unknown();
                 }
-                // The fingerprint contains the requested camera, so refitting the camera makes no frame
-                // stale.
-                let fingerprint = settings_fingerprint(&settings, &watch.outputs).into();
-                Ok(SequenceSettings::Fixed(Arc::new(settings), fingerprint))
+                let obstacles = ObstacleFiles::new(watch.obstacles.clone());
+                let values = recorded_settings(&watch.job(), &settings, &watch.outputs, &obstacles);
+                Ok(SequenceSettings::Fixed(Arc::new(settings), settings_id(&values).into()))
             })
         };
         settings.unwrap_or_else(|error| SequenceSettings::Impossible(error.to_string()))
@@ -204,7 +214,7 @@ impl SequenceSettings {
 }
 
 /// The remembered camera of a sequence, if it was fitted for the current options.
-pub(crate) fn framing_of(watch: &Watch, remembered: Option<&JournaledSequence>) -> Option<Arc<Framing>> {
+pub(crate) fn framing_of(watch: &Watch, remembered: Option<&SharedSettings>) -> Option<Arc<Framing>> {
     let SequenceCamera { requested, framed } = remembered?.camera.as_ref()?;
     let is_requested = watch.outputs.needs_camera() && *requested == requested_camera(&watch.outputs);
     is_requested.then(|| Arc::new(Framing::new(&watch.outputs, framed.clone())))
@@ -216,16 +226,9 @@ pub(crate) fn requested_camera(outputs: &OutputOptions) -> String {
     format!("{width}x{height} {camera} {:?}", outputs.up())
 }
 
-/// The fingerprint of the settings and of the obstacles, if there are any. Obstacles are identified by their
-/// stamps, because their content is not read for the comparison.
-pub(crate) fn fingerprint_with(
-    settings: &Settings,
-    fingerprint: &str,
-    obstacles: Option<&ObstacleStamps>,
-) -> String {
-    let Some(stamps) = obstacles else { return fingerprint.to_owned() };
-    let text = format!("{fingerprint}\n{}\n{}", settings.void_threshold, stamps.text);
-    format!("{:016x}", XxHash3_64::oneshot(text.as_bytes()))
+/// A hash of the stamps of obstacles, for records: the content of obstacles is not read to compare them.
+pub(crate) fn obstacle_stamp(stamps: &ObstacleStamps) -> String {
+    format!("{:016x}", XxHash3_64::oneshot(stamps.text.as_bytes()))
 }
 
 /// A request to measure a sequence.
@@ -238,7 +241,7 @@ pub(crate) struct MeasureOrder {
     /// The options that affect the measurement.
     pub(crate) options: SpacingOptions,
     /// The known particle spacing, if only the camera is missing.
-    pub(crate) known: Option<JournaledSequence>,
+    pub(crate) known: Option<SharedSettings>,
     /// The configuration of the watched folder.
     pub(crate) watch: Watch,
 }
@@ -249,7 +252,7 @@ pub(crate) struct SpacingResult {
     /// The index of the sequence.
     pub(crate) sequence: usize,
     /// The particle spacing and its source, if one of the files yields it.
-    pub(crate) record: Option<JournaledSequence>,
+    pub(crate) record: Option<SharedSettings>,
     /// Files with too few particles.
     pub(crate) sparse: Vec<(FrameId, FileStamp)>,
     /// Files that cannot be read.

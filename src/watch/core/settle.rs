@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
-use crate::pipeline::{FileStamp, Job, natural_order, order_by_number, single_frames_note};
-use crate::watch::Reason;
-use crate::watch::journal::{Entry, JournaledSequence, JournaledStatus};
+use crate::pipeline::{
+    FileStamp, Job, Reason, RecordLine, SequenceKey, SharedSettings, UnfinishedState, natural_order,
+    order_by_number, single_frames_note,
+};
 
 use super::events::{Effect, Log, SlowRequest};
 use super::frames::{FrameId, FramePhase, FrameState};
@@ -15,7 +16,7 @@ impl Core {
     /// The index of the sequence of a file.
     pub(super) fn sequence_of(&mut self, id: &FrameId) -> usize {
         let watch = &self.config.watches[id.root];
-        let remembered = &self.outputs[self.output_of[id.root]].journal.sequences;
+        let remembered = &self.outputs[self.output_of[id.root]].recorded.sequences;
         let known_count = self.sequences.len();
         let file = id.frame_file(&self.roots[id.root].path);
         let index = self.sequences.index(id, &file, watch, |key| remembered.get(key).cloned());
@@ -89,8 +90,8 @@ impl Core {
         let files: Vec<(FrameId, FileStamp)> =
             members.into_iter().map_while(|(id, stamp)| Some((id.clone(), stamp?))).collect();
         let watch = self.config.watches[sequence.root].clone();
-        let remembered = self.output(sequence.root).journal.sequences.get(&sequence.key).cloned();
-        let given = (!watch.needs_spacing()).then(JournaledSequence::default);
+        let remembered = self.output(sequence.root).recorded.sequences.get(&sequence.key).cloned();
+        let given = (!watch.needs_spacing()).then(SharedSettings::default);
         let (options, known) = (options.clone(), given.or(remembered));
         (!files.is_empty()).then_some(MeasureOrder { sequence: index, files, options, known, watch })
     }
@@ -125,9 +126,9 @@ impl Core {
         }
         if let Some(record) = record {
             let key = self.sequences.get(index).key.clone();
-            let known = self.output(root).journal.sequences.get(&key);
+            let known = self.output(root).recorded.sequences.get(&key);
             let log = self.log_of_settings(index, headline_of(&record, known), warnings);
-            self.record(self.output_of[root], Entry::Sequence { key, record: Box::new(record) }, log);
+            self.record_sequence(root, key, record, log);
             self.changed_sequences.push(index);
             for id in
                 self.frames.ids_of(|_, frame| frame.sequence == index && frame.phase == FramePhase::Held)
@@ -144,7 +145,7 @@ impl Core {
         let sequence = self.sequences.get(index);
         let Some(framed) = sequence.framing.as_ref().map(|framing| framing.framed()) else { return };
         let (root, key) = (sequence.root, sequence.key.clone());
-        let Some(mut record) = self.output(root).journal.sequences.get(&key).cloned() else { return };
+        let Some(mut record) = self.output(root).recorded.sequences.get(&key).cloned() else { return };
         let Some(camera) = record.camera.as_mut().filter(|camera| camera.framed != framed) else { return };
         camera.framed = framed;
         let path = key.folder.join(&key.name);
@@ -153,7 +154,14 @@ impl Core {
                 "a frame exceeds the camera's view: the camera is refitted for this frame and later ones";
             tracing::info!(sequence = %path.display(), "{what}");
         });
-        self.record(self.output_of[root], Entry::Sequence { key, record: Box::new(record) }, Some(log));
+        self.record_sequence(root, key, record, Some(log));
+    }
+
+    fn record_sequence(&mut self, root: usize, key: SequenceKey, shared: SharedSettings, log: Option<Log>) {
+        // The latest record counts, also if the clock was set back.
+        let after = self.output(root).recorded.sequences.get(&key).map_or(0, |known| known.at_ms + 1);
+        let shared = Box::new(SharedSettings { at_ms: self.now.unix_ms.max(after), ..shared });
+        self.record(self.output_of[root], RecordLine::Sequence { key, shared }, log);
     }
 
     /// Logs, once, that frames wait for another one with more particles.
@@ -168,7 +176,7 @@ impl Core {
             self.log_about(path, move |sequence| tracing::warn!(%sequence, "{why}"));
         }
         for id in sparse {
-            self.record_status(id, JournaledStatus::Queued, Some(why.clone()), None);
+            self.record_state(id, UnfinishedState::Queued, Some(why.clone()), None);
         }
     }
 
@@ -207,7 +215,7 @@ impl Core {
 
 /// The message about the settings of a sequence: its particle spacing was measured, or was given or known
 /// already.
-fn headline_of(record: &JournaledSequence, known: Option<&JournaledSequence>) -> &'static str {
+fn headline_of(record: &SharedSettings, known: Option<&SharedSettings>) -> &'static str {
     let was_known = known.is_some_and(|known| known.measured.is_some());
     if record.measured.is_some() && !was_known {
         return "measured the particle spacing, for all frames of the sequence";
@@ -227,7 +235,7 @@ mod tests {
 
     #[test]
     fn only_a_new_spacing_is_announced_as_measured() {
-        let given = JournaledSequence::default();
+        let given = SharedSettings::default();
         let spacing = MeasuredSpacing {
             spacing: 0.1,
             confidence: 1.0,
@@ -236,7 +244,7 @@ mod tests {
             measured_count: 1,
             warnings: Vec::new(),
         };
-        let measured = JournaledSequence { measured: Some(spacing), camera: None };
+        let measured = SharedSettings { measured: Some(spacing), ..SharedSettings::default() };
         let is_announced =
             |record, known| headline_of(record, known).starts_with("measured the particle spacing");
         assert!(is_announced(&measured, None));

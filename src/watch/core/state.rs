@@ -5,9 +5,8 @@ use std::path::{self, Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::pipeline::{ObstacleFiles, OutputOptions};
+use crate::pipeline::{DaemonRecord, DaemonState, ObstacleFiles, OutputOptions, RecordLine, RecordedState};
 use crate::watch::config::{Watch, WatchConfig};
-use crate::watch::journal::{DaemonRecord, DaemonState, Entry, JournalState};
 use crate::watch::status_store::Counters;
 
 use super::disk_guard::{DiskGuard, FoundSpace};
@@ -20,7 +19,7 @@ use super::sequences::Sequences;
 /// each event, and actions are collected as effects.
 pub(crate) struct Core {
     pub(super) config: Arc<WatchConfig>,
-    /// Identifies this daemon in the journal, with its last recorded state.
+    /// Identifies this daemon in the records, with its last recorded state.
     identity: DaemonRecord,
     pub(super) roots: Vec<RootState>,
     pub(super) outputs: Vec<OutputFolder>,
@@ -75,7 +74,7 @@ pub(crate) struct RootState {
 pub(crate) struct OutputFolder {
     /// The absolute path.
     pub(super) folder: PathBuf,
-    pub(super) journal: JournalState,
+    pub(super) recorded: RecordedState,
     pub(super) is_mounted: bool,
     pub(super) free_bytes: Option<u64>,
     /// Whether its worker does not respond.
@@ -98,12 +97,12 @@ pub(crate) const STALL_AFTER: Duration = Duration::from_secs(5);
 
 impl Core {
     /// The initial state. `roots` are the absolute paths of the watched folders, and `outputs` the folders of
-    /// outputs with their journals.
+    /// outputs with what is recorded there.
     pub(crate) fn new(
         config: Arc<WatchConfig>,
         identity: DaemonRecord,
         roots: Vec<(PathBuf, Arc<ObstacleFiles>)>,
-        outputs: Vec<(PathBuf, JournalState)>,
+        outputs: Vec<(PathBuf, RecordedState)>,
         output_of: Vec<usize>,
         now: Now,
     ) -> Core {
@@ -115,9 +114,9 @@ impl Core {
             was_scanned: false,
             unreadable: BTreeMap::new(),
         };
-        let new_output = |(folder, journal)| OutputFolder {
+        let new_output = |(folder, recorded)| OutputFolder {
             folder,
-            journal,
+            recorded,
             is_mounted: true,
             free_bytes: None,
             has_stalled: false,
@@ -205,17 +204,17 @@ impl Core {
         self.effects.push(Effect::Root(root, request));
     }
 
-    /// Keeps a record, and requests that it be written to the journal. `log` is written after the record.
-    pub(super) fn record(&mut self, output: usize, entry: Entry, log: Option<Log>) {
-        self.outputs[output].journal.take(entry.clone());
-        self.effects.push(Effect::Output(output, OutputRequest::Record(entry, log)));
+    /// Keeps a record, and requests that it be written. `log` is written after the record.
+    pub(super) fn record(&mut self, output: usize, line: RecordLine, log: Option<Log>) {
+        self.outputs[output].recorded.take(&line);
+        self.effects.push(Effect::Output(output, OutputRequest::Record(line, log)));
     }
 
     /// Records the state of the daemon.
     pub(crate) fn record_daemon(&mut self, state: DaemonState) {
         self.identity = DaemonRecord { state, at_ms: self.now.unix_ms, ..self.identity.clone() };
         for output in 0..self.outputs.len() {
-            self.record(output, Entry::Daemon(self.identity.clone()), None);
+            self.record(output, RecordLine::Daemon(self.identity.clone()), None);
         }
     }
 

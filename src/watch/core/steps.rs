@@ -3,7 +3,7 @@
 //! ```text
 //!   dump.lammpstrj   settling ──▶ searched ──────▶ steps ──── written again ────▶ settling ..
 //!                                 (another thread)   │
-//!   step=0                                           ├──▶ done already, by the journal
+//!   step=0                                           ├──▶ done already, by its record
 //!   step=1000                                        ├──▶ held ──▶ queued ──▶ done
 //!   step=2000                                        └──▶ held ..
 //! ```
@@ -18,8 +18,7 @@
 
 use std::time::Instant;
 
-use crate::pipeline::{FileFrames, FileStamp};
-use crate::watch::Reason;
+use crate::pipeline::{FileFrames, FileStamp, Reason};
 
 use super::completeness::{Candidate, FileHint, Seen};
 use super::events::{Effect, FoundSteps, SlowRequest, StepsOrder};

@@ -9,18 +9,14 @@ use std::time::{Duration, Instant};
 use meniscus_formats::Error;
 
 use crate::pipeline::{
-    FileStamp, Frame, FrameError, FrameReport, MeasuredSpacing, Outcome, OutputFormat, OutputOptions,
-    ReadInput, Stage,
+    ChangedOutput, DaemonRecord, DaemonState, DoneRecord, FileStamp, Frame, FrameError, FrameReport,
+    MeasuredSpacing, Outcome, OutputFormat, OutputOptions, ReadInput, Reason, RecordLine, RecordedState,
+    SharedSettings, Stage, UnfinishedRecord, UnfinishedState,
 };
 use crate::surface::options::MethodOptions;
 use crate::watch::api::EndReason;
 use crate::watch::config::{Order, Poll, Watch, WatchConfig};
-use crate::watch::journal::{
-    DaemonRecord, DaemonState, Entry, JournalState, JournaledFrame, JournaledSequence, JournaledStatus,
-    OutputCheck, OutputRecord,
-};
-
-use crate::watch::Reason;
+use crate::watch::test_records::done_record;
 
 use super::completeness::{FileHint, Proof, Seen};
 use super::events::{
@@ -49,7 +45,7 @@ struct Rig {
     inspections: Vec<Inspect>,
     started: Vec<(FrameId, Box<Frame>)>,
     orders: Vec<MeasureOrder>,
-    records: Vec<Entry>,
+    records: Vec<RecordLine>,
 }
 
 fn config(root_count: usize, choices: &MethodOptions) -> WatchConfig {
@@ -77,10 +73,10 @@ impl Rig {
     /// Roots `/in0` and so on with outputs in `/out0` and so on, with known settings, and one pipeline.
     fn new(root_count: usize) -> Rig {
         let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
-        Rig::with(config(root_count, &choices), JournalState::default())
+        Rig::with(config(root_count, &choices), RecordedState::default())
     }
 
-    fn with(config: WatchConfig, journal: JournalState) -> Rig {
+    fn with(config: WatchConfig, recorded: RecordedState) -> Rig {
         let now = Now { at: Instant::now(), unix_ms: 1000 };
         let count = config.watches.len();
         let identity = DaemonRecord {
@@ -100,7 +96,7 @@ impl Rig {
             }
             output_of.extend(folders.iter().position(|known| known == folder));
         }
-        let outputs = folders.into_iter().map(|folder| (folder, journal.clone())).collect();
+        let outputs = folders.into_iter().map(|folder| (folder, recorded.clone())).collect();
         let mut core = Core::new(Arc::new(config), identity, roots, outputs, output_of, now);
         core.claim_recorded(|root, path| path.starts_with(format!("/in{root}")));
         core.start();
@@ -137,7 +133,7 @@ impl Rig {
                 match effect {
                     Effect::Root(_, RootRequest::Inspect(inspect)) => self.inspections.push(*inspect),
                     Effect::Slow(SlowRequest::Measure(order)) => self.orders.push(*order),
-                    Effect::Output(_, OutputRequest::Record(entry, _)) => self.records.push(entry),
+                    Effect::Output(_, OutputRequest::Record(line, _)) => self.records.push(line),
                     Effect::Start(Start { id, frame, .. }) => self.started.push((id, frame)),
                     Effect::Root(..) | Effect::Slow(..) | Effect::Output(..) | Effect::Log(_) => {}
                 }
@@ -168,10 +164,11 @@ impl Rig {
     fn found(&self, inspect: &Inspect, waits: Option<Reason>) -> InspectionResult {
         let mut changed_output = None;
         if let Some(recorded) = &inspect.recorded {
-            let gone = recorded.record.outputs.iter().find(|output| !self.outputs.contains(&output.path));
-            match gone {
+            let folder = &self.core.output(inspect.id.root).folder;
+            let outputs = recorded.record.if_done().into_iter().flat_map(|done| done.output_paths(folder));
+            match outputs.into_iter().find(|path| !self.outputs.contains(path)) {
                 None => return InspectionResult::AsRecorded,
-                Some(gone) => changed_output = Some((gone.path.clone(), OutputCheck::Missing)),
+                Some(path) => changed_output = Some(ChangedOutput { path, is_missing: true }),
             }
         }
         if let Some(why) = waits.filter(|_| inspect.candidate.is_some()) {
@@ -231,25 +228,32 @@ impl Rig {
     }
 
     fn finish(&mut self, path: &str, outcome: Outcome) {
-        let outputs = match &outcome {
-            Outcome::Converted(_) | Outcome::AlreadyDone { .. } => vec![self.output_of(path)],
-            _ => Vec::new(),
-        };
-        self.outputs.extend(outputs.iter().map(|output| output.path.clone()));
-        let finished = FrameFinished { id: id(path), outputs, outcome, free_bytes: Some(0) };
+        if let Outcome::Converted(report) = &outcome
+            && let Some(record) = &report.record
+        {
+            self.outputs.extend(record.output_paths(&self.core.output(id(path).root).folder));
+        }
+        let finished = FrameFinished { id: id(path), outcome, free_bytes: Some(0) };
         self.event(Event::FrameFinished(Box::new(finished)));
-    }
-
-    fn output_of(&self, path: &str) -> OutputRecord {
-        let id = id(path);
-        let folder = &self.core.config.watches[id.root].outputs.folder;
-        OutputRecord::of_size(folder.join(name(&id).replace(".ply", ".glb")), 1)
     }
 
     fn convert(&mut self, path: &str) {
         let stamp = self.files.get(Path::new(path)).expect("there").0;
-        let input = ReadInput { stamp, hash: 7 };
-        self.finish(path, Outcome::Converted(Box::new(FrameReport { input, ..FrameReport::default() })));
+        self.convert_from(path, stamp);
+    }
+
+    /// The pipeline has converted the frame from a file with this stamp.
+    fn convert_from(&mut self, path: &str, stamp: FileStamp) {
+        let id = id(path);
+        let sequence = self.core.frames.get(&id).expect("known").sequence;
+        let settings = self.core.sequences.get(sequence).settings_id().unwrap_or_default().to_owned();
+        let at_ms = self.now.unix_ms;
+        let record = DoneRecord { settings, at_ms, ..(*done_record(&id.path, stamp)).clone() };
+        let (input, record) = (ReadInput { stamp, hash: 7 }, Some(Arc::new(record)));
+        self.finish(
+            path,
+            Outcome::Converted(Box::new(FrameReport { input, record, ..FrameReport::default() })),
+        );
     }
 
     fn fail(&mut self, path: &str, during: Stage, kind: io::ErrorKind) {
@@ -263,10 +267,11 @@ impl Rig {
         self.event(Event::OutputDirChecked(found));
     }
 
-    /// The recorded statuses of a frame, in order.
-    fn statuses(&self, path: &str) -> Vec<JournaledStatus> {
-        let of_frame = |entry: &Entry| match entry {
-            Entry::Frame { input, record } if **input == *Path::new(path) => Some(record.status),
+    /// The recorded states of a frame, in order; `None` when it was done.
+    fn states(&self, path: &str) -> Vec<Option<UnfinishedState>> {
+        let of_frame = |line: &RecordLine| match line {
+            RecordLine::Done(record) if record.input == *path => Some(None),
+            RecordLine::Unfinished(record) if record.input == *path => Some(Some(record.state)),
             _ => None,
         };
         self.records.iter().filter_map(of_frame).collect()
@@ -308,7 +313,7 @@ fn complete_frame_goes_to_the_pipeline_that_asked_for_one() {
     assert_eq!(rig.started(), ["a.1.ply", "a.2.ply"]);
     rig.convert("/in0/a.1.ply");
     assert_eq!(rig.status(), "1 done, 2 queued");
-    assert_eq!(rig.statuses("/in0/a.1.ply"), [JournaledStatus::Queued, JournaledStatus::Done]);
+    assert_eq!(rig.states("/in0/a.1.ply"), [Some(UnfinishedState::Queued), None]);
 }
 
 #[test]
@@ -373,8 +378,7 @@ fn file_that_changes_while_it_is_converted_is_converted_again() {
     rig.put("/in0/a.1.ply", 2);
     rig.want();
     assert!(rig.started().is_empty(), "it is in progress");
-    let input = ReadInput { stamp: stamp(1), hash: 7 };
-    rig.finish("/in0/a.1.ply", Outcome::Converted(Box::new(FrameReport { input, ..FrameReport::default() })));
+    rig.convert_from("/in0/a.1.ply", stamp(1));
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.finish("/in0/a.1.ply", Outcome::Changed);
     rig.want();
@@ -440,7 +444,7 @@ fn failures_are_retried_with_growing_waits_up_to_a_limit() {
         rig.fail("/in0/a.1.ply", Stage::Read, io::ErrorKind::PermissionDenied);
     }
     assert_eq!(waits[..6], [0.0, 0.5, 1.0, 2.0, 4.0, 8.0]);
-    assert_eq!(rig.statuses("/in0/a.1.ply").last(), Some(&JournaledStatus::RetriesExhausted));
+    assert_eq!(rig.states("/in0/a.1.ply").last(), Some(&Some(UnfinishedState::GivenUp)));
     rig.want();
     rig.pass(Duration::from_secs(3600));
     assert!(rig.started().is_empty());
@@ -470,7 +474,7 @@ fn low_disk_space_pauses_until_there_is_more() {
     rig.output_dir(0, Presence::Present, GIB - 1);
     rig.pass(4 * SECOND);
     assert!(rig.started().is_empty());
-    assert_eq!(rig.statuses("/in0/a.1.ply").last(), Some(&JournaledStatus::Queued));
+    assert_eq!(rig.states("/in0/a.1.ply").last(), Some(&Some(UnfinishedState::Queued)));
     rig.output_dir(0, Presence::Present, 2 * GIB);
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
@@ -554,7 +558,7 @@ fn outputs_claimed_twice_belong_to_the_first_frame_until_it_is_removed() {
     rig.put("/in0/a.1.ply", 1);
     rig.put("/in0/a.1.csv", 1);
     assert_eq!(rig.started(), ["a.1.ply"]);
-    assert_eq!(rig.statuses("/in0/a.1.csv"), [JournaledStatus::Refused]);
+    assert_eq!(rig.states("/in0/a.1.csv"), [Some(UnfinishedState::Refused)]);
     rig.convert("/in0/a.1.ply");
     rig.files.remove(Path::new("/in0/a.1.ply"));
     rig.send_event("/in0/a.1.ply");
@@ -569,15 +573,15 @@ fn recorded_owner_keeps_its_outputs_whichever_folder_is_scanned_first() {
     let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
     let mut config = config(2, &choices);
     config.watches[1].outputs.folder = "/out0".into();
-    let mut before = Rig::with(config.clone(), JournalState::default());
+    let mut before = Rig::with(config.clone(), RecordedState::default());
     before.want();
     before.put("/in1/a.1.ply", 1);
     before.convert("/in1/a.1.ply");
-    let mut journal = JournalState::default();
-    before.records.into_iter().for_each(|entry| journal.take(entry));
+    let mut recorded = RecordedState::default();
+    before.records.iter().for_each(|line| recorded.take(line));
 
     let restart = |files: &[&str]| {
-        let mut rig = Rig::with(config.clone(), journal.clone());
+        let mut rig = Rig::with(config.clone(), recorded.clone());
         rig.outputs.clone_from(&before.outputs);
         rig.files.extend(files.iter().map(|file| (PathBuf::from(file), (stamp(1), None))));
         rig.want();
@@ -589,7 +593,7 @@ fn recorded_owner_keeps_its_outputs_whichever_folder_is_scanned_first() {
     let mut rig = restart(&["/in0/a.1.ply", "/in1/a.1.ply"]);
     assert!(rig.started().is_empty());
     assert_eq!(rig.status(), "1 done, 0 queued, 1 failed");
-    assert_eq!(rig.statuses("/in0/a.1.ply"), [JournaledStatus::Refused]);
+    assert_eq!(rig.states("/in0/a.1.ply"), [Some(UnfinishedState::Refused)]);
     let mut rig = restart(&["/in0/a.1.ply"]);
     assert_eq!(rig.started(), ["a.1.ply"], "the owner is gone");
 }
@@ -601,7 +605,7 @@ fn frame_whose_output_would_replace_a_users_file_is_refused() {
     rig.conflicts.insert("/out0/a.1.glb".into(), "its output would replace a particle file".to_owned());
     rig.put("/in0/a.1.ply", 1);
     assert!(rig.started().is_empty());
-    assert_eq!(rig.statuses("/in0/a.1.ply"), [JournaledStatus::Refused]);
+    assert_eq!(rig.states("/in0/a.1.ply"), [Some(UnfinishedState::Refused)]);
 }
 
 #[test]
@@ -615,10 +619,10 @@ fn refused_frame_is_checked_at_each_scan() {
     rig.scan(0);
     rig.scan(0);
     assert!(rig.started().is_empty());
-    assert_eq!(rig.statuses("/in0/a.1.ply"), [JournaledStatus::Refused]);
+    assert_eq!(rig.states("/in0/a.1.ply"), [Some(UnfinishedState::Refused)]);
     rig.conflicts.insert(output, "its output would replace an obstacle".to_owned());
     rig.scan(0);
-    assert_eq!(rig.statuses("/in0/a.1.ply"), [JournaledStatus::Refused; 2]);
+    assert_eq!(rig.states("/in0/a.1.ply"), [Some(UnfinishedState::Refused); 2]);
     // While the outputs are not mounted, the other file only seems to be gone.
     rig.conflicts.clear();
     rig.output_dir(0, Presence::Missing, 2 * GIB);
@@ -632,32 +636,38 @@ fn refused_frame_is_checked_at_each_scan() {
     assert!(refused.is_empty(), "{refused:?}");
 }
 
-/// A journal with a record of one frame with this status.
-fn journal(status: JournaledStatus) -> JournalState {
+/// What is recorded of one frame that was converted, and then was in this state.
+fn recorded(state: Option<UnfinishedState>) -> RecordedState {
     let mut rig = Rig::new(1);
     rig.want();
     rig.put("/in0/a.1.ply", 1);
     rig.convert("/in0/a.1.ply");
-    let Some(Entry::Frame { input: path, record }) = rig.records.pop() else { panic!("no record") };
-    let mut journal = JournalState::default();
-    journal
-        .take(Entry::Frame { input: path, record: Arc::new(JournaledFrame { status, ..(*record).clone() }) });
-    journal
+    let mut recorded = RecordedState::default();
+    rig.records.iter().for_each(|line| recorded.take(line));
+    let queued = rig.records.iter().find_map(|line| match line {
+        RecordLine::Unfinished(record) => Some(UnfinishedRecord::clone(record)),
+        _ => None,
+    });
+    if let Some(state) = state {
+        let record = UnfinishedRecord { state, ..queued.expect("it was queued") };
+        recorded.take(&RecordLine::Unfinished(record.into()));
+    }
+    recorded
 }
 
 #[test]
 fn after_a_restart_only_unfinished_frames_are_converted() {
     let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
-    for (status, has_output, expected) in [
-        (JournaledStatus::Done, true, 0),
-        (JournaledStatus::Done, false, 1),
-        (JournaledStatus::Failed, true, 0),
-        (JournaledStatus::Queued, true, 1),
-        (JournaledStatus::Retrying, true, 1),
-        (JournaledStatus::RetriesExhausted, true, 1),
-        (JournaledStatus::Refused, true, 1),
+    for (state, has_output, expected) in [
+        (None, true, 0),
+        (None, false, 1),
+        (Some(UnfinishedState::Failed), true, 0),
+        (Some(UnfinishedState::Queued), true, 1),
+        (Some(UnfinishedState::Retrying), true, 1),
+        (Some(UnfinishedState::GivenUp), true, 1),
+        (Some(UnfinishedState::Refused), true, 1),
     ] {
-        let mut rig = Rig::with(config(1, &choices), journal(status));
+        let mut rig = Rig::with(config(1, &choices), recorded(state));
         rig.want();
         rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
         if has_output {
@@ -665,11 +675,11 @@ fn after_a_restart_only_unfinished_frames_are_converted() {
         }
         rig.scan(0);
         assert!(rig.core.is_ready());
-        assert_eq!(rig.started().len(), expected, "{status:?}");
+        assert_eq!(rig.started().len(), expected, "{state:?}");
     }
     // With other settings, the frame is converted again.
     let other = MethodOptions { spacing: Some(0.2), ..MethodOptions::default() };
-    let mut rig = Rig::with(config(1, &other), journal(JournaledStatus::Done));
+    let mut rig = Rig::with(config(1, &other), recorded(None));
     rig.outputs.insert("/out0/a.1.glb".into());
     rig.want();
     rig.put("/in0/a.1.ply", 1);
@@ -679,7 +689,7 @@ fn after_a_restart_only_unfinished_frames_are_converted() {
 #[test]
 fn run_with_once_is_drained_only_when_all_frames_are_done() {
     let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
-    let mut rig = Rig::with(WatchConfig { once: true, ..config(1, &choices) }, JournalState::default());
+    let mut rig = Rig::with(WatchConfig { once: true, ..config(1, &choices) }, RecordedState::default());
     assert!(!rig.core.is_drained(), "nothing was scanned yet");
     rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
     rig.holds_inspections = true;
@@ -697,7 +707,7 @@ fn run_with_once_is_drained_only_when_all_frames_are_done() {
 #[test]
 fn run_with_once_fails_if_a_folder_hangs() {
     let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
-    let mut rig = Rig::with(WatchConfig { once: true, ..config(2, &choices) }, JournalState::default());
+    let mut rig = Rig::with(WatchConfig { once: true, ..config(2, &choices) }, RecordedState::default());
     rig.want();
     rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
     rig.scan(0);
@@ -751,8 +761,9 @@ fn reasons_are_recorded() {
     let reasons: Vec<Option<Reason>> = rig
         .records
         .iter()
-        .filter_map(|entry| match entry {
-            Entry::Frame { record, .. } => Some(record.reason.clone()),
+        .filter_map(|line| match line {
+            RecordLine::Unfinished(record) => Some(record.reason.clone()),
+            RecordLine::Done(_) => Some(None),
             _ => None,
         })
         .collect();
@@ -763,7 +774,8 @@ fn reasons_are_recorded() {
     assert_eq!([new, done, again], [&Some(Reason::New), &None, &Some(Reason::Touched)]);
     assert!(error.starts_with("/in0/a.1.ply"), "{error}");
     let failed = rig.core.record_of(&id(path)).expect("recorded");
-    assert_eq!((failed.status, failed.outputs.len()), (JournaledStatus::Retrying, 1));
+    let state = failed.unfinished.as_ref().map(|record| record.state);
+    assert_eq!((state, failed.done.is_some()), (Some(UnfinishedState::Retrying), true));
 }
 
 /// A waiting file that turns out to be no frame must not stay listed as waiting.
@@ -789,12 +801,12 @@ fn waiting_file_that_is_no_frame_is_recorded_as_ignored() {
         found: InspectionResult::Complete(complete),
         obstacles: None,
     })));
-    assert_eq!(rig.statuses(path), [JournaledStatus::Waiting, JournaledStatus::Ignored]);
+    assert_eq!(rig.states(path), [UnfinishedState::Waiting, UnfinishedState::Ignored].map(Some));
 }
 
 #[test]
 fn sequence_is_measured_when_all_its_frames_were_inspected() {
-    let mut rig = Rig::with(config(1, &MethodOptions::default()), JournalState::default());
+    let mut rig = Rig::with(config(1, &MethodOptions::default()), RecordedState::default());
     rig.want();
     rig.files.extend((1..=3).map(|number| (format!("/in0/a.{number}.ply").into(), (stamp(1), None))));
     rig.holds_inspections = true;
@@ -822,7 +834,7 @@ fn sequence_is_measured_when_all_its_frames_were_inspected() {
     };
     rig.event(Event::Measured(Box::new(SpacingResult {
         sequence: order.sequence,
-        record: Some(JournaledSequence { measured: Some(measured), camera: None }),
+        record: Some(SharedSettings { measured: Some(measured), ..SharedSettings::default() }),
         sparse: Vec::new(),
         unreadable: Vec::new(),
         changed: None,

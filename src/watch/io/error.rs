@@ -13,7 +13,7 @@ use super::selection::PatternError;
 pub enum DaemonError {
     /// A folder cannot hold outputs.
     Out(OutFolderError),
-    /// A folder of outputs cannot be read, or its journal cannot be opened.
+    /// A folder of outputs cannot be read, or its records cannot be read.
     Folder {
         /// The folder.
         folder: PathBuf,

@@ -7,7 +7,8 @@ use std::time::Instant;
 use meniscus_formats::{Completeness, completeness};
 
 use crate::pipeline::{
-    Conflict, FileStamp, ObstacleStamps, SniffedContent, content, may_hold_several, open_regular,
+    ChangedOutput, Conflict, FileStamp, ObstacleStamps, SniffedContent, content, may_hold_several,
+    open_regular,
 };
 use crate::watch::config::{StabilityTimeouts, Watch};
 use crate::watch::core::completeness::{
@@ -17,8 +18,7 @@ use crate::watch::core::events::{
     Complete, FileContents, Inspect, Inspected, InspectionExtent, InspectionResult, Recorded,
 };
 use crate::watch::core::frames::FrameId;
-use crate::watch::core::sequences::fingerprint_with;
-use crate::watch::journal::OutputCheck;
+use crate::watch::core::sequences::obstacle_stamp;
 
 use super::root::Root;
 use super::scan::file_state;
@@ -44,7 +44,7 @@ impl Root {
     fn find(&self, request: &Inspect, obstacles: Option<&ObstacleStamps>) -> InspectionResult {
         let Inspect { id, stamp, outputs, .. } = request;
         let is_as_recorded = |recorded: &Recorded| {
-            changed_output_of(recorded).is_none() && has_recorded_settings(recorded, obstacles)
+            self.changed_output_of(recorded).is_none() && has_recorded_obstacles(recorded, obstacles)
         };
         let was_just_seen = request.extent == InspectionExtent::AllOfJustSeen;
         if was_just_seen && request.recorded.as_ref().is_some_and(is_as_recorded) {
@@ -65,8 +65,8 @@ impl Root {
         }
         let mut changed_output = None;
         if let Some(recorded) = &request.recorded {
-            changed_output = changed_output_of(recorded);
-            if changed_output.is_none() && has_recorded_settings(recorded, obstacles) {
+            changed_output = self.changed_output_of(recorded);
+            if changed_output.is_none() && has_recorded_obstacles(recorded, obstacles) {
                 return InspectionResult::AsRecorded;
             }
             if changed_output.is_some() && !self.output.is_in_place() {
@@ -91,6 +91,11 @@ impl Root {
             FileContents::NotParticles | FileContents::Neighbor(_) | FileContents::Unreadable(_) => None,
         };
         InspectionResult::Complete(Complete { proof, changed_output, contents, conflict })
+    }
+
+    /// The first recorded output that has changed.
+    fn changed_output_of(&self, recorded: &Recorded) -> Option<ChangedOutput> {
+        recorded.record.if_done()?.changed_output(&self.output.folder)
     }
 
     /// Why these outputs must not be written: one would replace particles, a mesh or a level set of
@@ -121,18 +126,8 @@ fn replacement(output: &Path) -> String {
     Conflict::ReplacesData { output: output.to_owned(), other_count: 0 }.to_string()
 }
 
-fn changed_output_of(recorded: &Recorded) -> Option<(PathBuf, OutputCheck)> {
-    let mut checks = recorded.record.outputs.iter().map(|output| (&output.path, output.check()));
-    let (path, check) = checks.find(|(_, check)| *check != OutputCheck::Unchanged)?;
-    // The check counts a truncated output as missing, although it exists: report it as touched.
-    let exists = check == OutputCheck::Missing && path.symlink_metadata().is_ok();
-    Some((path.clone(), if exists { OutputCheck::Touched } else { check }))
-}
-
-fn has_recorded_settings(recorded: &Recorded, obstacles: Option<&ObstacleStamps>) -> bool {
-    recorded.settings.as_ref().is_none_or(|(settings, fingerprint)| {
-        fingerprint_with(settings, fingerprint, obstacles) == recorded.record.settings
-    })
+fn has_recorded_obstacles(recorded: &Recorded, obstacles: Option<&ObstacleStamps>) -> bool {
+    !recorded.checks_obstacles || recorded.record.obstacle_stamp() == obstacles.map(obstacle_stamp).as_ref()
 }
 
 fn contents_of(id: &FrameId) -> FileContents {

@@ -18,9 +18,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 pub use crate::pipeline::host_name;
-use crate::pipeline::{has_other_names, is_still_at, open_own};
-
-use crate::watch::journal::STATE_FOLDER;
+use crate::pipeline::{STATE_FOLDER, has_other_names, is_still_at, open_own};
 
 /// The name of the lock file, in the daemon's state folder.
 pub(crate) const FILE_NAME: &str = "lock";

@@ -1,8 +1,8 @@
-//! All code that may block: files, folders, mounts, the journal on disk, and the pipeline.
+//! All code that may block: files, folders, mounts, the records on disk, and the pipeline.
 //!
 //! ```text
 //!   root         a watched folder: scans, events, inspections     slow         measuring, finding steps
-//!   output_dir   a folder of outputs: journal, lock, free space   pipeline     converts frames
+//!   output_dir   a folder of outputs: records, lock, free space   pipeline     converts frames
 //!   worker       the thread of either, and its stall detection
 //!   stages       the stages of a folder of outputs
 //!   inspect, writers, scan, selection, fs_events, mounts, lock   what the workers call

@@ -1,9 +1,8 @@
-//! A folder of outputs: takes its lock, removes leftover temporary files, and opens its journal. The folder's
-//! thread writes the journal and checks that the folder exists and has free space, so a file system that
+//! A folder of outputs: takes its lock, removes leftover temporary files, and reads its records. The folder's
+//! thread writes records and checks that the folder exists and has free space, so a file system that
 //! hangs delays nothing else.
 
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -12,7 +11,6 @@ use crate::pipeline::{FrameRecords, STATE_FOLDER, make_out_folder, remove_left_b
 use crate::surface::words::pluralize;
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, OutputDirState, OutputRequest, Presence};
-use crate::watch::journal::{FILE_NAME as JOURNAL_FILE_NAME, Journal};
 
 use super::error::DaemonError;
 use super::lock::{FILE_NAME as LOCK_FILE_NAME, OutputLock};
@@ -24,9 +22,8 @@ use super::worker::Work;
 pub(super) struct OutputDir {
     index: usize,
     guard: Arc<OutputGuard>,
-    journal: Journal,
-    /// When the last attempt to write the journal failed; `None` if it succeeded.
-    journal_failed_at: Option<Instant>,
+    /// When the last attempt to write records failed; `None` if it succeeded.
+    records_failed_at: Option<Instant>,
     /// Whether the folder is in place. If another one has replaced it, nothing is written there.
     is_mounted: bool,
     next_check: Instant,
@@ -56,7 +53,7 @@ const CHECK_EVERY: Duration = Duration::from_secs(1);
 
 /// Opens all folders of outputs; also returns the index of the folder of each watch.
 ///
-/// Creates the folders, locks them, reads their journals, and removes the temporary files of earlier runs
+/// Creates the folders, locks them, reads their records, and removes the temporary files of earlier runs
 /// that were killed.
 ///
 /// # Errors
@@ -85,8 +82,6 @@ impl OutputDir {
         let state_folder = folder.join(STATE_FOLDER);
         let failed = |source| DaemonError::Folder { folder: folder.clone(), source };
         let device = device(&folder).map_err(failed)?;
-        let journal = Journal::open(&state_folder)
-            .map_err(|source| DaemonError::Folder { folder: state_folder.join(JOURNAL_FILE_NAME), source })?;
         match sweep(&folder) + sweep_one(&state_folder) {
             0 => {}
             count => {
@@ -95,7 +90,10 @@ impl OutputDir {
             }
         }
         let records = FrameRecords::open(&folder)
-            .map_err(|source| DaemonError::Folder { folder: folder.join(STATE_FOLDER), source })?;
+            .map_err(|source| DaemonError::Folder { folder: state_folder, source })?;
+        for problem in records.problems() {
+            tracing::warn!(folder = %folder.display(), "{problem}: converting the frames that are recorded there again");
+        }
         let locked = Mutex::new(LockedFolder { lock, device });
         let stages = FolderStages::new(&folder, config);
         Ok(OutputDir {
@@ -106,8 +104,7 @@ impl OutputDir {
                 floor_bytes: config.disk_floor_bytes,
                 locked,
             }),
-            journal,
-            journal_failed_at: None,
+            records_failed_at: None,
             is_mounted: true,
             next_check: Instant::now(),
             stages,
@@ -118,16 +115,12 @@ impl OutputDir {
         &self.guard
     }
 
-    pub(super) fn journal(&self) -> &Journal {
-        &self.journal
-    }
-
     /// Writes the stages of the recorded frames that are due; `at_once`, also those that are due later.
     /// Returns whether all stages are up to date.
     fn write_stages(&mut self, at_once: bool) -> bool {
         self.is_mounted &= self.guard.is_in_place();
         if self.is_mounted {
-            self.stages.write(&self.journal.state().frames, at_once);
+            self.stages.write(&self.guard.records, at_once);
         }
         self.stages.due().is_none()
     }
@@ -139,34 +132,30 @@ impl OutputDir {
         report(Event::OutputDirChecked(found));
     }
 
-    /// Adds a record to the journal. If the journal cannot be written, the only loss is repeated work after a
-    /// restart. The failure is logged once, not for every record, and so is the recovery. After a failure the
-    /// next attempt is made later, unless it must be made `at_once`. Returns whether the journal is written.
-    fn write(&mut self, at_once: bool, write: impl FnOnce(&mut Journal) -> io::Result<()>) -> bool {
+    /// Writes the records that are kept. If they cannot be written, the only loss is repeated work after a restart.
+    /// The failure is logged once, not for every record, and so is the recovery. After a failure the next attempt
+    /// is made later, unless it must be made `at_once`. Returns whether all are written.
+    fn write_records(&mut self, at_once: bool) -> bool {
         // Nothing is written if another folder may be in its place.
         self.is_mounted &= self.guard.is_in_place();
-        let is_too_soon = !at_once && self.journal_failed_at.is_some_and(|at| at.elapsed() < JOURNAL_RETRY);
-        let is_suspended = !self.is_mounted || is_too_soon;
-        self.journal.set_suspended(is_suspended);
-        let written = write(&mut self.journal);
-        if is_suspended {
+        let is_too_soon = !at_once && self.records_failed_at.is_some_and(|at| at.elapsed() < RECORDS_RETRY);
+        if !self.is_mounted || is_too_soon {
             return false;
         }
-        let folder = self.guard.folder.display();
-        match (written, self.journal_failed_at) {
-            (Ok(()), None) => {}
-            (Ok(()), Some(_)) => {
-                tracing::info!(%folder, "the journal is writable again");
-                self.journal_failed_at = None;
-            }
-            (Err(error), failed_at) => {
-                if failed_at.is_none() {
-                    tracing::warn!(%folder, "cannot write the journal: {error}");
+        let (folder, records) = (self.guard.folder.display(), &self.guard.records);
+        match if at_once { records.sync() } else { records.write_kept() } {
+            Ok(()) => {
+                if self.records_failed_at.take().is_some() {
+                    tracing::info!(%folder, "records can be written again");
                 }
-                self.journal_failed_at = Some(Instant::now());
+            }
+            Err(error) => {
+                if self.records_failed_at.replace(Instant::now()).is_none() {
+                    tracing::warn!(%folder, "cannot write records: {error}");
+                }
             }
         }
-        self.journal_failed_at.is_none()
+        self.records_failed_at.is_none()
     }
 }
 
@@ -175,16 +164,17 @@ impl Work for OutputDir {
 
     fn handle(&mut self, request: OutputRequest, report: &dyn Fn(Event)) {
         match request {
-            OutputRequest::Record(entry, log) => {
-                self.stages.note(&entry);
-                self.write(false, |journal| journal.note(entry));
+            OutputRequest::Record(line, log) => {
+                self.stages.note(&line);
+                self.guard.records.keep(line);
+                self.write_records(false);
                 if let Some(log) = log {
                     log.write();
                 }
             }
             OutputRequest::Check => self.check(report),
             OutputRequest::Sync => {
-                let is_recorded = self.write(true, Journal::sync);
+                let is_recorded = self.write_records(true);
                 report(Event::OutputSynced(self.write_stages(true) && is_recorded));
             }
         }
@@ -193,6 +183,7 @@ impl Work for OutputDir {
     fn on_time(&mut self, report: &dyn Fn(Event)) {
         if self.next_check <= Instant::now() {
             self.check(report);
+            self.write_records(false);
             remove_left_behind();
         }
         self.write_stages(false);
@@ -229,14 +220,12 @@ impl OutputGuard {
             return Presence::Present;
         }
         let nearest = self.folder.ancestors().find_map(|folder| device(folder).ok());
-        // `convert --skip-done` also creates a folder with this name, but only the daemon creates the two
-        // files in it.
-        let state = self.folder.join(STATE_FOLDER);
-        let is_back = [LOCK_FILE_NAME, JOURNAL_FILE_NAME].iter().any(|name| state.join(name).is_file());
+        // `convert` also creates a folder with this name, but only the daemon creates this file in it.
+        let is_back = self.folder.join(STATE_FOLDER).join(LOCK_FILE_NAME).is_file();
         // If the nearest existing folder on the path is on another file system than before, the file system
         // of the outputs was unmounted. Its files come back when it is mounted again, so the daemon waits. If
         // the file system is the same, the folder was removed and its files are lost, so it is created again.
-        // If the daemon's files exist, the folder has come back, and is only locked again.
+        // If the daemon's lock exists, the folder has come back, and is only locked again.
         if nearest != Some(locked.device) && !is_back {
             return Presence::Missing;
         }
@@ -253,8 +242,8 @@ impl OutputGuard {
     }
 }
 
-/// How soon writing the journal is retried.
-const JOURNAL_RETRY: Duration = Duration::from_secs(1);
+/// How soon writing records is retried.
+const RECORDS_RETRY: Duration = Duration::from_secs(1);
 
 /// Removes all temporary files that no process is writing from a folder and its sub-folders. Returns their
 /// number. Folders that cannot be read are skipped.

@@ -10,13 +10,11 @@ use crossbeam::channel::{Receiver, Sender, bounded};
 use rayon::ThreadPoolBuilder;
 
 use crate::pipeline::{
-    Frame, FrameError, IndexPolicy, LevelSetMethod, Observer, OnError, Outcome, OutputFile, PipelineOptions,
-    Stage, default_in_flight, stream,
+    Frame, FrameError, IndexPolicy, LevelSetMethod, Observer, OnError, Outcome, PipelineOptions, Stage,
+    default_in_flight, stream,
 };
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, FrameFinished, Start};
-use crate::watch::core::frames::FrameId;
-use crate::watch::journal::OutputRecord;
 use crate::watch::status_store::StatusStore;
 
 use super::mounts::free_bytes;
@@ -94,10 +92,13 @@ fn run(
             return Some((id, *frame));
         }
     };
-    stream(&LevelSetMethod, next, &options, |id, frame, outcome| {
-        let finished = finished(id, &frame, outcome);
+    stream(&LevelSetMethod, next, &options, |id, _, outcome| {
+        let free_bytes = match &outcome {
+            Outcome::Failed(error) if error.is_disk_full() => free_bytes_at(error),
+            _ => None,
+        };
         // Fails only if the daemon has already ended.
-        let _ = events.send(Event::FrameFinished(Box::new(finished)));
+        let _ = events.send(Event::FrameFinished(Box::new(FrameFinished { id, outcome, free_bytes })));
     });
 }
 
@@ -105,21 +106,6 @@ impl Observer for StatusStore {
     fn began(&self, frame: &Frame, stage: Stage) {
         self.stage_began(&frame.outputs.folder.join(&frame.stem), stage);
     }
-}
-
-fn finished(id: FrameId, frame: &Frame, outcome: Outcome) -> FrameFinished {
-    let files: &[OutputFile] = match &outcome {
-        Outcome::Converted(report) => &report.files,
-        Outcome::AlreadyDone { record, .. } => &record.outputs,
-        Outcome::Changed | Outcome::Failed(_) | Outcome::NotStarted => &[],
-    };
-    let folder = &frame.outputs.folder;
-    let outputs = files.iter().map(|file| OutputRecord::of(folder.join(&file.name), file)).collect();
-    let free_bytes = match &outcome {
-        Outcome::Failed(error) if error.is_disk_full() => free_bytes_at(error),
-        _ => None,
-    };
-    FrameFinished { id, outputs, outcome, free_bytes }
 }
 
 fn free_bytes_at(error: &FrameError) -> Option<u64> {

@@ -12,13 +12,13 @@ use glam::DVec3;
 use rayon::ThreadPoolBuilder;
 
 use crate::pipeline::{
-    Attempt, FileStamp, FrameError, Framed, Stage, frames_in_unless, measure_sequence, sequence_bounds,
+    Attempt, FileStamp, FrameError, Framed, SequenceCamera, SharedSettings, Stage, frames_in_unless,
+    measure_sequence, sequence_bounds,
 };
 use crate::surface::options::{self, Settings};
 use crate::watch::core::events::{Event, FoundSteps, SlowRequest, StepsOrder};
 use crate::watch::core::frames::FrameId;
 use crate::watch::core::sequences::{MeasureOrder, SpacingResult, requested_camera};
-use crate::watch::journal::{JournaledSequence, SequenceCamera};
 
 /// Starts the thread; it ends when the returned sender is dropped and `is_over` is set.
 ///
@@ -82,7 +82,7 @@ fn measure(order: MeasureOrder) -> SpacingResult {
             let found = measure_sequence(&paths, &order.options, note);
             found.map(|found| {
                 measured.warnings.clone_from(&found.warnings);
-                JournaledSequence { measured: Some(found), camera: None }
+                SharedSettings { measured: Some(found), ..SharedSettings::default() }
             })
         }
     };
@@ -112,10 +112,10 @@ fn note(measured: &mut SpacingResult, path: &Path, attempt: Attempt, order: &Mea
 /// The record with the camera fitted to the first frame that was not skipped when the spacing was measured;
 /// `None` if there is no such frame.
 fn with_camera(
-    record: JournaledSequence,
+    record: SharedSettings,
     order: &MeasureOrder,
     measured: &mut SpacingResult,
-) -> Option<JournaledSequence> {
+) -> Option<SharedSettings> {
     let outputs = &order.watch.outputs;
     // If the settings are invalid, other code ends the sequence.
     let spacing = record.measured.as_ref().map(options::SequenceSpacing::from);
@@ -134,7 +134,7 @@ fn with_camera(
         if let Some(bounds) = bounds {
             let framed = Framed::around(widened(bounds, outputs.up().direction()), outputs);
             let camera = Some(SequenceCamera { requested: requested_camera(outputs), framed });
-            return Some(JournaledSequence { camera, ..record });
+            return Some(SharedSettings { camera, ..record });
         }
         if measured.changed.is_some() {
             return None;

@@ -1,20 +1,19 @@
-//! The stages of a folder of outputs: written from the journal, at the start and when frames are recorded.
+//! The stages of a folder of outputs: written from the records, at the start and when frames are recorded.
 //!
-//! The journal knows all frames, also those whose inputs were removed. Their outputs have the same names as
+//! The records have all frames, also those whose inputs were removed. Their outputs have the same names as
 //! those of `convert`, and a stage lists the ones that exist. So the old file of a frame that is converted
 //! again, or that failed, plays until a new one replaces it.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::pipeline::{
-    FrameFile, OutputOptions, Sequence, StageFrame, StageSequence, are_same_file, canonical_path,
-    next_stage_update, output_sequence, sequences, sweep_temporaries_of, write_stage,
+    FrameFile, FrameRecords, OutputOptions, RecordLine, RecordedFrame, Sequence, StageFrame, StageSequence,
+    UnfinishedState, are_same_file, canonical_path, next_stage_update, output_sequence, sequences,
+    sweep_temporaries_of, write_stage,
 };
 use crate::watch::config::WatchConfig;
-use crate::watch::journal::{Entry, JournaledFrame, JournaledStatus};
 
 use super::selection::FileFilter;
 
@@ -80,8 +79,9 @@ impl FolderStages {
     }
 
     /// A record may change what the stages play.
-    pub(super) fn note(&mut self, entry: &Entry) {
-        if !self.stages.is_empty() && matches!(entry, Entry::Frame { .. }) {
+    pub(super) fn note(&mut self, line: &RecordLine) {
+        let is_of_frame = matches!(line, RecordLine::Done(_) | RecordLine::Unfinished(_));
+        if !self.stages.is_empty() && is_of_frame {
             self.due.get_or_insert(self.paused_until);
         }
     }
@@ -92,14 +92,15 @@ impl FolderStages {
     }
 
     /// Writes the stages if they are due, or if they are out of date and must be written `at_once`.
-    pub(super) fn write(&mut self, frames: &HashMap<Arc<Path>, Arc<JournaledFrame>>, at_once: bool) {
+    pub(super) fn write(&mut self, records: &FrameRecords, at_once: bool) {
         let start = Instant::now();
         if self.due.is_none_or(|due| due > start && !at_once) {
             return;
         }
         let mut has_failed = false;
+        let frames = records.recorded().frames;
         for stage in &mut self.stages {
-            has_failed |= !stage.write(frames);
+            has_failed |= !stage.write(&frames);
         }
         self.paused_until = next_stage_update(start);
         self.due = has_failed.then(|| Instant::now() + RETRY);
@@ -108,7 +109,7 @@ impl FolderStages {
 
 impl WatchedStage {
     /// Writes the stage, and returns whether that succeeded. An error is logged once, and so is the recovery.
-    fn write(&mut self, frames: &HashMap<Arc<Path>, Arc<JournaledFrame>>) -> bool {
+    fn write(&mut self, frames: &HashMap<PathBuf, RecordedFrame>) -> bool {
         let written = write_stage(&self.blocks[0].outputs, &self.sequences(frames));
         for why in written.iter().flatten().flat_map(|report| &report.left_out) {
             if self.logged.insert(why.clone()) {
@@ -130,12 +131,12 @@ impl WatchedStage {
 
     /// The recorded frames, numbered and grouped by their inputs as `convert` does: the name of an output may
     /// contain other numbers as well, such as that of the file whose step it is.
-    fn sequences(&self, frames: &HashMap<Arc<Path>, Arc<JournaledFrame>>) -> Vec<StageSequence> {
+    fn sequences(&self, frames: &HashMap<PathBuf, RecordedFrame>) -> Vec<StageSequence> {
         let mut of_blocks: Vec<Vec<FrameFile>> = self.blocks.iter().map(|_| Vec::new()).collect();
         // A file with the name of an output of a frame that was never converted may be that of another frame.
-        let played = frames.iter().filter(|(_, frame)| match frame.status {
-            JournaledStatus::Refused | JournaledStatus::Ignored => false,
-            JournaledStatus::Waiting => !frame.outputs.is_empty(),
+        let played = frames.iter().filter(|(_, frame)| match frame.unfinished_state() {
+            Some(UnfinishedState::Refused | UnfinishedState::Ignored) => false,
+            Some(UnfinishedState::Waiting) => frame.done.is_some(),
             _ => true,
         });
         for (input, _) in played {

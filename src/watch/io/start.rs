@@ -6,11 +6,10 @@ use std::time::Instant;
 
 use crossbeam::channel::Sender;
 
-use crate::pipeline::{ObstacleFiles, canonical_path};
+use crate::pipeline::{DaemonRecord, DaemonState, ObstacleFiles, canonical_path, now_ms};
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, Now, OutputRequest, RootRequest, SlowRequest, Worker};
 use crate::watch::core::state::Core;
-use crate::watch::journal::{DaemonRecord, DaemonState, now_ms};
 use crate::watch::status_store::StatusStore;
 
 use super::error::DaemonError;
@@ -40,8 +39,8 @@ impl Drop for Workers {
     }
 }
 
-/// Opens all folders of outputs, and starts all workers. Also returns the core, which starts with the records
-/// of the journals, and the context of the pipeline.
+/// Opens all folders of outputs, and starts all workers. Also returns the core, which starts with the records,
+/// and the context of the pipeline.
 ///
 /// # Errors
 /// When a folder of outputs cannot be opened, a pattern is invalid, or the system refuses to start a thread.
@@ -61,15 +60,14 @@ pub(crate) fn start(
         let selection = FileFilter::new(watch.pattern.as_deref(), folders.clone());
         paths.push((path, selection.map_err(DaemonError::Pattern)?));
     }
-    let journals =
-        outputs.iter().map(|output| (output.guard().folder.clone(), output.journal().state().clone()));
+    let recorded = guards.iter().map(|guard| (guard.folder.clone(), guard.records.recorded()));
     let roots =
         paths.iter().zip(&obstacles).map(|((path, _), obstacles)| (path.clone(), Arc::clone(obstacles)));
     let mut core = Core::new(
         Arc::clone(config),
         identity(),
         roots.collect(),
-        journals.collect(),
+        recorded.collect(),
         output_of.clone(),
         now(),
     );

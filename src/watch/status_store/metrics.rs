@@ -1,6 +1,6 @@
 //! Counters since the start of the process, which never decrease.
 
-use super::figures::Figures;
+use crate::pipeline::Figures;
 
 /// The names of the stages, in the order of [`Stage`](crate::pipeline::Stage).
 pub const STAGES: [&str; 6] = ["read", "rasterize", "smooth", "contour", "write", "preview"];

@@ -16,7 +16,6 @@
 //!
 //! The types here are those of the interface in `docs/status-page.md`, which specifies their serialized form.
 
-mod figures;
 mod metrics;
 mod view;
 
@@ -31,7 +30,7 @@ use serde_json::Value;
 
 use crate::pipeline::{SequenceRecord, Stage, natural_order};
 
-pub use figures::Figures;
+pub use crate::pipeline::Figures;
 pub use metrics::{BUCKETS_S, Counters, Histogram, STAGES};
 pub use view::{
     Forecast, FrameProgress, FrameSummary, FrameView, LiveStatus, OutputView, StateCounts, StatusSample,

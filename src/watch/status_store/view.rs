@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use super::figures::Figures;
+use crate::pipeline::Figures;
 
 /// The state of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

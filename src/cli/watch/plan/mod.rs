@@ -282,7 +282,7 @@ fn token_in(path: &Path) -> Result<AccessToken> {
     })
 }
 
-/// An absolute path: the journal must identify frames by the same paths wherever the daemon is started.
+/// An absolute path: records must identify frames by the same paths wherever the daemon is started.
 fn absolute(path: &Path) -> Result<PathBuf> {
     if path.as_os_str().is_empty() {
         bail!("a path is empty: give a file or folder");

@@ -63,7 +63,7 @@ pub enum Reason {
 
 impl Reason {
     /// Whether both are the same, except for numbers and names.
-    pub(super) fn is_like(&self, other: &Reason) -> bool {
+    pub(crate) fn is_like(&self, other: &Reason) -> bool {
         std::mem::discriminant(self) == std::mem::discriminant(other)
     }
 }

@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::pipeline::{FrameReport, Job, Seconds};
+use crate::pipeline::input::frame::{FrameReport, Job, Seconds};
 use crate::surface::grid::LEAF_VOXELS;
 
-/// The measurements of a converted frame, as clients see them and as the journal stores them. Lengths in
-/// voxels, times in seconds, sizes in bytes.
+/// The measurements of a converted frame, as clients of the daemon see them and as records contain them. Lengths
+/// in voxels, times in seconds, sizes in bytes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
     /// Particles that the surface was reconstructed from; `None` for a level set.
@@ -46,6 +46,11 @@ pub struct CertificateView {
 }
 
 impl Figures {
+    /// The seconds of all stages together, rounded to the millisecond: more digits are noise.
+    pub fn total_seconds(&self) -> f64 {
+        (self.seconds.total() * 1e3).round() / 1e3
+    }
+
     /// The figures of a report about a frame with this kind of job.
     pub fn of(report: &FrameReport, job: Job) -> Figures {
         let reconstruction = &report.reconstruction;

@@ -1,0 +1,47 @@
+//! Records for tests.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::pipeline::{DoneRecord, FileStamp, OutputFile, UnfinishedRecord, UnfinishedState, settings_id};
+
+fn name_of(input: &Path) -> PathBuf {
+    input.file_stem().expect("a name").into()
+}
+
+/// The record of a frame with one output, a `.glb`.
+pub(crate) fn done_record(input: &Path, stamp: FileStamp) -> Arc<DoneRecord> {
+    let name = name_of(input);
+    let output = OutputFile { name: name.with_added_extension("glb"), stamp: FileStamp::default(), hash: 8 };
+    Arc::new(DoneRecord {
+        name,
+        input: input.to_owned(),
+        stamp,
+        input_hash: 7,
+        obstacles: String::new(),
+        obstacle_stamp: None,
+        settings: settings_id(&[].into()),
+        camera: None,
+        outputs: vec![output],
+        violations: None,
+        flaws: Vec::new(),
+        at_ms: 1,
+        figures: Arc::default(),
+        certificate: None,
+    })
+}
+
+/// The record of a frame in this state.
+pub(crate) fn unfinished_record(input: &Path, state: UnfinishedState) -> UnfinishedRecord {
+    UnfinishedRecord {
+        name: name_of(input),
+        input: input.to_owned(),
+        state,
+        reason: None,
+        stamp: FileStamp::default(),
+        settings: String::new(),
+        obstacle_stamp: None,
+        attempts: 0,
+        at_ms: 2,
+    }
+}
