@@ -12,12 +12,11 @@ use crate::surface::particles::ParticleFilter;
 #[derive(Debug, Args)]
 #[command(after_long_help = DEFINITION)]
 pub(in crate::cli) struct FlickerArgs {
-    /// The surfaces, from any program: meshes in .glb, .gltf, .obj, .ply, .stl, .vtk, .vtp, .vtu, .usdc or
-    /// .abc
+    /// The surfaces, from any program: meshes such as .glb, .obj, .ply or .vtp
     ///
     /// A folder, files, globs, or a numbered pattern such as dam.####.glb, of one sequence. Of a folder with
-    /// meshes in several formats, those in .glb are used, or else in the next of .gltf, .obj, .ply, .vtp,
-    /// .usdc, .abc, .stl and .vtk.
+    /// meshes in several formats, those in .glb are used, or else those in the next format of `convert
+    /// --format`.
     #[arg(required = true, value_name = "MESHES")]
     pub(in crate::cli) meshes: Vec<PathBuf>,
 

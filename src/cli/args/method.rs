@@ -18,8 +18,8 @@ option_set! {
         #[command(flatten)]
         pub(in crate::cli) options: MethodOptionArgs,
 
-        /// Obstacles that the surface must not enter: .obj, .glb, .gltf, .ply, .stl, .vtk, .vtp, .vtu, .usdc,
-        /// .abc, or a .vdb level set; may be repeated
+        /// Obstacles that the surface must not enter: meshes such as .obj, .glb or .ply, or a .vdb level set;
+        /// may be repeated
         ///
         /// A file applies to all frames. With a numbered pattern such as body.####.obj, each frame uses the
         /// file with its own number.
