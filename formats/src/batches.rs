@@ -80,8 +80,7 @@ impl<F: ReadAt> ParticleBatches<F> {
     pub fn read_batch(&self, index: usize, batch: &mut ParticleBatch) -> Result<()> {
         let ParticleBatch { positions, records } = batch;
         self.read_records(index, records)?;
-        let Records { stride, .. } = self.records;
-        (self.records.gather)(records, stride, self.particle_range(index).len(), positions);
+        (self.records.gather)(records, positions);
         Ok(())
     }
 
@@ -211,9 +210,9 @@ pub(crate) struct Records {
     pub(crate) stride: usize,
     /// Number of records; the file contains all of them.
     pub(crate) count: usize,
-    /// Extracts positions from records with this stride.
+    /// Extracts positions from whole records.
     pub(crate) gather: Arc<GatherPositions>,
-    /// Extracts positions and attributes from records with this stride.
+    /// Extracts positions and attributes from whole records.
     pub(crate) frame: Arc<FrameOfRecords>,
     /// Notes for the user.
     pub(crate) notes: Vec<String>,
@@ -221,8 +220,8 @@ pub(crate) struct Records {
     pub(crate) velocity: Option<String>,
 }
 
-/// Extracts positions from records. Arguments: bytes, stride, number of records, output.
-pub(crate) type GatherPositions = dyn Fn(&[u8], usize, usize, &mut FilePositions) + Send + Sync;
+/// Extracts positions from the bytes of whole records; replaces the positions that are there.
+pub(crate) type GatherPositions = dyn Fn(&[u8], &mut FilePositions) + Send + Sync;
 
 /// Extracts all data of particles from the bytes of whole records.
 pub(crate) type FrameOfRecords = dyn Fn(&[u8]) -> Result<ParticleFrame> + Send + Sync;

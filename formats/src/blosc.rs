@@ -20,6 +20,7 @@
 //! the header description in c-blosc's README_HEADER
 
 use crate::bytes::u32_at;
+use crate::error::{Error, Position};
 
 const SHUFFLED: u8 = 0x01;
 const STORED: u8 = 0x02;
@@ -41,6 +42,16 @@ const SPLIT_TYPESIZE_MAX: usize = 16;
 pub(crate) enum BloscError {
     Invalid(String),
     Unsupported(String),
+}
+
+impl BloscError {
+    /// The error of a format whose file contains the frame at this offset.
+    pub(crate) fn of_format(self, format: &'static str, offset: u64) -> Error {
+        match self {
+            BloscError::Invalid(what) => Error::invalid(format, Position::Offset(offset), what),
+            BloscError::Unsupported(what) => Error::unsupported(format, what),
+        }
+    }
 }
 
 /// Buffers reused from frame to frame.

@@ -3,7 +3,7 @@
 use std::io::{Read, Seek, SeekFrom};
 
 use crate::error::{Error, Position, Result};
-use crate::number::Scalar;
+use crate::number::NumberType;
 
 /// The byte order of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,6 +56,20 @@ impl<'a> Cursor<'a> {
         self.bytes.len() - self.at
     }
 
+    /// Continues at another offset; `what` names what is there in the error.
+    pub(crate) fn seek(&mut self, offset: u64, what: &str) -> Result<()> {
+        match usize::try_from(offset) {
+            Ok(offset) if offset <= self.bytes.len() => {
+                self.at = offset;
+                Ok(())
+            }
+            _ => {
+                let end = self.bytes.len();
+                Err(self.invalid(format!("{what} is at byte {offset}, beyond the end of the file at {end}")))
+            }
+        }
+    }
+
     /// Takes the next bytes; `what` names them in the error.
     pub(crate) fn take(&mut self, length: usize, what: &str) -> Result<&'a [u8]> {
         match self.bytes[self.at..].get(..length) {
@@ -81,15 +95,15 @@ impl<'a> Cursor<'a> {
     }
 
     /// Takes the next number, which must have an integer type.
-    pub(crate) fn integer(&mut self, scalar: Scalar, what: &str) -> Result<i64> {
+    pub(crate) fn integer(&mut self, scalar: NumberType, what: &str) -> Result<i64> {
         Ok(match scalar {
-            Scalar::I8 => i8::from_le_bytes(self.array(what)?).into(),
-            Scalar::U8 => u8::from_le_bytes(self.array(what)?).into(),
-            Scalar::I16 => i16::from_le_bytes(self.array(what)?).into(),
-            Scalar::U16 => u16::from_le_bytes(self.array(what)?).into(),
-            Scalar::I32 => i32::from_le_bytes(self.array(what)?).into(),
-            Scalar::U32 => u32::from_le_bytes(self.array(what)?).into(),
-            Scalar::F32 | Scalar::F64 => {
+            NumberType::I8 => i8::from_le_bytes(self.array(what)?).into(),
+            NumberType::U8 => u8::from_le_bytes(self.array(what)?).into(),
+            NumberType::I16 => i16::from_le_bytes(self.array(what)?).into(),
+            NumberType::U16 => u16::from_le_bytes(self.array(what)?).into(),
+            NumberType::I32 => i32::from_le_bytes(self.array(what)?).into(),
+            NumberType::U32 => u32::from_le_bytes(self.array(what)?).into(),
+            _ => {
                 return Err(self.invalid(format!("{what} must have an integer type")));
             }
         })
@@ -119,11 +133,11 @@ mod tests {
     fn integers_are_read_in_both_byte_orders() {
         let bytes = [0x01, 0x02, 0xff, 0xfe];
         let mut little = Cursor::new("test", Endian::Little, &bytes, 0);
-        assert_eq!(little.integer(Scalar::U16, "n").unwrap(), 0x0201);
-        assert_eq!(little.integer(Scalar::I16, "n").unwrap(), -257);
+        assert_eq!(little.integer(NumberType::U16, "n").unwrap(), 0x0201);
+        assert_eq!(little.integer(NumberType::I16, "n").unwrap(), -257);
         let mut big = Cursor::new("test", Endian::Big, &bytes, 0);
-        assert_eq!(big.integer(Scalar::U16, "n").unwrap(), 0x0102);
-        assert_eq!(big.integer(Scalar::I8, "n").unwrap(), -1);
+        assert_eq!(big.integer(NumberType::U16, "n").unwrap(), 0x0102);
+        assert_eq!(big.integer(NumberType::I8, "n").unwrap(), -1);
         assert_eq!(big.remaining(), 1);
     }
 

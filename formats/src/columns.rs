@@ -21,7 +21,6 @@
 use std::collections::HashMap;
 
 use crate::data::{AttributeRole, FileAttribute, Values};
-use crate::number::Scalar;
 
 /// The interpretation of a list of columns.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -53,7 +52,7 @@ impl Group {
 }
 
 /// Groups named columns into the position and attributes.
-pub fn group_columns(columns: &[(&str, Scalar)]) -> Columns {
+pub fn group_columns<T: PartialEq>(columns: &[(&str, T)]) -> Columns {
     let names: Vec<&str> = columns.iter().map(|(name, _)| matched_part(name)).collect();
     let mut families = Families::collect(&names);
     let position = families.position();
@@ -318,7 +317,7 @@ impl<'a> Families<'a> {
     }
 
     /// The groups with more than one column; marks their columns as taken.
-    fn vectors(&mut self, columns: &[(&str, Scalar)], used: &mut [bool]) -> Vec<Group> {
+    fn vectors<T: PartialEq>(&mut self, columns: &[(&str, T)], used: &mut [bool]) -> Vec<Group> {
         let mut groups = Vec::new();
         for family in &mut self.list {
             let members = family.contiguous();
@@ -463,7 +462,7 @@ mod tests {
 
     /// Describes the position, then each attribute after a ` | `: `name columns role scale`.
     fn described(header: &str) -> String {
-        let columns: Vec<(&str, Scalar)> = header.split(',').map(|name| (name, Scalar::F32)).collect();
+        let columns: Vec<(&str, &str)> = header.split(',').map(|name| (name, "float")).collect();
         describe(&group_columns(&columns))
     }
 
@@ -593,12 +592,12 @@ mod tests {
     #[test]
     fn columns_of_mixed_types_form_a_position_but_no_vector() {
         let columns = [
-            ("x", Scalar::F32),
-            ("y", Scalar::F64),
-            ("z", Scalar::F32),
-            ("vx", Scalar::F32),
-            ("vy", Scalar::F64),
-            ("vz", Scalar::F32),
+            ("x", "float"),
+            ("y", "double"),
+            ("z", "float"),
+            ("vx", "float"),
+            ("vy", "double"),
+            ("vz", "float"),
         ];
         assert_eq!(describe(&group_columns(&columns)), "[0, 1, 2] | vx [3] | vy [4] | vz [5]");
     }
@@ -610,7 +609,7 @@ mod tests {
             header += &format!(",f_rest_{index}");
         }
         header += ",opacity,scale_0,scale_1,scale_2,rot_0,rot_1,rot_2,rot_3";
-        let columns: Vec<(&str, Scalar)> = header.split(',').map(|name| (name, Scalar::F32)).collect();
+        let columns: Vec<(&str, &str)> = header.split(',').map(|name| (name, "float")).collect();
         let groups = group_columns(&columns).groups;
         let arities: Vec<(&str, usize)> = groups.iter().map(|g| (g.name.as_str(), g.arity())).collect();
         assert_eq!(

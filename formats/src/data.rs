@@ -6,6 +6,7 @@
 use std::fmt;
 
 use crate::error::{Error, Position, Result};
+use crate::number::of_any_type;
 
 /// Particle positions, in the precision of the file.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,10 +35,30 @@ impl FilePositions {
     pub(crate) fn has_finite(&self) -> bool {
         match self {
             FilePositions::F32(positions) => {
-                positions.iter().any(|position| position.iter().all(|along| along.is_finite()))
+                positions.iter().any(|p| p.iter().all(|along| along.is_finite()))
             }
             FilePositions::F64(positions) => {
-                positions.iter().any(|position| position.iter().all(|along| along.is_finite()))
+                positions.iter().any(|p| p.iter().all(|along| along.is_finite()))
+            }
+        }
+    }
+
+    /// The positions in 64 bits.
+    pub(crate) fn into_f64(self) -> Vec<[f64; 3]> {
+        match self {
+            FilePositions::F32(positions) => positions.into_iter().map(|p| p.map(f64::from)).collect(),
+            FilePositions::F64(positions) => positions,
+        }
+    }
+
+    /// Appends positions; if one of the two has 64 bits, all get 64 bits.
+    pub(crate) fn append(&mut self, more: FilePositions) {
+        match (&mut *self, more) {
+            (FilePositions::F32(positions), FilePositions::F32(more)) => positions.extend(more),
+            (FilePositions::F64(positions), more) => positions.extend(more.into_f64()),
+            (FilePositions::F32(_), FilePositions::F64(more)) => {
+                let first = std::mem::take(self).into_f64();
+                *self = FilePositions::F64(first.into_iter().chain(more).collect());
             }
         }
     }
@@ -178,16 +199,21 @@ impl FileAttribute {
         Some(counts)
     }
 
+    /// The attribute of vertices with these values; `None` for types that vertices do not have.
+    pub(crate) fn view(&self) -> Option<VertexAttribute<'_>> {
+        let FileAttribute { name, role, arity, values } = self;
+        let values = match values {
+            Values::F32(values) => VertexValues::Numbers(values),
+            Values::I64(values) => VertexValues::Integers(values),
+            Values::Strings { table, indices } => VertexValues::Strings { table, indices },
+            Values::F64(_) | Values::U8(_) | Values::I32(_) => return None,
+        };
+        Some(VertexAttribute { name, role: *role, arity: *arity, values })
+    }
+
     /// Keeps the values of the particles for which `mask` is true.
     fn retain(&mut self, mask: &[bool]) {
-        match &mut self.values {
-            Values::F32(values) => retain_rows(values, self.arity, mask),
-            Values::F64(values) => retain_rows(values, self.arity, mask),
-            Values::U8(values) => retain_rows(values, self.arity, mask),
-            Values::I32(values) => retain_rows(values, self.arity, mask),
-            Values::I64(values) => retain_rows(values, self.arity, mask),
-            Values::Strings { indices, .. } => retain_rows(indices, self.arity, mask),
-        }
+        of_any_type!(&mut self.values, list => retain_rows(list, self.arity, mask));
     }
 
     /// Multiplies all values; integers become floats.
@@ -252,6 +278,11 @@ pub struct MeshView<'a> {
     pub origin: [f64; 3],
     /// Vertex attributes.
     pub attributes: &'a [VertexAttribute<'a>],
+}
+
+/// The world position of a vertex of a mesh with this origin.
+pub(crate) fn world(origin: [f64; 3], position: [f32; 3]) -> [f64; 3] {
+    std::array::from_fn(|axis| origin[axis] + f64::from(position[axis]))
 }
 
 impl MeshView<'_> {

@@ -35,7 +35,7 @@ const FORMAT: &str = "OpenEXR";
 /// # Errors
 ///
 /// [`Error::Io`] if writing fails; [`Error::Invalid`] if the picture is invalid.
-pub fn write(picture: &PictureView, out: &mut impl Write) -> Result<()> {
+pub fn write(picture: &PictureView, out: &mut dyn Write) -> Result<()> {
     picture.check(FORMAT)?;
     let mut attributes = ImageAttributes::with_size((picture.size[0], picture.size[1]));
     let provenance = text(&comments(picture.provenance, ""))?;
@@ -215,7 +215,7 @@ pub(crate) const BLOCK_HEAD_BYTES: u64 = 12;
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow { signatures: &[&MAGIC], ..FormatRow::new("OpenEXR image", &["exr"]) },
     help: "OpenEXR: colours, depth, normals and more, one layer each",
-    content: Content::Picture(|picture, mut out| write(picture, &mut out)),
+    content: Content::Picture(write),
     write_particles: None,
     has_attributes: true,
     options: &[WriteOption::Up, WriteOption::Size, WriteOption::Camera],

@@ -113,10 +113,7 @@ pub fn read_step(bytes: &[u8], step: &TimeStep, limits: &Limits) -> Result<Parti
     let mut names: Vec<String> =
         names.take(limits.attribute_count.saturating_add(1)).map(String::from).collect();
     let header_line = Position::Line(step.rows_line.saturating_sub(1));
-    if names.len() > limits.attribute_count {
-        let what = format!("the file has more columns than the limit of {}", limits.attribute_count);
-        return Err(Error::too_large(FORMAT, what));
-    }
+    limits.check_attributes(FORMAT, names.len(), "columns or more")?;
     let found = excerpts(&names);
     let no_position = || {
         Error::invalid(
@@ -158,7 +155,7 @@ pub fn read_step(bytes: &[u8], step: &TimeStep, limits: &Limits) -> Result<Parti
                 "positions are fractions of the box, but ITEM: BOX BOUNDS is missing",
             )
         };
-        frame.positions = unscaled(&frame.positions, step.space.ok_or_else(no_box)?);
+        frame.positions = unscaled(frame.positions, step.space.ok_or_else(no_box)?);
         frame.notes.push("positions are fractions of the box: converted to lengths".into());
     }
     Ok(frame)
@@ -181,7 +178,7 @@ fn position(names: &[String]) -> Option<([usize; 3], bool)> {
 
 /// Converts fractions of the box to positions. These have 64 bits, to lose no further digits: in a large box,
 /// the six digits of a fraction give few decimals of a position.
-fn unscaled(fractions: &FilePositions, space: Space) -> FilePositions {
+fn unscaled(fractions: FilePositions, space: Space) -> FilePositions {
     let position = |fraction: [f64; 3]| {
         let along = |axis: usize| {
             let edges = fraction.iter().zip(space.edges).map(|(part, edge)| part * edge[axis]);
@@ -189,10 +186,7 @@ fn unscaled(fractions: &FilePositions, space: Space) -> FilePositions {
         };
         [along(0), along(1), along(2)]
     };
-    FilePositions::F64(match fractions {
-        FilePositions::F32(fractions) => fractions.iter().map(|f| position(f.map(f64::from))).collect(),
-        FilePositions::F64(fractions) => fractions.iter().map(|&fraction| position(fraction)).collect(),
-    })
+    FilePositions::F64(fractions.into_f64().into_iter().map(position).collect())
 }
 
 /// Parses the step that starts at the next line.
@@ -246,11 +240,7 @@ fn step(lines: &mut DumpLines, limits: &Limits) -> Result<TimeStep> {
 /// Skips the rows of the step.
 fn rows(lines: &mut DumpLines, start: usize, step: TimeStep, limits: &Limits) -> Result<TimeStep> {
     let count = step.particle_count;
-    if count > limits.particle_count {
-        let what =
-            format!("the file has {count} particles, more than the limit of {}", limits.particle_count);
-        return Err(Error::too_large(FORMAT, what));
-    }
+    limits.check_particles(FORMAT, count)?;
     for found in 0..count {
         let line =
             lines.next().ok_or_else(|| lines.truncated(format!("expected {count} atoms, found {found}")))?;

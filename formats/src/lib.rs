@@ -35,6 +35,7 @@ pub mod ply;
 pub mod png;
 pub mod probe;
 pub mod provenance;
+mod records;
 mod row;
 pub mod steps;
 pub mod stl;
@@ -62,7 +63,7 @@ pub use integrity::{completeness, is_complete};
 pub use limits::Limits;
 pub use mesh::{ObstacleData, check_obstacle, looks_like_mesh, read_mesh, read_obstacle};
 pub use neighbor::{Neighbor, neighbor};
-pub use number::Scalar;
+pub use number::NumberType;
 pub use probe::{Probe, ProbedKind, looks_like_particles, probe};
 pub use row::{
     BatchEncoder, Completeness, Content, MeshEncoder, MeshOptions, MeshWriter, ParticleWriter, PictureWriter,

@@ -44,6 +44,24 @@ impl Default for Limits {
 pub(crate) const RATIO_FREE_BYTES: u64 = 16 << 20;
 
 impl Limits {
+    /// Fails if there are more particles or vertices than the limit.
+    pub(crate) fn check_particles(&self, format: &'static str, found: u64) -> Result<()> {
+        if found <= self.particle_count {
+            return Ok(());
+        }
+        let what = format!("the file has {found} particles, more than the limit of {}", self.particle_count);
+        Err(Error::too_large(format, what))
+    }
+
+    /// Fails if there are more attributes than the limit. `kind` says what the format calls them.
+    pub(crate) fn check_attributes(&self, format: &'static str, found: usize, kind: &str) -> Result<()> {
+        if found <= self.attribute_count {
+            return Ok(());
+        }
+        let what = format!("the file has {found} {kind}, more than the limit of {}", self.attribute_count);
+        Err(Error::too_large(format, what))
+    }
+
     /// Fails if the limit does not allow another frame after the `found` frames found so far.
     pub(crate) fn check_step(&self, format: &'static str, found: usize) -> Result<()> {
         if found < self.step_count {

@@ -12,9 +12,11 @@
 //!   "stress" (N, 6)                 an attribute without a role
 //! ```
 
+use std::mem::discriminant;
+
 use crate::columns::{Group, group_columns, position_rank, radius_scale, roles_of, with_role};
 use crate::data::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values};
-use crate::number::{self, Scalar, interleaved};
+use crate::number::{self, interleaved};
 use crate::text::excerpt;
 
 /// One or more values per particle, particle by particle.
@@ -29,7 +31,7 @@ pub(crate) struct NamedArray {
 impl NamedArray {
     /// The number of particles that it has values for.
     pub(crate) fn particle_count(&self) -> usize {
-        number::length(&self.values) / self.arity.max(1)
+        self.values.len() / self.arity.max(1)
     }
 }
 
@@ -44,15 +46,11 @@ pub(crate) fn frame_of(
         None => take_column_position(&mut arrays)?,
     };
     let mut notes = take_mismatched(&mut arrays, positions.len());
-    let mut attributes = joined(arrays);
-    let named: Vec<(&str, usize)> =
-        attributes.iter().map(|array| (array.name.as_str(), array.arity)).collect();
+    let arrays = joined(arrays);
+    let named: Vec<(&str, usize)> = arrays.iter().map(|array| (&*array.name, array.arity)).collect();
     let roles = roles_of(&named);
-    let attributes: Vec<FileAttribute> = attributes
-        .drain(..)
-        .zip(roles)
-        .map(|(array, role)| with_role(array.name, array.arity, role, array.values))
-        .collect();
+    let attribute = |(array, role): (NamedArray, _)| with_role(array.name, array.arity, role, array.values);
+    let attributes: Vec<FileAttribute> = arrays.into_iter().zip(roles).map(attribute).collect();
     notes.extend(attributes.iter().filter_map(note_on_diameter));
     Some(ParticleFrame { positions, attributes, notes })
 }
@@ -60,7 +58,7 @@ pub(crate) fn frame_of(
 /// Removes arrays whose length does not match the number of particles, and returns a note for each.
 fn take_mismatched(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<String> {
     let fits = |array: &NamedArray| {
-        array.arity != 0 && array.arity.checked_mul(particle_count) == Some(number::length(&array.values))
+        array.arity != 0 && array.arity.checked_mul(particle_count) == Some(array.values.len())
     };
     let note = |array: NamedArray| {
         format!(
@@ -83,8 +81,7 @@ fn take_vector_position(arrays: &mut Vec<NamedArray>) -> Option<FilePositions> {
 /// Takes the position from three arrays with one value per particle, chosen by their names.
 fn take_column_position(arrays: &mut Vec<NamedArray>) -> Option<FilePositions> {
     let singles: Vec<usize> = (0..arrays.len()).filter(|&index| is_column(&arrays[index])).collect();
-    let columns: Vec<(&str, Scalar)> =
-        singles.iter().map(|&index| (arrays[index].name.as_str(), Scalar::F64)).collect();
+    let columns: Vec<_> = singles.iter().map(|&index| (&*arrays[index].name, ())).collect();
     let position = group_columns(&columns).position?.map(|column| singles[column]);
     let values = position.map(|index| &arrays[index].values);
     let positions = match interleaved(&values) {
@@ -121,9 +118,8 @@ pub(crate) fn widened(values: &Values) -> Option<Values> {
 /// Joins scalar arrays that have the names of the components of a vector.
 fn joined(arrays: Vec<NamedArray>) -> Vec<NamedArray> {
     let singles: Vec<usize> = (0..arrays.len()).filter(|&index| is_column(&arrays[index])).collect();
-    let columns: Vec<(&str, Scalar)> =
-        singles.iter().map(|&index| (arrays[index].name.as_str(), type_of(&arrays[index].values))).collect();
-    let groups = group_columns(&columns).groups;
+    let column = |&index: &usize| (&*arrays[index].name, discriminant(&arrays[index].values));
+    let groups = group_columns(&singles.iter().map(column).collect::<Vec<_>>()).groups;
     let mut vector_at: Vec<Option<NamedArray>> = arrays.iter().map(|_| None).collect();
     let mut is_joined = vec![false; arrays.len()];
     for Group { name, columns, .. } in groups.into_iter().filter(|group| group.arity() > 1) {
@@ -137,19 +133,6 @@ fn joined(arrays: Vec<NamedArray>) -> Vec<NamedArray> {
     }
     let entries = arrays.into_iter().zip(vector_at).zip(is_joined);
     entries.filter_map(|((array, vector), is_joined)| if is_joined { vector } else { Some(array) }).collect()
-}
-
-/// A different scalar type for each type in memory, not always the type itself: columns are joined only if
-/// their scalar types are equal.
-fn type_of(values: &Values) -> Scalar {
-    match values {
-        Values::F32(_) => Scalar::F32,
-        Values::F64(_) => Scalar::F64,
-        Values::U8(_) => Scalar::U8,
-        Values::I32(_) => Scalar::I32,
-        Values::I64(_) => Scalar::U32,
-        Values::Strings { .. } => Scalar::I8,
-    }
 }
 
 fn note_on_diameter(attribute: &FileAttribute) -> Option<String> {

@@ -1,8 +1,7 @@
-//! Decodes raw numbers of any type and byte order into [`Values`].
+//! Decodes raw numbers of any type and byte order into [`Values`], and encodes numbers.
 //!
-//! [`crate::scalar`] has the number types of PLY. Arrays of other formats have more types: 64-bit integers,
-//! which keep their type, and 16-bit floats, which become 32-bit ones. Unsigned 64-bit integers become 64-bit
-//! floats if one of them exceeds the signed range.
+//! 16-bit floats become 32-bit ones. Unsigned 64-bit integers become 64-bit floats if one of them exceeds the
+//! signed range.
 
 use std::io::Write;
 
@@ -10,9 +9,41 @@ use crate::bytes::Endian;
 use crate::data::{FilePositions, Values};
 use crate::error::Result;
 
+/// Evaluates an expression for the numbers of any type, or for the indices of strings.
+macro_rules! of_any_type {
+    ($values:expr, $list:ident => $result:expr) => {
+        match $values {
+            Values::F32($list) => $result,
+            Values::F64($list) => $result,
+            Values::U8($list) => $result,
+            Values::I32($list) => $result,
+            Values::I64($list) => $result,
+            Values::Strings { indices: $list, .. } => $result,
+        }
+    };
+}
+
+/// As `of_any_type`, for an expression that gives numbers of the same type.
+macro_rules! map_any_type {
+    ($values:expr, $list:ident => $result:expr) => {
+        match $values {
+            Values::F32($list) => Values::F32($result),
+            Values::F64($list) => Values::F64($result),
+            Values::U8($list) => Values::U8($result),
+            Values::I32($list) => Values::I32($result),
+            Values::I64($list) => Values::I64($result),
+            Values::Strings { table, indices: $list } => {
+                Values::Strings { table: table.clone(), indices: $result }
+            }
+        }
+    };
+}
+pub(crate) use of_any_type;
+
 /// A number type as stored in a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum NumberType {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum NumberType {
     /// One byte: 0 is false, any other value is true.
     Bool,
     I8,
@@ -30,13 +61,20 @@ pub(crate) enum NumberType {
 
 impl NumberType {
     /// Bytes per number.
-    pub(crate) const fn size(self) -> usize {
+    pub const fn size(self) -> usize {
         match self {
             NumberType::Bool | NumberType::I8 | NumberType::U8 => 1,
             NumberType::I16 | NumberType::U16 | NumberType::F16 => 2,
             NumberType::I32 | NumberType::U32 | NumberType::F32 => 4,
             NumberType::I64 | NumberType::U64 | NumberType::F64 => 8,
         }
+    }
+
+    /// Zeros of the type to which these numbers decode.
+    pub(crate) fn zeros(self, count: usize) -> Values {
+        let mut values = self.decode(&[], Endian::Little);
+        of_any_type!(&mut values, values => values.resize(count, Default::default()));
+        values
     }
 
     /// Decodes tightly packed numbers; ignores an incomplete number at the end.
@@ -112,15 +150,10 @@ impl StridedNumbers<'_> {
     }
 }
 
-/// The number of values.
-pub(crate) fn length(values: &Values) -> usize {
-    match values {
-        Values::F32(values) => values.len(),
-        Values::F64(values) => values.len(),
-        Values::U8(values) => values.len(),
-        Values::I32(values) => values.len(),
-        Values::I64(values) => values.len(),
-        Values::Strings { indices, .. } => indices.len(),
+impl Values {
+    /// The number of values.
+    pub(crate) fn len(&self) -> usize {
+        of_any_type!(self, values => values.len())
     }
 }
 
@@ -150,33 +183,14 @@ where
 
 /// The given range of each particle's `arity` components.
 pub(crate) fn components(values: &Values, arity: usize, range: std::ops::Range<usize>) -> Values {
-    fn some<T: Copy>(values: &[T], arity: usize, range: std::ops::Range<usize>) -> Vec<T> {
+    map_any_type!(values, values => {
         values.chunks_exact(arity).flat_map(|particle| &particle[range.clone()]).copied().collect()
-    }
-    match values {
-        Values::F32(values) => Values::F32(some(values, arity, range)),
-        Values::F64(values) => Values::F64(some(values, arity, range)),
-        Values::U8(values) => Values::U8(some(values, arity, range)),
-        Values::I32(values) => Values::I32(some(values, arity, range)),
-        Values::I64(values) => Values::I64(some(values, arity, range)),
-        Values::Strings { table, indices } => {
-            Values::Strings { table: table.clone(), indices: some(indices, arity, range) }
-        }
-    }
+    })
 }
 
 /// A range of the values, which must be in bounds.
 pub(crate) fn slice(values: &Values, range: std::ops::Range<usize>) -> Values {
-    match values {
-        Values::F32(values) => Values::F32(values[range].to_vec()),
-        Values::F64(values) => Values::F64(values[range].to_vec()),
-        Values::U8(values) => Values::U8(values[range].to_vec()),
-        Values::I32(values) => Values::I32(values[range].to_vec()),
-        Values::I64(values) => Values::I64(values[range].to_vec()),
-        Values::Strings { table, indices } => {
-            Values::Strings { table: table.clone(), indices: indices[range].to_vec() }
-        }
-    }
+    map_any_type!(values, values => values[range].to_vec())
 }
 
 /// Interleaves columns of one type into a vector attribute. `None` for strings, mixed types or no columns.
@@ -223,70 +237,21 @@ pub(crate) fn append(values: &mut Values, more: Values) -> bool {
     true
 }
 
-// The number types that files store, before they become one of `crate::Values`.
-
-/// A number type as a file stores it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Scalar {
-    /// Signed byte.
-    I8,
-    /// Unsigned byte.
-    U8,
-    /// Signed 16 bits.
-    I16,
-    /// Unsigned 16 bits.
-    U16,
-    /// Signed 32 bits.
-    I32,
-    /// Unsigned 32 bits.
-    U32,
-    /// IEEE single precision.
-    F32,
-    /// IEEE double precision.
-    F64,
-}
-
-impl Scalar {
-    /// Bytes per number.
-    pub const fn size(self) -> usize {
-        match self {
-            Scalar::I8 | Scalar::U8 => 1,
-            Scalar::I16 | Scalar::U16 => 2,
-            Scalar::I32 | Scalar::U32 | Scalar::F32 => 4,
-            Scalar::F64 => 8,
-        }
-    }
-}
-
 // Writes numbers as little-endian bytes, in chunks that fit into the cache.
 
 /// Numbers converted per chunk.
 const PIECE: usize = 4096;
 
 /// Writes floats.
-pub(crate) fn write_f32s(numbers: &[f32], out: &mut impl Write) -> Result<()> {
+pub(crate) fn write_f32s(numbers: &[f32], out: &mut (impl Write + ?Sized)) -> Result<()> {
     write_pieces(numbers, f32::to_le_bytes, out)
-}
-
-/// Writes indices.
-pub(crate) fn write_u32s(numbers: &[u32], out: &mut impl Write) -> Result<()> {
-    write_pieces(numbers, u32::to_le_bytes, out)
-}
-
-/// Writes indices that must fit into 16 bits.
-pub(crate) fn write_u16s(numbers: &[u32], out: &mut impl Write) -> Result<()> {
-    let narrow = |number: u32| {
-        let [low, high, _, _] = number.to_le_bytes();
-        [low, high]
-    };
-    write_pieces(numbers, narrow, out)
 }
 
 /// Converts each number with `to_bytes` and writes the results.
 pub(crate) fn write_pieces<T: Copy, const N: usize>(
     numbers: &[T],
     to_bytes: impl Fn(T) -> [u8; N],
-    out: &mut impl Write,
+    out: &mut (impl Write + ?Sized),
 ) -> Result<()> {
     let mut bytes = [[0; N]; PIECE];
     for piece in numbers.chunks(PIECE) {
@@ -296,6 +261,19 @@ pub(crate) fn write_pieces<T: Copy, const N: usize>(
         out.write_all(bytes[..piece.len()].as_flattened())?;
     }
     Ok(())
+}
+
+/// Converts each number with `to_bytes` and appends the results.
+pub(crate) fn append_bytes<T: Copy, const N: usize>(
+    numbers: &[T],
+    to_bytes: impl Fn(T) -> [u8; N],
+    out: &mut Vec<u8>,
+) {
+    let start = out.len();
+    out.resize(start + N * numbers.len(), 0);
+    for (bytes, &number) in out[start..].as_chunks_mut::<N>().0.iter_mut().zip(numbers) {
+        *bytes = to_bytes(number);
+    }
 }
 
 #[cfg(test)]

@@ -5,13 +5,13 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::data::{MeshData, MeshView, Provenance, VertexAttribute};
+use crate::data::{MeshData, MeshView, Provenance, VertexAttribute, world};
 use crate::error::{Error, Position, Result};
 use crate::provenance::{GENERATOR, comments, from_comments};
 use crate::row::{
     Content, FormatRow, Integrity, MeshEncoder, MeshOptions, MeshWriter, OutputRow, WriteOption,
 };
-use crate::text::excerpt;
+use crate::text::{NumberWriter, ends_with_line, excerpt};
 use crate::vertex_attributes::{Face, Purpose, check_quads, clamp_note, faces, purposes, quad_count};
 
 /// The format's name in errors.
@@ -29,7 +29,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     has_attributes: false,
     options: &[WriteOption::Quads],
     read_provenance: |head| Ok(from_comments(head, "# ")),
-    integrity: Integrity::Tail(ends_as_written),
+    integrity: Integrity::Tail(|tail| ends_with_line(tail, LAST_LINE)),
 };
 
 // Writes a triangle mesh as OBJ text.
@@ -117,7 +117,7 @@ fn text_of(mesh: &MeshView, quads: &[bool], task: usize) -> Vec<u8> {
     let Some(color) = colors_of(mesh) else {
         return match mesh.origin {
             [0.0, 0.0, 0.0] => lines_of(positions, |line, position| line.reals("v", *position)),
-            origin => lines_of(positions, |line, position| line.reals("v", world(origin, position))),
+            origin => lines_of(positions, |line, position| line.reals("v", world(origin, *position))),
         };
     };
     let vertices: Vec<(&[f32; 3], [f32; 3])> =
@@ -125,14 +125,10 @@ fn text_of(mesh: &MeshView, quads: &[bool], task: usize) -> Vec<u8> {
     lines_of(&vertices, |line, (position, color)| {
         match mesh.origin {
             [0.0, 0.0, 0.0] => line.reals_open("v", **position),
-            origin => line.reals_open("v", world(origin, position)),
+            origin => line.reals_open("v", world(origin, **position)),
         }
         line.reals("", *color);
     })
-}
-
-fn world(origin: [f64; 3], position: &[f32; 3]) -> [f64; 3] {
-    std::array::from_fn(|axis| origin[axis] + f64::from(position[axis]))
 }
 
 /// Returns a function that gives red, green and blue of a vertex, clamped to 0 to 1, the only range that
@@ -187,56 +183,39 @@ fn faces_of(triangles: &[[u32; 3]], quads: &[bool], task: usize) -> Vec<u8> {
     lines_of(&faces, |line, face| line.face(face.corners()))
 }
 
-/// Whether the last bytes of a file are those of a complete file of this writer.
-pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
-    let Some(lines) = tail.strip_suffix(b"\n") else { return false };
-    let start = lines.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
-    lines[start..].starts_with(LAST_LINE.as_bytes())
-}
-
-/// Text under construction, with a buffer for formatting numbers.
-struct LineWriter {
-    text: Vec<u8>,
-    real: zmij::Buffer,
-    integer: itoa::Buffer,
-}
-
-impl LineWriter {
-    /// Appends a line, or the rest of one.
+impl NumberWriter {
+    /// Writes a line with a keyword and three numbers.
     fn reals<T: zmij::Float>(&mut self, keyword: &str, numbers: [T; 3]) {
         self.reals_open(keyword, numbers);
         self.text.push(b'\n');
     }
 
-    /// Appends numbers without ending the line.
+    /// Writes a keyword and three numbers, without the end of the line.
     fn reals_open<T: zmij::Float>(&mut self, keyword: &str, numbers: [T; 3]) {
         self.text.extend_from_slice(keyword.as_bytes());
         for number in numbers {
-            let digits = self.real.format_finite(number);
             self.text.push(b' ');
-            self.text.extend_from_slice(digits.strip_suffix(".0").unwrap_or(digits).as_bytes());
+            self.real(number);
         }
     }
 
-    /// Appends a face. Vertex numbers start at one; each vertex has the normal with the same number.
+    /// Writes a face whose corners have the same index as their normals.
     fn face(&mut self, corners: &[u32]) {
         self.text.push(b'f');
         for &index in corners {
-            let digits = self.integer.format(u64::from(index) + 1).as_bytes();
             self.text.push(b' ');
-            self.text.extend_from_slice(digits);
+            self.integer(u64::from(index) + 1);
             self.text.extend_from_slice(b"//");
-            self.text.extend_from_slice(digits);
+            self.integer(u64::from(index) + 1);
         }
         self.text.push(b'\n');
     }
 }
 
 /// Formats one line per element.
-fn lines_of<T>(elements: &[T], format: impl Fn(&mut LineWriter, &T)) -> Vec<u8> {
+fn lines_of<T>(elements: &[T], format: impl Fn(&mut NumberWriter, &T)) -> Vec<u8> {
     const LINE_BYTES: usize = 48; // few lines are longer
-    let text = Vec::with_capacity(elements.len() * LINE_BYTES);
-    let mut lines = LineWriter { text, real: zmij::Buffer::new(), integer: itoa::Buffer::new() };
+    let mut lines = NumberWriter::with_capacity(elements.len() * LINE_BYTES);
     elements.iter().for_each(|element| format(&mut lines, element));
     lines.text
 }

@@ -24,7 +24,7 @@ const FORMAT: &str = "PNG";
 /// # Errors
 ///
 /// [`Error::Io`] if writing fails; [`Error::Invalid`] if the picture is invalid.
-pub fn write(picture: &PictureView, out: &mut impl Write) -> Result<()> {
+pub fn write(picture: &PictureView, out: &mut dyn Write) -> Result<()> {
     picture.check(FORMAT)?;
     let edge = |pixels: usize| {
         u32::try_from(pixels)
@@ -173,7 +173,7 @@ const LAST_CHUNK: [u8; 12] = [0, 0, 0, 0, b'I', b'E', b'N', b'D', 0xae, 0x42, 0x
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow { signatures: &[b"\x89PNG"], ..FormatRow::new("PNG image", &["png"]) },
     help: "Colours, for any viewer",
-    content: Content::Picture(|picture, mut out| write(picture, &mut out)),
+    content: Content::Picture(write),
     write_particles: None,
     has_attributes: false,
     options: &[WriteOption::Up, WriteOption::Size, WriteOption::Camera],

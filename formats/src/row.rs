@@ -146,10 +146,10 @@ pub enum MeshEncoder {
     Stream(StreamWriter),
     /// Formats text in batches of about 20 MB: encoding takes longer than writing.
     Batches {
-        /// The number of batches.
+        /// The number of batches, at least 1, of a mesh that is valid.
         count: fn(&MeshView, &MeshOptions) -> usize,
         /// Encodes a batch as pieces of text, to be written in order. Runs in the caller's thread pool. The
-        /// first batch also checks the mesh: if it fails, discard the other batches.
+        /// first batch also checks the mesh: if it fails, there are no others.
         encode: BatchEncoder,
     },
 }
@@ -176,12 +176,12 @@ impl MeshWriter {
         match self.encoder {
             MeshEncoder::Stream(write) => write(mesh, options, provenance, out),
             MeshEncoder::Batches { count, encode } => {
-                for index in 0..count(mesh, options) {
-                    for text in encode(mesh, options, provenance, index)? {
-                        out.write_all(&text)?;
-                    }
-                }
-                Ok(())
+                let mut write_batch = |index| {
+                    let texts = encode(mesh, options, provenance, index)?;
+                    texts.iter().try_for_each(|text| Ok(out.write_all(text)?))
+                };
+                write_batch(0)?;
+                (1..count(mesh, options)).try_for_each(write_batch)
             }
         }
     }

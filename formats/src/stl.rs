@@ -12,12 +12,11 @@
 
 use std::io::Write;
 
-use crate::data::{MeshData, MeshView, Provenance};
+use crate::data::{MeshData, MeshView, Provenance, world};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::provenance::GENERATOR;
-use crate::row::Integrity;
-use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow};
+use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
 
 const FORMAT: &str = "STL";
 
@@ -35,7 +34,7 @@ const PIECE: usize = 4096;
 ///
 /// [`Error::Io`] if `out` fails; [`Error::TooLarge`] for 2³² triangles or more; [`Error::Invalid`] if the
 /// mesh is inconsistent or not finite.
-pub fn write(mesh: &MeshView, provenance: &Provenance, out: &mut impl Write) -> Result<()> {
+pub fn write(mesh: &MeshView, provenance: &Provenance, out: &mut dyn Write) -> Result<()> {
     mesh.check(FORMAT)?;
     let count = count_of(mesh.triangles.len())?;
     out.write_all(&title(provenance))?;
@@ -44,7 +43,7 @@ pub fn write(mesh: &MeshView, provenance: &Provenance, out: &mut impl Write) -> 
     for piece in mesh.triangles.chunks(PIECE) {
         bytes.clear();
         for triangle in piece {
-            let corners = triangle.map(|corner| world(mesh, corner));
+            let corners = triangle.map(|corner| corner_of(mesh, corner));
             for vector in
                 [normal_of(triangle.map(|corner| mesh.positions[corner as usize]))].iter().chain(&corners)
             {
@@ -66,16 +65,13 @@ fn count_of(triangle_count: usize) -> Result<u32> {
     })
 }
 
-/// The world position of a vertex, rounded once.
-fn world(mesh: &MeshView, corner: u32) -> [f32; 3] {
-    at(mesh.origin, mesh.positions[corner as usize])
-}
-
+/// The world position of a corner. A mesh without an origin keeps its positions, and their negative zeros.
 #[expect(clippy::cast_possible_truncation, reason = "the format has 32 bits")]
-fn at(origin: [f64; 3], position: [f32; 3]) -> [f32; 3] {
-    match origin {
+fn corner_of(mesh: &MeshView, corner: u32) -> [f32; 3] {
+    let position = mesh.positions[corner as usize];
+    match mesh.origin {
         [0.0, 0.0, 0.0] => position,
-        origin => std::array::from_fn(|axis| (origin[axis] + f64::from(position[axis])) as f32),
+        origin => world(origin, position).map(|along| along as f32),
     }
 }
 
@@ -217,9 +213,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
             _ => vec!["vertex attributes are missing in the .stl, which stores triangles only".to_owned()],
         },
         has_world_positions: true,
-        ..MeshWriter::new(MeshEncoder::Stream(|mesh, _, provenance, mut out| {
-            write(mesh, provenance, &mut out)
-        }))
+        ..MeshWriter::new(MeshEncoder::Stream(|mesh, _, provenance, out| write(mesh, provenance, out)))
     }),
     write_particles: None,
     has_attributes: false,

@@ -175,6 +175,37 @@ pub(crate) fn excerpts<T: AsRef<[u8]>>(names: impl IntoIterator<Item = T>) -> St
     shown.join(", ")
 }
 
+/// Numbers as text, each with the fewest digits from which it can be read back.
+pub(crate) struct NumberWriter {
+    pub(crate) text: Vec<u8>,
+    real: zmij::Buffer,
+    integer: itoa::Buffer,
+}
+
+impl NumberWriter {
+    /// An empty text with space for this number of bytes.
+    pub(crate) fn with_capacity(byte_count: usize) -> NumberWriter {
+        let text = Vec::with_capacity(byte_count);
+        NumberWriter { text, real: zmij::Buffer::new(), integer: itoa::Buffer::new() }
+    }
+
+    /// Appends a finite real number.
+    pub(crate) fn real<T: zmij::Float>(&mut self, number: T) {
+        let digits = self.real.format_finite(number);
+        self.text.extend_from_slice(digits.strip_suffix(".0").unwrap_or(digits).as_bytes());
+    }
+
+    pub(crate) fn integer(&mut self, number: impl itoa::Integer) {
+        self.text.extend_from_slice(self.integer.format(number).as_bytes());
+    }
+}
+
+/// Whether the last bytes of a file contain a whole last line that begins with `start`.
+pub(crate) fn ends_with_line(tail: &[u8], start: &str) -> bool {
+    let Some(lines) = tail.strip_suffix(b"\n") else { return false };
+    lines.rsplit(|&byte| byte == b'\n').next().is_some_and(|line| line.starts_with(start.as_bytes()))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

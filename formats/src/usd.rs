@@ -11,8 +11,8 @@
 use crate::data::{MeshView, VertexAttribute, VertexValues};
 use crate::error::Result;
 use crate::gltf::{
-    ACCELERATION, COLOR, NORMAL, POSITION, PositionTransform, SequenceFrame, SequencePlacement,
-    SharedAttribute, VELOCITY, shared_attributes,
+    ACCELERATION, COLOR, NORMAL, POSITION, SequenceFrame, SequencePlacement, SharedAttribute, VELOCITY,
+    shared_attributes,
 };
 use crate::steps::{check_numbers, held_times};
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
@@ -227,9 +227,7 @@ fn usd_properties(attributes: &[VertexAttribute]) -> Vec<UsdProperty> {
         Purpose::Velocity => UsdProperty::Velocities,
         Purpose::Acceleration => UsdProperty::Accelerations,
         Purpose::Color(_) => UsdProperty::Color,
-        Purpose::Other => UsdProperty::Primvar(
-            used.take(&identifier(attribute.name), |stem| vec![stem.to_owned()]).concat(),
-        ),
+        Purpose::Other => UsdProperty::Primvar(used.take(&identifier(attribute.name))),
     };
     attributes.iter().zip(purposes(attributes)).map(property).collect()
 }
@@ -383,7 +381,7 @@ impl<'a> UsdSequence<'a> {
                 _ => {
                     let kind = format!("{}[]", vector("float", arity));
                     let wanted = identifier(&name);
-                    let plain = used.take(&wanted, |stem| vec![stem.to_owned()]).concat();
+                    let plain = used.take(&wanted);
                     if plain != wanted {
                         notes.push(format!("{semantic} is named primvars:{plain} in the sequence"));
                     }
@@ -394,9 +392,9 @@ impl<'a> UsdSequence<'a> {
         Ok((found, notes))
     }
 
-    /// The transform of the positions of a frame.
-    pub(crate) fn transform(&self, index: usize) -> Result<PositionTransform> {
-        self.placement.transform(&self.frames[index].file)
+    /// What must be added to the positions of a frame.
+    pub(crate) fn shift(&self, index: usize) -> Result<[f64; 3]> {
+        self.placement.shift(&self.frames[index].file)
     }
 
     /// The minimum and maximum corner of a frame, relative to the sequence's origin. Without a mesh, the
@@ -405,7 +403,7 @@ impl<'a> UsdSequence<'a> {
         if !self.frames[index].file.has_mesh() {
             return Ok([[f32::MAX; 3], [f32::MIN; 3]]);
         }
-        self.frames[index].file.transformed_bounds(&self.transform(index)?)
+        self.frames[index].file.shifted_bounds(self.shift(index)?)
     }
 
     /// The origin of the sequence, unless it is zero.

@@ -29,6 +29,7 @@ use std::ops::Range;
 use crate::columns::radius_scale;
 use crate::data::{AttributeRole, FileAttribute, ParticleFrame, Values, VertexAttribute, VertexValues};
 use crate::error::{Error, Position, Result};
+use crate::number::append_bytes;
 
 /// Attributes that formats treat specially.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -93,9 +94,14 @@ impl UsedNames {
         UsedNames(reserved.iter().map(|name| name.to_ascii_lowercase()).collect())
     }
 
+    /// Reserves and returns a name: the stem, or `stem_2`, `stem_3`, … if it is already used.
+    pub(crate) fn take(&mut self, stem: &str) -> String {
+        self.take_all(stem, |stem| vec![stem.to_owned()]).concat()
+    }
+
     /// Reserves and returns the names that `names_of` derives from a stem. If one of them is already used,
     /// tries `stem_2`, `stem_3`, … until all derived names are free.
-    pub(crate) fn take(&mut self, stem: &str, names_of: impl Fn(&str) -> Vec<String>) -> Vec<String> {
+    pub(crate) fn take_all(&mut self, stem: &str, names_of: impl Fn(&str) -> Vec<String>) -> Vec<String> {
         let mut names = names_of(stem);
         let mut number = 2u64;
         while names.iter().any(|name| self.0.contains(&name.to_ascii_lowercase())) {
@@ -104,6 +110,99 @@ impl UsedNames {
         }
         self.0.extend(names.iter().map(|name| name.to_ascii_lowercase()));
         names
+    }
+}
+
+/// Numbers and the type in which a file stores them.
+#[derive(Clone, Copy)]
+pub(crate) enum StoredNumbers<'a> {
+    U8(&'a [u8]),
+    I32(&'a [i32]),
+    I64(&'a [i64]),
+    F32(&'a [f32]),
+    F64(&'a [f64]),
+    /// Integers that all fit into 32 bits.
+    Narrow(&'a [i64]),
+    /// Integers that all fit into 32 bits without a sign.
+    Unsigned(&'a [i64]),
+    /// Integers as 64-bit floats.
+    Rounded(&'a [i64]),
+    /// Numbers from 0 to 1 as bytes from 0 to 255.
+    Unit(&'a [f32]),
+    /// Indices into a table of strings, in 32 bits; −1 for those outside the table.
+    Strings(&'a [String], &'a [i32]),
+}
+
+impl<'a> StoredNumbers<'a> {
+    /// The values of particles in their own type.
+    pub(crate) fn of_particles(values: &'a Values) -> StoredNumbers<'a> {
+        match values {
+            Values::F32(values) => StoredNumbers::F32(values),
+            Values::F64(values) => StoredNumbers::F64(values),
+            Values::U8(values) => StoredNumbers::U8(values),
+            Values::I32(values) => StoredNumbers::I32(values),
+            Values::I64(values) => StoredNumbers::I64(values),
+            Values::Strings { table, indices } => StoredNumbers::Strings(table, indices),
+        }
+    }
+
+    /// The values of vertices; integers have 32 bits if all fit.
+    pub(crate) fn of_vertices(values: VertexValues<'a>) -> StoredNumbers<'a> {
+        match values {
+            VertexValues::Numbers(values) => StoredNumbers::F32(values),
+            VertexValues::Integers(values) if values.iter().all(|&value| i32::try_from(value).is_ok()) => {
+                StoredNumbers::Narrow(values)
+            }
+            VertexValues::Integers(values) => StoredNumbers::I64(values),
+            VertexValues::Strings { table, indices } => StoredNumbers::Strings(table, indices),
+        }
+    }
+
+    pub(crate) fn len(self) -> usize {
+        match self {
+            StoredNumbers::U8(values) => values.len(),
+            StoredNumbers::I32(values) | StoredNumbers::Strings(_, values) => values.len(),
+            StoredNumbers::F32(values) | StoredNumbers::Unit(values) => values.len(),
+            StoredNumbers::F64(values) => values.len(),
+            StoredNumbers::I64(values) | StoredNumbers::Narrow(values) => values.len(),
+            StoredNumbers::Unsigned(values) | StoredNumbers::Rounded(values) => values.len(),
+        }
+    }
+
+    /// The strings that the values are indices into.
+    pub(crate) fn table(self) -> Option<&'a [String]> {
+        match self {
+            StoredNumbers::Strings(table, _) => Some(table),
+            _ => None,
+        }
+    }
+
+    /// Appends a range of the numbers, least significant byte first.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the values fit")]
+    pub(crate) fn append(self, range: Range<usize>, out: &mut Vec<u8>) {
+        match self {
+            StoredNumbers::U8(values) => out.extend_from_slice(&values[range]),
+            StoredNumbers::I32(values) => append_bytes(&values[range], i32::to_le_bytes, out),
+            StoredNumbers::I64(values) => append_bytes(&values[range], i64::to_le_bytes, out),
+            StoredNumbers::F32(values) => append_bytes(&values[range], f32::to_le_bytes, out),
+            StoredNumbers::F64(values) => append_bytes(&values[range], f64::to_le_bytes, out),
+            StoredNumbers::Narrow(values) => {
+                append_bytes(&values[range], |value| (value as i32).to_le_bytes(), out);
+            }
+            StoredNumbers::Unsigned(values) => {
+                append_bytes(&values[range], |value| (value as u32).to_le_bytes(), out);
+            }
+            StoredNumbers::Rounded(values) => {
+                append_bytes(&values[range], |value| (value as f64).to_le_bytes(), out);
+            }
+            StoredNumbers::Unit(values) => {
+                let byte = |value: f32| [(value.clamp(0.0, 1.0) * 255.0).round_ties_even() as u8];
+                append_bytes(&values[range], byte, out);
+            }
+            StoredNumbers::Strings(table, indices) => {
+                append_bytes(&indices[range], |index| string_index(index, table).to_le_bytes(), out);
+            }
+        }
     }
 }
 
@@ -117,7 +216,7 @@ impl UsedNames {
 pub(crate) fn check(frame: &ParticleFrame, format: &'static str) -> Result<()> {
     let count = frame.positions.len();
     for FileAttribute { name, arity, values, .. } in &frame.attributes {
-        let found = crate::number::length(values);
+        let found = values.len();
         if *arity == 0 || count.checked_mul(*arity) != Some(found) {
             let what =
                 format!("attribute {name} has {found} values for {count} particles with {arity} values each");
@@ -221,11 +320,11 @@ mod tests {
         let mut used = UsedNames::new(&["x", "y"]);
         let one = |stem: &str| vec![stem.to_string()];
         let two = |stem: &str| vec![format!("{stem}_x"), format!("{stem}_y")];
-        assert_eq!(used.take("X", one), ["X_2"]);
-        assert_eq!(used.take("a", two), ["a_x", "a_y"]);
-        assert_eq!(used.take("A_Y", one), ["A_Y_2"]);
-        assert_eq!(used.take("a", two), ["a_2_x", "a_2_y"]);
-        assert_eq!(used.take("a", one), ["a"]);
+        assert_eq!(used.take_all("X", one), ["X_2"]);
+        assert_eq!(used.take_all("a", two), ["a_x", "a_y"]);
+        assert_eq!(used.take_all("A_Y", one), ["A_Y_2"]);
+        assert_eq!(used.take_all("a", two), ["a_2_x", "a_2_y"]);
+        assert_eq!(used.take_all("a", one), ["a"]);
     }
 
     #[test]

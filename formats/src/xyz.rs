@@ -35,11 +35,7 @@ const SAMPLE_COUNT: usize = 4096;
 /// [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let count = bytes.len() / RECORD_BYTES;
-    if count as u64 > limits.particle_count {
-        let what =
-            format!("the file has {count} particles, more than the limit of {}", limits.particle_count);
-        return Err(Error::too_large(FORMAT, what));
-    }
+    limits.check_particles(FORMAT, count as u64)?;
     let endian = endian(bytes)?;
     if !bytes.len().is_multiple_of(RECORD_BYTES) {
         let position = Position::Offset((count * RECORD_BYTES) as u64);

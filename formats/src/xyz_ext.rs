@@ -144,10 +144,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 fn names(comment: &[u8], column_count: usize, limits: &Limits) -> Result<Vec<String>> {
     let properties = std::str::from_utf8(comment).ok().and_then(properties);
     let count = properties.as_ref().map_or(column_count, |names| names.iter().map(|(_, count)| count).sum());
-    if count > limits.attribute_count {
-        let what = format!("the file has more columns than the limit of {}", limits.attribute_count);
-        return Err(Error::too_large(FORMAT, what));
-    }
+    limits.check_attributes(FORMAT, count, "columns")?;
     let Some(properties) = properties else {
         let known = ["element", "x", "y", "z"].map(String::from).into_iter();
         return Ok(known.chain((5..=column_count).map(|column| format!("column_{column}"))).collect());

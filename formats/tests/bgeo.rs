@@ -254,7 +254,7 @@ fn values_beyond_the_format_are_an_error() {
     };
     let table = [
         (attribute(1, Values::I64(vec![1 << 40])), "32 bits"),
-        (attribute(3, Values::F32(vec![0.0])), "1 values, expected 3 for each of 1 points"),
+        (attribute(3, Values::F32(vec![0.0])), "1 values for 1 particles with 3 values each"),
         (attribute(70_000, Values::F32(vec![0.0; 70_000])), "the format's limit is 65535"),
     ];
     for (frame, expected) in table {

@@ -247,14 +247,18 @@ fn degenerate_triangle_has_zero_normal_in_stl() {
     assert_eq!(bytes[84..96], [0; 12]);
 }
 
-fn files() -> [(OutputFormat, Vec<u8>); 4] {
+/// A mesh in each format.
+fn files() -> Vec<(OutputFormat, Vec<u8>)> {
     let mesh = torus(9, 7, FAR);
-    [
-        (OutputFormat::Vtp, vtp(&mesh, true)),
-        (OutputFormat::Stl, stl_bytes(&mesh)),
-        (OutputFormat::Usda, usda_text(&mesh, true, gltf::UpAxis::Y).into_bytes()),
-        (OutputFormat::Usdc, usdc_bytes(&mesh, true, gltf::UpAxis::Y)),
-    ]
+    let attributes = mesh.attributes();
+    let options = MeshOptions { quads: mesh.quads.clone().into(), ..MeshOptions::default() };
+    let written = |format: OutputFormat| {
+        let mut bytes = Vec::new();
+        let view = mesh.view(&attributes);
+        format.write_mesh(&view, &options, &provenance(), &mut bytes).expect("writing to memory");
+        (format, bytes)
+    };
+    OutputFormat::ALL.into_iter().filter(|format| format.is_mesh()).map(written).collect()
 }
 
 #[test]

@@ -205,8 +205,7 @@ fn ply_has_the_size_declared_by_its_header() {
 }
 
 #[test]
-fn provenance_is_read_from_the_head() {
-    let mesh = ball(20, 30, FAR);
+fn provenance_of_level_sets_and_foreign_files_is_read() {
     let leaf = [0.25; 512];
     let levels = meniscus_formats::LevelSetView {
         origins: &[[0; 3]],
@@ -218,20 +217,11 @@ fn provenance_is_read_from_the_head() {
     let mut vdb = Vec::new();
     let options = meniscus_formats::vdb::WriteOptions::default();
     meniscus_formats::vdb::write(&levels, &options, &provenance(), &mut vdb).expect("writing to memory");
-    let up = gltf::UpAxis::Y;
-    let files = [
-        (OutputFormat::Glb, glb(&mesh, up)),
-        (OutputFormat::Gltf, gltf_text(&mesh, up)),
-        (OutputFormat::Obj, obj_text(&mesh)),
-        (OutputFormat::Ply, ply_bytes(&mesh)),
-        (OutputFormat::Vdb, vdb),
-    ];
-    for (kind, bytes) in files {
-        assert_eq!(read_provenance(kind, &bytes[..]).expect("our own file"), provenance(), "{kind:?}");
-        assert_eq!(read_provenance(kind, &bytes[..1500]).expect("a head"), provenance(), "{kind:?}");
-        for length in 0..1500 {
-            let _ = read_provenance(kind, &bytes[..length]);
-        }
+    let kind = OutputFormat::Vdb;
+    assert_eq!(read_provenance(kind, &vdb[..]).expect("our own file"), provenance());
+    assert_eq!(read_provenance(kind, &vdb[..1500]).expect("a head"), provenance());
+    for length in 0..1500 {
+        let _ = read_provenance(kind, &vdb[..length]);
     }
     for (kind, foreign) in [
         (

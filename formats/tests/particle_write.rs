@@ -2,7 +2,7 @@
 
 use crate::fixtures;
 
-use std::io::Cursor;
+use std::io::{Cursor, Write};
 use std::path::Path;
 
 use meniscus_formats::{
@@ -10,7 +10,7 @@ use meniscus_formats::{
     Values, is_complete, ply, read_particles, read_provenance, vtk,
 };
 
-type Writer = fn(&ParticleFrame, &Provenance, &mut Vec<u8>) -> Result<()>;
+type Writer = fn(&ParticleFrame, &Provenance, &mut dyn Write) -> Result<()>;
 
 const WRITERS: [(&str, OutputFormat, Writer); 2] =
     [("a.ply", OutputFormat::Ply, ply::write_particles), ("a.vtp", OutputFormat::Vtp, vtk::write_particles)];

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use meniscus_formats::Scalar;
+use meniscus_formats::NumberType;
 use meniscus_formats::ply::{Encoding, PropertyType, read, read_header, read_mesh};
 use meniscus_formats::{AttributeRole, Error, FilePositions, Limits, ParticleFrame, Values};
 
@@ -142,7 +142,7 @@ fn files_beyond_limits_are_errors() {
         "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n";
     let text = format!("{header}end_header\n1 2 3\n1 2 3\n1 2 3\n");
     let cases = [
-        (Limits { particle_count: 2, ..Limits::default() }, "3 vertices; the limit is 2"),
+        (Limits { particle_count: 2, ..Limits::default() }, "3 particles, more than the limit of 2"),
         (Limits { header_bytes: 60, ..Limits::default() }, "no `end_header` within the 60 bytes"),
         (Limits { attribute_count: 2, ..Limits::default() }, "more properties than the limit of 2"),
     ];
@@ -227,7 +227,7 @@ fn ply_rs_bw_reads_the_same_values() {
 /// A table of vertices to write: names, types, and rows of numbers that fit the types.
 #[derive(Clone, Debug)]
 struct Vertices {
-    columns: Vec<(String, Scalar)>,
+    columns: Vec<(String, NumberType)>,
     rows: Vec<Vec<f64>>,
     /// Whether a list is between the vertex properties, and an element with a list is before the vertices.
     lists: bool,
@@ -271,9 +271,9 @@ impl Vertices {
     }
 
     fn write_list(&self, encoding: Encoding, file: &mut Vec<u8>) {
-        write_value(2.0, Scalar::U8, encoding, file);
-        write_value(-7.0, Scalar::I16, encoding, file);
-        write_value(7.0, Scalar::I16, encoding, file);
+        write_value(2.0, NumberType::U8, encoding, file);
+        write_value(-7.0, NumberType::I16, encoding, file);
+        write_value(7.0, NumberType::I16, encoding, file);
     }
 
     fn end_row(&self, encoding: Encoding, file: &mut Vec<u8>) {
@@ -283,16 +283,17 @@ impl Vertices {
     }
 }
 
-fn type_name(scalar: Scalar) -> &'static str {
+fn type_name(scalar: NumberType) -> &'static str {
     match scalar {
-        Scalar::I8 => "char",
-        Scalar::U8 => "uint8",
-        Scalar::I16 => "short",
-        Scalar::U16 => "uint16",
-        Scalar::I32 => "int",
-        Scalar::U32 => "uint32",
-        Scalar::F32 => "float32",
-        Scalar::F64 => "double",
+        NumberType::I8 => "char",
+        NumberType::U8 => "uint8",
+        NumberType::I16 => "short",
+        NumberType::U16 => "uint16",
+        NumberType::I32 => "int",
+        NumberType::U32 => "uint32",
+        NumberType::F32 => "float32",
+        NumberType::F64 => "double",
+        _ => panic!("PLY has no {scalar:?}"),
     }
 }
 
@@ -301,16 +302,17 @@ fn type_name(scalar: Scalar) -> &'static str {
     clippy::cast_sign_loss,
     reason = "the value was made for the type"
 )]
-fn write_value(value: f64, scalar: Scalar, encoding: Encoding, file: &mut Vec<u8>) {
+fn write_value(value: f64, scalar: NumberType, encoding: Encoding, file: &mut Vec<u8>) {
     let (mut bytes, text) = match scalar {
-        Scalar::I8 => ((value as i8).to_le_bytes().to_vec(), value.to_string()),
-        Scalar::U8 => ((value as u8).to_le_bytes().to_vec(), value.to_string()),
-        Scalar::I16 => ((value as i16).to_le_bytes().to_vec(), value.to_string()),
-        Scalar::U16 => ((value as u16).to_le_bytes().to_vec(), value.to_string()),
-        Scalar::I32 => ((value as i32).to_le_bytes().to_vec(), value.to_string()),
-        Scalar::U32 => ((value as u32).to_le_bytes().to_vec(), value.to_string()),
-        Scalar::F32 => ((value as f32).to_le_bytes().to_vec(), (value as f32).to_string()),
-        Scalar::F64 => (value.to_le_bytes().to_vec(), format!("{value:e}")),
+        NumberType::I8 => ((value as i8).to_le_bytes().to_vec(), value.to_string()),
+        NumberType::U8 => ((value as u8).to_le_bytes().to_vec(), value.to_string()),
+        NumberType::I16 => ((value as i16).to_le_bytes().to_vec(), value.to_string()),
+        NumberType::U16 => ((value as u16).to_le_bytes().to_vec(), value.to_string()),
+        NumberType::I32 => ((value as i32).to_le_bytes().to_vec(), value.to_string()),
+        NumberType::U32 => ((value as u32).to_le_bytes().to_vec(), value.to_string()),
+        NumberType::F32 => ((value as f32).to_le_bytes().to_vec(), (value as f32).to_string()),
+        NumberType::F64 => (value.to_le_bytes().to_vec(), format!("{value:e}")),
+        _ => panic!("PLY has no {scalar:?}"),
     };
     match encoding {
         Encoding::Ascii => file.extend(format!("{text} ").bytes()),
@@ -344,25 +346,26 @@ impl Random {
 
     /// Any finite value of the type: one of its limits, or random bits.
     #[expect(clippy::cast_possible_truncation, reason = "the lower bits are as random as the others")]
-    fn value(&mut self, scalar: Scalar) -> f64 {
+    fn value(&mut self, scalar: NumberType) -> f64 {
         let bits = [self.bits(), self.bits(), self.bits()];
         let bits = self.one_of(&[bits[0], bits[1], bits[2], 0, 1, u64::MAX, u64::MAX >> 1]);
         let number = match scalar {
-            Scalar::I8 => f64::from(bits as i8),
-            Scalar::U8 => f64::from(bits as u8),
-            Scalar::I16 => f64::from(bits as i16),
-            Scalar::U16 => f64::from(bits as u16),
-            Scalar::I32 => f64::from(bits as i32),
-            Scalar::U32 => f64::from(bits as u32),
-            Scalar::F32 => f64::from(f32::from_bits(bits as u32)),
-            Scalar::F64 => f64::from_bits(bits),
+            NumberType::I8 => f64::from(bits as i8),
+            NumberType::U8 => f64::from(bits as u8),
+            NumberType::I16 => f64::from(bits as i16),
+            NumberType::U16 => f64::from(bits as u16),
+            NumberType::I32 => f64::from(bits as i32),
+            NumberType::U32 => f64::from(bits as u32),
+            NumberType::F32 => f64::from(f32::from_bits(bits as u32)),
+            NumberType::F64 => f64::from_bits(bits),
+            _ => panic!("PLY has no {scalar:?}"),
         };
         if number.is_finite() { number } else { self.value(scalar) }
     }
 
     /// Vertices with x, y and z in this order after a rotation, other attributes, and values of any type.
     fn vertices(&mut self) -> Vertices {
-        use Scalar::{F32, F64, I8, I16, I32, U8, U16, U32};
+        use NumberType::{F32, F64, I8, I16, I32, U8, U16, U32};
         let mut names: Vec<String> = ["x", "y", "z"].map(String::from).to_vec();
         names.rotate_left(self.below(3));
         names.extend((3..3 + self.below(6)).map(|index| format!("attribute{index}q")));

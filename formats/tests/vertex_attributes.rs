@@ -337,12 +337,8 @@ fn invalid_attributes_are_an_error() {
         let attributes = [attribute("a", None, arity, values)];
         written(&attributes, |mesh, _| {
             let out = &mut Vec::new();
-            for refused in [
-                gltf::write_glb(mesh, &MeshOptions::default(), &[], out),
-                gltf::write_gltf(mesh, &MeshOptions::default(), &[], out),
-                ply::write::write_mesh(mesh, &[], out),
-                OutputFormat::Obj.write_mesh(mesh, &MeshOptions::default(), &[], out),
-            ] {
+            for format in OutputFormat::ALL.into_iter().filter(|format| format.is_mesh()) {
+                let refused = format.write_mesh(mesh, &MeshOptions::default(), &[], out);
                 let error = refused.expect_err("no file can hold it").to_string();
                 assert!(error.contains(" a "), "{error}");
             }

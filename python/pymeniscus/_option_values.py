@@ -68,7 +68,7 @@ class OptionValues(TypedDict, total=False):
     smooth_normals : int
         Average normals with their neighbours this many times, 0 to 1000 [default: 0]
     quads : bool
-        Write the quads of dual contouring to .obj, .vtp, .usda, .usdc and .abc
+        Write the quads of dual contouring to formats with polygons, such as .obj, .usdc and .abc
     integrator : Literal["fast", "implicit", "explicit", "adaptive"]
         Time integrator of the smoothing [default: fast]
     laplacian_steps : int

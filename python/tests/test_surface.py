@@ -11,6 +11,7 @@ import pytest
 from conftest import lattice
 
 import pymeniscus as pm
+from pymeniscus._native import format_names
 
 
 def test_arrays_are_views_of_one_memory(surface):
@@ -121,7 +122,7 @@ def test_an_empty_surface_has_empty_arrays():
     assert made._repr_png_() is None and "0" in made._repr_html_()
 
 
-@pytest.mark.parametrize("extension", ["glb", "gltf", "vdb", "obj", "ply", "vtp", "stl", "usda", "usdc", "abc", "png", "exr"])
+@pytest.mark.parametrize("extension", format_names())
 def test_every_format_is_written(block, tmp_path, extension):
     surface = pm.reconstruct(block, spacing=0.1, formats=[extension])
     path = tmp_path / f"surface.{extension}"
@@ -134,8 +135,6 @@ def test_every_format_is_written(block, tmp_path, extension):
 
 
 def test_formats_of_the_core_are_all_known(block, tmp_path):
-    from pymeniscus._native import format_names
-
     surface = pm.reconstruct(block, spacing=0.1, formats=format_names())
     for extension in format_names():
         surface.write(tmp_path / "surface", format=extension, size=(16, 16))

@@ -38,7 +38,7 @@ const TIMEOUT: Duration = Duration::from_secs(60);
 #[test]
 fn damaged_inputs_break_no_target() {
     let shared: Vec<Vec<u8>> = SHARED.iter().flat_map(|folder| files(&root().join(folder))).collect();
-    for target in &TARGETS {
+    for target in TARGETS {
         let own = files(&root().join("tests/fuzz/corpus").join(target.name));
         assert!(!own.is_empty(), "no file in corpus/{}", target.name);
         own.iter().chain(&shared).for_each(|bytes| give(target, bytes));

@@ -7,7 +7,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use meniscus_formats::{MeshOptions, MeshView, stl, vtk};
+use meniscus_formats::{Format, MeshOptions, MeshView, OutputFormat};
 use tempfile::{TempDir, tempdir};
 
 use crate::program::scene::{RunResult, meniscus, write_ply};
@@ -65,13 +65,6 @@ fn write_mesh(path: &Path, mesh: &(Vec<[f32; 3]>, Vec<[u32; 3]>)) {
     let (count, size) = (triangles.len(), 4 * triangles.len());
     match path.extension().and_then(|extension| extension.to_str()).expect("an extension") {
         "obj" => return write_obj(path, mesh),
-        "stl" => stl::write(&view, &[], &mut bytes).expect("in memory"),
-        "vtp" => vtk::write_mesh(&view, &MeshOptions::default(), &[], &mut bytes).expect("in memory"),
-        "ply" => meniscus_formats::ply::write::write_mesh(&view, &[], &mut bytes).expect("in memory"),
-        "glb" => {
-            let options = MeshOptions::default();
-            meniscus_formats::gltf::write_glb(&view, &options, &[], &mut bytes).expect("in memory");
-        }
         "vtk" => bytes = format!("{}POLYGONS {count} {size}\n{cells}", head("POLYDATA")).into_bytes(),
         "vtu" => {
             let connectivity: String = triangles.iter().map(|[a, b, c]| format!("{a} {b} {c} ")).collect();
@@ -88,7 +81,10 @@ fn write_mesh(path: &Path, mesh: &(Vec<[f32; 3]>, Vec<[u32; 3]>)) {
             )
             .into_bytes();
         }
-        other => panic!("{other}"),
+        other => OutputFormat::from_extension(other)
+            .unwrap_or_else(|| panic!("{other}"))
+            .write_mesh(&view, &MeshOptions::default(), &[], &mut bytes)
+            .expect("in memory"),
     }
     fs::write(path, bytes).expect("written");
 }
@@ -163,7 +159,8 @@ fn moving_ball_scores_zero_in_every_format_by_ids_and_by_velocities() {
         assert!(column(&table, "max")[0] < 1e-4, "{}", result.out);
     }
     let folder = scene(&[1.05; 3], ",id");
-    for extension in ["glb", "ply", "stl", "vtk", "vtp", "vtu"] {
+    let formats = Format::ALL.into_iter().filter(|format| format.has_mesh());
+    for extension in formats.flat_map(Format::extensions) {
         for number in 1..=3 {
             let mesh = sphere(1.05, STEP * f64::from(number));
             write_mesh(&folder.path().join(format!("dam.{number}.{extension}")), &mesh);

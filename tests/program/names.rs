@@ -5,6 +5,7 @@ use std::io::{Read, Write};
 use std::path::Path;
 use std::process::Stdio;
 
+use meniscus_formats::OutputFormat;
 use tempfile::{TempDir, tempdir};
 
 use crate::program::scene::{RunResult, block, command, meniscus, names_in, write_ply, write_sequence};
@@ -288,7 +289,8 @@ fn folder_of_single_frames_is_warned_about() {
 fn single_frame_is_written_to_the_named_file() {
     let folder = folder_with(&["dam.7.ply"]);
     let path = folder.path();
-    for format in ["glb", "gltf", "obj", "ply", "vtp", "stl", "usda", "usdc", "abc", "vdb"] {
+    for format in OutputFormat::ALL.into_iter().filter(|format| !format.is_picture()) {
+        let format = format.extension();
         let file = format!("new/x.{format}");
         let short = convert(path, &["in/dam.7.ply", "-o", &file]);
         assert_eq!((short.status, &*short.err), (0, ""), "{format}: {}", short.out);

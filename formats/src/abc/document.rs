@@ -141,9 +141,12 @@ enum PropertyContent {
 }
 
 impl AbcProperty {
-    pub(super) fn compound(name: &str, metadata: &str, properties: Vec<AbcProperty>) -> AbcProperty {
-        let content = PropertyContent::Compound(properties);
+    fn new(name: &str, metadata: &str, content: PropertyContent) -> AbcProperty {
         AbcProperty { name: name.to_owned(), metadata: metadata.to_owned(), content }
+    }
+
+    pub(super) fn compound(name: &str, metadata: &str, properties: Vec<AbcProperty>) -> AbcProperty {
+        AbcProperty::new(name, metadata, PropertyContent::Compound(properties))
     }
 
     pub(super) fn scalar(
@@ -152,8 +155,7 @@ impl AbcProperty {
         (pod, extent): (Pod, u8),
         samples: Vec<Sample>,
     ) -> AbcProperty {
-        let content = PropertyContent::Values { is_array: false, pod, extent, samples };
-        AbcProperty { name: name.to_owned(), metadata: metadata.to_owned(), content }
+        AbcProperty::new(name, metadata, PropertyContent::Values { is_array: false, pod, extent, samples })
     }
 
     pub(super) fn array(
@@ -162,8 +164,7 @@ impl AbcProperty {
         (pod, extent): (Pod, u8),
         samples: Vec<Sample>,
     ) -> AbcProperty {
-        let content = PropertyContent::Values { is_array: true, pod, extent, samples };
-        AbcProperty { name: name.to_owned(), metadata: metadata.to_owned(), content }
+        AbcProperty::new(name, metadata, PropertyContent::Values { is_array: true, pod, extent, samples })
     }
 
     /// Writes the groups of the property. Returns a reference to it, and a hash of its content.

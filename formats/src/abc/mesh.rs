@@ -238,18 +238,18 @@ fn real_bytes(numbers: &[f64]) -> Vec<u8> {
 /// Writes vectors or single numbers as a sample: `count` elements, each of `extent` numbers.
 pub(super) fn real_sample(values: &[f32], (count, extent): (u64, u64), ogawa: &mut Ogawa) -> Result<Sample> {
     let byte_count = 4 * count * extent;
-    ogawa.sample(count, byte_count, &mut |mut out| write_f32s(values, &mut out))
+    ogawa.sample(count, byte_count, &mut |out| write_f32s(values, out))
 }
 
 /// Writes the vertex indices of triangles, in Alembic's order, and the number of corners of each.
 pub(super) fn triangle_samples(triangles: &[[u32; 3]], count: u64, ogawa: &mut Ogawa) -> Result<[Sample; 2]> {
-    let corners = ogawa.sample(3 * count, 12 * count, &mut |mut out| {
+    let corners = ogawa.sample(3 * count, 12 * count, &mut |out| {
         let reversed = |[a, b, c]: [u32; 3]| {
             let mut bytes = [0; 12];
             bytes.copy_from_slice([c, b, a].map(u32::to_le_bytes).as_flattened());
             bytes
         };
-        write_pieces(triangles, reversed, &mut out)
+        write_pieces(triangles, reversed, out)
     })?;
     let counts = ogawa.sample(count, 4 * count, &mut |out| three_each(count, out))?;
     Ok([corners, counts])

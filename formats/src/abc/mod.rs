@@ -18,17 +18,18 @@ use std::io::{self, Read, Seek, Write};
 
 pub use read::{read_mesh, read_sample, read_sequence_info, read_times};
 
+use crate::bytes::Endian;
 use crate::columns::role_of;
 use crate::data::{
     AttributeRole, FileAttribute, MeshView, Provenance, Values, VertexAttribute, VertexValues,
 };
 use crate::error::{Error, Position, Result};
 use crate::gltf::{
-    COLOR, NORMAL, POSITION, SequenceFrame, SequencePlacement, SharedAttribute, VELOCITY, loss_notes,
-    shared_attributes, write_glb,
+    COLOR, NORMAL, POSITION, PlacedMesh, SequenceFrame, SequencePlacement, SharedAttribute, VELOCITY,
+    shared_attributes,
 };
 use crate::limits::Limits;
-use crate::number::write_pieces;
+use crate::number::{NumberType, write_pieces};
 use crate::row::{
     Content, FormatRow, Integrity, MeshEncoder, MeshOptions, MeshWriter, OutputRow, UpAxis, WriteOption,
 };
@@ -103,9 +104,7 @@ fn names_of(attributes: &[VertexAttribute]) -> Vec<String> {
     let mut used = UsedNames::new(&[]);
     let name = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
         Purpose::Velocity => String::new(),
-        Purpose::Acceleration | Purpose::Color(_) | Purpose::Other => {
-            used.take(&plain_name(attribute.name), |stem| vec![stem.to_owned()]).concat()
-        }
+        Purpose::Acceleration | Purpose::Color(_) | Purpose::Other => used.take(&plain_name(attribute.name)),
     };
     attributes.iter().zip(purposes(attributes)).map(name).collect()
 }
@@ -173,15 +172,15 @@ fn reals(name: &str, kind: ParamType, values: &[f32], ogawa: &mut Ogawa) -> Resu
 fn integers(name: &str, arity: usize, values: &[i64], ogawa: &mut Ogawa) -> Result<AbcProperty> {
     let count = values.len() as u64;
     if values.iter().any(|&value| i32::try_from(value).is_err()) {
-        let sample = ogawa
-            .sample(count, 8 * count, &mut |mut out| write_pieces(values, i64::to_le_bytes, &mut out))?;
+        let sample =
+            ogawa.sample(count, 8 * count, &mut |out| write_pieces(values, i64::to_le_bytes, out))?;
         return Ok(ParamType::many(Pod::I64, arity).property(name, vec![sample]));
     }
     let narrow = |value: i64| {
         let [a, b, c, d, ..] = value.to_le_bytes();
         [a, b, c, d]
     };
-    let sample = ogawa.sample(count, 4 * count, &mut |mut out| write_pieces(values, narrow, &mut out))?;
+    let sample = ogawa.sample(count, 4 * count, &mut |out| write_pieces(values, narrow, out))?;
     Ok(ParamType::many(Pod::I32, arity).property(name, vec![sample]))
 }
 
@@ -207,7 +206,7 @@ fn strings(
         (if index == u32::MAX { last_index(table) } else { index }).to_le_bytes()
     };
     let count = indices.len() as u64;
-    let indices = ogawa.sample(count, 4 * count, &mut |mut out| write_pieces(indices, index_of, &mut out))?;
+    let indices = ogawa.sample(count, 4 * count, &mut |out| write_pieces(indices, index_of, out))?;
     let parts = vec![
         kind.property(".vals", vec![values]),
         AbcProperty::array(".indices", "", (Pod::U32, 1), vec![indices]),
@@ -357,12 +356,12 @@ impl AbcSequence<'_> {
         ogawa: &mut Ogawa,
     ) -> Result<(FrameSamples, Vec<Sample>)> {
         let file = &self.frames[index].file;
-        let transform = self.placement.transform(file)?;
+        let shift = self.placement.shift(file)?;
         let (vertices, triangles) = (file.vertex_count() as u64, file.triangle_count()? as u64);
         let mut values = Vec::new();
         let mut reals = |semantic: &str, extent: u64, per_vertex: u64, ogawa: &mut Ogawa| {
             if !ogawa.is_measuring() {
-                file.read_attribute(semantic, &transform, &mut open(index)?, &mut values)?;
+                file.read_attribute(semantic, shift, &mut open(index)?, &mut values)?;
             }
             real_sample(&values, (vertices * per_vertex, extent), ogawa)
         };
@@ -373,7 +372,7 @@ impl AbcSequence<'_> {
         }
         let faces = triangle_samples(&corners, triangles, ogawa)?;
         drop(corners);
-        let bounds = file.transformed_bounds(&transform)?.map(|corner| corner.map(f64::from));
+        let bounds = file.shifted_bounds(shift)?.map(|corner| corner.map(f64::from));
         let mut frame = FrameSamples {
             bounds: bounds_sample(bounds, ogawa)?,
             positions,
@@ -412,7 +411,7 @@ fn sequence_attributes(frames: &[SequenceFrame]) -> Result<(Vec<AbcAttribute>, V
         };
         let mut attribute = AbcAttribute { semantic, name: String::new(), kind };
         if !attribute.is_velocity() {
-            attribute.name = used.take(&wanted, |stem| vec![stem.to_owned()]).concat();
+            attribute.name = used.take(&wanted);
             if attribute.name != wanted {
                 notes.push(format!("{} is named {} in the sequence", attribute.semantic, attribute.name));
             }
@@ -430,53 +429,12 @@ pub fn is_archive(head: &[u8]) -> bool {
     head.starts_with(&MAGIC)
 }
 
-/// An attribute of the vertices.
-struct FrameAttribute {
-    name: String,
-    role: Option<AttributeRole>,
-    values: FrameValues,
-}
-
-enum FrameValues {
-    Numbers(Vec<f32>),
-    Integers(Vec<i64>),
-    Strings { table: Vec<String>, indices: Vec<i32> },
-}
-
-impl FrameValues {
-    fn len(&self) -> usize {
-        match self {
-            FrameValues::Numbers(values) => values.len(),
-            FrameValues::Integers(values) => values.len(),
-            FrameValues::Strings { indices, .. } => indices.len(),
-        }
-    }
-
-    /// A lower bound of the size of the values in the file, in bytes.
-    fn byte_count(&self) -> usize {
-        match self {
-            FrameValues::Strings { table, .. } => {
-                4 * self.len() + table.iter().map(|text| text.len() + 1).sum::<usize>()
-            }
-            _ => 4 * self.len(),
-        }
-    }
-
-    fn view(&self) -> VertexValues<'_> {
-        match self {
-            FrameValues::Numbers(values) => VertexValues::Numbers(values),
-            FrameValues::Integers(values) => VertexValues::Integers(values),
-            FrameValues::Strings { table, indices } => VertexValues::Strings { table, indices },
-        }
-    }
-}
-
 /// Converts an archive with one frame to a `.glb`. Also returns notes on attributes that a `.glb` does not
 /// hold exactly. Frees owned bytes before it makes the `.glb`, so that the two are not in memory at once.
 ///
 /// # Errors
 ///
-/// Those of [`read_mesh`] and of [`write_glb`].
+/// Those of [`read_mesh`] and of [`crate::gltf::write_glb`].
 pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
     let bytes = bytes.into();
     let byte_count = bytes.len();
@@ -485,29 +443,11 @@ pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(V
     let [positions, normals] = archive.vertices(0, limits)?;
     let triangles = archive.triangles(0, positions.len())?;
     let (up, origin) = placement(&archive.matrix(0)?)?;
-    let attributes = frame_attributes(&archive, limits)?;
+    let attributes = frame_attributes(&archive, positions.len(), limits)?;
     let provenance = archive.provenance;
     drop(bytes);
-    let count = positions.len().max(1);
-    let views: Vec<VertexAttribute> = attributes
-        .iter()
-        .map(|FrameAttribute { name, role, values }| {
-            // The writer refuses lengths that do not match.
-            let arity = values.len().div_ceil(count).max(1);
-            VertexAttribute { name, role: *role, arity, values: values.view() }
-        })
-        .collect();
-    let mesh = MeshView {
-        positions: &positions,
-        normals: &normals,
-        triangles: &triangles,
-        origin,
-        attributes: if positions.is_empty() { &[] } else { &views },
-    };
-    // It has about as many bytes. A vector that grows would need up to twice as many.
-    let mut glb = Vec::with_capacity(byte_count);
-    write_glb(&mesh, &MeshOptions { up, ..MeshOptions::default() }, &provenance, &mut glb)?;
-    Ok((glb, loss_notes(mesh.attributes)))
+    let [positions, normals] = [positions, normals].map(Vec::into_flattened);
+    PlacedMesh { positions, normals, triangles, origin, attributes }.to_glb(up, &provenance, byte_count)
 }
 
 /// Reads the vertex attributes of an archive with one frame, except normals, under their own names.
@@ -519,20 +459,14 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribut
     let archive = MeshArchive::open(bytes)?;
     archive.check_single_frame()?;
     let vertices = archive.vertices(0, limits)?[0].len();
-    let attribute = |FrameAttribute { name, role, values }: FrameAttribute| {
-        let arity = values.len().div_ceil(vertices.max(1)).max(1);
-        if values.len() != vertices * arity {
+    let attributes = frame_attributes(&archive, vertices, limits)?;
+    match attributes.iter().find(|attribute| attribute.values.len() != vertices * attribute.arity) {
+        None => Ok(attributes),
+        Some(FileAttribute { name, values, .. }) => {
             let what = format!("{name} has {} values for {vertices} vertices", values.len());
-            return Err(Error::invalid(FORMAT, Position::File, what));
+            Err(Error::invalid(FORMAT, Position::File, what))
         }
-        let values = match values {
-            FrameValues::Numbers(values) => Values::F32(values),
-            FrameValues::Integers(values) => Values::I64(values),
-            FrameValues::Strings { table, indices } => Values::Strings { table, indices },
-        };
-        Ok(FileAttribute { name, arity, role, values })
-    };
-    frame_attributes(&archive, limits)?.into_iter().map(attribute).collect()
+    }
 }
 
 const NOT_OURS: &str =
@@ -549,15 +483,21 @@ fn placement(matrix: &Matrix) -> Result<(UpAxis, [f64; 3])> {
     Err(Error::invalid(FORMAT, Position::File, NOT_OURS))
 }
 
-fn frame_attributes(archive: &MeshArchive, limits: &Limits) -> Result<Vec<FrameAttribute>> {
+/// The attributes of the vertices. Their arity is rounded up: the caller refuses lengths that do not match.
+fn frame_attributes(
+    archive: &MeshArchive,
+    vertex_count: usize,
+    limits: &Limits,
+) -> Result<Vec<FileAttribute>> {
     let mut attributes = Vec::new();
+    let mut push = |name: String, role, values: Values| {
+        let arity = values.len().div_ceil(vertex_count.max(1)).max(1);
+        attributes.push(FileAttribute { name, arity, role, values });
+    };
     if archive.has(names::VELOCITIES) {
         let values = archive.array::<4>(names::VELOCITIES, (Pod::F32, 3), 0)?;
-        attributes.push(FrameAttribute {
-            name: read::VELOCITY.to_owned(),
-            role: Some(AttributeRole::Velocity),
-            values: FrameValues::Numbers(values.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()),
-        });
+        let values = values.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+        push(read::VELOCITY.to_owned(), Some(AttributeRole::Velocity), Values::F32(values));
     }
     let mut byte_count = 0;
     for (header, reference) in &archive.params()? {
@@ -565,7 +505,11 @@ fn frame_attributes(archive: &MeshArchive, limits: &Limits) -> Result<Vec<FrameA
             None => frame_strings(archive, *reference, limits)?,
             Some(pod) => numbers(archive, &header.name, pod, *reference)?,
         };
-        byte_count += values.byte_count();
+        // A lower bound of the size of the values in the file.
+        byte_count += 4 * values.len();
+        if let Values::Strings { table, .. } = &values {
+            byte_count += table.iter().map(|text| text.len() + 1).sum::<usize>();
+        }
         if byte_count > archive.container.bytes.len() {
             return Err(Error::invalid(FORMAT, Position::Offset(*reference), NOT_OURS));
         }
@@ -576,33 +520,31 @@ fn frame_attributes(archive: &MeshArchive, limits: &Limits) -> Result<Vec<FrameA
             Ok(()) => role_of(&header.name, 3).filter(|role| *role == AttributeRole::Acceleration),
             Err(_) => None,
         };
-        attributes.push(FrameAttribute { name: header.name.clone(), role, values });
+        push(header.name.clone(), role, values);
     }
     Ok(attributes)
 }
 
-fn numbers(archive: &MeshArchive, name: &str, pod: u32, reference: Reference) -> Result<FrameValues> {
+fn numbers(archive: &MeshArchive, name: &str, pod: u32, reference: Reference) -> Result<Values> {
     let samples = archive.container.group(reference, name)?;
     let sample = samples.first().copied().unwrap_or(DATA);
     let (bytes, at) = archive.container.sample(sample, name)?;
-    let (words, wide) = (bytes.as_chunks::<4>().0.iter(), bytes.as_chunks::<8>().0.iter());
+    let words = bytes.as_chunks::<4>().0.iter();
     match pod {
         pod if pod == Pod::F32 as u32 => {
-            Ok(FrameValues::Numbers(words.map(|bytes| f32::from_le_bytes(*bytes)).collect()))
+            Ok(Values::F32(words.map(|bytes| f32::from_le_bytes(*bytes)).collect()))
         }
         pod if pod == Pod::I32 as u32 => {
-            Ok(FrameValues::Integers(words.map(|bytes| i32::from_le_bytes(*bytes).into()).collect()))
+            Ok(Values::I64(words.map(|bytes| i32::from_le_bytes(*bytes).into()).collect()))
         }
-        pod if pod == Pod::I64 as u32 => {
-            Ok(FrameValues::Integers(wide.map(|bytes| i64::from_le_bytes(*bytes)).collect()))
-        }
+        pod if pod == Pod::I64 as u32 => Ok(NumberType::I64.decode(bytes, Endian::Little)),
         _ => Err(Error::invalid(FORMAT, Position::Offset(at), NOT_OURS)),
     }
 }
 
 /// The table of strings, and the index of each value. The last string of the file marks missing values: it is
 /// removed, and its index becomes −1.
-fn frame_strings(archive: &MeshArchive, compound: Reference, limits: &Limits) -> Result<FrameValues> {
+fn frame_strings(archive: &MeshArchive, compound: Reference, limits: &Limits) -> Result<Values> {
     let properties = archive.container.properties(compound)?;
     let bytes = |name: &str| -> Result<&[u8]> {
         let found = properties.iter().find(|(header, _)| header.name == name);
@@ -626,5 +568,5 @@ fn frame_strings(archive: &MeshArchive, compound: Reference, limits: &Limits) ->
         i32::try_from(index).ok().filter(|index| (*index as usize) < table.len()).unwrap_or(-1)
     };
     let indices = bytes(".indices")?.as_chunks::<4>().0.iter().map(index).collect();
-    Ok(FrameValues::Strings { table, indices })
+    Ok(Values::Strings { table, indices })
 }

@@ -309,11 +309,7 @@ impl<'a> MeshArchive<'a> {
         let positions = self.array::<12>(names::POSITIONS, (Pod::F32, 3), index)?;
         let normals = self.array::<12>(names::NORMALS, (Pod::F32, 3), index)?;
         let vertex_count = positions.len();
-        if vertex_count as u64 > limits.particle_count {
-            let what =
-                format!("the mesh has {vertex_count} vertices; the limit is {}", limits.particle_count);
-            return Err(Error::too_large(FORMAT, what));
-        }
+        limits.check_particles(FORMAT, vertex_count as u64)?;
         if normals.len() != vertex_count {
             let what = format!("the mesh has {} normals for {vertex_count} vertices", normals.len());
             return Err(Error::invalid(FORMAT, Position::File, what));

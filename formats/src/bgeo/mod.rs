@@ -32,7 +32,10 @@ pub use text::read_text;
 use crate::batches::Records;
 use crate::bytes::{Cursor, Endian};
 use crate::columns::{roles_of, with_role};
+use crate::number::{NumberType, divided};
+use crate::records::{RecordLayout, Slots, Target, gather};
 use crate::row::{Completeness, FormatRow, HeadCheck, ParticleInput, at_least, exactly};
+use crate::vertex_attributes;
 use crate::{
     AttributeRole, Error, FileAttribute, FilePositions, Limits, ParticleFrame, Position, Result, Values,
 };
@@ -183,11 +186,7 @@ pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<BgeoHeader>
     let vertex_attribute_count = count(&mut cursor, "vertex attributes")?;
     let primitive_attribute_count = count(&mut cursor, "primitive attributes")?;
     let detail_attribute_count = count(&mut cursor, "detail attributes")?;
-    if point_count as u64 > limits.particle_count {
-        let what =
-            format!("the file has {point_count} points, more than the limit of {}", limits.particle_count);
-        return Err(Error::too_large(FORMAT, what));
-    }
+    limits.check_particles(FORMAT, point_count as u64)?;
     let attributes = dictionary(&mut cursor, attribute_count, limits)?;
 
     let words: usize = POSITION_WORDS + attributes.iter().map(|attribute| attribute.arity).sum::<usize>();
@@ -214,13 +213,7 @@ pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<BgeoHeader>
 
 fn dictionary(cursor: &mut Cursor, count: usize, limits: &Limits) -> Result<Vec<AttributeHeader>> {
     const ENTRY_BYTES_MIN: usize = 8; // length of an empty name, size, type
-    if count > limits.attribute_count {
-        let what = format!(
-            "the file has {count} point attributes, more than the limit of {}",
-            limits.attribute_count
-        );
-        return Err(Error::too_large(FORMAT, what));
-    }
+    limits.check_attributes(FORMAT, count, "point attributes")?;
     require(cursor, count * ENTRY_BYTES_MIN, "the point attribute dictionary")?;
     (0..count).map(|_| dictionary_entry(cursor)).collect()
 }
@@ -293,15 +286,6 @@ fn string(cursor: &mut Cursor, what: &str) -> Result<String> {
     Ok(String::from_utf8_lossy(cursor.take(length, what)?).into_owned())
 }
 
-// Gathers point records into one vector per attribute.
-//
-// Records have a fixed length, so each attribute is gathered with its own stride. This is done for a block
-// of records at a time, while the block is in the first-level cache.
-
-/// Bytes per block of records, from which all attributes are gathered. A block fits into the first-level
-/// cache, so that only the first attribute waits for memory.
-const BLOCK_BYTES: usize = 16 << 10;
-
 /// Reads the points of an uncompressed classic BGEO file.
 ///
 /// Divides positions by their weight w unless it is 0. Ignores everything after the points.
@@ -319,13 +303,43 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 
 /// The points in these records, which may be a part of those of the file.
 fn frame_of_records(header: BgeoHeader, records: &[u8], rest: &[u8]) -> ParticleFrame {
-    let mut notes = notes(&header, rest);
-    let (positions, mut columns) = gather(records, &header);
-    for (column, attribute) in columns.iter_mut().zip(&header.attributes) {
-        clear_strings_outside(column, attribute, &mut notes);
+    let stride = header.record_bytes;
+    let mut frame = ParticleFrame { notes: notes(&header, rest), ..ParticleFrame::default() };
+    gather_positions(records, stride, &mut frame.positions);
+    let number_of = |attribute: &AttributeHeader| match attribute.kind {
+        AttributeKind::Float | AttributeKind::Vector => NumberType::F32,
+        AttributeKind::Int | AttributeKind::Strings(_) => NumberType::I32,
+    };
+    let zeros = |attribute| number_of(attribute).zeros(records.len() / stride * attribute.arity);
+    let mut values: Vec<Values> = header.attributes.iter().map(zeros).collect();
+    let (mut targets, mut word) = (Vec::new(), POSITION_WORDS);
+    for (attribute, values) in header.attributes.iter().zip(&mut values) {
+        let end = word + attribute.arity;
+        if attribute.arity > 0 {
+            let columns = (word..end).map(|word| (word, number_of(attribute))).collect();
+            targets.push(Target { columns, slots: Slots::of_values(values) });
+        }
+        word = end;
     }
-    let attributes = attributes(header.attributes, columns);
-    ParticleFrame { positions: FilePositions::F32(positions), attributes, notes }
+    let offsets: Vec<usize> = (0..stride).step_by(4).collect();
+    gather(records, RecordLayout { stride, offsets: &offsets, endian: Endian::Big }, targets);
+
+    let roles = roles_of(&names_and_arities(&header));
+    for ((AttributeHeader { name, arity, kind }, values), role) in
+        header.attributes.into_iter().zip(values).zip(roles)
+    {
+        let values = match (kind, values) {
+            (AttributeKind::Strings(table), Values::I32(mut indices)) => {
+                frame.notes.extend(clear_strings_outside(&mut indices, table.len(), &name));
+                Values::Strings { table, indices }
+            }
+            (_, values) => values,
+        };
+        if arity > 0 {
+            frame.attributes.push(with_role(name, arity, role, values));
+        }
+    }
+    frame
 }
 
 /// Locates the points of a file of `file_bytes`, so that they can be read in batches. `rest` is the data
@@ -336,13 +350,13 @@ fn frame_of_records(header: BgeoHeader, records: &[u8], rest: &[u8]) -> Particle
 /// Those of [`read`] that do not concern the header.
 fn records(header: &BgeoHeader, file_bytes: u64, rest: &[u8]) -> Result<Records> {
     checked_points_bytes(header, file_bytes)?;
-    let (of_batch, rest) = (header.clone(), rest.to_vec());
+    let (of_batch, rest, stride) = (header.clone(), rest.to_vec(), header.record_bytes);
     Ok(Records {
         format: FORMAT,
         offset: header.points_offset as u64,
-        stride: header.record_bytes,
+        stride,
         count: header.point_count,
-        gather: Arc::new(|records, stride, _, positions| gather_batch(records, stride, positions)),
+        gather: Arc::new(move |records, positions| gather_positions(records, stride, positions)),
         notes: notes(header, &rest),
         frame: Arc::new(move |records| Ok(frame_of_records(of_batch.clone(), records, &rest))),
         velocity: velocity_name(header),
@@ -350,10 +364,13 @@ fn records(header: &BgeoHeader, file_bytes: u64, rest: &[u8]) -> Result<Records>
 }
 
 fn velocity_name(header: &BgeoHeader) -> Option<String> {
-    let named: Vec<(&str, usize)> =
-        header.attributes.iter().map(|attribute| (attribute.name.as_str(), attribute.arity)).collect();
-    let index = roles_of(&named).iter().position(|role| *role == Some(AttributeRole::Velocity))?;
+    let roles = roles_of(&names_and_arities(header));
+    let index = roles.iter().position(|role| *role == Some(AttributeRole::Velocity))?;
     Some(header.attributes[index].name.clone())
+}
+
+fn names_and_arities(header: &BgeoHeader) -> Vec<(&str, usize)> {
+    header.attributes.iter().map(|attribute| (&*attribute.name, attribute.arity)).collect()
 }
 
 /// Size of all points in bytes, after checking that the file has them.
@@ -380,137 +397,35 @@ fn notes(header: &BgeoHeader, rest: &[u8]) -> Vec<String> {
     notes
 }
 
-/// An attribute under construction: 32-bit words, already in native byte order.
-enum WordColumn {
-    Reals(Vec<f32>),
-    Integers(Vec<i32>),
-}
-
-fn gather(records: &[u8], header: &BgeoHeader) -> (Vec<[f32; 3]>, Vec<WordColumn>) {
-    let stride = header.record_bytes;
-    let count = records.len() / stride;
-    let mut positions = Vec::with_capacity(count);
-    let mut columns: Vec<WordColumn> = header
-        .attributes
-        .iter()
-        .map(|attribute| match attribute.kind {
-            AttributeKind::Float | AttributeKind::Vector => {
-                WordColumn::Reals(Vec::with_capacity(count * attribute.arity))
-            }
-            AttributeKind::Int | AttributeKind::Strings(_) => {
-                WordColumn::Integers(Vec::with_capacity(count * attribute.arity))
-            }
-        })
-        .collect();
-
-    let records_per_block = (BLOCK_BYTES / stride).max(1);
-    for block in records.chunks(records_per_block * stride) {
-        gather_positions(block, stride, &mut positions);
-        let mut offset = 4 * POSITION_WORDS;
-        for (column, attribute) in columns.iter_mut().zip(&header.attributes) {
-            match column {
-                WordColumn::Reals(values) => {
-                    gather_words(block, stride, offset, attribute.arity, f32::from_be_bytes, values);
-                }
-                WordColumn::Integers(values) => {
-                    gather_words(block, stride, offset, attribute.arity, i32::from_be_bytes, values);
-                }
-            }
-            offset += 4 * attribute.arity;
-        }
-    }
-    (positions, columns)
-}
-
-/// Reads the positions of a batch of records.
-fn gather_batch(records: &[u8], stride: usize, positions: &mut FilePositions) {
+/// Replaces the positions by those of the records.
+fn gather_positions(records: &[u8], stride: usize, positions: &mut FilePositions) {
     let mut gathered = match std::mem::take(positions) {
         FilePositions::F32(gathered) => gathered,
         FilePositions::F64(_) => Vec::new(),
     };
     gathered.clear();
-    gather_positions(records, stride, &mut gathered);
+    gathered.extend(records.chunks_exact(stride).map(|record| {
+        let (words, _) = record.as_chunks::<4>();
+        divided([0, 1, 2, 3].map(|word| f32::from_be_bytes(words[word])))
+    }));
     *positions = FilePositions::F32(gathered);
 }
 
-fn gather_positions(block: &[u8], stride: usize, positions: &mut Vec<[f32; 3]>) {
-    positions.extend(block.chunks_exact(stride).map(|record| {
-        let [x, y, z, w] = words::<4, f32>(record, f32::from_be_bytes);
-        if w == 0.0 || w == 1.0 { [x, y, z] } else { [x / w, y / w, z / w] }
-    }));
-}
-
-/// Appends the `arity` words at `offset` of each record.
-fn gather_words<T: Copy + Default>(
-    block: &[u8],
-    stride: usize,
-    offset: usize,
-    arity: usize,
-    decode: impl Fn([u8; 4]) -> T + Copy,
-    values: &mut Vec<T>,
-) {
-    let records = block.chunks_exact(stride).map(|record| &record[offset..]);
-    match arity {
-        1 => values.extend(records.map(|record| words::<1, T>(record, decode)[0])),
-        2 => values.extend(records.flat_map(|record| words::<2, T>(record, decode))),
-        3 => values.extend(records.flat_map(|record| words::<3, T>(record, decode))),
-        4 => values.extend(records.flat_map(|record| words::<4, T>(record, decode))),
-        _ => {
-            for record in records {
-                let (quads, _) = record[..4 * arity].as_chunks::<4>();
-                values.extend(quads.iter().map(|&quad| decode(quad)));
-            }
-        }
-    }
-}
-
-/// The first `N` words of a record.
-#[inline(always)]
-fn words<const N: usize, T: Copy + Default>(record: &[u8], decode: impl Fn([u8; 4]) -> T) -> [T; N] {
-    let (quads, _) = record[..4 * N].as_chunks::<4>();
-    std::array::from_fn(|index| decode(quads[index]))
-}
-
-/// Replaces string indices outside the table by −1, and adds a note if there are any other than −1 itself,
-/// the usual mark for "no string".
-fn clear_strings_outside(column: &mut WordColumn, attribute: &AttributeHeader, notes: &mut Vec<String>) {
-    let (WordColumn::Integers(indices), AttributeKind::Strings(table)) = (column, &attribute.kind) else {
-        return;
-    };
+/// Replaces string indices outside the table by −1. A note says so if there are any other than −1 itself, the
+/// usual mark for "no string".
+fn clear_strings_outside(indices: &mut [i32], count: usize, name: &str) -> Option<String> {
     let mut outside_count = 0usize;
     for index in indices {
-        if usize::try_from(*index).map_or(true, |index| table.len() <= index) {
+        if usize::try_from(*index).map_or(true, |index| count <= index) {
             outside_count += usize::from(*index != -1);
             *index = -1;
         }
     }
-    if outside_count != 0 {
-        let (name, count) = (&attribute.name, table.len());
-        notes.push(format!(
+    (outside_count != 0).then(|| {
+        format!(
             "the point attribute {name:?} has {count} strings; {outside_count} indices are outside this range and are ignored"
-        ));
-    }
-}
-
-fn attributes(headers: Vec<AttributeHeader>, columns: Vec<WordColumn>) -> Vec<FileAttribute> {
-    let named: Vec<(&str, usize)> =
-        headers.iter().map(|header| (header.name.as_str(), header.arity)).collect();
-    let roles = roles_of(&named);
-    let mut attributes = Vec::with_capacity(headers.len());
-    for ((header, column), role) in headers.into_iter().zip(columns).zip(roles) {
-        if header.arity == 0 {
-            continue;
-        }
-        let values = match (header.kind, column) {
-            (AttributeKind::Strings(table), WordColumn::Integers(indices)) => {
-                Values::Strings { table, indices }
-            }
-            (_, WordColumn::Integers(values)) => Values::I32(values),
-            (_, WordColumn::Reals(values)) => Values::F32(values),
-        };
-        attributes.push(with_role(header.name, header.arity, role, values));
-    }
-    attributes
+        )
+    })
 }
 
 // Writes particles as a classic BGEO file, uncompressed and without primitives.
@@ -526,9 +441,8 @@ fn attributes(headers: Vec<AttributeHeader>, columns: Vec<WordColumn>) -> Vec<Fi
 /// [`Error::TooLarge`] for data beyond the format's limits, such as an integer beyond 32 bits.
 pub fn write(frame: &ParticleFrame, out: &mut impl Write) -> Result<()> {
     let point_count = frame.positions.len();
-    for attribute in &frame.attributes {
-        check(attribute, point_count)?;
-    }
+    vertex_attributes::check(frame, FORMAT)?;
+    frame.attributes.iter().try_for_each(check)?;
     out.write_all(MAGIC)?;
     out.write_all(&VERSION.to_be_bytes())?;
     let counts = [point_count, 0, 0, 0, frame.attributes.len(), 0, 0, 0];
@@ -551,23 +465,9 @@ pub fn write(frame: &ParticleFrame, out: &mut impl Write) -> Result<()> {
     Ok(())
 }
 
-/// Fails if the attribute has the wrong number of values, or the format cannot store them.
-fn check(attribute: &FileAttribute, point_count: usize) -> Result<()> {
+/// Fails if the format cannot store the values.
+fn check(attribute: &FileAttribute) -> Result<()> {
     let (name, arity) = (&attribute.name, attribute.arity);
-    let value_count = match &attribute.values {
-        Values::F32(values) => values.len(),
-        Values::F64(values) => values.len(),
-        Values::U8(values) => values.len(),
-        Values::I32(values) => values.len(),
-        Values::I64(values) => values.len(),
-        Values::Strings { indices, .. } => indices.len(),
-    };
-    if value_count != point_count.saturating_mul(arity) {
-        let what = format!(
-            "the attribute {name:?} has {value_count} values, expected {arity} for each of {point_count} points"
-        );
-        return Err(Error::invalid(FORMAT, Position::File, what));
-    }
     if u16::try_from(arity).is_err() {
         let what =
             format!("the attribute {name:?} has {arity} values per point; the format's limit is 65535");

@@ -49,18 +49,8 @@ pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
             _ => {}
         }
     }
-    if point_count as u64 > limits.particle_count {
-        let what =
-            format!("the file has {point_count} points, more than the limit of {}", limits.particle_count);
-        return Err(Error::too_large(FORMAT, what));
-    }
-    if attribute_count > limits.attribute_count {
-        let what = format!(
-            "the file has {attribute_count} point attributes, more than the limit of {}",
-            limits.attribute_count
-        );
-        return Err(Error::too_large(FORMAT, what));
-    }
+    limits.check_particles(FORMAT, point_count as u64)?;
+    limits.check_attributes(FORMAT, attribute_count, "point attributes")?;
     let mut columns = dictionary(&mut words, attribute_count, limits)?;
     let positions = points(&mut words, point_count, &mut columns)?;
     let arrays = columns.into_iter().map(TextColumn::into_array).collect();

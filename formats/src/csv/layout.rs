@@ -8,7 +8,6 @@ use super::rows::{
     unquoted,
 };
 use crate::columns::{self, Columns, FirstColumn};
-use crate::number::Scalar;
 use crate::text::excerpts;
 use crate::{Error, Limits, Position, Result};
 
@@ -48,7 +47,7 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<TableLayout> {
             let is_header = !has_names && next.is_some_and(is_row);
             return match numbered_columns(line.text, delimiter).filter(|_| is_header) {
                 Some(header) => Ok(header.into_layout(delimiter, lines.at, lines.number + 1, head.notes())),
-                None => head.above_row(bytes, (delimiter, count), line, limits),
+                None => head.above_row(bytes, delimiter, count, line, limits),
             };
         }
         for delimiter in DELIMITERS {
@@ -57,7 +56,8 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<TableLayout> {
             if is_confirmed {
                 return Ok(header.into_layout(delimiter, lines.at, lines.number + 1, head.notes()));
             }
-            head.doubtful.get_or_insert((header, delimiter, lines.at, lines.number + 1));
+            let layout = || header.into_layout(delimiter, lines.at, lines.number + 1, Vec::new());
+            head.doubtful.get_or_insert_with(layout);
         }
         head.take_text(line)?;
     }
@@ -136,7 +136,7 @@ struct TableHead<'a> {
     comment: Option<&'a [u8]>,
     /// The first line that names a position although the next line has a different number of cells: the
     /// header, its delimiter, and the offset and line number of the next line.
-    doubtful: Option<(ColumnNames, Delimiter, usize, u64)>,
+    doubtful: Option<TableLayout>,
 }
 
 impl<'a> TableHead<'a> {
@@ -166,15 +166,16 @@ impl<'a> TableHead<'a> {
     fn above_row(
         self,
         bytes: &[u8],
-        (delimiter, count): (Delimiter, usize),
+        delimiter: Delimiter,
+        count: usize,
         row: HeadLine,
         limits: &Limits,
     ) -> Result<TableLayout> {
-        if let Some((header, header_delimiter, rows_offset, rows_line)) = self.doubtful {
+        if let Some(layout) = self.doubtful {
             // The names may have another delimiter than the numbers. If the header has a name for each cell
             // of the row, use the delimiter of the row. Otherwise the row reader reports the row as invalid.
-            let delimiter = if header.names.len() == count { delimiter } else { header_delimiter };
-            return Ok(header.into_layout(delimiter, rows_offset, rows_line, Vec::new()));
+            let delimiter = if layout.names.len() == count { delimiter } else { layout.delimiter };
+            return Ok(TableLayout { delimiter, ..layout });
         }
         let mut above = self.comment.into_iter().flat_map(|comment| headers_in_comment(comment, limits));
         if let Some((_, header)) = above.find(|(_, header)| header.names.len() == count) {
@@ -216,8 +217,8 @@ impl<'a> TableHead<'a> {
 
     /// Called when the file ends before any row.
     fn above_nothing(self, bytes: &[u8], line: u64, limits: &Limits) -> Result<TableLayout> {
-        if let Some((header, delimiter, rows_offset, rows_line)) = self.doubtful {
-            return Ok(header.into_layout(delimiter, rows_offset, rows_line, Vec::new()));
+        if let Some(layout) = self.doubtful {
+            return Ok(layout);
         }
         let mut above = self.comment.into_iter().flat_map(|comment| headers_in_comment(comment, limits));
         if let Some((delimiter, header)) = above.next() {
@@ -324,9 +325,7 @@ fn header(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Option<C
 
 /// Groups the columns by their names. Text columns do not form vectors with numeric ones.
 pub(super) fn group(names: &[String], is_text: impl Fn(usize) -> bool) -> Columns {
-    let scalar = |index| if is_text(index) { Scalar::U8 } else { Scalar::F64 };
-    let columns: Vec<(&str, Scalar)> =
-        names.iter().enumerate().map(|(index, name)| (name.as_str(), scalar(index))).collect();
+    let columns: Vec<_> = names.iter().enumerate().map(|(index, name)| (&**name, is_text(index))).collect();
     columns::group_columns(&columns)
 }
 

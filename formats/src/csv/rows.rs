@@ -52,10 +52,7 @@ impl Table {
             bytes,
             at: start,
             line: first_line,
-            delimiter: match layout.delimiter {
-                Delimiter::Byte(delimiter) => Some(delimiter),
-                Delimiter::Blanks => None,
-            },
+            delimiter: layout.delimiter,
             names: &layout.names,
         };
         while rows.next_row() {
@@ -93,8 +90,7 @@ struct RowReader<'a> {
     at: usize,
     /// Number of the line that contains `at`, starting at 1.
     line: u64,
-    /// `None` means blanks.
-    delimiter: Option<u8>,
+    delimiter: Delimiter,
     names: &'a [String],
 }
 
@@ -123,13 +119,13 @@ impl<'a> RowReader<'a> {
         let column_count = columns.len();
         for (index, column) in columns.iter_mut().enumerate() {
             self.at += blanks(&self.bytes[self.at..], self.delimiter);
-            if self.delimiter.is_none() && self.is_at_line_end() {
+            if self.delimiter == Delimiter::Blanks && self.is_at_line_end() {
                 return Err(self.wrong_cell_count(start)); // with blanks as delimiter, there are no empty cells
             }
             if !self.take_number(column) {
                 self.take_other(column, index, position.contains(&index))?;
             }
-            if index + 1 < column_count && self.delimiter.is_some() {
+            if index + 1 < column_count && self.delimiter != Delimiter::Blanks {
                 if self.is_at_line_end() {
                     return Err(self.wrong_cell_count(start));
                 }
@@ -137,7 +133,7 @@ impl<'a> RowReader<'a> {
             }
         }
         if !self.is_at_line_end() {
-            self.at += usize::from(self.delimiter.is_some());
+            self.at += usize::from(self.delimiter != Delimiter::Blanks);
             self.at += blanks(&self.bytes[self.at..], self.delimiter);
             if !self.is_at_line_end() {
                 return Err(self.wrong_cell_count(start));
@@ -176,11 +172,7 @@ impl<'a> RowReader<'a> {
     fn take_other(&mut self, column: &mut Column, index: usize, is_position: bool) -> Result<()> {
         let rest = &self.bytes[self.at..];
         let quoted = quoted_length(rest).unwrap_or(0);
-        let ends = |byte: &u8| match (byte, self.delimiter) {
-            (b'\n' | b'\r', _) => true,
-            (_, Some(delimiter)) => *byte == delimiter,
-            (_, None) => matches!(byte, b' ' | b'\t'),
-        };
+        let ends = |&byte: &u8| matches!(byte, b'\n' | b'\r') || self.delimiter.ends_cell(byte);
         let length = rest[quoted..].iter().position(ends).map_or(rest.len(), |length| quoted + length);
         let cell = rest[..length].trim_ascii();
         if cell.starts_with(b"\"") && quoted_length(cell) != Some(cell.len()) {
@@ -230,8 +222,7 @@ impl<'a> RowReader<'a> {
 
     fn wrong_cell_count(&mut self, start: usize) -> Error {
         self.at = start;
-        let delimiter = self.delimiter.map_or(Delimiter::Blanks, Delimiter::Byte);
-        let found: Vec<&[u8]> = cells(self.line_text(), delimiter).collect();
+        let found: Vec<&[u8]> = cells(self.line_text(), self.delimiter).collect();
         let is_last_empty = found.last().is_some_and(|cell| cell.is_empty());
         let found_count = found.len() - usize::from(is_last_empty);
         let what = format!(
@@ -294,19 +285,19 @@ fn integer(text: &[u8]) -> Option<(i64, usize)> {
 
 /// The number of blanks between a number and the end of its cell; `None` if anything else follows.
 #[inline]
-fn end_of_cell(text: &[u8], delimiter: Option<u8>) -> Option<usize> {
+fn end_of_cell(text: &[u8], delimiter: Delimiter) -> Option<usize> {
     let blank_count = blanks(text, delimiter);
     match (text.get(blank_count), delimiter) {
         (None | Some(b'\n' | b'\r'), _) => Some(blank_count),
-        (Some(byte), Some(delimiter)) => (*byte == delimiter).then_some(blank_count),
-        (Some(_), None) => (0 < blank_count).then_some(blank_count),
+        (Some(_), Delimiter::Blanks) => (0 < blank_count).then_some(blank_count),
+        (Some(byte), Delimiter::Byte(delimiter)) => (*byte == delimiter).then_some(blank_count),
     }
 }
 
 /// The number of blanks at the start of `text`. A tab that is the delimiter is not a blank.
 #[inline]
-fn blanks(text: &[u8], delimiter: Option<u8>) -> usize {
-    let is_blank = |byte: &u8| *byte == b' ' || (*byte == b'\t' && delimiter != Some(b'\t'));
+fn blanks(text: &[u8], delimiter: Delimiter) -> usize {
+    let is_blank = |byte: &u8| *byte == b' ' || (*byte == b'\t' && delimiter != Delimiter::Byte(b'\t'));
     text.iter().take_while(|byte| is_blank(byte)).count()
 }
 
@@ -319,6 +310,15 @@ pub(super) enum Delimiter {
     Byte(u8),
     /// Any number of spaces and tabs.
     Blanks,
+}
+
+impl Delimiter {
+    fn ends_cell(self, byte: u8) -> bool {
+        match self {
+            Delimiter::Byte(delimiter) => byte == delimiter,
+            Delimiter::Blanks => matches!(byte, b' ' | b'\t'),
+        }
+    }
 }
 
 /// Delimiters in the order in which they are tried: in a line with commas and spaces, commas delimit.
@@ -345,16 +345,15 @@ pub(super) enum CellValue {
 pub(super) fn cells(line: &[u8], delimiter: Delimiter) -> impl Iterator<Item = &[u8]> {
     let mut rest = Some(line);
     std::iter::from_fn(move || {
-        let cell_start = skip_blanks(rest?, delimiter);
+        let cell_start = &rest?[blanks(rest?, delimiter)..];
         if delimiter == Delimiter::Blanks && cell_start.is_empty() {
             return None;
         }
         let quoted = quoted_length(cell_start).unwrap_or(0);
-        let ends = |byte: &u8| match delimiter {
-            Delimiter::Byte(delimiter) => *byte == delimiter,
-            Delimiter::Blanks => matches!(byte, b' ' | b'\t'),
-        };
-        let end = cell_start[quoted..].iter().position(ends).map(|length| quoted + length);
+        let end = cell_start[quoted..]
+            .iter()
+            .position(|&byte| delimiter.ends_cell(byte))
+            .map(|length| quoted + length);
         rest = end.map(|end| &cell_start[end + 1..]);
         Some(cell_start[..end.unwrap_or(cell_start.len())].trim_ascii())
     })
@@ -364,13 +363,6 @@ pub(super) fn cells(line: &[u8], delimiter: Delimiter) -> impl Iterator<Item = &
 pub(super) fn has_cells(line: &[u8], delimiter: Delimiter, count: usize) -> bool {
     let mut cells = cells(line, delimiter).skip(count.saturating_sub(1));
     cells.next().is_some() && cells.next().is_none_or(|cell| cell.is_empty() && cells.next().is_none())
-}
-
-/// Skips blanks at the start. A tab that is the delimiter is not a blank.
-fn skip_blanks(text: &[u8], delimiter: Delimiter) -> &[u8] {
-    let is_blank = |byte: &u8| *byte == b' ' || (*byte == b'\t' && delimiter != Delimiter::Byte(b'\t'));
-    let length = text.iter().take_while(|byte| is_blank(byte)).count();
-    &text[length..]
 }
 
 /// The length in bytes of a quoted cell, including its quotes. A quote within a cell is doubled.

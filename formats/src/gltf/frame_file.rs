@@ -54,14 +54,6 @@ impl VertexColumn {
     }
 }
 
-/// The placement of a frame in the world.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct FramePlacement {
-    pub(crate) up: UpAxis,
-    /// The point that positions are relative to, in the axes of the particles.
-    pub(crate) origin: [f64; 3],
-}
-
 impl GlbFrame {
     /// Reads the document of a frame, and checks that the file is complete and was written by this program.
     ///
@@ -220,7 +212,7 @@ impl GlbFrame {
     }
 
     /// The placement of the frame.
-    pub(crate) fn placement(&self) -> Result<FramePlacement> {
+    pub(crate) fn placement(&self) -> Result<SequencePlacement> {
         let node = &self.document["nodes"][0];
         let vector =
             |name: &str| -> Option<Vec<f64>> { node[name].as_array()?.iter().map(Value::as_f64).collect() };
@@ -241,7 +233,7 @@ impl GlbFrame {
             UpAxis::Y => [x, y, z],
             UpAxis::Z => [x, 0.0 - z, y],
         };
-        Ok(FramePlacement { up, origin })
+        Ok(SequencePlacement { up, origin })
     }
 
     /// The smallest and largest position; zeros for a frame without a mesh.
@@ -354,7 +346,7 @@ const TYPES: [&str; 4] = ["SCALAR", "VEC2", "VEC3", "VEC4"];
 
 // The placement of the frames of a sequence, relative to one origin.
 
-/// The placement of all frames of a sequence.
+/// The placement of a frame, or of all frames of a sequence.
 ///
 /// Frames far from the world's origin have origins of their own, which jump from one frame to the next.
 /// Programs interpolate transforms, and compute motion blur from them. So a sequence has one origin, that of
@@ -362,13 +354,8 @@ const TYPES: [&str; 4] = ["SCALAR", "VEC2", "VEC3", "VEC4"];
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct SequencePlacement {
     pub(crate) up: UpAxis,
+    /// The point that positions are relative to, in the axes of the particles.
     pub(crate) origin: [f64; 3],
-}
-
-/// How the positions in the file of a frame become positions of a sequence.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct PositionTransform {
-    shift: [f64; 3],
 }
 
 impl SequencePlacement {
@@ -378,42 +365,36 @@ impl SequencePlacement {
     ///
     /// [`Error::Invalid`] if a document is damaged, or if frames differ in their up axis.
     pub(crate) fn of(frames: &[SequenceFrame], format: &'static str) -> Result<SequencePlacement> {
-        let mut placement = None;
+        let mut first = None;
         for frame in frames.iter().filter(|frame| frame.file.has_mesh()) {
-            let FramePlacement { up, origin } = frame.file.placement()?;
-            let first = placement.get_or_insert(SequencePlacement { up, origin });
-            if up != first.up {
+            let placement = frame.file.placement()?;
+            if placement.up != first.get_or_insert(placement).up {
                 let what = "some frames have Y up and others Z up: convert all frames with the same --up";
                 return Err(Error::invalid(format, Position::File, what));
             }
         }
-        Ok(placement.unwrap_or_default())
+        Ok(first.unwrap_or_default())
     }
 
-    /// The transform of the positions of a frame.
-    pub(crate) fn transform(&self, frame: &GlbFrame) -> Result<PositionTransform> {
-        if !frame.has_mesh() {
-            return Ok(PositionTransform { shift: [0.0; 3] });
-        }
-        let origin = frame.placement()?.origin;
-        Ok(PositionTransform { shift: std::array::from_fn(|axis| origin[axis] - self.origin[axis]) })
+    /// What must be added to the positions of a frame.
+    pub(crate) fn shift(&self, frame: &GlbFrame) -> Result<[f64; 3]> {
+        let origin = if frame.has_mesh() { frame.placement()?.origin } else { self.origin };
+        Ok(std::array::from_fn(|axis| origin[axis] - self.origin[axis]))
     }
 }
 
-impl PositionTransform {
-    #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
-    fn shifted(&self, axis: usize, coordinate: f32) -> f32 {
-        (f64::from(coordinate) + self.shift[axis]) as f32
-    }
+#[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
+fn shifted(position: [f32; 3], shift: [f64; 3]) -> [f32; 3] {
+    std::array::from_fn(|axis| (f64::from(position[axis]) + shift[axis]) as f32)
 }
 
 impl GlbFrame {
     /// Reads a vertex attribute, whose numbers replace the `values`. Returns how many each vertex has; `None`
-    /// if the vertices do not have the attribute. Positions are transformed.
+    /// if the vertices do not have the attribute. Positions are shifted.
     pub(crate) fn read_attribute(
         &self,
         semantic: &str,
-        positions: &PositionTransform,
+        shift: [f64; 3],
         file: &mut (impl Read + Seek),
         values: &mut Vec<f32>,
     ) -> Result<Option<usize>> {
@@ -421,18 +402,15 @@ impl GlbFrame {
         let Some(column) = self.column(semantic)? else { return Ok(None) };
         self.read_column(&column, file, values)?;
         if semantic == POSITION {
-            for position in values.as_chunks_mut::<3>().0 {
-                *position = std::array::from_fn(|axis| positions.shifted(axis, position[axis]));
-            }
+            values.as_chunks_mut().0.iter_mut().for_each(|position| *position = shifted(*position, shift));
         }
         Ok(Some(column.arity))
     }
 
-    /// The smallest and the largest transformed position; zeros for a frame without a mesh.
-    pub(crate) fn transformed_bounds(&self, positions: &PositionTransform) -> Result<[[f32; 3]; 2]> {
+    /// The smallest and the largest shifted position; zeros for a frame without a mesh.
+    pub(crate) fn shifted_bounds(&self, shift: [f64; 3]) -> Result<[[f32; 3]; 2]> {
         #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
-        let corner =
-            |corner: [f64; 3]| std::array::from_fn(|axis| positions.shifted(axis, corner[axis] as f32));
+        let corner = |corner: [f64; 3]| shifted(corner.map(|along| along as f32), shift);
         Ok(self.bounds()?.map(corner))
     }
 }

@@ -30,12 +30,11 @@ use serde_json::Value;
 pub use crate::row::{ReadExternal, UpAxis};
 pub use frame_file::GlbFrame;
 pub(crate) use frame_file::{
-    ACCELERATION, COLOR, NORMAL, POSITION, PositionTransform, SequencePlacement, SharedAttribute, VELOCITY,
-    shared_attributes,
+    ACCELERATION, COLOR, NORMAL, POSITION, SequencePlacement, SharedAttribute, VELOCITY, shared_attributes,
 };
 pub use read::{ExternalFile, external_files, read_mesh, read_mesh_with_external};
 pub use sequence::{SEQUENCE_FRAMES, SequenceFrame, SequenceInfo, read_sequence_info, write_sequence};
-pub(crate) use write::{ACCELERATION_NAME, COLOR_NAME, loss_notes};
+pub(crate) use write::{ACCELERATION_NAME, COLOR_NAME, PlacedMesh};
 pub use write::{attribute_notes, write_glb, write_gltf};
 
 use crate::data::{AttributeRole, FileAttribute, MeshData, Values};
@@ -67,12 +66,7 @@ pub(crate) static GLB: OutputRow = OutputRow {
         ..FormatRow::new("binary glTF", &["glb"])
     },
     help: "Binary glTF: positions, normals",
-    content: Content::Mesh(MeshWriter {
-        attribute_notes,
-        ..MeshWriter::new(MeshEncoder::Stream(|mesh, options, provenance, mut out| {
-            write_glb(mesh, options, provenance, &mut out)
-        }))
-    }),
+    content: Content::Mesh(MeshWriter { attribute_notes, ..MeshWriter::new(MeshEncoder::Stream(write_glb)) }),
     write_particles: None,
     has_attributes: true,
     options: &[WriteOption::Up],
@@ -86,9 +80,7 @@ pub(crate) static GLTF: OutputRow = OutputRow {
     help: "Text glTF",
     content: Content::Mesh(MeshWriter {
         attribute_notes,
-        ..MeshWriter::new(MeshEncoder::Stream(|mesh, options, provenance, mut out| {
-            write_gltf(mesh, options, provenance, &mut out)
-        }))
+        ..MeshWriter::new(MeshEncoder::Stream(write_gltf))
     }),
     write_particles: None,
     has_attributes: true,

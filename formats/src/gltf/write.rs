@@ -12,9 +12,9 @@ use serde::{Serialize, Serializer};
 
 use super::frame_file::{ACCELERATION, COLOR, VELOCITY};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
-use crate::data::{MeshView, Provenance, VertexAttribute, VertexValues};
+use crate::data::{FileAttribute, MeshView, Provenance, VertexAttribute, VertexValues};
 use crate::error::{Error, Position, Result};
-use crate::number::{write_f32s, write_pieces, write_u16s, write_u32s};
+use crate::number::{write_f32s, write_pieces};
 use crate::provenance::GENERATOR;
 use crate::row::{MeshOptions, UpAxis};
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, string_index};
@@ -29,7 +29,7 @@ pub fn write_glb(
     mesh: &MeshView,
     options: &MeshOptions,
     provenance: &Provenance,
-    out: &mut impl Write,
+    out: &mut dyn Write,
 ) -> Result<()> {
     mesh.check(FORMAT)?;
     let layout = BufferLayout::of(mesh);
@@ -64,7 +64,7 @@ pub fn write_gltf(
     mesh: &MeshView,
     options: &MeshOptions,
     provenance: &Provenance,
-    out: &mut impl Write,
+    out: &mut dyn Write,
 ) -> Result<()> {
     const URI: &str = "data:application/octet-stream;base64,";
     mesh.check(FORMAT)?;
@@ -100,6 +100,43 @@ pub(super) fn glb_bytes(json_bytes: u64, bin_bytes: u64) -> Option<u32> {
     u32::try_from(HEADER_BYTES + CHUNK_HEAD_BYTES + json_bytes + bin).ok()
 }
 
+/// A mesh of one frame as another format stores it.
+pub(crate) struct PlacedMesh {
+    /// Relative to the origin, three numbers each.
+    pub(crate) positions: Vec<f32>,
+    /// Three numbers for each position.
+    pub(crate) normals: Vec<f32>,
+    pub(crate) triangles: Vec<[u32; 3]>,
+    pub(crate) origin: [f64; 3],
+    pub(crate) attributes: Vec<FileAttribute>,
+}
+
+impl PlacedMesh {
+    /// Converts the mesh to a `.glb`, which may take about `byte_count` bytes. Also returns notes on
+    /// attributes that a `.glb` does not hold exactly.
+    pub(crate) fn to_glb(
+        &self,
+        up: UpAxis,
+        provenance: &Provenance,
+        byte_count: usize,
+    ) -> Result<(Vec<u8>, Vec<String>)> {
+        let views: Vec<VertexAttribute> = self.attributes.iter().filter_map(FileAttribute::view).collect();
+        let mesh = MeshView {
+            positions: self.positions.as_chunks().0,
+            normals: self.normals.as_chunks().0,
+            triangles: &self.triangles,
+            origin: self.origin,
+            attributes: if self.positions.is_empty() { &[] } else { &views },
+        };
+        // A vector that grows would need up to twice as many.
+        let mut glb = Vec::with_capacity(byte_count);
+        write_glb(&mesh, &MeshOptions { up, ..MeshOptions::default() }, provenance, &mut glb)?;
+        let mut notes = Vec::new();
+        assign_names(mesh.attributes, &mut notes);
+        Ok((glb, notes))
+    }
+}
+
 fn too_large(mesh: &MeshView) -> Error {
     let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
     let what = format!(
@@ -109,7 +146,7 @@ fn too_large(mesh: &MeshView) -> Error {
     Error::too_large(FORMAT, what)
 }
 
-pub(super) fn write_chunk_head(byte_count: u64, kind: [u8; 4], out: &mut impl Write) -> Result<()> {
+pub(super) fn write_chunk_head(byte_count: u64, kind: [u8; 4], out: &mut dyn Write) -> Result<()> {
     let length = u32::try_from(byte_count).unwrap_or(u32::MAX); // fits, because the size of the file does
     out.write_all(&length.to_le_bytes())?;
     out.write_all(&kind)?;
@@ -138,7 +175,7 @@ impl<'a> BufferLayout<'a> {
         let narrow = mesh.positions.len() <= usize::from(u16::MAX);
         BufferLayout {
             vertex_count: mesh.positions.len(),
-            attributes: stored_attributes(mesh),
+            attributes: assign_names(mesh.attributes, &mut Vec::new()),
             index_bytes: 3 * mesh.triangles.len() as u64 * if narrow { 2 } else { 4 },
             index_component: if narrow { component::U16 } else { component::U32 },
         }
@@ -157,7 +194,7 @@ impl<'a> BufferLayout<'a> {
         self.arities().map(|arity| self.column_bytes(arity)).sum::<u64>() + self.index_bytes
     }
 
-    fn write_buffer(&self, mesh: &MeshView, out: &mut impl Write) -> Result<()> {
+    fn write_buffer(&self, mesh: &MeshView, out: &mut dyn Write) -> Result<()> {
         write_f32s(mesh.positions.as_flattened(), out)?;
         write_f32s(mesh.normals.as_flattened(), out)?;
         for attribute in &self.attributes {
@@ -165,9 +202,10 @@ impl<'a> BufferLayout<'a> {
         }
         let indices = mesh.triangles.as_flattened();
         if self.index_component == component::U16 {
-            write_u16s(indices, out)
+            #[expect(clippy::cast_possible_truncation, reason = "16 bits hold the number of vertices")]
+            write_pieces(indices, |index| (index as u16).to_le_bytes(), out)
         } else {
-            write_u32s(indices, out)
+            write_pieces(indices, u32::to_le_bytes, out)
         }
     }
 }
@@ -465,19 +503,6 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     notes
 }
 
-/// Those of [`attribute_notes`] that are about values or names that change, for a `.glb` that only a sequence
-/// file is made from.
-pub(crate) fn loss_notes(attributes: &[VertexAttribute]) -> Vec<String> {
-    let mut notes = Vec::new();
-    assign_names(attributes, &mut notes);
-    notes
-}
-
-/// The attributes of a mesh that can be stored, in order.
-fn stored_attributes<'a>(mesh: &MeshView<'a>) -> Vec<GltfAttribute<'a>> {
-    assign_names(mesh.attributes, &mut Vec::new())
-}
-
 fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<GltfAttribute<'a>> {
     let mut used = UsedNames::new(&[]);
     let mut placed = Vec::new();
@@ -493,7 +518,7 @@ fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>)
             Purpose::Acceleration => (ACCELERATION.into(), ACCELERATION.into()),
             Purpose::Other => (format!("_{}", plain_name(name)), format!("_{name}")),
         };
-        let semantic = used.take(&stem, |stem| vec![stem.to_ascii_uppercase()]).concat();
+        let semantic = used.take(&stem.to_ascii_uppercase());
         if semantic != usual.to_ascii_uppercase() {
             notes.push(format!("{name} is named {semantic} in the glTF file"));
         }
@@ -541,7 +566,7 @@ impl<'a> GltfAttribute<'a> {
         }
     }
 
-    pub(super) fn write(&self, out: &mut impl Write) -> Result<()> {
+    pub(super) fn write(&self, out: &mut dyn Write) -> Result<()> {
         match self.values {
             VertexValues::Numbers(values) => write_f32s(values, out),
             VertexValues::Integers(values) => write_pieces(values, |value| (value as f32).to_le_bytes(), out),

@@ -33,17 +33,17 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use crate::blosc::{BloscError, decode_frame};
+use crate::blosc::decode_frame;
 use crate::bytes::{Cursor, Endian};
 use crate::columns::role_of;
 use crate::data::{FilePositions, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, frame_of};
-use crate::number::{self, components, divided};
+use crate::number::{self, NumberType, components, divided};
 use crate::row::{FormatRow, ParticleInput};
 use tokens::{Binary, JsonToken, Lexer, TextTokens, TokenWalk, is_binary, text_count_max};
-use values::{StorageType, numbers, tuples};
+use values::{numbers, tuples};
 
 /// The format's name in errors.
 const FORMAT: &str = "Houdini geometry";
@@ -153,13 +153,8 @@ fn read(mut walk: TokenWalk, limits: &Limits) -> Result<ParticleFrame> {
 
 fn point_count(walk: &mut TokenWalk, limits: &Limits) -> Result<usize> {
     let count = walk.count()?;
-    let too_large = || {
-        Error::too_large(
-            FORMAT,
-            format!("the file has {count} points, more than the limit of {}", limits.particle_count),
-        )
-    };
-    usize::try_from(count).ok().filter(|_| count <= limits.particle_count).ok_or_else(too_large)
+    limits.check_particles(FORMAT, count)?;
+    usize::try_from(count).map_err(|_| walk.invalid("pointcount is too large"))
 }
 
 /// Reads the point groups as attributes, which are 1 for the members and 0 for other points. A group whose
@@ -189,11 +184,7 @@ fn point_groups(walk: &mut TokenWalk, found: &mut FoundGeometry, limits: &Limits
 impl FoundGeometry {
     /// Fails if there is no room for another attribute or group.
     fn check_limit(&self, limits: &Limits) -> Result<()> {
-        if self.arrays.len() + self.notes.len() >= limits.attribute_count {
-            let what = format!("the file has more attributes than the limit of {}", limits.attribute_count);
-            return Err(Error::too_large(FORMAT, what));
-        }
-        Ok(())
+        limits.check_attributes(FORMAT, self.arrays.len() + self.notes.len() + 1, "attributes or more")
     }
 }
 
@@ -243,12 +234,7 @@ fn primitive(walk: &mut TokenWalk, token: &JsonToken, primitives: &mut BTreeMap<
     if primitives.len() < PRIMITIVE_TYPE_COUNT_MAX || primitives.contains_key(&kind) {
         *primitives.entry(kind).or_default() += 1;
     }
-    loop {
-        match walk.next()? {
-            JsonToken::Close => return Ok(()),
-            token => walk.skip_rest(&token)?,
-        }
-    }
+    walk.close()
 }
 
 /// The full name of an abbreviated type.
@@ -310,12 +296,8 @@ fn point_attribute(walk: &mut TokenWalk, count: usize, limits: &Limits) -> Resul
             PointAttribute::LeftOut { name, kind }
         }
     };
-    loop {
-        match walk.next()? {
-            JsonToken::Close => return Ok(attribute),
-            token => walk.skip_rest(&token)?,
-        }
-    }
+    walk.close()?;
+    Ok(attribute)
 }
 
 /// Maximum length in bytes of the name or type of an attribute. The binary form stores a repeated string
@@ -452,12 +434,8 @@ fn point_group(walk: &mut TokenWalk, count: usize, limits: &Limits) -> Result<(S
             _ => walk.skip(),
         })
     })?;
-    loop {
-        match walk.next()? {
-            JsonToken::Close => return Ok((name, members)),
-            token => walk.skip_rest(&token)?,
-        }
-    }
+    walk.close()?;
+    Ok((name, members))
 }
 
 fn selection(walk: &mut TokenWalk, count: usize, limits: &Limits) -> Result<Option<Vec<u8>>> {
@@ -481,7 +459,7 @@ fn selection(walk: &mut TokenWalk, count: usize, limits: &Limits) -> Result<Opti
 }
 
 fn flags(walk: &mut TokenWalk, key: &str, count: usize) -> Result<Vec<u8>> {
-    match numbers(walk, key, StorageType::U8, count)? {
+    match numbers(walk, key, NumberType::U8, count)? {
         Values::U8(mut flags) if flags.len() == count => {
             flags.iter_mut().for_each(|flag| *flag = u8::from(*flag != 0));
             Ok(flags)
@@ -492,7 +470,7 @@ fn flags(walk: &mut TokenWalk, key: &str, count: usize) -> Result<Vec<u8>> {
 
 /// Reads pairs of a number of points and their flag.
 fn runs(walk: &mut TokenWalk, key: &str, count: usize, limits: &Limits) -> Result<Vec<u8>> {
-    let Values::I64(pairs) = numbers(walk, key, StorageType::I64, count.saturating_mul(2).max(2))? else {
+    let Values::I64(pairs) = numbers(walk, key, NumberType::I64, count.saturating_mul(2).max(2))? else {
         return Err(walk.invalid("the runs of the group are not integers"));
     };
     walk.check_spread(count as u64, limits)?;
@@ -511,7 +489,7 @@ fn runs(walk: &mut TokenWalk, key: &str, count: usize, limits: &Limits) -> Resul
 }
 
 fn indices(walk: &mut TokenWalk, key: &str, count: usize, limits: &Limits) -> Result<Vec<u8>> {
-    let Values::I64(indices) = numbers(walk, key, StorageType::I64, count)? else {
+    let Values::I64(indices) = numbers(walk, key, NumberType::I64, count)? else {
         return Err(walk.invalid("the members of the group are not integers"));
     };
     walk.check_spread(count as u64, limits)?;
@@ -558,10 +536,7 @@ fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     let mut decompressed = vec![0; unpacked_bytes];
     let blocks = decompressed.par_chunks_mut(block_bytes.max(1)).zip(&frames);
     blocks.try_for_each(|(block, &(at, frame))| {
-        decode_frame(frame, block).map_err(|error| match error {
-            BloscError::Invalid(what) => Error::invalid(CONTAINER_FORMAT, Position::Offset(at as u64), what),
-            BloscError::Unsupported(what) => Error::unsupported(CONTAINER_FORMAT, what),
-        })
+        decode_frame(frame, block).map_err(|error| error.of_format(CONTAINER_FORMAT, at as u64))
     })?;
     Ok(decompressed)
 }

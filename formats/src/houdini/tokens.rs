@@ -32,16 +32,8 @@ impl<'a> Lexer<'a> {
     /// Offset of the next token, in bytes from the start of the file.
     fn at(&self) -> usize {
         match self {
-            Lexer::Binary(lexer) => lexer.at(),
-            Lexer::Text(lexer) => lexer.at(),
-        }
-    }
-
-    /// Size of the file in bytes.
-    fn file_bytes(&self) -> usize {
-        match self {
-            Lexer::Binary(lexer) => lexer.file_bytes(),
-            Lexer::Text(lexer) => lexer.file_bytes(),
+            Lexer::Binary(lexer) => lexer.cursor.at(),
+            Lexer::Text(lexer) => lexer.at,
         }
     }
 }
@@ -49,6 +41,7 @@ impl<'a> Lexer<'a> {
 /// A cursor over the tokens. It tracks its location for errors: the offset, and the keys on the path to it.
 pub(super) struct TokenWalk<'a> {
     lexer: Lexer<'a>,
+    file_bytes: usize,
     path: Vec<String>,
     /// Total size of expanded constant pages (see [`super::values`]), in bytes.
     spread_bytes: u64,
@@ -58,18 +51,22 @@ pub(super) struct TokenWalk<'a> {
 
 impl<'a> TokenWalk<'a> {
     pub(super) fn new(lexer: Lexer<'a>) -> TokenWalk<'a> {
-        TokenWalk { lexer, path: Vec::new(), spread_bytes: 0, widened_bytes: 0 }
+        let file_bytes = match &lexer {
+            Lexer::Binary(lexer) => lexer.file_bytes,
+            Lexer::Text(lexer) => lexer.bytes.len(),
+        };
+        TokenWalk { lexer, file_bytes, path: Vec::new(), spread_bytes: 0, widened_bytes: 0 }
     }
 
     pub(super) fn file_bytes(&self) -> usize {
-        self.lexer.file_bytes()
+        self.file_bytes
     }
 
     /// Adds `bytes` of expanded constant pages to the total, and fails if the total is too large for the size
     /// of the file: constant pages are a form of compression.
     pub(super) fn check_spread(&mut self, bytes: u64, limits: &Limits) -> Result<()> {
         self.spread_bytes = self.spread_bytes.saturating_add(bytes);
-        limits.check_decompressed(FORMAT, self.spread_bytes, self.lexer.file_bytes() as u64)
+        limits.check_decompressed(FORMAT, self.spread_bytes, self.file_bytes as u64)
     }
 
     /// Adds `bytes` of memory for items that take less space in the file to the total, and fails if the total
@@ -77,7 +74,7 @@ impl<'a> TokenWalk<'a> {
     /// than declared.
     pub(super) fn check_widened(&mut self, bytes: usize) -> Result<()> {
         self.widened_bytes = self.widened_bytes.saturating_add(bytes);
-        let most = widened_bytes_max(self.lexer.file_bytes());
+        let most = widened_bytes_max(self.file_bytes);
         if self.widened_bytes <= most {
             Ok(())
         } else {
@@ -87,7 +84,7 @@ impl<'a> TokenWalk<'a> {
 
     /// Number of bytes that remain.
     pub(super) fn remaining(&self) -> usize {
-        self.lexer.file_bytes() - self.lexer.at().min(self.lexer.file_bytes())
+        self.file_bytes - self.lexer.at().min(self.file_bytes)
     }
 
     /// The next token; the end of the file is an error.
@@ -163,8 +160,18 @@ impl<'a> TokenWalk<'a> {
         self.skip_rest(&token)
     }
 
+    /// Skips the values up to the end of the array.
+    pub(super) fn close(&mut self) -> Result<()> {
+        loop {
+            match self.next()? {
+                JsonToken::Close => return Ok(()),
+                token => self.skip_rest(&token)?,
+            }
+        }
+    }
+
     /// Skips the rest of the value that starts with `token`.
-    pub(super) fn skip_rest(&mut self, token: &JsonToken) -> Result<()> {
+    fn skip_rest(&mut self, token: &JsonToken) -> Result<()> {
         let mut depth = usize::from(*token == JsonToken::Open);
         if *token == JsonToken::Close {
             return Err(self.invalid("expected a value, found the end of an array"));
@@ -320,14 +327,6 @@ impl<'a> Binary<'a> {
         };
         let cursor = Cursor::new(FORMAT, endian, bytes, SIGNATURE.len());
         Ok(Binary { cursor, endian, file_bytes: bytes.len(), words: HashMap::new() })
-    }
-
-    pub(super) fn at(&self) -> usize {
-        self.cursor.at()
-    }
-
-    pub(super) fn file_bytes(&self) -> usize {
-        self.file_bytes
     }
 
     pub(super) fn next(&mut self) -> Result<Option<JsonToken<'a>>> {
@@ -521,14 +520,6 @@ impl<'a> TextTokens<'a> {
     pub(super) fn new(bytes: &'a [u8]) -> TextTokens<'a> {
         let at = if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
         TextTokens { bytes, at }
-    }
-
-    pub(super) fn at(&self) -> usize {
-        self.at
-    }
-
-    pub(super) fn file_bytes(&self) -> usize {
-        self.bytes.len()
     }
 
     pub(super) fn next(&mut self) -> Result<Option<JsonToken<'a>>> {

@@ -16,50 +16,21 @@ use super::FORMAT;
 use super::tokens::{JsonToken, TokenWalk};
 use crate::bytes::Endian;
 use crate::data::Values;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::limits::Limits;
-use crate::number::{self, NumberType, interleaved};
+use crate::number::{self, NumberType, interleaved, of_any_type};
 use crate::text::excerpt;
 
-/// The storage type of numbers, which determines their type in memory.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum StorageType {
-    F32,
-    F64,
-    U8,
-    I32,
-    I64,
-}
-
-impl StorageType {
-    pub(super) fn of(name: &str) -> Option<StorageType> {
-        Some(match name {
-            "fpreal16" | "fpreal32" => StorageType::F32,
-            "fpreal64" => StorageType::F64,
-            "uint8" | "bool" => StorageType::U8,
-            "int8" | "int16" | "int32" => StorageType::I32,
-            "int64" => StorageType::I64,
-            _ => return None,
-        })
-    }
-
-    fn empty(self) -> Values {
-        match self {
-            StorageType::F32 => Values::F32(Vec::new()),
-            StorageType::F64 => Values::F64(Vec::new()),
-            StorageType::U8 => Values::U8(Vec::new()),
-            StorageType::I32 => Values::I32(Vec::new()),
-            StorageType::I64 => Values::I64(Vec::new()),
-        }
-    }
-
-    fn value_bytes(self) -> usize {
-        match self {
-            StorageType::U8 => 1,
-            StorageType::F32 | StorageType::I32 => 4,
-            StorageType::F64 | StorageType::I64 => 8,
-        }
-    }
+/// The type in which values are kept, for Houdini's name of a storage.
+fn storage_type(name: &str) -> Option<NumberType> {
+    Some(match name {
+        "fpreal16" | "fpreal32" => NumberType::F32,
+        "fpreal64" => NumberType::F64,
+        "uint8" | "bool" => NumberType::U8,
+        "int8" | "int16" | "int32" => NumberType::I32,
+        "int64" => NumberType::I64,
+        _ => return None,
+    })
 }
 
 /// The values of all points, and the number per point.
@@ -79,7 +50,7 @@ struct Pages {
 
 /// Reads the value of the key `values` or `indices`, for `count` points.
 pub(super) fn tuples(walk: &mut TokenWalk, key: &str, count: usize, limits: &Limits) -> Result<Tuples> {
-    let (mut size, mut storage) = (1, StorageType::F32);
+    let (mut size, mut storage) = (1, NumberType::F32);
     let mut pages = Pages { page_points: 1024, packing: Vec::new(), constant: Vec::new() };
     let mut values = None;
     walk.object(key, |walk, key| {
@@ -91,7 +62,7 @@ pub(super) fn tuples(walk: &mut TokenWalk, key: &str, count: usize, limits: &Lim
             "storage" => storage = storage_of(walk)?,
             "pagesize" => pages.page_points = usize::try_from(walk.count()?).unwrap_or(usize::MAX).max(1),
             "packing" => {
-                let packing = numbers(walk, key, StorageType::I64, limits.attribute_count)?;
+                let packing = numbers(walk, key, NumberType::I64, limits.attribute_count)?;
                 pages.packing = widths(walk, packing, size)?;
             }
             "constantpageflags" => {
@@ -111,8 +82,8 @@ pub(super) fn tuples(walk: &mut TokenWalk, key: &str, count: usize, limits: &Lim
         }
         Ok(())
     })?;
-    let values = values.unwrap_or_else(|| storage.empty());
-    let found = number::length(&values);
+    let values = values.unwrap_or_else(|| storage.zeros(0));
+    let found = values.len();
     if count.checked_mul(size) == Some(found) {
         Ok(Tuples { size, values })
     } else {
@@ -126,30 +97,24 @@ const LAYOUT_KEYS: [&str; 5] = ["size", "storage", "pagesize", "packing", "const
 /// Reads the next value as a number of components.
 fn small(walk: &mut TokenWalk, limits: &Limits) -> Result<usize> {
     let size = walk.count()?;
-    usize::try_from(size).ok().filter(|&size| size <= limits.attribute_count).ok_or_else(|| {
-        Error::too_large(
-            FORMAT,
-            format!(
-                "an attribute has {size} values per point, more than the limit of {}",
-                limits.attribute_count
-            ),
-        )
-    })
+    let size = usize::try_from(size).unwrap_or(usize::MAX);
+    limits.check_attributes(FORMAT, size, "values per point")?;
+    Ok(size)
 }
 
-fn storage_of(walk: &mut TokenWalk) -> Result<StorageType> {
+fn storage_of(walk: &mut TokenWalk) -> Result<NumberType> {
     let name = walk.text()?;
-    StorageType::of(&name).ok_or_else(|| walk.invalid(format!("unknown storage \"{}\"", excerpt(&*name))))
+    storage_type(&name).ok_or_else(|| walk.invalid(format!("unknown storage \"{}\"", excerpt(&*name))))
 }
 
 /// Reads the next value, an array of numbers or of arrays of numbers, and flattens it. Fails if it has more
 /// than `most` numbers.
-pub(super) fn numbers(walk: &mut TokenWalk, name: &str, storage: StorageType, most: usize) -> Result<Values> {
+pub(super) fn numbers(walk: &mut TokenWalk, name: &str, storage: NumberType, most: usize) -> Result<Values> {
     walk.within(name, |walk| {
         // The capacity to reserve: a number takes at least two bytes of the file. Only uniform arrays of the
         // binary form can take fewer.
         let capacity = most.min(walk.remaining() / 2);
-        let mut list = List(storage.empty());
+        let mut list = List(storage.zeros(0));
         let mut depth = 0usize;
         loop {
             match walk.next()? {
@@ -164,22 +129,22 @@ pub(super) fn numbers(walk: &mut TokenWalk, name: &str, storage: StorageType, mo
                 JsonToken::Real(value) => list.push_real(value),
                 JsonToken::Bool(value) => list.push_integer(value.into()),
                 JsonToken::Bools(values) => {
-                    walk.check_widened(values.len().saturating_mul(storage.value_bytes()))?;
+                    walk.check_widened(values.len().saturating_mul(storage.size()))?;
                     values.into_iter().for_each(|value| list.push_integer(value.into()));
                 }
                 JsonToken::Numbers { number, endian, payload } => {
                     let more = payload.len() / number.size();
-                    if most - number::length(&list.0) < more {
+                    if most - list.0.len() < more {
                         return Err(walk.invalid(format!("expected at most {most} numbers, found more")));
                     }
-                    if storage.value_bytes() > number.size() {
-                        walk.check_widened(more.saturating_mul(storage.value_bytes()))?;
+                    if storage.size() > number.size() {
+                        walk.check_widened(more.saturating_mul(storage.size()))?;
                     }
                     list.append(number, endian, payload);
                 }
                 other => return Err(walk.unexpected("numbers", &other)),
             }
-            if number::length(&list.0) > most {
+            if list.0.len() > most {
                 return Err(walk.invalid(format!("expected at most {most} numbers, found more")));
             }
             if depth == 0 {
@@ -195,14 +160,7 @@ struct List(Values);
 #[expect(clippy::cast_possible_truncation, reason = "the file declares the storage type")]
 impl List {
     fn reserve(&mut self, count: usize) {
-        match &mut self.0 {
-            Values::F32(values) => values.reserve(count),
-            Values::F64(values) => values.reserve(count),
-            Values::U8(values) => values.reserve(count),
-            Values::I32(values) => values.reserve(count),
-            Values::I64(values) => values.reserve(count),
-            Values::Strings { .. } => {}
-        }
+        of_any_type!(&mut self.0, values => values.reserve(count));
     }
 
     fn push_integer(&mut self, value: i64) {
@@ -229,7 +187,7 @@ impl List {
     fn append(&mut self, number: NumberType, endian: Endian, payload: &[u8]) {
         const PART_COUNT: usize = 4096;
         let is_same = std::mem::discriminant(&self.0) == std::mem::discriminant(&number.decode(&[], endian));
-        if number::length(&self.0) == 0 && is_same {
+        if self.0.len() == 0 && is_same {
             self.0 = number.decode(payload, endian);
             return;
         }
@@ -309,7 +267,7 @@ fn flags(walk: &mut TokenWalk, page_count: usize, limits: &Limits) -> Result<Vec
 
 /// Converts values from component by component to point by point.
 fn by_points(all: Values, count: usize, size: usize) -> Values {
-    if size == 1 || number::length(&all) != count * size {
+    if size == 1 || all.len() != count * size {
         return all;
     }
     let columns: Vec<Values> =
@@ -324,14 +282,14 @@ fn unpaged(
     count: usize,
     size: usize,
     pages: &Pages,
-    storage: StorageType,
+    storage: NumberType,
     limits: &Limits,
 ) -> Result<Values> {
     let is_plain = pages.packing.len() <= 1 && pages.constant.iter().all(Vec::is_empty);
     if is_plain {
         return Ok(raw);
     }
-    let bytes = (count as u64).saturating_mul(size as u64).saturating_mul(storage.value_bytes() as u64);
+    let bytes = (count as u64).saturating_mul(size as u64).saturating_mul(storage.size() as u64);
     walk.check_spread(bytes, limits)?;
     let whole = [size];
     let packing = if pages.packing.is_empty() { &whole[..] } else { &pages.packing };

@@ -209,20 +209,19 @@ fn header_of(
         return Err(invalid("`fortran_order` is neither True nor False"));
     };
     let shape = lengths.iter().map(length).collect::<Result<_>>()?;
-    let layout = layout_of(value_of("descr")?, limits).map_err(|what| match what {
-        Refusal::Invalid(what) => invalid(&what),
-        Refusal::TooLarge(what) => Error::too_large(FORMAT, what),
+    let layout = layout_of(value_of("descr")?, limits).map_err(|error| match error {
+        Error::Invalid { what, .. } => invalid(&what),
+        other => other,
     })?;
     Ok(ArrayHeader { layout, is_fortran, shape, data_offset })
 }
 
-/// Why a type is rejected.
-enum Refusal {
-    Invalid(String),
-    TooLarge(String),
+/// An error whose position the caller adds.
+fn wrong_type(what: impl Into<String>) -> Error {
+    Error::invalid(FORMAT, Position::File, what)
 }
 
-fn layout_of(descr: &Literal, limits: &Limits) -> std::result::Result<ElementLayout, Refusal> {
+fn layout_of(descr: &Literal, limits: &Limits) -> Result<ElementLayout> {
     match descr {
         Literal::Text(code) => Ok(match element(code)? {
             ElementType { number: Some((number, endian)), .. } => ElementLayout::Plain { number, endian },
@@ -233,7 +232,7 @@ fn layout_of(descr: &Literal, limits: &Limits) -> std::result::Result<ElementLay
             let stride = add_fields(descr, "", 0, &mut fields, limits)?;
             Ok(ElementLayout::Fields { fields, stride })
         }
-        _ => Err(Refusal::Invalid("`descr` is neither a string nor a list".into())),
+        _ => Err(wrong_type("`descr` is neither a string nor a list")),
     }
 }
 
@@ -245,24 +244,23 @@ fn add_fields(
     offset: usize,
     fields: &mut Vec<StructField>,
     limits: &Limits,
-) -> std::result::Result<usize, Refusal> {
-    let invalid = |what: &str| Refusal::Invalid(what.into());
-    let Literal::List(entries) = descr else { return Err(invalid("a structured type is not a list")) };
+) -> Result<usize> {
+    let Literal::List(entries) = descr else { return Err(wrong_type("a structured type is not a list")) };
     let mut at = offset;
     for entry in entries {
-        let Literal::List(parts) = entry else { return Err(invalid("a field is not a tuple")) };
+        let Literal::List(parts) = entry else { return Err(wrong_type("a field is not a tuple")) };
         let (name, kind, repeats) = match &parts[..] {
             [name, kind] => (name, kind, 1),
             [name, kind, shape] => (name, kind, repeats_of(shape)?),
-            _ => return Err(invalid("a field does not have two or three parts")),
+            _ => return Err(wrong_type("a field does not have two or three parts")),
         };
         let name = match name {
             Literal::Text(name) => name.clone(),
             Literal::List(titled) => match titled.last() {
                 Some(Literal::Text(name)) => name.clone(),
-                _ => return Err(invalid("the name of a field is not a string")),
+                _ => return Err(wrong_type("the name of a field is not a string")),
             },
-            _ => return Err(invalid("the name of a field is not a string")),
+            _ => return Err(wrong_type("the name of a field is not a string")),
         };
         let full = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
         let end = match kind {
@@ -285,16 +283,13 @@ fn add_fields(
         };
         at = end
             .filter(|end| *end <= u32::MAX as usize)
-            .ok_or_else(|| invalid("a type has too many bytes"))?;
-        if fields.len() > limits.attribute_count {
-            let what = format!("the array has more fields than the limit of {}", limits.attribute_count);
-            return Err(Refusal::TooLarge(what));
-        }
+            .ok_or_else(|| wrong_type("a type has too many bytes"))?;
+        limits.check_attributes(FORMAT, fields.len(), "fields or more")?;
     }
     Ok(at)
 }
 
-fn repeats_of(shape: &Literal) -> std::result::Result<usize, Refusal> {
+fn repeats_of(shape: &Literal) -> Result<usize> {
     let length = |literal: &Literal| match literal {
         Literal::Integer(length) => usize::try_from(*length).ok(),
         _ => None,
@@ -305,7 +300,7 @@ fn repeats_of(shape: &Literal) -> std::result::Result<usize, Refusal> {
         }
         single => length(single),
     };
-    repeats.ok_or_else(|| Refusal::Invalid("the shape of a field is invalid".into()))
+    repeats.ok_or_else(|| wrong_type("the shape of a field is invalid"))
 }
 
 /// A parsed type code: the size of an element, and its number type if it is numeric.
@@ -315,8 +310,8 @@ struct ElementType {
 }
 
 /// Parses a byte order, a letter and a size: `<f4`.
-fn element(code: &str) -> std::result::Result<ElementType, Refusal> {
-    let invalid = || Refusal::Invalid(format!("unknown type \"{}\"", excerpt(code)));
+fn element(code: &str) -> Result<ElementType> {
+    let invalid = || wrong_type(format!("unknown type \"{}\"", excerpt(code)));
     let (endian, rest) = match code.split_at_checked(1) {
         Some((">", rest)) => (Endian::Big, rest),
         Some(("<" | "|" | "=", rest)) => (Endian::Little, rest), // `=` means native, which is little-endian in practice

@@ -27,7 +27,7 @@ use crate::data::{ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, frame_of, widened};
-use crate::number::{self, NumberType, Scalar, components, interleaved};
+use crate::number::{self, NumberType, components, interleaved};
 use crate::row::{Completeness, FormatRow, HeadCheck, ParticleInput, exactly};
 use crate::steps::{FoundStep, LineHeads};
 use crate::text::{excerpt, excerpts};
@@ -224,15 +224,9 @@ fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<
     let mut notes = Vec::new();
     match &header.layout {
         ElementLayout::Plain { number, endian } => {
-            check_count(header.row_count(), limits)?;
+            limits.check_particles(FORMAT, header.row_count())?;
             let columns = header.column_count();
-            if columns > limits.attribute_count {
-                let what = format!(
-                    "the array has {columns} columns, more than the limit of {}",
-                    limits.attribute_count
-                );
-                return Err(Error::too_large(FORMAT, what));
-            }
+            limits.check_attributes(FORMAT, columns, "columns")?;
             let values = if header.is_fortran && columns > 1 {
                 let column = |part| number.decode(part, *endian);
                 let parts: Vec<_> = data.chunks_exact((data.len() / columns).max(1)).map(column).collect();
@@ -243,7 +237,7 @@ fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<
             Ok((vec![NamedArray { name: String::new(), arity: columns, values }], notes))
         }
         ElementLayout::Fields { fields, stride } => {
-            check_count(header.element_count()?, limits)?;
+            limits.check_particles(FORMAT, header.element_count()?)?;
             let mut arrays = Vec::new();
             for StructField { name, offset, arity, number } in fields {
                 match number {
@@ -304,7 +298,7 @@ fn unnamed_frame(array: NamedArray) -> Result<ParticleFrame> {
 
 /// The first four numbers of the first rows; NaN in a column that does not exist.
 fn first_numbers(values: &Values, arity: usize) -> Vec<[f64; 4]> {
-    let row_count = (number::length(values) / arity.max(1)).min(columns::ROWS_MAX);
+    let row_count = (values.len() / arity.max(1)).min(columns::ROWS_MAX);
     let Some(Values::F64(numbers)) = widened(&number::slice(values, 0..row_count * arity)) else {
         return Vec::new();
     };
@@ -351,19 +345,9 @@ fn frame_of_only(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result
 /// The number of rows of the position if it consists of scalar arrays.
 fn columns_count(arrays: &[NamedArray]) -> Option<usize> {
     let singles = arrays.iter().filter(|array| array.arity == 1);
-    let columns: Vec<(&str, Scalar)> =
-        singles.clone().map(|array| (array.name.as_str(), Scalar::F64)).collect();
+    let columns: Vec<_> = singles.clone().map(|array| (&*array.name, ())).collect();
     let [x, ..] = group_columns(&columns).position?;
     singles.clone().nth(x).map(NamedArray::particle_count)
-}
-
-fn check_count(count: u64, limits: &Limits) -> Result<()> {
-    if count > limits.particle_count {
-        let what =
-            format!("the file has {count} particles, more than the limit of {}", limits.particle_count);
-        return Err(Error::too_large(FORMAT, what));
-    }
-    Ok(())
 }
 
 fn no_position(header: &ArrayHeader) -> Error {
@@ -464,10 +448,7 @@ struct ArchiveTotals {
 /// The members, as listed by the central directory.
 fn members(bytes: &[u8], limits: &Limits) -> Result<Vec<ArchiveMember>> {
     let (count, offset) = directory(bytes)?;
-    if count > limits.attribute_count as u64 {
-        let what = format!("the file has {count} arrays, more than the limit of {}", limits.attribute_count);
-        return Err(Error::too_large(ARCHIVE, what));
-    }
+    limits.check_attributes(ARCHIVE, usize::try_from(count).unwrap_or(usize::MAX), "arrays")?;
     let start = usize::try_from(offset).unwrap_or(usize::MAX).min(bytes.len());
     let mut cursor = Cursor::new(ARCHIVE, Endian::Little, bytes, start);
     if (cursor.remaining() as u64) < count * ENTRY_BYTES {

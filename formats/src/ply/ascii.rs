@@ -14,9 +14,10 @@ use rayon::prelude::*;
 
 use super::FORMAT;
 use super::header::{Element, PropertyType};
-use super::rows::{RecordReader, Slots, Target};
+use super::rows::RecordReader;
 use crate::error::{Error, Position, Result};
-use crate::number::Scalar;
+use crate::number::NumberType;
+use crate::records::{Slots, Target};
 use crate::text::{line_number, parse_number};
 
 /// Size of a part: large enough to make the cost of starting one negligible, small enough to share the work.
@@ -108,7 +109,7 @@ impl RecordPart<'_, '_> {
                     Slots::F32(out) => out[slot] = lines.float(scalar, &property.name)?,
                     // A value declared as a 32-bit float is rounded to 32 bits, even if its text has more
                     // digits.
-                    Slots::F64(out) if scalar == Scalar::F32 => {
+                    Slots::F64(out) if scalar == NumberType::F32 => {
                         out[slot] = f64::from(lines.float::<f32>(scalar, &property.name)?);
                     }
                     Slots::F64(out) => out[slot] = lines.float(scalar, &property.name)?,
@@ -211,20 +212,20 @@ impl<'a> BodyLines<'a> {
     }
 
     /// Parses the next value as an integer of the given type.
-    pub(super) fn integer(&mut self, scalar: Scalar, what: &str) -> Result<i64> {
+    pub(super) fn integer(&mut self, scalar: NumberType, what: &str) -> Result<i64> {
         self.bounded(scalar, what)
     }
 
     /// Parses the next value and checks the range of the declared type.
-    fn bounded<T: TryFrom<i64>>(&mut self, scalar: Scalar, what: &str) -> Result<T> {
+    fn bounded<T: TryFrom<i64>>(&mut self, scalar: NumberType, what: &str) -> Result<T> {
         let start = self.at;
         let value: f64 = self.number(what)?;
         let range = match scalar {
-            Scalar::I8 => -128.0..=127.0,
-            Scalar::U8 => 0.0..=255.0,
-            Scalar::I16 => -32_768.0..=32_767.0,
-            Scalar::U16 => 0.0..=65_535.0,
-            Scalar::I32 => f64::from(i32::MIN)..=f64::from(i32::MAX),
+            NumberType::I8 => -128.0..=127.0,
+            NumberType::U8 => 0.0..=255.0,
+            NumberType::I16 => -32_768.0..=32_767.0,
+            NumberType::U16 => 0.0..=65_535.0,
+            NumberType::I32 => f64::from(i32::MIN)..=f64::from(i32::MAX),
             _ => 0.0..=f64::from(u32::MAX),
         };
         if range.contains(&value) && value.fract() == 0.0 {
@@ -239,8 +240,8 @@ impl<'a> BodyLines<'a> {
     }
 
     /// Parses the next value as a float. If the declared type is an integer, checks its range first.
-    pub(super) fn float<T: FastFloat>(&mut self, scalar: Scalar, what: &str) -> Result<T> {
-        if !matches!(scalar, Scalar::F32 | Scalar::F64) {
+    pub(super) fn float<T: FastFloat>(&mut self, scalar: NumberType, what: &str) -> Result<T> {
+        if !matches!(scalar, NumberType::F32 | NumberType::F64) {
             let start = self.at;
             self.bounded::<i64>(scalar, what)?;
             self.at = start;
@@ -303,7 +304,7 @@ impl<'a> BodyLines<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::number::Scalar::{F32, I32};
+    use crate::number::NumberType::{F32, I32};
 
     const HEADER: &str = "ply\nformat ascii 1.0\nelement vertex 60\nproperty float x\nproperty int y\n\
                           property list uchar int list\nend_header\n";
@@ -315,8 +316,8 @@ mod tests {
         let element = &header.elements[0];
         let (mut x, mut y) = (vec![0.0; 60], vec![0; 60]);
         let targets = vec![
-            Target { columns: vec![(0, F32)], slots: Slots::F32(&mut x) },
-            Target { columns: vec![(1, I32)], slots: Slots::I32(&mut y) },
+            Target { columns: [(0, F32)].into(), slots: Slots::F32(&mut x) },
+            Target { columns: [(1, I32)].into(), slots: Slots::I32(&mut y) },
         ];
         let lines = BodyLines::new(file.as_bytes(), header.body_offset);
         let destinations = destinations(element, &targets);

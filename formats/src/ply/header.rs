@@ -9,7 +9,7 @@ use crate::bytes::Endian;
 use crate::columns::{Columns, group_columns};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::number::Scalar;
+use crate::number::NumberType;
 use crate::text::{Lines, excerpt};
 
 /// The encoding of the records after the header.
@@ -38,13 +38,13 @@ impl Encoding {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PropertyType {
     /// One number.
-    Scalar(Scalar),
+    Scalar(NumberType),
     /// A count, then that many numbers.
     List {
         /// Type of the count, an integer.
-        count: Scalar,
+        count: NumberType,
         /// Type of the numbers.
-        item: Scalar,
+        item: NumberType,
     },
 }
 
@@ -180,9 +180,7 @@ pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<PlyHeader> {
             let PartialHeader { elements, comments, .. } = parsed;
             return Ok(PlyHeader { encoding, elements, comments, body_offset: lines.at() });
         }
-        parsed
-            .line(keyword, rest, limits)?
-            .map_err(|what| Error::invalid(FORMAT, Position::Line(lines.number()), what))?;
+        parsed.take_line(keyword, rest, limits, lines.number())?;
     }
     if capped.len() < bytes.len() {
         return Err(Error::too_large(
@@ -201,36 +199,27 @@ struct PartialHeader {
 }
 
 impl PartialHeader {
-    /// Parses one line. The inner error is one in the line itself; the outer error is an exceeded limit.
-    fn line(
-        &mut self,
-        keyword: &str,
-        rest: &str,
-        limits: &Limits,
-    ) -> Result<std::result::Result<(), String>> {
-        let outcome = match keyword {
-            "" => Ok(()),
-            "comment" | "obj_info" => {
-                self.comments.push(rest.into());
-                Ok(())
-            }
-            "format" => parse_format(rest).map(|encoding| self.encoding = Some(encoding)),
-            "element" => parse_element(rest).map(|element| self.elements.push(element)),
-            "property" => match self.elements.last_mut() {
-                None => Err("the header has a property before any element".into()),
-                Some(element) if element.properties.len() >= limits.attribute_count => {
-                    let most = limits.attribute_count;
-                    let what = format!(
-                        "element `{}` has more properties than the limit of {most}",
-                        excerpt(&element.name)
-                    );
+    fn take_line(&mut self, keyword: &str, rest: &str, limits: &Limits, number: u64) -> Result<()> {
+        let invalid = |what: String| Error::invalid(FORMAT, Position::Line(number), what);
+        match keyword {
+            "" => {}
+            "comment" | "obj_info" => self.comments.push(rest.into()),
+            "format" => self.encoding = Some(parse_format(rest).map_err(invalid)?),
+            "element" => self.elements.push(parse_element(rest).map_err(invalid)?),
+            "property" => {
+                let element = self.elements.last_mut();
+                let element =
+                    element.ok_or_else(|| invalid("the header has a property before any element".into()))?;
+                if element.properties.len() >= limits.attribute_count {
+                    let (name, most) = (excerpt(&element.name), limits.attribute_count);
+                    let what = format!("element `{name}` has more properties than the limit of {most}");
                     return Err(Error::too_large(FORMAT, what));
                 }
-                Some(element) => parse_property(rest).map(|property| element.properties.push(property)),
-            },
-            _ => Err(format!("unknown keyword `{}`", excerpt(keyword))),
-        };
-        Ok(outcome)
+                element.properties.push(parse_property(rest).map_err(invalid)?);
+            }
+            _ => return Err(invalid(format!("unknown keyword `{}`", excerpt(keyword)))),
+        }
+        Ok(())
     }
 }
 
@@ -261,7 +250,7 @@ fn parse_property(rest: &str) -> std::result::Result<Property, String> {
         let (count, rest) = first_word(rest);
         let (item, name) = first_word(rest);
         let count = parse_scalar(count)?;
-        if matches!(count, Scalar::F32 | Scalar::F64) {
+        if matches!(count, NumberType::F32 | NumberType::F64) {
             return Err("the count of a list must have an integer type".into());
         }
         (PropertyType::List { count, item: parse_scalar(item)? }, name)
@@ -274,7 +263,7 @@ fn parse_property(rest: &str) -> std::result::Result<Property, String> {
     Ok(Property { name: name.into(), kind })
 }
 
-fn parse_scalar(name: &str) -> std::result::Result<Scalar, String> {
+fn parse_scalar(name: &str) -> std::result::Result<NumberType, String> {
     let named = SCALARS.iter().find(|(names, _)| names.contains(&name));
     named.map(|&(_, scalar)| scalar).ok_or_else(|| format!("unknown type `{}`", excerpt(name)))
 }
@@ -286,15 +275,15 @@ fn first_word(text: &str) -> (&str, &str) {
 }
 
 /// The names of the types: the original ones and those with sizes.
-const SCALARS: &[([&str; 2], Scalar)] = &[
-    (["char", "int8"], Scalar::I8),
-    (["uchar", "uint8"], Scalar::U8),
-    (["short", "int16"], Scalar::I16),
-    (["ushort", "uint16"], Scalar::U16),
-    (["int", "int32"], Scalar::I32),
-    (["uint", "uint32"], Scalar::U32),
-    (["float", "float32"], Scalar::F32),
-    (["double", "float64"], Scalar::F64),
+const SCALARS: &[([&str; 2], NumberType)] = &[
+    (["char", "int8"], NumberType::I8),
+    (["uchar", "uint8"], NumberType::U8),
+    (["short", "int16"], NumberType::I16),
+    (["ushort", "uint16"], NumberType::U16),
+    (["int", "int32"], NumberType::I32),
+    (["uint", "uint32"], NumberType::U32),
+    (["float", "float32"], NumberType::F32),
+    (["double", "float64"], NumberType::F64),
 ];
 
 #[cfg(test)]

@@ -33,17 +33,15 @@ use crate::columns::{Columns, Group};
 use crate::data::{AttributeRole, FileAttribute, FilePositions, MeshData, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::number::Scalar;
+use crate::number::NumberType;
 use crate::provenance::from_comments;
+use crate::records::{RecordLayout, Slots, Target, gather, gather_part};
 use crate::row::{
     Completeness, Content, FormatRow, HeadCheck, Integrity, MeshEncoder, MeshWriter, OutputRow,
     ParticleInput, ParticleWriter, at_least, exactly,
 };
 use crate::text::{excerpt, excerpts};
-use rows::{
-    RecordReader, Slots, Target, check_limit, checked_binary_count, checked_count, gather_part, rows_of,
-    scalar_offsets,
-};
+use rows::{RecordReader, checked_binary_count, checked_count, rows_of, scalar_offsets};
 
 /// The format's name in errors.
 const FORMAT: &str = "PLY";
@@ -67,14 +65,11 @@ pub(crate) static ROW: OutputRow = OutputRow {
     help: "Binary PLY",
     content: Content::Mesh(MeshWriter {
         attribute_notes,
-        ..MeshWriter::new(MeshEncoder::Stream(|mesh, _, provenance, mut out| {
-            write::write_mesh(mesh, provenance, &mut out)
+        ..MeshWriter::new(MeshEncoder::Stream(|mesh, _, provenance, out| {
+            write::write_mesh(mesh, provenance, out)
         }))
     }),
-    write_particles: Some(ParticleWriter {
-        write: |particles, provenance, mut out| write_particles(particles, provenance, &mut out),
-        notes: particle_notes,
-    }),
+    write_particles: Some(ParticleWriter { write: write_particles, notes: particle_notes }),
     has_attributes: true,
     options: &[],
     read_provenance: |head| Ok(from_comments(head, "comment ")),
@@ -115,21 +110,20 @@ fn read_vertices(bytes: &[u8], header: &PlyHeader, limits: &Limits) -> Result<Pa
     let VertexElement { element, columns, position } = vertices(header)?;
     let rows = rows_of(bytes, header, element)?;
     let count = checked_count(&rows, element)?;
-    check_limit(count, limits)?;
+    limits.check_particles(FORMAT, count as u64)?;
 
     let mut frame = empty_frame(element, &columns, position, count);
     let targets = targets(element, &columns, position, &mut frame);
-    let (offsets, stride) = rows::scalar_offsets(element);
+    let (offsets, stride) = scalar_offsets(element);
+    let layout = |endian| RecordLayout { stride, offsets: &offsets, endian };
     match rows {
         RecordReader::Ascii(lines) => ascii::read(lines, element, count, targets)?,
         RecordReader::Binary(cursor) if element.has_list() => {
-            let endian = cursor.endian();
-            let records = rows::without_lists(&mut RecordReader::Binary(cursor), element, count)?;
-            rows::gather(&records, stride, &offsets, endian, targets);
+            let layout = layout(cursor.endian());
+            gather(&rows::without_lists(&mut RecordReader::Binary(cursor), element, count)?, layout, targets);
         }
         RecordReader::Binary(mut cursor) => {
-            let records = cursor.take(count * stride, &element.name)?;
-            rows::gather(records, stride, &offsets, cursor.endian(), targets);
+            gather(cursor.take(count * stride, &element.name)?, layout(cursor.endian()), targets);
         }
     }
     scale_groups(&mut frame, &columns);
@@ -140,10 +134,10 @@ fn read_vertices(bytes: &[u8], header: &PlyHeader, limits: &Limits) -> Result<Pa
 /// The particles in binary records without lists, read on the current thread.
 fn frame_of_records(header: &PlyHeader, records: &[u8], endian: Endian) -> Result<ParticleFrame> {
     let VertexElement { element, columns, position } = vertices(header)?;
-    let (offsets, stride) = rows::scalar_offsets(element);
+    let (offsets, stride) = scalar_offsets(element);
     let mut frame = empty_frame(element, &columns, position, records.len() / stride);
     let mut targets = targets(element, &columns, position, &mut frame);
-    rows::gather_part(records, stride, &offsets, endian, &mut targets);
+    gather_part(records, RecordLayout { stride, offsets: &offsets, endian }, &mut targets);
     scale_groups(&mut frame, &columns);
     Ok(frame)
 }
@@ -192,29 +186,19 @@ fn empty_frame(element: &Element, columns: &Columns, position: [usize; 3], count
         name: group.name.clone(),
         arity: group.arity(),
         role: group.role,
-        values: empty_values(scalar_of(element, group.columns[0]), count * group.arity()),
+        values: scalar_of(element, group.columns[0]).zeros(count * group.arity()),
     });
     ParticleFrame { positions, attributes: attributes.collect(), notes: Vec::new() }
 }
 
 /// Whether 32-bit floats can hold all values of these types.
-fn fits_f32(scalars: [Scalar; 3]) -> bool {
-    use Scalar::{F32, I8, I16, U8, U16};
+fn fits_f32(scalars: [NumberType; 3]) -> bool {
+    use NumberType::{F32, I8, I16, U8, U16};
     scalars.iter().all(|scalar| matches!(scalar, F32 | I8 | U8 | I16 | U16))
 }
 
-fn empty_values(scalar: Scalar, length: usize) -> Values {
-    match scalar {
-        Scalar::U8 => Values::U8(vec![0; length]),
-        Scalar::I8 | Scalar::I16 | Scalar::U16 | Scalar::I32 => Values::I32(vec![0; length]),
-        Scalar::U32 => Values::I64(vec![0; length]),
-        Scalar::F32 => Values::F32(vec![0.0; length]),
-        Scalar::F64 => Values::F64(vec![0.0; length]),
-    }
-}
-
 /// The type of a property that is not a list.
-fn scalar_of(element: &Element, property: usize) -> Scalar {
+fn scalar_of(element: &Element, property: usize) -> NumberType {
     match element.properties[property].kind {
         PropertyType::Scalar(scalar) => scalar,
         PropertyType::List { item, .. } => item,
@@ -232,20 +216,10 @@ fn targets<'a>(
         properties.iter().map(|&property| (property, scalar_of(element, property))).collect()
     };
     let mut targets = Vec::with_capacity(1 + columns.groups.len());
-    let slots = match &mut frame.positions {
-        FilePositions::F32(positions) => Slots::F32(positions.as_flattened_mut()),
-        FilePositions::F64(positions) => Slots::F64(positions.as_flattened_mut()),
-    };
+    let slots = Slots::of_positions(&mut frame.positions);
     targets.push(Target { columns: typed(&position), slots });
     for (group, attribute) in columns.groups.iter().zip(&mut frame.attributes) {
-        let slots = match &mut attribute.values {
-            Values::F32(values) => Slots::F32(values),
-            Values::F64(values) => Slots::F64(values),
-            Values::U8(values) => Slots::U8(values),
-            Values::I32(values) => Slots::I32(values),
-            Values::I64(values) => Slots::I64(values),
-            Values::Strings { .. } => continue, // PLY has no strings
-        };
+        let slots = Slots::of_values(&mut attribute.values);
         targets.push(Target { columns: typed(&group.columns), slots });
     }
     targets
@@ -309,11 +283,7 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
 pub fn read_mesh_and_vertices(bytes: &[u8], limits: &Limits) -> Result<(MeshData, ParticleFrame)> {
     let header = read_header(bytes, limits)?;
     let frame = read_vertices(bytes, &header, limits)?;
-    let positions = match &frame.positions {
-        FilePositions::F32(positions) => positions.iter().map(|position| position.map(f64::from)).collect(),
-        FilePositions::F64(positions) => positions.clone(),
-    };
-    let mut mesh = MeshData { positions, ..MeshData::default() };
+    let mut mesh = MeshData { positions: frame.positions.clone().into_f64(), ..MeshData::default() };
     if let Some(normal) =
         frame.attributes.iter().find(|attribute| attribute.role == Some(AttributeRole::Normal))
     {
@@ -392,7 +362,7 @@ fn triangles(mut rows: RecordReader<'_>, faces: &Element, vertex_count: usize) -
 /// Reads a polygon and cuts it into triangles that share its first corner.
 fn fan(
     rows: &mut RecordReader<'_>,
-    item: Scalar,
+    item: NumberType,
     length: usize,
     vertex_count: usize,
     triangles: &mut Vec<[u32; 3]>,
@@ -436,50 +406,27 @@ fn records(header: &PlyHeader, file_bytes: u64, limits: &Limits) -> Result<Optio
         at += (count * element.record_size_min()) as u64;
     }
     let count = checked_binary_count(element, at, file_bytes - at)?;
-    check_limit(count, limits)?;
+    limits.check_particles(FORMAT, count as u64)?;
     let (offsets, stride) = scalar_offsets(element);
     let scalars = position.map(|property| scalar_of(element, property));
     let mut notes = notes(element, &columns);
     notes.extend(note_on_faces(header));
     let velocity = columns.groups.iter().find(|group| group.role == Some(AttributeRole::Velocity));
     let velocity = velocity.map(|group| group.name.clone());
-    let columns = PositionColumns { offsets: position.map(|property| offsets[property]), scalars };
-    let gather =
-        Arc::new(move |records: &[u8], stride: usize, count: usize, positions: &mut FilePositions| {
-            columns.gather(records, stride, endian, count, positions);
-        });
-    let header = header.clone();
-    let frame = Arc::new(move |records: &[u8]| frame_of_records(&header, records, endian));
-    Ok(Some(Records { format: FORMAT, offset: at, stride, count, gather, frame, notes, velocity }))
-}
-
-/// The location of a position in a record: offsets in bytes, and types.
-struct PositionColumns {
-    offsets: [usize; 3],
-    scalars: [Scalar; 3],
-}
-
-impl PositionColumns {
-    /// Replaces `positions` with the positions of `count` records.
-    fn gather(
-        &self,
-        records: &[u8],
-        stride: usize,
-        endian: Endian,
-        count: usize,
-        positions: &mut FilePositions,
-    ) {
-        match (fits_f32(self.scalars), &mut *positions) {
+    let offsets = position.map(|property| offsets[property]);
+    let gather = Arc::new(move |records: &[u8], positions: &mut FilePositions| {
+        let count = records.len() / stride;
+        match (fits_f32(scalars), &mut *positions) {
             (true, FilePositions::F32(positions)) => positions.resize(count, [0.0; 3]),
             (true, FilePositions::F64(_)) => *positions = FilePositions::F32(vec![[0.0; 3]; count]),
             (false, FilePositions::F64(positions)) => positions.resize(count, [0.0; 3]),
             (false, FilePositions::F32(_)) => *positions = FilePositions::F64(vec![[0.0; 3]; count]),
         }
-        let slots = match positions {
-            FilePositions::F32(positions) => Slots::F32(positions.as_flattened_mut()),
-            FilePositions::F64(positions) => Slots::F64(positions.as_flattened_mut()),
-        };
-        let columns = self.scalars.into_iter().enumerate().collect();
-        gather_part(records, stride, &self.offsets, endian, &mut [Target { columns, slots }]);
-    }
+        let columns = scalars.into_iter().enumerate().collect();
+        let target = Target { columns, slots: Slots::of_positions(positions) };
+        gather_part(records, RecordLayout { stride, offsets: &offsets, endian }, &mut [target]);
+    });
+    let header = header.clone();
+    let frame = Arc::new(move |records: &[u8]| frame_of_records(&header, records, endian));
+    Ok(Some(Records { format: FORMAT, offset: at, stride, count, gather, frame, notes, velocity }))
 }

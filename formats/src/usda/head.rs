@@ -129,13 +129,6 @@ fn string_entry(line: &str) -> Option<(String, String)> {
     rest.is_empty().then_some((key, value))
 }
 
-/// Whether these are the last bytes of a complete file of this crate.
-pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
-    let Some(lines) = tail.strip_suffix(b"\n") else { return false };
-    let start = lines.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
-    lines[start..].starts_with(LAST_LINE.as_bytes())
-}
-
 fn key_of(key: &str) -> String {
     let is_plain =
         |(index, c): (usize, char)| c == '_' || c.is_ascii_alphabetic() || index > 0 && c.is_ascii_digit();

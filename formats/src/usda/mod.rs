@@ -42,12 +42,13 @@ use crate::gltf::SequenceFrame;
 use crate::row::{
     Content, FormatRow, Integrity, MeshEncoder, MeshOptions, MeshWriter, OutputRow, WriteOption,
 };
+use crate::text::{NumberWriter, ends_with_line};
 use crate::usd::{
     Elements, FORMAT, MeshProperty, PRIM, PropertyValue, SAMPLE_CODE, SequenceAttribute, TRANSLATE,
     UsdSequence, attribute_of, properties, renamed,
 };
 use crate::vertex_attributes::{check_quads, faces, plain_name, quad_count, string_index};
-use head::{LAST_LINE, ends_as_written, head, quoted, read_provenance, times};
+use head::{LAST_LINE, head, quoted, read_provenance, times};
 
 /// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
@@ -61,7 +62,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     has_attributes: true,
     options: &[WriteOption::Quads, WriteOption::Up, WriteOption::MetersPerUnit, WriteOption::TimeSamples],
     read_provenance,
-    integrity: Integrity::Tail(ends_as_written),
+    integrity: Integrity::Tail(|tail| ends_with_line(tail, LAST_LINE)),
 };
 
 // Writes the mesh of one frame.
@@ -284,8 +285,8 @@ pub fn write_sequence<R: Read + Seek>(
             writeln!(out, "        {kind} {name}{}", about(true, 1))?;
         }
         write_samples(&shot, &format!("{kind} {name}"), out, |index| {
-            let (frame, transform) = (&frames[index].file, shot.transform(index)?);
-            let found = frame.read_attribute(semantic, &transform, &mut open(index)?, &mut values)?;
+            let (frame, shift) = (&frames[index].file, shot.shift(index)?);
+            let found = frame.read_attribute(semantic, shift, &mut open(index)?, &mut values)?;
             let Some(stride) = found else { return Ok(Vec::new()) };
             Ok(Elements::Reals { values: &values, stride, first: *first, arity: *arity }.texts())
         })?;
@@ -438,33 +439,7 @@ const SEPARATOR_BYTES: usize = 2;
 
 // Formats numbers as array values.
 
-/// Text under construction, with a buffer for formatting numbers.
-struct NumberWriter {
-    text: Vec<u8>,
-    real: zmij::Buffer,
-    integer: itoa::Buffer,
-}
-
 impl NumberWriter {
-    /// An empty text with capacity for `byte_count` bytes.
-    fn with_capacity(byte_count: usize) -> NumberWriter {
-        NumberWriter {
-            text: Vec::with_capacity(byte_count),
-            real: zmij::Buffer::new(),
-            integer: itoa::Buffer::new(),
-        }
-    }
-
-    /// Appends the shortest decimals that parse back to the same number.
-    fn real<T: zmij::Float>(&mut self, number: T) {
-        let digits = self.real.format_finite(number);
-        self.text.extend_from_slice(digits.strip_suffix(".0").unwrap_or(digits).as_bytes());
-    }
-
-    fn integer(&mut self, number: impl itoa::Integer) {
-        self.text.extend_from_slice(self.integer.format(number).as_bytes());
-    }
-
     /// Appends one number, or several in parentheses.
     fn tuple<T: Copy>(&mut self, values: &[T], mut number: impl FnMut(&mut NumberWriter, T)) {
         if let [value] = values {

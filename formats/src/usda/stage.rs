@@ -104,7 +104,7 @@ pub fn stage_text(stage: &UsdStage, provenance: &Provenance) -> Result<String> {
     text += &manifest(sequences);
     let mut used = UsedNames::new(&[PRIM]);
     for sequence in sequences {
-        let name = used.take(&identifier(&sequence.name), |stem| vec![stem.to_owned()]).concat();
+        let name = used.take(&identifier(&sequence.name));
         if !sequence.meshes.is_empty() || !sequence.volumes.is_empty() {
             text += &sequence_text(sequence, &name, path);
         }
@@ -311,7 +311,7 @@ def Xform \"root\"
 # end: 3 meshes, 0 volumes
 "
         );
-        assert!(super::super::head::ends_as_written(text.as_bytes()));
+        assert!(crate::text::ends_with_line(text.as_bytes(), LAST_LINE));
     }
 
     #[test]

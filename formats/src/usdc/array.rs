@@ -241,7 +241,7 @@ impl<'a> CrateArray<'a> {
     }
 
     /// Writes its bytes.
-    pub(super) fn write(&self, out: &mut impl Write) -> Result<()> {
+    pub(super) fn write(&self, out: &mut (impl Write + ?Sized)) -> Result<()> {
         if self.count == 0 {
             return Ok(());
         }

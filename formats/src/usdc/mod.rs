@@ -42,7 +42,7 @@ use crate::data::{
     AttributeRole, FileAttribute, MeshView, Provenance, Values, VertexAttribute, VertexValues,
 };
 use crate::error::Result;
-use crate::gltf::{ACCELERATION_NAME, COLOR_NAME, loss_notes, write_glb};
+use crate::gltf::{ACCELERATION_NAME, COLOR_NAME, PlacedMesh};
 use crate::limits::Limits;
 use crate::provenance::{comments, from_comments};
 use crate::row::{
@@ -51,7 +51,7 @@ use crate::row::{
 use crate::usd::{FORMAT, MeshProperty, PropertyValue, ROOT, SAMPLE_CODE, properties, renamed};
 use crate::vertex_attributes::{check_quads, plain_name, quad_count};
 use array::{ALIGNMENT, CrateArray};
-use read::{PlacedFrame, read_mesh};
+use read::read_mesh;
 use tables::{
     BOOTSTRAP_BYTES, MAGIC, SpecType, Tables, ValueRep, ValueType, append_count, bootstrap, check_magic,
     claimed_bytes,
@@ -78,12 +78,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
         ..FormatRow::new("binary USD", &["usdc"])
     },
     help: "Binary USD",
-    content: Content::Mesh(MeshWriter {
-        attribute_notes,
-        ..MeshWriter::new(MeshEncoder::Stream(|mesh, options, provenance, mut out| {
-            write(mesh, options, provenance, &mut out)
-        }))
-    }),
+    content: Content::Mesh(MeshWriter { attribute_notes, ..MeshWriter::new(MeshEncoder::Stream(write)) }),
     write_particles: None,
     has_attributes: true,
     options: &[WriteOption::Quads, WriteOption::Up, WriteOption::MetersPerUnit],
@@ -103,12 +98,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
 ///
 /// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if the mesh is inconsistent or not finite,
 /// or if two triangles marked as a quad do not form one; [`crate::Error::TooLarge`] beyond 2³¹ vertices.
-fn write(
-    mesh: &MeshView,
-    options: &MeshOptions,
-    provenance: &Provenance,
-    out: &mut impl Write,
-) -> Result<()> {
+fn write(mesh: &MeshView, options: &MeshOptions, provenance: &Provenance, out: &mut dyn Write) -> Result<()> {
     mesh.check(FORMAT)?;
     check_quads(FORMAT, mesh.triangles, &options.quads)?;
     let found = properties(mesh, &options.quads, true);
@@ -202,31 +192,42 @@ pub fn is_layer(head: &[u8]) -> bool {
 ///
 /// # Errors
 ///
-/// Those of [`UsdcLayer::read`], [`UsdcLayer::frame`] and [`write_glb`]; [`crate::Error::Unsupported`] for a
+/// Those of [`UsdcLayer::read`], [`UsdcLayer::frame`] and [`crate::gltf::write_glb`]; [`crate::Error::Unsupported`] for a
 /// sequence.
 pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
     let bytes = bytes.into();
     let byte_count = bytes.len();
     let layer = UsdcLayer::read(&bytes, limits)?;
     layer.check_single_frame()?;
-    let PlacedFrame { points, normals, triangles, origin, mut attributes } = layer.placed_frame(0)?;
-    let options = MeshOptions { up: layer.up()?, ..MeshOptions::default() };
-    let provenance = read_provenance(&bytes)?;
+    let frame = layer.placed_frame(0)?;
+    let (up, provenance) = (layer.up()?, read_provenance(&bytes)?);
     drop(bytes);
+    let attributes = as_before(frame.attributes);
+    PlacedMesh { attributes, ..frame }.to_glb(up, &provenance, byte_count)
+}
+
+/// The attributes under the names and with the types that they had before they were written. The names of
+/// colours and accelerations are not in the file, so they get the usual ones.
+fn as_before(mut attributes: Vec<FileAttribute>) -> Vec<FileAttribute> {
     merge_opacity(&mut attributes);
-    attributes.iter_mut().for_each(convert_values);
-    let views: Vec<VertexAttribute> = attributes.iter().filter_map(view).collect();
-    let mesh = MeshView {
-        positions: points.as_chunks().0,
-        normals: normals.as_chunks().0,
-        triangles: &triangles,
-        origin,
-        attributes: if points.is_empty() { &[] } else { &views },
-    };
-    // It has about as many bytes. A vector that grows would need up to twice as many.
-    let mut glb = Vec::with_capacity(byte_count);
-    write_glb(&mesh, &options, &provenance, &mut glb)?;
-    Ok((glb, loss_notes(mesh.attributes)))
+    for FileAttribute { name, role, values, .. } in &mut attributes {
+        match values {
+            Values::I32(integers) => *values = Values::I64(integers.iter().map(|&i| i.into()).collect()),
+            // The last string marks missing values. Without it, their index is outside the table.
+            Values::Strings { table, .. } => drop(table.pop()),
+            Values::F32(_) | Values::F64(_) | Values::U8(_) | Values::I64(_) => {}
+        }
+        match role {
+            Some(AttributeRole::Color) => *name = COLOR_NAME.to_owned(),
+            Some(AttributeRole::Acceleration) => *name = ACCELERATION_NAME.to_owned(),
+            // USD writes an underscore before the digit of a name such as `2nd`.
+            _ if name.starts_with('_') && name[1..].starts_with(|c: char| c.is_ascii_digit()) => {
+                name.remove(0);
+            }
+            _ => {}
+        }
+    }
+    attributes
 }
 
 /// Makes the opacity the fourth value of the colour, as it was before it was written.
@@ -247,39 +248,6 @@ fn merge_opacity(attributes: &mut Vec<FileAttribute>) {
     attributes[color].arity = 4;
     attributes[color].values = Values::F32(values);
     attributes.remove(opacity);
-}
-
-/// Converts the values to a type of [`VertexValues`].
-fn convert_values(attribute: &mut FileAttribute) {
-    match &mut attribute.values {
-        Values::I32(values) => {
-            attribute.values = Values::I64(values.iter().map(|&value| value.into()).collect());
-        }
-        // The last string marks missing values. Without it, their index is outside the table.
-        Values::Strings { table, .. } => drop(table.pop()),
-        Values::F32(_) | Values::F64(_) | Values::U8(_) | Values::I64(_) => {}
-    }
-}
-
-/// The attribute under its former name; `None` for types that no property of this crate has. Those of
-/// colours and accelerations are not in the file, so they get the usual ones.
-fn view(attribute: &FileAttribute) -> Option<VertexAttribute<'_>> {
-    let FileAttribute { name, arity, role, values } = attribute;
-    // USD writes an underscore before the digit of a name such as `2nd`.
-    let without_underscore =
-        name.strip_prefix('_').filter(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
-    let name = match role {
-        Some(AttributeRole::Color) => COLOR_NAME,
-        Some(AttributeRole::Acceleration) => ACCELERATION_NAME,
-        _ => without_underscore.unwrap_or(name),
-    };
-    let values = match values {
-        Values::F32(values) => VertexValues::Numbers(values),
-        Values::I64(values) => VertexValues::Integers(values),
-        Values::Strings { table, indices } => VertexValues::Strings { table, indices },
-        Values::F64(_) | Values::U8(_) | Values::I32(_) => return None,
-    };
-    Some(VertexAttribute { name, role: *role, arity: *arity, values })
 }
 
 // The parts that the writers of one frame and of a sequence share: the beginning of a file, and the prims

@@ -9,8 +9,9 @@ use super::tables::{
     check_contents_at, contents_at, no_gap, read_contents, value_here,
 };
 use crate::bytes::{Cursor, Endian, piece};
-use crate::data::{AttributeRole, FileAttribute, MeshData, Values};
+use crate::data::{AttributeRole, FileAttribute, MeshData, Values, world};
 use crate::error::{Error, Position, Result};
+use crate::gltf::PlacedMesh;
 use crate::limits::Limits;
 use crate::row::UpAxis;
 use crate::usd::{
@@ -33,17 +34,6 @@ pub struct UsdcFrame {
     pub mesh: MeshData,
     /// The velocities and accelerations, and the primvars under their own names.
     pub attributes: Vec<FileAttribute>,
-}
-
-/// A frame whose points are relative to its origin.
-pub(super) struct PlacedFrame {
-    /// Three coordinates for each point.
-    pub(super) points: Vec<f32>,
-    /// Three for each point.
-    pub(super) normals: Vec<f32>,
-    pub(super) triangles: Vec<[u32; 3]>,
-    pub(super) origin: [f64; 3],
-    pub(super) attributes: Vec<FileAttribute>,
 }
 
 /// The values of a property.
@@ -142,21 +132,20 @@ impl<'a> UsdcLayer<'a> {
     /// [`Error::Invalid`] if there is no such frame, or if it is damaged; [`Error::TooLarge`] if it exceeds
     /// the limits.
     pub fn frame(&self, index: usize) -> Result<UsdcFrame> {
-        let PlacedFrame { points, normals, triangles, origin, attributes } = self.placed_frame(index)?;
-        let points = points.as_chunks::<3>().0;
-        self.source.claim(points.len(), size_of::<[f64; 3]>())?;
-        let world = |point: &[f32; 3]| std::array::from_fn(|axis| origin[axis] + f64::from(point[axis]));
-        let positions: Vec<[f64; 3]> = points.iter().map(world).collect();
+        let PlacedMesh { positions, normals, triangles, origin, attributes } = self.placed_frame(index)?;
+        let positions = positions.as_chunks::<3>().0;
+        self.source.claim(positions.len(), size_of::<[f64; 3]>())?;
+        let positions = positions.iter().map(|position| world(origin, *position)).collect();
         let normals = normals.as_chunks::<3>().0.to_vec();
         Ok(UsdcFrame { mesh: MeshData { positions, normals, triangles }, attributes })
     }
 
     /// Reads a frame as it is stored.
-    pub(super) fn placed_frame(&self, index: usize) -> Result<PlacedFrame> {
+    pub(super) fn placed_frame(&self, index: usize) -> Result<PlacedMesh> {
         self.source.start_anew();
         let floats = |name: &str| self.source.read_floats(self.value(name, index)?, 3, name);
-        let (points, normals) = (floats("points")?, floats("normals")?);
-        let (point_count, normal_count) = (points.len() / 3, normals.len() / 3);
+        let (positions, normals) = (floats("points")?, floats("normals")?);
+        let (point_count, normal_count) = (positions.len() / 3, normals.len() / 3);
         if normal_count != point_count {
             return Err(invalid(format!("{normal_count} normals for {point_count} points")));
         }
@@ -171,7 +160,7 @@ impl<'a> UsdcLayer<'a> {
         for (spec, _) in &self.properties {
             attributes.extend(self.attribute(&self.tables.specs[*spec], index, point_count)?);
         }
-        Ok(PlacedFrame { points, normals, triangles, origin, attributes })
+        Ok(PlacedMesh { positions, normals, triangles, origin, attributes })
     }
 
     fn values(&self, name: &str) -> Option<(&Spec, &PropertyValues)> {
@@ -225,13 +214,7 @@ impl<'a> UsdcLayer<'a> {
         let kind = self.tables.word(spec.field("typeName"), name)?;
         let value = self.value(name, index)?;
         let (width, values) = self.attribute_values(name, kind, value, index)?;
-        let found = match &values {
-            Values::F32(values) => values.len(),
-            Values::I32(values) => values.len(),
-            Values::I64(values) => values.len(),
-            Values::Strings { indices, .. } => indices.len(),
-            Values::F64(_) | Values::U8(_) => 0,
-        };
+        let found = values.len();
         let arity = width.saturating_mul(size);
         if arity == 0 || vertex_count.checked_mul(arity) != Some(found) {
             return Err(invalid(format!(

@@ -23,7 +23,7 @@ use super::{LayerEnd, LayerHead, PropertySpec, SpecValue, head, padding};
 use crate::data::Provenance;
 use crate::digest::{Hasher, SampleKey};
 use crate::error::Result;
-use crate::gltf::{GlbFrame, PositionTransform, SequenceFrame};
+use crate::gltf::{GlbFrame, SequenceFrame};
 use crate::usd::{PRIM, SequenceAttribute, TRANSLATE, UsdSequence};
 
 /// Writes a sequence of frames, whose numbers become the time codes and must increase. `open` opens the file
@@ -103,9 +103,9 @@ fn write_arrays<R: Read + Seek + Send>(
     // The arrays of the frame before, which are written while those of a frame are encoded.
     let mut waiting: Vec<KeyedArray> = Vec::new();
     for (index, frame) in shot.frames.iter().enumerate() {
-        let transform = shot.transform(index)?;
+        let shift = shot.shift(index)?;
         let encode =
-            |(encoder, mut file): (&mut ArrayEncoder, R)| encoder.encode(&frame.file, &transform, &mut file);
+            |(encoder, mut file): (&mut ArrayEncoder, R)| encoder.encode(&frame.file, shift, &mut file);
         let mut arrays = Vec::with_capacity(encoders.len());
         let mut unwritten = &waiting[..];
         for encoders in encoders.chunks_mut(OPEN_FILES_MAX) {
@@ -155,7 +155,7 @@ impl<'a> ArrayEncoder<'a> {
     fn encode(
         &mut self,
         frame: &GlbFrame,
-        transform: &PositionTransform,
+        shift: [f64; 3],
         file: &mut (impl Read + Seek),
     ) -> Result<KeyedArray> {
         let ArrayEncoder { source, triangles, values, buffers } = self;
@@ -167,7 +167,7 @@ impl<'a> ArrayEncoder<'a> {
             }
             SourceArray::Attribute(SequenceAttribute { semantic, first, arity, .. }) => {
                 let mut values = mem::take(values);
-                let stride = frame.read_attribute(semantic, transform, file, &mut values)?.unwrap_or(*arity);
+                let stride = frame.read_attribute(semantic, shift, file, &mut values)?.unwrap_or(*arity);
                 CrateArray::reals(Cow::Owned(values), stride, *first, *arity)?
             }
         })

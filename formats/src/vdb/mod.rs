@@ -35,10 +35,11 @@ pub use read::{
 pub use read_tree::{ConstantTile, GridData, LevelSetData, VectorGridData};
 pub use write::{EncodedVdb, WriteOptions, encode, grid_notes, write};
 
+use crate::bytes::Cursor;
 use crate::error::{Error, Result};
 use crate::provenance::from_strings;
 use crate::row::{Content, FormatRow, Integrity, OutputRow, WriteOption};
-use read::{VdbCursor, first_grid_metadata, last_grid_end};
+use read::{cursor_of, first_grid_metadata, last_grid_end};
 
 /// The format's name in errors.
 const FORMAT: &str = "OpenVDB";
@@ -210,12 +211,12 @@ fn push_string(out: &mut Vec<u8>, bytes: &[u8]) {
 }
 
 /// Reads the entries of a file or a grid.
-fn read_metadata(cursor: &mut VdbCursor) -> Result<Vec<(String, MetaValue)>> {
+fn read_metadata(cursor: &mut Cursor) -> Result<Vec<(String, MetaValue)>> {
     const ENTRY_BYTES_MIN: usize = 12;
     const ENTRY_COUNT_MAX: usize = 1 << 16; // real files have a few dozen
     let count = cursor.u32("the number of metadata entries")? as usize;
     if count > cursor.remaining() / ENTRY_BYTES_MIN {
-        return Err(cursor.error(format!(
+        return Err(cursor.invalid(format!(
             "the file declares {count} metadata entries of at least {ENTRY_BYTES_MIN} bytes each, \
              but only {} bytes follow",
             cursor.remaining()
@@ -241,7 +242,7 @@ fn read_metadata(cursor: &mut VdbCursor) -> Result<Vec<(String, MetaValue)>> {
 }
 
 fn read_value(type_name: &str, bytes: &[u8]) -> MetaValue {
-    let mut cursor = VdbCursor::new(bytes);
+    let mut cursor = cursor_of(bytes);
     let value = match (type_name, bytes.len()) {
         ("string", _) => Ok(MetaValue::String(String::from_utf8_lossy(bytes).into_owned())),
         ("bool", 1) => Ok(MetaValue::Bool(bytes[0] != 0)),

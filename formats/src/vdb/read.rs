@@ -13,6 +13,7 @@ use super::{
     DESCRIPTOR_BYTES_MAX, FORMAT, HALF_SUFFIX, MAGIC, META_HALF, MetaValue, TYPE_FLOAT, TYPE_VEC3S,
     Transform, UUID_BYTES, VELOCITY, VERSIONS_READ, read_metadata,
 };
+use crate::bytes::{Cursor, Endian};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::provenance::HEAD_BYTES_MAX;
@@ -166,7 +167,7 @@ fn tree_cursor<'a>(
     bytes: &'a [u8],
     entries: &[GridEntry],
     entry: &GridEntry,
-) -> Result<(VdbCursor<'a>, ValueStorage, Transform)> {
+) -> Result<(Cursor<'a>, ValueStorage, Transform)> {
     let (Some(tree), Some(transform)) = (entry.tree_of(entries), entry.info.transform) else {
         let what = format!(
             "grid \"{}\" has an unsupported transform, or is an instance of a grid that is missing or unsupported: resample it with a \
@@ -175,14 +176,14 @@ fn tree_cursor<'a>(
         );
         return Err(Error::unsupported(FORMAT, what));
     };
-    let mut cursor = VdbCursor::new(&bytes[..tree.end]);
+    let mut cursor = cursor_of(&bytes[..tree.end]);
     cursor.seek(tree.position as u64, "a grid")?;
     Ok((cursor, tree.storage, transform))
 }
 
 /// The metadata of the file's first grid, from the first bytes of the file.
 pub(crate) fn first_grid_metadata(head: &[u8]) -> Result<Vec<(String, MetaValue)>> {
-    let mut cursor = VdbCursor::new(head);
+    let mut cursor = cursor_of(head);
     let header = read_header(&mut cursor)?;
     if header.grid_count == 0 {
         return Ok(Vec::new());
@@ -227,7 +228,7 @@ fn walk_grids(
     mut read_at: impl FnMut(u64) -> Result<Vec<u8>>,
     mut visit: impl FnMut(&Descriptor),
 ) -> Result<Option<u64>> {
-    let mut cursor = VdbCursor::new(head);
+    let mut cursor = cursor_of(head);
     let header = read_header(&mut cursor)?;
     if header.grid_count == 0 || !header.has_offsets {
         return Ok(None);
@@ -236,7 +237,7 @@ fn walk_grids(
     visit(&first);
     let mut end = first.end;
     for _ in 1..header.grid_count {
-        let next = read_descriptor(&mut VdbCursor::new(&read_at(end)?))?;
+        let next = read_descriptor(&mut cursor_of(&read_at(end)?))?;
         if next.grid_start <= end || next.end < next.grid_start {
             return Ok(None);
         }
@@ -275,7 +276,7 @@ impl GridEntry {
 }
 
 fn entries(bytes: &[u8], limits: &Limits) -> Result<Vec<GridEntry>> {
-    let mut cursor = VdbCursor::new(bytes);
+    let mut cursor = cursor_of(bytes);
     let header = read_header(&mut cursor)?;
     let mut entries = Vec::new();
     for index in 0..header.grid_count {
@@ -300,23 +301,19 @@ fn entries(bytes: &[u8], limits: &Limits) -> Result<Vec<GridEntry>> {
 ///
 /// Descriptors and grids must alternate. If grids could overlap, each could claim the bytes of all others,
 /// and a small file would use the memory of a large one.
-fn grid_cursor<'a>(
-    after: &VdbCursor,
-    descriptor: &Descriptor,
-    bytes: &'a [u8],
-) -> Result<(VdbCursor<'a>, u64)> {
+fn grid_cursor<'a>(after: &Cursor, descriptor: &Descriptor, bytes: &'a [u8]) -> Result<(Cursor<'a>, u64)> {
     let Descriptor { grid_start, end, .. } = *descriptor;
     let within = usize::try_from(end).ok().and_then(|end| bytes.get(..end));
-    let Some(within) = within.filter(|_| after.position() as u64 <= grid_start && grid_start <= end) else {
+    let Some(within) = within.filter(|_| after.at() as u64 <= grid_start && grid_start <= end) else {
         let length = bytes.len();
         let what = if end > length as u64 {
             format!("the file is truncated: a grid ends at byte {end}, but the file at {length}")
         } else {
             format!("a grid has the invalid range from byte {grid_start} to byte {end} of {length}")
         };
-        return Err(after.error(what));
+        return Err(after.invalid(what));
     };
-    let mut grid = VdbCursor::new(within);
+    let mut grid = cursor_of(within);
     grid.seek(grid_start, "a grid")?;
     Ok((grid, end))
 }
@@ -326,7 +323,7 @@ struct FileHeader {
     grid_count: usize,
 }
 
-fn read_header(cursor: &mut VdbCursor) -> Result<FileHeader> {
+fn read_header(cursor: &mut Cursor) -> Result<FileHeader> {
     const DESCRIPTOR_BYTES_MIN: usize = 36;
     const GRID_COUNT_MAX: usize = 1 << 16; // real files have a dozen
     if cursor.array::<8>("the magic number")? != MAGIC {
@@ -344,7 +341,7 @@ fn read_header(cursor: &mut VdbCursor) -> Result<FileHeader> {
     read_metadata(cursor)?;
     let grid_count = cursor.u32("the number of grids")? as usize;
     if grid_count > cursor.remaining() / DESCRIPTOR_BYTES_MIN {
-        return Err(cursor.error(format!(
+        return Err(cursor.invalid(format!(
             "the file declares {grid_count} grids of at least {DESCRIPTOR_BYTES_MIN} bytes each, \
              but only {} bytes follow",
             cursor.remaining()
@@ -367,7 +364,7 @@ struct Descriptor {
     end: u64,
 }
 
-fn read_descriptor(cursor: &mut VdbCursor) -> Result<Descriptor> {
+fn read_descriptor(cursor: &mut Cursor) -> Result<Descriptor> {
     let name = cursor.string("the name of a grid")?;
     let type_name = cursor.string("the type of a grid")?;
     let instance_parent = cursor.string("the instance parent of a grid")?;
@@ -376,7 +373,7 @@ fn read_descriptor(cursor: &mut VdbCursor) -> Result<Descriptor> {
     Ok(Descriptor { name, type_name, instance_parent, grid_start, end })
 }
 
-fn read_entry(cursor: &mut VdbCursor, descriptor: Descriptor) -> Result<GridEntry> {
+fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<GridEntry> {
     let Descriptor { name: descriptor_name, type_name, instance_parent, .. } = descriptor;
     let compression = cursor.u32("the compression of a grid")?;
     let metadata = read_metadata(cursor)?;
@@ -394,7 +391,7 @@ fn read_entry(cursor: &mut VdbCursor, descriptor: Descriptor) -> Result<GridEntr
         None => (type_name, false),
     };
     if half != has_suffix && [TYPE_FLOAT, TYPE_VEC3S].contains(&type_name.as_str()) {
-        return Err(cursor.error("the type and metadata of a grid disagree on half floats"));
+        return Err(cursor.invalid("the type and metadata of a grid disagree on half floats"));
     }
     // Programs append the separator 0x1e and a number to duplicate names.
     let (stem, number) = match descriptor_name.split_once('\x1e') {
@@ -421,7 +418,7 @@ fn read_entry(cursor: &mut VdbCursor, descriptor: Descriptor) -> Result<GridEntr
         metadata,
     };
     let storage = ValueStorage { compression, half };
-    let (position, end) = (cursor.position(), cursor.position() + cursor.remaining());
+    let (position, end) = (cursor.at(), cursor.at() + cursor.remaining());
     let tree = transform.map(|_| TreeLocation { position, end, storage });
     Ok(GridEntry { info, descriptor_name, instance_parent, tree })
 }
@@ -432,7 +429,7 @@ fn find<'a>(metadata: &'a [(String, MetaValue)], name: &str) -> Option<&'a MetaV
 
 /// `None` if the kind of map is unknown. Its size is then unknown as well, so the grid cannot be read
 /// further.
-fn read_transform(cursor: &mut VdbCursor) -> Result<Option<Transform>> {
+fn read_transform(cursor: &mut Cursor) -> Result<Option<Transform>> {
     let kind = cursor.string("the map of a grid")?;
     let mut numbers =
         |count: usize| -> Result<Vec<f64>> { (0..count).map(|_| cursor.f64("the map of a grid")).collect() };
@@ -460,8 +457,8 @@ fn read_transform(cursor: &mut VdbCursor) -> Result<Option<Transform>> {
 }
 
 /// Skips the tree of a grid in a stream, which does not record where the grid ends.
-fn skip_tree(cursor: &mut VdbCursor, entry: &GridEntry, limits: &Limits) -> Result<()> {
-    let mut budget = TreeBudget::new(cursor.position() + cursor.remaining(), limits);
+fn skip_tree(cursor: &mut Cursor, entry: &GridEntry, limits: &Limits) -> Result<()> {
+    let mut budget = TreeBudget::new(cursor.at() + cursor.remaining(), limits);
     match (entry.tree, entry.info.type_name.as_str()) {
         (Some(tree), TYPE_FLOAT) => pass_tree::<f32>(cursor, tree.storage, &mut budget),
         (Some(tree), TYPE_VEC3S) => pass_tree::<[f32; 3]>(cursor, tree.storage, &mut budget),
@@ -475,59 +472,12 @@ fn skip_tree(cursor: &mut VdbCursor, entry: &GridEntry, limits: &Limits) -> Resu
     }
 }
 
-// A cursor over little-endian bytes whose errors name the position.
-
-/// A read position in a file. Reading past the end is an error that names what was being read.
-#[derive(Clone, Copy)]
-pub(super) struct VdbCursor<'a> {
-    bytes: &'a [u8],
-    position: usize,
+/// Starts to read a file, or a part that begins at its start.
+pub(super) fn cursor_of(bytes: &[u8]) -> Cursor<'_> {
+    Cursor::new(FORMAT, Endian::Little, bytes, 0)
 }
 
-impl<'a> VdbCursor<'a> {
-    pub(super) fn new(bytes: &'a [u8]) -> VdbCursor<'a> {
-        VdbCursor { bytes, position: 0 }
-    }
-
-    pub(super) fn position(&self) -> usize {
-        self.position
-    }
-
-    pub(super) fn remaining(&self) -> usize {
-        self.bytes.len() - self.position
-    }
-
-    /// Moves to an absolute position.
-    fn seek(&mut self, position: u64, what: &str) -> Result<()> {
-        match usize::try_from(position) {
-            Ok(position) if position <= self.bytes.len() => {
-                self.position = position;
-                Ok(())
-            }
-            _ => Err(self.error(format!(
-                "{what} is at byte {position}, beyond the end of the file at {}",
-                self.bytes.len()
-            ))),
-        }
-    }
-
-    pub(super) fn take(&mut self, count: usize, what: &str) -> Result<&'a [u8]> {
-        if count > self.remaining() {
-            return Err(
-                self.error(format!("{what} needs {count} bytes, but only {} remain", self.remaining()))
-            );
-        }
-        let taken = &self.bytes[self.position..self.position + count];
-        self.position += count;
-        Ok(taken)
-    }
-
-    pub(super) fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N]> {
-        let mut array = [0; N];
-        array.copy_from_slice(self.take(N, what)?);
-        Ok(array)
-    }
-
+impl Cursor<'_> {
     pub(super) fn u8(&mut self, what: &str) -> Result<u8> {
         Ok(self.array::<1>(what)?[0])
     }
@@ -566,10 +516,5 @@ impl<'a> VdbCursor<'a> {
     pub(super) fn mask(&mut self, word_count: usize, what: &str) -> Result<Vec<u64>> {
         let bytes = self.take(word_count * 8, what)?;
         Ok(bytes.as_chunks::<8>().0.iter().map(|&word| u64::from_le_bytes(word)).collect())
-    }
-
-    /// An error at the current position.
-    pub(super) fn error(&self, what: impl Into<String>) -> Error {
-        Error::invalid(FORMAT, Position::Offset(self.position as u64), what)
     }
 }

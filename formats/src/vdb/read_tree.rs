@@ -6,13 +6,13 @@
 
 use half::f16;
 
-use super::read::VdbCursor;
 use super::{
     COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, COMPRESS_ZIP, FORMAT, LEAF_LOG2, MetaValue, NODE4_LOG2,
     NODE4_VOXELS_LOG2, NODE5_LOG2, NODE5_VOXELS_LOG2, Transform, count_ones, inactive, is_on, ones,
     slot_coord, slot_of,
 };
-use crate::blosc::{BloscError, decode_frame, inflate_into};
+use crate::blosc::{decode_frame, inflate_into};
+use crate::bytes::Cursor;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 
@@ -99,7 +99,7 @@ pub(super) trait VoxelValue: Copy + PartialEq {
     /// The floats of all values, flattened.
     fn flat(values: &mut [Self]) -> &mut [f32];
 
-    fn read(cursor: &mut VdbCursor, what: &str) -> Result<Self> {
+    fn read(cursor: &mut Cursor, what: &str) -> Result<Self> {
         let mut value = [Self::ZERO];
         for number in Self::flat(&mut value) {
             *number = cursor.f32(what)?;
@@ -159,7 +159,7 @@ impl TreeBudget {
 
 /// Reads a tree; the caller sets name, class, transform and metadata.
 pub(super) fn read_tree<V: VoxelValue>(
-    cursor: &mut VdbCursor,
+    cursor: &mut Cursor,
     storage: ValueStorage,
     budget: &mut TreeBudget,
 ) -> Result<GridData<V>> {
@@ -170,7 +170,7 @@ pub(super) fn read_tree<V: VoxelValue>(
 
 /// Skips a tree.
 pub(super) fn pass_tree<V: VoxelValue>(
-    cursor: &mut VdbCursor,
+    cursor: &mut Cursor,
     storage: ValueStorage,
     budget: &mut TreeBudget,
 ) -> Result<()> {
@@ -179,7 +179,7 @@ pub(super) fn pass_tree<V: VoxelValue>(
 
 /// Counts the leaves and tiles of a tree without storing them.
 pub(super) fn count_tree<V: VoxelValue>(
-    cursor: &mut VdbCursor,
+    cursor: &mut Cursor,
     storage: ValueStorage,
     budget: &mut TreeBudget,
 ) -> Result<TreeSize> {
@@ -188,7 +188,7 @@ pub(super) fn count_tree<V: VoxelValue>(
 
 /// The background of a tree, the origins of its leaves, and its size. Stores no values.
 pub(super) fn outline_of_tree<V: VoxelValue>(
-    cursor: &mut VdbCursor,
+    cursor: &mut Cursor,
     storage: ValueStorage,
     budget: &mut TreeBudget,
 ) -> Result<(V, Vec<[i32; 3]>, TreeSize)> {
@@ -197,7 +197,7 @@ pub(super) fn outline_of_tree<V: VoxelValue>(
 }
 
 /// Reads the topology of a tree, but not the values of its leaves, which follow.
-fn read_topology<V: VoxelValue>(reader: &mut TreeReader<V>, cursor: &mut VdbCursor) -> Result<()> {
+fn read_topology<V: VoxelValue>(reader: &mut TreeReader<V>, cursor: &mut Cursor) -> Result<()> {
     const CHILD_BYTES_MIN: usize = 12 + 2 * 4096 + 1;
     let tile_bytes = 12 + 4 * V::COUNT + 1;
     let tile_count = cursor.u32("the number of root tiles")? as usize;
@@ -207,7 +207,7 @@ fn read_topology<V: VoxelValue>(reader: &mut TreeReader<V>, cursor: &mut VdbCurs
         let what = format!(
             "the grid declares {tile_count} root tiles and {child_count} children, more than fit into the file"
         );
-        return Err(cursor.error(what));
+        return Err(cursor.invalid(what));
     }
     for _ in 0..tile_count {
         let origin = cursor.coord("a root tile")?;
@@ -219,7 +219,7 @@ fn read_topology<V: VoxelValue>(reader: &mut TreeReader<V>, cursor: &mut VdbCurs
     for _ in 0..child_count {
         let origin = cursor.coord("a root child")?;
         if origin.iter().any(|c| c & 4095 != 0) || last.is_some_and(|last| origin <= last) {
-            return Err(cursor.error(format!(
+            return Err(cursor.invalid(format!(
                 "root child {origin:?} follows {last:?}; origins must be ascending multiples of 4096"
             )));
         }
@@ -266,7 +266,7 @@ struct TreeReader<'a, V> {
 impl<'a, V: VoxelValue> TreeReader<'a, V> {
     /// Reads the topology. The cursor is then at the values of the leaves.
     fn of_topology(
-        cursor: &mut VdbCursor,
+        cursor: &mut Cursor,
         storage: ValueStorage,
         budget: &'a mut TreeBudget,
         keep: Keep,
@@ -286,13 +286,7 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
     }
 
     /// Reads an internal node and its descendants, down to the masks of the leaves.
-    fn read_node(
-        &mut self,
-        cursor: &mut VdbCursor,
-        origin: [i32; 3],
-        log2: u32,
-        child_log2: u32,
-    ) -> Result<()> {
+    fn read_node(&mut self, cursor: &mut Cursor, origin: [i32; 3], log2: u32, child_log2: u32) -> Result<()> {
         let slot_count = 1 << (3 * log2);
         let children = cursor.mask(slot_count / 64, "the children of a node")?;
         let active = cursor.mask(slot_count / 64, "the active tiles of a node")?;
@@ -327,7 +321,7 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
     }
 
     /// Reads the values of the leaves.
-    fn read_leaves(&mut self, cursor: &mut VdbCursor) -> Result<()> {
+    fn read_leaves(&mut self, cursor: &mut Cursor) -> Result<()> {
         for _ in 0..self.size.leaf_count {
             let words = cursor.mask(8, "the mask of a leaf")?;
             let mut leaf = [V::ZERO; 512];
@@ -352,7 +346,7 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
     }
 
     /// Reads a block of values and restores the inactive ones that it omits.
-    fn read_values(&mut self, cursor: &mut VdbCursor, active: &[u64], out: &mut [V]) -> Result<()> {
+    fn read_values(&mut self, cursor: &mut Cursor, active: &[u64], out: &mut [V]) -> Result<()> {
         let case = cursor.u8("the kind of a block of values")?;
         let (mut off, mut on) = (self.background, self.background);
         match case {
@@ -365,7 +359,7 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
             }
             _ => {
                 return Err(
-                    cursor.error(format!("a block of values has the unknown kind {case}; expected 0 to 6"))
+                    cursor.invalid(format!("a block of values has the unknown kind {case}; expected 0 to 6"))
                 );
             }
         }
@@ -402,7 +396,7 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
     }
 
     /// Fills `out` with floats.
-    fn read_chunk(&mut self, cursor: &mut VdbCursor, out: &mut [f32]) -> Result<()> {
+    fn read_chunk(&mut self, cursor: &mut Cursor, out: &mut [f32]) -> Result<()> {
         let ValueStorage { compression, half } = self.storage;
         if half && out.is_empty() {
             return Ok(()); // such a chunk is not stored at all, not even its size
@@ -427,10 +421,10 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
     }
 
     /// Fills the scratch buffer from a chunk with a size: positive if compressed, negative if raw.
-    fn decompress(&mut self, cursor: &mut VdbCursor) -> Result<()> {
+    fn decompress(&mut self, cursor: &mut Cursor) -> Result<()> {
         let out = &mut self.scratch[..];
         let size = cursor.i64("the size of compressed values")?;
-        let start = cursor.position() as u64;
+        let start = cursor.at() as u64;
         let invalid = |what: String| Error::invalid(FORMAT, Position::Offset(start), what);
         let length = usize::try_from(size.unsigned_abs()).unwrap_or(usize::MAX);
         let bytes = cursor.take(length, "compressed values")?;
@@ -447,10 +441,7 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
             }
             out.copy_from_slice(bytes);
         } else if self.storage.compression & COMPRESS_BLOSC != 0 {
-            decode_frame(bytes, out).map_err(|error| match error {
-                BloscError::Invalid(what) => invalid(what),
-                BloscError::Unsupported(what) => Error::unsupported(FORMAT, what),
-            })?;
+            decode_frame(bytes, out).map_err(|error| error.of_format(FORMAT, start))?;
         } else if inflate_into(bytes, out) != Some(out.len()) {
             return Err(invalid(format!("the zlib data does not decompress to {} bytes", out.len())));
         }

@@ -185,7 +185,7 @@ fn grid_names(grids: &[BandGrid], surface: &str) -> Vec<String> {
             _ if own.is_empty() => "attribute",
             _ => &own,
         };
-        used.take(stem, |stem| vec![stem.into()]).concat()
+        used.take(stem)
     };
     grids.iter().map(name_of).collect()
 }

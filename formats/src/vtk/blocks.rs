@@ -12,6 +12,7 @@
 //! file.
 
 use std::borrow::Cow;
+use std::fmt::Display;
 use std::io::Read;
 
 use base64::Engine;
@@ -22,7 +23,7 @@ use crate::bytes::{Cursor, Endian};
 use crate::data::Values;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::number::{self, NumberType};
+use crate::number::NumberType;
 use crate::text::{excerpt, parse_number};
 
 /// The encoding of all arrays of a file.
@@ -52,31 +53,17 @@ pub(super) struct EncodedArray<'a> {
     pub(super) offset: u64,
 }
 
-/// Total sizes of the arrays decoded so far. They are limited because arrays may overlap, so that a small
-/// file could decode to very large data.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct ArrayTotals {
+/// Decodes the arrays of a file.
+pub(super) struct ArrayDecoder<'a> {
+    encoding: ArrayEncoding,
+    /// The content of the last element, `AppendedData`.
+    appended: Option<EncodedArray<'a>>,
+    file_bytes: u64,
+    /// Total sizes of the arrays decoded so far. They are limited because arrays may overlap, so that a small
+    /// file could decode to very large data.
     encoded_bytes: u64,
     bytes: u64,
-    file_bytes: u64,
-}
-
-impl ArrayTotals {
-    /// Zero totals for a file of `file_bytes`.
-    pub(super) fn of(file_bytes: u64) -> ArrayTotals {
-        ArrayTotals { encoded_bytes: 0, bytes: 0, file_bytes }
-    }
-
-    /// Adds an array before it is decoded.
-    fn take(&mut self, encoded_bytes: u64, bytes: u64, name: &str, limits: &Limits) -> Result<()> {
-        self.encoded_bytes = self.encoded_bytes.saturating_add(encoded_bytes);
-        self.bytes = self.bytes.saturating_add(bytes);
-        if self.encoded_bytes > self.file_bytes {
-            let what = format!("`{name}`: the arrays up to this one have more bytes in total than the file");
-            return Err(Error::invalid(XML, Position::File, what));
-        }
-        limits.check_decompressed(XML, self.bytes, self.encoded_bytes)
-    }
+    limits: &'a Limits,
 }
 
 /// Memory limit of an LZMA decoder in KiB: the largest dictionary of the presets, 64 MiB, and 256 KiB more.
@@ -85,98 +72,162 @@ const LZMA_MEMORY_KB: u32 = (64 << 10) + 256;
 /// The largest ratio by which LZ4 can expand data.
 const LZ4_RATIO_MAX: u64 = 255;
 
-/// The decoded bytes of the array `name`.
-pub(super) fn decode<'a>(
-    encoded: EncodedArray<'a>,
-    encoding: ArrayEncoding,
-    name: &str,
-    totals: &mut ArrayTotals,
-    limits: &Limits,
-) -> Result<Cow<'a, [u8]>> {
-    match encoding.compression {
-        None => decode_plain(encoded, encoding, name, totals, limits),
-        Some(compression) => {
-            decode_blocks(encoded, encoding, compression, name, totals, limits).map(Cow::Owned)
+impl<'a> ArrayDecoder<'a> {
+    pub(super) fn new(
+        encoding: ArrayEncoding,
+        appended: Option<EncodedArray<'a>>,
+        file_bytes: u64,
+        limits: &'a Limits,
+    ) -> ArrayDecoder<'a> {
+        ArrayDecoder { encoding, appended, file_bytes, encoded_bytes: 0, bytes: 0, limits }
+    }
+
+    /// Adds an array to the totals before it is decoded.
+    fn claim(&mut self, encoded_bytes: u64, bytes: u64, name: &str) -> Result<()> {
+        self.encoded_bytes = self.encoded_bytes.saturating_add(encoded_bytes);
+        self.bytes = self.bytes.saturating_add(bytes);
+        if self.encoded_bytes > self.file_bytes {
+            let what = format!("`{name}`: the arrays up to this one have more bytes in total than the file");
+            return Err(Error::invalid(XML, Position::File, what));
+        }
+        self.limits.check_decompressed(XML, self.bytes, self.encoded_bytes)
+    }
+
+    /// The decoded bytes of the array `name`.
+    fn decode<'b>(&mut self, encoded: EncodedArray<'b>, name: &str) -> Result<Cow<'b, [u8]>> {
+        match self.encoding.compression {
+            None => self.decode_plain(encoded, name),
+            Some(compression) => self.decode_blocks(encoded, compression, name).map(Cow::Owned),
         }
     }
-}
 
-fn decode_plain<'a>(
-    encoded: EncodedArray<'a>,
-    encoding: ArrayEncoding,
-    name: &str,
-    totals: &mut ArrayTotals,
-    limits: &Limits,
-) -> Result<Cow<'a, [u8]>> {
-    let word_bytes = encoding.header_word_bytes;
-    let header = encoded.take(0, word_bytes, name)?;
-    let length = words(&header, encoding)[0];
-    totals.take(length, length, name, limits)?;
-    if !encoded.is_base64 {
-        let data = usize::try_from(length).ok().and_then(|length| encoded.bytes[word_bytes..].get(..length));
-        let remain = encoded.bytes.len() - word_bytes;
-        return data.map(Cow::Borrowed).ok_or_else(|| encoded.too_few(length, remain, name));
+    fn decode_plain<'b>(&mut self, encoded: EncodedArray<'b>, name: &str) -> Result<Cow<'b, [u8]>> {
+        let word_bytes = self.encoding.header_word_bytes;
+        let header = encoded.take(0, word_bytes, name)?;
+        let length = self.words(&header)[0];
+        self.claim(length, length, name)?;
+        if !encoded.is_base64 {
+            let data =
+                usize::try_from(length).ok().and_then(|length| encoded.bytes[word_bytes..].get(..length));
+            let remain = encoded.bytes.len() - word_bytes;
+            return data.map(Cow::Borrowed).ok_or_else(|| encoded.too_few(length, remain, name));
+        }
+        let length = usize::try_from(length).unwrap_or(usize::MAX);
+        let header_letters = letters_of(word_bytes);
+        // Some writers encode the header separately from the data; its base64 then ends with padding.
+        let padding = &b"=="[..header_letters / 4 * 3 - word_bytes];
+        if length != 0 && encoded.bytes.get(..header_letters).is_some_and(|run| run.ends_with(padding)) {
+            return encoded.take(header_letters, length, name);
+        }
+        let mut all = encoded.take(0, length.saturating_add(word_bytes), name)?.into_owned();
+        all.drain(..word_bytes);
+        Ok(Cow::Owned(all))
     }
-    let length = usize::try_from(length).unwrap_or(usize::MAX);
-    let header_letters = letters_of(word_bytes);
-    // Some writers encode the header separately from the data; its base64 then ends with padding.
-    let padding = &b"=="[..header_letters / 4 * 3 - word_bytes];
-    if length != 0 && encoded.bytes.get(..header_letters).is_some_and(|run| run.ends_with(padding)) {
-        return encoded.take(header_letters, length, name);
-    }
-    let mut all = encoded.take(0, length.saturating_add(word_bytes), name)?.into_owned();
-    all.drain(..word_bytes);
-    Ok(Cow::Owned(all))
-}
 
-fn decode_blocks(
-    encoded: EncodedArray,
-    encoding: ArrayEncoding,
-    compression: BlockCompression,
-    name: &str,
-    totals: &mut ArrayTotals,
-    limits: &Limits,
-) -> Result<Vec<u8>> {
-    let word_bytes = encoding.header_word_bytes;
-    let first = words(&encoded.take(0, 3 * word_bytes, name)?, encoding);
-    let (block_count, block_bytes, last_bytes) = (first[0], first[1], first[2]);
-    if last_bytes > block_bytes {
-        let what = format!(
-            "`{name}`: the last block has {last_bytes} bytes, more than the block size of {block_bytes}"
-        );
-        return Err(Error::invalid(XML, Position::Offset(encoded.offset), what));
-    }
-    let header_bytes = usize::try_from(block_count)
-        .ok()
-        .and_then(|count| count.checked_add(3)?.checked_mul(word_bytes))
-        .filter(|&bytes| bytes <= encoded.bytes.len())
-        .ok_or_else(|| encoded.too_few(block_count, encoded.bytes.len(), name))?;
-    let packed_sizes = words(&encoded.take(0, header_bytes, name)?, encoding).split_off(3);
-
-    let packed_bytes = packed_sizes.iter().fold(0u64, |sum, &size| sum.saturating_add(size));
-    let data_at = if encoded.is_base64 { letters_of(header_bytes) } else { header_bytes };
-    let data = encoded.take(data_at, usize::try_from(packed_bytes).unwrap_or(usize::MAX), name)?;
-    let missing_bytes = if last_bytes == 0 { 0 } else { block_bytes.saturating_sub(last_bytes) };
-    let bytes = block_count.saturating_mul(block_bytes).saturating_sub(missing_bytes);
-    totals.take(packed_bytes, bytes, name, limits)?;
-
-    let mut decompressed = Vec::new();
-    let mut rest = &data[..];
-    for (index, &size) in packed_sizes.iter().enumerate() {
-        let is_last = index + 1 == packed_sizes.len() && last_bytes != 0;
-        let length = if is_last { last_bytes } else { block_bytes };
-        let (block, after) =
-            rest.split_at_checked(usize::try_from(size).unwrap_or(usize::MAX)).unwrap_or_default();
-        rest = after;
-        let before = decompressed.len();
-        let is_good = decompress(compression, block, length, &mut decompressed);
-        if !is_good || (decompressed.len() - before) as u64 != length {
-            let what =
-                format!("`{name}`: block {index} of {block_count} does not decompress to {length} bytes");
+    fn decode_blocks(
+        &mut self,
+        encoded: EncodedArray,
+        compression: BlockCompression,
+        name: &str,
+    ) -> Result<Vec<u8>> {
+        let word_bytes = self.encoding.header_word_bytes;
+        let first = self.words(&encoded.take(0, 3 * word_bytes, name)?);
+        let (block_count, block_bytes, last_bytes) = (first[0], first[1], first[2]);
+        if last_bytes > block_bytes {
+            let what = format!(
+                "`{name}`: the last block has {last_bytes} bytes, more than the block size of {block_bytes}"
+            );
             return Err(Error::invalid(XML, Position::Offset(encoded.offset), what));
         }
+        let header_bytes = usize::try_from(block_count)
+            .ok()
+            .and_then(|count| count.checked_add(3)?.checked_mul(word_bytes))
+            .filter(|&bytes| bytes <= encoded.bytes.len())
+            .ok_or_else(|| encoded.too_few(block_count, encoded.bytes.len(), name))?;
+        let packed_sizes = self.words(&encoded.take(0, header_bytes, name)?).split_off(3);
+
+        let packed_bytes = packed_sizes.iter().fold(0u64, |sum, &size| sum.saturating_add(size));
+        let data_at = if encoded.is_base64 { letters_of(header_bytes) } else { header_bytes };
+        let data = encoded.take(data_at, usize::try_from(packed_bytes).unwrap_or(usize::MAX), name)?;
+        let missing_bytes = if last_bytes == 0 { 0 } else { block_bytes.saturating_sub(last_bytes) };
+        let bytes = block_count.saturating_mul(block_bytes).saturating_sub(missing_bytes);
+        self.claim(packed_bytes, bytes, name)?;
+
+        let mut decompressed = Vec::new();
+        let mut rest = &data[..];
+        for (index, &size) in packed_sizes.iter().enumerate() {
+            let is_last = index + 1 == packed_sizes.len() && last_bytes != 0;
+            let length = if is_last { last_bytes } else { block_bytes };
+            let (block, after) =
+                rest.split_at_checked(usize::try_from(size).unwrap_or(usize::MAX)).unwrap_or_default();
+            rest = after;
+            let before = decompressed.len();
+            let is_good = decompress(compression, block, length, &mut decompressed);
+            if !is_good || (decompressed.len() - before) as u64 != length {
+                let what =
+                    format!("`{name}`: block {index} of {block_count} does not decompress to {length} bytes");
+                return Err(Error::invalid(XML, Position::Offset(encoded.offset), what));
+            }
+        }
+        Ok(decompressed)
     }
-    Ok(decompressed)
+
+    /// The whole numbers in a header.
+    fn words(&self, header: &[u8]) -> Vec<u64> {
+        let mut cursor = Cursor::new(XML, self.encoding.endian, header, 0);
+        let word = || match self.encoding.header_word_bytes {
+            8 => cursor.array("a header").ok().map(u64::from_le_bytes),
+            _ => cursor.array("a header").ok().map(|word| u32::from_le_bytes(word).into()),
+        };
+        std::iter::from_fn(word).collect()
+    }
+
+    /// Decodes the values of an array, `arity` for each of `count` points.
+    pub(super) fn values(&mut self, array: &DataArray, number: NumberType, count: usize) -> Result<Values> {
+        let expected =
+            count.checked_mul(array.arity).ok_or_else(|| array.invalid("it has too many values"))?;
+        let encoded = match array.form {
+            ArrayForm::Ascii => return array.decimals(number, expected),
+            ArrayForm::Binary => {
+                let start = array.content.iter().take_while(|byte| byte.is_ascii_whitespace()).count();
+                let bytes = array.content[start..].trim_ascii_end();
+                EncodedArray { bytes, is_base64: true, offset: array.offset + start as u64 }
+            }
+            ArrayForm::Appended(start) => self.appended(array, start)?,
+        };
+        // Some programs break the lines of base64.
+        let without_spaces: Vec<u8>;
+        let is_broken = array.form == ArrayForm::Binary && encoded.bytes.iter().any(u8::is_ascii_whitespace);
+        let encoded = if is_broken {
+            without_spaces =
+                encoded.bytes.iter().copied().filter(|byte| !byte.is_ascii_whitespace()).collect();
+            EncodedArray { bytes: &without_spaces, ..encoded }
+        } else {
+            encoded
+        };
+        let bytes = self.decode(encoded, &array.name)?;
+        if bytes.len() != expected.saturating_mul(number.size()) {
+            let (size, found) = (number.size(), bytes.len());
+            return Err(
+                array.invalid(format!("expected {expected} values of {size} bytes, found {found} bytes"))
+            );
+        }
+        Ok(number.decode(&bytes, self.encoding.endian))
+    }
+
+    fn appended(&self, array: &DataArray, start: u64) -> Result<EncodedArray<'a>> {
+        let Some(EncodedArray { bytes, is_base64, offset }) = self.appended else {
+            return Err(array.invalid("its data should be appended, but the file has no appended data"));
+        };
+        let rest = usize::try_from(start).ok().and_then(|start| bytes.get(start..));
+        let bytes = rest.ok_or_else(|| {
+            let length = bytes.len();
+            array.invalid(format!(
+                "its data starts at byte {start}, but the appended data has only {length} bytes"
+            ))
+        })?;
+        Ok(EncodedArray { bytes, is_base64, offset: offset + start })
+    }
 }
 
 /// Appends the `length` decompressed bytes of a block; returns false if it is invalid. A false `length`
@@ -212,7 +263,7 @@ impl<'a> EncodedArray<'a> {
         let letter_count = length.div_ceil(3).saturating_mul(4);
         let letters =
             rest.get(..letter_count).ok_or_else(|| self.too_few(length as u64, rest.len() / 4 * 3, name))?;
-        let mut decoded = base64_decoded(letters).ok_or_else(|| {
+        let mut decoded = STANDARD.decode(letters).map_err(|_| {
             let position = Position::Offset(self.offset + at as u64);
             Error::invalid(XML, position, format!("`{name}` is not valid base64"))
         })?;
@@ -229,24 +280,9 @@ impl<'a> EncodedArray<'a> {
     }
 }
 
-/// Decodes whole groups of four base64 characters; the last group may contain padding.
-fn base64_decoded(letters: &[u8]) -> Option<Vec<u8>> {
-    STANDARD.decode(letters).ok()
-}
-
 /// The number of base64 characters for this number of bytes.
 fn letters_of(bytes: usize) -> usize {
     bytes.div_ceil(3) * 4
-}
-
-/// The numbers of a header.
-fn words(header: &[u8], encoding: ArrayEncoding) -> Vec<u64> {
-    let mut cursor = Cursor::new(XML, encoding.endian, header, 0);
-    let word = || match encoding.header_word_bytes {
-        8 => cursor.array("a header").ok().map(u64::from_le_bytes),
-        _ => cursor.array("a header").ok().map(|word| u32::from_le_bytes(word).into()),
-    };
-    std::iter::from_fn(word).collect()
 }
 
 // Decodes `DataArray` elements.
@@ -275,91 +311,27 @@ pub(super) enum ArrayForm {
     Appended(u64),
 }
 
-/// The content of the last element, `AppendedData`.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Appended<'a> {
-    pub(super) bytes: &'a [u8],
-    pub(super) is_base64: bool,
-    pub(super) offset: u64,
-}
-
 impl DataArray<'_> {
-    /// Decodes the values, `arity` for each of `count` points.
-    pub(super) fn values(
-        &self,
-        number: NumberType,
-        count: usize,
-        encoding: ArrayEncoding,
-        appended: Option<Appended>,
-        totals: &mut ArrayTotals,
-        limits: &Limits,
-    ) -> Result<Values> {
-        let expected = count.checked_mul(self.arity).ok_or_else(|| self.invalid("it has too many values"))?;
-        let encoded = match self.form {
-            ArrayForm::Ascii => return self.decimals(number, expected),
-            ArrayForm::Binary => {
-                let start = self.content.iter().take_while(|byte| byte.is_ascii_whitespace()).count();
-                let bytes = self.content[start..].trim_ascii_end();
-                EncodedArray { bytes, is_base64: true, offset: self.offset + start as u64 }
-            }
-            ArrayForm::Appended(start) => self.appended(start, appended)?,
-        };
-        // Remove line breaks from the base64 text.
-        let without_spaces: Vec<u8>;
-        let is_broken = self.form == ArrayForm::Binary && encoded.bytes.iter().any(u8::is_ascii_whitespace);
-        let encoded = if is_broken {
-            without_spaces =
-                encoded.bytes.iter().copied().filter(|byte| !byte.is_ascii_whitespace()).collect();
-            EncodedArray { bytes: &without_spaces, ..encoded }
-        } else {
-            encoded
-        };
-        let bytes = decode(encoded, encoding, &self.name, totals, limits)?;
-        if bytes.len() != expected.saturating_mul(number.size()) {
-            let what =
-                format!("expected {expected} values of {} bytes, found {} bytes", number.size(), bytes.len());
-            return Err(self.invalid(&what));
-        }
-        Ok(number.decode(&bytes, encoding.endian))
-    }
-
-    fn appended<'a>(&self, start: u64, appended: Option<Appended<'a>>) -> Result<EncodedArray<'a>> {
-        let Some(Appended { bytes, is_base64, offset }) = appended else {
-            return Err(self.invalid("its data should be appended, but the file has no appended data"));
-        };
-        let rest = usize::try_from(start).ok().and_then(|start| bytes.get(start..));
-        let bytes = rest.ok_or_else(|| {
-            self.invalid(&format!(
-                "its data starts at byte {start}, but the appended data has only {} bytes",
-                bytes.len()
-            ))
-        })?;
-        Ok(EncodedArray { bytes, is_base64, offset: offset + start })
-    }
-
     fn decimals(&self, number: NumberType, expected: usize) -> Result<Values> {
         let words = self.content.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
         // Each number takes at least a digit and a separator.
         if expected > self.content.len().div_ceil(2) {
             let what = format!("expected {expected} values, found {} bytes of text", self.content.len());
-            return Err(self.invalid(&what));
+            return Err(self.invalid(what));
         }
         let values = decimals(words.clone(), number, expected).map_err(|word| {
-            self.invalid(&format!("expected a value of its type, found `{}`", excerpt(word)))
+            self.invalid(format!("expected a value of its type, found `{}`", excerpt(word)))
         })?;
-        let found = number::length(&values) + words.skip(expected).count();
+        let found = values.len() + words.skip(expected).count();
         if found != expected {
-            return Err(self.invalid(&format!("expected {expected} values, found {found}")));
+            return Err(self.invalid(format!("expected {expected} values, found {found}")));
         }
         Ok(values)
     }
 
-    fn invalid(&self, what: &str) -> Error {
-        Error::invalid(
-            XML,
-            Position::Offset(self.offset),
-            format!("the array `{}`: {what}", excerpt(&self.name)),
-        )
+    fn invalid(&self, what: impl Display) -> Error {
+        let what = format!("the array `{}`: {what}", excerpt(&self.name));
+        Error::invalid(XML, Position::Offset(self.offset), what)
     }
 }
 

@@ -69,14 +69,8 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     while let Some(line) = file.line()? {
         file.section(&line, &mut found)?;
     }
-    let positions = match found.positions {
-        Some(FilePositions::F32(positions)) => {
-            positions.into_iter().map(|position| position.map(f64::from)).collect()
-        }
-        Some(FilePositions::F64(positions)) => positions,
-        None => return Err(file.truncated("the file ends before any POINTS")),
-    };
-    let mut mesh = MeshData { positions, ..MeshData::default() };
+    let positions = found.positions.ok_or_else(|| file.truncated("the file ends before any POINTS"))?;
+    let mut mesh = MeshData { positions: positions.into_f64(), ..MeshData::default() };
     let points = Points { first: 0, count: mesh.positions.len() as u64 };
     for CellList { kind, ends, corners } in &found.cells {
         if kind.is_none() && found.cell_types.len() != ends.len() {
@@ -462,7 +456,7 @@ impl<'a> File<'a> {
             let what = format!("expected a number of {}, found `{}`", line.word(0), excerpt(word));
             Error::invalid(LEGACY, Position::Offset(self.at as u64), what)
         })?;
-        let found = crate::number::length(&values);
+        let found = values.len();
         self.at += end;
         if found == count {
             Ok(values)

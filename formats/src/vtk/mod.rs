@@ -58,14 +58,9 @@ pub(crate) static ROW: OutputRow = OutputRow {
     help: "VTK PolyData, for ParaView",
     content: Content::Mesh(MeshWriter {
         attribute_notes,
-        ..MeshWriter::new(MeshEncoder::Stream(|mesh, options, provenance, mut out| {
-            write_mesh(mesh, options, provenance, &mut out)
-        }))
+        ..MeshWriter::new(MeshEncoder::Stream(write_mesh))
     }),
-    write_particles: Some(ParticleWriter {
-        write: |particles, provenance, mut out| write_particles(particles, provenance, &mut out),
-        notes: particle_notes,
-    }),
+    write_particles: Some(ParticleWriter { write: write_particles, notes: particle_notes }),
     has_attributes: true,
     options: &[WriteOption::Quads],
     read_provenance: |head| Ok(from_strings(field_strings(head)?)),
@@ -86,10 +81,7 @@ struct VtkPiece {
 
 /// Converts the number of points to a length, within the limits.
 fn checked_count(format: &'static str, count: u64, limits: &Limits) -> Result<usize> {
-    if count > limits.particle_count {
-        let what = format!("the file has {count} points, more than the limit of {}", limits.particle_count);
-        return Err(Error::too_large(format, what));
-    }
+    limits.check_particles(format, count)?;
     usize::try_from(count)
         .map_err(|_| Error::too_large(format, format!("the file has {count} points, too many")))
 }
@@ -106,7 +98,7 @@ fn joined(pieces: Vec<VtkPiece>, mut notes: Vec<String>) -> ParticleFrame {
     let mut pieces = pieces.into_iter().filter(|piece| !piece.positions.is_empty());
     let mut all = pieces.next().unwrap_or_default();
     for piece in pieces {
-        append_positions(&mut all.positions, piece.positions);
+        all.positions.append(piece.positions);
         let mut more = piece.arrays;
         all.arrays.retain_mut(|array| {
             let same = |other: &NamedArray| other.name == array.name && other.arity == array.arity;
@@ -125,24 +117,6 @@ fn joined(pieces: Vec<VtkPiece>, mut notes: Vec<String>) -> ParticleFrame {
     let mut frame = frame_of(Some(all.positions), all.arrays).unwrap_or_default();
     frame.notes.append(&mut notes);
     frame
-}
-
-fn append_positions(positions: &mut FilePositions, more: FilePositions) {
-    match (&mut *positions, more) {
-        (FilePositions::F32(positions), FilePositions::F32(more)) => positions.extend(more),
-        (FilePositions::F64(positions), FilePositions::F64(more)) => positions.extend(more),
-        (FilePositions::F64(positions), FilePositions::F32(more)) => {
-            positions.extend(more.into_iter().map(wide))
-        }
-        (FilePositions::F32(narrow), FilePositions::F64(more)) => {
-            let first = std::mem::take(narrow).into_iter().map(wide);
-            *positions = FilePositions::F64(first.chain(more).collect());
-        }
-    }
-}
-
-fn wide(position: [f32; 3]) -> [f64; 3] {
-    position.map(f64::from)
 }
 
 // Converts VTK cells to triangles.

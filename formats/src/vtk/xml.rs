@@ -14,16 +14,18 @@
 //!
 //! The parser gets only the text before the appended data. A file is complete if it ends with the last tag.
 
+use std::borrow::Cow;
+
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 
-use super::blocks::{Appended, ArrayEncoding, ArrayForm, ArrayTotals, BlockCompression, DataArray};
+use super::blocks::{ArrayDecoder, ArrayEncoding, ArrayForm, BlockCompression, DataArray, EncodedArray};
 use super::{
     POLYGON, POLYGONS_NOTE, Points, TRIANGLE_STRIP, VtkPiece, XML, add_cells, checked_count, integers,
     is_face, joined, positions_of,
 };
 use crate::bytes::Endian;
-use crate::data::{FilePositions, MeshData, ParticleFrame, Values};
+use crate::data::{FilePositions, MeshData, ParticleFrame};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::named_arrays::NamedArray;
@@ -40,12 +42,12 @@ use crate::text::excerpt;
 /// `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let (mut decoder, pieces, mut notes) = open(bytes, limits)?;
-    let mut has_faces = pieces.iter().any(|piece| piece.polys.count > 0 || piece.strips.count > 0);
+    let mut has_faces = pieces.iter().any(|piece| piece.poly_count > 0 || piece.strip_count > 0);
     for piece in &pieces {
         // Particles have no cells, or one for each.
-        if ![0, piece.point_count].contains(&piece.cells.count) {
+        if ![0, piece.point_count].contains(&piece.cell_count) {
             // Points do not need the types of cells.
-            let types = integers_of(&piece.cells, "types", piece.cells.count, &mut decoder);
+            let types = integers_of(piece, PieceSection::Cells, "types", piece.cell_count, &mut decoder);
             has_faces |= types.is_ok_and(|types| types.into_iter().any(is_face));
         }
     }
@@ -60,7 +62,10 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 }
 
 /// The pieces of a file, the decoder of their arrays, and notes.
-fn open<'a>(bytes: &'a [u8], limits: &'a Limits) -> Result<(Decoder<'a>, Vec<Described<'a>>, Vec<String>)> {
+fn open<'a>(
+    bytes: &'a [u8],
+    limits: &'a Limits,
+) -> Result<(ArrayDecoder<'a>, Vec<Described<'a>>, Vec<String>)> {
     if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
         let position = Position::Offset(bytes.len() as u64);
         return Err(Error::truncated(XML, position, "the file ends without </VTKFile>"));
@@ -70,13 +75,12 @@ fn open<'a>(bytes: &'a [u8], limits: &'a Limits) -> Result<(Decoder<'a>, Vec<Des
         Error::invalid(XML, Position::Offset(error.valid_up_to() as u64), "expected UTF-8 text")
     })?;
     let document = document(text, limits)?;
-    let totals = ArrayTotals::of(bytes.len() as u64);
-    let decoder = Decoder { encoding: document.encoding, appended, totals, limits };
+    let decoder = ArrayDecoder::new(document.encoding, appended, bytes.len() as u64, limits);
     Ok((decoder, document.pieces, document.notes))
 }
 
 /// Splits the file into text and appended data.
-fn split_appended(bytes: &[u8]) -> Result<(&[u8], Option<Appended<'_>>)> {
+fn split_appended(bytes: &[u8]) -> Result<(&[u8], Option<EncodedArray<'_>>)> {
     const TAG: &[u8] = b"<AppendedData";
     let Some(at) = bytes.windows(TAG.len()).position(|window| window == TAG) else {
         return Ok((bytes, None));
@@ -91,7 +95,7 @@ fn split_appended(bytes: &[u8]) -> Result<(&[u8], Option<Appended<'_>>)> {
         return Err(invalid("expected `_` before the appended data"));
     }
     let is_base64 = tag.windows(6).any(|window| window == b"base64");
-    let data = Appended { bytes: &bytes[start + 1..], is_base64, offset: start as u64 + 1 };
+    let data = EncodedArray { bytes: &bytes[start + 1..], is_base64, offset: start as u64 + 1 };
     Ok((&bytes[..at], Some(data)))
 }
 
@@ -109,35 +113,18 @@ struct XmlDocument<'a> {
 }
 
 /// A piece whose data is not decoded yet.
-#[derive(Default)]
 struct Described<'a> {
-    pub(super) point_count: usize,
-    pub(super) points: Option<DataArray<'a>>,
-    arrays: Vec<DataArray<'a>>,
-    /// Polygons of a PolyData.
-    pub(super) polys: CellArrays<'a>,
-    /// Triangle strips of a PolyData.
-    pub(super) strips: CellArrays<'a>,
-    /// Cells of an UnstructuredGrid.
-    pub(super) cells: CellArrays<'a>,
-}
-
-/// The cells of a piece, and the arrays that describe them.
-#[derive(Default)]
-struct CellArrays<'a> {
-    pub(super) count: usize,
-    pub(super) arrays: Vec<DataArray<'a>>,
+    point_count: usize,
+    /// Numbers of polygons and triangle strips of a PolyData, and of cells of an UnstructuredGrid.
+    poly_count: usize,
+    strip_count: usize,
+    cell_count: usize,
+    arrays: Vec<(PieceSection, DataArray<'a>)>,
 }
 
 impl<'a> Described<'a> {
-    /// The cells of a section; `None` for the other sections.
-    fn cells_of(&mut self, section: PieceSection) -> Option<&mut CellArrays<'a>> {
-        match section {
-            PieceSection::Polys => Some(&mut self.polys),
-            PieceSection::Strips => Some(&mut self.strips),
-            PieceSection::Cells => Some(&mut self.cells),
-            PieceSection::Points | PieceSection::PointData | PieceSection::Other => None,
-        }
+    fn arrays_of(&self, section: PieceSection) -> impl Iterator<Item = &DataArray<'a>> {
+        self.arrays.iter().filter(move |(found, _)| *found == section).map(|(_, array)| array)
     }
 }
 
@@ -149,7 +136,19 @@ enum PieceSection {
     Polys,
     Strips,
     Cells,
-    Other,
+}
+
+impl PieceSection {
+    fn of(tag: &str) -> Option<PieceSection> {
+        Some(match tag {
+            "Points" => PieceSection::Points,
+            "PointData" => PieceSection::PointData,
+            "Polys" => PieceSection::Polys,
+            "Strips" => PieceSection::Strips,
+            "Cells" => PieceSection::Cells,
+            _ => return None,
+        })
+    }
 }
 
 fn document<'a>(text: &'a str, limits: &Limits) -> Result<XmlDocument<'a>> {
@@ -157,42 +156,44 @@ fn document<'a>(text: &'a str, limits: &Limits) -> Result<XmlDocument<'a>> {
     // To check the names of end tags, the parser would store the names of all open elements.
     reader.config_mut().check_end_names = false;
     let mut document: Option<XmlDocument<'a>> = None;
-    let mut section = PieceSection::Other;
+    let mut section = None;
     let mut is_in_array = false;
     loop {
         let at = reader.buffer_position();
         let event =
-            reader.read_event().map_err(|error| malformed(reader.error_position(), &error.to_string()))?;
+            reader.read_event().map_err(|error| malformed(reader.error_position(), error.to_string()))?;
         let is_empty = matches!(event, Event::Empty(_));
         match event {
-            Event::Start(tag) | Event::Empty(tag) => match (tag.local_name().as_ref(), &mut document) {
-                ("VTKFile", _) => document = Some(opened(&tag, at)?),
-                (_, None) => return Err(malformed(at, "expected <VTKFile>")),
-                ("Piece", Some(document)) if document.pieces.len() >= PART_COUNT_MAX => {
-                    let what = format!("the file has more than {} pieces, the limit", document.pieces.len());
-                    return Err(Error::too_large(XML, what));
+            Event::Start(tag) | Event::Empty(tag) => {
+                match (tag.local_name().as_ref(), &mut document, section) {
+                    ("VTKFile", ..) => document = Some(opened(&tag, at)?),
+                    (_, None, _) => return Err(malformed(at, "expected <VTKFile>")),
+                    ("Piece", Some(document), _) if document.pieces.len() >= PART_COUNT_MAX => {
+                        let what = format!("the file has more than {PART_COUNT_MAX} pieces, the limit");
+                        return Err(Error::too_large(XML, what));
+                    }
+                    ("Piece", Some(document), _) => document.pieces.push(described(&tag, at, limits)?),
+                    ("DataArray", Some(document), Some(section)) => {
+                        take_array(&tag, at, section, document, limits)?;
+                        is_in_array = !is_empty;
+                    }
+                    (name, ..) if !is_empty => section = PieceSection::of(name).or(section),
+                    _ => {}
                 }
-                ("Piece", Some(document)) => document.pieces.push(described(&tag, at, limits)?),
-                ("Points", _) if !is_empty => section = PieceSection::Points,
-                ("PointData", _) if !is_empty => section = PieceSection::PointData,
-                ("Polys", _) if !is_empty => section = PieceSection::Polys,
-                ("Strips", _) if !is_empty => section = PieceSection::Strips,
-                ("Cells", _) if !is_empty => section = PieceSection::Cells,
-                ("DataArray", Some(document)) if section != PieceSection::Other => {
-                    take_array(&tag, at, section, document, limits)?;
-                    is_in_array = !is_empty;
-                }
-                _ => {}
-            },
-            Event::Text(text) if is_in_array && section != PieceSection::Other => {
-                if let (Some(document), std::borrow::Cow::Borrowed(text)) = (&mut document, text.into_inner())
+            }
+            Event::Text(text) if is_in_array && section.is_some() => {
+                let pieces = document.iter_mut().flat_map(|document| document.pieces.last_mut());
+                let array = pieces.flat_map(|piece| piece.arrays.last_mut()).next();
+                if let (Some((_, array)), Cow::Borrowed(text)) = (array, text.into_inner())
+                    && array.content.is_empty()
+                    && !text.trim_ascii().is_empty()
                 {
-                    set_content(document, section, text.as_bytes(), at);
+                    (array.content, array.offset) = (text.as_bytes(), at);
                 }
             }
             Event::End(tag) => match tag.local_name().as_ref() {
-                "Points" | "PointData" | "Polys" | "Strips" | "Cells" => section = PieceSection::Other,
                 "DataArray" => is_in_array = false,
+                name if PieceSection::of(name).is_some() => section = None,
                 _ => {}
             },
             Event::Eof => break,
@@ -207,7 +208,7 @@ fn document<'a>(text: &'a str, limits: &Limits) -> Result<XmlDocument<'a>> {
     }
 }
 
-fn malformed(at: u64, what: &str) -> Error {
+fn malformed(at: u64, what: impl Into<String>) -> Error {
     Error::invalid(XML, Position::Offset(at), what)
 }
 
@@ -280,12 +281,12 @@ fn opened<'a>(tag: &BytesStart, at: u64) -> Result<XmlDocument<'a>> {
     let endian = match attribute(tag, "byte_order", at)?.as_deref() {
         None | Some("LittleEndian") => Endian::Little,
         Some("BigEndian") => Endian::Big,
-        Some(other) => return Err(malformed(at, &format!("unknown byte order \"{}\"", excerpt(other)))),
+        Some(other) => return Err(malformed(at, format!("unknown byte order \"{}\"", excerpt(other)))),
     };
     let header_word_bytes = match attribute(tag, "header_type", at)?.as_deref() {
         None | Some("UInt32") => 4,
         Some("UInt64") => 8,
-        Some(other) => return Err(malformed(at, &format!("unknown header type \"{}\"", excerpt(other)))),
+        Some(other) => return Err(malformed(at, format!("unknown header type \"{}\"", excerpt(other)))),
     };
     let compression = match attribute(tag, "compressor", at)?.as_deref() {
         None | Some("") => None,
@@ -305,25 +306,20 @@ fn opened<'a>(tag: &BytesStart, at: u64) -> Result<XmlDocument<'a>> {
 }
 
 fn described<'a>(tag: &BytesStart, at: u64, limits: &Limits) -> Result<Described<'a>> {
-    let count = |name: &str, what: &str, text: String| {
-        let count = text.trim().parse();
-        let count = count.map_err(|_| {
-            malformed(at, &format!("{name}: expected a number of {what}, found \"{}\"", excerpt(&text)))
+    let count = |name: &str, what: &str, missing: &str| {
+        let text = attribute(tag, name, at)?.unwrap_or_else(|| missing.to_owned());
+        let count = text.trim().parse().map_err(|_| {
+            malformed(at, format!("{name}: expected a number of {what}, found \"{}\"", excerpt(&text)))
         })?;
         checked_count(XML, count, limits)
     };
-    let points = attribute(tag, "NumberOfPoints", at)?.unwrap_or_default();
-    // A missing count means 0: a PolyData has only polygons and strips, an UnstructuredGrid only cells.
-    let cells = |name: &str, what: &str| -> Result<CellArrays<'a>> {
-        let text = attribute(tag, name, at)?.unwrap_or_else(|| "0".to_owned());
-        count(name, what, text).map(|count| CellArrays { count, arrays: Vec::new() })
-    };
     Ok(Described {
-        point_count: count("NumberOfPoints", "points", points)?,
-        polys: cells("NumberOfPolys", "polygons")?,
-        strips: cells("NumberOfStrips", "strips")?,
-        cells: cells("NumberOfCells", "cells")?,
-        ..Described::default()
+        point_count: count("NumberOfPoints", "points", "")?,
+        // A missing count means 0: a PolyData has only polygons and strips, an UnstructuredGrid only cells.
+        poly_count: count("NumberOfPolys", "polygons", "0")?,
+        strip_count: count("NumberOfStrips", "strips", "0")?,
+        cell_count: count("NumberOfCells", "cells", "0")?,
+        arrays: Vec::new(),
     })
 }
 
@@ -338,24 +334,11 @@ fn take_array<'a>(
         return Err(malformed(at, "a point array is outside all pieces"));
     };
     document.array_count += 1;
-    let known_count = piece.cells_of(section).map_or(0, |cells| cells.arrays.len()).max(piece.arrays.len());
-    if known_count >= limits.attribute_count || document.array_count > PART_COUNT_MAX {
-        let what = format!(
-            "the file has more arrays than the limit of {}",
-            limits.attribute_count.min(PART_COUNT_MAX)
-        );
-        return Err(Error::too_large(XML, what));
+    if piece.arrays.len() >= limits.attribute_count || document.array_count > PART_COUNT_MAX {
+        let most = limits.attribute_count.min(PART_COUNT_MAX);
+        return Err(Error::too_large(XML, format!("the file has more arrays than the limit of {most}")));
     }
-    let array = data_array(tag, at)?;
-    match section {
-        PieceSection::Points => piece.points = Some(array),
-        PieceSection::PointData => piece.arrays.push(array),
-        other => {
-            if let Some(cells) = piece.cells_of(other) {
-                cells.arrays.push(array);
-            }
-        }
-    }
+    piece.arrays.push((section, data_array(tag, at)?));
     Ok(())
 }
 
@@ -366,7 +349,7 @@ fn data_array<'a>(tag: &BytesStart, at: u64) -> Result<DataArray<'a>> {
         Some(text) => text.trim().parse().map_err(|_| {
             malformed(
                 at,
-                &format!(
+                format!(
                     "the array `{}` has \"{}\" components, which is not a number",
                     excerpt(&name),
                     excerpt(&text)
@@ -382,7 +365,7 @@ fn data_array<'a>(tag: &BytesStart, at: u64) -> Result<DataArray<'a>> {
             ArrayForm::Appended(offset.trim().parse().map_err(|_| {
                 malformed(
                     at,
-                    &format!(
+                    format!(
                         "the array `{}` has the offset \"{}\", which is not a number",
                         excerpt(&name),
                         excerpt(&offset)
@@ -393,7 +376,7 @@ fn data_array<'a>(tag: &BytesStart, at: u64) -> Result<DataArray<'a>> {
         Some(other) => {
             return Err(malformed(
                 at,
-                &format!("the array `{}` has the unknown format \"{}\"", excerpt(&name), excerpt(other)),
+                format!("the array `{}` has the unknown format \"{}\"", excerpt(&name), excerpt(other)),
             ));
         }
     };
@@ -417,52 +400,22 @@ fn number_of(kind: &str) -> Option<NumberType> {
     })
 }
 
-/// Stores the text of an array. Blank text, such as that between child elements, is ignored.
-fn set_content<'a>(document: &mut XmlDocument<'a>, section: PieceSection, text: &'a [u8], at: u64) {
-    let Some(piece) = document.pieces.last_mut() else { return };
-    let array = match section {
-        PieceSection::Points => piece.points.as_mut(),
-        PieceSection::PointData => piece.arrays.last_mut(),
-        other => piece.cells_of(other).and_then(|cells| cells.arrays.last_mut()),
-    };
-    if let Some(array) =
-        array.filter(|array| array.content.is_empty()).filter(|_| !text.trim_ascii().is_empty())
-    {
-        array.content = text;
-        array.offset = at;
-    }
-}
-
 /// The value of an attribute of a tag.
 fn attribute(tag: &BytesStart, name: &str, at: u64) -> Result<Option<String>> {
-    let wrong = |error: &dyn std::fmt::Display| malformed(at, &format!("the attribute `{name}`: {error}"));
+    let wrong = |error: &dyn std::fmt::Display| malformed(at, format!("the attribute `{name}`: {error}"));
     let Some(found) = tag.try_get_attribute(name).map_err(|error| wrong(&error))? else { return Ok(None) };
     let value = quick_xml::escape::unescape(&found.value).map_err(|error| wrong(&error))?;
     Ok(Some(value.into_owned()))
 }
 
-/// Decodes described arrays.
-struct Decoder<'a> {
-    encoding: ArrayEncoding,
-    appended: Option<Appended<'a>>,
-    totals: ArrayTotals,
-    limits: &'a Limits,
-}
-
-impl Decoder<'_> {
-    pub(super) fn values(&mut self, array: &DataArray, number: NumberType, count: usize) -> Result<Values> {
-        array.values(number, count, self.encoding, self.appended, &mut self.totals, self.limits)
-    }
-}
-
-fn piece(described: &Described, decoder: &mut Decoder, notes: &mut Vec<String>) -> Result<VtkPiece> {
+fn piece(described: &Described, decoder: &mut ArrayDecoder, notes: &mut Vec<String>) -> Result<VtkPiece> {
     let count = described.point_count;
     if count == 0 {
         return Ok(VtkPiece::default());
     }
     let positions = points_of(described, decoder)?;
     let mut arrays = Vec::new();
-    for array in &described.arrays {
+    for array in described.arrays_of(PieceSection::PointData) {
         let (Some(number), 1..) = (array.number, array.arity) else {
             notes.push(format!("skipped the array `{}`: it is not numeric", excerpt(&array.name)));
             continue;
@@ -474,15 +427,15 @@ fn piece(described: &Described, decoder: &mut Decoder, notes: &mut Vec<String>) 
 }
 
 /// The positions of the points of a piece.
-fn points_of(described: &Described, decoder: &mut Decoder) -> Result<FilePositions> {
+fn points_of(described: &Described, decoder: &mut ArrayDecoder) -> Result<FilePositions> {
     let no_points = || Error::invalid(XML, Position::File, "a piece has no array of points");
-    let points = described.points.as_ref().ok_or_else(no_points)?;
+    let points = described.arrays_of(PieceSection::Points).last().ok_or_else(no_points)?;
     let number = points
         .number
         .ok_or_else(|| malformed(points.offset, "the array of points has a type that is not numeric"))?;
     if points.arity != 3 {
         let what = format!("the array of points has {} components per point; expected 3", points.arity);
-        return Err(malformed(points.offset, &what));
+        return Err(malformed(points.offset, what));
     }
     positions_of(XML, decoder.values(points, number, described.point_count)?)
 }
@@ -513,53 +466,47 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     for piece in &pieces {
         let points = Points { first: mesh.positions.len() as u64, count: piece.point_count as u64 };
         if piece.point_count > 0 {
-            match points_of(piece, &mut decoder)? {
-                FilePositions::F32(positions) => {
-                    mesh.positions.extend(positions.iter().map(|position| position.map(f64::from)));
-                }
-                FilePositions::F64(positions) => mesh.positions.extend(positions),
-            }
+            mesh.positions.extend(points_of(piece, &mut decoder)?.into_f64());
         }
         checked_count(XML, mesh.positions.len() as u64, limits)?;
-        for (cells, kind) in
-            [(&piece.polys, Some(POLYGON)), (&piece.strips, Some(TRIANGLE_STRIP)), (&piece.cells, None)]
-        {
-            if cells.count > 0 {
-                add(cells, kind, points, &mut decoder, &mut mesh.triangles)?;
+        for (section, count, kind) in [
+            (PieceSection::Polys, piece.poly_count, Some(POLYGON)),
+            (PieceSection::Strips, piece.strip_count, Some(TRIANGLE_STRIP)),
+            (PieceSection::Cells, piece.cell_count, None),
+        ] {
+            if count == 0 {
+                continue;
             }
+            let mut integers = |name: &str, count| integers_of(piece, section, name, count, &mut decoder);
+            let ends = integers("offsets", count)?;
+            let corner_count = ends.last().copied().unwrap_or_default();
+            let corner_count = usize::try_from(corner_count).map_err(|_| {
+                let what = format!("the cells have {corner_count} corners, too many");
+                Error::invalid(XML, Position::File, what)
+            })?;
+            let corners = integers("connectivity", corner_count)?;
+            let types = if kind.is_none() { integers("types", count)? } else { Vec::new() };
+            let type_of = |index: usize| kind.unwrap_or_else(|| types.get(index).copied().unwrap_or(0));
+            add_cells(XML, (&ends, &corners), type_of, points, &mut mesh.triangles)?;
         }
     }
     Ok(mesh)
 }
 
-/// Adds cells. All of them have the type `kind`; if it is `None`, the array `types` has the type of each.
-fn add(
-    cells: &CellArrays,
-    kind: Option<i64>,
-    points: Points,
-    decoder: &mut Decoder,
-    triangles: &mut Vec<[u32; 3]>,
-) -> Result<()> {
-    let ends = integers_of(cells, "offsets", cells.count, decoder)?;
-    let corner_count = ends.last().copied().unwrap_or_default();
-    let count = usize::try_from(corner_count).map_err(|_| {
-        Error::invalid(XML, Position::File, format!("the cells have {corner_count} corners, too many"))
-    })?;
-    let corners = integers_of(cells, "connectivity", count, decoder)?;
-    let types = match kind {
-        Some(_) => Vec::new(),
-        None => integers_of(cells, "types", cells.count, decoder)?,
-    };
-    let type_of = |index: usize| kind.unwrap_or_else(|| types.get(index).copied().unwrap_or(0));
-    add_cells(XML, (&ends, &corners), type_of, points, triangles)
-}
-
 /// The `count` numbers of an array that describes cells.
-fn integers_of(cells: &CellArrays, name: &str, count: usize, decoder: &mut Decoder) -> Result<Vec<i64>> {
-    let found = cells.arrays.iter().find(|array| array.name.eq_ignore_ascii_case(name) && array.arity == 1);
-    let array = found
+fn integers_of(
+    piece: &Described,
+    section: PieceSection,
+    name: &str,
+    count: usize,
+    decoder: &mut ArrayDecoder,
+) -> Result<Vec<i64>> {
+    let is_it = |array: &&DataArray| array.name.eq_ignore_ascii_case(name) && array.arity == 1;
+    let array = piece
+        .arrays_of(section)
+        .find(is_it)
         .ok_or_else(|| Error::invalid(XML, Position::File, format!("the cells have no `{name}` array")))?;
-    let no_integers = || malformed(array.offset, &format!("the values of `{name}` are not integers"));
+    let no_integers = || malformed(array.offset, format!("the values of `{name}` are not integers"));
     let values = decoder.values(array, array.number.ok_or_else(no_integers)?, count)?;
     integers(values).ok_or_else(no_integers)
 }

@@ -387,8 +387,8 @@ option_set! {
         #[command(flatten)]
         pub(super) options: MethodOptionArgs,
 
-        /// Obstacles that the surface must not enter: .obj, .glb, .gltf, .ply, .stl, .vtk, .vtp, .vtu, .usdc,
-        /// .abc, or a .vdb level set; may be repeated
+        /// Obstacles that the surface must not enter: meshes such as .obj, .glb or .ply, or a .vdb level set;
+        /// may be repeated
         ///
         /// A file applies to all frames. With a numbered pattern such as body.####.obj, each frame uses the
         /// file with its own number.
@@ -776,12 +776,11 @@ Exit status:
 #[derive(Debug, Args)]
 #[command(after_long_help = DEFINITION)]
 pub(super) struct FlickerArgs {
-    /// The surfaces, from any program: meshes in .glb, .gltf, .obj, .ply, .stl, .vtk, .vtp, .vtu, .usdc or
-    /// .abc
+    /// The surfaces, from any program: meshes such as .glb, .obj, .ply or .vtp
     ///
     /// A folder, files, globs, or a numbered pattern such as dam.####.glb, of one sequence. Of a folder with
-    /// meshes in several formats, those in .glb are used, or else in the next of .gltf, .obj, .ply, .vtp,
-    /// .usdc, .abc, .stl and .vtk.
+    /// meshes in several formats, those in .glb are used, or else those in the next format of `convert
+    /// --format`.
     #[arg(required = true, value_name = "MESHES")]
     pub(super) meshes: Vec<PathBuf>,
 

@@ -200,8 +200,8 @@ method_options! {
             #[value(named("N"))]
             smooth_normals: u32 in 0..=ROUNDS_MAX,
 
-            /// Write the quads of dual contouring to .obj, .vtp, .usda, .usdc and .abc; --quads=false
-            /// overrides quads = true in a configuration file
+            /// Write the quads of dual contouring to formats with polygons, such as .obj, .usdc and .abc;
+            /// --quads=false overrides quads = true in a configuration file
             #[value(named("BOOL").or_omitted("true"))]
             quads: bool,
         }

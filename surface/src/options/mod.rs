@@ -77,7 +77,7 @@ pub struct Settings {
     pub decimate: f64,
     /// How many times normals are averaged with their neighbours.
     pub smooth_normals: u32,
-    /// Whether .obj, .vtp, .usda, .usdc and .abc files have quads.
+    /// Whether files of formats with polygons have quads.
     pub quads: bool,
     /// The integrator of the smoothing.
     pub integrator: Integrator,
