@@ -7,7 +7,7 @@ use meniscus::surface::{Reconstructor, Settings};
 use pyo3::prelude::*;
 
 use crate::arrays::{Attributes, Given, Positions};
-use crate::compute::run_with_progress;
+use crate::compute::{run, run_with_progress};
 use crate::errors::{ParticleError, of_method};
 use crate::options::{Pairs, effective_pairs, parse, selection};
 use crate::program::{Obstacle, Prepared, needed_attributes, scratch_file};
@@ -40,12 +40,11 @@ pub(crate) fn reconstruct(
     let prepared = Prepared::new(&formats)?;
     let obstacles: Vec<&Obstacle> = obstacles.iter().map(Py::get).collect();
     let folder = scratch.clone().unwrap_or_default();
-    let made = run_with_progress(py, threads, progress.as_ref(), |token, advance| {
+    let made = run_with_progress(py, threads, progress.as_ref(), |advance| {
         let (attributes, mut warnings) =
             needed_attributes(&attributes, &options).map_err(Failure::Particles)?;
         let mut reconstructor = Reconstructor::new(options);
-        reconstructor.memory_limit(memory).cancel_token(token.clone());
-        reconstructor.obstacles(obstacles.iter().map(|obstacle| obstacle.shared()));
+        reconstructor.memory_limit(memory).obstacles(obstacles.iter().map(|obstacle| obstacle.shared()));
         if let Some(folder) = scratch {
             reconstructor.scratch(move || scratch_file(&folder));
         }
@@ -96,13 +95,12 @@ pub(crate) fn resolve(
     let (positions, attributes) = (positions.as_slice()?, attributes.as_slices()?);
     check_finite(&positions)?;
     let is_empty = positions.is_empty();
-    let resolved = run_with_progress(py, None, None, |token, _| {
+    let resolved = run(py, || {
         if is_empty && options.needs_spacing() {
             return Err(Failure::Method(meniscus::surface::Error::NoParticles { input_count: 0 }));
         }
         let (attributes, _) = needed_attributes(&attributes, &options).map_err(Failure::Particles)?;
         let mut reconstructor = Reconstructor::new(options);
-        reconstructor.cancel_token(token.clone());
         let settings = reconstructor.resolve_on(positions, &attributes);
         settings.map(Settings::to_options).map_err(Failure::Method)
     })?;

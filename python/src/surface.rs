@@ -12,7 +12,7 @@ use pyo3::exceptions::{PyIndexError, PyMemoryError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::audited::views::{make_read_only, view};
-use crate::compute::{run, run_with_progress};
+use crate::compute::run;
 use crate::level_set::Rows;
 use crate::options::effective_pairs;
 use crate::program::{self, Prepared, WriteOptions};
@@ -196,9 +196,7 @@ impl Surface {
         if !is_within || bytes.is_none_or(|bytes| bytes > isize::MAX as usize) {
             return Err(PyValueError::new_err("the box is too large"));
         }
-        let values = run_with_progress(py, None, None, |token, _| {
-            self.rows().dense(self.band(), IVec3::from(least), size, token)
-        })?;
+        let values = run(py, || self.rows().dense(self.band(), IVec3::from(least), size))?;
         let values = values.map_err(|_| {
             let bytes = bytes.unwrap_or(usize::MAX);
             PyMemoryError::new_err(format!("the values in the box need {bytes} bytes of memory"))
@@ -219,9 +217,7 @@ impl Surface {
         }
         let points = bytemuck::cast_slice::<f64, [f64; 3]>(points.as_slice()?);
         let voxel_size = self.settings.voxel_size;
-        let values = run_with_progress(py, None, None, |token, _| {
-            self.rows().sample(self.band(), points, voxel_size, token)
-        })?;
+        let values = run(py, || self.rows().sample(self.band(), points, voxel_size))?;
         Ok(Array1::from(values).into_pyarray(py))
     }
 

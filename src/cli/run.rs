@@ -9,8 +9,8 @@ use anyhow::Result;
 use rayon::ThreadPool;
 
 use crate::pipeline::{
-    self, Frame, FrameFile, FrameReport, Job, LevelSetMethod, OnError, Outcome, OutputFormat,
-    PipelineOptions, ReportedWarnings, RunRecord, Scope, SequenceRecord, SequenceSource, output_path, shown,
+    self, Frame, FrameFile, FrameReport, Job, OnError, Outcome, OutputFormat, PipelineOptions,
+    ReportedWarnings, RunRecord, Scope, SequenceRecord, SequenceSource, output_path, shown,
 };
 
 use super::CommandOutcome;
@@ -135,7 +135,7 @@ impl<'a> Batch<'a> {
             observer: Some(&progress),
             ..PipelineOptions::new(&pool)
         };
-        pipeline::run(&LevelSetMethod, &frames, &options, |index, outcome| {
+        pipeline::run(&frames, &options, |index, outcome| {
             // The record and the console follow the order of the inputs.
             let report = if let Outcome::Converted(report) = &outcome { Some(&**report) } else { None };
             progress.finished(&frames[index], report);

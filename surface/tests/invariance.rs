@@ -24,7 +24,7 @@ fn skinned_world(positions: &[DVec3], voxel_size: f64, integrator: Integrator) -
     let particles = OwnedPositions::F64(positions.iter().map(|p| p.to_array()).collect());
     let Ok(RasterFields { mut band, bounds, .. }) =
         rasterize(&particles, &RasterParams::open(Lattice { voxel_size }, default_radii()));
-    smooth(&mut band, &bounds, &default_config(integrator));
+    smooth(&mut band, &bounds, &default_config(integrator), &mut |_| {});
     band
 }
 

@@ -261,7 +261,7 @@ impl<'a> Tuning<'a> {
                     let triangles = pluralize(made.surface.report.mesh.triangle_count, "triangle");
                     let command = CommandLine::convert(self.args, &cell.options);
                     // The time differs from run to run, so it is not part of the picture.
-                    let seconds = seconds(&made);
+                    let seconds = made.seconds;
                     console.print_line(format_args!("{label}: {seconds:.2} s, {triangles}"));
                     console.print_line(command.text());
                     lines.push(triangles);
@@ -352,10 +352,4 @@ impl MeasuredSpacings<'_> {
         self.measured.push((measured_with, spacing));
         Ok(spacing)
     }
-}
-
-/// The computing time of a reconstruction, in seconds.
-fn seconds(made: &Reconstruction) -> f64 {
-    let seconds = &made.surface.report.seconds;
-    seconds.rasterize + seconds.smooth + seconds.contour
 }

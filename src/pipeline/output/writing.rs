@@ -48,7 +48,7 @@ pub(crate) struct WrittenFiles {
 /// The first file that cannot be written.
 pub(crate) fn write_files(
     frame: &Frame,
-    write: impl Fn(OutputFormat, &mut BufWriter<&File>) -> meniscus_formats::Result<()>,
+    mut write: impl FnMut(OutputFormat, &mut BufWriter<&File>) -> meniscus_formats::Result<()>,
 ) -> Result<WrittenFiles, FrameError> {
     let OutputOptions { folder, formats, .. } = &*frame.outputs;
     let fail = |path: &Path, error| FrameError::file(path, Stage::Write, error);

@@ -10,8 +10,8 @@ use crossbeam::channel::{Receiver, Sender, bounded};
 use rayon::ThreadPoolBuilder;
 
 use crate::pipeline::{
-    Frame, FrameError, IndexPolicy, LevelSetMethod, Observer, OnError, Outcome, OutputFile, PipelineOptions,
-    Stage, default_in_flight, stream,
+    Frame, FrameError, IndexPolicy, Observer, OnError, Outcome, OutputFile, PipelineOptions, Stage,
+    default_in_flight, stream,
 };
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, FrameFinished, Start};
@@ -94,7 +94,7 @@ fn run(
             return Some((id, *frame));
         }
     };
-    stream(&LevelSetMethod, next, &options, |id, frame, outcome| {
+    stream(next, &options, |id, frame, outcome| {
         let finished = finished(id, &frame, outcome);
         // Fails only if the daemon has already ended.
         let _ = events.send(Event::FrameFinished(Box::new(finished)));

@@ -36,8 +36,8 @@ use std::sync::Arc;
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
+use crate::cancel::checkpoint;
 use crate::grid::{LEAF_VOXELS, NO_LEAF, Topology};
-use crate::interrupt::checkpoint;
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::neighbors::Neighbors;

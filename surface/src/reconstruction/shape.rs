@@ -405,12 +405,11 @@ const SCALE_MARGIN: f32 = 3.0;
 mod tests {
     use super::*;
     use crate::anisotropy::from_neighbors;
-    use crate::mesh::PositionRounding;
     use crate::obstacle::Obstacles;
     use crate::options::{AnisotropyKind, MethodOptions};
     use crate::particles::Ellipsoid;
     use crate::reconstruction::changes::{moved_double, rounded};
-    use crate::reconstruction::{FrameSurface, contour, rasterize, smooth};
+    use crate::reconstruction::{FrameSurface, reconstruct_shaped};
 
     /// A source with batches of a given size, as from a file.
     struct Batches<'a> {
@@ -527,10 +526,9 @@ mod tests {
         shape_stats: ShapeStats,
         settings: &Settings,
     ) -> FrameSurface {
-        let Ok(rasterized) = rasterize(source, settings, shape_stats, Obstacles::default()) else {
-            panic!("in memory")
-        };
-        contour(smooth(rasterized, settings), settings, PositionRounding::Local)
+        let obstacles = Obstacles::default();
+        let surface = reconstruct_shaped(source, shape_stats, obstacles, settings, None, &mut |_| {});
+        surface.unwrap_or_else(|_| panic!("in memory")).0
     }
 
     /// The particles within a ball, so that the surface has normals in all directions.
