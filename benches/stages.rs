@@ -170,7 +170,7 @@ fn row(runs: &[Measured]) -> Row {
     };
     Row {
         particle_count: runs[0].report.particle_count as f64,
-        free_count: runs[0].report.free_voxel_count as f64,
+        free_count: runs[0].report.smoothing.free_voxel_count as f64,
         seconds: [0, 1, 2].map(median),
     }
 }

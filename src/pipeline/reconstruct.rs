@@ -49,10 +49,7 @@ impl LoadedFrame {
     ///
     /// # Errors
     /// When the system reports an error, or the file has no readable particles.
-    pub fn read(
-        (path, number): (&Path, Option<i64>),
-        settings: &Settings,
-    ) -> Result<LoadedFrame, FrameError> {
+    pub fn read(path: &Path, number: Option<i64>, settings: &Settings) -> Result<LoadedFrame, FrameError> {
         stage(path, Stage::Read, || {
             let bytes = read_file(path).map_err(|error| error.cause)?;
             let hash = XxHash3_128::oneshot(&bytes);

@@ -67,7 +67,7 @@ pub use self::{
     particles::{Attribute, AttributeValues, ParticleFilter, Positions, Role},
     reconstruction::Storage,
     report::{EditReport, Phase, ReconstructionReport as Report, ShapeStats, TransferReport},
-    smooth::{Convergence, Integrator},
+    smooth::{Convergence, Integrator, SmoothReport},
     spacing::{SequenceEstimate, SpacingEstimate, combine_estimates, estimate_spacing},
     validation::{Certificate, ParticlesOutside},
 };

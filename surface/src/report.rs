@@ -5,7 +5,7 @@ use glam::DVec3;
 pub use crate::attributes::TransferCounts;
 use crate::mesh::MeshMeasures;
 pub use crate::obstacle::{ContactStats, DepthStats};
-pub use crate::smooth::Convergence;
+pub use crate::smooth::{Convergence, SmoothReport};
 pub use crate::validation::{Certificate, ParticlesOutside};
 
 /// Everything that was measured and checked while a frame was reconstructed. Check `certificate.holds()`
@@ -30,20 +30,8 @@ pub struct ReconstructionReport {
     pub edits: EditReport,
     /// Number of stored leaves of 8³ voxels.
     pub leaf_count: usize,
-    /// Number of voxels with |φ| ≤ 3 voxels after the Laplacian steps: the unknowns of the first biharmonic
-    /// step.
-    pub free_voxel_count: usize,
-    /// Number of passes of the biharmonic operator; a voxel takes part in at most this many.
-    pub pass_count: usize,
-    /// Number of updates of free voxels: free voxels times passes, if every voxel takes part in every pass.
-    pub voxel_update_count: u64,
-    /// How far a change of one particle can reach, in voxels; `None` if the integrator couples all voxels
-    /// (conjugate gradients).
-    pub reach_voxels: Option<u32>,
-    /// Convergence of the conjugate gradients; `None` for the other integrators.
-    pub convergence: Option<Convergence>,
-    /// Number of explicit steps that exceeded the CFL bound (Eq. 8).
-    pub cfl_exceeded_count: usize,
+    /// What smoothing did.
+    pub smoothing: SmoothReport,
     /// The checks of the result.
     pub certificate: Certificate,
     /// Number of vertices that were more than half a voxel outside their bounds and were moved back.

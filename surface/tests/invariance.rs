@@ -116,7 +116,7 @@ fn far_changes_keep_the_surface() {
             &OwnedPositions::F64(vec![[0.0; 3]]),
             &Settings::paper(1.0, &MethodOptions::default()).unwrap(),
         );
-        i32::try_from(one.report.reach_voxels.unwrap()).unwrap()
+        i32::try_from(one.report.smoothing.reach_voxels.unwrap()).unwrap()
     };
     let (length, near) = (reach + 52, 16);
     let mut random = Random::new(71);

@@ -222,7 +222,7 @@ impl<'a> Tuning<'a> {
         if !spacings.measured.is_empty() {
             warn_of_siblings(sequence, console);
         }
-        let frame = LoadedFrame::read((&file.path, file.number()), &without)?;
+        let frame = LoadedFrame::read(&file.path, file.number(), &without)?;
         let picture = session.outputs.picture;
         let bounds = bounds_of_particles(frame.particles(), without.radius_init).unwrap_or(EMPTY_BOUNDS);
         let viewpoint =
@@ -283,7 +283,7 @@ impl<'a> Tuning<'a> {
         let made = if requests[0] == requests[1] {
             self.session.reconstruct(&self.frame, settings)?
         } else {
-            let frame = LoadedFrame::read((&self.file.path, self.file.number()), settings)?;
+            let frame = LoadedFrame::read(&self.file.path, self.file.number(), settings)?;
             self.session.reconstruct(&frame, settings)?
         };
         let size = self.session.outputs.picture.size;

@@ -18,11 +18,11 @@ impl FrameReport {
             let are_most = 2 * count > reconstruction.particle_count;
             warnings.push(Warning::ParticlesInObstacles { count, are_most });
         }
-        if reconstruction.convergence.is_some_and(|convergence| !convergence.reached) {
+        if reconstruction.smoothing.convergence.is_some_and(|convergence| !convergence.reached) {
             warnings.push(Warning::NotConverged);
         }
-        if reconstruction.cfl_exceeded_count > 0 {
-            warnings.push(Warning::CflExceeded { step_count: reconstruction.cfl_exceeded_count });
+        if reconstruction.smoothing.cfl_exceeded_count > 0 {
+            warnings.push(Warning::CflExceeded { step_count: reconstruction.smoothing.cfl_exceeded_count });
         }
         warnings.extend(coarse_positions(reconstruction));
         warnings.extend(outside(reconstruction));

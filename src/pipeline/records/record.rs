@@ -355,7 +355,7 @@ pub(crate) fn measured_json(report: &FrameReport) -> serde_json::Value {
 }
 
 fn measured(report: &FrameReport) -> MeasuredRecord {
-    let ReconstructionReport { mesh, convergence, .. } = &report.reconstruction;
+    let ReconstructionReport { mesh, smoothing, .. } = &report.reconstruction;
     MeasuredRecord {
         outputs: report.outputs.iter().map(|path| text(path)).collect(),
         notes: report.warnings.iter().map(ToString::to_string).collect(),
@@ -368,12 +368,12 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
         obstacles: obstacles_record(report),
         leaves: report.reconstruction.leaf_count,
         voxels: report.reconstruction.leaf_count * crate::surface::grid::LEAF_VOXELS,
-        free_voxels: report.reconstruction.free_voxel_count,
-        passes: report.reconstruction.pass_count,
-        voxel_passes: report.reconstruction.voxel_update_count,
-        reach_voxels: report.reconstruction.reach_voxels,
-        convergence: *convergence,
-        cfl_exceeded: report.reconstruction.cfl_exceeded_count,
+        free_voxels: smoothing.free_voxel_count,
+        passes: smoothing.pass_count,
+        voxel_passes: smoothing.voxel_update_count,
+        reach_voxels: smoothing.reach_voxels,
+        convergence: smoothing.convergence,
+        cfl_exceeded: smoothing.cfl_exceeded_count,
         attributes: report.reconstruction.transfer.clone(),
         seconds: report.seconds,
         peak_memory_bytes: report.peak_memory_bytes,

@@ -337,7 +337,8 @@ struct Nodes {
 pub fn interpolate_to_band<'a>(
     particles: impl Into<Positions<'a>>,
     attributes: &[&'a Attribute],
-    (band, lattice): (&NarrowBand, &Lattice),
+    band: &NarrowBand,
+    lattice: &Lattice,
     half_width_voxels: f32,
     support: Support<'a>,
 ) -> (Vec<BandAttribute>, TransferCounts) {

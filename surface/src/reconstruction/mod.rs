@@ -306,8 +306,9 @@ pub(crate) fn transfer_attributes_from(
     if let Some(half_width_voxels) = targets.band_half_width_voxels {
         let grids: Vec<Cow<Attribute>> = selected.iter().copied().filter_map(of_grid).collect();
         let grids: Vec<&Attribute> = grids.iter().map(Cow::as_ref).collect();
-        let band = (&surface.band, &lattice(settings));
-        let (found, counts) = interpolate_to_band(positions, &grids, band, half_width_voxels, support);
+        let (band, lattice) = (&surface.band, &lattice(settings));
+        let (found, counts) =
+            interpolate_to_band(positions, &grids, band, lattice, half_width_voxels, support);
         (surface.attributes.band, report.band) = (found, counts);
     }
     surface.attributes.scale_velocities(settings.velocity_scale);

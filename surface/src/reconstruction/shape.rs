@@ -65,18 +65,17 @@ pub(crate) fn shapes_by_attributes(
         return (Shapes::Uniform, ShapeStats::default());
     }
     let mut shape_stats = ShapeStats::default();
-    let of_particles = (count, attributes);
     let scales = settings
         .per_particle_radius
         .as_ref()
-        .and_then(|own| scales(of_particles, own, settings, &mut shape_stats));
+        .and_then(|own| scales(count, attributes, own, settings, &mut shape_stats));
     let by_velocity = match settings.anisotropy {
         Anisotropy::None | Anisotropy::Neighbors { .. } => None,
         Anisotropy::Velocity { gain, max_stretch } => {
             let gain_per_speed = (gain * settings.velocity_scale / settings.radius_min) as f32;
             let max_stretch = max_stretch as f32;
             let config = VelocityConfig { gain_per_speed, max_stretch, floor: resolved_radius(settings) };
-            numbers(of_particles, "velocity", 3)
+            numbers(count, attributes, "velocity", 3)
                 .map(|velocities| from_velocities(&velocities, scales.as_deref(), &config))
         }
     };
@@ -156,7 +155,7 @@ fn changes_in_blocks(
     let step_world = settings.position_smoothing * settings.neighbor_radius;
     let ball = stretch.is_some().then_some(depth.ball);
     let changes =
-        NeighborChanges::new(found, (step_world, ball), given.batch_count(), |batch| given.batch_len(batch));
+        NeighborChanges::new(found, step_world, ball, given.batch_count(), |batch| given.batch_len(batch));
     Ok((changes, shape_stats))
 }
 
@@ -333,18 +332,18 @@ impl<S: ParticleSource> ParticleSource for ShapedSource<S> {
 
 /// Scale of each particle, in units of the settings' radii.
 fn scales(
-    of_particles: (usize, &[Attribute]),
+    count: usize,
+    attributes: &[Attribute],
     own: &PerParticleRadius,
     settings: &Settings,
     shape_stats: &mut ShapeStats,
 ) -> Option<Vec<f32>> {
-    let radii = numbers(of_particles, &own.attribute, 1)?;
+    let radii = numbers(count, attributes, &own.attribute, 1)?;
     let RadiusScales { mut scales, raised_count, invalid_count } =
         radius_scales(&radii, own.scale, settings.radius_min, resolved_radius(settings));
     shape_stats.small_radius_count = raised_count;
     if raised_count > 0 {
-        shape_stats.small_radius_min =
-            own.radii_min(of_particles.1).into_iter().reduce(f64::min).unwrap_or(0.0);
+        shape_stats.small_radius_min = own.radii_min(attributes).into_iter().reduce(f64::min).unwrap_or(0.0);
     }
     shape_stats.invalid_radius_count = invalid_count;
     let most = ((RADIUS_MAX_VOXELS * settings.voxel_size / settings.radius_max) as f32)
@@ -356,7 +355,8 @@ fn scales(
 
 /// The numbers of an attribute with `arity` values for each of `count` particles.
 fn numbers<'a>(
-    (count, attributes): (usize, &'a [Attribute]),
+    count: usize,
+    attributes: &'a [Attribute],
     name: &str,
     arity: usize,
 ) -> Option<Cow<'a, [f32]>> {

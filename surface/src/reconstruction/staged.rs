@@ -30,7 +30,7 @@ use crate::obstacle::{ContactStats, Obstacles};
 use crate::options::Settings;
 use crate::particles::{AnySource, ParticleSource, Unread, erased};
 use crate::rasterize::{self, Occupancy, ParticleBins, RasterFields, RasterParams};
-use crate::report::{ReconstructionReport, ShapeStats};
+use crate::report::{ReconstructionReport, ShapeStats, SmoothReport};
 use crate::smooth;
 use crate::space::CoordBox;
 use crate::validation::{
@@ -186,13 +186,8 @@ impl<S: ParticleSource> StagedFrame<S> {
             }
             Fields::LevelSet(_) => return Ok(self),
         };
-        let report = &mut self.report;
-        report.free_voxel_count = smoothed.free_voxel_count;
-        report.pass_count = smoothed.pass_count;
-        report.voxel_update_count = smoothed.voxel_update_count;
-        report.reach_voxels = smoothed.reach_voxels.map(|reach| reach.saturating_add(reach_before));
-        report.convergence = smoothed.convergence;
-        report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
+        let reach_voxels = smoothed.reach_voxels.map(|reach| reach.saturating_add(reach_before));
+        self.report.smoothing = SmoothReport { reach_voxels, ..smoothed };
         Ok(self)
     }
 

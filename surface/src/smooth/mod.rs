@@ -86,7 +86,8 @@ pub struct SmoothReport {
     /// Number of voxel updates. If all free voxels have the same number of passes, this is free voxels times
     /// passes.
     pub voxel_update_count: u64,
-    /// How far a change of φ_0 or the bounds can propagate, in voxels. `None` for `Implicit`, whose dot
+    /// How far a change of φ_0 or the bounds can propagate, in voxels; in the report of a frame, how far a
+    /// change of a particle can. `None` for `Implicit`, whose dot
     /// products couple all voxels, and for `Adaptive`, whose step size depends on the fastest voxel.
     pub reach_voxels: Option<u32>,
     /// How the conjugate gradients converged; `None` unless the integrator is `Implicit`.
