@@ -15,8 +15,8 @@ use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::input::frame_input::{FrameInput, LevelSetInput};
 use crate::pipeline::input::level_set_file::level_set_limits;
 use crate::pipeline::input::obstacles::FrameObstacles;
-use crate::pipeline::output::writing::VDB_HALF_WIDTH_VOXELS;
-use crate::pipeline::target::outputs::{OutputFormat, OutputOptions};
+use crate::pipeline::output::writing::attribute_half_width_voxels;
+use crate::pipeline::target::outputs::OutputOptions;
 
 /// A frame between two stages.
 pub(crate) type StagedInput = StagedFrame<ShapedSource<FrameInput>>;
@@ -121,7 +121,11 @@ pub(crate) fn contour(
         FrameInput::InMemory(_) | FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => None,
     });
     if let Some(cloud) = cloud {
-        reconstruction::transfer_attributes(&mut surface, &cloud, settings, targets(outputs));
+        let targets = Targets {
+            vertices: outputs.formats.iter().any(|format| format.is_mesh()),
+            band_half_width_voxels: attribute_half_width_voxels(&outputs.formats),
+        };
+        reconstruction::transfer_attributes(&mut surface, &cloud, settings, targets);
     }
     Ok(surface)
 }
@@ -132,15 +136,6 @@ fn require_unchanged(file: Option<&InputFile>) -> Result<(), Cause> {
         Ok(true) => Ok(()),
         Ok(false) => Err(Cause::Changed),
         Err(error) => Err(Cause::File(error.into())),
-    }
-}
-
-/// The targets for attributes in the output files.
-fn targets(outputs: &OutputOptions) -> Targets {
-    let has_voxels = |format: &OutputFormat| !format.is_mesh() && format.has_attributes();
-    Targets {
-        vertices: outputs.formats.iter().any(|format| format.is_mesh()),
-        band_half_width_voxels: outputs.formats.iter().any(has_voxels).then_some(VDB_HALF_WIDTH_VOXELS),
     }
 }
 

@@ -40,12 +40,12 @@ use crate::validation::{
 
 /// A frame between two stages.
 pub struct StagedFrame<S> {
-    fields: Fields<S>,
+    fields: StagedFields<S>,
     obstacles: Obstacles,
     report: ReconstructionReport,
 }
 
-enum Fields<S> {
+enum StagedFields<S> {
     /// With the particles, if their attributes are needed later.
     InMemory(Box<WholeFields>, Option<S>),
     Tiled(Box<TiledFields>, S),
@@ -128,11 +128,14 @@ impl<S: ParticleSource> StagedFrame<S> {
         let scene = raster_params(settings, &obstacles);
         let (fields, mut report) = if let Some(tiles) = tiles {
             let (fields, report) = with_any(&source, |source| TiledFields::rasterize(source, &scene, tiles))?;
-            (Fields::Tiled(Box::new(fields), source), report)
+            (StagedFields::Tiled(Box::new(fields), source), report)
         } else {
             let rasterized = with_any(&source, |source| Ok(WholeFields::rasterize(source, &scene)?));
             let (fields, report) = rasterized?;
-            (Fields::InMemory(Box::new(fields), settings.attributes.is_some().then_some(source)), report)
+            (
+                StagedFields::InMemory(Box::new(fields), settings.attributes.is_some().then_some(source)),
+                report,
+            )
         };
         report.shapes = shape_stats;
         Ok(StagedFrame { fields, obstacles, report })
@@ -151,7 +154,7 @@ impl<S: ParticleSource> StagedFrame<S> {
         let given = BoundedBand::new(band, translation, max_deviation_voxels, settings);
         let leaf_count = given.band.topology.len();
         StagedFrame {
-            fields: Fields::LevelSet(Box::new(given)),
+            fields: StagedFields::LevelSet(Box::new(given)),
             obstacles: Obstacles::default(),
             report: ReconstructionReport { leaf_count, ..ReconstructionReport::default() },
         }
@@ -174,17 +177,17 @@ impl<S: ParticleSource> StagedFrame<S> {
         let config = smooth_config(settings, &self.obstacles);
         let reach_before = reach_of_particles(settings, &self.report.shapes);
         let (smoothed, reach_before) = match &mut self.fields {
-            Fields::InMemory(fields, _) => {
+            StagedFields::InMemory(fields, _) => {
                 (smooth::smooth(&mut fields.band, &fields.bounds, &config, advanced), reach_before)
             }
-            Fields::Tiled(fields, _) => {
+            StagedFields::Tiled(fields, _) => {
                 let TiledFields { store, tiling, half_width, .. } = &mut **fields;
                 (tiles::smooth(store, tiling, *half_width, &config, advanced)?, reach_before)
             }
-            Fields::LevelSet(given) if given.max_deviation > 0.0 => {
+            StagedFields::LevelSet(given) if given.max_deviation > 0.0 => {
                 (smooth::smooth(&mut given.band, &given.bounds, &config, advanced), 0)
             }
-            Fields::LevelSet(_) => return Ok(self),
+            StagedFields::LevelSet(_) => return Ok(self),
         };
         let reach_voxels = smoothed.reach_voxels.map(|reach| reach.saturating_add(reach_before));
         self.report.smoothing = SmoothReport { reach_voxels, ..smoothed };
@@ -204,7 +207,7 @@ impl<S: ParticleSource> StagedFrame<S> {
         let StagedFrame { fields, obstacles, mut report } = self;
         let scene = &raster_params(settings, &obstacles);
         match fields {
-            Fields::InMemory(fields, source) => {
+            StagedFields::InMemory(fields, source) => {
                 let WholeFields { bins, band, bounds, possibly_outside } = *fields;
                 report.certificate.bound_violation_count = bounds.violation_count(&band.phi);
                 drop(bounds);
@@ -212,7 +215,7 @@ impl<S: ParticleSource> StagedFrame<S> {
                 let Ok(surface) = contour_within(band, &particles, scene, settings, rounding, report);
                 Ok((surface, source))
             }
-            Fields::Tiled(fields, source) => {
+            StagedFields::Tiled(fields, source) => {
                 let surface = with_any(&source, |source| {
                     report.certificate.bound_violation_count = fields.bound_violation_count()?;
                     let TiledFields { occupancy, tiles, tile_leaves, store, tiling, half_width } = *fields;
@@ -224,7 +227,7 @@ impl<S: ParticleSource> StagedFrame<S> {
                 })?;
                 Ok((surface, Some(source)))
             }
-            Fields::LevelSet(given) => Ok((given.contour(settings, rounding, report), None)),
+            StagedFields::LevelSet(given) => Ok((given.contour(settings, rounding, report), None)),
         }
     }
 }
@@ -746,7 +749,7 @@ mod tests {
     fn too_narrow_halo_changes_the_result() {
         let settings = Settings::paper(0.5, &MethodOptions::default()).expect("sound");
         let mut frame = rasterized(&settings);
-        let Fields::Tiled(fields, _) = &mut frame.fields else { panic!("not in tiles") };
+        let StagedFields::Tiled(fields, _) = &mut frame.fields else { panic!("not in tiles") };
         assert!(fields.tiling.tile_count() > 12, "{}", fields.tiling.tile_count());
         fields.tiling = fields.tiling.with_halo(4, 1);
         assert!(finished(frame, &settings).band.phi != reconstruct_frame(&particles(), &settings).band.phi);
