@@ -5,6 +5,7 @@ use std::io;
 use std::path::Path;
 
 use crate::surface::options::Settings;
+use crate::surface::particles::ParticleCloud;
 use crate::surface::reconstruction::{
     self, FrameSurface, MemoryPlan, MemoryPlanError, PlanInputs, ShapedSource, StageError, StagedFrame,
     Storage, Targets, TileStorage, TooLarge,
@@ -116,7 +117,7 @@ pub(crate) fn contour(
     let Some(particles) = particles else { return Ok(surface) };
     require_unchanged(particles.given().file().as_deref())?;
     // Particles on disk have no selected attributes.
-    let cloud = particles.into_cloud(|given| match given {
+    let cloud = particles.filter_map(|given| match given {
         FrameInput::InMemory(cloud) if settings.attributes.is_some() => Some(cloud),
         FrameInput::InMemory(_) | FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => None,
     });
@@ -125,7 +126,16 @@ pub(crate) fn contour(
             vertices: outputs.formats.iter().any(|format| format.is_mesh()),
             band_half_width_voxels: attribute_half_width_voxels(&outputs.formats),
         };
-        reconstruction::transfer_attributes(&mut surface, &cloud, settings, targets);
+        let ParticleCloud { positions, shapes, attributes } = cloud.into_moved();
+        let surface = &mut surface;
+        reconstruction::transfer_attributes(
+            surface,
+            positions.into(),
+            &shapes,
+            &attributes,
+            settings,
+            targets,
+        );
     }
     Ok(surface)
 }

@@ -296,20 +296,15 @@ impl<'a> Reconstructor<'a> {
         }
         self.begin(Phase::Smooth);
         let frame = frame.smooth(settings, &mut |fraction| self.advance(Phase::Smooth, fraction));
+        let frame = frame.map_err(Error::Scratch)?;
         self.begin(Phase::Contour);
-        let (mut surface, particles) = frame.map_err(Error::Scratch)?.contour(settings, rounding)?;
+        let (mut surface, particles) = frame.contour(settings, rounding)?;
         if let Some(particles) = particles.filter(|_| settings.attributes.is_some()) {
             self.begin(Phase::Interpolate);
             let (positions, shapes) = particles.into_positions(|given| (given.positions, given.shapes));
             let targets = Targets { vertices: true, band_half_width_voxels };
-            reconstruction::transfer_attributes_from(
-                positions,
-                &shapes,
-                attributes,
-                &mut surface,
-                settings,
-                targets,
-            );
+            let surface = &mut surface;
+            reconstruction::transfer_attributes(surface, positions, &shapes, attributes, settings, targets);
         }
         Ok((surface, settings.clone()))
     }

@@ -109,7 +109,8 @@ pub fn reconstruct_cloud(cloud: ParticleCloud, settings: &Settings, obstacles: &
     let (mut surface, shaped) = surface.expect("everything is in memory");
     if let Some(shaped) = shaped {
         let targets = Targets { vertices: true, band_half_width_voxels: None };
-        transfer_attributes(&mut surface, &shaped.into_moved(), settings, targets);
+        let ParticleCloud { positions, shapes, attributes } = shaped.into_moved();
+        transfer_attributes(&mut surface, positions.into(), &shapes, &attributes, settings, targets);
     }
     surface
 }
@@ -270,23 +271,12 @@ pub struct Targets {
     pub band_half_width_voxels: Option<f32>,
 }
 
-/// Transfers the attributes selected in the settings from the particles to the surface.
+/// Transfers the attributes selected in the settings from particles to the surface.
 pub fn transfer_attributes(
     surface: &mut FrameSurface,
-    cloud: &ParticleCloud,
-    settings: &Settings,
-    targets: Targets,
-) {
-    let positions = Positions::from(&cloud.positions);
-    transfer_attributes_from(positions, &cloud.shapes, &cloud.attributes, surface, settings, targets);
-}
-
-/// Like [`transfer_attributes`], for particles that may be borrowed.
-pub(crate) fn transfer_attributes_from(
     positions: Positions<'_>,
     shapes: &Shapes,
     attributes: &[Attribute],
-    surface: &mut FrameSurface,
     settings: &Settings,
     targets: Targets,
 ) {
@@ -395,9 +385,9 @@ mod tests {
         let reference = surface.attributes.vertices.clone();
         let (more, _) =
             super::shape_particles(drops(&[(900.0, 4.0), (0.0, 1.5), (-50.0, 3.0), (9.0, 2.0)]), &settings);
-        let more = more.into_moved();
+        let ParticleCloud { positions, shapes, attributes } = more.into_moved();
         let targets = Targets { vertices: true, band_half_width_voxels: None };
-        transfer_attributes(&mut surface, &more, &settings, targets);
+        transfer_attributes(&mut surface, positions.into(), &shapes, &attributes, &settings, targets);
         for (one, other) in surface.attributes.vertices.iter().zip(&reference) {
             assert_eq!(one.values, other.values);
         }

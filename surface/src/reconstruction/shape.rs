@@ -250,6 +250,11 @@ pub struct ShapedSource<S> {
 }
 
 impl<S> ShapedSource<S> {
+    /// The same changes, to particles that `map` makes from the given ones.
+    pub fn filter_map<T>(self, map: impl FnOnce(S) -> Option<T>) -> Option<ShapedSource<T>> {
+        Some(ShapedSource { given: map(self.given)?, changes: self.changes })
+    }
+
     /// The particles as given.
     pub fn given(&self) -> &S {
         &self.given
@@ -258,14 +263,6 @@ impl<S> ShapedSource<S> {
     /// Memory used in addition to the given particles, in bytes.
     pub fn size_bytes(&self) -> usize {
         self.changes.size_bytes()
-    }
-
-    /// The changed particles. `to_cloud` extracts the given ones.
-    pub fn into_cloud(self, to_cloud: impl FnOnce(S) -> Option<ParticleCloud>) -> Option<ParticleCloud> {
-        let ShapedSource { given, changes } = self;
-        let ParticleCloud { positions, shapes, attributes } = to_cloud(given)?;
-        let (positions, shapes) = changes.apply(positions.into(), shapes);
-        Some(ParticleCloud { positions: positions.into(), shapes, attributes })
     }
 
     /// The changed positions and shapes. Borrowed positions are copied only if some particles are moved.
@@ -282,8 +279,9 @@ impl<S> ShapedSource<S> {
 impl ShapedSource<ParticleCloud> {
     /// The changed particles.
     pub fn into_moved(self) -> ParticleCloud {
-        let empty = || ParticleCloud::from(OwnedPositions::F32(Vec::new()));
-        self.into_cloud(Some).unwrap_or_else(empty)
+        let ShapedSource { given: ParticleCloud { positions, shapes, attributes }, changes } = self;
+        let (positions, shapes) = changes.apply(positions.into(), shapes);
+        ParticleCloud { positions: positions.into(), shapes, attributes }
     }
 }
 
