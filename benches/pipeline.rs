@@ -19,8 +19,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use meniscus::pipeline::{
-    AttributeRequest, Frame, FrameFile, LevelSetMethod, Outcome, OutputFormat, OutputOptions,
-    PipelineOptions, encode_level_set, mesh_view, parse_particles, read_file, run, write_atomically,
+    AttributeRequest, Frame, FrameFile, Outcome, OutputFormat, OutputOptions, PipelineOptions,
+    encode_level_set, mesh_view, parse_particles, read_file, run, write_atomically,
 };
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::reconstruction::reconstruct_frame;
@@ -94,7 +94,7 @@ fn convert_with_pipeline(frames: &[Frame], pool: &ThreadPool) -> Result<f64, Box
     let mut first = None;
     let pipeline_options = PipelineOptions { memory_bytes: u64::MAX, ..PipelineOptions::new(pool) };
     let mut failures = Vec::new();
-    run(&LevelSetMethod, frames, &pipeline_options, |index, outcome| {
+    run(frames, &pipeline_options, |index, outcome| {
         first.get_or_insert_with(|| start.elapsed().as_secs_f64());
         if !matches!(outcome, Outcome::Converted(_)) {
             failures.push(format!("frame {index}: {outcome:?}"));

@@ -29,7 +29,6 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use glam::Vec3;
-use meniscus::pipeline::PhaseTimer;
 use meniscus::surface::anisotropy::{NeighborConfig, Stretch, from_neighbors};
 use meniscus::surface::neighbors::Neighbors;
 use meniscus::surface::options::{MethodOptions, Settings};
@@ -112,7 +111,7 @@ fn measure(free_wanted: f64, pools: &[ThreadPool; 2]) -> [Row; 2] {
     let (particles, spacing) = frame(free_wanted / FREE_PER_PARTICLE);
     let settings = Settings::paper(spacing / 2.0, &MethodOptions::default()).expect("valid");
     let round_count = ((ROUND_COUNT as f64 * FREE_MIN / free_wanted).ceil() as usize).max(1);
-    let mut reports: [Vec<ReconstructionReport>; 2] = Default::default();
+    let mut reports: [Vec<Measured>; 2] = Default::default();
     for _ in 0..round_count {
         for (pool, reports) in pools.iter().zip(&mut reports) {
             reports.push(pool.install(|| reconstructed(&particles, &settings)));
@@ -148,28 +147,31 @@ fn frame(particle_count: f64) -> (OwnedPositions, f64) {
     (OwnedPositions::F32(planes.flatten_iter().collect()), solid.spacing)
 }
 
-fn reconstructed(particles: &OwnedPositions, settings: &Settings) -> ReconstructionReport {
-    let mut timer = PhaseTimer::default();
-    let mut surface = reconstruct_frame_observed(particles, settings, &mut |phase| timer.enter(phase));
-    assert!(surface.report.certificate.holds(), "{:?}", surface.report.certificate);
-    surface.report.seconds = timer.finish();
-    surface.report
+/// A reconstruction, with the seconds of its three stages.
+struct Measured {
+    report: ReconstructionReport,
+    seconds: [f64; 3],
 }
 
-fn row(reports: &[ReconstructionReport]) -> Row {
-    let median = |of: fn(&ReconstructionReport) -> f64| {
-        let mut seconds: Vec<f64> = reports.iter().map(of).collect();
+fn reconstructed(particles: &OwnedPositions, settings: &Settings) -> Measured {
+    let mut starts = Vec::new();
+    let surface = reconstruct_frame_observed(particles, settings, &mut |_| starts.push(Instant::now()));
+    starts.push(Instant::now());
+    let report = surface.report;
+    assert!(report.certificate.holds(), "{:?}", report.certificate);
+    Measured { report, seconds: [0, 1, 2].map(|stage| (starts[stage + 1] - starts[stage]).as_secs_f64()) }
+}
+
+fn row(runs: &[Measured]) -> Row {
+    let median = |stage: usize| {
+        let mut seconds: Vec<f64> = runs.iter().map(|run| run.seconds[stage]).collect();
         seconds.sort_by(f64::total_cmp);
         seconds[seconds.len() / 2]
     };
     Row {
-        particle_count: reports[0].particle_count as f64,
-        free_count: reports[0].free_voxel_count as f64,
-        seconds: [
-            median(|report| report.seconds.rasterize),
-            median(|report| report.seconds.smooth),
-            median(|report| report.seconds.contour),
-        ],
+        particle_count: runs[0].report.particle_count as f64,
+        free_count: runs[0].report.smoothing.free_voxel_count as f64,
+        seconds: [0, 1, 2].map(median),
     }
 }
 

@@ -11,8 +11,8 @@ use std::process::Command;
 use std::sync::Arc;
 
 use meniscus::pipeline::{
-    Frame, FrameFile, Job, LevelSetMethod, ObstacleFiles, Outcome, OutputFormat, OutputOptions,
-    PipelineOptions, SurfaceWarning, Warning, run,
+    Frame, FrameFile, Job, ObstacleFiles, Outcome, OutputFormat, OutputOptions, PipelineOptions,
+    SurfaceWarning, Warning, run,
 };
 use meniscus::surface::options::{ClipBox, MethodOptions, Settings};
 use meniscus_formats::{FilePositions, ParticleFrame, bgeo};
@@ -56,7 +56,7 @@ fn scattered_frame_is_refused_within_the_limit() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
     let memory_bytes = 64 << 20;
     let pipeline_options = PipelineOptions { memory_bytes, ..PipelineOptions::new(&pool) };
-    run(&LevelSetMethod, &[frame], &pipeline_options, |_, outcome| {
+    run(&[frame], &pipeline_options, |_, outcome| {
         let Outcome::Failed(error) = outcome else { panic!("{outcome:?}") };
         let message = error.to_string();
         assert!(
@@ -124,7 +124,7 @@ fn memory_of_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) -
         .collect();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
     let pipeline_options = PipelineOptions { in_flight: 8, memory_bytes, ..PipelineOptions::new(&pool) };
-    run(&LevelSetMethod, &frames, &pipeline_options, |index, outcome| {
+    run(&frames, &pipeline_options, |index, outcome| {
         let Outcome::Converted(mut report) = outcome else { panic!("frame {index}: {outcome:?}") };
         // Spray with many holes causes a warning.
         report.warnings.retain(|warning| !matches!(warning, Warning::Surface(SurfaceWarning::Holes { .. })));

@@ -23,9 +23,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use meniscus::glam::DVec3;
-use meniscus::pipeline::{
-    self, Frame, FrameFile, LevelSetMethod, Outcome, OutputFormat, OutputOptions, PipelineOptions,
-};
+use meniscus::pipeline::{self, Frame, FrameFile, Outcome, OutputFormat, OutputOptions, PipelineOptions};
 use meniscus::surface::options::{Settings, SpacingOptions};
 use meniscus::surface::{Options, Phase, Reconstructor};
 use meniscus_formats::{FilePositions, Limits, MeshOptions, MeshView, gltf, read_particles};
@@ -100,7 +98,7 @@ pub(crate) fn convert_folder(from: &Path, to: &Path) -> Result<usize, Box<dyn Er
     }
     let pool = ThreadPoolBuilder::new().build()?;
     let mut failures = Vec::new();
-    pipeline::run(&LevelSetMethod, &frames, &PipelineOptions::new(&pool), |_, outcome| {
+    pipeline::run(&frames, &PipelineOptions::new(&pool), |_, outcome| {
         if let Outcome::Failed(error) = outcome {
             failures.push(error.to_string());
         }

@@ -1,13 +1,14 @@
 //! One frame of a dam break with different settings (paper, Fig. 3 and 6 to 9).
 
 use std::path::Path;
+use std::time::Instant;
 
 use glam::DVec3;
-use meniscus::pipeline::PhaseTimer;
 use meniscus::render::{CameraPlacement, Layers, Picture, View, render};
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::OwnedPositions;
 use meniscus::surface::reconstruction::{FrameSurface, reconstruct_frame, reconstruct_frame_observed};
+use meniscus::surface::report::Phase;
 use meniscus::surface::smooth::Integrator;
 use meniscus::surface::space::Lattice;
 use meniscus_formats::{FilePositions, Limits, read_particles};
@@ -101,12 +102,12 @@ fn energies(files: &Files, particles: &OwnedPositions) -> Outcome<()> {
             for _ in 0..3 {
                 runs.push(after(particles, integrator, time, step_size)?);
             }
-            runs.sort_by(|one, other| one.report.seconds.smooth.total_cmp(&other.report.seconds.smooth));
-            surfaces.push((time, runs.swap_remove(0)));
+            runs.sort_by(|(_, one), (_, other)| f64::total_cmp(one, other));
+            let (surface, seconds) = runs.swap_remove(0);
+            surfaces.push((time, surface, seconds));
         }
         let energy = |surface: &FrameSurface| surface.report.mesh.bending_energy;
-        for (time, surface) in &surfaces {
-            let seconds = surface.report.seconds.smooth;
+        for (time, surface, seconds) in &surfaces {
             rows.push(vec![
                 name.into(),
                 format!("{time}"),
@@ -114,13 +115,12 @@ fn energies(files: &Files, particles: &OwnedPositions) -> Outcome<()> {
                 format!("{seconds:.3}"),
             ]);
         }
-        over_time.push((name.to_owned(), surfaces.iter().map(|(time, s)| [*time, energy(s)]).collect()));
-        let seconds = |surface: &FrameSurface| surface.report.seconds.smooth;
-        let taken = surfaces.iter().skip(1).map(|(_, s)| [seconds(s), energy(s)]);
+        over_time.push((name.to_owned(), surfaces.iter().map(|(time, s, _)| [*time, energy(s)]).collect()));
+        let taken = surfaces.iter().skip(1).map(|(_, s, seconds)| [*seconds, energy(s)]);
         over_seconds.push((name.to_owned(), taken.collect()));
         let some = [0, 2, 4, 6].into_iter().filter_map(|index| surfaces.get(index));
         // Captions cannot contain ⁴: the font of contact sheets has only the characters of Latin-1.
-        let shown = some.map(|(time, surface)| {
+        let shown = some.map(|(time, surface, _)| {
             (picture(surface, VOXEL_SIZE, [300, 200]), format!("{name}, time {time}"))
         });
         pictures.push(shown.collect());
@@ -139,13 +139,14 @@ fn energies(files: &Files, particles: &OwnedPositions) -> Outcome<()> {
     files.pictures("time", pictures)
 }
 
-/// The surface after this pseudo-time, in steps of equal size, at most `step_size`.
+/// The surface after this pseudo-time, in steps of equal size, at most `step_size`, and the seconds that
+/// smoothing it took.
 fn after(
     particles: &OwnedPositions,
     integrator: Integrator,
     time: f64,
     step_size: f64,
-) -> Outcome<FrameSurface> {
+) -> Outcome<(FrameSurface, f64)> {
     let steps = (time / step_size).ceil().max(1.0);
     let choices = MethodOptions {
         integrator: Some(integrator),
@@ -154,10 +155,13 @@ fn after(
         ..MethodOptions::default()
     };
     let settings = Settings::paper(VOXEL_SIZE, &choices)?;
-    let mut timer = PhaseTimer::default();
-    let mut surface = reconstruct_frame_observed(particles, &settings, &mut |phase| timer.enter(phase));
-    surface.report.seconds = timer.finish();
-    Ok(surface)
+    let mut starts = Vec::new();
+    let surface = reconstruct_frame_observed(particles, &settings, &mut |phase| {
+        starts.push((phase, Instant::now()));
+    });
+    let start = |wanted| starts.iter().find(|(phase, _)| *phase == wanted).map(|(_, start)| *start);
+    let smoothing = start(Phase::Contour).zip(start(Phase::Smooth)).map(|(end, start)| end - start);
+    Ok((surface, smoothing.unwrap_or_default().as_secs_f64()))
 }
 
 /// The particles of the frame.

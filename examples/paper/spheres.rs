@@ -51,7 +51,7 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let biharmonic = BIHARMONIC_STEPS.map(|steps| {
         let (mut band, bounds) = noisy_sphere(|distance, _| distance);
         if steps > 0 {
-            smooth(&mut band, &bounds, &explicit(steps));
+            smooth(&mut band, &bounds, &explicit(steps), &mut |_| {});
         }
         (steps, band)
     });

@@ -2,8 +2,9 @@
 
 use meniscus_formats::columns::{self, radius_scale, roles_of, with_role};
 use meniscus_formats::{AttributeRole, FileAttribute, Values};
-use numpy::{Element, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use numpy::ndarray::Array2;
+use numpy::{Element, IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use pyo3::exceptions::{PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
 /// Positions that are borrowed from an array for the duration of a call.
@@ -226,4 +227,13 @@ pub(crate) fn role_of(name: &str) -> Option<&'static str> {
 fn role_of_word(word: &str) -> PyResult<AttributeRole> {
     let found = ROLES.iter().find(|(_, known)| *known == word).map(|(role, _)| *role);
     found.ok_or_else(|| PyValueError::new_err(format!("unknown role `{word}`")))
+}
+
+/// An array with these rows.
+pub(crate) fn rows_of<T: Element, const N: usize>(
+    py: Python<'_>,
+    rows: Vec<[T; N]>,
+) -> PyResult<Bound<'_, PyArray2<T>>> {
+    let array = Array2::from_shape_vec((rows.len(), N), rows.into_flattened());
+    Ok(array.map_err(|error| PyRuntimeError::new_err(error.to_string()))?.into_pyarray(py))
 }

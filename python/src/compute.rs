@@ -89,12 +89,12 @@ impl CallPool {
 /// # Errors
 /// `KeyboardInterrupt`, a Python exception of a signal handler, or `RuntimeError` for a panic.
 pub(crate) fn run<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> PyResult<T> {
-    run_with_progress(py, None, None, |_, _| work())
+    run_with_progress(py, None, None, |_| work())
 }
 
-/// Like [`run`], with a number of threads and a progress callback. `work` gets the token that cancels it, and
-/// the channel for progress. The caller's thread handles signals and progress: an exception there cancels the
-/// token, and is raised after `work` has ended.
+/// Like [`run`], with a number of threads and a progress callback. `work` gets the channel for progress. The
+/// caller's thread handles signals and progress: an exception there cancels the token of the pool, and is
+/// raised after `work` has ended.
 ///
 /// # Errors
 /// Those of [`run`], the exception of the callback, or `ValueError` for the number of threads.
@@ -102,16 +102,16 @@ pub(crate) fn run_with_progress<T: Send>(
     py: Python<'_>,
     threads: Option<usize>,
     progress: Option<&Py<PyAny>>,
-    work: impl FnOnce(&CancelToken, Sender<Progress>) -> T + Send,
+    work: impl FnOnce(Sender<Progress>) -> T + Send,
 ) -> PyResult<T> {
     let call = CallPool::take(threads)?;
     let result = py.detach(|| {
         let (send, receive) = channel();
-        let (token, mut outcome) = (&call.token, None);
+        let mut outcome = None;
         let raised = call.pool.in_place_scope(|scope| {
             let outcome = &mut outcome;
-            scope.spawn(move |_| *outcome = Some(catch_unwind(AssertUnwindSafe(|| work(token, send)))));
-            wait(&receive, token, progress)
+            scope.spawn(move |_| *outcome = Some(catch_unwind(AssertUnwindSafe(|| work(send)))));
+            wait(&receive, &call.token, progress)
         });
         match (outcome, raised) {
             (_, Some(error)) => Err(error),

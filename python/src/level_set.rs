@@ -13,7 +13,7 @@
 use std::collections::TryReserveError;
 
 use meniscus::glam::{DVec3, IVec3};
-use meniscus::surface::{CancelToken, LEAF_EDGE, LEAF_VOXELS, NarrowBand};
+use meniscus::surface::{LEAF_EDGE, LEAF_VOXELS, NarrowBand, checkpoint};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
@@ -46,14 +46,8 @@ impl Rows {
     }
 
     /// φ at points given in voxels, by trilinear interpolation. NaN for points that are not finite or beyond
-    /// 2³⁰ voxels. Once the token is cancelled, values are missing.
-    pub(crate) fn sample(
-        &self,
-        band: &NarrowBand,
-        points: &[[f64; 3]],
-        voxel_size: f64,
-        token: &CancelToken,
-    ) -> Vec<f32> {
+    /// 2³⁰ voxels.
+    pub(crate) fn sample(&self, band: &NarrowBand, points: &[[f64; 3]], voxel_size: f64) -> Vec<f32> {
         let one = |point: &[f64; 3]| {
             let point = DVec3::from(*point) / voxel_size;
             let has_index = point.is_finite() && point.abs().max_element() < f64::from(1 << 30);
@@ -69,15 +63,14 @@ impl Rows {
                 if weight == 0.0 { sum } else { sum + weight * self.at(band, least + step) }
             })
         };
-        let is_wanted = |_: &&[[f64; 3]]| !token.is_cancelled();
-        points
-            .par_chunks(CHUNK_POINTS)
-            .filter(is_wanted)
-            .flat_map_iter(|chunk| chunk.iter().map(one))
-            .collect()
+        let of_chunk = |chunk: &'_ [[f64; 3]]| {
+            checkpoint();
+            chunk.iter().map(one).collect::<Vec<f32>>()
+        };
+        points.par_chunks(CHUNK_POINTS).flat_map_iter(of_chunk).collect()
     }
 
-    /// φ at all voxels of a box, z fastest. Once the token is cancelled, values are missing.
+    /// φ at all voxels of a box, z fastest.
     ///
     /// # Errors
     /// When the system has not enough memory.
@@ -86,13 +79,13 @@ impl Rows {
         band: &NarrowBand,
         least: IVec3,
         size: [usize; 3],
-        token: &CancelToken,
     ) -> Result<Vec<f32>, TryReserveError> {
         let [width, height, depth] = size;
         let slab_len = height * depth;
         let mut values = Vec::new();
         values.try_reserve_exact(width * slab_len)?;
-        for x in (0..width).take_while(|_| !token.is_cancelled()) {
+        for x in 0..width {
+            checkpoint();
             let start = values.len();
             values.resize(start + slab_len, 0.0);
             values[start..].par_chunks_mut(depth.max(1)).enumerate().for_each(|(y, row)| {

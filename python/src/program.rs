@@ -6,19 +6,17 @@ use std::sync::Arc;
 use meniscus::cli::status_of;
 use meniscus::pipeline::{
     self, Cause, EmbeddedSurface, FrameError, InMemoryObstacle, OutputFormat, OutputOptions, PictureOptions,
-    ScratchFile, default_memory_bytes, in_memory_attributes, obstacle_warnings, requested_parts,
+    default_memory_bytes, in_memory_attributes, obstacle_warnings, requested_parts,
 };
 use meniscus::surface::RequestedParts;
-use meniscus::surface::reconstruction::FrameSurface;
-use meniscus::surface::{Options, Positions, Settings, Storage};
+use meniscus::surface::{Options, Positions, Settings};
 use meniscus_formats::{FilePositions, UpAxis, Values};
-use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyReadonlyArray2};
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use twox_hash::XxHash3_128;
 
-use crate::arrays::{AttributeSlice, word_of_role};
+use crate::arrays::{AttributeSlice, rows_of, word_of_role};
 use crate::compute::{run, run_or_abandon};
 use crate::errors::{FormatError, of_format};
 use crate::options::keyword;
@@ -129,90 +127,70 @@ impl WriteOptions {
     }
 }
 
-/// A surface, and the provenance that its files record.
-pub(crate) struct Embedded<'a> {
-    pub(crate) surface: &'a FrameSurface,
-    pub(crate) settings: &'a Arc<Settings>,
-    pub(crate) obstacles: &'a str,
+/// Writes a surface to a file that it was prepared for. Returns warnings about what the file cannot store
+/// exactly.
+pub(crate) fn write(
+    embedded: EmbeddedSurface<'_>,
+    path: &Path,
+    format: &str,
+    options: &WriteOptions,
+    source: Option<(PathBuf, String)>,
+    prepared: RequestedParts,
+) -> Result<Vec<String>, WriteError> {
+    let format = format_of(format)?;
+    let mut outputs = options.outputs(format)?;
+    let name = format.extension();
+    if !embedded.is_checked(format) {
+        return Err(WriteError::Choice(format!(
+            "the surface was not checked with the positions of a .{name}, which are rounded: \
+             pass formats=[\"{name}\"] to reconstruct"
+        )));
+    }
+    if format.is_picture() {
+        // The provenance of a picture has the camera in numbers, so the camera is computed first.
+        outputs = with_camera(embedded, outputs);
+    }
+    let hash = |(path, hash): (PathBuf, String)| match u128::from_str_radix(&hash, 16) {
+        Ok(hash) => Ok((path, hash)),
+        Err(_) => Err(WriteError::Choice(format!("`{hash}` is not a hash"))),
+    };
+    let source = source.map(hash).transpose()?;
+    let outputs = Arc::new(outputs);
+    embedded.write(path, format, &outputs, source)?;
+    let has_voxels = !format.is_mesh() && format.has_attributes();
+    let has_attributes = !embedded.surface.attributes.vertices.is_empty();
+    if has_voxels && has_attributes && prepared.band_half_width_voxels.is_none() {
+        return Ok(vec![format!("the .{name} has no attributes: pass formats=[\"{name}\"] to reconstruct")]);
+    }
+    Ok(embedded.output_warnings(&outputs))
 }
 
-impl Embedded<'_> {
-    fn inner(&self) -> EmbeddedSurface<'_> {
-        EmbeddedSurface { surface: self.surface, settings: self.settings, obstacles: self.obstacles }
-    }
+/// The bytes of a picture of a surface.
+pub(crate) fn picture(
+    embedded: EmbeddedSurface<'_>,
+    format: &str,
+    options: &WriteOptions,
+) -> Result<Vec<u8>, WriteError> {
+    let format = format_of(format)?;
+    let outputs = with_camera(embedded, options.outputs(format)?);
+    Ok(embedded.picture(format, &outputs, &[])?)
+}
 
-    pub(crate) fn write(
-        &self,
-        path: &Path,
-        format: &str,
-        options: &WriteOptions,
-        source: Option<(PathBuf, String)>,
-        prepared: &Prepared,
-    ) -> Result<Vec<String>, WriteError> {
-        let format = format_of(format)?;
-        let mut outputs = options.outputs(format)?;
-        let name = format.extension();
-        if !self.inner().is_checked(format) {
-            return Err(WriteError::Choice(format!(
-                "the surface was not checked with the positions of a .{name}, which are rounded: \
-                 pass formats=[\"{name}\"] to reconstruct"
-            )));
-        }
-        if format.is_picture() {
-            // The provenance of a picture has the camera in numbers, so the camera is computed first.
-            outputs = self.with_camera(outputs);
-        }
-        let hash = |(path, hash): (PathBuf, String)| match u128::from_str_radix(&hash, 16) {
-            Ok(hash) => Ok((path, hash)),
-            Err(_) => Err(WriteError::Choice(format!("`{hash}` is not a hash"))),
-        };
-        let source = source.map(hash).transpose()?;
-        let outputs = Arc::new(outputs);
-        self.inner().write(path, format, &outputs, source)?;
-        let has_voxels = !format.is_mesh() && format.has_attributes();
-        let has_attributes = !self.surface.attributes.vertices.is_empty();
-        if has_voxels && has_attributes && prepared.0.band_half_width_voxels.is_none() {
-            return Ok(vec![format!(
-                "the .{name} has no attributes: pass formats=[\"{name}\"] to reconstruct"
-            )]);
-        }
-        Ok(self.inner().output_warnings(&outputs))
-    }
-
-    pub(crate) fn picture(&self, format: &str, options: &WriteOptions) -> Result<Vec<u8>, WriteError> {
-        let format = format_of(format)?;
-        let outputs = self.with_camera(options.outputs(format)?);
-        Ok(self.inner().picture(format, &outputs, &[])?)
-    }
-
-    fn with_camera(&self, outputs: OutputOptions) -> OutputOptions {
-        match self.inner().bounds() {
-            Some(bounds) if outputs.needs_camera() => outputs.with_camera_around(bounds),
-            _ => outputs,
-        }
-    }
-
-    pub(crate) fn report_json(&self) -> String {
-        self.inner().report_json()
-    }
-
-    pub(crate) fn warnings(&self) -> Vec<String> {
-        self.inner().warnings()
+fn with_camera(embedded: EmbeddedSurface<'_>, outputs: OutputOptions) -> OutputOptions {
+    match embedded.bounds() {
+        Some(bounds) if outputs.needs_camera() => outputs.with_camera_around(bounds),
+        _ => outputs,
     }
 }
 
-/// The files that a surface is prepared for.
-pub(crate) struct Prepared(pub(crate) RequestedParts);
-
-impl Prepared {
-    /// # Errors
-    /// `ValueError` for an unknown extension.
-    pub(crate) fn new(formats: &[String]) -> PyResult<Prepared> {
-        let formats: Result<Vec<OutputFormat>, WriteError> =
-            formats.iter().map(|format| format_of(format)).collect();
-        let formats = formats.map_err(|error| error.raised(Path::new("")))?;
-        Ok(Prepared(requested_parts(&formats)))
-    }
+/// What a surface must have for files with these extensions.
+///
+/// # Errors
+/// `ValueError` for an unknown extension.
+pub(crate) fn prepared_for(formats: &[String]) -> PyResult<RequestedParts> {
+    let formats: Result<Vec<OutputFormat>, WriteError> =
+        formats.iter().map(|format| format_of(format)).collect();
+    Ok(requested_parts(&formats.map_err(|error| error.raised(Path::new("")))?))
 }
 
 /// Those attributes that the options need, and warnings about missing ones.
@@ -226,14 +204,6 @@ pub(crate) fn needed_attributes(
     let headers = attributes.iter().map(AttributeSlice::header).collect();
     let load = |index: usize| attributes.get(index).map(AttributeSlice::to_attribute);
     in_memory_attributes(headers, load, options, keyword)
-}
-
-/// Creates a scratch file in this folder.
-///
-/// # Errors
-/// When the system reports an error.
-pub(crate) fn scratch_file(folder: &Path) -> std::io::Result<Box<dyn Storage>> {
-    ScratchFile::storage(folder)
 }
 
 /// An obstacle, with a cache of its distances.
@@ -343,22 +313,9 @@ pub(crate) fn read(py: Python<'_>, path: PathBuf) -> PyResult<ReadFrame<'_>> {
         Ok((XxHash3_128::oneshot(&bytes), frame))
     })?;
     let (hash, frame) = read.map_err(|failure: FrameError| of_frame(&path, failure))?;
-    let rows = |error: numpy::ndarray::ShapeError| PyRuntimeError::new_err(error.to_string());
     let positions = match frame.positions {
-        FilePositions::F32(positions) => {
-            let shape = (positions.len(), 3);
-            Array2::from_shape_vec(shape, positions.into_flattened())
-                .map_err(rows)?
-                .into_pyarray(py)
-                .into_any()
-        }
-        FilePositions::F64(positions) => {
-            let shape = (positions.len(), 3);
-            Array2::from_shape_vec(shape, positions.into_flattened())
-                .map_err(rows)?
-                .into_pyarray(py)
-                .into_any()
-        }
+        FilePositions::F32(positions) => rows_of(py, positions)?.into_any(),
+        FilePositions::F64(positions) => rows_of(py, positions)?.into_any(),
     };
     let attributes = frame.attributes.into_iter().map(|attribute| {
         let role = attribute.role.and_then(word_of_role);

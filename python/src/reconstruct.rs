@@ -3,14 +3,15 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use meniscus::pipeline::ScratchFile;
 use meniscus::surface::{Reconstructor, Settings};
 use pyo3::prelude::*;
 
 use crate::arrays::{Attributes, Given, Positions};
-use crate::compute::run_with_progress;
+use crate::compute::{run, run_with_progress};
 use crate::errors::{ParticleError, of_method};
 use crate::options::{Pairs, effective_pairs, parse, selection};
-use crate::program::{Obstacle, Prepared, needed_attributes, scratch_file};
+use crate::program::{Obstacle, needed_attributes, prepared_for};
 use crate::surface::Surface;
 
 /// The surface of a frame. `pairs` are the names and values of options. The surface gets all attributes, or
@@ -37,24 +38,23 @@ pub(crate) fn reconstruct(
     let (positions, attributes) = (Positions::new(points)?, Attributes::new(attributes)?);
     let (positions, attributes) = (positions.as_slice()?, attributes.as_slices()?);
     check_finite(&positions)?;
-    let prepared = Prepared::new(&formats)?;
+    let prepared = prepared_for(&formats)?;
     let obstacles: Vec<&Obstacle> = obstacles.iter().map(Py::get).collect();
     let folder = scratch.clone().unwrap_or_default();
-    let made = run_with_progress(py, threads, progress.as_ref(), |token, advance| {
+    let made = run_with_progress(py, threads, progress.as_ref(), |advance| {
         let (attributes, mut warnings) =
             needed_attributes(&attributes, &options).map_err(Failure::Particles)?;
         let mut reconstructor = Reconstructor::new(options);
-        reconstructor.memory_limit(memory).cancel_token(token.clone());
-        reconstructor.obstacles(obstacles.iter().map(|obstacle| obstacle.shared()));
+        reconstructor.memory_limit(memory).obstacles(obstacles.iter().map(|obstacle| obstacle.shared()));
         if let Some(folder) = scratch {
-            reconstructor.scratch(move || scratch_file(&folder));
+            reconstructor.scratch(move || ScratchFile::storage(&folder));
         }
         // The receiver exists as long as this closure runs.
         reconstructor.on_progress(move |progress| {
             let _ = advance.send(progress);
         });
         // The positions are borrowed, so the clone copies nothing.
-        let made = reconstructor.reconstruct_parts(positions.clone(), &attributes, prepared.0);
+        let made = reconstructor.reconstruct_parts(positions.clone(), &attributes, prepared);
         let (surface, settings) = made.map_err(Failure::Method)?;
         warnings.extend(Obstacle::warnings(&obstacles, &positions, &settings));
         if surface.report.particle_count == 0 {
@@ -96,13 +96,12 @@ pub(crate) fn resolve(
     let (positions, attributes) = (positions.as_slice()?, attributes.as_slices()?);
     check_finite(&positions)?;
     let is_empty = positions.is_empty();
-    let resolved = run_with_progress(py, None, None, |token, _| {
+    let resolved = run(py, || {
         if is_empty && options.needs_spacing() {
             return Err(Failure::Method(meniscus::surface::Error::NoParticles { input_count: 0 }));
         }
         let (attributes, _) = needed_attributes(&attributes, &options).map_err(Failure::Particles)?;
         let mut reconstructor = Reconstructor::new(options);
-        reconstructor.cancel_token(token.clone());
         let settings = reconstructor.resolve_on(positions, &attributes);
         settings.map(Settings::to_options).map_err(Failure::Method)
     })?;

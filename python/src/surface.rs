@@ -4,18 +4,20 @@ use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
 use meniscus::glam::IVec3;
+use meniscus::pipeline::EmbeddedSurface;
 use meniscus::surface::reconstruction::FrameSurface;
-use meniscus::surface::{AttributeValues, LEAF_EDGE, NarrowBand, Role, Settings};
-use numpy::ndarray::{Array1, Array2, Array3};
+use meniscus::surface::{AttributeValues, LEAF_EDGE, NarrowBand, RequestedParts, Role, Settings};
+use numpy::ndarray::{Array1, Array3};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyIndexError, PyMemoryError, PyValueError};
 use pyo3::prelude::*;
 
+use crate::arrays::rows_of;
 use crate::audited::views::{make_read_only, view};
-use crate::compute::{run, run_with_progress};
+use crate::compute::run;
 use crate::level_set::Rows;
 use crate::options::effective_pairs;
-use crate::program::{self, Prepared, WriteOptions};
+use crate::program::{self, WriteOptions};
 
 /// A surface. It never changes, because arrays borrow its memory.
 #[pyclass(frozen, module = "pymeniscus._native")]
@@ -23,7 +25,7 @@ pub(crate) struct Surface {
     surface: FrameSurface,
     settings: Arc<Settings>,
     obstacles: String,
-    prepared: Prepared,
+    prepared: RequestedParts,
     warnings: Vec<String>,
     rows: OnceLock<Rows>,
 }
@@ -39,7 +41,7 @@ impl Surface {
         surface: FrameSurface,
         settings: Arc<Settings>,
         obstacles: String,
-        prepared: Prepared,
+        prepared: RequestedParts,
         warnings: Vec<String>,
     ) -> Surface {
         let rows = OnceLock::new();
@@ -54,8 +56,8 @@ impl Surface {
         self.rows.get_or_init(|| Rows::new(self.band()))
     }
 
-    fn embedded(&self) -> program::Embedded<'_> {
-        program::Embedded { surface: &self.surface, settings: &self.settings, obstacles: &self.obstacles }
+    fn embedded(&self) -> EmbeddedSurface<'_> {
+        EmbeddedSurface { surface: &self.surface, settings: &self.settings, obstacles: &self.obstacles }
     }
 }
 
@@ -106,7 +108,10 @@ impl Surface {
             }
             (quads, loose)
         })?;
-        Ok((rows_of(py, quads)?, rows_of(py, loose)?))
+        let (quads, loose) = (rows_of(py, quads)?, rows_of(py, loose)?);
+        make_read_only(&quads)?;
+        make_read_only(&loose)?;
+        Ok((quads, loose))
     }
 
     /// Every attribute of the vertices.
@@ -196,9 +201,7 @@ impl Surface {
         if !is_within || bytes.is_none_or(|bytes| bytes > isize::MAX as usize) {
             return Err(PyValueError::new_err("the box is too large"));
         }
-        let values = run_with_progress(py, None, None, |token, _| {
-            self.rows().dense(self.band(), IVec3::from(least), size, token)
-        })?;
+        let values = run(py, || self.rows().dense(self.band(), IVec3::from(least), size))?;
         let values = values.map_err(|_| {
             let bytes = bytes.unwrap_or(usize::MAX);
             PyMemoryError::new_err(format!("the values in the box need {bytes} bytes of memory"))
@@ -219,9 +222,7 @@ impl Surface {
         }
         let points = bytemuck::cast_slice::<f64, [f64; 3]>(points.as_slice()?);
         let voxel_size = self.settings.voxel_size;
-        let values = run_with_progress(py, None, None, |token, _| {
-            self.rows().sample(self.band(), points, voxel_size, token)
-        })?;
+        let values = run(py, || self.rows().sample(self.band(), points, voxel_size))?;
         Ok(Array1::from(values).into_pyarray(py))
     }
 
@@ -255,22 +256,14 @@ impl Surface {
         options: WriteOptions,
         source: Option<(PathBuf, String)>,
     ) -> PyResult<Vec<String>> {
-        let written = run(py, || self.embedded().write(&path, format, &options, source, &self.prepared))?;
+        let write = || program::write(self.embedded(), &path, format, &options, source, self.prepared);
+        let written = run(py, write)?;
         written.map_err(|error| error.raised(&path))
     }
 
     /// The bytes of a picture.
     fn picture(&self, py: Python<'_>, format: &str, options: WriteOptions) -> PyResult<Vec<u8>> {
-        let made = run(py, || self.embedded().picture(format, &options))?;
+        let made = run(py, || program::picture(self.embedded(), format, &options))?;
         made.map_err(|error| error.raised(std::path::Path::new("picture")))
     }
-}
-
-/// A read-only array with these rows.
-fn rows_of<const N: usize>(py: Python<'_>, rows: Vec<[u32; N]>) -> PyResult<Bound<'_, PyArray2<u32>>> {
-    let shape = (rows.len(), N);
-    let array = Array2::from_shape_vec(shape, rows.into_flattened());
-    let array = array.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py);
-    make_read_only(&array)?;
-    Ok(array)
 }

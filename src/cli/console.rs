@@ -290,7 +290,7 @@ impl ProgressDisplay {
         let Some(index) = state.active.iter().position(|one| one.input == frame.input) else { return };
         let ended = state.active.remove(index);
         if let Some(report) = report.filter(|_| ended.work_gib > 0.0) {
-            let measured = report.reconstruction.seconds.total() / ended.work_gib;
+            let measured = report.seconds.computing() / ended.work_gib;
             state.measured_s_per_gib =
                 Some(state.measured_s_per_gib.map_or(measured, |most| most.max(measured)));
         }
@@ -479,7 +479,7 @@ mod tests {
         progress.began(&frame, Stage::Read);
         progress.planned(&frame, &plan(1), 0);
         let mut report = FrameReport::default();
-        report.reconstruction.seconds.smooth = 7.0;
+        report.seconds.smooth = 7.0;
         progress.finished(&frame, Some(&report));
         assert_eq!(estimate(&progress), 14.0);
     }

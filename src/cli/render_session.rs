@@ -184,7 +184,7 @@ impl<'a> RenderSession<'a> {
                 let file = file.path.display();
                 format!("{file}: particles and surfaces must be rendered by separate commands")
             })?;
-            let frame = LoadedFrame::read((&file.path, file.number()), settings)?;
+            let frame = LoadedFrame::read(&file.path, file.number(), settings)?;
             let made = self.reconstruct(&frame, settings)?;
             RenderSource::Reconstructed(Box::new(RenderedFrame { frame, made, settings: settings.clone() }))
         };

@@ -9,9 +9,9 @@ use anyhow::Result;
 use rayon::ThreadPool;
 
 use crate::pipeline::{
-    self, Frame, FrameFile, FrameReport, Job, LevelSetMethod, OnError, Outcome, OutputFormat, OutputOptions,
-    PipelineOptions, ReportedWarnings, RunRecord, Scope, SequenceRecord, SequenceSource, StageReport,
-    StageSequence, next_stage_update, output_path, shown, stage_frame_count, write_stage,
+    self, Frame, FrameFile, FrameReport, Job, OnError, Outcome, OutputFormat, OutputOptions, PipelineOptions,
+    ReportedWarnings, RunRecord, Scope, SequenceRecord, SequenceSource, StageReport, StageSequence,
+    next_stage_update, output_path, shown, stage_frame_count, write_stage,
 };
 
 use super::CommandOutcome;
@@ -133,7 +133,7 @@ impl<'a> Batch<'a> {
             observer: Some(&progress),
             ..PipelineOptions::new(&pool)
         };
-        pipeline::run(&LevelSetMethod, &frames, &options, |index, outcome| {
+        pipeline::run(&frames, &options, |index, outcome| {
             // The record and the console follow the order of the inputs.
             let report = if let Outcome::Converted(report) = &outcome { Some(&**report) } else { None };
             progress.finished(&frames[index], report);

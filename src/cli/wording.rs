@@ -26,8 +26,7 @@ pub(super) fn option_names(names: &[&str]) -> String {
 pub(super) fn described(job: &Job, report: &FrameReport) -> String {
     let reconstruction = &report.reconstruction;
     let particles = pluralize(reconstruction.particle_count, "particle");
-    let seconds =
-        report.seconds.total() + reconstruction.transfer.as_ref().map_or(0.0, |transfer| transfer.seconds);
+    let seconds = report.seconds.total();
     let mesh = format!(
         "{}, {}",
         pluralize(reconstruction.mesh.vertex_count, "vertex"),

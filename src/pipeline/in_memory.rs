@@ -21,21 +21,20 @@ use crate::surface::{RequestedParts, checkpoint};
 use super::error::ObstacleError;
 use super::files::atomic_write::write_atomically;
 use super::input::attributes::AttributeRequest;
-use super::input::bounds::EMPTY_BOUNDS;
 use super::input::frame::{Frame, FrameReport, Job};
 use super::input::obstacle_file::findings_of;
 use super::input::obstacles::{ObstacleFiles, ObstacleStamps};
 use super::input::out_of_reach::out_of_reach;
 use super::input::source::FrameFile;
 use super::output::writing::{
-    VDB_HALF_WIDTH_VOXELS, encode_level_set, mesh_view, output_warnings, surface_warnings, vertex_attributes,
+    attribute_half_width_voxels, encode_levels, encode_picture_of, mesh_view, output_warnings,
+    surface_warnings, vertex_attributes,
 };
 use super::records::frame_warnings::{coarse_positions, left_out};
 use super::records::provenance::provenance;
 use super::records::record::measured_json;
 use super::target::outputs::OutputOptions;
-use super::target::picture::{PictureScene, encode_picture, up_of, velocities};
-use super::target::viewpoint::Viewpoint;
+use super::target::picture::PictureScene;
 use super::warning::Warning;
 
 /// A surface in memory, with the settings and obstacles that its files record.
@@ -81,9 +80,7 @@ impl EmbeddedSurface<'_> {
                         out,
                     )
                 }
-                Content::LevelSet => {
-                    encode_level_set(surface, settings, &outputs.vdb(), &provenance)?.write(out)
-                }
+                Content::LevelSet => encode_levels(surface, settings, outputs, &provenance)?.write(out),
                 Content::Picture(_) => Ok(out.write_all(&self.picture(format, outputs, &provenance)?)?),
             }
         })
@@ -104,16 +101,7 @@ impl EmbeddedSurface<'_> {
         outputs: &OutputOptions,
         provenance: &[(String, String)],
     ) -> meniscus_formats::Result<Vec<u8>> {
-        let has_data = format.has_attributes();
-        let velocity = if has_data { velocities(self.surface) } else { None };
-        let lattice = Lattice { voxel_size: self.settings.voxel_size };
-        let origin = DVec3::ZERO;
-        let scene = PictureScene { band: &self.surface.band, lattice, origin, velocity: velocity.as_ref() };
-        let options = outputs.picture;
-        let bounds = scene.bounds().unwrap_or(EMPTY_BOUNDS);
-        let viewpoint: Viewpoint = options.camera.viewpoint(bounds, options.aspect(), up_of(outputs.up));
-        let picture = scene.picture(&viewpoint, options.size, has_data);
-        encode_picture(&picture, Some(&viewpoint), format, provenance)
+        encode_picture_of(self.surface, self.settings, outputs, DVec3::ZERO, format, provenance)
     }
 
     /// The lower and upper corner of a box around the surface, world units; `None` if the surface is empty.
@@ -173,10 +161,9 @@ impl<W: Write> Write for Interruptible<'_, W> {
 
 /// The parts that a reconstruction has to prepare for files in these formats.
 pub fn requested_parts(formats: &[OutputFormat]) -> RequestedParts {
-    let has_voxels = |format: &OutputFormat| !format.is_mesh() && format.has_attributes();
     RequestedParts {
         rounding: OutputOptions::new("", formats).position_rounding(),
-        band_half_width_voxels: formats.iter().any(has_voxels).then_some(VDB_HALF_WIDTH_VOXELS),
+        band_half_width_voxels: attribute_half_width_voxels(formats),
         allows_empty: true,
     }
 }

@@ -26,7 +26,7 @@
 //! ```
 //! use std::sync::Arc;
 //! use meniscus::pipeline::{
-//!     PipelineOptions, Frame, FrameFile, LevelSetMethod, Outcome, OutputFormat, OutputOptions, measure_spacing, run,
+//!     PipelineOptions, Frame, FrameFile, Outcome, OutputFormat, OutputOptions, measure_spacing, run,
 //! };
 //! use meniscus::surface::options::{MethodOptions, Settings, SpacingOptions};
 //!
@@ -40,7 +40,7 @@
 //! let outputs = Arc::new(OutputOptions::new(&out, &[OutputFormat::Glb, OutputFormat::Vdb]));
 //! let frames = [Frame::new(&FrameFile::new(path), &settings, &outputs)];
 //! let pool = rayon::ThreadPoolBuilder::new().build()?;
-//! run(&LevelSetMethod, &frames, &PipelineOptions::new(&pool), |_, outcome| match outcome {
+//! run(&frames, &PipelineOptions::new(&pool), |_, outcome| match outcome {
 //!     Outcome::Converted(report) => assert_eq!(report.outputs, [out.join("block.glb"), out.join("block.vdb")]),
 //!     other => panic!("{other:?}"),
 //! });
@@ -56,7 +56,6 @@ mod memory;
 mod method;
 mod observer;
 mod output;
-mod phase_timer;
 mod reconstruct;
 mod records;
 mod scheduler;
@@ -91,7 +90,6 @@ pub use input::bounds::{EMPTY_BOUNDS, bounds_of_particles, sequence_bounds};
 pub use input::conflicts::{Conflict, check_outputs};
 pub use input::filter::keep_chosen;
 pub use input::frame::{Frame, FrameReport, Job, Outcome, ReadInput, Seconds};
-pub use input::frame_input::FrameInput;
 pub use input::level_set_file::{LevelSetFile, is_level_set};
 pub(crate) use input::measured_spacing::{Attempt, measure_sequence};
 pub use input::measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing};
@@ -111,10 +109,9 @@ pub use input::steps::{
     may_hold_several, size_bytes, step_of,
 };
 pub use memory::{default_memory_bytes, resident_memory_bytes};
-pub use method::{LevelSetMethod, Method, ScratchFile};
+pub use method::ScratchFile;
 pub use observer::Observer;
 pub use output::writing::{encode_level_set, mesh_view, vertex_attributes};
-pub use phase_timer::PhaseTimer;
 pub use reconstruct::{LoadedFrame, Reconstruction};
 pub use records::content::{SniffedContent, check_existing, content};
 pub use records::figures::Figures;

@@ -1,6 +1,7 @@
 //! Reconstructs a single frame in memory, without output files.
 
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use twox_hash::XxHash3_128;
 
@@ -13,7 +14,7 @@ use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame_input::FrameInput;
 use crate::pipeline::input::obstacles::ObstacleFiles;
 use crate::pipeline::input::reading::{ReadFrame, parse_particles, read_file};
-use crate::pipeline::method::{LevelSetMethod, Method};
+use crate::pipeline::method;
 use crate::pipeline::output::writing::surface_warnings;
 use crate::pipeline::records::frame_warnings::left_out;
 use crate::pipeline::target::outputs::OutputOptions;
@@ -34,6 +35,8 @@ pub struct LoadedFrame {
 pub struct Reconstruction {
     /// Its surface.
     pub surface: FrameSurface,
+    /// The seconds that computing it took.
+    pub seconds: f64,
     /// The names and hashes of its obstacle files; empty without obstacles.
     pub obstacles: String,
     /// Warnings about the reconstruction.
@@ -46,10 +49,7 @@ impl LoadedFrame {
     ///
     /// # Errors
     /// When the system reports an error, or the file has no readable particles.
-    pub fn read(
-        (path, number): (&Path, Option<i64>),
-        settings: &Settings,
-    ) -> Result<LoadedFrame, FrameError> {
+    pub fn read(path: &Path, number: Option<i64>, settings: &Settings) -> Result<LoadedFrame, FrameError> {
         stage(path, Stage::Read, || {
             let bytes = read_file(path).map_err(|error| error.cause)?;
             let hash = XxHash3_128::oneshot(&bytes);
@@ -98,16 +98,18 @@ impl LoadedFrame {
         warnings.append(&mut loaded.warnings);
         let obstacles = loaded.recorded.clone();
         let given = FrameInput::InMemory(self.cloud.clone());
-        let method = LevelSetMethod;
         let plan =
-            stage(path, Stage::Read, || method.plan(&given, &loaded, settings, outputs, memory_bytes))?;
-        let rasterize = || method.rasterize(given, loaded, settings, &plan, &outputs.folder);
-        let rasterized = stage(path, Stage::Rasterize, rasterize)?;
-        let smoothed = stage(path, Stage::Smooth, || method.smooth(rasterized, settings, &mut |_| {}))?;
-        let surface = stage(path, Stage::Contour, || method.contour(smoothed, settings, outputs))?;
+            stage(path, Stage::Read, || method::plan(&given, &loaded, settings, outputs, memory_bytes))?;
+        let start = Instant::now();
+        let rasterize = || method::rasterize(given, loaded, settings, &plan, &outputs.folder);
+        let frame = stage(path, Stage::Rasterize, rasterize)?;
+        let smooth = || frame.smooth(settings, &mut |_| {}).map_err(Cause::Scratch);
+        let frame = stage(path, Stage::Smooth, smooth)?;
+        let surface = stage(path, Stage::Contour, || method::contour(frame, settings, outputs))?;
+        let seconds = start.elapsed().as_secs_f64();
         warnings.extend(surface_warnings(&surface, outputs, settings));
         warnings.extend(left_out(&surface.report));
-        Ok(Reconstruction { surface, obstacles, warnings })
+        Ok(Reconstruction { surface, seconds, obstacles, warnings })
     }
 }
 

@@ -1,24 +1,32 @@
-//! Cancellation of a reconstruction from another thread or a callback.
+//! Cancels a reconstruction from another thread or a callback, by unwinding.
+//!
+//! ```text
+//!   token.cancel() ──▶ flag ──▶ checkpoint on a thread of the token ──unwinds──▶ catch ──▶ Error::Cancelled
+//!                               between two phases, and between two steps of smoothing: on any thread
+//! ```
+//!
+//! [`checkpoint`] runs before every kernel and in the other long loops. On a thread that
+//! [belongs to a token](CancelToken::interrupt_this_thread), it unwinds once the token is cancelled; rayon
+//! unwinds the other threads of the computation, and [`catch`] ends the unwinding.
+//!
+//! Alternatively, every loop of every stage could return a `Result`. Unwinding keeps the stages free of
+//! results, and costs one load per kernel. rust-analyzer cancels its queries in the same way.
 
-use std::io;
-use std::ops::ControlFlow;
+use std::cell::RefCell;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-use glam::DVec3;
+use std::thread;
 
 use crate::error::Error;
-use crate::interrupt;
-use crate::particles::{ParticleSource, Positions, Shapes};
-use crate::reconstruction::Storage;
 
 /// Cancels the work of a [`Reconstructor`](crate::Reconstructor) from another thread, a signal
 /// handler or the progress callback. Clones of a token cancel the same work. A cancelled token stays
 /// cancelled: create a new one for the next frame.
 ///
-/// The reconstruction checks the token between batches of particles while it rasterizes, between steps while
-/// it smooths, and between making and checking the mesh while it contours. The parts between these checks are
-/// not interrupted, unless the threads that compute [belong to the token](Self::interrupt_this_thread).
+/// The reconstruction checks the token as each phase begins, and between steps while it smooths. The parts
+/// between these checks are not interrupted, unless the threads that compute
+/// [belong to the token](Self::interrupt_this_thread).
 #[derive(Clone, Debug, Default)]
 pub struct CancelToken(Arc<AtomicBool>);
 
@@ -63,78 +71,96 @@ impl CancelToken {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     pub fn interrupt_this_thread(&self) {
-        interrupt::watch_on_this_thread(Arc::clone(&self.0));
+        TOKEN.with(|token| token.replace(Some(self.clone())));
     }
 
-    /// [`Error::Cancelled`] if the token is cancelled.
-    pub(super) fn check(&self) -> Result<(), Error> {
-        if self.is_cancelled() { Err(Error::Cancelled) } else { Ok(()) }
-    }
-
-    /// Like [`check`](Self::check), for callbacks that return a [`ControlFlow`].
-    pub(super) fn flow(&self) -> ControlFlow<Error> {
-        self.check().map_or_else(ControlFlow::Break, ControlFlow::Continue)
+    /// Unwinds if the token is cancelled.
+    pub(crate) fn checkpoint(&self) {
+        // A second unwinding would abort the process. Unlike a panic, `resume_unwind` calls no panic hook.
+        if self.is_cancelled() && !thread::panicking() {
+            resume_unwind(Box::new(Interrupted));
+        }
     }
 }
 
-/// A particle source that returns [`Error::Cancelled`] instead of a batch once the token is cancelled.
-#[derive(Clone, Debug)]
-pub(super) struct CancellableParticles<'a> {
-    pub(super) positions: Positions<'a>,
-    pub(super) shapes: Shapes,
-    pub(super) token: CancelToken,
+thread_local! {
+    /// The token that interrupts this thread; `None` on most threads.
+    static TOKEN: RefCell<Option<CancelToken>> = const { RefCell::new(None) };
 }
 
-impl ParticleSource for CancellableParticles<'_> {
-    type Error = Error;
+/// The payload of the unwinding.
+struct Interrupted;
 
-    fn batch_count(&self) -> usize {
-        self.positions.batch_count()
-    }
-
-    fn batch(&self, batch: usize) -> Result<Positions<'_>, Error> {
-        self.token.check()?;
-        let Ok(positions) = self.positions.batch(batch);
-        Ok(positions)
-    }
-
-    fn batch_len(&self, batch: usize) -> usize {
-        self.positions.batch_len(batch)
-    }
-
-    fn has_shapes(&self) -> bool {
-        !self.shapes.is_uniform()
-    }
-
-    fn batch_shapes(&self, batch: usize) -> Shapes {
-        self.shapes.slice(self.positions.range_of(batch))
-    }
-
-    fn moved_pairs(&self, _batch: usize) -> Result<Vec<[DVec3; 2]>, Error> {
-        Ok(Vec::new())
+/// Unwinds if this thread belongs to a token that is cancelled.
+#[inline]
+pub fn checkpoint() {
+    // A thread that ends may have dropped its token.
+    let is_cancelled =
+        |token: &RefCell<Option<CancelToken>>| token.borrow().as_ref().is_some_and(CancelToken::is_cancelled);
+    if TOKEN.try_with(is_cancelled).unwrap_or(false) {
+        interrupt();
     }
 }
 
-/// Storage that fails once the token is cancelled.
-pub(super) struct CancellableStorage {
-    pub(super) storage: Box<dyn Storage>,
-    pub(super) token: CancelToken,
+#[cold]
+fn interrupt() {
+    TOKEN.with_borrow(|token| token.as_ref().map(CancelToken::checkpoint));
 }
 
-impl CancellableStorage {
-    fn check(&self) -> io::Result<()> {
-        self.token.check().map_err(io::Error::other)
-    }
+/// Runs a computation that a token may interrupt: the result is then [`Error::Cancelled`]. Panics are passed
+/// on.
+///
+/// Unwind safety: the data that `work` writes to is dropped by the unwinding, or stays valid if a computation
+/// ends at any kernel.
+pub(crate) fn catch<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
+        if payload.is::<Interrupted>() { Err(Error::Cancelled) } else { resume_unwind(payload) }
+    })
 }
 
-impl Storage for CancellableStorage {
-    fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {
-        self.check()?;
-        self.storage.read(offset, bytes)
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Runs a job on a thread that belongs to a token.
+    fn with_token<T: Send>(is_cancelled: bool, job: impl FnOnce() -> T + Send) -> T {
+        let token = CancelToken(Arc::new(AtomicBool::new(is_cancelled)));
+        thread::scope(|scope| {
+            let run = || {
+                token.interrupt_this_thread();
+                job()
+            };
+            scope.spawn(run).join().expect("no panic")
+        })
     }
 
-    fn write(&self, offset: u64, bytes: &[u8]) -> io::Result<()> {
-        self.check()?;
-        self.storage.write(offset, bytes)
+    #[test]
+    fn checkpoint_unwinds_only_if_the_token_of_the_thread_is_cancelled() {
+        let count = || Ok((0..10).inspect(|_| checkpoint()).count());
+        assert!(matches!(catch(count), Ok(10)));
+        assert!(matches!(with_token(false, || catch(count)), Ok(10)));
+        assert!(matches!(with_token(true, || catch(count)), Err(Error::Cancelled)));
+    }
+
+    #[test]
+    fn panic_is_passed_on() {
+        let payload = catch_unwind(|| catch::<()>(|| resume_unwind(Box::new(5)))).expect_err("a panic");
+        assert_eq!(payload.downcast_ref(), Some(&5));
+    }
+
+    #[test]
+    fn checkpoint_in_a_destructor_does_not_abort_an_unwinding() {
+        struct Checks;
+        impl Drop for Checks {
+            fn drop(&mut self) {
+                checkpoint();
+            }
+        }
+        let work = || {
+            let _checks = Checks;
+            checkpoint();
+            Ok(())
+        };
+        assert!(matches!(with_token(true, || catch(work)), Err(Error::Cancelled)));
     }
 }

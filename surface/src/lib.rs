@@ -45,9 +45,9 @@ mod error;
 mod reconstruct;
 
 pub use cancel::CancelToken;
-pub use error::Error;
 #[doc(hidden)]
-pub use interrupt::checkpoint;
+pub use cancel::checkpoint;
+pub use error::Error;
 #[doc(hidden)]
 pub use reconstruct::RequestedParts;
 pub use reconstruct::{MEMORY_LIMIT, Progress, Reconstructor, Surface, reconstruct};
@@ -66,13 +66,12 @@ pub use self::{
     },
     particles::{Attribute, AttributeValues, ParticleFilter, Positions, Role},
     reconstruction::Storage,
-    report::{EditReport, Phase, ReconstructionReport as Report, ShapeStats, StageSeconds, TransferReport},
-    smooth::{Convergence, Integrator},
+    report::{EditReport, Phase, ReconstructionReport as Report, ShapeStats, TransferReport},
+    smooth::{Convergence, Integrator, SmoothReport},
     spacing::{SequenceEstimate, SpacingEstimate, combine_estimates, estimate_spacing},
     validation::{Certificate, ParticlesOutside},
 };
 
-mod interrupt;
 mod parallel;
 
 // The modules below are public for the tests, benchmarks and experiments of this repository, and for the

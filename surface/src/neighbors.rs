@@ -23,7 +23,7 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
-use crate::interrupt::checkpoint;
+use crate::cancel::checkpoint;
 use crate::parallel::Loops as _;
 use crate::particles::OwnedPositions;
 use crate::space::{INDEX_LIMIT, Lattice};

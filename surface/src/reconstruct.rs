@@ -1,27 +1,25 @@
 //! Reconstructs surfaces from particles in memory: the entry points for other programs.
 
+use std::convert::Infallible;
 use std::io;
-use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::cancel::{CancelToken, CancellableParticles, CancellableStorage};
+use crate::cancel::{CancelToken, catch};
 use crate::error::Error;
-use crate::interrupt;
 use crate::level_set::NarrowBand;
 use crate::mesh::{Mesh, PositionRounding};
 use crate::obstacle::{Obstacle, Obstacles};
 use crate::options::{Anisotropy, Length, SequenceSpacing, Settings};
 use crate::parallel::Loops as _;
-use crate::particles::{Attribute, OwnedPositions, Positions, Shapes, find_attribute};
-use crate::reconstruction::tiled::{self, TiledError};
+use crate::particles::{Attribute, OwnedPositions, ParticleSource, Positions, Shapes, find_attribute};
 use crate::reconstruction::{
-    self, FIELD_STORE_FILES, MemoryPlan, MemoryPlanError, PlanInputs, PrecisionLimit, ShapedSource, Storage,
-    Targets, VoxelTooSmall,
+    self, MemoryPlan, MemoryPlanError, PlanInputs, PrecisionLimit, StageError, StagedFrame, Storage, Targets,
+    TileStorage, VoxelTooSmall,
 };
-use crate::report::{Phase, ShapeStats};
+use crate::report::Phase;
 use crate::spacing::{estimate_spacing, median, rounded};
 use crate::{Options, Report};
 
@@ -259,8 +257,7 @@ impl<'a> Reconstructor<'a> {
     ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
         let positions = positions.into();
         // An interruption leaves the settings unchanged or `None`; all other state belongs to the frame.
-        interrupt::catch(|| self.reconstruct_frame(positions, attributes, wanted))
-            .unwrap_or(Err(Error::Cancelled))
+        catch(|| self.reconstruct_frame(positions, attributes, wanted))
     }
 
     fn reconstruct_frame(
@@ -269,9 +266,9 @@ impl<'a> Reconstructor<'a> {
         attributes: &[Attribute],
         RequestedParts { rounding, band_half_width_voxels, allows_empty }: RequestedParts,
     ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
-        self.begin(Phase::Prepare)?;
+        self.begin(Phase::Prepare);
         let chosen = chosen(&self.options, &positions, attributes)?;
-        let input_count = positions.len();
+        let given_count = positions.len();
         let (positions, attributes) = match &chosen {
             Some((positions, attributes)) => (Positions::from(positions), &attributes[..]),
             None => (positions, attributes),
@@ -279,36 +276,37 @@ impl<'a> Reconstructor<'a> {
         // Nothing can be measured on an empty frame.
         let is_resolved = self.settings.is_some() || !self.options.needs_spacing();
         if positions.is_empty() && !(allows_empty && is_resolved) {
-            return Err(no_particles(&self.options, input_count));
+            return Err(no_particles(&self.options, given_count));
         }
         check_lengths(&positions, attributes)?;
-        let settings = self.settings_on(&positions, attributes)?.clone();
-        check_required_attributes(&settings, attributes)?;
-        let token = self.token.clone();
-        let given = CancellableParticles { positions, shapes: Shapes::Uniform, token };
-        let plan = self.plan(&given, attributes, &settings)?;
-        self.begin(Phase::Rasterize)?;
-        let (shapes, shape_stats) =
-            reconstruction::shapes_by_attributes(given.positions.len(), attributes, &settings);
-        let given = CancellableParticles { shapes, ..given };
-        let (shaped, shape_stats) = reconstruction::shape_by_neighbors(given, shape_stats, &settings)?;
-        let work = ShapedFrame { settings: &settings, shaped, shape_stats, allows_empty };
-        let (mut surface, shaped) = match plan.tile_leaves {
-            None => self.reconstruct_in_memory(work, rounding)?,
-            Some(tile_leaves) => self.reconstruct_tiled(work, tile_leaves, rounding)?,
-        };
-        if settings.attributes.is_some() {
-            self.begin(Phase::Interpolate)?;
-            let (positions, shapes) = shaped.into_positions(|given| (given.positions, given.shapes));
-            let targets = Targets { vertices: true, band_half_width_voxels };
-            reconstruction::transfer_attributes_from(
-                (positions, &shapes, attributes),
-                &mut surface,
-                &settings,
-                targets,
-            );
+        let settings = &self.settings_on(&positions, attributes)?.clone();
+        check_required_attributes(settings, attributes)?;
+        let input_count = positions.len();
+        let plan = self.plan(&positions, attributes, settings)?;
+        self.begin(Phase::Rasterize);
+        let (shapes, shape_stats) = reconstruction::shapes_by_attributes(input_count, attributes, settings);
+        let particles = ShapedPositions { positions, shapes };
+        let Ok((particles, shape_stats)) =
+            reconstruction::shape_by_neighbors(particles, shape_stats, settings);
+        let tiles = self.tile_storage(&plan).map_err(Error::Scratch)?;
+        let obstacles = self.obstacles.clone();
+        let frame = StagedFrame::rasterize(particles, shape_stats, obstacles, settings, tiles)?;
+        if frame.report().particle_count == 0 && !allows_empty {
+            return Err(Error::NoParticles { input_count });
         }
-        Ok((surface, settings))
+        self.begin(Phase::Smooth);
+        let frame = frame.smooth(settings, &mut |fraction| self.advance(Phase::Smooth, fraction));
+        let frame = frame.map_err(Error::Scratch)?;
+        self.begin(Phase::Contour);
+        let (mut surface, particles) = frame.contour(settings, rounding)?;
+        if let Some(particles) = particles.filter(|_| settings.attributes.is_some()) {
+            self.begin(Phase::Interpolate);
+            let (positions, shapes) = particles.into_positions(|given| (given.positions, given.shapes));
+            let targets = Targets { vertices: true, band_half_width_voxels };
+            let surface = &mut surface;
+            reconstruction::transfer_attributes(surface, positions, &shapes, attributes, settings, targets);
+        }
+        Ok((surface, settings.clone()))
     }
 
     /// The settings of the sequence. The first call resolves the options, and measures on these particles
@@ -323,13 +321,13 @@ impl<'a> Reconstructor<'a> {
         attributes: &[Attribute],
     ) -> Result<&Settings, Error> {
         let positions = positions.into();
-        match chosen(&self.options, &positions, attributes)? {
+        catch(|| match chosen(&self.options, &positions, attributes)? {
             Some((chosen, _)) if chosen.is_empty() && self.options.needs_spacing() => {
                 Err(no_particles(&self.options, positions.len()))
             }
             Some((positions, attributes)) => self.settings_on(&(&positions).into(), &attributes),
             None => self.settings_on(&positions, attributes),
-        }
+        })
     }
 
     /// Like [`resolve_on`](Self::resolve_on), on particles that were chosen already.
@@ -340,28 +338,28 @@ impl<'a> Reconstructor<'a> {
     ) -> Result<&Settings, Error> {
         let settings = match self.settings.take() {
             Some(settings) => settings,
-            None => interrupt::catch(|| resolve(&self.options, positions, attributes))
-                .unwrap_or(Err(Error::Cancelled))?,
+            None => resolve(&self.options, positions, attributes)?,
         };
         Ok(self.settings.insert(settings))
     }
 
-    /// Reports the beginning of a phase. Fails if the token is cancelled.
-    fn begin(&mut self, phase: Phase) -> Result<(), Error> {
-        self.report_progress(phase, 0.0);
-        self.token.check()
+    /// Reports the beginning of a phase.
+    fn begin(&mut self, phase: Phase) {
+        self.advance(phase, 0.0);
     }
 
-    fn report_progress(&mut self, phase: Phase, fraction: f64) {
+    /// Reports progress. Unwinds if the token is cancelled.
+    fn advance(&mut self, phase: Phase, fraction: f64) {
         if let Some(callback) = &mut self.on_progress {
             callback(Progress { phase, fraction });
         }
+        self.token.checkpoint();
     }
 
     /// Decides whether the frame is computed in memory or in tiles.
     fn plan(
         &self,
-        given: &CancellableParticles<'_>,
+        positions: &Positions<'_>,
         attributes: &[Attribute],
         settings: &Settings,
     ) -> Result<MemoryPlan, Error> {
@@ -370,92 +368,71 @@ impl<'a> Reconstructor<'a> {
         };
         let selected = attributes.iter().filter(selected);
         let bytes: usize = selected.map(|attribute| attribute.values.size_bytes()).sum();
-        let attribute_bytes = bytes as f64 / given.positions.len().max(1) as f64;
-        let surroundings = PlanInputs { obstacles: &self.obstacles, attribute_bytes };
+        let attribute_bytes = bytes as f64 / positions.len().max(1) as f64;
+        let allows_tiles = self.scratch.is_some();
+        let surroundings = PlanInputs { obstacles: &self.obstacles, attribute_bytes, allows_tiles };
         let obstacle_bytes =
             self.obstacles.members.iter().map(|obstacle| obstacle.size_bytes_max() as u64).sum();
         let allowed_bytes = self.memory_limit.saturating_sub(obstacle_bytes);
-        let over = |needed_bytes: u64| Error::MemoryLimit {
-            needed_bytes: needed_bytes.saturating_add(obstacle_bytes),
-            limit_bytes: self.memory_limit,
-        };
-        let planned = match &self.scratch {
-            Some(_) => reconstruction::plan_memory(given, settings, surroundings, allowed_bytes)?,
-            None => reconstruction::plan_in_core(given, settings, surroundings, allowed_bytes)?,
-        };
-        match planned {
-            Ok(plan) => Ok(plan),
-            Err(MemoryPlanError::TooLarge(too_large)) => Err(over(too_large.needed_bytes)),
-            Err(MemoryPlanError::VoxelTooSmall(VoxelTooSmall { voxel_size, spacing, least, limit })) => {
-                Err(match limit {
+        let Ok(planned) = reconstruction::plan_memory(positions, settings, surroundings, allowed_bytes);
+        planned.map_err(|error| match error {
+            MemoryPlanError::TooLarge(too_large) => Error::MemoryLimit {
+                needed_bytes: too_large.needed_bytes.saturating_add(obstacle_bytes),
+                limit_bytes: self.memory_limit,
+            },
+            MemoryPlanError::VoxelTooSmall(VoxelTooSmall { voxel_size, spacing, least, limit }) => {
+                match limit {
                     PrecisionLimit::Rounding(step) => Error::RoundedPositions { step, spacing },
                     _ => Error::VoxelTooSmall { voxel_size, least },
-                })
+                }
             }
-            Err(MemoryPlanError::ObstacleTooFar(too_far)) => Err(Error::ObstacleTooFar(too_far)),
-        }
+            MemoryPlanError::ObstacleTooFar(too_far) => Error::ObstacleTooFar(too_far),
+        })
     }
 
-    /// Reconstructs a frame in memory.
-    fn reconstruct_in_memory<'p>(
-        &mut self,
-        work: ShapedFrame<'_, 'p>,
-        rounding: PositionRounding,
-    ) -> Result<(reconstruction::FrameSurface, PreparedSource<'p>), Error> {
-        let ShapedFrame { settings, shaped, shape_stats, allows_empty } = work;
-        let mut rasterized =
-            reconstruction::rasterize(&shaped, settings, shape_stats, self.obstacles.clone())?;
-        require_particles(rasterized.report_mut().particle_count, &shaped, allows_empty)?;
-        self.begin(Phase::Smooth)?;
-        let token = self.token.clone();
-        let smoothed = reconstruction::smooth_while(rasterized, settings, &mut |fraction| {
-            self.report_progress(Phase::Smooth, fraction);
-            token.flow()
-        });
-        let smoothed = flow_result(smoothed)?;
-        self.begin(Phase::Contour)?;
-        let surface = reconstruction::contour_while(smoothed, settings, rounding, &|| token.flow());
-        Ok((flow_result(surface)?, shaped))
-    }
-
-    /// Reconstructs a frame in tiles, through scratch storage.
-    fn reconstruct_tiled<'p>(
-        &mut self,
-        work: ShapedFrame<'_, 'p>,
-        tile_leaves: i32,
-        rounding: PositionRounding,
-    ) -> Result<(reconstruction::FrameSurface, PreparedSource<'p>), Error> {
-        let ShapedFrame { settings, shaped, shape_stats, allows_empty } = work;
-        let mut storages: Vec<Box<dyn Storage>> = Vec::new();
-        if let Some(make) = &mut self.scratch {
-            for _ in 0..FIELD_STORE_FILES {
-                let (storage, token) = (make().map_err(Error::Scratch)?, self.token.clone());
-                storages.push(Box::new(CancellableStorage { storage, token }));
-            }
-        }
-        let obstacles = self.obstacles.clone();
-        let mut frame = tiled::rasterize(shaped, settings, shape_stats, obstacles, tile_leaves, storages)
-            .map_err(tiled_error)?;
-        let left = frame.report_mut().particle_count;
-        require_particles(left, frame.source(), allows_empty)?;
-        self.begin(Phase::Smooth)?;
-        let frame =
-            tiled::smooth(frame, settings, &mut |fraction| self.report_progress(Phase::Smooth, fraction));
-        let frame = frame.map_err(storage_error)?;
-        self.begin(Phase::Contour)?;
-        tiled::contour(frame, settings, rounding).map_err(tiled_error)
+    /// Scratch storage for a frame in tiles; `None` for a frame in memory.
+    fn tile_storage(&mut self, plan: &MemoryPlan) -> io::Result<Option<TileStorage>> {
+        let (Some(tile_leaves), Some(make)) = (plan.tile_leaves, &mut self.scratch) else { return Ok(None) };
+        TileStorage::new(tile_leaves, make).map(Some)
     }
 }
 
-/// Particles with their final positions and shapes.
-type PreparedSource<'p> = ShapedSource<CancellableParticles<'p>>;
+/// Positions with the shapes of their particles.
+struct ShapedPositions<'a> {
+    positions: Positions<'a>,
+    shapes: Shapes,
+}
 
-/// The input of a reconstruction after its particles got their shapes.
-struct ShapedFrame<'s, 'p> {
-    settings: &'s Settings,
-    shaped: PreparedSource<'p>,
-    shape_stats: ShapeStats,
-    allows_empty: bool,
+impl ParticleSource for ShapedPositions<'_> {
+    type Error = Infallible;
+
+    fn batch_count(&self) -> usize {
+        self.positions.batch_count()
+    }
+
+    fn batch(&self, batch: usize) -> Result<Positions<'_>, Infallible> {
+        self.positions.batch(batch)
+    }
+
+    fn batch_len(&self, batch: usize) -> usize {
+        self.positions.batch_len(batch)
+    }
+
+    fn has_shapes(&self) -> bool {
+        !self.shapes.is_uniform()
+    }
+
+    fn batch_shapes(&self, batch: usize) -> Shapes {
+        self.shapes.slice(self.positions.range_of(batch))
+    }
+}
+
+impl From<StageError<Infallible>> for Error {
+    fn from(error: StageError<Infallible>) -> Error {
+        match error {
+            StageError::Storage(error) => Error::Scratch(error),
+        }
+    }
 }
 
 /// Resolves the options, and measures the spacing if they need it.
@@ -523,37 +500,6 @@ fn check_required_attributes(settings: &Settings, attributes: &[Attribute]) -> R
         }
     }
     Ok(())
-}
-
-/// Fails if no particle is left and the frame must not be empty.
-fn require_particles(left: usize, shaped: &PreparedSource<'_>, allows_empty: bool) -> Result<(), Error> {
-    match left {
-        0 if !allows_empty => Err(Error::NoParticles { input_count: shaped.given().positions.len() }),
-        _ => Ok(()),
-    }
-}
-
-fn flow_result<T>(flow: ControlFlow<Error, T>) -> Result<T, Error> {
-    match flow {
-        ControlFlow::Continue(value) => Ok(value),
-        ControlFlow::Break(error) => Err(error),
-    }
-}
-
-/// Converts an I/O error, which may come from a cancelled token.
-fn storage_error(error: io::Error) -> Error {
-    if error.get_ref().is_some_and(|inner| inner.is::<Error>()) {
-        Error::Cancelled
-    } else {
-        Error::Scratch(error)
-    }
-}
-
-fn tiled_error(error: TiledError<Error>) -> Error {
-    match error {
-        TiledError::Source(error) => error,
-        TiledError::Storage(error) => storage_error(error),
-    }
 }
 
 /// Converts the mesh to absolute positions.

@@ -5,7 +5,7 @@ use glam::DVec3;
 pub use crate::attributes::TransferCounts;
 use crate::mesh::MeshMeasures;
 pub use crate::obstacle::{ContactStats, DepthStats};
-pub use crate::smooth::Convergence;
+pub use crate::smooth::{Convergence, SmoothReport};
 pub use crate::validation::{Certificate, ParticlesOutside};
 
 /// Everything that was measured and checked while a frame was reconstructed. Check `certificate.holds()`
@@ -30,22 +30,8 @@ pub struct ReconstructionReport {
     pub edits: EditReport,
     /// Number of stored leaves of 8³ voxels.
     pub leaf_count: usize,
-    /// Number of voxels with |φ| ≤ 3 voxels after the Laplacian steps: the unknowns of the first biharmonic
-    /// step.
-    pub free_voxel_count: usize,
-    /// Number of passes of the biharmonic operator; a voxel takes part in at most this many.
-    pub pass_count: usize,
-    /// Number of updates of free voxels: free voxels times passes, if every voxel takes part in every pass.
-    pub voxel_update_count: u64,
-    /// How far a change of one particle can reach, in voxels; `None` if the integrator couples all voxels
-    /// (conjugate gradients).
-    pub reach_voxels: Option<u32>,
-    /// Convergence of the conjugate gradients; `None` for the other integrators.
-    pub convergence: Option<Convergence>,
-    /// Number of explicit steps that exceeded the CFL bound (Eq. 8).
-    pub cfl_exceeded_count: usize,
-    /// Seconds in each stage, if the caller measured them: the method itself does not measure time.
-    pub seconds: StageSeconds,
+    /// What smoothing did.
+    pub smoothing: SmoothReport,
     /// The checks of the result.
     pub certificate: Certificate,
     /// Number of vertices that were more than half a voxel outside their bounds and were moved back.
@@ -71,8 +57,6 @@ pub struct TransferReport {
     pub vertices: TransferCounts,
     /// Counts for the positions in the band from which the voxels take their values.
     pub band: TransferCounts,
-    /// Seconds that the interpolation took, if the caller measured them.
-    pub seconds: f64,
 }
 
 /// Serializes an `f32` as a JSON number with all of its digits.
@@ -111,9 +95,6 @@ pub struct ShapeStats {
     /// The longest semi-axis, in units of the settings' radii.
     #[serde(serialize_with = "as_f64")]
     pub longest: f32,
-    /// Seconds that computing the shapes took, if the caller measured them; the seconds of rasterization
-    /// include them.
-    pub seconds: f64,
 }
 
 /// What the options for edits changed: dropped islands, filled cavities, clipping, decimation. All 0 without
@@ -157,27 +138,4 @@ pub enum Phase {
     Contour,
     /// Interpolates the particles' attributes at the vertices of the mesh.
     Interpolate,
-}
-
-/// Wall-clock seconds in each stage of the method, if the caller measured them; else 0.
-///
-/// If several frames run in one thread pool, each frame gets only a share of the threads, and a stage that
-/// waits for part of its work may also wait for another frame's stage. The seconds are the cost of a frame
-/// only if it runs alone.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[non_exhaustive]
-pub struct StageSeconds {
-    /// Particles to level sets.
-    pub rasterize: f64,
-    /// Laplacian and biharmonic smoothing.
-    pub smooth: f64,
-    /// Level set to mesh, with the measures and the certificate.
-    pub contour: f64,
-}
-
-impl StageSeconds {
-    /// The sum of all stages.
-    pub fn total(&self) -> f64 {
-        self.rasterize + self.smooth + self.contour
-    }
 }

@@ -13,7 +13,7 @@ fn adaptive_steps_give_the_result_of_explicit_ones() {
     for positions in [ball_with_finger(), sheet_and_drops()] {
         let smoothed = |config: SmoothConfig| {
             let (mut band, bounds) = rasterized(&positions);
-            let report = smooth(&mut band, &bounds, &config);
+            let report = smooth(&mut band, &bounds, &config, &mut |_| {});
             assert_eq!(bounds.violation_count(&band.phi), 0);
             (band, report)
         };
@@ -47,7 +47,7 @@ fn total_time_is_the_number_of_steps_times_their_size() {
         let config =
             SmoothConfig { steps, step_size, redistance_every, ..default_config(Integrator::Adaptive) };
         let mut band = start.clone();
-        let report = smooth(&mut band, &bounds, &config);
+        let report = smooth(&mut band, &bounds, &config, &mut |_| {});
         (bending_energy(&band), report.pass_count)
     };
     let (energy, count) = smoothed(64, 1.0 / 64.0, 32);

@@ -24,7 +24,7 @@ fn skinned_world(positions: &[DVec3], voxel_size: f64, integrator: Integrator) -
     let particles = OwnedPositions::F64(positions.iter().map(|p| p.to_array()).collect());
     let Ok(RasterFields { mut band, bounds, .. }) =
         rasterize(&particles, &RasterParams::open(Lattice { voxel_size }, default_radii()));
-    smooth(&mut band, &bounds, &default_config(integrator));
+    smooth(&mut band, &bounds, &default_config(integrator), &mut |_| {});
     band
 }
 
@@ -116,7 +116,7 @@ fn far_changes_keep_the_surface() {
             &OwnedPositions::F64(vec![[0.0; 3]]),
             &Settings::paper(1.0, &MethodOptions::default()).unwrap(),
         );
-        i32::try_from(one.report.reach_voxels.unwrap()).unwrap()
+        i32::try_from(one.report.smoothing.reach_voxels.unwrap()).unwrap()
     };
     let (length, near) = (reach + 52, 16);
     let mut random = Random::new(71);

@@ -126,7 +126,7 @@ fn far_particles_of_any_size_change_nothing() {
         let choices = MethodOptions { anisotropy: Some(kind), position_smoothing: Some(part), ..by_radii() };
         let alone = with_velocities(with_radii(cloud(&positions), radii.clone()), &velocities);
         let alone = skinned(alone, &choices);
-        let far = DVec3::splat(f64::from(alone.report.reach_voxels.expect("fast")) * 1.8);
+        let far = DVec3::splat(f64::from(alone.report.smoothing.reach_voxels.expect("fast")) * 1.8);
         let more: Vec<DVec3> = positions.iter().copied().chain([far]).collect();
         let more_radii: Vec<f32> = radii.iter().copied().chain([15.0]).collect();
         let more_velocities: Vec<Vec3> = velocities.iter().copied().chain([Vec3::Y * 90.0]).collect();

@@ -48,7 +48,7 @@ pub(crate) fn rasterized(positions: &[DVec3]) -> (NarrowBand, Bounds) {
 /// The surface of particles given in voxels, and its bounds.
 pub(crate) fn skinned(positions: &[DVec3], integrator: Integrator) -> (NarrowBand, Bounds, SmoothReport) {
     let (mut band, bounds) = rasterized(positions);
-    let report = smooth(&mut band, &bounds, &default_config(integrator));
+    let report = smooth(&mut band, &bounds, &default_config(integrator), &mut |_| {});
     (band, bounds, report)
 }
 

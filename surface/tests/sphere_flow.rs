@@ -76,7 +76,7 @@ fn thin_plate_smoothing_restores_a_noisy_sphere() {
             pin_isolated_spheres: false,
             distances_voxels: 0.0,
         };
-        smooth(&mut band, &bounds, &config);
+        smooth(&mut band, &bounds, &config, &mut |_| {});
         let volume = volume(&band) / ball_volume(RADIUS);
         let energy = bending_energy(&band) / (4.0 * PI);
         println!("{integrator:?}: volume {volume:.5}, ∫H² {energy:.4} of the sphere's");

@@ -100,7 +100,7 @@ fn dense_lattice_is_solid() {
 fn no_particles_make_no_surface() {
     let (mut band, bounds) = rasterized(&[]);
     for integrator in [Integrator::Fast, Integrator::Implicit, Integrator::Explicit] {
-        smooth(&mut band, &bounds, &default_config(integrator));
+        smooth(&mut band, &bounds, &default_config(integrator), &mut |_| {});
         assert!(band.topology.is_empty() && band.phi.leaves.is_empty());
     }
 }

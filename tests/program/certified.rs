@@ -10,7 +10,7 @@ use meniscus::surface::mesh::{Mesh, PositionRounding};
 use meniscus::surface::obstacle::Obstacles;
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::OwnedPositions;
-use meniscus::surface::reconstruction::{FrameSurface, contour, rasterize, reconstruct_frame, smooth};
+use meniscus::surface::reconstruction::{FrameSurface, StagedFrame, reconstruct_frame};
 use meniscus::surface::report::ShapeStats;
 use serde_json::Value;
 use tempfile::tempdir;
@@ -19,9 +19,10 @@ use crate::program::scene::{block, meniscus, write_ply};
 
 fn skinned(positions: &[[f64; 3]], settings: &Settings, rounding: PositionRounding) -> FrameSurface {
     let particles = OwnedPositions::F64(positions.to_vec());
-    let rasterized = rasterize(&particles, settings, ShapeStats::default(), Obstacles::default());
-    let Ok(rasterized) = rasterized;
-    contour(smooth(rasterized, settings), settings, rounding)
+    let frame =
+        StagedFrame::rasterize(&particles, ShapeStats::default(), Obstacles::default(), settings, None);
+    let frame = frame.expect("in memory").smooth(settings, &mut |_| {}).expect("in memory");
+    frame.contour(settings, rounding).expect("in memory").0
 }
 
 fn world(mesh: &Mesh, position: Vec3) -> DVec3 {

@@ -1,103 +1,51 @@
-//! Frames in the stages of the pipeline, with a quick method in place of the real one.
+//! Frames in the stages of the pipeline.
 
+use std::fmt;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
-use glam::{DVec3, IVec3, Vec3};
 use meniscus::pipeline::{
-    Cause, FileStamp, Frame, FrameInput, FrameObstacles, FrameRecords, IndexPolicy, Job, LevelSetMethod,
-    Method, OnError, Outcome, OutputFormat, OutputOptions, PictureOptions, PipelineOptions, STATE_FOLDER,
-    Stage, run,
+    Cause, FileStamp, Frame, FrameRecords, IndexPolicy, Job, Observer, OnError, Outcome, OutputFormat,
+    OutputOptions, PictureOptions, PipelineOptions, STATE_FOLDER, Stage, run,
 };
-use meniscus::surface::grid::{Field, Topology};
-use meniscus::surface::level_set::NarrowBand;
-use meniscus::surface::mesh::Mesh;
 use meniscus::surface::options::{MethodOptions, Settings};
-use meniscus::surface::reconstruction::{FrameSurface, MemoryPlan, SurfaceAttributes};
-use meniscus::surface::report::ReconstructionReport;
 use meniscus_formats::{gltf, vdb};
 use rayon::ThreadPool;
 use tempfile::{TempDir, tempdir};
 
 use crate::program::scene::{block, names_in, write_ply};
 
-/// A method whose surface is a tetrahedron with a size that is the number of particles. Panics in
-/// `broken_stage` for frames of [`BROKEN_COUNT`] particles.
-struct Quick {
-    broken_stage: Option<Stage>,
+/// Calls a function as each stage begins, with the number of particles of the frame.
+pub(crate) struct OnStage<H>(pub(crate) H);
+
+impl<H> fmt::Debug for OnStage<H> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("OnStage")
+    }
 }
 
-/// The number of particles for which the method panics.
+impl<H: Fn(Stage, usize) + Sync> Observer for OnStage<H> {
+    fn began(&self, frame: &Frame, stage: Stage) {
+        (self.0)(stage, count_of(frame));
+    }
+}
+
+/// The number of particles of a frame, which is in its name.
+pub(crate) fn count_of(frame: &Frame) -> usize {
+    let name = frame.input.file_name().expect("a name").to_string_lossy();
+    name.split('.').nth(2).expect("a number").parse().expect("a number")
+}
+
+/// The number of particles of frames that panic in a stage.
 const BROKEN_COUNT: usize = 27;
 
-impl Quick {
-    fn new(broken_stage: Option<Stage>) -> Quick {
-        Quick { broken_stage }
-    }
-
-    fn pass(&self, stage: Stage, count: usize) -> usize {
-        assert!(self.broken_stage != Some(stage) || count != BROKEN_COUNT, "cannot bear {count} particles");
-        count
-    }
-}
-
-impl Method for Quick {
-    type Rasterized = usize;
-    type Smoothed = usize;
-
-    fn plan(
-        &self,
-        _particles: &FrameInput,
-        _obstacles: &FrameObstacles,
-        _settings: &Settings,
-        _outputs: &OutputOptions,
-        _allowed_bytes: u64,
-    ) -> Result<MemoryPlan, Cause> {
-        Ok(MemoryPlan { memory_bytes: 1 << 20, tile_leaves: None, in_core_bytes: 0 })
-    }
-
-    fn rasterize(
-        &self,
-        particles: FrameInput,
-        _obstacles: FrameObstacles,
-        _settings: &Settings,
-        _plan: &MemoryPlan,
-        _scratch: &Path,
-    ) -> Result<usize, Cause> {
-        Ok(self.pass(Stage::Rasterize, particles.len()))
-    }
-
-    fn smooth(&self, count: usize, _settings: &Settings, _: &mut dyn FnMut(f64)) -> Result<usize, Cause> {
-        Ok(self.pass(Stage::Smooth, count))
-    }
-
-    fn contour(
-        &self,
-        count: usize,
-        settings: &Settings,
-        _outputs: &OutputOptions,
-    ) -> Result<FrameSurface, Cause> {
-        Ok(tetrahedron(self.pass(Stage::Contour, count), settings))
-    }
-}
-
-/// The surface of a frame with this number of particles.
-pub(crate) fn tetrahedron(count: usize, settings: &Settings) -> FrameSurface {
-    let size = count as f32 * settings.voxel_size as f32;
-    let mesh = Mesh {
-        positions: [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z].map(|corner| corner * size).to_vec(),
-        normals: vec![-Vec3::ONE.normalize(), Vec3::X, Vec3::Y, Vec3::Z],
-        triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
-        origin: DVec3::ZERO,
-    };
-    let topology = Arc::new(Topology::new(vec![IVec3::ZERO]));
-    let mut phi = Field::splat(1, 6.0);
-    phi.leaves[0].values[0] = -1.0;
-    let band = NarrowBand { topology, phi, half_width: 6.0 };
-    let mut report = ReconstructionReport::default();
-    report.particle_count = count;
-    FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report }
+/// Panics as this stage of a frame of [`BROKEN_COUNT`] particles begins.
+fn broken(broken_stage: Option<Stage>) -> OnStage<impl Fn(Stage, usize)> {
+    OnStage(move |stage, count| {
+        let is_broken = broken_stage == Some(stage) && count == BROKEN_COUNT;
+        assert!(!is_broken, "cannot bear {count} particles");
+    })
 }
 
 /// A folder with frames, and the parts of a pipeline.
@@ -124,7 +72,7 @@ impl Bench {
         let records = Arc::new(FrameRecords::open(&outputs.folder).expect("readable"));
         let mut frames = Vec::new();
         for (number, &edge_count) in edge_counts.iter().enumerate() {
-            let input = folder.path().join(format!("f.{number}.ply"));
+            let input = folder.path().join(format!("f.{number}.{}.ply", edge_count.pow(3)));
             match edge_count {
                 0 => fs::write(&input, "ply\nformat nonsense 1.0\n").expect("written"),
                 _ => write_ply(&input, &block(edge_count, 0.0)),
@@ -157,17 +105,19 @@ impl Bench {
         }
     }
 
-    fn run_with<M: Method>(
+    fn run_with(
         &self,
-        method: &M,
+        broken_stage: Option<Stage>,
         on_error: OnError,
         skip_done: bool,
         threads: usize,
     ) -> Vec<Outcome> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        let pipeline_options = PipelineOptions { on_error, skip_done, ..pipeline_options(&pool) };
+        let observer = broken(broken_stage);
+        let options =
+            PipelineOptions { on_error, skip_done, observer: Some(&observer), ..pipeline_options(&pool) };
         let mut outcomes = Vec::new();
-        run(method, &self.frames, &pipeline_options, |index, outcome| {
+        run(&self.frames, &options, |index, outcome| {
             assert_eq!(index, outcomes.len(), "outcomes come in order");
             outcomes.push(outcome);
         });
@@ -176,15 +126,9 @@ impl Bench {
         outcomes
     }
 
-    fn run_all(&self) -> Vec<Outcome> {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
-        let mut outcomes = Vec::new();
-        run(&Quick::new(None), &self.frames, &pipeline_options(&pool), |_, outcome| outcomes.push(outcome));
-        outcomes
-    }
-
-    fn run(&self, method: &Quick, on_error: OnError) -> String {
-        letters(&self.run_with(method, on_error, false, 2))
+    /// Converts all frames, or those that are not done yet.
+    fn run(&self, skip_done: bool) -> Vec<Outcome> {
+        self.run_with(None, OnError::Continue, skip_done, 2)
     }
 
     /// The numbers of the frames that have all outputs. Asserts that the other frames have none.
@@ -226,8 +170,7 @@ pub(crate) fn letters(outcomes: &[Outcome]) -> String {
 #[test]
 fn frames_are_converted_in_order() {
     let bench = Bench::new(&[2, 3, 4, 5, 6, 2, 3, 4, 5, 6, 2, 3, 4, 5, 6, 2]);
-    let quick = Quick::new(None);
-    let outcomes = bench.run_with(&quick, OnError::Continue, false, 2);
+    let outcomes = bench.run(false);
     assert_eq!(letters(&outcomes), "cccccccccccccccc");
     assert_eq!(bench.written().len(), 16);
     let Outcome::Converted(report) = &outcomes[1] else { panic!("not converted") };
@@ -238,7 +181,7 @@ fn frames_are_converted_in_order() {
     assert_eq!(sizes, report.outputs.iter().map(size_bytes).collect::<Vec<_>>());
     assert_eq!(report.input.stamp, FileStamp::of_path(&bench.frames[1].input).expect("there"));
     // The report has the hash and the stamp of the file, also for a frame that was done already.
-    let again = bench.run_with(&quick, OnError::Continue, true, 2);
+    let again = bench.run(true);
     let Outcome::AlreadyDone { input, .. } = &again[1] else { panic!("not done already") };
     assert_eq!((input, report.input.hash != 0), (&report.input, true));
     assert!(!cfg!(target_os = "linux") || report.peak_memory_bytes.is_some_and(|bytes| bytes > 1 << 20));
@@ -248,16 +191,15 @@ fn frames_are_converted_in_order() {
 fn failed_frame_does_not_stop_others() {
     for broken_stage in [Stage::Rasterize, Stage::Smooth, Stage::Contour] {
         let bench = Bench::new(&[2, 3, 0, 4]);
-        let quick = Quick::new(Some(broken_stage));
-        let outcomes = bench.run_with(&quick, OnError::Continue, false, 2);
+        let outcomes = bench.run_with(Some(broken_stage), OnError::Continue, false, 2);
         assert_eq!(letters(&outcomes), "cffc");
         assert_eq!(bench.written(), [0, 3]);
         let Outcome::Failed(error) = &outcomes[1] else { panic!("not failed") };
         assert_eq!(error.during, broken_stage);
         assert!(matches!(&error.cause, Cause::Panic(what) if what == "cannot bear 27 particles"), "{error}");
-        assert!(error.to_string().contains("f.1.ply"), "{error}");
+        assert!(error.to_string().contains("f.1.27.ply"), "{error}");
         let Outcome::Failed(error) = &outcomes[2] else { panic!("not failed") };
-        assert!(error.to_string().contains("f.2.ply: PLY, at"), "{error}");
+        assert!(error.to_string().contains("f.2.0.ply: PLY, at"), "{error}");
     }
 }
 
@@ -272,10 +214,10 @@ fn linked_output_folder_is_refused_before_rasterization() {
     bench.change_outputs(|outputs| outputs.folder = mirror.join("linked"));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
     let mirrors = [mirror.clone()];
-    let pipeline_options = PipelineOptions { mirrors: &mirrors, ..pipeline_options(&pool) };
+    let observer = broken(Some(Stage::Rasterize));
+    let options = PipelineOptions { mirrors: &mirrors, observer: Some(&observer), ..pipeline_options(&pool) };
     let mut errors = Vec::new();
-    let quick = Quick::new(Some(Stage::Rasterize));
-    run(&quick, &bench.frames, &pipeline_options, |_, outcome| match outcome {
+    run(&bench.frames, &options, |_, outcome| match outcome {
         Outcome::Failed(error) => errors.push(error.to_string()),
         other => panic!("not failed: {other:?}"),
     });
@@ -288,7 +230,7 @@ fn stop_writes_exactly_the_frames_before() {
     for broken_stage in [None, Some(Stage::Rasterize), Some(Stage::Contour)] {
         let broken_edge = if broken_stage.is_none() { 0 } else { 3 };
         let bench = Bench::new(&[2, 2, broken_edge, 4, 4, 4, 4, 4, 4, 4, 4, 4]);
-        assert_eq!(bench.run(&Quick::new(broken_stage), OnError::Stop), "ccfnnnnnnnnn");
+        assert_eq!(letters(&bench.run_with(broken_stage, OnError::Stop, false, 2)), "ccfnnnnnnnnn");
         assert_eq!(bench.written(), [0, 1]);
     }
 }
@@ -297,7 +239,7 @@ fn stop_writes_exactly_the_frames_before() {
 fn unwritable_output_fails_its_frame() {
     let bench = Bench::new(&[2, 2, 2]);
     fs::create_dir(bench.out().join("f.1.vdb")).expect("made");
-    let outcomes = bench.run_with(&Quick::new(None), OnError::Continue, false, 2);
+    let outcomes = bench.run(false);
     assert_eq!(letters(&outcomes), "cfc");
     let Outcome::Failed(error) = &outcomes[1] else { panic!("not failed") };
     assert_eq!((error.during, error.path.clone()), (Stage::Write, bench.out().join("f.1.vdb")));
@@ -305,7 +247,7 @@ fn unwritable_output_fails_its_frame() {
     // The frame has no output. It is converted when the folder at its path is removed.
     fs::remove_dir(bench.out().join("f.1.vdb")).expect("removed");
     assert_eq!(bench.written(), [0, 2]);
-    assert_eq!(letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2)), "dcd");
+    assert_eq!(letters(&bench.run(true)), "dcd");
 }
 
 #[test]
@@ -313,13 +255,13 @@ fn missing_output_folder_is_created() {
     let mut bench = Bench::new(&[2, 2]);
     fs::remove_dir(bench.out()).expect("removed");
     bench.change_outputs(|outputs| outputs.folder = outputs.folder.join("shot/take"));
-    assert_eq!(letters(&bench.run_all()), "cc");
+    assert_eq!(letters(&bench.run(false)), "cc");
     assert_eq!(names_in(&bench.out().join("shot/take")).len(), 8);
     // If a file has the path of the folder, the error names that file.
     let below_a_file = bench.folder.path().join("file/out");
     fs::write(bench.folder.path().join("file"), "").expect("written");
     bench.change_outputs(|outputs| outputs.folder.clone_from(&below_a_file));
-    let outcomes = bench.run_all();
+    let outcomes = bench.run(false);
     let Outcome::Failed(error) = &outcomes[0] else { panic!("not failed") };
     assert_eq!((error.during, error.path.clone()), (Stage::Write, below_a_file));
 }
@@ -328,11 +270,11 @@ fn missing_output_folder_is_created() {
 fn done_frames_are_kept_and_all_others_are_converted() {
     let mut bench = Bench::new(&[2, 2, 2, 2]);
     bench.change_outputs(|outputs| outputs.formats.push(OutputFormat::Gltf));
-    let run = |bench: &Bench| letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2));
+    let run = |bench: &Bench| letters(&bench.run(true));
     assert_eq!(run(&bench), "cccc");
     assert_eq!(run(&bench), "dddd");
     // A frame's input has changed, another's output is missing, another's output is damaged.
-    write_ply(&bench.folder.path().join("f.0.ply"), &block(3, 0.0));
+    write_ply(&bench.folder.path().join("f.0.8.ply"), &block(3, 0.0));
     fs::remove_file(bench.out().join("f.2.obj")).expect("removed");
     fs::write(bench.out().join("f.3.glb"), "glTF").expect("written");
     assert_eq!(run(&bench), "cdcc");
@@ -354,7 +296,7 @@ fn truncated_output_is_made_again() {
     let formats: Vec<OutputFormat> =
         OutputFormat::ALL.into_iter().filter(|format| !format.is_picture()).collect();
     bench.change_outputs(|outputs| outputs.formats = formats.clone());
-    let run = |bench: &Bench| letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2));
+    let run = |bench: &Bench| letters(&bench.run(true));
     assert_eq!(run(&bench), "c");
     for extension in formats {
         let path = bench.out().join(format!("f.0.{extension}"));
@@ -382,16 +324,10 @@ fn bytes_do_not_depend_on_threads_or_other_frames() {
         if threads == 4 {
             bench.frames.reverse();
         }
-        bench.run_with(&Quick::new(None), OnError::Continue, false, threads);
+        bench.run_with(None, OnError::Continue, false, threads);
         let found = contents(&bench);
         assert_eq!(found.len(), 16);
         assert!(*expected.get_or_insert_with(|| found.clone()) == found, "{threads} threads");
     }
     // The outputs contain neither paths of this machine nor times: the folders above had different names.
-}
-
-#[test]
-fn pipeline_runs_the_real_method() {
-    fn is_method(_: &impl Method) {}
-    is_method(&LevelSetMethod);
 }

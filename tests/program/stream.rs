@@ -1,76 +1,29 @@
 //! Frames that arrive one by one: when the pipeline requests them, which of them run concurrently, and when
 //! the pipeline reports them.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
 use std::fs::{self, File};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Condvar, Mutex, mpsc};
+use std::sync::{Arc, Condvar, Mutex, mpsc};
 use std::thread;
 use std::time::{Duration, SystemTime};
 
 use meniscus::pipeline::{
-    Cause, Frame, FrameError, FrameInput, FrameObstacles, Method, OnError, Outcome, OutputOptions,
-    PipelineOptions, Stage, default_in_flight, is_own_output, run, stream,
+    Frame, FrameError, Observer, OnError, Outcome, PipelineOptions, Stage, default_in_flight, is_own_output,
+    run, stream,
 };
-use meniscus::surface::options::Settings;
-use meniscus::surface::reconstruction::{FrameSurface, MemoryPlan};
+use meniscus::surface::options::{MethodOptions, Settings};
+use meniscus::surface::reconstruction::MemoryPlan;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
-use crate::program::pipeline::{Bench, letters, pipeline_options, tetrahedron};
+use crate::program::pipeline::{Bench, OnStage, count_of, letters, pipeline_options};
 use crate::program::scene::names_in;
 
-/// A quick method that records which stage it runs, for a frame of which size, and allocates a mebibyte per
-/// particle.
-struct Recording<H>(H);
-
-impl<H: Fn(Stage, usize) + Sync> Method for Recording<H> {
-    type Rasterized = usize;
-    type Smoothed = usize;
-
-    fn plan(
-        &self,
-        particles: &FrameInput,
-        _obstacles: &FrameObstacles,
-        _settings: &Settings,
-        _outputs: &OutputOptions,
-        _allowed_bytes: u64,
-    ) -> Result<MemoryPlan, Cause> {
-        Ok(MemoryPlan { memory_bytes: (particles.len() as u64) << 20, tile_leaves: None, in_core_bytes: 0 })
-    }
-
-    fn rasterize(
-        &self,
-        particles: FrameInput,
-        _obstacles: FrameObstacles,
-        _settings: &Settings,
-        _plan: &MemoryPlan,
-        _scratch: &Path,
-    ) -> Result<usize, Cause> {
-        self.0(Stage::Rasterize, particles.len());
-        Ok(particles.len())
-    }
-
-    fn smooth(&self, count: usize, _settings: &Settings, _: &mut dyn FnMut(f64)) -> Result<usize, Cause> {
-        self.0(Stage::Smooth, count);
-        Ok(count)
-    }
-
-    fn contour(
-        &self,
-        count: usize,
-        settings: &Settings,
-        _outputs: &OutputOptions,
-    ) -> Result<FrameSurface, Cause> {
-        self.0(Stage::Contour, count);
-        Ok(tetrahedron(count, settings))
-    }
-}
-
 /// A signal that threads wait for, with a time limit, so that a test fails instead of hanging.
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct Signal {
     is_given: Mutex<bool>,
     changed: Condvar,
@@ -113,7 +66,7 @@ fn source_may_wait_for_results_of_earlier_frames() {
         }
         Some((number, frame))
     };
-    stream(&Recording(|_, _| ()), next, &pipeline_options(&pool(2)), |number, frame, outcome| {
+    stream(next, &pipeline_options(&pool(2)), |number, frame, outcome| {
         assert_eq!(frame.stem, format!("f.{number}"));
         outcomes.push(outcome);
         let _ = finished.send(());
@@ -142,14 +95,14 @@ fn frames_are_requested_only_when_there_is_room() {
         };
         // At least this many frames are requested before one has ended: one for each lane, and one that is
         // read.
-        let method = Recording(|stage, _| {
+        let observer = OnStage(|stage, _| {
             if stage == Stage::Rasterize {
                 full.wait()
             }
         });
-        let pipeline_options = PipelineOptions { in_flight, ..pipeline_options(&pool) };
+        let options = PipelineOptions { in_flight, observer: Some(&observer), ..pipeline_options(&pool) };
         let mut count = 0;
-        stream(&method, next, &pipeline_options, |_, _, _| {
+        stream(next, &options, |_, _, _| {
             count += 1;
             ended.fetch_add(1, Ordering::SeqCst);
         });
@@ -164,17 +117,17 @@ fn slow_frame_is_overtaken_and_still_reported_in_order() {
     let bench = Bench::new(&[3, 2, 2]);
     let pool = pool(2);
     let others_ended = Signal::default();
-    let method = Recording(|stage, count| {
+    let observer = OnStage(|stage, count| {
         if stage == Stage::Smooth && count == 27 {
             others_ended.wait();
         }
     });
+    let options = PipelineOptions { observer: Some(&observer), ..pipeline_options(&pool) };
     let mut frames = numbered(&bench);
     let mut order = Vec::new();
     stream(
-        &method,
         || frames.next(),
-        &pipeline_options(&pool),
+        &options,
         |number, _, _| {
             order.push(number);
             if order.len() == 2 {
@@ -184,7 +137,7 @@ fn slow_frame_is_overtaken_and_still_reported_in_order() {
     );
     assert_eq!(order.last(), Some(&0), "{order:?}");
     order.clear();
-    run(&method, &bench.frames, &pipeline_options(&pool), |number, _| order.push(number));
+    run(&bench.frames, &options, |number, _| order.push(number));
     assert_eq!(order, [0, 1, 2]);
 }
 
@@ -195,16 +148,16 @@ fn stages_of_different_frames_overlap() {
         let bench = Bench::new(&[2, 3, 4]);
         let pool = pool(3);
         let together: [Signal; 3] = Default::default();
-        let method = Recording(|stage, count| {
+        let observer = OnStage(|stage, count| {
             let index = [(Stage::Contour, 8), (Stage::Smooth, 27), (Stage::Rasterize, 64)];
             if let Some(index) = index.iter().position(|&index| index == (stage, count)) {
                 together[index].give();
                 together.iter().for_each(Signal::wait);
             }
         });
-        let options = PipelineOptions { on_error, ..pipeline_options(&pool) };
+        let options = PipelineOptions { on_error, observer: Some(&observer), ..pipeline_options(&pool) };
         let mut outcomes = Vec::new();
-        run(&method, &bench.frames, &options, |_, outcome| outcomes.push(outcome));
+        run(&bench.frames, &options, |_, outcome| outcomes.push(outcome));
         assert_eq!(letters(&outcomes), "ccc", "{on_error:?}");
     }
 }
@@ -215,7 +168,7 @@ fn slow_stage_holds_back_the_stages_before_it() {
     let pool = pool(4);
     let (requested, rasterized) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let (all_wait, go_on) = (Signal::default(), Signal::default());
-    let method = Recording(|stage, _| match stage {
+    let observer = OnStage(|stage, _| match stage {
         Stage::Rasterize => {
             rasterized.fetch_add(1, Ordering::SeqCst);
         }
@@ -225,7 +178,12 @@ fn slow_stage_holds_back_the_stages_before_it() {
         }
         _ => {}
     });
-    let options = PipelineOptions { in_flight: 20, on_error: OnError::Stop, ..pipeline_options(&pool) };
+    let options = PipelineOptions {
+        in_flight: 20,
+        on_error: OnError::Stop,
+        observer: Some(&observer),
+        ..pipeline_options(&pool)
+    };
     let mut frames = numbered(&bench);
     let next = || {
         requested.fetch_add(1, Ordering::SeqCst);
@@ -242,71 +200,89 @@ fn slow_stage_holds_back_the_stages_before_it() {
             assert_eq!(requested.load(Ordering::SeqCst), 3);
             go_on.give();
         });
-        stream(&method, next, &options, |_, _, _| count += 1);
+        stream(next, &options, |_, _, _| count += 1);
     });
     assert_eq!(count, 20);
 }
 
-/// The frames that run concurrently, and the mebibytes that they take: one per particle.
-#[derive(Default)]
+/// The frames that compute concurrently, and the memory that they need.
+#[derive(Debug, Default)]
 struct Together {
-    running: Mutex<Vec<usize>>,
-    /// Sums of memory, with the number of frames in each.
-    seen: Mutex<HashSet<(usize, usize)>>,
+    /// The needs of frames, in bytes, by the paths of their inputs.
+    planned: Mutex<HashMap<PathBuf, u64>>,
+    running: Mutex<Vec<PathBuf>>,
+    /// Sums of needs, with the number of frames in each.
+    seen: Mutex<Vec<(u64, usize)>>,
+    /// Two frames compute.
+    two: Signal,
+    /// A small frame waits for a second one to compute.
+    waits_for_two: bool,
 }
 
-impl Together {
-    fn note(&self, stage: Stage, count: usize) {
+impl Observer for Together {
+    fn planned(&self, frame: &Frame, plan: &MemoryPlan, given_bytes: u64) {
+        let needed_bytes = plan.memory_bytes + given_bytes;
+        self.planned.lock().expect("not poisoned").insert(frame.input.clone(), needed_bytes);
+    }
+
+    fn began(&self, frame: &Frame, stage: Stage) {
         let mut running = self.running.lock().expect("not poisoned");
         match stage {
             Stage::Rasterize => {
-                running.push(count);
-                let now = (running.iter().sum(), running.len());
-                self.seen.lock().expect("not poisoned").insert(now);
+                running.push(frame.input.clone());
+                let planned = self.planned.lock().expect("not poisoned");
+                let sum = running.iter().map(|input| planned[input]).sum();
+                self.seen.lock().expect("not poisoned").push((sum, running.len()));
             }
-            Stage::Contour => {
-                let index = running.iter().position(|&other| other == count).expect("it was rasterized");
-                running.swap_remove(index);
-            }
-            _ => {}
+            Stage::Contour => running.retain(|input| *input != frame.input),
+            _ => return,
+        }
+        let is_concurrent = running.len() > 1;
+        drop(running);
+        if is_concurrent {
+            self.two.give();
+        } else if self.waits_for_two && stage == Stage::Rasterize && count_of(frame) == 512 {
+            // The second and the third frame fit together, and must run together.
+            self.two.wait();
         }
     }
 }
 
 #[test]
 fn concurrent_frames_stay_within_the_memory_limit() {
-    // Frames of 8, 27, 64 and 125 MiB, in an order in which small frames wait behind large frames.
-    let edges = [5, 2, 2, 4, 3, 3, 2, 5, 4, 4, 2, 3, 2, 2, 4, 2, 3, 3, 3, 5];
+    // Frames of four sizes, in an order in which small frames wait behind large frames.
+    let edges = [20, 8, 8, 16, 12, 12, 8, 20, 16, 16, 8, 12, 8, 8, 16, 8, 12, 12, 12, 20];
     let bench = Bench::new(&edges);
     let pool = pool(4);
-    let pipeline_options =
-        PipelineOptions { memory_bytes: 100 << 20, in_flight: 8, ..pipeline_options(&pool) };
-    let together = Together::default();
-    let two = Signal::default();
-    let method = Recording(|stage, count| {
-        together.note(stage, count);
-        let is_concurrent = together.running.lock().expect("not poisoned").len() > 1;
-        if is_concurrent {
-            two.give();
-        } else if stage == Stage::Smooth && count == 8 {
-            // The second and the third frame fit together, and must run together.
-            two.wait();
-        }
-    });
-    let mut outcomes = Vec::new();
-    run(&method, &bench.frames, &pipeline_options, |_, outcome| outcomes.push(outcome));
-    assert_eq!(letters(&outcomes), "c".repeat(edges.len()));
+    let run_within = |memory_bytes: u64, together: &Together| {
+        let observer = Some(together as &dyn Observer);
+        let options = PipelineOptions { memory_bytes, in_flight: 8, observer, ..pipeline_options(&pool) };
+        let mut outcomes = Vec::new();
+        run(&bench.frames, &options, |_, outcome| outcomes.push(outcome));
+        assert_eq!(letters(&outcomes), "c".repeat(edges.len()));
+    };
+    let unlimited = Together::default();
+    run_within(1 << 40, &unlimited);
+    let planned = unlimited.planned.into_inner().expect("not poisoned");
+    let least = planned.values().copied().min().expect("planned");
+    let most = planned.values().copied().max().expect("planned");
+    assert!(2 * least <= most, "{planned:?}");
+    // The largest frames fit alone.
+    let together = Together { waits_for_two: true, ..Together::default() };
+    run_within(most, &together);
     let seen = together.seen.lock().expect("not poisoned");
     for &(sum, count) in &*seen {
-        assert!(sum <= 100 || count == 1, "{count} frames of {sum} MiB together: {seen:?}");
+        assert!(sum <= most, "{count} frames need {sum} of {most} bytes together: {seen:?}");
     }
-    assert!(seen.contains(&(125, 1)), "{seen:?}");
+    assert!(seen.contains(&(most, 1)), "{seen:?}");
 }
 
 #[test]
 fn file_written_during_reading_is_an_error_and_readable_later() {
     let bench = Bench::new(&[60]);
-    let frame = bench.frames[0].clone();
+    // Large voxels, so that only reading takes long.
+    let settings = Settings::paper(0.4, &MethodOptions::default()).expect("valid");
+    let frame = Frame { settings: Arc::new(settings), ..bench.frames[0].clone() };
     let is_over = AtomicBool::new(false);
     let mut reported = String::new();
     thread::scope(|scope| {
@@ -336,8 +312,8 @@ fn file_written_during_reading_is_an_error_and_readable_later() {
             Some(((), frame.clone()))
         };
         let pool = pool(2);
-        let pipeline_options = PipelineOptions { in_flight: 1, ..pipeline_options(&pool) };
-        stream(&Recording(|_, _| ()), next, &pipeline_options, |(), _, outcome| {
+        let options = PipelineOptions { in_flight: 1, ..pipeline_options(&pool) };
+        stream(next, &options, |(), _, outcome| {
             if matches!(outcome, Outcome::Changed) {
                 is_over.store(true, Ordering::SeqCst);
             }
@@ -354,8 +330,11 @@ fn nested_loops_of_two_streams_in_one_pool_end() {
     for threads in [1, 2, 3] {
         let pool = pool(threads);
         let benches = [Bench::new(&[2; 40]), Bench::new(&[3; 40])];
-        // The method runs parallel loops whose tasks start other tasks and wait for them.
-        let method = Recording(|_, count| {
+        // Each stage runs parallel loops whose tasks start other tasks and wait for them.
+        let observer = OnStage(|stage, count| {
+            if matches!(stage, Stage::Read | Stage::Write) {
+                return;
+            }
             let sum: usize = (0..64usize)
                 .into_par_iter()
                 .map(|i| (0..64usize).into_par_iter().map(|j| (i * j) % count).sum::<usize>())
@@ -365,10 +344,9 @@ fn nested_loops_of_two_streams_in_one_pool_end() {
         thread::scope(|scope| {
             for bench in &benches {
                 scope.spawn(|| {
+                    let options = PipelineOptions { observer: Some(&observer), ..pipeline_options(&pool) };
                     let mut outcomes = Vec::new();
-                    run(&method, &bench.frames, &pipeline_options(&pool), |_, outcome| {
-                        outcomes.push(outcome)
-                    });
+                    run(&bench.frames, &options, |_, outcome| outcomes.push(outcome));
                     assert_eq!(letters(&outcomes), "c".repeat(40));
                 });
             }
@@ -382,12 +360,7 @@ fn panic_of_the_caller_ends_the_stream() {
     let pool = pool(2);
     let mut frames = numbered(&bench);
     let ended = catch_unwind(AssertUnwindSafe(|| {
-        stream(
-            &Recording(|_, _| ()),
-            || frames.next(),
-            &pipeline_options(&pool),
-            |_, _, _| panic!("a broken caller"),
-        );
+        stream(|| frames.next(), &pipeline_options(&pool), |_, _, _| panic!("a broken caller"));
     }));
     assert!(ended.is_err());
     assert!(names_in(&bench.out()).iter().all(|name| !name.contains("tmp")));
@@ -407,7 +380,7 @@ fn full_disk_is_distinguished_from_other_errors() {
 #[test]
 fn outputs_are_recognized_and_frames_are_not() {
     let bench = Bench::new(&[2]);
-    run(&Recording(|_, _| ()), &bench.frames, &pipeline_options(&pool(1)), |_, _| ());
+    run(&bench.frames, &pipeline_options(&pool(1)), |_, _| ());
     let names = names_in(&bench.out());
     assert_eq!(names.len(), 4);
     for name in names {

@@ -24,7 +24,7 @@ fn planned(particles: &[[f64; 3]], spacings: f64) -> Result<MemoryPlan, MemoryPl
     let choices =
         MethodOptions { radius_min: radius_min.map(Into::into), radius_ratio, ..MethodOptions::default() };
     let settings = Settings::paper(voxel_size, &choices).expect("settings");
-    let around = PlanInputs { obstacles: &Obstacles::default(), attribute_bytes: 0.0 };
+    let around = PlanInputs { obstacles: &Obstacles::default(), attribute_bytes: 0.0, allows_tiles: true };
     let Ok(planned) = plan_memory(&OwnedPositions::F64(particles.to_vec()), &settings, around, u64::MAX);
     planned
 }

@@ -47,7 +47,7 @@ impl Maker {
                 let positions = OwnedPositions::F64(frame.points.iter().map(DVec3::to_array).collect());
                 let surface =
                     reconstruct_cloud(ParticleCloud::from(positions), &settings, &Obstacles::default());
-                voxel_passes = Some(surface.report.voxel_update_count);
+                voxel_passes = Some(surface.report.smoothing.voxel_update_count);
                 is_certified = Some(surface.report.certificate.holds());
                 (data(&surface), start.elapsed().as_secs_f64())
             }

@@ -217,7 +217,7 @@ impl<'a> Tuning<'a> {
         if !spacings.measured.is_empty() {
             warn_of_siblings(sequence, console);
         }
-        let frame = LoadedFrame::read((&file.path, file.number()), &without)?;
+        let frame = LoadedFrame::read(&file.path, file.number(), &without)?;
         let picture = session.outputs.picture;
         let bounds = bounds_of_particles(frame.particles(), without.radius_init).unwrap_or(EMPTY_BOUNDS);
         let viewpoint =
@@ -256,7 +256,7 @@ impl<'a> Tuning<'a> {
                     let triangles = pluralize(made.surface.report.mesh.triangle_count, "triangle");
                     let command = CommandLine::convert(self.args, &cell.options);
                     // The time differs from run to run, so it is not part of the picture.
-                    let seconds = seconds(&made);
+                    let seconds = made.seconds;
                     console.print_line(format_args!("{label}: {seconds:.2} s, {triangles}"));
                     console.print_line(command.text());
                     lines.push(triangles);
@@ -278,7 +278,7 @@ impl<'a> Tuning<'a> {
         let made = if requests[0] == requests[1] {
             self.session.reconstruct(&self.frame, settings)?
         } else {
-            let frame = LoadedFrame::read((&self.file.path, self.file.number()), settings)?;
+            let frame = LoadedFrame::read(&self.file.path, self.file.number(), settings)?;
             self.session.reconstruct(&frame, settings)?
         };
         let size = self.session.outputs.picture.size;
@@ -347,12 +347,6 @@ impl MeasuredSpacings<'_> {
         self.measured.push((measured_with, spacing));
         Ok(spacing)
     }
-}
-
-/// The computing time of a reconstruction, in seconds.
-fn seconds(made: &Reconstruction) -> f64 {
-    let seconds = &made.surface.report.seconds;
-    seconds.rasterize + seconds.smooth + seconds.contour
 }
 
 // An option that `meniscus tune` varies, with the values to show: `--vary preset=fluid,noisy,splash`.

@@ -254,7 +254,7 @@ pub struct Seconds {
     pub rasterize: f64,
     /// Smoothing.
     pub smooth: f64,
-    /// Contouring.
+    /// Contouring, and interpolating attributes.
     pub contour: f64,
     /// Encoding and writing, without pictures.
     pub write: f64,
@@ -264,6 +264,23 @@ pub struct Seconds {
 }
 
 impl Seconds {
+    /// The seconds of a stage.
+    pub(crate) fn of_stage(&mut self, stage: Stage) -> &mut f64 {
+        match stage {
+            Stage::Read => &mut self.read,
+            Stage::Rasterize => &mut self.rasterize,
+            Stage::Smooth => &mut self.smooth,
+            Stage::Contour => &mut self.contour,
+            Stage::Write => &mut self.write,
+            Stage::Preview => &mut self.preview,
+        }
+    }
+
+    /// The seconds of the method, without reading and writing.
+    pub fn computing(&self) -> f64 {
+        self.rasterize + self.smooth + self.contour
+    }
+
     /// In the order of the stages.
     pub fn by_stage(&self) -> [f64; 6] {
         [self.read, self.rasterize, self.smooth, self.contour, self.write, self.preview]

@@ -4,7 +4,6 @@ use std::borrow::Cow;
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
-use std::time::Instant;
 
 use glam::{DVec3, IVec3};
 use meniscus_formats::vdb;
@@ -29,7 +28,7 @@ use crate::pipeline::warning::Warning;
 
 /// The input of a frame.
 #[derive(Debug)]
-pub enum FrameInput {
+pub(crate) enum FrameInput {
     /// All particles of the frame.
     InMemory(ParticleCloud),
     /// The particles in a file whose records can be read one by one.
@@ -40,7 +39,7 @@ pub enum FrameInput {
 
 /// A level set that was read.
 #[derive(Debug)]
-pub struct LevelSetInput {
+pub(crate) struct LevelSetInput {
     pub(crate) band: NarrowBand,
     /// The position of its voxel (0, 0, 0), world units.
     pub(crate) origin: DVec3,
@@ -116,7 +115,7 @@ fn too_large(frame: &Frame, bytes: &[u8], memory_bytes: u64) -> Option<FrameErro
 
 /// The particles in a file.
 #[derive(Debug)]
-pub struct FileParticles {
+pub(crate) struct FileParticles {
     file: Arc<InputFile>,
     batches: ParticleBatches<Arc<InputFile>>,
     /// The condition that particles must meet, and how many particles of each batch do.
@@ -217,7 +216,7 @@ impl FileParticles {
 
 impl FrameInput {
     /// The number of particles.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         match self {
             FrameInput::InMemory(cloud) => cloud.positions.len(),
             FrameInput::OnDisk(file) => file.len(),
@@ -226,7 +225,7 @@ impl FrameInput {
     }
 
     /// Whether there are no particles.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
@@ -253,39 +252,23 @@ impl FrameInput {
     ///
     /// # Errors
     /// When they are on disk and cannot be read.
-    pub fn shaped(self, settings: &Settings) -> Result<(ShapedSource<FrameInput>, ShapeStats), Cause> {
-        let started = Instant::now();
-        let (particles, shape_stats) = self.shaped_by_attributes(settings);
-        let (shaped, mut shape_stats) = reconstruction::shape_by_neighbors(particles, shape_stats, settings)?;
-        if settings.has_per_particle_shapes() || settings.uses_neighbors() {
-            shape_stats.seconds = started.elapsed().as_secs_f64();
-        }
-        Ok((shaped, shape_stats))
-    }
-
-    fn shaped_by_attributes(self, settings: &Settings) -> (FrameInput, ShapeStats) {
-        match self {
+    pub(crate) fn shaped(self, settings: &Settings) -> Result<(ShapedSource<FrameInput>, ShapeStats), Cause> {
+        let (particles, shape_stats) = match self {
             FrameInput::InMemory(cloud) => {
                 let (cloud, shape_stats) = reconstruction::shape_by_attributes(cloud, settings);
                 (FrameInput::InMemory(cloud), shape_stats)
             }
             // A file is read in batches only if the settings need no attributes.
             FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => (self, ShapeStats::default()),
-        }
+        };
+        reconstruction::shape_by_neighbors(particles, shape_stats, settings)
     }
 
-    /// Fails if the file was written since it was opened. Call it after the last batch.
-    ///
-    /// # Errors
-    /// [`Cause::Changed`], or an error of the system.
-    pub fn check_unchanged(&self) -> Result<(), Cause> {
+    /// The file, if the particles are read from it in batches.
+    pub(crate) fn file(&self) -> Option<Arc<InputFile>> {
         match self {
-            FrameInput::InMemory(_) | FrameInput::LevelSet(_) => Ok(()),
-            FrameInput::OnDisk(file) => match file.file.is_unchanged() {
-                Ok(true) => Ok(()),
-                Ok(false) => Err(Cause::Changed),
-                Err(error) => Err(Cause::File(error.into())),
-            },
+            FrameInput::InMemory(_) | FrameInput::LevelSet(_) => None,
+            FrameInput::OnDisk(particles) => Some(Arc::clone(&particles.file)),
         }
     }
 }

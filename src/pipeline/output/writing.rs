@@ -5,6 +5,7 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use glam::DVec3;
 use meniscus_formats::{
     AttributeRole, BandGrid, Content, LeafValues, LevelSetView, MeshEncoder, MeshView, Provenance,
     VertexAttribute, VertexValues, vdb,
@@ -33,7 +34,7 @@ use crate::pipeline::target::picture::{PictureOptions, PictureScene, encode_pict
 use crate::pipeline::warning::Warning;
 
 /// Half the width of the band in a .vdb, in voxels: the width that programs expect of a level set.
-pub(crate) const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
+const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
 
 /// The files of a frame.
 pub(crate) struct WrittenFiles {
@@ -48,7 +49,7 @@ pub(crate) struct WrittenFiles {
 /// The first file that cannot be written.
 pub(crate) fn write_files(
     frame: &Frame,
-    write: impl Fn(OutputFormat, &mut BufWriter<&File>) -> meniscus_formats::Result<()>,
+    mut write: impl FnMut(OutputFormat, &mut BufWriter<&File>) -> meniscus_formats::Result<()>,
 ) -> Result<WrittenFiles, FrameError> {
     let OutputOptions { folder, formats, .. } = &*frame.outputs;
     let fail = |path: &Path, error| FrameError::file(path, Stage::Write, error);
@@ -88,13 +89,17 @@ pub(crate) fn write_surface<'env>(
     let provenance = provenance(frame, made_from, format);
     let writer = match format.content() {
         Content::LevelSet => {
-            let (surface, settings) = (Arc::clone(surface), Arc::clone(&frame.settings));
-            let options = frame.outputs.vdb();
-            let encode = move || encode_level_set(&surface, &settings, &options, &provenance);
+            let (surface, frame) = (Arc::clone(surface), frame.clone());
+            let encode = move || encode_levels(&surface, &frame.settings, &frame.outputs, &provenance);
             return scheduler.run(number, encode)?.write(out);
         }
         Content::Picture(_) => {
-            return write_picture(surface, (number, frame), format, provenance, scheduler, out);
+            let (surface, frame) = (Arc::clone(surface), frame.clone());
+            let encode = move || {
+                let Frame { settings, outputs, .. } = &frame;
+                encode_picture_of(&surface, settings, outputs, frame.job.origin(), format, &provenance)
+            };
+            return Ok(out.write_all(&scheduler.run(number, encode)?)?);
         }
         Content::Mesh(writer) => writer,
     };
@@ -118,27 +123,44 @@ pub(crate) fn write_surface<'env>(
     Ok(())
 }
 
-fn write_picture<'env>(
-    surface: &Arc<FrameSurface>,
-    (number, frame): (usize, &Frame),
+/// Renders a picture of a surface whose voxel (0, 0, 0) is at `origin`, and encodes it.
+///
+/// # Errors
+/// If the format is not a picture format.
+pub(crate) fn encode_picture_of(
+    surface: &FrameSurface,
+    settings: &Settings,
+    outputs: &OutputOptions,
+    origin: DVec3,
     format: OutputFormat,
-    provenance: Vec<(String, String)>,
-    scheduler: &Scheduler<'_, '_, 'env>,
-    out: &mut impl Write,
-) -> meniscus_formats::Result<()> {
-    let (surface, outputs, origin) = (Arc::clone(surface), Arc::clone(&frame.outputs), frame.job.origin());
-    let lattice = Lattice { voxel_size: frame.settings.voxel_size };
-    let encode = move || {
-        let has_data = format.has_attributes();
-        let velocity = if has_data { velocities(&surface) } else { None };
-        let scene = PictureScene { band: &surface.band, lattice, origin, velocity: velocity.as_ref() };
-        let PictureOptions { size, camera } = outputs.picture;
-        let bounds = scene.bounds().unwrap_or(EMPTY_BOUNDS);
-        let viewpoint = camera.viewpoint(bounds, outputs.picture.aspect(), up_of(outputs.up));
-        let picture = scene.picture(&viewpoint, size, has_data);
-        encode_picture(&picture, Some(&viewpoint), format, &provenance)
-    };
-    Ok(out.write_all(&scheduler.run(number, encode)?)?)
+    provenance: &Provenance,
+) -> meniscus_formats::Result<Vec<u8>> {
+    let has_data = format.has_attributes();
+    let velocity = if has_data { velocities(surface) } else { None };
+    let lattice = Lattice { voxel_size: settings.voxel_size };
+    let scene = PictureScene { band: &surface.band, lattice, origin, velocity: velocity.as_ref() };
+    let PictureOptions { size, camera } = outputs.picture;
+    let bounds = scene.bounds().unwrap_or(EMPTY_BOUNDS);
+    let viewpoint = camera.viewpoint(bounds, outputs.picture.aspect(), up_of(outputs.up));
+    let picture = scene.picture(&viewpoint, size, has_data);
+    encode_picture(&picture, Some(&viewpoint), format, provenance)
+}
+
+/// The half width of the band, in voxels, in which files in these formats have attributes; `None` if no file
+/// has any there.
+pub(crate) fn attribute_half_width_voxels(formats: &[OutputFormat]) -> Option<f32> {
+    let has_voxels = formats.iter().any(|format| !format.is_mesh() && format.has_attributes());
+    has_voxels.then_some(VDB_HALF_WIDTH_VOXELS)
+}
+
+/// Encodes the level set of a surface with the options for its outputs.
+pub(crate) fn encode_levels(
+    surface: &FrameSurface,
+    settings: &Settings,
+    outputs: &OutputOptions,
+    provenance: &Provenance,
+) -> meniscus_formats::Result<vdb::EncodedVdb> {
+    encode_level_set(surface, settings, &outputs.vdb(), provenance)
 }
 
 /// Encodes the level set of a surface as a .vdb, with the attributes that are known in its band. To write the

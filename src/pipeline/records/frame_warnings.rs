@@ -84,10 +84,14 @@ pub(crate) fn left_out(report: &ReconstructionReport) -> Option<Warning> {
 fn solver_warnings(report: &ReconstructionReport) -> impl Iterator<Item = FrameWarning> {
     let count = report.contact.particle_count;
     let are_most = 2 * count > report.particle_count;
-    let step_count = report.cfl_exceeded_count;
+    let step_count = report.smoothing.cfl_exceeded_count;
     let warnings = [
         (count > 0).then_some(FrameWarning::ParticlesInObstacles { count, are_most }),
-        report.convergence.filter(|convergence| !convergence.reached).map(|_| FrameWarning::NotConverged),
+        report
+            .smoothing
+            .convergence
+            .filter(|convergence| !convergence.reached)
+            .map(|_| FrameWarning::NotConverged),
         (step_count > 0).then_some(FrameWarning::CflExceeded { step_count }),
     ];
     warnings.into_iter().flatten()

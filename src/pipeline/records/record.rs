@@ -236,7 +236,7 @@ pub(crate) fn measured_json(report: &FrameReport) -> Value {
 }
 
 fn measured(report: &FrameReport) -> Object {
-    let ReconstructionReport { shapes, edits, contact, depth, mesh, .. } = &report.reconstruction;
+    let ReconstructionReport { shapes, edits, contact, depth, mesh, smoothing, .. } = &report.reconstruction;
     let reconstruction = &report.reconstruction;
     let obstacles = (!report.obstacles.is_empty()).then(|| {
         json!({
@@ -263,12 +263,12 @@ fn measured(report: &FrameReport) -> Object {
         ("obstacles", json!(obstacles)),
         ("leaves", json!(reconstruction.leaf_count)),
         ("voxels", json!(reconstruction.leaf_count * LEAF_VOXELS)),
-        ("free_voxels", json!(reconstruction.free_voxel_count)),
-        ("passes", json!(reconstruction.pass_count)),
-        ("voxel_passes", json!(reconstruction.voxel_update_count)),
-        ("reach_voxels", json!(reconstruction.reach_voxels)),
-        ("convergence", json!(reconstruction.convergence)),
-        ("cfl_exceeded", json!(reconstruction.cfl_exceeded_count)),
+        ("free_voxels", json!(smoothing.free_voxel_count)),
+        ("passes", json!(smoothing.pass_count)),
+        ("voxel_passes", json!(smoothing.voxel_update_count)),
+        ("reach_voxels", json!(smoothing.reach_voxels)),
+        ("convergence", json!(smoothing.convergence)),
+        ("cfl_exceeded", json!(smoothing.cfl_exceeded_count)),
     ]);
     measured.extend(reconstruction.transfer.iter().map(|transfer| ("attributes", json!(transfer))));
     measured.extend([

@@ -24,7 +24,8 @@
 //! Each stage runs under `catch_unwind`: a broken invariant fails only its frame. A frame that failed, or was
 //! done already, leaves at once and overtakes others; [`run`] restores the order of outcomes.
 //!
-//! `shared` has the types that stages exchange; `read`, `compute` and `write` are the stages.
+//! `shared` has the types that stages exchange, and measures the stages; `read`, `compute` and `write` are the
+//! stages.
 
 mod compute;
 mod read;
@@ -38,13 +39,14 @@ use std::thread;
 use crossbeam::channel::bounded;
 use rayon::ThreadPool;
 
+use crate::pipeline::error::Stage;
 use crate::pipeline::input::frame::{Frame, Outcome};
 use crate::pipeline::input::steps::IndexPolicy;
 use crate::pipeline::memory::default_memory_bytes;
-use crate::pipeline::method::Method;
 use crate::pipeline::observer::Observer;
 use crate::pipeline::scheduler::{Scheduler, TaskQueue};
 
+use compute::{contour, rasterize, smooth};
 use shared::{FinishedFrame, StageContext, Stages, is_failure, link};
 
 /// What to do when a frame fails.
@@ -112,18 +114,12 @@ fn writer_count(thread_count: usize) -> usize {
 
 /// Converts the frames of a list. `finished` receives each outcome with the index of its frame, in order, as
 /// soon as all earlier frames are finished.
-pub fn run<M: Method>(
-    method: &M,
-    frames: &[Frame],
-    options: &PipelineOptions<'_>,
-    mut finished: impl FnMut(usize, Outcome),
-) {
+pub fn run(frames: &[Frame], options: &PipelineOptions<'_>, mut finished: impl FnMut(usize, Outcome)) {
     let mut frames = frames.iter().cloned().enumerate();
     let mut early = BTreeMap::new();
     let mut is_stopped = false;
     let mut finished_count = 0;
     stream(
-        method,
         || frames.next(),
         options,
         |index, _, outcome| {
@@ -142,13 +138,12 @@ pub fn run<M: Method>(
 /// Converts the frames that `next` returns, until it returns `None`. Calls `next` when there is room for one
 /// more frame; `next` may block. `K` identifies a frame for the caller. `finished` receives each outcome as
 /// soon as it is known, in any order, on the thread of the caller.
-pub fn stream<M: Method, K: Send>(
-    method: &M,
+pub fn stream<K: Send>(
     next: impl FnMut() -> Option<(K, Frame)> + Send,
     options: &PipelineOptions<'_>,
     finished: impl FnMut(K, Frame, Outcome),
 ) {
-    let shared = StageContext::new(method, options);
+    let shared = StageContext::new(options);
     let tasks = TaskQueue::default();
     options.pool.in_place_scope(|scope| {
         let stages = Stages { shared: &shared, scheduler: Scheduler::new(scope, &tasks) };
@@ -157,8 +152,8 @@ pub fn stream<M: Method, K: Send>(
 }
 
 /// Starts the threads of the stages, and reports the outcomes of the frames.
-fn drive<'scope, 'env: 'scope, M: Method, K: Send + 'env>(
-    stages: &Stages<'_, 'scope, 'env, M>,
+fn drive<'scope, 'env: 'scope, K: Send + 'env>(
+    stages: &Stages<'_, 'scope, 'env>,
     next: impl FnMut() -> Option<(K, Frame)> + Send,
     mut finished: impl FnMut(K, Frame, Outcome),
 ) {
@@ -185,10 +180,21 @@ fn drive<'scope, 'env: 'scope, M: Method, K: Send + 'env>(
         let reader_done = done.clone();
         scope.spawn(move || stages.read(next, &slot_sender, &to_rasterize, &reader_done));
         let of_stage = done.clone();
-        scope.spawn(move || stages.rasterize(&to_rasterize_from, &to_smooth, &of_stage));
+        scope.spawn(move || {
+            let receive = || {
+                let mut item = to_rasterize_from.recv().ok()?;
+                item.info.memory.reserve_compute(item.info.needed_bytes);
+                Some(item)
+            };
+            stages.compute(Stage::Rasterize, receive, &to_smooth, &of_stage, rasterize);
+        });
         let of_stage = done.clone();
-        scope.spawn(move || stages.smooth(&to_smooth_from, &to_contour, &of_stage));
-        scope.spawn(move || stages.contour(&to_contour_from, &to_write, &done));
+        scope.spawn(move || {
+            stages.compute(Stage::Smooth, || to_smooth_from.receive(), &to_contour, &of_stage, smooth);
+        });
+        scope.spawn(move || {
+            stages.compute(Stage::Contour, || to_contour_from.receive(), &to_write, &done, contour);
+        });
         // A stage ends when the one before it has ended, so this thread must drop its ends of the channels.
         drop(to_write_from);
         for FinishedFrame { key, frame, outcome } in outcomes {

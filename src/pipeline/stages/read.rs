@@ -14,7 +14,7 @@ use twox_hash::XxHash3_128;
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
 use crate::pipeline::input::attributes::AttributeRequest;
-use crate::pipeline::input::frame::{Frame, Job, Outcome, ReadInput};
+use crate::pipeline::input::frame::{Frame, Job, Outcome, ReadInput, Seconds};
 use crate::pipeline::input::frame_input::{FileParticles, FrameInput, LevelSetInput, read_input};
 use crate::pipeline::input::level_set_file::{level_set_limits, other_grids};
 use crate::pipeline::input::obstacles::FoundObstacles;
@@ -22,13 +22,13 @@ use crate::pipeline::input::out_of_reach::out_of_reach;
 use crate::pipeline::input::position_doubts::position_doubts;
 use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged};
 use crate::pipeline::input::steps::{reading_bytes, step_of};
-use crate::pipeline::method::Method;
+use crate::pipeline::method;
 use crate::pipeline::warning::Warning;
 use crate::surface::options::Settings;
 
 use super::shared::{FinishedFrame, InputInfo, Noted, Read, Stages, WorkItem, outcome_of};
 
-impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
+impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     /// Reads frames until `next` returns `None`, or the caller is gone.
     pub(super) fn read<K>(
         &self,
@@ -71,10 +71,10 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             Job::Particles => self.bytes_of(frame),
         });
         let (read, input, noted) = read.map_err(Outcome::Failed).flatten()?;
-        let read_seconds = start.elapsed().as_secs_f64();
+        let seconds = Seconds { read: start.elapsed().as_secs_f64(), ..Seconds::default() };
         let Read::Surface { input: given, obstacles, plan } = &read else {
             let (needed_bytes, obstacles) = (bytes, <(String, usize)>::default());
-            return Ok((read, InputInfo { input, read_seconds, noted, obstacles, needed_bytes, memory }));
+            return Ok((read, InputInfo { input, seconds, noted, obstacles, needed_bytes, memory }));
         };
         // Static obstacles are shared with later frames. The address of the `Arc` identifies them; it does
         // not change while this pipeline has frames. Until `resize` below, this frame's reservation still
@@ -88,7 +88,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         memory.resize(given_bytes);
         let needed_bytes = plan.memory_bytes.saturating_add(given_bytes);
         let obstacles = (obstacles.recorded.clone(), obstacles.open_edge_count);
-        Ok((read, InputInfo { input, read_seconds, noted, obstacles, needed_bytes, memory }))
+        Ok((read, InputInfo { input, seconds, noted, obstacles, needed_bytes, memory }))
     }
 
     /// The bytes of a frame that is converted to another particle format.
@@ -201,7 +201,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         found: FoundObstacles,
         input: ReadInput,
     ) -> Result<(Read, ReadInput, Noted), Outcome> {
-        let (method, allowed_bytes) = (self.shared.method, self.shared.options.memory_bytes);
+        let allowed_bytes = self.shared.options.memory_bytes;
         let frame = frame.clone();
         let planned = self.scheduler.run(number, move || {
             let (given, mut noted) = parse()?;
@@ -214,7 +214,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             let members = obstacles.obstacles.members.iter().map(Arc::as_ref);
             let by_path = obstacles.paths.iter().map(PathBuf::as_path).zip(members);
             warnings.extend(out_of_reach(by_path, &given, &frame.settings).map_err(failed)?);
-            let plan = method.plan(&given, &obstacles, &frame.settings, &frame.outputs, allowed_bytes);
+            let plan = method::plan(&given, &obstacles, &frame.settings, &frame.outputs, allowed_bytes);
             let plan = plan.map_err(failed)?;
             if plan.tile_leaves.is_some() {
                 let whole_bytes = plan.in_core_bytes.saturating_add(given.size_bytes());

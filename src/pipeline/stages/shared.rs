@@ -5,13 +5,14 @@
 //! stage blocks the one before it, and a thread of the pool never waits for room in a channel.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 use meniscus_formats::ParticleFrame;
 
 use crate::pipeline::budget::{Budget, Reservation};
 use crate::pipeline::error::{Cause, FrameError, Stage};
-use crate::pipeline::input::frame::{Frame, Outcome, ReadInput};
+use crate::pipeline::input::frame::{Frame, Outcome, ReadInput, Seconds};
 use crate::pipeline::input::frame_input::FrameInput;
 use crate::pipeline::input::obstacles::FrameObstacles;
 use crate::pipeline::scheduler::Scheduler;
@@ -22,8 +23,7 @@ use crate::surface::reconstruction::MemoryPlan;
 use super::{OnError, PipelineOptions};
 
 /// The state that all stages share.
-pub(super) struct StageContext<'env, M> {
-    pub(super) method: &'env M,
+pub(super) struct StageContext<'env> {
     pub(super) options: &'env PipelineOptions<'env>,
     pub(super) budget: Budget,
     /// The number of the first frame that failed.
@@ -31,8 +31,8 @@ pub(super) struct StageContext<'env, M> {
 }
 
 /// The stages of one call of [`stream`](super::stream). The threads of the stages borrow this.
-pub(super) struct Stages<'a, 'scope, 'env, M> {
-    pub(super) shared: &'env StageContext<'env, M>,
+pub(super) struct Stages<'a, 'scope, 'env> {
+    pub(super) shared: &'env StageContext<'env>,
     pub(super) scheduler: Scheduler<'a, 'scope, 'env>,
 }
 
@@ -51,7 +51,7 @@ pub(super) struct WorkItem<'env, K, T> {
 /// What reading a frame determines, for the later stages.
 pub(super) struct InputInfo<'env> {
     pub(super) input: ReadInput,
-    pub(super) read_seconds: f64,
+    pub(super) seconds: Seconds,
     pub(super) noted: Noted,
     /// The record of its obstacles, and their number of boundary edges.
     pub(super) obstacles: (String, usize),
@@ -91,11 +91,11 @@ pub(super) struct FinishedFrame<K> {
     pub(super) outcome: Outcome,
 }
 
-impl<'env, M> StageContext<'env, M> {
+impl<'env> StageContext<'env> {
     /// The state before the first frame.
-    pub(super) fn new(method: &'env M, options: &'env PipelineOptions<'env>) -> StageContext<'env, M> {
+    pub(super) fn new(options: &'env PipelineOptions<'env>) -> StageContext<'env> {
         let budget = Budget::new(options.memory_bytes);
-        StageContext { method, options, budget, failed_first: AtomicUsize::new(usize::MAX) }
+        StageContext { options, budget, failed_first: AtomicUsize::new(usize::MAX) }
     }
 
     /// Reports that a frame begins a stage.
@@ -103,6 +103,21 @@ impl<'env, M> StageContext<'env, M> {
         if let Some(observer) = self.options.observer {
             observer.began(frame, stage);
         }
+    }
+
+    /// Runs a stage of a surface, and measures it.
+    pub(super) fn measured<T>(
+        &self,
+        stage: Stage,
+        frame: &Frame,
+        info: &mut InputInfo<'_>,
+        work: impl FnOnce() -> Result<T, Cause>,
+    ) -> Result<T, FrameError> {
+        self.begin(frame, stage);
+        let start = Instant::now();
+        let made = work();
+        *info.seconds.of_stage(stage) = start.elapsed().as_secs_f64();
+        made.map_err(|cause| frame.failed(stage, cause))
     }
 
     /// Reports the outcome of the frame with this number. Returns whether the caller still receives outcomes.

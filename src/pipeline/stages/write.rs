@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::Sender;
@@ -12,7 +12,7 @@ use meniscus_formats::ParticleFrame;
 
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::open::require_no_links;
-use crate::pipeline::input::frame::{Frame, FrameReport, Job, Outcome, Seconds};
+use crate::pipeline::input::frame::{Frame, FrameReport, Job, Outcome};
 use crate::pipeline::memory::peak_memory_bytes;
 use crate::pipeline::output::particle_files::{particle_warnings, write_particles};
 use crate::pipeline::output::writing::{WrittenFiles, surface_warnings, write_files, write_surface};
@@ -25,7 +25,7 @@ use crate::surface::space::Lattice;
 
 use super::shared::{FinishedFrame, Inlet, InputInfo, Noted, StageContext, Staged, Stages, WorkItem};
 
-impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
+impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     /// Writes frames until there are no more. Once the caller no longer receives outcomes, discards frames.
     pub(super) fn write<K>(
         &self,
@@ -42,7 +42,7 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
             // stages. So timing does not affect which frames are written before a stop.
             let outcome = match content {
                 _ if self.shared.is_stopped_before(number) => Outcome::NotStarted,
-                Staged::Surface(surface) => self.write_one((number, &frame), info, surface),
+                Staged::Surface(surface) => self.write_surface(number, &frame, info, surface),
                 Staged::Particles(particles) => self.write_particles(&frame, info, &particles),
             };
             is_abandoned = !self.shared.finish(number, finished, FinishedFrame { key, frame, outcome });
@@ -60,7 +60,7 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
             };
             let written = write_files(frame, write)?;
             let warnings = particle_warnings(particles, &frame.outputs.formats);
-            let mut report = report(frame, info, (written, warnings));
+            let mut report = report(frame, info, written, warnings);
             report.reconstruction.particle_count = particles.positions.len();
             report.seconds.write = start.elapsed().as_secs_f64();
             recorded(frame, report)
@@ -68,55 +68,43 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
         converted(written.flatten())
     }
 
-    fn write_one(
+    fn write_surface(
         &self,
-        (number, frame): (usize, &Frame),
-        info: InputInfo<'_>,
+        number: usize,
+        frame: &Frame,
+        mut info: InputInfo<'_>,
         surface: FrameSurface,
     ) -> Outcome {
         let start = Instant::now();
         self.shared.begin(frame, Stage::Write);
-        let obstacles = info.obstacles.0.clone();
-        let made_from = (info.input.hash, obstacles.as_str());
         let surface = Arc::new(surface);
-        let preview_time = Mutex::new(Duration::ZERO);
         // Everything runs within `catch`, so that a panic in the framing, too, fails only this frame.
-        let requested = frame;
-        let written = FrameError::catch(&requested.input, Stage::Write, || {
-            self.shared.refuse_links(&requested.outputs.folder)?;
-            let frame = &match requested.framing.as_ref().filter(|_| requested.has_pictures()) {
-                Some(framing) => requested.with_camera(framing.camera_for(bounds_of(&surface, requested))),
-                None => requested.clone(),
+        let written = FrameError::catch(&frame.input, Stage::Write, || {
+            self.shared.refuse_links(&frame.outputs.folder)?;
+            let frame = &match frame.framing.as_ref().filter(|_| frame.has_pictures()) {
+                Some(framing) => frame.with_camera(framing.camera_for(bounds_of(&surface, frame))),
+                None => frame.clone(),
             };
-            let write = |format: OutputFormat, out: &mut BufWriter<&File>| {
-                let mut write =
-                    || write_surface(&surface, (number, frame), made_from, format, &self.scheduler, out);
-                if !format.is_picture() {
-                    return write();
-                }
+            let made_from = (info.input.hash, &*info.obstacles.0);
+            let mut preview_time = Duration::ZERO;
+            let written = write_files(frame, |format, out| {
                 let start = Instant::now();
-                self.shared.begin(frame, Stage::Preview);
-                let written = write();
-                self.shared.begin(frame, Stage::Write);
-                *preview_time.lock().unwrap_or_else(PoisonError::into_inner) += start.elapsed();
+                if format.is_picture() {
+                    self.shared.begin(frame, Stage::Preview);
+                }
+                let written =
+                    write_surface(&surface, (number, frame), made_from, format, &self.scheduler, out);
+                if format.is_picture() {
+                    self.shared.begin(frame, Stage::Write);
+                    preview_time += start.elapsed();
+                }
                 written
-            };
-            let written = write_files(frame, write)?;
+            })?;
+            info.seconds.write = start.elapsed().saturating_sub(preview_time).as_secs_f64();
+            info.seconds.preview = preview_time.as_secs_f64();
             let warnings = surface_warnings(&surface, &frame.outputs, &frame.settings);
-            let preview_time = *preview_time.lock().unwrap_or_else(PoisonError::into_inner);
-            let report = FrameReport {
-                reconstruction: surface.report.clone(),
-                seconds: Seconds {
-                    read: info.read_seconds,
-                    rasterize: surface.report.seconds.rasterize,
-                    smooth: surface.report.seconds.smooth,
-                    contour: surface.report.seconds.contour,
-                    write: start.elapsed().saturating_sub(preview_time).as_secs_f64(),
-                    preview: preview_time.as_secs_f64(),
-                },
-                ..report(frame, info, (written, warnings))
-            };
-            recorded(frame, report)
+            let reconstruction = surface.report.clone();
+            recorded(frame, FrameReport { reconstruction, ..report(frame, info, written, warnings) })
         });
         converted(written.flatten())
     }
@@ -132,7 +120,7 @@ fn converted(written: Result<FrameReport, FrameError>) -> Outcome {
     written.map_or_else(Outcome::Failed, |report| Outcome::Converted(Box::new(report)))
 }
 
-impl<M> StageContext<'_, M> {
+impl StageContext<'_> {
     /// Refuses a folder inside a mirrored output folder if any part of its path below that output folder is a
     /// link.
     pub(super) fn refuse_links(&self, folder: &Path) -> Result<(), FrameError> {
@@ -145,11 +133,7 @@ impl<M> StageContext<'_, M> {
 }
 
 /// The part of a frame's report that is the same for particles and surfaces.
-fn report(
-    frame: &Frame,
-    info: InputInfo<'_>,
-    (written, warnings): (WrittenFiles, Vec<Warning>),
-) -> FrameReport {
+fn report(frame: &Frame, info: InputInfo<'_>, written: WrittenFiles, warnings: Vec<Warning>) -> FrameReport {
     let (obstacles, obstacle_open_edge_count) = info.obstacles;
     let Noted { warnings: of_input, unused_velocity } = info.noted;
     let has_attributes = frame.outputs.formats.iter().any(|format| format.has_attributes());
@@ -158,7 +142,7 @@ fn report(
         obstacles,
         obstacle_open_edge_count,
         voxel_size: matches!(frame.job, Job::LevelSet { .. }).then_some(frame.settings.voxel_size),
-        seconds: Seconds { read: info.read_seconds, ..Seconds::default() },
+        seconds: info.seconds,
         peak_memory_bytes: peak_memory_bytes(),
         outputs: written.paths,
         files: written.files,

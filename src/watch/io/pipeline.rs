@@ -10,8 +10,8 @@ use crossbeam::channel::{Receiver, Sender, bounded};
 use rayon::ThreadPoolBuilder;
 
 use crate::pipeline::{
-    Frame, FrameError, IndexPolicy, LevelSetMethod, Observer, OnError, Outcome, PipelineOptions, Stage,
-    default_in_flight, stream,
+    Frame, FrameError, IndexPolicy, Observer, OnError, Outcome, PipelineOptions, Stage, default_in_flight,
+    stream,
 };
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, FrameFinished, Start};
@@ -92,7 +92,7 @@ fn run(
             return Some((id, *frame));
         }
     };
-    stream(&LevelSetMethod, next, &options, |id, _, outcome| {
+    stream(next, &options, |id, _, outcome| {
         let free_bytes = match &outcome {
             Outcome::Failed(error) if error.is_disk_full() => free_bytes_at(error),
             _ => None,

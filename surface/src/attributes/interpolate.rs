@@ -9,8 +9,8 @@ use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
 use super::{CHUNK, NO_PARTICLE, NumericAttribute, TransferSource};
+use crate::cancel::checkpoint;
 use crate::grid::{Leaf, NO_LEAF, Topology, offset_in_leaf};
-use crate::interrupt::checkpoint;
 use crate::level_set::NarrowBand;
 use crate::neighbors::{NeighborPackets, Particle8};
 use crate::parallel::Loops as _;

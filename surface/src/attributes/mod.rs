@@ -36,8 +36,8 @@ use std::sync::Arc;
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
+use crate::cancel::checkpoint;
 use crate::grid::{LEAF_VOXELS, NO_LEAF, Topology};
-use crate::interrupt::checkpoint;
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::neighbors::Neighbors;
@@ -337,7 +337,8 @@ struct Nodes {
 pub fn interpolate_to_band<'a>(
     particles: impl Into<Positions<'a>>,
     attributes: &[&'a Attribute],
-    (band, lattice): (&NarrowBand, &Lattice),
+    band: &NarrowBand,
+    lattice: &Lattice,
     half_width_voxels: f32,
     support: Support<'a>,
 ) -> (Vec<BandAttribute>, TransferCounts) {

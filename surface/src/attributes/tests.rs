@@ -358,7 +358,7 @@ fn band_voxels_have_the_surface_values() {
     for half_width in [6.0, 3.0] {
         let band = band(center, 1.13, half_width);
         let selected: Vec<&Attribute> = attributes.iter().collect();
-        let (found, counts) = interpolate_to_band(&particles, &selected, (&band, &lattice), 3.0, REACH);
+        let (found, counts) = interpolate_to_band(&particles, &selected, &band, &lattice, 3.0, REACH);
         assert_eq!(found.iter().map(|attribute| attribute.arity).collect::<Vec<_>>(), [3, 3, 1]);
         assert_eq!((counts.isolated_count == 0, counts.empty_count), (half_width == 6.0, 0));
         let mut points = Vec::new();
@@ -389,7 +389,7 @@ fn voxels_midway_between_surfaces_have_values() {
     let side = numbers("side", 1, sides);
     let (band, lattice) = (band_of(&centers, 0.8, 6.0), Lattice { voxel_size: VOXEL });
     let (found, counts) =
-        interpolate_to_band(OwnedPositions::F64(positions), &[&side], (&band, &lattice), 3.0, REACH);
+        interpolate_to_band(OwnedPositions::F64(positions), &[&side], &band, &lattice, 3.0, REACH);
     assert_eq!((counts.isolated_count, counts.empty_count), (0, 0));
     each_voxel(&band, &found[0], |voxel, _, values| {
         let of_one = values[0] == voxel.x.signum() as f32;
@@ -408,7 +408,7 @@ fn band_values_stay_in_range_on_any_number_of_threads() {
     let particles = OwnedPositions::F64(positions);
     let run = || {
         let selected: Vec<&Attribute> = attributes.iter().collect();
-        interpolate_to_band(&particles, &selected, (&band, &lattice), 3.0, REACH).0
+        interpolate_to_band(&particles, &selected, &band, &lattice, 3.0, REACH).0
     };
     let found = run();
     assert_eq!(found.len(), 1, "integer attributes are not transferred to grids");
@@ -434,6 +434,6 @@ fn empty_band_has_no_attribute_values() {
     let attributes = numbers("a", 1, vec![1.0]);
     let particles = OwnedPositions::F32(vec![[0.0; 3]]);
     let lattice = Lattice { voxel_size: VOXEL };
-    let (found, counts) = interpolate_to_band(&particles, &[&attributes], (&band, &lattice), 3.0, REACH);
+    let (found, counts) = interpolate_to_band(&particles, &[&attributes], &band, &lattice, 3.0, REACH);
     assert_eq!((found.len(), found[0].size_bytes(), counts), (1, 0, TransferCounts::default()));
 }

@@ -32,8 +32,8 @@ use rayon::prelude::*;
 
 use super::neighborhood::{BLOCK_STEP, LeafNeighborhood, PhiBlock, SignRows};
 use super::{MeshFrame, split, unit_or_zero};
+use crate::cancel::checkpoint;
 use crate::grid::{LEAF_VOXELS, LeafMask, ROW_COUNT, negative_masks, offset_in_leaf, voxel_in_leaf};
-use crate::interrupt::checkpoint;
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::parallel::Loops as _;

@@ -39,7 +39,7 @@ use rayon::prelude::*;
 
 use super::corners::{Corners, TouchingTriangles};
 use super::{CHUNK, Mesh};
-use crate::interrupt::checkpoint;
+use crate::cancel::checkpoint;
 use crate::parallel::Loops as _;
 
 /// Result of decimation.

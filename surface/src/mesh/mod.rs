@@ -27,7 +27,7 @@ use rayon::prelude::*;
 pub(crate) use corners::{LANES, TriangleBatch};
 pub use decimate::{DecimateReport, decimate};
 
-use crate::interrupt::checkpoint;
+use crate::cancel::checkpoint;
 use crate::parallel::Loops as _;
 use crate::simd::{Kernel, Lanes, dispatch};
 use corners::{Corners, TouchingTriangles, sum_vertices};

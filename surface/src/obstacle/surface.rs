@@ -340,7 +340,7 @@ fn flip_parts(
     let suspect_count = volumes.iter().filter(|&&volume| volume < 0.0).count();
     let is_tested = part_count <= PARTS_MAX;
     if suspect_count > 0 && is_tested {
-        let is_cavity = are_cavities(points, faces, parts, (&volumes, is_inside_out));
+        let is_cavity = are_cavities(points, faces, parts, &volumes, is_inside_out);
         for ((wrong, volume), is_cavity) in wrong.iter_mut().zip(&volumes).zip(is_cavity) {
             *wrong ^= *volume < 0.0 && !is_cavity;
         }
@@ -360,7 +360,8 @@ fn are_cavities(
     points: &[DVec3],
     faces: &[[u32; 3]],
     parts: &[u32],
-    (volumes, inside_out): (&[f64], bool),
+    volumes: &[f64],
+    inside_out: bool,
 ) -> Vec<bool> {
     let outward = |[a, b, c]: [DVec3; 3]| if inside_out { [a, c, b] } else { [a, b, c] };
     let of_sound = faces.iter().zip(parts).filter(|&(_, &part)| volumes[part as usize] > 0.0);

@@ -59,8 +59,8 @@ use rustc_hash::FxHashSet;
 
 use super::occupancy::{Occupancy, Octants, ROUND};
 use super::{Radii, RasterParams, Regions};
+use crate::cancel::checkpoint;
 use crate::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
-use crate::interrupt::checkpoint;
 use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::CoordBox;

@@ -33,10 +33,10 @@ use rayon::prelude::*;
 use super::bin::ParticleBins;
 use super::distances::OUT_OF_REACH;
 use super::{EXACT_MARGIN, Radii};
+use crate::cancel::checkpoint;
 use crate::grid::{
     Field, LEAF_EDGE, LEAVES_PER_TASK, Leaf, LeafMask, ROW_COUNT, SetBits, Topology, leaf_steps_within,
 };
-use crate::interrupt::checkpoint;
 use crate::parallel::Loops as _;
 use crate::particles::Ellipsoid;
 use crate::simd::{self, Kernel, Lanes, greatest};

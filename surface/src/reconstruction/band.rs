@@ -9,24 +9,21 @@
 //! surface, moved by ± this distance, replaces the spheres that constrain the surface of particles.
 
 use std::convert::Infallible;
-use std::ops::ControlFlow;
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
 use super::plan::{FIELD_BYTES, mesh_bytes, smoothing_fields};
-use super::{FrameSurface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, lattice, postprocess, smooth_config};
+use super::{FrameSurface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, lattice, postprocess};
 use crate::contour;
 use crate::grid::{Field, negative_masks};
 use crate::level_set::{
     Bounds, NarrowBand, WIDENED_MAX, offset_surface, widened, widened_leaf_count, widened_leaf_count_max,
 };
 use crate::mesh::{Mesh, PositionRounding};
-use crate::obstacle::Obstacles;
 use crate::options::Settings;
 use crate::parallel::Loops as _;
 use crate::report::ReconstructionReport;
-use crate::smooth;
 use crate::validation::Checks;
 
 /// Limit of the maximum deviation, in voxels: the stored band around the surface is not wider.
@@ -38,80 +35,41 @@ const HALF_WIDTH_MIN: f32 = 3.0;
 /// Margin of the smoothing band beyond the maximum deviation, in voxels.
 const MARGIN: f32 = 5.0;
 
-/// Computes the surface of a level set, whose values are in units of the settings' voxel size. With a maximum
-/// deviation above 0, it is the smoothest surface that stays within that distance, in voxels, of the given
-/// one; the settings' offset is applied afterwards. Settings for particles have no effect. Voxel (0, 0, 0) is
-/// at `translation`, in world units.
-pub fn smooth_level_set(
-    band: NarrowBand,
+/// A level set between two stages, with the bounds that its surface must keep.
+pub(super) struct BoundedBand {
+    pub(super) band: NarrowBand,
+    pub(super) bounds: Bounds,
+    /// In voxels.
+    pub(super) max_deviation: f32,
     translation: DVec3,
-    max_deviation_voxels: f32,
-    settings: &Settings,
-    rounding: PositionRounding,
-) -> FrameSurface {
-    bound_level_set(band, translation, max_deviation_voxels, settings)
-        .smooth(settings, &mut |_| {})
-        .contour(settings, rounding)
-}
-
-/// A level set between two stages of [`smooth_level_set`], with the bounds that its surface must keep.
-#[derive(Clone, Debug)]
-pub struct BoundedBand {
-    band: NarrowBand,
-    bounds: Bounds,
-    max_deviation: f32,
-    translation: DVec3,
-    report: ReconstructionReport,
-}
-
-/// First stage of [`smooth_level_set`]: widens the band and computes the bounds.
-pub fn bound_level_set(
-    band: NarrowBand,
-    translation: DVec3,
-    max_deviation_voxels: f32,
-    settings: &Settings,
-) -> BoundedBand {
-    let max_deviation = max_deviation_voxels.clamp(0.0, DEVIATION_MAX_VOXELS);
-    let band = match working_half_width(band.half_width, max_deviation, offset_voxels(settings)) {
-        Some(half_width) => widened(&band, half_width),
-        None => band,
-    };
-    let bounds = Bounds { lower: moved(&band.phi, -max_deviation), upper: moved(&band.phi, max_deviation) };
-    let report = ReconstructionReport { leaf_count: band.topology.len(), ..ReconstructionReport::default() };
-    BoundedBand { band, bounds, max_deviation, translation, report }
 }
 
 impl BoundedBand {
-    /// The report so far.
-    pub fn report_mut(&mut self) -> &mut ReconstructionReport {
-        &mut self.report
-    }
-
-    /// Second stage: smooths within the bounds if the maximum deviation is above 0. `advanced` receives the
-    /// progress, from 0 to 1.
-    pub fn smooth(mut self, settings: &Settings, advanced: &mut dyn FnMut(f64)) -> BoundedBand {
-        let BoundedBand { band, bounds, max_deviation, report, .. } = &mut self;
-        if *max_deviation > 0.0 {
-            let mut advanced = |fraction| {
-                advanced(fraction);
-                ControlFlow::Continue(())
-            };
-            let config = smooth_config(settings, &Obstacles::default());
-            let ControlFlow::Continue(smoothed) =
-                smooth::smooth_while::<Infallible>(band, bounds, &config, &mut advanced);
-            report.free_voxel_count = smoothed.free_voxel_count;
-            report.pass_count = smoothed.pass_count;
-            report.voxel_update_count = smoothed.voxel_update_count;
-            report.reach_voxels = smoothed.reach_voxels;
-            report.convergence = smoothed.convergence;
-            report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
-        }
-        self
+    /// First stage: widens the band and computes the bounds.
+    pub(super) fn new(
+        band: NarrowBand,
+        translation: DVec3,
+        max_deviation_voxels: f32,
+        settings: &Settings,
+    ) -> BoundedBand {
+        let max_deviation = max_deviation_voxels.clamp(0.0, DEVIATION_MAX_VOXELS);
+        let band = match working_half_width(band.half_width, max_deviation, offset_voxels(settings)) {
+            Some(half_width) => widened(&band, half_width),
+            None => band,
+        };
+        let bounds =
+            Bounds { lower: moved(&band.phi, -max_deviation), upper: moved(&band.phi, max_deviation) };
+        BoundedBand { band, bounds, max_deviation, translation }
     }
 
     /// Third stage: the mesh with rounded positions, and its validation.
-    pub fn contour(self, settings: &Settings, rounding: PositionRounding) -> FrameSurface {
-        let BoundedBand { mut band, bounds, translation, mut report, .. } = self;
+    pub(super) fn contour(
+        self,
+        settings: &Settings,
+        rounding: PositionRounding,
+        mut report: ReconstructionReport,
+    ) -> FrameSurface {
+        let BoundedBand { mut band, bounds, translation, .. } = self;
         report.certificate.bound_violation_count = bounds.violation_count(&band.phi);
         drop(bounds);
         let offset = offset_voxels(settings);
@@ -150,8 +108,8 @@ fn working_half_width(given_half_width: f32, max_deviation: f32, offset: f32) ->
     Some((without_offset.unwrap_or(HALF_WIDTH_MIN) + offset.abs().ceil()).min(WIDENED_MAX))
 }
 
-/// Upper estimate of the peak memory of [`smooth_level_set`] with these arguments, in bytes. It includes the
-/// given band.
+/// Upper estimate of the peak memory of all stages of a [level set](super::StagedFrame::of_level_set), in
+/// bytes. It includes the given band.
 pub fn smooth_level_set_bytes(band: &NarrowBand, max_deviation_voxels: f32, settings: &Settings) -> u64 {
     let half_width = working_half_width(band.half_width, max_deviation_voxels, offset_voxels(settings));
     let wide = half_width.map(|_| widened_leaf_count(band));
@@ -270,8 +228,9 @@ mod tests {
         let band = ball();
         let settings = Settings::paper(0.01, &MethodOptions::default()).expect("sound");
         let flat_count = |translation: DVec3| {
+            let bounded = BoundedBand::new(band.clone(), translation, 0.0, &settings);
             let surface =
-                smooth_level_set(band.clone(), translation, 0.0, &settings, PositionRounding::World);
+                bounded.contour(&settings, PositionRounding::World, ReconstructionReport::default());
             surface.report.flat_triangles_removed + surface.report.mesh.degenerate_triangle_count
         };
         assert_eq!(flat_count(DVec3::ZERO), 0);

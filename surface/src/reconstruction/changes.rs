@@ -94,7 +94,8 @@ impl NeighborChanges {
     /// returns the number of particles of a batch.
     pub(super) fn new(
         found: Vec<BlockChanges>,
-        (step_world, ball): (f64, Option<f32>),
+        step_world: f64,
+        ball: Option<f32>,
         batch_count: usize,
         count_of: impl Fn(usize) -> usize,
     ) -> NeighborChanges {

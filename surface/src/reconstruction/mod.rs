@@ -1,54 +1,43 @@
 //! The whole method in three stages: rasterize, smooth, contour.
 //!
-//! The stages are separate functions so that a pipeline can run a different frame in each;
+//! The stages are separate methods of [`StagedFrame`], so that a pipeline can run a different frame in each;
 //! [`reconstruct_frame`] runs all three. They do not start threads or open files: loops run in the caller's
-//! rayon pool. `plan` estimates the memory of a frame, and `tiled` has the same three stages for frames
-//! larger than memory.
+//! rayon pool. `plan` estimates the memory of a frame, and decides whether it is computed in tiles.
 
 mod band;
 mod changes;
 mod plan;
 mod postprocess;
 mod shape;
-pub mod tiled;
+mod staged;
 mod tiles;
 
 use std::borrow::Cow;
-use std::convert::Infallible;
-use std::ops::ControlFlow;
 
-pub use band::{
-    BoundedBand, DEVIATION_MAX_VOXELS, bound_level_set, smooth_level_set, smooth_level_set_bytes,
-    smooth_level_set_bytes_max,
-};
-pub(crate) use plan::plan_in_core;
+pub use band::{DEVIATION_MAX_VOXELS, smooth_level_set_bytes, smooth_level_set_bytes_max};
 pub use plan::{
     MemoryPlan, MemoryPlanError, PlanInputs, PrecisionLimit, SPREAD_MAX_VOXELS, TooLarge, VoxelTooSmall,
     plan_memory,
 };
 pub(crate) use shape::shapes_by_attributes;
 pub use shape::{ShapedSource, shape_by_attributes, shape_by_neighbors, shape_particles};
-pub use tiles::{FIELD_STORE_FILES, Storage};
+pub use staged::{StageError, StagedFrame, TileStorage};
+pub use tiles::Storage;
 
 use crate::attributes::{BandAttribute, Support, interpolate_to_band, interpolate_to_vertices};
-use crate::contour;
 use crate::grid::Leaf;
-use crate::level_set::{Bounds, NarrowBand, offset_reach_voxels};
+use crate::level_set::{NarrowBand, offset_reach_voxels};
 use crate::mesh::{Mesh, PositionRounding};
-use crate::obstacle::{ContactStats, Obstacles};
+use crate::obstacle::Obstacles;
 use crate::options::Settings;
 use crate::particles::{
     AnySource, Attribute, AttributeValues, OwnedPositions, ParticleCloud, ParticleSource, Positions, Role,
-    Shapes, Unread, erased,
+    Shapes, Unread,
 };
-use crate::rasterize::{self, ParticleBins, Radii, RasterParams};
+use crate::rasterize::{Radii, RasterParams};
 use crate::report::{Phase, ReconstructionReport, ShapeStats, TransferReport};
 use crate::smooth;
-use crate::space::{CoordBox, Lattice};
-use crate::validation::{
-    CheckedRegion, MeshCells, MovedParticle, check, count_inputs_outside, possibly_outside,
-};
-use postprocess::{Edits, SurfaceExclusions};
+use crate::space::Lattice;
 
 /// The surface of one frame.
 #[derive(Clone, Debug)]
@@ -70,44 +59,6 @@ impl FrameSurface {
         let Mesh { positions, normals, triangles, .. } = &self.mesh;
         let mesh = size_of_val(&**positions) + size_of_val(&**normals) + size_of_val(&**triangles);
         (leaves + mesh + self.attributes.size_bytes()) as u64
-    }
-}
-
-/// Result of rasterization, input of smoothing.
-#[derive(Clone)]
-pub struct RasterizedFrame {
-    bins: ParticleBins,
-    band: NarrowBand,
-    bounds: Bounds,
-    obstacles: Obstacles,
-    /// The particles that position smoothing moved and whose input positions may be outside the surface,
-    /// batch by batch; `None` if it moved no particle.
-    possibly_outside: Option<Vec<Vec<MovedParticle>>>,
-    report: ReconstructionReport,
-}
-
-/// Result of smoothing, input of contouring.
-#[derive(Clone)]
-pub struct SmoothedFrame {
-    bins: ParticleBins,
-    band: NarrowBand,
-    bounds: Bounds,
-    obstacles: Obstacles,
-    possibly_outside: Option<Vec<Vec<MovedParticle>>>,
-    report: ReconstructionReport,
-}
-
-impl RasterizedFrame {
-    /// The report so far. Callers that measure time add it here.
-    pub fn report_mut(&mut self) -> &mut ReconstructionReport {
-        &mut self.report
-    }
-}
-
-impl SmoothedFrame {
-    /// The report so far. Callers that measure time add it here.
-    pub fn report_mut(&mut self) -> &mut ReconstructionReport {
-        &mut self.report
     }
 }
 
@@ -144,165 +95,53 @@ pub fn reconstruct_frame_observed(
     settings: &Settings,
     entered: &mut dyn FnMut(Phase),
 ) -> FrameSurface {
-    entered(Phase::Rasterize);
     let Ok((shaped, shape_stats)) = shape_by_neighbors(particles, ShapeStats::default(), settings);
-    let Ok(rasterized) = rasterize(&shaped, settings, shape_stats, Obstacles::default());
-    entered(Phase::Smooth);
-    let smoothed = smooth(rasterized, settings);
-    entered(Phase::Contour);
-    contour(smoothed, settings, PositionRounding::Local)
+    let obstacles = Obstacles::default();
+    let surface = reconstruct_shaped(shaped, shape_stats, obstacles, settings, None, entered);
+    surface.expect("everything is in memory").0
 }
 
 /// Reconstructs the surface of one frame of particles with attributes and obstacles, and transfers the
 /// selected attributes to the vertices.
 pub fn reconstruct_cloud(cloud: ParticleCloud, settings: &Settings, obstacles: &Obstacles) -> FrameSurface {
     let (shaped, shape_stats) = shape_particles(cloud, settings);
-    let Ok(rasterized) = rasterize(&shaped, settings, shape_stats, obstacles.clone());
-    let mut surface = contour(smooth(rasterized, settings), settings, PositionRounding::Local);
-    transfer_attributes(
-        &mut surface,
-        &shaped.into_moved(),
-        settings,
-        Targets { vertices: true, band_half_width_voxels: None },
-    );
+    let surface = reconstruct_shaped(shaped, shape_stats, obstacles.clone(), settings, None, &mut |_| {});
+    let (mut surface, shaped) = surface.expect("everything is in memory");
+    if let Some(shaped) = shaped {
+        let targets = Targets { vertices: true, band_half_width_voxels: None };
+        let ParticleCloud { positions, shapes, attributes } = shaped.into_moved();
+        transfer_attributes(&mut surface, positions.into(), &shapes, &attributes, settings, targets);
+    }
     surface
 }
 
-/// First stage: particles to level sets. `shape_stats` reports how the particles got their shapes.
+/// Runs all stages on particles that have their shapes. `entered` is called at the start of each stage.
 ///
 /// # Errors
-/// Returns the source's error if a batch cannot be read. Reading a source in memory cannot fail.
-pub fn rasterize<S: ParticleSource>(
-    source: &S,
-    settings: &Settings,
+/// An error of the source or of the storage.
+pub fn reconstruct_shaped<S: ParticleSource>(
+    shaped: S,
     shape_stats: ShapeStats,
     obstacles: Obstacles,
-) -> Result<RasterizedFrame, S::Error> {
-    erased(source, |source| rasterize_any(source, settings, shape_stats, obstacles))
-}
-
-fn rasterize_any(
-    source: &AnySource<'_>,
     settings: &Settings,
-    shape_stats: ShapeStats,
-    obstacles: Obstacles,
-) -> Result<RasterizedFrame, Unread> {
-    let scene = raster_params(settings, &obstacles);
-    let rasterize::RasterFields { bins, band, bounds, contact } = rasterize::rasterize_any(source, &scene)?;
-    let contact = ContactStats { particle_count: inside_obstacles(source, &scene)?, ..contact };
-    let possibly_outside = if source.is_smoothed() {
-        Some(possibly_outside(source, &scene, &band.topology, &bounds.upper)?)
-    } else {
-        None
-    };
-    let report = ReconstructionReport {
-        particle_count: bins.particle_count,
-        dropped_count: bins.dropped_count,
-        outlier_position: bins.outlier_position,
-        leaf_count: band.topology.len(),
-        shapes: shape_stats,
-        contact,
-        ..ReconstructionReport::default()
-    };
-    Ok(RasterizedFrame { bins, band, bounds, obstacles, possibly_outside, report })
+    tiles: Option<TileStorage>,
+    entered: &mut dyn FnMut(Phase),
+) -> Result<(FrameSurface, Option<S>), StageError<S::Error>> {
+    entered(Phase::Rasterize);
+    let frame = StagedFrame::rasterize(shaped, shape_stats, obstacles, settings, tiles)?;
+    entered(Phase::Smooth);
+    let frame = frame.smooth(settings, &mut |_| {})?;
+    entered(Phase::Contour);
+    frame.contour(settings, PositionRounding::Local)
 }
 
-/// Second stage: constrained smoothing.
-pub fn smooth(rasterized: RasterizedFrame, settings: &Settings) -> SmoothedFrame {
-    smooth_observed(rasterized, settings, &mut |_| {})
-}
-
-/// Second stage. `advanced` receives the progress, from 0 to 1.
-pub fn smooth_observed(
-    rasterized: RasterizedFrame,
-    settings: &Settings,
-    advanced: &mut dyn FnMut(f64),
-) -> SmoothedFrame {
-    let mut advanced = |fraction| {
-        advanced(fraction);
-        ControlFlow::Continue(())
-    };
-    let ControlFlow::Continue(smoothed) = smooth_while::<Infallible>(rasterized, settings, &mut advanced);
-    smoothed
-}
-
-/// Second stage; `advanced` may cancel it.
-pub(crate) fn smooth_while<B>(
-    rasterized: RasterizedFrame,
-    settings: &Settings,
-    advanced: &mut dyn FnMut(f64) -> ControlFlow<B>,
-) -> ControlFlow<B, SmoothedFrame> {
-    let RasterizedFrame { bins, mut band, bounds, obstacles, possibly_outside, mut report } = rasterized;
-    let config = smooth_config(settings, &obstacles);
-    let smoothed = smooth::smooth_while(&mut band, &bounds, &config, advanced)?;
-    report_smoothing(&mut report, smoothed, settings);
-    ControlFlow::Continue(SmoothedFrame { bins, band, bounds, obstacles, possibly_outside, report })
-}
-
-fn report_smoothing(report: &mut ReconstructionReport, smoothed: smooth::SmoothReport, settings: &Settings) {
-    report.free_voxel_count = smoothed.free_voxel_count;
-    report.pass_count = smoothed.pass_count;
-    report.voxel_update_count = smoothed.voxel_update_count;
+/// How far particles can change φ_0 and the bounds, in voxels.
+fn reach_of_particles(settings: &Settings, shapes: &ShapeStats) -> u32 {
     let radii = radii(settings);
-    let longest = longest_of(&report.shapes);
+    let longest = longest_of(shapes);
     let of_shapes = shape::shape_reach(settings, longest);
     let of_offset = if radii.offset == 0.0 { 0 } else { offset_reach_voxels(radii.result_half_width()) };
-    let reach_before = radii.reach_voxels(longest).saturating_add(of_shapes).saturating_add(of_offset);
-    report.reach_voxels = smoothed.reach_voxels.map(|reach| reach.saturating_add(reach_before));
-    report.convergence = smoothed.convergence;
-    report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
-}
-
-/// Third stage: the mesh with rounded positions, its measures, and the certificate.
-pub fn contour(smoothed: SmoothedFrame, settings: &Settings, rounding: PositionRounding) -> FrameSurface {
-    let ControlFlow::Continue(surface) =
-        contour_while::<Infallible>(smoothed, settings, rounding, &|| ControlFlow::Continue(()));
-    surface
-}
-
-/// Third stage; `go_on` may cancel it between its parts.
-pub(crate) fn contour_while<B>(
-    smoothed: SmoothedFrame,
-    settings: &Settings,
-    rounding: PositionRounding,
-    go_on: &dyn Fn() -> ControlFlow<B>,
-) -> ControlFlow<B, FrameSurface> {
-    let SmoothedFrame { bins, mut band, bounds, obstacles, possibly_outside, mut report } = smoothed;
-    let scene = raster_params(settings, &obstacles);
-    let RasterParams { lattice, radii, .. } = scene;
-    report.certificate.bound_violation_count = bounds.violation_count(&band.phi);
-    drop(bounds);
-    postprocess::offset_and_cut(&mut band, &scene);
-    let edits = if postprocess::has_edits(settings) {
-        postprocess::edit(&mut band, bins.leaves(), &scene, settings, &mut report.edits)
-    } else {
-        Edits::default()
-    };
-    go_on()?;
-    let mut mesh = postprocess::mesh(&band, &edits, &scene, settings, &mut report.depth);
-    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
-    let exempt = &SurfaceExclusions { scene: &scene, edits: &edits };
-    let validate = |mesh: &Mesh, rounding_voxels: f32| match go_on() {
-        ControlFlow::Break(reason) => Err(reason),
-        ControlFlow::Continue(()) => Ok(check(&CheckedRegion {
-            bins: &bins,
-            radii,
-            band: &band,
-            mesh,
-            cells: &MeshCells::new(mesh, &band, &lattice),
-            rounding_voxels,
-            lattice: &lattice,
-            owned: CoordBox::ALL,
-            exempt,
-        })),
-    };
-    let validated = postprocess::finalize(&mut mesh, settings, Some(&radii), rounding, &mut report, validate);
-    if let Err(reason) = validated {
-        return ControlFlow::Break(reason);
-    }
-    report.certificate.input_positions_outside = possibly_outside
-        .map(|possibly_outside| count_inputs_outside(&possibly_outside, &band, &scene, exempt));
-    ControlFlow::Continue(FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report })
+    radii.reach_voxels(longest).saturating_add(of_shapes).saturating_add(of_offset)
 }
 
 fn lattice(settings: &Settings) -> Lattice {
@@ -431,21 +270,12 @@ pub struct Targets {
     pub band_half_width_voxels: Option<f32>,
 }
 
-/// Transfers the attributes selected in the settings from the particles to the surface.
+/// Transfers the attributes selected in the settings from particles to the surface.
 pub fn transfer_attributes(
     surface: &mut FrameSurface,
-    cloud: &ParticleCloud,
-    settings: &Settings,
-    targets: Targets,
-) {
-    let particles = (Positions::from(&cloud.positions), &cloud.shapes, &*cloud.attributes);
-    transfer_attributes_from(particles, surface, settings, targets);
-}
-
-/// Like [`transfer_attributes`], for particles that may be borrowed: positions, shapes and attributes.
-pub(crate) fn transfer_attributes_from(
-    (positions, shapes, attributes): (Positions<'_>, &Shapes, &[Attribute]),
-    surface: &mut FrameSurface,
+    positions: Positions<'_>,
+    shapes: &Shapes,
+    attributes: &[Attribute],
     settings: &Settings,
     targets: Targets,
 ) {
@@ -465,8 +295,9 @@ pub(crate) fn transfer_attributes_from(
     if let Some(half_width_voxels) = targets.band_half_width_voxels {
         let grids: Vec<Cow<Attribute>> = selected.iter().copied().filter_map(of_grid).collect();
         let grids: Vec<&Attribute> = grids.iter().map(Cow::as_ref).collect();
-        let band = (&surface.band, &lattice(settings));
-        let (found, counts) = interpolate_to_band(positions, &grids, band, half_width_voxels, support);
+        let (band, lattice) = (&surface.band, &lattice(settings));
+        let (found, counts) =
+            interpolate_to_band(positions, &grids, band, lattice, half_width_voxels, support);
         (surface.attributes.band, report.band) = (found, counts);
     }
     surface.attributes.scale_velocities(settings.velocity_scale);
@@ -553,9 +384,9 @@ mod tests {
         let reference = surface.attributes.vertices.clone();
         let (more, _) =
             super::shape_particles(drops(&[(900.0, 4.0), (0.0, 1.5), (-50.0, 3.0), (9.0, 2.0)]), &settings);
-        let more = more.into_moved();
+        let ParticleCloud { positions, shapes, attributes } = more.into_moved();
         let targets = Targets { vertices: true, band_half_width_voxels: None };
-        transfer_attributes(&mut surface, &more, &settings, targets);
+        transfer_attributes(&mut surface, positions.into(), &shapes, &attributes, &settings, targets);
         for (one, other) in surface.attributes.vertices.iter().zip(&reference) {
             assert_eq!(one.values, other.values);
         }

@@ -88,6 +88,8 @@ pub struct PlanInputs<'a> {
     pub obstacles: &'a Obstacles,
     /// Bytes per particle of the transferred attributes.
     pub attribute_bytes: f64,
+    /// Whether the frame may be computed in tiles.
+    pub allows_tiles: bool,
 }
 
 /// Why a frame cannot be reconstructed.
@@ -102,7 +104,7 @@ pub enum MemoryPlanError {
 }
 
 /// Plans a frame with a limit of `allowed_bytes`: in one piece if possible, otherwise in the largest tiles
-/// that fit. Reads each particle once.
+/// that fit, if tiles are allowed. Reads each particle once.
 ///
 /// # Errors
 /// The outer error is the source's. The inner error says why the frame cannot be reconstructed: there is too
@@ -114,27 +116,15 @@ pub fn plan_memory<S: ParticleSource>(
     surroundings: PlanInputs,
     allowed_bytes: u64,
 ) -> Result<Result<MemoryPlan, MemoryPlanError>, S::Error> {
-    erased(source, |source| plan_with_tiles(source, settings, surroundings, allowed_bytes, &TILE_EDGES))
+    erased(source, |source| plan_any(source, settings, surroundings, allowed_bytes))
 }
 
-/// Like [`plan_memory`], without tiles.
-pub(crate) fn plan_in_core<S: ParticleSource>(
-    source: &S,
-    settings: &Settings,
-    surroundings: PlanInputs,
-    allowed_bytes: u64,
-) -> Result<Result<MemoryPlan, MemoryPlanError>, S::Error> {
-    erased(source, |source| plan_with_tiles(source, settings, surroundings, allowed_bytes, &[]))
-}
-
-fn plan_with_tiles(
+fn plan_any(
     source: &AnySource<'_>,
     settings: &Settings,
-    surroundings: PlanInputs,
+    PlanInputs { obstacles, attribute_bytes, allows_tiles }: PlanInputs,
     allowed_bytes: u64,
-    tile_edges: &[i32],
 ) -> Result<Result<MemoryPlan, MemoryPlanError>, Unread> {
-    let PlanInputs { obstacles, attribute_bytes } = surroundings;
     if let Some(too_far) = obstacles.too_far(settings.voxel_size) {
         return Ok(Err(MemoryPlanError::ObstacleTooFar(too_far)));
     }
@@ -165,7 +155,7 @@ fn plan_with_tiles(
         return too_large(whole, true);
     }
     let mut needed_bytes = whole;
-    for &tile_leaves in tile_edges {
+    for &tile_leaves in TILE_EDGES.iter().filter(|_| allows_tiles) {
         let memory_bytes = tiled_bytes(&footprint, settings, attribute_bytes, tile_leaves);
         if memory_bytes <= allowed_bytes {
             let tile_leaves = Some(tile_leaves);

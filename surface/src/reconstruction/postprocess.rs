@@ -36,11 +36,6 @@ pub(super) struct Edits {
     clip: Option<edits::VoxelClip>,
 }
 
-/// True if the settings request any edit.
-pub(super) fn has_edits(settings: &Settings) -> bool {
-    settings.drop_islands > 0 || settings.fill_cavities > 0.0 || settings.clip.is_some()
-}
-
 /// Moves the surface by the offset, and cuts it off at the obstacles, if there are any.
 pub(super) fn offset_and_cut(band: &mut NarrowBand, scene: &RasterParams) {
     let radii = scene.radii;

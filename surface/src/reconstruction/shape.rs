@@ -65,18 +65,17 @@ pub(crate) fn shapes_by_attributes(
         return (Shapes::Uniform, ShapeStats::default());
     }
     let mut shape_stats = ShapeStats::default();
-    let of_particles = (count, attributes);
     let scales = settings
         .per_particle_radius
         .as_ref()
-        .and_then(|own| scales(of_particles, own, settings, &mut shape_stats));
+        .and_then(|own| scales(count, attributes, own, settings, &mut shape_stats));
     let by_velocity = match settings.anisotropy {
         Anisotropy::None | Anisotropy::Neighbors { .. } => None,
         Anisotropy::Velocity { gain, max_stretch } => {
             let gain_per_speed = (gain * settings.velocity_scale / settings.radius_min) as f32;
             let max_stretch = max_stretch as f32;
             let config = VelocityConfig { gain_per_speed, max_stretch, floor: resolved_radius(settings) };
-            numbers(of_particles, "velocity", 3)
+            numbers(count, attributes, "velocity", 3)
                 .map(|velocities| from_velocities(&velocities, scales.as_deref(), &config))
         }
     };
@@ -156,7 +155,7 @@ fn changes_in_blocks(
     let step_world = settings.position_smoothing * settings.neighbor_radius;
     let ball = stretch.is_some().then_some(depth.ball);
     let changes =
-        NeighborChanges::new(found, (step_world, ball), given.batch_count(), |batch| given.batch_len(batch));
+        NeighborChanges::new(found, step_world, ball, given.batch_count(), |batch| given.batch_len(batch));
     Ok((changes, shape_stats))
 }
 
@@ -251,6 +250,11 @@ pub struct ShapedSource<S> {
 }
 
 impl<S> ShapedSource<S> {
+    /// The same changes, to particles that `map` makes from the given ones.
+    pub fn filter_map<T>(self, map: impl FnOnce(S) -> Option<T>) -> Option<ShapedSource<T>> {
+        Some(ShapedSource { given: map(self.given)?, changes: self.changes })
+    }
+
     /// The particles as given.
     pub fn given(&self) -> &S {
         &self.given
@@ -259,14 +263,6 @@ impl<S> ShapedSource<S> {
     /// Memory used in addition to the given particles, in bytes.
     pub fn size_bytes(&self) -> usize {
         self.changes.size_bytes()
-    }
-
-    /// The changed particles. `to_cloud` extracts the given ones.
-    pub fn into_cloud(self, to_cloud: impl FnOnce(S) -> Option<ParticleCloud>) -> Option<ParticleCloud> {
-        let ShapedSource { given, changes } = self;
-        let ParticleCloud { positions, shapes, attributes } = to_cloud(given)?;
-        let (positions, shapes) = changes.apply(positions.into(), shapes);
-        Some(ParticleCloud { positions: positions.into(), shapes, attributes })
     }
 
     /// The changed positions and shapes. Borrowed positions are copied only if some particles are moved.
@@ -283,8 +279,9 @@ impl<S> ShapedSource<S> {
 impl ShapedSource<ParticleCloud> {
     /// The changed particles.
     pub fn into_moved(self) -> ParticleCloud {
-        let empty = || ParticleCloud::from(OwnedPositions::F32(Vec::new()));
-        self.into_cloud(Some).unwrap_or_else(empty)
+        let ShapedSource { given: ParticleCloud { positions, shapes, attributes }, changes } = self;
+        let (positions, shapes) = changes.apply(positions.into(), shapes);
+        ParticleCloud { positions: positions.into(), shapes, attributes }
     }
 }
 
@@ -333,18 +330,18 @@ impl<S: ParticleSource> ParticleSource for ShapedSource<S> {
 
 /// Scale of each particle, in units of the settings' radii.
 fn scales(
-    of_particles: (usize, &[Attribute]),
+    count: usize,
+    attributes: &[Attribute],
     own: &PerParticleRadius,
     settings: &Settings,
     shape_stats: &mut ShapeStats,
 ) -> Option<Vec<f32>> {
-    let radii = numbers(of_particles, &own.attribute, 1)?;
+    let radii = numbers(count, attributes, &own.attribute, 1)?;
     let RadiusScales { mut scales, raised_count, invalid_count } =
         radius_scales(&radii, own.scale, settings.radius_min, resolved_radius(settings));
     shape_stats.small_radius_count = raised_count;
     if raised_count > 0 {
-        shape_stats.small_radius_min =
-            own.radii_min(of_particles.1).into_iter().reduce(f64::min).unwrap_or(0.0);
+        shape_stats.small_radius_min = own.radii_min(attributes).into_iter().reduce(f64::min).unwrap_or(0.0);
     }
     shape_stats.invalid_radius_count = invalid_count;
     let most = ((RADIUS_MAX_VOXELS * settings.voxel_size / settings.radius_max) as f32)
@@ -356,7 +353,8 @@ fn scales(
 
 /// The numbers of an attribute with `arity` values for each of `count` particles.
 fn numbers<'a>(
-    (count, attributes): (usize, &'a [Attribute]),
+    count: usize,
+    attributes: &'a [Attribute],
     name: &str,
     arity: usize,
 ) -> Option<Cow<'a, [f32]>> {
@@ -405,12 +403,11 @@ const SCALE_MARGIN: f32 = 3.0;
 mod tests {
     use super::*;
     use crate::anisotropy::from_neighbors;
-    use crate::mesh::PositionRounding;
     use crate::obstacle::Obstacles;
     use crate::options::{AnisotropyKind, MethodOptions};
     use crate::particles::Ellipsoid;
     use crate::reconstruction::changes::{moved_double, rounded};
-    use crate::reconstruction::{FrameSurface, contour, rasterize, smooth};
+    use crate::reconstruction::{FrameSurface, reconstruct_shaped};
 
     /// A source with batches of a given size, as from a file.
     struct Batches<'a> {
@@ -527,10 +524,9 @@ mod tests {
         shape_stats: ShapeStats,
         settings: &Settings,
     ) -> FrameSurface {
-        let Ok(rasterized) = rasterize(source, settings, shape_stats, Obstacles::default()) else {
-            panic!("in memory")
-        };
-        contour(smooth(rasterized, settings), settings, PositionRounding::Local)
+        let obstacles = Obstacles::default();
+        let surface = reconstruct_shaped(source, shape_stats, obstacles, settings, None, &mut |_| {});
+        surface.unwrap_or_else(|_| panic!("in memory")).0
     }
 
     /// The particles within a ball, so that the surface has normals in all directions.

@@ -236,17 +236,17 @@ pub(super) struct FieldStore {
 }
 
 /// Number of storages that a frame needs.
-pub const FIELD_STORE_FILES: usize = 8;
+const FIELD_STORE_FILES: usize = 8;
 
 /// Indices of the bounds' storages, after two for each changing field.
 const LOWER: usize = 6;
 const UPPER: usize = 7;
 
 impl FieldStore {
-    /// Creates an empty store.
-    pub(super) fn new(storages: Vec<Box<dyn Storage>>) -> FieldStore {
-        assert_eq!(storages.len(), FIELD_STORE_FILES, "one storage per file");
-        FieldStore { storages, current: [0; 3] }
+    /// Creates an empty store. `make` makes one file.
+    pub(super) fn new(mut make: impl FnMut() -> io::Result<Box<dyn Storage>>) -> io::Result<FieldStore> {
+        let storages = (0..FIELD_STORE_FILES).map(|_| make()).collect::<io::Result<_>>()?;
+        Ok(FieldStore { storages, current: [0; 3] })
     }
 
     /// Writes φ and the bounds of consecutive leaves, from slot `first` on.

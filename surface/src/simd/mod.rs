@@ -24,7 +24,7 @@ use std::sync::OnceLock;
 use lanes::Portable;
 pub use lanes::{Lanes, Vector, greatest};
 
-use crate::interrupt::checkpoint;
+use crate::cancel::checkpoint;
 
 /// The instructions that kernels may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

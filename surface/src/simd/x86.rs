@@ -46,6 +46,18 @@ macro_rules! ymm {
     };
 }
 
+/// Methods that apply an instruction to two registers.
+macro_rules! binary {
+    ($on_registers:ident: $($name:ident = $instruction:ident,)+) => {
+        $(
+            #[inline(always)]
+            fn $name(self, other: Self) -> Self {
+                $on_registers!($instruction(self.0, other.0))
+            }
+        )+
+    };
+}
+
 impl Lanes for Ymm {
     #[inline(always)]
     fn store(self, row: &mut [f32; 8]) {
@@ -80,24 +92,14 @@ impl Vector for Ymm {
         ymm!(_mm256_set1_ps(value))
     }
 
-    #[inline(always)]
-    fn add(self, other: Ymm) -> Ymm {
-        ymm!(_mm256_add_ps(self.0, other.0))
-    }
-
-    #[inline(always)]
-    fn sub(self, other: Ymm) -> Ymm {
-        ymm!(_mm256_sub_ps(self.0, other.0))
-    }
-
-    #[inline(always)]
-    fn mul(self, other: Ymm) -> Ymm {
-        ymm!(_mm256_mul_ps(self.0, other.0))
-    }
-
-    #[inline(always)]
-    fn div(self, other: Ymm) -> Ymm {
-        ymm!(_mm256_div_ps(self.0, other.0))
+    binary! {
+        ymm:
+        add = _mm256_add_ps,
+        sub = _mm256_sub_ps,
+        mul = _mm256_mul_ps,
+        div = _mm256_div_ps,
+        min = _mm256_min_ps,
+        max = _mm256_max_ps,
     }
 
     #[inline(always)]
@@ -116,16 +118,6 @@ impl Vector for Ymm {
             let sign_bit = _mm256_set1_ps(-0.0);
             _mm256_or_ps(_mm256_andnot_ps(sign_bit, self.0), _mm256_and_ps(sign_bit, sign.0))
         })
-    }
-
-    #[inline(always)]
-    fn min(self, other: Ymm) -> Ymm {
-        ymm!(_mm256_min_ps(self.0, other.0))
-    }
-
-    #[inline(always)]
-    fn max(self, other: Ymm) -> Ymm {
-        ymm!(_mm256_max_ps(self.0, other.0))
     }
 
     #[inline(always)]
@@ -233,24 +225,14 @@ impl Vector for Zmm {
         zmm!(_mm512_set1_ps(value))
     }
 
-    #[inline(always)]
-    fn add(self, other: Zmm) -> Zmm {
-        zmm!(_mm512_add_ps(self.0, other.0))
-    }
-
-    #[inline(always)]
-    fn sub(self, other: Zmm) -> Zmm {
-        zmm!(_mm512_sub_ps(self.0, other.0))
-    }
-
-    #[inline(always)]
-    fn mul(self, other: Zmm) -> Zmm {
-        zmm!(_mm512_mul_ps(self.0, other.0))
-    }
-
-    #[inline(always)]
-    fn div(self, other: Zmm) -> Zmm {
-        zmm!(_mm512_div_ps(self.0, other.0))
+    binary! {
+        zmm:
+        add = _mm512_add_ps,
+        sub = _mm512_sub_ps,
+        mul = _mm512_mul_ps,
+        div = _mm512_div_ps,
+        min = _mm512_min_ps,
+        max = _mm512_max_ps,
     }
 
     #[inline(always)]
@@ -269,16 +251,6 @@ impl Vector for Zmm {
             let sign_bit = _mm512_set1_ps(-0.0);
             _mm512_or_ps(_mm512_andnot_ps(sign_bit, self.0), _mm512_and_ps(sign_bit, sign.0))
         })
-    }
-
-    #[inline(always)]
-    fn min(self, other: Zmm) -> Zmm {
-        zmm!(_mm512_min_ps(self.0, other.0))
-    }
-
-    #[inline(always)]
-    fn max(self, other: Zmm) -> Zmm {
-        zmm!(_mm512_max_ps(self.0, other.0))
     }
 
     #[inline(always)]

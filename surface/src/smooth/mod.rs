@@ -15,9 +15,6 @@ mod implicit;
 mod peaks;
 mod schedule;
 
-use std::convert::Infallible;
-use std::ops::ControlFlow;
-
 use rayon::prelude::*;
 
 pub use explicit::EIGENVALUE_MAX;
@@ -87,7 +84,8 @@ pub struct SmoothReport {
     /// Number of voxel updates. If all free voxels have the same number of passes, this is free voxels times
     /// passes.
     pub voxel_update_count: u64,
-    /// How far a change of φ_0 or the bounds can propagate, in voxels. `None` for `Implicit`, whose dot
+    /// How far a change of φ_0 or the bounds can propagate, in voxels; in the report of a frame, how far a
+    /// change of a particle can. `None` for `Implicit`, whose dot
     /// products couple all voxels, and for `Adaptive`, whose step size depends on the fastest voxel.
     pub reach_voxels: Option<u32>,
     /// How the conjugate gradients converged; `None` unless the integrator is `Implicit`.
@@ -96,21 +94,13 @@ pub struct SmoothReport {
     pub cfl_exceeded_count: usize,
 }
 
-/// Smooths `band` within `bounds`.
-pub fn smooth(band: &mut NarrowBand, bounds: &Bounds, config: &SmoothConfig) -> SmoothReport {
-    let ControlFlow::Continue(report) =
-        smooth_while::<Infallible>(band, bounds, config, &mut |_| ControlFlow::Continue(()));
-    report
-}
-
-/// Smooths `band` within `bounds`. `advanced` receives the progress, from 0 to 1, and may cancel; `band` is
-/// then left in an intermediate state.
-pub fn smooth_while<B>(
+/// Smooths `band` within `bounds`. `advanced` receives the progress, from 0 to 1.
+pub fn smooth(
     band: &mut NarrowBand,
     bounds: &Bounds,
     config: &SmoothConfig,
-    advanced: &mut dyn FnMut(f64) -> ControlFlow<B>,
-) -> ControlFlow<B, SmoothReport> {
+    advanced: &mut dyn FnMut(f64),
+) -> SmoothReport {
     let mut report = SmoothReport::new(config);
     let mut workspace = Workspace::new(band.topology.len());
     let schedule = schedule(config, u32::MAX);
@@ -118,9 +108,9 @@ pub fn smooth_while<B>(
     for (index, op) in schedule.into_iter().enumerate() {
         let stats = SmoothContext { config, band, bounds, workspace: &mut workspace, own: None }.apply(op);
         report.add(op, stats);
-        advanced((index + 1) as f64 / op_count)?;
+        advanced((index + 1) as f64 / op_count);
     }
-    ControlFlow::Continue(report)
+    report
 }
 
 /// Moves values away from zero, unless the bounds require values that small.

@@ -5,7 +5,7 @@
 
 use glam::DVec3;
 
-use crate::interrupt::checkpoint;
+use crate::cancel::checkpoint;
 
 /// Number of points in a leaf: scanning them is cheaper than testing another box.
 const LEAF_COUNT: usize = 16;

@@ -23,8 +23,8 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
+use crate::cancel::checkpoint;
 use crate::grid::{LEAF_EDGE, LeafMask, Topology, negative_masks, offset_in_leaf, voxel_in_leaf};
-use crate::interrupt::checkpoint;
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::parallel::Loops as _;
