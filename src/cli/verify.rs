@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::io;
-use std::path::{Path, PathBuf, absolute};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -13,7 +13,7 @@ use serde::Serialize;
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::{
     DoneRecord, FrameFile, FrameRecords, OutputComparison, OutputFormat, ResultState, STATE_FOLDER,
-    SettingValues, Wanted, canonical_path, file_of, hash_of_input, sequences,
+    SettingValues, Wanted, canonical_frame, canonical_path, file_of, hash_of_input, sequences,
 };
 
 use super::CommandOutcome;
@@ -76,7 +76,7 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     if !args.input.is_empty() {
         let found = find_inputs(&args.input)?;
         found.report(console);
-        add_inputs(&mut frames, found.files)?;
+        add_inputs(&mut frames, found.files);
     }
     if frames.is_empty() {
         bail!(
@@ -123,12 +123,12 @@ fn recorded_frames(records: &FrameRecords) -> BTreeMap<PathBuf, KnownFrame> {
 
 /// Adds the frames of these inputs. The paths of inputs replace those in the records, because inputs may have
 /// been moved.
-fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: Vec<FrameFile>) -> Result<()> {
+fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: Vec<FrameFile>) {
     let mut name_of: HashMap<PathBuf, PathBuf> =
         frames.iter().map(|(name, frame)| (frame.input.clone(), name.clone())).collect();
     let mut given = HashSet::new();
     for file in sequences(files).into_iter().flat_map(|sequence| sequence.frames) {
-        let input = absolute(&file.path).with_context(|| file.path.display().to_string())?;
+        let input = canonical_frame(&file.path);
         let name = name_of.remove(&input).unwrap_or_else(|| file.stem().into());
         // Of several inputs with the same outputs, the first one is converted.
         if given.insert(name.clone()) {
@@ -136,7 +136,6 @@ fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: Vec<FrameFile>)
                 input;
         }
     }
-    Ok(())
 }
 
 /// The id of the settings that each frame should have: those of the latest record of its sequence, or its own if

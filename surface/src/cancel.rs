@@ -18,8 +18,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
-use crate::error::Error;
-
 /// Cancels the work of a [`Reconstructor`](crate::Reconstructor) from another thread, a signal
 /// handler or the progress callback. Clones of a token cancel the same work. A cancelled token stays
 /// cancelled: create a new one for the next frame.
@@ -89,7 +87,7 @@ thread_local! {
 }
 
 /// The payload of the unwinding.
-struct Interrupted;
+pub(crate) struct Interrupted;
 
 /// Unwinds if this thread belongs to a token that is cancelled.
 #[inline]
@@ -107,20 +105,21 @@ fn interrupt() {
     TOKEN.with_borrow(|token| token.as_ref().map(CancelToken::checkpoint));
 }
 
-/// Runs a computation that a token may interrupt: the result is then [`Error::Cancelled`]. Panics are passed
-/// on.
+/// Runs a computation that a token may interrupt: the result is then [`Interrupted`]. Panics are passed on.
 ///
 /// Unwind safety: the data that `work` writes to is dropped by the unwinding, or stays valid if a computation
 /// ends at any kernel.
-pub(crate) fn catch<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
-    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
-        if payload.is::<Interrupted>() { Err(Error::Cancelled) } else { resume_unwind(payload) }
+pub(crate) fn catch<T, E: From<Interrupted>>(work: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| match payload.downcast::<Interrupted>() {
+        Ok(interrupted) => Err((*interrupted).into()),
+        Err(panic) => resume_unwind(panic),
     })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::Error;
 
     /// Runs a job on a thread that belongs to a token.
     fn with_token<T: Send>(is_cancelled: bool, job: impl FnOnce() -> T + Send) -> T {
@@ -144,7 +143,7 @@ mod tests {
 
     #[test]
     fn panic_is_passed_on() {
-        let payload = catch_unwind(|| catch::<()>(|| resume_unwind(Box::new(5)))).expect_err("a panic");
+        let payload = catch_unwind(|| catch::<(), Error>(|| resume_unwind(Box::new(5)))).expect_err("a panic");
         assert_eq!(payload.downcast_ref(), Some(&5));
     }
 

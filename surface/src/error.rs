@@ -3,6 +3,7 @@
 use std::fmt;
 use std::io;
 
+use crate::cancel::Interrupted;
 use crate::obstacle::ObstacleTooFar;
 use crate::options::SettingsError;
 use crate::spacing::rounding_error;
@@ -75,6 +76,12 @@ pub enum Error {
     Scratch(io::Error),
     /// The [token](crate::CancelToken) was cancelled.
     Cancelled,
+}
+
+impl From<Interrupted> for Error {
+    fn from(Interrupted: Interrupted) -> Error {
+        Error::Cancelled
+    }
 }
 
 impl fmt::Display for Error {

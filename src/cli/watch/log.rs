@@ -125,7 +125,7 @@ impl EventFields {
     fn add(&mut self, field: &Field, value: String) {
         match field.name() {
             "message" => self.message = value,
-            "frame" | "folder" | "sequence" | "path" | "journal" => self.about = Some(value),
+            "frame" | "folder" | "sequence" | "path" => self.about = Some(value),
             "state" => self.state = value,
             name => self.others.push((name, value)),
         }

@@ -3,6 +3,7 @@
 //! - [`text`]: the shortest text that reads back as the same value, because JSON parsers may round the last
 //!   bit of a number;
 //! - [`hex`]: a hash as 32 hexadecimal digits;
+//! - [`raw`]: JSON as it is;
 //! - [`path`]: text, or, where a path is not Unicode, a list of its bytes (on Windows, of its 16-bit units).
 //!
 //! The inner modules `option` and `list` are for optional fields and for lists.
@@ -18,6 +19,23 @@ use serde::Serialize;
 pub(crate) fn write_json(out: &mut impl Write, value: &impl Serialize) -> io::Result<()> {
     serde_json::to_writer_pretty(&mut *out, value)?;
     out.write_all(b"\n")
+}
+
+pub(crate) mod raw {
+    use std::sync::Arc;
+
+    use serde::ser::Error;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+    use serde_json::value::RawValue;
+
+    pub(crate) fn serialize<S: Serializer>(value: &Option<Arc<str>>, to: S) -> Result<S::Ok, S::Error> {
+        let raw = value.as_ref().map(|json| RawValue::from_string(json.to_string())).transpose();
+        raw.map_err(S::Error::custom)?.serialize(to)
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Arc<str>>, D::Error> {
+        Ok(Option::<Box<RawValue>>::deserialize(from)?.map(|raw| raw.get().into()))
+    }
 }
 
 pub(crate) mod text {

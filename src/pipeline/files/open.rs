@@ -3,7 +3,7 @@
 //! ```text
 //!   inputs, outputs, plans, settings    open_regular   links are followed; only a regular file is opened
 //!   temporary files, served outputs     open_itself    the last part of the path is not a link, either
-//!   lock, journal                       open_own       nor is the folder that contains it
+//!   lock, records                       open_own       nor is the folder that contains it
 //! ```
 //!
 //! Opening a named pipe waits until a process opens its other end, which may be never. Opening a file for

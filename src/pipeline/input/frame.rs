@@ -15,6 +15,7 @@ use super::obstacles::ObstacleFiles;
 use super::source::FrameFile;
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::stamp::{FileStamp, now_ms};
+use crate::pipeline::input::steps::canonical_frame;
 use crate::pipeline::records::figures::Figures;
 use crate::pipeline::records::frame_records::{
     FrameRecords, OutputComparison, ResultState, SettingValues, Wanted, settings_id,
@@ -183,7 +184,7 @@ impl Frame {
         let flaws = report.all_warnings().into_iter().filter(Warning::is_flaw);
         let record = Arc::new(DoneRecord {
             name: self.recorded_name(records),
-            input: std::path::absolute(&self.input).unwrap_or_else(|_| self.input.clone()),
+            input: canonical_frame(&self.input),
             stamp: report.input.stamp,
             input_hash: report.input.hash,
             obstacles: report.obstacles.clone(),
@@ -195,9 +196,9 @@ impl Frame {
             flaws: flaws.map(|warning| warning.to_string()).collect(),
             at_ms: now_ms(),
             figures: Arc::new(Figures::of(&report, self.job)),
-            certificate: is_surface.then(|| certificate(&report.reconstruction)),
+            certificate: is_surface.then(|| certificate(&report.reconstruction).to_string().into()),
         });
-        records.record_done(Arc::clone(&record), &settings)?;
+        let record = records.record_done(record, &settings)?;
         Ok(FrameReport { record: Some(record), ..report })
     }
 
@@ -207,7 +208,7 @@ impl Frame {
     /// When the record cannot be written.
     pub fn record_failure(&self, reason: &str) -> io::Result<()> {
         let Some(records) = &self.records else { return Ok(()) };
-        let input = std::path::absolute(&self.input).unwrap_or_else(|_| self.input.clone());
+        let input = canonical_frame(&self.input);
         records.record_failure(&self.recorded_name(records), &input, reason)
     }
 }

@@ -43,7 +43,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::reason::Reason;
-use super::record_file::{OwnFile, record_files};
+use super::record_file::{OwnFile, TORN_LINE_END, record_files};
 use super::record_line::{
     DaemonRecord, DoneRecord, OutputFile, RecordLine, SequenceKey, SharedSettings, UnfinishedRecord,
     UnfinishedState,
@@ -53,6 +53,7 @@ use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::open::open_own;
 use crate::pipeline::files::out_folder::is_disk_full;
 use crate::pipeline::files::stamp::{FileStamp, now_ms};
+use crate::pipeline::input::steps::file_of;
 
 /// The folder for this program's own files, in the folder of outputs.
 pub const STATE_FOLDER: &str = ".meniscus";
@@ -137,6 +138,8 @@ struct KnownRecords {
     read_bytes: HashMap<PathBuf, u64>,
     /// Files that cannot be read, and why.
     unreadable: BTreeMap<PathBuf, String>,
+    /// The number of damaged lines in each file that has some.
+    damaged: BTreeMap<PathBuf, usize>,
     /// When the files were read last, and how long that took.
     last_read: Option<(Instant, Duration)>,
     /// The file that this process appends to.
@@ -220,10 +223,14 @@ impl FrameRecords {
         Ok(records)
     }
 
-    /// Why files of records cannot be read, if there are such files: their frames are converted again.
+    /// Why files of records, or lines in them, cannot be read, if there are any: their frames are converted
+    /// again.
     pub fn problems(&self) -> Vec<String> {
         let known = self.content();
-        known.unreadable.iter().map(|(path, why)| format!("{}: {why}", path.display())).collect()
+        let unreadable = known.unreadable.iter().map(|(path, why)| format!("{}: {why}", path.display()));
+        let damaged =
+            known.damaged.iter().map(|(path, count)| format!("{}: damaged lines: {count}", path.display()));
+        unreadable.chain(damaged).collect()
     }
 
     /// Opens the file that this process will append to, so that a folder that takes no records is found before
@@ -354,17 +361,24 @@ impl FrameRecords {
         (!are_same).then(|| "it has other outputs".to_owned())
     }
 
-    /// Records a frame that was converted with these settings.
+    /// Records a frame that was converted with these settings. Returns the record, which is not earlier than
+    /// what is known of the frame.
     ///
     /// # Errors
     /// When the record cannot be written.
-    pub fn record_done(&self, record: Arc<DoneRecord>, settings: &SettingValues) -> io::Result<()> {
+    pub fn record_done(
+        &self,
+        mut record: Arc<DoneRecord>,
+        settings: &SettingValues,
+    ) -> io::Result<Arc<DoneRecord>> {
         let mut content = self.content();
         content.settings.insert(record.settings.clone(), settings.clone());
-        let line = RecordLine::Done(record);
+        let at_ms = record.at_ms.max(content.latest_ms(&record.name, &record.input));
+        Arc::make_mut(&mut record).at_ms = at_ms;
+        let line = RecordLine::Done(Arc::clone(&record));
         content.write(&self.state_folder(), Some(&line))?;
         content.take(line);
-        Ok(())
+        Ok(record)
     }
 
     /// Records a frame that could not be converted.
@@ -377,7 +391,7 @@ impl FrameRecords {
             input: input.to_owned(),
             state: UnfinishedState::Failed,
             reason: Some(Reason::Error(reason.to_owned())),
-            stamp: FileStamp::default(),
+            stamp: FileStamp::of_path(file_of(input)).unwrap_or_default(),
             settings: String::new(),
             obstacle_stamp: None,
             attempts: 1,
@@ -387,13 +401,28 @@ impl FrameRecords {
         self.write_kept()
     }
 
-    /// Takes a line into memory, until it is written. A record that is known already is not written again.
-    pub fn keep(&self, line: RecordLine) {
+    /// Takes a line into memory, until it is written. A record that is known already is not written again. The
+    /// line becomes not earlier than what is known, so that it counts even if a clock was set back.
+    pub fn keep(&self, mut line: RecordLine) {
         let mut content = self.content();
-        if let RecordLine::Done(record) = &line
-            && content.done.get(&record.name).is_some_and(|known| known.contains(record))
-        {
-            return;
+        match &mut line {
+            RecordLine::Done(record) => {
+                if content.done.get(&record.name).is_some_and(|known| known.contains(record)) {
+                    return;
+                }
+                let at_ms = record.at_ms.max(content.latest_ms(&record.name, &record.input));
+                Arc::make_mut(record).at_ms = at_ms;
+            }
+            RecordLine::Unfinished(record) => {
+                let is_done = content.done.get(&record.name).is_some_and(|known| !known.is_empty());
+                // Of equal times, the conversion counts.
+                let known = content.latest_ms(&record.name, &record.input).saturating_add(is_done.into());
+                Arc::make_mut(record).at_ms = record.at_ms.max(known);
+            }
+            RecordLine::Daemon(record) => {
+                record.at_ms = record.at_ms.max(content.daemon.as_ref().map_or(0, |known| known.at_ms));
+            }
+            RecordLine::Sequence { .. } | RecordLine::Settings { .. } => {}
         }
         content.unwritten.insert(line.key(), line.clone());
         content.take(line);
@@ -518,6 +547,13 @@ impl OutputFile {
 }
 
 impl KnownRecords {
+    /// The latest time that is recorded of a frame, in milliseconds since 1970; 0 if there is none.
+    fn latest_ms(&self, name: &Path, input: &Path) -> u64 {
+        let done = self.done.get(name).and_then(|records| records.last()).map_or(0, |known| known.at_ms);
+        let unfinished = self.unfinished.get(name).into_iter().flatten();
+        unfinished.filter(|known| known.input == input).map(|known| known.at_ms).fold(done, u64::max)
+    }
+
     /// Adds a record.
     fn take(&mut self, line: RecordLine) {
         match line {
@@ -601,6 +637,9 @@ impl KnownRecords {
         let size = file.metadata()?.len();
         // A file that is shorter than before was replaced: all of it is read.
         let from = if size < from { 0 } else { from };
+        if from == 0 {
+            self.damaged.remove(path);
+        }
         file.seek(SeekFrom::Start(from))?;
         let (mut reader, mut end, mut line) = (BufReader::new(file), from, Vec::new());
         loop {
@@ -613,23 +652,39 @@ impl KnownRecords {
             end += count;
             // A torn, damaged or foreign line is skipped: its frame is converted again.
             let record = line.strip_suffix(b"\n").and_then(record_of_line);
-            if let Some(record) = record.and_then(|json| serde_json::from_slice(json).ok()) {
-                self.take(record);
+            match record.and_then(|json| serde_json::from_slice(json).ok()) {
+                Some(record) => self.take(record),
+                None if line.ends_with(TORN_LINE_END) => {}
+                None => *self.damaged.entry(path.to_owned()).or_default() += 1,
             }
         }
     }
 
     /// Opens the file that this process appends to, unless it is open and in place.
     fn open_own(&mut self, folder: &Path) -> io::Result<()> {
-        // Users remove folders of outputs to start over.
-        if self.own.as_ref().is_some_and(OwnFile::is_usable) {
-            return Ok(());
+        match self.own.take() {
+            Some(own) if own.is_in_place() => {
+                let own = if own.is_superseded(self.line_count()) { own.tidied(folder)? } else { own };
+                // Its lines are known.
+                self.read_bytes.insert(own.path.clone(), own.size()?);
+                self.own = Some(own);
+                Ok(())
+            }
+            // Users remove folders of outputs to start over. The lock must be free before a file is opened.
+            lost => {
+                drop(lost);
+                self.own = Some(OwnFile::open(folder)?);
+                // Its lines so far are read: those that are appended are known.
+                self.read_news(folder).map(drop)
+            }
         }
-        // Its lock must be free before it is opened again.
-        self.own = None;
-        self.own = Some(OwnFile::open(folder)?);
-        // Its lines so far are read: those that are appended are known.
-        self.read_news(folder).map(drop)
+    }
+
+    /// The number of lines that would say all that is known.
+    fn line_count(&self) -> usize {
+        let done: usize = self.done.values().map(Vec::len).sum();
+        let unfinished: usize = self.unfinished.values().map(Vec::len).sum();
+        done + unfinished + self.sequences.len() + self.settings.len() + 1
     }
 
     /// Writes the lines that were kept, and this one.
@@ -645,7 +700,11 @@ impl KnownRecords {
             }
             // Perhaps only this file cannot be written.
             self.own = Some(OwnFile::create(folder)?);
-            self.append(line)?;
+            if let Err(error) = self.append(line) {
+                // Otherwise each attempt would leave a file.
+                self.own.take().iter().for_each(OwnFile::remove);
+                return Err(error);
+            }
         }
         self.unwritten.clear();
         Ok(())
@@ -683,6 +742,7 @@ fn changed_setting(was: &SettingValues, wanted: &SettingValues) -> Option<String
 #[cfg(test)]
 mod tests {
     use std::fs::{self, File};
+    use std::io::Write as _;
 
     use glam::DVec3;
 
@@ -783,6 +843,56 @@ mod tests {
         assert_eq!(state(&records, "a", "0.1", 7), ResultState::Missing("a.glb".to_owned()));
         convert(&records, "a", "broken", "0.1");
         assert_eq!(state(&records, "a", "0.1", 7), ResultState::DoneWithViolations("1 hole".to_owned()));
+    }
+
+    #[test]
+    fn new_records_count_even_if_the_clock_was_set_back() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let records = FrameRecords::open(folder.path()).expect("opened");
+        convert(&records, "a", "old", "0.1");
+        let first = Arc::clone(&records.latest()[Path::new("a")]);
+        for index in 0..DONE_PER_FRAME_MAX as u128 {
+            let record = DoneRecord { at_ms: u64::MAX / 2, input_hash: 100 + index, ..(*first).clone() };
+            records.keep(RecordLine::Done(Arc::new(record)));
+        }
+        convert(&records, "a", "new", "0.2");
+        assert_eq!(state(&records, "a", "0.2", 7), ResultState::Done);
+        let input = Path::new("/in/a.ply");
+        records.record_failure(Path::new("a"), input, "torn").expect("recorded");
+        for records in [&records, &FrameRecords::open(folder.path()).expect("opened")] {
+            assert_eq!(state(records, "a", "0.2", 7), ResultState::Done);
+            assert_eq!(records.recorded().frames[input].unfinished_state(), Some(UnfinishedState::Failed));
+        }
+        convert(&records, "a", "newer", "0.2");
+        for records in [&records, &FrameRecords::open(folder.path()).expect("opened")] {
+            assert_eq!(state(records, "a", "0.2", 7), ResultState::Done);
+            assert!(records.recorded().frames[input].if_done().is_some());
+        }
+    }
+
+    #[test]
+    fn damaged_lines_are_reported_and_torn_ones_are_not() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let records = FrameRecords::open(folder.path()).expect("opened");
+        convert(&records, "a", "mesh", "0.1");
+        let path = records.content().own.as_ref().expect("a file").path.clone();
+        drop(records);
+        let append = |bytes: &[u8]| {
+            File::options()
+                .append(true)
+                .open(&path)
+                .and_then(|mut file| file.write_all(bytes))
+                .expect("written");
+        };
+        append(b"0123456789abcdef {\"done\":");
+        let records = FrameRecords::open(folder.path()).expect("opened");
+        convert(&records, "b", "mesh", "0.1");
+        drop(records);
+        assert!(FrameRecords::open(folder.path()).expect("opened").problems().is_empty(), "a torn line");
+        append(b"0123456789abcdef {}\n");
+        let records = FrameRecords::open(folder.path()).expect("opened");
+        assert_eq!(records.problems(), [format!("{}: damaged lines: 1", path.display())]);
+        assert_eq!(state(&records, "b", "0.1", 7), ResultState::Done);
     }
 
     /// The outputs of an older record are put back, for example from a backup.

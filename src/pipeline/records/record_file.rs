@@ -2,7 +2,7 @@
 
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Write};
+use std::io::{self, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 use super::frame_records::{DONE_PER_FRAME_MAX, SettingValues};
@@ -19,8 +19,11 @@ const FILE_PREFIX: &str = "frames-";
 /// The extension of the lock of a file of records.
 pub(super) const LOCK_EXTENSION: &str = "lock";
 
-/// A larger file is not continued.
-const CONTINUED_BYTES_MAX: u64 = 1 << 30;
+/// A larger file is not continued: to compact a file, all of it is read into memory.
+const CONTINUED_BYTES_MAX: u64 = 1 << 28;
+
+/// Ends a line of which only a part was written. So a reader can tell it from a damaged line.
+pub(super) const TORN_LINE_END: &[u8] = b" torn\n";
 
 /// A file with fewer lines is not compacted.
 pub(super) const COMPACTED_LINES_MIN: usize = 1000;
@@ -31,11 +34,11 @@ pub(super) struct OwnFile {
     pub(super) path: PathBuf,
     file: File,
     /// Locked until it is dropped. It is another file, because Windows lets no process read a locked one.
-    _lock: File,
+    lock: File,
     /// The settings in the file.
     settings: HashSet<String>,
     line_count: usize,
-    /// From this number of lines on, compaction may be worthwhile.
+    /// With fewer lines it is not compacted.
     compacted_from_lines: usize,
     /// Whether its last line is incomplete.
     is_torn: bool,
@@ -77,7 +80,7 @@ impl OwnFile {
         OwnFile {
             path,
             file,
-            _lock: lock,
+            lock,
             settings: HashSet::new(),
             line_count: 0,
             compacted_from_lines: COMPACTED_LINES_MIN,
@@ -85,9 +88,33 @@ impl OwnFile {
         }
     }
 
-    /// Whether the file has its name, and is not to be compacted.
-    pub(super) fn is_usable(&self) -> bool {
-        self.line_count < self.compacted_from_lines && is_still_at(&self.path, &self.file)
+    /// Whether the file has its name.
+    pub(super) fn is_in_place(&self) -> bool {
+        is_still_at(&self.path, &self.file)
+    }
+
+    /// Whether it has many lines, and most of them are superseded; `needed_count` lines would do.
+    pub(super) fn is_superseded(&self, needed_count: usize) -> bool {
+        self.line_count >= self.compacted_from_lines && needed_count * 2 < self.line_count
+    }
+
+    /// Its size in bytes.
+    pub(super) fn size(&self) -> io::Result<u64> {
+        Ok(self.file.metadata()?.len())
+    }
+
+    /// Compacts the file if most of its lines are superseded. The lock stays held. If the file cannot be
+    /// continued, it stays as it is, and this creates another.
+    pub(super) fn tidied(self, folder: &Path) -> io::Result<OwnFile> {
+        let OwnFile { path, lock, file, .. } = self;
+        drop(file);
+        OwnFile::adopt(path, lock).or_else(|_| OwnFile::create(folder))
+    }
+
+    /// Removes the file and its lock, as far as possible.
+    pub(super) fn remove(&self) {
+        let _ = remove_if_exists(&self.path);
+        let _ = remove_if_exists(&self.path.with_extension(LOCK_EXTENSION));
     }
 
     /// Appends lines, and the settings that they refer to, if the file does not have them. Returns the size of the
@@ -98,7 +125,7 @@ impl OwnFile {
         known: &HashMap<String, SettingValues>,
     ) -> io::Result<u64> {
         // Ends a torn line, which is then skipped.
-        let mut bytes = if self.is_torn { b"\n".to_vec() } else { Vec::new() };
+        let mut bytes = if self.is_torn { TORN_LINE_END.to_vec() } else { Vec::new() };
         let mut new_settings = Vec::new();
         let mut line_count = 0;
         for line in lines {
@@ -119,7 +146,7 @@ impl OwnFile {
         self.is_torn = false;
         self.line_count += line_count + new_settings.len();
         self.settings.extend(new_settings);
-        Ok(self.file.metadata()?.len())
+        self.size()
     }
 
     /// Writes the lines to the disk.
@@ -162,7 +189,7 @@ impl OwnFile {
             }
             last.insert(key, line);
         }
-        if own.line_count >= COMPACTED_LINES_MIN && last.len() * 2 < own.line_count {
+        if own.is_superseded(last.len()) {
             // If this fails, the old file is still complete.
             if let Ok(new) = own.compacted(last.into_values()) {
                 return Ok(new);
@@ -175,21 +202,21 @@ impl OwnFile {
 
     /// Moves these lines to a new file, and removes the old one. Until then, both are read.
     fn compacted<'a>(&self, lines: impl Iterator<Item = &'a [u8]>) -> io::Result<OwnFile> {
-        let lines: Vec<&[u8]> = lines.collect();
+        let mut lines: Vec<&[u8]> = lines.collect();
+        // In the order of the file: of lines with the same time, the last one counts.
+        lines.sort_unstable_by_key(|line| line.as_ptr());
         let mut new = OwnFile::create(self.path.parent().unwrap_or(Path::new("")))?;
         new.settings.clone_from(&self.settings);
         new.line_count = lines.len();
-        new.compacted_from_lines = COMPACTED_LINES_MIN.max(lines.len() * 2);
-        let moved = new
-            .file
-            .write_all(&lines.concat())
-            .and_then(|()| new.file.sync_data())
-            .and_then(|()| remove_if_exists(&self.path));
+        let mut out = BufWriter::new(&new.file);
+        let written = lines.iter().try_for_each(|line| out.write_all(line)).and_then(|()| out.flush());
+        drop(out);
+        let moved = written.and_then(|()| new.file.sync_data()).and_then(|()| remove_if_exists(&self.path));
         // Otherwise each start would leave another copy.
-        let gone = if moved.is_ok() { &self.path } else { &new.path };
-        let _ = remove_if_exists(&gone.with_extension(LOCK_EXTENSION));
-        if moved.is_err() {
-            let _ = remove_if_exists(gone);
+        if moved.is_ok() {
+            self.remove()
+        } else {
+            new.remove()
         }
         moved.map(|()| new)
     }

@@ -10,12 +10,11 @@ use serde::{Deserialize, Serialize};
 use super::figures::Figures;
 use super::frame_records::SettingValues;
 use super::reason::Reason;
-use crate::pipeline::files::json::{hex, path, text};
+use crate::pipeline::files::json::{hex, path, raw, text};
 use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::input::measured_spacing::MeasuredSpacing;
 use crate::pipeline::target::framing::Framed;
 use crate::pipeline::target::viewpoint::CameraChoice;
-use serde_json::Value;
 
 /// One line of a file of records. Cheap to clone.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -80,9 +79,9 @@ pub struct DoneRecord {
     pub at_ms: u64,
     /// Its measurements.
     pub figures: Arc<Figures>,
-    /// The results of all checks; `None` for particles.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub certificate: Option<Value>,
+    /// The results of all checks, as JSON; `None` for particles.
+    #[serde(with = "raw", default, skip_serializing_if = "Option::is_none")]
+    pub certificate: Option<Arc<str>>,
 }
 
 /// An output of a frame when it was written.

@@ -1,4 +1,4 @@
-//! Camera options and viewpoints as text: on the command line, in the journal and in pictures.
+//! Camera options and viewpoints as text: on the command line, in the records and in pictures.
 //!
 //! ```text
 //!   azimuth=32,elevation=22,view=30,zoom=1,up=z      around the subject: fits the bounds of the frames

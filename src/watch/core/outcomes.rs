@@ -286,7 +286,7 @@ impl Core {
             settings: settings.unwrap_or_default().to_owned(),
             obstacle_stamp: frame.obstacle_stamp.clone(),
             attempts: frame.attempt_count,
-            at_ms: self.now.unix_ms.max(done.map_or(0, |done| done.at_ms + 1)),
+            at_ms: self.now.unix_ms.max(done.map_or(0, |done| done.at_ms.saturating_add(1))),
         };
         self.record(self.output_of[id.root], RecordLine::Unfinished(Arc::new(record)), log);
         self.mark_changed(id);

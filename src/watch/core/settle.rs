@@ -159,7 +159,8 @@ impl Core {
 
     fn record_sequence(&mut self, root: usize, key: SequenceKey, shared: SharedSettings, log: Option<Log>) {
         // The latest record counts, also if the clock was set back.
-        let after = self.output(root).recorded.sequences.get(&key).map_or(0, |known| known.at_ms + 1);
+        let after =
+            self.output(root).recorded.sequences.get(&key).map_or(0, |known| known.at_ms.saturating_add(1));
         let shared = Box::new(SharedSettings { at_ms: self.now.unix_ms.max(after), ..shared });
         self.record(self.output_of[root], RecordLine::Sequence { key, shared }, log);
     }

@@ -5,7 +5,7 @@
 //!   in/dump.lammpstrj/step=1000     the frame of one of these time steps ─▶ out/dump.1000.glb
 //! ```
 //!
-//! A path identifies a frame in journals, plans, reports and on the command line. So a step has a path as
+//! A path identifies a frame in records, reports and on the command line. So a step has a path as
 //! well, as if its file were a folder. No file can have such a path, because a file is not a folder. A file
 //! named `step=1000` in a folder is an ordinary file.
 //!
@@ -31,6 +31,7 @@ use meniscus_formats::steps::{FoundStep, may_have_steps};
 use meniscus_formats::{Error, Limits, ReadAt, Result};
 use twox_hash::XxHash3_128;
 
+use crate::pipeline::files::identity::canonical_path;
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::names::text_of_name;
 use crate::pipeline::files::open::open_regular;
@@ -41,6 +42,15 @@ use index::{StepIndex, UNNUMBERED, probe_head};
 
 /// The prefix of the last part of a step's path; the name of the step follows.
 pub(crate) const STEP: &str = "step=";
+
+/// The path by which records identify a frame: without links, so that all processes agree.
+pub fn canonical_frame(frame: &Path) -> PathBuf {
+    let file = canonical_path(file_of(frame));
+    match (step_of(frame), frame.file_name()) {
+        (Some(_), Some(step)) => file.join(step),
+        _ => file,
+    }
+}
 
 /// The file that a frame is read from: the frame itself, or the file that the frame is a step of.
 pub fn file_of(frame: &Path) -> &Path {
