@@ -15,7 +15,7 @@
 //!
 //! The comparison of names ignores quotes, the prefix `scalar_` (CloudCompare), a unit in brackets, and case;
 //! the attribute's name keeps the case of the file. Each role is assigned at most once: if two attributes
-//! match, the one whose alias comes first in the table below gets the role, and the other one gets no role.
+//! match, the one whose alias comes first in `ROLES` gets the role, and the other one gets no role.
 //! The same applies to the position.
 
 use std::collections::HashMap;
@@ -54,7 +54,7 @@ impl Group {
 /// Groups named columns into the position and attributes.
 pub fn group_columns<T: PartialEq>(columns: &[(&str, T)]) -> Columns {
     let names: Vec<&str> = columns.iter().map(|(name, _)| matched_part(name)).collect();
-    let mut families = Families::collect(&names);
+    let families = Families::collect(&names);
     let position = families.position();
     let mut used = vec![false; columns.len()];
     for index in position.into_iter().flatten() {
@@ -123,8 +123,9 @@ pub fn aliases(role: AttributeRole) -> &'static [&'static str] {
 /// formats with vector attributes.
 pub(crate) fn position_rank(name: &str) -> Option<usize> {
     let stem = matched_part(name).to_ascii_lowercase();
-    let names = POSITIONS.iter().chain(&["x", "xyz", "r"]);
-    names.skip(1).position(|&alias| alias == stem)
+    // Without the empty stem: an array has a name. `x` and `r` are whole vectors here, not components.
+    let mut names = POSITIONS.iter().skip(1).chain(&["x", "xyz", "r"]);
+    names.position(|&alias| alias == stem)
 }
 
 /// The factor that turns values of an attribute with [`AttributeRole::Radius`] into radii.
@@ -171,11 +172,14 @@ fn ranked_role(name: &str, arity: usize) -> Option<(AttributeRole, usize)> {
     })
 }
 
+/// CloudCompare's prefix of scalar fields.
+const PREFIX: &str = "scalar_";
+
 /// The part of a name that is compared with the aliases.
 fn matched_part(name: &str) -> &str {
     let (name, _) = split_unit(unquoted(name));
-    match name.get(..7) {
-        Some(prefix) if prefix.eq_ignore_ascii_case("scalar_") && name.len() > 7 => &name[7..],
+    match name.split_at_checked(PREFIX.len()) {
+        Some((prefix, rest)) if prefix.eq_ignore_ascii_case(PREFIX) && !rest.is_empty() => rest,
         _ => name,
     }
 }
@@ -210,9 +214,9 @@ enum Spelling {
 
 /// Splits `velocity_x` into the stem, the spelling and the component index.
 fn split_component(name: &str) -> Option<(&str, Spelling, usize)> {
-    for (family, (_, words)) in WORDS.iter().enumerate() {
+    for (word_index, (_, words)) in WORDS.iter().enumerate() {
         if let Some(component) = words.iter().position(|word| word.eq_ignore_ascii_case(name)) {
-            return Some(("", Spelling::Word(family), component));
+            return Some(("", Spelling::Word(word_index), component));
         }
     }
     if let Some((stem, index)) = name.strip_suffix(']').and_then(|inside| inside.rsplit_once('[')) {
@@ -251,15 +255,14 @@ fn letter_index(letters: &str, component: &str) -> Option<usize> {
 struct Family<'a> {
     stem: &'a str,
     spelling: Spelling,
+    /// Components and their columns, in order; the first column of each component.
     components: Vec<(usize, usize)>,
 }
 
 impl Family<'_> {
     /// The columns of components 0, 1, 2 and so on, up to the first missing one. Three or more numbered
     /// components may start at 1, as in MATLAB: `pos_1`, but not `p_1`, which is a pressure.
-    fn contiguous(&mut self) -> Vec<usize> {
-        self.components.sort_unstable();
-        self.components.dedup_by_key(|(component, _)| *component);
+    fn contiguous(&self) -> Vec<usize> {
         let is_named = self.stem.len() > 1 && matches!(self.spelling, Spelling::Digit(_));
         let first = usize::from(is_named && self.components.len() > 2 && self.components[0].0 == 1);
         let consecutive =
@@ -293,15 +296,19 @@ impl<'a> Families<'a> {
             });
             list[index].components.push((component, column));
         }
+        for Family { components, .. } in &mut list {
+            components.sort_unstable();
+            components.dedup_by_key(|(component, _)| *component);
+        }
         Families { list }
     }
 
     /// The columns of the position: of all families with a name for positions, the one with the best name.
-    fn position(&mut self) -> Option<[usize; 3]> {
+    fn position(&self) -> Option<[usize; 3]> {
         let mut best: Option<(usize, [usize; 3])> = None;
-        for family in &mut self.list {
+        for family in &self.list {
             let stem = match family.spelling {
-                Spelling::Word(words) => WORDS[words].0,
+                Spelling::Word(word_index) => WORDS[word_index].0,
                 Spelling::ColorLetter(_) => continue,
                 _ => family.stem,
             };
@@ -317,9 +324,9 @@ impl<'a> Families<'a> {
     }
 
     /// The groups with more than one column; marks their columns as taken.
-    fn vectors<T: PartialEq>(&mut self, columns: &[(&str, T)], used: &mut [bool]) -> Vec<Group> {
+    fn vectors<T: PartialEq>(&self, columns: &[(&str, T)], used: &mut [bool]) -> Vec<Group> {
         let mut groups = Vec::new();
-        for family in &mut self.list {
+        for family in &self.list {
             let members = family.contiguous();
             let same_type = members.windows(2).all(|pair| columns[pair[0]].1 == columns[pair[1]].1);
             if members.len() < family.arity_min() || !same_type || members.iter().any(|&column| used[column])
@@ -330,7 +337,7 @@ impl<'a> Families<'a> {
                 used[column] = true;
             }
             let name = match family.spelling {
-                Spelling::Word(words) => WORDS[words].0,
+                Spelling::Word(word_index) => WORDS[word_index].0,
                 _ => family.stem,
             };
             groups.push(Group { name: name.into(), role: None, columns: members, scale: 1.0 });
@@ -409,52 +416,6 @@ const ROLES: &[(AttributeRole, &[&str])] = &[
 
 /// Aliases of the radius whose values are diameters.
 const DIAMETERS: &[&str] = &["diameter", "particle_diameter", "diam", "width", "widths"];
-
-// Finds out whether the first column of a table without names is an id instead of a coordinate.
-//
-//   17 0.11 0.52 0.34        a different integer in each row, then numbers with fractions: an id
-//   0 0 0 0.05               the first column counts, and the others do not show whether it is an id:
-//   1 0 0 0.05               unclear
-//   0.5 0.5 0.5 7            a coordinate
-//
-// A surface of particles whose x is an id would look plausible, so an unclear table is an error.
-
-/// What the first column is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum FirstColumn {
-    Coordinate,
-    Id,
-    Unclear,
-}
-
-/// Number of rows that are examined.
-pub(crate) const ROWS_MAX: usize = 1000;
-
-/// With fewer rows, integers may be coordinates.
-const ROWS_MIN: usize = 4;
-
-impl FirstColumn {
-    /// Judges by the first four numbers of each row, of `column_count`; NaN for what is not a number.
-    pub(crate) fn of(rows: impl Iterator<Item = [f64; 4]>, column_count: usize) -> FirstColumn {
-        let rows: Vec<[f64; 4]> = rows.take(ROWS_MAX).collect();
-        let mut ids: Vec<f64> = rows.iter().map(|row| row[0]).collect();
-        if rows.len() < ROWS_MIN || ids.iter().any(|id| id.fract() != 0.0) {
-            return FirstColumn::Coordinate;
-        }
-        let is_count = ids.windows(2).all(|pair| pair[1] - pair[0] == 1.0);
-        ids.sort_by(f64::total_cmp);
-        let are_different = ids.windows(2).all(|pair| pair[0] != pair[1]);
-        let has_fractions =
-            |&column: &usize| rows.iter().any(|row| row[column].is_finite() && row[column].fract() != 0.0);
-        let fraction_count = (1..4.min(column_count)).filter(has_fractions).count();
-        match column_count {
-            3 if is_count && fraction_count == 2 => FirstColumn::Unclear,
-            4.. if are_different && fraction_count == 3 => FirstColumn::Id,
-            4.. if is_count || are_different && fraction_count > 0 => FirstColumn::Unclear,
-            _ => FirstColumn::Coordinate,
-        }
-    }
-}
 
 #[cfg(test)]
 mod tests {
@@ -666,27 +627,5 @@ mod tests {
         for (name, unit) in table {
             assert_eq!(unit_of(name), unit, "of {name}");
         }
-    }
-
-    #[test]
-    fn integers_that_differ_before_three_fractions_are_ids() {
-        let of = |x: [f64; 4], y: f64, z: f64, w: f64, column_count| {
-            FirstColumn::of(x.into_iter().map(|x| [x, y, z, w]), column_count)
-        };
-        let (shuffled, counting) = ([7.0, 2.0, 9.0, 4.0], [3.0, 4.0, 5.0, 6.0]);
-        for (case, found, expected) in [
-            ("an id", of(shuffled, 0.1, 0.2, 0.3, 4), FirstColumn::Id),
-            ("in a plane", of(shuffled, 0.1, 0.2, 0.0, 4), FirstColumn::Unclear),
-            ("a lattice of ids", of(counting, 1.0, 2.0, 3.0, 7), FirstColumn::Unclear),
-            ("x of a lattice", of(shuffled, 1.0, 2.0, 3.0, 4), FirstColumn::Coordinate),
-            ("a type", of([1.0; 4], 0.1, 0.2, 0.3, 4), FirstColumn::Coordinate),
-            ("fractions", of([0.5, 1.0, 2.0, 3.0], 0.1, 0.2, 0.3, 4), FirstColumn::Coordinate),
-            ("id, x and y", of(counting, 0.1, 0.2, f64::NAN, 3), FirstColumn::Unclear),
-            ("a row of particles", of(counting, 0.0, 0.0, f64::NAN, 3), FirstColumn::Coordinate),
-        ] {
-            assert_eq!(found, expected, "{case}");
-        }
-        let few = [[1.0, 0.1, 0.2, 0.3], [2.0, 0.1, 0.2, 0.3]];
-        assert_eq!(FirstColumn::of(few.into_iter(), 4), FirstColumn::Coordinate);
     }
 }

@@ -24,8 +24,9 @@ use half::f16;
 use crate::bytes::{self, Endian};
 use crate::data::{PictureView, PixelSamples};
 use crate::error::{Error, Position, Result};
+use crate::options::WriteOption;
 use crate::provenance::{GENERATOR, comments, from_comments};
-use crate::row::{Content, FormatRow, Integrity, OutputRow, WriteOption};
+use crate::row::{Content, FormatRow, Integrity, OutputRow};
 use crate::text::excerpt;
 
 const FORMAT: &str = "OpenEXR";

@@ -28,7 +28,7 @@ use crate::compression::Codec;
 use crate::error::Result;
 use crate::probe::{Probe, ProbedKind, probe};
 use crate::provenance::HEAD_BYTES_MAX;
-use crate::row::{Completeness, HeadCheck, Integrity, at_least};
+use crate::row::{Completeness, HeadCheck, Integrity};
 use crate::table::{Format, OutputFormat};
 
 /// The number of bytes to read at the end of a file: the last line of any output is shorter.
@@ -91,7 +91,9 @@ pub fn completeness(file: &mut (impl Read + Seek), file_name: &str) -> Result<Co
 
 fn check_head(head: &[u8], file_bytes: u64, file_name: &str) -> HeadCheck {
     let Probe { kind, codec } = probe(head, file_name);
-    let by_reading = |expected| HeadCheck::Known(at_least(expected, file_bytes, Completeness::NeedsReading));
+    let by_reading = |expected| {
+        HeadCheck::Known(Completeness::of_minimum_size(expected, file_bytes, Completeness::NeedsReading))
+    };
     if let Some(beginning) = truncated_signature(head) {
         return by_reading(beginning.len() as u64);
     }

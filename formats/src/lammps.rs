@@ -26,7 +26,7 @@ use crate::csv;
 use crate::data::{FilePositions, ParticleFrame};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::row::{FormatRow, ParticleInput};
+use crate::row::{FormatRow, ParticleReader};
 use crate::steps::steps_of_dump;
 use crate::text::{excerpt, excerpts};
 
@@ -345,6 +345,6 @@ impl<'a> DumpLines<'a> {
 /// The row in the table of formats.
 pub(crate) static ROW: FormatRow = FormatRow {
     beginnings: &[b"ITEM: TIMESTEP\n"],
-    particles: Some(ParticleInput { find_steps: Some(steps_of_dump), ..ParticleInput::new(read) }),
+    particles: Some(ParticleReader { find_steps: Some(steps_of_dump), ..ParticleReader::new(read) }),
     ..FormatRow::new(FORMAT, &["dump", "lammpstrj"])
 };

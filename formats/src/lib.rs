@@ -20,6 +20,7 @@ pub mod data;
 mod digest;
 pub mod error;
 pub mod exr;
+mod first_column;
 pub mod gltf;
 pub mod houdini;
 pub mod integrity;
@@ -31,12 +32,14 @@ mod neighbor;
 pub mod npy;
 mod number;
 pub mod obj;
+mod options;
 pub mod ply;
 pub mod png;
 pub mod probe;
 pub mod provenance;
 mod records;
 mod row;
+mod sequence;
 pub mod steps;
 pub mod stl;
 mod table;
@@ -64,13 +67,15 @@ pub use limits::Limits;
 pub use mesh::{ObstacleData, check_obstacle, looks_like_mesh, read_mesh, read_obstacle};
 pub use neighbor::{Neighbor, neighbor};
 pub use number::NumberType;
+pub use options::{MeshOptions, UpAxis, WriteOption};
 pub use probe::{Probe, ProbedKind, looks_like_particles, probe};
 pub use row::{
-    BatchEncoder, Completeness, Content, MeshEncoder, MeshOptions, MeshWriter, ParticleWriter, PictureWriter,
-    StreamWriter, UpAxis, WriteOption,
+    BatchEncoder, Completeness, Content, MeshEncoder, MeshWriter, ParticleWriter, PictureWriter, StreamWriter,
 };
-pub use table::{Format, OutputFormat, listed, read_provenance};
-pub use text::{Escaped, escaped, is_unsafe};
+pub use table::{Format, OutputFormat, read_provenance};
+pub use text::{Escaped, escaped, is_unsafe, listed};
+
+use row::ParticleReader;
 
 /// Reads a frame of particles from a file in any supported format, compressed or not.
 ///
@@ -91,8 +96,8 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
     if !bytes.is_empty() && integrity::truncated_signature(bytes).is_some() {
         return Err(Error::truncated("", Position::File, "the file ends within its signature"));
     }
-    let read = reader_of(kind, codec)?;
-    let frame = read(&compression::decompressed(bytes, limits)?, limits)?;
+    let reader = reader_of(kind, codec)?;
+    let frame = (reader.read)(&compression::decompressed(bytes, limits)?, limits)?;
     let positions = &frame.positions;
     if !positions.is_empty() && !positions.has_finite() {
         let what = format!("none of the {} particles has a finite position", positions.len());
@@ -116,17 +121,14 @@ pub fn check_supported(head: &[u8], file_name: &str) -> Result<()> {
     }
 }
 
-/// Turns the decompressed bytes of a file into a frame.
-type ParticleReader = fn(&[u8], &Limits) -> Result<ParticleFrame>;
-
 /// The particle reader for files of this kind. If there is none, the error says what the file is and what to
 /// do instead.
-fn reader_of(kind: ProbedKind, codec: Option<Codec>) -> Result<ParticleReader> {
+fn reader_of(kind: ProbedKind, codec: Option<Codec>) -> Result<&'static ParticleReader> {
     if kind == ProbedKind::Empty {
         return Err(Error::truncated("", Position::File, "the file is empty"));
     }
-    if let Some(particles) = kind.format().and_then(|format| format.row().particles.as_ref()) {
-        return Ok(particles.read);
+    if let Some(reader) = kind.format().and_then(|format| format.row().particles.as_ref()) {
+        return Ok(reader);
     }
     let remedy = probe::REMEDIES.iter().find(|(name, _)| kind == ProbedKind::Foreign(name));
     if let Some((name, remedy)) = remedy {

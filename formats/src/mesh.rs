@@ -9,8 +9,9 @@ use crate::gltf::ReadExternal;
 use crate::limits::Limits;
 use crate::ply;
 use crate::probe::{Probe, ProbedKind, probe};
-use crate::table::{Format, listed};
+use crate::table::Format;
 use crate::text::excerpt;
+use crate::text::listed;
 use crate::vdb::{self, LevelSetData};
 use crate::vtk;
 

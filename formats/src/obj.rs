@@ -7,10 +7,9 @@ use rayon::prelude::*;
 
 use crate::data::{MeshData, MeshView, Provenance, VertexAttribute, world};
 use crate::error::{Error, Position, Result};
+use crate::options::{MeshOptions, WriteOption};
 use crate::provenance::{GENERATOR, comments, from_comments};
-use crate::row::{
-    Content, FormatRow, Integrity, MeshEncoder, MeshOptions, MeshWriter, OutputRow, WriteOption,
-};
+use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
 use crate::text::{NumberWriter, ends_with_line, excerpt};
 use crate::vertex_attributes::{Face, Purpose, check_quads, clamp_note, faces, purposes, quad_count};
 

@@ -14,8 +14,9 @@ use ::png::{
 use crate::bytes::{Cursor, Endian};
 use crate::data::{ColorPicture, PictureView};
 use crate::error::{Error, Position, Result};
+use crate::options::WriteOption;
 use crate::provenance::{GENERATOR, escape, from_entries, prefixed};
-use crate::row::{Content, FormatRow, Integrity, OutputRow, WriteOption};
+use crate::row::{Content, FormatRow, Integrity, OutputRow};
 
 const FORMAT: &str = "PNG";
 

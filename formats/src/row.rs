@@ -1,14 +1,12 @@
 //! The types of the rows of the table of formats. A row describes a format and contains its functions.
 
 use std::io::Write;
-use std::sync::Arc;
-
-use serde::{Deserialize, Serialize};
 
 use crate::batches::{ReadAt, Records};
 use crate::data::{MeshData, MeshView, ParticleFrame, PictureView, Provenance, VertexAttribute};
 use crate::error::Result;
 use crate::limits::Limits;
+use crate::options::{MeshOptions, WriteOption};
 use crate::steps::FindSteps;
 
 /// A format that files are read in or recognised as.
@@ -24,7 +22,7 @@ pub(crate) struct FormatRow {
     /// being written.
     pub(crate) beginnings: &'static [&'static [u8]],
     /// The particle reader.
-    pub(crate) particles: Option<ParticleInput>,
+    pub(crate) particles: Option<ParticleReader>,
     /// The mesh reader.
     pub(crate) read_mesh: Option<MeshReader>,
 }
@@ -48,7 +46,7 @@ pub(crate) type ProvenanceReader = fn(&[u8]) -> Result<Vec<(String, String)>>;
 pub(crate) type FindRecords = fn(&[u8], u64, &dyn ReadAt, &Limits) -> Result<Result<Option<Records>>>;
 
 /// How particles are read from a format.
-pub(crate) struct ParticleInput {
+pub(crate) struct ParticleReader {
     /// Reads the whole decompressed file.
     pub(crate) read: fn(&[u8], &Limits) -> Result<ParticleFrame>,
     /// Checks the file's size against its first bytes.
@@ -59,10 +57,10 @@ pub(crate) struct ParticleInput {
     pub(crate) find_steps: Option<FindSteps>,
 }
 
-impl ParticleInput {
+impl ParticleReader {
     /// A single-frame format that must be read whole and whose completeness is unknown.
-    pub(crate) const fn new(read: fn(&[u8], &Limits) -> Result<ParticleFrame>) -> ParticleInput {
-        ParticleInput {
+    pub(crate) const fn new(read: fn(&[u8], &Limits) -> Result<ParticleFrame>) -> ParticleReader {
+        ParticleReader {
             read,
             completeness: |_, _| Ok(HeadCheck::Known(Completeness::Unknown)),
             find_records: None,
@@ -71,10 +69,10 @@ impl ParticleInput {
     }
 
     /// A single-frame format that must be read whole and whose reader notices a missing end.
-    pub(crate) const fn needs_reading(read: fn(&[u8], &Limits) -> Result<ParticleFrame>) -> ParticleInput {
-        ParticleInput {
+    pub(crate) const fn needs_reading(read: fn(&[u8], &Limits) -> Result<ParticleFrame>) -> ParticleReader {
+        ParticleReader {
             completeness: |_, _| Ok(HeadCheck::Known(Completeness::NeedsReading)),
-            ..ParticleInput::new(read)
+            ..ParticleReader::new(read)
         }
     }
 }
@@ -134,9 +132,9 @@ pub struct MeshWriter {
     pub encoder: MeshEncoder,
     /// Notes on vertex attributes that its files cannot represent exactly.
     pub attribute_notes: fn(&[VertexAttribute]) -> Vec<String>,
-    /// Whether its files have world positions in 32 bits, and no origin. A mesh far from the origin must be
+    /// Whether its files have no origin, and thus world positions in 32 bits. A mesh far from the origin must be
     /// rounded to such positions before, so that all files of a frame have the same ones.
-    pub has_world_positions: bool,
+    pub lacks_origin: bool,
 }
 
 /// How a mesh is encoded.
@@ -157,7 +155,7 @@ pub enum MeshEncoder {
 impl MeshWriter {
     /// A writer that keeps all attributes under their names, and the origin of the mesh.
     pub(crate) const fn new(encoder: MeshEncoder) -> MeshWriter {
-        MeshWriter { encoder, attribute_notes: |_| Vec::new(), has_world_positions: false }
+        MeshWriter { encoder, attribute_notes: |_| Vec::new(), lacks_origin: false }
     }
 
     /// Writes a mesh.
@@ -220,6 +218,19 @@ pub enum Completeness {
     Unknown,
 }
 
+impl Completeness {
+    /// Of a file in a format that declares the exact file size. A larger file is `Unknown`.
+    pub(crate) fn of_exact_size(expected: u64, found: u64) -> Completeness {
+        let beyond = if expected < found { Completeness::Unknown } else { Completeness::Complete };
+        Completeness::of_minimum_size(expected, found, beyond)
+    }
+
+    /// Of a file in a format that declares a minimum file size: `then` if the file has this size.
+    pub(crate) fn of_minimum_size(expected: u64, found: u64, then: Completeness) -> Completeness {
+        if found < expected { Completeness::Incomplete { expected, found } } else { then }
+    }
+}
+
 /// The result of checking a file's head.
 pub(crate) enum HeadCheck {
     Known(Completeness),
@@ -229,127 +240,5 @@ pub(crate) enum HeadCheck {
     NeedsLastByte,
 }
 
-/// The completeness of a file in a format that declares the exact file size. A larger file is `Unknown`.
-pub(crate) fn exactly(expected: u64, found: u64) -> Completeness {
-    let beyond = if expected < found { Completeness::Unknown } else { Completeness::Complete };
-    at_least(expected, found, beyond)
-}
-
-/// The completeness of a file in a format that declares a minimum file size: `then` if the file has this
-/// size.
-pub(crate) fn at_least(expected: u64, found: u64, then: Completeness) -> Completeness {
-    if found < expected { Completeness::Incomplete { expected, found } } else { then }
-}
-
 /// Reads an external file by its relative path, one of those that [`crate::gltf::external_files`] returns.
 pub type ReadExternal<'a> = dyn Fn(&str) -> std::io::Result<Vec<u8>> + 'a;
-
-// Options of the writers.
-
-/// The axis of the particles that points up.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum UpAxis {
-    /// As in glTF.
-    #[default]
-    Y,
-    /// As in Blender and many simulators. In glTF, the node rotates the mesh by −90° about X.
-    Z,
-}
-
-impl UpAxis {
-    /// Both axes.
-    pub const ALL: [UpAxis; 2] = [UpAxis::Y, UpAxis::Z];
-
-    /// The value's name on the command line and in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            UpAxis::Y => "y",
-            UpAxis::Z => "z",
-        }
-    }
-}
-
-/// How to write a mesh. Each format ignores options that it does not support.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MeshOptions {
-    /// The object name, shown by other programs.
-    pub name: String,
-    /// Which axis of the mesh points up.
-    pub up: UpAxis,
-    /// The length of a world unit in metres, positive and finite.
-    pub meters_per_unit: f64,
-    /// For each triangle, whether it and the next one form a quad, which is then written as one face. Empty:
-    /// all faces are triangles.
-    pub quads: Arc<[bool]>,
-    /// Whether to write the arrays of text USD, except uniform ones, a second time as time samples, because a
-    /// stage plays only time samples. Binary USD always has time samples: they need no second copy there,
-    /// because a time sample and the default value refer to one array.
-    pub time_samples: bool,
-}
-
-impl Default for MeshOptions {
-    fn default() -> MeshOptions {
-        MeshOptions {
-            name: "surface".into(),
-            up: UpAxis::Y,
-            meters_per_unit: 1.0,
-            quads: Arc::default(),
-            time_samples: false,
-        }
-    }
-}
-
-/// An option that affects the files of some formats.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WriteOption {
-    /// Quads instead of pairs of triangles.
-    Quads,
-    /// The up axis.
-    Up,
-    /// The length of a world unit.
-    MetersPerUnit,
-    /// The bits and the compression of the values of a level set.
-    Values,
-    /// The size of a picture.
-    Size,
-    /// The camera of a picture.
-    Camera,
-    /// Arrays as time samples, which a stage that plays text USD needs. Not a setting: the caller decides.
-    TimeSamples,
-}
-
-impl WriteOption {
-    /// All options that are settings, in the order in which they are printed.
-    pub const ALL: [WriteOption; 6] = [
-        WriteOption::Quads,
-        WriteOption::Up,
-        WriteOption::MetersPerUnit,
-        WriteOption::Values,
-        WriteOption::Size,
-        WriteOption::Camera,
-    ];
-
-    /// Its name in the provenance of a file. It has no prefix such as `vdb_`, because the format is known
-    /// there.
-    pub fn name(self) -> &'static str {
-        match self {
-            WriteOption::Quads => "quads",
-            WriteOption::Up => "up",
-            WriteOption::MetersPerUnit => "meters_per_unit",
-            WriteOption::Values => "values",
-            WriteOption::Size => "size",
-            WriteOption::Camera => "camera",
-            WriteOption::TimeSamples => "time_samples",
-        }
-    }
-
-    /// Its key in a settings file; with `-` for `_`, its name on the command line.
-    pub fn key(self) -> &'static str {
-        match self {
-            WriteOption::Values => "vdb",
-            WriteOption::Size => "preview_size",
-            other => other.name(),
-        }
-    }
-}

@@ -21,7 +21,7 @@ use std::io::{self, BufRead, Read as _};
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::error::{Error, Position, Result};
+use crate::error::Result;
 use crate::limits::Limits;
 use crate::probe::ProbedKind;
 
@@ -34,8 +34,7 @@ pub fn may_have_steps(kind: ProbedKind) -> bool {
 ///
 /// # Errors
 ///
-/// [`Error::Io`] if reading fails, [`Error::TooLarge`] beyond
-/// `limits`.
+/// [`Error::Io`](crate::Error::Io) if reading fails, [`Error::TooLarge`](crate::Error::TooLarge) beyond `limits`.
 pub fn find_steps(kind: ProbedKind, source: impl BufRead, limits: &Limits) -> Result<Vec<FoundStep>> {
     let mut steps = Vec::new();
     find_more_steps(kind, source, &mut steps, limits)?;
@@ -55,15 +54,13 @@ pub fn find_more_steps(
     limits: &Limits,
 ) -> Result<()> {
     let (end, count) = steps.pop().map_or((0, 0), |last| (last.range.start, last.lines_before));
-    let lines = LineHeads::new(&mut source, end, count);
-    finder_of(kind).map_or(Ok(()), |find| find(lines, steps, limits))
+    let source = StepSource::new(&mut source, end, count);
+    finder_of(kind).map_or(Ok(()), |find| find(source, steps, limits))
 }
 
 fn finder_of(kind: ProbedKind) -> Option<FindSteps> {
     kind.format()?.row().particles.as_ref()?.find_steps
 }
-
-// Finds the frames of multi-frame files: those of texts line by line, those of arrays by the header.
 
 /// A part of a file that is treated as one frame, even if it is incomplete or damaged.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -83,24 +80,29 @@ pub struct FoundStep {
 
 impl FoundStep {
     /// A step of a text, which begins with the last line that was read.
-    fn of_text(number: Option<i64>, start: u64, lines: &LineHeads) -> FoundStep {
+    fn of_text(number: Option<i64>, start: u64, lines: &StepSource) -> FoundStep {
         FoundStep { number, head: Arc::default(), range: start..start, lines_before: lines.count - 1 }
     }
 }
 
-/// Finds the steps in the lines of a file and appends them to the known ones.
-pub(crate) type FindSteps = fn(LineHeads, &mut Vec<FoundStep>, &Limits) -> Result<()>;
+/// Finds the steps of a file and appends them to the known ones.
+pub(crate) type FindSteps = fn(StepSource, &mut Vec<FoundStep>, &Limits) -> Result<()>;
 
 /// Finds the steps of a LAMMPS dump. A step starts at the first `ITEM:` line after the rows of the previous
 /// step. If a step lacks its rows, it ends at the next `ITEM: TIMESTEP`.
-pub(crate) fn steps_of_dump(mut lines: LineHeads, steps: &mut Vec<FoundStep>, limits: &Limits) -> Result<()> {
-    let known_count = steps.len();
+pub(crate) fn steps_of_dump(
+    mut lines: StepSource,
+    steps: &mut Vec<FoundStep>,
+    limits: &Limits,
+) -> Result<()> {
+    let mut is_first = true;
     let (mut is_numbered, mut is_in_rows, mut is_number_next) = (false, false, false);
-    while let Some(start) = lines.next()? {
+    while let Some(start) = lines.next_line()? {
         let line = lines.head.trim_ascii();
         if let Some(item) = line.strip_prefix(b"ITEM:").map(<[u8]>::trim_ascii) {
             let is_timestep = item == b"TIMESTEP";
-            if steps.len() == known_count || is_in_rows || (is_timestep && is_numbered) {
+            if is_first || is_in_rows || (is_timestep && is_numbered) {
+                is_first = false;
                 end_at(steps, start);
                 limits.check_step("LAMMPS dump", steps.len())?;
                 steps.push(FoundStep::of_text(None, start, &lines));
@@ -114,7 +116,8 @@ pub(crate) fn steps_of_dump(mut lines: LineHeads, steps: &mut Vec<FoundStep>, li
             if let Some(step) = steps.last_mut() {
                 step.number = std::str::from_utf8(line).ok().and_then(|number| number.parse().ok());
             }
-        } else if steps.len() == known_count && !line.is_empty() {
+        } else if is_first && !line.is_empty() {
+            is_first = false;
             steps.push(FoundStep::of_text(None, start, &lines));
         }
     }
@@ -125,11 +128,11 @@ pub(crate) fn steps_of_dump(mut lines: LineHeads, steps: &mut Vec<FoundStep>, li
 /// Finds the steps of a file of atoms. A step is a line with a count N, a comment line, and N lines of atoms.
 /// If the count is invalid, the rest of the file is one step, because the start of the next step is unknown.
 pub(crate) fn steps_of_atoms(
-    mut lines: LineHeads,
+    mut lines: StepSource,
     steps: &mut Vec<FoundStep>,
     limits: &Limits,
 ) -> Result<()> {
-    while let Some(start) = lines.next()? {
+    while let Some(start) = lines.next_line()? {
         let line = lines.head.trim_ascii();
         if line.is_empty() {
             continue;
@@ -141,7 +144,7 @@ pub(crate) fn steps_of_atoms(
         steps.push(FoundStep::of_text(number, start, &lines));
         // Skips the comment line and the atoms.
         for _ in 0..count.map_or(u64::MAX, |count| count.saturating_add(1)) {
-            if lines.next()?.is_none() {
+            if lines.next_line()?.is_none() {
                 break;
             }
         }
@@ -156,8 +159,9 @@ fn end_at(steps: &mut [FoundStep], end: u64) {
     }
 }
 
-/// The lines of a source; stores only the first bytes of each.
-pub(crate) struct LineHeads<'a> {
+/// Where the steps of a file are searched: its lines, of which only the first bytes are stored, or its first
+/// bytes.
+pub(crate) struct StepSource<'a> {
     source: &'a mut dyn BufRead,
     /// The first bytes of the last line read.
     head: Vec<u8>,
@@ -170,10 +174,10 @@ pub(crate) struct LineHeads<'a> {
 /// Number of bytes stored of each line: more than any text that the searches look for.
 const HEAD_BYTES: usize = 64;
 
-impl<'a> LineHeads<'a> {
-    /// The lines of a source that starts `end` bytes and `count` lines into the file.
-    pub(crate) fn new(source: &'a mut dyn BufRead, end: u64, count: u64) -> LineHeads<'a> {
-        LineHeads { source, head: Vec::new(), end, count }
+impl<'a> StepSource<'a> {
+    /// A source that starts `end` bytes and `count` lines into the file.
+    pub(crate) fn new(source: &'a mut dyn BufRead, end: u64, count: u64) -> StepSource<'a> {
+        StepSource { source, head: Vec::new(), end, count }
     }
 
     /// The first bytes of the source, instead of its lines.
@@ -184,7 +188,7 @@ impl<'a> LineHeads<'a> {
     }
 
     /// Reads the next line and returns its offset.
-    fn next(&mut self) -> io::Result<Option<u64>> {
+    fn next_line(&mut self) -> io::Result<Option<u64>> {
         let start = self.end;
         self.head.clear();
         loop {
@@ -205,53 +209,6 @@ impl<'a> LineHeads<'a> {
             }
         }
     }
-}
-
-// The numbers of frames in files of sequences.
-
-/// The largest absolute value of a frame number. Times are 64-bit floats, which cannot distinguish larger
-/// integers.
-pub(crate) const NUMBER_MAX: i64 = 1 << 53;
-
-/// Checks that the numbers of named frames increase, and are within ±[`NUMBER_MAX`].
-///
-/// # Errors
-/// [`Error::Invalid`] and [`Error::Unsupported`] with the frame's name.
-pub(crate) fn check_numbers<'a>(
-    format: &'static str,
-    frames: impl Iterator<Item = (&'a str, i64)>,
-) -> Result<()> {
-    let mut last: Option<(&str, i64)> = None;
-    for (name, number) in frames {
-        if let Some((before, lower)) = last.filter(|(_, lower)| *lower >= number) {
-            let what = format!(
-                "frame numbers must increase: {before} has {lower}, and {name}, which follows it, has {number}"
-            );
-            return Err(Error::invalid(format, Position::File, what));
-        }
-        if number.unsigned_abs() > NUMBER_MAX.unsigned_abs() {
-            let what = format!("the frame number {number} of {name} exceeds the limit, ±{NUMBER_MAX}");
-            return Err(Error::unsupported(format, what));
-        }
-        last = Some((name, number));
-    }
-    Ok(())
-}
-
-/// The time between the last sample of a frame and the next frame, in frames. It is exact in binary, and
-/// shorter than the intervals at which programs evaluate a scene. It is long enough for programs that take
-/// the nearest sample at a rounded frame rate: with 23.976 instead of 24000/1001 frames per second, frame
-/// 5,000 is 1/200 of a frame late.
-const LAST_MOMENT: f64 = 1.0 / 64.0;
-
-/// The times, in frames, at which the frame with this number needs a sample, if programs interpolate between
-/// it and the frame with the number `next`: its own, and the last moment before the next frame. Programs
-/// interpolate between samples of the same size, but the vertices of two frames do not correspond.
-#[expect(clippy::cast_precision_loss, reason = "the formats refuse numbers beyond 2⁵³")]
-pub(crate) fn held_times(number: i64, next: Option<i64>) -> impl Iterator<Item = f64> {
-    let (own, next) = (number as f64, next.map(|next| next as f64));
-    let held = next.map(|next| next - LAST_MOMENT).filter(|held| own < *held && Some(*held) < next);
-    [own].into_iter().chain(held)
 }
 
 #[cfg(test)]

@@ -212,7 +212,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
             [] => Vec::new(),
             _ => vec!["vertex attributes are missing in the .stl, which stores triangles only".to_owned()],
         },
-        has_world_positions: true,
+        lacks_origin: true,
         ..MeshWriter::new(MeshEncoder::Stream(|mesh, _, provenance, out| write(mesh, provenance, out)))
     }),
     write_particles: None,

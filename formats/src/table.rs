@@ -18,8 +18,9 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Result};
+use crate::options::{MeshOptions, WriteOption};
 use crate::provenance::HEAD_BYTES_MAX;
-use crate::row::{Content, FormatRow, MeshOptions, MeshWriter, OutputRow, ParticleWriter, WriteOption};
+use crate::row::{Content, FormatRow, MeshWriter, OutputRow, ParticleWriter};
 
 /// Generates the two format enums from the rows.
 macro_rules! formats {
@@ -185,9 +186,9 @@ impl OutputFormat {
         self.row().write_particles.as_ref()
     }
 
-    /// Whether files of this format have world positions in 32 bits: see [`MeshWriter::has_world_positions`].
-    pub fn has_world_positions(self) -> bool {
-        self.mesh().is_some_and(|writer| writer.has_world_positions)
+    /// Whether files of this format have no origin: see [`MeshWriter::lacks_origin`].
+    pub fn lacks_origin(self) -> bool {
+        self.mesh().is_some_and(|writer| writer.lacks_origin)
     }
 
     /// Whether files of this format contain a mesh.
@@ -260,7 +261,7 @@ impl<'de> Deserialize<'de> for OutputFormat {
     }
 }
 
-/// Reads the first mebibyte of a file, and returns the provenance that a writer of this crate stored there.
+/// Reads the first `HEAD_BYTES_MAX` bytes of a file, and returns the provenance that a writer of this crate stored there.
 /// Returns an empty list for files of other programs.
 ///
 /// # Errors
@@ -270,13 +271,4 @@ pub fn read_provenance(format: OutputFormat, file: impl Read) -> Result<Vec<(Str
     let mut head = Vec::new();
     file.take(HEAD_BYTES_MAX).read_to_end(&mut head)?;
     (format.row().read_provenance)(&head)
-}
-
-/// Joins words with commas, and the last two with `last`: `.obj, .vtp and .usda`.
-pub fn listed(words: Vec<String>, last: &str) -> String {
-    match words.split_last() {
-        Some((end, [])) => end.clone(),
-        Some((end, others)) => format!("{} {last} {end}", others.join(", ")),
-        None => String::new(),
-    }
 }

@@ -206,6 +206,15 @@ pub(crate) fn ends_with_line(tail: &[u8], start: &str) -> bool {
     lines.rsplit(|&byte| byte == b'\n').next().is_some_and(|line| line.starts_with(start.as_bytes()))
 }
 
+/// Joins words with commas, and the last two with `last`: `.obj, .vtp and .usda`.
+pub fn listed(words: Vec<String>, last: &str) -> String {
+    match words.split_last() {
+        Some((end, [])) => end.clone(),
+        Some((end, others)) => format!("{} {last} {end}", others.join(", ")),
+        None => String::new(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

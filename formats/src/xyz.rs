@@ -16,7 +16,7 @@ use crate::data::ParticleFrame;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::number::{self, NumberType};
-use crate::row::{FormatRow, ParticleInput};
+use crate::row::{FormatRow, ParticleReader};
 
 /// The format's name in errors.
 const FORMAT: &str = "raw XYZ";
@@ -82,7 +82,7 @@ fn is_absurd(value: f32) -> bool {
 
 /// The row in the table of formats.
 pub(crate) static ROW: FormatRow =
-    FormatRow { particles: Some(ParticleInput::new(read)), ..FormatRow::new(FORMAT, &["xyz"]) };
+    FormatRow { particles: Some(ParticleReader::new(read)), ..FormatRow::new(FORMAT, &["xyz"]) };
 
 #[cfg(test)]
 mod tests {

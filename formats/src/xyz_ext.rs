@@ -20,8 +20,8 @@ use crate::csv;
 use crate::data::ParticleFrame;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::row::{FormatRow, ParticleInput};
-use crate::steps::{LineHeads, steps_of_atoms};
+use crate::row::{FormatRow, ParticleReader};
+use crate::steps::{StepSource, steps_of_atoms};
 use crate::text::{Lines, parse_number};
 
 /// The format's name in errors.
@@ -123,7 +123,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let end = lines.at();
     if lines.any(|line| !line.trim_ascii().is_empty()) {
         // If there are too many frames, report that instead.
-        steps_of_atoms(LineHeads::new(&mut &*bytes, 0, 0), &mut Vec::new(), limits)?;
+        steps_of_atoms(StepSource::new(&mut &*bytes, 0, 0), &mut Vec::new(), limits)?;
         let what = "the file has several frames: read each frame separately";
         return Err(Error::unsupported(FORMAT, what));
     }
@@ -196,6 +196,6 @@ fn truncated(line: u64, what: impl Into<String>) -> Error {
 
 /// The row in the table of formats.
 pub(crate) static ROW: FormatRow = FormatRow {
-    particles: Some(ParticleInput { find_steps: Some(steps_of_atoms), ..ParticleInput::new(read) }),
+    particles: Some(ParticleReader { find_steps: Some(steps_of_atoms), ..ParticleReader::new(read) }),
     ..FormatRow::new(FORMAT, &["xyz", "txt"])
 };

@@ -88,7 +88,7 @@ impl EmbeddedSurface<'_> {
 
     /// Whether the mesh has positions that a file in this format can store.
     pub fn is_checked(&self, format: OutputFormat) -> bool {
-        !format.has_world_positions() || self.surface.mesh.is_rounded(PositionRounding::World)
+        !format.lacks_origin() || self.surface.mesh.is_rounded(PositionRounding::World)
     }
 
     /// Renders a picture with the size and the camera of `outputs`, and encodes it.
@@ -131,7 +131,7 @@ impl EmbeddedSurface<'_> {
         let outputs = OutputOptions::new("", &[]);
         let about_surface = surface_warnings(self.surface, &outputs, self.settings);
         let report = &self.surface.report;
-        let mut formats = OutputFormat::ALL.into_iter().filter(|format| format.has_world_positions());
+        let mut formats = OutputFormat::ALL.into_iter().filter(|format| format.lacks_origin());
         let format = formats.find(|&format| self.is_checked(format));
         let warnings =
             about_surface.into_iter().chain(left_out(report)).chain(coarse_positions(report, format));

@@ -14,7 +14,7 @@ use std::io::Write;
 use super::document::{AbcObject, AbcProperty, Ogawa, Pod, Sample};
 use crate::error::Result;
 use crate::number::{write_f32s, write_pieces};
-use crate::row::UpAxis;
+use crate::options::UpAxis;
 
 /// The names of the objects. They are the same in all files, because programs that play a file per frame look
 /// for the same object in each.

@@ -30,10 +30,9 @@ use crate::gltf::{
 };
 use crate::limits::Limits;
 use crate::number::{NumberType, write_pieces};
-use crate::row::{
-    Content, FormatRow, Integrity, MeshEncoder, MeshOptions, MeshWriter, OutputRow, UpAxis, WriteOption,
-};
-use crate::steps::{check_numbers, held_times};
+use crate::options::{MeshOptions, UpAxis, WriteOption};
+use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
+use crate::sequence::{check_numbers, held_times};
 use crate::vertex_attributes::{
     Purpose, UsedNames, check_quads, faces, plain_name, purposes, quad_count, string_index,
 };

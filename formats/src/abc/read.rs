@@ -2,6 +2,8 @@
 //!
 //! Every reference is an offset, so the reader checks that the target is inside the file. The reader follows
 //! a fixed path from the root, so it terminates even if references form a cycle.
+//!
+//! [`read_sequence_info`] reads only the two ends of a file: the container is then a part of it.
 
 use std::io::{Read, Seek, SeekFrom};
 
@@ -22,6 +24,9 @@ use crate::provenance::{from_prefixed, unescape};
 /// Indices of children of the root group.
 const TOP_OBJECT: usize = 2;
 const SAMPLINGS: usize = 4;
+
+/// What errors about the offset of the root group call it.
+const ROOT: &str = "the offset of the root group";
 
 /// Reads the provenance from the first bytes of a file, where our writer puts the metadata.
 pub(super) fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
@@ -49,17 +54,17 @@ pub(super) fn bytes_declared(head: &[u8]) -> Result<Option<u64>> {
     if own_metadata(first_data(head).unwrap_or_default()).is_none() {
         return Ok(None);
     }
-    let root = Container::new(head).number(8, "the root group")?;
+    let root = Container::new(head).number(8, ROOT)?;
     Ok(root.checked_add(8 * (1 + ROOT_CHILDREN)))
 }
 
 fn check_start(bytes: &[u8]) -> Result<()> {
-    let magic = bytes.len().min(MAGIC.len());
-    if bytes[..magic] != MAGIC[..magic] {
+    let magic_length = bytes.len().min(MAGIC.len());
+    if bytes[..magic_length] != MAGIC[..magic_length] {
         return Err(Error::invalid(FORMAT, Position::Offset(0), "expected Ogawa"));
     }
-    let position = Position::Offset(magic as u64);
-    match bytes.get(magic..START.len()) {
+    let position = Position::Offset(magic_length as u64);
+    match bytes.get(magic_length..START.len()) {
         None | Some([0, ..]) => {
             let what = "the program that writes this file did not complete it";
             Err(Error::truncated(FORMAT, position, what))
@@ -89,8 +94,10 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
 const HEAD_BYTES: u64 = 64 << 10;
 
 /// The sizes of the end of an archive, with its headers and references: 16 bytes for each sample of each
-/// property. The first one that suffices is used.
-const END_BYTES: [u64; 4] = [64 << 10, 1 << 20, 16 << 20, 256 << 20];
+/// property. It is read with the first size; if that does not suffice, with a larger one, up to the last.
+const END_BYTES: u64 = 64 << 10;
+const END_BYTES_MAX: u64 = 256 << 20;
+const END_GROWTH: u64 = 16;
 
 /// The content of a sequence of this crate, and the names of its vertex attributes, except normals; `None`
 /// for an archive with one frame. Reads the two ends of the file, and the number of bytes of each array.
@@ -104,16 +111,15 @@ pub fn read_sequence_info(file: &mut (impl Read + Seek)) -> Result<Option<(Seque
     let Some(frames) = frames else { return Ok(None) };
     let root = Container::new(&head).number(8, ROOT)?;
     let file_bytes = file.seek(SeekFrom::End(0))?;
-    let mut sizes = END_BYTES.into_iter();
+    let mut size = END_BYTES;
     let (pairs, names) = loop {
-        let size = sizes.next().unwrap_or(0);
         let base = file_bytes.saturating_sub(size);
         let end = piece(file, base, size)?;
         let start = (provenance.clone(), Some(frames));
-        let found = MeshArchive::of_parts(start, root, Container::of_end(&end, base))
+        let found = MeshArchive::of_parts(start, root, Container::at_offset(&end, base))
             .and_then(|archive| Ok((archive.position_and_count_samples()?, archive.attribute_names()?)));
         match found {
-            Err(_) if base > 0 && sizes.len() > 0 => {}
+            Err(_) if base > 0 && size < END_BYTES_MAX => size *= END_GROWTH,
             found => break found?,
         }
     };
@@ -123,8 +129,8 @@ pub fn read_sequence_info(file: &mut (impl Read + Seek)) -> Result<Option<(Seque
         if index > 0 && pairs[index - 1] == [*positions, *counts] {
             continue;
         }
-        let mut count = |reference: Reference, what: &str, bytes: u64| -> Result<u64> {
-            Ok(sample_bytes(file, reference, what)? / bytes)
+        let mut count = |reference: Reference, subject: &str, bytes: u64| -> Result<u64> {
+            Ok(sample_bytes(file, reference, subject)? / bytes)
         };
         info.vertices = info.vertices.saturating_add(count(*positions, names::POSITIONS, 12)?);
         info.triangles = info.triangles.saturating_add(count(*counts, names::COUNTS, 4)?);
@@ -133,18 +139,18 @@ pub fn read_sequence_info(file: &mut (impl Read + Seek)) -> Result<Option<(Seque
 }
 
 /// The number of bytes of a sample in a file.
-fn sample_bytes(file: &mut (impl Read + Seek), reference: Reference, what: &str) -> Result<u64> {
+fn sample_bytes(file: &mut (impl Read + Seek), reference: Reference, subject: &str) -> Result<u64> {
     let at = reference & !DATA;
     if reference == DATA {
         return Ok(0);
     }
     let file_bytes = file.seek(SeekFrom::End(0))?;
-    let length = Container::of_end(&piece(file, at, 8)?, at).number(at, what)?;
+    let length = Container::at_offset(&piece(file, at, 8)?, at).number(at, subject)?;
     match length.checked_sub(DIGEST_BYTES as u64) {
         Some(bytes) if at.saturating_add(8).saturating_add(length) <= file_bytes => Ok(bytes),
         _ => {
-            let found = format!("a sample of {what} has {length} bytes, and the file {file_bytes}");
-            Err(Error::invalid(FORMAT, Position::Offset(at), found))
+            let what = format!("a sample of {subject} has {length} bytes, and the file {file_bytes}");
+            Err(Error::invalid(FORMAT, Position::Offset(at), what))
         }
     }
 }
@@ -166,8 +172,6 @@ pub fn read_times(bytes: &[u8]) -> Result<Vec<f64>> {
 pub fn read_sample(bytes: &[u8], index: usize, limits: &Limits) -> Result<MeshData> {
     MeshArchive::open(bytes)?.mesh(index, limits)
 }
-
-const ROOT: &str = "the offset of the root group";
 
 /// The name of the attribute in the property for velocities.
 pub(super) const VELOCITY: &str = "velocity";
@@ -387,7 +391,7 @@ impl<'a> MeshArchive<'a> {
         let count = self.references(names::POSITIONS)?.len();
         let samplings = self.container.data(self.root[SAMPLINGS], "the time samplings")?;
         let mut rest = samplings;
-        let mut next = |index: u32| -> Option<(f64, &[[u8; 8]])> {
+        let mut sampling_at = |index: u32| -> Option<(f64, &[[u8; 8]])> {
             let mut sampling = None;
             for _ in 0..=index {
                 let (head, after) = rest.split_first_chunk::<16>()?;
@@ -401,7 +405,7 @@ impl<'a> MeshArchive<'a> {
         };
         // Each sampling has at least 16 bytes, so the search for a wrong index soon reaches the end of the
         // data.
-        let Some((per_cycle, times)) = next(header.sampling) else {
+        let Some((per_cycle, times)) = sampling_at(header.sampling) else {
             let what = format!("the time sampling {} is missing or incomplete", header.sampling);
             return Err(Error::invalid(FORMAT, Position::File, what));
         };
@@ -437,7 +441,7 @@ fn transformed(vector: [f64; 3], matrix: &Matrix, fourth: f64) -> [f64; 3] {
 /// The limit of properties in a compound: more than any mesh that this program writes has.
 const PROPERTY_COUNT_MAX: usize = 1 << 16;
 
-/// The bytes of a file, or of its end.
+/// A file, or a part of it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Container<'a> {
     pub(super) bytes: &'a [u8],
@@ -477,77 +481,77 @@ impl PropertyHeader {
 
 impl<'a> Container<'a> {
     pub(super) fn new(bytes: &'a [u8]) -> Container<'a> {
-        Container::of_end(bytes, 0)
+        Container::at_offset(bytes, 0)
     }
 
-    /// The bytes of a file from the offset `base` on.
-    fn of_end(bytes: &'a [u8], base: u64) -> Container<'a> {
+    /// A part of a file, which starts at the offset `base`.
+    fn at_offset(bytes: &'a [u8], base: u64) -> Container<'a> {
         Container { bytes, base }
     }
 
     /// The bytes from an offset on.
-    fn from(&self, at: u64, what: &str) -> Result<&'a [u8]> {
+    fn tail(&self, at: u64, subject: &str) -> Result<&'a [u8]> {
         let start = at.checked_sub(self.base).and_then(|start| usize::try_from(start).ok());
         let start = start.filter(|start| *start < self.bytes.len());
-        start.map(|start| &self.bytes[start..]).ok_or_else(|| self.truncated(at, what))
+        start.map(|start| &self.bytes[start..]).ok_or_else(|| self.truncated(at, subject))
     }
 
-    fn truncated(&self, at: u64, what: &str) -> Error {
+    fn truncated(&self, at: u64, subject: &str) -> Error {
         let end = self.base + self.bytes.len() as u64;
         let what = match self.base {
-            0 => format!("{what} exceeds the file, which has {end} bytes"),
-            base => format!("{what} is not in the last part of the file, from {base} to {end}"),
+            0 => format!("{subject} exceeds the file, which has {end} bytes"),
+            base => format!("{subject} is not in the last part of the file, from {base} to {end}"),
         };
         Error::truncated(FORMAT, Position::Offset(at), what)
     }
 
     /// The number at an offset.
-    pub(super) fn number(&self, at: u64, what: &str) -> Result<u64> {
-        let number = self.from(at, what)?.first_chunk().ok_or_else(|| self.truncated(at, what))?;
+    pub(super) fn number(&self, at: u64, subject: &str) -> Result<u64> {
+        let number = self.tail(at, subject)?.first_chunk().ok_or_else(|| self.truncated(at, subject))?;
         Ok(u64::from_le_bytes(*number))
     }
 
     /// The bytes of the data at a reference.
-    pub(super) fn data(&self, reference: Reference, what: &str) -> Result<&'a [u8]> {
+    pub(super) fn data(&self, reference: Reference, subject: &str) -> Result<&'a [u8]> {
         if reference & DATA == 0 {
-            let found = format!("expected a data block for {what}, found a group");
-            return Err(Error::invalid(FORMAT, Position::Offset(reference), found));
+            let what = format!("expected a data block for {subject}, found a group");
+            return Err(Error::invalid(FORMAT, Position::Offset(reference), what));
         }
         let at = reference & !DATA;
         if at == 0 {
             return Ok(&[]);
         }
-        let length = self.number(at, what)?;
-        let bytes = &self.from(at, what)?[8..];
+        let length = self.number(at, subject)?;
+        let bytes = &self.tail(at, subject)?[8..];
         let length = usize::try_from(length).ok().filter(|length| *length <= bytes.len());
-        length.map(|length| &bytes[..length]).ok_or_else(|| self.truncated(at, what))
+        length.map(|length| &bytes[..length]).ok_or_else(|| self.truncated(at, subject))
     }
 
     /// The children of a group.
-    pub(super) fn group(&self, reference: Reference, what: &str) -> Result<Vec<Reference>> {
+    pub(super) fn group(&self, reference: Reference, subject: &str) -> Result<Vec<Reference>> {
         if reference & DATA != 0 {
-            let found = format!("expected a group for {what}, found a data block");
-            return Err(Error::invalid(FORMAT, Position::Offset(reference & !DATA), found));
+            let what = format!("expected a group for {subject}, found a data block");
+            return Err(Error::invalid(FORMAT, Position::Offset(reference & !DATA), what));
         }
         if reference == EMPTY_GROUP {
             return Ok(Vec::new());
         }
-        let count = self.number(reference, what)?;
-        let children = &self.from(reference, what)?[8..];
+        let count = self.number(reference, subject)?;
+        let children = &self.tail(reference, subject)?[8..];
         let count = usize::try_from(count).ok().filter(|count| *count <= children.len() / 8);
-        let count = count.ok_or_else(|| self.truncated(reference, what))?;
+        let count = count.ok_or_else(|| self.truncated(reference, subject))?;
         let children = children.as_chunks().0[..count].iter();
         Ok(children.map(|child| u64::from_le_bytes(*child)).collect())
     }
 
     /// The bytes of a sample without its digest, and their offset.
-    pub(super) fn sample(&self, reference: Reference, what: &str) -> Result<(&'a [u8], u64)> {
-        let (bytes, at) = (self.data(reference, what)?, reference & !DATA);
+    pub(super) fn sample(&self, reference: Reference, subject: &str) -> Result<(&'a [u8], u64)> {
+        let (bytes, at) = (self.data(reference, subject)?, reference & !DATA);
         match bytes.split_at_checked(DIGEST_BYTES) {
             Some((_, values)) => Ok((values, at + 8 + DIGEST_BYTES as u64)),
             None if bytes.is_empty() => Ok((bytes, at)),
             None => {
-                let what = format!("a sample of {what} has {} bytes, fewer than its digest", bytes.len());
+                let what = format!("a sample of {subject} has {} bytes, fewer than its digest", bytes.len());
                 Err(Error::invalid(FORMAT, Position::Offset(at), what))
             }
         }

@@ -34,7 +34,7 @@ use crate::bytes::{Cursor, Endian};
 use crate::columns::{roles_of, with_role};
 use crate::number::{NumberType, divided};
 use crate::records::{RecordLayout, Slots, Target, gather};
-use crate::row::{Completeness, FormatRow, HeadCheck, ParticleInput, at_least, exactly};
+use crate::row::{Completeness, FormatRow, HeadCheck, ParticleReader};
 use crate::vertex_attributes;
 use crate::{
     AttributeRole, Error, FileAttribute, FilePositions, Limits, ParticleFrame, Position, Result, Values,
@@ -65,7 +65,7 @@ fn narrow(value: f64) -> f32 {
 pub(crate) static BINARY: FormatRow = FormatRow {
     signatures: &[b"Bgeo"],
     beginnings: &[MAGIC],
-    particles: Some(ParticleInput {
+    particles: Some(ParticleReader {
         completeness,
         find_records: Some(|head, file_bytes, file, limits| {
             let header = header_within(head, limits)?;
@@ -75,7 +75,7 @@ pub(crate) static BINARY: FormatRow = FormatRow {
             };
             Ok(rest.and_then(|rest| records(&header, file_bytes, &rest).map(Some)))
         }),
-        ..ParticleInput::new(read)
+        ..ParticleReader::new(read)
     }),
     ..FormatRow::new(FORMAT, &["bgeo", "bhclassic"])
 };
@@ -84,7 +84,7 @@ pub(crate) static BINARY: FormatRow = FormatRow {
 pub(crate) static TEXT: FormatRow = FormatRow {
     signatures: &[b"PGEOMETRY"],
     beginnings: &[b"PGEOMETRY"],
-    particles: Some(ParticleInput::new(read_text)),
+    particles: Some(ParticleReader::new(read_text)),
     ..FormatRow::new("classic Houdini GEO (text)", &["geo", "hclassic"])
 };
 
@@ -93,8 +93,8 @@ fn completeness(head: &[u8], file_bytes: u64) -> Result<HeadCheck> {
     let header = header(head)?;
     Ok(HeadCheck::Known(match header.point_count {
         0 => Completeness::Unknown,
-        _ if header.expected_bytes_is_exact => exactly(header.expected_bytes, file_bytes),
-        _ => at_least(header.expected_bytes, file_bytes, Completeness::NeedsReading),
+        _ if header.expected_bytes_is_exact => Completeness::of_exact_size(header.expected_bytes, file_bytes),
+        _ => Completeness::of_minimum_size(header.expected_bytes, file_bytes, Completeness::NeedsReading),
     }))
 }
 

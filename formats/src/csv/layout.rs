@@ -7,7 +7,8 @@ use super::rows::{
     CellValue, DELIMITERS, Delimiter, cells, has_cells, has_decimal_comma, parse_cell, quoted_excerpt,
     unquoted,
 };
-use crate::columns::{self, Columns, FirstColumn};
+use crate::columns::{self, Columns};
+use crate::first_column::FirstColumn;
 use crate::text::excerpts;
 use crate::{Error, Limits, Position, Result};
 

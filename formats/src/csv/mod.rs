@@ -38,7 +38,7 @@ use rayon::prelude::*;
 pub(crate) use layout::{looks_like_particles, names_position};
 
 use crate::columns::{self, Group};
-use crate::row::{FormatRow, ParticleInput};
+use crate::row::{FormatRow, ParticleReader};
 use crate::{
     AttributeRole, Error, FileAttribute, FilePositions, Limits, ParticleFrame, Position, Result, Values,
 };
@@ -154,7 +154,7 @@ fn refuse_binary(bytes: &[u8]) -> Result<()> {
 
 /// The row in the table of formats.
 pub(crate) static ROW: FormatRow = FormatRow {
-    particles: Some(ParticleInput::new(read)),
+    particles: Some(ParticleReader::new(read)),
     ..FormatRow::new(FORMAT, &["csv", "tsv", "txt", "dat", "asc", "xyz", "pts"])
 };
 

@@ -10,7 +10,7 @@ use super::sequence::SequenceFrame;
 use super::write::usual_name;
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, component};
 use crate::error::{Error, Position, Result};
-use crate::row::UpAxis;
+use crate::options::UpAxis;
 
 /// A frame of a sequence.
 #[derive(Clone, Debug)]

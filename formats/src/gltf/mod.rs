@@ -27,7 +27,8 @@ use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, IgnoredAny, MapAccess, Visitor};
 use serde_json::Value;
 
-pub use crate::row::{ReadExternal, UpAxis};
+pub use crate::options::UpAxis;
+pub use crate::row::ReadExternal;
 pub use frame_file::GlbFrame;
 pub(crate) use frame_file::{
     ACCELERATION, COLOR, NORMAL, POSITION, SequencePlacement, SharedAttribute, VELOCITY, shared_attributes,
@@ -40,7 +41,8 @@ pub use write::{attribute_notes, write_glb, write_gltf};
 use crate::data::{AttributeRole, FileAttribute, MeshData, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, WriteOption};
+use crate::options::WriteOption;
+use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
 use read::{Buffers, OpenDocument, chunks, document, open, parse, placed};
 
 /// The format's name in errors.

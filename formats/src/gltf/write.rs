@@ -15,8 +15,8 @@ use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
 use crate::data::{FileAttribute, MeshView, Provenance, VertexAttribute, VertexValues};
 use crate::error::{Error, Position, Result};
 use crate::number::{write_f32s, write_pieces};
+use crate::options::{MeshOptions, UpAxis};
 use crate::provenance::GENERATOR;
-use crate::row::{MeshOptions, UpAxis};
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, string_index};
 
 /// Writes a `.glb` file. A mesh without triangles becomes an empty scene.

@@ -41,7 +41,7 @@ use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, frame_of};
 use crate::number::{self, NumberType, components, divided};
-use crate::row::{FormatRow, ParticleInput};
+use crate::row::{FormatRow, ParticleReader};
 use tokens::{Binary, JsonToken, Lexer, TextTokens, TokenWalk, is_binary, text_count_max};
 use values::{numbers, tuples};
 
@@ -86,13 +86,13 @@ pub fn read_container(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 pub(crate) static BINARY: FormatRow = FormatRow {
     signatures: &[b"\x7fNSJb", b"\x7fbJSN"],
     beginnings: &[b"\x7fNSJb", b"\x7fbJSN"],
-    particles: Some(ParticleInput::needs_reading(read_binary)),
+    particles: Some(ParticleReader::needs_reading(read_binary)),
     ..FormatRow::new("Houdini geometry (binary JSON)", &["bgeo"])
 };
 
 /// The row of text files in the table of formats.
 pub(crate) static TEXT: FormatRow = FormatRow {
-    particles: Some(ParticleInput::needs_reading(read_text)),
+    particles: Some(ParticleReader::needs_reading(read_text)),
     ..FormatRow::new("Houdini geometry (JSON text)", &["geo"])
 };
 
@@ -100,7 +100,7 @@ pub(crate) static TEXT: FormatRow = FormatRow {
 pub(crate) static CONTAINER: FormatRow = FormatRow {
     signatures: &[b"scf1"],
     beginnings: &[b"scf1"],
-    particles: Some(ParticleInput::needs_reading(read_container)),
+    particles: Some(ParticleReader::needs_reading(read_container)),
     ..FormatRow::new("Houdini geometry (.sc, Blosc-compressed)", &["bgeo.sc", "geo.sc"])
 };
 

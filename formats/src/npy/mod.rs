@@ -22,14 +22,15 @@ use std::io::Read;
 use std::sync::Arc;
 
 use crate::bytes::{Cursor, Endian};
-use crate::columns::{self, FirstColumn, group_columns, position_rank};
+use crate::columns::{group_columns, position_rank};
 use crate::data::{ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
+use crate::first_column::{self, FirstColumn};
 use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, frame_of, widened};
 use crate::number::{self, NumberType, components, interleaved};
-use crate::row::{Completeness, FormatRow, HeadCheck, ParticleInput, exactly};
-use crate::steps::{FoundStep, LineHeads};
+use crate::row::{Completeness, FormatRow, HeadCheck, ParticleReader};
+use crate::steps::{FoundStep, StepSource};
 use crate::text::{excerpt, excerpts};
 use header::{ArrayHeader, COLUMNS_MAX, ElementLayout, StructField};
 
@@ -74,8 +75,8 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 }
 
 /// Finds the frames of an array.
-fn steps_of_array(lines: LineHeads, steps: &mut Vec<FoundStep>, limits: &Limits) -> Result<()> {
-    let bytes = lines.first_bytes(limits.header_bytes)?;
+fn steps_of_array(source: StepSource, steps: &mut Vec<FoundStep>, limits: &Limits) -> Result<()> {
+    let bytes = source.first_bytes(limits.header_bytes)?;
     // The reader reports what is wrong with an array.
     let frame = header::read(&bytes, limits).ok().and_then(|header| {
         let (head, frame_bytes) = header.of_frame(&bytes)?;
@@ -298,7 +299,7 @@ fn unnamed_frame(array: NamedArray) -> Result<ParticleFrame> {
 
 /// The first four numbers of the first rows; NaN in a column that does not exist.
 fn first_numbers(values: &Values, arity: usize) -> Vec<[f64; 4]> {
-    let row_count = (values.len() / arity.max(1)).min(columns::ROWS_MAX);
+    let row_count = (values.len() / arity.max(1)).min(first_column::ROWS_MAX);
     let Some(Values::F64(numbers)) = widened(&number::slice(values, 0..row_count * arity)) else {
         return Vec::new();
     };
@@ -385,14 +386,15 @@ fn no_position_among(arrays: &[NamedArray]) -> Error {
 pub(crate) static ROW: FormatRow = FormatRow {
     signatures: &[b"\x93NUMPY"],
     beginnings: &[b"\x93NUMPY"],
-    particles: Some(ParticleInput {
+    particles: Some(ParticleReader {
         completeness: |head, file_bytes| {
             let declared = header::bytes_declared(head, &Limits::default())?;
-            let known = declared.map_or(Completeness::Unknown, |declared| exactly(declared, file_bytes));
+            let known = declared
+                .map_or(Completeness::Unknown, |declared| Completeness::of_exact_size(declared, file_bytes));
             Ok(HeadCheck::Known(known))
         },
         find_steps: Some(steps_of_array),
-        ..ParticleInput::new(read)
+        ..ParticleReader::new(read)
     }),
     ..FormatRow::new(FORMAT, &["npy"])
 };
@@ -400,7 +402,7 @@ pub(crate) static ROW: FormatRow = FormatRow {
 /// The row of archives in the table of formats.
 pub(crate) static ARCHIVE_ROW: FormatRow = FormatRow {
     beginnings: &[b"PK\x03\x04"],
-    particles: Some(ParticleInput::needs_reading(read_archive)),
+    particles: Some(ParticleReader::needs_reading(read_archive)),
     ..FormatRow::new(ARCHIVE, &["npz"])
 };
 

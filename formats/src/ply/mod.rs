@@ -38,7 +38,7 @@ use crate::provenance::from_comments;
 use crate::records::{RecordLayout, Slots, Target, gather, gather_part};
 use crate::row::{
     Completeness, Content, FormatRow, HeadCheck, Integrity, MeshEncoder, MeshWriter, OutputRow,
-    ParticleInput, ParticleWriter, at_least, exactly,
+    ParticleReader, ParticleWriter,
 };
 use crate::text::{excerpt, excerpts};
 use rows::{RecordReader, checked_binary_count, checked_count, rows_of, scalar_offsets};
@@ -51,13 +51,13 @@ pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow {
         signatures: &[b"ply\n", b"ply\r", b"ply ", b"ply\t", b"ply\x0c"],
         beginnings: &[b"ply\n", b"ply\r"],
-        particles: Some(ParticleInput {
+        particles: Some(ParticleReader {
             completeness,
             find_records: Some(|head, file_bytes, _, limits| {
                 let header = read_header(head, limits)?;
                 Ok(records(&header, file_bytes, limits))
             }),
-            ..ParticleInput::new(read)
+            ..ParticleReader::new(read)
         }),
         read_mesh: Some(|bytes, limits, _| read_mesh(bytes, limits)),
         ..FormatRow::new(FORMAT, &["ply"])
@@ -83,11 +83,11 @@ fn completeness(head: &[u8], file_bytes: u64) -> Result<HeadCheck> {
     Ok(HeadCheck::Known(match header.encoding {
         _ if declared == header.body_offset as u64 => Completeness::Unknown,
         Encoding::Ascii if declared <= file_bytes => return Ok(HeadCheck::NeedsLastByte),
-        Encoding::Ascii => at_least(declared, file_bytes, Completeness::NeedsReading),
+        Encoding::Ascii => Completeness::of_minimum_size(declared, file_bytes, Completeness::NeedsReading),
         _ if header.elements.iter().any(Element::has_list) => {
-            at_least(declared, file_bytes, Completeness::NeedsReading)
+            Completeness::of_minimum_size(declared, file_bytes, Completeness::NeedsReading)
         }
-        _ => exactly(declared, file_bytes),
+        _ => Completeness::of_exact_size(declared, file_bytes),
     }))
 }
 

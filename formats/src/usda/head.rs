@@ -2,7 +2,7 @@
 
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
-use crate::row::UpAxis;
+use crate::options::UpAxis;
 use crate::usd::{FORMAT, LayerInfo, ROOT, SampledProperty};
 
 /// The beginning of the last line of a file.

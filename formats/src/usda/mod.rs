@@ -39,9 +39,8 @@ pub use stage::{ClipFile, StageClips, UsdStage, stage_text};
 use crate::data::{MeshView, Provenance};
 use crate::error::Result;
 use crate::gltf::SequenceFrame;
-use crate::row::{
-    Content, FormatRow, Integrity, MeshEncoder, MeshOptions, MeshWriter, OutputRow, WriteOption,
-};
+use crate::options::{MeshOptions, WriteOption};
+use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
 use crate::text::{NumberWriter, ends_with_line};
 use crate::usd::{
     Elements, FORMAT, MeshProperty, PRIM, PropertyValue, SAMPLE_CODE, SequenceAttribute, TRANSLATE,
@@ -136,9 +135,9 @@ struct PropertyText<'a> {
 impl<'a> PropertyText<'a> {
     /// The declaration of a property, with its default.
     fn of(property: &MeshProperty<'a>) -> PropertyText<'a> {
-        let MeshProperty { kind, name, is_per_vertex, element_size, .. } = property;
+        let MeshProperty { kind, name, has_vertex_interpolation, element_size, .. } = property;
         let uniform = if property.is_uniform() { "uniform " } else { "" };
-        let about = about(*is_per_vertex, *element_size);
+        let about = about(*has_vertex_interpolation, *element_size);
         PropertyText::between(format!("        {uniform}{kind} {name} = "), property, format!("{about}\n"))
     }
 
@@ -160,7 +159,7 @@ impl<'a> PropertyText<'a> {
             PropertyValue::Double3(values) => triple(*values),
             PropertyValue::Token(word) => format!("\"{word}\""),
             PropertyValue::TokenList(word) => format!("[\"{word}\"]"),
-            PropertyValue::Strings(table) => {
+            PropertyValue::StringTable(table) => {
                 let distinct: Vec<String> =
                     table.iter().map(|text| quoted(text)).chain([quoted("")]).collect();
                 format!("[{}]", distinct.join(", "))
@@ -171,8 +170,8 @@ impl<'a> PropertyText<'a> {
 }
 
 /// The metadata of a property in parentheses, preceded by a space; empty if it has none.
-fn about(is_per_vertex: bool, element_size: usize) -> String {
-    if !is_per_vertex {
+fn about(has_vertex_interpolation: bool, element_size: usize) -> String {
+    if !has_vertex_interpolation {
         return String::new();
     }
     let size = match element_size {
@@ -280,8 +279,8 @@ pub fn write_sequence<R: Read + Seek>(
     out.write_all(b"        uniform token orientation = \"rightHanded\"\n")?;
     let mut values = Vec::new();
     for attribute in &attributes {
-        let SequenceAttribute { semantic, kind, name, first, arity, is_per_vertex } = attribute;
-        if *is_per_vertex {
+        let SequenceAttribute { semantic, kind, name, first, arity, has_vertex_interpolation } = attribute;
+        if *has_vertex_interpolation {
             writeln!(out, "        {kind} {name}{}", about(true, 1))?;
         }
         write_samples(&shot, &format!("{kind} {name}"), out, |index| {
@@ -364,7 +363,7 @@ impl Elements<'_> {
         match self {
             Elements::Reals { values, stride, .. } => values.len() / stride,
             Elements::Integers { values, arity, .. } => values.len() / arity,
-            Elements::Strings { indices, .. } => indices.len(),
+            Elements::StringIndices { indices, .. } => indices.len(),
             Elements::FaceCounts { triangles, .. } | Elements::FaceCorners { triangles, .. } => {
                 triangles.len()
             }
@@ -409,7 +408,7 @@ impl Elements<'_> {
                     numbers.tuple(element, NumberWriter::integer);
                 }
             }
-            Elements::Strings { table, indices } => {
+            Elements::StringIndices { table, indices } => {
                 for &index in &indices[range] {
                     numbers.separate();
                     let index = usize::try_from(string_index(index, table)).unwrap_or(table.len());

@@ -35,8 +35,8 @@ use std::collections::HashSet;
 
 use crate::data::Provenance;
 use crate::error::{Error, Position, Result};
-use crate::row::UpAxis;
-use crate::steps::{check_numbers, held_times};
+use crate::options::UpAxis;
+use crate::sequence::{check_numbers, held_times};
 
 use crate::usd::{FORMAT, PRIM, ROOT, SAMPLE_CODE, SampledProperty, TRANSLATE, identifier};
 use crate::vertex_attributes::UsedNames;
@@ -238,7 +238,7 @@ fn asset(path: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::steps::NUMBER_MAX;
+    use crate::sequence::NUMBER_MAX;
 
     fn files(codes: &[i64], extension: &str) -> Vec<ClipFile> {
         let file = |&code: &i64| ClipFile { code, path: format!("./out/dam.{code}.{extension}") };

@@ -67,7 +67,7 @@ impl<'a> CrateArray<'a> {
                 Self::integers(ValueType::Int64, values.iter().copied(), buffers)
             }
             Elements::Integers { values, arity, .. } => Self::narrow(values, arity),
-            Elements::Strings { table, indices } => {
+            Elements::StringIndices { table, indices } => {
                 let missing = index(table.len())?;
                 let fixed_index = |&index: &i32| if string_index(index, table) < 0 { missing } else { index };
                 Self::integers(ValueType::Int, indices.iter().map(fixed_index), buffers)

@@ -44,10 +44,9 @@ use crate::data::{
 use crate::error::Result;
 use crate::gltf::{ACCELERATION_NAME, COLOR_NAME, PlacedMesh};
 use crate::limits::Limits;
+use crate::options::{MeshOptions, UpAxis, WriteOption};
 use crate::provenance::{comments, from_comments};
-use crate::row::{
-    Content, FormatRow, Integrity, MeshEncoder, MeshOptions, MeshWriter, OutputRow, UpAxis, WriteOption,
-};
+use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
 use crate::usd::{FORMAT, MeshProperty, PropertyValue, ROOT, SAMPLE_CODE, properties, renamed};
 use crate::vertex_attributes::{check_quads, plain_name, quad_count};
 use array::{ALIGNMENT, CrateArray};
@@ -161,7 +160,7 @@ fn value_of(property: &MeshProperty, end: &mut LayerEnd) -> Result<ValueRep> {
             let words = [end.tables.token(word)];
             end.array(&CrateArray::of_indices(ValueType::Token, &words))
         }
-        PropertyValue::Strings(table) => {
+        PropertyValue::StringTable(table) => {
             let texts = table.iter().map(String::as_str).chain([""]);
             let indices: Vec<u32> = texts.map(|text| end.tables.string(text)).collect();
             end.array(&CrateArray::of_indices(ValueType::String, &indices))
@@ -175,7 +174,7 @@ fn spec(property: &MeshProperty, value: ValueRep) -> PropertySpec {
         name: property.name.clone(),
         value: if property.is_uniform() { SpecValue::Always(value) } else { SpecValue::Frame(value) },
         is_uniform: property.is_uniform(),
-        is_per_vertex: property.is_per_vertex,
+        has_vertex_interpolation: property.has_vertex_interpolation,
         element_size: property.element_size,
     }
 }
@@ -297,7 +296,7 @@ struct PropertySpec {
     name: String,
     value: SpecValue,
     is_uniform: bool,
-    is_per_vertex: bool,
+    has_vertex_interpolation: bool,
     element_size: usize,
 }
 
@@ -462,7 +461,7 @@ impl LayerEnd {
     }
 
     fn add_property(&mut self, property: &PropertySpec) -> Result<()> {
-        let PropertySpec { kind, name, value, is_uniform, is_per_vertex, element_size } = property;
+        let PropertySpec { kind, name, value, is_uniform, has_vertex_interpolation, element_size } = property;
         let mut fields = vec![
             ("typeName", self.tables.token_value(kind)),
             ("custom", ValueRep::inlined(ValueType::Bool, 0)),
@@ -476,7 +475,7 @@ impl LayerEnd {
             }
             SpecValue::Samples(samples) => fields.push(("timeSamples", self.samples(samples))),
         }
-        if *is_per_vertex {
+        if *has_vertex_interpolation {
             fields.push(("interpolation", self.tables.token_value("vertex")));
         }
         if *element_size != 1 {

@@ -13,7 +13,7 @@ use crate::data::{AttributeRole, FileAttribute, MeshData, Values, world};
 use crate::error::{Error, Position, Result};
 use crate::gltf::PlacedMesh;
 use crate::limits::Limits;
-use crate::row::UpAxis;
+use crate::options::UpAxis;
 use crate::usd::{
     ACCELERATIONS, FORMAT, INDICES, LayerInfo, SampledProperty, TRANSLATE, VELOCITIES, attribute_of,
 };

@@ -56,8 +56,13 @@ pub fn write_sequence<R: Read + Seek + Send>(
     let (corners, sizes) = (integers("faceVertexIndices"), integers("faceVertexCounts"));
     specs.extend([sizes, corners]);
     specs.push(word("orientation", "rightHanded", &mut end));
-    for (SequenceAttribute { kind, name, is_per_vertex, .. }, samples) in attributes.iter().zip(samples) {
-        specs.push(PropertySpec { is_per_vertex: *is_per_vertex, ..sampled(kind, name, samples) });
+    for (SequenceAttribute { kind, name, has_vertex_interpolation, .. }, samples) in
+        attributes.iter().zip(samples)
+    {
+        specs.push(PropertySpec {
+            has_vertex_interpolation: *has_vertex_interpolation,
+            ..sampled(kind, name, samples)
+        });
     }
     specs.push(word("subdivisionScheme", "none", &mut end));
     if let Some(origin) = shot.origin() {
@@ -224,7 +229,7 @@ fn sampled(kind: &str, name: &str, samples: Vec<(f64, ValueRep)>) -> PropertySpe
         name: name.to_owned(),
         value: SpecValue::Samples(samples),
         is_uniform: false,
-        is_per_vertex: false,
+        has_vertex_interpolation: false,
         element_size: 1,
     }
 }

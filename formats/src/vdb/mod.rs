@@ -37,8 +37,9 @@ pub use write::{EncodedVdb, WriteOptions, encode, grid_notes, write};
 
 use crate::bytes::Cursor;
 use crate::error::{Error, Result};
+use crate::options::WriteOption;
 use crate::provenance::from_strings;
-use crate::row::{Content, FormatRow, Integrity, OutputRow, WriteOption};
+use crate::row::{Content, FormatRow, Integrity, OutputRow};
 use read::{cursor_of, first_grid_metadata, last_grid_end};
 
 /// The format's name in errors.

@@ -26,10 +26,10 @@ use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, frame_of};
 use crate::neighbor::Neighbor;
 use crate::number::{self, append};
+use crate::options::WriteOption;
 use crate::provenance::from_strings;
 use crate::row::{
-    Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleInput, ParticleWriter,
-    WriteOption,
+    Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader, ParticleWriter,
 };
 use crate::text::excerpt;
 use legacy::size_of_type;
@@ -43,7 +43,7 @@ const XML: &str = "VTK XML";
 pub(crate) static LEGACY_ROW: FormatRow = FormatRow {
     signatures: &[b"# vtk DataFile"],
     beginnings: &[b"# vtk DataFile Version "],
-    particles: Some(ParticleInput::new(read_legacy)),
+    particles: Some(ParticleReader::new(read_legacy)),
     read_mesh: Some(|bytes, limits, _| read_legacy_mesh(bytes, limits)),
     ..FormatRow::new(LEGACY, &["vtk"])
 };
@@ -51,7 +51,7 @@ pub(crate) static LEGACY_ROW: FormatRow = FormatRow {
 /// The row of the XML formats in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow {
-        particles: Some(ParticleInput::needs_reading(read_xml)),
+        particles: Some(ParticleReader::needs_reading(read_xml)),
         read_mesh: Some(|bytes, limits, _| read_mesh(bytes, limits)),
         ..FormatRow::new(XML, &["vtp", "vtu"])
     },

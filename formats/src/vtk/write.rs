@@ -23,8 +23,8 @@ use std::io::Write;
 use super::XML;
 use crate::data::{FilePositions, MeshView, ParticleFrame, Provenance, Values, VertexAttribute, world};
 use crate::error::Result;
+use crate::options::MeshOptions;
 use crate::provenance::{GENERATOR, prefixed};
-use crate::row::MeshOptions;
 use crate::vertex_attributes::{StoredNumbers, UsedNames, check, check_quads, faces, quad_count, written};
 
 /// Writes positions, normals, attributes and faces.

@@ -632,7 +632,7 @@ option_set! {
         pub(super) threads: Option<u16>,
 
         /// Memory limit for all frames and pictures in flight together, such as 8GiB [default: half of the
-        /// available memory]
+        /// machine's memory]
         ///
         /// A frame that needs more is converted in tiles, which are stored in temporary files beside the
         /// results; the result is the same. If even that does not fit, the frame fails with an error that

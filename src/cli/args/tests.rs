@@ -27,7 +27,15 @@ fn stated_range(option: &Arg) -> Option<String> {
             .any(|number| option.get_value_parser().type_id() == *number),
     };
     let help = option.get_help().filter(|_| is_number)?.to_string();
-    let phrases = ["-r_min to 2 h", "r_min to r_max", "at least 1", "positive"];
+    let phrases = [
+        "-r_min to 2 h",
+        "r_min to r_max",
+        "0.9h to r_min",
+        "positive and at most r_min",
+        "positive and at most 200h",
+        "at least 1",
+        "positive",
+    ];
     let phrase = phrases.into_iter().find(|phrase| help.contains(phrase)).map(str::to_owned);
     phrase.or_else(|| {
         let words: Vec<&str> = help.split([' ', '\n', ',', ';']).collect();
@@ -112,12 +120,7 @@ fn help_states_ranges_and_units() {
             assert!(help.contains(&range), "{}: {range}: {help}", info.name);
         }
         let value = option.get_value_names().expect(info.name)[0].as_str();
-        assert_eq!(
-            value == "LENGTH",
-            info.kind == ValueKind::Length || info.name == "spacing",
-            "{}",
-            info.name
-        );
+        assert_eq!(value == "LENGTH", info.kind == ValueKind::Length, "{}", info.name);
         assert_eq!(option.get_help_heading(), info.group.heading(), "{}", info.name);
     }
 }

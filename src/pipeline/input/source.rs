@@ -361,13 +361,15 @@ pub fn promises_particles(name: &str) -> bool {
     has_particle_extension(name) && !may_be_any_text
 }
 
-/// The file name without its particle extensions, if it has any.
+/// The file name without its particle extension, if it has one. The content of a file determines its format;
+/// extensions only determine where the stem ends, and which files in a folder are frames.
 fn stem(name: &str) -> &str {
     let name_without_suffix = name_without_compression(name);
-    PARTICLE_EXTENSIONS
-        .iter()
-        .find_map(|extension| strip_extension(name_without_suffix, extension))
-        .unwrap_or(name)
+    let formats = Format::ALL.into_iter().filter(|format| format.has_particles());
+    let extensions = formats.flat_map(Format::extensions);
+    let stems = extensions.filter_map(|extension| strip_extension(name_without_suffix, extension));
+    // Of `x.bgeo.sc`, `.bgeo.sc` leaves less than an extension `.sc` would.
+    stems.min_by_key(|stem| stem.len()).unwrap_or(name)
 }
 
 /// The file name without its extension, for particle files and outputs.
@@ -377,38 +379,12 @@ fn numbered_part(name: &str) -> &str {
     found.unwrap_or_else(|| stem(name))
 }
 
-/// `name` without `extension` (case-insensitive), if something is left.
+/// `name` without `extension` (case-insensitive) and the point before it, if something is left.
 fn strip_extension<'a>(name: &'a str, extension: &str) -> Option<&'a str> {
-    let cut = name.len().checked_sub(extension.len()).filter(|&cut| cut > 0)?;
-    let (stem, end) = name.split_at_checked(cut)?;
+    let (stem, end) = name.split_at_checked(name.len().checked_sub(extension.len())?)?;
+    let stem = stem.strip_suffix('.').filter(|stem| !stem.is_empty())?;
     end.eq_ignore_ascii_case(extension).then_some(stem)
 }
-
-/// If an extension ends in another one, the longer one comes first. The content of a file determines its
-/// format; these extensions only determine where the stem ends, and which files in a folder are frames.
-const PARTICLE_EXTENSIONS: [&str; 21] = [
-    ".bgeo.sc",
-    ".geo.sc",
-    ".bgeo",
-    ".geo",
-    ".bhclassic",
-    ".hclassic",
-    ".ply",
-    ".csv",
-    ".tsv",
-    ".txt",
-    ".dat",
-    ".asc",
-    ".xyz",
-    ".pts",
-    ".vtk",
-    ".vtp",
-    ".vtu",
-    ".npy",
-    ".npz",
-    ".dump",
-    ".lammpstrj",
-];
 
 #[cfg(test)]
 mod tests {
@@ -429,6 +405,7 @@ mod tests {
             ("x.npz", "x"),
             ("x.lammpstrj.gz", "x"),
             ("x.gz", "x.gz"),
+            ("x.stl", "x.stl"),
             ("frame.0001", "frame.0001"),
             ("v1.5", "v1.5"),
             (".ply", ".ply"),

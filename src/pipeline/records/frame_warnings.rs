@@ -31,7 +31,7 @@ impl FrameReport {
 
 fn format_with_world_positions(output: &Path) -> Option<OutputFormat> {
     let format = OutputFormat::from_extension(output.extension()?.to_str()?)?;
-    format.has_world_positions().then_some(format)
+    format.lacks_origin().then_some(format)
 }
 
 /// Warnings about the shapes of particles. Thin ellipsoids that are widened to the grid's resolution cause no

@@ -109,7 +109,7 @@ impl OutputOptions {
 
     /// How positions are rounded: to world positions, if a file has these.
     pub(crate) fn position_rounding(&self) -> PositionRounding {
-        if self.formats.iter().any(|format| format.has_world_positions()) {
+        if self.formats.iter().any(|format| format.lacks_origin()) {
             PositionRounding::World
         } else {
             PositionRounding::Local

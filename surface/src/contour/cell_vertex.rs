@@ -37,7 +37,7 @@ use glam::{IVec3, Mat3, Vec3};
 
 use super::dual_contouring::{corner_bit, edge_corners};
 use super::neighborhood::{BLOCK_STEP, PhiBlock};
-use super::{MeshFrame, unit_or_zero};
+use super::{MeshPlacement, unit_or_zero};
 
 /// Minimum distance of a vertex from the walls of its cell, in voxels. It ensures that every triangle has a
 /// positive area, also after rounding. A larger margin dents the surface where it barely cuts a corner off a
@@ -120,7 +120,7 @@ impl VertexBatch {
 
     /// Computes the pending vertices, writes them in the order they were added, and clears the batch.
     #[inline(always)]
-    pub(super) fn find(&mut self, placement: &MeshFrame, vertices: Vertices) {
+    pub(super) fn find(&mut self, placement: &MeshPlacement, vertices: Vertices) {
         let samples = self.samples();
         let mut points = self.nearest_points(&samples);
         for _ in 0..PROJECTION_STEPS {
@@ -191,7 +191,7 @@ impl VertexBatch {
 
     /// The mesh positions of points in the cells.
     #[inline(always)]
-    fn positions(&self, placement: &MeshFrame, points: &[VertexArray; 3]) -> [VertexArray; 3] {
+    fn positions(&self, placement: &MeshPlacement, points: &[VertexArray; 3]) -> [VertexArray; 3] {
         let mut positions = [[0.0; LANES]; 3];
         for lane in 0..LANES {
             let cell = IVec3::new(self.cells[0][lane], self.cells[1][lane], self.cells[2][lane]);

@@ -54,7 +54,7 @@ use rayon::prelude::*;
 use super::cell_vertex::{CellSamples, VertexBatch, Vertices};
 use super::neighborhood::{LeafNeighborhood, PhiBlock, SignRows};
 use super::quads::Quads;
-use super::{MeshFrame, split, unit_or_zero};
+use super::{MeshPlacement, split, unit_or_zero};
 use crate::grid::{LeafMask, negative_masks, offset_in_leaf, voxel_in_leaf};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
@@ -62,7 +62,7 @@ use crate::parallel::Loops as _;
 use crate::simd::{Kernel, Lanes, dispatch};
 
 /// The dual mesh of φ = 0. A normal is zero where φ does not define one.
-pub(super) fn dual_contour(band: &NarrowBand, placement: &MeshFrame) -> Mesh {
+pub(super) fn dual_contour(band: &NarrowBand, placement: &MeshPlacement) -> Mesh {
     let layout = MeshLayout::new(band);
     let mut positions = bytemuck::zeroed_vec(layout.vertex_count);
     let mut normals = bytemuck::zeroed_vec(layout.vertex_count);
@@ -273,7 +273,7 @@ impl Kernel for NewPatch<'_> {
 /// Kernel: computes the vertices of patches.
 struct PatchVertices<'a> {
     band: &'a NarrowBand,
-    placement: &'a MeshFrame,
+    placement: &'a MeshPlacement,
     layout: &'a MeshLayout,
     patches: &'a [LeafPatch],
     /// Positions relative to the cells.
@@ -491,7 +491,7 @@ fn edge_between(one: usize, other: usize) -> usize {
 }
 
 // The cells around an edge, and the faces between these cells that need an additional vertex per segment.
-// (Segments and cycles are defined in `cell_cycles.rs`.)
+// ([`cell_cycles`] has the segments and cycles.)
 //
 //      ●──┼──○          An ambiguous face whose two segments belong to one cycle in both of its cells is
 //      │   · ┼          *joined*: the dual mesh would have two edges between the same two vertices, so

@@ -31,7 +31,7 @@ use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::neighborhood::{BLOCK_STEP, LeafNeighborhood, PhiBlock, SignRows};
-use super::{MeshFrame, split, unit_or_zero};
+use super::{MeshPlacement, split, unit_or_zero};
 use crate::cancel::checkpoint;
 use crate::grid::{LEAF_VOXELS, LeafMask, ROW_COUNT, negative_masks, offset_in_leaf, voxel_in_leaf};
 use crate::level_set::NarrowBand;
@@ -44,7 +44,7 @@ use crate::parallel::Loops as _;
 const EDGE_MARGIN: f32 = 1.0 / 128.0;
 
 /// Triangulates φ = 0 in the tetrahedra. A vertex normal is zero where φ defines no normal.
-pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &MeshFrame) -> Mesh {
+pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &MeshPlacement) -> Mesh {
     let masks = negative_masks(&band.phi);
     let cases = tetrahedron_cases();
     let mut patches: Vec<TetPatch> = (0..band.topology.len())
@@ -136,7 +136,7 @@ impl TetPatch {
     fn find_vertices(
         &self,
         band: &NarrowBand,
-        placement: &MeshFrame,
+        placement: &MeshPlacement,
         positions: &mut [Vec3],
         normals: &mut [Vec3],
     ) {

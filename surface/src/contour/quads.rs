@@ -6,7 +6,7 @@
 //!    cells      −1 │ 0  1  2  3  4  5  6  7        9 × 9 × 9: all cells around edges of the leaf
 //! ```
 //!
-//! Quads without joined sides (defined in `ring.rs`) are then split in batches, one quad per SIMD lane. Quads
+//! Quads without joined sides (see [`Ring`]) are then split in batches, one quad per SIMD lane. Quads
 //! with joined sides become fans of triangles around an additional vertex.
 
 use glam::{DVec3, IVec3, Vec3};

@@ -65,12 +65,11 @@ method_options! {
             preset: Preset,
 
             /// Distance d between neighbouring particles, in world units, positive [default: measured]
-            #[value(named("LENGTH"))]
+            #[value(named("D"))]
             #[parser(Length::parse_world)]
             spacing: f64,
 
-            /// Voxel edge length h, positive, in world units or particle spacings [default: 0.4d; depends on
-            /// the preset]
+            /// Voxel edge length h, positive, in world units or particle spacings [default: 0.4d]
             #[value(named("LENGTH"))]
             #[parser(Length::parse_voxel_size)]
             voxel_size: Length,
@@ -120,13 +119,13 @@ method_options! {
             max_stretch: f64 in 1.0..=MAX_STRETCH_MAX
                 => [OptionName::new("anisotropy")], |options, _| options.anisotropy_kind() != AnisotropyKind::None,
 
-            /// Smallest semi-axis of flattened particles, positive, from 0.9h to r_min, for --anisotropy
-            /// neighbors; smaller makes thinner sheets [default: 0.36d]
+            /// Smallest semi-axis of flattened particles, 0.9h to r_min, for --anisotropy neighbors; smaller
+            /// makes thinner sheets [default: 0.36d]
             #[value(named("LENGTH"))]
             thin_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
 
-            /// Radius of particles without neighbours (drops), which replaces their r_min, positive and at
-            /// most --radius-min, for --anisotropy neighbors [default: 0.7d]
+            /// Radius of particles without neighbours (drops), positive and at most r_min, which it replaces;
+            /// for --anisotropy neighbors [default: 0.7d]
             #[value(named("LENGTH"))]
             lone_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
 

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //!   repeat until converged
-//!      solve on the free voxels, with the others fixed         conjugate_gradient.rs
+//!      solve on the free voxels, with the others fixed
 //!      if x violates its bounds somewhere: clamp it there, fix it from now on, restart
 //! ```
 //!

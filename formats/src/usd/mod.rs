@@ -1,4 +1,4 @@
-//! The content of a mesh and of a sequence in USD: the properties that both the text writer and the binary
+//! The content of a mesh in USD, and of a [sequence]: the properties that both the text writer and the binary
 //! writer encode.
 //!
 //! ```text
@@ -8,14 +8,36 @@
 //!           velocities, accelerations, primvars:NAME .., subdivisionScheme, xformOp:translate
 //! ```
 
+mod sequence;
+
 use crate::data::{MeshView, VertexAttribute, VertexValues};
-use crate::error::Result;
-use crate::gltf::{
-    ACCELERATION, COLOR, NORMAL, POSITION, SequenceFrame, SequencePlacement, SharedAttribute, VELOCITY,
-    shared_attributes,
-};
-use crate::steps::{check_numbers, held_times};
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
+
+pub(crate) use sequence::{SequenceAttribute, UsdSequence};
+
+/// The format's name in errors.
+pub(crate) const FORMAT: &str = "USD";
+
+/// The root prim. It is the `defaultPrim` of the layer: a reference to the layer that names no prim refers to
+/// this one.
+pub(crate) const ROOT: &str = "root";
+
+/// The name of the mesh.
+pub(crate) const PRIM: &str = "surface";
+
+/// The property with the origin of the mesh.
+pub(crate) const TRANSLATE: &str = "xformOp:translate";
+
+/// Properties for motion blur, sampled at the times of the points.
+pub(crate) const VELOCITIES: &str = "velocities";
+pub(crate) const ACCELERATIONS: &str = "accelerations";
+
+/// The suffix in the name of the property that has the indices of an indexed primvar.
+pub(crate) const INDICES: &str = ":indices";
+
+/// The time code of the samples in the file of a frame. It is the same in the files of all frames: a stage
+/// maps the times of the shot to it.
+pub(crate) const SAMPLE_CODE: u64 = 0;
 
 /// The name of the vertex attribute in a property; `None` for other properties.
 pub(crate) fn attribute_of(property: &str) -> Option<&str> {
@@ -46,32 +68,6 @@ impl SampledProperty {
     }
 }
 
-/// The suffix in the name of the property that has the indices of an indexed primvar.
-pub(crate) const INDICES: &str = ":indices";
-
-/// The format's name in errors.
-pub(crate) const FORMAT: &str = "USD";
-
-// The properties of the mesh of one frame. Its vertex attributes become these properties:
-//
-//   velocity   velocities, for motion blur     colour     primvars:displayColor, displayOpacity
-//   acceleration  accelerations, which renderers use together with the velocities
-//   floats     primvars:NAME, as vectors if a vertex has two to four values
-//   integers   the same with the type int; if a value needs 64 bits, scalars of the type int64 instead of
-//              vectors, of which elementSize says how many belong to a vertex
-//   strings    primvars:NAME, the distinct strings, and primvars:NAME:indices
-
-/// Properties for motion blur, sampled at the times of the points.
-pub(crate) const VELOCITIES: &str = "velocities";
-pub(crate) const ACCELERATIONS: &str = "accelerations";
-
-/// The root prim. It is the `defaultPrim` of the layer: a reference to the layer that names no prim refers to
-/// this one.
-pub(crate) const ROOT: &str = "root";
-
-/// The property with the origin of the mesh.
-pub(crate) const TRANSLATE: &str = "xformOp:translate";
-
 /// A summary of the content of a file that this crate wrote.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LayerInfo {
@@ -95,7 +91,7 @@ pub(crate) enum Elements<'a> {
         is_narrow: bool,
     },
     /// Indices into a table of strings; a missing string gets the index after the last one.
-    Strings { table: &'a [String], indices: &'a [i32] },
+    StringIndices { table: &'a [String], indices: &'a [i32] },
     /// The number of corners of each face.
     FaceCounts { triangles: &'a [[u32; 3]], quads: &'a [bool] },
     /// The vertex indices of the faces' corners.
@@ -116,14 +112,16 @@ pub(crate) struct MeshProperty<'a> {
     pub(crate) name: String,
     pub(crate) value: PropertyValue<'a>,
     /// Whether its interpolation is `vertex`.
-    pub(crate) is_per_vertex: bool,
+    pub(crate) has_vertex_interpolation: bool,
     /// Number of elements of the array per vertex.
     pub(crate) element_size: usize,
 }
 
-/// The time code of the samples in the file of a frame. It is the same in the files of all frames: a stage
-/// maps the times of the shot to it.
-pub(crate) const SAMPLE_CODE: u64 = 0;
+/// Whether the property with this name needs the interpolation `vertex`: the schema has it for points,
+/// velocities and accelerations, and other properties than those of [`properties_of`] have none.
+fn has_vertex_interpolation(name: &str) -> bool {
+    name == "normals" || name.starts_with("primvars:") && !name.ends_with(INDICES)
+}
 
 /// The value of a property.
 pub(crate) enum PropertyValue<'a> {
@@ -136,7 +134,7 @@ pub(crate) enum PropertyValue<'a> {
     /// A list of one token, with uniform variability.
     TokenList(&'static str),
     /// The table of an indexed primvar, to which the writer adds an empty string for missing values.
-    Strings(&'a [String]),
+    StringTable(&'a [String]),
 }
 
 impl<'a> MeshProperty<'a> {
@@ -145,17 +143,13 @@ impl<'a> MeshProperty<'a> {
             kind: kind.to_owned(),
             name: name.to_owned(),
             value,
-            is_per_vertex: false,
+            has_vertex_interpolation: has_vertex_interpolation(name),
             element_size: 1,
         }
     }
 
     fn array(kind: &str, name: &str, elements: Elements<'a>) -> MeshProperty<'a> {
         MeshProperty::new(kind, name, PropertyValue::Array(elements))
-    }
-
-    fn per_vertex(self) -> MeshProperty<'a> {
-        MeshProperty { is_per_vertex: true, ..self }
     }
 
     /// Whether its value never depends on the time.
@@ -176,13 +170,12 @@ pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool], is_clip: bo
     found.extend([
         MeshProperty::array("int[]", "faceVertexCounts", Elements::FaceCounts { triangles, quads }),
         MeshProperty::array("int[]", "faceVertexIndices", Elements::FaceCorners { triangles, quads }),
-        MeshProperty::array("normal3f[]", "normals", Elements::reals(mesh.normals.as_flattened(), 3))
-            .per_vertex(),
+        MeshProperty::array("normal3f[]", "normals", Elements::reals(mesh.normals.as_flattened(), 3)),
         MeshProperty::new("token", "orientation", PropertyValue::Token("rightHanded")),
         MeshProperty::array("point3f[]", "points", Elements::reals(mesh.positions.as_flattened(), 3)),
     ]);
     for (attribute, property) in mesh.attributes.iter().zip(usd_properties(mesh.attributes)) {
-        found.extend(of_attribute(attribute, &property));
+        found.extend(properties_of(attribute, &property));
     }
     found.push(MeshProperty::new("token", "subdivisionScheme", PropertyValue::Token("none")));
     let is_moved = mesh.origin != [0.0; 3];
@@ -252,7 +245,17 @@ pub(crate) fn renamed(attributes: &[VertexAttribute], extension: &str) -> Vec<St
     renamed.collect()
 }
 
-fn of_attribute<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) -> Vec<MeshProperty<'a>> {
+/// The properties of an attribute:
+///
+/// ```text
+///   velocity   velocities, for motion blur     colour     primvars:displayColor, displayOpacity
+///   acceleration  accelerations, which renderers use together with the velocities
+///   floats     primvars:NAME, as vectors if a vertex has two to four values
+///   integers   the same with the type int; if a value needs 64 bits, scalars of the type int64 instead of
+///              vectors, of which elementSize says how many belong to a vertex
+///   strings    primvars:NAME, the distinct strings, and primvars:NAME:indices
+/// ```
+fn properties_of<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) -> Vec<MeshProperty<'a>> {
     let arity = attribute.arity;
     match (property, attribute.values) {
         (UsdProperty::Velocities, VertexValues::Numbers(values)) => {
@@ -264,7 +267,7 @@ fn of_attribute<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) -> 
         (UsdProperty::Color, VertexValues::Numbers(values)) => {
             let part = |kind, name, first, arity| {
                 let elements = Elements::Reals { values, stride: attribute.arity, first, arity };
-                MeshProperty::array(kind, name, elements).per_vertex()
+                MeshProperty::array(kind, name, elements)
             };
             let mut found = vec![part("color3f[]", "primvars:displayColor", 0, 3)];
             found.extend((arity == 4).then(|| part("float[]", "primvars:displayOpacity", 3, 1)));
@@ -272,11 +275,11 @@ fn of_attribute<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) -> 
         }
         (UsdProperty::Primvar(name), VertexValues::Strings { table, indices }) => {
             let name = format!("primvars:{name}");
-            let indexed = MeshProperty::new("string[]", &name, PropertyValue::Strings(table)).per_vertex();
-            let indices = Elements::Strings { table, indices };
+            let indexed = MeshProperty::new("string[]", &name, PropertyValue::StringTable(table));
+            let indices = Elements::StringIndices { table, indices };
             vec![
                 MeshProperty { element_size: arity, ..indexed },
-                MeshProperty::array("int[]", &format!("{name}:indices"), indices),
+                MeshProperty::array("int[]", &format!("{name}{INDICES}"), indices),
             ]
         }
         (UsdProperty::Primvar(name), VertexValues::Integers(values)) => {
@@ -289,7 +292,7 @@ fn of_attribute<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) -> 
             let width = if arity <= TUPLE_MAX { arity } else { 1 };
             vec![primvar(&vector("float", width), name, Elements::reals(values, width), arity / width)]
         }
-        // These are always numbers, so strings never get here.
+        // `purposes` gives these roles only to floats.
         (UsdProperty::Velocities | UsdProperty::Accelerations | UsdProperty::Color, _) => Vec::new(),
     }
 }
@@ -300,127 +303,6 @@ fn vector(kind: &str, width: usize) -> String {
 
 /// A primvar; each vertex has `element_size` values of the array.
 fn primvar<'a>(kind: &str, name: &str, elements: Elements<'a>, element_size: usize) -> MeshProperty<'a> {
-    let primvar =
-        MeshProperty::array(&format!("{kind}[]"), &format!("primvars:{name}"), elements).per_vertex();
+    let primvar = MeshProperty::array(&format!("{kind}[]"), &format!("primvars:{name}"), elements);
     MeshProperty { element_size, ..primvar }
-}
-
-// The frames of a sequence, and the attributes that all of them have.
-
-/// The name of the mesh.
-pub(crate) const PRIM: &str = "surface";
-
-/// The frames of a sequence.
-pub(crate) struct UsdSequence<'a> {
-    pub(crate) frames: &'a [SequenceFrame],
-    pub(crate) placement: SequencePlacement,
-}
-
-/// A vertex attribute to write.
-pub(crate) struct SequenceAttribute {
-    /// Its name in the frames' `.glb` files.
-    pub(crate) semantic: String,
-    /// Its type and name in USD.
-    pub(crate) kind: String,
-    pub(crate) name: String,
-    /// The components to write: the index of the first, and their number.
-    pub(crate) first: usize,
-    pub(crate) arity: usize,
-    /// Whether its interpolation is `vertex`.
-    pub(crate) is_per_vertex: bool,
-}
-
-impl SequenceAttribute {
-    fn new(semantic: &str, (kind, name): (&str, &str), first: usize, arity: usize) -> SequenceAttribute {
-        let is_per_vertex = !matches!(name, "points" | VELOCITIES | ACCELERATIONS);
-        let [semantic, kind, name] = [semantic, kind, name].map(str::to_owned);
-        SequenceAttribute { semantic, kind, name, first, arity, is_per_vertex }
-    }
-}
-
-impl<'a> UsdSequence<'a> {
-    /// Checks the frames, whose numbers must increase.
-    pub(crate) fn of(frames: &'a [SequenceFrame]) -> Result<UsdSequence<'a>> {
-        check_numbers(FORMAT, frames.iter().map(|frame| (frame.name.as_str(), frame.code)))?;
-        Ok(UsdSequence { frames, placement: SequencePlacement::of(frames, FORMAT)? })
-    }
-
-    /// The first and the last time code, or zeros without frames.
-    pub(crate) fn code_range(&self) -> [i64; 2] {
-        [self.frames.first(), self.frames.last()].map(|frame| frame.map_or(0, |frame| frame.code))
-    }
-
-    /// The summary of all frames.
-    pub(crate) fn layer_info(&self) -> Result<LayerInfo> {
-        let mut info = LayerInfo { frames: Some(self.frames.len() as u64), ..LayerInfo::default() };
-        for frame in self.frames {
-            info.vertices += frame.file.vertex_count() as u64;
-            info.faces += frame.file.triangle_count()? as u64;
-        }
-        Ok(info)
-    }
-
-    /// The attributes that all frames with a mesh have, and notes on the others.
-    pub(crate) fn attributes(&self) -> Result<(Vec<SequenceAttribute>, Vec<String>)> {
-        let mut found = vec![
-            SequenceAttribute::new(NORMAL, ("normal3f[]", "normals"), 0, 3),
-            SequenceAttribute::new(POSITION, ("point3f[]", "points"), 0, 3),
-        ];
-        let (shared, mut notes) = shared_attributes(self.frames)?;
-        let mut used = UsedNames::new(&RESERVED);
-        for SharedAttribute { semantic, name, arity } in shared {
-            let attribute = |about, first, arity| SequenceAttribute::new(&semantic, about, first, arity);
-            match (semantic.as_str(), arity) {
-                (VELOCITY, 3) => found.push(attribute(("vector3f[]", VELOCITIES), 0, 3)),
-                (ACCELERATION, 3) => found.push(attribute(("vector3f[]", ACCELERATIONS), 0, 3)),
-                (COLOR, 3 | 4) => {
-                    found.push(attribute(("color3f[]", "primvars:displayColor"), 0, 3));
-                    let opacity = attribute(("float[]", "primvars:displayOpacity"), 3, 1);
-                    found.extend((arity == 4).then_some(opacity));
-                }
-                _ => {
-                    let kind = format!("{}[]", vector("float", arity));
-                    let wanted = identifier(&name);
-                    let plain = used.take(&wanted);
-                    if plain != wanted {
-                        notes.push(format!("{semantic} is named primvars:{plain} in the sequence"));
-                    }
-                    found.push(attribute((&kind, &format!("primvars:{plain}")), 0, arity));
-                }
-            }
-        }
-        Ok((found, notes))
-    }
-
-    /// What must be added to the positions of a frame.
-    pub(crate) fn shift(&self, index: usize) -> Result<[f64; 3]> {
-        self.placement.shift(&self.frames[index].file)
-    }
-
-    /// The minimum and maximum corner of a frame, relative to the sequence's origin. Without a mesh, the
-    /// empty range of OpenUSD, so that no box contains the origin. OpenUSD warns of an empty array.
-    pub(crate) fn extent(&self, index: usize) -> Result<[[f32; 3]; 2]> {
-        if !self.frames[index].file.has_mesh() {
-            return Ok([[f32::MAX; 3], [f32::MIN; 3]]);
-        }
-        self.frames[index].file.shifted_bounds(self.shift(index)?)
-    }
-
-    /// The origin of the sequence, unless it is zero.
-    pub(crate) fn origin(&self) -> Option<[f64; 3]> {
-        Some(self.placement.origin).filter(|origin| *origin != [0.0; 3])
-    }
-
-    /// The [time codes](held_times) at which a frame needs a sample of a value that has the same size in all
-    /// frames, such as its extent.
-    pub(crate) fn held_codes(&self, index: usize) -> impl Iterator<Item = f64> {
-        held_times(self.frames[index].code, self.frames.get(index + 1).map(|next| next.code))
-    }
-
-    /// The [time codes](held_times) at which a frame needs samples of the values of its vertices.
-    pub(crate) fn vertex_codes(&self, index: usize) -> impl Iterator<Item = f64> {
-        let frame = &self.frames[index];
-        let is_as_large = |next: &&SequenceFrame| next.file.vertex_count() == frame.file.vertex_count();
-        held_times(frame.code, self.frames.get(index + 1).filter(is_as_large).map(|next| next.code))
-    }
 }

@@ -1,0 +1,127 @@
+//! The frames of a sequence in USD, and the attributes that all of them have.
+
+use super::{
+    ACCELERATIONS, FORMAT, LayerInfo, RESERVED, VELOCITIES, has_vertex_interpolation, identifier, vector,
+};
+use crate::error::Result;
+use crate::gltf::{
+    ACCELERATION, COLOR, NORMAL, POSITION, SequenceFrame, SequencePlacement, SharedAttribute, VELOCITY,
+    shared_attributes,
+};
+use crate::sequence::{check_numbers, held_times};
+use crate::vertex_attributes::UsedNames;
+
+/// The frames of a sequence.
+pub(crate) struct UsdSequence<'a> {
+    pub(crate) frames: &'a [SequenceFrame],
+    pub(crate) placement: SequencePlacement,
+}
+
+/// A vertex attribute to write.
+pub(crate) struct SequenceAttribute {
+    /// Its name in the frames' `.glb` files.
+    pub(crate) semantic: String,
+    /// Its type and name in USD.
+    pub(crate) kind: String,
+    pub(crate) name: String,
+    /// The components to write: the index of the first, and their number.
+    pub(crate) first: usize,
+    pub(crate) arity: usize,
+    /// Whether its interpolation is `vertex`.
+    pub(crate) has_vertex_interpolation: bool,
+}
+
+impl SequenceAttribute {
+    fn new(semantic: &str, (kind, name): (&str, &str), first: usize, arity: usize) -> SequenceAttribute {
+        let has_vertex_interpolation = has_vertex_interpolation(name);
+        let [semantic, kind, name] = [semantic, kind, name].map(str::to_owned);
+        SequenceAttribute { semantic, kind, name, first, arity, has_vertex_interpolation }
+    }
+}
+
+impl<'a> UsdSequence<'a> {
+    /// Checks the frames, whose numbers must increase.
+    pub(crate) fn of(frames: &'a [SequenceFrame]) -> Result<UsdSequence<'a>> {
+        check_numbers(FORMAT, frames.iter().map(|frame| (frame.name.as_str(), frame.code)))?;
+        Ok(UsdSequence { frames, placement: SequencePlacement::of(frames, FORMAT)? })
+    }
+
+    /// The first and the last time code, or zeros without frames.
+    pub(crate) fn code_range(&self) -> [i64; 2] {
+        [self.frames.first(), self.frames.last()].map(|frame| frame.map_or(0, |frame| frame.code))
+    }
+
+    /// The summary of all frames.
+    pub(crate) fn layer_info(&self) -> Result<LayerInfo> {
+        let mut info = LayerInfo { frames: Some(self.frames.len() as u64), ..LayerInfo::default() };
+        for frame in self.frames {
+            info.vertices += frame.file.vertex_count() as u64;
+            info.faces += frame.file.triangle_count()? as u64;
+        }
+        Ok(info)
+    }
+
+    /// The attributes that all frames with a mesh have, and notes on the others.
+    pub(crate) fn attributes(&self) -> Result<(Vec<SequenceAttribute>, Vec<String>)> {
+        let mut found = vec![
+            SequenceAttribute::new(NORMAL, ("normal3f[]", "normals"), 0, 3),
+            SequenceAttribute::new(POSITION, ("point3f[]", "points"), 0, 3),
+        ];
+        let (shared, mut notes) = shared_attributes(self.frames)?;
+        let mut used = UsedNames::new(&RESERVED);
+        for SharedAttribute { semantic, name, arity } in shared {
+            let attribute = |about, first, arity| SequenceAttribute::new(&semantic, about, first, arity);
+            match (semantic.as_str(), arity) {
+                (VELOCITY, 3) => found.push(attribute(("vector3f[]", VELOCITIES), 0, 3)),
+                (ACCELERATION, 3) => found.push(attribute(("vector3f[]", ACCELERATIONS), 0, 3)),
+                (COLOR, 3 | 4) => {
+                    found.push(attribute(("color3f[]", "primvars:displayColor"), 0, 3));
+                    let opacity = attribute(("float[]", "primvars:displayOpacity"), 3, 1);
+                    found.extend((arity == 4).then_some(opacity));
+                }
+                _ => {
+                    let kind = format!("{}[]", vector("float", arity));
+                    let wanted = identifier(&name);
+                    let plain = used.take(&wanted);
+                    if plain != wanted {
+                        notes.push(format!("{semantic} is named primvars:{plain} in the sequence"));
+                    }
+                    found.push(attribute((&kind, &format!("primvars:{plain}")), 0, arity));
+                }
+            }
+        }
+        Ok((found, notes))
+    }
+
+    /// What must be added to the positions of a frame.
+    pub(crate) fn shift(&self, index: usize) -> Result<[f64; 3]> {
+        self.placement.shift(&self.frames[index].file)
+    }
+
+    /// The minimum and maximum corner of a frame, relative to the sequence's origin. Without a mesh, the
+    /// empty range of OpenUSD, so that no box contains the origin. OpenUSD warns of an empty array.
+    pub(crate) fn extent(&self, index: usize) -> Result<[[f32; 3]; 2]> {
+        if !self.frames[index].file.has_mesh() {
+            return Ok([[f32::MAX; 3], [f32::MIN; 3]]);
+        }
+        self.frames[index].file.shifted_bounds(self.shift(index)?)
+    }
+
+    /// The origin of the sequence, unless it is zero.
+    pub(crate) fn origin(&self) -> Option<[f64; 3]> {
+        Some(self.placement.origin).filter(|origin| *origin != [0.0; 3])
+    }
+
+    /// The [time codes](held_times) at which a frame needs a sample of a value that has the same size in all
+    /// frames, such as its extent.
+    pub(crate) fn held_codes(&self, index: usize) -> impl Iterator<Item = f64> {
+        held_times(self.frames[index].code, self.frames.get(index + 1).map(|next| next.code))
+    }
+
+    /// The [time codes](held_times) at which a frame needs samples of the values of its vertices.
+    pub(crate) fn vertex_codes(&self, index: usize) -> impl Iterator<Item = f64> {
+        let frame = &self.frames[index];
+        let is_as_large = |next: &&SequenceFrame| next.file.vertex_count() == frame.file.vertex_count();
+        held_times(frame.code, self.frames.get(index + 1).filter(is_as_large).map(|next| next.code))
+    }
+}
