@@ -62,7 +62,7 @@ impl Core {
             if frame.phase == FramePhase::Steps {
                 self.unqueue_steps(id, seen, at);
             }
-            self.settle(id, candidate);
+            self.start_settling(id, candidate);
         }
         self.inspect_settling(id, InspectionExtent::AllOfJustSeen);
     }
@@ -189,7 +189,7 @@ impl Core {
     }
 
     /// A file changed: resets the state of its frame, which is out of date.
-    pub(super) fn settle(&mut self, id: &FrameId, candidate: Candidate) {
+    pub(super) fn start_settling(&mut self, id: &FrameId, candidate: Candidate) {
         self.unqueue(id);
         self.set_phase(id, FramePhase::Settling(candidate));
         self.failed.remove(id);
@@ -244,7 +244,7 @@ impl Core {
     /// `is_taken` says whether a file is a frame of a root.
     pub(crate) fn claim_recorded(&mut self, is_taken: impl Fn(usize, &Path) -> bool) {
         let mut owners = Vec::new();
-        for (output, OutputFolder { recorded, .. }) in self.outputs.iter().enumerate() {
+        for (output, OutputFolder { recorded, .. }) in self.output_folders.iter().enumerate() {
             // Other frames have no outputs yet, or no longer.
             let is_owner = |record: &RecordedFrame| match record.unfinished_state() {
                 Some(UnfinishedState::Refused | UnfinishedState::Failed | UnfinishedState::Ignored) => false,
@@ -253,7 +253,7 @@ impl Core {
             };
             for (input, record) in recorded.frames.iter().filter(|(_, record)| is_owner(record)) {
                 let file = step_in(input, true).map(|(file, _)| file);
-                let mut roots = (0..self.roots.len()).filter(|&root| self.output_of[root] == output);
+                let mut roots = (0..self.roots.len()).filter(|&root| self.output_folder_of[root] == output);
                 let id = roots.find_map(|root| match file {
                     Some(file) if is_taken(root, file) => Some(FrameId::step(root, input)),
                     _ => is_taken(root, input).then(|| FrameId::new(root, input)),
@@ -315,7 +315,7 @@ impl Core {
         if self.frames.get(id).is_some_and(|frame| frame.was_closed) {
             return self.inspect(id, None, None);
         }
-        if let Some(record) = self.record_of(id).filter(|_| self.output(id.root).is_mounted).cloned() {
+        if let Some(record) = self.record_of(id).filter(|_| self.output_folder(id.root).is_mounted).cloned() {
             // The settings are current, and obstacles are inspected separately.
             self.inspect(id, None, Some(Recorded { record, checks_obstacles: false }));
         }
@@ -327,7 +327,7 @@ impl Core {
         let is_refused = self.failed.get(id).is_some_and(|failure| failure.is_refusal);
         let owner = self.claims.get(&self.claimed_stem(id));
         let is_owned = owner.is_some_and(|owner| owner != id && self.may_exist(owner));
-        if is_refused && !is_owned && self.output(id.root).is_mounted {
+        if is_refused && !is_owned && self.output_folder(id.root).is_mounted {
             self.inspect(id, None, None);
         }
     }
@@ -570,7 +570,7 @@ impl Core {
             job: Job::of(&id.path),
             stem: file.stem(),
             settings,
-            outputs: self.outputs(id),
+            outputs: self.output_options(id),
             number: file.number(),
             obstacles: Arc::clone(&self.roots[id.root].obstacles),
             framing,
@@ -585,7 +585,7 @@ impl Core {
     /// Requests the stamps of the obstacles of finished frames of a root: obstacles may have changed since.
     /// The file system sends no events for them.
     fn stamp_obstacles(&mut self, root: usize) {
-        if self.roots[root].obstacles.is_empty() || !self.output(root).is_mounted {
+        if self.roots[root].obstacles.is_empty() || !self.output_folder(root).is_mounted {
             return;
         }
         let frames = self.frames.iter().filter(|(id, frame)| id.root == root && has_ended(frame));
@@ -628,10 +628,10 @@ impl Core {
     }
 
     /// The output options of a frame; sub-folders are mirrored below the folder of outputs.
-    fn outputs(&mut self, id: &FrameId) -> Arc<OutputOptions> {
-        let folder = id.mirrored_folder(self.root_path(id.root), &self.output(id.root).folder);
+    fn output_options(&mut self, id: &FrameId) -> Arc<OutputOptions> {
+        let folder = id.mirrored_folder(self.root_path(id.root), &self.output_folder(id.root).folder);
         let options = &self.config.watches[id.root].outputs;
-        let mirrored = self.outputs_of.entry((id.root, folder)).or_insert_with_key(|(_, folder)| {
+        let mirrored = self.mirrored_options.entry((id.root, folder)).or_insert_with_key(|(_, folder)| {
             Arc::new(OutputOptions { folder: folder.clone(), ..options.clone() })
         });
         Arc::clone(mirrored)
@@ -639,7 +639,7 @@ impl Core {
 
     /// The output files of the frame.
     fn output_paths(&mut self, id: &FrameId) -> Vec<PathBuf> {
-        let outputs = self.outputs(id);
+        let outputs = self.output_options(id);
         let stem = id.output_stem();
         outputs.formats.iter().map(|&format| output_path(&outputs.folder, &stem, format)).collect()
     }
@@ -681,7 +681,7 @@ impl Core {
 
     /// The path of a frame's outputs without their extensions.
     pub(super) fn claimed_stem(&self, id: &FrameId) -> PathBuf {
-        let folder = id.mirrored_folder(self.root_path(id.root), &self.output(id.root).folder);
+        let folder = id.mirrored_folder(self.root_path(id.root), &self.output_folder(id.root).folder);
         folder.join(id.output_stem())
     }
 
@@ -696,12 +696,12 @@ impl Core {
 
     /// The record of a frame, if it has one.
     pub(super) fn record_of(&self, id: &FrameId) -> Option<&RecordedFrame> {
-        self.output(id.root).recorded.frames.get(&*id.path)
+        self.output_folder(id.root).recorded.frames.get(&*id.path)
     }
 
     /// The paths of recorded outputs.
     pub(super) fn recorded_outputs(&self, id: &FrameId, record: &DoneRecord) -> Vec<PathBuf> {
-        record.output_paths(&self.output(id.root).folder).collect()
+        record.output_paths(&self.output_folder(id.root).folder).collect()
     }
 }
 

@@ -18,12 +18,12 @@ pub(crate) mod events;
 pub(crate) mod frames;
 mod handle;
 mod intake;
+mod measuring;
 mod outcomes;
 pub(crate) mod publish;
 mod queue;
 mod retry;
 pub(crate) mod sequences;
-mod settle;
 pub(crate) mod state;
 mod steps;
 

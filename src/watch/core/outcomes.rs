@@ -118,7 +118,7 @@ impl Core {
         (frame.stamp, frame.attempt_count) = (record.stamp, 0);
         self.failed.remove(id);
         self.set_phase(id, FramePhase::Done);
-        self.record(self.output_of[id.root], RecordLine::Done(record), Some(log));
+        self.record(self.output_folder_of[id.root], RecordLine::Done(record), Some(log));
     }
 
     /// The paths of a frame's outputs as a JSON array: a field of the log is text or a number.
@@ -140,7 +140,7 @@ impl Core {
             RetryAction::AwaitSpace => {
                 let folder = error.path.parent().unwrap_or(Path::new("."));
                 // The last known free space is out of date.
-                let output = &mut self.outputs[self.output_of[id.root]];
+                let output = &mut self.output_folders[self.output_folder_of[id.root]];
                 output.free_bytes = free_bytes.or(output.free_bytes);
                 if error.is_disk_full() {
                     self.guard.on_full(folder, free_bytes, now);
@@ -241,7 +241,7 @@ impl Core {
     /// Waits again until a file is complete, and discards what is known about it.
     pub(super) fn start_over(&mut self, id: &FrameId) {
         let Some(stamp) = self.frames.get(id).map(|frame| frame.stamp) else { return };
-        self.settle(id, Candidate::new(self.now.at, &Seen { stamp, age: None }, FileHint::Changed));
+        self.start_settling(id, Candidate::new(self.now.at, &Seen { stamp, age: None }, FileHint::Changed));
         self.inspect_candidate(id);
     }
 
@@ -278,7 +278,7 @@ impl Core {
         // It is later than the record of the last conversion, also if the clock was set back.
         let done = self.record_of(id).and_then(|record| record.done.as_ref());
         let record = UnfinishedRecord {
-            name: within(&claimed, &self.output(id.root).folder).unwrap_or(&claimed).to_owned(),
+            name: within(&claimed, &self.output_folder(id.root).folder).unwrap_or(&claimed).to_owned(),
             input: id.path.to_path_buf(),
             state,
             reason,
@@ -288,7 +288,7 @@ impl Core {
             attempts: frame.attempt_count,
             at_ms: self.now.unix_ms.max(done.map_or(0, |done| done.at_ms + 1)),
         };
-        self.record(self.output_of[id.root], RecordLine::Unfinished(Arc::new(record)), log);
+        self.record(self.output_folder_of[id.root], RecordLine::Unfinished(Arc::new(record)), log);
         self.mark_changed(id);
     }
 }

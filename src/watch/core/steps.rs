@@ -96,7 +96,7 @@ impl Core {
             _ if is_same => return,
             _ => {}
         }
-        self.settle(id, candidate);
+        self.start_settling(id, candidate);
         self.inspect_candidate(id);
     }
 
@@ -121,7 +121,7 @@ impl Core {
     pub(super) fn unqueue_steps(&mut self, file: &FrameId, seen: &Seen, at: Instant) {
         for step in self.known_steps(file) {
             if self.frames.phase(&step) == Some(FramePhase::Queued) {
-                self.settle(&step, Candidate::new(at, seen, FileHint::Changed));
+                self.start_settling(&step, Candidate::new(at, seen, FileHint::Changed));
             }
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   root         a watched folder: scans, events, inspections     slow         measuring, finding steps
-//!   output_dir   a folder of outputs: records, lock, free space   pipeline     converts frames
+//!   output_folder   a folder of outputs: records, lock, free space   pipeline     converts frames
 //!   worker       the thread of either, and its stall detection
 //!   stages       the stages of a folder of outputs
 //!   inspect, writers, scan, selection, fs_events, mounts, lock   what the workers call
@@ -13,7 +13,7 @@ mod fs_events;
 mod inspect;
 pub mod lock;
 mod mounts;
-mod output_dir;
+mod output_folder;
 pub(crate) mod pipeline;
 mod root;
 mod scan;
