@@ -89,14 +89,14 @@ pub use input::attributes::AttributeRequest;
 pub use input::bounds::{EMPTY_BOUNDS, bounds_of_particles, sequence_bounds};
 pub use input::conflicts::{Conflict, check_outputs};
 pub use input::filter::keep_chosen;
-pub use input::frame::{Frame, FrameReport, Job, Outcome, ReadInput, Seconds};
+pub use input::frame::{Frame, FrameReport, InputState, Job, Outcome, Seconds};
 pub use input::level_set_file::{LevelSetFile, is_level_set};
 pub(crate) use input::measured_spacing::{Attempt, measure_sequence};
 pub use input::measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing};
 pub use input::mesh_file::{MeshFile, is_mesh};
 pub use input::obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use input::reading::{
-    ReadFrame, hash_of_input, parse_particles, particles, read_file, read_particles_of,
+    ParsedParticles, hash_of_input, parse_particles, particles, read_file, read_particles_of,
 };
 pub(crate) use input::source::output_stem;
 pub use input::source::{

@@ -1015,8 +1015,8 @@ JSON: an object with the following; with --config a list of such objects; with F
                    are known reason, particles, seconds and flaws. waiting: files that are not yet
                    complete; last_done: the newest first, five at most; flawed: those converted without
                    some particles, or that failed validation. state: waiting, queued, done, retrying,
-                   failed, refused (because of other files), given_up (after all retries), ignored (not a
-                   frame). settings: equal for frames that were converted with the same settings
+                   failed, refused (because of other files), given_up (until the file changes or the daemon
+                   restarts), ignored (not a frame). settings: equal for frames that were converted with the same settings
 Times that end in _ms are milliseconds since 1970.";
 
 // The options of `meniscus completions` and `meniscus man`.

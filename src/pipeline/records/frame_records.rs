@@ -124,7 +124,8 @@ pub struct FrameRecords {
 
 #[derive(Debug, Default)]
 struct KnownRecords {
-    /// The records of each frame, the latest one last; one for each input and settings.
+    /// The records of each frame, the latest one last; they differ in inputs, settings,
+    /// obstacles, cameras or outputs.
     done: HashMap<PathBuf, Vec<Arc<DoneRecord>>>,
     /// By the names of their outputs; one for each input.
     unfinished: HashMap<PathBuf, Vec<Arc<UnfinishedRecord>>>,
@@ -165,7 +166,7 @@ pub struct RecordedFrame {
 
 impl RecordedState {
     /// Adds what the latest line says.
-    pub fn take(&mut self, line: &RecordLine) {
+    pub fn insert(&mut self, line: &RecordLine) {
         match line {
             RecordLine::Settings { .. } => {}
             RecordLine::Done(record) => {
@@ -232,7 +233,7 @@ impl FrameRecords {
     /// # Errors
     /// When the system refuses.
     pub fn prepare(&self) -> io::Result<()> {
-        self.content().open_own(&self.state_folder())
+        self.content().open_own_file(&self.state_folder())
     }
 
     /// The folder of the outputs.
@@ -363,7 +364,7 @@ impl FrameRecords {
         content.settings.insert(record.settings.clone(), settings.clone());
         let line = RecordLine::Done(record);
         content.write(&self.state_folder(), Some(&line))?;
-        content.take(line);
+        content.insert(line);
         Ok(())
     }
 
@@ -396,7 +397,7 @@ impl FrameRecords {
             return;
         }
         content.unwritten.insert(line.key(), line.clone());
-        content.take(line);
+        content.insert(line);
     }
 
     /// Writes the lines that were kept.
@@ -519,7 +520,7 @@ impl OutputFile {
 
 impl KnownRecords {
     /// Adds a record.
-    fn take(&mut self, line: RecordLine) {
+    fn insert(&mut self, line: RecordLine) {
         match line {
             RecordLine::Settings { id, values } => {
                 self.settings.insert(id, values);
@@ -614,13 +615,13 @@ impl KnownRecords {
             // A torn, damaged or foreign line is skipped: its frame is converted again.
             let record = line.strip_suffix(b"\n").and_then(record_of_line);
             if let Some(record) = record.and_then(|json| serde_json::from_slice(json).ok()) {
-                self.take(record);
+                self.insert(record);
             }
         }
     }
 
     /// Opens the file that this process appends to, unless it is open and in place.
-    fn open_own(&mut self, folder: &Path) -> io::Result<()> {
+    fn open_own_file(&mut self, folder: &Path) -> io::Result<()> {
         // Users remove folders of outputs to start over.
         if self.own.as_ref().is_some_and(OwnFile::is_usable) {
             return Ok(());
@@ -637,7 +638,7 @@ impl KnownRecords {
         if line.is_none() && self.unwritten.is_empty() {
             return Ok(());
         }
-        self.open_own(folder)?;
+        self.open_own_file(folder)?;
         if let Err(error) = self.append(line) {
             // There is no room for another file, either.
             if is_disk_full(&error) {
@@ -930,13 +931,13 @@ mod tests {
             let name = format!("dam{index}.{{}}.ply");
             other.keep(sequence(&name, 2.0, 2));
             let line = sequence(&name, spacing, 3);
-            expected.take(&line);
+            expected.insert(&line);
             one.keep(line);
             other.keep(sequence(&name, 1.0, 1));
         }
         let waiting = unfinished("a", UnfinishedState::Waiting, u64::MAX);
         for line in [waiting, daemon(DaemonState::Paused("the disk is full".to_owned()), 5)] {
-            expected.take(&line);
+            expected.insert(&line);
             one.keep(line);
         }
         other.keep(unfinished("a", UnfinishedState::Failed, 4));

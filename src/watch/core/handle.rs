@@ -145,7 +145,7 @@ impl Core {
         }
         let stuck = self.log_stuck();
         if held > 0 {
-            self.give_up_on_held(&stuck);
+            self.refuse_held(&stuck);
         }
         true
     }
@@ -162,7 +162,7 @@ impl Core {
         stuck.iter().filter_map(|id| self.frames.get(id)).map(|frame| frame.sequence).collect()
     }
 
-    fn give_up_on_held(&mut self, stuck_sequences: &HashSet<usize>) {
+    fn refuse_held(&mut self, stuck_sequences: &HashSet<usize>) {
         let is_meant = |frame: &FrameState| {
             frame.phase == FramePhase::Held && !stuck_sequences.contains(&frame.sequence)
         };

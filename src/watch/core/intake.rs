@@ -11,6 +11,7 @@
 //! ```
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -18,8 +19,8 @@ use std::time::{Duration, Instant};
 use meniscus_formats::Neighbor;
 
 use crate::pipeline::{
-    ChangedOutput, DoneRecord, FileStamp, Frame, Job, ObstacleStamps, OutputOptions, Reason, RecordedFrame,
-    UnfinishedState, output_path, step_in,
+    ChangedOutput, DoneRecord, FileStamp, Frame, FrameError, Job, ObstacleStamps, OutputOptions, Reason,
+    RecordedFrame, Stage, UnfinishedState, output_path, step_in,
 };
 use crate::surface::options::Settings;
 
@@ -67,7 +68,8 @@ impl Core {
         self.inspect_settling(id, InspectionExtent::AllOfJustSeen);
     }
 
-    /// A file was seen that is unchanged since it was read, or its writer closed it.
+    /// A file was seen with the stamp that it had before. `was_closed`: its writer has closed it since, perhaps
+    /// after a change through a memory map.
     fn on_unchanged(&mut self, id: &FrameId, was_closed: bool) {
         match self.frames.phase(id) {
             Some(FramePhase::Done | FramePhase::Failed | FramePhase::Ignored) if was_closed => {
@@ -199,6 +201,13 @@ impl Core {
         }
     }
 
+    /// Waits again until a file is complete, and discards what is known about it.
+    pub(super) fn start_over(&mut self, id: &FrameId) {
+        let Some(stamp) = self.frames.get(id).map(|frame| frame.stamp) else { return };
+        self.start_settling(id, Candidate::new(self.now.at, &Seen { stamp, age: None }, FileHint::Changed));
+        self.inspect_candidate(id);
+    }
+
     fn unqueue(&mut self, id: &FrameId) {
         if let Some(FrameState { phase: FramePhase::Queued, stamp, .. }) = self.frames.get(id) {
             self.queue.remove(id, stamp.modified_ns);
@@ -288,6 +297,16 @@ impl Core {
         let is_missing = |id: &&FrameId| id.root == root && !self.may_exist(id);
         for id in self.claims.values().filter(is_missing).cloned().collect::<Vec<_>>() {
             self.release_claim(&id);
+        }
+    }
+
+    /// The alarm of a frame is due.
+    pub(super) fn on_alarm(&mut self, id: &FrameId) {
+        match self.frames.phase(id) {
+            Some(FramePhase::Settling(_)) => self.inspect_candidate(id),
+            Some(FramePhase::Retrying(at)) if at > self.now.at => self.frames.set_alarm(id, at),
+            Some(FramePhase::Retrying(_)) => self.inspect(id, None, None),
+            _ => {}
         }
     }
 
@@ -399,7 +418,7 @@ impl Core {
             InspectionResult::Missing => self.remove(&id),
             InspectionResult::Unreadable(error) => self.on_file_unreadable(&id, error),
             InspectionResult::Changed(seen, at) => self.on_file_seen(&id, &seen, at, FileHint::Changed),
-            InspectionResult::AsRecorded if is_settling => self.take_record(&id),
+            InspectionResult::AsRecorded if is_settling => self.restore_record(&id),
             InspectionResult::OutputsAway if is_waiting => {
                 self.frames.set_alarm(&id, self.now.at + AWAY_RETRY)
             }
@@ -416,6 +435,14 @@ impl Core {
             }
             InspectionResult::Complete(complete) => self.on_complete(&id, complete),
         }
+    }
+
+    /// A file exists, but the system refuses to inspect it.
+    pub(super) fn on_file_unreadable(&mut self, id: &FrameId, error: io::Error) {
+        if self.frames.get(id).is_none() {
+            return;
+        }
+        self.failed_frame(id, &FrameError::file(&id.path, Stage::Read, error), None);
     }
 
     /// Records why a frame waits, unless it only has another size than before.
@@ -439,7 +466,7 @@ impl Core {
     }
 
     /// Restores the state of a frame from its record.
-    fn take_record(&mut self, id: &FrameId) {
+    fn restore_record(&mut self, id: &FrameId) {
         let Some(record) = self.record_of(id).cloned() else { return };
         let phase = match &record.unfinished {
             Some(failed) => {
@@ -575,6 +602,7 @@ impl Core {
             obstacles: Arc::clone(&self.roots[id.root].obstacles),
             framing,
             obstacle_stamp,
+            // The thread of the pipeline adds them: `io/pipeline.rs`.
             records: None,
         };
         self.set_phase(id, FramePhase::Queued);

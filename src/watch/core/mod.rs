@@ -1,8 +1,9 @@
 //! The decisions of the daemon, without files, clocks or threads.
 //!
 //! ```text
-//!   Event ──▶ handle ─▶ intake ─▶ steps, settle ─▶ queue ──▶ Effect
+//!   Event ──▶ handle ─▶ intake ─▶ steps, measuring ─▶ queue ──▶ Effect
 //!                       outcomes ─▶ retry
+//!   state          the fields                    events         the inputs and outputs
 //!   frames         the phase of each frame       completeness   when a file is complete
 //!   sequences      settings, resolved once       decision       why a recorded frame is converted again
 //!   disk_guard     free space and mounts         publish        views for clients

@@ -181,7 +181,7 @@ fn is_about(record: &UnfinishedRecord, phase: FramePhase) -> bool {
             matches!(phase, FramePhase::Queued | FramePhase::InProgress | FramePhase::Held)
         }
         UnfinishedState::Retrying => matches!(phase, FramePhase::Retrying(_)),
-        UnfinishedState::Failed | UnfinishedState::Refused | UnfinishedState::GivenUp => {
+        UnfinishedState::Failed | UnfinishedState::Refused | UnfinishedState::AwaitsRestart => {
             phase == FramePhase::Failed
         }
         UnfinishedState::Ignored => false,

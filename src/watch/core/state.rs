@@ -207,7 +207,7 @@ impl Core {
 
     /// Keeps a record, and requests that it be written. `log` is written after the record.
     pub(super) fn record(&mut self, output: usize, line: RecordLine, log: Option<Log>) {
-        self.output_folders[output].recorded.take(&line);
+        self.output_folders[output].recorded.insert(&line);
         self.effects.push(Effect::Output(output, OutputRequest::Record(line, log)));
     }
 

@@ -10,7 +10,7 @@ use meniscus_formats::Error;
 
 use crate::pipeline::{
     ChangedOutput, DaemonRecord, DaemonState, DoneRecord, FileStamp, Frame, FrameError, FrameReport,
-    MeasuredSpacing, Outcome, OutputFormat, OutputOptions, ReadInput, Reason, RecordLine, RecordedState,
+    InputState, MeasuredSpacing, Outcome, OutputFormat, OutputOptions, Reason, RecordLine, RecordedState,
     SharedSettings, Stage, UnfinishedRecord, UnfinishedState,
 };
 use crate::surface::options::MethodOptions;
@@ -249,7 +249,7 @@ impl Rig {
         let settings = self.core.sequences.get(sequence).settings_id().unwrap_or_default().to_owned();
         let at_ms = self.now.unix_ms;
         let record = DoneRecord { settings, at_ms, ..(*done_record(&id.path, stamp)).clone() };
-        let (input, record) = (ReadInput { stamp, hash: 7 }, Some(Arc::new(record)));
+        let (input, record) = (InputState { stamp, hash: 7 }, Some(Arc::new(record)));
         self.finish(
             path,
             Outcome::Converted(Box::new(FrameReport { input, record, ..FrameReport::default() })),
@@ -444,7 +444,7 @@ fn failures_are_retried_with_growing_waits_up_to_a_limit() {
         rig.fail("/in0/a.1.ply", Stage::Read, io::ErrorKind::PermissionDenied);
     }
     assert_eq!(waits[..6], [0.0, 0.5, 1.0, 2.0, 4.0, 8.0]);
-    assert_eq!(rig.states("/in0/a.1.ply").last(), Some(&Some(UnfinishedState::GivenUp)));
+    assert_eq!(rig.states("/in0/a.1.ply").last(), Some(&Some(UnfinishedState::AwaitsRestart)));
     rig.want();
     rig.pass(Duration::from_secs(3600));
     assert!(rig.started().is_empty());
@@ -578,7 +578,7 @@ fn recorded_owner_keeps_its_outputs_whichever_folder_is_scanned_first() {
     before.put("/in1/a.1.ply", 1);
     before.convert("/in1/a.1.ply");
     let mut recorded = RecordedState::default();
-    before.records.iter().for_each(|line| recorded.take(line));
+    before.records.iter().for_each(|line| recorded.insert(line));
 
     let restart = |files: &[&str]| {
         let mut rig = Rig::with(config.clone(), recorded.clone());
@@ -643,14 +643,14 @@ fn recorded(state: Option<UnfinishedState>) -> RecordedState {
     rig.put("/in0/a.1.ply", 1);
     rig.convert("/in0/a.1.ply");
     let mut recorded = RecordedState::default();
-    rig.records.iter().for_each(|line| recorded.take(line));
+    rig.records.iter().for_each(|line| recorded.insert(line));
     let queued = rig.records.iter().find_map(|line| match line {
         RecordLine::Unfinished(record) => Some(UnfinishedRecord::clone(record)),
         _ => None,
     });
     if let Some(state) = state {
         let record = UnfinishedRecord { state, ..queued.expect("it was queued") };
-        recorded.take(&RecordLine::Unfinished(record.into()));
+        recorded.insert(&RecordLine::Unfinished(record.into()));
     }
     recorded
 }
@@ -664,7 +664,7 @@ fn after_a_restart_only_unfinished_frames_are_converted() {
         (Some(UnfinishedState::Failed), true, 0),
         (Some(UnfinishedState::Queued), true, 1),
         (Some(UnfinishedState::Retrying), true, 1),
-        (Some(UnfinishedState::GivenUp), true, 1),
+        (Some(UnfinishedState::AwaitsRestart), true, 1),
         (Some(UnfinishedState::Refused), true, 1),
     ] {
         let mut rig = Rig::with(config(1, &choices), recorded(state));
