@@ -10,7 +10,7 @@ use rayon::ThreadPool;
 
 use crate::pipeline::{
     self, Frame, FrameFile, FrameReport, Job, OnError, Outcome, OutputFormat, OutputOptions, PipelineOptions,
-    ReportedWarnings, RunRecord, Scope, SequenceRecord, SequenceSource, StageReport, StageSequence,
+    ReportedWarnings, RunRecord, Scope, SequenceRecord, SequenceSource, UsdStageReport, UsdStageSequence,
     next_stage_update, output_path, shown, stage_frame_count, write_stage,
 };
 
@@ -112,7 +112,7 @@ impl<'a> Batch<'a> {
     }
 
     /// Converts all added frames. Updates the stage after each of them.
-    pub(super) fn convert(&mut self, mut stage: Option<&mut StageWriter>, console: &mut Console) {
+    pub(super) fn convert(&mut self, mut stage: Option<&mut UsdStageWriter>, console: &mut Console) {
         let items = std::mem::take(&mut self.items);
         let first_impossible = items.iter().position(|item| item.frame.is_err());
         // With --on-error stop, the frames after the first one that is known to fail are not started.
@@ -334,10 +334,10 @@ impl<'a> Batch<'a> {
 // The stage of `--stage`, which is updated while frames are converted.
 
 /// Updates a stage.
-pub(super) struct StageWriter {
+pub(super) struct UsdStageWriter {
     outputs: OutputOptions,
     /// All frames that the stage will have.
-    sequences: Vec<StageSequence>,
+    sequences: Vec<UsdStageSequence>,
     /// The number of frames in the stage that is replaced.
     former_count: usize,
     /// When the next update is due.
@@ -347,18 +347,18 @@ pub(super) struct StageWriter {
 /// Maximum number of missing files that are named, and of frames that are left out.
 const NAMED_MAX: usize = 3;
 
-impl StageWriter {
+impl UsdStageWriter {
     /// The stage that the options name, if they name one, with these frames.
     pub(super) fn new(
         outputs: &OutputOptions,
-        sequences: impl FnOnce() -> Vec<StageSequence>,
-    ) -> Option<StageWriter> {
+        sequences: impl FnOnce() -> Vec<UsdStageSequence>,
+    ) -> Option<UsdStageWriter> {
         let former_count = stage_frame_count(&outputs.stage.as_ref()?.path).ok().flatten().unwrap_or(0);
         let (outputs, sequences) = (outputs.clone(), sequences());
-        Some(StageWriter { outputs, sequences, former_count, due: Instant::now() })
+        Some(UsdStageWriter { outputs, sequences, former_count, due: Instant::now() })
     }
 
-    /// A frame is done. An error is left to [`StageWriter::finish`], because it may go away.
+    /// A frame is done. An error is left to [`UsdStageWriter::finish`], because it may go away.
     pub(super) fn update(&mut self) {
         let start = Instant::now();
         if start < self.due {
@@ -374,7 +374,7 @@ impl StageWriter {
             return outcome;
         };
         match write_stage(&self.outputs, &self.sequences) {
-            Ok(Some(StageReport { frame_count, missing, left_out, .. })) => {
+            Ok(Some(UsdStageReport { frame_count, missing, left_out, .. })) => {
                 left_out.iter().take(NAMED_MAX).for_each(|why| console.warning(why));
                 if left_out.len() > NAMED_MAX {
                     let more = pluralize(left_out.len() - NAMED_MAX, "more file");

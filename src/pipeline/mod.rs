@@ -135,15 +135,15 @@ pub use records::sequence_file::{
     SequenceError, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource, check_sequence_path,
     common_step, is_sequence_file, write_sequence_file,
 };
-pub(crate) use records::stage_file::STAGE_FRAMES;
-pub use records::stage_file::{
-    StageFrame, StageReport, StageSequence, next_stage_update, stage_frame_count, write_stage,
+pub(crate) use records::usd_stage::USD_STAGE_FRAMES;
+pub use records::usd_stage::{
+    UsdStageFrame, UsdStageReport, UsdStageSequence, next_stage_update, stage_frame_count, write_stage,
 };
 pub use stages::{OnError, PipelineOptions, default_in_flight, run, stream};
 pub use target::close_up::close_up;
 pub use target::framing::{Framed, Framing};
 pub use target::outputs::{
-    FRAME_RATES, METERS_PER_UNIT, OutputFormat, OutputOptions, StageOptions, output_path,
+    FRAME_RATES, METERS_PER_UNIT, OutputFormat, OutputOptions, UsdStageOptions, output_path,
 };
 pub use target::picture::{PictureOptions, PictureScene, encode_picture, up_of, velocities};
 pub use target::viewpoint::{CameraChoice, Viewpoint};

@@ -124,8 +124,7 @@ pub struct FrameRecords {
 
 #[derive(Debug, Default)]
 struct KnownRecords {
-    /// The records of each frame, the latest one last; they differ in inputs, settings,
-    /// obstacles, cameras or outputs.
+    /// The records of each frame, the latest one last; they differ in input, settings, obstacles, camera or outputs.
     done: HashMap<PathBuf, Vec<Arc<DoneRecord>>>,
     /// By the names of their outputs; one for each input.
     unfinished: HashMap<PathBuf, Vec<Arc<UnfinishedRecord>>>,

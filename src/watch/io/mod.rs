@@ -19,8 +19,8 @@ mod root;
 mod scan;
 pub mod selection;
 mod slow;
-mod stages;
 pub(crate) mod start;
+mod usd_stages;
 pub(crate) mod worker;
 #[cfg(target_os = "linux")]
 mod writers;

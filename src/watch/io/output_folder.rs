@@ -15,7 +15,7 @@ use crate::watch::core::events::{Event, OutputFolderState, OutputRequest, Presen
 use super::error::DaemonError;
 use super::lock::{FILE_NAME as LOCK_FILE_NAME, OutputLock};
 use super::mounts::{device, free_bytes};
-use super::stages::FolderStages;
+use super::usd_stages::FolderUsdStages;
 use super::worker::Work;
 
 /// A folder of outputs that only this daemon writes to.
@@ -27,7 +27,7 @@ pub(super) struct OutputFolderWorker {
     /// Whether the folder is in place. If another one has replaced it, nothing is written there.
     is_mounted: bool,
     next_check: Instant,
-    stages: FolderStages,
+    stages: FolderUsdStages,
 }
 
 /// Checks whether a folder of outputs is still the one that was opened.
@@ -97,7 +97,7 @@ impl OutputFolderWorker {
             tracing::warn!(folder = %folder.display(), "{problem}: converting the frames that are recorded there again");
         }
         let locked = Mutex::new(LockedFolder { lock, device });
-        let stages = FolderStages::new(&folder, config);
+        let stages = FolderUsdStages::new(&folder, config);
         Ok(OutputFolderWorker {
             index,
             guard: Arc::new(OutputGuard {
