@@ -97,7 +97,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     let records = matches!(destination, Destination::Folder)
         .then(|| open_records(&outputs.folder, console))
         .transpose()?;
-    let job = ConvertPlan {
+    let plan = ConvertPlan {
         sequence_files: SequenceOutputs::new(args, &outputs, selection.sequences.len())?,
         selection,
         job,
@@ -106,8 +106,8 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         outputs,
         records: records.map(Arc::new),
     };
-    job.refuse_conflicts(args.report.as_deref())?;
-    destination.send(job.convert(Batch::new(args, start)?, out_folder, console)?)
+    plan.refuse_conflicts(args.report.as_deref())?;
+    destination.copy_to_stdout(plan.run(Batch::new(args, start)?, out_folder, console)?)
 }
 
 /// Refuses given options for surfaces, for `--particles-only`.
@@ -194,7 +194,7 @@ impl ConvertPlan {
     }
 
     /// Converts the frames, and combines them into sequence files.
-    fn convert(&self, mut batch: Batch, folder: OutFolder, console: &mut Console) -> Result<CommandOutcome> {
+    fn run(&self, mut batch: Batch, folder: OutFolder, console: &mut Console) -> Result<CommandOutcome> {
         for selected in &self.selection.sequences {
             self.add(&mut batch, selected, console)?;
         }
@@ -210,7 +210,7 @@ impl ConvertPlan {
             let all = sequences.iter().map(|selected| &selected.sequence).chain(unselected);
             all.map(|sequence| stage_sequence(sequence, &self.outputs)).collect()
         });
-        batch.convert(stage.as_mut(), console);
+        batch.run_pipeline(stage.as_mut(), console);
         let (frames, frame_count) = (batch.sequence_frames().to_vec(), batch.frame_count());
         let pool = Arc::clone(&batch.pool);
         let mut verdict = batch.finish(console);
@@ -223,7 +223,8 @@ impl ConvertPlan {
     /// Adds the frames of a sequence to a batch, with the settings that they share.
     ///
     /// # Errors
-    /// If the options are invalid for every frame.
+    /// If the options are invalid for every frame. A sequence whose spacing or camera cannot be determined is not
+    /// an error: its frames are reported as failed.
     fn add(&self, batch: &mut Batch, selected: &SelectedSequence, console: &mut Console) -> Result<()> {
         let SelectedSequence { sequence, selected } = selected;
         let mut measured = None;

@@ -73,6 +73,8 @@ fn text_has_the_values_of_the_json() {
         awaiting_restart,
         "/sim/cut.ply: PLY, at byte 9: too short (4 attempts, will be retried when the file changes or the daemon restarts, 55s ago)"
     );
+    // Not only all retries: a frame that exceeds the memory limit is not retried at all.
+    assert_eq!(UnfinishedState::AwaitsRestart.to_string(), "failed");
     let mut flawed = state();
     let flaws = vec!["1 particle left out".into(), "failed validation".into()];
     flawed.insert(&RecordLine::Done(Arc::new(DoneRecord { flaws, ..done(2) })));

@@ -6,7 +6,7 @@
 //!   record_file       the file that a process appends to record_line       its lines
 //!   figures           measurements in a record           reason            why a frame is in its state
 //!   record            the report of a run                frame_warnings    warnings from measurements
-//!   sequence_file     all frames in one file             usd_stage        plays the files of the frames
+//!   sequence_file     all frames in one file             usd_stage         plays the files of the frames
 //!   picture_file      reads pictures from .png           content           frames, outputs and other files
 //! ```
 

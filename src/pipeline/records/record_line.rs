@@ -321,9 +321,8 @@ impl fmt::Display for UnfinishedState {
             UnfinishedState::Waiting => "not yet complete",
             UnfinishedState::Queued => "queued or in progress",
             UnfinishedState::Retrying => "failed, will be retried",
-            UnfinishedState::Failed => "failed",
+            UnfinishedState::Failed | UnfinishedState::AwaitsRestart => "failed",
             UnfinishedState::Refused => "not converted",
-            UnfinishedState::AwaitsRestart => "failed, until the file changes or the daemon restarts",
             UnfinishedState::Ignored => "not a frame",
         })
     }

@@ -27,7 +27,7 @@ pub(super) struct StageContext<'env> {
     pub(super) options: &'env PipelineOptions<'env>,
     pub(super) budget: Budget,
     /// The number of the first frame that failed.
-    failed_first: AtomicUsize,
+    first_failed: AtomicUsize,
 }
 
 /// The stages of one call of [`stream`](super::stream). The threads of the stages borrow this.
@@ -111,7 +111,7 @@ impl<'env> StageContext<'env> {
     /// The state before the first frame.
     pub(super) fn new(options: &'env PipelineOptions<'env>) -> StageContext<'env> {
         let budget = Budget::new(options.memory_bytes);
-        StageContext { options, budget, failed_first: AtomicUsize::new(usize::MAX) }
+        StageContext { options, budget, first_failed: AtomicUsize::new(usize::MAX) }
     }
 
     /// Reports that a frame begins a stage.
@@ -144,14 +144,14 @@ impl<'env> StageContext<'env> {
         finished: FinishedFrame<K>,
     ) -> bool {
         if is_failure(&finished.outcome) {
-            self.failed_first.fetch_min(number, Ordering::Relaxed);
+            self.first_failed.fetch_min(number, Ordering::Relaxed);
         }
         to.send(finished).is_ok()
     }
 
     /// Whether a frame before this one failed, under [`OnError::Stop`].
     pub(super) fn is_stopped_before(&self, number: usize) -> bool {
-        self.options.on_error == OnError::Stop && self.failed_first.load(Ordering::Relaxed) < number
+        self.options.on_error == OnError::Stop && self.first_failed.load(Ordering::Relaxed) < number
     }
 }
 

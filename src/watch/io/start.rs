@@ -6,14 +6,13 @@ use std::time::Instant;
 
 use crossbeam::channel::Sender;
 
-use crate::pipeline::{DaemonRecord, DaemonState, ObstacleFiles, canonical_path, now_ms};
+use crate::pipeline::{DaemonRecord, DaemonState, ObstacleFiles, canonical_path, host_name, now_ms};
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, Now, OutputRequest, RootRequest, SlowRequest, Worker};
 use crate::watch::core::state::Core;
 use crate::watch::status_store::StatusStore;
 
 use super::error::DaemonError;
-use super::lock::host_name;
 use super::output_folder::{OutputGuard, open_outputs};
 use super::pipeline::PipelineContext;
 use super::root::Root;
