@@ -7,7 +7,7 @@
 //! An event about a file may arrive late, twice or never. So each event contains the state of the file at a
 //! given time, and each result of a request carries the number of the request.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::fmt;
 use std::io;
 use std::path::PathBuf;
@@ -122,7 +122,7 @@ pub(crate) enum Presence {
 pub(crate) enum FoundObstacleStamps {
     /// All frames have the same stamps.
     Same(Arc<ObstacleStamps>),
-    PerNumber(std::collections::HashMap<Option<i64>, Arc<ObstacleStamps>>),
+    PerNumber(HashMap<Option<i64>, Arc<ObstacleStamps>>),
 }
 
 /// A frame that the pipeline has finished with.
