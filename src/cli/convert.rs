@@ -1,7 +1,7 @@
 //! `meniscus convert`: converts frames of particles into meshes and level sets.
 //!
 //! ```text
-//!   ConvertArgs ──▶ ConvertJob ──▶ Batch ──▶ pipeline
+//!   ConvertArgs ──▶ ConvertPlan ──▶ Batch ──▶ pipeline
 //!   as given        resolved       frames and their outcomes
 //! ```
 
@@ -15,7 +15,8 @@ use meniscus_formats::listed;
 
 use crate::pipeline::{
     Frame, FrameFile, FrameRecords, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions, STATE_FOLDER,
-    Sequence, SequenceRecord, StageFrame, StageSequence, check_existing, check_outputs, output_sequence,
+    Sequence, SequenceRecord, UsdStageFrame, UsdStageSequence, check_existing, check_outputs,
+    output_sequence,
 };
 use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::simd::level_warning;
@@ -28,7 +29,7 @@ use super::inputs::{
     InputSelection, SelectedSequence, check_output_path, refuse_level_sets, select_frames, selected_files,
 };
 use super::machine::thread_pool;
-use super::run::{Batch, StageWriter};
+use super::run::{Batch, UsdStageWriter};
 use super::sequence::SequenceOutputs;
 use super::settings::{
     measured_spacing, obstacle_files, outputs_of, print_settings, print_settings_of_any, report_settings,
@@ -96,7 +97,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     let records = matches!(destination, Destination::Folder)
         .then(|| open_records(&outputs.folder, console))
         .transpose()?;
-    let job = ConvertJob {
+    let plan = ConvertPlan {
         sequence_files: SequenceOutputs::new(args, &outputs, selection.sequences.len())?,
         selection,
         job,
@@ -105,8 +106,8 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         outputs,
         records: records.map(Arc::new),
     };
-    job.refuse_conflicts(args.report.as_deref())?;
-    destination.send(job.convert(Batch::new(args, start)?, out_folder, console)?)
+    plan.refuse_conflicts(args.report.as_deref())?;
+    destination.copy_to_stdout(plan.run(Batch::new(args, start)?, out_folder, console)?)
 }
 
 /// Refuses given options for surfaces, for `--particles-only`.
@@ -162,7 +163,7 @@ fn refuse_surface_formats(outputs: &OutputOptions) -> Result<()> {
 }
 
 /// What is converted to what, and how: the arguments, resolved against the files that exist.
-struct ConvertJob {
+struct ConvertPlan {
     selection: InputSelection,
     job: Job,
     options: MethodOptions,
@@ -172,7 +173,7 @@ struct ConvertJob {
     records: Option<Arc<FrameRecords>>,
 }
 
-impl ConvertJob {
+impl ConvertPlan {
     /// Refuses outputs that would replace inputs, obstacles, data of other programs or each other. Inputs that
     /// are not selected are protected, too.
     ///
@@ -193,7 +194,7 @@ impl ConvertJob {
     }
 
     /// Converts the frames, and combines them into sequence files.
-    fn convert(&self, mut batch: Batch, folder: OutFolder, console: &mut Console) -> Result<CommandOutcome> {
+    fn run(&self, mut batch: Batch, folder: OutFolder, console: &mut Console) -> Result<CommandOutcome> {
         for selected in &self.selection.sequences {
             self.add(&mut batch, selected, console)?;
         }
@@ -204,12 +205,12 @@ impl ConvertJob {
             })?;
         }
         folder.keep();
-        let mut stage = StageWriter::new(&self.outputs, || {
+        let mut stage = UsdStageWriter::new(&self.outputs, || {
             let InputSelection { sequences, unselected, .. } = &self.selection;
             let all = sequences.iter().map(|selected| &selected.sequence).chain(unselected);
             all.map(|sequence| stage_sequence(sequence, &self.outputs)).collect()
         });
-        batch.convert(stage.as_mut(), console);
+        batch.run_pipeline(stage.as_mut(), console);
         let (frames, frame_count) = (batch.sequence_frames().to_vec(), batch.frame_count());
         let pool = Arc::clone(&batch.pool);
         let mut verdict = batch.finish(console);
@@ -222,7 +223,8 @@ impl ConvertJob {
     /// Adds the frames of a sequence to a batch, with the settings that they share.
     ///
     /// # Errors
-    /// If the options are invalid for every frame.
+    /// If the options are invalid for every frame. A sequence whose spacing or camera cannot be determined is not
+    /// an error: its frames are reported as failed.
     fn add(&self, batch: &mut Batch, selected: &SelectedSequence, console: &mut Console) -> Result<()> {
         let SelectedSequence { sequence, selected } = selected;
         let mut measured = None;
@@ -272,10 +274,10 @@ impl ConvertJob {
 }
 
 /// All frames of a sequence, selected or not.
-fn stage_sequence(sequence: &Sequence, outputs: &OutputOptions) -> StageSequence {
-    let frame = |file: &FrameFile| StageFrame::new(outputs, &file.stem(), file.number());
+fn stage_sequence(sequence: &Sequence, outputs: &OutputOptions) -> UsdStageSequence {
+    let frame = |file: &FrameFile| UsdStageFrame::new(outputs, &file.stem(), file.number());
     let name = sequence.frames.first().map_or(String::new(), |file| output_sequence(&file.sequence().1));
-    StageSequence { name, frames: sequence.frames.iter().map(frame).collect() }
+    UsdStageSequence { name, frames: sequence.frames.iter().map(frame).collect() }
 }
 
 // `convert --shard`: a part of the frames, so that several machines can share the work.

@@ -140,7 +140,7 @@ impl Destination {
     ///
     /// # Errors
     /// If the result cannot be read, or the standard output cannot be written.
-    pub(super) fn send(self, verdict: CommandOutcome) -> Result<CommandOutcome> {
+    pub(super) fn copy_to_stdout(self, verdict: CommandOutcome) -> Result<CommandOutcome> {
         let Destination::Stdout { folder, extension } = self else { return Ok(verdict) };
         if verdict == CommandOutcome::NothingDone {
             return Ok(verdict);

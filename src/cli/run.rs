@@ -10,7 +10,7 @@ use rayon::ThreadPool;
 
 use crate::pipeline::{
     self, Frame, FrameFile, FrameReport, Job, OnError, Outcome, OutputFormat, OutputOptions, PipelineOptions,
-    ReportedWarnings, RunRecord, Scope, SequenceRecord, SequenceSource, StageReport, StageSequence,
+    ReportedWarnings, RunRecord, Scope, SequenceRecord, SequenceSource, UsdStageReport, UsdStageSequence,
     next_stage_update, output_path, shown, stage_frame_count, write_stage,
 };
 
@@ -56,7 +56,7 @@ struct Outcomes {
     not_started_count: usize,
     failures: Vec<String>,
     /// The value of `noted_count` at the first failure.
-    failed_first: Option<usize>,
+    noted_at_first_failure: Option<usize>,
     /// The warnings that were printed, by the index of their sequence.
     printed: HashMap<usize, ReportedWarnings>,
     /// The number of warnings, of all sequences, that were not printed because a similar one of the same
@@ -112,12 +112,12 @@ impl<'a> Batch<'a> {
     }
 
     /// Converts all added frames. Updates the stage after each of them.
-    pub(super) fn convert(&mut self, mut stage: Option<&mut StageWriter>, console: &mut Console) {
+    pub(super) fn run_pipeline(&mut self, mut stage: Option<&mut UsdStageWriter>, console: &mut Console) {
         let items = std::mem::take(&mut self.items);
         let first_impossible = items.iter().position(|item| item.frame.is_err());
         // With --on-error stop, the frames after the first one that is known to fail are not started.
-        let begin_count = first_impossible.filter(|_| self.on_error == OnError::Stop).unwrap_or(items.len());
-        let (item_indices, frames): (Vec<usize>, Vec<Frame>) = items[..begin_count]
+        let start_count = first_impossible.filter(|_| self.on_error == OnError::Stop).unwrap_or(items.len());
+        let (item_indices, frames): (Vec<usize>, Vec<Frame>) = items[..start_count]
             .iter()
             .enumerate()
             .filter_map(|(item_index, item)| Some((item_index, item.frame.clone().ok()?)))
@@ -134,9 +134,9 @@ impl<'a> Batch<'a> {
             ..PipelineOptions::new(&pool)
         };
         pipeline::run(&frames, &options, |index, outcome| {
-            // The record and the console follow the order of the inputs.
             let report = if let Outcome::Converted(report) = &outcome { Some(&**report) } else { None };
             progress.finished(&frames[index], report);
+            // The record and the console follow the order of the inputs.
             self.note_without_outcome(&items[self.outcomes.noted_count..item_indices[index]], console);
             self.note(&frames[index], items[item_indices[index]].sequence_index, &outcome, has_bar, console);
             if let Some(stage) = &mut stage {
@@ -270,7 +270,7 @@ impl<'a> Batch<'a> {
     }
 
     fn fail(&mut self, failure: String) {
-        self.outcomes.failed_first.get_or_insert(self.outcomes.noted_count);
+        self.outcomes.noted_at_first_failure.get_or_insert(self.outcomes.noted_count);
         self.outcomes.failures.push(failure);
     }
 
@@ -292,7 +292,10 @@ impl<'a> Batch<'a> {
         }
         console.print_line(format_args!("{summary}, in {seconds:.2} s"));
         // If the first error has scrolled out of view, all errors are printed again.
-        if self.outcomes.failed_first.is_some_and(|first| self.outcomes.noted_count - first > FRAMES_IN_VIEW)
+        if self
+            .outcomes
+            .noted_at_first_failure
+            .is_some_and(|first| self.outcomes.noted_count - first > FRAMES_IN_VIEW)
         {
             for failure in &self.outcomes.failures {
                 console.warn(format_args!("failed: {failure}"));
@@ -334,10 +337,10 @@ impl<'a> Batch<'a> {
 // The stage of `--stage`, which is updated while frames are converted.
 
 /// Updates a stage.
-pub(super) struct StageWriter {
+pub(super) struct UsdStageWriter {
     outputs: OutputOptions,
     /// All frames that the stage will have.
-    sequences: Vec<StageSequence>,
+    sequences: Vec<UsdStageSequence>,
     /// The number of frames in the stage that is replaced.
     former_count: usize,
     /// When the next update is due.
@@ -347,18 +350,18 @@ pub(super) struct StageWriter {
 /// Maximum number of missing files that are named, and of frames that are left out.
 const NAMED_MAX: usize = 3;
 
-impl StageWriter {
+impl UsdStageWriter {
     /// The stage that the options name, if they name one, with these frames.
     pub(super) fn new(
         outputs: &OutputOptions,
-        sequences: impl FnOnce() -> Vec<StageSequence>,
-    ) -> Option<StageWriter> {
+        sequences: impl FnOnce() -> Vec<UsdStageSequence>,
+    ) -> Option<UsdStageWriter> {
         let former_count = stage_frame_count(&outputs.stage.as_ref()?.path).ok().flatten().unwrap_or(0);
         let (outputs, sequences) = (outputs.clone(), sequences());
-        Some(StageWriter { outputs, sequences, former_count, due: Instant::now() })
+        Some(UsdStageWriter { outputs, sequences, former_count, due: Instant::now() })
     }
 
-    /// A frame is done. An error is left to [`StageWriter::finish`], because it may go away.
+    /// A frame is done. An error is left to [`UsdStageWriter::finish`], because it may go away.
     pub(super) fn update(&mut self) {
         let start = Instant::now();
         if start < self.due {
@@ -374,7 +377,7 @@ impl StageWriter {
             return outcome;
         };
         match write_stage(&self.outputs, &self.sequences) {
-            Ok(Some(StageReport { frame_count, missing, left_out, .. })) => {
+            Ok(Some(UsdStageReport { frame_count, missing, left_out, .. })) => {
                 left_out.iter().take(NAMED_MAX).for_each(|why| console.warning(why));
                 if left_out.len() > NAMED_MAX {
                     let more = pluralize(left_out.len() - NAMED_MAX, "more file");

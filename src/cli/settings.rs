@@ -13,7 +13,7 @@ use toml::Value;
 
 use crate::pipeline::{
     self, EMPTY_BOUNDS, FrameError, FrameFile, Job, MeasuredSpacing, NoSpacing, ObstacleFiles, OutputFormat,
-    OutputOptions, Sequence, StageOptions, frame_name, frames_in, is_level_set, is_own_output,
+    OutputOptions, Sequence, UsdStageOptions, frame_name, frames_in, is_level_set, is_own_output,
     measure_spacing, open_regular, sequence_bounds, step_of,
 };
 use crate::surface::options::{
@@ -451,7 +451,7 @@ fn keys(
         });
     }
     keys.extend(format_keys(outputs));
-    if let Some(StageOptions { path, fps }) = &outputs.stage {
+    if let Some(UsdStageOptions { path, fps }) = &outputs.stage {
         keys.extend([entry("stage", &absolute_text(path)?), entry("fps", &fps.to_string())]);
     }
     Ok(keys)

@@ -89,14 +89,14 @@ pub use input::attributes::AttributeRequest;
 pub use input::bounds::{EMPTY_BOUNDS, bounds_of_particles, sequence_bounds};
 pub use input::conflicts::{Conflict, check_outputs};
 pub use input::filter::keep_chosen;
-pub use input::frame::{Frame, FrameReport, Job, Outcome, ReadInput, Seconds};
+pub use input::frame::{Frame, FrameReport, InputState, Job, Outcome, Seconds};
 pub use input::level_set_file::{LevelSetFile, is_level_set};
 pub(crate) use input::measured_spacing::{Attempt, measure_sequence};
 pub use input::measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing};
 pub use input::mesh_file::{MeshFile, is_mesh};
 pub use input::obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use input::reading::{
-    ReadFrame, hash_of_input, parse_particles, particles, read_file, read_particles_of,
+    ParsedParticles, hash_of_input, parse_particles, particles, read_file, read_particles_of,
 };
 pub(crate) use input::source::output_stem;
 pub use input::source::{
@@ -135,15 +135,15 @@ pub use records::sequence_file::{
     SequenceError, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource, check_sequence_path,
     common_step, is_sequence_file, write_sequence_file,
 };
-pub(crate) use records::stage_file::STAGE_FRAMES;
-pub use records::stage_file::{
-    StageFrame, StageReport, StageSequence, next_stage_update, stage_frame_count, write_stage,
+pub(crate) use records::usd_stage::USD_STAGE_FRAMES;
+pub use records::usd_stage::{
+    UsdStageFrame, UsdStageReport, UsdStageSequence, next_stage_update, stage_frame_count, write_stage,
 };
 pub use stages::{OnError, PipelineOptions, default_in_flight, run, stream};
 pub use target::close_up::close_up;
 pub use target::framing::{Framed, Framing};
 pub use target::outputs::{
-    FRAME_RATES, METERS_PER_UNIT, OutputFormat, OutputOptions, StageOptions, output_path,
+    FRAME_RATES, METERS_PER_UNIT, OutputFormat, OutputOptions, UsdStageOptions, output_path,
 };
 pub use target::picture::{PictureOptions, PictureScene, encode_picture, up_of, velocities};
 pub use target::viewpoint::{CameraChoice, Viewpoint};

@@ -13,7 +13,7 @@ use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame_input::FrameInput;
 use crate::pipeline::input::obstacles::ObstacleFiles;
-use crate::pipeline::input::reading::{ReadFrame, parse_particles, read_file};
+use crate::pipeline::input::reading::{ParsedParticles, parse_particles, read_file};
 use crate::pipeline::method;
 use crate::pipeline::output::writing::surface_warnings;
 use crate::pipeline::records::frame_warnings::left_out;
@@ -55,7 +55,7 @@ impl LoadedFrame {
             let hash = XxHash3_128::oneshot(&bytes);
             let read = parse_particles(path, &bytes, &AttributeRequest::for_settings(settings))
                 .map_err(|error| error.cause)?;
-            let ReadFrame { cloud, warnings, .. } = read;
+            let ParsedParticles { cloud, warnings, .. } = read;
             Ok(LoadedFrame { path: path.to_owned(), number, cloud, hash, warnings })
         })
     }

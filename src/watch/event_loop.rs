@@ -101,7 +101,7 @@ impl<'a> EventLoop<'a> {
         let mut is_ready = false;
         self.core.start();
         loop {
-            self.settle_batch();
+            self.decide();
             if once && let Some((root, why)) = self.core.unavailable_root() {
                 let folder = self.context.config.watches[root].input.clone();
                 self.end()?;
@@ -153,8 +153,8 @@ impl<'a> EventLoop<'a> {
     }
 
     /// Decides what follows from several events together, publishes it, and carries out the effects.
-    fn settle_batch(&mut self) {
-        self.core.settle_batch(now());
+    fn decide(&mut self) {
+        self.core.decide(now());
         self.carry_out();
     }
 
@@ -214,7 +214,7 @@ impl<'a> EventLoop<'a> {
         self.last_tick = None;
         let mut overdue_at = Some(Instant::now() + STOP_DEADLINE);
         while !self.has_pipeline_ended {
-            self.settle_batch();
+            self.decide();
             self.tick();
             let wait = overdue_at.map_or(TICK, |at| at.saturating_duration_since(Instant::now()).min(TICK));
             let event = self.events.recv_timeout(wait);
@@ -230,7 +230,7 @@ impl<'a> EventLoop<'a> {
                 (self.notices)(Notice::Overdue);
             }
         }
-        self.settle_batch();
+        self.decide();
         self.finish(EndReason::Finish)
     }
 
@@ -285,7 +285,7 @@ fn matters_at_the_end(event: &Event) -> bool {
         event,
         Event::FrameReturned { .. }
             | Event::FrameFinished(_)
-            | Event::OutputDirChecked(_)
+            | Event::OutputFolderChecked(_)
             | Event::WorkerStalled(_)
             | Event::WorkerAnswered(_)
     )

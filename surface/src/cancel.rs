@@ -143,7 +143,8 @@ mod tests {
 
     #[test]
     fn panic_is_passed_on() {
-        let payload = catch_unwind(|| catch::<(), Error>(|| resume_unwind(Box::new(5)))).expect_err("a panic");
+        let payload =
+            catch_unwind(|| catch::<(), Error>(|| resume_unwind(Box::new(5)))).expect_err("a panic");
         assert_eq!(payload.downcast_ref(), Some(&5));
     }
 

@@ -18,7 +18,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use meniscus_formats::{UpAxis, vdb};
 
-use crate::pipeline::{CameraChoice, METERS_PER_UNIT, OnError, OutputFormat, OutputOptions, StageOptions};
+use crate::pipeline::{CameraChoice, METERS_PER_UNIT, OnError, OutputFormat, OutputOptions, UsdStageOptions};
 use crate::surface::options::{MethodOptions, OptionGroup, expected, ranged};
 use crate::surface::particles::ParticleFilter;
 use crate::surface::reconstruction::DEVIATION_MAX_VOXELS;
@@ -341,7 +341,7 @@ impl FormatArgs {
             meters_per_unit: self.meters_per_unit.unwrap_or(default.meters_per_unit),
             vdb: self.vdb.unwrap_or(default.vdb),
             picture,
-            stage: self.stage.clone().map(|path| StageOptions { path, fps: self.fps.unwrap_or(FPS) }),
+            stage: self.stage.clone().map(|path| UsdStageOptions { path, fps: self.fps.unwrap_or(FPS) }),
             ..default
         };
         check_stage(&outputs)?;
@@ -362,7 +362,7 @@ impl FormatArgs {
 
 /// Refuses a stage with another extension, and one that plays no files.
 fn check_stage(outputs: &OutputOptions) -> Result<()> {
-    let Some(StageOptions { path, .. }) = &outputs.stage else { return Ok(()) };
+    let Some(UsdStageOptions { path, .. }) = &outputs.stage else { return Ok(()) };
     if path.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("usda")) {
         bail!("--stage {}: the name of this file must end in .usda", path.display());
     }
@@ -1015,8 +1015,8 @@ JSON: an object with the following; with --config a list of such objects; with F
                    are known reason, particles, seconds and flaws. waiting: files that are not yet
                    complete; last_done: the newest first, five at most; flawed: those converted without
                    some particles, or that failed validation. state: waiting, queued, done, retrying,
-                   failed, refused (because of other files), given_up (after all retries), ignored (not a
-                   frame). settings: equal for frames that were converted with the same settings
+                   failed, refused (because of other files), given_up (until the file changes or the daemon
+                   restarts), ignored (not a frame). settings: equal for frames that were converted with the same settings
 Times that end in _ms are milliseconds since 1970.";
 
 // The options of `meniscus completions` and `meniscus man`.

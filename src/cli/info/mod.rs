@@ -21,8 +21,8 @@ use meniscus_formats::{
 use serde::Serialize;
 
 use crate::pipeline::{
-    FrameError, STAGE_FRAMES, file_of, frames_in, frames_in_unless, is_absent, measure_spacing, open_regular,
-    read_file, read_regular, step_of,
+    FrameError, USD_STAGE_FRAMES, file_of, frames_in, frames_in_unless, is_absent, measure_spacing,
+    open_regular, read_file, read_regular, step_of,
 };
 
 use crate::surface::options::SpacingOptions;
@@ -301,7 +301,7 @@ fn reason(error: &FrameError) -> anyhow::Error {
 
 /// What a stage plays, and when.
 fn stage_note(made_by: &BTreeMap<String, String>, bytes: &[u8]) -> String {
-    let frames = made_by.get(STAGE_FRAMES).map_or("its", String::as_str);
+    let frames = made_by.get(USD_STAGE_FRAMES).map_or("its", String::as_str);
     let times = usda::read_times(bytes).map_or_else(String::new, |([first, last], fps)| {
         format!(", from time code {first} to {last}, at {fps} frames per second")
     });

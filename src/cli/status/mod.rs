@@ -227,7 +227,7 @@ impl StatusRecord {
             last_done: Vec::new(),
             flawed: Vec::new(),
         };
-        let [mut refused, mut given_up, mut done] = [const { Vec::new() }; 3];
+        let [mut refused, mut awaiting_restart, mut done] = [const { Vec::new() }; 3];
         for (input, frame) in recorded {
             let frame = FrameStatus::new(input, frame, &folder, is_running);
             match frame.state {
@@ -237,11 +237,11 @@ impl StatusRecord {
                 Some(UnfinishedState::Retrying) => status.retrying.push(frame),
                 Some(UnfinishedState::Failed) => status.failed.push(frame),
                 Some(UnfinishedState::Refused) => refused.push(frame),
-                Some(UnfinishedState::GivenUp) => given_up.push(frame),
+                Some(UnfinishedState::AwaitsRestart) => awaiting_restart.push(frame),
                 Some(UnfinishedState::Ignored) => {}
             }
         }
-        status.failed.extend(refused.into_iter().chain(given_up));
+        status.failed.extend(refused.into_iter().chain(awaiting_restart));
         status.counts = StatusCounts {
             done: done.len(),
             queued: status.counts.queued,
@@ -360,7 +360,7 @@ impl FrameStatus {
                 retried: match record.state {
                     UnfinishedState::Refused if is_running => Some("will be checked again at each scan"),
                     UnfinishedState::Refused => Some("will be checked again when a daemon starts"),
-                    UnfinishedState::GivenUp => {
+                    UnfinishedState::AwaitsRestart => {
                         Some("will be retried when the file changes or the daemon restarts")
                     }
                     _ => None,

@@ -19,12 +19,12 @@ fn done(number: u64) -> DoneRecord {
 fn state() -> RecordedState {
     let mut state = RecordedState { daemon: Some(daemon(DaemonState::Running)), ..RecordedState::default() };
     for number in 1..=30 {
-        state.take(&RecordLine::Done(done(number).into()));
+        state.insert(&RecordLine::Done(done(number).into()));
     }
     let mut add = |name: &str, unfinished, reason, (attempts, at_ms)| {
         let record = unfinished_record(&Path::new("/sim").join(name), unfinished);
         let record = UnfinishedRecord { reason, attempts, at_ms, ..record };
-        state.take(&RecordLine::Unfinished(record.into()));
+        state.insert(&RecordLine::Unfinished(record.into()));
     };
     let error = |what: &str| Some(Reason::Error(what.to_owned()));
     for number in 1..=25 {
@@ -35,7 +35,7 @@ fn state() -> RecordedState {
     add("next.ply", UnfinishedState::Queued, None, (0, 9000));
     add("new.ply", UnfinishedState::Waiting, Some(Reason::Changing), (0, 9000));
     let why = error("/sim/cut.ply: PLY, at byte 9: too short");
-    add("cut.ply", UnfinishedState::GivenUp, why, (4, 9000));
+    add("cut.ply", UnfinishedState::AwaitsRestart, why, (4, 9000));
     state
 }
 
@@ -68,14 +68,16 @@ fn text_has_the_values_of_the_json() {
     assert_eq!(lines[25], "  and 6 more: --json has them all");
     assert_eq!(lines[27], "  /sim/late.ply: cannot be read: busy (3 attempts, 55s ago)");
     assert_eq!(lines[29], "  /sim/dam.30.ply: 250000 particles, 2.25 s, 34s ago");
-    let given_up = record(&state(), Holder::Unlocked).failed[25].text(64_000);
+    let awaiting_restart = record(&state(), Holder::Unlocked).failed[25].text(64_000);
     assert_eq!(
-        given_up,
+        awaiting_restart,
         "/sim/cut.ply: PLY, at byte 9: too short (4 attempts, will be retried when the file changes or the daemon restarts, 55s ago)"
     );
+    // Not only all retries: a frame that exceeds the memory limit is not retried at all.
+    assert_eq!(UnfinishedState::AwaitsRestart.to_string(), "failed");
     let mut flawed = state();
     let flaws = vec!["1 particle left out".into(), "failed validation".into()];
-    flawed.take(&RecordLine::Done(Arc::new(DoneRecord { flaws, ..done(2) })));
+    flawed.insert(&RecordLine::Done(Arc::new(DoneRecord { flaws, ..done(2) })));
     let text = record(&flawed, Holder::Unlocked).lines(64_000).join("\n");
     let marked = "done, but failed validation or left out particles:\n  /sim/dam.2.ply: 250000 particles, 2.25 s, 1m 2s ago; \
                   1 particle left out; failed validation";

@@ -215,7 +215,7 @@ impl Frame {
 
 /// The state of a file that was read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ReadInput {
+pub struct InputState {
     /// The stamp of the file, the same before and after the read.
     pub stamp: FileStamp,
     /// A hash of the file's bytes. It distinguishes files reliably, but is not secure against deliberate
@@ -231,7 +231,7 @@ pub enum Outcome {
     /// All outputs existed already, from the same input with the same settings.
     AlreadyDone {
         /// The state of the input that was read.
-        input: ReadInput,
+        input: InputState,
         /// The record of the frame.
         record: Arc<DoneRecord>,
     },
@@ -297,7 +297,7 @@ impl Seconds {
 #[derive(Clone, Debug, Default)]
 pub struct FrameReport {
     /// The state of the input that was read.
-    pub input: ReadInput,
+    pub input: InputState,
     /// The report of the method.
     pub reconstruction: ReconstructionReport,
     /// The names and hashes of its obstacle files; empty without obstacles.

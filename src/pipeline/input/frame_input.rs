@@ -63,7 +63,7 @@ impl LevelSetInput {
 /// # Errors
 /// When the file has no readable level set, or its surface cannot be made with the settings or written in a
 /// format of the frame.
-pub(crate) fn read_input(
+pub(crate) fn read_level_set(
     frame: &Frame,
     bytes: &[u8],
     memory_bytes: u64,

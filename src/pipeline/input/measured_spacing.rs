@@ -29,7 +29,7 @@ use crate::surface::words::{pluralize, significant};
 
 use super::attributes::AttributeRequest;
 use super::frame_input::{FileParticles, FrameInput};
-use super::reading::{ReadFrame, parse_particles, read_file};
+use super::reading::{ParsedParticles, parse_particles, read_file};
 use super::steps::{frame_name, step_of};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::InputFile;
@@ -261,7 +261,7 @@ fn large_file(path: &Path) -> Result<Option<FileParticles>, FrameError> {
 /// In files of this size and larger, only a sample of the positions is measured, and no radii.
 const SAMPLED_FROM_BYTES: u64 = 256 << 20;
 
-fn measured_of(path: &Path, read: &ReadFrame, options: &SpacingOptions) -> Option<FrameSpacing> {
+fn measured_of(path: &Path, read: &ParsedParticles, options: &SpacingOptions) -> Option<FrameSpacing> {
     let per_particle_radius = options.per_particle_radius.as_ref();
     let own_spacing = per_particle_radius.and_then(|own| own.spacing(&read.cloud.attributes));
     let by_positions = match own_spacing {
@@ -374,9 +374,9 @@ mod tests {
             };
             let positions = OwnedPositions::F64(Vec::clone(&positions));
             let cloud = ParticleCloud { attributes: vec![radii], ..ParticleCloud::from(positions) };
-            ReadFrame { cloud, warnings: Vec::new(), unused_velocity: None }
+            ParsedParticles { cloud, warnings: Vec::new(), unused_velocity: None }
         };
-        let of_frame = |read: &ReadFrame, own: Option<&PerParticleRadius>| {
+        let of_frame = |read: &ParsedParticles, own: Option<&PerParticleRadius>| {
             let options = SpacingOptions { per_particle_radius: own.cloned(), ..SpacingOptions::default() };
             combined(&[measured_of(Path::new("a"), read, &options).expect("enough")]).expect("a frame")
         };

@@ -24,7 +24,7 @@ use crate::pipeline::warning::Warning;
 
 /// The contents of a particle file that the pipeline needs.
 #[derive(Clone, Debug)]
-pub struct ReadFrame {
+pub struct ParsedParticles {
     /// The particles.
     pub cloud: ParticleCloud,
     /// Warnings about the file, which could be read nevertheless.
@@ -104,7 +104,7 @@ pub fn parse_particles(
     path: &Path,
     bytes: &[u8],
     wanted: &AttributeRequest,
-) -> Result<ReadFrame, FrameError> {
+) -> Result<ParsedParticles, FrameError> {
     let mut frame = read_particles_of(path, bytes)?;
     let missing_error =
         |what| FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Missing(what) };
@@ -119,7 +119,7 @@ pub fn parse_particles(
     let (attributes, missing) = wanted.select(attributes).map_err(missing_error)?;
     let warnings = notes.into_iter().map(Warning::Sentence).chain(about_kinds).chain(missing).collect();
     let cloud = ParticleCloud { positions: particles(positions), shapes: Shapes::Uniform, attributes };
-    Ok(ReadFrame { cloud, warnings, unused_velocity })
+    Ok(ParsedParticles { cloud, warnings, unused_velocity })
 }
 
 /// Converts positions to the type of the reconstruction.

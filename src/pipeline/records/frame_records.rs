@@ -125,7 +125,7 @@ pub struct FrameRecords {
 
 #[derive(Debug, Default)]
 struct KnownRecords {
-    /// The records of each frame, the latest one last; one for each input and settings.
+    /// The records of each frame, the latest one last; they differ in input, settings, obstacles, camera or outputs.
     done: HashMap<PathBuf, Vec<Arc<DoneRecord>>>,
     /// By the names of their outputs; one for each input.
     unfinished: HashMap<PathBuf, Vec<Arc<UnfinishedRecord>>>,
@@ -168,7 +168,7 @@ pub struct RecordedFrame {
 
 impl RecordedState {
     /// Adds what the latest line says.
-    pub fn take(&mut self, line: &RecordLine) {
+    pub fn insert(&mut self, line: &RecordLine) {
         match line {
             RecordLine::Settings { .. } => {}
             RecordLine::Done(record) => {
@@ -239,7 +239,7 @@ impl FrameRecords {
     /// # Errors
     /// When the system refuses.
     pub fn prepare(&self) -> io::Result<()> {
-        self.content().open_own(&self.state_folder())
+        self.content().open_own_file(&self.state_folder())
     }
 
     /// The folder of the outputs.
@@ -377,7 +377,7 @@ impl FrameRecords {
         Arc::make_mut(&mut record).at_ms = at_ms;
         let line = RecordLine::Done(Arc::clone(&record));
         content.write(&self.state_folder(), Some(&line))?;
-        content.take(line);
+        content.insert(line);
         Ok(record)
     }
 
@@ -425,7 +425,7 @@ impl FrameRecords {
             RecordLine::Sequence { .. } | RecordLine::Settings { .. } => {}
         }
         content.unwritten.insert(line.key(), line.clone());
-        content.take(line);
+        content.insert(line);
     }
 
     /// Writes the lines that were kept.
@@ -555,7 +555,7 @@ impl KnownRecords {
     }
 
     /// Adds a record.
-    fn take(&mut self, line: RecordLine) {
+    fn insert(&mut self, line: RecordLine) {
         match line {
             RecordLine::Settings { id, values } => {
                 self.settings.insert(id, values);
@@ -653,7 +653,7 @@ impl KnownRecords {
             // A torn, damaged or foreign line is skipped: its frame is converted again.
             let record = line.strip_suffix(b"\n").and_then(record_of_line);
             match record.and_then(|json| serde_json::from_slice(json).ok()) {
-                Some(record) => self.take(record),
+                Some(record) => self.insert(record),
                 None if line.ends_with(TORN_LINE_END) => {}
                 None => *self.damaged.entry(path.to_owned()).or_default() += 1,
             }
@@ -661,7 +661,7 @@ impl KnownRecords {
     }
 
     /// Opens the file that this process appends to, unless it is open and in place.
-    fn open_own(&mut self, folder: &Path) -> io::Result<()> {
+    fn open_own_file(&mut self, folder: &Path) -> io::Result<()> {
         match self.own.take() {
             Some(own) if own.is_in_place() => {
                 let own = if own.is_superseded(self.line_count()) { own.tidied(folder)? } else { own };
@@ -692,7 +692,7 @@ impl KnownRecords {
         if line.is_none() && self.unwritten.is_empty() {
             return Ok(());
         }
-        self.open_own(folder)?;
+        self.open_own_file(folder)?;
         if let Err(error) = self.append(line) {
             // There is no room for another file, either.
             if is_disk_full(&error) {
@@ -1040,13 +1040,13 @@ mod tests {
             let name = format!("dam{index}.{{}}.ply");
             other.keep(sequence(&name, 2.0, 2));
             let line = sequence(&name, spacing, 3);
-            expected.take(&line);
+            expected.insert(&line);
             one.keep(line);
             other.keep(sequence(&name, 1.0, 1));
         }
         let waiting = unfinished("a", UnfinishedState::Waiting, u64::MAX);
         for line in [waiting, daemon(DaemonState::Paused("the disk is full".to_owned()), 5)] {
-            expected.take(&line);
+            expected.insert(&line);
             one.keep(line);
         }
         other.keep(unfinished("a", UnfinishedState::Failed, 4));

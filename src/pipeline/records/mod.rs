@@ -6,7 +6,7 @@
 //!   record_file       the file that a process appends to record_line       its lines
 //!   figures           measurements in a record           reason            why a frame is in its state
 //!   record            the report of a run                frame_warnings    warnings from measurements
-//!   sequence_file     all frames in one file             stage_file        plays the files of the frames
+//!   sequence_file     all frames in one file             usd_stage         plays the files of the frames
 //!   picture_file      reads pictures from .png           content           frames, outputs and other files
 //! ```
 
@@ -21,4 +21,4 @@ pub(super) mod record;
 mod record_file;
 pub(super) mod record_line;
 pub(super) mod sequence_file;
-pub(super) mod stage_file;
+pub(super) mod usd_stage;

@@ -151,9 +151,10 @@ pub enum UnfinishedState {
     /// It cannot be converted because of other files. They may change while the frame does not, so it is
     /// inspected again when the daemon starts.
     Refused,
-    /// It failed with an error that may be temporary, and all retries failed: it is retried when the daemon
-    /// starts.
-    GivenUp,
+    /// Only a changed file or a restart of the daemon can help: all retries failed, or the memory limit is too
+    /// low.
+    #[serde(rename = "given_up")]
+    AwaitsRestart,
     /// It turned out not to be a frame.
     Ignored,
 }
@@ -309,7 +310,7 @@ impl DoneRecord {
 impl UnfinishedState {
     /// Whether the frame has failed, until something changes.
     pub fn is_failure(self) -> bool {
-        matches!(self, UnfinishedState::Failed | UnfinishedState::Refused | UnfinishedState::GivenUp)
+        matches!(self, UnfinishedState::Failed | UnfinishedState::Refused | UnfinishedState::AwaitsRestart)
     }
 }
 
@@ -319,9 +320,8 @@ impl fmt::Display for UnfinishedState {
             UnfinishedState::Waiting => "not yet complete",
             UnfinishedState::Queued => "queued or in progress",
             UnfinishedState::Retrying => "failed, will be retried",
-            UnfinishedState::Failed => "failed",
+            UnfinishedState::Failed | UnfinishedState::AwaitsRestart => "failed",
             UnfinishedState::Refused => "not converted",
-            UnfinishedState::GivenUp => "failed, after all retries",
             UnfinishedState::Ignored => "not a frame",
         })
     }

@@ -2,17 +2,16 @@
 //! computes nothing itself.
 
 use crossbeam::channel::Sender;
-use meniscus_formats::{Limits, read_particles};
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::filter::keep_chosen;
 use crate::pipeline::input::frame::Frame;
-use crate::pipeline::input::steps::{by_lines_of_file, file_of};
+use crate::pipeline::input::reading::read_particles_of;
 use crate::pipeline::method::{self, StagedInput};
 use crate::surface::reconstruction::FrameSurface;
 
 use super::shared::{
-    FinishedFrame, InputInfo, Outlet, Read, StageContext, Staged, Stages, WorkItem, outcome_of,
+    FinishedFrame, InputInfo, Outlet, Passed, ReadContent, StageContext, Stages, WorkItem, outcome_of,
 };
 
 impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
@@ -51,69 +50,63 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
 /// Rasterizes particles, or bounds a level set: both result in a level set and its bounds.
 pub(super) fn rasterize(
     shared: &StageContext<'_>,
-    content: Read,
+    content: ReadContent,
     frame: &Frame,
     info: &mut InputInfo<'_>,
-) -> Result<Staged<StagedInput>, FrameError> {
+) -> Result<Passed<StagedInput>, FrameError> {
     let (input, obstacles, plan) = match content {
-        Read::Particles(bytes) => return parsed(&bytes, frame),
-        Read::Surface { input, obstacles, plan } => (*input, obstacles, plan),
+        ReadContent::Particles(bytes) => return parsed(&bytes, frame),
+        ReadContent::Surface { input, obstacles, plan } => (*input, obstacles, plan),
     };
     // A frame in tiles creates this folder and writes scratch files into it.
     let scratch = &frame.outputs.folder;
     shared.refuse_links(scratch)?;
     let work = || method::rasterize(input, obstacles, &frame.settings, &plan, scratch);
-    shared.measured(Stage::Rasterize, frame, info, work).map(Staged::Surface)
+    shared.measured(Stage::Rasterize, frame, info, work).map(Passed::Surface)
 }
 
 /// Smooths a level set.
 pub(super) fn smooth(
     shared: &StageContext<'_>,
-    content: Staged<StagedInput>,
+    content: Passed<StagedInput>,
     frame: &Frame,
     info: &mut InputInfo<'_>,
-) -> Result<Staged<StagedInput>, FrameError> {
-    let rasterized = match content {
-        Staged::Particles(particles) => return Ok(Staged::Particles(particles)),
-        Staged::Surface(rasterized) => rasterized,
-    };
+) -> Result<Passed<StagedInput>, FrameError> {
     let advanced = &mut |fraction| {
         if let Some(observer) = shared.options.observer {
             observer.advanced(frame, Stage::Smooth, fraction);
         }
     };
-    let work = || rasterized.smooth(&frame.settings, advanced).map_err(Cause::Scratch);
-    shared.measured(Stage::Smooth, frame, info, work).map(Staged::Surface)
+    content.try_map(|rasterized| {
+        let work = || rasterized.smooth(&frame.settings, advanced).map_err(Cause::Scratch);
+        shared.measured(Stage::Smooth, frame, info, work)
+    })
 }
 
 /// Contours a level set. Then releases the memory that only computing needs.
 pub(super) fn contour(
     shared: &StageContext<'_>,
-    content: Staged<StagedInput>,
+    content: Passed<StagedInput>,
     frame: &Frame,
     info: &mut InputInfo<'_>,
-) -> Result<Staged<FrameSurface>, FrameError> {
-    let smoothed = match content {
-        Staged::Particles(particles) => return Ok(Staged::Particles(particles)),
-        Staged::Surface(smoothed) => smoothed,
-    };
-    let work = || method::contour(smoothed, &frame.settings, &frame.outputs);
-    let surface = shared.measured(Stage::Contour, frame, info, work)?;
-    let packing_bytes = surface.attributes.packing_bytes() as u64;
-    let surface_bytes = surface.size_bytes().saturating_mul(WRITING_MEMORY);
-    let writing_bytes = packing_bytes.saturating_add(frame.outputs.picture_bytes());
-    info.memory.resize(surface_bytes.saturating_add(writing_bytes));
-    Ok(Staged::Surface(surface))
+) -> Result<Passed<FrameSurface>, FrameError> {
+    content.try_map(|smoothed| {
+        let work = || method::contour(smoothed, &frame.settings, &frame.outputs);
+        let surface = shared.measured(Stage::Contour, frame, info, work)?;
+        let packing_bytes = surface.attributes.packing_bytes() as u64;
+        let surface_bytes = surface.size_bytes().saturating_mul(WRITING_MEMORY);
+        let writing_bytes = packing_bytes.saturating_add(frame.outputs.picture_bytes());
+        info.memory.resize(surface_bytes.saturating_add(writing_bytes));
+        Ok(surface)
+    })
 }
 
-fn parsed<T>(bytes: &[u8], frame: &Frame) -> Result<Staged<T>, FrameError> {
-    let name = file_of(&frame.input).file_name().unwrap_or_default().to_string_lossy();
-    let failed = |error| FrameError::file(&frame.input, Stage::Read, by_lines_of_file(&frame.input, error));
-    let mut particles = read_particles(bytes, &name, &Limits::default()).map_err(failed)?;
+fn parsed<T>(bytes: &[u8], frame: &Frame) -> Result<Passed<T>, FrameError> {
+    let mut particles = read_particles_of(&frame.input, bytes)?;
     let about_choice = keep_chosen(&mut particles, frame.settings.filter.as_ref());
     let about_choice = about_choice.map_err(|why| frame.failed(Stage::Read, Cause::Missing(why)))?;
     particles.notes.extend(about_choice.map(|warning| warning.to_string()));
-    Ok(Staged::Particles(Box::new(particles)))
+    Ok(Passed::Particles(Box::new(particles)))
 }
 
 /// The memory for writing a surface, as a multiple of the surface's size: the surface itself, and its encoded

@@ -14,8 +14,8 @@ use twox_hash::XxHash3_128;
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
 use crate::pipeline::input::attributes::AttributeRequest;
-use crate::pipeline::input::frame::{Frame, Job, Outcome, ReadInput, Seconds};
-use crate::pipeline::input::frame_input::{FileParticles, FrameInput, LevelSetInput, read_input};
+use crate::pipeline::input::frame::{Frame, InputState, Job, Outcome, Seconds};
+use crate::pipeline::input::frame_input::{FileParticles, FrameInput, LevelSetInput, read_level_set};
 use crate::pipeline::input::level_set_file::{level_set_limits, other_grids};
 use crate::pipeline::input::obstacles::FoundObstacles;
 use crate::pipeline::input::out_of_reach::out_of_reach;
@@ -26,7 +26,16 @@ use crate::pipeline::method;
 use crate::pipeline::warning::Warning;
 use crate::surface::options::Settings;
 
-use super::shared::{FinishedFrame, InputInfo, Noted, Read, Stages, WorkItem, outcome_of};
+use super::shared::{
+    FinishedFrame, InputInfo, Noted, ObstacleSummary, ReadContent, Stages, WorkItem, outcome_of,
+};
+
+/// A frame that was read.
+struct ReadResult {
+    content: ReadContent,
+    input: InputState,
+    noted: Noted,
+}
 
 impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     /// Reads frames until `next` returns `None`, or the caller is gone.
@@ -34,7 +43,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         &self,
         mut next: impl FnMut() -> Option<(K, Frame)>,
         slots: &Sender<()>,
-        to: &Sender<WorkItem<'env, K, Read>>,
+        to: &Sender<WorkItem<'env, K, ReadContent>>,
         finished: &Sender<FinishedFrame<K>>,
     ) {
         // Sending fails when the caller is gone.
@@ -53,7 +62,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         }
     }
 
-    fn read_one(&self, number: usize, frame: &mut Frame) -> Result<(Read, InputInfo<'env>), Outcome> {
+    fn read_one(&self, number: usize, frame: &mut Frame) -> Result<(ReadContent, InputInfo<'env>), Outcome> {
         let shared = self.shared;
         if shared.is_stopped_before(number) {
             return Err(Outcome::NotStarted);
@@ -70,11 +79,11 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             Job::LevelSet { .. } => self.level_set_of(number, frame),
             Job::Particles => self.bytes_of(frame),
         });
-        let (read, input, noted) = read.map_err(Outcome::Failed).flatten()?;
+        let ReadResult { content, input, noted } = read.map_err(Outcome::Failed).flatten()?;
         let seconds = Seconds { read: start.elapsed().as_secs_f64(), ..Seconds::default() };
-        let Read::Surface { input: given, obstacles, plan } = &read else {
-            let (needed_bytes, obstacles) = (bytes, <(String, usize)>::default());
-            return Ok((read, InputInfo { input, seconds, noted, obstacles, needed_bytes, memory }));
+        let ReadContent::Surface { input: given, obstacles, plan } = &content else {
+            let (needed_bytes, obstacles) = (bytes, ObstacleSummary::default());
+            return Ok((content, InputInfo { input, seconds, noted, obstacles, needed_bytes, memory }));
         };
         // Static obstacles are shared with later frames. The address of the `Arc` identifies them; it does
         // not change while this pipeline has frames. Until `resize` below, this frame's reservation still
@@ -87,29 +96,32 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         }
         memory.resize(given_bytes);
         let needed_bytes = plan.memory_bytes.saturating_add(given_bytes);
-        let obstacles = (obstacles.recorded.clone(), obstacles.open_edge_count);
-        Ok((read, InputInfo { input, seconds, noted, obstacles, needed_bytes, memory }))
+        let obstacles = ObstacleSummary {
+            recorded: obstacles.recorded.clone(),
+            open_edge_count: obstacles.open_edge_count,
+        };
+        Ok((content, InputInfo { input, seconds, noted, obstacles, needed_bytes, memory }))
     }
 
     /// The bytes of a frame that is converted to another particle format.
-    fn bytes_of(&self, frame: &Frame) -> Result<(Read, ReadInput, Noted), Outcome> {
-        let (bytes, input) = self.whole(frame)?;
+    fn bytes_of(&self, frame: &Frame) -> Result<ReadResult, Outcome> {
+        let (bytes, input) = self.read_whole(frame)?;
         self.refuse_done(frame, input, "")?;
-        Ok((Read::Particles(bytes), input, Noted::default()))
+        Ok(ReadResult { content: ReadContent::Particles(bytes), input, noted: Noted::default() })
     }
 
     /// Reads the level set of a frame, and gives the frame the voxel size and the origin of its file.
-    fn level_set_of(&self, number: usize, frame: &mut Frame) -> Result<(Read, ReadInput, Noted), Outcome> {
+    fn level_set_of(&self, number: usize, frame: &mut Frame) -> Result<ReadResult, Outcome> {
         let failed = |error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
         let memory_bytes = self.shared.options.memory_bytes;
         let file_bytes = frame.input.metadata().map_or(0, |metadata| metadata.len());
         check_file_of_level_set(file_bytes, &frame.job, memory_bytes).map_err(failed)?;
         let unchanged = read_unchanged(&frame.input).map_err(|error| failed(error.into()))?;
         let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
-        let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
+        let input = InputState { stamp, hash: XxHash3_128::oneshot(&bytes) };
         let given = frame.clone();
         let parsed = self.scheduler.run(number, move || {
-            let (read, file) = read_input(&given, &bytes, memory_bytes)?;
+            let (read, file) = read_level_set(&given, &bytes, memory_bytes)?;
             Ok((read, file, other_grids(&bytes)))
         });
         let (read, mut file, other_grids) = parsed.map_err(outcome_of)?;
@@ -119,20 +131,20 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let given = FrameInput::LevelSet(Box::new(LevelSetInput::new(file, &frame.job)));
         let noted = Noted { warnings, unused_velocity: None };
         let found = FoundObstacles::default();
-        self.planned(number, frame, move || Ok((given, noted)), found, input)
+        self.parse_and_plan(number, frame, move || Ok((given, noted)), found, input)
     }
 
     /// The bytes of a frame's file, or of its step.
-    fn whole(&self, frame: &Frame) -> Result<(Vec<u8>, ReadInput), Outcome> {
+    fn read_whole(&self, frame: &Frame) -> Result<(Vec<u8>, InputState), Outcome> {
         let failed = |error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
         let unchanged = read_frame_unchanged(&frame.input, self.shared.options.index_policy);
         let (bytes, stamp) = unchanged.map_err(failed)?.ok_or(Outcome::Changed)?;
         let hash = XxHash3_128::oneshot(&bytes);
-        Ok((bytes, ReadInput { stamp, hash }))
+        Ok((bytes, InputState { stamp, hash }))
     }
 
     /// Reads the particles of a frame, with the warnings about them.
-    fn particles_of(&self, number: usize, frame: &Frame) -> Result<(Read, ReadInput, Noted), Outcome> {
+    fn particles_of(&self, number: usize, frame: &Frame) -> Result<ReadResult, Outcome> {
         let failed = |error: meniscus_formats::Error| {
             Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error))
         };
@@ -142,7 +154,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let wanted = AttributeRequest::for_settings(&frame.settings);
         if let Some(file) = self.worth_streaming(frame).map_err(|error| failed(error.into()))? {
             let failed = |error: io::Error| failed(error.into());
-            let input = ReadInput { stamp: file.stamp(), hash: file.hash().map_err(failed)? };
+            let input = InputState { stamp: file.stamp(), hash: file.hash().map_err(failed)? };
             if !file.is_unchanged().map_err(failed)? {
                 return Err(Outcome::Changed);
             }
@@ -158,10 +170,10 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                     let noted = Noted { warnings: warnings.map_err(failed)?, unused_velocity };
                     Ok((FrameInput::OnDisk(Box::new(particles)), noted))
                 };
-                return self.planned(number, frame, choose, obstacles, input);
+                return self.parse_and_plan(number, frame, choose, obstacles, input);
             }
         }
-        let (bytes, input) = self.whole(frame)?;
+        let (bytes, input) = self.read_whole(frame)?;
         self.refuse_done(frame, input, &obstacles.recorded())?;
         let path = frame.input.clone();
         let parse = move || {
@@ -169,38 +181,18 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             let noted = Noted { warnings: read.warnings, unused_velocity: read.unused_velocity };
             Ok((FrameInput::InMemory(read.cloud), noted))
         };
-        self.planned(number, frame, parse, obstacles, input)
-    }
-
-    /// The file of a frame that should be streamed twice in batches instead of being read at once.
-    fn worth_streaming(&self, frame: &Frame) -> io::Result<Option<InputFile>> {
-        if step_of(&frame.input).is_some() || !needs_positions_only(&frame.settings) {
-            return Ok(None);
-        }
-        let file = InputFile::open(&frame.input)?;
-        Ok((file.is_regular() && file.stamp().size >= STREAMED_FROM_BYTES).then_some(file))
-    }
-
-    /// Ends a frame that is done already, if such frames are skipped.
-    fn refuse_done(&self, frame: &Frame, input: ReadInput, obstacles: &str) -> Result<(), Outcome> {
-        if !self.shared.options.skip_done {
-            return Ok(());
-        }
-        match frame.recorded_state(input.hash, obstacles) {
-            Some((state, Some(record))) if state.is_done() => Err(Outcome::AlreadyDone { input, record }),
-            _ => Ok(()),
-        }
+        self.parse_and_plan(number, frame, parse, obstacles, input)
     }
 
     /// Parses and plans a frame in the pool; only the reading before it happens on this thread.
-    fn planned(
+    fn parse_and_plan(
         &self,
         number: usize,
         frame: &Frame,
         parse: impl FnOnce() -> Result<(FrameInput, Noted), FrameError> + Send + 'env,
         found: FoundObstacles,
-        input: ReadInput,
-    ) -> Result<(Read, ReadInput, Noted), Outcome> {
+        input: InputState,
+    ) -> Result<ReadResult, Outcome> {
         let allowed_bytes = self.shared.options.memory_bytes;
         let frame = frame.clone();
         let planned = self.scheduler.run(number, move || {
@@ -220,10 +212,30 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                 let whole_bytes = plan.in_core_bytes.saturating_add(given.size_bytes());
                 warnings.push(Warning::Tiled { whole_bytes });
             }
-            Ok((Read::Surface { input: Box::new(given), obstacles, plan }, noted))
+            Ok((ReadContent::Surface { input: Box::new(given), obstacles, plan }, noted))
         });
-        let (read, noted) = planned.map_err(outcome_of)?;
-        Ok((read, input, noted))
+        let (content, noted) = planned.map_err(outcome_of)?;
+        Ok(ReadResult { content, input, noted })
+    }
+
+    /// The file of a frame that should be streamed twice in batches instead of being read at once.
+    fn worth_streaming(&self, frame: &Frame) -> io::Result<Option<InputFile>> {
+        if step_of(&frame.input).is_some() || !needs_positions_only(&frame.settings) {
+            return Ok(None);
+        }
+        let file = InputFile::open(&frame.input)?;
+        Ok((file.is_regular() && file.stamp().size >= STREAMED_FROM_BYTES).then_some(file))
+    }
+
+    /// Ends a frame that is done already, if such frames are skipped.
+    fn refuse_done(&self, frame: &Frame, input: InputState, obstacles: &str) -> Result<(), Outcome> {
+        if !self.shared.options.skip_done {
+            return Ok(());
+        }
+        match frame.recorded_state(input.hash, obstacles) {
+            Some((state, Some(record))) if state.is_done() => Err(Outcome::AlreadyDone { input, record }),
+            _ => Ok(()),
+        }
     }
 }
 

@@ -12,7 +12,7 @@ use meniscus_formats::ParticleFrame;
 
 use crate::pipeline::budget::{Budget, Reservation};
 use crate::pipeline::error::{Cause, FrameError, Stage};
-use crate::pipeline::input::frame::{Frame, Outcome, ReadInput, Seconds};
+use crate::pipeline::input::frame::{Frame, InputState, Outcome, Seconds};
 use crate::pipeline::input::frame_input::FrameInput;
 use crate::pipeline::input::obstacles::FrameObstacles;
 use crate::pipeline::scheduler::Scheduler;
@@ -27,7 +27,7 @@ pub(super) struct StageContext<'env> {
     pub(super) options: &'env PipelineOptions<'env>,
     pub(super) budget: Budget,
     /// The number of the first frame that failed.
-    failed_first: AtomicUsize,
+    first_failed: AtomicUsize,
 }
 
 /// The stages of one call of [`stream`](super::stream). The threads of the stages borrow this.
@@ -50,14 +50,20 @@ pub(super) struct WorkItem<'env, K, T> {
 
 /// What reading a frame determines, for the later stages.
 pub(super) struct InputInfo<'env> {
-    pub(super) input: ReadInput,
+    pub(super) input: InputState,
     pub(super) seconds: Seconds,
     pub(super) noted: Noted,
-    /// The record of its obstacles, and their number of boundary edges.
-    pub(super) obstacles: (String, usize),
+    pub(super) obstacles: ObstacleSummary,
     /// The peak memory of the frame in all stages, in bytes.
     pub(super) needed_bytes: u64,
     pub(super) memory: Reservation<'env>,
+}
+
+/// The obstacles of a frame, as far as its record and its report need them.
+#[derive(Default)]
+pub(super) struct ObstacleSummary {
+    pub(super) recorded: String,
+    pub(super) open_edge_count: usize,
 }
 
 /// Warnings about the input.
@@ -69,19 +75,29 @@ pub(super) struct Noted {
 }
 
 /// The result of reading.
-pub(super) enum Read {
+pub(super) enum ReadContent {
     /// For a surface, with the plan of its reconstruction.
     Surface { input: Box<FrameInput>, obstacles: FrameObstacles, plan: MemoryPlan },
     /// The bytes of a particle file, for conversion to another format.
     Particles(Vec<u8>),
 }
 
-/// The result of a compute stage.
-pub(super) enum Staged<T> {
+/// What one compute stage passes to the next one.
+pub(super) enum Passed<T> {
     /// A surface in progress.
     Surface(T),
     /// Particles without a surface.
     Particles(Box<ParticleFrame>),
+}
+
+impl<T> Passed<T> {
+    /// Runs a stage of a surface; particles pass unchanged.
+    pub(super) fn try_map<U, E>(self, stage: impl FnOnce(T) -> Result<U, E>) -> Result<Passed<U>, E> {
+        match self {
+            Passed::Surface(surface) => stage(surface).map(Passed::Surface),
+            Passed::Particles(particles) => Ok(Passed::Particles(particles)),
+        }
+    }
 }
 
 /// A frame and its outcome.
@@ -95,7 +111,7 @@ impl<'env> StageContext<'env> {
     /// The state before the first frame.
     pub(super) fn new(options: &'env PipelineOptions<'env>) -> StageContext<'env> {
         let budget = Budget::new(options.memory_bytes);
-        StageContext { options, budget, failed_first: AtomicUsize::new(usize::MAX) }
+        StageContext { options, budget, first_failed: AtomicUsize::new(usize::MAX) }
     }
 
     /// Reports that a frame begins a stage.
@@ -128,14 +144,14 @@ impl<'env> StageContext<'env> {
         finished: FinishedFrame<K>,
     ) -> bool {
         if is_failure(&finished.outcome) {
-            self.failed_first.fetch_min(number, Ordering::Relaxed);
+            self.first_failed.fetch_min(number, Ordering::Relaxed);
         }
         to.send(finished).is_ok()
     }
 
     /// Whether a frame before this one failed, under [`OnError::Stop`].
     pub(super) fn is_stopped_before(&self, number: usize) -> bool {
-        self.options.on_error == OnError::Stop && self.failed_first.load(Ordering::Relaxed) < number
+        self.options.on_error == OnError::Stop && self.first_failed.load(Ordering::Relaxed) < number
     }
 }
 

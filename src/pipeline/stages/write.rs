@@ -23,13 +23,15 @@ use crate::pipeline::warning::Warning;
 use crate::surface::reconstruction::FrameSurface;
 use crate::surface::space::Lattice;
 
-use super::shared::{FinishedFrame, Inlet, InputInfo, Noted, StageContext, Staged, Stages, WorkItem};
+use super::shared::{
+    FinishedFrame, Inlet, InputInfo, Noted, ObstacleSummary, Passed, StageContext, Stages, WorkItem,
+};
 
 impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     /// Writes frames until there are no more. Once the caller no longer receives outcomes, discards frames.
     pub(super) fn write<K>(
         &self,
-        from: &Inlet<WorkItem<'env, K, Staged<FrameSurface>>>,
+        from: &Inlet<WorkItem<'env, K, Passed<FrameSurface>>>,
         finished: &Sender<FinishedFrame<K>>,
     ) {
         let mut is_abandoned = false;
@@ -42,8 +44,8 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             // stages. So timing does not affect which frames are written before a stop.
             let outcome = match content {
                 _ if self.shared.is_stopped_before(number) => Outcome::NotStarted,
-                Staged::Surface(surface) => self.write_surface(number, &frame, info, surface),
-                Staged::Particles(particles) => self.write_particles(&frame, info, &particles),
+                Passed::Surface(surface) => self.write_surface(number, &frame, info, surface),
+                Passed::Particles(particles) => self.write_particles(&frame, info, &particles),
             };
             is_abandoned = !self.shared.finish(number, finished, FinishedFrame { key, frame, outcome });
         }
@@ -60,7 +62,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             };
             let written = write_files(frame, write)?;
             let warnings = particle_warnings(particles, &frame.outputs.formats);
-            let mut report = report(frame, info, written, warnings);
+            let mut report = base_report(frame, info, written, warnings);
             report.reconstruction.particle_count = particles.positions.len();
             report.seconds.write = start.elapsed().as_secs_f64();
             recorded(frame, report)
@@ -85,7 +87,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                 Some(framing) => frame.with_camera(framing.camera_for(bounds_of(&surface, frame))),
                 None => frame.clone(),
             };
-            let made_from = (info.input.hash, &*info.obstacles.0);
+            let made_from = (info.input.hash, &*info.obstacles.recorded);
             let mut preview_time = Duration::ZERO;
             let written = write_files(frame, |format, out| {
                 let start = Instant::now();
@@ -104,7 +106,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             info.seconds.preview = preview_time.as_secs_f64();
             let warnings = surface_warnings(&surface, &frame.outputs, &frame.settings);
             let reconstruction = surface.report.clone();
-            recorded(frame, FrameReport { reconstruction, ..report(frame, info, written, warnings) })
+            recorded(frame, FrameReport { reconstruction, ..base_report(frame, info, written, warnings) })
         });
         converted(written.flatten())
     }
@@ -133,14 +135,19 @@ impl StageContext<'_> {
 }
 
 /// The part of a frame's report that is the same for particles and surfaces.
-fn report(frame: &Frame, info: InputInfo<'_>, written: WrittenFiles, warnings: Vec<Warning>) -> FrameReport {
-    let (obstacles, obstacle_open_edge_count) = info.obstacles;
+fn base_report(
+    frame: &Frame,
+    info: InputInfo<'_>,
+    written: WrittenFiles,
+    warnings: Vec<Warning>,
+) -> FrameReport {
+    let ObstacleSummary { recorded, open_edge_count } = info.obstacles;
     let Noted { warnings: of_input, unused_velocity } = info.noted;
     let has_attributes = frame.outputs.formats.iter().any(|format| format.has_attributes());
     FrameReport {
         input: info.input,
-        obstacles,
-        obstacle_open_edge_count,
+        obstacles: recorded,
+        obstacle_open_edge_count: open_edge_count,
         voxel_size: matches!(frame.job, Job::LevelSet { .. }).then_some(frame.settings.voxel_size),
         seconds: info.seconds,
         peak_memory_bytes: peak_memory_bytes(),

@@ -38,12 +38,12 @@ pub struct OutputOptions {
     /// The size and camera of pictures.
     pub picture: PictureOptions,
     /// The stage that plays the files of the frames.
-    pub stage: Option<StageOptions>,
+    pub stage: Option<UsdStageOptions>,
 }
 
 /// A stage.
 #[derive(Clone, Debug, PartialEq)]
-pub struct StageOptions {
+pub struct UsdStageOptions {
     /// The file, with the extension `.usda`.
     pub path: PathBuf,
     /// Frames per second.

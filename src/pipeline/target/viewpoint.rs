@@ -250,7 +250,7 @@ impl FromStr for CameraChoice {
                 let Some((key, value)) = pair.split_once('=') else {
                     return Err(format!("`{pair}`: expected {AUTO}, or a list of key=value: {KEYS}"));
                 };
-                typed.take(key.trim(), value.trim())?;
+                typed.set(key.trim(), value.trim())?;
             }
         }
         typed.choice()
@@ -272,7 +272,7 @@ struct ParsedCamera {
 }
 
 impl ParsedCamera {
-    fn take(&mut self, key: &str, value: &str) -> Result<(), String> {
+    fn set(&mut self, key: &str, value: &str) -> Result<(), String> {
         let wrong = |expected: &str| format!("{key}=`{value}`: expected {expected}");
         let number = || value.parse().ok().filter(|number: &f64| number.is_finite());
         let within = |least: f64, greatest: f64, expected: &str| {

@@ -1,12 +1,12 @@
 //! Decides whether to convert a frame again, from what is recorded of it and its current state on disk.
 //!
 //! ```text
-//!   its record        │ none      waiting,      failed,       failed          done
-//!                     │           queued        may succeed   permanently
-//!   ──────────────────┼─────────────────────────────────────────────────────────────────────────
-//!   same stamp and    │ convert   convert       convert       skip            skip, if its outputs
-//!   settings          │                                                       exist
-//!   anything else     │ convert   convert       convert       convert         convert
+//!   its record        │ none, waiting,   retrying,        failed    done
+//!                     │ queued, ignored  given up, refused
+//!   ──────────────────┼─────────────────────────────────────────────────────────────────────
+//!   same stamp and    │ convert          convert          skip      skip, if its outputs exist
+//!   settings          │
+//!   anything else     │ convert          convert          convert   convert
 //! ```
 //!
 //! The decision is a pure function: the caller has inspected the disk. A file that was copied or touched has
@@ -31,7 +31,7 @@ pub(crate) fn reason_to_convert(
             UnfinishedState::Waiting if done.is_none() => return Some(Reason::New),
             UnfinishedState::Waiting => return Some(Reason::InputChanged),
             UnfinishedState::Queued => return Some(Reason::Interrupted),
-            UnfinishedState::Retrying | UnfinishedState::GivenUp => return Some(Reason::Retry),
+            UnfinishedState::Retrying | UnfinishedState::AwaitsRestart => return Some(Reason::Retry),
             UnfinishedState::Refused => return Some(Reason::ConflictGone),
             UnfinishedState::Failed => unfinished.stamp,
         },
@@ -74,7 +74,7 @@ mod tests {
 
     #[test]
     fn record_and_disk_determine_the_reason() {
-        use UnfinishedState::{Failed, GivenUp, Ignored, Queued, Refused, Retrying, Waiting};
+        use UnfinishedState::{AwaitsRestart, Failed, Ignored, Queued, Refused, Retrying, Waiting};
         let output = Path::new("/out/a.glb");
         let is_missing = Reason::OutputChanged { output: output.to_owned() };
         let touched = FileStamp { modified_ns: 6, ..stamp() };
@@ -94,7 +94,7 @@ mod tests {
             (Some(Failed), stamp(), false, None, Some(Reason::SettingsChanged)),
             (Some(Queued), stamp(), true, None, Some(Reason::Interrupted)),
             (Some(Retrying), stamp(), true, None, Some(Reason::Retry)),
-            (Some(GivenUp), stamp(), true, None, Some(Reason::Retry)),
+            (Some(AwaitsRestart), stamp(), true, None, Some(Reason::Retry)),
             (Some(Refused), stamp(), true, None, Some(Reason::ConflictGone)),
             (Some(Waiting), stamp(), true, None, Some(Reason::New)),
             (Some(Ignored), stamp(), true, None, Some(Reason::New)),

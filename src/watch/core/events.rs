@@ -7,7 +7,7 @@
 //! An event about a file may arrive late, twice or never. So each event contains the state of the file at a
 //! given time, and each result of a request carries the number of the request.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::fmt;
 use std::io;
 use std::path::PathBuf;
@@ -59,13 +59,13 @@ pub(crate) enum Event {
     /// The pipeline has a free slot for a frame.
     FrameRequested,
     /// The pipeline returns a frame that it cannot start, because its outputs cannot be written now.
-    FrameReturned { id: FrameId, frame: Box<Frame>, found: OutputDirState },
+    FrameReturned { id: FrameId, frame: Box<Frame>, found: OutputFolderState },
     /// The pipeline has finished with a frame.
     FrameFinished(Box<FrameFinished>),
     /// All frames of the pipeline are finished, and it has ended.
     PipelineEnded,
     /// The state of a folder of outputs.
-    OutputDirChecked(OutputDirState),
+    OutputFolderChecked(OutputFolderState),
     /// The answer to [`OutputRequest::Sync`]: whether the records and the stages are on the disk.
     OutputSynced(bool),
     /// A worker has not answered for a long time.
@@ -100,7 +100,7 @@ pub(crate) struct Scan {
 
 /// The state of a folder of outputs at a check.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct OutputDirState {
+pub(crate) struct OutputFolderState {
     pub(crate) output: usize,
     pub(crate) presence: Presence,
     /// Free bytes, if the file system reports them.
@@ -122,7 +122,7 @@ pub(crate) enum Presence {
 pub(crate) enum FoundObstacleStamps {
     /// All frames have the same stamps.
     Same(Arc<ObstacleStamps>),
-    PerNumber(std::collections::HashMap<Option<i64>, Arc<ObstacleStamps>>),
+    PerNumber(HashMap<Option<i64>, Arc<ObstacleStamps>>),
 }
 
 /// A frame that the pipeline has finished with.

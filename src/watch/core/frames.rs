@@ -1,14 +1,14 @@
 //! The table of all known frames, and the phase of each.
 //!
 //! ```text
-//!                  ┌──────── written again ─────────────────────────┐
-//!                  ▼                                                │
-//!   (seen) ──▶ settling ──▶ held ──▶ queued ──▶ in work ────▶ done ─┤
-//!                  │   no settings yet               │              │
-//!                  │                                 ├──▶ retrying  │
-//!                  └──▶ ignored                      └──▶ failed ───┘
-//!                  └──▶ finding steps ──▶ steps     a file with several: each is a frame, and starts as held
+//!   (seen) ──▶ settling ──▶ held ──▶ queued ──▶ in progress ──▶ done
+//!               │   │        ▲                    │   │
+//!               │   │        └─ due ─ retrying ◀──┘   └──▶ failed
+//!               │   └──▶ finding steps ──▶ steps     each step is a frame, and settles at once
+//!               └──▶ ignored
 //! ```
+//!
+//! A file that was written again settles again, whatever its phase; if it is in progress, after its conversion.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -122,7 +122,7 @@ pub(crate) struct FrameState {
     /// The index of its sequence.
     pub(crate) sequence: usize,
     pub(crate) phase: FramePhase,
-    /// The stamp of its file when it entered this phase.
+    /// The stamp of its file: while it settles as last seen, and then that of the complete file.
     pub(crate) stamp: FileStamp,
     /// Whether the frame has too few particles to measure the spacing of its sequence.
     pub(crate) is_sparse: bool,
@@ -169,8 +169,8 @@ pub(crate) enum FramePhase {
     Retrying(Instant),
     /// Its outputs exist.
     Done,
-    /// Failed; only a changed file can help. A refused frame is checked again at each scan, because the other
-    /// files may have changed.
+    /// Failed; only a changed file can help or, depending on its recorded state, a restart. A refused frame is
+    /// checked again at each scan, because the other files may have changed.
     Failed,
     /// No particles: an unrelated file, or an output of this program.
     Ignored,

@@ -8,7 +8,7 @@ use crate::pipeline::natural_order;
 use crate::watch::api::{EndReason, FailedFrame, WatchSummary};
 
 use super::completeness::path_of_sentinel;
-use super::events::{Effect, Event, Now, OutputDirState, OutputRequest, Presence, Start, Worker};
+use super::events::{Effect, Event, Now, OutputFolderState, OutputRequest, Presence, Start, Worker};
 use super::frames::{FrameCounts, FrameId, FramePhase, FrameState};
 use super::state::{Core, RootState, STALL_AFTER};
 
@@ -33,10 +33,10 @@ impl Core {
                     state.phase = FramePhase::Queued;
                     self.queue.push(&id, frame, state.stamp.modified_ns);
                 }
-                self.on_output_dir_checked(found);
+                self.on_output_folder_checked(found);
             }
             Event::FrameFinished(finished) => self.on_finished(*finished),
-            Event::OutputDirChecked(found) => self.on_output_dir_checked(found),
+            Event::OutputFolderChecked(found) => self.on_output_folder_checked(found),
             Event::WorkerStalled(worker) => self.set_stalled(worker, true),
             Event::WorkerAnswered(worker) => self.set_stalled(worker, false),
             Event::PipelineEnded | Event::OutputSynced(_) => {}
@@ -45,7 +45,7 @@ impl Core {
 
     /// Carries out actions that are due, and decisions that depend on several events together. Must be called
     /// after each batch of events, and when [`Core::next_deadline`] is reached.
-    pub(crate) fn settle_batch(&mut self, now: Now) {
+    pub(crate) fn decide(&mut self, now: Now) {
         self.now = now;
         while let Some(id) = self.frames.next_alarm(now.at) {
             self.on_alarm(&id);
@@ -84,8 +84,8 @@ impl Core {
                 self.root_path(root).to_owned()
             }
             Worker::Output(output) => {
-                self.outputs[output].has_stalled = has_stalled;
-                self.outputs[output].folder.clone()
+                self.output_folders[output].has_stalled = has_stalled;
+                self.output_folders[output].folder.clone()
             }
         };
         self.log_about(folder, move |folder| {
@@ -100,9 +100,9 @@ impl Core {
         });
     }
 
-    fn on_output_dir_checked(&mut self, found: OutputDirState) {
-        let OutputDirState { output, presence, free_bytes } = found;
-        let dir = &mut self.outputs[output];
+    fn on_output_folder_checked(&mut self, found: OutputFolderState) {
+        let OutputFolderState { output, presence, free_bytes } = found;
+        let dir = &mut self.output_folders[output];
         (dir.is_mounted, dir.free_bytes) = (presence != Presence::Missing, free_bytes);
         if presence == Presence::Recreated {
             let folder = dir.folder.clone();
@@ -145,7 +145,7 @@ impl Core {
         }
         let stuck = self.log_stuck();
         if held > 0 {
-            self.give_up_on_held(&stuck);
+            self.refuse_held(&stuck);
         }
         true
     }
@@ -162,7 +162,7 @@ impl Core {
         stuck.iter().filter_map(|id| self.frames.get(id)).map(|frame| frame.sequence).collect()
     }
 
-    fn give_up_on_held(&mut self, stuck_sequences: &HashSet<usize>) {
+    fn refuse_held(&mut self, stuck_sequences: &HashSet<usize>) {
         let is_meant = |frame: &FrameState| {
             frame.phase == FramePhase::Held && !stuck_sequences.contains(&frame.sequence)
         };
@@ -182,15 +182,16 @@ impl Core {
 
     /// Whether a folder hangs.
     pub(crate) fn has_stalled(&self) -> bool {
-        self.roots.iter().any(|root| root.has_stalled) || self.outputs.iter().any(|output| output.has_stalled)
+        self.roots.iter().any(|root| root.has_stalled)
+            || self.output_folders.iter().any(|output| output.has_stalled)
     }
 
     /// Requests that all records be synced to disk, and all stages written; returns the number of folders.
     pub(crate) fn sync_outputs(&mut self) -> usize {
-        for output in 0..self.outputs.len() {
+        for output in 0..self.output_folders.len() {
             self.effects.push(Effect::Output(output, OutputRequest::Sync));
         }
-        self.outputs.len()
+        self.output_folders.len()
     }
 
     /// The summary of the run; failures in natural order.

@@ -11,6 +11,7 @@
 //! ```
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -18,8 +19,8 @@ use std::time::{Duration, Instant};
 use meniscus_formats::Neighbor;
 
 use crate::pipeline::{
-    ChangedOutput, DoneRecord, FileStamp, Frame, Job, ObstacleStamps, OutputOptions, Reason, RecordedFrame,
-    UnfinishedState, output_path, step_in,
+    ChangedOutput, DoneRecord, FileStamp, Frame, FrameError, Job, ObstacleStamps, OutputOptions, Reason,
+    RecordedFrame, Stage, UnfinishedState, output_path, step_in,
 };
 use crate::surface::options::Settings;
 
@@ -62,12 +63,13 @@ impl Core {
             if frame.phase == FramePhase::Steps {
                 self.unqueue_steps(id, seen, at);
             }
-            self.settle(id, candidate);
+            self.start_settling(id, candidate);
         }
         self.inspect_settling(id, InspectionExtent::AllOfJustSeen);
     }
 
-    /// A file was seen that is unchanged since it was read, or its writer closed it.
+    /// A file was seen with the stamp that it had before. `was_closed`: its writer has closed it since, perhaps
+    /// after a change through a memory map.
     fn on_unchanged(&mut self, id: &FrameId, was_closed: bool) {
         match self.frames.phase(id) {
             Some(FramePhase::Done | FramePhase::Failed | FramePhase::Ignored) if was_closed => {
@@ -189,7 +191,7 @@ impl Core {
     }
 
     /// A file changed: resets the state of its frame, which is out of date.
-    pub(super) fn settle(&mut self, id: &FrameId, candidate: Candidate) {
+    pub(super) fn start_settling(&mut self, id: &FrameId, candidate: Candidate) {
         self.unqueue(id);
         self.set_phase(id, FramePhase::Settling(candidate));
         self.failed.remove(id);
@@ -197,6 +199,13 @@ impl Core {
             (frame.stamp, frame.attempt_count, frame.is_sparse) = (*candidate.stamp(), 0, false);
             frame.was_closed = false;
         }
+    }
+
+    /// Waits again until a file is complete, and discards what is known about it.
+    pub(super) fn start_over(&mut self, id: &FrameId) {
+        let Some(stamp) = self.frames.get(id).map(|frame| frame.stamp) else { return };
+        self.start_settling(id, Candidate::new(self.now.at, &Seen { stamp, age: None }, FileHint::Changed));
+        self.inspect_candidate(id);
     }
 
     fn unqueue(&mut self, id: &FrameId) {
@@ -244,7 +253,7 @@ impl Core {
     /// `is_taken` says whether a file is a frame of a root.
     pub(crate) fn claim_recorded(&mut self, is_taken: impl Fn(usize, &Path) -> bool) {
         let mut owners = Vec::new();
-        for (output, OutputFolder { recorded, .. }) in self.outputs.iter().enumerate() {
+        for (output, OutputFolder { recorded, .. }) in self.output_folders.iter().enumerate() {
             // Other frames have no outputs yet, or no longer.
             let is_owner = |record: &RecordedFrame| match record.unfinished_state() {
                 Some(UnfinishedState::Refused | UnfinishedState::Failed | UnfinishedState::Ignored) => false,
@@ -253,7 +262,7 @@ impl Core {
             };
             for (input, record) in recorded.frames.iter().filter(|(_, record)| is_owner(record)) {
                 let file = step_in(input, true).map(|(file, _)| file);
-                let mut roots = (0..self.roots.len()).filter(|&root| self.output_of[root] == output);
+                let mut roots = (0..self.roots.len()).filter(|&root| self.output_folder_of[root] == output);
                 let id = roots.find_map(|root| match file {
                     Some(file) if is_taken(root, file) => Some(FrameId::step(root, input)),
                     _ => is_taken(root, input).then(|| FrameId::new(root, input)),
@@ -291,6 +300,16 @@ impl Core {
         }
     }
 
+    /// The alarm of a frame is due.
+    pub(super) fn on_alarm(&mut self, id: &FrameId) {
+        match self.frames.phase(id) {
+            Some(FramePhase::Settling(_)) => self.inspect_candidate(id),
+            Some(FramePhase::Retrying(at)) if at > self.now.at => self.frames.set_alarm(id, at),
+            Some(FramePhase::Retrying(_)) => self.inspect(id, None, None),
+            _ => {}
+        }
+    }
+
     /// Inspects a file that may be incomplete.
     pub(super) fn inspect_candidate(&mut self, id: &FrameId) {
         self.inspect_settling(id, InspectionExtent::All);
@@ -315,7 +334,7 @@ impl Core {
         if self.frames.get(id).is_some_and(|frame| frame.was_closed) {
             return self.inspect(id, None, None);
         }
-        if let Some(record) = self.record_of(id).filter(|_| self.output(id.root).is_mounted).cloned() {
+        if let Some(record) = self.record_of(id).filter(|_| self.output_folder(id.root).is_mounted).cloned() {
             // The settings are current, and obstacles are inspected separately.
             self.inspect(id, None, Some(Recorded { record, checks_obstacles: false }));
         }
@@ -327,7 +346,7 @@ impl Core {
         let is_refused = self.failed.get(id).is_some_and(|failure| failure.is_refusal);
         let owner = self.claims.get(&self.claimed_stem(id));
         let is_owned = owner.is_some_and(|owner| owner != id && self.may_exist(owner));
-        if is_refused && !is_owned && self.output(id.root).is_mounted {
+        if is_refused && !is_owned && self.output_folder(id.root).is_mounted {
             self.inspect(id, None, None);
         }
     }
@@ -399,7 +418,7 @@ impl Core {
             InspectionResult::Missing => self.remove(&id),
             InspectionResult::Unreadable(error) => self.on_file_unreadable(&id, error),
             InspectionResult::Changed(seen, at) => self.on_file_seen(&id, &seen, at, FileHint::Changed),
-            InspectionResult::AsRecorded if is_settling => self.take_record(&id),
+            InspectionResult::AsRecorded if is_settling => self.restore_record(&id),
             InspectionResult::OutputsAway if is_waiting => {
                 self.frames.set_alarm(&id, self.now.at + AWAY_RETRY)
             }
@@ -416,6 +435,14 @@ impl Core {
             }
             InspectionResult::Complete(complete) => self.on_complete(&id, complete),
         }
+    }
+
+    /// A file exists, but the system refuses to inspect it.
+    pub(super) fn on_file_unreadable(&mut self, id: &FrameId, error: io::Error) {
+        if self.frames.get(id).is_none() {
+            return;
+        }
+        self.failed_frame(id, &FrameError::file(&id.path, Stage::Read, error), None);
     }
 
     /// Records why a frame waits, unless it only has another size than before.
@@ -439,7 +466,7 @@ impl Core {
     }
 
     /// Restores the state of a frame from its record.
-    fn take_record(&mut self, id: &FrameId) {
+    fn restore_record(&mut self, id: &FrameId) {
         let Some(record) = self.record_of(id).cloned() else { return };
         let phase = match &record.unfinished {
             Some(failed) => {
@@ -570,11 +597,12 @@ impl Core {
             job: Job::of(&id.path),
             stem: file.stem(),
             settings,
-            outputs: self.outputs(id),
+            outputs: self.output_options(id),
             number: file.number(),
             obstacles: Arc::clone(&self.roots[id.root].obstacles),
             framing,
             obstacle_stamp,
+            // The thread of the pipeline adds them: `io/pipeline.rs`.
             records: None,
         };
         self.set_phase(id, FramePhase::Queued);
@@ -585,7 +613,7 @@ impl Core {
     /// Requests the stamps of the obstacles of finished frames of a root: obstacles may have changed since.
     /// The file system sends no events for them.
     fn stamp_obstacles(&mut self, root: usize) {
-        if self.roots[root].obstacles.is_empty() || !self.output(root).is_mounted {
+        if self.roots[root].obstacles.is_empty() || !self.output_folder(root).is_mounted {
             return;
         }
         let frames = self.frames.iter().filter(|(id, frame)| id.root == root && has_ended(frame));
@@ -628,10 +656,10 @@ impl Core {
     }
 
     /// The output options of a frame; sub-folders are mirrored below the folder of outputs.
-    fn outputs(&mut self, id: &FrameId) -> Arc<OutputOptions> {
-        let folder = id.mirrored_folder(self.root_path(id.root), &self.output(id.root).folder);
+    fn output_options(&mut self, id: &FrameId) -> Arc<OutputOptions> {
+        let folder = id.mirrored_folder(self.root_path(id.root), &self.output_folder(id.root).folder);
         let options = &self.config.watches[id.root].outputs;
-        let mirrored = self.outputs_of.entry((id.root, folder)).or_insert_with_key(|(_, folder)| {
+        let mirrored = self.mirrored_options.entry((id.root, folder)).or_insert_with_key(|(_, folder)| {
             Arc::new(OutputOptions { folder: folder.clone(), ..options.clone() })
         });
         Arc::clone(mirrored)
@@ -639,7 +667,7 @@ impl Core {
 
     /// The output files of the frame.
     fn output_paths(&mut self, id: &FrameId) -> Vec<PathBuf> {
-        let outputs = self.outputs(id);
+        let outputs = self.output_options(id);
         let stem = id.output_stem();
         outputs.formats.iter().map(|&format| output_path(&outputs.folder, &stem, format)).collect()
     }
@@ -681,7 +709,7 @@ impl Core {
 
     /// The path of a frame's outputs without their extensions.
     pub(super) fn claimed_stem(&self, id: &FrameId) -> PathBuf {
-        let folder = id.mirrored_folder(self.root_path(id.root), &self.output(id.root).folder);
+        let folder = id.mirrored_folder(self.root_path(id.root), &self.output_folder(id.root).folder);
         folder.join(id.output_stem())
     }
 
@@ -696,12 +724,12 @@ impl Core {
 
     /// The record of a frame, if it has one.
     pub(super) fn record_of(&self, id: &FrameId) -> Option<&RecordedFrame> {
-        self.output(id.root).recorded.frames.get(&*id.path)
+        self.output_folder(id.root).recorded.frames.get(&*id.path)
     }
 
     /// The paths of recorded outputs.
     pub(super) fn recorded_outputs(&self, id: &FrameId, record: &DoneRecord) -> Vec<PathBuf> {
-        record.output_paths(&self.output(id.root).folder).collect()
+        record.output_paths(&self.output_folder(id.root).folder).collect()
     }
 }
 

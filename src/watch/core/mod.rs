@@ -1,8 +1,9 @@
 //! The decisions of the daemon, without files, clocks or threads.
 //!
 //! ```text
-//!   Event ──▶ handle ─▶ intake ─▶ steps, settle ─▶ queue ──▶ Effect
+//!   Event ──▶ handle ─▶ intake ─▶ steps, measuring ─▶ queue ──▶ Effect
 //!                       outcomes ─▶ retry
+//!   state          the fields                    events         the inputs and outputs
 //!   frames         the phase of each frame       completeness   when a file is complete
 //!   sequences      settings, resolved once       decision       why a recorded frame is converted again
 //!   disk_guard     free space and mounts         publish        views for clients
@@ -18,12 +19,12 @@ pub(crate) mod events;
 pub(crate) mod frames;
 mod handle;
 mod intake;
+mod measuring;
 mod outcomes;
 pub(crate) mod publish;
 mod queue;
 mod retry;
 pub(crate) mod sequences;
-mod settle;
 pub(crate) mod state;
 mod steps;
 

@@ -1,16 +1,14 @@
 //! Handles the result of a conversion: records and logs it, and retries if that may help.
 
-use std::io;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
 use crate::pipeline::{
-    DoneRecord, FrameError, FrameReport, Outcome, ReadInput, Reason, RecordLine, RecordedFrame, Scope, Stage,
+    DoneRecord, FrameError, FrameReport, InputState, Outcome, Reason, RecordLine, RecordedFrame, Scope,
     UnfinishedRecord, UnfinishedState,
 };
 
-use super::completeness::{Candidate, FileHint, Seen};
 use super::events::{FrameFinished, Log};
 use super::frames::{FrameId, FramePhase, within};
 use super::retry::{RetryAction, backoff, recovery};
@@ -22,7 +20,7 @@ impl Core {
         let FrameFinished { id, outcome, free_bytes } = finished;
         self.finished_count += 1;
         let Some(frame) = self.frames.get_mut(&id) else { return };
-        // The same applies if the pipeline was closed before it started the frame.
+        // Until its outcome is handled, the frame counts as queued again; if it was not started, it stays so.
         frame.phase = FramePhase::Queued;
         match outcome {
             Outcome::Converted(report) => self.on_converted(&id, &report),
@@ -96,7 +94,7 @@ impl Core {
         });
     }
 
-    fn on_already_done(&mut self, id: &FrameId, input: ReadInput, record: &DoneRecord) {
+    fn on_already_done(&mut self, id: &FrameId, input: InputState, record: &DoneRecord) {
         let record = DoneRecord {
             input: id.path.to_path_buf(),
             stamp: input.stamp,
@@ -118,7 +116,7 @@ impl Core {
         (frame.stamp, frame.attempt_count) = (record.stamp, 0);
         self.failed.remove(id);
         self.set_phase(id, FramePhase::Done);
-        self.record(self.output_of[id.root], RecordLine::Done(record), Some(log));
+        self.record(self.output_folder_of[id.root], RecordLine::Done(record), Some(log));
     }
 
     /// The paths of a frame's outputs as a JSON array: a field of the log is text or a number.
@@ -137,10 +135,10 @@ impl Core {
                 self.set_phase(id, FramePhase::Failed);
                 self.remove(id);
             }
-            RetryAction::AwaitSpace => {
+            RetryAction::AwaitOutputs => {
                 let folder = error.path.parent().unwrap_or(Path::new("."));
                 // The last known free space is out of date.
-                let output = &mut self.outputs[self.output_of[id.root]];
+                let output = &mut self.output_folders[self.output_folder_of[id.root]];
                 output.free_bytes = free_bytes.or(output.free_bytes);
                 if error.is_disk_full() {
                     self.guard.on_full(folder, free_bytes, now);
@@ -152,8 +150,8 @@ impl Core {
                 });
             }
             RetryAction::Retry => self.fail_for_now(id, reason, now),
-            RetryAction::AwaitRestart => self.fail(id, UnfinishedState::GivenUp, reason),
-            RetryAction::GiveUp => self.fail_for_good(id, reason),
+            RetryAction::AwaitRestart => self.fail(id, UnfinishedState::AwaitsRestart, reason),
+            RetryAction::AwaitChange => self.fail_for_good(id, reason),
         }
     }
 
@@ -162,7 +160,7 @@ impl Core {
         frame.attempt_count += 1;
         let attempt = frame.attempt_count;
         let Some(wait) = backoff(attempt, self.config.once) else {
-            return self.fail(id, UnfinishedState::GivenUp, reason);
+            return self.fail(id, UnfinishedState::AwaitsRestart, reason);
         };
         self.retry_at(id, now + wait, &reason, move |path, why| {
             tracing::warn!(frame = %path.display(), attempt, "{}; retry in {wait:?}", without_path(path, why));
@@ -211,7 +209,7 @@ impl Core {
         let log = Log::new(move || {
             let why = without_path(&path, &why);
             match status {
-                UnfinishedState::GivenUp if attempts > 0 => {
+                UnfinishedState::AwaitsRestart if attempts > 0 => {
                     tracing::error!(
                         frame = %path.display(),
                         state = "failed",
@@ -228,23 +226,6 @@ impl Core {
         self.counters.failures += 1;
     }
 
-    /// The alarm of a frame is due.
-    pub(super) fn on_alarm(&mut self, id: &FrameId) {
-        match self.frames.phase(id) {
-            Some(FramePhase::Settling(_)) => self.inspect_candidate(id),
-            Some(FramePhase::Retrying(at)) if at > self.now.at => self.frames.set_alarm(id, at),
-            Some(FramePhase::Retrying(_)) => self.inspect(id, None, None),
-            _ => {}
-        }
-    }
-
-    /// Waits again until a file is complete, and discards what is known about it.
-    pub(super) fn start_over(&mut self, id: &FrameId) {
-        let Some(stamp) = self.frames.get(id).map(|frame| frame.stamp) else { return };
-        self.settle(id, Candidate::new(self.now.at, &Seen { stamp, age: None }, FileHint::Changed));
-        self.inspect_candidate(id);
-    }
-
     /// A file may have changed, or been removed, while it was converted.
     pub(super) fn check_again(&mut self, id: &FrameId) {
         let was_closed = self.frames.get(id).is_some_and(|frame| frame.was_closed);
@@ -254,14 +235,6 @@ impl Core {
             Some(FramePhase::Settling(_)) | None => {}
             Some(_) => self.check_stamp(id),
         }
-    }
-
-    /// A file exists, but the system refuses to inspect it.
-    pub(super) fn on_file_unreadable(&mut self, id: &FrameId, error: io::Error) {
-        if self.frames.get(id).is_none() {
-            return;
-        }
-        self.failed_frame(id, &FrameError::file(&id.path, Stage::Read, error), None);
     }
 
     /// Records why a frame is not done.
@@ -278,7 +251,7 @@ impl Core {
         // It is later than the record of the last conversion, also if the clock was set back.
         let done = self.record_of(id).and_then(|record| record.done.as_ref());
         let record = UnfinishedRecord {
-            name: within(&claimed, &self.output(id.root).folder).unwrap_or(&claimed).to_owned(),
+            name: within(&claimed, &self.output_folder(id.root).folder).unwrap_or(&claimed).to_owned(),
             input: id.path.to_path_buf(),
             state,
             reason,
@@ -288,7 +261,7 @@ impl Core {
             attempts: frame.attempt_count,
             at_ms: self.now.unix_ms.max(done.map_or(0, |done| done.at_ms.saturating_add(1))),
         };
-        self.record(self.output_of[id.root], RecordLine::Unfinished(Arc::new(record)), log);
+        self.record(self.output_folder_of[id.root], RecordLine::Unfinished(Arc::new(record)), log);
         self.mark_changed(id);
     }
 }

@@ -73,7 +73,7 @@ impl Core {
     }
 
     fn shown_outputs(&self, id: &FrameId, record: &DoneRecord) -> Vec<OutputView> {
-        let folder = &self.output(id.root).folder;
+        let folder = &self.output_folder(id.root).folder;
         let shown = record.output_paths(folder).zip(&record.outputs).map(|(path, file)| OutputView {
             name: self.shown_name(id.root, folder, &path),
             size_bytes: file.stamp.size,
@@ -104,7 +104,7 @@ impl Core {
         let name = self.shown_name(sequence.root, self.root_path(sequence.root), &path);
         let watch = self.watch(sequence.root);
         let made = (&watch.outputs, &*self.roots[sequence.root].obstacles);
-        let remembered = self.output(sequence.root).recorded.sequences.get(&sequence.key);
+        let remembered = self.output_folder(sequence.root).recorded.sequences.get(&sequence.key);
         let measured = remembered.filter(|_| watch.needs_spacing());
         let measured = measured.and_then(|record| record.measured.as_ref());
         let record = SequenceRecord::new(&name, &watch.job(), settings, measured, made);
@@ -117,7 +117,7 @@ impl Core {
             paused: self.guard.reason(),
             unavailable: self.unavailable().map(|(path, why)| format!("{}: {why}", path.display())).collect(),
             stopping: self.is_stopping,
-            disk_free_bytes: self.outputs.iter().filter_map(|output| output.free_bytes).min(),
+            disk_free_bytes: self.output_folders.iter().filter_map(|output| output.free_bytes).min(),
             memory_bytes,
         }
     }
@@ -128,7 +128,7 @@ impl Core {
             let stalled = root.has_stalled.then_some(STALLED);
             Some((&*root.path, stalled.or(root.unavailable.as_deref())?))
         });
-        let stalled = self.outputs.iter().filter(|output| output.has_stalled);
+        let stalled = self.output_folders.iter().filter(|output| output.has_stalled);
         roots.chain(stalled.map(|output| (&*output.folder, STALLED)))
     }
 
@@ -181,7 +181,7 @@ fn is_about(record: &UnfinishedRecord, phase: FramePhase) -> bool {
             matches!(phase, FramePhase::Queued | FramePhase::InProgress | FramePhase::Held)
         }
         UnfinishedState::Retrying => matches!(phase, FramePhase::Retrying(_)),
-        UnfinishedState::Failed | UnfinishedState::Refused | UnfinishedState::GivenUp => {
+        UnfinishedState::Failed | UnfinishedState::Refused | UnfinishedState::AwaitsRestart => {
             phase == FramePhase::Failed
         }
         UnfinishedState::Ignored => false,

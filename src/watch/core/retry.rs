@@ -13,29 +13,31 @@ use crate::pipeline::{Cause, FrameError, ObstacleError, Stage};
 pub(crate) enum RetryAction {
     /// The file is gone: forget it.
     Forget,
-    /// The folder of outputs is not writable: wait until that changes, then continue.
-    AwaitSpace,
+    /// No output can be written now: pause until that changes, then continue.
+    AwaitOutputs,
     /// The error may be temporary: retry.
     Retry,
     /// Only a changed file or a restart can help: a restart may have a higher memory limit, and reads the
     /// obstacles again.
     AwaitRestart,
     /// Only a changed file can help.
-    GiveUp,
+    AwaitChange,
 }
 
 /// The action for this error.
 pub(crate) fn recovery(error: &FrameError) -> RetryAction {
+    if error.is_disk_full() {
+        return RetryAction::AwaitOutputs;
+    }
     match &error.cause {
-        _ if error.is_disk_full() => RetryAction::AwaitSpace,
         Cause::File(source) => recovery_of_file(error.during, source),
         // Scratch files are in the folder of the outputs: if they cannot be written, outputs cannot either.
-        Cause::Scratch(refusal) if concerns_all(refusal.kind()) => RetryAction::AwaitSpace,
+        Cause::Scratch(error) if concerns_all(error.kind()) => RetryAction::AwaitOutputs,
         Cause::Scratch(_) | Cause::Changed => RetryAction::Retry,
         Cause::Obstacle(error) => recovery_of_obstacle(error),
         Cause::TooLarge(_) => RetryAction::AwaitRestart,
         Cause::VoxelTooSmall(_) | Cause::Missing(_) | Cause::Settings(_) | Cause::Panic(_) => {
-            RetryAction::GiveUp
+            RetryAction::AwaitChange
         }
     }
 }
@@ -44,7 +46,7 @@ pub(crate) fn recovery(error: &FrameError) -> RetryAction {
 /// restart.
 fn recovery_of_obstacle(error: &ObstacleError) -> RetryAction {
     match &error.source {
-        Some(Error::Io(refusal)) if is_other_kind(refusal.kind()) => RetryAction::AwaitRestart,
+        Some(Error::Io(error)) if is_other_kind(error.kind()) => RetryAction::AwaitRestart,
         Some(source) if !matches!(source, Error::Io(_)) && !source.is_truncated() => {
             RetryAction::AwaitRestart
         }
@@ -54,16 +56,14 @@ fn recovery_of_obstacle(error: &ObstacleError) -> RetryAction {
 
 fn recovery_of_file(during: Stage, source: &Error) -> RetryAction {
     match source {
-        Error::Io(refusal) if during == Stage::Read && refusal.kind() == io::ErrorKind::NotFound => {
+        Error::Io(error) if during == Stage::Read && error.kind() == io::ErrorKind::NotFound => {
             RetryAction::Forget
         }
-        Error::Io(refusal) if during == Stage::Write && concerns_all(refusal.kind()) => {
-            RetryAction::AwaitSpace
-        }
-        Error::Io(refusal) if during == Stage::Read && is_other_kind(refusal.kind()) => RetryAction::GiveUp,
+        Error::Io(error) if during == Stage::Write && concerns_all(error.kind()) => RetryAction::AwaitOutputs,
+        Error::Io(error) if during == Stage::Read && is_other_kind(error.kind()) => RetryAction::AwaitChange,
         Error::Io(_) => RetryAction::Retry,
         source if source.is_truncated() => RetryAction::Retry,
-        _ => RetryAction::GiveUp,
+        _ => RetryAction::AwaitChange,
     }
 }
 
@@ -120,27 +120,27 @@ mod tests {
         assert_eq!(after(Stage::Read, io(io::ErrorKind::NotFound)), RetryAction::Forget);
         assert_eq!(after(Stage::Write, io(io::ErrorKind::NotFound)), RetryAction::Retry);
         assert_eq!(after(Stage::Read, io(io::ErrorKind::PermissionDenied)), RetryAction::Retry);
-        assert_eq!(after(Stage::Read, io(io::ErrorKind::IsADirectory)), RetryAction::GiveUp);
-        assert_eq!(after(Stage::Write, io(io::ErrorKind::StorageFull)), RetryAction::AwaitSpace);
-        assert_eq!(after(Stage::Write, io(io::ErrorKind::QuotaExceeded)), RetryAction::AwaitSpace);
-        assert_eq!(after(Stage::Write, io(io::ErrorKind::ReadOnlyFilesystem)), RetryAction::AwaitSpace);
+        assert_eq!(after(Stage::Read, io(io::ErrorKind::IsADirectory)), RetryAction::AwaitChange);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::StorageFull)), RetryAction::AwaitOutputs);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::QuotaExceeded)), RetryAction::AwaitOutputs);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::ReadOnlyFilesystem)), RetryAction::AwaitOutputs);
         assert_eq!(after(Stage::Read, io(io::ErrorKind::StaleNetworkFileHandle)), RetryAction::Retry);
         assert_eq!(after(Stage::Write, io(io::ErrorKind::IsADirectory)), RetryAction::Retry);
-        assert_eq!(after(Stage::Read, Error::invalid("PLY", Position::File, "no")), RetryAction::GiveUp);
-        assert_eq!(after(Stage::Read, Error::unsupported("PLY", "no")), RetryAction::GiveUp);
-        assert_eq!(after(Stage::Read, Error::too_large("PLY", "no")), RetryAction::GiveUp);
+        assert_eq!(after(Stage::Read, Error::invalid("PLY", Position::File, "no")), RetryAction::AwaitChange);
+        assert_eq!(after(Stage::Read, Error::unsupported("PLY", "no")), RetryAction::AwaitChange);
+        assert_eq!(after(Stage::Read, Error::too_large("PLY", "no")), RetryAction::AwaitChange);
         let smoothing = |cause| recovery(&FrameError { path: "a".into(), during: Stage::Smooth, cause });
         let scratch = |kind: io::ErrorKind| smoothing(Cause::Scratch(kind.into()));
-        assert_eq!(scratch(io::ErrorKind::StorageFull), RetryAction::AwaitSpace);
-        assert_eq!(scratch(io::ErrorKind::QuotaExceeded), RetryAction::AwaitSpace);
-        assert_eq!(scratch(io::ErrorKind::ReadOnlyFilesystem), RetryAction::AwaitSpace);
+        assert_eq!(scratch(io::ErrorKind::StorageFull), RetryAction::AwaitOutputs);
+        assert_eq!(scratch(io::ErrorKind::QuotaExceeded), RetryAction::AwaitOutputs);
+        assert_eq!(scratch(io::ErrorKind::ReadOnlyFilesystem), RetryAction::AwaitOutputs);
         assert_eq!(scratch(io::ErrorKind::PermissionDenied), RetryAction::Retry);
         assert_eq!(scratch(io::ErrorKind::NotFound), RetryAction::Retry);
         assert_eq!(smoothing(Cause::Changed), RetryAction::Retry);
         let too_large =
             TooLarge { needed_bytes: 2, allowed_bytes: 1, requires_in_core: false, picture_bytes: 0 };
         assert_eq!(smoothing(Cause::TooLarge(too_large)), RetryAction::AwaitRestart);
-        assert_eq!(smoothing(Cause::Panic("no".into())), RetryAction::GiveUp);
+        assert_eq!(smoothing(Cause::Panic("no".into())), RetryAction::AwaitChange);
         let obstacle =
             |source| smoothing(Cause::Obstacle(Box::new(ObstacleError { path: "b".into(), source })));
         assert_eq!(obstacle(Some(io(io::ErrorKind::NotFound))), RetryAction::Retry);

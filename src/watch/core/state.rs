@@ -22,9 +22,9 @@ pub(crate) struct Core {
     /// Identifies this daemon in the records, with its last recorded state.
     identity: DaemonRecord,
     pub(super) roots: Vec<RootState>,
-    pub(super) outputs: Vec<OutputFolder>,
+    pub(super) output_folders: Vec<OutputFolder>,
     /// For each watch, the index of its folder of outputs.
-    pub(super) output_of: Vec<usize>,
+    pub(super) output_folder_of: Vec<usize>,
     pub(super) frames: FrameTable,
     /// The steps of each file that contains several.
     pub(super) steps_of: HashMap<FrameId, FileSteps>,
@@ -35,7 +35,7 @@ pub(crate) struct Core {
     /// For each stem of outputs, the input that owns these outputs.
     pub(super) claims: HashMap<PathBuf, FrameId>,
     /// The options of each mirrored sub-folder.
-    pub(super) outputs_of: HashMap<(usize, PathBuf), Arc<OutputOptions>>,
+    pub(super) mirrored_options: HashMap<(usize, PathBuf), Arc<OutputOptions>>,
     pub(super) queue: Queue,
     /// The number of frames that the pipeline has asked for.
     pub(super) requested_count: usize,
@@ -96,14 +96,14 @@ pub(crate) struct Failure {
 pub(crate) const STALL_AFTER: Duration = Duration::from_secs(5);
 
 impl Core {
-    /// The initial state. `roots` are the absolute paths of the watched folders, and `outputs` the folders of
-    /// outputs with what is recorded there.
+    /// The initial state. `roots` are the absolute paths of the watched folders, and `output_folders` those
+    /// of the outputs with what is recorded there.
     pub(crate) fn new(
         config: Arc<WatchConfig>,
         identity: DaemonRecord,
         roots: Vec<(PathBuf, Arc<ObstacleFiles>)>,
-        outputs: Vec<(PathBuf, RecordedState)>,
-        output_of: Vec<usize>,
+        output_folders: Vec<(PathBuf, RecordedState)>,
+        output_folder_of: Vec<usize>,
         now: Now,
     ) -> Core {
         let new_root = |(path, obstacles)| RootState {
@@ -127,15 +127,15 @@ impl Core {
             config,
             identity,
             roots: roots.into_iter().map(new_root).collect(),
-            outputs: outputs.into_iter().map(new_output).collect(),
-            output_of,
+            output_folders: output_folders.into_iter().map(new_output).collect(),
+            output_folder_of,
             frames: FrameTable::default(),
             steps_of: HashMap::new(),
             sequences: Sequences::default(),
             dirty_sequences: HashSet::new(),
             measuring_count: 0,
             claims: HashMap::new(),
-            outputs_of: HashMap::new(),
+            mirrored_options: HashMap::new(),
             requested_count: 0,
             scan_count: 0,
             failed: HashMap::new(),
@@ -151,13 +151,14 @@ impl Core {
 
     /// Records that the daemon is running, logs the folders, and requests the first scans.
     pub(crate) fn start(&mut self) {
-        for output in 0..self.outputs.len() {
+        for output in 0..self.output_folders.len() {
             // Check free space before frames are queued: no frame may start while it is below the floor.
             self.effects.push(Effect::Output(output, OutputRequest::Check));
         }
         self.record_daemon(DaemonState::Running);
         for root in 0..self.roots.len() {
-            let (folder, outputs) = (self.root_path(root).to_owned(), self.output(root).folder.clone());
+            let (folder, outputs) =
+                (self.root_path(root).to_owned(), self.output_folder(root).folder.clone());
             self.log(move || {
                 tracing::info!(
                     folder = %folder.display(),
@@ -182,8 +183,8 @@ impl Core {
     }
 
     /// The folder of outputs of a root.
-    pub(super) fn output(&self, root: usize) -> &OutputFolder {
-        &self.outputs[self.output_of[root]]
+    pub(super) fn output_folder(&self, root: usize) -> &OutputFolder {
+        &self.output_folders[self.output_folder_of[root]]
     }
 
     pub(super) fn log(&mut self, write: impl FnOnce() + Send + 'static) {
@@ -206,14 +207,14 @@ impl Core {
 
     /// Keeps a record, and requests that it be written. `log` is written after the record.
     pub(super) fn record(&mut self, output: usize, line: RecordLine, log: Option<Log>) {
-        self.outputs[output].recorded.take(&line);
+        self.output_folders[output].recorded.insert(&line);
         self.effects.push(Effect::Output(output, OutputRequest::Record(line, log)));
     }
 
     /// Records the state of the daemon.
     pub(crate) fn record_daemon(&mut self, state: DaemonState) {
         self.identity = DaemonRecord { state, at_ms: self.now.unix_ms, ..self.identity.clone() };
-        for output in 0..self.outputs.len() {
+        for output in 0..self.output_folders.len() {
             self.record(output, RecordLine::Daemon(self.identity.clone()), None);
         }
     }
@@ -237,7 +238,7 @@ impl Core {
     pub(super) fn check_space(&mut self) {
         let was_blocked = self.guard.reason().is_some();
         let found: Vec<FoundSpace<'_>> = self
-            .outputs
+            .output_folders
             .iter()
             .map(|dir| FoundSpace {
                 folder: &dir.folder,

@@ -43,7 +43,7 @@ impl Core {
         }
         match frames {
             Ok(None) => self.start_over(&id),
-            Ok(Some(found)) if found.has_several() => self.take_steps(&id, stamp, found),
+            Ok(Some(found)) if found.has_several() => self.update_steps(&id, stamp, found),
             Ok(Some(_)) => {
                 self.forget_steps(&id);
                 self.hold(&id, conflict);
@@ -56,7 +56,7 @@ impl Core {
     }
 
     /// Adds the steps of a complete file: each is a frame.
-    fn take_steps(&mut self, id: &FrameId, stamp: FileStamp, found: FileFrames) {
+    fn update_steps(&mut self, id: &FrameId, stamp: FileStamp, found: FileFrames) {
         let steps: Vec<FrameId> = found.paths().map(|path| FrameId::step(id.root, &path)).collect();
         let index_of = steps.iter().cloned().enumerate().map(|(index, step)| (step, index)).collect();
         let of_file = FileSteps { index_of, found };
@@ -71,12 +71,12 @@ impl Core {
         self.note_ignored(id, Reason::Steps(steps.len()));
         self.set_phase(id, FramePhase::Steps);
         for step in &steps {
-            self.take_step(id, step, stamp);
+            self.update_step(id, step, stamp);
         }
     }
 
     /// Handles a step of a file that has settled, and now has this stamp.
-    fn take_step(&mut self, file: &FrameId, id: &FrameId, stamp: FileStamp) {
+    fn update_step(&mut self, file: &FrameId, id: &FrameId, stamp: FileStamp) {
         let candidate = Candidate::new(self.now.at, &Seen { stamp, age: None }, FileHint::Changed);
         let Some(frame) = self.frames.get_mut(id) else {
             return self.add_frame(id, candidate);
@@ -96,7 +96,7 @@ impl Core {
             _ if is_same => return,
             _ => {}
         }
-        self.settle(id, candidate);
+        self.start_settling(id, candidate);
         self.inspect_candidate(id);
     }
 
@@ -105,7 +105,7 @@ impl Core {
         let is_step = self.steps_of.get(file).is_some_and(|steps| steps.index_of.contains_key(id));
         match self.frames.get(file) {
             Some(frame) if frame.stamp == seen.stamp => match frame.phase {
-                FramePhase::Steps if is_step => self.take_step(file, id, seen.stamp),
+                FramePhase::Steps if is_step => self.update_step(file, id, seen.stamp),
                 FramePhase::Settling(_) | FramePhase::FindingSteps => {
                     self.on_file_seen(file, seen, at, FileHint::Changed)
                 }
@@ -121,7 +121,7 @@ impl Core {
     pub(super) fn unqueue_steps(&mut self, file: &FrameId, seen: &Seen, at: Instant) {
         for step in self.known_steps(file) {
             if self.frames.phase(&step) == Some(FramePhase::Queued) {
-                self.settle(&step, Candidate::new(at, seen, FileHint::Changed));
+                self.start_settling(&step, Candidate::new(at, seen, FileHint::Changed));
             }
         }
     }

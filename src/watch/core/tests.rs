@@ -10,7 +10,7 @@ use meniscus_formats::Error;
 
 use crate::pipeline::{
     ChangedOutput, DaemonRecord, DaemonState, DoneRecord, FileStamp, Frame, FrameError, FrameReport,
-    MeasuredSpacing, Outcome, OutputFormat, OutputOptions, ReadInput, Reason, RecordLine, RecordedState,
+    InputState, MeasuredSpacing, Outcome, OutputFormat, OutputOptions, Reason, RecordLine, RecordedState,
     SharedSettings, Stage, UnfinishedRecord, UnfinishedState,
 };
 use crate::surface::options::MethodOptions;
@@ -21,7 +21,7 @@ use crate::watch::test_records::done_record;
 use super::completeness::{FileHint, Proof, Seen};
 use super::events::{
     Complete, Effect, Event, FileContents, FrameFinished, Inspect, Inspected, InspectionExtent,
-    InspectionResult, Now, OutputDirState, OutputRequest, Presence, RootRequest, Scan, SlowRequest, Start,
+    InspectionResult, Now, OutputFolderState, OutputRequest, Presence, RootRequest, Scan, SlowRequest, Start,
     Worker,
 };
 use super::frames::FrameId;
@@ -88,16 +88,16 @@ impl Rig {
         };
         let roots = (0..count).map(|root| (format!("/in{root}").into(), Arc::default())).collect();
         let mut folders: Vec<PathBuf> = Vec::new();
-        let mut output_of = Vec::new();
+        let mut output_folder_of = Vec::new();
         for watch in &config.watches {
             let folder = &watch.outputs.folder;
             if !folders.contains(folder) {
                 folders.push(folder.clone());
             }
-            output_of.extend(folders.iter().position(|known| known == folder));
+            output_folder_of.extend(folders.iter().position(|known| known == folder));
         }
         let outputs = folders.into_iter().map(|folder| (folder, recorded.clone())).collect();
-        let mut core = Core::new(Arc::new(config), identity, roots, outputs, output_of, now);
+        let mut core = Core::new(Arc::new(config), identity, roots, outputs, output_folder_of, now);
         core.claim_recorded(|root, path| path.starts_with(format!("/in{root}")));
         core.start();
         let mut rig = Rig {
@@ -112,19 +112,19 @@ impl Rig {
             orders: Vec::new(),
             records: Vec::new(),
         };
-        rig.settle();
+        rig.decide();
         rig
     }
 
     /// Sends an event to the core, and answers the resulting requests.
     fn event(&mut self, event: Event) {
         self.core.handle(event, self.now);
-        self.settle();
+        self.decide();
     }
 
-    fn settle(&mut self) {
+    fn decide(&mut self) {
         loop {
-            self.core.settle_batch(self.now);
+            self.core.decide(self.now);
             let effects = self.core.take_effects();
             if effects.is_empty() && (self.holds_inspections || self.inspections.is_empty()) {
                 return;
@@ -164,7 +164,7 @@ impl Rig {
     fn found(&self, inspect: &Inspect, waits: Option<Reason>) -> InspectionResult {
         let mut changed_output = None;
         if let Some(recorded) = &inspect.recorded {
-            let folder = &self.core.output(inspect.id.root).folder;
+            let folder = &self.core.output_folder(inspect.id.root).folder;
             let outputs = recorded.record.if_done().into_iter().flat_map(|done| done.output_paths(folder));
             match outputs.into_iter().find(|path| !self.outputs.contains(path)) {
                 None => return InspectionResult::AsRecorded,
@@ -187,7 +187,7 @@ impl Rig {
     fn pass(&mut self, time: Duration) {
         self.now.at += time;
         self.now.unix_ms += u64::try_from(time.as_millis()).expect("soon");
-        self.settle();
+        self.decide();
     }
 
     /// Writes a file, and sends an event for it.
@@ -231,7 +231,7 @@ impl Rig {
         if let Outcome::Converted(report) = &outcome
             && let Some(record) = &report.record
         {
-            self.outputs.extend(record.output_paths(&self.core.output(id(path).root).folder));
+            self.outputs.extend(record.output_paths(&self.core.output_folder(id(path).root).folder));
         }
         let finished = FrameFinished { id: id(path), outcome, free_bytes: Some(0) };
         self.event(Event::FrameFinished(Box::new(finished)));
@@ -249,7 +249,7 @@ impl Rig {
         let settings = self.core.sequences.get(sequence).settings_id().unwrap_or_default().to_owned();
         let at_ms = self.now.unix_ms;
         let record = DoneRecord { settings, at_ms, ..(*done_record(&id.path, stamp)).clone() };
-        let (input, record) = (ReadInput { stamp, hash: 7 }, Some(Arc::new(record)));
+        let (input, record) = (InputState { stamp, hash: 7 }, Some(Arc::new(record)));
         self.finish(
             path,
             Outcome::Converted(Box::new(FrameReport { input, record, ..FrameReport::default() })),
@@ -262,9 +262,9 @@ impl Rig {
         self.finish(path, Outcome::Failed(error));
     }
 
-    fn output_dir(&mut self, output: usize, presence: Presence, free_bytes: u64) {
-        let found = OutputDirState { output, presence, free_bytes: Some(free_bytes) };
-        self.event(Event::OutputDirChecked(found));
+    fn set_output_folder(&mut self, output: usize, presence: Presence, free_bytes: u64) {
+        let found = OutputFolderState { output, presence, free_bytes: Some(free_bytes) };
+        self.event(Event::OutputFolderChecked(found));
     }
 
     /// The recorded states of a frame, in order; `None` when it was done.
@@ -362,7 +362,7 @@ fn result_of_an_earlier_inspection_is_disregarded() {
     rig.event(early);
     assert!(rig.started().is_empty(), "the file is being written again");
     rig.holds_inspections = false;
-    rig.settle();
+    rig.decide();
     assert!(rig.started().is_empty());
     rig.files.insert("/in0/a.1.ply".into(), (stamp(2), None));
     rig.pass(SECOND);
@@ -423,7 +423,7 @@ fn closed_file_is_read_again_although_a_scan_finds_it_unchanged_meanwhile() {
     rig.send("/in0/a.1.ply", FileHint::Closed);
     rig.scan(0);
     rig.holds_inspections = false;
-    rig.settle();
+    rig.decide();
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
 
@@ -444,7 +444,7 @@ fn failures_are_retried_with_growing_waits_up_to_a_limit() {
         rig.fail("/in0/a.1.ply", Stage::Read, io::ErrorKind::PermissionDenied);
     }
     assert_eq!(waits[..6], [0.0, 0.5, 1.0, 2.0, 4.0, 8.0]);
-    assert_eq!(rig.states("/in0/a.1.ply").last(), Some(&Some(UnfinishedState::GivenUp)));
+    assert_eq!(rig.states("/in0/a.1.ply").last(), Some(&Some(UnfinishedState::AwaitsRestart)));
     rig.want();
     rig.pass(Duration::from_secs(3600));
     assert!(rig.started().is_empty());
@@ -460,22 +460,22 @@ fn failures_are_retried_with_growing_waits_up_to_a_limit() {
 #[test]
 fn low_disk_space_pauses_until_there_is_more() {
     let mut rig = Rig::new(1);
-    rig.output_dir(0, Presence::Present, GIB - 1);
+    rig.set_output_folder(0, Presence::Present, GIB - 1);
     rig.put("/in0/a.1.ply", 1);
     rig.want();
     assert!(rig.started().is_empty());
     assert!(rig.status().contains("paused: /out0 has"), "{}", rig.status());
-    rig.output_dir(0, Presence::Present, GIB);
+    rig.set_output_folder(0, Presence::Present, GIB);
     assert_eq!(rig.started(), ["a.1.ply"]);
 
     // After a full disk, the frame is tried again when space was freed, or after a while.
     rig.fail("/in0/a.1.ply", Stage::Write, io::ErrorKind::StorageFull);
     rig.want();
-    rig.output_dir(0, Presence::Present, GIB - 1);
+    rig.set_output_folder(0, Presence::Present, GIB - 1);
     rig.pass(4 * SECOND);
     assert!(rig.started().is_empty());
     assert_eq!(rig.states("/in0/a.1.ply").last(), Some(&Some(UnfinishedState::Queued)));
-    rig.output_dir(0, Presence::Present, 2 * GIB);
+    rig.set_output_folder(0, Presence::Present, 2 * GIB);
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
 
@@ -485,12 +485,12 @@ fn frame_that_cannot_begin_is_queued_again() {
     rig.want();
     rig.put("/in0/a.1.ply", 1);
     let (id, frame) = rig.started.pop().expect("started");
-    let found = OutputDirState { output: 0, presence: Presence::Missing, free_bytes: None };
+    let found = OutputFolderState { output: 0, presence: Presence::Missing, free_bytes: None };
     rig.event(Event::FrameReturned { id, frame, found });
     rig.want();
     assert!(rig.started().is_empty());
     assert!(rig.status().contains("/out0 is not mounted"), "{}", rig.status());
-    rig.output_dir(0, Presence::Present, 2 * GIB);
+    rig.set_output_folder(0, Presence::Present, 2 * GIB);
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
 
@@ -502,18 +502,18 @@ fn unmounted_outputs_are_awaited_and_removed_outputs_are_made_again() {
     rig.convert("/in0/a.1.ply");
     rig.started();
     let outputs = std::mem::take(&mut rig.outputs);
-    rig.output_dir(0, Presence::Missing, 0);
+    rig.set_output_folder(0, Presence::Missing, 0);
     rig.want();
     rig.scan(0);
     assert!(rig.started().is_empty(), "unmounted outputs are not missing");
     assert_eq!(rig.core.summary(EndReason::Finish).done_count, 1);
     rig.outputs = outputs;
-    rig.output_dir(0, Presence::Present, 2 * GIB);
+    rig.set_output_folder(0, Presence::Present, 2 * GIB);
     rig.scan(0);
     assert!(rig.started().is_empty());
 
     rig.outputs.clear();
-    rig.output_dir(0, Presence::Recreated, 2 * GIB);
+    rig.set_output_folder(0, Presence::Recreated, 2 * GIB);
     rig.scan(0);
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
@@ -578,7 +578,7 @@ fn recorded_owner_keeps_its_outputs_whichever_folder_is_scanned_first() {
     before.put("/in1/a.1.ply", 1);
     before.convert("/in1/a.1.ply");
     let mut recorded = RecordedState::default();
-    before.records.iter().for_each(|line| recorded.take(line));
+    before.records.iter().for_each(|line| recorded.insert(line));
 
     let restart = |files: &[&str]| {
         let mut rig = Rig::with(config.clone(), recorded.clone());
@@ -625,10 +625,10 @@ fn refused_frame_is_checked_at_each_scan() {
     assert_eq!(rig.states("/in0/a.1.ply"), [Some(UnfinishedState::Refused); 2]);
     // While the outputs are not mounted, the other file only seems to be gone.
     rig.conflicts.clear();
-    rig.output_dir(0, Presence::Missing, 2 * GIB);
+    rig.set_output_folder(0, Presence::Missing, 2 * GIB);
     rig.scan(0);
     assert_eq!(rig.status().split(';').next(), Some("0 done, 0 queued, 1 failed"));
-    rig.output_dir(0, Presence::Present, 2 * GIB);
+    rig.set_output_folder(0, Presence::Present, 2 * GIB);
     rig.scan(0);
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.convert("/in0/a.1.ply");
@@ -643,14 +643,14 @@ fn recorded(state: Option<UnfinishedState>) -> RecordedState {
     rig.put("/in0/a.1.ply", 1);
     rig.convert("/in0/a.1.ply");
     let mut recorded = RecordedState::default();
-    rig.records.iter().for_each(|line| recorded.take(line));
+    rig.records.iter().for_each(|line| recorded.insert(line));
     let queued = rig.records.iter().find_map(|line| match line {
         RecordLine::Unfinished(record) => Some(UnfinishedRecord::clone(record)),
         _ => None,
     });
     if let Some(state) = state {
         let record = UnfinishedRecord { state, ..queued.expect("it was queued") };
-        recorded.take(&RecordLine::Unfinished(record.into()));
+        recorded.insert(&RecordLine::Unfinished(record.into()));
     }
     recorded
 }
@@ -664,7 +664,7 @@ fn after_a_restart_only_unfinished_frames_are_converted() {
         (Some(UnfinishedState::Failed), true, 0),
         (Some(UnfinishedState::Queued), true, 1),
         (Some(UnfinishedState::Retrying), true, 1),
-        (Some(UnfinishedState::GivenUp), true, 1),
+        (Some(UnfinishedState::AwaitsRestart), true, 1),
         (Some(UnfinishedState::Refused), true, 1),
     ] {
         let mut rig = Rig::with(config(1, &choices), recorded(state));
@@ -696,7 +696,7 @@ fn run_with_once_is_drained_only_when_all_frames_are_done() {
     rig.scan(0);
     assert!(!rig.core.is_ready() && !rig.core.is_drained());
     rig.holds_inspections = false;
-    rig.settle();
+    rig.decide();
     assert!(rig.core.is_ready() && !rig.core.is_drained(), "one is queued");
     rig.want();
     assert!(!rig.core.is_drained(), "one is in progress");

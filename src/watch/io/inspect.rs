@@ -37,17 +37,16 @@ impl Root {
         let own = &self.obstacles[self.index];
         let stamps = || Arc::new(own.stamps(request.id.frame_file(&self.path).number()));
         let obstacles = (!own.is_empty()).then(stamps);
-        let found = self.find(&request, obstacles.as_deref());
+        let found = self.examine(&request, obstacles.as_deref());
         Inspected { id: request.id, number: request.number, found, obstacles }
     }
 
-    fn find(&self, request: &Inspect, obstacles: Option<&ObstacleStamps>) -> InspectionResult {
-        let Inspect { id, stamp, outputs, .. } = request;
-        let is_as_recorded = |recorded: &Recorded| {
-            self.changed_output_of(recorded).is_none() && has_recorded_obstacles(recorded, obstacles)
-        };
-        let was_just_seen = request.extent == InspectionExtent::AllOfJustSeen;
-        if was_just_seen && request.recorded.as_ref().is_some_and(is_as_recorded) {
+    fn examine(&self, request: &Inspect, obstacles: Option<&ObstacleStamps>) -> InspectionResult {
+        let Inspect { id, stamp, outputs, extent, recorded, .. } = request;
+        let changed_output = recorded.as_ref().and_then(|recorded| self.changed_output_of(recorded));
+        let has_obstacles = |recorded: &Recorded| has_recorded_obstacles(recorded, obstacles);
+        let is_as_recorded = changed_output.is_none() && recorded.as_ref().is_some_and(has_obstacles);
+        if is_as_recorded && *extent == InspectionExtent::AllOfJustSeen {
             return InspectionResult::AsRecorded;
         }
         let file = id.file_path();
@@ -60,18 +59,14 @@ impl Root {
         if seen.stamp != *stamp {
             return InspectionResult::Changed(seen, at);
         }
-        if request.extent == InspectionExtent::Stamp {
+        if *extent == InspectionExtent::Stamp {
             return InspectionResult::Same;
         }
-        let mut changed_output = None;
-        if let Some(recorded) = &request.recorded {
-            changed_output = self.changed_output_of(recorded);
-            if changed_output.is_none() && has_recorded_obstacles(recorded, obstacles) {
-                return InspectionResult::AsRecorded;
-            }
-            if changed_output.is_some() && !self.output.is_in_place() {
-                return InspectionResult::OutputsAway;
-            }
+        if is_as_recorded {
+            return InspectionResult::AsRecorded;
+        }
+        if changed_output.is_some() && !self.output.is_in_place() {
+            return InspectionResult::OutputsAway;
         }
         let mut proof = None;
         if let Some(mut candidate) = request.candidate {

@@ -17,7 +17,7 @@ use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-pub use crate::pipeline::host_name;
+use crate::pipeline::host_name;
 use crate::pipeline::{STATE_FOLDER, has_other_names, is_still_at, open_own};
 
 /// The name of the lock file, in the daemon's state folder.

@@ -1,10 +1,12 @@
 //! All code that may block: files, folders, mounts, the records on disk, and the pipeline.
 //!
 //! ```text
-//!   root         a watched folder: scans, events, inspections     slow         measuring, finding steps
-//!   output_dir   a folder of outputs: records, lock, free space   pipeline     converts frames
-//!   worker       the thread of either, and its stall detection
-//!   stages       the stages of a folder of outputs
+//!   root           a watched folder: scans, events, inspections
+//!   output_folder  a folder of outputs: records, lock, free space
+//!   worker         the thread of either, and its stall detection
+//!   usd_stages     the USD stages of a folder of outputs
+//!   slow           measuring, finding steps
+//!   pipeline       converts frames
 //!   inspect, writers, scan, selection, fs_events, mounts, lock   what the workers call
 //! ```
 
@@ -13,14 +15,14 @@ mod fs_events;
 mod inspect;
 pub mod lock;
 mod mounts;
-mod output_dir;
+mod output_folder;
 pub(crate) mod pipeline;
 mod root;
 mod scan;
 pub mod selection;
 mod slow;
-mod stages;
 pub(crate) mod start;
+mod usd_stages;
 pub(crate) mod worker;
 #[cfg(target_os = "linux")]
 mod writers;

@@ -18,7 +18,7 @@ use crate::watch::core::events::{Event, FrameFinished, Start};
 use crate::watch::status_store::StatusStore;
 
 use super::mounts::free_bytes;
-use super::output_dir::OutputGuard;
+use super::output_folder::OutputGuard;
 
 /// What the pipeline needs.
 #[derive(Clone)]

@@ -23,7 +23,7 @@ use crate::watch::core::frames::FrameId;
 
 use super::fs_events::{FsEvent, WatchError, Watcher};
 use super::mounts::network_file_system;
-use super::output_dir::OutputGuard;
+use super::output_folder::OutputGuard;
 use super::scan::{file_state, scan};
 use super::selection::FileFilter;
 use super::worker::{Heartbeat, Work};

@@ -6,15 +6,14 @@ use std::time::Instant;
 
 use crossbeam::channel::Sender;
 
-use crate::pipeline::{DaemonRecord, DaemonState, ObstacleFiles, canonical_path, now_ms};
+use crate::pipeline::{DaemonRecord, DaemonState, ObstacleFiles, canonical_path, host_name, now_ms};
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, Now, OutputRequest, RootRequest, SlowRequest, Worker};
 use crate::watch::core::state::Core;
 use crate::watch::status_store::StatusStore;
 
 use super::error::DaemonError;
-use super::lock::host_name;
-use super::output_dir::{OutputGuard, open_outputs};
+use super::output_folder::{OutputGuard, open_outputs};
 use super::pipeline::PipelineContext;
 use super::root::Root;
 use super::selection::FileFilter;
@@ -49,7 +48,7 @@ pub(crate) fn start(
     store: Option<Arc<StatusStore>>,
     events: &Sender<Event>,
 ) -> Result<(Core, Workers, PipelineContext), DaemonError> {
-    let (outputs, output_of) = open_outputs(config)?;
+    let (outputs, output_folder_of) = open_outputs(config)?;
     let guards: Vec<Arc<OutputGuard>> = outputs.iter().map(|output| Arc::clone(output.guard())).collect();
     let folders: Vec<_> = guards.iter().map(|guard| guard.folder.clone()).collect();
     let obstacles = config.watches.iter().map(|watch| ObstacleFiles::new(watch.obstacles.clone()));
@@ -68,18 +67,19 @@ pub(crate) fn start(
         identity(),
         roots.collect(),
         recorded.collect(),
-        output_of.clone(),
+        output_folder_of.clone(),
         now(),
     );
     core.claim_recorded(|root, file| {
         let (folder, selection) = &paths[root];
         selection.takes(folder, file)
     });
-    let outputs_of_roots = output_of.iter().map(|&output| (output, Arc::clone(&guards[output]))).collect();
+    let output_folders_of_roots =
+        output_folder_of.iter().map(|&output| (output, Arc::clone(&guards[output]))).collect();
     let context = PipelineContext {
         config: Arc::clone(config),
         store,
-        outputs: Arc::new(outputs_of_roots),
+        outputs: Arc::new(output_folders_of_roots),
         events: events.clone(),
     };
     let failed = |error: std::io::Error| DaemonError::Threads(error.to_string());
@@ -100,7 +100,7 @@ pub(crate) fn start(
     }
     for (index, (path, selection)) in paths.into_iter().enumerate() {
         let heartbeat = workers.monitor(Worker::Root(index));
-        let guard = Arc::clone(&guards[output_of[index]]);
+        let guard = Arc::clone(&guards[output_folder_of[index]]);
         let (obstacles, beats) = (obstacles.clone(), heartbeat.clone());
         let (root, fs_events) = Root::new(index, path, selection, config, obstacles, guard, beats);
         let sender = spawn(&format!("root {index}"), root, fs_events, heartbeat, events.clone());

@@ -24,11 +24,10 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde_json::Value;
 
-use crate::pipeline::{SequenceRecord, Stage, natural_order};
+use crate::pipeline::{SequenceRecord, Stage, natural_order, now_ms};
 
 pub use crate::pipeline::Figures;
 pub use metrics::{BUCKETS_S, Counters, Histogram, STAGES};
@@ -415,12 +414,6 @@ impl StoreState {
 
 /// A daemon without a heartbeat for this long is stuck.
 const STUCK_AFTER_MS: u64 = 30_000;
-
-/// Milliseconds since 1970.
-pub fn now_ms() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
-}
 
 #[cfg(test)]
 mod tests;

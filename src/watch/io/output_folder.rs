@@ -10,16 +10,16 @@ use std::time::{Duration, Instant};
 use crate::pipeline::{FrameRecords, STATE_FOLDER, make_out_folder, remove_left_behind, sweep_temporaries};
 use crate::surface::words::pluralize;
 use crate::watch::config::WatchConfig;
-use crate::watch::core::events::{Event, OutputDirState, OutputRequest, Presence};
+use crate::watch::core::events::{Event, OutputFolderState, OutputRequest, Presence};
 
 use super::error::DaemonError;
 use super::lock::{FILE_NAME as LOCK_FILE_NAME, OutputLock};
 use super::mounts::{device, free_bytes};
-use super::stages::FolderStages;
+use super::usd_stages::FolderUsdStages;
 use super::worker::Work;
 
 /// A folder of outputs that only this daemon writes to.
-pub(super) struct OutputDir {
+pub(super) struct OutputFolderWorker {
     index: usize,
     guard: Arc<OutputGuard>,
     /// When the last attempt to write records failed; `None` if it succeeded.
@@ -27,7 +27,7 @@ pub(super) struct OutputDir {
     /// Whether the folder is in place. If another one has replaced it, nothing is written there.
     is_mounted: bool,
     next_check: Instant,
-    stages: FolderStages,
+    stages: FolderUsdStages,
 }
 
 /// Checks whether a folder of outputs is still the one that was opened.
@@ -58,17 +58,19 @@ const CHECK_EVERY: Duration = Duration::from_secs(1);
 ///
 /// # Errors
 /// When a folder cannot be created, or another daemon has locked it.
-pub(super) fn open_outputs(config: &WatchConfig) -> Result<(Vec<OutputDir>, Vec<usize>), DaemonError> {
-    let (mut all, mut output_of): (Vec<OutputDir>, Vec<usize>) = (Vec::new(), Vec::new());
+pub(super) fn open_outputs(
+    config: &WatchConfig,
+) -> Result<(Vec<OutputFolderWorker>, Vec<usize>), DaemonError> {
+    let (mut all, mut output_folder_of): (Vec<OutputFolderWorker>, Vec<usize>) = (Vec::new(), Vec::new());
     for watch in &config.watches {
         let folder = open_folder(&watch.outputs.folder)?;
         let known = all.iter().position(|output| output.guard.folder == folder);
         if known.is_none() {
-            all.push(OutputDir::open(all.len(), folder, config)?);
+            all.push(OutputFolderWorker::open(all.len(), folder, config)?);
         }
-        output_of.push(known.unwrap_or(all.len() - 1));
+        output_folder_of.push(known.unwrap_or(all.len() - 1));
     }
-    Ok((all, output_of))
+    Ok((all, output_folder_of))
 }
 
 fn open_folder(folder: &Path) -> Result<PathBuf, DaemonError> {
@@ -76,8 +78,8 @@ fn open_folder(folder: &Path) -> Result<PathBuf, DaemonError> {
     folder.canonicalize().map_err(|source| DaemonError::Folder { folder: folder.to_owned(), source })
 }
 
-impl OutputDir {
-    fn open(index: usize, folder: PathBuf, config: &WatchConfig) -> Result<OutputDir, DaemonError> {
+impl OutputFolderWorker {
+    fn open(index: usize, folder: PathBuf, config: &WatchConfig) -> Result<OutputFolderWorker, DaemonError> {
         let lock = OutputLock::take(&folder).map_err(DaemonError::Locked)?;
         let state_folder = folder.join(STATE_FOLDER);
         let failed = |source| DaemonError::Folder { folder: folder.clone(), source };
@@ -95,8 +97,8 @@ impl OutputDir {
             tracing::warn!(folder = %folder.display(), "{problem}: converting the frames that are recorded there again");
         }
         let locked = Mutex::new(LockedFolder { lock, device });
-        let stages = FolderStages::new(&folder, config);
-        Ok(OutputDir {
+        let stages = FolderUsdStages::new(&folder, config);
+        Ok(OutputFolderWorker {
             index,
             guard: Arc::new(OutputGuard {
                 folder,
@@ -129,7 +131,7 @@ impl OutputDir {
         self.next_check = Instant::now() + CHECK_EVERY;
         let found = self.guard.check(self.index);
         self.is_mounted = found.presence != Presence::Missing;
-        report(Event::OutputDirChecked(found));
+        report(Event::OutputFolderChecked(found));
     }
 
     /// Writes the records that are kept. If they cannot be written, the only loss is repeated work after a restart.
@@ -159,7 +161,7 @@ impl OutputDir {
     }
 }
 
-impl Work for OutputDir {
+impl Work for OutputFolderWorker {
     type Request = OutputRequest;
 
     fn handle(&mut self, request: OutputRequest, report: &dyn Fn(Event)) {
@@ -208,10 +210,10 @@ impl OutputGuard {
     }
 
     /// Checks the folder. If it was removed, it is created again and locked.
-    pub(crate) fn check(&self, output: usize) -> OutputDirState {
+    pub(crate) fn check(&self, output: usize) -> OutputFolderState {
         let presence = self.find();
         let free_bytes = free_bytes(&self.folder).ok();
-        OutputDirState { output, presence, free_bytes }
+        OutputFolderState { output, presence, free_bytes }
     }
 
     fn find(&self) -> Presence {

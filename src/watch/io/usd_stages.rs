@@ -9,9 +9,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crate::pipeline::{
-    FrameFile, FrameRecords, OutputOptions, RecordLine, RecordedFrame, Sequence, StageFrame, StageSequence,
-    UnfinishedState, are_same_file, canonical_path, next_stage_update, output_sequence, sequences,
-    sweep_temporaries_of, write_stage,
+    FrameFile, FrameRecords, OutputOptions, RecordLine, RecordedFrame, Sequence, UnfinishedState,
+    UsdStageFrame, UsdStageSequence, are_same_file, canonical_path, next_stage_update, output_sequence,
+    sequences, sweep_temporaries_of, write_stage,
 };
 use crate::watch::config::WatchConfig;
 
@@ -21,8 +21,8 @@ use super::selection::FileFilter;
 const RETRY: Duration = Duration::from_secs(10);
 
 /// The stages of one folder of outputs.
-pub(super) struct FolderStages {
-    stages: Vec<WatchedStage>,
+pub(super) struct FolderUsdStages {
+    stages: Vec<WatchedUsdStage>,
     /// When they are written next; `None` while they are up to date.
     due: Option<Instant>,
     /// They are not written before.
@@ -30,9 +30,9 @@ pub(super) struct FolderStages {
 }
 
 /// A stage, and where its frames come from.
-struct WatchedStage {
+struct WatchedUsdStage {
     /// At least one. All have this stage.
-    blocks: Vec<StagedWatch>,
+    blocks: Vec<UsdStageBlock>,
     /// The error that was logged last, until the stage can be written again.
     logged_error: Option<String>,
     /// The warnings about frames that are left out which were logged.
@@ -41,16 +41,16 @@ struct WatchedStage {
 
 /// A watched folder, and the files in it that are frames: other blocks may watch the same folder for other
 /// files.
-struct StagedWatch {
+struct UsdStageBlock {
     input: PathBuf,
     filter: FileFilter,
     outputs: OutputOptions,
 }
 
-impl FolderStages {
+impl FolderUsdStages {
     /// The stages of the frames whose outputs are in this folder.
-    pub(super) fn new(folder: &Path, config: &WatchConfig) -> FolderStages {
-        let mut stages: Vec<WatchedStage> = Vec::new();
+    pub(super) fn new(folder: &Path, config: &WatchConfig) -> FolderUsdStages {
+        let mut stages: Vec<WatchedUsdStage> = Vec::new();
         for watch in &config.watches {
             let is_here = are_same_file(&watch.outputs.folder, folder);
             let Some(stage) = watch.outputs.stage.as_ref().filter(|_| is_here) else { continue };
@@ -64,10 +64,10 @@ impl FolderStages {
                 continue;
             };
             let input = canonical_path(&watch.input);
-            let block = StagedWatch { input, filter, outputs: watch.outputs.clone() };
+            let block = UsdStageBlock { input, filter, outputs: watch.outputs.clone() };
             match stages.iter_mut().find(|known| known.blocks[0].outputs.stage.as_ref() == Some(stage)) {
                 Some(known) => known.blocks.push(block),
-                None => stages.push(WatchedStage {
+                None => stages.push(WatchedUsdStage {
                     blocks: vec![block],
                     logged_error: None,
                     logged: HashSet::new(),
@@ -75,7 +75,7 @@ impl FolderStages {
             }
         }
         let now = Instant::now();
-        FolderStages { due: (!stages.is_empty()).then_some(now), stages, paused_until: now }
+        FolderUsdStages { due: (!stages.is_empty()).then_some(now), stages, paused_until: now }
     }
 
     /// A record may change what the stages play.
@@ -107,7 +107,7 @@ impl FolderStages {
     }
 }
 
-impl WatchedStage {
+impl WatchedUsdStage {
     /// Writes the stage, and returns whether that succeeded. An error is logged once, and so is the recovery.
     fn write(&mut self, frames: &HashMap<PathBuf, RecordedFrame>) -> bool {
         let written = write_stage(&self.blocks[0].outputs, &self.sequences(frames));
@@ -131,7 +131,7 @@ impl WatchedStage {
 
     /// The recorded frames, numbered and grouped by their inputs as `convert` does: the name of an output may
     /// contain other numbers as well, such as that of the file whose step it is.
-    fn sequences(&self, frames: &HashMap<PathBuf, RecordedFrame>) -> Vec<StageSequence> {
+    fn sequences(&self, frames: &HashMap<PathBuf, RecordedFrame>) -> Vec<UsdStageSequence> {
         let mut of_blocks: Vec<Vec<FrameFile>> = self.blocks.iter().map(|_| Vec::new()).collect();
         // A file with the name of an output of a frame that was never converted may be that of another frame.
         let played = frames.iter().filter(|(_, frame)| match frame.unfinished_state() {
@@ -141,21 +141,21 @@ impl WatchedStage {
         });
         for (input, _) in played {
             let file = FrameFile::new(input.to_path_buf());
-            let takes = |block: &StagedWatch| block.filter.takes(&block.input, file.file());
+            let takes = |block: &UsdStageBlock| block.filter.takes(&block.input, file.file());
             if let Some(index) = self.blocks.iter().position(takes) {
                 of_blocks[index].push(file.in_watched_folder(&self.blocks[index].input));
             }
         }
-        let of_block = |(block, files): (&StagedWatch, Vec<FrameFile>)| -> Vec<StageSequence> {
+        let of_block = |(block, files): (&UsdStageBlock, Vec<FrameFile>)| -> Vec<UsdStageSequence> {
             sequences(files).iter().map(|sequence| block.sequence(sequence)).collect()
         };
         self.blocks.iter().zip(of_blocks).flat_map(of_block).collect()
     }
 }
 
-impl StagedWatch {
+impl UsdStageBlock {
     /// The outputs of a sequence: sub-folders are mirrored below the folder of outputs.
-    fn sequence(&self, Sequence { frames, .. }: &Sequence) -> StageSequence {
+    fn sequence(&self, Sequence { frames, .. }: &Sequence) -> UsdStageSequence {
         let (folder, sequence) = frames.first().map(FrameFile::sequence).unwrap_or_default();
         let within = |folder: &Path| folder.strip_prefix(&self.input).unwrap_or(Path::new("")).to_owned();
         let names = within(&folder);
@@ -164,8 +164,8 @@ impl StagedWatch {
         let mut outputs = self.outputs.clone();
         let frame = |file: &FrameFile| {
             outputs.folder = self.outputs.folder.join(within(file.file().parent().unwrap_or(Path::new(""))));
-            StageFrame::new(&outputs, &file.stem(), file.number())
+            UsdStageFrame::new(&outputs, &file.stem(), file.number())
         };
-        StageSequence { name, frames: frames.iter().map(frame).collect() }
+        UsdStageSequence { name, frames: frames.iter().map(frame).collect() }
     }
 }

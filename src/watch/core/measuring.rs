@@ -16,7 +16,7 @@ impl Core {
     /// The index of the sequence of a file.
     pub(super) fn sequence_of(&mut self, id: &FrameId) -> usize {
         let watch = &self.config.watches[id.root];
-        let remembered = &self.outputs[self.output_of[id.root]].recorded.sequences;
+        let remembered = &self.output_folders[self.output_folder_of[id.root]].recorded.sequences;
         let known_count = self.sequences.len();
         let file = id.frame_file(&self.roots[id.root].path);
         let index = self.sequences.index(id, &file, watch, |key| remembered.get(key).cloned());
@@ -90,7 +90,7 @@ impl Core {
         let files: Vec<(FrameId, FileStamp)> =
             members.into_iter().map_while(|(id, stamp)| Some((id.clone(), stamp?))).collect();
         let watch = self.config.watches[sequence.root].clone();
-        let remembered = self.output(sequence.root).recorded.sequences.get(&sequence.key).cloned();
+        let remembered = self.output_folder(sequence.root).recorded.sequences.get(&sequence.key).cloned();
         let given = (!watch.needs_spacing()).then(SharedSettings::default);
         let (options, known) = (options.clone(), given.or(remembered));
         (!files.is_empty()).then_some(MeasureOrder { sequence: index, files, options, known, watch })
@@ -126,7 +126,7 @@ impl Core {
         }
         if let Some(record) = record {
             let key = self.sequences.get(index).key.clone();
-            let known = self.output(root).recorded.sequences.get(&key);
+            let known = self.output_folder(root).recorded.sequences.get(&key);
             let log = self.log_of_settings(index, headline_of(&record, known), warnings);
             self.record_sequence(root, key, record, log);
             self.changed_sequences.push(index);
@@ -145,7 +145,7 @@ impl Core {
         let sequence = self.sequences.get(index);
         let Some(framed) = sequence.framing.as_ref().map(|framing| framing.framed()) else { return };
         let (root, key) = (sequence.root, sequence.key.clone());
-        let Some(mut record) = self.output(root).recorded.sequences.get(&key).cloned() else { return };
+        let Some(mut record) = self.output_folder(root).recorded.sequences.get(&key).cloned() else { return };
         let Some(camera) = record.camera.as_mut().filter(|camera| camera.framed != framed) else { return };
         camera.framed = framed;
         let path = key.folder.join(&key.name);
@@ -159,10 +159,14 @@ impl Core {
 
     fn record_sequence(&mut self, root: usize, key: SequenceKey, shared: SharedSettings, log: Option<Log>) {
         // The latest record counts, also if the clock was set back.
-        let after =
-            self.output(root).recorded.sequences.get(&key).map_or(0, |known| known.at_ms.saturating_add(1));
+        let after = self
+            .output_folder(root)
+            .recorded
+            .sequences
+            .get(&key)
+            .map_or(0, |known| known.at_ms.saturating_add(1));
         let shared = Box::new(SharedSettings { at_ms: self.now.unix_ms.max(after), ..shared });
-        self.record(self.output_of[root], RecordLine::Sequence { key, shared }, log);
+        self.record(self.output_folder_of[root], RecordLine::Sequence { key, shared }, log);
     }
 
     /// Logs, once, that frames wait for another one with more particles.

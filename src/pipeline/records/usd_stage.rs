@@ -26,21 +26,21 @@ use super::sequence_file::{SequenceError, increasing};
 use crate::pipeline::files::atomic_write::write_atomically;
 use crate::pipeline::files::frame_number::natural_order;
 use crate::pipeline::files::open::open_regular;
-use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, StageOptions, output_path};
+use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, UsdStageOptions, output_path};
 
 /// The frames of a sequence in a stage, whether their files exist or not.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct StageSequence {
+pub struct UsdStageSequence {
     /// The base name of its outputs below the folder of outputs, with `{}` in place of the number: `dam.{}`,
     /// or `sub/dam.{}` in a sub-folder. The prim gets its name from it.
     pub name: String,
     /// Its frames, in their order.
-    pub frames: Vec<StageFrame>,
+    pub frames: Vec<UsdStageFrame>,
 }
 
 /// The files of a frame that a stage plays.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct StageFrame {
+pub struct UsdStageFrame {
     /// The frame's number, if it has one.
     pub number: Option<i64>,
     /// The path of its mesh in USD, if it is among the outputs.
@@ -49,12 +49,12 @@ pub struct StageFrame {
     pub volume: Option<PathBuf>,
 }
 
-impl StageFrame {
+impl UsdStageFrame {
     /// The frame whose outputs have this stem.
-    pub fn new(outputs: &OutputOptions, stem: &str, number: Option<i64>) -> StageFrame {
+    pub fn new(outputs: &OutputOptions, stem: &str, number: Option<i64>) -> UsdStageFrame {
         let path = |format| output_path(&outputs.folder, stem, format);
         let has_volume = outputs.formats.contains(&OutputFormat::Vdb);
-        StageFrame {
+        UsdStageFrame {
             number,
             mesh: outputs.stage_mesh_format().map(path),
             volume: has_volume.then(|| path(OutputFormat::Vdb)),
@@ -86,7 +86,7 @@ fn usd_text(name: &OsStr) -> Option<&str> {
 
 /// What a stage plays.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct StageReport {
+pub struct UsdStageReport {
     /// The number of frames that have a file.
     pub frame_count: usize,
     /// The number of meshes.
@@ -108,8 +108,8 @@ pub struct StageReport {
 /// reports an error.
 pub fn write_stage(
     outputs: &OutputOptions,
-    sequences: &[StageSequence],
-) -> Result<Option<StageReport>, SequenceError> {
+    sequences: &[UsdStageSequence],
+) -> Result<Option<UsdStageReport>, SequenceError> {
     let Some(options) = &outputs.stage else { return Ok(None) };
     let path = options.path.as_path();
     let fail = |what: String| SequenceError { path: path.to_owned(), what };
@@ -141,13 +141,13 @@ pub fn next_stage_update(start: Instant) -> Instant {
 }
 
 /// The name in provenance whose value is the number of frames of a stage.
-pub(crate) const STAGE_FRAMES: &str = "stage_frames";
+pub(crate) const USD_STAGE_FRAMES: &str = "stage_frames";
 
-fn provenance(report: &StageReport) -> Vec<(String, String)> {
+fn provenance(report: &UsdStageReport) -> Vec<(String, String)> {
     let pair = |name: &str, value: String| (name.to_owned(), value);
     vec![
         pair("generator", GENERATOR_AND_VERSION.to_owned()),
-        pair(STAGE_FRAMES, report.frame_count.to_string()),
+        pair(USD_STAGE_FRAMES, report.frame_count.to_string()),
     ]
 }
 
@@ -161,7 +161,7 @@ pub fn stage_frame_count(path: &Path) -> Result<Option<usize>, String> {
 
 fn recorded_frame_count(head: &[u8]) -> Option<usize> {
     let recorded = read_provenance(OutputFormat::Usda, head).ok()?;
-    let (_, count) = recorded.iter().find(|(name, _)| name == STAGE_FRAMES)?;
+    let (_, count) = recorded.iter().find(|(name, _)| name == USD_STAGE_FRAMES)?;
     count.parse().ok()
 }
 
@@ -196,12 +196,12 @@ fn read_stage(path: &Path) -> io::Result<Result<Vec<u8>, String>> {
 /// The stage of the files that exist, which may have to leave out all of them; `None` without any.
 fn stage_of(
     outputs: &OutputOptions,
-    options: &StageOptions,
-    sequences: &[StageSequence],
-) -> Result<Option<(UsdStage, StageReport)>, String> {
+    options: &UsdStageOptions,
+    sequences: &[UsdStageSequence],
+) -> Result<Option<(UsdStage, UsdStageReport)>, String> {
     let mut assets = AssetPaths::new(&options.path)?;
     let format = outputs.stage_mesh_format().unwrap_or(OutputFormat::Usdc);
-    let (mut found, mut report) = (Vec::new(), StageReport::default());
+    let (mut found, mut report) = (Vec::new(), UsdStageReport::default());
     for (name, frames) in merged(sequences) {
         let (frames, beyond): (Vec<_>, Vec<_>) = frames.into_iter().partition(|frame| frame.has_time_code());
         for file in beyond.into_iter().filter_map(|frame| frame.files().next()) {
@@ -240,10 +240,10 @@ fn stage_of(
 /// The frames of each name, and each output once. Inputs of several sequences may have outputs of one name,
 /// such as files of which some are compressed. Two inputs may even have the same outputs, such as a file and
 /// its compressed copy.
-fn merged(sequences: &[StageSequence]) -> Vec<(&str, Vec<&StageFrame>)> {
-    let mut merged: Vec<(&str, Vec<&StageFrame>)> = Vec::new();
+fn merged(sequences: &[UsdStageSequence]) -> Vec<(&str, Vec<&UsdStageFrame>)> {
+    let mut merged: Vec<(&str, Vec<&UsdStageFrame>)> = Vec::new();
     let (mut index_of, mut listed) = (HashMap::new(), HashSet::new());
-    for StageSequence { name, frames } in sequences {
+    for UsdStageSequence { name, frames } in sequences {
         let index = *index_of.entry(name).or_insert(merged.len());
         if index == merged.len() {
             merged.push((name.as_str(), Vec::new()));
@@ -325,7 +325,7 @@ impl<'a> ExistingFiles<'a> {
     }
 }
 
-impl StageReport {
+impl UsdStageReport {
     /// Adds the files of the frames of a sequence.
     fn add(&mut self, meshes: &ExistingFiles, volumes: &ExistingFiles) {
         self.mesh_count += meshes.clips.len();
@@ -502,13 +502,13 @@ mod tests {
     }
 
     fn outputs(folder: &Path, formats: &[OutputFormat]) -> OutputOptions {
-        let stage = StageOptions { path: folder.join("shot.usda"), fps: 24.0 };
+        let stage = UsdStageOptions { path: folder.join("shot.usda"), fps: 24.0 };
         OutputOptions { stage: Some(stage), ..OutputOptions::new(folder.join("out"), formats) }
     }
 
-    fn sequence(outputs: &OutputOptions, numbers: &[i64]) -> Vec<StageSequence> {
-        let frame = |number: &i64| StageFrame::new(outputs, &format!("dam.{number}"), Some(*number));
-        vec![StageSequence { name: "dam.{}".to_owned(), frames: numbers.iter().map(frame).collect() }]
+    fn sequence(outputs: &OutputOptions, numbers: &[i64]) -> Vec<UsdStageSequence> {
+        let frame = |number: &i64| UsdStageFrame::new(outputs, &format!("dam.{number}"), Some(*number));
+        vec![UsdStageSequence { name: "dam.{}".to_owned(), frames: numbers.iter().map(frame).collect() }]
     }
 
     /// A mesh in USD, with this many triangles.
@@ -548,7 +548,7 @@ mod tests {
         fs::write(folder.path().join("out/dam.4.vdb"), "volume").expect("written");
         let missing = ["dam.1.vdb", "dam.2.vdb", "dam.3.usdc", "dam.3.vdb"].map(str::to_owned).to_vec();
         let report =
-            StageReport { frame_count: 3, mesh_count: 3, volume_count: 1, missing, left_out: vec![] };
+            UsdStageReport { frame_count: 3, mesh_count: 3, volume_count: 1, missing, left_out: vec![] };
         assert_eq!(write_stage(&outputs, &frames).expect("written"), Some(report));
         let text = fs::read_to_string(folder.path().join("shot.usda")).expect("written");
         for part in [
@@ -612,9 +612,9 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let outputs = outputs(folder.path(), &[OutputFormat::Usdc]);
         fs::create_dir(folder.path().join("out")).expect("made");
-        let of = |stem: &str, number: i64| StageSequence {
+        let of = |stem: &str, number: i64| UsdStageSequence {
             name: format!("{stem}.{{}}"),
-            frames: vec![StageFrame::new(&outputs, &format!("{stem}.{number}"), Some(number))],
+            frames: vec![UsdStageFrame::new(&outputs, &format!("{stem}.{number}"), Some(number))],
         };
         let sequences = [of("dam", 1), of("a\u{1}b", 1), of("late", 1 << 60), of("torn", 1)];
         let playable = sequences.each_ref().map(|sequence| sequence.frames[0].is_playable());
@@ -642,9 +642,13 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let outputs = outputs(folder.path(), &[OutputFormat::Usdc]);
         fs::create_dir(folder.path().join("out")).expect("made");
-        let of = |name: &str, number: i64| StageSequence {
+        let of = |name: &str, number: i64| UsdStageSequence {
             name: name.to_owned(),
-            frames: vec![StageFrame::new(&outputs, &name.replace("{}", &number.to_string()), Some(number))],
+            frames: vec![UsdStageFrame::new(
+                &outputs,
+                &name.replace("{}", &number.to_string()),
+                Some(number),
+            )],
         };
         let sequences = [of("dam_{}_a", 1), of("dam_{}_b", 1)];
         let prims = || {
@@ -688,7 +692,7 @@ mod tests {
             assert!(error.contains(&format!("shot.usda: {why}")), "{error}");
             assert_eq!(fs::read_to_string(&path).expect("there"), foreign);
         }
-        let stage = StageOptions { path: folder.path().join("out/dam.1.usda"), fps: 24.0 };
+        let stage = UsdStageOptions { path: folder.path().join("out/dam.1.usda"), fps: 24.0 };
         let error = write_stage(&OutputOptions { stage: Some(stage), ..outputs }, &frames);
         assert!(error.expect_err("a frame").to_string().contains("would replace one of its frames"));
     }
