@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, absolute};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -13,7 +13,7 @@ use serde::Serialize;
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::{
     DoneRecord, FrameFile, FrameRecords, OutputComparison, OutputFormat, ResultState, STATE_FOLDER,
-    SettingValues, Wanted, canonical_frame, canonical_path, file_of, hash_of_input, sequences,
+    SettingValues, Wanted, canonical_path, file_of, hash_of_input, sequences,
 };
 
 use super::CommandOutcome;
@@ -128,7 +128,7 @@ fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: Vec<FrameFile>)
         frames.iter().map(|(name, frame)| (frame.input.clone(), name.clone())).collect();
     let mut given = HashSet::new();
     for file in sequences(files).into_iter().flat_map(|sequence| sequence.frames) {
-        let input = canonical_frame(&file.path);
+        let input = absolute(&file.path).unwrap_or_else(|_| file.path.clone());
         let name = name_of.remove(&input).unwrap_or_else(|| file.stem().into());
         // Of several inputs with the same outputs, the first one is converted.
         if given.insert(name.clone()) {

@@ -105,8 +105,8 @@ pub use input::source::{
 };
 pub(crate) use input::steps::step_in;
 pub use input::steps::{
-    FileFrames, IndexPolicy, canonical_frame, file_of, frame_name, frames_in, frames_in_unless,
-    is_missing_step, may_hold_several, size_bytes, step_of,
+    FileFrames, IndexPolicy, file_of, frame_name, frames_in, frames_in_unless, is_missing_step,
+    may_hold_several, size_bytes, step_of,
 };
 pub use memory::{default_memory_bytes, resident_memory_bytes};
 pub use method::ScratchFile;

@@ -8,7 +8,7 @@ use crate::cli::CommandOutcome;
 use crate::cli::console::Console;
 use crate::cli::wording::{ago, pluralize, significant};
 use crate::pipeline::{
-    RecordedFrame, RecordedState, UnfinishedState, canonical_frame, file_of, natural_order, now_ms,
+    RecordedFrame, RecordedState, UnfinishedState, canonical_path, file_of, natural_order, now_ms, step_of,
 };
 
 use super::{FrameStatus, Holder};
@@ -23,7 +23,7 @@ pub(super) fn print(
     as_json: bool,
     console: &mut Console,
 ) -> Result<CommandOutcome> {
-    let path = canonical_frame(frame);
+    let path = known_path(frame);
     let (mut is_found, mut has_failed) = (false, false);
     for folder in folders {
         let state = super::recorded(folder, console)?;
@@ -55,11 +55,19 @@ pub(super) fn print(
     Ok(if has_failed { CommandOutcome::SomeFailed } else { CommandOutcome::Done })
 }
 
+/// The path by which the daemon identifies a frame.
+fn known_path(frame: &Path) -> PathBuf {
+    let file = canonical_path(file_of(frame));
+    match (step_of(frame), frame.file_name()) {
+        (Some(_), Some(step)) => file.join(step),
+        _ => file,
+    }
+}
+
 /// The record of a frame. The watched folder may be a link: then the recorded path is another one.
 fn recorded<'a>(state: &'a RecordedState, path: &Path) -> Option<(&'a Path, &'a RecordedFrame)> {
-    let is_meant = |input: &Path| {
-        input == path || input.file_name() == path.file_name() && canonical_frame(input) == path
-    };
+    let is_meant =
+        |input: &Path| input == path || input.file_name() == path.file_name() && known_path(input) == path;
     let exact = state.frames.get_key_value(path);
     let found = exact.or_else(|| state.frames.iter().find(|(input, _)| is_meant(input)));
     found.map(|(input, record)| (&**input, record))

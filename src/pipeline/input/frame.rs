@@ -15,7 +15,6 @@ use super::obstacles::ObstacleFiles;
 use super::source::FrameFile;
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::stamp::{FileStamp, now_ms};
-use crate::pipeline::input::steps::canonical_frame;
 use crate::pipeline::records::figures::Figures;
 use crate::pipeline::records::frame_records::{
     FrameRecords, OutputComparison, ResultState, SettingValues, Wanted, settings_id,
@@ -184,7 +183,7 @@ impl Frame {
         let flaws = report.all_warnings().into_iter().filter(Warning::is_flaw);
         let record = Arc::new(DoneRecord {
             name: self.recorded_name(records),
-            input: canonical_frame(&self.input),
+            input: std::path::absolute(&self.input).unwrap_or_else(|_| self.input.clone()),
             stamp: report.input.stamp,
             input_hash: report.input.hash,
             obstacles: report.obstacles.clone(),
@@ -208,7 +207,7 @@ impl Frame {
     /// When the record cannot be written.
     pub fn record_failure(&self, reason: &str) -> io::Result<()> {
         let Some(records) = &self.records else { return Ok(()) };
-        let input = canonical_frame(&self.input);
+        let input = std::path::absolute(&self.input).unwrap_or_else(|_| self.input.clone());
         records.record_failure(&self.recorded_name(records), &input, reason)
     }
 }

@@ -31,7 +31,6 @@ use meniscus_formats::steps::{FoundStep, may_have_steps};
 use meniscus_formats::{Error, Limits, ReadAt, Result};
 use twox_hash::XxHash3_128;
 
-use crate::pipeline::files::identity::canonical_path;
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::names::text_of_name;
 use crate::pipeline::files::open::open_regular;
@@ -42,15 +41,6 @@ use index::{StepIndex, UNNUMBERED, probe_head};
 
 /// The prefix of the last part of a step's path; the name of the step follows.
 pub(crate) const STEP: &str = "step=";
-
-/// The path by which records identify a frame: without links, so that all processes agree.
-pub fn canonical_frame(frame: &Path) -> PathBuf {
-    let file = canonical_path(file_of(frame));
-    match (step_of(frame), frame.file_name()) {
-        (Some(_), Some(step)) => file.join(step),
-        _ => file,
-    }
-}
 
 /// The file that a frame is read from: the frame itself, or the file that the frame is a step of.
 pub fn file_of(frame: &Path) -> &Path {
