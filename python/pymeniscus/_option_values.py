@@ -42,9 +42,9 @@ class OptionValues(TypedDict, total=False):
     max_stretch : float
         Maximum ratio of a particle's longest semi-axis to its shortest, 1 to 8 [default: 4]
     thin_radius : float | str
-        Smallest semi-axis of flattened particles, 0.9h to r_min, for `anisotropy` neighbors; smaller makes thinner sheets [default: 0.36d]
+        Smallest semi-axis of flattened particles, positive, from 0.9h to r_min, for `anisotropy` neighbors; smaller makes thinner sheets [default: 0.36d]
     lone_radius : float | str
-        Radius of particles without neighbours (drops), positive and at most r_min, which it replaces; for `anisotropy` neighbors [default: 0.7d]
+        Radius of particles without neighbours (drops), which replaces their r_min, positive and at most `radius_min`, for `anisotropy` neighbors [default: 0.7d]
     neighbor_radius : float | str
         Search radius for neighbours, positive and at most 200h, for `anisotropy` neighbors and `position_smoothing` [default: 2.6d]
     position_smoothing : float

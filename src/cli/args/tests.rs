@@ -27,15 +27,7 @@ fn stated_range(option: &Arg) -> Option<String> {
             .any(|number| option.get_value_parser().type_id() == *number),
     };
     let help = option.get_help().filter(|_| is_number)?.to_string();
-    let phrases = [
-        "-r_min to 2 h",
-        "r_min to r_max",
-        "0.9h to r_min",
-        "positive and at most r_min",
-        "positive and at most 200h",
-        "at least 1",
-        "positive",
-    ];
+    let phrases = ["-r_min to 2 h", "r_min to r_max", "at least 1", "positive"];
     let phrase = phrases.into_iter().find(|phrase| help.contains(phrase)).map(str::to_owned);
     phrase.or_else(|| {
         let words: Vec<&str> = help.split([' ', '\n', ',', ';']).collect();

@@ -119,13 +119,13 @@ method_options! {
             max_stretch: f64 in 1.0..=MAX_STRETCH_MAX
                 => [OptionName::new("anisotropy")], |options, _| options.anisotropy_kind() != AnisotropyKind::None,
 
-            /// Smallest semi-axis of flattened particles, 0.9h to r_min, for --anisotropy neighbors; smaller
-            /// makes thinner sheets [default: 0.36d]
+            /// Smallest semi-axis of flattened particles, positive, from 0.9h to r_min, for --anisotropy
+            /// neighbors; smaller makes thinner sheets [default: 0.36d]
             #[value(named("LENGTH"))]
             thin_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
 
-            /// Radius of particles without neighbours (drops), positive and at most r_min, which it replaces;
-            /// for --anisotropy neighbors [default: 0.7d]
+            /// Radius of particles without neighbours (drops), which replaces their r_min, positive and at
+            /// most --radius-min, for --anisotropy neighbors [default: 0.7d]
             #[value(named("LENGTH"))]
             lone_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
 
