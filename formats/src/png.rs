@@ -15,7 +15,7 @@ use crate::bytes::{Cursor, Endian};
 use crate::data::{ColorPicture, PictureView};
 use crate::error::{Error, Position, Result};
 use crate::options::WriteOption;
-use crate::provenance::{GENERATOR, escape, from_entries, prefixed};
+use crate::provenance::{GENERATOR, escape, from_escaped, prefixed};
 use crate::row::{Content, FormatRow, Integrity, OutputRow};
 
 const FORMAT: &str = "PNG";
@@ -178,7 +178,10 @@ pub(crate) static ROW: OutputRow = OutputRow {
     write_particles: None,
     has_attributes: false,
     options: &[WriteOption::Up, WriteOption::Size, WriteOption::Camera],
-    read_provenance: |head| Ok(from_entries(texts(head)?)),
+    read_provenance: |head| {
+        let texts = texts(head)?;
+        Ok(from_escaped(texts.iter().map(|(name, text)| (&**name, &**text))))
+    },
     integrity: Integrity::Tail(ends_as_written),
 };
 
@@ -209,7 +212,7 @@ mod tests {
 
     #[test]
     fn provenance_round_trips_and_truncated_files_are_incomplete() {
-        let provenance = [("radius", "0.025"), ("input", "größe ∞.ply"), ("empty", "")]
+        let provenance = [("radius", "0.025"), ("input", "größe ∞.ply"), ("größe", "1"), ("empty", "")]
             .map(|(name, value)| (name.to_owned(), value.to_owned()));
         let bytes = written([2, 2], &[[0.5; 3]; 4], &provenance);
         assert_eq!(read_provenance(OutputFormat::Png, &*bytes).expect("readable"), provenance);

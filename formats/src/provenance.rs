@@ -63,11 +63,10 @@ pub(crate) fn from_comments(head: &[u8], lead: &str) -> Vec<(String, String)> {
         .collect()
 }
 
-/// Extracts our own entries from names and escaped values.
-pub(crate) fn from_entries(entries: Vec<(String, String)>) -> Vec<(String, String)> {
-    let ours =
-        |(key, value): (String, String)| Some((key.strip_prefix(PREFIX)?.to_string(), unescape(&value)?));
-    entries.into_iter().filter_map(ours).collect()
+/// Extracts our own entries from names and values that [`escape`] wrote.
+pub(crate) fn from_escaped<'a>(entries: impl Iterator<Item = (&'a str, &'a str)>) -> Vec<(String, String)> {
+    let ours = |(key, value)| Some((unescape(from_prefixed(key)?)?, unescape(value)?));
+    entries.filter_map(ours).collect()
 }
 
 /// Extracts our own entries from names and unescaped values.

@@ -50,7 +50,7 @@ impl CancelToken {
     /// this token.
     ///
     /// Once the token is cancelled, everything that the pool computes for this crate unwinds.
-    /// [`Reconstructor`](crate::Reconstructor) catches that and returns [`Error::Cancelled`]; other
+    /// [`Reconstructor`](crate::Reconstructor) catches that and returns `Error::Cancelled`; other
     /// functions unwind into their caller, as after a panic.
     ///
     /// ```

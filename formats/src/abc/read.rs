@@ -19,7 +19,7 @@ use crate::digest::DIGEST_BYTES;
 use crate::error::{Error, Position, Result};
 use crate::gltf::{SEQUENCE_FRAMES, SequenceInfo};
 use crate::limits::Limits;
-use crate::provenance::{from_prefixed, unescape};
+use crate::provenance::from_escaped;
 
 /// Indices of children of the root group.
 const TOP_OBJECT: usize = 2;
@@ -44,8 +44,7 @@ fn own_metadata(metadata: &[u8]) -> Option<Vec<(String, String)>> {
     let text = std::str::from_utf8(metadata).ok()?;
     let mut entries = text.split(';').filter_map(|entry| entry.split_once('='));
     entries.next().filter(|(key, value)| *key == APPLICATION && value.starts_with("meniscus "))?;
-    let pair = |(key, value): (&str, &str)| Some((unescape(from_prefixed(key)?)?, unescape(value)?));
-    Some(entries.filter_map(pair).collect())
+    Some(from_escaped(entries))
 }
 
 /// The size of a complete file with this head: the root group comes last. `None` for files of other programs.

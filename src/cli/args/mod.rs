@@ -284,7 +284,7 @@ option_set! {
     }
 }
 
-/// The help heading of all options except `--format`.
+/// The help heading of these options, except `--format`, `--stage` and `--fps`.
 const FORMATS: &str = "Formats";
 
 /// The heading of the options for all frames together.
@@ -406,7 +406,7 @@ impl MethodArgs {
 
 // The options of the daemon.
 //
-// All options but the folders are also keys of `meniscus.toml`, with underscores in their names.
+// The options in `FrameArgs` and `DaemonArgs` are also keys of `meniscus.toml`, with underscores in their names.
 
 #[derive(Clone, Debug, Default, Args)]
 #[command(after_long_help = WATCHING)]

@@ -194,7 +194,10 @@ impl Candidate {
         {
             return Some(waiting);
         }
-        self.remaining_wait(now, timeouts.stalled.max(STALLED_MIN), Reason::Open)?;
+        // A writer that keeps a file open for so long, without a change, has probably forgotten it.
+        if self.unchanged_for(now) >= timeouts.stalled.max(STALLED_MIN) {
+            return None;
+        }
         // Perhaps no event tells when it is closed.
         let until = now.checked_add(RECHECK);
         is_open(self.unchanged_for(now)).then_some(Readiness::Waiting { until, why: Reason::Open })

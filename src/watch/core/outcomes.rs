@@ -37,7 +37,7 @@ impl Core {
     }
 
     fn on_converted(&mut self, id: &FrameId, report: &FrameReport) {
-        // The daemon gives records to every frame.
+        // The pipeline has recorded the frame: every frame of the daemon has records.
         let Some(record) = report.record.clone() else { return };
         self.log_notes(id, report);
         if let Some(index) = self.frames.get(id).map(|frame| frame.sequence) {

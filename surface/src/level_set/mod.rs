@@ -392,7 +392,7 @@ mod tests {
         assert!(on(1) == on(3));
     }
 
-    /// A stored_ball of this radius in voxels, stored where the surface is within the half width.
+    /// The band of a ball of this radius, in voxels, stored where the surface is within the half width.
     fn stored_ball(radius: f32, half_width: f32) -> NarrowBand {
         let phi = |voxel: IVec3| (voxel.as_vec3().length() - radius).clamp(-half_width, half_width);
         let leaves =

@@ -3,8 +3,8 @@
 //! ```text
 //!   command line ─┐
 //!   meniscus.toml ┼─▶ MethodOptions ──over the defaults of a preset──resolve──▶ Settings
-//!   journal, plan ┘      ▲ │
-//!      (name, text) ─────┘ └─────▶ (name, text)
+//!   Python        ┘      ▲ │
+//!      (name, text) ─────┘ └─────▶ (name, text): `--print-settings`, provenance, records
 //! ```
 //!
 //! Numbers are written in the shortest form that parses as the same number.

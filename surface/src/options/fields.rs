@@ -150,7 +150,7 @@ impl<Options: 'static> OptionInfo<Options> {
     }
 }
 
-/// The value of an option. Its text on the command line, in journals and in plans parses as the same value.
+/// The value of an option. Its text on the command line and in records parses as the same value.
 pub trait OptionValue: Display + FromStr {
     /// How it is written in a file.
     const KIND: ValueKind = ValueKind::Text;

@@ -115,8 +115,8 @@ impl ParticleBins {
         self.positions[particle]
     }
 
-    /// True if a leaf is known to be deep inside the initial surface. Only recorded for anisotropic
-    /// particles.
+    /// True if a leaf is known to be deep inside the initial surface. Only recorded if
+    /// particles differ in size or shape.
     pub fn is_deep(&self, origin: IVec3) -> bool {
         self.deep.contains(&origin)
     }
