@@ -237,7 +237,7 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
 
 /// The formats whose files an option affects, by its name as an option or in records; `None` for an option
 /// that affects the surface, and thus all formats.
-pub(super) fn formats_changed_by(name: &str) -> Option<Vec<OutputFormat>> {
+fn formats_changed_by(name: &str) -> Option<Vec<OutputFormat>> {
     let write_option =
         WriteOption::ALL.into_iter().find(|option| [option.key(), option.name()].contains(&name));
     let is_of_mesh = MethodOptions::info(name).is_some_and(|info| info.group == OptionGroup::Mesh);

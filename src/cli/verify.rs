@@ -12,8 +12,8 @@ use serde::Serialize;
 
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::{
-    DoneRecord, FrameFile, FrameRecords, OutputComparison, OutputFormat, ResultState, STATE_FOLDER,
-    SettingValues, Wanted, canonical_path, file_of, hash_of_input, sequences,
+    DoneRecord, FrameFile, FrameRecords, OutputComparison, ResultState, STATE_FOLDER, Wanted, canonical_path,
+    file_of, hash_of_input, sequences,
 };
 
 use super::CommandOutcome;
@@ -22,7 +22,6 @@ use super::console::Console;
 use super::destination::write_file;
 use super::inputs::{check_output_path, find_inputs};
 use super::machine::thread_pool;
-use super::settings::formats_changed_by;
 use super::wording::pluralize;
 
 /// A frame, and the state of its results.
@@ -85,7 +84,7 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
         );
     }
     refuse_to_replace(args.report.as_deref(), folder, &frames)?;
-    let wanted = current_settings(&records, &frames);
+    let wanted = current_settings(&frames);
     let frames: Vec<(PathBuf, KnownFrame)> = frames.into_iter().collect();
     let verified: Vec<VerifiedFrame> = thread_pool(args.threads)?.install(|| {
         frames.into_par_iter().map(|(name, frame)| verify_frame(&records, name, frame, &wanted)).collect()
@@ -104,21 +103,21 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
 /// A frame to verify.
 struct KnownFrame {
     input: PathBuf,
-    /// Its latest record.
-    record: Option<Arc<DoneRecord>>,
+    /// The latest one last.
+    records: Vec<Arc<DoneRecord>>,
 }
 
 /// The frames with a record, by name.
 fn recorded_frames(records: &FrameRecords) -> BTreeMap<PathBuf, KnownFrame> {
-    let done = records.latest().into_iter().map(|(name, record)| {
-        let input = record.input.clone();
-        (name, KnownFrame { input, record: Some(record) })
+    let done = records.done().into_iter().filter_map(|(name, records)| {
+        let input = records.last()?.input.clone();
+        Some((name, KnownFrame { input, records }))
     });
-    let failed = records
-        .failures()
+    let others = records
+        .never_done()
         .into_iter()
-        .map(|(name, failure)| (name, KnownFrame { input: failure.input.clone(), record: None }));
-    done.chain(failed).collect()
+        .map(|(name, record)| (name, KnownFrame { input: record.input.clone(), records: Vec::new() }));
+    done.chain(others).collect()
 }
 
 /// Adds the frames of these inputs. The paths of inputs replace those in the records, because inputs may have
@@ -132,51 +131,39 @@ fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: Vec<FrameFile>)
         let name = name_of.remove(&input).unwrap_or_else(|| file.stem().into());
         // Of several inputs with the same outputs, the first one is converted.
         if given.insert(name.clone()) {
-            frames.entry(name).or_insert_with(|| KnownFrame { input: PathBuf::new(), record: None }).input =
-                input;
+            frames
+                .entry(name)
+                .or_insert_with(|| KnownFrame { input: PathBuf::new(), records: Vec::new() })
+                .input = input;
         }
     }
 }
 
-/// The id of the settings that each frame should have: those of the latest record of its sequence, or its own if
-/// they differ only in the formats. Machines' clocks may differ, so of two records at almost the same time either
-/// may count.
-fn current_settings(
-    records: &FrameRecords,
-    frames: &BTreeMap<PathBuf, KnownFrame>,
-) -> HashMap<PathBuf, String> {
-    let recorded: HashMap<&Path, &DoneRecord> =
-        frames.values().filter_map(|frame| Some((&*frame.input, frame.record.as_deref()?))).collect();
+/// The id of the settings that each frame should have: those with which most frames of its sequence were
+/// converted, and of several such settings the latest ones.
+fn current_settings(frames: &BTreeMap<PathBuf, KnownFrame>) -> HashMap<PathBuf, String> {
+    let recorded: HashMap<&Path, &[Arc<DoneRecord>]> =
+        frames.values().map(|frame| (&*frame.input, &*frame.records)).collect();
     let inputs = frames.values().map(|frame| FrameFile::new(frame.input.clone())).collect();
     let mut settings = HashMap::new();
     for sequence in sequences(inputs) {
-        let all = sequence.frames.iter().filter_map(|file| recorded.get(&*file.path));
-        let Some(latest) = all.max_by_key(|record| record.at_ms) else { continue };
-        for FrameFile { path, .. } in sequence.frames {
-            let own = recorded.get(&*path).filter(|own| are_alike(records, &own.settings, &latest.settings));
-            settings.insert(path, own.unwrap_or(latest).settings.clone());
+        // The number of frames, and the time of the latest.
+        let mut uses: HashMap<&str, (usize, u64)> = HashMap::new();
+        for records in sequence.frames.iter().filter_map(|file| recorded.get(&*file.path)) {
+            let mut of_frame: HashMap<&str, u64> = HashMap::new();
+            for record in *records {
+                let at_ms = of_frame.entry(&record.settings).or_default();
+                *at_ms = record.at_ms.max(*at_ms);
+            }
+            for (id, at_ms) in of_frame {
+                let (count, latest_ms) = uses.entry(id).or_default();
+                (*count, *latest_ms) = (*count + 1, at_ms.max(*latest_ms));
+            }
         }
+        let Some((current, _)) = uses.into_iter().max_by_key(|(_, uses)| *uses) else { continue };
+        settings.extend(sequence.frames.iter().map(|file| (file.path.clone(), current.to_owned())));
     }
     settings
-}
-
-/// Whether the settings with these ids differ at most in the formats: in their list, and in settings without
-/// effect on the formats of the one that lacks them.
-fn are_alike(records: &FrameRecords, one: &str, other: &str) -> bool {
-    let (Some(a), Some(b)) = (records.settings(one), records.settings(other)) else { return one == other };
-    let is_needed = |name: &str, values: &SettingValues| {
-        let mut formats = values
-            .get("formats")
-            .map_or("", String::as_str)
-            .split(',')
-            .filter_map(OutputFormat::from_extension);
-        formats_changed_by(name).is_none_or(|changed| formats.any(|format| changed.contains(&format)))
-    };
-    a.keys().chain(b.keys()).filter(|name| *name != "formats").all(|name| match (a.get(name), b.get(name)) {
-        (Some(a), Some(b)) => a == b,
-        (Some(_), None) => !is_needed(name, &b),
-        _ => !is_needed(name, &a),
-    })
 }
 
 fn verify_frame(
@@ -225,8 +212,7 @@ fn refuse_to_replace(
         record.outputs.iter().any(|file| canonical_path(&within.with_file_name(&file.name)) == entry)
     };
     let is_named = |frame: &KnownFrame| {
-        frame.record.as_ref().is_some_and(|record| is_result(record))
-            || canonical_path(file_of(&frame.input)) == entry
+        frame.records.iter().any(|record| is_result(record)) || canonical_path(file_of(&frame.input)) == entry
     };
     if frames.values().any(is_named) {
         bail!("{}: the report would replace an input or a result", report.display());

@@ -960,8 +960,8 @@ pub(super) fn parse_shard(text: &str) -> Result<ShardChoice, String> {
 
 const VERIFY_STATUSES: &str = "\
 State of a frame:
-  done        the results have the bytes that were written, were made from the current input with the settings of the
-              other frames of the sequence, possibly in other formats, and passed validation
+  done        the results have the bytes that were written, were made from the current input with the settings of
+              most frames of the sequence, and passed validation
   missing     a result does not exist, or there is no record of the frame
   damaged     a result was changed or replaced after it was written
   stale       made from another version of the input, with other settings or by another version of meniscus

@@ -283,25 +283,41 @@ impl FrameRecords {
         comparison: OutputComparison,
     ) -> (ResultState, Option<Arc<DoneRecord>>) {
         let records = self.content().done.get(wanted.name).cloned().unwrap_or_default();
-        // The files are read without the lock. If no record holds, the latest one tells why.
-        let mut states = records
-            .into_iter()
-            .rev()
-            .map(|record| self.state_of(record, wanted, comparison))
-            .map(|(state, record)| (state, Some(record)));
-        let latest = states.next();
-        let Some(latest) = latest else { return (ResultState::Missing(self.why_missing(wanted.name)), None) };
-        if latest.0.is_done() {
-            return latest;
+        // The files are read without the lock.
+        let mut states = Vec::new();
+        for record in records.into_iter().rev() {
+            let (state, record) = self.state_of(record, wanted, comparison);
+            if state.is_done() {
+                return (state, Some(record));
+            }
+            states.push((state, record));
         }
-        states.find(|(state, _)| state.is_done()).unwrap_or(latest)
+        // The record with the wanted settings tells why, unless a later conversion has replaced its outputs.
+        let is_replaced = |index: usize, record: &DoneRecord| {
+            let mut names =
+                states[..index].iter().flat_map(|(_, later)| &later.outputs).map(|file| &file.name);
+            names.any(|name| record.outputs.iter().any(|file| file.name == *name))
+        };
+        let telling = states.iter().enumerate().position(|(index, (state, record))| {
+            matches!(state, ResultState::Missing(_) | ResultState::Damaged(_)) && !is_replaced(index, record)
+        });
+        match states.into_iter().nth(telling.unwrap_or(0)) {
+            Some((state, record)) => (state, Some(record)),
+            None => (ResultState::Missing(self.why_missing(wanted.name)), None),
+        }
     }
 
     fn why_missing(&self, name: &Path) -> String {
         let content = self.content();
-        let mut records = content.unfinished.get(name).into_iter().flatten();
-        match records.find(|record| record.state.is_failure()).and_then(|record| record.reason.as_ref()) {
-            Some(reason) => format!("it failed: {reason}"),
+        let records = content.unfinished.get(name).into_iter().flatten();
+        match records.map(|record| &**record).find(|record| record.state != UnfinishedState::Ignored) {
+            Some(UnfinishedRecord { state, reason: Some(reason), .. }) if state.is_failure() => {
+                format!("it failed: {reason}")
+            }
+            Some(UnfinishedRecord { state, reason, .. }) => {
+                let reason = reason.as_ref().map(|reason| format!(": {reason}"));
+                format!("{state}{}", reason.unwrap_or_default())
+            }
             None => "there is no record of it".to_owned(),
         }
     }
@@ -465,21 +481,22 @@ impl FrameRecords {
         RecordedState { frames, sequences: content.sequences.clone(), daemon: content.daemon.clone() }
     }
 
-    /// The latest record of every frame that was converted, by name.
-    pub fn latest(&self) -> BTreeMap<PathBuf, Arc<DoneRecord>> {
+    /// The records of every frame that was converted, by name; at least one for each, the latest one last.
+    pub fn done(&self) -> BTreeMap<PathBuf, Vec<Arc<DoneRecord>>> {
         let content = self.content();
-        let latest = content.done.iter().filter_map(|(name, records)| Some((name, records.last()?)));
-        latest.map(|(name, record)| (name.clone(), Arc::clone(record))).collect()
+        let done = content.done.iter().filter(|(_, records)| !records.is_empty());
+        done.map(|(name, records)| (name.clone(), records.clone())).collect()
     }
 
-    /// The frames that failed and were never converted, by name.
-    pub fn failures(&self) -> BTreeMap<PathBuf, Arc<UnfinishedRecord>> {
+    /// The frames that were never converted, by name.
+    pub fn never_done(&self) -> BTreeMap<PathBuf, Arc<UnfinishedRecord>> {
         let content = self.content();
         let unfinished = content.unfinished.iter().filter(|(name, _)| !content.done.contains_key(*name));
-        let failed = unfinished.filter_map(|(name, records)| {
-            Some((name.clone(), Arc::clone(records.iter().find(|record| record.state.is_failure())?)))
+        let frames = unfinished.filter_map(|(name, records)| {
+            let is_frame = |record: &&Arc<UnfinishedRecord>| record.state != UnfinishedState::Ignored;
+            Some((name.clone(), Arc::clone(records.iter().find(is_frame)?)))
         });
-        failed.collect()
+        frames.collect()
     }
 
     /// The settings with this id, if they were recorded.
@@ -660,24 +677,31 @@ impl KnownRecords {
         }
     }
 
-    /// Opens the file that this process appends to, unless it is open and in place.
+    /// Opens the file that this process appends to, unless it is open.
     fn open_own_file(&mut self, folder: &Path) -> io::Result<()> {
-        match self.own.take() {
-            Some(own) if own.is_in_place() => {
-                let own = if own.is_superseded(self.line_count()) { own.tidied(folder)? } else { own };
-                // Its lines are known.
-                self.read_bytes.insert(own.path.clone(), own.size()?);
-                self.own = Some(own);
-                Ok(())
-            }
-            // Users remove folders of outputs to start over. The lock must be free before a file is opened.
-            lost => {
-                drop(lost);
-                self.own = Some(OwnFile::open(folder)?);
-                // Its lines so far are read: those that are appended are known.
-                self.read_news(folder).map(drop)
-            }
+        if let Some(own) = self.own.take() {
+            let own = if own.is_superseded(self.line_count()) { own.tidied(folder)? } else { own };
+            // Its lines are known.
+            self.read_bytes.insert(own.path.clone(), own.size()?);
+            self.own = Some(own);
+            return Ok(());
         }
+        self.own = Some(OwnFile::open(folder)?);
+        // Its lines so far are read: those that are appended are known.
+        self.read_news(folder).map(drop)
+    }
+
+    /// Keeps all that is known: the file with it was removed.
+    fn keep_all(&mut self) {
+        let done = self.done.values().flatten().cloned().map(RecordLine::Done);
+        let unfinished = self.unfinished.values().flatten().cloned().map(RecordLine::Unfinished);
+        let sequences = self
+            .sequences
+            .iter()
+            .map(|(key, shared)| RecordLine::Sequence { key: key.clone(), shared: Box::new(shared.clone()) });
+        let daemon = self.daemon.iter().cloned().map(RecordLine::Daemon);
+        let all = done.chain(unfinished).chain(sequences).chain(daemon);
+        self.unwritten.extend(all.map(|line| (line.key(), line)));
     }
 
     /// The number of lines that would say all that is known.
@@ -689,6 +713,11 @@ impl KnownRecords {
 
     /// Writes the lines that were kept, and this one.
     fn write(&mut self, folder: &Path, line: Option<&RecordLine>) -> io::Result<()> {
+        if self.own.as_ref().is_some_and(|own| !own.is_in_place()) {
+            // The lock must be free before a file is opened.
+            self.own = None;
+            self.keep_all();
+        }
         if line.is_none() && self.unwritten.is_empty() {
             return Ok(());
         }
@@ -728,9 +757,11 @@ pub fn settings_id(values: &SettingValues) -> String {
 /// The first setting that differs, in words.
 fn changed_setting(was: &SettingValues, wanted: &SettingValues) -> Option<String> {
     let changed = was.keys().chain(wanted.keys()).filter(|name| was.get(*name) != wanted.get(*name));
-    // Other formats may have other settings, so those that both have tell most.
-    let is_shared = |name: &str| was.contains_key(name) && wanted.contains_key(name);
-    let name = changed.min_by_key(|name| (*name == "formats", !is_shared(name), *name))?;
+    // Many settings follow from the voxel size. Other formats may have settings that the wanted ones lack.
+    let name = changed.min_by_key(|name| {
+        let is_shared = was.contains_key(*name) && wanted.contains_key(*name);
+        (*name != "voxel_size", *name == "formats" || !is_shared, *name != "formats", *name)
+    })?;
     Some(match (was.get(name), wanted.get(name)) {
         (Some(was), Some(wanted)) if name == "program" => format!("made by {was}; this is {wanted}"),
         (Some(was), Some(wanted)) => format!("made with {name} {was}; the current setting is {wanted}"),
@@ -850,7 +881,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let records = FrameRecords::open(folder.path()).expect("opened");
         convert(&records, "a", "old", "0.1");
-        let first = Arc::clone(&records.latest()[Path::new("a")]);
+        let first = Arc::clone(&records.done()[Path::new("a")][0]);
         for index in 0..DONE_PER_FRAME_MAX as u128 {
             let record = DoneRecord { at_ms: u64::MAX / 2, input_hash: 100 + index, ..(*first).clone() };
             records.keep(RecordLine::Done(Arc::new(record)));
@@ -925,7 +956,7 @@ mod tests {
         let later = FrameRecords::open(folder.path()).expect("opened");
         convert(&later, "c", "mesh", "0.1");
         assert_eq!(file_count(), 2, "an abandoned file is continued");
-        assert_eq!(later.latest().len(), 3);
+        assert_eq!(later.done().len(), 3);
     }
 
     #[test]
@@ -1132,7 +1163,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let records = FrameRecords::open(folder.path()).expect("opened");
         convert(&records, "a", "mesh", "0.1");
-        let sound = records.latest()[Path::new("a")].clone();
+        let sound = Arc::clone(&records.done()[Path::new("a")][0]);
         drop(records);
         let file = |name: &str| OutputFile { name: name.into(), ..sound.outputs[0].clone() };
         for (name, outputs) in [
@@ -1147,7 +1178,7 @@ mod tests {
             let hostile = DoneRecord { name: name.into(), outputs, ..(*sound).clone() };
             records.record_done(hostile.into(), &values("0.1")).expect("written");
             for records in [records, FrameRecords::open(folder.path()).expect("opened")] {
-                assert_eq!(records.latest().len(), 1, "{name}");
+                assert_eq!(records.done().len(), 1, "{name}");
             }
         }
     }
