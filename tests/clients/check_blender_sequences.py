@@ -100,7 +100,7 @@ def prepare():
         shutil.copy(OWN / f"dam.{number:04}.bgeo", frames)
     pymeniscus.convert(
         frames, FOLDER / "out", format="usdc,vdb,ply,glb", attributes="v", fps=FPS, stage=FOLDER / "stage.usda",
-        sequence_abc=FOLDER / "shot.abc", sequence_usdc=FOLDER / "shot.usdc",
+        sequence=[FOLDER / "shot.abc", FOLDER / "shot.usdc"],
     )
     pymeniscus.convert(frames, FOLDER / "volumes", format="vdb", stage=FOLDER / "volumes.usda")
 
