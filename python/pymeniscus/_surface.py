@@ -389,7 +389,7 @@ class Surface:
         """
         if format not in ("png", "exr"):
             raise ValueError(f"format is `{format}`; it must be png or exr")
-        return bytes(self._native.picture(format, _write_options(up, 1.0, False, "blosc", size, camera)))
+        return bytes(self._native.picture(format, _write_options(up, 1.0, "blosc", size, camera)))
 
     def to_trimesh(self) -> Any:
         """A ``trimesh.Trimesh`` in world coordinates and units, with normals, and with the attributes of the
