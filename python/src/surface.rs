@@ -242,8 +242,8 @@ impl Surface {
     }
 
     /// The warnings, one sentence each.
-    fn warnings(&self) -> Vec<String> {
-        self.warnings.iter().cloned().chain(self.embedded().warnings()).collect()
+    fn warnings(&self, py: Python<'_>) -> PyResult<Vec<String>> {
+        run(py, || self.warnings.iter().cloned().chain(self.embedded().warnings()).collect())
     }
 
     /// Writes a file. `source` is the file of the particles with its hash. Returns warnings about what the
