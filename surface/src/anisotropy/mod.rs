@@ -186,12 +186,13 @@ fn stretched(velocity: DVec3, scale: f32, most: f64, config: &VelocityConfig) ->
         more * x * z,
         more * y * z,
     ];
-    (Ellipsoid { to_unit_ball, longest: along }, is_raised)
+    (Ellipsoid { to_unit_ball, longest: along, init: 1.0, max: 1.0 }, is_raised)
 }
 
 // Converts moments to ellipsoids, eight particles at a time.
 //
 //   moments ──▶ covariance ──▶ eigenvalues λ ──▶ √λ ──▶ limit ──▶ volume ──▶ blend ─┐
+//                                    └──▶ company ─────────────────────────────▲    │
 //                                                   ellipsoid ◀── floor ◀── scale ◀─┘
 //
 // - **√λ**: semi-axes are proportional to the square roots of the eigenvalues, that is, to the standard
@@ -200,22 +201,37 @@ fn stretched(velocity: DVec3, scale: f32, most: f64, config: &VelocityConfig) ->
 // - **Limit**: no semi-axis is shorter than the longest divided by `max_stretch` (k_r of Yu and Turk,
 //   Eq. 15).
 // - **Volume**: all semi-axes are divided by the cube root of their product. (Yu and Turk multiply by k_s.)
-// - **Blend**: with few neighbours, measured by the sum of their weights, the ellipsoid blends into a ball.
-//   (Yu and Turk compare the number of neighbours with N_ε instead. At that number, shapes would jump from
-//   one frame to the next.)
+// - **Company**: how much fluid there is around a particle, from 0 in spray to 1 in a body or a sheet. A
+//   compact cluster needs more neighbours for the same company than a sheet does: with the radii of a body, a
+//   cluster of six particles would have twice its volume, and with those of spray a sheet would have holes.
+// - **Blend**: only a flat neighbourhood in company makes a flat particle. That at the plane surface of a
+//   body is not flat enough: there, flat particles would tremble with their neighbours and smooth little.
+//   (Yu and Turk compare the number of neighbours with N_ε. At that number, shapes would jump from one frame
+//   to the next.)
 //
-//   share of the ellipsoid
-//     1 │       ╱▔▔▔▔▔▔               from 4 on: a tenth of the weight of a full neighbourhood, like Yu and
-//       │     ╱                       Turk's N_ε = 25 of about 270 neighbours
-//     0 │▁▁▁▁╱▁▁▁▁▁▁▁▁▁ sum of        up to 1: a pair of particles is too few for a shape
-//            1   4      weights
+//   company                                     share of the ellipsoid, if in company
+//     1 │       ╭───── W·(1 + 1.5·flatness)       1 │          ╭──
+//     0 │───╯╶╯                                   0 │─────╯╶╯      flatness = 1 − √(λ_min / λ_max)
+//           3   12                                       0.4  0.9
+//
+// All these functions have a continuous derivative, and so have the weights of the neighbours: nothing
+// changes abruptly when a neighbour arrives or leaves.
 
-/// Up to this sum of neighbour weights a particle is a ball.
-const WEIGHT_NONE: f32 = 1.0;
+/// Up to this weight of neighbours, a particle has no company.
+const COMPANY_NONE: f32 = 3.0;
 
-/// From this sum of neighbour weights on, the ellipsoid is not blended. At a radius of 2.6 spacings the sum
-/// is 36 inside, 24 at a plane surface, 12 in a sheet, 7 at the edge of a sheet and 3 in a line.
-const WEIGHT_FULL: f32 = 4.0;
+/// From this weight of neighbours on, a particle is in full company. At a radius of 2.6 spacings the sum of
+/// the weights is 24 inside, 16 at a plane surface, 8 in a sheet, 5 at the edge of a sheet and 2 in a line.
+const COMPANY_FULL: f32 = 12.0;
+
+/// The weight of neighbours counts this much more in an entirely flat neighbourhood.
+const FLAT_GAIN: f32 = 1.5;
+
+/// Up to this flatness of its neighbourhood a particle is a ball. At a plane surface the flatness is 0.44.
+const FLAT_NONE: f32 = 0.4;
+
+/// From this flatness of its neighbourhood on, a particle has the shape of its neighbourhood.
+const FLAT_FULL: f32 = 0.9;
 
 /// Added to each eigenvalue, in units of the squared radius. So many particles at one point give a ball, and
 /// not a shape that rounding errors determine. Then no semi-axis is more than about 50 times as long as
@@ -225,6 +241,8 @@ const SPREAD_MIN: f32 = 1e-4;
 /// The shapes of eight particles.
 struct Shapes8 {
     shapes: [Ellipsoid; 8],
+    /// How much fluid surrounds each particle, 0 to 1.
+    company: [f32; 8],
     /// Mask of the particles with a raised semi-axis.
     raised: u8,
     /// Mask of the particles that are balls because they have too few neighbours.
@@ -234,20 +252,40 @@ struct Shapes8 {
 /// Computes the shapes of eight particles from their moments and scales.
 #[inline(always)]
 fn shapes<V: Lanes>(moments: &[[f32; 8]; MOMENT_COUNT], scales: &[f32; 8], limits: Stretch) -> Shapes8 {
-    let covariance = covariance::<V>(moments);
-    let Eigen { values, vectors } = eigen(covariance);
-    // Each particle is one of its own neighbours, with a weight of 1.
-    let neighbors = V::load(&moments[0]).sub(V::splat(1.0 + WEIGHT_NONE));
-    let part = neighbors.mul(V::splat(1.0 / (WEIGHT_FULL - WEIGHT_NONE)));
-    let part = part.max(V::splat(0.0)).min(V::splat(1.0));
-    let half_axes = blended(limited(values, limits.max_stretch), part);
-    let (half_axes, is_raised) = scaled(half_axes, part, V::load(scales), limits);
-    let is_ball = V::not(V::splat(0.0).lt(part));
-    Shapes8 {
-        shapes: ellipsoids(half_axes, vectors, V::bits(is_ball)),
+    let Eigen { values, vectors } = eigen(covariance::<V>(moments));
+    let [a, b, c] = values.map(|value| value.max(V::splat(SPREAD_MIN)));
+    let flatness = V::splat(1.0).sub(a.min(b).min(c).div(a.max(b).max(c)).sqrt());
+    let company = company(V::load(&moments[0]), flatness);
+    let part = company.mul(smooth_step(flatness, FLAT_NONE, FLAT_FULL));
+    let half_axes = blended(limited([a, b, c], limits.max_stretch), part);
+    let is_round = V::not(V::splat(0.0).lt(part));
+    let (half_axes, is_raised) = scaled(half_axes, is_round, company, V::load(scales), limits);
+    let mut made = Shapes8 {
+        shapes: ellipsoids(half_axes, vectors, V::bits(is_round)),
+        company: [0.0; 8],
         raised: V::bits(is_raised),
-        balls: V::bits(is_ball),
+        balls: V::bits(V::not(V::splat(0.0).lt(company))),
+    };
+    company.store(&mut made.company);
+    for (shape, company) in made.shapes.iter_mut().zip(made.company) {
+        [shape.init, shape.max] = limits.lone_shares.map(|lone| lone + company * (1.0 - lone));
     }
+    made
+}
+
+/// The company of eight particles, 0 to 1, from the sum of the weights of their neighbours, including
+/// themselves, and the flatness of their neighbourhoods.
+#[inline(always)]
+fn company<V: Lanes>(weight: V, flatness: V) -> V {
+    let gain = V::splat(1.0).add(V::splat(FLAT_GAIN).mul(flatness));
+    smooth_step(weight.sub(V::splat(1.0)).mul(gain), COMPANY_NONE, COMPANY_FULL)
+}
+
+/// 0 up to `from`, 1 from `to` on, and 3u² − 2u³ between.
+#[inline(always)]
+fn smooth_step<V: Lanes>(x: V, from: f32, to: f32) -> V {
+    let u = x.sub(V::splat(from)).mul(V::splat(1.0 / (to - from))).max(V::splat(0.0)).min(V::splat(1.0));
+    u.mul(u).mul(V::splat(3.0).sub(u).sub(u))
 }
 
 /// The mean position (x, y and z) of the neighbours of each of eight particles, relative to the particle, in
@@ -290,14 +328,11 @@ fn covariance<V: Lanes>(moments: &[[f32; 8]; MOMENT_COUNT]) -> [V; 6] {
     covariance
 }
 
-/// Scales semi-axes to a product of 1, and limits their ratio to `max_stretch`.
+/// The square roots of positive eigenvalues, scaled to a product of 1, with their ratio limited to
+/// `max_stretch`.
 #[inline(always)]
 fn limited<V: Lanes>(eigenvalues: [V; 3], max_stretch: f32) -> [V; 3] {
-    let mut half_axes = eigenvalues;
-    for half_axis in &mut half_axes {
-        *half_axis = half_axis.max(V::splat(SPREAD_MIN)).sqrt();
-    }
-    let [a, b, c] = half_axes;
+    let [a, b, c] = eigenvalues.map(V::sqrt);
     let least = a.max(b).max(c).mul(V::splat(1.0 / max_stretch));
     with_unit_volume([a.max(least), b.max(least), c.max(least)])
 }
@@ -328,18 +363,22 @@ fn with_unit_volume<V: Lanes>(half_axes: [V; 3]) -> [V; 3] {
 }
 
 /// Multiplies semi-axes by the scale, and raises those below the floor. Also returns a mask of the particles
-/// with a raised semi-axis. The fewer neighbours, the closer scale and floor are to those of isolated
-/// particles.
+/// with a raised semi-axis. The less company, the closer scale and floor are to those of isolated particles.
 #[inline(always)]
-fn scaled<V: Lanes>(half_axes: [V; 3], part: V, scale: V, limits: Stretch) -> ([V; 3], V::Mask) {
-    let is_ball = V::not(V::splat(0.0).lt(part));
-    let between = |lone: f32, usual: f32| V::splat(lone).add(part.mul(V::splat(usual - lone)));
+fn scaled<V: Lanes>(
+    half_axes: [V; 3],
+    is_round: V::Mask,
+    company: V,
+    scale: V,
+    limits: Stretch,
+) -> ([V; 3], V::Mask) {
+    let between = |lone: f32, usual: f32| V::splat(lone).add(company.mul(V::splat(usual - lone)));
     let floor = between(limits.lone_floor, limits.floor);
     let scale = scale.mul(between(limits.lone, 1.0));
     let [mut a, mut b, mut c] = half_axes;
     for half_axis in [&mut a, &mut b, &mut c] {
         // The semi-axes of a ball are exactly the scale, without rounding errors.
-        *half_axis = V::select(is_ball, scale, half_axis.mul(scale));
+        *half_axis = V::select(is_round, scale, half_axis.mul(scale));
     }
     let is_raised = a.min(b).min(c).lt(floor.mul(V::splat(RAISED_BELOW)));
     ([a.max(floor), b.max(floor), c.max(floor)], is_raised)
@@ -363,7 +402,7 @@ fn ellipsoids<V: Lanes>(half_axes: [V; 3], vectors: [[V; 3]; 3], balls: u8) -> [
     for (row, entry) in rows.iter_mut().zip(to_unit_ball) {
         entry.store(row);
     }
-    let mut shapes = [Ellipsoid { to_unit_ball: [0.0; 6], longest: 0.0 }; 8];
+    let mut shapes = [Ellipsoid { to_unit_ball: [0.0; 6], longest: 0.0, init: 1.0, max: 1.0 }; 8];
     for (lane, shape) in shapes.iter_mut().enumerate() {
         shape.longest = longest[lane];
         for (entry, row) in shape.to_unit_ball.iter_mut().zip(&rows) {

@@ -1,7 +1,7 @@
 //! Shapes from the neighbours of each particle: flat in a sheet, long in a filament, balls inside a body.
 //!
 //! ```text
-//!        ∙ ∙ ∙           w(d) = 1 − (d/R)³, 0 from R on
+//!        ∙ ∙ ∙           w(d) = (1 − (d/R)³)², 0 from R on
 //!      ∙  ∙   ∙
 //!     ∙  ∙ ●──∙─── R     weighted covariance of the particles within R, around their mean
 //!      ∙   ∙  ∙
@@ -11,8 +11,12 @@
 //! At the plane surface of a body, all particles within R are on one side. Their standard deviation normal to
 //! the surface is 0.56 of that along the surface, so the particle is flattened to 0.56.
 //!
-//! Position smoothing moves particles toward the mean of their neighbours (Yu and Turk, Eq. 6). As in their
-//! method, shapes are computed from the positions before the move. So one search finds the neighbours for
+//! (Yu and Turk use 1 − (d/R)³, whose slope jumps at R: a neighbour that comes within reach would pull
+//! suddenly.)
+//!
+//! Position smoothing moves particles toward the mean of their neighbours (Yu and Turk, Eq. 6), the less
+//! company they have the less far: drops that come close do not attract each other. As in their method,
+//! shapes are computed from the positions before the move. So one search finds the neighbours for
 //! means and shapes, and the shape of a particle depends only on particles within R.
 //!
 //! Particles are sorted by cells of a grid with edge R. Each task gets the same number of particles, not of
@@ -22,7 +26,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{means, scale_of, shapes};
+use super::{company as company_of, means, scale_of, shapes};
 use crate::neighbors::{NeighborPackets, Neighbors, Particle8};
 use crate::parallel::Loops as _;
 use crate::particles::{Ellipsoid, OwnedPositions};
@@ -48,6 +52,8 @@ pub struct Stretch {
     pub lone: f32,
     /// Lower limit of the scale of particles without neighbours, in units of the settings' radii. Positive.
     pub lone_floor: f32,
+    /// The own r_init and r_max of particles without neighbours, in units of those of the settings.
+    pub lone_shares: [f32; 2],
 }
 
 /// The means and shapes of the wanted particles, computed from their neighbours.
@@ -55,8 +61,8 @@ pub struct Stretch {
 pub struct NeighborShapes {
     /// Indices of the wanted particles, each once.
     pub indices: Vec<u32>,
-    /// For each wanted particle, the mean position of its neighbours relative to the particle, in units of R
-    /// (Yu and Turk, Eq. 6).
+    /// For each wanted particle, the mean position of its neighbours relative to the particle (Yu and Turk,
+    /// Eq. 6) times its company, in units of R.
     pub means: Vec<[f32; 3]>,
     /// The shape of each wanted particle; empty if shapes are not needed.
     pub shapes: Vec<Ellipsoid>,
@@ -210,11 +216,15 @@ impl ParticleRun<'_> {
         count: usize,
         stretch: Option<Stretch>,
     ) -> ShapeCounts {
-        let along = means::<V>(moments);
-        for (k, mean) in self.means[first..first + count].iter_mut().enumerate() {
-            *mean = [along[0][k], along[1][k], along[2][k]];
-        }
-        let (Some(stretch), Some(moments)) = (stretch, moments.first_chunk()) else {
+        let means_of = |company: &[f32; 8]| {
+            let along = means::<V>(moments);
+            std::array::from_fn::<_, 8, _>(|k| along.map(|along| company[k] * along[k]))
+        };
+        let (Some(stretch), Some(all_moments)) = (stretch, moments.first_chunk()) else {
+            let mut company = [0.0; 8];
+            // Without second moments, the flatness is not known.
+            company_of::<V>(V::load(&moments[0]), V::splat(0.0)).store(&mut company);
+            self.means[first..first + count].copy_from_slice(&means_of(&company)[..count]);
             return ShapeCounts::default();
         };
         let mut scales = [1.0; 8];
@@ -222,7 +232,8 @@ impl ParticleRun<'_> {
             *scale = scale_of(self.scales, self.neighbors.indices()[slot as usize] as usize);
         }
         let limits = Stretch { max_stretch: stretch.max_stretch.max(1.0), ..stretch };
-        let eights = shapes::<V>(moments, &scales, limits);
+        let eights = shapes::<V>(all_moments, &scales, limits);
+        self.means[first..first + count].copy_from_slice(&means_of(&eights.company)[..count]);
         self.shapes[first..first + count].copy_from_slice(&eights.shapes[..count]);
         let bits = ((1u16 << count) - 1) as u8;
         let [raised, balls] = [eights.raised & bits, eights.balls & bits].map(u8::count_ones);
@@ -239,8 +250,8 @@ impl ParticleRun<'_> {
 // Particles beyond the radius are left out instead of being multiplied by zero. So they do not affect the
 // order in which numbers are added, and cannot change the last bit of a sum.
 //
-// For a particle at p, with w = 1 − (d/R)³ (Yu and Turk 2010, Eq. 11) for a particle x at the distance d,
-// the sums are W = Σ w, Σ w·(x − p) and Σ w·(x − p)(x − p)ᵀ over all x, including p itself. The differences
+// For a particle at p, with w = (1 − (d/R)³)² for a particle x at the distance d (the square of Yu and Turk
+// 2010, Eq. 11), the sums are W = Σ w, Σ w·(x − p) and Σ w·(x − p)(x − p)ᵀ over all x, including p itself. The differences
 // x − p are small numbers, so mean and covariance (Eq. 9 and 10) lose no precision.
 
 /// Number of sums: W; then the sums of w·x, w·y and w·z; then those of w·xx, w·yy, w·zz, w·xy, w·xz and w·yz.
@@ -346,7 +357,7 @@ fn add_moments<V: Lanes, const COUNT: usize>(sums: &mut [V; COUNT], particles: &
     let dz = V::load(&particles.along[2]).sub(V::splat(at.z));
     let squared = dx.mul(dx).add(dy.mul(dy)).add(dz.mul(dz));
     let fallen = V::splat(1.0).sub(squared.mul(squared.sqrt()));
-    let weight = fallen.mul(V::load(&particles.multiplicity));
+    let weight = fallen.mul(fallen).mul(V::load(&particles.multiplicity));
     let (x, y, z) = (weight.mul(dx), weight.mul(dy), weight.mul(dz));
     let terms = [weight, x, y, z, x.mul(dx), y.mul(dy), z.mul(dz), x.mul(dy), x.mul(dz), y.mul(dz)];
     for (sum, term) in sums.iter_mut().zip(terms) {

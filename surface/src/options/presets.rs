@@ -105,20 +105,20 @@ const PAPER: Recipe = Recipe {
 /// The preset for fluids. docs/method.md has the measurements behind these values.
 const FLUID: Recipe = Recipe {
     unit: Unit::Spacing,
-    voxel_size: 0.4,
-    radius_min: 1.15,
-    radius_ratio: 2.0,
-    radius_init: InitialRadius::Times(1.26),
+    voxel_size: 0.35,
+    radius_min: 0.75,
+    radius_ratio: 2.5,
+    radius_init: InitialRadius::Times(1.27),
     anisotropy: AnisotropyKind::Neighbors,
     thin_radius: Some(0.36),
-    lone_radius: Some(0.7),
+    lone_radius: Some(0.62),
     neighbor_radius: Some(2.6),
-    position_smoothing: 0.7,
+    position_smoothing: 0.5,
     fill_cavities: 25.0,
     laplacian_steps: 1.6,
     steps: 2,
-    step_size: 0.25,
-    explicit_time: 0.5,
+    step_size: 0.005,
+    explicit_time: 0.01,
 };
 
 impl Preset {

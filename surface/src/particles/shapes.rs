@@ -7,6 +7,9 @@
 //!   radii        |x − p| = s·r          s: one scale per particle      (paper, Fig. 13)
 //!   ellipsoids   |T(x − p)| = r         T: one symmetric matrix per particle       (paper, Eq. 1, Fig. 11)
 //! ```
+//!
+//! An ellipsoid may also have its own r_init and r_max, closer to r_min than those of the settings: then the
+//! surface has less freedom at this particle.
 
 use std::ops::Range;
 
@@ -40,13 +43,14 @@ impl Shapes {
         }
     }
 
-    /// Inscribed radius, or a little less: a ball of this radius around the centre of particle `index` is
-    /// inside the particle, in units of the settings' radii.
+    /// Inscribed radius, or a little less: for each of r_min and r_init, a ball of this radius around the
+    /// centre of particle `index` is inside the particle's surface of that radius. In units of the settings'
+    /// radii.
     pub fn inner_radius(&self, index: usize) -> f32 {
         match self {
             Shapes::Uniform => 1.0,
             Shapes::Scaled(scales) => scales[index],
-            Shapes::Ellipsoids(ellipsoids) => ellipsoids[index].inner_radius(),
+            Shapes::Ellipsoids(ellipsoids) => ellipsoids[index].init * ellipsoids[index].inner_radius(),
         }
     }
 
@@ -83,13 +87,17 @@ pub struct Ellipsoid {
     pub to_unit_ball: [f32; 6],
     /// The longest semi-axis: no point of the ellipsoid is farther from its centre.
     pub longest: f32,
+    /// The particle's own r_init, in units of that of the settings: 1, or less for a particle in spray.
+    pub init: f32,
+    /// The particle's own r_max, in units of that of the settings: 1, or less for a particle in spray.
+    pub max: f32,
 }
 
 impl Ellipsoid {
     /// The ball whose semi-axes are all `scale`.
     pub fn ball(scale: f32) -> Ellipsoid {
         let inverse = 1.0 / scale;
-        Ellipsoid { to_unit_ball: [inverse, inverse, inverse, 0.0, 0.0, 0.0], longest: scale }
+        Ellipsoid { to_unit_ball: [inverse, inverse, inverse, 0.0, 0.0, 0.0], longest: scale, init: 1.0, max: 1.0 }
     }
 
     /// The ellipsoid with these semi-axes along these directions, which must be orthonormal.
@@ -101,7 +109,8 @@ impl Ellipsoid {
                 *entry += product / half_axis;
             }
         }
-        Ellipsoid { to_unit_ball, longest: half_axes.into_iter().fold(0.0, f32::max) }
+        let longest = half_axes.into_iter().fold(0.0, f32::max);
+        Ellipsoid { to_unit_ball, longest, init: 1.0, max: 1.0 }
     }
 
     /// The shortest semi-axis, or a little less, in units of the settings' radii. The largest eigenvalue of T

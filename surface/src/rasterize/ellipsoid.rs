@@ -523,13 +523,15 @@ impl ParticleShape for EllipsoidShape {
     }
 
     fn extents(&self, outermost: f32) -> Vec3 {
-        outermost * self.ellipsoid.extents() + ELLIPSOID_MARGIN
+        outermost * self.ellipsoid.max * self.ellipsoid.extents() + ELLIPSOID_MARGIN
     }
 
     #[inline(always)]
     fn lower<V: Lanes>(&self, values: &mut EllipsoidDistances, center: Vec3, extents: Vec3) {
         let EllipsoidShape { ellipsoid, row_form, ratio_min } = self;
         let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball;
+        let [max, init, min] = values.radii;
+        let radii = [ellipsoid.max * max, ellipsoid.init * init, min];
         let dz = offsets::<V>(center.z);
         let counts_along_z = V::not(V::splat(extents.z).lt(dz.abs()));
         let (along_x, along_y, along_z) = (V::splat(xz).mul(dz), V::splat(yz).mul(dz), V::splat(zz).mul(dz));
@@ -555,7 +557,7 @@ impl ParticleShape for EllipsoidShape {
                 let w_squared = length_squared(wx, wy, wz).max(V::splat(f32::MIN_POSITIVE));
                 let ratio = q_squared.div(w_squared).sqrt().max(V::splat(*ratio_min));
                 let q = q_squared.sqrt();
-                for (leaf, radius) in values.leaves.iter_mut().zip(values.radii) {
+                for (leaf, radius) in values.leaves.iter_mut().zip(radii) {
                     let apart = q.sub(V::splat(radius)).mul(ratio);
                     lower_row::<V>(leaf.row_mut(row), counts, apart);
                 }

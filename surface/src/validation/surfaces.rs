@@ -196,9 +196,15 @@ fn distances(shapes: &Shapes, index: usize, apart: Vec3, radii: [f32; 2]) -> [f3
             let (q, slope) = (on_ball.length(), ellipsoid.apply(on_ball).length());
             // At the centre the direction is undefined: any direction will do.
             let scale = if slope > 0.0 { q / slope } else { ellipsoid.longest };
-            radii.map(|radius| (q - radius) * scale)
+            own_radii(ellipsoid, radii).map(|radius| (q - radius) * scale)
         }
     }
+}
+
+/// r_min and r_max of an ellipsoid, for those of the settings.
+#[inline(always)]
+fn own_radii(ellipsoid: &Ellipsoid, [min, max]: [f32; 2]) -> [f32; 2] {
+    [min, ellipsoid.max * max]
 }
 
 /// The same distances for several points.
@@ -218,7 +224,7 @@ fn distances_in_lanes<V: Lanes>(shapes: &Shapes, index: usize, apart: [V; 3], ra
             let slope = length_squared(apply(ellipsoid, on_ball)).sqrt();
             // At the centre the direction is undefined: any direction will do.
             let scale = V::select(V::splat(0.0).lt(slope), q.div(slope), V::splat(ellipsoid.longest));
-            radii.map(|radius| q.sub(V::splat(radius)).mul(scale))
+            own_radii(ellipsoid, radii).map(|radius| q.sub(V::splat(radius)).mul(scale))
         }
     }
 }
