@@ -36,10 +36,10 @@ def main():
         for number in range(STEPS_PER_FRAME):
             positions = moved(positions, time + number * step, step)
         positions += random.normal(0, NOISE, positions.shape)
-        # Walls reflect the particles; y has no upper wall.
-        upper = [LENGTH, numpy.inf, WIDTH]
+        # Walls and floor reflect the particles.
         positions = numpy.abs(positions)
-        positions = numpy.where(positions > upper, 2 * numpy.minimum(upper, LENGTH) - positions, positions)
+        for axis, size in [(0, LENGTH), (2, WIDTH)]:
+            positions[:, axis] = numpy.minimum(positions[:, axis], 2 * size - positions[:, axis])
 
 
 def start(random):

@@ -95,9 +95,8 @@ fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Ou
         frames.push(FlickerFrame::new(particles, surface, set.spacing));
     }
     let has_ids = frames.iter().all(|frame| frame.has(Carrier::Ids));
-    let carrier = |lag: usize| match has_ids {
-        true => Carrier::Ids,
-        false => Carrier::Velocities { seconds: lag as f64 * seconds },
+    let carrier = |lag: usize| {
+        if has_ids { Carrier::Ids } else { Carrier::Velocities { seconds: lag as f64 * seconds } }
     };
     let second_differences = |three: &[FlickerFrame]| match three {
         [before, middle, after] => {

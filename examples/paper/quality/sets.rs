@@ -385,11 +385,12 @@ fn stem_of(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The frames in a folder, or those in a window, sorted by the length of their names first: some numbers have
-/// no leading zeros.
+/// The frames in a folder, or those in a window: the files with an extension, sorted by the length of their
+/// names first, because some numbers have no leading zeros.
 fn frames_in(folder: &Path, window: Option<RangeInclusive<usize>>) -> Outcome<Vec<Frame>> {
     let mut paths: Vec<PathBuf> =
         fs::read_dir(folder)?.map(|entry| entry.map(|entry| entry.path())).collect::<Result<_, _>>()?;
+    paths.retain(|path| path.extension().is_some());
     paths.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
     let window = window.unwrap_or(0..=paths.len().wrapping_sub(1));
     let chosen = paths.get(window.clone()).filter(|chosen| !chosen.is_empty());
