@@ -5,6 +5,8 @@
 //! cargo run --release -p paper -- quality splashsurf=plain cell=0.25
 //! cargo run --release -p paper -- quality preset=fluid 'only=Enright 5000,jittered pool'   some sets
 //! cargo run --release -p paper -- quality preset=fluid only= frame=dam.ply:0.05   a file, with its spacing
+//! cargo run --release -p paper -- quality preset=fluid only= moving=dam:0.05:0.0333:36-44   frames of a simulation,
+//!                                              with spacing, seconds per frame, and the first and last frame
 //! cargo run --release -p paper -- quality spacings                   estimated / true spacings
 //!
 //! for another program: write the particles as .ply files; then read and score its meshes of the same names:

@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 
 use glam::DVec3;
-use meniscus::surface::flicker::{Carrier, Distribution, FlickerFrame, MovingParticles, flicker};
+use meniscus::surface::flicker::{
+    Carrier, Distribution, FlickerFrame, MovingParticles, carried_distances, flicker,
+};
 use meniscus::surface::mesh::Mesh;
 use meniscus::surface::obstacle::{MeshDistance, MeshSdf};
 use meniscus::surface::particles::OwnedPositions;
@@ -13,7 +15,7 @@ use serde_json::{Map, Value, json};
 
 use super::heights::Rays;
 use super::maker::{MadeSurface, Maker};
-use super::sets::{FRAMES, Frame, Kind, Set};
+use super::sets::{FRAMES, Frame, Kind, Set, pair_distances};
 use super::{map, round};
 use crate::Outcome;
 use crate::flicker::Flicker;
@@ -28,7 +30,14 @@ pub(super) fn score(maker: &Maker, repeats: usize, set: &Set) -> Outcome<Map<Str
         Kind::Flow(flow) => in_flow(maker, set, *flow, &mut measures)?,
         Kind::Moving { seconds } => moving(maker, set, *seconds, &mut measures)?,
         Kind::Pool { rays } => pool(maker, set, rays, &mut measures)?,
+        Kind::Clusters | Kind::Pairs | Kind::Drops => still(maker, 1, set, &mut measures)?,
     };
+    of_kind.append(&mut match &set.kind {
+        Kind::Clusters => cluster_volumes(set, &measures.volumes),
+        Kind::Pairs => of_pairs(&measures),
+        Kind::Drops => of_drops(&measures),
+        _ => Map::new(),
+    });
     of_kind.append(&mut measures.scores());
     Ok(of_kind)
 }
@@ -68,7 +77,9 @@ fn in_flow(maker: &Maker, set: &Set, flow: Flow, measures: &mut Measures) -> Out
     })))
 }
 
-/// The flicker of a simulation, from the motion of its particles: see docs/flicker.md.
+/// The flicker of a simulation, from the motion of its particles: see docs/flicker.md. `first` and `lag2` are
+/// the root mean squares of the distances of points that particles carry to the next frame, and to the one
+/// after it, from the surface there. Errors are standard errors over the frames.
 fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Outcome<Map<String, Value>> {
     let mut frames = Vec::new();
     for frame in &set.frames {
@@ -83,23 +94,96 @@ fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Ou
         let surface = MeshDistance::new(&made.mesh.positions, &made.mesh.triangles);
         frames.push(FlickerFrame::new(particles, surface, set.spacing));
     }
-    let carrier = if frames.iter().all(|frame| frame.has(Carrier::Ids)) {
-        Carrier::Ids
-    } else {
-        Carrier::Velocities { seconds }
+    let has_ids = frames.iter().all(|frame| frame.has(Carrier::Ids));
+    let carrier = |lag: usize| {
+        if has_ids { Carrier::Ids } else { Carrier::Velocities { seconds: lag as f64 * seconds } }
     };
-    let points = frames.windows(3).flat_map(|three| match three {
-        [before, middle, after] => flicker([before, middle, after], carrier, set.spacing, POINTS).points,
+    let second_differences = |three: &[FlickerFrame]| match three {
+        [before, middle, after] => {
+            let found = flicker([before, middle, after], carrier(1), set.spacing, POINTS).points;
+            found.iter().map(|point| point.value).collect()
+        }
         _ => Vec::new(),
-    });
-    let score = Distribution::of(points.map(|point| point.value));
+    };
+    let flickers: Vec<Vec<f64>> = frames.windows(3).map(second_differences).collect();
+    let distances = |lag: usize| -> Vec<Vec<f64>> {
+        let pairs = frames.iter().zip(frames.iter().skip(lag));
+        let found = pairs.map(|(from, to)| carried_distances(from, to, carrier(lag), set.spacing, POINTS));
+        found.map(|found| found.into_iter().flatten().collect()).collect()
+    };
+    let [first, lag2] = [1, 2].map(|lag| with_error(&distances(lag)));
+    let flicker = with_error(&flickers);
+    let score = Distribution::of(flickers.into_iter().flatten());
     Ok(map(json!({
-        "flicker": round(score.rms), "median": round(score.median), "most": round(score.percentile_99),
-        "max": round(score.max),
+        "flicker": flicker[0], "flicker_error": flicker[1], "median": round(score.median),
+        "most": round(score.percentile_99), "max": round(score.max),
+        "first": first[0], "first_error": first[1], "lag2": lag2[0], "lag2_error": lag2[1],
+        "volume_jitter": round(volume_jitter(&measures.volumes)),
     })))
 }
 
-/// The scores of a single frame.
+/// The root mean square of the values of several frames, and its standard error, if the frames' mean squares
+/// are independent.
+fn with_error(frames: &[Vec<f64>]) -> [f64; 2] {
+    let squares: Vec<f64> =
+        frames.iter().map(|values| Distribution::of(values.iter().copied()).rms.powi(2)).collect();
+    let rms = mean(&squares).sqrt();
+    [rms, deviation(&squares) / (squares.len() as f64).sqrt() / (2.0 * rms)].map(round)
+}
+
+/// The root mean square of the second differences of the volume over time, relative to the mean volume.
+fn volume_jitter(volumes: &[f64]) -> f64 {
+    let differences = volumes.windows(3).map(|three| three[0] - 2.0 * three[1] + three[2]);
+    Distribution::of(differences).rms / mean(volumes)
+}
+
+/// The mean volume of clusters of each number of particles, relative to N d³.
+fn cluster_volumes(set: &Set, volumes: &[f64]) -> Map<String, Value> {
+    let mut of_count: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
+    for (frame, volume) in set.frames.iter().zip(volumes) {
+        of_count.entry(frame.points.len()).or_default().push(*volume);
+    }
+    let means: Map<String, Value> =
+        of_count.iter().map(|(count, volumes)| (count.to_string(), round(mean(volumes)).into())).collect();
+    map(json!({ "clusters": means }))
+}
+
+/// The largest distance at which two particles have one surface, and the largest change of its volume in a
+/// step, in d³: the largest of all pairs.
+fn of_pairs(measures: &Measures) -> Map<String, Value> {
+    let distances: Vec<f64> = pair_distances().collect();
+    let (mut merged, mut step) = (0.0f64, 0.0f64);
+    for pieces in measures.component_counts.chunks(distances.len()) {
+        let joined = distances.iter().zip(pieces).filter(|(_, pieces)| **pieces == 1.0);
+        merged = joined.fold(merged, |merged, (apart, _)| merged.max(*apart));
+    }
+    for volumes in measures.volumes.chunks(distances.len()) {
+        // Volumes are relative to two particles.
+        step = volumes.windows(2).fold(step, |step, two| step.max(2.0 * (two[1] - two[0]).abs()));
+    }
+    map(json!({ "merge_distance": round(merged), "volume_step": round(step) }))
+}
+
+/// The difference of the largest and the smallest distance of a vertex from the particle, relative to the
+/// mean distance: the median of all drops. And the scatter of their volumes.
+fn of_drops(measures: &Measures) -> Map<String, Value> {
+    let roundness = Distribution::of(measures.roundness.iter().copied()).median;
+    let scatter = deviation(&measures.volumes) / mean(&measures.volumes);
+    map(json!({ "roundness": round(roundness), "volume_scatter": round(scatter) }))
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// The standard deviation of a population of which these values are a sample.
+fn deviation(values: &[f64]) -> f64 {
+    let middle = mean(values);
+    let squares: f64 = values.iter().map(|value| (value - middle).powi(2)).sum();
+    (squares / (values.len() as f64 - 1.0)).sqrt()
+}
+
+/// Only what is measured of each frame.
 fn still(maker: &Maker, repeats: usize, set: &Set, measures: &mut Measures) -> Outcome<Map<String, Value>> {
     for frame in &set.frames {
         let mut made = maker.make(set, frame)?;
@@ -143,6 +227,9 @@ struct Measures {
     bending_energies: Vec<f64>,
     outer_bending_energies: Vec<f64>,
     volumes: Vec<f64>,
+    curvatures: Vec<f64>,
+    /// Of lone particles: see [`of_drops`].
+    roundness: Vec<f64>,
     component_counts: Vec<f64>,
     handle_counts: Vec<f64>,
     triangle_counts: Vec<f64>,
@@ -166,6 +253,13 @@ impl Measures {
         self.bending_energies.push(whole.bending_energy);
         self.outer_bending_energies.push(outer_part(&mesh).measure().bending_energy);
         self.volumes.push(whole.volume / (frame.points.len() as f64 * spacing.powi(3)));
+        self.curvatures.push((whole.bending_energy / whole.area).sqrt() * spacing);
+        if let [center] = frame.points[..] {
+            let distances: Vec<f64> =
+                made.mesh.positions.iter().map(|at| DVec3::from(*at).distance(center)).collect();
+            let [least, greatest] = limits(&distances);
+            self.roundness.push((greatest - least) / mean(&distances));
+        }
         self.component_counts.push(whole.component_count as f64);
         // The total genus of all pieces.
         self.handle_counts.push(whole.component_count as f64 - 0.5 * whole.euler_characteristic as f64);
@@ -176,17 +270,13 @@ impl Measures {
     }
 
     /// The scores of all surfaces: means, except the smallest and the largest volume, and the largest
-    /// fraction of particles outside.
+    /// fraction of particles outside. The curvature is the root mean square of the mean curvature.
     fn scores(self) -> Map<String, Value> {
-        let mean = |values: &[f64]| match values {
-            [] => None,
-            _ => Some(round(values.iter().sum::<f64>() / values.len() as f64)),
-        };
-        let least = self.volumes.iter().copied().fold(f64::INFINITY, f64::min);
-        let greatest = self.volumes.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let mean = |values: &[f64]| (!values.is_empty()).then(|| round(mean(values)));
         map(json!({
             "h2": mean(&self.bending_energies), "outer_h2": mean(&self.outer_bending_energies),
-            "volume": [round(least), round(greatest)],
+            "curvature": mean(&self.curvatures),
+            "volume": limits(&self.volumes).map(round), "volume_mean": mean(&self.volumes),
             "components": mean(&self.component_counts), "handles": mean(&self.handle_counts),
             "triangles": mean(&self.triangle_counts),
             "outside": round(self.outside), "deepest": round(self.deepest),
@@ -194,6 +284,12 @@ impl Measures {
             "uncertified": self.uncertified,
         }))
     }
+}
+
+/// The smallest and the largest of some numbers.
+fn limits(values: &[f64]) -> [f64; 2] {
+    let with = |[least, greatest]: [f64; 2], value: &f64| [least.min(*value), greatest.max(*value)];
+    values.iter().fold([f64::INFINITY, f64::NEG_INFINITY], with)
 }
 
 /// The fraction of particles outside, and the depth of the deepest, in spacings.

@@ -2,9 +2,10 @@
 
 use std::f64::consts::{PI, TAU};
 use std::fs;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-use glam::{DVec3, IVec3};
+use glam::{DQuat, DVec3, IVec3};
 use meniscus::pipeline::particles;
 use meniscus_formats::{AttributeRole, FileAttribute, Limits, Values, read_particles};
 
@@ -47,6 +48,12 @@ pub(super) enum Kind {
     Moving { seconds: f64 },
     /// A pool that is at rest, or nearly.
     Pool { rays: Rays },
+    /// Clusters of different numbers of particles, several of each.
+    Clusters,
+    /// Two particles that approach each other in steps, several times: as many frames as steps each time.
+    Pairs,
+    /// A lone particle at several positions.
+    Drops,
 }
 
 impl Set {
@@ -55,9 +62,9 @@ impl Set {
         format!("{}.{:04}.ply", self.name.replace(' ', "_"), frame.number)
     }
 
-    fn still(name: &str, spacing: f64, points: Vec<DVec3>) -> Set {
-        let frames = vec![Frame { number: 0, points, motion: Motion::default() }];
-        Set { name: name.into(), spacing, frames, kind: Kind::Still }
+    fn new(name: &str, spacing: f64, frames: Vec<Vec<DVec3>>, kind: Kind) -> Set {
+        let frame = |(number, points)| Frame { number, points, motion: Motion::default() };
+        Set { name: name.into(), spacing, frames: frames.into_iter().enumerate().map(frame).collect(), kind }
     }
 }
 
@@ -80,11 +87,21 @@ const FLOWS: [(&str, Flow, usize, f64); 8] = [
 /// Upper limit of the displacement on each axis, in spacings.
 const JITTER: f64 = 0.25;
 
-const POOL: &str = "jittered pool";
-const STILLS: [(&str, Generate); 3] = [("random ball", random_ball), ("sheet", sheet), ("thread", thread)];
+/// The other generated sets, by name.
+const GENERATED: [(&str, Generate); 9] = [
+    ("jittered pool", jittered_pool),
+    ("random ball", random_ball),
+    ("sheet", sheet),
+    ("thread", thread),
+    ("plane sheet", plane_sheet),
+    ("straight thread", straight_thread),
+    ("clusters", clusters),
+    ("pair", pair),
+    ("drop", drop),
+];
 
-/// Generates particles; also returns their spacing.
-type Generate = fn() -> (Vec<DVec3>, f64);
+/// Generates frames; also returns the spacing.
+type Generate = fn() -> (Vec<Vec<DVec3>>, f64, Kind);
 
 /// The selected sets.
 pub(super) struct Sets {
@@ -94,13 +111,22 @@ pub(super) struct Sets {
     every: usize,
     /// Files with their spacing.
     files: Vec<(PathBuf, f64)>,
-    /// Folders with their spacing and the seconds between two frames.
-    moving: Vec<(PathBuf, f64, f64)>,
+    moving: Vec<Moving>,
     /// Folders of pools with their spacing.
     pools: Vec<(PathBuf, f64)>,
     /// The walls of the pools in folders.
     walls: [f64; 4],
     up: Up,
+}
+
+/// A folder with the frames of a simulation.
+struct Moving {
+    folder: PathBuf,
+    spacing: f64,
+    /// The seconds between two frames.
+    seconds: f64,
+    /// The first and the last frame, counted from 0 in the order of the files; all without it.
+    window: Option<RangeInclusive<usize>>,
 }
 
 impl Default for Sets {
@@ -132,10 +158,18 @@ impl Sets {
             "every" => self.every = value.parse()?,
             "frame" => self.files.push(with_number(value, "frame=FILE:SPACING")?),
             "moving" => {
-                let form = "moving=FOLDER:SPACING:SECONDS";
+                let form = "moving=FOLDER:SPACING:SECONDS[:FIRST-LAST]";
+                let window = |text: &str| {
+                    let (first, last) = text.split_once('-')?;
+                    Some(first.parse().ok()?..=last.parse().ok()?)
+                };
+                let (value, window) = match value.rsplit_once(':') {
+                    Some((rest, last)) if window(last).is_some() => (rest, window(last)),
+                    _ => (value, None),
+                };
                 let (rest, seconds) = value.rsplit_once(':').ok_or(form)?;
                 let (folder, spacing) = with_number(rest, form)?;
-                self.moving.push((folder, spacing, seconds.parse()?));
+                self.moving.push(Moving { folder, spacing, seconds: seconds.parse()?, window });
             }
             "pool" => self.pools.push(with_number(value, "pool=FOLDER:SPACING")?),
             "walls" => {
@@ -166,30 +200,34 @@ impl Sets {
         for (name, flow, count, jitter) in FLOWS.into_iter().filter(|flow| self.wants(flow.0)) {
             visitor(in_flow(name, flow, count, jitter, self.every))?;
         }
-        if self.wants(POOL) {
-            visitor(jittered_pool())?;
-        }
-        for (name, generate) in STILLS.into_iter().filter(|still| self.wants(still.0)) {
-            let (points, spacing) = generate();
-            visitor(Set::still(name, spacing, points))?;
+        for (name, generate) in GENERATED.into_iter().filter(|set| self.wants(set.0)) {
+            let (frames, spacing, kind) = generate();
+            visitor(Set::new(name, spacing, frames, kind))?;
         }
         for (path, spacing) in &self.files {
-            visitor(Set::still(&stem_of(path), *spacing, frame_in(path, 0)?.points))?;
+            visitor(Set::new(&stem_of(path), *spacing, vec![frame_in(path, 0)?.points], Kind::Still))?;
         }
-        for (folder, spacing, seconds) in &self.moving {
-            let (frames, kind) = (frames_in(folder)?, Kind::Moving { seconds: *seconds });
-            visitor(Set { name: stem_of(folder), spacing: *spacing, frames, kind })?;
+        for Moving { folder, spacing, seconds, window } in &self.moving {
+            let frames = frames_in(folder, window.clone())?;
+            let of_window = window.as_ref().map(|window| format!(" {}-{}", window.start(), window.end()));
+            let name = stem_of(folder) + &of_window.unwrap_or_default();
+            visitor(Set { name, spacing: *spacing, frames, kind: Kind::Moving { seconds: *seconds } })?;
         }
         for (folder, spacing) in &self.pools {
             let kind = Kind::Pool { rays: Rays::new(self.walls, self.up, *spacing) };
-            visitor(Set { name: stem_of(folder), spacing: *spacing, frames: frames_in(folder)?, kind })?;
+            visitor(Set {
+                name: stem_of(folder),
+                spacing: *spacing,
+                frames: frames_in(folder, None)?,
+                kind,
+            })?;
         }
         Ok(())
     }
 }
 
 fn generated_names() -> impl Iterator<Item = &'static str> {
-    FLOWS.iter().map(|flow| flow.0).chain([POOL]).chain(STILLS.iter().map(|still| still.0))
+    FLOWS.iter().map(|flow| flow.0).chain(GENERATED.iter().map(|set| set.0))
 }
 
 fn in_flow(name: &str, flow: Flow, count: usize, jitter: f64, every: usize) -> Set {
@@ -220,7 +258,7 @@ const POOL_SIZE: IVec3 = IVec3::new(28, 28, 8);
 const POOL_FRAMES: usize = 8;
 
 /// A lattice in which each particle has a new random displacement in each frame.
-fn jittered_pool() -> Set {
+fn jittered_pool() -> (Vec<Vec<DVec3>>, f64, Kind) {
     let frame = |number: usize| {
         let mut random = Random::new(100 + number as u64);
         let mut points = Vec::new();
@@ -232,63 +270,132 @@ fn jittered_pool() -> Set {
                 }
             }
         }
-        Frame { number, points, motion: Motion::default() }
+        points
     };
     let walls = [0.0, 0.0, POOL_SIZE.x.into(), POOL_SIZE.y.into()];
-    let kind = Kind::Pool { rays: Rays::new(walls, Up::Z, 1.0) };
-    Set { name: POOL.into(), spacing: 1.0, frames: (0..POOL_FRAMES).map(frame).collect(), kind }
+    ((0..POOL_FRAMES).map(frame).collect(), 1.0, Kind::Pool { rays: Rays::new(walls, Up::Z, 1.0) })
 }
 
 /// 50 000 random particles in a ball. The spacing is the edge of a cube with the volume per particle.
-fn random_ball() -> (Vec<DVec3>, f64) {
+fn random_ball() -> (Vec<Vec<DVec3>>, f64, Kind) {
     let mut random = Random::new(12);
     let points: Vec<DVec3> = (0..50_000).map(|_| random.in_ball(1.0)).collect();
     let spacing = (4.0 / 3.0 * PI / points.len() as f64).cbrt();
-    (points, spacing)
+    (vec![points], spacing, Kind::Still)
 }
 
-/// A wavy sheet of 40 by 40 particles, at a distance of 1 from their neighbours along the sheet.
-fn sheet() -> (Vec<DVec3>, f64) {
-    const COUNT: usize = 40;
+/// Number of particles along the edges of sheets, and of threads.
+const SHEET_SIZE: usize = 40;
+const THREAD_SIZE: u32 = 200;
+
+/// A wavy sheet of particles, at a distance of 1 from their neighbours along the sheet.
+fn sheet() -> (Vec<Vec<DVec3>>, f64, Kind) {
     const STEPS: usize = 64;
     let (amplitude, wave) = (2.0, TAU / 20.0);
     let mut points = Vec::new();
     let mut x = 0.0;
-    for _ in 0..COUNT {
+    for _ in 0..SHEET_SIZE {
         let height = amplitude * (wave * x).sin();
-        points.extend((0..COUNT).map(|y| DVec3::new(x, y as f64, height)));
+        points.extend((0..SHEET_SIZE).map(|y| DVec3::new(x, y as f64, height)));
         for _ in 0..STEPS {
             let slope: f64 = amplitude * wave * (wave * x).cos();
             x += 1.0 / STEPS as f64 / slope.hypot(1.0);
         }
     }
-    (points, 1.0)
+    (vec![points], 1.0, Kind::Still)
 }
 
-/// A helix of 200 particles, at a distance of 1 from their neighbours along the thread.
-fn thread() -> (Vec<DVec3>, f64) {
+/// A helix of particles, at a distance of 1 from their neighbours along the thread.
+fn thread() -> (Vec<Vec<DVec3>>, f64, Kind) {
     let (radius, rise_per_radian) = (6.0, 1.0);
     let step = 1.0 / f64::hypot(radius, rise_per_radian);
     let point = |index: u32| {
         let angle = step * f64::from(index);
         DVec3::new(radius * angle.cos(), radius * angle.sin(), rise_per_radian * angle)
     };
-    ((0..200).map(point).collect(), 1.0)
+    (vec![(0..THREAD_SIZE).map(point).collect()], 1.0, Kind::Still)
+}
+
+/// A plane sheet, inclined to the grid, so that its particles have all positions relative to voxels.
+fn plane_sheet() -> (Vec<Vec<DVec3>>, f64, Kind) {
+    let turn = random_turn(&mut Random::new(3));
+    let row = |y: usize| (0..SHEET_SIZE).map(move |x| turn * DVec3::new(x as f64, y as f64, 0.0));
+    (vec![(0..SHEET_SIZE).flat_map(row).collect()], 1.0, Kind::Still)
+}
+
+/// A straight thread, inclined to the grid.
+fn straight_thread() -> (Vec<Vec<DVec3>>, f64, Kind) {
+    let turn = random_turn(&mut Random::new(4));
+    (vec![(0..THREAD_SIZE).map(|x| turn * DVec3::new(x.into(), 0.0, 0.0)).collect()], 1.0, Kind::Still)
+}
+
+/// The numbers of particles of compact clusters.
+const CLUSTERS: [usize; 8] = [1, 2, 4, 6, 8, 13, 33, 251];
+
+/// How often a cluster of each size, and the pair, occur: each time at another position and in another
+/// direction.
+const PLACES: usize = 8;
+
+/// Clusters of the points of a face-centred cubic lattice that are nearest to a random point. Neighbours are
+/// 1.12 apart, so that the volume per point is 1.
+fn clusters() -> (Vec<Vec<DVec3>>, f64, Kind) {
+    const REACH: i32 = 7;
+    let along = || -REACH..=REACH;
+    let all = along().flat_map(|x| along().flat_map(move |y| along().map(move |z| IVec3::new(x, y, z))));
+    // The integer points with an even sum have a volume of 2 each.
+    let even: Vec<IVec3> = all.filter(|point| point.element_sum() % 2 == 0).collect();
+    let mut random = Random::new(5);
+    let cluster = |count: usize| {
+        let (center, turn) = (random_offset(&mut random), random_turn(&mut random));
+        let mut points: Vec<DVec3> = even.iter().map(|point| point.as_dvec3() - center).collect();
+        points.sort_by(|one, other| one.length_squared().total_cmp(&other.length_squared()));
+        points.iter().take(count).map(|point| turn * (0.5f64.cbrt() * *point) + center).collect()
+    };
+    (CLUSTERS.into_iter().flat_map(|count| [count; PLACES]).map(cluster).collect(), 1.0, Kind::Clusters)
+}
+
+/// The distances of approaching pairs: from 3 to 0.5 in steps of 0.05.
+pub(super) fn pair_distances() -> impl Iterator<Item = f64> {
+    (10..=60).rev().map(|step| 0.05 * f64::from(step))
+}
+
+fn pair() -> (Vec<Vec<DVec3>>, f64, Kind) {
+    let mut random = Random::new(6);
+    let mut frames = Vec::new();
+    for _ in 0..PLACES {
+        let (direction, middle) = (random_turn(&mut random) * DVec3::X, random_offset(&mut random));
+        frames.extend(
+            pair_distances().map(|apart| [-0.5, 0.5].map(|side| middle + side * apart * direction).into()),
+        );
+    }
+    (frames, 1.0, Kind::Pairs)
+}
+
+fn drop() -> (Vec<Vec<DVec3>>, f64, Kind) {
+    let mut random = Random::new(8);
+    ((0..64).map(|_| vec![random_offset(&mut random)]).collect(), 1.0, Kind::Drops)
+}
+
+/// A rotation with a random axis, by a random angle.
+fn random_turn(random: &mut Random) -> DQuat {
+    DQuat::from_axis_angle(random.in_ball(1.0).normalize(), TAU * random.unit())
 }
 
 fn stem_of(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// All frames in a folder, sorted by the length of their names first: some numbers have no leading zeros.
-fn frames_in(folder: &Path) -> Outcome<Vec<Frame>> {
+/// The frames in a folder, or those in a window: the files with an extension, sorted by the length of their
+/// names first, because some numbers have no leading zeros.
+fn frames_in(folder: &Path, window: Option<RangeInclusive<usize>>) -> Outcome<Vec<Frame>> {
     let mut paths: Vec<PathBuf> =
         fs::read_dir(folder)?.map(|entry| entry.map(|entry| entry.path())).collect::<Result<_, _>>()?;
+    paths.retain(|path| path.extension().is_some());
     paths.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
-    if paths.is_empty() {
-        return Err(format!("{}: no frames", folder.display()).into());
-    }
-    paths.iter().enumerate().map(|(number, path)| frame_in(path, number)).collect()
+    let window = window.unwrap_or(0..=paths.len().wrapping_sub(1));
+    let chosen = paths.get(window.clone()).filter(|chosen| !chosen.is_empty());
+    let chosen = chosen.ok_or_else(|| format!("{}: {} frames", folder.display(), paths.len()))?;
+    window.zip(chosen).map(|(number, path)| frame_in(path, number)).collect()
 }
 
 fn frame_in(path: &Path, number: usize) -> Outcome<Frame> {

@@ -136,16 +136,13 @@ pub fn flicker(
     spacing: f64,
     sample_count: usize,
 ) -> FrameFlicker {
-    let limit = REACH * spacing;
-    let distance = |to: &FlickerFrame, seconds_sign: f64, point: DVec3| {
-        let carried = carry(middle, to, carrier, seconds_sign, point, spacing)?;
-        // Without a surface, every point is outside.
-        Some(to.surface.distance(carried).unwrap_or(f64::INFINITY).clamp(-limit, limit))
+    let distance = |to: &FlickerFrame, direction: f64, point: DVec3| {
+        carried_distance(middle, to, carrier, direction, point, spacing)
     };
     let score = |(position, normal): (DVec3, DVec3)| {
         let [one, other] = [distance(before, -1.0, position)?, distance(after, 1.0, position)?];
-        let has_left = one.abs() >= limit || other.abs() >= limit;
-        Some((ScoredPoint { position, normal, value: (one + other) / spacing }, has_left))
+        let has_left = one.abs() >= REACH || other.abs() >= REACH;
+        Some((ScoredPoint { position, normal, value: one + other }, has_left))
     };
     let samples = samples(middle.surface.triangles(), sample_count);
     let scored: Vec<Option<(ScoredPoint, bool)>> = samples.into_par_iter().halved().map(score).collect();
@@ -160,6 +157,38 @@ pub fn flicker(
         }
     }
     found
+}
+
+/// The signed distances, in spacings, from the surface of `to` to points on the surface of `from` that its
+/// particles carry there: positive outside, at most [`REACH`]. There are `sample_count` points, distributed
+/// evenly by area; `None` is a point that no particle carries.
+///
+/// `to` is a later frame. The time of [`Carrier::Velocities`] is that between the two frames.
+pub fn carried_distances(
+    from: &FlickerFrame,
+    to: &FlickerFrame,
+    carrier: Carrier,
+    spacing: f64,
+    sample_count: usize,
+) -> Vec<Option<f64>> {
+    let distance =
+        |(position, _): (DVec3, DVec3)| carried_distance(from, to, carrier, 1.0, position, spacing);
+    samples(from.surface.triangles(), sample_count).into_par_iter().halved().map(distance).collect()
+}
+
+/// The signed distance of a carried point from the surface of `to`, in spacings, clamped to [`REACH`].
+fn carried_distance(
+    from: &FlickerFrame,
+    to: &FlickerFrame,
+    carrier: Carrier,
+    direction: f64,
+    point: DVec3,
+    spacing: f64,
+) -> Option<f64> {
+    let carried = carry(from, to, carrier, direction, point, spacing)?;
+    // Without a surface, every point is outside.
+    let distance = to.surface.distance(carried).unwrap_or(f64::INFINITY);
+    Some((distance / spacing).clamp(-REACH, REACH))
 }
 
 // Carries points along with the particles.

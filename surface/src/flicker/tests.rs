@@ -178,6 +178,30 @@ fn vanished_surface_counts_as_the_maximum_distance() {
 }
 
 #[test]
+fn carried_points_have_their_distance_from_the_later_surface() {
+    // A ball that moves and grows, and carries points only where it has particles.
+    let step = DVec3::new(0.75, -0.5, 0.125);
+    let rest: Vec<DVec3> = ball(1.0).into_iter().filter(|at| at.x <= 0.0).collect();
+    let [from, to] = [(0.0, 1.05), (1.0, 1.11)].map(|(time, radius)| {
+        let particles = particles(&rest, |at| at + time * step, |_| step / SECONDS);
+        FlickerFrame::new(particles, sphere(radius, time * step, 48), SPACING)
+    });
+    let nowhere =
+        FlickerFrame::new(particles(&rest, |at| at, |_| DVec3::ZERO), MeshDistance::new(&[], &[]), SPACING);
+    for carrier in BOTH {
+        let found = carried_distances(&from, &to, carrier, SPACING, SAMPLES);
+        let tracked: Vec<f64> = found.iter().copied().flatten().collect();
+        assert!((SAMPLES / 2..SAMPLES).contains(&tracked.len()) && found.len() == SAMPLES);
+        let tolerance = 1.11 * chord_error(48) / SPACING;
+        assert!(tracked.iter().all(|distance| (distance + 0.6).abs() < tolerance), "{tracked:?}");
+        let found = carried_distances(&nowhere, &to, carrier, SPACING, SAMPLES);
+        assert_eq!(found, []);
+    }
+    let found = carried_distances(&from, &nowhere, Carrier::Ids, SPACING, SAMPLES);
+    assert!(found.iter().flatten().all(|&distance| distance == REACH));
+}
+
+#[test]
 fn points_without_particles_are_counted_and_left_out() {
     // Half of the sphere is at a distance of 1 from all particles.
     let rest: Vec<DVec3> = ball(1.0).into_iter().filter(|at| at.x <= 0.0).collect();
