@@ -241,36 +241,62 @@ const SPREAD_MIN: f32 = 1e-4;
 /// The shapes of eight particles.
 struct Shapes8 {
     shapes: [Ellipsoid; 8],
-    /// How much fluid surrounds each particle, 0 to 1.
-    company: [f32; 8],
     /// Mask of the particles with a raised semi-axis.
     raised: u8,
-    /// Mask of the particles that are balls because they have too few neighbours.
+    /// Mask of the particles without company, which are balls.
     balls: u8,
 }
 
-/// Computes the shapes of eight particles from their moments and scales.
-#[inline(always)]
-fn shapes<V: Lanes>(moments: &[[f32; 8]; MOMENT_COUNT], scales: &[f32; 8], limits: Stretch) -> Shapes8 {
-    let Eigen { values, vectors } = eigen(covariance::<V>(moments));
-    let [a, b, c] = values.map(|value| value.max(V::splat(SPREAD_MIN)));
-    let flatness = V::splat(1.0).sub(a.min(b).min(c).div(a.max(b).max(c)).sqrt());
-    let company = company(V::load(&moments[0]), flatness);
-    let part = company.mul(smooth_step(flatness, FLAT_NONE, FLAT_FULL));
-    let half_axes = blended(limited([a, b, c], limits.max_stretch), part);
-    let is_round = V::not(V::splat(0.0).lt(part));
-    let (half_axes, is_raised) = scaled(half_axes, is_round, company, V::load(scales), limits);
-    let mut made = Shapes8 {
-        shapes: ellipsoids(half_axes, vectors, V::bits(is_round)),
-        company: [0.0; 8],
-        raised: V::bits(is_raised),
-        balls: V::bits(V::not(V::splat(0.0).lt(company))),
-    };
-    company.store(&mut made.company);
-    for (shape, company) in made.shapes.iter_mut().zip(made.company) {
-        [shape.init, shape.max] = limits.lone_shares.map(|lone| lone + company * (1.0 - lone));
+/// The neighbourhoods of eight particles.
+struct Surroundings<V> {
+    /// The mean position of the neighbours (Yu and Turk, Eq. 10), relative to the particle, in units of the
+    /// radius.
+    mean: [V; 3],
+    /// The eigenvalues of their covariance, positive, and the eigenvectors.
+    eigen: Eigen<V>,
+    flatness: V,
+    company: V,
+}
+
+impl<V: Lanes> Surroundings<V> {
+    /// From the moments of the neighbourhoods.
+    #[inline(always)]
+    fn new(moments: &[[f32; 8]; MOMENT_COUNT]) -> Surroundings<V> {
+        let (mean, covariance) = mean_and_covariance::<V>(moments);
+        let Eigen { values, vectors } = eigen(covariance);
+        let [a, b, c] = values.map(|value| value.max(V::splat(SPREAD_MIN)));
+        let flatness = V::splat(1.0).sub(a.min(b).min(c).div(a.max(b).max(c)).sqrt());
+        let company = company(V::load(&moments[0]), flatness);
+        Surroundings { mean, eigen: Eigen { values: [a, b, c], vectors }, flatness, company }
     }
-    made
+
+    /// x, y and z of the mean position of the neighbours times the company.
+    #[inline(always)]
+    fn means(&self) -> [[f32; 8]; 3] {
+        self.mean.map(|along| {
+            let mut row = [0.0; 8];
+            along.mul(self.company).store(&mut row);
+            row
+        })
+    }
+
+    /// The shapes of particles with these scales.
+    #[inline(always)]
+    fn shapes(&self, scales: &[f32; 8], limits: Stretch) -> Shapes8 {
+        let Surroundings { eigen, flatness, company, .. } = self;
+        let part = company.mul(smooth_step(*flatness, FLAT_NONE, FLAT_FULL));
+        let half_axes = blended(limited(eigen.values, limits.max_stretch), part);
+        let is_round = V::not(V::splat(0.0).lt(part));
+        let (half_axes, is_raised) = scaled(half_axes, is_round, *company, V::load(scales), limits);
+        let mut shapes = ellipsoids(half_axes, eigen.vectors, V::bits(is_round));
+        let mut row = [0.0; 8];
+        company.store(&mut row);
+        for (shape, company) in shapes.iter_mut().zip(row) {
+            [shape.init, shape.max] = limits.lone_shares.map(|lone| lone + company * (1.0 - lone));
+        }
+        let balls = V::bits(V::not(V::splat(0.0).lt(*company)));
+        Shapes8 { shapes, raised: V::bits(is_raised), balls }
+    }
 }
 
 /// The company of eight particles, 0 to 1, from the sum of the weights of their neighbours, including
@@ -288,44 +314,24 @@ fn smooth_step<V: Lanes>(x: V, from: f32, to: f32) -> V {
     u.mul(u).mul(V::splat(3.0).sub(u).sub(u))
 }
 
-/// The mean position (x, y and z) of the neighbours of each of eight particles, relative to the particle, in
-/// units of the radius. Uses the first four moments.
+/// The mean position (Yu and Turk, Eq. 10) and the covariance (Eq. 9) of the neighbours: x, y and z; xx, yy,
+/// zz, xy, xz and yz.
 #[inline(always)]
-fn means<V: Lanes>(moments: &[[f32; 8]]) -> [[f32; 8]; 3] {
-    let (mean, _) = mean_and_weight::<V>(moments);
-    let mut means = [[0.0; 8]; 3];
-    for (row, along) in means.iter_mut().zip(mean) {
-        along.store(row);
-    }
-    means
-}
-
-/// The mean position (Yu and Turk, Eq. 10), and the factor that turns a weighted sum into a mean.
-#[inline(always)]
-fn mean_and_weight<V: Lanes>(moments: &[[f32; 8]]) -> ([V; 3], V) {
+fn mean_and_covariance<V: Lanes>(moments: &[[f32; 8]; MOMENT_COUNT]) -> ([V; 3], [V; 6]) {
     // Each particle itself contributes a weight of 1, so the sum is at least 1. The exception is a cell with
     // so many particles that only a sample of them is used, which may lack the particle.
     let by_weight = V::splat(1.0).div(V::load(&moments[0]).max(V::splat(1.0)));
-    let mut means = [V::splat(0.0); 3];
-    for (mean, moment) in means.iter_mut().zip(&moments[1..4]) {
-        *mean = V::load(moment).mul(by_weight);
-    }
-    (means, by_weight)
-}
-
-/// The covariance (Yu and Turk, Eq. 9): xx, yy, zz, xy, xz and yz.
-#[inline(always)]
-fn covariance<V: Lanes>(moments: &[[f32; 8]; MOMENT_COUNT]) -> [V; 6] {
-    let ([x, y, z], by_weight) = mean_and_weight::<V>(moments);
+    let mean = |moment: &[f32; 8]| V::load(moment).mul(by_weight);
+    let [x, y, z] = [mean(&moments[1]), mean(&moments[2]), mean(&moments[3])];
     let products = [x.mul(x), y.mul(y), z.mul(z), x.mul(y), x.mul(z), y.mul(z)];
     let mut covariance = [V::splat(0.0); 6];
     for (entry, (moment, product)) in covariance.iter_mut().zip(moments[4..].iter().zip(products)) {
-        *entry = V::load(moment).mul(by_weight).sub(product);
+        *entry = mean(moment).sub(product);
     }
     for diagonal in &mut covariance[..3] {
         *diagonal = diagonal.add(V::splat(SPREAD_MIN));
     }
-    covariance
+    ([x, y, z], covariance)
 }
 
 /// The square roots of positive eigenvalues, scaled to a product of 1, with their ratio limited to

@@ -26,7 +26,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{company as company_of, means, scale_of, shapes};
+use super::{Surroundings, scale_of};
 use crate::neighbors::{NeighborPackets, Neighbors, Particle8};
 use crate::parallel::Loops as _;
 use crate::particles::{Ellipsoid, OwnedPositions};
@@ -167,21 +167,18 @@ impl Kernel for ParticleRun<'_> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> ShapeCounts {
-        match self.config.stretch {
-            Some(stretch) => self.run_with::<V, MOMENT_COUNT>(Some(stretch)),
-            None => self.run_with::<V, MEAN_COUNT>(None),
-        }
+        self.run_with::<V>()
     }
 }
 
 impl ParticleRun<'_> {
-    /// Computes the first `COUNT` moments of each particle.
+    /// Computes the moments of each particle, and from these its mean and its shape, eight at a time.
     #[inline(always)]
-    fn run_with<V: Lanes, const COUNT: usize>(mut self, stretch: Option<Stretch>) -> ShapeCounts {
+    fn run_with<V: Lanes>(mut self) -> ShapeCounts {
         let mut surroundings = NeighborPackets::default();
         let mut within = Vec::new();
         let mut counts = ShapeCounts::default();
-        let mut waiting = [[0.0f32; 8]; COUNT];
+        let mut waiting = [[0.0f32; 8]; MOMENT_COUNT];
         let mut waiting_count = 0;
         let [x, y, z] = self.neighbors.locals();
         let mut cell_end = 0;
@@ -193,14 +190,14 @@ impl ParticleRun<'_> {
                 cell_end = self.neighbors.slots(cell).end;
             }
             let at = Vec3::new(x[slot], y[slot], z[slot]);
-            let moments = moments::<V, COUNT>(surroundings.eights(), at, &mut within);
+            let moments = moments::<V>(surroundings.eights(), at, &mut within);
             for (row, moment) in waiting.iter_mut().zip(moments) {
                 row[waiting_count % 8] = moment;
             }
             waiting_count += 1;
             if waiting_count == 8 || number + 1 == self.slots.len() {
                 let first = number + 1 - waiting_count;
-                counts = counts.merge(self.finish::<V, COUNT>(&waiting, first, waiting_count, stretch));
+                counts = counts.merge(self.finish::<V>(&waiting, first, waiting_count));
                 waiting_count = 0;
             }
         }
@@ -209,31 +206,24 @@ impl ParticleRun<'_> {
 
     /// Computes means and shapes of up to eight particles, starting at `first`, from their moments.
     #[inline(always)]
-    fn finish<V: Lanes, const COUNT: usize>(
+    fn finish<V: Lanes>(
         &mut self,
-        moments: &[[f32; 8]; COUNT],
+        moments: &[[f32; 8]; MOMENT_COUNT],
         first: usize,
         count: usize,
-        stretch: Option<Stretch>,
     ) -> ShapeCounts {
-        let means_of = |company: &[f32; 8]| {
-            let along = means::<V>(moments);
-            std::array::from_fn::<_, 8, _>(|k| along.map(|along| company[k] * along[k]))
-        };
-        let (Some(stretch), Some(all_moments)) = (stretch, moments.first_chunk()) else {
-            let mut company = [0.0; 8];
-            // Without second moments, the flatness is not known.
-            company_of::<V>(V::load(&moments[0]), V::splat(0.0)).store(&mut company);
-            self.means[first..first + count].copy_from_slice(&means_of(&company)[..count]);
-            return ShapeCounts::default();
-        };
+        let surroundings = Surroundings::<V>::new(moments);
+        let means = surroundings.means();
+        for (k, mean) in self.means[first..first + count].iter_mut().enumerate() {
+            *mean = means.map(|along| along[k]);
+        }
+        let Some(stretch) = self.config.stretch else { return ShapeCounts::default() };
         let mut scales = [1.0; 8];
         for (scale, &slot) in scales.iter_mut().zip(&self.slots[first..first + count]) {
             *scale = scale_of(self.scales, self.neighbors.indices()[slot as usize] as usize);
         }
         let limits = Stretch { max_stretch: stretch.max_stretch.max(1.0), ..stretch };
-        let eights = shapes::<V>(all_moments, &scales, limits);
-        self.means[first..first + count].copy_from_slice(&means_of(&eights.company)[..count]);
+        let eights = surroundings.shapes(&scales, limits);
         self.shapes[first..first + count].copy_from_slice(&eights.shapes[..count]);
         let bits = ((1u16 << count) - 1) as u8;
         let [raised, balls] = [eights.raised & bits, eights.balls & bits].map(u8::count_ones);
@@ -257,19 +247,16 @@ impl ParticleRun<'_> {
 /// Number of sums: W; then the sums of w·x, w·y and w·z; then those of w·xx, w·yy, w·zz, w·xy, w·xz and w·yz.
 pub(super) const MOMENT_COUNT: usize = 10;
 
-/// The means need only this number of sums: the first ones.
-const MEAN_COUNT: usize = 4;
-
-/// The first `COUNT` moments around a particle at `at`, in units of the radius. `within` is a buffer.
+/// The moments around a particle at `at`, in units of the radius. `within` is a buffer.
 #[inline(always)]
-pub(super) fn moments<V: Lanes, const COUNT: usize>(
+pub(super) fn moments<V: Lanes>(
     eights: &[Particle8],
     at: Vec3,
     within: &mut Vec<u32>,
-) -> [f32; COUNT] {
+) -> [f32; MOMENT_COUNT] {
     let count = find_within::<V>(eights, at, within);
     let (full, rest) = within[..count].as_chunks::<8>();
-    let mut sums = [V::splat(0.0); COUNT];
+    let mut sums = [V::splat(0.0); MOMENT_COUNT];
     for indices in full {
         let mut particles = ParticlePacket::NONE;
         particles.take(eights, indices);
@@ -280,7 +267,7 @@ pub(super) fn moments<V: Lanes, const COUNT: usize>(
         particles.take(eights, rest);
         add_moments(&mut sums, &particles, at);
     }
-    let mut moments = [0.0; COUNT];
+    let mut moments = [0.0; MOMENT_COUNT];
     for (moment, sum) in moments.iter_mut().zip(sums) {
         *moment = total(sum);
     }
@@ -351,7 +338,7 @@ impl ParticlePacket {
 }
 
 #[inline(always)]
-fn add_moments<V: Lanes, const COUNT: usize>(sums: &mut [V; COUNT], particles: &ParticlePacket, at: Vec3) {
+fn add_moments<V: Lanes>(sums: &mut [V; MOMENT_COUNT], particles: &ParticlePacket, at: Vec3) {
     let dx = V::load(&particles.along[0]).sub(V::splat(at.x));
     let dy = V::load(&particles.along[1]).sub(V::splat(at.y));
     let dz = V::load(&particles.along[2]).sub(V::splat(at.z));

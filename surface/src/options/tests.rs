@@ -67,7 +67,8 @@ fn presets_smooth_for_the_same_time_with_any_integrator() {
         }
         let [fluid, preview] = [Preset::Fluid, Preset::Preview].map(|preset| resolved(Some(preset), None));
         let time = |settings: &Settings| f64::from(settings.steps) * settings.step_size;
-        assert_eq!(time(&fluid), 8.0);
+        // 0.01 d⁴, with h = 0.35 d.
+        assert!((time(&fluid) * 0.35f64.powi(4) - 0.01).abs() < 1e-4, "{}", time(&fluid));
         assert_eq!(preview.voxel_size, 1.0);
     }
 }
@@ -92,9 +93,9 @@ fn finer_grid_keeps_lengths_and_times() {
                 MethodOptions { preset, spacing: Some(spacing), voxel_size, ..MethodOptions::default() };
             in_spacings(&Settings::resolve(&choices, None).expect("sound"))
         };
-        let usual = resolved(2.5);
+        let usual = resolved(3.0);
         // The number of Laplacian steps is rounded.
-        for (voxels, slack) in [(2.0, 0.1), (4.0, 0.05), (6.0, 0.05)] {
+        for (voxels, slack) in [(2.4, 0.1), (4.0, 0.05), (6.0, 0.05)] {
             for (finer, usual) in resolved(voxels).into_iter().zip(usual) {
                 assert!((finer / usual - 1.0).abs() <= slack, "{voxels}: {finer} and not {usual}");
             }
@@ -115,7 +116,7 @@ fn finer_grid_keeps_lengths_and_times() {
         };
         // The thin radius is the default as long as the grid resolves it.
         assert!((thin(2.5) - 0.36).abs() < 1e-9 && (thin(6.0) - 0.36).abs() < 1e-9);
-        assert!((thin(2.0) - 0.45).abs() < 1e-9 && (thin(2.49) - 0.9 / 2.49).abs() < 1e-9);
+        assert!((thin(2.4) - 0.375).abs() < 1e-9 && (thin(2.49) - 0.9 / 2.49).abs() < 1e-9);
         // If r_min is √3 h, particles are balls unless the options request other shapes.
         assert_eq!(anisotropy(1.0, None), Anisotropy::None);
         assert!(matches!(anisotropy(1.0, Some(AnisotropyKind::Neighbors)), Anisotropy::Neighbors { .. }));
@@ -140,10 +141,10 @@ fn given_spacing_overrides_the_measured_one() {
         let settings = Settings::resolve(choices, measured.map(SequenceSpacing::from))?;
         Ok::<_, SettingsError>((settings.spacing, settings.voxel_size))
     };
-    assert_eq!(resolved(&choices(Some(0.2), None, FLUID), Some(0.5)), Ok((0.2, 0.08)));
-    assert_eq!(resolved(&choices(None, None, FLUID), Some(0.5)), Ok((0.5, 0.2)));
+    assert_eq!(resolved(&choices(Some(0.2), None, FLUID), Some(0.5)), Ok((0.2, 0.07)));
+    assert_eq!(resolved(&choices(None, None, FLUID), Some(0.5)), Ok((0.5, 0.175)));
     assert_eq!(resolved(&choices(None, Some(0.3), FLUID), Some(0.5)), Ok((0.5, 0.3)));
-    assert_eq!(resolved(&choices(None, Some(0.3), FLUID), None), Ok((0.75, 0.3)));
+    assert_eq!(resolved(&choices(None, Some(0.35), FLUID), None), Ok((1.0, 0.35)));
     let paper = choices(None, Some(0.3), Some(Preset::Paper));
     assert_eq!(resolved(&paper, None), Ok((0.6, 0.3)));
     assert!(!paper.needs_spacing());
@@ -187,18 +188,18 @@ fn offset_out_of_range_is_rejected_with_the_range() {
 
 #[test]
 fn lengths_out_of_range_are_named_as_typed() {
-    // d = 0.1 and h = 0.04.
+    // d = 0.1 and h = 0.035.
     for (name, text, expected) in [
-        ("offset", "5h", "the offset 5h is 0.2; it must be from -r_min = -0.115 to 2 h = 0.08"),
-        ("offset", "-2d", "the offset -2d is -0.2; it must be from -r_min = -0.115 to 2 h = 0.08"),
-        ("offset", "0.2", "the offset is 0.2; it must be from -r_min = -0.115 to 2 h = 0.08"),
+        ("offset", "5h", "the offset 5h is 0.175; it must be from -r_min = -0.075 to 2 h = 0.07"),
+        ("offset", "-2d", "the offset -2d is -0.2; it must be from -r_min = -0.075 to 2 h = 0.07"),
+        ("offset", "0.2", "the offset is 0.2; it must be from -r_min = -0.075 to 2 h = 0.07"),
         ("voxel_size", "-1d", "the voxel size -1d is -0.1; it must be a positive number"),
         ("radius_min", "-1d", "the radius r_min -1d is -0.1; it must be a positive number"),
-        ("radius_min", "1e-9d", "r_min 0.000000001d is 2.5e-9 voxels"),
-        ("radius_init", "9h", "r_init 9h is 0.36; it must be between r_min = 0.115 and r_max = 0.23"),
+        ("radius_min", "1e-9d", "r_min 0.000000001d is 2.86e-9 voxels"),
+        ("radius_init", "9h", "r_init 9h is 0.315; it must be between r_min = 0.075 and r_max = 0.1875"),
         ("thin_radius", "2d", "the smallest semi-axis of flattened particles 2d is 0.2; it must be from"),
         ("lone_radius", "2d", "the radius of particles without neighbours 2d is 0.2; it must be at most"),
-        ("neighbor_radius", "90d", "the neighbour radius 90d is 225 h; it must be at most 200 h"),
+        ("neighbor_radius", "90d", "the neighbour radius 90d is 257 h; it must be at most 200 h"),
     ] {
         let error = Settings::resolve(&options(&[(name, text)]), Some(0.1.into())).expect_err(text);
         assert!(error.to_string().starts_with(expected), "{error}");

@@ -97,7 +97,12 @@ impl Ellipsoid {
     /// The ball whose semi-axes are all `scale`.
     pub fn ball(scale: f32) -> Ellipsoid {
         let inverse = 1.0 / scale;
-        Ellipsoid { to_unit_ball: [inverse, inverse, inverse, 0.0, 0.0, 0.0], longest: scale, init: 1.0, max: 1.0 }
+        Ellipsoid {
+            to_unit_ball: [inverse, inverse, inverse, 0.0, 0.0, 0.0],
+            longest: scale,
+            init: 1.0,
+            max: 1.0,
+        }
     }
 
     /// The ellipsoid with these semi-axes along these directions, which must be orthonormal.
