@@ -16,9 +16,9 @@ word_enum! {
         Fluid = "fluid",
         /// As fluid, but smoother, for irregularly spaced particles, such as those of FLIP and MPM
         Noisy = "noisy",
-        /// Sheets, filaments and drops: finer and thinner than fluid
+        /// As fluid, on a finer grid: sheets, filaments and drops in close-ups
         Splash = "splash",
-        /// Sand, snow, grain: close to the particles, with little smoothing
+        /// Sand, snow, grain: balls, close to the particles
         Granular = "granular",
         /// A quick preview: voxels as large as the spacing
         Preview = "preview",
@@ -105,7 +105,7 @@ const PAPER: Recipe = Recipe {
 /// The preset for fluids. docs/method.md has the measurements behind these values.
 const FLUID: Recipe = Recipe {
     unit: Unit::Spacing,
-    voxel_size: 0.35,
+    voxel_size: 0.32,
     radius_min: 0.75,
     radius_ratio: 2.5,
     radius_init: InitialRadius::Times(1.27),
@@ -115,9 +115,9 @@ const FLUID: Recipe = Recipe {
     neighbor_radius: Some(2.6),
     position_smoothing: 0.5,
     fill_cavities: 25.0,
-    laplacian_steps: 1.6,
-    steps: 2,
-    step_size: 0.005,
+    laplacian_steps: 1.0,
+    steps: 1,
+    step_size: 0.01,
     explicit_time: 0.01,
 };
 
@@ -136,32 +136,30 @@ impl Preset {
         match self {
             Preset::Fluid => FLUID,
             Preset::Noisy => Recipe {
-                radius_init: InitialRadius::Times(1.39),
+                voxel_size: 0.4,
+                radius_min: 1.0,
+                radius_ratio: 2.0,
+                radius_init: InitialRadius::Times(1.2),
                 neighbor_radius: Some(3.0),
-                position_smoothing: 0.9,
-                laplacian_steps: 7.5,
-                steps: 4,
-                step_size: 0.5,
-                explicit_time: 2.0,
+                position_smoothing: 0.8,
+                laplacian_steps: 1.6,
+                steps: 2,
+                step_size: 0.15,
+                explicit_time: 0.3,
                 ..FLUID
             },
             Preset::Splash => Recipe {
-                voxel_size: 0.35,
-                radius_min: 1.0,
-                radius_init: InitialRadius::Times(1.2),
-                thin_radius: Some(0.32),
-                lone_radius: Some(0.62),
+                voxel_size: 0.25,
+                thin_radius: Some(0.3),
                 ..FLUID
             },
             Preset::Granular => Recipe {
-                voxel_size: 0.5,
-                radius_min: 0.866_025_403_784_438_6,
-                radius_ratio: 1.25,
-                radius_init: InitialRadius::Middle,
+                voxel_size: 0.4,
+                radius_ratio: 2.0,
+                radius_init: InitialRadius::Times(1.2),
                 anisotropy: AnisotropyKind::None,
-                position_smoothing: 0.0,
-                fill_cavities: 0.0,
-                steps: 1,
+                position_smoothing: 0.4,
+                laplacian_steps: 1.6,
                 step_size: 0.125,
                 explicit_time: 0.125,
                 ..FLUID
@@ -170,6 +168,7 @@ impl Preset {
                 voxel_size: 1.0,
                 anisotropy: AnisotropyKind::None,
                 position_smoothing: 0.0,
+                laplacian_steps: 1.6,
                 steps: 1,
                 step_size: 0.125,
                 explicit_time: 0.125,
