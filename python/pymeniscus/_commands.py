@@ -30,7 +30,7 @@ Paths: TypeAlias = "str | os.PathLike[str] | Iterable[str | os.PathLike[str]]"
 
 #: Options that the command line repeats for each value of a list. Values of other lists are separated by
 #: commas.
-_REPEATED = frozenset({"obstacle"})
+_REPEATED = frozenset({"obstacle", "sequence"})
 
 #: Runs the package in the folder of the first argument. ``python -m pymeniscus`` would search the working
 #: folder first, which may have another module of this name, or one of the name of a standard module.

@@ -53,6 +53,16 @@ def test_command_does_not_import_modules_of_the_working_folder(frame, tmp_path, 
     assert pm.convert(frame, "out", format="glb")["frames"][0]["status"] == "converted"
 
 
+def test_convert_repeats_options_that_name_files(frame, tmp_path):
+    inputs = tmp_path / "in"
+    inputs.mkdir()
+    for number in (1, 2):
+        shutil.copy(frame, inputs / f"frame.{number}{frame.suffix}")
+    files = [tmp_path / "shot.glb", tmp_path / "shot.usdc"]
+    pm.convert(inputs, tmp_path / "out", format="glb", sequence=files, fps=24)
+    assert all(file.stat().st_size > 1000 for file in files)
+
+
 def test_convert_errors(tmp_path):
     with pytest.raises(pm.CommandError) as caught:
         pm.convert(tmp_path / "none.ply", tmp_path / "out")
