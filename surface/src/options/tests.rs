@@ -67,8 +67,8 @@ fn presets_smooth_for_the_same_time_with_any_integrator() {
         }
         let [fluid, preview] = [Preset::Fluid, Preset::Preview].map(|preset| resolved(Some(preset), None));
         let time = |settings: &Settings| f64::from(settings.steps) * settings.step_size;
-        // 0.01 d⁴, with h = 0.35 d.
-        assert!((time(&fluid) * 0.35f64.powi(4) - 0.01).abs() < 1e-4, "{}", time(&fluid));
+        // 0.01 d⁴, with d = 2 h.
+        assert_eq!(time(&fluid), 0.16);
         assert_eq!(preview.voxel_size, 1.0);
     }
 }
@@ -95,7 +95,7 @@ fn finer_grid_keeps_lengths_and_times() {
         };
         let usual = resolved(3.0);
         // The number of Laplacian steps is rounded.
-        for (voxels, slack) in [(2.4, 0.1), (4.0, 0.05), (6.0, 0.05)] {
+        for (voxels, slack) in [(2.4, 0.1), (4.0, 0.06), (6.0, 0.05)] {
             for (finer, usual) in resolved(voxels).into_iter().zip(usual) {
                 assert!((finer / usual - 1.0).abs() <= slack, "{voxels}: {finer} and not {usual}");
             }
@@ -141,10 +141,10 @@ fn given_spacing_overrides_the_measured_one() {
         let settings = Settings::resolve(choices, measured.map(SequenceSpacing::from))?;
         Ok::<_, SettingsError>((settings.spacing, settings.voxel_size))
     };
-    assert_eq!(resolved(&choices(Some(0.2), None, FLUID), Some(0.5)), Ok((0.2, 0.07)));
-    assert_eq!(resolved(&choices(None, None, FLUID), Some(0.5)), Ok((0.5, 0.175)));
+    assert_eq!(resolved(&choices(Some(0.2), None, FLUID), Some(0.5)), Ok((0.2, 0.064)));
+    assert_eq!(resolved(&choices(None, None, FLUID), Some(0.5)), Ok((0.5, 0.16)));
     assert_eq!(resolved(&choices(None, Some(0.3), FLUID), Some(0.5)), Ok((0.5, 0.3)));
-    assert_eq!(resolved(&choices(None, Some(0.35), FLUID), None), Ok((1.0, 0.35)));
+    assert_eq!(resolved(&choices(None, Some(0.32), FLUID), None), Ok((1.0, 0.32)));
     let paper = choices(None, Some(0.3), Some(Preset::Paper));
     assert_eq!(resolved(&paper, None), Ok((0.6, 0.3)));
     assert!(!paper.needs_spacing());
@@ -159,7 +159,7 @@ fn given_spacing_overrides_the_measured_one() {
         let measured = SequenceSpacing { spacing: 1.0, radius_median: Some(radius) };
         Settings::resolve(&choices(None, None, FLUID), Some(measured)).expect("sound").voxel_size
     };
-    assert_eq!([of_radius(0.3 * 3f64.sqrt()), of_radius(2.0), of_radius(1e-6)], [0.3, 0.4, 0.125]);
+    assert_eq!([of_radius(0.3 * 3f64.sqrt()), of_radius(2.0), of_radius(1e-6)], [0.3, 0.32, 0.125]);
 }
 
 #[test]
@@ -188,18 +188,18 @@ fn offset_out_of_range_is_rejected_with_the_range() {
 
 #[test]
 fn lengths_out_of_range_are_named_as_typed() {
-    // d = 0.1 and h = 0.035.
+    // d = 0.1 and h = 0.032.
     for (name, text, expected) in [
-        ("offset", "5h", "the offset 5h is 0.175; it must be from -r_min = -0.075 to 2 h = 0.07"),
-        ("offset", "-2d", "the offset -2d is -0.2; it must be from -r_min = -0.075 to 2 h = 0.07"),
-        ("offset", "0.2", "the offset is 0.2; it must be from -r_min = -0.075 to 2 h = 0.07"),
+        ("offset", "5h", "the offset 5h is 0.16; it must be from -r_min = -0.075 to 2 h = 0.064"),
+        ("offset", "-2d", "the offset -2d is -0.2; it must be from -r_min = -0.075 to 2 h = 0.064"),
+        ("offset", "0.2", "the offset is 0.2; it must be from -r_min = -0.075 to 2 h = 0.064"),
         ("voxel_size", "-1d", "the voxel size -1d is -0.1; it must be a positive number"),
         ("radius_min", "-1d", "the radius r_min -1d is -0.1; it must be a positive number"),
-        ("radius_min", "1e-9d", "r_min 0.000000001d is 2.86e-9 voxels"),
-        ("radius_init", "9h", "r_init 9h is 0.315; it must be between r_min = 0.075 and r_max = 0.1875"),
+        ("radius_min", "1e-9d", "r_min 0.000000001d is 3.125e-9 voxels"),
+        ("radius_init", "9h", "r_init 9h is 0.288; it must be between r_min = 0.075 and r_max = 0.1875"),
         ("thin_radius", "2d", "the smallest semi-axis of flattened particles 2d is 0.2; it must be from"),
         ("lone_radius", "2d", "the radius of particles without neighbours 2d is 0.2; it must be at most"),
-        ("neighbor_radius", "90d", "the neighbour radius 90d is 257 h; it must be at most 200 h"),
+        ("neighbor_radius", "90d", "the neighbour radius 90d is 281.25 h; it must be at most 200 h"),
     ] {
         let error = Settings::resolve(&options(&[(name, text)]), Some(0.1.into())).expect_err(text);
         assert!(error.to_string().starts_with(expected), "{error}");

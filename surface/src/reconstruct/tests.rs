@@ -213,7 +213,7 @@ fn invalid_input_returns_the_matching_error() {
     assert!(matches!(error(&particles, &[of_nothing], default.clone()), Error::AttributeLength { .. }));
     // Particles far apart, each with the largest possible surface.
     let spray: Vec<[f64; 3]> = (0..400).map(|i| [f64::from(i) * 150.0, 0.0, 0.0]).collect();
-    let large = Options { radius_min: Some(30.0.into()), ..with(1.0) };
+    let large = Options { radius_min: Some(30.0.into()), radius_ratio: Some(2.0), ..with(1.0) };
     let large = Options { spacing: Some(26.0), anisotropy: Some(AnisotropyKind::None), ..large };
     assert!(matches!(error(&spray, &[], large), Error::MemoryLimit { .. }));
 }

@@ -190,7 +190,7 @@ fn particles_of_a_line_are_elongated() {
             [along, glam::Vec3::Y, glam::Vec3::new(-0.8, 0.0, 0.6)].map(|v| 1.0 / shape.apply(v).length());
         assert!((across / aside - 1.0).abs() < 1e-3, "{shape:?}");
         // Particles at an end of the filament have no company.
-        let expected = if (2..19).contains(&index) { 1.2..1.7 } else { 1.0..1.2 };
+        let expected = if (1..20).contains(&index) { 1.2..1.7 } else { 1.0..1.2 };
         assert!(expected.contains(&(on / across)), "{} at {index}", on / across);
     }
 }
