@@ -225,7 +225,14 @@ fn print_shapes(pools: &[ThreadPool; 2]) {
     // 3·r_min, where r_min is √3·h and h half the spacing.
     let config = NeighborConfig {
         radius_world: 1.5 * 3f64.sqrt() * spacing,
-        stretch: Some(Stretch { max_stretch: 4.0, floor: 1.0, lone: 1.0, lone_floor: 1.0 }),
+        weight_scale: 1.0,
+        stretch: Some(Stretch {
+            max_stretch: 4.0,
+            floor: 1.0,
+            lone: 1.0,
+            lone_floor: 1.0,
+            lone_shares: [1.0; 2],
+        }),
     };
     let count = particles.len() as f64;
     println!("\nshapes of {count} particles by their neighbours: ns a particle");

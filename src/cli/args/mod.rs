@@ -200,13 +200,14 @@ Choosing the spacing, the voxel size and the radii:
   --voxel-size cannot be in voxels.
 
   By default, lengths and the amount (pseudo-time) of smoothing scale with d. The voxel size h is
-  0.4 d: half of it shows more detail of the same surface, and takes about four times the time and the
+  0.32 d: half of it shows more detail of the same surface, and takes about four times the time and the
   memory. On a coarse grid radii are raised to √3·h, the diagonal of a voxel, so that no particle
   falls between the voxels.
 
   The smoothed surface encloses a sphere of radius r_min around every particle, and each of its points
   is within r_max of some particle. Particles in sheets and filaments are flattened instead
-  (--thin-radius), and particles without neighbours are smaller (--lone-radius).
+  (--thin-radius), and particles without neighbours are smaller, and their surface stays close to them
+  (--lone-radius).
 
   --radius-ratio  r_max / r_min: how far smoothing may move the surface. More is smoother, less
                   follows the particles more closely.
@@ -722,7 +723,7 @@ pub(super) struct TuneArgs {
     pub(super) output: PathBuf,
 
     /// An option of convert for surfaces, with the values to show, such as preset=fluid,noisy,splash
-    /// [default: position-smoothing=0,0.5,0.7,0.9 and radius-min=0.85d,1d,1.15d,1.45d]
+    /// [default: position-smoothing=0,0.3,0.5,0.8 and radius-init=0.85d,0.95d,1.1d,1.3d]
     ///
     /// Given once, the values fill the sheet; given twice, the first option differs from row to row, and the
     /// second from column to column. Values are written as on the command line, and separated by commas.

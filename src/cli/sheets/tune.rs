@@ -360,7 +360,7 @@ pub(in crate::cli) struct VariedOption {
 }
 
 /// What `tune` varies by itself.
-const DEFAULT: [&str; 2] = ["position-smoothing=0,0.5,0.7,0.9", "radius-min=0.85d,1d,1.15d,1.45d"];
+const DEFAULT: [&str; 2] = ["position-smoothing=0,0.3,0.5,0.8", "radius-init=0.85d,0.95d,1.1d,1.3d"];
 
 impl VariedOption {
     /// The name of the option's field.

@@ -259,14 +259,16 @@ struct Surroundings<V> {
 }
 
 impl<V: Lanes> Surroundings<V> {
-    /// From the moments of the neighbourhoods.
+    /// From the moments of the neighbourhoods. `weight_scale` is that of [`NeighborConfig`].
     #[inline(always)]
-    fn new(moments: &[[f32; 8]; MOMENT_COUNT]) -> Surroundings<V> {
+    fn new(moments: &[[f32; 8]; MOMENT_COUNT], weight_scale: f32) -> Surroundings<V> {
         let (mean, covariance) = mean_and_covariance::<V>(moments);
         let Eigen { values, vectors } = eigen(covariance);
         let [a, b, c] = values.map(|value| value.max(V::splat(SPREAD_MIN)));
         let flatness = V::splat(1.0).sub(a.min(b).min(c).div(a.max(b).max(c)).sqrt());
-        let company = company(V::load(&moments[0]), flatness);
+        // Without the particle itself.
+        let weight = V::load(&moments[0]).sub(V::splat(1.0)).mul(V::splat(weight_scale));
+        let company = company(weight, flatness);
         Surroundings { mean, eigen: Eigen { values: [a, b, c], vectors }, flatness, company }
     }
 
@@ -299,12 +301,12 @@ impl<V: Lanes> Surroundings<V> {
     }
 }
 
-/// The company of eight particles, 0 to 1, from the sum of the weights of their neighbours, including
-/// themselves, and the flatness of their neighbourhoods.
+/// The company of eight particles, 0 to 1, from the sum of the weights of their neighbours within 2.6
+/// spacings, and the flatness of their neighbourhoods.
 #[inline(always)]
 fn company<V: Lanes>(weight: V, flatness: V) -> V {
     let gain = V::splat(1.0).add(V::splat(FLAT_GAIN).mul(flatness));
-    smooth_step(weight.sub(V::splat(1.0)).mul(gain), COMPANY_NONE, COMPANY_FULL)
+    smooth_step(weight.mul(gain), COMPANY_NONE, COMPANY_FULL)
 }
 
 /// 0 up to `from`, 1 from `to` on, and 3u² − 2u³ between.

@@ -37,6 +37,9 @@ use crate::simd::{Kernel, Lanes, SimdLevel, dispatch_at};
 pub struct NeighborConfig {
     /// R: particles farther away are not neighbours. World units, positive.
     pub radius_world: f64,
+    /// Factor from a sum of weights within the radius to one within 2.6 spacings, for which the limits of
+    /// company are given.
+    pub weight_scale: f32,
     /// How particles are stretched; `None` if only means are needed.
     pub stretch: Option<Stretch>,
 }
@@ -212,7 +215,7 @@ impl ParticleRun<'_> {
         first: usize,
         count: usize,
     ) -> ShapeCounts {
-        let surroundings = Surroundings::<V>::new(moments);
+        let surroundings = Surroundings::<V>::new(moments, self.config.weight_scale);
         let means = surroundings.means();
         for (k, mean) in self.means[first..first + count].iter_mut().enumerate() {
             *mean = means.map(|along| along[k]);

@@ -69,7 +69,7 @@ method_options! {
             #[parser(Length::parse_world)]
             spacing: f64,
 
-            /// Voxel edge length h, positive, in world units or particle spacings [default: 0.4d]
+            /// Voxel edge length h, positive, in world units or particle spacings [default: 0.32d]
             #[value(named("LENGTH"))]
             #[parser(Length::parse_voxel_size)]
             voxel_size: Length,
@@ -77,16 +77,16 @@ method_options! {
         Surface {
             /// Radius r_min of the sphere around each particle, positive; the surface encloses these spheres,
             /// but particles in sheets and filaments get a flattened ellipsoid instead (--anisotropy)
-            /// [default: 1.15d, but no less than √3·h]
+            /// [default: 0.75d, but no less than √3·h]
             #[value(named("LENGTH"))]
             radius_min: Length,
 
             /// Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle,
-            /// and r_max is at most 64h [default: 2]
+            /// and r_max is at most 64h [default: 2.5]
             #[value(named("RATIO"))]
             radius_ratio: f64,
 
-            /// Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.26 r_min]
+            /// Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.27 r_min]
             #[value(named("LENGTH"))]
             radius_init: Length,
 
@@ -125,7 +125,7 @@ method_options! {
             thin_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
 
             /// Radius of particles without neighbours (drops), which replaces their r_min, positive and at
-            /// most --radius-min, for --anisotropy neighbors [default: 0.7d]
+            /// most --radius-min, for --anisotropy neighbors [default: 0.62d]
             #[value(named("LENGTH"))]
             lone_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
 
@@ -137,7 +137,7 @@ method_options! {
                 |options, _| options.uses_neighbors(),
 
             /// Move particles near the surface toward the mean of their neighbours by this fraction, 0 to 1
-            /// [default: 0.7]
+            /// [default: 0.5]
             #[value(named("L"))]
             position_smoothing: f64 in 0.0..=1.0,
 
@@ -214,12 +214,12 @@ method_options! {
             #[value(named("N"))]
             laplacian_steps: u32 in 0..=STEPS_MAX,
 
-            /// Number of biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: a larger number of
+            /// Number of biharmonic steps, 0 to 1000000 [default: 1; explicit, adaptive: a larger number of
             /// smaller steps with the same total pseudo-time]
             #[value(named("N"))]
             steps: u32 in 0..=STEPS_MAX,
 
-            /// Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.25
+            /// Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.01
             /// (d/h)⁴; explicit, adaptive: 0.01]
             #[value(named("S"))]
             step_size: f64 in STEP_SIZE_MIN..=STEP_SIZE_MAX,

@@ -148,11 +148,7 @@ impl Preset {
                 explicit_time: 0.3,
                 ..FLUID
             },
-            Preset::Splash => Recipe {
-                voxel_size: 0.25,
-                thin_radius: Some(0.3),
-                ..FLUID
-            },
+            Preset::Splash => Recipe { voxel_size: 0.25, thin_radius: Some(0.3), ..FLUID },
             Preset::Granular => Recipe {
                 voxel_size: 0.4,
                 radius_ratio: 2.0,

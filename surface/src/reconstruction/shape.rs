@@ -134,7 +134,7 @@ fn changes_in_blocks(
     let margin = (2.0 * settings.neighbor_radius / settings.voxel_size).ceil() as i32 + 1;
     let depth_of = |longest| depth.voxels(longest);
     let vicinity = Vicinity::new(given, &lattice, depth.cover_voxels, depth_of, margin)?;
-    let config = NeighborConfig { radius_world: settings.neighbor_radius, stretch };
+    let config = neighbor_config(settings);
     let mut found: Vec<BlockChanges> = Vec::new();
     shape_stats.longest = vicinity.longest().max(if stretch.is_some() { depth.ball } else { 0.0 });
     for block in vicinity.blocks(gathered_max) {
@@ -362,6 +362,12 @@ fn numbers<'a>(
     (numbers.len() == arity * count).then_some(numbers)
 }
 
+/// How neighbors move and stretch particles.
+fn neighbor_config(settings: &Settings) -> NeighborConfig {
+    let weight_scale = (COMPANY_RADIUS * settings.spacing / settings.neighbor_radius).powi(3) as f32;
+    NeighborConfig { radius_world: settings.neighbor_radius, weight_scale, stretch: stretch(settings) }
+}
+
 /// How neighbors stretch particles, if at all.
 fn stretch(settings: &Settings) -> Option<Stretch> {
     let in_radii = |radius: f64| (radius / settings.radius_min) as f32;
@@ -379,6 +385,9 @@ fn stretch(settings: &Settings) -> Option<Stretch> {
         Anisotropy::None | Anisotropy::Velocity { .. } => None,
     }
 }
+
+/// The limits of a particle's company are sums of weights within this distance, in spacings.
+const COMPANY_RADIUS: f64 = 2.6;
 
 /// The distances of r_init and r_max from r_min of particles without neighbours, relative to those of the
 /// settings. The surface of spray then stays close to its particles: drops that come close do not merge
@@ -558,8 +567,7 @@ mod tests {
             let (near, shape_stats) = shape_particles(cloud.clone(), &settings);
             let deep_count = cloud.positions.len() - shape_stats.near_count;
             assert!(deep_count > 1000, "{deep_count}");
-            let config =
-                NeighborConfig { radius_world: settings.neighbor_radius, stretch: stretch(&settings) };
+            let config = neighbor_config(&settings);
             let found = from_neighbors(&cloud.positions, |_| true, None, &config);
             let step = settings.position_smoothing * settings.neighbor_radius;
             let OwnedPositions::F64(mut positions) = cloud.positions.clone() else { panic!("64 bits") };

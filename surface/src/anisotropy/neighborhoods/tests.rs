@@ -34,7 +34,7 @@ fn from_neighbors(particles: &OwnedPositions, scales: Option<&[f32]>, config: &C
 fn shaped(particles: &OwnedPositions, scales: Option<&[f32]>, config: &Config, level: SimdLevel) -> Whole {
     let &Config { radius_world, max_stretch, position_smoothing, floor } = config;
     let stretch = Stretch { max_stretch, floor, lone: 1.0, lone_floor: floor, lone_shares: [1.0; 2] };
-    let config = NeighborConfig { radius_world, stretch: Some(stretch) };
+    let config = NeighborConfig { radius_world, weight_scale: 1.0, stretch: Some(stretch) };
     let found = neighbor_shapes(particles, |_| true, scales, &config, level);
     // The means of the positions are the same if no shapes are computed.
     let means =
@@ -341,6 +341,7 @@ fn results_do_not_depend_on_which_particles_are_wanted() {
     let particles = double(&lattice([8, 7, 6], 0.9));
     let config = NeighborConfig {
         radius_world: 2.6,
+        weight_scale: 1.0,
         stretch: Some(Stretch {
             max_stretch: 4.0,
             floor: 1e-3,
