@@ -298,7 +298,7 @@ fn report_has_the_measurements_of_each_frame() {
     let settings = &report["settings"][0];
     assert_eq!((&settings["sequence"], &settings["integrator"]), (&"dam.{}.ply".into(), &"fast".into()));
     let [h, spacing] = ["voxel_size", "spacing"].map(|key| settings[key].as_f64().expect("a number"));
-    assert!((2.5 * h / spacing - 1.0).abs() < 1e-12, "{h} {spacing}");
+    assert!((h / spacing / 0.32 - 1.0).abs() < 1e-12, "{h} {spacing}");
     let frame = &report["frames"][1];
     assert_eq!((&frame["input"], &frame["settings"]), (&"dam.2.ply".into(), &0.into()));
     assert_eq!((&frame["particles"], &frame["dropped"]), (&216.into(), &0.into()));

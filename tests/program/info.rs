@@ -32,7 +32,7 @@ fn particles_are_described() {
         particles["spacing_confidence"].as_f64().is_some_and(|confidence| confidence > 0.95),
         "{particles}"
     );
-    assert_eq!(particles["suggested_voxel_size"], 0.04);
+    assert_eq!(particles["suggested_voxel_size"], 0.032);
 }
 
 #[test]

@@ -353,7 +353,7 @@ fn sequence_is_measured_on_its_first_middle_and_last_frame() {
         serde_json::from_str(&std::fs::read_to_string(path.join("report.json")).expect("there"))
             .expect("JSON");
     let settings = &report["settings"][0];
-    assert_eq!((&settings["spacing"], &settings["voxel_size"]), (&0.05.into(), &0.02.into()));
+    assert_eq!((&settings["spacing"], &settings["voxel_size"]), (&0.05.into(), &0.016.into()));
     assert!(settings["spacing_measured_on"].as_str().is_some_and(|path| path.ends_with("dam.1.ply")));
     assert!(settings["spacing_confidence"].as_f64().is_some_and(|confidence| confidence > 0.9), "{settings}");
 }
