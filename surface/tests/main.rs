@@ -8,4 +8,5 @@ mod random_ball; // the surface of 50 000 random particles in a ball is nearly s
 mod shapes; // shapes of particles, the method with its defaults, values of level sets
 mod sphere_flow; // a noisy sphere under both flows (paper, Fig. 5)
 mod surface; // meshes are sound, and in the right position
+mod thin_fluid; // drops, clusters, threads and sheets with the default settings
 mod union_of_spheres; // rasterization, compared with the geometry of spheres
