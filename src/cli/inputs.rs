@@ -444,24 +444,30 @@ impl MatchedInputs {
             }
         }
         if self.count() == count_before && !may_be_empty {
-            let hint = match subfolder_count(folder) {
-                _ if self.mesh_count() > mesh_count_before => {
-                    "; it has meshes: `render` and `contact-sheet` show them, and `convert` takes their points if you give \
+            let mut hints = Vec::new();
+            if self.mesh_count() > mesh_count_before {
+                hints.push(
+                    "it has meshes: `render` and `contact-sheet` show them, and `convert` takes their points if you give \
                      them by name or by a pattern"
-                        .to_owned()
-                }
-                _ if files.iter().any(|path| is_mesh(path)) => {
-                    "; it has meshes: `render` and `contact-sheet` show them".to_owned()
-                }
-                _ if files.iter().any(|path| is_level_set(path)) => format!(
-                    ": `convert` takes level sets by name, or by a pattern such as '{}', and `contact-sheet` shows \
-                     them",
+                        .to_owned(),
+                );
+            } else if files.iter().any(|path| is_mesh(path)) {
+                hints.push("it has meshes: `render` and `contact-sheet` show them".to_owned());
+            }
+            if files.iter().any(|path| is_level_set(path)) {
+                hints.push(format!(
+                    "`convert` takes level sets by name, or by a pattern such as '{}', and `contact-sheet` shows them",
                     folder.join("*.vdb").display()
-                ),
-                0 if files.is_empty() => bail!("{}: the folder is empty", folder.display()),
-                0 => String::new(),
-                count => format!("; it has {}: give them by name", pluralize(count, "sub-folder")),
-            };
+                ));
+            }
+            let subfolder_count = subfolder_count(folder);
+            if hints.is_empty() && subfolder_count > 0 {
+                hints.push(format!("it has {}: give them by name", pluralize(subfolder_count, "sub-folder")));
+            }
+            if hints.is_empty() && files.is_empty() {
+                bail!("{}: the folder is empty", folder.display());
+            }
+            let hint: String = hints.iter().map(|hint| format!("; {hint}")).collect();
             bail!(
                 "{}: no frames of particles among the {} of this folder{hint}",
                 folder.display(),

@@ -21,6 +21,7 @@ fn contradictory_arguments_are_refused() {
     fs::create_dir(path.join("nothing")).expect("made");
     fs::create_dir(path.join("level_sets")).expect("made");
     fs::write(path.join("level_sets/dam.1.vdb"), "").expect("written");
+    fs::write(path.join("level_sets/dam.1.glb"), "").expect("written");
     assert_refused(path, &[], &["Usage"]);
     assert_refused(path, &["convert", "dam.1.ply"], &["--out"]);
     assert_refused(path, &["convert", "--out", "o"], &["INPUT"]);
@@ -58,7 +59,10 @@ fn contradictory_arguments_are_refused() {
         (&["nothing"], &["nothing: the folder is empty"]),
         (
             &["level_sets"],
-            &["`convert` takes level sets by name, or by a pattern such as 'level_sets/*.vdb', and"],
+            &[
+                "it has meshes: `render` and",
+                "`convert` takes level sets by name, or by a pattern such as 'level_sets/*.vdb', and",
+            ],
         ),
     ] {
         assert_refused(path, &[&["convert", "--out", "o/deep"], arguments].concat(), words);
