@@ -9,7 +9,7 @@ use flate2::write::GzEncoder;
 use serde_json::Value;
 use tempfile::tempdir;
 
-use crate::program::scene::{block, command, meniscus, write_ply};
+use crate::program::scene::{block, command, irregular, meniscus, write_ply};
 
 #[test]
 fn particles_are_described() {
@@ -33,6 +33,25 @@ fn particles_are_described() {
         "{particles}"
     );
     assert_eq!(particles["suggested_voxel_size"], 0.032);
+    assert_eq!((&particles["irregularity"], &particles["suggested_preset"]), (&0.0.into(), &"fluid".into()));
+    assert!(result.out.contains("0 %: evenly spaced, preset fluid suits\n"), "{}", result.out);
+}
+
+#[test]
+fn suitable_preset_is_named() {
+    let folder = tempdir().expect("a folder");
+    write_ply(&folder.path().join("wild.ply"), &irregular(7));
+    write_ply(&folder.path().join("few.ply"), &block(4, 0.0));
+    let json: Value =
+        serde_json::from_str(&meniscus(folder.path(), &["info", "--json", "wild.ply", "few.ply"]).out)
+            .expect("the output is JSON");
+    let [wild, few] = [0, 1].map(|index| &json[index]["particles"]);
+    assert!(wild["irregularity"].as_f64().is_some_and(|share| share > 0.3), "{wild}");
+    assert_eq!((&wild["suggested_preset"], &wild["suggested_voxel_size"]), (&"noisy".into(), &0.04.into()));
+    assert_eq!((&few["irregularity"], &few["suggested_preset"]), (&Value::Null, &Value::Null));
+    let out = meniscus(folder.path(), &["info", "wild.ply", "few.ply"]).out;
+    assert_eq!(out.matches("irregularly spaced, preset noisy suits (sand: granular)\n").count(), 1, "{out}");
+    assert_eq!(out.matches("irregularity").count(), 1, "{out}");
 }
 
 #[test]

@@ -197,7 +197,7 @@ impl SequenceSettings {
             Job::LevelSet { .. } => Settings::for_level_sets(&watch.choices),
             Job::Surface | Job::Particles => Settings::resolve(&watch.choices, measured),
         };
-        let settings = if watch.needs_spacing() && measured.is_none() {
+        let settings = if watch.needs_measuring() && measured.is_none() {
             unknown()
         } else {
             resolved().and_then(|settings| {

@@ -827,6 +827,7 @@ fn sequence_is_measured_when_all_its_frames_were_inspected() {
     let measured = MeasuredSpacing {
         spacing: 0.1,
         confidence: 1.0,
+        irregularity: None,
         radius_median: None,
         measured_on: "/in0/a.1.ply".into(),
         measured_count: 1,
