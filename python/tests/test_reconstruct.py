@@ -286,7 +286,7 @@ def test_auto_becomes_the_preset_that_suits_the_particles(block):
     # All frames of a sequence have the preset of its first.
     sequence = pm.Sequence(preset="auto", spacing=0.1)
     assert [sequence.reconstruct(points).settings["preset"] for points in (wild, block)] == ["noisy", "noisy"]
-    assert pm.Options(preset="mpm")["preset"] == "noisy"
+    assert pm.reconstruct(wild, preset="mpm", spacing=0.1).settings["preset"] == "noisy"
 
 
 def test_radii_make_drops_of_different_sizes():

@@ -6,6 +6,7 @@ use std::process::Stdio;
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use meniscus::surface::Preset;
 use serde_json::Value;
 use tempfile::tempdir;
 
@@ -47,7 +48,10 @@ fn suitable_preset_is_named() {
             .expect("the output is JSON");
     let [wild, few] = [0, 1].map(|index| &json[index]["particles"]);
     assert!(wild["irregularity"].as_f64().is_some_and(|share| share > 0.3), "{wild}");
-    assert_eq!((&wild["suggested_preset"], &wild["suggested_voxel_size"]), (&"noisy".into(), &0.04.into()));
+    assert_eq!(wild["suggested_preset"], "noisy");
+    // The voxel size is that of the suggested preset.
+    let voxel_size = wild["spacing"].as_f64().map(|spacing| Preset::Noisy.voxel_size(spacing));
+    assert_eq!(wild["suggested_voxel_size"].as_f64(), voxel_size);
     assert_eq!((&few["irregularity"], &few["suggested_preset"]), (&Value::Null, &Value::Null));
     let out = meniscus(folder.path(), &["info", "wild.ply", "few.ply"]).out;
     assert_eq!(out.matches("irregularly spaced, preset noisy suits (sand: granular)\n").count(), 1, "{out}");

@@ -1,7 +1,7 @@
 //! The settings of each sequence: determined once, then kept.
 //!
 //! ```text
-//!   spacing given ───────────────────────────────────┐
+//!   spacing given, and a preset other than auto ─────┐
 //!   recorded, from an earlier run ───────────────────┼──▶ fixed: every frame has the same
 //!   measured on the first, middle and last of the ───┘
 //!   frames that are complete by then

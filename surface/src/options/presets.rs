@@ -25,8 +25,7 @@ word_enum! {
         Preview = "preview",
         /// The parameters of Bhattacharya, Gao and Bargteil (2015): lengths follow the voxel size
         Paper = "paper",
-        /// Fluid for evenly spaced particles, and noisy for irregularly spaced ones, as measured once per
-        /// sequence
+        /// Fluid for evenly spaced particles, noisy for irregular ones: chosen once for a sequence
         Auto = "auto",
     }
 }
