@@ -17,7 +17,7 @@ use crate::pipeline::{
     measure_spacing, measured_by, open_regular, preset_warning, sequence_bounds, step_of,
 };
 use crate::surface::options::{
-    Length, LengthUnit, MethodOptions, OptionGroup, Preset, SequenceSpacing, Settings, ValueKind,
+    Length, LengthUnit, MethodOptions, OptionGroup, SequenceSpacing, Settings, ValueKind,
 };
 
 use super::args::{FormatArgs, MethodArgs, OptionSet};
@@ -374,10 +374,8 @@ pub(super) fn print_settings_of_any(
     let options = method.to_options();
     // A given voxel size implies the spacing for which it is the default.
     let has_voxel_size = options.voxel_size.and_then(Length::world).is_some();
-    if options.is_auto() {
-        bail!("preset {} is chosen by the particles: give an INPUT, or name another preset", Preset::Auto);
-    }
-    let needs_spacing = options.needs_measuring() && !has_voxel_size;
+    let is_unknown = options.needs_measuring() && options.spacing.is_none();
+    let needs_spacing = is_unknown && !has_voxel_size;
     let has_length = options.has_length_in(LengthUnit::World) || options.clip.is_some();
     if needs_spacing && has_length {
         bail!(
@@ -387,11 +385,18 @@ pub(super) fn print_settings_of_any(
     if needs_spacing {
         console
             .print_line("# the particle spacing is unknown; the lengths in comments are for a spacing of 1:");
-    } else if options.needs_measuring() {
+    } else if is_unknown {
         console.print_line("# the particle spacing is derived from the voxel size, because no INPUT was given to measure it on:");
     }
     let settings = Settings::resolve(&options, needs_spacing.then(|| SequenceSpacing::from(1.0)))?;
-    console.print_lines(keys(&settings, method, outputs, Job::Surface, !needs_spacing)?);
+    if options.is_auto() {
+        let preset = settings.preset;
+        console.print_line(format_args!(
+            "# no INPUT was given to choose the preset by; the values in comments are those of {preset}:"
+        ));
+    }
+    let known = Known { preset: !options.is_auto(), spacing: !needs_spacing };
+    console.print_lines(keys(&settings, method, outputs, Job::Surface, known)?);
     Ok(())
 }
 
@@ -417,9 +422,17 @@ pub(super) fn print_settings(
             }
         };
         console.print_line(format_args!("# {}", sequence.name));
-        console.print_lines(keys(&settings, method, outputs, job, true)?);
+        let known = Known { preset: true, spacing: true };
+        console.print_lines(keys(&settings, method, outputs, job, known)?);
     }
     Ok(())
+}
+
+/// What the values of settings follow from, if it is known.
+#[derive(Clone, Copy)]
+struct Known {
+    preset: bool,
+    spacing: bool,
 }
 
 /// The keys and values for these settings and options.
@@ -428,7 +441,7 @@ fn keys(
     method: &MethodArgs,
     outputs: &OutputOptions,
     job: Job,
-    has_spacing: bool,
+    known: Known,
 ) -> Result<Vec<String>> {
     let options = method.to_options();
     let obstacles = obstacle_paths(method)?;
@@ -450,12 +463,13 @@ fn keys(
         let Some(is_key) = use_of(name, job, outputs, !obstacles.is_empty()) else { continue };
         let kind = MethodOptions::info(name).map(|info| info.kind);
         let is_length = name == "spacing" || kind == Some(ValueKind::Length);
-        let given = given.iter().find(|(given, _)| *given == name && is_length && !has_spacing);
+        let is_open = !known.preset || is_length && !known.spacing;
+        let given = given.iter().find(|(given, _)| *given == name && is_open);
         keys.push(match given {
-            // Lengths in spacings or voxels fit any spacing.
+            // Given values fit any preset, and lengths in spacings or voxels any spacing.
             Some((_, given)) => entry(name, given),
-            // Other lengths without a spacing, and options that are not keys, are only shown as comments.
-            None if !is_key || is_length && !has_spacing => format!("#{name} = {value}"),
+            // Other values that are not known, and options that are not keys, are only shown as comments.
+            None if !is_key || is_open => format!("#{name} = {value}"),
             None => entry(name, &value),
         });
     }

@@ -13,9 +13,7 @@ use meniscus_formats::{Limits, read_particles};
 use serde_json::Value;
 use tempfile::tempdir;
 
-use crate::program::scene::{
-    RunResult, assert_refused, block, irregular, meniscus, write_ply, write_sequence,
-};
+use crate::program::scene::{RunResult, block, irregular, meniscus, write_ply, write_sequence};
 
 /// A generator of pseudo-random numbers from 0 to 1, the same on every machine.
 struct Random(u64);
@@ -581,8 +579,18 @@ fn auto_says_that_it_cannot_choose() {
         let result = converted(path, name, "out", &[&["--preset", "auto"], options].concat());
         assert!(result.err.contains(warning), "{options:?}: {}", result.err);
     }
-    let print = ["convert", "--print-settings", "--preset", "auto"];
-    assert_refused(path, &print, &["preset auto is chosen by the particles", "give an INPUT"]);
+    // Without an INPUT, only what does not depend on the preset is a key.
+    for (options, key, spacing) in
+        [(&[][..], "\n#spacing = 1\n", "unknown"), (&["--spacing", "0.1"], "\nspacing = 0.1\n", "no INPUT")]
+    {
+        let print = [&["convert", "--print-settings", "--preset", "auto", "--steps", "3"], options].concat();
+        let printed = meniscus(path, &print).out;
+        for line in
+            ["\npreset = \"auto\"\n", "\nsteps = 3\n", "\n#step_size = ", "comments are those of fluid:", key]
+        {
+            assert!(printed.contains(line) && printed.contains(spacing), "{line} is not in {printed}");
+        }
+    }
     let printed = converted(path, "few.ply", "out", &["--preset", "auto", "--print-settings"]).out;
     assert!(printed.contains("\npreset = \"fluid\"\n") && printed.contains("\nspacing = 0.1\n"), "{printed}");
 }
