@@ -162,7 +162,7 @@ pub(super) fn report_settings(
     let [radius_min, radius_init, radius_max] =
         [settings.radius_min, settings.radius_init, settings.radius_max].map(significant);
     console.print_line(format_args!(
-        "{}: {frames}, {preset}{spacing}voxel size {voxel_size}, r_min {radius_min}, r_init {radius_init}, r_max {radius_max}, {}",
+        "{}: {frames}, {spacing}{preset}voxel size {voxel_size}, r_min {radius_min}, r_init {radius_init}, r_max {radius_max}, {}",
         sequence.name,
         pluralize(settings.steps as usize, "step")
     ));

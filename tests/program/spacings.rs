@@ -531,7 +531,7 @@ fn auto_gives_the_bytes_of_the_suitable_preset() {
             let (_, other) = with("b", others);
             let (result, bytes) = with("c", "auto");
             assert!(bytes == expected && bytes != other, "{input} {spacing:?}");
-            assert!(result.out.contains(&format!(": 3 frames, preset {suitable}, ")), "{}", result.out);
+            assert!(result.out.contains(&format!(", preset {suitable}, voxel size ")), "{}", result.out);
             assert_eq!(result.err, "");
             let report: Value =
                 serde_json::from_slice(&fs::read(path.join("r.json")).expect("there")).expect("JSON");
