@@ -15,8 +15,8 @@ OPTION_VALUES = Path(__file__).resolve().parent / "pymeniscus" / "_option_values
 
 
 def _annotation(row: _native._OptionRow) -> str:
-    if row["choices"]:
-        return f"Literal[{', '.join(repr(word) for word in row['choices'])}] | None".replace("'", '"')
+    if words := [*row["choices"], *row["other_names"]]:
+        return f"Literal[{', '.join(repr(word) for word in words)}] | None".replace("'", '"')
     if row["name"] == "clip":
         return "str | Sequence[float] | None"
     if row["name"] == "where":

@@ -16,6 +16,7 @@ class _OptionRow(TypedDict):
     kind: str
     range: str | None
     choices: list[str]
+    other_names: list[str]
     help: str
 
 class _WriteOptions(TypedDict):

@@ -17,18 +17,18 @@ class OptionValues(TypedDict, total=False):
 
     Attributes
     ----------
-    preset : Literal["fluid", "noisy", "splash", "granular", "preview", "paper"]
+    preset : Literal["fluid", "noisy", "splash", "granular", "preview", "paper", "auto", "sph", "flip", "mpm", "sand"]
         A set of defaults for a kind of particles; other options override it [default: fluid]
     spacing : float
         Distance d between neighbouring particles, in world units, positive [default: measured]
     voxel_size : float | str
-        Voxel edge length h, positive, in world units or particle spacings [default: 0.4d]
+        Voxel edge length h, positive, in world units or particle spacings [default: 0.32d]
     radius_min : float | str
-        Radius r_min of the sphere around each particle, positive; the surface encloses these spheres, but particles in sheets and filaments get a flattened ellipsoid instead (`anisotropy`) [default: 1.15d, but no less than √3·h]
+        Radius r_min of the sphere around each particle, positive; the surface encloses these spheres, but particles in sheets and filaments get a flattened ellipsoid instead (`anisotropy`) [default: 0.75d, but no less than √3·h]
     radius_ratio : float
-        Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h [default: 2]
+        Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h [default: 2.5]
     radius_init : float | str
-        Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.26 r_min]
+        Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.27 r_min]
     offset : float | str
         Move the finished surface outward by this distance, -r_min to 2 h; negative moves it inward [default: 0]
     where : str | Sequence[bool] | NDArray[np.bool_]
@@ -44,11 +44,11 @@ class OptionValues(TypedDict, total=False):
     thin_radius : float | str
         Smallest semi-axis of flattened particles, positive, from 0.9h to r_min, for `anisotropy` neighbors; smaller makes thinner sheets [default: 0.36d]
     lone_radius : float | str
-        Radius of particles without neighbours (drops), which replaces their r_min, positive and at most `radius_min`, for `anisotropy` neighbors [default: 0.7d]
+        Radius of particles without neighbours (drops), which replaces their r_min, positive and at most `radius_min`, for `anisotropy` neighbors [default: 0.62d]
     neighbor_radius : float | str
         Search radius for neighbours, positive and at most 200h, for `anisotropy` neighbors and `position_smoothing` [default: 2.6d]
     position_smoothing : float
-        Move particles near the surface toward the mean of their neighbours by this fraction, 0 to 1 [default: 0.7]
+        Move particles near the surface toward the mean of their neighbours by this fraction, 0 to 1 [default: 0.5]
     velocity_gain : float
         Stretch particles along their velocity: the farther they move in this time, the more; positive, for `anisotropy` velocity [default: 0.01]
     void_threshold : float
@@ -74,14 +74,14 @@ class OptionValues(TypedDict, total=False):
     laplacian_steps : int
         Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are recomputed instead [default: 10, more on a finer grid]
     steps : int
-        Number of biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: a larger number of smaller steps with the same total pseudo-time]
+        Number of biharmonic steps, 0 to 1000000 [default: 1; explicit, adaptive: a larger number of smaller steps with the same total pseudo-time]
     step_size : float
-        Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.25 (d/h)⁴; explicit, adaptive: 0.01]
+        Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.01 (d/h)⁴; explicit, adaptive: 0.01]
     redistance_every : int
         Recompute distances after this many biharmonic steps, 1 to 1000000 [default: 1; explicit, adaptive: 50]
     """
 
-    preset: Literal["fluid", "noisy", "splash", "granular", "preview", "paper"] | None
+    preset: Literal["fluid", "noisy", "splash", "granular", "preview", "paper", "auto", "sph", "flip", "mpm", "sand"] | None
     spacing: float | None
     voxel_size: float | str | None
     radius_min: float | str | None

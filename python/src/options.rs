@@ -33,8 +33,8 @@ pub(crate) fn keyword(option: OptionName) -> String {
     option.value.map_or(format!("`{name}`"), |value| format!("`{name}=\"{value}\"`"))
 }
 
-/// Every option, in the order of the command line's help: `name`, `group`, `kind`, `range`, `choices` and
-/// `help`.
+/// Every option, in the order of the command line's help: `name`, `group`, `kind`, `range`, `choices`, other
+/// names of these, and `help`.
 #[pyfunction]
 pub(crate) fn option_table(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
     let mut table = Vec::new();
@@ -52,6 +52,8 @@ pub(crate) fn option_table(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
         row.set_item("kind", kind)?;
         row.set_item("range", Options::range(info.name))?;
         row.set_item("choices", info.words.iter().map(|word| word.name).collect::<Vec<_>>())?;
+        let others = info.words.iter().flat_map(|word| word.others);
+        row.set_item("other_names", others.copied().collect::<Vec<_>>())?;
         row.set_item("help", info.help().join("\n\n"))?;
         table.push(row);
     }

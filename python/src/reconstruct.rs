@@ -97,7 +97,7 @@ pub(crate) fn resolve(
     check_finite(&positions)?;
     let is_empty = positions.is_empty();
     let resolved = run(py, || {
-        if is_empty && options.needs_spacing() {
+        if is_empty && options.needs_measuring() {
             return Err(Failure::Method(meniscus::surface::Error::NoParticles { input_count: 0 }));
         }
         let (attributes, _) = needed_attributes(&attributes, &options).map_err(Failure::Particles)?;

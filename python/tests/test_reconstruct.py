@@ -277,6 +277,18 @@ def test_every_option_changes_something_or_is_refused(block):
             assert info.name in made.settings, info.name
 
 
+def test_auto_becomes_the_preset_that_suits_the_particles(block):
+    wild = np.random.default_rng(7).random((1000, 3))
+    for points, preset in ((block, "fluid"), (wild, "noisy")):
+        made = pm.reconstruct(points, preset="auto", spacing=0.1)
+        assert made.settings["preset"] == preset
+        assert made.settings == pm.reconstruct(points, preset=preset, spacing=0.1).settings
+    # All frames of a sequence have the preset of its first.
+    sequence = pm.Sequence(preset="auto", spacing=0.1)
+    assert [sequence.reconstruct(points).settings["preset"] for points in (wild, block)] == ["noisy", "noisy"]
+    assert pm.reconstruct(wild, preset="mpm", spacing=0.1).settings["preset"] == "noisy"
+
+
 def test_radii_make_drops_of_different_sizes():
     points = np.array([[0, 0, 0], [10, 0, 0]], np.float32)
     made = pm.reconstruct(points, radii=[0.5, 1.0], spacing=1.0, voxel_size=0.2, anisotropy="none", position_smoothing=0)

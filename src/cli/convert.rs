@@ -239,9 +239,16 @@ impl ConvertPlan {
                     }
                 };
                 let settings = settings_of(sequence, &self.options, measured.as_ref())?;
-                report_settings(sequence, selected.len(), &settings, measured.as_ref(), console);
+                report_settings(
+                    sequence,
+                    selected.len(),
+                    &self.options,
+                    &settings,
+                    measured.as_ref(),
+                    console,
+                );
                 if measured.is_some() {
-                    warn_of_siblings(sequence, console);
+                    warn_of_siblings(sequence, &self.options, console);
                 }
                 warn_of(sequence, &settings, console);
                 settings
@@ -260,7 +267,8 @@ impl ConvertPlan {
             }
         };
         let files = (&*outputs, &*self.obstacles);
-        let record = SequenceRecord::new(&sequence.name, &self.job, &settings, measured.as_ref(), files);
+        let of = (&self.options, measured.as_ref());
+        let record = SequenceRecord::new(&sequence.name, &self.job, &settings, of, files);
         let settings = Arc::new(settings);
         let frames = selected.iter().map(|file| Frame {
             job: self.job,

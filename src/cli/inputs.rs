@@ -15,6 +15,7 @@ use crate::pipeline::{
     is_sequence_file, may_be_file, promises_particles, shown, single_frame_sequences, single_frames_note,
     size_bytes, step_of,
 };
+use crate::surface::options::MethodOptions;
 
 use super::args::MethodArgs;
 use super::console::Console;
@@ -69,8 +70,9 @@ pub(super) fn select_frames(
     let is_complete = found.unreadable.is_empty();
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let sequences = pipeline::sequences(found.files);
-    if method.to_options().needs_spacing() {
-        warn_of_single_frames(&sequences, console);
+    let choices = method.to_options();
+    if choices.needs_measuring() {
+        warn_of_single_frames(&sequences, &choices, console);
     }
     let has_selected =
         |sequence: &Sequence| sequence.frames.iter().any(|file| FrameSelection::takes(numbers, file));
@@ -191,10 +193,10 @@ fn without_conflicts(sequences: Vec<SelectedSequence>, console: &mut Console) ->
 
 /// Warns about folders whose files look like one sequence but form many: each of these sequences gets a voxel
 /// size of its own.
-fn warn_of_single_frames(sequences: &[Sequence], console: &Console) {
+fn warn_of_single_frames(sequences: &[Sequence], choices: &MethodOptions, console: &Console) {
     for (folder, count) in single_frame_sequences(sequences) {
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { &folder };
-        console.warning(format_args!("{}: {}", folder.display(), single_frames_note(count)));
+        console.warning(format_args!("{}: {}", folder.display(), single_frames_note(count, choices)));
     }
 }
 

@@ -14,7 +14,7 @@ use toml::Value;
 use crate::pipeline::{
     self, EMPTY_BOUNDS, FrameError, FrameFile, Job, MeasuredSpacing, NoSpacing, ObstacleFiles, OutputFormat,
     OutputOptions, Sequence, UsdStageOptions, frame_name, frames_in, is_level_set, is_own_output,
-    measure_spacing, open_regular, sequence_bounds, step_of,
+    measure_spacing, measured_by, open_regular, preset_warning, sequence_bounds, step_of,
 };
 use crate::surface::options::{
     Length, LengthUnit, MethodOptions, OptionGroup, SequenceSpacing, Settings, ValueKind,
@@ -24,7 +24,7 @@ use super::args::{FormatArgs, MethodArgs, OptionSet};
 use super::console::Console;
 use super::destination::folder_of;
 use super::inputs::{InputSelection, SelectedSequence, selected_files};
-use super::wording::{option_name, option_names, pluralize, significant};
+use super::wording::{option_name, option_names, pluralize, significant, with_remedy};
 
 /// The settings for a sequence of particles with this spacing.
 ///
@@ -45,39 +45,46 @@ pub(super) fn warn_of(sequence: &Sequence, settings: &Settings, console: &Consol
     }
 }
 
-/// Measures the particle spacing of a sequence if the options need it, and prints warnings about it. `None`
-/// if the options do not need it, or if it cannot be measured and is derived from the given voxel size.
+/// Measures the particles of a sequence if the options need it, and prints warnings about their spacing and
+/// the preset. `None` if the options do not need it, or if nothing can be measured and the spacing is given or
+/// is derived from the given voxel size.
 ///
 /// # Errors
-/// If it cannot be measured, and no voxel size was given.
+/// If nothing can be measured, and neither spacing nor voxel size was given.
 pub(super) fn measured_spacing(
     sequence: &Sequence,
     choices: &MethodOptions,
     console: &Console,
 ) -> Result<Option<MeasuredSpacing>, NoSpacing> {
-    if !choices.needs_spacing() {
+    if !choices.needs_measuring() {
         return Ok(None);
     }
+    let needs_spacing = choices.spacing.is_none();
     let warn = |what: &dyn fmt::Display| console.warning(format_args!("{}: {what}", sequence.name));
     let paths = sequence.frames.iter().map(|file| &*file.path);
     // An invalid radius scale is ignored here: `Settings::resolve` reports it.
     let options = choices.spacing_options().unwrap_or_default();
-    match (measure_spacing(paths, &options), choices.voxel_size.and_then(Length::world)) {
+    let given = choices.spacing.or(choices.voxel_size.and_then(Length::world));
+    let measured = match (measure_spacing(paths, &options), given) {
         (Ok(measured), _) => {
-            measured.warnings.iter().for_each(|warning| warn(warning));
-            Ok(Some(measured))
+            measured.warnings.iter().filter(|_| needs_spacing).for_each(|warning| warn(warning));
+            Some(measured)
         }
         (Err(none), Some(_)) => {
             // Unreadable frames are reported when they are converted.
-            if none.sparse_count > 0 {
+            if none.sparse_count > 0 && needs_spacing {
                 warn(
                     &"the particle spacing cannot be measured and is derived from the voxel size: give --spacing",
                 );
             }
-            Ok(None)
+            None
         }
-        (Err(none), None) => Err(none),
+        (Err(none), None) => return Err(none),
+    };
+    if let Some(warning) = preset_warning(choices, measured.as_ref()) {
+        warn(&with_remedy(&warning));
     }
+    Ok(measured)
 }
 
 /// The output options of a sequence. All its pictures have the same camera, whichever frames are converted.
@@ -97,9 +104,9 @@ pub(super) fn outputs_of(
     Ok(outputs.with_camera_around(bounds.unwrap_or(EMPTY_BOUNDS)))
 }
 
-/// Warns if the input is a single frame of a longer sequence. The spacing is then measured on this frame
+/// Warns if the input is a single frame of a longer sequence. The particles are then measured on this frame
 /// only, so frames that are converted one by one have different settings, and the sequence flickers.
-pub(super) fn warn_of_siblings(sequence: &Sequence, console: &Console) {
+pub(super) fn warn_of_siblings(sequence: &Sequence, choices: &MethodOptions, console: &Console) {
     let [frame] = &sequence.frames[..] else { return };
     if frame.value().is_none() {
         return;
@@ -109,9 +116,10 @@ pub(super) fn warn_of_siblings(sequence: &Sequence, console: &Console) {
         None => sibling_count(frame),
     };
     if count > 1 {
+        let (what, remedy) = measured_by(choices);
         console.warning(format_args!(
-            "{}: its sequence has {count} frames, and its spacing was measured on this one alone; \
-             name the whole sequence and select frames with --frames, or give --spacing",
+            "{}: its sequence has {count} frames, and the {what} is measured on this one alone; \
+             name the whole sequence and select frames with --frames, or give {remedy}",
             frame.name()
         ));
     }
@@ -131,12 +139,14 @@ fn sibling_count(frame: &FrameFile) -> usize {
 pub(super) fn report_settings(
     sequence: &Sequence,
     selected_count: usize,
+    choices: &MethodOptions,
     settings: &Settings,
     measured: Option<&MeasuredSpacing>,
     console: &mut Console,
 ) {
     let frames = pluralize(selected_count, "frame");
-    let spacing = measured.map(|measured| {
+    let preset = if choices.is_auto() { format!("preset {}, ", settings.preset) } else { String::new() };
+    let spacing = measured.filter(|_| choices.spacing.is_none()).map(|measured| {
         let MeasuredSpacing { spacing, radius_median, measured_on, measured_count, .. } = measured;
         let radius = radius_median.map_or(String::new(), |radius| {
             format!(", and the median r_min of the particles {}", significant(radius))
@@ -152,7 +162,7 @@ pub(super) fn report_settings(
     let [radius_min, radius_init, radius_max] =
         [settings.radius_min, settings.radius_init, settings.radius_max].map(significant);
     console.print_line(format_args!(
-        "{}: {frames}, {spacing}voxel size {voxel_size}, r_min {radius_min}, r_init {radius_init}, r_max {radius_max}, {}",
+        "{}: {frames}, {spacing}{preset}voxel size {voxel_size}, r_min {radius_min}, r_init {radius_init}, r_max {radius_max}, {}",
         sequence.name,
         pluralize(settings.steps as usize, "step")
     ));
@@ -364,7 +374,8 @@ pub(super) fn print_settings_of_any(
     let options = method.to_options();
     // A given voxel size implies the spacing for which it is the default.
     let has_voxel_size = options.voxel_size.and_then(Length::world).is_some();
-    let needs_spacing = options.needs_spacing() && !has_voxel_size;
+    let is_unknown = options.needs_measuring() && options.spacing.is_none();
+    let needs_spacing = is_unknown && !has_voxel_size;
     let has_length = options.has_length_in(LengthUnit::World) || options.clip.is_some();
     if needs_spacing && has_length {
         bail!(
@@ -374,11 +385,18 @@ pub(super) fn print_settings_of_any(
     if needs_spacing {
         console
             .print_line("# the particle spacing is unknown; the lengths in comments are for a spacing of 1:");
-    } else if options.needs_spacing() {
+    } else if is_unknown {
         console.print_line("# the particle spacing is derived from the voxel size, because no INPUT was given to measure it on:");
     }
     let settings = Settings::resolve(&options, needs_spacing.then(|| SequenceSpacing::from(1.0)))?;
-    console.print_lines(keys(&settings, method, outputs, Job::Surface, !needs_spacing)?);
+    if options.is_auto() {
+        let preset = settings.preset;
+        console.print_line(format_args!(
+            "# no INPUT was given to choose the preset by; the values in comments are those of {preset}:"
+        ));
+    }
+    let known = Known { preset: !options.is_auto(), spacing: !needs_spacing };
+    console.print_lines(keys(&settings, method, outputs, Job::Surface, known)?);
     Ok(())
 }
 
@@ -404,9 +422,17 @@ pub(super) fn print_settings(
             }
         };
         console.print_line(format_args!("# {}", sequence.name));
-        console.print_lines(keys(&settings, method, outputs, job, true)?);
+        let known = Known { preset: true, spacing: true };
+        console.print_lines(keys(&settings, method, outputs, job, known)?);
     }
     Ok(())
+}
+
+/// What the values of settings follow from, if it is known.
+#[derive(Clone, Copy)]
+struct Known {
+    preset: bool,
+    spacing: bool,
 }
 
 /// The keys and values for these settings and options.
@@ -415,7 +441,7 @@ fn keys(
     method: &MethodArgs,
     outputs: &OutputOptions,
     job: Job,
-    has_spacing: bool,
+    known: Known,
 ) -> Result<Vec<String>> {
     let options = method.to_options();
     let obstacles = obstacle_paths(method)?;
@@ -429,10 +455,6 @@ fn keys(
             ));
         }
     }
-    if !has_spacing {
-        // With the preset, lengths follow the spacing that the daemon will measure.
-        keys.push(entry("preset", &options.preset.unwrap_or_default().to_string()));
-    }
     if !obstacles.is_empty() {
         keys.push(list("obstacles", obstacles.clone()));
     }
@@ -441,12 +463,13 @@ fn keys(
         let Some(is_key) = use_of(name, job, outputs, !obstacles.is_empty()) else { continue };
         let kind = MethodOptions::info(name).map(|info| info.kind);
         let is_length = name == "spacing" || kind == Some(ValueKind::Length);
-        let given = given.iter().find(|(given, _)| *given == name && is_length && !has_spacing);
+        let is_open = !known.preset || is_length && !known.spacing;
+        let given = given.iter().find(|(given, _)| *given == name && is_open);
         keys.push(match given {
-            // Lengths in spacings or voxels fit any spacing.
+            // Given values fit any preset, and lengths in spacings or voxels any spacing.
             Some((_, given)) => entry(name, given),
-            // Other lengths without a spacing, and options that are not keys, are only shown as comments.
-            None if !is_key || is_length && !has_spacing => format!("#{name} = {value}"),
+            // Other values that are not known, and options that are not keys, are only shown as comments.
+            None if !is_key || is_open => format!("#{name} = {value}"),
             None => entry(name, &value),
         });
     }

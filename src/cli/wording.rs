@@ -78,6 +78,9 @@ fn remedy(warning: &Warning) -> Option<String> {
         Warning::Input(InputWarning::SeveralKinds { attribute, .. }) => {
             format!("choose some with --where, such as --where '{attribute} == VALUE'")
         }
+        Warning::Input(InputWarning::Irregular { suitable, .. }) => {
+            format!("use --preset {suitable}, or granular for sand")
+        }
         Warning::Frame(FrameWarning::NotConverged | FrameWarning::CflExceeded { .. }) => {
             "choose a smaller --step-size".to_owned()
         }

@@ -92,7 +92,7 @@ pub use input::filter::keep_chosen;
 pub use input::frame::{Frame, FrameReport, InputState, Job, Outcome, Seconds};
 pub use input::level_set_file::{LevelSetFile, is_level_set};
 pub(crate) use input::measured_spacing::{Attempt, measure_sequence};
-pub use input::measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing};
+pub use input::measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing, measured_by, preset_warning};
 pub use input::mesh_file::{MeshFile, is_mesh};
 pub use input::obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use input::reading::{

@@ -14,6 +14,7 @@ use meniscus_formats::OutputFormat;
 
 use crate::surface::level_set::RebuildReason;
 use crate::surface::mesh::MeshMeasures;
+use crate::surface::options::Preset;
 use crate::surface::spacing::ROUNDING_REMEDY;
 use crate::surface::words::{pluralize, significant};
 
@@ -56,6 +57,10 @@ pub enum InputWarning {
     PositionsNotFinite { count: usize, particle_count: usize },
     /// 32-bit positions far from the origin that were rounded to this step. Lengths are in world units.
     RoundedParticles { step: f64, spacing: f64 },
+    /// The particles are spaced so irregularly that another preset than the default suits them.
+    Irregular { irregularity: f64, suitable: Preset },
+    /// The particles are too few to choose a preset by them.
+    PresetNotMeasured { used: Preset },
     /// All particles have the same coordinate along this axis.
     Planar { axis: char, at: f64 },
     /// Radii too small for the grid. `radius_min` is r_min of the smallest one, in world units.
@@ -280,6 +285,17 @@ impl fmt::Display for InputWarning {
                      particle spacing is {spacing}: {ROUNDING_REMEDY}"
                 )
             }
+            InputWarning::Irregular { irregularity, suitable } => write!(
+                f,
+                "the particles are spaced irregularly (irregularity {} %), which the preset {suitable} suits better than \
+                 {}",
+                (100.0 * irregularity).round(),
+                Preset::default()
+            ),
+            InputWarning::PresetNotMeasured { used } => write!(
+                f,
+                "too few particles are surrounded by others to measure how evenly they are spaced: the preset is {used}"
+            ),
             InputWarning::Planar { axis, at } => write!(
                 f,
                 "all particles have {axis} = {}: the surface of such a two-dimensional frame is a layer of one particle",

@@ -56,9 +56,9 @@ impl Watch {
         if names_level_sets(self.pattern.as_deref()) { Job::level_set(0.0) } else { Job::Surface }
     }
 
-    /// Whether its frames need a particle spacing and none is given.
-    pub(super) fn needs_spacing(&self) -> bool {
-        self.job() == Job::Surface && self.choices.needs_spacing()
+    /// Whether particles must be measured before its frames are converted.
+    pub(super) fn needs_measuring(&self) -> bool {
+        self.job() == Job::Surface && self.choices.needs_measuring()
     }
 }
 

@@ -274,7 +274,7 @@ impl<'a> Reconstructor<'a> {
             None => (positions, attributes),
         };
         // Nothing can be measured on an empty frame.
-        let is_resolved = self.settings.is_some() || !self.options.needs_spacing();
+        let is_resolved = self.settings.is_some() || !self.options.needs_measuring();
         if positions.is_empty() && !(allows_empty && is_resolved) {
             return Err(no_particles(&self.options, given_count));
         }
@@ -322,7 +322,7 @@ impl<'a> Reconstructor<'a> {
     ) -> Result<&Settings, Error> {
         let positions = positions.into();
         catch(|| match chosen(&self.options, &positions, attributes)? {
-            Some((chosen, _)) if chosen.is_empty() && self.options.needs_spacing() => {
+            Some((chosen, _)) if chosen.is_empty() && self.options.needs_measuring() => {
                 Err(no_particles(&self.options, positions.len()))
             }
             Some((positions, attributes)) => self.settings_on(&(&positions).into(), &attributes),
@@ -435,7 +435,7 @@ impl From<StageError<Infallible>> for Error {
     }
 }
 
-/// Resolves the options, and measures the spacing if they need it.
+/// Resolves the options, and measures the particles if they need it.
 fn resolve(
     options: &Options,
     positions: &Positions<'_>,
@@ -443,14 +443,18 @@ fn resolve(
 ) -> Result<Settings, Error> {
     let per_particle_radius = options.per_particle_radius()?;
     let mut measured = None;
-    if options.needs_spacing() {
+    if options.needs_measuring() {
         let by_radius = per_particle_radius.as_ref().and_then(|own| own.spacing(attributes));
-        let spacing = by_radius.or_else(|| Some(estimate_spacing(positions.borrowed())?.spacing));
+        let needs_positions = by_radius.is_none() || options.is_auto();
+        let estimate = needs_positions.then(|| estimate_spacing(positions.borrowed())).flatten();
+        let spacing = by_radius.or(estimate.map(|estimate| estimate.spacing));
         measured = spacing.map(|spacing| SequenceSpacing {
             spacing: rounded(spacing),
             radius_median: per_particle_radius.and_then(|own| median(own.radii_min(attributes))),
+            irregularity: estimate.and_then(|estimate| estimate.irregularity),
         });
-        if measured.is_none() && options.voxel_size.and_then(Length::world).is_none() {
+        let is_known = options.spacing.or(options.voxel_size.and_then(Length::world)).is_some();
+        if measured.is_none() && !is_known {
             return Err(Error::UnknownSpacing);
         }
     }

@@ -44,17 +44,29 @@ pub fn rounded_down(value: f64) -> String {
 pub struct Word {
     /// The word on the command line and in files.
     pub name: &'static str,
+    /// Other names for it, which mean the same.
+    pub others: &'static [&'static str],
     /// What it means, one sentence without a full stop.
     pub help: &'static str,
 }
 
+impl Word {
+    /// What it means, with its other names.
+    pub fn full_help(&self) -> String {
+        match self.others {
+            [] => self.help.to_owned(),
+            others => format!("{}; also called {}", self.help, others.join(", ")),
+        }
+    }
+}
+
 /// Defines an enum whose variants are words on the command line and in files, with conversions in both
-/// directions.
+/// directions. Other names for a variant follow its word: `Noisy = "noisy" | "flip"`.
 macro_rules! word_enum {
     (
         $(#[$attribute:meta])*
         pub enum $name:ident {
-            $(#[doc = $help:literal] $(#[$variant_attribute:meta])* $variant:ident = $word:literal,)+
+            $(#[doc = $help:literal] $(#[$variant_attribute:meta])* $variant:ident = $word:literal $(| $other:literal)*,)+
         }
     ) => {
         $(#[$attribute])*
@@ -63,7 +75,7 @@ macro_rules! word_enum {
             $(
                 #[doc = $help]
                 $(#[$variant_attribute])*
-                #[serde(rename = $word)]
+                #[serde(rename = $word $(, alias = $other)*)]
                 $variant,
             )+
         }
@@ -74,7 +86,9 @@ macro_rules! word_enum {
 
             /// The words of the variants, in the same order, with their help.
             pub const WORDS: &'static [$crate::words::Word] =
-                &[$($crate::words::Word { name: $word, help: $help.trim_ascii() }),+];
+                &[$(
+                    $crate::words::Word { name: $word, others: &[$($other),*], help: $help.trim_ascii() }
+                ),+];
 
             /// The word for this variant on the command line and in files.
             pub fn name(self) -> &'static str {
@@ -94,8 +108,10 @@ macro_rules! word_enum {
             type Err = String;
 
             fn from_str(word: &str) -> Result<$name, String> {
-                let found = $name::ALL.iter().copied().find(|variant| variant.name() == word);
-                found.ok_or_else(|| format!("`{word}` is unknown: expected one of {}", [$($word),+].join(", ")))
+                match word {
+                    $($word $(| $other)* => Ok($name::$variant),)+
+                    _ => Err(format!("`{word}` is unknown: expected one of {}", [$($word),+].join(", "))),
+                }
             }
         }
     };

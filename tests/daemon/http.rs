@@ -148,7 +148,7 @@ fn frames_appear_while_a_producer_writes() {
     let [spacing, voxel_size] =
         ["spacing", "voxel_size"].map(|key| sequence[key].as_f64().expect("a number"));
     assert!((0.32 * spacing / voxel_size - 1.0).abs() < 1e-9, "{spacing} {voxel_size}");
-    assert!(sequence["spacing_measured_on"].as_str().is_some_and(|path| path.ends_with("dam.1.ply")));
+    assert!(sequence["measured_on"].as_str().is_some_and(|path| path.ends_with("dam.1.ply")));
     assert!(get(&address, "/metrics").text().contains("\nmeniscus_frames_converted_total 4\n"));
     assert_eq!(get(&address, "/api/status").json()["frames"]["done"], 4);
     let forecast = &get(&address, "/api/status").json()["forecast"];

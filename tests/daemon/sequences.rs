@@ -70,27 +70,38 @@ fn frames_wait_for_the_first_one() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// A frame of one particle has no spacing. It waits for a frame with more particles.
+/// A frame of one particle has no spacing, and no preset can be chosen by it. It waits for a frame with more
+/// particles.
 #[test]
-fn single_particle_frames_wait_for_one_with_a_spacing() {
-    let scene = Scene::new();
-    let daemon = scene.watch(&[&QUICK[..], &FORMATS].concat());
-    for number in 1..=2 {
-        scene.put(&format!("in/dam.{number}.ply"), ply(&block(1, 0.1, 0.0)));
+fn single_particle_frames_wait_for_one_that_can_be_measured() {
+    for (options, report, remedy) in [
+        (&[][..], "cannot measure the particle spacing yet", "--spacing"),
+        (
+            &["--spacing", "0.12", "--preset", "auto"],
+            "cannot choose the preset by the particles yet",
+            "--preset",
+        ),
+    ] {
+        let options = [&FORMATS[..], options].concat();
+        let scene = Scene::new();
+        let daemon = scene.watch(&[&QUICK[..], &options].concat());
+        for number in 1..=2 {
+            scene.put(&format!("in/dam.{number}.ply"), ply(&block(1, 0.1, 0.0)));
+        }
+        scene.put("in/dam.3.ply", ply(&block(10, 0.12, 0.0)));
+        daemon.await_lines(3, "all are converted", Line::is_converted);
+        let is_report = |line: &Line| line.message.contains(report);
+        let complaints = daemon.lines(Line::is_complaint);
+        assert!(complaints.len() <= 1 && complaints.iter().all(is_report), "{}", daemon.log_text());
+        daemon.finish();
+        scene.assert_as_converted(&options);
+        // If no frame can be measured, all fail, and each failure is logged once.
+        let scene = Scene::new();
+        scene.put("in/dam.1.ply", ply(&block(1, 0.1, 0.0)));
+        let none = scene.once(&[&QUICK[..], &options].concat());
+        none.assert_status(2);
+        assert!(none.log.iter().any(|line| line.message.contains(remedy)));
     }
-    scene.put("in/dam.3.ply", ply(&block(6, 0.12, 0.0)));
-    daemon.await_lines(3, "all are converted", Line::is_converted);
-    let is_report = |line: &Line| line.message.contains("cannot measure the particle spacing yet");
-    let complaints = daemon.lines(Line::is_complaint);
-    assert!(complaints.len() <= 1 && complaints.iter().all(is_report), "{}", daemon.log_text());
-    daemon.finish();
-    scene.assert_as_converted(&FORMATS);
-    // If no frame gives a spacing, all fail, and each failure is logged once.
-    let scene = Scene::new();
-    scene.put("in/dam.1.ply", ply(&block(1, 0.1, 0.0)));
-    let none = scene.once(&[&QUICK[..], &FORMATS].concat());
-    none.assert_status(2);
-    assert!(none.log.iter().any(|line| line.message.contains("--spacing")));
 }
 
 /// The outputs do not depend on which frame is converted first.

@@ -6,10 +6,11 @@ use std::process::Stdio;
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use meniscus::surface::Preset;
 use serde_json::Value;
 use tempfile::tempdir;
 
-use crate::program::scene::{block, command, meniscus, write_ply};
+use crate::program::scene::{block, command, irregular, meniscus, write_ply};
 
 #[test]
 fn particles_are_described() {
@@ -33,6 +34,28 @@ fn particles_are_described() {
         "{particles}"
     );
     assert_eq!(particles["suggested_voxel_size"], 0.032);
+    assert_eq!((&particles["irregularity"], &particles["suggested_preset"]), (&0.0.into(), &"fluid".into()));
+    assert!(result.out.contains("0 %: evenly spaced, preset fluid suits\n"), "{}", result.out);
+}
+
+#[test]
+fn suitable_preset_is_named() {
+    let folder = tempdir().expect("a folder");
+    write_ply(&folder.path().join("wild.ply"), &irregular(7));
+    write_ply(&folder.path().join("few.ply"), &block(4, 0.0));
+    let json: Value =
+        serde_json::from_str(&meniscus(folder.path(), &["info", "--json", "wild.ply", "few.ply"]).out)
+            .expect("the output is JSON");
+    let [wild, few] = [0, 1].map(|index| &json[index]["particles"]);
+    assert!(wild["irregularity"].as_f64().is_some_and(|share| share > 0.3), "{wild}");
+    assert_eq!(wild["suggested_preset"], "noisy");
+    // The voxel size is that of the suggested preset.
+    let voxel_size = wild["spacing"].as_f64().map(|spacing| Preset::Noisy.voxel_size(spacing));
+    assert_eq!(wild["suggested_voxel_size"].as_f64(), voxel_size);
+    assert_eq!((&few["irregularity"], &few["suggested_preset"]), (&Value::Null, &Value::Null));
+    let out = meniscus(folder.path(), &["info", "wild.ply", "few.ply"]).out;
+    assert_eq!(out.matches("irregularly spaced, preset noisy suits (sand: granular)\n").count(), 1, "{out}");
+    assert_eq!(out.matches("irregularity").count(), 1, "{out}");
 }
 
 #[test]

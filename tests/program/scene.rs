@@ -18,6 +18,17 @@ pub(crate) fn block(edge_count: usize, shift: f64) -> Vec<[f64; 3]> {
         .collect()
 }
 
+/// 1000 particles at random places, on average 0.1 apart, as irregular as those of FLIP: in a cube of edge 1.
+/// Another seed gives other places.
+pub(crate) fn irregular(seed: u64) -> Vec<[f64; 3]> {
+    let mut state = seed;
+    let mut next = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 11) as f64 / (1u64 << 53) as f64
+    };
+    (0..1000).map(|_| [next(), next(), next()]).collect()
+}
+
 /// Writes particles as ascii PLY.
 pub(crate) fn write_ply(path: &Path, particles: &[[f64; 3]]) {
     let mut text = format!(

@@ -269,6 +269,7 @@ fn each_cell_is_what_its_command_reads_and_measures() {
         ("anisotropy=none,velocity", ["anisotropy none", "anisotropy velocity"]),
         ("radius-attribute=pscale,missing", ["radius-attribute pscale", ""]),
         ("spacing=0.1,0.11", ["spacing 0.1 (the defaults)", "spacing 0.11"]),
+        ("preset=auto,noisy", ["preset auto (the defaults)", "preset noisy"]),
         ("voxel-size=0.05,0.32d", ["voxel-size 0.05", "voxel-size 0.32d (the defaults)"]),
     ] {
         let result = meniscus(path, &[&tune[..], &["--vary", vary]].concat());

@@ -13,7 +13,7 @@ use meniscus_formats::{Limits, read_particles};
 use serde_json::Value;
 use tempfile::tempdir;
 
-use crate::program::scene::{block, meniscus, write_ply, write_sequence};
+use crate::program::scene::{RunResult, block, irregular, meniscus, write_ply, write_sequence};
 
 /// A generator of pseudo-random numbers from 0 to 1, the same on every machine.
 struct Random(u64);
@@ -354,7 +354,7 @@ fn sequence_is_measured_on_its_first_middle_and_last_frame() {
             .expect("JSON");
     let settings = &report["settings"][0];
     assert_eq!((&settings["spacing"], &settings["voxel_size"]), (&0.05.into(), &0.016.into()));
-    assert!(settings["spacing_measured_on"].as_str().is_some_and(|path| path.ends_with("dam.1.ply")));
+    assert!(settings["measured_on"].as_str().is_some_and(|path| path.ends_with("dam.1.ply")));
     assert!(settings["spacing_confidence"].as_f64().is_some_and(|confidence| confidence > 0.9), "{settings}");
 }
 
@@ -489,4 +489,151 @@ fn unmeasurable_spacing_of_unusable_particles_is_explained() {
     let result = meniscus(path, &["convert", "dam.#.ply", "--out", "o", "--radius-attribute", "pscale"]);
     assert!(result.err.contains("`pscale`") && result.err.contains("; the same applies to all 3 frames"));
     assert!(!result.err.contains("can be read"), "{}", result.err);
+}
+
+// The preset that suits the particles, by their irregularity.
+
+/// Options that make a surface quickly, but let presets differ.
+const COARSE: [&str; 4] = ["--voxel-size", "0.8d", "--format", "obj"];
+
+fn write_irregular(folder: &Path, count: u64) {
+    for number in 1..=count {
+        write_ply(&folder.join(format!("wild.{number}.ply")), &irregular(number));
+    }
+}
+
+/// Converts with these options in addition to [`COARSE`], into `out`.
+fn converted(folder: &Path, input: &str, out: &str, options: &[&str]) -> RunResult {
+    let result = meniscus(folder, &[&["convert", input, "--out", out], &COARSE[..], options].concat());
+    assert_eq!(result.status, 0, "{options:?}: {} {}", result.out, result.err);
+    result
+}
+
+#[test]
+fn auto_gives_the_bytes_of_the_suitable_preset() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_irregular(path, 3);
+    for number in 1..=3 {
+        write_ply(&path.join(format!("dam.{number}.ply")), &block(10, 0.02 * f64::from(number)));
+    }
+    // The middle frame of three decides: one even frame changes nothing.
+    write_ply(&path.join("wild.1.ply"), &block(10, 0.0));
+    for (input, suitable, others) in [("wild.#.ply", "noisy", "fluid"), ("dam.#.ply", "fluid", "noisy")] {
+        for spacing in [&[][..], &["--spacing", "0.098"]] {
+            let with = |out: &str, preset: &str| {
+                let options = [&["--preset", preset, "--report", "r.json"], spacing].concat();
+                let result = converted(path, input, out, &options);
+                let name = input.replace('#', "2").replace("ply", "obj");
+                (result, fs::read(path.join(out).join(name)).expect("there"))
+            };
+            let (_, expected) = with("a", suitable);
+            let (_, other) = with("b", others);
+            let (result, bytes) = with("c", "auto");
+            assert!(bytes == expected && bytes != other, "{input} {spacing:?}");
+            assert!(result.out.contains(&format!(", preset {suitable}, voxel size ")), "{}", result.out);
+            assert_eq!(result.err, "");
+            let report: Value =
+                serde_json::from_slice(&fs::read(path.join("r.json")).expect("there")).expect("JSON");
+            let settings = &report["settings"][0];
+            assert_eq!((&settings["preset"], &settings["preset_given"]), (&suitable.into(), &"auto".into()));
+            let irregularity = settings["irregularity"].as_f64();
+            assert!(irregularity.is_some_and(|share| (share > 0.3) == (suitable == "noisy")), "{settings}");
+            // A given spacing has no confidence.
+            assert_eq!(settings["spacing_confidence"].is_null(), !spacing.is_empty(), "{settings}");
+        }
+    }
+}
+
+#[test]
+fn irregular_particles_cause_a_note_unless_a_preset_is_given() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_irregular(path, 1);
+    let note = "which the preset noisy suits better than fluid; use --preset noisy, or granular for sand";
+    for (options, is_noted) in [
+        (&[][..], true),
+        (&["--preset", "sph"], false),
+        (&["--preset", "flip"], false),
+        (&["--spacing", "0.1"], false),
+    ] {
+        let result = converted(path, "wild.1.ply", "out", options);
+        assert_eq!(result.err.contains(note), is_noted, "{options:?}: {}", result.err);
+    }
+    let watch = ["watch", ".", "--out", "w", "--once", "--pattern", "wild.*.ply", "--settle", "10ms"];
+    let result = meniscus(path, &[&watch[..], &COARSE].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(result.err.contains("which the preset noisy suits better than fluid"), "{}", result.err);
+}
+
+#[test]
+fn auto_says_that_it_cannot_choose() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("few.ply"), &block(3, 0.0));
+    write_ply(&path.join("one.ply"), &block(1, 0.0));
+    let warning = "too few particles are surrounded by others to measure how evenly they are spaced: the preset is fluid";
+    for (name, options) in
+        [("few.ply", &[][..]), ("few.ply", &["--spacing", "0.1"]), ("one.ply", &["--spacing", "0.1"])]
+    {
+        let result = converted(path, name, "out", &[&["--preset", "auto"], options].concat());
+        assert!(result.err.contains(warning), "{options:?}: {}", result.err);
+    }
+    // Without an INPUT, only what does not depend on the preset is a key.
+    for (options, key, spacing) in
+        [(&[][..], "\n#spacing = 1\n", "unknown"), (&["--spacing", "0.1"], "\nspacing = 0.1\n", "no INPUT")]
+    {
+        let print = [&["convert", "--print-settings", "--preset", "auto", "--steps", "3"], options].concat();
+        let printed = meniscus(path, &print).out;
+        for line in
+            ["\npreset = \"auto\"\n", "\nsteps = 3\n", "\n#step_size = ", "comments are those of fluid:", key]
+        {
+            assert!(printed.contains(line) && printed.contains(spacing), "{line} is not in {printed}");
+        }
+    }
+    let printed = converted(path, "few.ply", "out", &["--preset", "auto", "--print-settings"]).out;
+    assert!(printed.contains("\npreset = \"fluid\"\n") && printed.contains("\nspacing = 0.1\n"), "{printed}");
+}
+
+/// All frames of a sequence have the preset that its first frames had, also after a restart.
+#[test]
+fn daemon_remembers_the_chosen_preset() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let input = path.join("in");
+    fs::create_dir(&input).expect("made");
+    write_irregular(&input, 3);
+    let watch = ["watch", "in", "--out", "out", "--once", "--settle", "10ms", "--spacing", "0.1"];
+    let watch = [&watch[..], &["--preset", "auto"], &COARSE].concat();
+    let result = meniscus(path, &watch);
+    assert!(result.status == 0 && result.err.contains("noisy"), "{}", result.err);
+    for number in 4..=9 {
+        write_ply(&input.join(format!("wild.{number}.ply")), &block(10, 0.0));
+    }
+    assert_eq!(meniscus(path, &watch).status, 0);
+    let frame = |out: &str, name: &str| fs::read(path.join(out).join(name)).expect("there");
+    for (preset, is_same) in [("noisy", true), ("fluid", false)] {
+        converted(path, "in/wild.#.ply", "c", &["--spacing", "0.1", "--preset", preset, "--frames", "2,9"]);
+        for name in ["wild.2.obj", "wild.9.obj"] {
+            assert_eq!(frame("out", name) == frame("c", name), is_same, "{preset} {name}");
+        }
+    }
+}
+
+/// Every shard measures the frames of the whole sequence, and not its own.
+#[test]
+fn shards_choose_the_same_preset() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    for name in ["in", "out"] {
+        fs::create_dir(path.join(name)).expect("made");
+    }
+    write_irregular(&path.join("in"), 3);
+    write_ply(&path.join("in/wild.1.ply"), &block(10, 0.0));
+    for shard in ["1/3", "2/3", "3/3"] {
+        let result = converted(path, "in", "out", &["--preset", "auto", "--shard", shard]);
+        assert!(result.out.contains("preset noisy, "), "{}", result.out);
+    }
+    let result = meniscus(path, &["verify", "out", "--input", "in"]);
+    assert_eq!(result.status, 0, "{}{}", result.out, result.err);
 }

@@ -11,6 +11,7 @@ use meniscus::surface::particles::{OwnedPositions, ParticleCloud};
 use meniscus::surface::reconstruction::reconstruct_cloud;
 use meniscus_formats::{Limits, MeshData, ply};
 
+use super::estimate_of;
 use super::sets::{Frame, Set};
 use crate::Outcome;
 use crate::splashsurf::{Post, Splashsurf};
@@ -43,7 +44,7 @@ impl Maker {
         let (mut voxel_passes, mut is_certified) = (None, None);
         let (mesh, seconds) = match self {
             Maker::Ours(pairs) => {
-                let settings = settings_of(pairs, set.spacing)?;
+                let settings = settings_of(pairs, set)?;
                 let positions = OwnedPositions::F64(frame.points.iter().map(DVec3::to_array).collect());
                 let surface =
                     reconstruct_cloud(ParticleCloud::from(positions), &settings, &Obstacles::default());
@@ -66,18 +67,22 @@ impl Maker {
     }
 }
 
-/// Settings from text. Names that end in `/d` are lengths in spacings.
-fn settings_of(pairs: &[(String, String)], spacing: f64) -> Outcome<Settings> {
+/// Settings from text. Names that end in `/d` are lengths in spacings. The spacing is the true one, but the preset
+/// `auto` is chosen by measured particles.
+fn settings_of(pairs: &[(String, String)], set: &Set) -> Outcome<Settings> {
     let mut texts = Vec::new();
     for (name, value) in pairs {
         match name.strip_suffix("/d") {
-            Some(name) => texts.push((name, (value.parse::<f64>()? * spacing).to_string())),
+            Some(name) => texts.push((name, (value.parse::<f64>()? * set.spacing).to_string())),
             None => texts.push((name.as_str(), value.clone())),
         }
     }
     let choices = MethodOptions::from_pairs(texts.iter().map(|(name, value)| (*name, value.as_str())));
     let choices = choices.ok_or("a setting has an unknown name or an invalid value")?;
-    Ok(Settings::resolve(&choices, Some(SequenceSpacing::from(spacing)))?)
+    let estimate = if choices.is_auto() { estimate_of(set) } else { None };
+    let irregularity = estimate.and_then(|estimate| estimate.irregularity);
+    let measured = SequenceSpacing { irregularity, ..SequenceSpacing::from(set.spacing) };
+    Ok(Settings::resolve(&choices, Some(measured))?)
 }
 
 /// The value of the line `comment seconds S` in the header.

@@ -26,7 +26,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use meniscus::surface::particles::OwnedPositions;
-use meniscus::surface::spacing::{SpacingEstimate, combine_estimates, estimate_spacing};
+use meniscus::surface::spacing::{SequenceEstimate, SpacingEstimate, combine_estimates, estimate_spacing};
 use meniscus_formats::{FilePositions, ParticleFrame, ply};
 use serde_json::{Map, Value, json};
 
@@ -116,8 +116,8 @@ fn write_particles(folder: &PathBuf, set: &Set) -> Outcome<Map<String, Value>> {
     Ok(map(json!({ "frames": set.frames.len() })))
 }
 
-/// The spacing estimated from the first, middle and last frame, divided by the true spacing.
-fn estimated_spacing(set: &Set) -> Map<String, Value> {
+/// The spacing and the irregularity estimated from the first, middle and last frame.
+fn estimate_of(set: &Set) -> Option<SequenceEstimate> {
     let last = set.frames.len() - 1;
     let mut indices = vec![0, last / 2, last];
     indices.dedup();
@@ -126,10 +126,16 @@ fn estimated_spacing(set: &Set) -> Map<String, Value> {
         estimate_spacing(OwnedPositions::F64(points))
     };
     let estimates: Vec<SpacingEstimate> = indices.into_iter().filter_map(estimate).collect();
-    let found = combine_estimates(&estimates);
+    combine_estimates(&estimates)
+}
+
+/// The estimated spacing divided by the true one, its confidence, and the irregularity.
+fn estimated_spacing(set: &Set) -> Map<String, Value> {
+    let found = estimate_of(set);
     map(json!({
         "spacing": found.map(|found| round(found.spacing / set.spacing)),
         "confidence": found.map(|found| round(found.confidence)),
+        "irregularity": found.and_then(|found| found.irregularity).map(round),
     }))
 }
 

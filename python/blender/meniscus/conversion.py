@@ -312,7 +312,7 @@ def link(scene: bpy.types.Scene, stage: Path) -> str:
 
 # Blender interface
 
-PRESETS = ("fluid", "noisy", "splash", "granular", "preview", "paper")
+PRESETS = ("fluid", "noisy", "splash", "granular", "preview", "paper", "auto")
 
 
 class MENISCUS_PG_conversion(bpy.types.PropertyGroup):

@@ -113,7 +113,9 @@ fn argument(info: &'static OptionInfo<MethodOptions>) -> Arg {
             argument.value_parser(words.map(AcceptedText)).hide_possible_values(true)
         }
         ValueKind::Text if !info.words.is_empty() => {
-            let word = |word: &'static Word| PossibleValue::new(word.name).help(word.help);
+            let word = |word: &'static Word| {
+                PossibleValue::new(word.name).aliases(word.others).help(word.full_help())
+            };
             let words = PossibleValuesParser::new(info.words.iter().map(word));
             argument.value_parser(words.map(|word| AcceptedText(word.to_ascii_lowercase()))).ignore_case(true)
         }

@@ -28,6 +28,11 @@ pub(super) struct ParticlesInfo {
     spacing: Option<f64>,
     /// From 0 to 1.
     spacing_confidence: Option<f64>,
+    /// From 0 to 1; null if too few particles are surrounded by others.
+    irregularity: Option<f64>,
+    /// The preset for a fluid of such particles.
+    suggested_preset: Option<Preset>,
+    /// The voxel size of that preset.
     suggested_voxel_size: Option<f64>,
 }
 
@@ -75,6 +80,8 @@ impl ParticlesInfo {
         let particles = particles(frame.positions);
         let positions = || (0..particles.len()).map(|index| particles.position(index));
         let bounds = BoundingBox::of(positions().map(|position| position.to_array()));
+        let irregularity = measured.and_then(|measured| measured.irregularity);
+        let preset = Preset::for_fluid(irregularity);
         ParticlesInfo {
             count: particles.len(),
             position_type: match particles {
@@ -89,7 +96,9 @@ impl ParticlesInfo {
             attributes,
             spacing: measured.map(|measured| measured.spacing),
             spacing_confidence: measured.map(|measured| measured.confidence),
-            suggested_voxel_size: measured.map(|measured| Preset::default().voxel_size(measured.spacing)),
+            irregularity,
+            suggested_preset: irregularity.map(|_| preset),
+            suggested_voxel_size: measured.map(|measured| preset.voxel_size(measured.spacing)),
         }
     }
 }
@@ -193,6 +202,15 @@ impl fmt::Display for ParticlesInfo {
             (Some(spacing), Some(confidence), Some(voxel_size)) => {
                 let percent = (100.0 * confidence).round();
                 row(f, "spacing", format_args!("{}, confidence {percent} %", significant(spacing)))?;
+                if let (Some(irregularity), Some(preset)) = (self.irregularity, self.suggested_preset) {
+                    let percent = (100.0 * irregularity).round();
+                    let [spaced, or] = match preset {
+                        Preset::Noisy => ["irregularly", " (sand: granular)"],
+                        _ => ["evenly", ""],
+                    };
+                    let suits = format_args!("{percent} %: {spaced} spaced, preset {preset} suits{or}");
+                    row(f, "irregularity", suits)?;
+                }
                 row(f, "suggested voxel size", shortest(voxel_size))
             }
             _ => row(f, "spacing", "unknown: no two particles have different positions"),

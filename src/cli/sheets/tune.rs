@@ -215,7 +215,7 @@ impl<'a> Tuning<'a> {
         };
         let settings = grid.cells.iter().map(settings_of).collect();
         if !spacings.measured.is_empty() {
-            warn_of_siblings(sequence, console);
+            warn_of_siblings(sequence, &options, console);
         }
         let frame = LoadedFrame::read(&file.path, file.number(), &without)?;
         let picture = session.outputs.picture;
@@ -334,7 +334,7 @@ struct MeasuredSpacings<'a> {
 impl MeasuredSpacings<'_> {
     /// The spacing that `convert` measures with these options; `None` if they need none.
     fn spacing(&mut self, options: &MethodOptions, console: &Console) -> Result<Option<SequenceSpacing>> {
-        if !options.needs_spacing() {
+        if !options.needs_measuring() {
             return Ok(None);
         }
         // `Settings::resolve` reports an invalid radius scale.

@@ -1,4 +1,4 @@
-//! Estimates the particle spacing of a sequence if none is given.
+//! Estimates the particle spacing of a sequence if none is given, and how irregular it is.
 //!
 //! The spacing is twice the median radius if each particle's r_min follows from its own radius, or if the
 //! particles have a radius attribute that is consistent with their positions; otherwise it is an estimate
@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::surface::options::{self, SpacingOptions};
+use crate::surface::options::{self, MethodOptions, Preset, SpacingOptions};
 use crate::surface::particles::{Attribute, Role, erased};
 use crate::surface::spacing::{
     CONFIDENCE_MIN, SequenceEstimate, SourceSample, SpacingEstimate, combine_estimates, estimate_spacing,
@@ -34,6 +34,7 @@ use super::steps::{frame_name, step_of};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::json::{path, text};
+use crate::pipeline::warning::{InputWarning, Warning};
 
 /// The maximum number of frames to try for the middle one, and for the last one.
 const TRIES_MAX: usize = 8;
@@ -46,6 +47,9 @@ pub struct MeasuredSpacing {
     pub spacing: f64,
     /// The confidence of the estimate, from 0 to 1: see [`SequenceEstimate::confidence`].
     pub confidence: f64,
+    /// How irregularly the particles are spaced: see [`SpacingEstimate::irregularity`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub irregularity: Option<f64>,
     /// The median r_min of particles with per-particle radii, world units.
     #[serde(with = "text::option", default, skip_serializing_if = "Option::is_none")]
     pub radius_median: Option<f64>,
@@ -62,8 +66,36 @@ pub struct MeasuredSpacing {
 
 impl From<&MeasuredSpacing> for options::SequenceSpacing {
     fn from(measured: &MeasuredSpacing) -> options::SequenceSpacing {
-        options::SequenceSpacing { spacing: measured.spacing, radius_median: measured.radius_median }
+        options::SequenceSpacing {
+            spacing: measured.spacing,
+            radius_median: measured.radius_median,
+            irregularity: measured.irregularity,
+        }
     }
+}
+
+/// What is measured on the particles with these options, and which options replace that, for messages.
+pub fn measured_by(options: &MethodOptions) -> (&'static str, &'static str) {
+    match (options.spacing, options.is_auto()) {
+        (None, false) => ("particle spacing", "--spacing"),
+        (None, true) => ("particle spacing and preset", "--spacing and a --preset other than auto"),
+        (Some(_), _) => ("preset", "a --preset other than auto"),
+    }
+}
+
+/// A warning about the preset for particles that were measured, or could not be: it does not suit them, or it
+/// could not be chosen by them.
+pub fn preset_warning(options: &MethodOptions, measured: Option<&MeasuredSpacing>) -> Option<Warning> {
+    let irregularity = measured.and_then(|measured| measured.irregularity);
+    let suitable = Preset::for_fluid(irregularity);
+    let warning = match (options.preset, irregularity) {
+        (None, Some(irregularity)) if !options.is_auto() && suitable != Preset::default() => {
+            InputWarning::Irregular { irregularity, suitable }
+        }
+        (Some(Preset::Auto), None) => InputWarning::PresetNotMeasured { used: suitable },
+        _ => return None,
+    };
+    Some(Warning::Input(warning))
 }
 
 /// Why the spacing could not be measured.
@@ -264,16 +296,16 @@ const SAMPLED_FROM_BYTES: u64 = 256 << 20;
 fn measured_of(path: &Path, read: &ParsedParticles, options: &SpacingOptions) -> Option<FrameSpacing> {
     let per_particle_radius = options.per_particle_radius.as_ref();
     let own_spacing = per_particle_radius.and_then(|own| own.spacing(&read.cloud.attributes));
-    let by_positions = match own_spacing {
-        Some(_) => None, // spray, with its own radii, has no other spacing
-        None => estimate_spacing(&read.cloud.positions),
-    };
+    let estimate = estimate_spacing(&read.cloud.positions);
+    let irregularity = estimate.and_then(|estimate| estimate.irregularity);
+    // Spray, with its own radii, has no other spacing.
+    let by_positions = estimate.filter(|_| own_spacing.is_none());
     let radius = match per_particle_radius {
         Some(own) => read.cloud.find_attribute(&own.attribute, 1),
         None => read.cloud.attributes.iter().find(|attribute| attribute.role == Role::Radius),
     };
     let by_radius = radius.and_then(|radius| Some((radius.name.clone(), 2.0 * median(positive(radius))?)));
-    let of_radius = |spacing| SpacingEstimate { spacing, confidence: 1.0 };
+    let of_radius = |spacing| SpacingEstimate { spacing, confidence: 1.0, irregularity };
     let (estimate, contradicting_radius) = match (by_positions, by_radius) {
         (Some(estimate), Some((name, spacing))) => {
             let ratio = spacing / estimate.spacing;
@@ -312,6 +344,7 @@ fn combined(frames: &[FrameSpacing]) -> Option<MeasuredSpacing> {
     Some(MeasuredSpacing {
         spacing: rounded(estimate.spacing),
         confidence: estimate.confidence,
+        irregularity: estimate.irregularity,
         radius_median: median(frames.iter().filter_map(|frame| frame.radius_median).collect()),
         measured_on,
         measured_count: frames.len(),

@@ -21,12 +21,14 @@ use std::path::{Path, PathBuf};
 use meniscus_formats::Format;
 use meniscus_formats::compression::name_without_compression;
 
+use super::measured_spacing::measured_by;
 use super::steps::{STEP, name_of, step_in, step_of};
 use crate::pipeline::files::frame_number::{
     NameNumber, NumberMeaning, compared_numbers, frame_number, is_number, natural_order, without_numbers,
 };
 use crate::pipeline::files::names::text_of_name;
 use crate::pipeline::target::outputs::OutputFormat;
+use crate::surface::options::MethodOptions;
 
 /// A file that contains, or should contain, a frame of particles; or a step of such a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -339,10 +341,11 @@ pub fn are_single_frames(count: usize, single_count: usize) -> bool {
 }
 
 /// The warning for a folder that [`single_frame_sequences`] returns.
-pub fn single_frames_note(count: usize) -> String {
+pub fn single_frames_note(count: usize, choices: &MethodOptions) -> String {
+    let (what, remedy) = measured_by(choices);
     format!(
-        "{count} files form {count} sequences of one frame each, so each gets its own particle spacing; name the frame number with \
-         a pattern such as dam_####_v003.ply, or give --spacing"
+        "{count} files form {count} sequences of one frame each, so each gets its own {what}; name the frame number with \
+         a pattern such as dam_####_v003.ply, or give {remedy}"
     )
 }
 

@@ -51,6 +51,8 @@ pub enum Reason {
     ConflictGone,
     /// It waits until the particle spacing of its sequence can be measured.
     NoSpacing,
+    /// It waits until the preset of its sequence can be chosen by the particles.
+    NoPreset,
     /// It waits until the camera of its sequence can be placed.
     NoCamera,
     /// It is not a frame, but a file of this kind.
@@ -94,6 +96,10 @@ impl fmt::Display for Reason {
             Reason::NoSpacing => {
                 "cannot measure the particle spacing yet, because no frame of the sequence has two particles \
                  in different places: waiting for one that has; or give --spacing"
+            }
+            Reason::NoPreset => {
+                "cannot choose the preset by the particles yet, because no frame of the sequence has two in \
+                 different places: waiting for one that has; or give a --preset other than auto"
             }
             Reason::NoCamera => {
                 "cannot place the camera of the pictures yet, because no frame of the sequence has \

@@ -11,7 +11,7 @@ use serde::{Serialize, Serializer};
 use serde_json::{Value, json};
 
 use crate::surface::grid::LEAF_VOXELS;
-use crate::surface::options::Settings;
+use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::report::{EditReport, ReconstructionReport, ShapeStats};
 
 use super::provenance::{chosen_options, level_set_pairs};
@@ -149,48 +149,59 @@ impl RunRecord {
 }
 
 impl SequenceRecord {
-    /// A sequence with its settings. `measured`: its particle spacing, with confidence and source, if it was
-    /// measured. `written`: the options of its outputs, and its obstacles.
+    /// A sequence with its settings, the options that they follow from, and the measurements of its particles
+    /// if there are any. `written`: the options of its outputs, and its obstacles.
     pub fn new(
         name: &str,
         job: &Job,
         settings: &Settings,
-        measured: Option<&MeasuredSpacing>,
-        written: (&OutputOptions, &ObstacleFiles),
+        (choices, measured): (&MethodOptions, Option<&MeasuredSpacing>),
+        (outputs, obstacles): (&OutputOptions, &ObstacleFiles),
     ) -> SequenceRecord {
-        let (outputs, obstacles) = written;
         if let Job::LevelSet { max_deviation_voxels, .. } = job {
             let settings = settings_of_level_sets(settings, *max_deviation_voxels, outputs);
-            return SequenceRecord::with_spacing(name, None, None, settings, None);
+            return SequenceRecord::with_source(name, None, settings, None);
         }
-        let spacing = Some(settings.spacing);
+        let source = SettingsSource { choices, measured, settings };
         let settings = settings_of_particles(settings, outputs, obstacles);
-        SequenceRecord::with_spacing(name, spacing, measured, settings, None)
+        SequenceRecord::with_source(name, Some(&source), settings, None)
     }
 
     /// A sequence without settings.
     pub fn without_settings(name: &str, why: &str) -> SequenceRecord {
-        SequenceRecord::with_spacing(name, None, None, Object::default(), Some(why))
+        SequenceRecord::with_source(name, None, Object::default(), Some(why))
     }
 
-    fn with_spacing(
+    fn with_source(
         name: &str,
-        spacing: Option<f64>,
-        measured: Option<&MeasuredSpacing>,
+        source: Option<&SettingsSource<'_>>,
         settings: Object,
         error: Option<&str>,
     ) -> SequenceRecord {
+        let measured = source.and_then(|source| source.measured);
+        // With a given spacing, particles are measured only to choose a preset.
+        let used = measured.filter(|_| source.is_some_and(|source| source.choices.spacing.is_none()));
         let mut record = Object::new([
             ("sequence", json!(name)),
-            ("spacing", json!(spacing)),
-            ("spacing_confidence", json!(measured.map(|measured| measured.confidence))),
-            ("spacing_measured_on", json!(measured.map(|measured| text(&measured.measured_on)))),
-            ("radius_median", json!(measured.and_then(|measured| measured.radius_median))),
+            ("preset", json!(source.map(|source| source.settings.preset))),
+            ("preset_given", json!(source.and_then(|source| source.choices.preset))),
+            ("spacing", json!(source.map(|source| source.settings.spacing))),
+            ("spacing_confidence", json!(used.map(|measured| measured.confidence))),
+            ("measured_on", json!(measured.map(|measured| text(&measured.measured_on)))),
+            ("irregularity", json!(measured.and_then(|measured| measured.irregularity))),
+            ("radius_median", json!(used.and_then(|measured| measured.radius_median))),
         ]);
         record.0.extend(settings.0);
         record.extend([("error", json!(error))]);
         SequenceRecord(record)
     }
+}
+
+/// What the settings of a sequence of particles follow from.
+struct SettingsSource<'a> {
+    choices: &'a MethodOptions,
+    measured: Option<&'a MeasuredSpacing>,
+    settings: &'a Settings,
 }
 
 /// The settings for particles. The main ones have keys of their own, with numbers or names as values. The

@@ -33,8 +33,9 @@ impl Core {
         // each, so it takes three. With `once`, no more frames come, and two are enough.
         let count_min = if self.config.once { 2 } else { 3 };
         for (root, folder, count) in self.sequences.folders_of_single_frame_sequences(count_min) {
-            if self.config.watches[root].needs_spacing() {
-                let note = single_frames_note(count);
+            let watch = &self.config.watches[root];
+            if watch.needs_measuring() {
+                let note = single_frames_note(count, &watch.choices);
                 self.log(move || tracing::warn!(folder = %folder.display(), "{note}"));
             }
         }
@@ -91,7 +92,7 @@ impl Core {
             members.into_iter().map_while(|(id, stamp)| Some((id.clone(), stamp?))).collect();
         let watch = self.config.watches[sequence.root].clone();
         let remembered = self.output_folder(sequence.root).recorded.sequences.get(&sequence.key).cloned();
-        let given = (!watch.needs_spacing()).then(SharedSettings::default);
+        let given = (!watch.needs_measuring()).then(SharedSettings::default);
         let (options, known) = (options.clone(), given.or(remembered));
         (!files.is_empty()).then_some(MeasureOrder { sequence: index, files, options, known, watch })
     }
@@ -127,7 +128,9 @@ impl Core {
         if let Some(record) = record {
             let key = self.sequences.get(index).key.clone();
             let known = self.output_folder(root).recorded.sequences.get(&key);
-            let log = self.log_of_settings(index, headline_of(&record, known), warnings);
+            let has_spacing = self.config.watches[root].choices.spacing.is_some();
+            let headline = headline_of(has_spacing, &record, known);
+            let log = self.log_of_settings(index, headline, warnings);
             self.record_sequence(root, key, record, log);
             self.changed_sequences.push(index);
             for id in
@@ -172,8 +175,12 @@ impl Core {
     /// Logs, once, that frames wait for another one with more particles.
     fn log_sparse(&mut self, index: usize, sparse: &[FrameId]) {
         let root = self.sequences.get(index).root;
-        let needs_spacing = self.config.watches[root].needs_spacing();
-        let why = if needs_spacing { Reason::NoSpacing } else { Reason::NoCamera };
+        let watch = &self.config.watches[root];
+        let why = match (watch.needs_measuring(), watch.choices.spacing) {
+            (true, None) => Reason::NoSpacing,
+            (true, Some(_)) => Reason::NoPreset,
+            (false, _) => Reason::NoCamera,
+        };
         let sequence = self.sequences.get_mut(index);
         if !sparse.is_empty() && !std::mem::replace(&mut sequence.is_sparse_logged, true) {
             let path = sequence.key.folder.join(&sequence.key.name);
@@ -196,6 +203,7 @@ impl Core {
         Some(Log::new(move || {
             tracing::info!(
                 sequence = %key.folder.join(&key.name).display(),
+                preset = %settings.preset,
                 spacing = six_digits(settings.spacing),
                 voxel_size = six_digits(settings.voxel_size),
                 radius_min = six_digits(settings.radius_min),
@@ -220,8 +228,8 @@ impl Core {
 
 /// The message about the settings of a sequence: its particle spacing was measured, or was given or known
 /// already.
-fn headline_of(record: &SharedSettings, known: Option<&SharedSettings>) -> &'static str {
-    let was_known = known.is_some_and(|known| known.measured.is_some());
+fn headline_of(has_spacing: bool, record: &SharedSettings, known: Option<&SharedSettings>) -> &'static str {
+    let was_known = has_spacing || known.is_some_and(|known| known.measured.is_some());
     if record.measured.is_some() && !was_known {
         return "measured the particle spacing, for all frames of the sequence";
     }
@@ -244,16 +252,20 @@ mod tests {
         let spacing = MeasuredSpacing {
             spacing: 0.1,
             confidence: 1.0,
+            irregularity: None,
             radius_median: None,
             measured_on: "/in/a.1.ply".into(),
             measured_count: 1,
             warnings: Vec::new(),
         };
         let measured = SharedSettings { measured: Some(spacing), ..SharedSettings::default() };
-        let is_announced =
-            |record, known| headline_of(record, known).starts_with("measured the particle spacing");
-        assert!(is_announced(&measured, None));
-        assert!(!is_announced(&measured, Some(&measured)));
-        assert!(!is_announced(&given, None));
+        let is_announced = |has_spacing, record, known| {
+            headline_of(has_spacing, record, known).starts_with("measured the particle spacing")
+        };
+        assert!(is_announced(false, &measured, None));
+        assert!(!is_announced(false, &measured, Some(&measured)));
+        assert!(!is_announced(true, &given, None));
+        // With a given spacing, particles are measured to choose a preset.
+        assert!(!is_announced(true, &measured, None));
     }
 }

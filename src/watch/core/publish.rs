@@ -105,9 +105,9 @@ impl Core {
         let watch = self.watch(sequence.root);
         let made = (&watch.outputs, &*self.roots[sequence.root].obstacles);
         let remembered = self.output_folder(sequence.root).recorded.sequences.get(&sequence.key);
-        let measured = remembered.filter(|_| watch.needs_spacing());
+        let measured = remembered.filter(|_| watch.needs_measuring());
         let measured = measured.and_then(|record| record.measured.as_ref());
-        let record = SequenceRecord::new(&name, &watch.job(), settings, measured, made);
+        let record = SequenceRecord::new(&name, &watch.job(), settings, (&watch.choices, measured), made);
         Some((name, record))
     }
 

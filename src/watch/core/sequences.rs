@@ -1,7 +1,7 @@
 //! The settings of each sequence: determined once, then kept.
 //!
 //! ```text
-//!   spacing given ───────────────────────────────────┐
+//!   spacing given, and a preset other than auto ─────┐
 //!   recorded, from an earlier run ───────────────────┼──▶ fixed: every frame has the same
 //!   measured on the first, middle and last of the ───┘
 //!   frames that are complete by then
@@ -197,7 +197,7 @@ impl SequenceSettings {
             Job::LevelSet { .. } => Settings::for_level_sets(&watch.choices),
             Job::Surface | Job::Particles => Settings::resolve(&watch.choices, measured),
         };
-        let settings = if watch.needs_spacing() && measured.is_none() {
+        let settings = if watch.needs_measuring() && measured.is_none() {
             unknown()
         } else {
             resolved().and_then(|settings| {

@@ -13,7 +13,7 @@ use crate::pipeline::{
     InputState, MeasuredSpacing, Outcome, OutputFormat, OutputOptions, Reason, RecordLine, RecordedState,
     SharedSettings, Stage, UnfinishedRecord, UnfinishedState,
 };
-use crate::surface::options::MethodOptions;
+use crate::surface::options::{MethodOptions, Preset};
 use crate::watch::api::EndReason;
 use crate::watch::config::{Order, Poll, Watch, WatchConfig};
 use crate::watch::test_records::done_record;
@@ -48,6 +48,11 @@ struct Rig {
     records: Vec<RecordLine>,
 }
 
+/// Options for which no particles must be measured.
+fn measured() -> MethodOptions {
+    MethodOptions { preset: Some(Preset::Fluid), spacing: Some(0.1), ..MethodOptions::default() }
+}
+
 fn config(root_count: usize, choices: &MethodOptions) -> WatchConfig {
     let watch = |root: usize| Watch {
         input: format!("/in{root}").into(),
@@ -72,8 +77,7 @@ fn config(root_count: usize, choices: &MethodOptions) -> WatchConfig {
 impl Rig {
     /// Roots `/in0` and so on with outputs in `/out0` and so on, with known settings, and one pipeline.
     fn new(root_count: usize) -> Rig {
-        let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
-        Rig::with(config(root_count, &choices), RecordedState::default())
+        Rig::with(config(root_count, &measured()), RecordedState::default())
     }
 
     fn with(config: WatchConfig, recorded: RecordedState) -> Rig {
@@ -570,8 +574,7 @@ fn outputs_claimed_twice_belong_to_the_first_frame_until_it_is_removed() {
 /// Two folders with the same outputs: the frame that was converted keeps them after a restart.
 #[test]
 fn recorded_owner_keeps_its_outputs_whichever_folder_is_scanned_first() {
-    let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
-    let mut config = config(2, &choices);
+    let mut config = config(2, &measured());
     config.watches[1].outputs.folder = "/out0".into();
     let mut before = Rig::with(config.clone(), RecordedState::default());
     before.want();
@@ -657,7 +660,6 @@ fn recorded(state: Option<UnfinishedState>) -> RecordedState {
 
 #[test]
 fn after_a_restart_only_unfinished_frames_are_converted() {
-    let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
     for (state, has_output, expected) in [
         (None, true, 0),
         (None, false, 1),
@@ -667,7 +669,7 @@ fn after_a_restart_only_unfinished_frames_are_converted() {
         (Some(UnfinishedState::AwaitsRestart), true, 1),
         (Some(UnfinishedState::Refused), true, 1),
     ] {
-        let mut rig = Rig::with(config(1, &choices), recorded(state));
+        let mut rig = Rig::with(config(1, &measured()), recorded(state));
         rig.want();
         rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
         if has_output {
@@ -688,8 +690,7 @@ fn after_a_restart_only_unfinished_frames_are_converted() {
 
 #[test]
 fn run_with_once_is_drained_only_when_all_frames_are_done() {
-    let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
-    let mut rig = Rig::with(WatchConfig { once: true, ..config(1, &choices) }, RecordedState::default());
+    let mut rig = Rig::with(WatchConfig { once: true, ..config(1, &measured()) }, RecordedState::default());
     assert!(!rig.core.is_drained(), "nothing was scanned yet");
     rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
     rig.holds_inspections = true;
@@ -706,8 +707,7 @@ fn run_with_once_is_drained_only_when_all_frames_are_done() {
 
 #[test]
 fn run_with_once_fails_if_a_folder_hangs() {
-    let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
-    let mut rig = Rig::with(WatchConfig { once: true, ..config(2, &choices) }, RecordedState::default());
+    let mut rig = Rig::with(WatchConfig { once: true, ..config(2, &measured()) }, RecordedState::default());
     rig.want();
     rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
     rig.scan(0);
@@ -827,6 +827,7 @@ fn sequence_is_measured_when_all_its_frames_were_inspected() {
     let measured = MeasuredSpacing {
         spacing: 0.1,
         confidence: 1.0,
+        irregularity: None,
         radius_median: None,
         measured_on: "/in0/a.1.ply".into(),
         measured_count: 1,

@@ -13,7 +13,7 @@ use rayon::ThreadPoolBuilder;
 
 use crate::pipeline::{
     Attempt, FileStamp, FrameError, Framed, SequenceCamera, SharedSettings, Stage, frames_in_unless,
-    measure_sequence, sequence_bounds,
+    measure_sequence, preset_warning, sequence_bounds,
 };
 use crate::surface::options::{self, Settings};
 use crate::watch::core::events::{Event, FoundSteps, SlowRequest, StepsOrder};
@@ -81,7 +81,10 @@ fn measure(order: MeasureOrder) -> SpacingResult {
             let note = |path: &Path, attempt: Attempt| note(&mut measured, path, attempt, &order);
             let found = measure_sequence(&paths, &order.options, note);
             found.map(|found| {
-                measured.warnings.clone_from(&found.warnings);
+                let choices = &order.watch.choices;
+                let of_spacing = found.warnings.iter().filter(|_| choices.spacing.is_none()).cloned();
+                let of_preset = preset_warning(choices, Some(&found)).map(|warning| warning.to_string());
+                measured.warnings = of_spacing.chain(of_preset).collect();
                 SharedSettings { measured: Some(found), ..SharedSettings::default() }
             })
         }

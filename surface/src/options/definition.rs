@@ -251,12 +251,26 @@ impl MethodOptions {
         self.preset.unwrap_or_default().recipe()
     }
 
-    /// Whether the particle spacing must be measured to resolve the settings.
-    pub fn needs_spacing(&self) -> bool {
+    /// Whether particles must be measured to resolve the settings: their spacing, or which preset suits them.
+    pub fn needs_measuring(&self) -> bool {
         let follows_voxel_size = self.preset.unwrap_or_default().follows_voxel_size();
         let has_voxel_size = self.voxel_size.and_then(Length::world).is_some();
-        self.spacing.is_none()
-            && (!has_voxel_size || !follows_voxel_size || self.has_length_in(LengthUnit::Spacing))
+        let needs_spacing = !has_voxel_size || !follows_voxel_size || self.has_length_in(LengthUnit::Spacing);
+        self.is_auto() || self.spacing.is_none() && needs_spacing
+    }
+
+    /// Whether the preset is chosen by the particles.
+    pub fn is_auto(&self) -> bool {
+        self.preset.unwrap_or_default() == Preset::Auto
+    }
+
+    /// These options with the preset that they choose for particles of this irregularity.
+    pub(super) fn with_preset_for(&self, irregularity: Option<f64>) -> MethodOptions {
+        let preset = match self.preset.unwrap_or_default() {
+            Preset::Auto => Preset::for_fluid(irregularity),
+            preset => preset,
+        };
+        MethodOptions { preset: Some(preset), ..self.clone() }
     }
 
     /// Whether a length other than the particle spacing and the voxel size is given in this unit.

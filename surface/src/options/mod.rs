@@ -35,6 +35,9 @@ use resolution::{
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Settings {
+    /// The preset whose values the other settings have where no option was given. It is never
+    /// [`Preset::Auto`], but the preset that this chose.
+    pub preset: Preset,
     /// Distance d between neighbouring particles, world units.
     pub spacing: f64,
     /// Edge length h of a voxel, world units.
@@ -232,7 +235,8 @@ impl Settings {
     ///
     /// Lengths that are not set follow the particle spacing: that of `options`, else the `measured` one, else
     /// the spacing whose default voxel size equals the given voxel size. With [`Preset::Paper`], these
-    /// lengths follow the voxel size.
+    /// lengths follow the voxel size. [`Preset::Auto`] becomes the preset that suits the `measured` particles,
+    /// or `fluid` if their irregularity is unknown.
     ///
     /// # Errors
     /// If a number is not finite or out of its range, if the radii are out of order, or if neither spacing
@@ -241,6 +245,7 @@ impl Settings {
         options: &MethodOptions,
         measured: Option<SequenceSpacing>,
     ) -> Result<Settings, SettingsError> {
+        let options = &options.with_preset_for(measured.and_then(|measured| measured.irregularity));
         options.check_ranges()?;
         let recipe = options.recipe();
         let scale = Scale::new(options, measured)?;
@@ -257,6 +262,7 @@ impl Settings {
         let neighbor_radius =
             if options.uses_neighbors() { neighbor_radius(options, radius_min, &scale)? } else { 0.0 };
         let settings = Settings {
+            preset: options.preset.unwrap_or_default(),
             spacing,
             voxel_size: h,
             radius_min,
@@ -375,7 +381,14 @@ impl Settings {
     /// # Errors
     /// If no spacing makes the options valid.
     pub fn check(options: &MethodOptions) -> Result<(), SettingsError> {
-        if !options.needs_spacing() {
+        if options.is_auto() {
+            // The options are valid if they are so with one of the presets.
+            let checked = Preset::OF_AUTO
+                .map(|preset| Settings::check(&MethodOptions { preset: Some(preset), ..options.clone() }));
+            let [first, others @ ..] = checked;
+            return if others.iter().any(Result::is_ok) { Ok(()) } else { first };
+        }
+        if !options.needs_measuring() {
             return Settings::resolve(options, None).map(|_| ());
         }
         let sound = |length: &f64| length.is_finite() && *length > 0.0;

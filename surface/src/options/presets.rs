@@ -5,6 +5,7 @@
 
 use super::values::{AnisotropyKind, Length, LengthUnit};
 use super::{MethodOptions, SettingsError, SettingsFault, require};
+use crate::spacing::IRREGULAR;
 use crate::words::{rounded_to_digits, word_enum};
 
 word_enum! {
@@ -13,17 +14,19 @@ word_enum! {
     pub enum Preset {
         /// Water and other liquids of evenly spaced particles, such as those of SPH: the default
         #[default]
-        Fluid = "fluid",
+        Fluid = "fluid" | "sph",
         /// As fluid, but smoother, for irregularly spaced particles, such as those of FLIP and MPM
-        Noisy = "noisy",
+        Noisy = "noisy" | "flip" | "mpm",
         /// As fluid, on a finer grid: sheets, filaments and drops in close-ups
         Splash = "splash",
         /// Sand, snow, grain: balls, close to the particles
-        Granular = "granular",
+        Granular = "granular" | "sand",
         /// A quick preview: voxels as large as the spacing
         Preview = "preview",
         /// The parameters of Bhattacharya, Gao and Bargteil (2015): lengths follow the voxel size
         Paper = "paper",
+        /// Fluid for evenly spaced particles, noisy for irregular ones: chosen once for a sequence
+        Auto = "auto",
     }
 }
 
@@ -122,6 +125,18 @@ const FLUID: Recipe = Recipe {
 };
 
 impl Preset {
+    /// The presets that `auto` chooses from.
+    pub(super) const OF_AUTO: [Preset; 2] = [Preset::Fluid, Preset::Noisy];
+
+    /// The preset that suits the particles of a fluid of this [irregularity](crate::spacing::IRREGULAR): `auto`
+    /// chooses it. `fluid` if the irregularity is unknown.
+    pub fn for_fluid(irregularity: Option<f64>) -> Preset {
+        match irregularity {
+            Some(irregularity) if irregularity > IRREGULAR => Preset::Noisy,
+            _ => Preset::Fluid,
+        }
+    }
+
     /// Whether its lengths and times follow the voxel size, so that it needs no particle spacing.
     pub fn follows_voxel_size(self) -> bool {
         self.recipe().unit == Unit::VoxelSize
@@ -174,6 +189,8 @@ impl Preset {
                 ..FLUID
             },
             Preset::Paper => PAPER,
+            // Before the particles are measured, and where they are too few for that.
+            Preset::Auto => Preset::for_fluid(None).recipe(),
         }
     }
 }
@@ -207,7 +224,9 @@ impl Scale {
         };
         let usual = rounded_to_digits(recipe.voxel_size * spacing);
         let for_radii = |radius: f64| (radius / 3f64.sqrt()).max(spacing / VOXELS_PER_SPACING_MAX).min(usual);
-        let median = measured.and_then(|measured| measured.radius_median);
+        // With a given spacing, particles are measured only to choose a preset.
+        let of_radii = measured.filter(|_| options.spacing.is_none());
+        let median = of_radii.and_then(|measured| measured.radius_median);
         let voxel_size = match options.voxel_size {
             Some(length) => {
                 require(length.unit != LengthUnit::Voxel, || {
@@ -256,10 +275,12 @@ pub struct SequenceSpacing {
     /// The median r_min of particles with per-particle radii, world units. The default voxel size is chosen
     /// small enough for this radius.
     pub radius_median: Option<f64>,
+    /// How irregularly the particles are spaced: see [`IRREGULAR`]. `None` if it was not measured.
+    pub irregularity: Option<f64>,
 }
 
 impl From<f64> for SequenceSpacing {
     fn from(spacing: f64) -> SequenceSpacing {
-        SequenceSpacing { spacing, radius_median: None }
+        SequenceSpacing { spacing, radius_median: None, irregularity: None }
     }
 }

@@ -295,9 +295,9 @@ const OFF: [(&str, &str); 6] = [
     ("quads", "false"),
 ];
 
-/// Options that files omit because recorded values imply them: all lengths contain the spacing, and r_max
-/// contains the ratio.
-const IMPLIED: [&str; 2] = ["spacing", "radius_ratio"];
+/// Options that files omit because recorded values imply them: all values contain the preset, all lengths the
+/// spacing, and r_max the ratio.
+const IMPLIED: [&str; 3] = ["preset", "spacing", "radius_ratio"];
 
 /// Files record these after all others, in this order.
 const LAST: [&str; 8] =
@@ -322,7 +322,7 @@ impl Settings {
         // Also without attributes: those of a sequence in memory are selected for each frame, later.
         let velocity_scale = Some(self.velocity_scale).filter(|scale| *scale != 1.0);
         MethodOptions {
-            preset: None,
+            preset: Some(self.preset),
             spacing: Some(self.spacing),
             voxel_size: Some(self.voxel_size.into()),
             radius_min: Some(self.radius_min.into()),

@@ -1,9 +1,11 @@
 use super::*;
+use crate::spacing::IRREGULAR;
 
 #[test]
 fn settings_resolve_again_from_their_own_options() {
     let preset = |&preset| MethodOptions { preset: Some(preset), ..MethodOptions::default() };
-    let presets: Vec<MethodOptions> = Preset::ALL.iter().map(preset).collect();
+    let chosen = Preset::ALL.iter().filter(|preset| **preset != Preset::Auto);
+    let presets: Vec<MethodOptions> = chosen.map(preset).collect();
     let others = [
         MethodOptions {
             anisotropy: Some(AnisotropyKind::Velocity),
@@ -147,16 +149,16 @@ fn given_spacing_overrides_the_measured_one() {
     assert_eq!(resolved(&choices(None, Some(0.32), FLUID), None), Ok((1.0, 0.32)));
     let paper = choices(None, Some(0.3), Some(Preset::Paper));
     assert_eq!(resolved(&paper, None), Ok((0.6, 0.3)));
-    assert!(!paper.needs_spacing());
+    assert!(!paper.needs_measuring());
     for unknown in [choices(None, None, FLUID), choices(None, None, Some(Preset::Paper))] {
-        assert!(unknown.needs_spacing());
+        assert!(unknown.needs_measuring());
         let error = resolved(&unknown, None).expect_err("unknown");
         assert!(error.to_string().contains("--spacing"), "{error}");
     }
     // The voxel size follows small particle radii, but only down to a limit, because the radii might be in
     // another unit.
     let of_radius = |radius| {
-        let measured = SequenceSpacing { spacing: 1.0, radius_median: Some(radius) };
+        let measured = SequenceSpacing { radius_median: Some(radius), ..SequenceSpacing::from(1.0) };
         Settings::resolve(&choices(None, None, FLUID), Some(measured)).expect("sound").voxel_size
     };
     assert_eq!([of_radius(0.3 * 3f64.sqrt()), of_radius(2.0), of_radius(1e-6)], [0.3, 0.32, 0.125]);
@@ -344,9 +346,9 @@ fn lengths_in_spacings_and_voxels_convert_to_world_units() {
 #[test]
 fn lengths_in_spacings_need_the_spacing_and_those_in_voxels_do_not() {
     let paper = |name, value| options(&[("preset", "paper"), ("voxel_size", "0.1"), (name, value)]);
-    assert!(paper("radius_min", "0.9d").needs_spacing());
-    assert!(!paper("radius_min", "2h").needs_spacing() && !paper("radius_min", "0.2").needs_spacing());
-    assert!(options(&[("preset", "paper"), ("voxel_size", "0.5d")]).needs_spacing());
+    assert!(paper("radius_min", "0.9d").needs_measuring());
+    assert!(!paper("radius_min", "2h").needs_measuring() && !paper("radius_min", "0.2").needs_measuring());
+    assert!(options(&[("preset", "paper"), ("voxel_size", "0.5d")]).needs_measuring());
     let in_voxels: Length = "2h".parse().expect("a length");
     let options_in_voxels = MethodOptions { spacing: Some(1.0), ..MethodOptions::default() };
     let options_in_voxels = MethodOptions { voxel_size: Some(in_voxels), ..options_in_voxels };
@@ -355,6 +357,64 @@ fn lengths_in_spacings_need_the_spacing_and_those_in_voxels_do_not() {
     // Lengths in different units are compared once the spacing is known.
     assert_eq!(Settings::check(&options(&[("radius_min", "0.1"), ("radius_init", "9d")])), Ok(()));
     assert!(Settings::check(&options(&[("radius_min", "1d"), ("radius_init", "9d")])).is_err());
+}
+
+#[test]
+fn auto_becomes_the_preset_that_suits_the_particles() {
+    let of = |preset| MethodOptions { preset: Some(preset), ..MethodOptions::default() };
+    let resolved = |options: &MethodOptions, irregularity| {
+        let measured = SequenceSpacing { irregularity, ..SequenceSpacing::from(0.5) };
+        Settings::resolve(options, Some(measured)).expect("sound")
+    };
+    for (irregularity, chosen) in [
+        (None, Preset::Fluid),
+        (Some(0.0), Preset::Fluid),
+        (Some(IRREGULAR), Preset::Fluid),
+        (Some(IRREGULAR.next_up()), Preset::Noisy),
+        (Some(1.0), Preset::Noisy),
+    ] {
+        let settings = resolved(&of(Preset::Auto), irregularity);
+        assert_eq!(settings, resolved(&of(chosen), irregularity));
+        assert_eq!((settings.preset, settings.to_options().preset), (chosen, Some(chosen)));
+        assert_eq!(resolved(&of(Preset::Splash), irregularity).preset, Preset::Splash);
+    }
+    // A given spacing is used, but which preset suits must be measured; the radii then change no voxel size.
+    let given = MethodOptions { spacing: Some(0.1), ..of(Preset::Auto) };
+    assert!(given.needs_measuring());
+    let measured = SequenceSpacing { radius_median: Some(0.01), ..SequenceSpacing::from(0.5) };
+    let settings = Settings::resolve(&given, Some(measured)).expect("sound");
+    assert_eq!(
+        settings,
+        Settings::resolve(&MethodOptions { spacing: Some(0.1), ..of(Preset::Fluid) }, None).expect("sound")
+    );
+    // Options are valid before the measurement if they are so with one of the presets.
+    for (radius_init, is_valid) in [("0.8d", true), ("1.95d", true), ("2.5d", false)] {
+        let options =
+            MethodOptions { radius_init: Some(radius_init.parse().expect("a length")), ..given.clone() };
+        assert_eq!(Settings::check(&options).is_ok(), is_valid, "{radius_init}");
+    }
+}
+
+#[test]
+fn presets_have_other_names() {
+    for (name, preset) in [
+        ("sph", Preset::Fluid),
+        ("flip", Preset::Noisy),
+        ("mpm", Preset::Noisy),
+        ("sand", Preset::Granular),
+        ("auto", Preset::Auto),
+    ] {
+        assert_eq!(options(&[("preset", name)]).preset, Some(preset));
+        let json = format!(r#"{{"preset":"{name}"}}"#);
+        assert_eq!(serde_json::from_str::<MethodOptions>(&json).expect("read").preset, Some(preset));
+    }
+    let mut names: Vec<&str> =
+        Preset::WORDS.iter().flat_map(|word| word.others.iter().copied().chain([word.name])).collect();
+    let count = names.len();
+    names.sort_unstable();
+    names.dedup();
+    assert_eq!(names.len(), count);
+    assert!(Preset::WORDS[1].full_help().ends_with("; also called flip, mpm"));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Estimates the particle spacing.
+//! Estimates the particle spacing, and how irregular it is.
 //!
 //! For each particle of a sample, the spacing to its neighbours is measured, in a way that depends on the
 //! structure around it: a body, a sheet, or neither. Spray is left out, and the rest is averaged by
@@ -54,6 +54,18 @@ const ENOUGH: f64 = 8.0;
 /// A particle agrees with the estimate if its own spacing differs by no more than this share.
 const AGREEMENT: f64 = 0.25;
 
+/// A particle is close to its nearest neighbour if their distance is less than this share of the spacing.
+/// Particles of SPH repel each other, so few are; those of FLIP and MPM do not.
+const CLOSE: f64 = 0.5;
+
+/// The irregularity of fewer measured particles is unknown: by chance, it could be on the other side of
+/// [`IRREGULAR`].
+const SURROUNDED_MIN: usize = 200;
+
+/// Particles with more [irregularity](SpacingEstimate::irregularity) are irregularly spaced. In simulations by
+/// SPH it is at most 0.07, in those by FLIP and MPM at least 0.2, and 0.41 for random particles.
+pub const IRREGULAR: f64 = 0.12;
+
 /// Frames disagree if their spacings differ by more than this share.
 pub const SPREAD_MAX: f64 = 0.1;
 
@@ -68,6 +80,10 @@ pub struct SpacingEstimate {
     /// From 0 to 1: the share of the measured particles whose own spacing differs from this one by at most a
     /// quarter, times 1 − 1/√n for n measured particles.
     pub confidence: f64,
+    /// From 0 (evenly spaced) to 1: the share of the measured particles whose nearest neighbour is closer than
+    /// half the spacing. Only particles that neighbours surround count, in a body or in a sheet. `None` if
+    /// fewer than 200 of them were measured.
+    pub irregularity: Option<f64>,
 }
 
 /// Measures the distance between neighbouring particles, on up to 2000 of them. This is the default of
@@ -78,14 +94,31 @@ pub fn estimate_spacing<'a>(positions: impl Into<Positions<'a>>) -> Option<Spaci
     let mut points = finite_positions(&positions.into());
     let sample = sample(&points, SAMPLE_COUNT);
     let tree = KdNode::build(&mut points);
-    let measure = |&point: &DVec3| Local::among(&tree.neighbors(point, NEIGHBOR_COUNT));
-    let locals: Vec<Local> = sample.par_iter().halved().filter_map(measure).collect();
+    let measure = |&point: &DVec3| {
+        let neighbors = tree.neighbors(point, NEIGHBOR_COUNT);
+        Some((Local::among(&neighbors)?, neighbors.first()?.length()))
+    };
+    let measured: Vec<(Local, f64)> = sample.par_iter().halved().filter_map(measure).collect();
+    let locals: Vec<Local> = measured.iter().map(|(local, _)| *local).collect();
 
     let spacing = combine(&locals).filter(|spacing| spacing.is_finite() && *spacing > 0.0)?;
     let agrees = |local: &&Local| (local.spacing() - spacing).abs() <= AGREEMENT * spacing;
     let count = locals.len() as f64;
     let share = locals.iter().filter(agrees).count() as f64 / count;
-    Some(SpacingEstimate { spacing, confidence: share * (1.0 - 1.0 / count.sqrt()) })
+    Some(SpacingEstimate {
+        spacing,
+        confidence: share * (1.0 - 1.0 / count.sqrt()),
+        irregularity: irregularity(&measured, spacing),
+    })
+}
+
+/// The share of surrounded particles that are close to their nearest neighbour. `None` if too few are
+/// surrounded.
+fn irregularity(measured: &[(Local, f64)], spacing: f64) -> Option<f64> {
+    let surrounded = measured.iter().filter(|(local, _)| !matches!(local, Local::Open(_)));
+    let count = surrounded.clone().count();
+    let close_count = surrounded.filter(|(_, nearest)| *nearest < CLOSE * spacing).count();
+    (count >= SURROUNDED_MIN).then(|| close_count as f64 / count as f64)
 }
 
 /// The particle spacing of a sequence, by [`combine_estimates`].
@@ -99,6 +132,8 @@ pub struct SequenceEstimate {
     pub confidence: f64,
     /// How much the largest spacing of a frame exceeds the smallest, relative to the smallest.
     pub spread: f64,
+    /// The median of the frames' [irregularities](SpacingEstimate::irregularity); `None` if all are unknown.
+    pub irregularity: Option<f64>,
 }
 
 impl SequenceEstimate {
@@ -108,8 +143,8 @@ impl SequenceEstimate {
     }
 }
 
-/// Combines the estimates of some frames of a sequence, in any order: their median, weighted by confidence.
-/// `None` without frames.
+/// Combines the estimates of some frames of a sequence, in any order: their medians, that of the spacing
+/// weighted by confidence. `None` without frames.
 pub fn combine_estimates(estimates: &[SpacingEstimate]) -> Option<SequenceEstimate> {
     let mut sorted = estimates.to_vec();
     let order = |a: &SpacingEstimate, b: &SpacingEstimate| {
@@ -131,7 +166,8 @@ pub fn combine_estimates(estimates: &[SpacingEstimate]) -> Option<SequenceEstima
     }
     let spread = greatest / least - 1.0;
     let confidence = sorted.iter().map(|estimate| estimate.confidence).sum::<f64>() / sorted.len() as f64;
-    Some(SequenceEstimate { spacing, confidence: confidence / (1.0 + spread), spread })
+    let irregularity = median(sorted.iter().filter_map(|estimate| estimate.irregularity).collect());
+    Some(SequenceEstimate { spacing, confidence: confidence / (1.0 + spread), spread, irregularity })
 }
 
 /// A length with two significant digits, so that it is easy to type again: 0.0498 becomes 0.05.

@@ -81,10 +81,11 @@ fn repeated_positions_count_once() {
 fn powers_of_two_scale_exactly() {
     let points = random(5000);
     let scaled = |factor: f64| points.iter().map(|p| p.map(|x| x * factor)).collect::<Vec<_>>();
-    let expected = estimate(points.clone());
+    let expected = measured(points.clone());
     for exponent in [-40, -3, 1, 60] {
         let factor = 2f64.powi(exponent);
-        assert_eq!(estimate(scaled(factor)), expected * factor);
+        let scaled = measured(scaled(factor));
+        assert_eq!(scaled, SpacingEstimate { spacing: expected.spacing * factor, ..expected });
     }
 }
 
@@ -153,9 +154,64 @@ fn confidence_grows_with_the_number_of_agreeing_particles() {
     assert!(confidence(uneven) < random && random < confidence(lattice(12, 0.1)));
 }
 
+/// Moves each point by up to this much along each axis.
+fn jittered(points: Vec<[f64; 3]>, by: f64) -> Vec<[f64; 3]> {
+    let moves = random(points.len() as u64);
+    let moved = |(point, by_axis): ([f64; 3], [f64; 3])| {
+        std::array::from_fn(|axis| point[axis] + by * (2.0 * by_axis[axis] - 1.0))
+    };
+    points.into_iter().zip(moves).map(moved).collect()
+}
+
+#[test]
+fn irregularity_grows_from_lattices_to_random_particles() {
+    let irregularity = |points| measured(points).irregularity.expect("enough particles");
+    let jitters = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5];
+    let found = jitters.map(|by| irregularity(jittered(lattice(12, 1.0), by)));
+    assert!(found[..3] == [0.0; 3] && found.is_sorted() && found[2] < found[3], "{found:?}");
+    // The distance to the nearest of random particles of density 1 is below r with probability
+    // 1 - exp(-4/3 π r³).
+    let of_random = irregularity(random(30_000));
+    let expected = 1.0 - (-std::f64::consts::PI / 6.0).exp();
+    assert!((of_random - expected).abs() < 0.05 && found[5] < of_random, "{found:?} {of_random}");
+    // A compressed or sheared lattice is as even; so is a sheet.
+    for map in [|[x, y, z]: [f64; 3]| [x, y, 0.6 * z], |[x, y, z]: [f64; 3]| [x + 0.3 * y, y, z]] {
+        assert_eq!(irregularity(lattice(12, 1.0).into_iter().map(map).collect()), 0.0);
+    }
+    let sheet = (0..2000).map(|i| [f64::from(i % 40), f64::from(i / 40), 0.0]).collect();
+    assert_eq!(irregularity(sheet), 0.0);
+    assert!(found[3] < IRREGULAR && IRREGULAR < found[5], "{found:?}");
+}
+
+#[test]
+fn irregularity_of_few_surrounded_particles_is_unknown() {
+    let irregularity = |points| measured(points).irregularity;
+    assert_eq!(irregularity(lattice(5, 1.0)), None);
+    assert_eq!(irregularity((0..1000).map(|x| [f64::from(x), 0.0, 0.0]).collect()), None);
+    // Particles that are not surrounded do not count: nor do pairs of them, such as drops.
+    let mut with_spray = jittered(lattice(12, 1.0), 0.4);
+    let expected = irregularity(with_spray.clone()).expect("enough particles");
+    with_spray.extend((0..100).flat_map(|i| [0.0, 0.1].map(|x| [50.0 + 9.0 * f64::from(i), 70.0 + x, 0.0])));
+    let found = irregularity(with_spray).expect("enough particles");
+    assert!((found / expected - 1.0).abs() < 0.2, "{found} {expected}");
+}
+
+#[test]
+fn irregularity_of_a_sequence_is_the_median_of_its_frames() {
+    let combined = |of: &[Option<f64>]| {
+        let frame = |&irregularity| SpacingEstimate { spacing: 1.0, confidence: 1.0, irregularity };
+        combine_estimates(&of.iter().map(frame).collect::<Vec<_>>()).expect("frames").irregularity
+    };
+    assert_eq!(combined(&[Some(0.3), Some(0.0), Some(0.2)]), Some(0.2));
+    assert_eq!(combined(&[None, Some(0.2), None]), Some(0.2));
+    assert_eq!(combined(&[None, None]), None);
+}
+
 /// Estimates with these spacings and confidences.
 fn frames(of: &[(f64, f64)]) -> Vec<SpacingEstimate> {
-    of.iter().map(|&(spacing, confidence)| SpacingEstimate { spacing, confidence }).collect()
+    of.iter()
+        .map(|&(spacing, confidence)| SpacingEstimate { spacing, confidence, irregularity: None })
+        .collect()
 }
 
 #[test]

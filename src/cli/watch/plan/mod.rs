@@ -154,7 +154,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     if names_level_sets(frames.pattern.as_deref()) {
         refuse_options(&frames.method, Use::AsItIs)?;
         Settings::for_level_sets(&choices)?;
-    } else if choices.needs_spacing() {
+    } else if choices.needs_measuring() {
         Settings::check(&choices)?;
     } else {
         warnings.extend(Settings::resolve(&choices, None)?.warnings());

@@ -257,6 +257,7 @@ fn sequence(name: &str, spacing: f64, at_ms: u64) -> RecordLine {
         radius_median: Some(spacing.next_down()),
         measured_on: "/in/dam.1.ply".into(),
         measured_count: 0,
+        irregularity: Some(0.25),
         warnings: Vec::new(),
     };
     let framed = Framed {
