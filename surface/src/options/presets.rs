@@ -151,16 +151,15 @@ impl Preset {
         match self {
             Preset::Fluid => FLUID,
             Preset::Noisy => Recipe {
-                voxel_size: 0.4,
-                radius_min: 1.0,
-                radius_ratio: 2.0,
-                radius_init: InitialRadius::Times(1.2),
+                voxel_size: 0.36,
+                radius_min: 0.9,
+                radius_ratio: 2.4,
+                radius_init: InitialRadius::Times(1.45),
                 neighbor_radius: Some(3.0),
                 position_smoothing: 0.8,
-                laplacian_steps: 1.6,
-                steps: 2,
-                step_size: 0.15,
-                explicit_time: 0.3,
+                laplacian_steps: 6.0,
+                step_size: 0.02,
+                explicit_time: 0.02,
                 ..FLUID
             },
             Preset::Splash => Recipe { voxel_size: 0.25, thin_radius: Some(0.3), ..FLUID },

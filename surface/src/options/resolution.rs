@@ -12,6 +12,9 @@ use crate::words::{rounded_to_digits, significant};
 /// into a 32-bit number.
 const RADIUS_MIN_VOXELS: f64 = 1e-6;
 
+/// The smallest default of r_init, in units of an r_min that was raised for coarse voxels.
+const ROOM_TO_SMOOTH: f64 = 1.1;
+
 /// Upper limit of the offset, in units of h.
 const OFFSET_MAX: f64 = 2.0;
 
@@ -21,6 +24,10 @@ const MAX_STRETCH: f64 = 4.0;
 /// The smallest semi-axis of a flattened particle, in units of h. The two sides of a sheet are then 1.8
 /// voxels apart.
 const THIN_MIN_VOXELS: f64 = 0.9;
+
+/// Particles are flattened by default up to this voxel size, in spacings: on a coarser grid a sheet is as thick
+/// as balls.
+const FLATTEN_MAX: f64 = 0.66;
 
 /// Default search radius for neighbours, in units of r_min.
 const NEIGHBOR_RADIUS: f64 = 3.0;
@@ -84,8 +91,9 @@ pub(super) fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Resul
     let (recipe, h) = (options.recipe(), scale.voxel_size);
     // On coarse voxels, raise r_min to the smallest value with which no particle falls between voxels (Eq.
     // 13).
-    let usual = scale.units(recipe.unit, recipe.radius_min).max(3f64.sqrt() * h);
-    let radius_min = scale.length(options.radius_min).unwrap_or(usual);
+    let usual = scale.units(recipe.unit, recipe.radius_min);
+    let given = scale.length(options.radius_min);
+    let radius_min = given.unwrap_or(usual.max(3f64.sqrt() * h));
     let radius_min = positive_length("radius r_min", options.radius_min, radius_min)?;
     require(radius_min >= RADIUS_MIN_VOXELS * h, || {
         format!(
@@ -98,8 +106,11 @@ pub(super) fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Resul
         format!("the radius ratio is {ratio}; it must be at least 1")
     })?;
     let radius_max = ratio * radius_min;
-    let given = scale.length(options.radius_init);
-    let radius_init = given.unwrap_or_else(|| initial_radius(&recipe, radius_min, ratio));
+    // A raised r_min raises r_init only as far as smoothing needs: the surface stays where it is.
+    let is_raised = given.is_none() && radius_min > usual;
+    let least = if is_raised { ROOM_TO_SMOOTH * radius_min } else { radius_min };
+    let initial = initial_radius(&recipe, given.unwrap_or(usual), ratio).max(least).min(radius_max);
+    let radius_init = scale.length(options.radius_init).unwrap_or(initial);
     let radius_init = positive_length("radius r_init", options.radius_init, radius_init)?;
     // r_max is the product of two typed numbers, which may differ from a typed r_init by a rounding error.
     let slack = 1e-9 * radius_max;
@@ -177,7 +188,7 @@ pub(super) fn anisotropy(
     let max_stretch = options.max_stretch.unwrap_or(MAX_STRETCH);
     match options.anisotropy_kind() {
         AnisotropyKind::None => Ok(Anisotropy::None),
-        AnisotropyKind::Neighbors if is_too_coarse_to_flatten(options, radius_min, scale) => {
+        AnisotropyKind::Neighbors if is_too_coarse_to_flatten(options, scale) => {
             Ok(Anisotropy::None)
         }
         AnisotropyKind::Neighbors => {
@@ -192,11 +203,11 @@ pub(super) fn anisotropy(
 }
 
 /// Whether only the preset requests flattening, and the grid is too coarse for anything thinner than a ball.
-fn is_too_coarse_to_flatten(options: &MethodOptions, radius_min: f64, scale: &Scale) -> bool {
+fn is_too_coarse_to_flatten(options: &MethodOptions, scale: &Scale) -> bool {
     let MethodOptions { anisotropy, max_stretch, thin_radius, lone_radius, .. } = options;
     let is_chosen = anisotropy.is_some() || max_stretch.is_some();
     let is_chosen = is_chosen || thin_radius.is_some() || lone_radius.is_some();
-    !is_chosen && radius_min <= 3f64.sqrt() * scale.voxel_size * (1.0 + 1e-9)
+    !is_chosen && scale.voxel_size > FLATTEN_MAX * scale.spacing
 }
 
 /// The smallest semi-axis of flattened particles, and r_min of particles without neighbours.

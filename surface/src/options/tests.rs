@@ -97,7 +97,7 @@ fn finer_grid_keeps_lengths_and_times() {
         };
         let usual = resolved(3.0);
         // The number of Laplacian steps is rounded.
-        for (voxels, slack) in [(2.4, 0.1), (4.0, 0.06), (6.0, 0.05)] {
+        for (voxels, slack) in [(2.7, 0.1), (4.0, 0.06), (6.0, 0.05)] {
             for (finer, usual) in resolved(voxels).into_iter().zip(usual) {
                 assert!((finer / usual - 1.0).abs() <= slack, "{voxels}: {finer} and not {usual}");
             }
@@ -119,14 +119,15 @@ fn finer_grid_keeps_lengths_and_times() {
         // The thin radius is the default as long as the grid resolves it.
         assert!((thin(2.5) - 0.36).abs() < 1e-9 && (thin(6.0) - 0.36).abs() < 1e-9);
         assert!((thin(2.4) - 0.375).abs() < 1e-9 && (thin(2.49) - 0.9 / 2.49).abs() < 1e-9);
-        // If r_min is √3 h, particles are balls unless the options request other shapes.
+        // On coarse voxels, particles are balls unless the options request other shapes.
         assert_eq!(anisotropy(1.0, None), Anisotropy::None);
         assert!(matches!(anisotropy(1.0, Some(AnisotropyKind::Neighbors)), Anisotropy::Neighbors { .. }));
-        // On coarse voxels r_min is raised, and the other radii with it.
-        let coarse = resolved(1.0);
-        assert!((coarse[0] - 3f64.sqrt()).abs() < 1e-9);
-        assert!((coarse[1] / coarse[0] - usual[1] / usual[0]).abs() < 1e-9);
-        assert!((coarse[3] - usual[3]).abs() < 1e-9);
+        // On coarse voxels r_min is raised, and r_init only if it must be.
+        for (voxels, min, init) in [(2.0, 0.5 * 3f64.sqrt(), 0.96), (1.0, 3f64.sqrt(), 1.1 * 3f64.sqrt())] {
+            let coarse = resolved(voxels);
+            assert!((coarse[0] - min).abs() < 1e-9 && (coarse[1] - init).abs() < 1e-2, "{coarse:?}");
+            assert!((coarse[3] - usual[3]).abs() < 1e-9);
+        }
     }
 }
 
@@ -192,13 +193,13 @@ fn offset_out_of_range_is_rejected_with_the_range() {
 fn lengths_out_of_range_are_named_as_typed() {
     // d = 0.1 and h = 0.032.
     for (name, text, expected) in [
-        ("offset", "5h", "the offset 5h is 0.16; it must be from -r_min = -0.075 to 2 h = 0.064"),
-        ("offset", "-2d", "the offset -2d is -0.2; it must be from -r_min = -0.075 to 2 h = 0.064"),
-        ("offset", "0.2", "the offset is 0.2; it must be from -r_min = -0.075 to 2 h = 0.064"),
+        ("offset", "5h", "the offset 5h is 0.16; it must be from -r_min = -0.065 to 2 h = 0.064"),
+        ("offset", "-2d", "the offset -2d is -0.2; it must be from -r_min = -0.065 to 2 h = 0.064"),
+        ("offset", "0.2", "the offset is 0.2; it must be from -r_min = -0.065 to 2 h = 0.064"),
         ("voxel_size", "-1d", "the voxel size -1d is -0.1; it must be a positive number"),
         ("radius_min", "-1d", "the radius r_min -1d is -0.1; it must be a positive number"),
         ("radius_min", "1e-9d", "r_min 0.000000001d is 3.125e-9 voxels"),
-        ("radius_init", "9h", "r_init 9h is 0.288; it must be between r_min = 0.075 and r_max = 0.1875"),
+        ("radius_init", "9h", "r_init 9h is 0.288; it must be between r_min = 0.065 and r_max = 0.1885"),
         ("thin_radius", "2d", "the smallest semi-axis of flattened particles 2d is 0.2; it must be from"),
         ("lone_radius", "2d", "the radius of particles without neighbours 2d is 0.2; it must be at most"),
         ("neighbor_radius", "90d", "the neighbour radius 90d is 281.25 h; it must be at most 200 h"),
