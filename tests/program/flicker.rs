@@ -388,7 +388,8 @@ fn sequences_of_simulators_have_plausible_scores() {
     for name in ["dam_break_bgeo/ParticleData_Fluid_#.bgeo", "splash_ply/*.ply"] {
         let folder = tempdir().expect("a folder");
         let particles = shared.join("ours/sequences").join(name).display().to_string();
-        let convert = ["convert", &particles, "--out", "s", "--format", "ply", "--frames", "9-12"];
+        let convert =
+            ["convert", &particles, "--out", "s", "--format", "ply", "--frames", "9-12", "--preset", "auto"];
         let made = meniscus(folder.path(), &convert);
         assert_eq!(made.status, 0, "{}", made.err);
         let result = meniscus(folder.path(), &["flicker", "s/*.ply", "--particles", &particles]);

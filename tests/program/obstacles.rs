@@ -9,7 +9,7 @@ use std::sync::Arc;
 use glam::{DQuat, DVec3, EulerRot};
 use meniscus::surface::grid::{offset_in_leaf, voxel_in_leaf};
 use meniscus::surface::obstacle::{MeshSdf, Obstacle, ObstacleSdf, Obstacles};
-use meniscus::surface::options::{MethodOptions, Settings};
+use meniscus::surface::options::{MethodOptions, Preset, Settings};
 use meniscus::surface::particles::{OwnedPositions, ParticleCloud, Shapes};
 use meniscus::surface::reconstruction::{FrameSurface, reconstruct_cloud};
 use serde_json::Value;
@@ -447,8 +447,12 @@ fn contact_line_is_smooth_and_on_the_floor() {
             rotation * (DVec3::new(x - 5.5, y - 11.5, z + 0.5) + 0.3 * jitter)
         };
         let particles = (0..144 * layers).map(|index| place(index).to_array()).collect();
-        let choices =
-            MethodOptions { spacing: Some(1.0), voxel_size: Some(h.into()), ..MethodOptions::default() };
+        let choices = MethodOptions {
+            preset: Some(Preset::Noisy),
+            spacing: Some(1.0),
+            voxel_size: Some(h.into()),
+            ..MethodOptions::default()
+        };
         let settings = Settings::resolve(&choices, None).expect("sound");
         let positions = OwnedPositions::F64(particles);
         let cloud = ParticleCloud { positions, shapes: Shapes::Uniform, attributes: Vec::new() };

@@ -77,7 +77,7 @@ method_options! {
         Surface {
             /// Radius r_min of the sphere around each particle, positive; the surface encloses these spheres,
             /// but particles in sheets and filaments get a flattened ellipsoid instead (--anisotropy)
-            /// [default: 0.65d, but no less than √3·h]
+            /// [default: 0.64d, but no less than √3·h]
             #[value(named("LENGTH"))]
             radius_min: Length,
 
@@ -86,7 +86,7 @@ method_options! {
             #[value(named("RATIO"))]
             radius_ratio: f64,
 
-            /// Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.48 r_min]
+            /// Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.5 r_min]
             #[value(named("LENGTH"))]
             radius_init: Length,
 

@@ -109,9 +109,9 @@ const PAPER: Recipe = Recipe {
 const FLUID: Recipe = Recipe {
     unit: Unit::Spacing,
     voxel_size: 0.32,
-    radius_min: 0.65,
-    radius_ratio: 2.9,
-    radius_init: InitialRadius::Times(1.48),
+    radius_min: 0.64,
+    radius_ratio: 3.0,
+    radius_init: InitialRadius::Times(1.5),
     anisotropy: AnisotropyKind::Neighbors,
     thin_radius: Some(0.36),
     lone_radius: Some(0.62),
@@ -151,15 +151,11 @@ impl Preset {
         match self {
             Preset::Fluid => FLUID,
             Preset::Noisy => Recipe {
-                voxel_size: 0.36,
-                radius_min: 0.9,
-                radius_ratio: 2.4,
-                radius_init: InitialRadius::Times(1.45),
+                radius_min: 0.8,
+                radius_ratio: 2.6,
                 neighbor_radius: Some(3.0),
-                position_smoothing: 0.8,
-                laplacian_steps: 6.0,
-                step_size: 0.02,
-                explicit_time: 0.02,
+                position_smoothing: 0.7,
+                laplacian_steps: 4.0,
                 ..FLUID
             },
             Preset::Splash => Recipe { voxel_size: 0.25, thin_radius: Some(0.3), ..FLUID },

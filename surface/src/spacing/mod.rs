@@ -64,7 +64,7 @@ const SURROUNDED_MIN: usize = 200;
 
 /// Particles with more [irregularity](SpacingEstimate::irregularity) are irregularly spaced. In simulations by
 /// SPH it is at most 0.07, in those by FLIP and MPM at least 0.2, and 0.41 for random particles.
-pub const IRREGULAR: f64 = 0.12;
+pub const IRREGULAR: f64 = 0.17;
 
 /// Frames disagree if their spacings differ by more than this share.
 pub const SPREAD_MAX: f64 = 0.1;
