@@ -26,6 +26,15 @@ pub(crate) fn piece(file: &mut (impl Read + Seek), at: u64, length: u64) -> Resu
     Ok(bytes)
 }
 
+/// Methods of [`Cursor`] with the name of a type: each takes the next number, in the cursor's byte order.
+macro_rules! number_methods {
+    ($($number:ident)*) => {$(
+        pub(crate) fn $number(&mut self, what: &str) -> Result<$number> {
+            Ok($number::from_le_bytes(self.array(what)?))
+        }
+    )*};
+}
+
 /// A read position in the bytes of a file. A read that would pass the end of the file returns an error.
 #[derive(Clone, Debug)]
 pub(crate) struct Cursor<'a> {
@@ -84,8 +93,8 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// Takes the next bytes as an array.
-    pub(crate) fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N]> {
+    /// Takes the next bytes as an array in little-endian order.
+    fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N]> {
         let mut array = [0; N];
         array.copy_from_slice(self.take(N, what)?);
         if self.endian == Endian::Big {
@@ -97,17 +106,19 @@ impl<'a> Cursor<'a> {
     /// Takes the next number, which must have an integer type.
     pub(crate) fn integer(&mut self, scalar: NumberType, what: &str) -> Result<i64> {
         Ok(match scalar {
-            NumberType::I8 => i8::from_le_bytes(self.array(what)?).into(),
-            NumberType::U8 => u8::from_le_bytes(self.array(what)?).into(),
-            NumberType::I16 => i16::from_le_bytes(self.array(what)?).into(),
-            NumberType::U16 => u16::from_le_bytes(self.array(what)?).into(),
-            NumberType::I32 => i32::from_le_bytes(self.array(what)?).into(),
-            NumberType::U32 => u32::from_le_bytes(self.array(what)?).into(),
+            NumberType::I8 => self.i8(what)?.into(),
+            NumberType::U8 => self.u8(what)?.into(),
+            NumberType::I16 => self.i16(what)?.into(),
+            NumberType::U16 => self.u16(what)?.into(),
+            NumberType::I32 => self.i32(what)?.into(),
+            NumberType::U32 => self.u32(what)?.into(),
             _ => {
                 return Err(self.invalid(format!("{what} must have an integer type")));
             }
         })
     }
+
+    number_methods! { u8 u16 u32 u64 i8 i16 i32 i64 f32 f64 }
 
     /// Creates an error at the current position: the file ends too early.
     pub(crate) fn truncated(&self, what: impl Into<String>) -> Error {

@@ -156,13 +156,13 @@ pub(crate) fn bytes_declared(
     let mut cursor = bytes::Cursor::new(FORMAT, Endian::Little, head, tables_at);
     let mut last = None;
     for _ in 0..block_count {
-        last = last.max(Some(u64::from_le_bytes(cursor.array("the offset of a block")?)));
+        last = last.max(Some(cursor.u64("the offset of a block")?));
     }
     let Some(last) = last else { return Ok(None) };
     let block = read_at(last)?;
     let mut cursor = bytes::Cursor::new(FORMAT, Endian::Little, &block, 0);
     cursor.take(8, "the offset of a block")?;
-    let data_bytes = u32::from_le_bytes(cursor.array("the size of a block")?);
+    let data_bytes = cursor.u32("the size of a block")?;
     Ok(last.checked_add(BLOCK_HEAD_BYTES + u64::from(data_bytes)))
 }
 
@@ -172,12 +172,12 @@ fn walk(head: &[u8], mut attribute: impl FnMut(&[u8], &[u8])) -> Result<usize> {
     if cursor.take(4, "the magic number")? != MAGIC {
         return Err(Error::invalid(FORMAT, Position::Offset(0), "expected the OpenEXR magic number"));
     }
-    let has_parts = u32::from_le_bytes(cursor.array("the version")?) & MULTIPLE_PARTS != 0;
+    let has_parts = cursor.u32("the version")? & MULTIPLE_PARTS != 0;
     loop {
         let name = name(head, &mut cursor)?;
         if !name.is_empty() {
             self::name(head, &mut cursor)?;
-            let size = u32::from_le_bytes(cursor.array("the size of an attribute")?) as usize;
+            let size = cursor.u32("the size of an attribute")? as usize;
             attribute(name, cursor.take(size, "an attribute")?);
             continue;
         }

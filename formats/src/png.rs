@@ -145,7 +145,7 @@ pub(crate) fn texts(head: &[u8]) -> Result<Vec<(String, String)>> {
     }
     let mut texts = Vec::new();
     loop {
-        let length = u32::from_le_bytes(cursor.array("the length of a chunk")?) as usize;
+        let length = cursor.u32("the length of a chunk")? as usize;
         let kind = cursor.take(4, "the kind of a chunk")?;
         if kind == b"IDAT" || kind == b"IEND" {
             return Ok(texts);

@@ -112,7 +112,7 @@ fn all_attribute_types_are_read() {
 
     let header = bgeo::header(&bytes).unwrap();
     assert_eq!(header.point_count, 2);
-    assert_eq!(header.expected_bytes, bytes.len() as u64);
+    assert_eq!(header.expected_bytes(), bytes.len() as u64);
     assert!(header.expected_bytes_is_exact);
     assert_eq!(header.attributes[2].kind, AttributeKind::Vector);
     assert_eq!(bgeo::header(&bytes[..header.points_offset]).unwrap(), header, "the points are not needed");
@@ -214,7 +214,7 @@ fn written_files_are_read_back() {
     let mut bytes = Vec::new();
     bgeo::write(&read_once, &mut bytes).unwrap();
     assert_eq!(read(&bytes).unwrap(), read_once);
-    assert_eq!(bgeo::header(&bytes).unwrap().expected_bytes, bytes.len() as u64);
+    assert_eq!(bgeo::header(&bytes).unwrap().expected_bytes(), bytes.len() as u64);
 
     let long_name = "n".repeat(40_000);
     let frame = ParticleFrame {
@@ -319,9 +319,9 @@ fn files_of_other_programs_are_read() {
         assert_eq!(found_names, names, "{path}");
         assert!(positions(&frame).as_flattened().iter().all(|x| x.is_finite() && x.abs() < 1e4), "{path}");
         let header = bgeo::header(&bytes).unwrap();
-        assert!(header.expected_bytes <= bytes.len() as u64, "{path}");
+        assert!(header.expected_bytes() <= bytes.len() as u64, "{path}");
         if header.expected_bytes_is_exact {
-            assert_eq!(header.expected_bytes, bytes.len() as u64, "{path}");
+            assert_eq!(header.expected_bytes(), bytes.len() as u64, "{path}");
         }
     }
 }

@@ -156,3 +156,24 @@ fn limits_and_missing_grids_are_errors() {
     let error = read_level_set(&bytes, Some("density"), &Limits::default()).expect_err("no such grid");
     assert!(error.to_string().contains("\"surface\" of type Tree_float_5_4_3"), "{error}");
 }
+
+#[test]
+fn misplaced_root_children_are_errors_with_their_origin() {
+    let mut bytes = Vec::new();
+    write(&solids::sphere([0.0; 3], 40.0).view(), &WriteOptions::default(), &[], &mut bytes)
+        .expect("writing to memory");
+    let encoded = |origin: [i32; 3]| origin.map(i32::to_le_bytes).concat();
+    let third = encoded([-4096, 0, -4096]);
+    let at = bytes.windows(12).position(|window| window == third).expect("a root child");
+    for (origin, expected) in [
+        ([-4096, 8, -4096], "the origin of a root child is [-4096, 8, -4096]; expected multiples of 4096"),
+        (
+            [-8192, 0, -4096],
+            "the root child at [-8192, 0, -4096] follows that at [-4096, -4096, 0]; expected",
+        ),
+    ] {
+        bytes[at..at + 12].copy_from_slice(&encoded(origin));
+        let error = read_level_set(&bytes, None, &Limits::default()).expect_err("misplaced").to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+}

@@ -7,10 +7,8 @@
 //!   0   "Bgeo" 'V' i32 5
 //!   9   i32 × 8: points, primitives, point groups, primitive groups,
 //!                point, vertex, primitive and detail attributes
-//!   41  point attribute dictionary: name, size, type, defaults or strings, for each
-//!       point records                  x y z w  Cd Cd Cd  v v v  id        f32 x y z w, then
-//!                                      x y z w  Cd Cd Cd  v v v  id        `size` words for
-//!                                      ..                                  each attribute
+//!   41  point attribute dictionary, for each: name, size, type, defaults or strings
+//!       point records, for each: x y z w (f32), then `size` words for each attribute
 //!       (primitives, detail attributes, groups: not read)
 //!       00 ff
 //! ```
@@ -29,7 +27,7 @@ use std::sync::Arc;
 
 pub use text::read_text;
 
-use crate::batches::Records;
+use crate::batches::{self, ReadAt, Records};
 use crate::bytes::{Cursor, Endian};
 use crate::columns::{roles_of, with_role};
 use crate::number::{NumberType, divided};
@@ -67,14 +65,7 @@ pub(crate) static BINARY: FormatRow = FormatRow {
     beginnings: &[MAGIC],
     particles: Some(ParticleReader {
         completeness,
-        find_records: Some(|head, file_bytes, file, limits| {
-            let header = header_within(head, limits)?;
-            let rest = match file_bytes.checked_sub(header.expected_bytes) {
-                Some(0) => crate::batches::read(file, header.points_end()..file_bytes),
-                _ => Ok(Vec::new()),
-            };
-            Ok(rest.and_then(|rest| records(&header, file_bytes, &rest).map(Some)))
-        }),
+        find_records: Some(find_records),
         ..ParticleReader::new(read)
     }),
     ..FormatRow::new(FORMAT, &["bgeo", "bhclassic"])
@@ -93,8 +84,10 @@ fn completeness(head: &[u8], file_bytes: u64) -> Result<HeadCheck> {
     let header = header(head)?;
     Ok(HeadCheck::Known(match header.point_count {
         0 => Completeness::Unknown,
-        _ if header.expected_bytes_is_exact => Completeness::of_exact_size(header.expected_bytes, file_bytes),
-        _ => Completeness::of_minimum_size(header.expected_bytes, file_bytes, Completeness::NeedsReading),
+        _ if header.expected_bytes_is_exact => {
+            Completeness::of_exact_size(header.expected_bytes(), file_bytes)
+        }
+        _ => Completeness::of_minimum_size(header.expected_bytes(), file_bytes, Completeness::NeedsReading),
     }))
 }
 
@@ -113,21 +106,24 @@ pub struct BgeoHeader {
     pub points_offset: usize,
     /// Bytes from one point to the next.
     pub record_bytes: usize,
-    /// The minimum size in bytes of a complete, uncompressed file.
-    pub expected_bytes: u64,
-    /// Whether a complete file has exactly `expected_bytes`: true if only points follow the header.
+    /// Whether a complete file has exactly [`expected_bytes`](Self::expected_bytes): if only points follow.
     pub expected_bytes_is_exact: bool,
 }
 
 impl BgeoHeader {
+    /// The minimum size in bytes of a complete, uncompressed file.
+    pub fn expected_bytes(&self) -> u64 {
+        self.points_end().saturating_add(TRAILER.len() as u64)
+    }
+
     /// Offset of the end of the points in a complete file, in bytes.
-    pub(crate) fn points_end(&self) -> u64 {
-        self.points_offset as u64 + self.points_bytes()
+    fn points_end(&self) -> u64 {
+        self.points_bytes().saturating_add(self.points_offset as u64)
     }
 
     /// Size of all points, in bytes.
     fn points_bytes(&self) -> u64 {
-        self.point_count as u64 * self.record_bytes as u64 // 31 bits × 30 bits cannot overflow
+        (self.point_count as u64).saturating_mul(self.record_bytes as u64)
     }
 }
 
@@ -171,27 +167,25 @@ pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<BgeoHeader>
     if cursor.take(MAGIC.len(), "the signature")? != MAGIC {
         return Err(Error::invalid(FORMAT, Position::Offset(0), "expected the signature BgeoV"));
     }
-    let version = i32::from_le_bytes(cursor.array("the version")?);
+    let version = cursor.i32("the version")?;
     if version != VERSION {
         return Err(Error::unsupported(
             FORMAT,
             format!("the file has version {version}; only version 5 is supported"),
         ));
     }
-    let point_count = count(&mut cursor, "points")?;
-    let primitive_count = count(&mut cursor, "primitives")?;
-    let point_group_count = count(&mut cursor, "point groups")?;
-    let primitive_group_count = count(&mut cursor, "primitive groups")?;
-    let attribute_count = count(&mut cursor, "point attributes")?;
-    let vertex_attribute_count = count(&mut cursor, "vertex attributes")?;
-    let primitive_attribute_count = count(&mut cursor, "primitive attributes")?;
-    let detail_attribute_count = count(&mut cursor, "detail attributes")?;
+    let point_count = read_count(&mut cursor, "points")?;
+    let primitive_count = read_count(&mut cursor, "primitives")?;
+    let point_group_count = read_count(&mut cursor, "point groups")?;
+    let primitive_group_count = read_count(&mut cursor, "primitive groups")?;
+    let attribute_count = read_count(&mut cursor, "point attributes")?;
+    let vertex_attribute_count = read_count(&mut cursor, "vertex attributes")?;
+    let primitive_attribute_count = read_count(&mut cursor, "primitive attributes")?;
+    let detail_attribute_count = read_count(&mut cursor, "detail attributes")?;
     limits.check_particles(FORMAT, point_count as u64)?;
-    let attributes = dictionary(&mut cursor, attribute_count, limits)?;
+    let attributes = read_dictionary(&mut cursor, attribute_count, limits)?;
 
     let words: usize = POSITION_WORDS + attributes.iter().map(|attribute| attribute.arity).sum::<usize>();
-    let record_bytes = 4 * words;
-    let points_bytes = point_count as u64 * record_bytes as u64; // 31 bits × 30 bits cannot overflow
     let counts_after = [
         primitive_count,
         point_group_count,
@@ -205,28 +199,27 @@ pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<BgeoHeader>
         primitive_count,
         attributes,
         points_offset: cursor.at(),
-        record_bytes,
-        expected_bytes: cursor.at() as u64 + points_bytes + TRAILER.len() as u64,
+        record_bytes: 4 * words,
         expected_bytes_is_exact: counts_after == [0; 6],
     })
 }
 
-fn dictionary(cursor: &mut Cursor, count: usize, limits: &Limits) -> Result<Vec<AttributeHeader>> {
+fn read_dictionary(cursor: &mut Cursor, count: usize, limits: &Limits) -> Result<Vec<AttributeHeader>> {
     const ENTRY_BYTES_MIN: usize = 8; // length of an empty name, size, type
     limits.check_attributes(FORMAT, count, "point attributes")?;
     require(cursor, count * ENTRY_BYTES_MIN, "the point attribute dictionary")?;
-    (0..count).map(|_| dictionary_entry(cursor)).collect()
+    (0..count).map(|_| read_dictionary_entry(cursor)).collect()
 }
 
-fn dictionary_entry(cursor: &mut Cursor) -> Result<AttributeHeader> {
-    let name = string(cursor, "an attribute name")?;
-    let arity = usize::from(u16::from_le_bytes(cursor.array("the size of an attribute")?));
+fn read_dictionary_entry(cursor: &mut Cursor) -> Result<AttributeHeader> {
+    let name = read_string(cursor, "an attribute name")?;
+    let arity = usize::from(cursor.u16("the size of an attribute")?);
     let type_offset = cursor.at() as u64;
-    let kind = match i32::from_le_bytes(cursor.array("the type of an attribute")?) {
+    let kind = match cursor.i32("the type of an attribute")? {
         0 => AttributeKind::Float,
         1 => AttributeKind::Int,
         5 => AttributeKind::Vector,
-        4 => AttributeKind::Strings(string_table(cursor)?),
+        4 => AttributeKind::Strings(read_string_table(cursor)?),
         kind @ (2 | 3) => {
             let word = if kind == 2 { "fixed-length string" } else { "mixed" };
             let what = format!(
@@ -249,11 +242,11 @@ fn dictionary_entry(cursor: &mut Cursor) -> Result<AttributeHeader> {
     Ok(AttributeHeader { name, arity, kind })
 }
 
-fn string_table(cursor: &mut Cursor) -> Result<Vec<String>> {
+fn read_string_table(cursor: &mut Cursor) -> Result<Vec<String>> {
     const STRING_BYTES_MIN: usize = 2; // its length
-    let count = count(cursor, "strings")?;
+    let count = read_count(cursor, "strings")?;
     require(cursor, count.saturating_mul(STRING_BYTES_MIN), "the strings of an attribute")?;
-    (0..count).map(|_| string(cursor, "a string")).collect()
+    (0..count).map(|_| read_string(cursor, "a string")).collect()
 }
 
 /// Fails unless at least `byte_count` bytes remain.
@@ -268,9 +261,9 @@ fn require(cursor: &Cursor, byte_count: usize, what: &str) -> Result<()> {
 }
 
 /// Reads a count of `items`, which must not be negative.
-fn count(cursor: &mut Cursor, items: &str) -> Result<usize> {
+fn read_count(cursor: &mut Cursor, items: &str) -> Result<usize> {
     let offset = cursor.at() as u64;
-    let count = i32::from_le_bytes(cursor.array(items)?);
+    let count = cursor.i32(items)?;
     usize::try_from(count).map_err(|_| {
         let what = format!("expected the number of {items} to be at least 0, found {count}");
         Error::invalid(FORMAT, Position::Offset(offset), what)
@@ -278,9 +271,9 @@ fn count(cursor: &mut Cursor, items: &str) -> Result<usize> {
 }
 
 /// Reads a string: a 16-bit length, or 0xffff and a 32-bit length, then the bytes.
-fn string(cursor: &mut Cursor, what: &str) -> Result<String> {
-    let length = match u16::from_le_bytes(cursor.array(what)?) {
-        0xffff => count(cursor, "characters")?,
+fn read_string(cursor: &mut Cursor, what: &str) -> Result<String> {
+    let length = match cursor.u16(what)? {
+        0xffff => read_count(cursor, "characters")?,
         short => usize::from(short),
     };
     Ok(String::from_utf8_lossy(cursor.take(length, what)?).into_owned())
@@ -292,8 +285,7 @@ fn string(cursor: &mut Cursor, what: &str) -> Result<String> {
 ///
 /// # Errors
 ///
-/// Those of [`self`], [`Error::TooLarge`] beyond `limits`, and [`Error::Truncated`] if points are
-/// missing.
+/// Those of [`header`], [`Error::TooLarge`] beyond `limits`, and [`Error::Truncated`] if points are missing.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = header_within(bytes, limits)?;
     let points_bytes = checked_points_bytes(&header, bytes.len() as u64)?;
@@ -301,29 +293,11 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     Ok(frame_of_records(header, records, rest))
 }
 
-/// The points in these records, which may be a part of those of the file.
+/// The points in these records, which may be only some of the file's. `rest` is the data after all points.
 fn frame_of_records(header: BgeoHeader, records: &[u8], rest: &[u8]) -> ParticleFrame {
-    let stride = header.record_bytes;
     let mut frame = ParticleFrame { notes: notes(&header, rest), ..ParticleFrame::default() };
-    gather_positions(records, stride, &mut frame.positions);
-    let number_of = |attribute: &AttributeHeader| match attribute.kind {
-        AttributeKind::Float | AttributeKind::Vector => NumberType::F32,
-        AttributeKind::Int | AttributeKind::Strings(_) => NumberType::I32,
-    };
-    let zeros = |attribute| number_of(attribute).zeros(records.len() / stride * attribute.arity);
-    let mut values: Vec<Values> = header.attributes.iter().map(zeros).collect();
-    let (mut targets, mut word) = (Vec::new(), POSITION_WORDS);
-    for (attribute, values) in header.attributes.iter().zip(&mut values) {
-        let end = word + attribute.arity;
-        if attribute.arity > 0 {
-            let columns = (word..end).map(|word| (word, number_of(attribute))).collect();
-            targets.push(Target { columns, slots: Slots::of_values(values) });
-        }
-        word = end;
-    }
-    let offsets: Vec<usize> = (0..stride).step_by(4).collect();
-    gather(records, RecordLayout { stride, offsets: &offsets, endian: Endian::Big }, targets);
-
+    gather_positions(records, header.record_bytes, &mut frame.positions);
+    let values = gather_values(&header, records);
     let roles = roles_of(&names_and_arities(&header));
     for ((AttributeHeader { name, arity, kind }, values), role) in
         header.attributes.into_iter().zip(values).zip(roles)
@@ -342,13 +316,52 @@ fn frame_of_records(header: BgeoHeader, records: &[u8], rest: &[u8]) -> Particle
     frame
 }
 
-/// Locates the points of a file of `file_bytes`, so that they can be read in batches. `rest` is the data
-/// after the points; the caller may pass an empty slice unless this data is exactly as long as the trailer.
+/// The values of each attribute in these records.
+fn gather_values(header: &BgeoHeader, records: &[u8]) -> Vec<Values> {
+    let stride = header.record_bytes;
+    let number_of = |attribute: &AttributeHeader| match attribute.kind {
+        AttributeKind::Float | AttributeKind::Vector => NumberType::F32,
+        AttributeKind::Int | AttributeKind::Strings(_) => NumberType::I32,
+    };
+    let zeros = |attribute| number_of(attribute).zeros(records.len() / stride * attribute.arity);
+    let mut gathered: Vec<Values> = header.attributes.iter().map(zeros).collect();
+    let (mut targets, mut word) = (Vec::new(), POSITION_WORDS);
+    for (attribute, values) in header.attributes.iter().zip(&mut gathered) {
+        let end = word + attribute.arity;
+        if attribute.arity > 0 {
+            let columns = (word..end).map(|word| (word, number_of(attribute))).collect();
+            targets.push(Target { columns, slots: Slots::of_values(values) });
+        }
+        word = end;
+    }
+    let offsets: Vec<usize> = (0..stride).step_by(4).collect();
+    gather(records, RecordLayout { stride, offsets: &offsets, endian: Endian::Big }, targets);
+    gathered
+}
+
+/// Locates the points, so that they can be read in batches.
+fn find_records(
+    head: &[u8],
+    file_bytes: u64,
+    file: &dyn ReadAt,
+    limits: &Limits,
+) -> Result<Result<Option<Records>>> {
+    let header = header_within(head, limits)?;
+    // Only compared with the trailer, so data of another length is not read.
+    let rest = if file_bytes == header.expected_bytes() {
+        batches::read(file, header.points_end()..file_bytes)
+    } else {
+        Ok(Vec::new())
+    };
+    Ok(rest.and_then(|rest| locate_records(&header, file_bytes, &rest).map(Some)))
+}
+
+/// The records of a file of `file_bytes`.
 ///
 /// # Errors
 ///
 /// Those of [`read`] that do not concern the header.
-fn records(header: &BgeoHeader, file_bytes: u64, rest: &[u8]) -> Result<Records> {
+fn locate_records(header: &BgeoHeader, file_bytes: u64, rest: &[u8]) -> Result<Records> {
     checked_points_bytes(header, file_bytes)?;
     let (of_batch, rest, stride) = (header.clone(), rest.to_vec(), header.record_bytes);
     Ok(Records {
@@ -397,7 +410,7 @@ fn notes(header: &BgeoHeader, rest: &[u8]) -> Vec<String> {
     notes
 }
 
-/// Replaces the positions by those of the records.
+/// Replaces the positions by those of the records, in the same allocation.
 fn gather_positions(records: &[u8], stride: usize, positions: &mut FilePositions) {
     let mut gathered = match std::mem::take(positions) {
         FilePositions::F32(gathered) => gathered,
@@ -416,7 +429,8 @@ fn gather_positions(records: &[u8], stride: usize, positions: &mut FilePositions
 fn clear_strings_outside(indices: &mut [i32], count: usize, name: &str) -> Option<String> {
     let mut outside_count = 0usize;
     for index in indices {
-        if usize::try_from(*index).map_or(true, |index| count <= index) {
+        let is_inside = usize::try_from(*index).is_ok_and(|index| index < count);
+        if !is_inside {
             outside_count += usize::from(*index != -1);
             *index = -1;
         }
@@ -510,6 +524,7 @@ fn write_dictionary_entry(attribute: &FileAttribute, out: &mut impl Write) -> Re
 }
 
 fn write_string(string: &str, out: &mut impl Write) -> Result<()> {
+    // Readers may take the 16-bit length as signed.
     match i16::try_from(string.len()) {
         Ok(length) => out.write_all(&length.to_be_bytes())?,
         Err(_) => {
@@ -552,8 +567,8 @@ fn encode_values(attribute: &FileAttribute, point: usize, record: &mut Vec<u8>) 
         }
         Values::I64(values) => {
             // All values were checked to fit.
-            let narrow = |&value: &i64| i32::try_from(value).unwrap_or(i32::MAX).to_be_bytes();
-            record.extend(values[range].iter().flat_map(narrow));
+            let to_i32 = |&value: &i64| i32::try_from(value).unwrap_or(i32::MAX).to_be_bytes();
+            record.extend(values[range].iter().flat_map(to_i32));
         }
     }
 }

@@ -610,6 +610,6 @@ fn index(bytes: &[u8]) -> Result<Index<'_>> {
 
 /// Reads a size or an offset in bytes. Saturates: a value beyond the address space is invalid anyway.
 fn length(cursor: &mut Cursor) -> Result<usize> {
-    let length = u64::from_le_bytes(cursor.array("a length")?);
+    let length = cursor.u64("a length")?;
     Ok(usize::try_from(length).unwrap_or(usize::MAX))
 }

@@ -331,7 +331,7 @@ impl<'a> Binary<'a> {
 
     pub(super) fn next(&mut self) -> Result<Option<JsonToken<'a>>> {
         while self.cursor.remaining() != 0 {
-            let [code] = self.cursor.array("a token")?;
+            let code = self.cursor.u8("a token")?;
             match code {
                 0x2b => self.define()?,
                 0x2d => {
@@ -363,7 +363,7 @@ impl<'a> Binary<'a> {
             0x00 => JsonToken::Null,
             0x5b | 0x7b => JsonToken::Open,
             0x5d | 0x7d => JsonToken::Close,
-            0x10 => JsonToken::Bool(self.cursor.array::<1>("a boolean")? != [0]),
+            0x10 => JsonToken::Bool(self.cursor.u8("a boolean")? != 0),
             0x30 => JsonToken::Bool(false),
             0x31 => JsonToken::Bool(true),
             0x26 => JsonToken::Text(self.word()?),
@@ -397,7 +397,7 @@ impl<'a> Binary<'a> {
 
     /// Reads a uniform array.
     fn uniform(&mut self) -> Result<JsonToken<'a>> {
-        let [code] = self.cursor.array("the type of an array")?;
+        let code = self.cursor.u8("the type of an array")?;
         let at = self.cursor.at();
         let count = self.length()?;
         let too_many = |cursor: &Cursor| {
@@ -481,12 +481,12 @@ impl<'a> Binary<'a> {
     }
 
     fn length(&mut self) -> Result<u64> {
-        let [lead] = self.cursor.array("a length")?;
+        let lead = self.cursor.u8("a length")?;
         Ok(match lead {
             0..=0xf0 => lead.into(),
-            0xf2 => u16::from_le_bytes(self.cursor.array("a length")?).into(),
-            0xf4 => u32::from_le_bytes(self.cursor.array("a length")?).into(),
-            0xf8 => u64::from_le_bytes(self.cursor.array("a length")?),
+            0xf2 => self.cursor.u16("a length")?.into(),
+            0xf4 => self.cursor.u32("a length")?.into(),
+            0xf8 => self.cursor.u64("a length")?,
             _ => return Err(self.cursor.invalid(format!("expected a length, found 0x{lead:02x}"))),
         })
     }

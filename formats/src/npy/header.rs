@@ -166,10 +166,10 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<ArrayHeader> {
     if cursor.take(MAGIC.len(), "the signature")? != MAGIC {
         return Err(Error::invalid(FORMAT, Position::Offset(0), "expected the signature \\x93NUMPY"));
     }
-    let [major, minor] = [cursor.array::<1>("the version")?[0], cursor.array::<1>("the version")?[0]];
+    let [major, minor] = [cursor.u8("the version")?, cursor.u8("the version")?];
     let length = match (major, minor) {
-        (1, 0) => u32::from(u16::from_le_bytes(cursor.array("the header's length")?)),
-        (2 | 3, 0) => u32::from_le_bytes(cursor.array("the header's length")?),
+        (1, 0) => u32::from(cursor.u16("the header's length")?),
+        (2 | 3, 0) => cursor.u32("the header's length")?,
         _ => {
             let what = format!("the format version is {major}.{minor}; only 1.0 to 3.0 are supported");
             return Err(Error::unsupported(FORMAT, what));

@@ -463,22 +463,22 @@ fn members(bytes: &[u8], limits: &Limits) -> Result<Vec<ArchiveMember>> {
 fn directory(bytes: &[u8]) -> Result<(u64, u64)> {
     let at = end_of_directory(bytes)?;
     let mut end = Cursor::new(ARCHIVE, Endian::Little, bytes, at + 10);
-    let count = u64::from(u16::from_le_bytes(end.array("the number of members")?));
+    let count = u64::from(end.u16("the number of members")?);
     end.take(4, "the size of the central directory")?;
-    let offset = u64::from(u32::from_le_bytes(end.array("the offset of the central directory")?));
+    let offset = u64::from(end.u32("the offset of the central directory")?);
     let locator = at.checked_sub(END_64_LOCATOR_BYTES).filter(|&at| bytes[at..].starts_with(END_64_LOCATOR));
     let Some(locator) = locator else { return Ok((count, offset)) };
     let mut locator = Cursor::new(ARCHIVE, Endian::Little, bytes, locator + 8);
-    let at = u64::from_le_bytes(locator.array("the offset of the end")?);
+    let at = locator.u64("the offset of the end")?;
     let at = usize::try_from(at).unwrap_or(usize::MAX).min(bytes.len());
     let mut end = Cursor::new(ARCHIVE, Endian::Little, bytes, at);
     if end.take(4, "the end of the central directory").map_err(as_invalid)? != END_64 {
         return Err(end.invalid("expected the end of the central directory"));
     }
     end.take(28, "the end of the central directory").map_err(as_invalid)?;
-    let count = u64::from_le_bytes(end.array("the number of members").map_err(as_invalid)?);
+    let count = end.u64("the number of members").map_err(as_invalid)?;
     end.take(8, "the size of the central directory").map_err(as_invalid)?;
-    Ok((count, u64::from_le_bytes(end.array("the offset of the central directory").map_err(as_invalid)?)))
+    Ok((count, end.u64("the offset of the central directory").map_err(as_invalid)?))
 }
 
 /// The offset of the end record of the central directory. Only a comment can follow that record.
@@ -513,19 +513,19 @@ fn member(cursor: &mut Cursor) -> Result<ArchiveMember> {
         return Err(cursor.invalid("expected an entry of the central directory"));
     }
     cursor.take(4, "the versions")?;
-    let flags = u16::from_le_bytes(cursor.array("the flags")?);
-    let method = u16::from_le_bytes(cursor.array("the method")?);
+    let flags = cursor.u16("the flags")?;
+    let method = cursor.u16("the method")?;
     cursor.take(4, "the time")?;
-    let checksum = u32::from_le_bytes(cursor.array("the checksum")?);
-    let packed_bytes = u32::from_le_bytes(cursor.array("the compressed size")?);
-    let bytes = u32::from_le_bytes(cursor.array("the size")?);
+    let checksum = cursor.u32("the checksum")?;
+    let packed_bytes = cursor.u32("the compressed size")?;
+    let bytes = cursor.u32("the size")?;
     let [name, extra, comment] = [
-        u16::from_le_bytes(cursor.array("the length of the name")?),
-        u16::from_le_bytes(cursor.array("the length of the extra field")?),
-        u16::from_le_bytes(cursor.array("the length of the comment")?),
+        cursor.u16("the length of the name")?,
+        cursor.u16("the length of the extra field")?,
+        cursor.u16("the length of the comment")?,
     ];
     cursor.take(8, "the attributes")?;
-    let local_offset = u32::from_le_bytes(cursor.array("the offset")?);
+    let local_offset = cursor.u32("the offset")?;
     let name = String::from_utf8_lossy(cursor.take(name.into(), "the name")?).into_owned();
     let extra = cursor.take(extra.into(), "the extra field")?;
     cursor.take(comment.into(), "the comment")?;
@@ -602,8 +602,8 @@ impl ArchiveMember {
             return Err(cursor.invalid(format!("expected the header of `{}`", excerpt(&self.name))));
         }
         cursor.take(22, "the header of a member")?;
-        let name = u16::from_le_bytes(cursor.array("the length of the name")?);
-        let extra = u16::from_le_bytes(cursor.array("the length of the extra field")?);
+        let name = cursor.u16("the length of the name")?;
+        let extra = cursor.u16("the length of the extra field")?;
         cursor.take(usize::from(name) + usize::from(extra), "the name of a member")?;
         cursor.take(usize::try_from(self.packed_bytes).unwrap_or(usize::MAX), "a member")
     }

@@ -192,7 +192,7 @@ impl<'a> UsdcLayer<'a> {
         let mut cursor = self.source.at(offset)?;
         let mut origin = [0.0; 3];
         for part in &mut origin {
-            *part = f64::from_le_bytes(cursor.array(name)?);
+            *part = cursor.f64(name)?;
         }
         Ok(origin)
     }
@@ -283,7 +283,7 @@ fn int64(source: &Source, value: ValueRep) -> Result<u64> {
         return Ok(value.into());
     }
     let offset = value.offset(ValueType::Int64).ok_or_else(|| unexpected(what))?;
-    Ok(u64::from_le_bytes(source.at(offset)?.array(what)?))
+    source.at(offset)?.u64(what)
 }
 
 fn values_of(source: &Source, spec: &Spec) -> Result<PropertyValues> {
@@ -551,20 +551,20 @@ impl<'a> Source<'a> {
             return Ok(floats(self.elements(&mut cursor, count, 4 * arity, what)?));
         }
         let at = cursor.clone();
-        match cursor.array::<1>(what)? {
-            [AS_INTEGERS] => {
+        match cursor.u8(what)? {
+            AS_INTEGERS => {
                 let integers: Vec<i32> = self.integers(&mut cursor, count, what)?;
                 Ok(integers.into_iter().map(|value| value as f32).collect())
             }
-            [AS_TABLE] => {
-                let length = u32::from_le_bytes(cursor.array(what)?) as usize;
+            AS_TABLE => {
+                let length = cursor.u32(what)? as usize;
                 let table = floats(self.elements(&mut cursor, length, 4, what)?);
                 let indices: Vec<i32> = self.integers(&mut cursor, count, what)?;
                 let value = |index: i32| table.get(usize::try_from(index).ok()?).copied();
                 let values: Option<Vec<f32>> = indices.into_iter().map(value).collect();
                 values.ok_or_else(|| at.invalid(format!("an index of {what} is beyond the end of its table")))
             }
-            [code] => Err(at.invalid(format!("unknown compression {code} of {what}"))),
+            code => Err(at.invalid(format!("unknown compression {code} of {what}"))),
         }
     }
 
@@ -591,7 +591,7 @@ impl<'a> Source<'a> {
 /// Reads a 64-bit count.
 pub(super) fn count(cursor: &mut Cursor, what: &str) -> Result<usize> {
     let at = cursor.clone();
-    let count = u64::from_le_bytes(cursor.array(what)?);
+    let count = cursor.u64(what)?;
     usize::try_from(count).map_err(|_| at.invalid(format!("{count} {what} are more than a file can hold")))
 }
 

@@ -466,7 +466,7 @@ impl LayerTables {
         let mut entries = Vec::new();
         for _ in 0..count(&mut cursor, what)? {
             let at = cursor.clone();
-            let key = u32::from_le_bytes(cursor.array(what)?);
+            let key = cursor.u32(what)?;
             let key = self.string(key).ok_or_else(|| at.invalid(format!("there is no string {key}")))?;
             source.claim(1, size_of::<(&str, ValueRep)>())?;
             entries.push((key, value_here(&mut cursor, what)?));
@@ -478,12 +478,12 @@ impl LayerTables {
 /// Reads an offset, which must lead to the bytes just after it, and the value there.
 pub(super) fn value_here(cursor: &mut Cursor, what: &str) -> Result<ValueRep> {
     no_gap(cursor, what)?;
-    Ok(ValueRep(u64::from_le_bytes(cursor.array(what)?)))
+    Ok(ValueRep(cursor.u64(what)?))
 }
 
 /// Skips an offset, which must lead to the bytes just after it.
 pub(super) fn no_gap(cursor: &mut Cursor, what: &str) -> Result<()> {
-    match i64::from_le_bytes(cursor.array(what)?) {
+    match cursor.i64(what)? {
         8 => Ok(()),
         _ => Err(Error::unsupported(FORMAT, format!("this file has nested {what}: {NOT_OURS}"))),
     }

@@ -21,6 +21,7 @@
 //! This work is based on:
 //! the file format of OpenVDB 10, <https://www.openvdb.org>
 
+mod flood;
 mod read;
 mod read_tree;
 mod tree;

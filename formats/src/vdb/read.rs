@@ -326,7 +326,7 @@ struct FileHeader {
 fn read_header(cursor: &mut Cursor) -> Result<FileHeader> {
     const DESCRIPTOR_BYTES_MIN: usize = 36;
     const GRID_COUNT_MAX: usize = 1 << 16; // real files have a dozen
-    if cursor.array::<8>("the magic number")? != MAGIC {
+    if cursor.take(MAGIC.len(), "the magic number")? != MAGIC {
         return Err(Error::invalid(FORMAT, Position::Offset(0), "expected the OpenVDB magic number"));
     }
     let version = cursor.u32("the file version")?;
@@ -368,7 +368,7 @@ fn read_descriptor(cursor: &mut Cursor) -> Result<Descriptor> {
     let name = cursor.string("the name of a grid")?;
     let type_name = cursor.string("the type of a grid")?;
     let instance_parent = cursor.string("the instance parent of a grid")?;
-    let mut position = || cursor.array("an offset of a grid").map(u64::from_le_bytes);
+    let mut position = || cursor.u64("an offset of a grid");
     let (grid_start, _buffers_start, end) = (position()?, position()?, position()?);
     Ok(Descriptor { name, type_name, instance_parent, grid_start, end })
 }
@@ -478,30 +478,6 @@ pub(super) fn cursor_of(bytes: &[u8]) -> Cursor<'_> {
 }
 
 impl Cursor<'_> {
-    pub(super) fn u8(&mut self, what: &str) -> Result<u8> {
-        Ok(self.array::<1>(what)?[0])
-    }
-
-    pub(super) fn u32(&mut self, what: &str) -> Result<u32> {
-        Ok(u32::from_le_bytes(self.array(what)?))
-    }
-
-    pub(super) fn i32(&mut self, what: &str) -> Result<i32> {
-        Ok(i32::from_le_bytes(self.array(what)?))
-    }
-
-    pub(super) fn i64(&mut self, what: &str) -> Result<i64> {
-        Ok(i64::from_le_bytes(self.array(what)?))
-    }
-
-    pub(super) fn f32(&mut self, what: &str) -> Result<f32> {
-        Ok(f32::from_le_bytes(self.array(what)?))
-    }
-
-    pub(super) fn f64(&mut self, what: &str) -> Result<f64> {
-        Ok(f64::from_le_bytes(self.array(what)?))
-    }
-
     pub(super) fn coord(&mut self, what: &str) -> Result<[i32; 3]> {
         Ok([self.i32(what)?, self.i32(what)?, self.i32(what)?])
     }

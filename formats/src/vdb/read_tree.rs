@@ -1,15 +1,15 @@
 //! Reads the tree of a grid of floats or of three-component vectors.
 //!
 //! The topology comes first: the root's background, tiles and children, depth first down to the masks of the
-//! leaves. Then come the values of the leaves in the same order. A block of values may omit those of inactive
-//! voxels, which are + or − background, or one or two values that the block states. The reader restores them.
+//! leaves. Then come the values of the leaves in the same order. A block of values may omit inactive slots:
+//! their values are + or − background, or one or two values that the block states.
 
 use half::f16;
 
 use super::{
     COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, COMPRESS_ZIP, FORMAT, LEAF_LOG2, MetaValue, NODE4_LOG2,
     NODE4_VOXELS_LOG2, NODE5_LOG2, NODE5_VOXELS_LOG2, Transform, count_ones, inactive, is_on, ones,
-    slot_coord, slot_of,
+    slot_coord,
 };
 use crate::blosc::{decode_frame, inflate_into};
 use crate::bytes::Cursor;
@@ -53,7 +53,7 @@ impl GridData<f32> {
     }
 }
 
-/// The size of a tree of floats.
+/// The size of a tree.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct TreeSize {
     pub(super) leaf_count: usize,
@@ -61,11 +61,12 @@ pub(super) struct TreeSize {
 }
 
 impl TreeSize {
-    /// The contents of the tree, in words.
+    /// A clause of a message, between commas.
     pub(super) fn described(self) -> String {
         format!(", with {} leaves and {} tiles,", self.leaf_count, self.tile_count)
     }
 
+    /// Memory needed to read and use a tree of floats of this size, in bytes.
     pub(super) fn memory_bytes(self) -> u64 {
         self.leaf_count as u64 * LEAF_BYTES + self.tile_count as u64 * TILE_BYTES
     }
@@ -196,39 +197,6 @@ pub(super) fn outline_of_tree<V: VoxelValue>(
     Ok((reader.background, reader.data.origins, reader.size))
 }
 
-/// Reads the topology of a tree, but not the values of its leaves, which follow.
-fn read_topology<V: VoxelValue>(reader: &mut TreeReader<V>, cursor: &mut Cursor) -> Result<()> {
-    const CHILD_BYTES_MIN: usize = 12 + 2 * 4096 + 1;
-    let tile_bytes = 12 + 4 * V::COUNT + 1;
-    let tile_count = cursor.u32("the number of root tiles")? as usize;
-    let child_count = cursor.u32("the number of root children")? as usize;
-    let fits = tile_count.checked_mul(tile_bytes).zip(child_count.checked_mul(CHILD_BYTES_MIN));
-    if fits.and_then(|(tiles, children)| tiles.checked_add(children)).is_none_or(|n| n > cursor.remaining()) {
-        let what = format!(
-            "the grid declares {tile_count} root tiles and {child_count} children, more than fit into the file"
-        );
-        return Err(cursor.invalid(what));
-    }
-    for _ in 0..tile_count {
-        let origin = cursor.coord("a root tile")?;
-        let value = V::read(cursor, "a root tile")?;
-        let active = cursor.u8("a root tile")? != 0;
-        reader.push_tile(ConstantTile { origin, size: 1 << NODE5_VOXELS_LOG2, value, active })?;
-    }
-    let mut last = None;
-    for _ in 0..child_count {
-        let origin = cursor.coord("a root child")?;
-        if origin.iter().any(|c| c & 4095 != 0) || last.is_some_and(|last| origin <= last) {
-            return Err(cursor.invalid(format!(
-                "root child {origin:?} follows {last:?}; origins must be ascending multiples of 4096"
-            )));
-        }
-        last = Some(origin);
-        reader.read_node(cursor, origin, NODE5_LOG2, NODE4_VOXELS_LOG2)?;
-    }
-    Ok(())
-}
-
 fn empty<V>(background: V) -> GridData<V> {
     GridData {
         name: String::new(),
@@ -281,23 +249,75 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
         let background = V::read(cursor, "the background")?;
         let (size, data) = (TreeSize::default(), empty(background));
         let mut reader = TreeReader { background, storage, budget, keep, size, data, scratch: Vec::new() };
-        read_topology(&mut reader, cursor)?;
+        reader.read_root(cursor)?;
         Ok(reader)
     }
 
-    /// Reads an internal node and its descendants, down to the masks of the leaves.
-    fn read_node(&mut self, cursor: &mut Cursor, origin: [i32; 3], log2: u32, child_log2: u32) -> Result<()> {
-        let slot_count = 1 << (3 * log2);
+    /// Reads the tiles and the children of the root, down to the masks of the leaves.
+    fn read_root(&mut self, cursor: &mut Cursor) -> Result<()> {
+        const CHILD_EDGE: i32 = 1 << NODE5_VOXELS_LOG2;
+        const MASK_BYTES: usize = (1 << (3 * NODE5_LOG2)) / 8;
+        const CHILD_BYTES_MIN: usize = 12 + 2 * MASK_BYTES + 1; // origin, masks, kind of values
+        let tile_bytes = 12 + 4 * V::COUNT + 1; // origin, value, whether it is active
+        let tile_count = cursor.u32("the number of root tiles")? as usize;
+        let child_count = cursor.u32("the number of root children")? as usize;
+        let all_tiles_bytes = tile_count.checked_mul(tile_bytes);
+        let children_bytes = child_count.checked_mul(CHILD_BYTES_MIN);
+        let needed_bytes =
+            all_tiles_bytes.zip(children_bytes).and_then(|(tiles, rest)| tiles.checked_add(rest));
+        if needed_bytes.is_none_or(|needed| needed > cursor.remaining()) {
+            let what = format!(
+                "the grid declares {tile_count} root tiles and {child_count} children, more than fit into the file"
+            );
+            return Err(cursor.invalid(what));
+        }
+        for _ in 0..tile_count {
+            let origin = cursor.coord("a root tile")?;
+            let value = V::read(cursor, "a root tile")?;
+            let active = cursor.u8("a root tile")? != 0;
+            self.push_tile(ConstantTile { origin, size: CHILD_EDGE, value, active })?;
+        }
+        let mut last = None;
+        for _ in 0..child_count {
+            let origin = cursor.coord("a root child")?;
+            if origin.iter().any(|along| along % CHILD_EDGE != 0) {
+                return Err(cursor.invalid(format!(
+                    "the origin of a root child is {origin:?}; expected multiples of {CHILD_EDGE}"
+                )));
+            }
+            if let Some(last) = last
+                && origin <= last
+            {
+                return Err(cursor.invalid(format!(
+                    "the root child at {origin:?} follows that at {last:?}; expected ascending origins"
+                )));
+            }
+            last = Some(origin);
+            self.read_node(cursor, origin, NODE5_LOG2, NODE4_VOXELS_LOG2)?;
+        }
+        Ok(())
+    }
+
+    /// Reads an internal node and its descendants, down to the masks of the leaves. It has 2^`slots_log2`
+    /// slots of 2^`child_voxels_log2` voxels along an edge.
+    fn read_node(
+        &mut self,
+        cursor: &mut Cursor,
+        origin: [i32; 3],
+        slots_log2: u32,
+        child_voxels_log2: u32,
+    ) -> Result<()> {
+        let slot_count = 1 << (3 * slots_log2);
         let children = cursor.mask(slot_count / 64, "the children of a node")?;
         let active = cursor.mask(slot_count / 64, "the active tiles of a node")?;
         let mut values = vec![V::ZERO; slot_count];
         self.read_values(cursor, &active, &mut values)?;
         for (slot, &value) in values.iter().enumerate() {
             if !is_on(&children, slot) {
-                let origin = child_origin(origin, slot, log2, child_log2);
+                let origin = child_origin(origin, slot, slots_log2, child_voxels_log2);
                 self.push_tile(ConstantTile {
                     origin,
-                    size: 1 << child_log2,
+                    size: 1 << child_voxels_log2,
                     value,
                     active: is_on(&active, slot),
                 })?;
@@ -305,10 +325,10 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
         }
         drop(values);
         for slot in ones(&children) {
-            let origin = child_origin(origin, slot, log2, child_log2);
-            if child_log2 == LEAF_LOG2 {
+            let origin = child_origin(origin, slot, slots_log2, child_voxels_log2);
+            if child_voxels_log2 == LEAF_LOG2 {
                 cursor.take(64, "the mask of a leaf")?; // repeated with the leaf's values
-                self.budget.spend(12 + 2048 * V::COUNT + 64)?;
+                self.budget.spend(size_of::<[i32; 3]>() + size_of::<[V; 512]>() + size_of::<[u64; 8]>())?;
                 self.size.leaf_count += 1;
                 if self.keep != Keep::Counts {
                     self.data.origins.push(origin);
@@ -348,14 +368,18 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
     /// Reads a block of values and restores the inactive ones that it omits.
     fn read_values(&mut self, cursor: &mut Cursor, active: &[u64], out: &mut [V]) -> Result<()> {
         let case = cursor.u8("the kind of a block of values")?;
-        let (mut off, mut on) = (self.background, self.background);
+        let (mut unselected, mut selected) = (self.background, self.background);
         match case {
             inactive::PLUS_BACKGROUND | inactive::ALL_VALUES => {}
-            inactive::MINUS_BACKGROUND | inactive::MASK_OF_BACKGROUNDS => off = self.background.negative(),
-            inactive::ONE_VALUE | inactive::MASK_AND_ONE_VALUE => off = V::read(cursor, "an inactive value")?,
+            inactive::MINUS_BACKGROUND | inactive::MASK_OF_BACKGROUNDS => {
+                unselected = self.background.negative()
+            }
+            inactive::ONE_VALUE | inactive::MASK_AND_ONE_VALUE => {
+                unselected = V::read(cursor, "an inactive value")?
+            }
             inactive::MASK_AND_TWO_VALUES => {
-                off = V::read(cursor, "an inactive value")?;
-                on = V::read(cursor, "an inactive value")?;
+                unselected = V::read(cursor, "an inactive value")?;
+                selected = V::read(cursor, "an inactive value")?;
             }
             _ => {
                 return Err(
@@ -383,13 +407,11 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
         self.read_chunk(cursor, V::flat(packed))?;
         let mut next = packed.iter();
         for (slot, value) in out.iter_mut().enumerate() {
-            *value = match next.as_slice().first() {
-                Some(&first) if is_on(active, slot) => {
-                    next.next();
-                    first
-                }
-                _ if has_mask && is_on(&selection, slot) => on,
-                _ => off,
+            let stored = if is_on(active, slot) { next.next() } else { None };
+            *value = match stored {
+                Some(&stored) => stored,
+                None if has_mask && is_on(&selection, slot) => selected,
+                None => unselected,
             };
         }
         Ok(())
@@ -451,117 +473,7 @@ impl<'a, V: VoxelValue> TreeReader<'a, V> {
 
 /// The minimum voxel of the child in a slot. The addition never wraps, because `origin` is a multiple of the
 /// node's size.
-fn child_origin(origin: [i32; 3], slot: usize, log2: u32, child_log2: u32) -> [i32; 3] {
-    let local = slot_coord(slot, log2);
-    std::array::from_fn(|axis| origin[axis].wrapping_add(local[axis] << child_log2))
-}
-
-// Determines which of the empty regions are inside.
-//
-// A narrow band stores leaves only near the surface. The regions between them are entirely outside or
-// inside, and a file must record which, in as few tiles as possible.
-//
-//   one row of leaves along z          . . [+-] = = = [-+] . . [+-][-+] . .
-//                                           │   inside  │
-//                                    its last face   its first face
-//                                    is negative     is negative
-//
-// A gap between two leaves of a row is inside if both faces next to it are. A surface cannot cross a gap
-// without leaves there, so for a closed surface the two faces agree. For a surface with holes, a gap where
-// they disagree stays outside, so the error stays within one row instead of flooding the world.
-//
-// The same rule applies at all levels of the tree. An inside gap that crosses a face of a parent counts as
-// one vote that this face is inside; then the parents are the cells of the next level. No level visits
-// voxels or cells that are not stored, so the time depends on the number of leaves and not on the volume.
-
-/// A stored part of the grid: a leaf, or a node that contains some.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct FloodCell {
-    /// Position, in cells of this level.
-    pub(super) coord: [i32; 3],
-    /// Whether the region just before it along z is inside.
-    pub(super) low_inside: bool,
-    /// Whether the region just after it along z is inside.
-    pub(super) high_inside: bool,
-}
-
-/// An inside gap in a row along z: between two cells, excluding both.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct InsideGap {
-    pub(super) xy: [i32; 2],
-    pub(super) after: i32,
-    pub(super) before: i32,
-}
-
-/// A node of the next level, with the slots that lie in inside gaps.
-#[derive(Clone, Debug)]
-pub(super) struct Parent {
-    /// Position, in nodes of this level.
-    pub(super) coord: [i32; 3],
-    /// One bit per slot without a cell: whether it is inside.
-    pub(super) inside: Vec<u64>,
-    low_votes: u32,
-    high_votes: u32,
-}
-
-impl Parent {
-    /// The node as a cell of the next level: a face is inside if most rows through it are.
-    pub(super) fn as_cell(&self, log2: u32) -> FloodCell {
-        let rows = 1 << (2 * log2);
-        FloodCell {
-            coord: self.coord,
-            low_inside: 2 * self.low_votes > rows,
-            high_inside: 2 * self.high_votes > rows,
-        }
-    }
-
-    /// Marks a slot as inside.
-    pub(super) fn insert(&mut self, slot: usize) {
-        self.inside[slot >> 6] |= 1 << (slot & 63);
-    }
-
-    /// Marks a run of slots along z. It lies in a single word, because rows have 16 or 32 slots.
-    fn insert_row(&mut self, first_slot: usize, count: i32) {
-        self.inside[first_slot >> 6] |= ((1 << count) - 1) << (first_slot & 63);
-    }
-}
-
-/// The parents of `cells`, with the slots in inside gaps. The cells must be sorted by x, then y, then z; the
-/// parents have the same order.
-pub(super) fn parents(cells: &[FloodCell], log2: u32) -> Vec<Parent> {
-    let edge = 1 << log2;
-    let mut coords: Vec<[i32; 3]> = cells.iter().map(|cell| cell.coord.map(|c| c >> log2)).collect();
-    coords.sort_unstable();
-    coords.dedup();
-    let words = (1 << (3 * log2)) / 64;
-    let mut parents: Vec<Parent> = coords
-        .into_iter()
-        .map(|coord| Parent { coord, inside: vec![0; words], low_votes: 0, high_votes: 0 })
-        .collect();
-    for InsideGap { xy: [x, y], after, before } in inside_gaps(cells) {
-        let index_at = |parents: &[Parent], z: i32| {
-            let coord = [x >> log2, y >> log2, z >> log2];
-            parents.partition_point(|parent| parent.coord < coord)
-        };
-        let (first, last) = (index_at(&parents, after), index_at(&parents, before));
-        for (index, parent) in parents.iter_mut().enumerate().take(last + 1).skip(first) {
-            let start = parent.coord[2] << log2;
-            let (low, high) = (index > first, index < last);
-            let from = if low { 0 } else { after - start + 1 };
-            let to = if high { edge } else { before - start };
-            parent.insert_row(slot_of([x, y, start + from], log2), to - from);
-            parent.low_votes += u32::from(low);
-            parent.high_votes += u32::from(high);
-        }
-    }
-    parents
-}
-
-/// The inside gaps between cells, which must be sorted by x, then y, then z.
-pub(super) fn inside_gaps(cells: &[FloodCell]) -> impl Iterator<Item = InsideGap> + '_ {
-    cells.windows(2).filter_map(|pair| {
-        let ([ax, ay, az], [bx, by, bz]) = (pair[0].coord, pair[1].coord);
-        let inside = ax == bx && ay == by && bz - az > 1 && pair[0].high_inside && pair[1].low_inside;
-        inside.then_some(InsideGap { xy: [ax, ay], after: az, before: bz })
-    })
+fn child_origin(origin: [i32; 3], slot: usize, slots_log2: u32, child_voxels_log2: u32) -> [i32; 3] {
+    let local = slot_coord(slot, slots_log2);
+    std::array::from_fn(|axis| origin[axis].wrapping_add(local[axis] << child_voxels_log2))
 }

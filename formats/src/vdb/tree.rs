@@ -11,7 +11,7 @@ use half::f16;
 use half::slice::HalfFloatSliceExt;
 use rayon::prelude::*;
 
-use super::read_tree::{FloodCell, Parent, inside_gaps, parents};
+use super::flood::{FloodCell, Parent, inside_gaps, parents};
 use super::write::{Digest, digest};
 use super::{
     Compression, NODE4_LOG2, NODE5_LOG2, NODE5_VOXELS_LOG2, count_ones, inactive, is_on, ones, slot_coord,
@@ -87,7 +87,7 @@ impl GridTree {
 
         let bare: Vec<FloodCell> = cells5.iter().map(|&(cell, ..)| cell).collect();
         let gaps = inside_gaps(&bare)
-            .flat_map(|gap| (gap.after + 1..gap.before).map(move |z| [gap.xy[0], gap.xy[1], z]));
+            .flat_map(|gap| (gap.low_cell + 1..gap.high_cell).map(move |z| [gap.xy[0], gap.xy[1], z]));
         let tiles = nodes5.iter().filter(|node| node.tile() == Some(true)).map(|node| node.parent.coord);
         let mut tiles: Vec<[i32; 3]> =
             gaps.chain(tiles).map(|coord| coord.map(|c| c << NODE5_VOXELS_LOG2)).collect();

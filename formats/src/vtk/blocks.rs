@@ -176,8 +176,8 @@ impl<'a> ArrayDecoder<'a> {
     fn words(&self, header: &[u8]) -> Vec<u64> {
         let mut cursor = Cursor::new(XML, self.encoding.endian, header, 0);
         let word = || match self.encoding.header_word_bytes {
-            8 => cursor.array("a header").ok().map(u64::from_le_bytes),
-            _ => cursor.array("a header").ok().map(|word| u32::from_le_bytes(word).into()),
+            8 => cursor.u64("a header").ok(),
+            _ => cursor.u32("a header").ok().map(u64::from),
         };
         std::iter::from_fn(word).collect()
     }

@@ -10,7 +10,7 @@ use rustc_hash::FxHashSet;
 
 use super::{CHUNK, NO_PARTICLE, NumericAttribute, TransferSource};
 use crate::cancel::checkpoint;
-use crate::grid::{Leaf, NO_LEAF, Topology, offset_in_leaf};
+use crate::grid::{Leaf, NO_LEAF, Topology, neighbor_slot, offset_in_leaf};
 use crate::level_set::NarrowBand;
 use crate::neighbors::{NeighborPackets, Particle8};
 use crate::parallel::Loops as _;
@@ -285,12 +285,9 @@ impl Kernel for ActiveRows<'_> {
 /// These voxels may be in a previous leaf.
 fn needed_of(topology: &Topology, active: &[[u8; 64]], leaf: usize) -> u64 {
     let around = topology.neighborhood(leaf);
-    let row = |x: i32, y: i32, leaf_z: i32| {
-        let step = IVec3::new(i32::from(x >= 0), i32::from(y >= 0), 1 + leaf_z);
-        match around[(9 * step.x + 3 * step.y + step.z) as usize] {
-            NO_LEAF => 0,
-            leaf => active[leaf as usize][((x & 7) << 3 | y & 7) as usize],
-        }
+    let row = |x: i32, y: i32, leaf_z: i32| match around[neighbor_slot(IVec3::new(x >> 3, y >> 3, leaf_z))] {
+        NO_LEAF => 0,
+        leaf => active[leaf as usize][((x & 7) << 3 | y & 7) as usize],
     };
     let mut columns = [[0u8; 9]; 9];
     for (x, columns) in (-1..).zip(&mut columns) {

@@ -20,7 +20,7 @@
 
 use glam::{IVec3, Vec3};
 
-use crate::grid::{Field, Leaf, LeafMask, NO_LEAF, Topology};
+use crate::grid::{Field, Leaf, LeafMask, NO_LEAF, Topology, neighbor_slot};
 
 /// Indices of a leaf and its 26 neighbors, or [`NO_LEAF`].
 #[derive(Clone, Copy, Debug)]
@@ -37,8 +37,7 @@ impl LeafNeighborhood {
     /// The index of the leaf at offset `step`, in leaves (−1, 0 or 1 on each axis).
     #[inline(always)]
     pub(super) fn leaf(&self, step: IVec3) -> u32 {
-        let slot = step + IVec3::ONE;
-        self.leaves[(slot.x * 9 + slot.y * 3 + slot.z) as usize]
+        self.leaves[neighbor_slot(step)]
     }
 
     /// The leaf itself and the 26 around it.

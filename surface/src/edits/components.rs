@@ -11,17 +11,11 @@
 //! Parts and components are numbered in the topology's order, so the numbers do not depend on the number of
 //! threads.
 
-use std::collections::BTreeMap;
-
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::grid::{
-    FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, Topology, offset_in_leaf, voxel_in_leaf,
-};
-use crate::level_set::{NarrowBand, Sweeps, UNREACHED, extend};
+use crate::grid::{FACE_STEPS, LEAF_EDGE, LeafMask, NO_LEAF, Topology, neighbor_slot, offset_in_leaf};
 use crate::parallel::Loops as _;
-use crate::space::CoordBox;
 
 /// Which voxels are connected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -111,15 +105,15 @@ impl Components {
     pub(super) fn beyond(&self, topology: &Topology) -> Vec<(u32, IVec3)> {
         let leaves = topology.origins().par_iter().zip(topology.neighbors()).enumerate();
         let reached = leaves.halved().flat_map_iter(|(leaf, (&origin, neighbors))| {
-            let open = (0..6).filter(|&face| neighbors[face] == NO_LEAF);
-            open.flat_map(move |face| {
-                let step = FACE_STEPS[face];
-                let reaching = move |(component, mask): (u32, &LeafMask)| {
-                    let is_open = !across(mask, step, Connectivity::Faces).is_empty();
-                    is_open.then_some((component, origin.wrapping_add(step * 8)))
-                };
-                self.of_leaf(leaf).filter_map(reaching)
-            })
+            let mut reached = Vec::new();
+            for (&step, _) in FACE_STEPS.iter().zip(neighbors).filter(|(_, neighbor)| **neighbor == NO_LEAF) {
+                for (component, mask) in self.of_leaf(leaf) {
+                    if !across(mask, step, Connectivity::Faces).is_empty() {
+                        reached.push((component, origin.wrapping_add(step * LEAF_EDGE)));
+                    }
+                }
+            }
+            reached
         });
         reached.collect()
     }
@@ -132,20 +126,20 @@ fn parts_of(set: &LeafMask, connectivity: Connectivity) -> Vec<LeafMask> {
     }
     let mut rest = *set;
     let mut parts = Vec::new();
-    while !rest.is_empty() {
+    loop {
+        let Some(seed) = rest.iter().next() else { return parts };
         let mut part = LeafMask::EMPTY;
-        rest.iter().take(1).for_each(|seed| part.insert(seed));
+        part.insert(seed);
         loop {
-            let dilated = dilated(&part, connectivity).and(&rest);
-            if dilated == part {
+            let grown = dilated(&part, connectivity).and(&rest);
+            if grown == part {
                 break;
             }
-            part = dilated;
+            part = grown;
         }
         rest.remove_all(&part);
         parts.push(part);
     }
-    parts
 }
 
 /// The voxels of a leaf that are in the mask or touch a voxel of it.
@@ -153,6 +147,7 @@ fn dilated(mask: &LeafMask, connectivity: Connectivity) -> LeafMask {
     let [x, y, z] = [0, 1, 2].map(|axis| widened(mask, axis));
     match connectivity {
         Connectivity::Faces => x.or(&y).or(&z),
+        // The 3×3 squares around each voxel in the planes xy, yz and zx.
         Connectivity::Edges => widened(&x, 1).or(&widened(&y, 2)).or(&widened(&z, 0)),
     }
 }
@@ -166,6 +161,7 @@ fn widened(mask: &LeafMask, axis: usize) -> LeafMask {
 /// The voxels of the leaf one `step` away that touch a voxel of `mask`.
 pub(super) fn across(mask: &LeafMask, step: IVec3, connectivity: Connectivity) -> LeafMask {
     let none = LeafMask::EMPTY;
+    // Along each axis of the step: what the mask moves into an empty leaf after its own, or before it.
     let touched = (0..3).fold(*mask, |touched, axis| match step[axis] {
         1 => none.shifted(axis, 1, &touched, &none)[0],
         -1 => none.shifted(axis, 1, &none, &touched)[1],
@@ -179,9 +175,10 @@ pub(super) fn across(mask: &LeafMask, step: IVec3, connectivity: Connectivity) -
     other_axes.fold(touched, |all, axis| all.or(&widened(&touched, axis)))
 }
 
-/// Steps from a leaf to half of the leaves that share a face with it, and to half of those that share an
-/// edge: one of each pair of opposite steps.
+/// One of each pair of opposite steps from a leaf to the leaves that share a face with it.
 const HALF_OF_FACES: [IVec3; 3] = [IVec3::X, IVec3::Y, IVec3::Z];
+
+/// The same for the leaves that share only an edge with it.
 const HALF_OF_EDGES: [IVec3; 6] = [
     IVec3::new(1, 1, 0),
     IVec3::new(1, -1, 0),
@@ -207,7 +204,7 @@ fn contacts_of_leaf(
     let around = topology.neighborhood(leaf);
     let edges = if connectivity == Connectivity::Edges { &HALF_OF_EDGES[..] } else { &[] };
     for &step in HALF_OF_FACES.iter().chain(edges) {
-        let other = around[(9 * (step.x + 1) + 3 * (step.y + 1) + step.z + 1) as usize];
+        let other = around[neighbor_slot(step)];
         if other == NO_LEAF {
             continue;
         }
@@ -253,125 +250,6 @@ fn numbered(parents: &mut [u32]) -> (Vec<u32>, usize) {
         }
     }
     (numbers, count as usize)
-}
-
-// Updates distances where voxels changed sides.
-//
-//   before     2  1  ●  ●  1  2  3  3  2  1  ●      ● inside: island (left), remaining fluid (right)
-//   after      ∞  ∞  ∞  ∞  6  5  4  3  2 [1] ●      distances to the remaining fluid; ∞ is beyond the band,
-//                                                   and [1] keeps its value
-//
-// Removing a component can only increase the distances around it. So the distances within the band's half
-// width of the component are swept again. The sweep starts from the voxels beyond that range and from the
-// voxels next to the remaining surface. Both keep their values, so the remaining surface does not move. Each
-// swept voxel gets the larger of its old and its new distance.
-
-/// A side of the surface.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum FlipSide {
-    /// φ < 0.
-    Inside,
-    /// φ ≥ 0.
-    Outside,
-}
-
-/// Moves whole components from the other side to `side`. `flipped` has a mask of their voxels for each leaf,
-/// in the order of leaves.
-pub(super) fn flip(band: &mut NarrowBand, flipped: &[(usize, LeafMask)], side: FlipSide) {
-    if flipped.is_empty() {
-        return;
-    }
-    let near = near(band, flipped);
-    let swept = sweep(band, flipped, &near, side);
-    for ((leaf, free), swept) in swept {
-        let phi = &mut band.phi.leaves[leaf];
-        for offset in free.iter() {
-            let distance = swept.values[offset].abs().min(band.half_width);
-            let old = &mut phi.values[offset];
-            // A voxel that was on the other side always gets the new distance, because its old φ has the
-            // other sign.
-            *old = match side {
-                FlipSide::Inside => old.min(-distance),
-                FlipSide::Outside => old.max(distance),
-            }
-        }
-    }
-}
-
-/// For each leaf, the voxels whose distance may be that to a changed voxel: those in a box around the changed
-/// voxels of any leaf.
-fn near(band: &NarrowBand, flipped: &[(usize, LeafMask)]) -> BTreeMap<usize, LeafMask> {
-    let reach = band.half_width.ceil() as i32 + 1;
-    let mut near: BTreeMap<usize, LeafMask> = BTreeMap::new();
-    for (leaf, mask) in flipped {
-        let origin = band.topology.origins()[*leaf];
-        let voxels = mask.bounding_box().expanded(reach);
-        let [first, last]: [IVec3; 2] = [voxels.min >> 3, voxels.max >> 3];
-        for x in first.x..=last.x {
-            for y in first.y..=last.y {
-                for z in first.z..=last.z {
-                    let step = IVec3::new(x, y, z) * LEAF_EDGE;
-                    if let Some(other) = band.topology.find(origin.wrapping_add(step)) {
-                        let mask = near.entry(other).or_insert(LeafMask::EMPTY);
-                        *mask = mask.or(&box_mask(&voxels, step));
-                    }
-                }
-            }
-        }
-    }
-    near
-}
-
-/// The voxels of a leaf that are in a box. The box and the leaf's origin have the same coordinate system.
-fn box_mask(voxels: &CoordBox, leaf: IVec3) -> LeafMask {
-    LeafMask::from_fn(|offset| voxels.contains(leaf + voxel_in_leaf(offset)))
-}
-
-/// The leaves around the changed voxels. For each: its index, the mask of voxels to update, and the swept
-/// values.
-fn sweep(
-    band: &NarrowBand,
-    flipped: &[(usize, LeafMask)],
-    near: &BTreeMap<usize, LeafMask>,
-    side: FlipSide,
-) -> Vec<((usize, LeafMask), Leaf)> {
-    let origins = band.topology.origins();
-    let around = |(&leaf, _): (&usize, &LeafMask)| {
-        let faces = FACE_STEPS.map(|step| origins[leaf].wrapping_add(step * LEAF_EDGE));
-        faces.into_iter().filter(|&face| band.topology.find(face).is_some()).chain([origins[leaf]])
-    };
-    let topology = Topology::new(near.iter().flat_map(around).collect());
-    let of_band: Vec<usize> = topology.origins().iter().filter_map(|&o| band.topology.find(o)).collect();
-    let turned_in = |leaf: usize| {
-        let index = flipped.binary_search_by_key(&leaf, |(leaf, _)| *leaf);
-        index.map_or(LeafMask::EMPTY, |index| flipped[index].1)
-    };
-    // The voxels that are on `side` after the flip.
-    let is_on_side = |phi: f32| (phi < 0.0) == (side == FlipSide::Inside);
-    let on_side = |&leaf: &usize| {
-        let values = &band.phi.leaves[leaf].values;
-        LeafMask::from_fn(|offset| is_on_side(values[offset])).or(&turned_in(leaf))
-    };
-    let on_side: Vec<LeafMask> = of_band.par_iter().halved().map(on_side).collect();
-    let free = |index: usize| {
-        let near = near.get(&of_band[index]).copied().unwrap_or(LeafMask::EMPTY);
-        let beyond = |face: u32| on_side.get(face as usize).unwrap_or(&LeafMask::FULL);
-        on_side[index].surrounded(topology.neighbors()[index].map(beyond)).and(&near)
-    };
-    let free: Vec<LeafMask> = (0..of_band.len()).into_par_iter().halved().map(free).collect();
-    let start = if side == FlipSide::Inside { -UNREACHED } else { UNREACHED };
-    let values = |(&leaf, free): (&usize, &LeafMask)| {
-        let mut values = band.phi.leaves[leaf];
-        free.iter().for_each(|offset| values.values[offset] = start);
-        values
-    };
-    let mut distance = Field { leaves: of_band.iter().zip(&free).map(values).collect() };
-    let mut fixed = vec![LeafMask::FULL; free.len()];
-    fixed.iter_mut().zip(&free).for_each(|(fixed, free)| fixed.remove_all(free));
-    // Each sweep advances one voxel along the axes. Along a diagonal, a distance d takes √3 d such steps.
-    let sweeps = Sweeps::accurate((3f32.sqrt() * band.half_width).ceil() as u32);
-    extend(&topology, &mut distance, &fixed, sweeps);
-    of_band.into_iter().zip(free).zip(distance.leaves).collect()
 }
 
 #[cfg(test)]

@@ -26,6 +26,7 @@
 //! box changes φ only outside and within a half width of its planes. So changes stay local.
 
 mod components;
+mod flip;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -41,7 +42,8 @@ use crate::level_set::{NEAREST_TO_ZERO, NarrowBand};
 use crate::mesh::Mesh;
 use crate::parallel::Loops as _;
 use crate::space::{CoordBox, Lattice};
-use components::{Components, Connectivity, FlipSide, flip};
+use components::{Components, Connectivity};
+use flip::{FlipSide, flip};
 
 // Removes islands: components of the inside with few particles.
 //

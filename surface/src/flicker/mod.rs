@@ -54,9 +54,9 @@ pub struct MovingParticles {
 /// A frame: its particles and its surface.
 pub struct FlickerFrame {
     particles: MovingParticles,
-    near: Neighbors,
-    /// The particle of each unique id.
-    index_of: FxHashMap<i64, u32>,
+    neighbors: Neighbors,
+    /// The particle of each id that only one particle has.
+    index_of_id: FxHashMap<i64, u32>,
     surface: MeshDistance,
 }
 
@@ -90,9 +90,9 @@ impl FlickerFrame {
         let count = particles.positions.len();
         particles.ids = particles.ids.filter(|ids| ids.len() == count);
         particles.velocities = particles.velocities.filter(|velocities| velocities.len() == count);
-        let near = Neighbors::new(&particles.positions, SEARCH_RADIUS * spacing);
-        let index_of = index_of(particles.ids.as_deref().unwrap_or_default());
-        FlickerFrame { particles, near, index_of, surface }
+        let neighbors = Neighbors::new(&particles.positions, SEARCH_RADIUS * spacing);
+        let index_of_id = unique_ids(particles.ids.as_deref().unwrap_or_default());
+        FlickerFrame { particles, neighbors, index_of_id, surface }
     }
 
     /// Its surface.
@@ -105,25 +105,30 @@ impl FlickerFrame {
         !self.particles.positions.is_empty()
     }
 
-    /// Whether points can be carried this way by its particles, if it has any: by ids, if at least half of
-    /// the particles have an id of their own, or by velocities.
+    /// Whether its particles can carry points this way: by ids, if at least half of them have an id that no
+    /// other has; by velocities, if they have velocities. True without particles.
     pub fn has(&self, carrier: Carrier) -> bool {
         match carrier {
-            Carrier::Ids => 2 * self.index_of.len() >= self.particles.positions.len(),
+            Carrier::Ids => 2 * self.index_of_id.len() >= self.particles.positions.len(),
             Carrier::Velocities { .. } => !self.has_particles() || self.particles.velocities.is_some(),
         }
     }
+
+    /// The position of the particle with this id; `None` if no particle has it, or several have.
+    fn position_of_id(&self, id: i64) -> Option<DVec3> {
+        self.index_of_id.get(&id).map(|&index| self.particles.positions.position(index as usize))
+    }
 }
 
-/// The particle of each id that is unique.
-fn index_of(ids: &[i64]) -> FxHashMap<i64, u32> {
+/// See [`FlickerFrame::index_of_id`].
+fn unique_ids(ids: &[i64]) -> FxHashMap<i64, u32> {
     const SHARED: u32 = u32::MAX;
-    let mut index_of = FxHashMap::default();
+    let mut index_of_id = FxHashMap::default();
     for (&id, index) in ids.iter().zip(0u32..SHARED) {
-        index_of.entry(id).and_modify(|known| *known = SHARED).or_insert(index);
+        index_of_id.entry(id).and_modify(|known| *known = SHARED).or_insert(index);
     }
-    index_of.retain(|_, index| *index != SHARED);
-    index_of
+    index_of_id.retain(|_, index| *index != SHARED);
+    index_of_id
 }
 
 /// The flicker of the middle frame at `sample_count` points, which are distributed evenly by area. `spacing`
@@ -141,17 +146,17 @@ pub fn flicker(
     };
     let score = |(position, normal): (DVec3, DVec3)| {
         let [one, other] = [distance(before, -1.0, position)?, distance(after, 1.0, position)?];
-        let has_left = one.abs() >= REACH || other.abs() >= REACH;
-        Some((ScoredPoint { position, normal, value: one + other }, has_left))
+        let is_clamped = one.abs() >= REACH || other.abs() >= REACH;
+        Some((ScoredPoint { position, normal, value: one + other }, is_clamped))
     };
     let samples = samples(middle.surface.triangles(), sample_count);
     let scored: Vec<Option<(ScoredPoint, bool)>> = samples.into_par_iter().halved().map(score).collect();
     let mut found = FrameFlicker::default();
     for scored in scored {
         match scored {
-            Some((point, has_left)) => {
+            Some((point, is_clamped)) => {
                 found.points.push(point);
-                found.clamped_count += usize::from(has_left);
+                found.clamped_count += usize::from(is_clamped);
             }
             None => found.untracked_count += 1,
         }
@@ -228,22 +233,18 @@ fn carry(
         Carrier::Ids => {
             let ids = from.particles.ids.as_deref()?;
             let displacement = |index: usize| {
-                let id = ids.get(index)?;
-                // Ids that several particles share are not in the table.
-                let (other, own) = (*to.index_of.get(id)?, *from.index_of.get(id)?);
-                let position =
-                    |frame: &FlickerFrame, index: u32| frame.particles.positions.position(index as usize);
-                Some(position(to, other) - position(from, own))
+                let id = *ids.get(index)?;
+                Some(to.position_of_id(id)? - from.position_of_id(id)?)
             };
-            mean(from, point, (limit, spacing), displacement)?.vector
+            mean(from, point, limit, spacing, displacement)?.vector
         }
         Carrier::Velocities { seconds } => {
             let step = direction * seconds;
             // Evaluated at the particles' mean position instead of on the surface, because more particles
             // surround the mean position.
-            let Mean { vector: here, position } = mean(from, point, (limit, spacing), velocity_in(from))?;
+            let Mean { vector: here, position } = mean(from, point, limit, spacing, velocity_in(from))?;
             let velocity_at = |position: DVec3| {
-                Some(mean(to, position, (SEARCH_RADIUS * spacing, spacing), velocity_in(to))?.vector)
+                Some(mean(to, position, SEARCH_RADIUS * spacing, spacing, velocity_in(to))?.vector)
             };
             let first = velocity_at(position + step * here)?;
             let second = velocity_at(position + step * 0.5 * (here + first))?;
@@ -271,23 +272,24 @@ struct Mean {
 fn mean(
     frame: &FlickerFrame,
     point: DVec3,
-    (limit, spacing): (f64, f64),
+    limit: f64,
+    spacing: f64,
     vector_of: impl Fn(usize) -> Option<DVec3>,
 ) -> Option<Mean> {
-    let near = &frame.near;
-    let (cell, local) = near.locate(point)?;
-    let [x, y, z] = near.locals();
-    let edge = near.edge_world();
+    // The unit of the grid's coordinates is the cell edge, which is the search radius.
+    let grid = &frame.neighbors;
+    let (cell, point_in_cell) = grid.locate(point)?;
+    let [x, y, z] = grid.locals();
+    let edge = grid.edge_world();
     let mut found: Vec<(f64, DVec3, DVec3)> = Vec::new();
-    for run in near.runs(cell) {
-        let corner = run.step.as_vec3() - local;
+    for run in grid.runs(cell) {
+        let to_corner = run.step.as_vec3() - point_in_cell;
         for slot in run.slots {
-            // In units of the cell edge, which is the search radius of the grid.
-            let apart = (corner + Vec3::new(x[slot], y[slot], z[slot])).as_dvec3();
-            if apart.length_squared() <= 1.0
-                && let Some(vector) = vector_of(near.indices()[slot] as usize).filter(|v| v.is_finite())
+            let offset = (to_corner + Vec3::new(x[slot], y[slot], z[slot])).as_dvec3();
+            if offset.length_squared() <= 1.0
+                && let Some(vector) = vector_of(grid.indices()[slot] as usize).filter(|v| v.is_finite())
             {
-                found.push((apart.length() * edge, apart * edge, vector));
+                found.push((offset.length() * edge, offset * edge, vector));
             }
         }
     }
@@ -321,14 +323,14 @@ const STEPS: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_3];
 /// `count` points on triangles of positive total area, each with the normal of its triangle. Empty if there
 /// are no triangles.
 fn samples(triangles: &[[DVec3; 3]], count: usize) -> Vec<(DVec3, DVec3)> {
+    if triangles.is_empty() {
+        return Vec::new();
+    }
     let mut ends = Vec::with_capacity(triangles.len());
     let mut area = 0.0;
     for [a, b, c] in triangles {
         area += 0.5 * (*b - a).cross(*c - a).length();
         ends.push(area);
-    }
-    if triangles.is_empty() {
-        return Vec::new();
     }
     let sample = |index: usize| {
         let along = area * (index as f64 + 0.5) / count as f64;

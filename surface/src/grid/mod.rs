@@ -102,8 +102,8 @@ impl Topology {
         &self.neighbors
     }
 
-    /// Indices of a leaf and its 26 neighbors. The neighbor at step (x, y, z), −1 to 1 on each axis, is at
-    /// `9(x + 1) + 3(y + 1) + z + 1`; [`NO_LEAF`] if it is not stored.
+    /// Indices of a leaf and its 26 neighbors, in the order of [`neighbor_slot`]; [`NO_LEAF`] if one is not
+    /// stored.
     pub fn neighborhood(&self, leaf: usize) -> [u32; 27] {
         let mut around = [NO_LEAF; 27];
         around[CENTER] = leaf as u32;
@@ -139,6 +139,13 @@ impl Topology {
 
 /// Unit steps through the six faces, in the order of [`Direction`].
 pub const FACE_STEPS: [IVec3; 6] = [IVec3::NEG_X, IVec3::X, IVec3::NEG_Y, IVec3::Y, IVec3::NEG_Z, IVec3::Z];
+
+/// The slot in [`Topology::neighborhood`] of the neighbor at `step`, in leaves: −1 to 1 on each axis.
+#[inline(always)]
+pub fn neighbor_slot(step: IVec3) -> usize {
+    let IVec3 { x, y, z } = step + IVec3::ONE;
+    (9 * x + 3 * y + z) as usize
+}
 
 /// Slot of a leaf in its own neighborhood.
 const CENTER: usize = 13;
