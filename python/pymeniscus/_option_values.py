@@ -42,7 +42,7 @@ class OptionValues(TypedDict, total=False):
     max_stretch : float
         Maximum ratio of a particle's longest semi-axis to its shortest, 1 to 8 [default: 4]
     thin_radius : float | str
-        Smallest semi-axis of flattened particles, 0.9h to r_min, for `anisotropy` neighbors; smaller makes thinner sheets [default: 0.36d]
+        Smallest semi-axis of flattened particles, 0.9 h to r_min, for `anisotropy` neighbors; smaller makes thinner sheets [default: 0.36d]
     lone_radius : float | str
         Radius of particles without neighbours (drops), which replaces their r_min, positive and at most `radius_min`, for `anisotropy` neighbors [default: 0.62d]
     neighbor_radius : float | str

@@ -183,7 +183,7 @@ fn help_and_version_succeed() {
         assert_eq!(meniscus(folder.path(), arguments).status, 0);
     }
     let help = meniscus(folder.path(), &["convert", "--help"]).out;
-    for word in ["[default: 0.4d", "√3·h", "r_max / r_min", "0.9 spacings", "Exit status"] {
+    for word in ["[default: 0.32d", "√3·h", "r_max / r_min", "0.9 spacings", "Exit status"] {
         assert!(help.contains(word), "the help does not say {word}");
     }
 }

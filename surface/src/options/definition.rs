@@ -118,7 +118,7 @@ method_options! {
             max_stretch: f64 in 1.0..=MAX_STRETCH_MAX
                 => [OptionName::new("anisotropy")], |options, _| options.anisotropy_kind() != AnisotropyKind::None,
 
-            /// Smallest semi-axis of flattened particles, 0.9h to r_min, for --anisotropy neighbors; smaller
+            /// Smallest semi-axis of flattened particles, 0.9 h to r_min, for --anisotropy neighbors; smaller
             /// makes thinner sheets [default: 0.36d]
             #[value(named("LENGTH"))]
             thin_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
