@@ -24,11 +24,11 @@ class OptionValues(TypedDict, total=False):
     voxel_size : float | str
         Voxel edge length h, positive, in world units or particle spacings [default: 0.32d]
     radius_min : float | str
-        Radius r_min of the sphere around each particle, which the surface encloses, positive; particles in sheets and filaments are flattened instead [default: 0.65d, but no less than √3·h]
+        Radius r_min of the sphere around each particle, positive; the surface encloses these spheres, but particles in sheets and filaments get a flattened ellipsoid instead (`anisotropy`) [default: 0.64d, but no less than √3·h]
     radius_ratio : float
-        Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h [default: 2.9]
+        Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h [default: 3]
     radius_init : float | str
-        Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.48 r_min]
+        Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.5 r_min]
     offset : float | str
         Move the finished surface outward by this distance, -r_min to 2 h; negative moves it inward [default: 0]
     where : str | Sequence[bool] | NDArray[np.bool_]

@@ -75,17 +75,18 @@ method_options! {
             voxel_size: Length,
         }
         Surface {
-            /// Radius r_min of the sphere around each particle, which the surface encloses, positive; particles in
-            /// sheets and filaments are flattened instead [default: 0.65d, but no less than √3·h]
+            /// Radius r_min of the sphere around each particle, positive; the surface encloses these spheres,
+            /// but particles in sheets and filaments get a flattened ellipsoid instead (--anisotropy)
+            /// [default: 0.64d, but no less than √3·h]
             #[value(named("LENGTH"))]
             radius_min: Length,
 
             /// Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle,
-            /// and r_max is at most 64h [default: 2.9]
+            /// and r_max is at most 64h [default: 3]
             #[value(named("RATIO"))]
             radius_ratio: f64,
 
-            /// Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.48 r_min]
+            /// Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.5 r_min]
             #[value(named("LENGTH"))]
             radius_init: Length,
 
