@@ -24,11 +24,11 @@ class OptionValues(TypedDict, total=False):
     voxel_size : float | str
         Voxel edge length h, positive, in world units or particle spacings [default: 0.32d]
     radius_min : float | str
-        Radius r_min of the sphere around each particle, positive; the surface encloses these spheres, but particles in sheets and filaments get a flattened ellipsoid instead (`anisotropy`) [default: 0.75d, but no less than √3·h]
+        Radius r_min of the sphere around each particle, positive; the surface encloses these spheres, but particles in sheets and filaments get a flattened ellipsoid instead (`anisotropy`) [default: 0.64d, but no less than √3·h]
     radius_ratio : float
-        Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h [default: 2.5]
+        Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h [default: 3]
     radius_init : float | str
-        Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.27 r_min]
+        Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.5 r_min]
     offset : float | str
         Move the finished surface outward by this distance, -r_min to 2 h; negative moves it inward [default: 0]
     where : str | Sequence[bool] | NDArray[np.bool_]
@@ -42,7 +42,7 @@ class OptionValues(TypedDict, total=False):
     max_stretch : float
         Maximum ratio of a particle's longest semi-axis to its shortest, 1 to 8 [default: 4]
     thin_radius : float | str
-        Smallest semi-axis of flattened particles, positive, from 0.9h to r_min, for `anisotropy` neighbors; smaller makes thinner sheets [default: 0.36d]
+        Smallest semi-axis of flattened particles, 0.9 h to r_min, for `anisotropy` neighbors; smaller makes thinner sheets [default: 0.36d]
     lone_radius : float | str
         Radius of particles without neighbours (drops), which replaces their r_min, positive and at most `radius_min`, for `anisotropy` neighbors [default: 0.62d]
     neighbor_radius : float | str
@@ -72,7 +72,7 @@ class OptionValues(TypedDict, total=False):
     integrator : Literal["fast", "implicit", "explicit", "adaptive"]
         Time integrator of the smoothing [default: fast]
     laplacian_steps : int
-        Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are recomputed instead [default: 10, more on a finer grid]
+        Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are recomputed instead [default: 2 (d/h)², 20 on the default grid]
     steps : int
         Number of biharmonic steps, 0 to 1000000 [default: 1; explicit, adaptive: a larger number of smaller steps with the same total pseudo-time]
     step_size : float

@@ -23,13 +23,13 @@ use crate::surface::simd::level_warning;
 
 use super::CommandOutcome;
 use super::args::{ConvertArgs, FormatArgs, FrameShard, OptionSet, ShardChoice};
+use super::batch::{Batch, UsdStageWriter};
 use super::console::Console;
 use super::destination::{Destination, OutFolder, StandardInput};
 use super::inputs::{
     InputSelection, SelectedSequence, check_output_path, refuse_level_sets, select_frames, selected_files,
 };
 use super::machine::thread_pool;
-use super::run::{Batch, UsdStageWriter};
 use super::sequence::SequenceOutputs;
 use super::settings::{
     measured_spacing, obstacle_files, outputs_of, print_settings, print_settings_of_any, report_settings,

@@ -4,6 +4,7 @@
 //! The layers below use [`crate::surface::options::Settings`] and frames, and never see command-line flags.
 
 mod args;
+mod batch;
 mod config_file;
 mod console;
 mod convert;
@@ -17,7 +18,6 @@ mod manual;
 mod quantities;
 mod render;
 mod render_session;
-mod run;
 mod sequence;
 mod settings;
 mod sheets;

@@ -79,7 +79,7 @@ impl<'a> EventLoop<'a> {
             core,
             workers,
             context,
-            pipeline: Some(pipeline.map_err(|error| DaemonError::Threads(error.to_string()))?),
+            pipeline: Some(pipeline.map_err(DaemonError::Threads)?),
             has_pipeline_ended: false,
             events,
             notices,
@@ -136,11 +136,7 @@ impl<'a> EventLoop<'a> {
         for event in first.into_iter().chain(rest) {
             match event {
                 Event::PipelineEnded if self.core.is_stopping() => self.has_pipeline_ended = true,
-                Event::PipelineEnded => {
-                    let what = "the pipeline ended unexpectedly, which is a bug: restart the daemon, and \
-                                report the bug with the log";
-                    return Err(DaemonError::Threads(what.to_owned()));
-                }
+                Event::PipelineEnded => return Err(DaemonError::PipelineEnded),
                 Event::OutputSynced(is_written) => {
                     self.unsynced_count = self.unsynced_count.saturating_sub(1);
                     self.has_unwritten |= !is_written;

@@ -1,4 +1,4 @@
-//! Records for tests.
+//! Records for tests. The hashes are arbitrary; an unfinished record is newer than a done one.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -13,6 +13,7 @@ fn name_of(input: &Path) -> PathBuf {
 pub(crate) fn done_record(input: &Path, stamp: FileStamp) -> Arc<DoneRecord> {
     let name = name_of(input);
     let output = OutputFile { name: name.with_added_extension("glb"), stamp: FileStamp::default(), hash: 8 };
+    let no_settings = [].into();
     Arc::new(DoneRecord {
         name,
         input: input.to_owned(),
@@ -20,7 +21,7 @@ pub(crate) fn done_record(input: &Path, stamp: FileStamp) -> Arc<DoneRecord> {
         input_hash: 7,
         obstacles: String::new(),
         obstacle_stamp: None,
-        settings: settings_id(&[].into()),
+        settings: settings_id(&no_settings),
         camera: None,
         outputs: vec![output],
         violations: None,

@@ -1,6 +1,5 @@
 //! Checks that the documentation and the configuration file agree with the definition of the options.
 
-use std::any::TypeId;
 use std::fmt::Write;
 
 use clap::{Arg, CommandFactory};
@@ -18,29 +17,9 @@ fn options_of_convert() -> Vec<Arg> {
     convert.get_arguments().filter(|option| option.get_id() != "help").cloned().collect()
 }
 
-/// The range of a number, as its help states it.
-fn stated_range(option: &Arg) -> Option<String> {
-    let is_number = match MethodOptions::info(option.get_id().as_str()) {
-        Some(info) => matches!(info.kind, ValueKind::Number | ValueKind::Length),
-        None => [TypeId::of::<f64>(), TypeId::of::<u16>()]
-            .iter()
-            .any(|number| option.get_value_parser().type_id() == *number),
-    };
-    let help = option.get_help().filter(|_| is_number)?.to_string();
-    let phrases = ["-r_min to 2 h", "r_min to r_max", "at least 1", "positive"];
-    let phrase = phrases.into_iter().find(|phrase| help.contains(phrase)).map(str::to_owned);
-    phrase.or_else(|| {
-        let words: Vec<&str> = help.split([' ', '\n', ',', ';']).collect();
-        let is_number = |word: &str| word.parse::<f64>().is_ok();
-        let range =
-            words.windows(3).find(|words| words[1] == "to" && is_number(words[0]) && is_number(words[2]));
-        range.map(|words| words.join(" "))
-    })
-}
-
 /// The table of the options under a heading.
 fn table(heading: Option<&str>) -> String {
-    let mut table = "| option | value | range | what |\n|---|---|---|---|\n".to_owned();
+    let mut table = "| option | value | what |\n|---|---|---|\n".to_owned();
     for option in options_of_convert().iter().filter(|option| option.get_help_heading() == heading) {
         let id = option.get_id().as_str();
         let name = match option.get_long() {
@@ -50,17 +29,16 @@ fn table(heading: Option<&str>) -> String {
         let short = option.get_short().map_or(String::new(), |short| format!(", `-{short}`"));
         let words = option.get_possible_values();
         let value = match option.get_value_names() {
-            _ if !option.get_action().takes_values() => String::new(),
+            _ if option.get_long().is_none() || !option.get_action().takes_values() => String::new(),
             _ if !words.is_empty() && !option.is_hide_possible_values_set() => {
                 let names: Vec<String> = words.iter().map(|word| format!("`{}`", word.get_name())).collect();
                 names.join(", ")
             }
             names => names.map_or(String::new(), |names| names[0].to_string()),
         };
-        let range = MethodOptions::range(id).or_else(|| stated_range(option)).unwrap_or_default();
         let help = option.get_help().map(ToString::to_string).unwrap_or_default();
         let what = help.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|");
-        writeln!(table, "| `{name}`{short} | {value} | {range} | {what} |").expect("text");
+        writeln!(table, "| `{name}`{short} | {value} | {what} |").expect("text");
     }
     table
 }

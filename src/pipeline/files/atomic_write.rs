@@ -13,18 +13,22 @@
 //! [`stop_writing`] removes the temporary files of a program that is about to exit.
 
 use std::fs::{self, File};
-use std::io::{self, BufWriter};
+use std::io::{self, BufWriter, Write};
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::channel;
+use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::thread;
 use std::time::Duration;
 
 use meniscus_formats::Result;
 
 use super::open::require_own_folder;
-use super::staged_file::{StagedFile, sync_folder, write_temporary};
+use super::stamp::FileStamp;
 use super::sweep::remove_left_behind;
-use super::temporary::active_temporaries;
+use super::temporary::{Temporary, active_temporaries};
+
+/// Size of the write buffer: large enough that the cost of system calls does not matter.
+const BUFFER_BYTES: usize = 1 << 18;
 
 /// Writes the file at `path` atomically: it replaces an existing file once `write` has written everything.
 ///
@@ -32,7 +36,7 @@ use super::temporary::active_temporaries;
 /// The error of `write`, or of the system. Then nothing is left behind, and an existing file at `path` is
 /// unchanged.
 pub fn write_atomically(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>) -> Result<()> {
-    commit(&[stage(path, write)?]).map_err(|(_, error)| error)?;
+    commit(&[StagedFile::write(path, write)?]).map_err(|(_, error)| error)?;
     Ok(())
 }
 
@@ -47,23 +51,71 @@ pub fn replace_own<T>(
     write: impl FnOnce(&mut BufWriter<&File>) -> io::Result<T>,
 ) -> io::Result<T> {
     require_own_folder(path)?;
-    remove_left_behind();
     let (temporary, written) = write_temporary(path, write)?;
     require_own_folder(path)?;
     rename_locked(temporary.path(), path)?;
     Ok(written)
 }
 
-/// Stages a file: writes it under a temporary name, until [`commit`] renames it to `path`.
+/// Writes a temporary file beside `path` and syncs it to disk. Returns the file and the result of `write`.
 ///
 /// # Errors
 /// The error of `write`, or of the system. Then nothing is left behind.
-pub(crate) fn stage(
+fn write_temporary<T, E: From<io::Error>>(
     path: &Path,
-    write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>,
-) -> Result<StagedFile> {
+    write: impl FnOnce(&mut BufWriter<&File>) -> std::result::Result<T, E>,
+) -> std::result::Result<(Temporary, T), E> {
     remove_left_behind();
-    StagedFile::write(path, write)
+    let temporary = Temporary::create(path)?;
+    let mut out = BufWriter::with_capacity(BUFFER_BYTES, temporary.file());
+    let written = write(&mut out)?;
+    out.flush()?;
+    drop(out);
+    // Without this, after a rename and a crash of the machine, the final name could lead to a file without
+    // its bytes.
+    temporary.file().sync_all()?;
+    Ok((temporary, written))
+}
+
+/// A complete file on disk that does not have its final name yet. It is removed on drop unless it was renamed
+/// before.
+pub(crate) struct StagedFile {
+    temporary: Temporary,
+    path: PathBuf,
+    stamp: FileStamp,
+}
+
+impl StagedFile {
+    /// Writes a file under a temporary name; its final name is `path`.
+    ///
+    /// # Errors
+    /// The error of `write`, or of the system. Then nothing is left behind.
+    pub(crate) fn write(
+        path: &Path,
+        write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>,
+    ) -> Result<StagedFile> {
+        let (temporary, ()) = write_temporary(path, write)?;
+        let stamp = FileStamp::of(&temporary.file().metadata()?);
+        Ok(StagedFile { temporary, path: path.to_owned(), stamp })
+    }
+
+    /// The stamp after the rename to the final path, which changes only the status change time.
+    pub(crate) fn stamp_after_rename(&self) -> FileStamp {
+        let renamed = FileStamp::of_path(&self.path).ok();
+        let is_same = |now: &FileStamp| now.without_status_change() == self.stamp.without_status_change();
+        // If another process has replaced the file meanwhile, the hash decides later.
+        renamed.filter(is_same).unwrap_or(self.stamp)
+    }
+
+    /// The final path.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The current path.
+    pub(crate) fn written_path(&self) -> &Path {
+        self.temporary.path()
+    }
 }
 
 /// Renames a file, and holds the lock of [`active_temporaries`] meanwhile, so that [`stop_writing`] runs
@@ -93,6 +145,41 @@ pub(crate) fn commit(files: &[StagedFile]) -> std::result::Result<(), (PathBuf, 
     Ok(())
 }
 
+/// Syncs the names in a folder to disk, if the system supports that. Without this sync, or if it fails, a
+/// crash of the machine may lose new names, but it never leaves half a file.
+fn sync_folder(folder: &Path) {
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let _ = File::open(folder).and_then(|folder| folder.sync_all());
+}
+
+/// Syncs the file to disk again and again while `write` writes it, so that the disk does not wait for the end
+/// of a file of many gigabytes.
+///
+/// # Errors
+/// The error of `write`, or of a sync: the system reports a failed sync only once.
+pub(crate) fn sync_while<T, E: From<io::Error>>(
+    file: &File,
+    write: impl FnOnce() -> std::result::Result<T, E>,
+) -> std::result::Result<T, E> {
+    let (end, ended) = channel::<()>();
+    thread::scope(|scope| {
+        let syncs = scope.spawn(move || {
+            while ended.recv_timeout(SYNC_INTERVAL) == Err(RecvTimeoutError::Timeout) {
+                file.sync_data()?;
+            }
+            Ok(())
+        });
+        let written = write();
+        drop(end);
+        let synced = syncs.join().unwrap_or_else(|panic| resume_unwind(panic));
+        let written = written?;
+        synced.map(|()| written).map_err(|error: io::Error| E::from(error))
+    })
+}
+
+/// How long [`sync_while`] waits before each sync.
+const SYNC_INTERVAL: Duration = Duration::from_millis(100);
+
 /// Removes all temporary files, and blocks all further writes and renames. For a process that exits right
 /// afterwards: every thread that writes waits forever. This function does not wait for a file system that
 /// hangs: the next start of the program removes the temporary files that are left there.
@@ -120,8 +207,6 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::files::staged_file::BUFFER_BYTES;
-    use std::io::Write;
     use std::panic::{AssertUnwindSafe, catch_unwind};
 
     fn names_in(folder: &Path) -> Vec<String> {
@@ -178,7 +263,9 @@ mod tests {
         let names = ["a.glb", "a.obj", "a.vdb"];
         let text = |name: &str| fs::read_to_string(path(name)).expect("readable");
         let staged = |text: &'static str| {
-            names.map(|name| stage(&path(name), |out| Ok(out.write_all(text.as_bytes())?)).expect("written"))
+            names.map(|name| {
+                StagedFile::write(&path(name), |out| Ok(out.write_all(text.as_bytes())?)).expect("written")
+            })
         };
         commit(&staged("old")).expect("renamed");
         assert_eq!(names.map(text), ["old"; 3]);
@@ -238,5 +325,21 @@ mod tests {
         write(&path, "text").expect("written");
         assert_eq!(fs::read_to_string(&users_file).expect("readable"), "precious");
         assert!(!path.is_symlink());
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn a_failed_sync_fails_the_file() {
+        let (_reader, writer) = io::pipe().expect("a pipe"); // which cannot be synced
+        let pipe = File::from(std::os::fd::OwnedFd::from(writer));
+        let short = sync_while(&pipe, || Ok::<_, io::Error>(7));
+        assert_eq!(short.expect("no sync so far"), 7);
+        let long = sync_while(&pipe, || {
+            thread::sleep(3 * SYNC_INTERVAL);
+            Ok::<_, io::Error>(7)
+        });
+        assert_eq!(long.expect_err("a pipe").kind(), io::ErrorKind::InvalidInput);
+        let refused = sync_while(&pipe, || Err::<(), _>(io::Error::other("full")));
+        assert_eq!(refused.expect_err("the error of `write`").to_string(), "full");
     }
 }

@@ -5,8 +5,7 @@
 //!   shown         paths as users see them                open         opens files without blocking on pipes
 //!   stamp         detects that a file was written again  input_file   a file that may change during a read
 //!   identity      which paths lead to the same file      json         values that JSON cannot represent
-//!   temporary     a file that is not complete yet        staged_file  complete, without its final name
-//!   host          the name of this machine
+//!   temporary     a file that is not complete yet        host         the name of this machine
 //!   checked_line  lines of JSON with a checksum          atomic_write  writes files atomically
 //!   sweep         cleans up after killed processes       out_folder   checks the output folder before a run
 //! ```
@@ -23,7 +22,6 @@ pub(super) mod number_pattern;
 pub(super) mod open;
 pub(super) mod out_folder;
 pub(super) mod shown;
-pub(super) mod staged_file;
 pub(super) mod stamp;
 pub(super) mod sweep;
 pub(super) mod temporary;

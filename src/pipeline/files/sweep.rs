@@ -66,7 +66,7 @@ fn sweep(path: &Path) -> io::Result<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::files::atomic_write::stage;
+    use crate::pipeline::files::atomic_write::StagedFile;
     use crate::pipeline::files::temporary::Temporary;
     use std::time::Duration;
     use tempfile::tempdir;
@@ -148,7 +148,7 @@ mod tests {
         let start = std::time::Instant::now();
         while inner.join(&name).exists() {
             assert!(start.elapsed() < Duration::from_secs(60), "it is left");
-            drop(stage(&folder.path().join("b.glb"), |_| Ok(())).expect("created"));
+            drop(StagedFile::write(&folder.path().join("b.glb"), |_| Ok(())).expect("created"));
         }
     }
 }

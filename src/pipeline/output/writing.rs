@@ -21,9 +21,8 @@ use crate::surface::space::Lattice;
 
 use super::diagnostics::diagnose;
 use crate::pipeline::error::{FrameError, Stage};
-use crate::pipeline::files::atomic_write::{commit, stage};
+use crate::pipeline::files::atomic_write::{StagedFile, commit};
 use crate::pipeline::files::input_file::InputFile;
-use crate::pipeline::files::staged_file::StagedFile;
 use crate::pipeline::input::bounds::EMPTY_BOUNDS;
 use crate::pipeline::input::frame::Frame;
 use crate::pipeline::records::provenance::provenance;
@@ -56,7 +55,7 @@ pub(crate) fn write_files(
     fs::create_dir_all(folder).map_err(|error| fail(folder, error.into()))?;
     let write_one = |&format: &OutputFormat| {
         let path = output_path(folder, &frame.stem, format);
-        stage(&path, |out| write(format, out)).map_err(|error| fail(&path, error))
+        StagedFile::write(&path, |out| write(format, out)).map_err(|error| fail(&path, error))
     };
     let staged: Vec<StagedFile> = formats.iter().map(write_one).collect::<Result<_, _>>()?;
     // The hashes are those of the bytes on disk, not of those in memory.
@@ -73,12 +72,12 @@ pub(crate) fn write_files(
     Ok(WrittenFiles { files: staged.iter().zip(hashes).map(output).collect(), paths })
 }
 
-/// Writes one file of a frame. The pool encodes it in pieces that are complete before they are written, so
+/// Writes a surface in one format. The pool encodes it in pieces that are complete before they are written, so
 /// that compute threads do not wait for the disk. At most one piece is in memory beside the surface.
 ///
 /// # Errors
 /// When the format cannot hold this amount of data, or the system reports an error.
-pub(crate) fn write_surface<'env>(
+pub(crate) fn write_surface_as<'env>(
     surface: &Arc<FrameSurface>,
     (number, frame): (usize, &Frame),
     made_from: (u128, &str),

@@ -680,7 +680,7 @@ impl KnownRecords {
     /// Opens the file that this process appends to, unless it is open.
     fn open_own_file(&mut self, folder: &Path) -> io::Result<()> {
         if let Some(own) = self.own.take() {
-            let own = if own.is_superseded(self.line_count()) { own.tidied(folder)? } else { own };
+            let own = if own.is_superseded(self.line_count()) { own.reopened(folder)? } else { own };
             // Its lines are known.
             self.read_bytes.insert(own.path.clone(), own.size()?);
             self.own = Some(own);

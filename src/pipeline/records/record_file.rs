@@ -19,13 +19,13 @@ const FILE_PREFIX: &str = "frames-";
 /// The extension of the lock of a file of records.
 pub(super) const LOCK_EXTENSION: &str = "lock";
 
-/// A larger file is not continued: to compact a file, all of it is read into memory.
+/// The largest file that a new process continues. To continue a file, it reads all of it into memory.
 const CONTINUED_BYTES_MAX: u64 = 1 << 28;
 
 /// Ends a line of which only a part was written. So a reader can tell it from a damaged line.
 pub(super) const TORN_LINE_END: &[u8] = b" torn\n";
 
-/// A file with fewer lines is not compacted.
+/// A file is compacted only if it has at least this many lines.
 pub(super) const COMPACTED_LINES_MIN: usize = 1000;
 
 /// The file that this process appends to.
@@ -38,7 +38,7 @@ pub(super) struct OwnFile {
     /// The settings in the file.
     settings: HashSet<String>,
     line_count: usize,
-    /// With fewer lines it is not compacted.
+    /// It is compacted only if it has at least this many lines.
     compacted_from_lines: usize,
     /// Whether its last line is incomplete.
     is_torn: bool,
@@ -49,10 +49,11 @@ impl OwnFile {
     pub(super) fn open(folder: &Path) -> io::Result<OwnFile> {
         match fs::create_dir(folder) {
             Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
+            // Checks the folder: the name stands for any file in it.
             _ => require_own_folder(&folder.join(FILE_PREFIX))?,
         }
         for path in record_files(folder)? {
-            // A file that cannot be continued belongs to another user, or is none of this program.
+            // A file that cannot be continued belongs to another user, or was not written by this program.
             if is_of_this_machine(&path)
                 && let Ok(Some(lock)) = lock_unused(&path.with_extension(LOCK_EXTENSION))
                 && let Ok(own) = OwnFile::adopt(path, lock)
@@ -103,9 +104,9 @@ impl OwnFile {
         Ok(self.file.metadata()?.len())
     }
 
-    /// Compacts the file if most of its lines are superseded. The lock stays held. If the file cannot be
-    /// continued, it stays as it is, and this creates another.
-    pub(super) fn tidied(self, folder: &Path) -> io::Result<OwnFile> {
+    /// Reopens the file, which compacts it if most of its lines are superseded. The lock stays held. If the file
+    /// cannot be continued, it stays as it is, and this creates another.
+    pub(super) fn reopened(self, folder: &Path) -> io::Result<OwnFile> {
         let OwnFile { path, lock, file, .. } = self;
         drop(file);
         OwnFile::adopt(path, lock).or_else(|_| OwnFile::create(folder))
@@ -117,12 +118,12 @@ impl OwnFile {
         let _ = remove_if_exists(&self.path.with_extension(LOCK_EXTENSION));
     }
 
-    /// Appends lines, and the settings that they refer to, if the file does not have them. Returns the size of the
-    /// file. After an error, the file may end with a torn line.
+    /// Appends lines, and those of `settings_of_id` that they refer to, if the file does not have them. Returns the
+    /// size of the file. After an error, the file may end with a torn line.
     pub(super) fn append<'a>(
         &mut self,
         lines: impl Iterator<Item = &'a RecordLine>,
-        known: &HashMap<String, SettingValues>,
+        settings_of_id: &HashMap<String, SettingValues>,
     ) -> io::Result<u64> {
         // Ends a torn line, which is then skipped.
         let mut bytes = if self.is_torn { TORN_LINE_END.to_vec() } else { Vec::new() };
@@ -132,7 +133,7 @@ impl OwnFile {
             if let RecordLine::Done(record) = line
                 && !self.settings.contains(&record.settings)
                 && !new_settings.contains(&record.settings)
-                && let Some(values) = known.get(&record.settings)
+                && let Some(values) = settings_of_id.get(&record.settings)
             {
                 let (id, values) = (record.settings.clone(), values.clone());
                 push_line(&mut bytes, &RecordLine::Settings { id, values })?;
@@ -165,36 +166,39 @@ impl OwnFile {
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes)?;
         let mut own = OwnFile::new(path, file, lock);
-        let mut last: HashMap<String, &[u8]> = HashMap::new();
-        let mut done: HashMap<PathBuf, VecDeque<String>> = HashMap::new();
+        let mut last_lines: HashMap<String, &[u8]> = HashMap::new();
+        let mut done_keys: HashMap<PathBuf, VecDeque<String>> = HashMap::new();
         for line in bytes.split_inclusive(|byte| *byte == b'\n') {
             own.line_count += 1;
             let json = line.strip_suffix(b"\n").and_then(record_of_line);
             let record: Option<RecordLine> = json.and_then(|json| serde_json::from_slice(json).ok());
             let Some(record) = record else { continue };
             let key = record.key();
-            if let RecordLine::Done(record) = &record {
-                last.remove(&unfinished_key(&record.input));
-                let keys = done.entry(record.name.clone()).or_default();
-                keys.retain(|known| *known != key);
+            if let RecordLine::Done(done) = &record {
+                // A done frame is no longer unfinished.
+                last_lines.remove(&unfinished_key(&done.input));
+                // Of the lines of a frame that say how it was done, only the last few are needed.
+                let keys = done_keys.entry(done.name.clone()).or_default();
+                keys.retain(|earlier| *earlier != key);
                 keys.push_back(key.clone());
                 if keys.len() > DONE_PER_FRAME_MAX
                     && let Some(oldest) = keys.pop_front()
                 {
-                    last.remove(&oldest);
+                    last_lines.remove(&oldest);
                 }
             }
             if let RecordLine::Settings { id, .. } = record {
                 own.settings.insert(id);
             }
-            last.insert(key, line);
+            last_lines.insert(key, line);
         }
-        if own.is_superseded(last.len()) {
+        if own.is_superseded(last_lines.len()) {
             // If this fails, the old file is still complete.
-            if let Ok(new) = own.compacted(last.into_values()) {
+            if let Ok(new) = own.compacted(last_lines.into_values()) {
                 return Ok(new);
             }
         }
+        // Compacting it now would gain little, or has failed: not before it has twice as many lines.
         own.compacted_from_lines = COMPACTED_LINES_MIN.max(own.line_count * 2);
         own.is_torn = bytes.last().is_some_and(|byte| *byte != b'\n');
         Ok(own)
@@ -203,7 +207,8 @@ impl OwnFile {
     /// Moves these lines to a new file, and removes the old one. Until then, both are read.
     fn compacted<'a>(&self, lines: impl Iterator<Item = &'a [u8]>) -> io::Result<OwnFile> {
         let mut lines: Vec<&[u8]> = lines.collect();
-        // In the order of the file: of lines with the same time, the last one counts.
+        // Restores the order of the file, because of lines with the same time the last one counts: all lines are
+        // slices of one buffer, so their addresses have this order.
         lines.sort_unstable_by_key(|line| line.as_ptr());
         let mut new = OwnFile::create(self.path.parent().unwrap_or(Path::new("")))?;
         new.settings.clone_from(&self.settings);
@@ -212,10 +217,10 @@ impl OwnFile {
         let written = lines.iter().try_for_each(|line| out.write_all(line)).and_then(|()| out.flush());
         drop(out);
         let moved = written.and_then(|()| new.file.sync_data()).and_then(|()| remove_if_exists(&self.path));
-        // Otherwise each start would leave another copy.
         if moved.is_ok() {
             self.remove()
         } else {
+            // Otherwise each start would leave another copy.
             new.remove()
         }
         moved.map(|()| new)

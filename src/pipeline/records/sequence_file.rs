@@ -28,10 +28,9 @@ use meniscus_formats::gltf::{self, GlbFrame, SEQUENCE_FRAMES, SequenceFrame};
 use meniscus_formats::{Limits, OutputFormat, abc, read_provenance, usda, usdc};
 
 use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
-use crate::pipeline::files::atomic_write::write_atomically;
+use crate::pipeline::files::atomic_write::{sync_while, write_atomically};
 use crate::pipeline::files::identity::are_same_file;
 use crate::pipeline::files::open::open_regular;
-use crate::pipeline::files::staged_file::sync_while;
 use crate::pipeline::files::stamp::FileStamp;
 use crate::surface::words::pluralize;
 

@@ -15,7 +15,7 @@ use crate::pipeline::files::open::require_no_links;
 use crate::pipeline::input::frame::{Frame, FrameReport, Job, Outcome};
 use crate::pipeline::memory::peak_memory_bytes;
 use crate::pipeline::output::particle_files::{particle_warnings, write_particles};
-use crate::pipeline::output::writing::{WrittenFiles, surface_warnings, write_files, write_surface};
+use crate::pipeline::output::writing::{WrittenFiles, surface_warnings, write_files, write_surface_as};
 use crate::pipeline::records::provenance::provenance;
 use crate::pipeline::target::outputs::OutputFormat;
 use crate::pipeline::target::picture::PictureScene;
@@ -95,7 +95,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                     self.shared.begin(frame, Stage::Preview);
                 }
                 let written =
-                    write_surface(&surface, (number, frame), made_from, format, &self.scheduler, out);
+                    write_surface_as(&surface, (number, frame), made_from, format, &self.scheduler, out);
                 if format.is_picture() {
                     self.shared.begin(frame, Stage::Write);
                     preview_time += start.elapsed();

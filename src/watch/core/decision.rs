@@ -1,16 +1,15 @@
 //! Decides whether to convert a frame again, from what is recorded of it and its current state on disk.
 //!
 //! ```text
-//!   its record        │ none, waiting,   retrying,        failed    done
-//!                     │ queued, ignored  given up, refused
-//!   ──────────────────┼─────────────────────────────────────────────────────────────────────
-//!   same stamp and    │ convert          convert          skip      skip, if its outputs exist
-//!   settings          │
-//!   anything else     │ convert          convert          convert   convert
+//!   its record                │ failed     done                         none, or any other state
+//!   ──────────────────────────┼──────────────────────────────────────────────────────────────────
+//!   same stamp and settings   │ skip       skip, if its outputs exist   convert
+//!   anything else             │ convert    convert                      convert
 //! ```
 //!
-//! The decision is a pure function: the caller has inspected the disk. A file that was copied or touched has
-//! another time or inode, but may have the same content. Then the pipeline reads it, and finds it done.
+//! The decision is a pure function: the caller has inspected the disk. To convert a frame, the pipeline first
+//! reads it: a file that was only copied or touched has another time or inode, but the same content, and the
+//! pipeline finds it done.
 
 use std::path::Path;
 
@@ -44,7 +43,7 @@ pub(crate) fn reason_to_convert(
     if !has_settings(record) {
         return Some(Reason::SettingsChanged);
     }
-    // A failed frame has no outputs.
+    // Outputs of a failed frame are older than its failure: whether they exist does not matter.
     if let Some(output) = missing_output.filter(|_| record.unfinished.is_none()) {
         return Some(Reason::OutputChanged { output: output.to_owned() });
     }

@@ -57,7 +57,7 @@ const CHECK_EVERY: Duration = Duration::from_secs(1);
 /// that were killed.
 ///
 /// # Errors
-/// When a folder cannot be created, or another daemon has locked it.
+/// When a folder cannot be created, another daemon has locked it, or the pattern of a watch with a stage is invalid.
 pub(super) fn open_outputs(
     config: &WatchConfig,
 ) -> Result<(Vec<OutputFolderWorker>, Vec<usize>), DaemonError> {
@@ -74,15 +74,17 @@ pub(super) fn open_outputs(
 }
 
 fn open_folder(folder: &Path) -> Result<PathBuf, DaemonError> {
-    make_out_folder(folder).map_err(DaemonError::Out)?;
-    folder.canonicalize().map_err(|source| DaemonError::Folder { folder: folder.to_owned(), source })
+    make_out_folder(folder).map_err(DaemonError::OutFolderRefused)?;
+    folder
+        .canonicalize()
+        .map_err(|source| DaemonError::OutFolderUnreadable { folder: folder.to_owned(), source })
 }
 
 impl OutputFolderWorker {
     fn open(index: usize, folder: PathBuf, config: &WatchConfig) -> Result<OutputFolderWorker, DaemonError> {
         let lock = OutputLock::take(&folder).map_err(DaemonError::Locked)?;
         let state_folder = folder.join(STATE_FOLDER);
-        let failed = |source| DaemonError::Folder { folder: folder.clone(), source };
+        let failed = |source| DaemonError::OutFolderUnreadable { folder: folder.clone(), source };
         let device = device(&folder).map_err(failed)?;
         match sweep(&folder) + sweep_one(&state_folder) {
             0 => {}
@@ -92,12 +94,12 @@ impl OutputFolderWorker {
             }
         }
         let records = FrameRecords::open(&folder)
-            .map_err(|source| DaemonError::Folder { folder: state_folder, source })?;
+            .map_err(|source| DaemonError::OutFolderUnreadable { folder: state_folder, source })?;
         for problem in records.problems() {
             tracing::warn!(folder = %folder.display(), "{problem}: converting the frames that are recorded there again");
         }
         let locked = Mutex::new(LockedFolder { lock, device });
-        let stages = FolderUsdStages::new(&folder, config);
+        let stages = FolderUsdStages::new(&folder, config).map_err(DaemonError::Pattern)?;
         Ok(OutputFolderWorker {
             index,
             guard: Arc::new(OutputGuard {

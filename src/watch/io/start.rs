@@ -29,7 +29,17 @@ pub(crate) struct Workers {
     pub(crate) monitors: Vec<StallMonitor>,
     /// The guards that the workers hold; all gone once the workers have ended.
     pub(crate) guards: Vec<Weak<OutputGuard>>,
+    /// Stops the slow thread, also within a file.
     pub(crate) is_over: Arc<AtomicBool>,
+}
+
+impl Workers {
+    /// The heartbeat of a worker, which is monitored from now on.
+    fn monitor(&mut self, worker: Worker) -> Heartbeat {
+        let heartbeat = Heartbeat::default();
+        self.monitors.push(StallMonitor::new(worker, heartbeat.clone(), Instant::now()));
+        heartbeat
+    }
 }
 
 impl Drop for Workers {
@@ -48,20 +58,21 @@ pub(crate) fn start(
     store: Option<Arc<StatusStore>>,
     events: &Sender<Event>,
 ) -> Result<(Core, Workers, PipelineContext), DaemonError> {
-    let (outputs, output_folder_of) = open_outputs(config)?;
-    let guards: Vec<Arc<OutputGuard>> = outputs.iter().map(|output| Arc::clone(output.guard())).collect();
-    let folders: Vec<_> = guards.iter().map(|guard| guard.folder.clone()).collect();
+    let (output_workers, output_folder_of) = open_outputs(config)?;
+    let guards: Vec<Arc<OutputGuard>> =
+        output_workers.iter().map(|output| Arc::clone(output.guard())).collect();
+    let output_folders: Vec<_> = guards.iter().map(|guard| guard.folder.clone()).collect();
     let obstacles = config.watches.iter().map(|watch| ObstacleFiles::new(watch.obstacles.clone()));
     let obstacles: Vec<Arc<ObstacleFiles>> = obstacles.map(Arc::new).collect();
-    let mut paths = Vec::new();
+    let mut inputs = Vec::new();
     for watch in &config.watches {
         let path = canonical_path(&watch.input);
-        let selection = FileFilter::new(watch.pattern.as_deref(), folders.clone());
-        paths.push((path, selection.map_err(DaemonError::Pattern)?));
+        let filter = FileFilter::new(watch.pattern.as_deref(), output_folders.clone());
+        inputs.push((path, filter.map_err(DaemonError::Pattern)?));
     }
     let recorded = guards.iter().map(|guard| (guard.folder.clone(), guard.records.recorded()));
     let roots =
-        paths.iter().zip(&obstacles).map(|((path, _), obstacles)| (path.clone(), Arc::clone(obstacles)));
+        inputs.iter().zip(&obstacles).map(|((path, _), obstacles)| (path.clone(), Arc::clone(obstacles)));
     let mut core = Core::new(
         Arc::clone(config),
         identity(),
@@ -71,20 +82,20 @@ pub(crate) fn start(
         now(),
     );
     core.claim_recorded(|root, file| {
-        let (folder, selection) = &paths[root];
-        selection.takes(folder, file)
+        let (folder, filter) = &inputs[root];
+        filter.takes(folder, file)
     });
-    let output_folders_of_roots =
+    let guards_of_roots =
         output_folder_of.iter().map(|&output| (output, Arc::clone(&guards[output]))).collect();
     let context = PipelineContext {
         config: Arc::clone(config),
         store,
-        outputs: Arc::new(output_folders_of_roots),
+        outputs: Arc::new(guards_of_roots),
         events: events.clone(),
     };
-    let failed = |error: std::io::Error| DaemonError::Threads(error.to_string());
     let is_over = Arc::<AtomicBool>::default();
-    let slow = slow::spawn(config.threads, Arc::clone(&is_over), events.clone()).map_err(failed)?;
+    let slow =
+        slow::spawn(config.threads, Arc::clone(&is_over), events.clone()).map_err(DaemonError::Threads)?;
     let mut workers = Workers {
         roots: Vec::new(),
         slow,
@@ -93,29 +104,21 @@ pub(crate) fn start(
         guards: guards.iter().map(Arc::downgrade).collect(),
         is_over,
     };
-    for (index, output) in outputs.into_iter().enumerate() {
+    for (index, output) in output_workers.into_iter().enumerate() {
         let heartbeat = workers.monitor(Worker::Output(index));
         let sender = spawn(&format!("output {index}"), output, None, heartbeat, events.clone());
-        workers.outputs.push(sender.map_err(failed)?);
+        workers.outputs.push(sender.map_err(DaemonError::Threads)?);
     }
-    for (index, (path, selection)) in paths.into_iter().enumerate() {
+    for (index, (path, filter)) in inputs.into_iter().enumerate() {
         let heartbeat = workers.monitor(Worker::Root(index));
         let guard = Arc::clone(&guards[output_folder_of[index]]);
+        // Of all roots: an output must not replace an obstacle of another one.
         let (obstacles, beats) = (obstacles.clone(), heartbeat.clone());
-        let (root, fs_events) = Root::new(index, path, selection, config, obstacles, guard, beats);
+        let (root, fs_events) = Root::new(index, path, filter, config, obstacles, guard, beats);
         let sender = spawn(&format!("root {index}"), root, fs_events, heartbeat, events.clone());
-        workers.roots.push(sender.map_err(failed)?);
+        workers.roots.push(sender.map_err(DaemonError::Threads)?);
     }
     Ok((core, workers, context))
-}
-
-impl Workers {
-    /// The heartbeat of a worker, which is monitored from now on.
-    pub(crate) fn monitor(&mut self, worker: Worker) -> Heartbeat {
-        let heartbeat = Heartbeat::default();
-        self.monitors.push(StallMonitor::new(worker, heartbeat.clone(), Instant::now()));
-        heartbeat
-    }
 }
 
 /// Identifies this daemon.

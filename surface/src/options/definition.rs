@@ -82,7 +82,7 @@ method_options! {
             radius_min: Length,
 
             /// Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle,
-            /// and r_max is at most 64h [default: 2.5]
+            /// and r_max is at most 64h [default: 3]
             #[value(named("RATIO"))]
             radius_ratio: f64,
 
@@ -119,8 +119,8 @@ method_options! {
             max_stretch: f64 in 1.0..=MAX_STRETCH_MAX
                 => [OptionName::new("anisotropy")], |options, _| options.anisotropy_kind() != AnisotropyKind::None,
 
-            /// Smallest semi-axis of flattened particles, positive, from 0.9h to r_min, for --anisotropy
-            /// neighbors; smaller makes thinner sheets [default: 0.36d]
+            /// Smallest semi-axis of flattened particles, 0.9 h to r_min, for --anisotropy neighbors; smaller
+            /// makes thinner sheets [default: 0.36d]
             #[value(named("LENGTH"))]
             thin_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
 
@@ -210,7 +210,7 @@ method_options! {
             integrator: Integrator,
 
             /// Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are
-            /// recomputed instead [default: 10, more on a finer grid]
+            /// recomputed instead [default: 2 (d/h)², 20 on the default grid]
             #[value(named("N"))]
             laplacian_steps: u32 in 0..=STEPS_MAX,
 
