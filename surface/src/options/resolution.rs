@@ -188,9 +188,7 @@ pub(super) fn anisotropy(
     let max_stretch = options.max_stretch.unwrap_or(MAX_STRETCH);
     match options.anisotropy_kind() {
         AnisotropyKind::None => Ok(Anisotropy::None),
-        AnisotropyKind::Neighbors if is_too_coarse_to_flatten(options, scale) => {
-            Ok(Anisotropy::None)
-        }
+        AnisotropyKind::Neighbors if is_too_coarse_to_flatten(options, scale) => Ok(Anisotropy::None),
         AnisotropyKind::Neighbors => {
             let [thin_radius, lone_radius] = flattened_radii(options, radius_min, scale)?;
             Ok(Anisotropy::Neighbors { max_stretch, thin_radius, lone_radius })
